@@ -1,2 +1,85 @@
+//! The binary command protocol of the Weiss Robotics WSG servo grippers.
+//!
+//! For microcontrollers and machine controllers: `no_std`, no allocation, no `unsafe`, one byte at a time.
+//! Nothing here knows a clock, an I/O port or a HAL; the caller owns bytes and time.
+//!
+//! | module | holds | manual |
+//! |---|---|---|
+//! | [`checksum`] | the checksum and its table | command set, appendix D |
+//! | [`frame`] | [`Frame`], [`FrameParser`], [`FrameEncoder`] | command set, 1.2 |
+//! | [`command`] | [`Command`]: every request; [`CommandId`] and its table | command set, chapter 3 |
+//! | [`reply`] | [`Reply`]: status and typed values | command set, 1.2.2 and chapter 3 |
+//! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
+//! | [`session`] | the controller's side of a connection | command set, 1.3 |
+//! | [`fieldbus`] | the register images and the controller behind them | fieldbus, chapters 5 and 6 |
+//!
+//! A request becomes bytes, bytes become frames, frames become typed values:
+//!
+//! ```
+//! use wsg_protocol::{Command, Event, FrameEncoder, FrameParser, Reply, Status, Value};
+//!
+//! // To the gripper: grip a 20 mm part at 50 mm/s.
+//! let mut line = [0; 32];
+//! let grip = Command::GripPart { width: 20.0, speed: 50.0 };
+//! let length = FrameEncoder::new(grip.id().code(), grip).write_into(&mut line).unwrap();
+//! assert_eq!(line[..6], [0xAA, 0xAA, 0xAA, 0x25, 0x08, 0x00]);
+//! assert_eq!(length, 16);
+//!
+//! // From the gripper: it has understood and is gripping (E_CMD_PENDING).
+//! let mut parser = FrameParser::<64>::new();
+//! let pending = Reply::status_only(grip.id(), Status::CmdPending);
+//! for byte in FrameEncoder::new(0x25, pending) {
+//!     if let Some(Event::Frame(frame)) = parser.push(byte) {
+//!         let reply = Reply::decode(&frame).unwrap();
+//!         assert_eq!(reply.status(), Status::CmdPending);
+//!         assert_eq!(reply.value(), None::<Value>);
+//!     }
+//! }
+//! assert_eq!(parser.counters().dropped, 0);
+//! ```
 #![no_std]
-//! placeholder
+#![forbid(unsafe_code)]
+#![deny(missing_docs)]
+#![deny(
+    clippy::indexing_slicing,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::arithmetic_side_effects
+)]
+#![cfg_attr(
+    test,
+    allow(
+        clippy::indexing_slicing,
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::arithmetic_side_effects
+    )
+)]
+#![cfg_attr(docsrs, feature(doc_cfg))]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod checksum;
+pub mod command;
+mod field;
+pub mod fieldbus;
+pub mod frame;
+pub mod reply;
+pub mod session;
+mod table;
+pub mod time;
+pub mod types;
+
+pub use command::{Command, CommandId, Kind};
+pub use field::Refusal;
+pub use frame::{Counters, Event, Frame, FrameEncoder, FrameParser, Payload};
+pub use reply::{Reply, Value};
+pub use time::Instant;
+pub use types::{
+    AutoUpdate, DeviceTag, DeviceType, FingerData, FingerFlags, FingerInfo, FingerType, FirmwareVersion,
+    GripperState, GrippingStatistics, HomingDirection, LoopData, PrePositionFlags, SoftLimits, Status,
+    SystemFlags, SystemInfo, SystemLimits, Temperature, UpdateFlags,
+};

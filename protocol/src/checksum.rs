@@ -1,0 +1,165 @@
+//! The checksum that closes every frame (command set, 1.2.1 and appendix D).
+//!
+//! It is no catalogue CRC: the manual combines the MSB-first table of polynomial 1021h with a right-shifting
+//! update, `c = T[(c ^ b) & FFh] ^ (c >> 8)`, start FFFFh, low byte sent first. No set of CRC parameters yields
+//! these values, so the table is our own. It is computed at compile time.
+//!
+//! The table is linear in its index, so `T[b] = T[b & F0h] ^ T[b & 0Fh]`; the feature `small-table` uses that to
+//! keep 64 bytes instead of 512, for a few more instructions per byte.
+//!
+//! ```
+//! use wsg_protocol::checksum;
+//!
+//! // The manual's first example: AAAAAA 01 0000, checksum 10E8h, sent as E8 10.
+//! assert_eq!(checksum::of(&[0xAA, 0xAA, 0xAA, 0x01, 0x00, 0x00]), 0x10E8);
+//! // Over a whole frame, checksum included, it is 0.
+//! assert_eq!(checksum::of(&[0xAA, 0xAA, 0xAA, 0x01, 0x00, 0x00, 0xE8, 0x10]), 0);
+//! ```
+
+/// The value before the first byte.
+pub const START: u16 = 0xFFFF;
+
+/// The value after the three preamble bytes AAh AAh AAh: where a parser or an encoder starts when the preamble
+/// is known.
+pub const AFTER_PREAMBLE: u16 = update(update(update(START, 0xAA), 0xAA), 0xAA);
+
+/// The generator polynomial of the table, without its leading term.
+const POLYNOMIAL: u16 = 0x1021;
+
+/// One entry of the MSB-first table.
+const fn entry(index: u8) -> u16 {
+    let mut value = (index as u16) << 8;
+    let mut bit = 0u8;
+    while bit < 8 {
+        value = if value & 0x8000 == 0 { value << 1 } else { (value << 1) ^ POLYNOMIAL };
+        bit = bit.wrapping_add(1);
+    }
+    value
+}
+
+#[cfg(not(feature = "small-table"))]
+mod lookup {
+    static TABLE: [u16; 256] = {
+        let mut table = [0; 256];
+        let mut index = 0usize;
+        while index < 256 {
+            #[expect(
+                clippy::indexing_slicing,
+                reason = "the loop ends at the table's length, at compile time"
+            )]
+            {
+                table[index] = super::entry(index as u8);
+            }
+            index = index.wrapping_add(1);
+        }
+        table
+    };
+
+    #[expect(
+        clippy::indexing_slicing,
+        reason = "a u8 always indexes 256 entries: no check is left in the code"
+    )]
+    pub(super) fn table(index: u8) -> u16 {
+        TABLE[index as usize]
+    }
+}
+
+#[cfg(feature = "small-table")]
+mod lookup {
+    const fn every(step: u8) -> [u16; 16] {
+        let mut table = [0; 16];
+        let mut index = 0usize;
+        while index < 16 {
+            #[expect(
+                clippy::indexing_slicing,
+                reason = "the loop ends at the table's length, at compile time"
+            )]
+            {
+                table[index] = super::entry((index as u8).wrapping_mul(step));
+            }
+            index = index.wrapping_add(1);
+        }
+        table
+    }
+
+    static LOW: [u16; 16] = every(1);
+    static HIGH: [u16; 16] = every(16);
+
+    #[expect(
+        clippy::indexing_slicing,
+        reason = "four bits always index 16 entries: no check is left in the code"
+    )]
+    pub(super) fn table(index: u8) -> u16 {
+        LOW[(index & 0x0F) as usize] ^ HIGH[(index >> 4) as usize]
+    }
+}
+
+/// Takes one byte into the running value, at compile time: the same as [`push`] without the table.
+#[must_use]
+pub const fn update(value: u16, byte: u8) -> u16 {
+    entry((value as u8) ^ byte) ^ (value >> 8)
+}
+
+/// Takes one byte into the running value.
+#[must_use]
+#[inline]
+pub fn push(value: u16, byte: u8) -> u16 {
+    lookup::table((value as u8) ^ byte) ^ (value >> 8)
+}
+
+/// Takes a slice into the running value.
+#[must_use]
+#[inline]
+pub fn push_slice(value: u16, bytes: &[u8]) -> u16 {
+    bytes.iter().fold(value, |value, &byte| push(value, byte))
+}
+
+/// The checksum of a whole message, preamble included.
+#[must_use]
+pub fn of(bytes: &[u8]) -> u16 {
+    push_slice(START, bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn table_entries_are_those_of_the_manual() {
+        for (index, printed) in
+            [(0, 0x0000), (1, 0x1021), (2, 0x2042), (31, 0xE3DE), (128, 0x9188), (255, 0x1EF0)]
+        {
+            assert_eq!(lookup::table(index), printed, "T[{index}]");
+        }
+    }
+
+    #[test]
+    fn table_and_bitwise_update_agree_for_every_byte() {
+        for byte in 0..=255 {
+            for value in [0u16, 1, 0x50F5, 0xABCD, 0xFFFF] {
+                assert_eq!(push(value, byte), update(value, byte));
+            }
+        }
+    }
+
+    #[test]
+    fn table_is_linear_so_two_small_tables_serve() {
+        for index in 0..=255 {
+            assert_eq!(entry(index), entry(index & 0xF0) ^ entry(index & 0x0F));
+        }
+    }
+
+    #[test]
+    fn preamble_leaves_50f5h() {
+        assert_eq!(AFTER_PREAMBLE, 0x50F5);
+        assert_eq!(of(&[0xAA; 3]), AFTER_PREAMBLE);
+    }
+
+    #[test]
+    fn appending_the_checksum_low_byte_first_leaves_zero() {
+        let mut bytes = std::vec![0x12, 0xAA, 0x00, 0xFF, 0x7E];
+        let [low, high] = of(&bytes).to_le_bytes();
+        bytes.extend([low, high]);
+        assert_eq!(of(&bytes), 0);
+    }
+}

@@ -1,0 +1,190 @@
+//! From a payload straight to the bytes of a frame, with no buffer between.
+
+use super::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
+use crate::checksum;
+
+/// A payload that can be read byte by byte: a slice, a [`Command`](crate::Command), a [`Reply`](crate::Reply).
+pub trait Payload {
+    /// Bytes of the payload, at most 65 535.
+    fn len(&self) -> usize;
+
+    /// The byte at `index`; 0 at or past the end.
+    fn byte(&self, index: usize) -> u8;
+
+    /// Whether there is no payload.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+impl Payload for &[u8] {
+    fn len(&self) -> usize {
+        <[u8]>::len(self)
+    }
+
+    fn byte(&self, index: usize) -> u8 {
+        self.get(index).copied().unwrap_or(0)
+    }
+}
+
+/// The bytes of one frame, one at a time.
+///
+/// ```
+/// use wsg_protocol::FrameEncoder;
+///
+/// let bytes: Vec<u8> = FrameEncoder::new(0x01, &[0x12, 0x34][..]).collect();
+/// assert_eq!(bytes, [0xAA, 0xAA, 0xAA, 0x01, 0x02, 0x00, 0x12, 0x34, 0x6D, 0x66]);
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct FrameEncoder<P> {
+    payload: P,
+    /// Index of the next byte of the frame.
+    next: u32,
+    checksum: u16,
+    id: u8,
+}
+
+/// The slice given to [`FrameEncoder::write_into`] is too short; nothing was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BufferTooSmall {
+    /// Bytes that the frame needs.
+    pub needed: usize,
+}
+
+/// Index of the first payload byte in a frame.
+const PAYLOAD_AT: u32 = 6;
+
+impl<P: Payload> FrameEncoder<P> {
+    /// The encoder of the frame with this id and payload.
+    pub const fn new(id: u8, payload: P) -> Self {
+        Self { payload, next: 0, checksum: checksum::AFTER_PREAMBLE, id }
+    }
+
+    /// Bytes of the whole frame.
+    pub fn frame_len(&self) -> usize {
+        self.payload.len().saturating_add(OVERHEAD)
+    }
+
+    /// Writes what is left of the frame to the start of `buffer` and says how many bytes that were.
+    ///
+    /// # Errors
+    /// [`BufferTooSmall`]: it does not fit.
+    pub fn write_into(self, buffer: &mut [u8]) -> Result<usize, BufferTooSmall> {
+        let needed = self.len();
+        let target = buffer.get_mut(..needed).ok_or(BufferTooSmall { needed })?;
+        for (slot, byte) in target.iter_mut().zip(self) {
+            *slot = byte;
+        }
+        Ok(needed)
+    }
+
+    /// Writes what is left of the frame to `writer`, at most 64 bytes at a time.
+    ///
+    /// A transport that turns each write into a packet (TCP without delay) wants the frame in one piece: use
+    /// [`write_into`](Self::write_into) there.
+    ///
+    /// # Errors
+    /// Those of the writer.
+    #[cfg(feature = "embedded-io")]
+    pub fn write_to<W: embedded_io::Write>(mut self, writer: &mut W) -> Result<(), W::Error> {
+        let mut chunk = [0; 64];
+        loop {
+            let mut filled = 0usize;
+            for (slot, byte) in chunk.iter_mut().zip(&mut self) {
+                *slot = byte;
+                filled = filled.saturating_add(1);
+            }
+            match chunk.get(..filled) {
+                Some(bytes) if !bytes.is_empty() => writer.write_all(bytes)?,
+                _ => return Ok(()),
+            }
+        }
+    }
+}
+
+impl<P: Payload> Iterator for FrameEncoder<P> {
+    type Item = u8;
+
+    fn next(&mut self) -> Option<u8> {
+        let len = self.payload.len();
+        let [size_low, size_high, ..] = len.to_le_bytes();
+        let at = self.next;
+        let byte = match at {
+            0..3 => PREAMBLE_BYTE,
+            3 => self.id,
+            4 => size_low,
+            5 => size_high,
+            _ => {
+                let index = at.wrapping_sub(PAYLOAD_AT) as usize;
+                match index.checked_sub(len) {
+                    None => self.payload.byte(index),
+                    Some(0) => self.checksum as u8,
+                    Some(1) => (self.checksum >> 8) as u8,
+                    Some(_) => return None,
+                }
+            }
+        };
+        // The preamble is in the start value; the checksum is not in itself.
+        if at as usize >= PREAMBLE_LEN && (at as usize) < len.saturating_add(PAYLOAD_AT as usize) {
+            self.checksum = checksum::push(self.checksum, byte);
+        }
+        self.next = at.wrapping_add(1);
+        Some(byte)
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let left = self.frame_len().saturating_sub(self.next as usize);
+        (left, Some(left))
+    }
+}
+
+impl<P: Payload> ExactSizeIterator for FrameEncoder<P> {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    #[test]
+    fn size_counts_down_to_none() {
+        let mut encoder = FrameEncoder::new(6, &[1, 2, 3][..]);
+        assert_eq!(encoder.len(), 11);
+        assert_eq!(encoder.by_ref().take(10).count(), 10);
+        assert_eq!(encoder.len(), 1);
+        assert!(encoder.next().is_some());
+        assert_eq!((encoder.len(), encoder.next()), (0, None));
+        assert_eq!(encoder.next(), None);
+    }
+
+    #[test]
+    fn slice_too_short_is_refused_whole() {
+        let mut buffer = [0x55; 9];
+        let refused = FrameEncoder::new(1, &[0x12, 0x34][..]).write_into(&mut buffer);
+        assert_eq!(refused, Err(BufferTooSmall { needed: 10 }));
+        assert_eq!(buffer, [0x55; 9]);
+    }
+
+    #[test]
+    fn slice_and_iterator_agree_for_long_payloads() {
+        let payload: Vec<u8> = (0..600u32).map(|n| n as u8).collect();
+        let bytes: Vec<u8> = FrameEncoder::new(6, &payload[..]).collect();
+        let mut buffer = [0; 700];
+        let length = FrameEncoder::new(6, &payload[..]).write_into(&mut buffer).unwrap();
+        assert_eq!(bytes, buffer[..length]);
+        assert_eq!(bytes[4..6], [0x58, 0x02]);
+        assert_eq!(checksum::of(&bytes), 0);
+    }
+
+    #[cfg(feature = "embedded-io")]
+    #[test]
+    fn writer_gets_every_byte_in_chunks() {
+        let payload = [7u8; 150];
+        let mut out = [0u8; 200];
+        let mut rest = &mut out[..];
+        FrameEncoder::new(6, &payload[..]).write_to(&mut rest).unwrap();
+        let left = rest.len();
+        let bytes: Vec<u8> = FrameEncoder::new(6, &payload[..]).collect();
+        assert_eq!(out[..200 - left], bytes);
+    }
+}
