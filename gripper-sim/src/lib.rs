@@ -1,1 +1,42 @@
-//! placeholder
+//! A virtual gripper of the WSG series.
+//!
+//! The core, [`VirtualGripper`], takes bytes and the time and gives bytes: it speaks the binary protocol, and its
+//! fingers really travel. It knows no clock and no I/O, and allocates nothing (`no_std`). With the feature `std` (the
+//! default) come the servers around it and the binary `wsg-sim`.
+//!
+//! | module | changes with |
+//! |---|---|
+//! | `model` | what is known about the models |
+//! | `config` | what can be set on the real one's web interface |
+//! | `axis`, `thermal`, `finger` | the physics |
+//! | `device`, `motion`, `commands` | the manual: states and flags; motions; commands |
+//! | `updates`, `port` | the manual's rules for connections |
+//! | `gripper` | the contract with the caller |
+//!
+//! It is a model, not a copy: the fingers stop dead on Stop, FAST STOP and contact, a part is an ideal spring, and the
+//! force is exact. Where the manual is silent, the documents of the item say what was decided.
+#![cfg_attr(not(feature = "std"), no_std)]
+#![forbid(unsafe_code)]
+
+mod axis;
+mod commands;
+mod config;
+mod device;
+mod faults;
+mod finger;
+mod gripper;
+mod model;
+mod motion;
+mod port;
+mod thermal;
+mod time;
+mod updates;
+
+pub use axis::{Direction, Part};
+pub use config::{Config, Tag};
+pub use faults::Fault;
+pub use finger::{Finger, Jaw};
+pub use gripper::{DEFAULT_PORTS, State, VirtualGripper};
+pub use model::{Model, Parameters};
+pub use port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
+pub use time::Time;

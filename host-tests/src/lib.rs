@@ -1,1 +1,6 @@
 //! placeholder
+
+#[cfg(unix)]
+pub mod emulator;
+#[cfg(unix)]
+pub mod qtest;

@@ -1,1 +1,10 @@
-//! x
+//! The register interface of the fieldbus manual: two images, and the controller that turns edges into commands.
+//!
+//! Every PLC side of a bridge, wires or a bus, writes the 8-byte [`OutputImage`] and reads the 12-byte [`InputImage`]
+//! (fieldbus, chapter 5). The [`Controller`] does what chapter 6 says between them.
+
+mod controller;
+mod image;
+
+pub use controller::Controller;
+pub use image::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};

@@ -35,12 +35,11 @@ proptest! {
     ) {
         let bytes = [&[0, 0][..], &values].concat();
         let decoded = Reply::decode(&Frame { id: id.code(), payload: &bytes });
-        if let Some(len) = value_len(id) {
-            if values.len() != len {
+        if let Some(len) = value_len(id)
+            && values.len() != len {
                 prop_assert!(decoded.is_err());
                 return Ok(());
             }
-        }
         if let Ok(reply) = decoded {
             let line: Vec<u8> = FrameEncoder::new(id.code(), reply).collect();
             let mut parser = FrameParser::<512>::new();

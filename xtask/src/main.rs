@@ -1,2 +1,151 @@
-//! placeholder
-fn main() {}
+//! `cargo xtask`: set-up, build, demo, test, size and flash of this workspace.
+//!
+//! What a command needs is set up first; each program that is run for it is printed before.
+
+mod demo;
+mod firmware;
+mod flash;
+mod process;
+mod setup;
+mod size;
+mod test;
+mod workspace;
+
+use std::{
+    ffi::OsString,
+    process::{ExitCode, ExitStatus},
+};
+
+use anyhow::{Context, Result, bail};
+use lexopt::{Arg, Parser, ValueExt};
+
+use workspace::Workspace;
+
+const HELP: &str = "\
+cargo xtask <command>
+
+Commands
+  setup              install what build, demo and test need: the thumb target's Rust and QEMU
+  build              build the firmware image, print its path and SHA-256
+                     [--features X]: more features; the image then has a name of its own
+  demo [ARGS]        boot the image in QEMU between a PLC and a virtual gripper;
+                     ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
+  test [FILTER]      every check of the workspace, the emulator tests included;
+                     with FILTER only the tests whose names match it
+  size               flash and static RAM of the image against their limits
+  flash              write the image to a board with probe-rs and start it
+                     [--features X] as for build
+  help               this page
+
+Environment
+  WSG_NO_INSTALL=1   install nothing: where something is missing, print the commands and stop
+  WSG_NO_RUSTUP=1    as if rustup's server were out of reach: rustup is not called, a thumb
+                     target that it installed is not used, and Debian's Rust packages build
+                     for the target instead
+  WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
+  CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
+
+set-up asks before it acts: on a machine that has everything it runs nothing.
+";
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(code) => code,
+        Err(error) => {
+            // Not `{:?}`: a person reads this, and a backtrace of xtask would not help.
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<ExitCode> {
+    let mut arguments = Parser::from_env();
+    let command = match arguments.next()? {
+        None | Some(Arg::Short('h') | Arg::Long("help")) => "help".to_owned(),
+        Some(Arg::Value(command)) => command.string()?,
+        Some(other) => return Err(other.unexpected()).context("see `cargo xtask help`"),
+    };
+    match command.as_str() {
+        "help" => print!("{HELP}"),
+        "setup" => {
+            no_more(arguments)?;
+            setup::thumb_and_qemu(&Workspace::from_env()?)?;
+            println!("setup: everything is there");
+        }
+        "build" => {
+            let features = features(arguments)?;
+            let workspace = Workspace::from_env()?;
+            let toolchain = setup::thumb(&workspace)?;
+            print_image(&firmware::build(&workspace, &toolchain, &features)?);
+        }
+        "demo" => {
+            let workspace = Workspace::from_env()?;
+            let toolchain = setup::thumb_and_qemu(&workspace)?;
+            let image = firmware::build(&workspace, &toolchain, &[])?;
+            return Ok(exit_code(demo::run(&workspace, &image, &rest(arguments)?)?));
+        }
+        "test" => {
+            let workspace = Workspace::from_env()?;
+            let toolchain = setup::thumb_and_qemu(&workspace)?;
+            let image = firmware::build(&workspace, &toolchain, &[])?;
+            print_image(&image);
+            test::run(&workspace, &toolchain, &image, &rest(arguments)?)?;
+        }
+        "size" => {
+            no_more(arguments)?;
+            let workspace = Workspace::from_env()?;
+            let toolchain = setup::thumb(&workspace)?;
+            let image = firmware::build(&workspace, &toolchain, &[])?;
+            size::check(&size::of_image(&image)?)?;
+        }
+        "flash" => {
+            let features = features(arguments)?;
+            flash::require_probe_rs()?;
+            let workspace = Workspace::from_env()?;
+            let toolchain = setup::thumb(&workspace)?;
+            let image = firmware::build(&workspace, &toolchain, &features)?;
+            print_image(&image);
+            flash::run(&image)?;
+        }
+        unknown => bail!("no command `{unknown}`; `cargo xtask help` lists them"),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn print_image(image: &firmware::Image) {
+    println!("{}\nsha256 {}", image.path.display(), image.sha256);
+}
+
+fn features(mut arguments: Parser) -> Result<Vec<String>> {
+    let mut features = Vec::new();
+    while let Some(argument) = arguments.next()? {
+        match argument {
+            Arg::Long("features") => {
+                let list = arguments.value()?.string()?;
+                features.extend(list.split([',', ' ']).filter(|it| !it.is_empty()).map(str::to_owned));
+            }
+            other => return Err(other.unexpected()).context("see `cargo xtask help`"),
+        }
+    }
+    Ok(features)
+}
+
+fn no_more(mut arguments: Parser) -> Result<()> {
+    match arguments.next()? {
+        None => Ok(()),
+        Some(argument) => Err(argument.unexpected()).context("see `cargo xtask help`"),
+    }
+}
+
+fn rest(mut arguments: Parser) -> Result<Vec<OsString>> {
+    Ok(arguments.raw_args()?.collect())
+}
+
+/// A program that a signal ended has no code of its own.
+fn exit_code(status: ExitStatus) -> ExitCode {
+    match status.code() {
+        Some(code) => ExitCode::from(u8::try_from(code).unwrap_or(1)),
+        None => ExitCode::FAILURE,
+    }
+}

@@ -148,10 +148,10 @@ impl<const N: usize> FrameParser<N> {
     /// Takes bytes up to the first event, and says how many that were. The same events as [`push`](Self::push) byte
     /// by byte. With an empty slice it is [`poll`](Self::poll).
     pub fn push_slice(&mut self, bytes: &[u8]) -> (usize, Option<Event<'_>>) {
-        if self.is_draining() {
-            if let Some(found) = self.scan() {
-                return (0, self.event(found));
-            }
+        if self.is_draining()
+            && let Some(found) = self.scan()
+        {
+            return (0, self.event(found));
         }
         let mut taken = 0usize;
         let mut found = None;
@@ -185,10 +185,10 @@ impl<const N: usize> FrameParser<N> {
     /// gives `None`; then nothing is held any more.
     pub fn expire(&mut self) -> Option<Event<'_>> {
         loop {
-            if self.is_draining() {
-                if let Some(found) = self.scan() {
-                    return self.event(found);
-                }
+            if self.is_draining()
+                && let Some(found) = self.scan()
+            {
+                return self.event(found);
             }
             match self.preamble_seen() {
                 0 => return None,

@@ -1,1 +1,98 @@
-fn main() {}
+//! The bridge on the board B-L475E-IOT01A (STM32L475VG): start, main loop, faults.
+//!
+//! This directory holds pins, clocks, interrupts and nothing else; what the bridge does is in the
+//! library. Register names are those of ST's RM0351.
+
+#![no_std]
+#![no_main]
+#![deny(
+    clippy::undocumented_unsafe_blocks,
+    clippy::indexing_slicing,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic
+)]
+
+mod clock;
+mod log;
+mod pins;
+mod tick;
+mod uart;
+mod watchdog;
+
+use core::panic::PanicInfo;
+
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::{entry, exception};
+use wsg_bridge_fw::io::{InputPort, OutputPort};
+use wsg_bridge_fw::{Bridge, Config};
+
+#[entry]
+fn main() -> ! {
+    // Outputs first: they show "not ready" through everything that may go wrong below.
+    let mut pins = pins::init();
+    let Some(core) = cortex_m::Peripherals::take() else { SCB::sys_reset() };
+    log::boot();
+    let watchdog = watchdog::start();
+    if clock::start().is_err() {
+        log::no_clock();
+        // No PLL, no baud rate to talk to the gripper with: outputs stay low, and the watchdog, not
+        // fed from here, starts over.
+        loop {
+            cortex_m::asm::nop();
+        }
+    }
+    tick::start(core.SYST);
+    let mut gripper_line = uart::start();
+    let mut bridge = Bridge::new(Config::DEFAULT);
+    log::running();
+
+    loop {
+        let now_ms = tick::now_ms();
+        let outputs = bridge.poll(now_ms, pins.read(), &mut gripper_line);
+        pins.write(outputs);
+        watchdog.feed();
+        log::line_errors();
+        sleep_unless(|| tick::now_ms() != now_ms || uart::has_received());
+    }
+}
+
+/// Sleeps until the next interrupt, unless `there_is_work`.
+fn sleep_unless(there_is_work: impl FnOnce() -> bool) {
+    // An interrupt that comes between the look and `wfi` would be slept over until the next one. With
+    // interrupts masked it stays pending instead, and a pending interrupt ends `wfi` at once.
+    cortex_m::interrupt::free(|_| {
+        if !there_is_work() {
+            cortex_m::asm::wfi();
+        }
+    });
+}
+
+/// A reset puts every output low and lets the bridge start from what it can know for sure.
+#[cfg(not(feature = "prove-panic-free"))]
+#[panic_handler]
+fn panic(_: &PanicInfo) -> ! {
+    SCB::sys_reset()
+}
+
+#[cfg(feature = "prove-panic-free")]
+#[panic_handler]
+fn panic(_: &PanicInfo) -> ! {
+    unsafe extern "C" {
+        safe fn a_panic_can_be_reached() -> !;
+    }
+    a_panic_can_be_reached()
+}
+
+// SAFETY: the handler uses nothing of the program that was interrupted.
+#[exception(trampoline = false)]
+unsafe fn HardFault() -> ! {
+    SCB::sys_reset()
+}
+
+/// An interrupt that nobody enabled is as much a fault as a bus error.
+// SAFETY: the handler uses nothing of the program that was interrupted.
+#[exception]
+unsafe fn DefaultHandler(_interrupt: i16) -> ! {
+    SCB::sys_reset()
+}

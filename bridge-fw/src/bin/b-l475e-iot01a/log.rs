@@ -1,0 +1,78 @@
+//! What the board tells its log. Without the `defmt` feature all of it is nothing.
+
+#[cfg(all(feature = "log-rtt", feature = "log-semihosting"))]
+compile_error!("choose one of log-rtt and log-semihosting: a log goes to one place");
+
+#[cfg(feature = "log-rtt")]
+use defmt_rtt as _;
+#[cfg(feature = "log-semihosting")]
+use defmt_semihosting as _;
+
+#[cfg(feature = "defmt")]
+pub(crate) use defmt_log::{boot, line_errors, no_clock, running};
+
+#[cfg(not(feature = "defmt"))]
+pub(crate) use no_log::{boot, line_errors, no_clock, running};
+
+#[cfg(feature = "defmt")]
+mod defmt_log {
+    use core::sync::atomic::{AtomicU32, Ordering};
+
+    use stm32_metapac::RCC;
+
+    use crate::{clock, tick, uart};
+
+    defmt::timestamp!("{=u32:ms}", tick::now_ms());
+
+    /// Says why the MCU was reset, and clears the cause for the next time.
+    pub(crate) fn boot() {
+        let cause = RCC.csr().read();
+        RCC.csr().modify(|w| w.set_rmvf(true));
+        // A reset also pulls the reset pin, and power-on is also a brown-out: the rarer cause first.
+        if cause.iwdgrstf() {
+            defmt::error!("boot: reset by the watchdog, the main loop did not come round");
+        } else if cause.sftrstf() {
+            defmt::error!("boot: reset by the firmware, a fault or a panic");
+        } else if cause.borrstf() {
+            defmt::info!("boot: power on");
+        } else {
+            defmt::info!("boot: reset pin");
+        }
+    }
+
+    pub(crate) fn no_clock() {
+        defmt::error!("clock: PLL does not start, waiting for the watchdog");
+    }
+
+    pub(crate) fn running() {
+        defmt::info!("clock: {=u32} Hz, watchdog and gripper line started", clock::HCLK_HZ);
+    }
+
+    /// Says so when bytes from the gripper have been lost since the last call.
+    pub(crate) fn line_errors() {
+        static SAID: [AtomicU32; 3] = [const { AtomicU32::new(0) }; 3];
+        let lost = [&uart::LOST.overrun, &uart::LOST.framing, &uart::LOST.queue_full]
+            .map(|counter| counter.load(Ordering::Relaxed));
+        let said_before = SAID.each_ref().map(|said| said.load(Ordering::Relaxed));
+        if lost != said_before {
+            for (said, lost) in SAID.iter().zip(lost) {
+                said.store(lost, Ordering::Relaxed);
+            }
+            let [overrun, framing, queue_full] = lost;
+            defmt::warn!(
+                "gripper line: {=u32} overruns, {=u32} framing errors, {=u32} lost to a full queue",
+                overrun,
+                framing,
+                queue_full
+            );
+        }
+    }
+}
+
+#[cfg(not(feature = "defmt"))]
+mod no_log {
+    pub(crate) fn boot() {}
+    pub(crate) fn no_clock() {}
+    pub(crate) fn running() {}
+    pub(crate) fn line_errors() {}
+}

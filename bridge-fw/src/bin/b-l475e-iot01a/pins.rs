@@ -1,0 +1,91 @@
+//! The PLC's wires and the gripper's line on their pins (RM0351, chapter 8).
+
+use stm32_metapac::gpio::Gpio;
+use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, RCC};
+use wsg_bridge_fw::boards::b_l475e_iot01a::{INPUTS, OUTPUT_PINS, OUTPUT_PORT, Port, port_from_outputs};
+use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
+
+/// Pins of the gripper's line, UART4, on port A: transmitter, receiver, and their function there.
+const UART4_TX: u8 = 0;
+const UART4_RX: u8 = 1;
+const AF_UART4: u32 = 8;
+
+/// Values of a pin's field in MODER and PUPDR.
+const MODE_INPUT: u32 = 0b00;
+const MODE_OUTPUT: u32 = 0b01;
+const MODE_ALTERNATE: u32 = 0b10;
+const PULL_NONE: u32 = 0b00;
+const PULL_UP: u32 = 0b01;
+const PULL_DOWN: u32 = 0b10;
+
+/// The PLC's wires. There is one value of it, made by [`init`].
+pub(crate) struct Pins(());
+
+/// Sets up all pins; outputs are low before they become outputs.
+pub(crate) fn init() -> Pins {
+    RCC.ahb2enr().modify(|w| {
+        w.set_gpioaen(true);
+        w.set_gpioben(true);
+        w.set_gpiocen(true);
+        w.set_gpioden(true);
+    });
+    // A port takes writes two cycles after its clock is enabled; reading back takes that long.
+    let _ = RCC.ahb2enr().read();
+
+    let mut pins = Pins(());
+    pins.write(Outputs::empty());
+    for pin in (0..16).filter(|pin| OUTPUT_PINS & (1 << pin) != 0) {
+        set_up(OUTPUT_PORT, pin, MODE_OUTPUT, PULL_NONE);
+    }
+    for wire in &INPUTS {
+        set_up(wire.port, wire.pin, MODE_INPUT, PULL_DOWN);
+    }
+
+    let line_pins = 0xF << (4 * UART4_TX) | 0xF << (4 * UART4_RX);
+    let line_functions = AF_UART4 << (4 * UART4_TX) | AF_UART4 << (4 * UART4_RX);
+    GPIOA.afr(0).modify(|w| w.0 = (w.0 & !line_pins) | line_functions);
+    set_up(Port::A, UART4_TX, MODE_ALTERNATE, PULL_NONE);
+    // A line idles high: without a transceiver the receiver hears silence, not noise.
+    set_up(Port::A, UART4_RX, MODE_ALTERNATE, PULL_UP);
+    pins
+}
+
+impl InputPort for Pins {
+    fn read(&mut self) -> Inputs {
+        // Each port once, so that wires of one port are seen at the same moment.
+        let [a, b, c, d] = [GPIOA, GPIOB, GPIOC, GPIOD].map(|port| port.idr().read().0);
+        let levels = |port| match port {
+            Port::A => a,
+            Port::B => b,
+            Port::C => c,
+            Port::D => d,
+        };
+        INPUTS.iter().fold(Inputs::empty(), |high, wire| {
+            if levels(wire.port) & (1 << wire.pin) != 0 { high | wire.signal } else { high }
+        })
+    }
+}
+
+impl OutputPort for Pins {
+    fn write(&mut self, outputs: Outputs) {
+        let high = port_from_outputs(outputs);
+        let low = OUTPUT_PINS & !high;
+        registers(OUTPUT_PORT).bsrr().write(|w| w.0 = u32::from(low) << 16 | u32::from(high));
+    }
+}
+
+fn set_up(port: Port, pin: u8, mode: u32, pull: u32) {
+    let field = 2 * pin;
+    let with = |register: u32, value: u32| (register & !(0b11 << field)) | value << field;
+    registers(port).pupdr().modify(|w| w.0 = with(w.0, pull));
+    registers(port).moder().modify(|w| w.0 = with(w.0, mode));
+}
+
+fn registers(port: Port) -> Gpio {
+    match port {
+        Port::A => GPIOA,
+        Port::B => GPIOB,
+        Port::C => GPIOC,
+        Port::D => GPIOD,
+    }
+}

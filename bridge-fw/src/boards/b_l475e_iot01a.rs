@@ -1,0 +1,138 @@
+//! Where the PLC's wires are on the board B-L475E-IOT01A (ST UM2153, Arduino connectors CN1 to CN4).
+//!
+//! The firmware's pin file and the harness that plays the PLC in the emulator both read these
+//! tables. Taken besides: UART4 to the gripper on PA0 (TX, D1) and PA1 (RX, D0). Kept free: PC0
+//! and PC1 (LPUART1), PB1 (its driver enable), PB8 and PB9 (CAN1).
+
+use crate::io::{Inputs, Outputs};
+
+/// A GPIO port of the STM32L475VG.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Port {
+    /// GPIOA.
+    A,
+    /// GPIOB.
+    B,
+    /// GPIOC.
+    C,
+    /// GPIOD.
+    D,
+}
+
+impl Port {
+    /// The letter in the port's name.
+    #[must_use]
+    pub const fn letter(self) -> char {
+        match self {
+            Port::A => 'A',
+            Port::B => 'B',
+            Port::C => 'C',
+            Port::D => 'D',
+        }
+    }
+}
+
+/// A wire from the PLC and the pin it ends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InputWire {
+    /// The one bit of [`Inputs`] this wire is.
+    pub signal: Inputs,
+    /// The pin's port.
+    pub port: Port,
+    /// The pin's number in its port, 0 to 15.
+    pub pin: u8,
+    /// The pin's name on the Arduino connector.
+    pub connector: &'static str,
+}
+
+/// A wire to the PLC and the pin of [`OUTPUT_PORT`] it starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutputWire {
+    /// The one bit of [`Outputs`] this wire is.
+    pub signal: Outputs,
+    /// The pin's number in its port, 0 to 15.
+    pub pin: u8,
+    /// The pin's name on the Arduino connector.
+    pub connector: &'static str,
+}
+
+/// The input wires, in the order of the bits of [`Inputs`].
+pub const INPUTS: [InputWire; Inputs::COUNT] = [
+    InputWire { signal: Inputs::GRIP, port: Port::C, pin: 5, connector: "A0" },
+    InputWire { signal: Inputs::RELEASE, port: Port::C, pin: 4, connector: "A1" },
+    InputWire { signal: Inputs::MOVE, port: Port::C, pin: 3, connector: "A2" },
+    InputWire { signal: Inputs::HOME, port: Port::C, pin: 2, connector: "A3" },
+    InputWire { signal: Inputs::STOP_ACK, port: Port::D, pin: 14, connector: "D2" },
+    InputWire { signal: Inputs::FAST_STOP_OK, port: Port::B, pin: 0, connector: "D3" },
+    InputWire { signal: Inputs::RECIPE0, port: Port::B, pin: 4, connector: "D5" },
+    InputWire { signal: Inputs::RECIPE1, port: Port::B, pin: 2, connector: "D8" },
+];
+
+/// The port all outputs are on, so that one write changes them together.
+pub const OUTPUT_PORT: Port = Port::A;
+
+/// The output wires, in the order of the bits of [`Outputs`].
+pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
+    OutputWire { signal: Outputs::READY, pin: 2, connector: "D10" },
+    OutputWire { signal: Outputs::BUSY, pin: 3, connector: "D4" },
+    OutputWire { signal: Outputs::HOLDING, pin: 4, connector: "D7" },
+    OutputWire { signal: Outputs::PART_FAULT, pin: 6, connector: "D12" },
+    OutputWire { signal: Outputs::ERROR, pin: 7, connector: "D11" },
+    // JTDI until the firmware takes it, pulled up inside the MCU: this wire needs a pull-down of its own
+    // that is stronger (25 kΩ at the least pull up), or it shows high during reset.
+    OutputWire { signal: Outputs::REFERENCED, pin: 15, connector: "D9" },
+    // Also the board's green LED1.
+    OutputWire { signal: Outputs::LINK_OK, pin: 5, connector: "D13" },
+];
+
+/// All pins of [`OUTPUTS`] as a mask of [`OUTPUT_PORT`].
+pub const OUTPUT_PINS: u16 = {
+    let mut mask = 0;
+    let mut wire = 0;
+    while wire < OUTPUTS.len() {
+        mask |= 1 << OUTPUTS[wire].pin;
+        wire += 1;
+    }
+    mask
+};
+
+const _: () = assert!(OUTPUT_PINS.count_ones() as usize == Outputs::COUNT);
+
+/// The levels of [`OUTPUT_PORT`] that show `outputs`; pins of nobody are 0.
+#[must_use]
+pub fn port_from_outputs(outputs: Outputs) -> u16 {
+    OUTPUTS.iter().filter(|wire| outputs.contains(wire.signal)).fold(0, |levels, wire| levels | 1 << wire.pin)
+}
+
+/// What the levels of [`OUTPUT_PORT`] show.
+#[must_use]
+pub fn outputs_from_port(levels: u16) -> Outputs {
+    OUTPUTS.iter().filter(|wire| levels & (1 << wire.pin) != 0).map(|wire| wire.signal).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_follow_the_order_of_the_bits() {
+        assert!(INPUTS.iter().map(|wire| wire.signal).eq(Inputs::all().iter()));
+        assert!(OUTPUTS.iter().map(|wire| wire.signal).eq(Outputs::all().iter()));
+    }
+
+    #[test]
+    fn no_pin_is_used_twice() {
+        for (n, wire) in INPUTS.iter().enumerate() {
+            assert!(INPUTS.iter().skip(n + 1).all(|other| (wire.port, wire.pin) != (other.port, other.pin)));
+            assert!(wire.port != OUTPUT_PORT || OUTPUT_PINS & (1 << wire.pin) == 0);
+        }
+    }
+
+    #[test]
+    fn every_set_of_outputs_survives_the_port() {
+        for bits in 0..=Outputs::all().bits() {
+            let outputs = Outputs::from_bits_retain(bits);
+            assert_eq!(outputs_from_port(port_from_outputs(outputs)), outputs);
+        }
+    }
+}

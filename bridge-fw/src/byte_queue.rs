@@ -1,0 +1,161 @@
+//! The queue between an interrupt handler and the main loop.
+//!
+//! `heapless::spsc` is not used for this: its two halves have to be put into statics by `unsafe`,
+//! and its division by a length known only at run time is a way to panic.
+
+use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
+
+/// A queue of up to `N` bytes, `N` a power of two, from one producer to one consumer.
+///
+/// Both sides use it through a shared reference, so it can be a plain `static`. With more than one
+/// producer or consumer at the same time bytes get lost or doubled, but nothing worse happens.
+///
+/// ```
+/// use wsg_bridge_fw::byte_queue::{ByteQueue, Full};
+///
+/// static RECEIVED: ByteQueue<2> = ByteQueue::new();
+///
+/// assert_eq!(RECEIVED.push(0xAA), Ok(()));
+/// assert_eq!(RECEIVED.push(0xAB), Ok(()));
+/// assert_eq!(RECEIVED.push(0xAC), Err(Full));
+/// assert_eq!(RECEIVED.pop(), Some(0xAA));
+/// ```
+#[derive(Debug)]
+pub struct ByteQueue<const N: usize> {
+    bytes: [AtomicU8; N],
+    /// Bytes ever pushed, wrapping; written by the producer alone.
+    pushed: AtomicUsize,
+    /// Bytes ever popped, wrapping; written by the consumer alone.
+    popped: AtomicUsize,
+}
+
+/// A byte was not taken because the queue is full.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Full;
+
+impl<const N: usize> ByteQueue<N> {
+    /// An empty queue.
+    #[must_use]
+    pub const fn new() -> Self {
+        const { assert!(N.is_power_of_two()) };
+        Self {
+            bytes: [const { AtomicU8::new(0) }; N],
+            pushed: AtomicUsize::new(0),
+            popped: AtomicUsize::new(0),
+        }
+    }
+
+    /// Puts a byte at the end of the queue. For the producer.
+    ///
+    /// # Errors
+    /// [`Full`] when `N` bytes wait already; `byte` is dropped.
+    pub fn push(&self, byte: u8) -> Result<(), Full> {
+        let pushed = self.pushed.load(Ordering::Relaxed);
+        // Acquire: the consumer has read the place before this byte goes there.
+        let waiting = pushed.wrapping_sub(self.popped.load(Ordering::Acquire));
+        match self.bytes.get(pushed & (N - 1)) {
+            Some(place) if waiting < N => {
+                place.store(byte, Ordering::Relaxed);
+                // Release: a consumer that sees the new count sees the byte.
+                self.pushed.store(pushed.wrapping_add(1), Ordering::Release);
+                Ok(())
+            }
+            _ => Err(Full),
+        }
+    }
+
+    /// Takes the byte that waits longest. For the consumer.
+    pub fn pop(&self) -> Option<u8> {
+        let popped = self.popped.load(Ordering::Relaxed);
+        if self.pushed.load(Ordering::Acquire) == popped {
+            return None;
+        }
+        let byte = self.bytes.get(popped & (N - 1))?.load(Ordering::Relaxed);
+        self.popped.store(popped.wrapping_add(1), Ordering::Release);
+        Some(byte)
+    }
+
+    /// Whether no byte waits.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.pushed.load(Ordering::Acquire) == self.popped.load(Ordering::Acquire)
+    }
+
+    /// Whether there is no room for another byte.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        let pushed = self.pushed.load(Ordering::Acquire);
+        pushed.wrapping_sub(self.popped.load(Ordering::Acquire)) >= N
+    }
+}
+
+impl<const N: usize> Default for ByteQueue<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+
+    #[test]
+    fn takes_as_many_bytes_as_its_size_says() {
+        let queue = ByteQueue::<4>::new();
+        for byte in 0..4 {
+            assert!(!queue.is_full());
+            assert_eq!(queue.push(byte), Ok(()));
+        }
+        assert!(queue.is_full());
+        assert_eq!(queue.push(4), Err(Full));
+        for byte in 0..4 {
+            assert!(!queue.is_empty());
+            assert_eq!(queue.pop(), Some(byte));
+        }
+        assert!(queue.is_empty());
+        assert_eq!(queue.pop(), None);
+    }
+
+    #[test]
+    fn counts_may_wrap() {
+        let queue = ByteQueue::<4> {
+            pushed: AtomicUsize::new(usize::MAX - 1),
+            popped: AtomicUsize::new(usize::MAX - 1),
+            ..ByteQueue::new()
+        };
+        for byte in 0..9 {
+            assert_eq!(queue.push(byte), Ok(()));
+            assert_eq!(queue.push(byte | 0x80), Ok(()));
+            assert_eq!(queue.pop(), Some(byte));
+            assert_eq!(queue.pop(), Some(byte | 0x80));
+            assert!(queue.is_empty());
+        }
+    }
+
+    #[test]
+    fn every_byte_arrives_once_and_in_order_from_another_thread() {
+        const BYTES: u32 = 20_000;
+        let queue = ByteQueue::<8>::new();
+        std::thread::scope(|threads| {
+            threads.spawn(|| {
+                for n in 0..BYTES {
+                    while queue.push(n as u8).is_err() {
+                        std::thread::yield_now();
+                    }
+                }
+            });
+            for n in 0..BYTES {
+                let byte = loop {
+                    match queue.pop() {
+                        Some(byte) => break byte,
+                        None => std::thread::yield_now(),
+                    }
+                };
+                assert_eq!(byte, n as u8);
+            }
+        });
+        assert!(queue.is_empty());
+    }
+}

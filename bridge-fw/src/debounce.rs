@@ -1,0 +1,118 @@
+//! From bouncing wires to levels that can be trusted.
+
+use crate::io::Inputs;
+use wsg_protocol::Instant;
+
+/// The wires that give a command or say which: they settle together, so that a recipe is never read half changed while
+/// a command beside it already counts.
+const COMMAND_GROUP: Inputs = Inputs::GRIP
+    .union(Inputs::RELEASE)
+    .union(Inputs::MOVE)
+    .union(Inputs::HOME)
+    .union(Inputs::RECIPE0)
+    .union(Inputs::RECIPE1);
+
+/// The groups, each with its own time: what stops the fingers must not wait for a command wire that chatters.
+const GROUPS: [Inputs; 3] = [COMMAND_GROUP, Inputs::STOP_ACK, Inputs::FAST_STOP_OK];
+
+const _: () = assert!(GROUPS[0].union(GROUPS[1]).union(GROUPS[2]).bits() == Inputs::all().bits());
+
+/// Takes the levels as they are read, and gives those that have not changed for a time.
+#[derive(Debug)]
+pub struct Debounce {
+    period_ms: u32,
+    /// The last reading, and since when each group shows it; none before the first.
+    read: Option<(Inputs, [Instant; GROUPS.len()])>,
+    /// The groups that have settled at least once, and the levels they settled at.
+    settled: Inputs,
+    levels: Inputs,
+}
+
+impl Debounce {
+    /// Levels count once they have not changed for `period_ms` milliseconds.
+    #[must_use]
+    pub const fn new(period_ms: u32) -> Self {
+        Self { period_ms, read: None, settled: Inputs::empty(), levels: Inputs::empty() }
+    }
+
+    /// Takes a reading, and gives the levels that count; `None` until every wire has settled once after power-up.
+    pub fn update(&mut self, now: Instant, reading: Inputs) -> Option<Inputs> {
+        let (before, mut since) = self.read.unwrap_or((reading, [now; GROUPS.len()]));
+        let changed = before.symmetric_difference(reading);
+        for (group, since) in GROUPS.iter().zip(&mut since) {
+            if changed.intersects(*group) {
+                *since = now;
+            } else if now.since(*since) >= self.period_ms {
+                self.levels = self.levels.difference(*group).union(reading.intersection(*group));
+                self.settled |= *group;
+            }
+        }
+        self.read = Some((reading, since));
+        self.settled.is_all().then_some(self.levels)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u32) -> Instant {
+        Instant::from_millis(ms)
+    }
+
+    #[test]
+    fn nothing_counts_before_every_wire_has_settled() {
+        let mut debounce = Debounce::new(2);
+        assert_eq!(debounce.update(at(0), Inputs::FAST_STOP_OK), None);
+        assert_eq!(debounce.update(at(1), Inputs::FAST_STOP_OK), None);
+        assert_eq!(debounce.update(at(2), Inputs::FAST_STOP_OK), Some(Inputs::FAST_STOP_OK));
+    }
+
+    #[test]
+    fn pulse_shorter_than_the_period_is_not_seen() {
+        let mut debounce = Debounce::new(2);
+        for ms in 0..5 {
+            debounce.update(at(ms), Inputs::empty());
+        }
+        assert_eq!(debounce.update(at(5), Inputs::GRIP), Some(Inputs::empty()));
+        assert_eq!(debounce.update(at(6), Inputs::GRIP), Some(Inputs::empty()));
+        assert_eq!(debounce.update(at(7), Inputs::empty()), Some(Inputs::empty()));
+        assert_eq!(debounce.update(at(9), Inputs::empty()), Some(Inputs::empty()));
+    }
+
+    #[test]
+    fn recipe_and_command_count_from_the_same_moment_however_they_are_skewed() {
+        let mut debounce = Debounce::new(2);
+        for ms in 0..5 {
+            debounce.update(at(ms), Inputs::empty());
+        }
+        let both = Inputs::GRIP | Inputs::RECIPE0;
+        assert_eq!(debounce.update(at(5), Inputs::GRIP), Some(Inputs::empty()));
+        for ms in 6..8 {
+            assert_eq!(debounce.update(at(ms), both), Some(Inputs::empty()), "{ms} ms");
+        }
+        assert_eq!(debounce.update(at(8), both), Some(both));
+    }
+
+    #[test]
+    fn chattering_command_wire_does_not_delay_a_stop() {
+        let mut debounce = Debounce::new(2);
+        for ms in 0..5 {
+            debounce.update(at(ms), Inputs::FAST_STOP_OK);
+        }
+        let mut levels = None;
+        for ms in 5..9 {
+            let chatter = if ms % 2 == 0 { Inputs::GRIP } else { Inputs::empty() };
+            levels = debounce.update(at(ms), chatter | Inputs::STOP_ACK);
+        }
+        assert_eq!(levels, Some(Inputs::STOP_ACK), "FAST STOP wire low and STOP high count, GRIP does not");
+    }
+
+    #[test]
+    fn clock_may_wrap() {
+        let mut debounce = Debounce::new(2);
+        assert_eq!(debounce.update(at(u32::MAX), Inputs::all()), None);
+        assert_eq!(debounce.update(at(0), Inputs::all()), None);
+        assert_eq!(debounce.update(at(1), Inputs::all()), Some(Inputs::all()));
+    }
+}

@@ -1,0 +1,125 @@
+//! Digital I/O as a PLC side: wires in, output image out; input image in, wires out.
+
+use crate::debounce::Debounce;
+use crate::io::{Inputs, Outputs};
+use crate::recipe::{RECIPE_COUNT, Recipe};
+use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
+use wsg_protocol::{Instant, Status, SystemFlags};
+
+/// Each command wire and the flag that it stands for. FAST STOP is apart: its wire is active low.
+const COMMANDS: [(Inputs, CommandFlags); 5] = [
+    (Inputs::MOVE, CommandFlags::MOVE),
+    (Inputs::GRIP, CommandFlags::GRIP),
+    (Inputs::RELEASE, CommandFlags::RELEASE),
+    (Inputs::HOME, CommandFlags::HOMING),
+    (Inputs::STOP_ACK, CommandFlags::STOP_ACK),
+];
+
+/// GSTATE while a motion command is carried out.
+const MOTION_STATES: GripperFlags =
+    GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
+
+/// System flags that keep the gripper from taking a motion command.
+const LOCKING_FAULTS: SystemFlags = SystemFlags::FAST_STOP
+    .union(SystemFlags::TEMP_FAULT)
+    .union(SystemFlags::POWER_FAULT)
+    .union(SystemFlags::CURR_FAULT);
+
+/// The wires between a PLC and the register images.
+#[derive(Debug)]
+pub struct DigitalIo {
+    debounce: Debounce,
+    recipes: &'static [Recipe; RECIPE_COUNT],
+    /// The wires as they count now; none before they have settled after power-up.
+    levels: Option<Inputs>,
+    image: OutputImage,
+}
+
+impl DigitalIo {
+    /// Wires that are debounced for `debounce_ms` milliseconds.
+    #[must_use]
+    pub const fn new(debounce_ms: u32, recipes: &'static [Recipe; RECIPE_COUNT]) -> Self {
+        Self { debounce: Debounce::new(debounce_ms), recipes, levels: None, image: OutputImage::ZERO }
+    }
+
+    /// Takes a reading of the wires; the output image when it has changed.
+    ///
+    /// The recipe is taken when its command rises and not while the gripper moves: parameters that change during a
+    /// motion would be a FAST STOP (fieldbus, table 1).
+    pub fn update(
+        &mut self,
+        now: Instant,
+        reading: Inputs,
+        gripper: &InputImage,
+        unit: ForceUnit,
+    ) -> Option<OutputImage> {
+        let levels = self.debounce.update(now, reading)?;
+        let before = self.levels.replace(levels);
+        if before == Some(levels) {
+            return None;
+        }
+        let mut flags = CommandFlags::empty();
+        for (wire, flag) in COMMANDS {
+            flags.set(flag, levels.contains(wire));
+        }
+        flags.set(CommandFlags::FASTSTOP, !levels.contains(Inputs::FAST_STOP_OK));
+        let rising = flags.difference(self.image.flags);
+        self.image.flags = flags;
+        if !is_moving(gripper) {
+            self.take_recipe(rising, levels, unit);
+        }
+        Some(self.image)
+    }
+
+    /// The wires to the PLC for what the gripper shows.
+    #[must_use]
+    pub fn outputs(&self, gripper: &InputImage, connected: bool) -> Outputs {
+        let moving = is_moving(gripper);
+        let has = |state: GripperFlags| gripper.state.intersects(state);
+        let levels = self.levels.unwrap_or_default();
+        let released = levels.contains(Inputs::FAST_STOP_OK) && !levels.contains(Inputs::STOP_ACK);
+        let locked = gripper.system.intersects(LOCKING_FAULTS);
+        let mut outputs = Outputs::empty();
+        outputs.set(Outputs::READY, connected && !moving && !locked && released);
+        outputs.set(Outputs::BUSY, connected && moving);
+        // The result may overtake the report that the fingers stand still: both count together.
+        outputs.set(Outputs::HOLDING, has(GripperFlags::HOLDING) && !moving);
+        outputs.set(
+            Outputs::PART_FAULT,
+            has(GripperFlags::PART_LOST) || (has(GripperFlags::NO_PART) && !moving),
+        );
+        outputs.set(Outputs::ERROR, is_error(gripper));
+        outputs.set(Outputs::REFERENCED, gripper.system.contains(SystemFlags::REFERENCED));
+        outputs.set(Outputs::LINK_OK, connected);
+        outputs
+    }
+
+    fn take_recipe(&mut self, rising: CommandFlags, levels: Inputs, unit: ForceUnit) {
+        let with_recipe = CommandFlags::MOVE | CommandFlags::GRIP | CommandFlags::RELEASE;
+        // As the controller does: of several the lowest bit counts.
+        let Some(command) = rising.intersection(with_recipe).iter().next() else { return };
+        let number =
+            usize::from(levels.contains(Inputs::RECIPE0)) + 2 * usize::from(levels.contains(Inputs::RECIPE1));
+        let Some(recipe) = self.recipes.get(number) else { return };
+        self.image.width = if command == CommandFlags::RELEASE { recipe.release_width } else { recipe.width };
+        self.image.speed = recipe.speed;
+        self.image.force_limit = match unit {
+            ForceUnit::Hundredth => recipe.force,
+            ForceUnit::Tenth => recipe.force / 10,
+        };
+    }
+}
+
+fn is_moving(gripper: &InputImage) -> bool {
+    gripper.state.intersects(MOTION_STATES) || gripper.system.contains(SystemFlags::MOVING)
+}
+
+/// FAST STOP, a fault, or a last command that was refused, failed or has an unknown outcome. That no part was found is
+/// a result, not an error.
+fn is_error(gripper: &InputImage) -> bool {
+    let no_part = gripper.status == Status::CmdFailed && gripper.state.contains(GripperFlags::NO_PART);
+    let failed = !matches!(gripper.status, Status::Success | Status::CmdPending) && !no_part;
+    failed
+        || gripper.state.contains(GripperFlags::ERROR)
+        || gripper.system.intersects(LOCKING_FAULTS | SystemFlags::FINGER_FAULT)
+}

@@ -1,0 +1,453 @@
+//! The mechanics: two fingers on one axis, a trapezoidal speed profile, end stops, and a part that gives way like a
+//! spring. Knows no commands and no states.
+//!
+//! Widths are opening widths in mm, from 0 (closed) to the stroke; speeds are their change in mm/s, negative while the
+//! fingers close; forces are in N, summed over both fingers.
+
+/// A distance in mm that counts as none.
+const NOTHING: f64 = 1e-9;
+
+/// A moving direction of the fingers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// Negative: the fingers close.
+    Minus,
+    /// Positive: the fingers open.
+    Plus,
+}
+
+impl Direction {
+    /// The direction of a change in width.
+    pub(crate) fn of(change: f64) -> Self {
+        if change > 0.0 { Self::Plus } else { Self::Minus }
+    }
+
+    pub(crate) const fn sign(self) -> f64 {
+        match self {
+            Self::Minus => -1.0,
+            Self::Plus => 1.0,
+        }
+    }
+}
+
+/// A part between the fingers: its width, and how stiff it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part {
+    width: f32,
+    stiffness: f32,
+}
+
+impl Part {
+    /// Stiffness in N/mm when none is given.
+    pub const DEFAULT_STIFFNESS: f32 = 100.0;
+
+    /// A part of this width in mm and this stiffness in N/mm; `None` unless both are finite and above 0.
+    #[must_use]
+    pub fn new(width: f32, stiffness: f32) -> Option<Self> {
+        let sensible = |value: f32| value.is_finite() && value > 0.0;
+        (sensible(width) && sensible(stiffness)).then_some(Self { width, stiffness })
+    }
+
+    /// A part of this width in mm and the [default stiffness](Self::DEFAULT_STIFFNESS).
+    #[must_use]
+    pub fn of_width(width: f32) -> Option<Self> {
+        Self::new(width, Self::DEFAULT_STIFFNESS)
+    }
+
+    /// Width in mm.
+    #[must_use]
+    pub const fn width(&self) -> f32 {
+        self.width
+    }
+
+    /// Stiffness in N/mm.
+    #[must_use]
+    pub const fn stiffness(&self) -> f32 {
+        self.stiffness
+    }
+
+    /// The width in mm to which `force` squeezes it.
+    fn squeezed(&self, force: f64) -> f64 {
+        f64::from(self.width) - force / f64::from(self.stiffness)
+    }
+}
+
+/// What the drive is told: where to, how, and how hard it may push.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Travel {
+    pub(crate) target: f64,
+    pub(crate) speed: f64,
+    pub(crate) acceleration: f64,
+    pub(crate) force: f64,
+}
+
+/// What stands in the way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Obstacle {
+    EndStop,
+    Part,
+    Jam,
+}
+
+/// The fingers push against something and get no further.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Block {
+    pub(crate) direction: Direction,
+    pub(crate) obstacle: Obstacle,
+}
+
+/// The axis with what is between its fingers.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Axis {
+    stroke: f64,
+    /// Speed at which a squeezed part pushes idle fingers back.
+    spring_back_speed: f64,
+    width: f64,
+    speed: f64,
+    /// `None`: the motor is off.
+    drive: Option<Travel>,
+    part: Option<Part>,
+    /// Whether the part is between the fingers: one that is wider than the opening waits outside.
+    seated: bool,
+    jammed: bool,
+    block: Option<Block>,
+}
+
+impl Axis {
+    /// An axis at half of its stroke, its motor off.
+    pub(crate) fn new(stroke: f64, spring_back_speed: f64, part: Option<Part>) -> Self {
+        let mut axis = Self {
+            stroke,
+            spring_back_speed,
+            width: stroke / 2.0,
+            speed: 0.0,
+            drive: None,
+            part: None,
+            seated: false,
+            jammed: false,
+            block: None,
+        };
+        axis.set_part(part);
+        axis
+    }
+
+    pub(crate) const fn width(&self) -> f64 {
+        self.width
+    }
+
+    pub(crate) const fn speed(&self) -> f64 {
+        self.speed
+    }
+
+    pub(crate) const fn part(&self) -> Option<Part> {
+        self.part
+    }
+
+    pub(crate) const fn block(&self) -> Option<Block> {
+        self.block
+    }
+
+    /// The force on the fingers in N.
+    pub(crate) fn force(&self) -> f64 {
+        match (self.drive, self.block) {
+            (Some(travel), Some(Block { obstacle: Obstacle::EndStop | Obstacle::Jam, .. })) => travel.force,
+            _ => self.penetration() * self.part.map_or(0.0, |part| f64::from(part.stiffness)),
+        }
+    }
+
+    /// Begins to travel, from rest.
+    pub(crate) fn start(&mut self, travel: Travel) {
+        self.drive = Some(travel);
+        self.speed = 0.0;
+        self.block = None;
+    }
+
+    /// Changes the target under way.
+    pub(crate) fn retarget(&mut self, target: f64) {
+        if let Some(travel) = &mut self.drive {
+            travel.target = target;
+        }
+    }
+
+    /// Ends all motion and force; what blocked the axis stays known.
+    pub(crate) const fn switch_off(&mut self) {
+        self.drive = None;
+        self.speed = 0.0;
+    }
+
+    /// Ends all motion and force.
+    pub(crate) const fn halt(&mut self) {
+        self.switch_off();
+        self.block = None;
+    }
+
+    /// Ends all motion and force at exactly `width`, which lies between the last position and this one.
+    pub(crate) fn halt_at(&mut self, width: f64) {
+        self.halt();
+        self.width = width.clamp(0.0, self.stroke);
+    }
+
+    /// Whether the drive is at its target.
+    pub(crate) fn has_arrived(&self) -> bool {
+        self.drive.is_some_and(|travel| (travel.target - self.width).abs() <= NOTHING)
+    }
+
+    /// Whether the drive moves the fingers.
+    pub(crate) fn is_moving(&self) -> bool {
+        self.drive.is_some() && self.block.is_none() && !self.has_arrived()
+    }
+
+    /// Whether a step changes anything.
+    pub(crate) fn is_active(&self) -> bool {
+        self.is_moving() || self.room().unwrap_or(-self.penetration()) < -NOTHING
+    }
+
+    /// Puts a part between the fingers or takes it away. A part that is wider than the opening goes in when the fingers
+    /// have opened far enough.
+    pub(crate) fn set_part(&mut self, part: Option<Part>) {
+        self.part = part;
+        self.seated = false;
+        self.seat_part();
+        self.forget_block_that_is_gone();
+    }
+
+    pub(crate) fn set_jammed(&mut self, jammed: bool) {
+        self.jammed = jammed;
+        self.forget_block_that_is_gone();
+    }
+
+    /// Lets `seconds` pass, at most a few milliseconds.
+    pub(crate) fn step(&mut self, seconds: f64) {
+        match self.drive {
+            Some(travel) => self.travel(travel, seconds),
+            None => self.spring_back(self.penetration(), seconds),
+        }
+        self.seat_part();
+    }
+
+    fn travel(&mut self, travel: Travel, seconds: f64) {
+        let distance = (travel.target - self.width).abs();
+        if distance <= NOTHING {
+            self.speed = 0.0;
+            return;
+        }
+        let direction = Direction::of(travel.target - self.width);
+        let (limit, obstacle) = self.limit(direction, travel.force);
+        let room = (limit - self.width) * direction.sign();
+        if room <= NOTHING {
+            if room < 0.0 {
+                self.spring_back(-room, seconds);
+            } else {
+                self.width = limit;
+            }
+            self.block = Some(Block { direction, obstacle });
+            self.speed = 0.0;
+            return;
+        }
+        let (advance, speed) = profile(distance, self.speed.abs(), &travel, seconds);
+        if advance >= room && room < distance - NOTHING {
+            self.width = limit;
+            self.block = Some(Block { direction, obstacle });
+            self.speed = 0.0;
+        } else if advance >= distance - NOTHING {
+            self.width = travel.target;
+            self.speed = 0.0;
+        } else {
+            self.width += direction.sign() * advance;
+            self.speed = direction.sign() * speed;
+        }
+    }
+
+    /// The part pushes the fingers open, by `distance` at most.
+    fn spring_back(&mut self, distance: f64, seconds: f64) {
+        self.width += distance.min(self.spring_back_speed * seconds);
+    }
+
+    /// The furthest width in this direction that a drive of this force reaches, and what ends it there.
+    fn limit(&self, direction: Direction, force: f64) -> (f64, Obstacle) {
+        if self.jammed {
+            return (self.width, Obstacle::Jam);
+        }
+        match (direction, self.part) {
+            (Direction::Plus, _) => (self.stroke, Obstacle::EndStop),
+            (Direction::Minus, Some(part)) if self.seated && part.squeezed(force) > 0.0 => {
+                (part.squeezed(force), Obstacle::Part)
+            }
+            (Direction::Minus, _) => (0.0, Obstacle::EndStop),
+        }
+    }
+
+    /// How far the drive gets from here, in mm; negative when it was pushed in deeper than its force allows.
+    fn room(&self) -> Option<f64> {
+        let travel = self.drive?;
+        let direction = Direction::of(travel.target - self.width);
+        Some((self.limit(direction, travel.force).0 - self.width) * direction.sign())
+    }
+
+    /// How deep the fingers are in the part, in mm.
+    pub(crate) fn penetration(&self) -> f64 {
+        match self.part {
+            Some(part) if self.seated => (f64::from(part.width) - self.width).max(0.0),
+            _ => 0.0,
+        }
+    }
+
+    fn seat_part(&mut self) {
+        if let Some(part) = self.part {
+            self.seated |= self.width >= f64::from(part.width);
+        }
+    }
+
+    fn forget_block_that_is_gone(&mut self) {
+        let Some(block) = self.block else { return };
+        let still_there = match block.obstacle {
+            Obstacle::EndStop => true,
+            Obstacle::Jam => self.jammed,
+            Obstacle::Part => match self.room() {
+                Some(room) => room <= NOTHING,
+                None => self.seated && self.part.is_some_and(|part| f64::from(part.width) >= self.width),
+            },
+        };
+        if !still_there {
+            self.block = None;
+        }
+    }
+}
+
+/// How far the fingers get in `seconds` with `distance` to go, and their speed then: accelerate, hold, or brake so that
+/// they come to rest at the target.
+fn profile(distance: f64, speed: f64, travel: &Travel, seconds: f64) -> (f64, f64) {
+    let can_stop =
+        |speed: f64, advance: f64| speed * speed <= 2.0 * travel.acceleration * (distance - advance);
+    let faster = (speed + travel.acceleration * seconds).min(travel.speed);
+    for next in [faster, speed] {
+        let advance = (speed + next) / 2.0 * seconds;
+        if next > 0.0 && can_stop(next, advance) {
+            return (advance, next);
+        }
+    }
+    // The braking that ends exactly at the target: v² / 2d, no root needed.
+    let next = speed - speed * speed / (2.0 * distance) * seconds;
+    if next <= 0.0 || speed <= 0.0 {
+        return (distance, 0.0);
+    }
+    (((speed + next) / 2.0 * seconds).min(distance), next)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP: f64 = 0.001;
+    const TRAVEL: Travel = Travel { target: 10.0, speed: 100.0, acceleration: 1_000.0, force: 40.0 };
+
+    fn axis(part: Option<Part>) -> Axis {
+        Axis::new(110.0, 420.0, part)
+    }
+
+    fn run(axis: &mut Axis) -> u32 {
+        let mut steps = 0;
+        while axis.is_active() {
+            axis.step(STEP);
+            steps += 1;
+            assert!(steps < 100_000, "the axis never comes to rest: {axis:?}");
+        }
+        steps
+    }
+
+    #[test]
+    fn travel_takes_as_long_as_a_trapezoid() {
+        let mut axis = axis(None);
+        axis.start(TRAVEL);
+        // 45 mm at 100 mm/s, and 100 ms each for speeding up and braking, which lose 50 ms each.
+        let steps = run(&mut axis);
+        assert!((549..=553).contains(&steps), "{steps} ms");
+        assert_eq!(axis.width(), 10.0);
+    }
+
+    #[test]
+    fn speed_and_acceleration_stay_within_what_was_set() {
+        let mut axis = axis(None);
+        axis.start(TRAVEL);
+        let mut before = 0.0;
+        while axis.is_moving() {
+            axis.step(STEP);
+            assert!(axis.speed().abs() <= TRAVEL.speed);
+            assert!(
+                (axis.speed() - before).abs() <= TRAVEL.acceleration * STEP * 1.1 + 1e-6 || !axis.is_moving()
+            );
+            before = axis.speed();
+        }
+    }
+
+    #[test]
+    fn force_grows_with_penetration_up_to_the_limit() {
+        let mut axis = axis(Part::new(20.0, 50.0));
+        axis.start(TRAVEL);
+        let mut forces = [0.0; 3];
+        while axis.is_active() {
+            axis.step(STEP);
+            forces = [forces[1], forces[2], axis.force()];
+        }
+        assert!(forces[0] < forces[1] && forces[1] < forces[2], "{forces:?}");
+        assert!((axis.force() - 40.0).abs() < 1e-9);
+        assert!((axis.width() - 19.2).abs() < 1e-9);
+        assert_eq!(axis.block(), Some(Block { direction: Direction::Minus, obstacle: Obstacle::Part }));
+    }
+
+    #[test]
+    fn fingers_go_on_when_the_part_is_taken_away() {
+        let mut axis = axis(Part::of_width(20.0));
+        axis.start(TRAVEL);
+        run(&mut axis);
+        axis.set_part(None);
+        assert_eq!((axis.block(), axis.force()), (None, 0.0));
+        run(&mut axis);
+        assert_eq!(axis.width(), 10.0);
+    }
+
+    #[test]
+    fn part_pushes_idle_fingers_back_until_the_force_is_gone() {
+        let mut axis = axis(Part::new(20.0, 10.0));
+        axis.start(TRAVEL);
+        run(&mut axis);
+        axis.halt();
+        let steps = run(&mut axis);
+        assert!(steps <= 12, "{steps} ms");
+        assert_eq!((axis.width(), axis.force()), (20.0, 0.0));
+    }
+
+    #[test]
+    fn part_wider_than_the_opening_waits_outside() {
+        let mut axis = axis(Part::of_width(80.0));
+        assert_eq!((axis.width(), axis.force()), (55.0, 0.0));
+        axis.start(Travel { target: 100.0, ..TRAVEL });
+        run(&mut axis);
+        axis.start(TRAVEL);
+        run(&mut axis);
+        assert!((axis.width() - 79.6).abs() < 1e-9, "{}", axis.width());
+    }
+
+    #[test]
+    fn end_stops_hold_the_fingers_inside_the_stroke() {
+        for (target, stop) in [(-50.0, 0.0), (500.0, 110.0)] {
+            let mut axis = axis(None);
+            axis.start(Travel { target, ..TRAVEL });
+            run(&mut axis);
+            assert_eq!(axis.width(), stop);
+            assert_eq!(axis.force(), 40.0);
+        }
+    }
+
+    #[test]
+    fn jammed_axis_stays_where_it_is_and_goes_on_afterwards() {
+        let mut axis = axis(None);
+        axis.set_jammed(true);
+        axis.start(TRAVEL);
+        run(&mut axis);
+        assert_eq!((axis.width(), axis.force()), (55.0, 40.0));
+        axis.set_jammed(false);
+        run(&mut axis);
+        assert_eq!(axis.width(), 10.0);
+    }
+}

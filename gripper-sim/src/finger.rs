@@ -1,0 +1,171 @@
+//! Sensor fingers and their ports in the base jaws (command set, 3.6).
+
+use wsg_protocol::{FingerFlags, FingerInfo, FingerType};
+
+/// What is mounted on a base jaw.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Finger {
+    /// No finger at the sensor port; Get Finger Info shows it like a generic one.
+    #[default]
+    None,
+    /// A finger without a known type, whose supply can be switched.
+    Generic,
+    /// WSG-FMF: measures the force on its jaw; its data frame is one `f32` in N.
+    Fmf,
+    /// WSG-DSA: a tactile sensor. The layout of its data frame is not public, so it gives no data here.
+    Dsa,
+}
+
+impl Finger {
+    /// Every kind.
+    pub const ALL: &'static [Self] = &[Self::None, Self::Generic, Self::Fmf, Self::Dsa];
+
+    /// The name on the command line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Generic => "generic",
+            Self::Fmf => "fmf",
+            Self::Dsa => "dsa",
+        }
+    }
+
+    /// The finger of this name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.iter().copied().find(|finger| finger.name() == name)
+    }
+
+    /// Whether Finger Power Control may switch its supply: only where no known type was detected.
+    const fn is_switchable(self) -> bool {
+        matches!(self, Self::None | Self::Generic)
+    }
+}
+
+/// One of the two base jaws.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Jaw {
+    /// That of finger 1 (commands 60h to 63h).
+    One,
+    /// That of finger 2 (commands 70h to 73h).
+    Two,
+}
+
+/// The sensor port of one jaw.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FingerPort {
+    finger: Finger,
+    powered: bool,
+    short_circuit: bool,
+    communication_fault: bool,
+    /// Force on this jaw that counts as 0 N since Tare Force Sensor.
+    tare: f64,
+}
+
+/// How a request to switch the supply ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum PowerOutcome {
+    Off,
+    StartingUp,
+    Failed,
+}
+
+/// Why a finger gives no data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum NoData {
+    Unsupported,
+    Communication,
+}
+
+impl FingerPort {
+    pub(crate) const fn new(finger: Finger) -> Self {
+        Self { finger, powered: true, short_circuit: false, communication_fault: false, tare: 0.0 }
+    }
+
+    pub(crate) const fn info(&self) -> FingerInfo {
+        match self.finger {
+            Finger::None | Finger::Generic => FingerInfo { finger: FingerType::Generic, data_len: 0 },
+            Finger::Fmf => FingerInfo { finger: FingerType::Fmf, data_len: size_of::<f32>() as u16 },
+            Finger::Dsa => FingerInfo { finger: FingerType::Dsa, data_len: 0 },
+        }
+    }
+
+    pub(crate) fn flags(&self) -> FingerFlags {
+        let mut flags = FingerFlags::empty();
+        let powered = self.is_powered();
+        flags.set(FingerFlags::POWER_ON, powered);
+        flags.set(FingerFlags::CONFIG_AVAIL, powered && !self.finger.is_switchable());
+        flags.set(FingerFlags::COMM_OPEN, self.communicates());
+        flags.set(FingerFlags::POWER_FAULT, self.has_short_circuit());
+        flags.set(FingerFlags::COMM_FAULT, self.communication_fault && !self.finger.is_switchable());
+        flags
+    }
+
+    pub(crate) fn has_fault(&self) -> bool {
+        self.flags().intersects(FingerFlags::POWER_FAULT.union(FingerFlags::COMM_FAULT))
+    }
+
+    /// Switches the supply.
+    pub(crate) fn switch(&mut self, on: bool) -> PowerOutcome {
+        if !self.finger.is_switchable() || (on && self.has_short_circuit()) {
+            return PowerOutcome::Failed;
+        }
+        self.powered = on;
+        if on { PowerOutcome::StartingUp } else { PowerOutcome::Off }
+    }
+
+    pub(crate) fn set_short_circuit(&mut self, on: bool) {
+        self.short_circuit = on;
+        // The supply of a switchable finger stays off until it is asked for again.
+        if self.has_short_circuit() && self.finger.is_switchable() {
+            self.powered = false;
+        }
+    }
+
+    pub(crate) const fn set_communication_fault(&mut self, on: bool) {
+        self.communication_fault = on;
+    }
+
+    /// Whether it is a force sensor that works.
+    pub(crate) fn measures_force(&self) -> bool {
+        matches!(self.finger, Finger::Fmf) && self.communicates()
+    }
+
+    /// Whether a force sensor is mounted, working or not.
+    pub(crate) const fn is_force_sensor(&self) -> bool {
+        matches!(self.finger, Finger::Fmf)
+    }
+
+    /// Lets `force`, in N on this jaw, count as 0 N.
+    pub(crate) const fn zero_at(&mut self, force: f64) {
+        self.tare = force;
+    }
+
+    /// What it makes of `force`, in N on this jaw.
+    pub(crate) fn measured(&self, force: f64) -> f64 {
+        force - self.tare
+    }
+
+    /// Its data frame while `force`, in N, acts on this jaw.
+    pub(crate) fn data(&self, force: f64) -> Result<[u8; 4], NoData> {
+        match self.finger {
+            Finger::Fmf if self.communicates() => Ok((self.measured(force) as f32).to_le_bytes()),
+            Finger::Fmf => Err(NoData::Communication),
+            Finger::None | Finger::Generic | Finger::Dsa => Err(NoData::Unsupported),
+        }
+    }
+
+    const fn is_powered(&self) -> bool {
+        self.powered && !self.has_short_circuit()
+    }
+
+    /// An empty port has nothing to short.
+    const fn has_short_circuit(&self) -> bool {
+        self.short_circuit && !matches!(self.finger, Finger::None)
+    }
+
+    const fn communicates(&self) -> bool {
+        self.is_powered() && !self.communication_fault && !self.finger.is_switchable()
+    }
+}

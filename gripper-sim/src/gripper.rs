@@ -1,0 +1,288 @@
+//! The virtual gripper: the device, its clients, and the order in which things happen.
+
+use crate::axis::Part;
+use crate::commands;
+use crate::config::Config;
+use crate::device::{Device, earlier};
+use crate::faults::Fault;
+use crate::motion::Request;
+use crate::port::{FrameBuffer, Port, PortCounters, PortId, PortKind};
+use crate::time::Time;
+use wsg_protocol::{
+    CommandId, Event, GripperState, GrippingStatistics, Reply, Status, SystemFlags, Temperature,
+};
+
+/// A gripper that up to `PORTS` clients talk to.
+///
+/// Sans-IO: the caller moves bytes and says what time it is.
+/// - [`receive`](Self::receive) takes bytes of a client, [`transmit`](Self::transmit) gives the frames for it, one at a
+///   call.
+/// - [`advance`](Self::advance) lets time pass; every method that takes `now` does so first. Time never runs backwards:
+///   a `now` before the latest one counts as that.
+/// - [`next_wake`](Self::next_wake) says when something happens next by itself; call `advance` then.
+///
+/// What happens, happens at its own virtual time however late `advance` is called, so the same inputs at the same times
+/// give the same bytes.
+///
+/// ```
+/// use wsg_sim::{Config, PortKind, Time, VirtualGripper};
+///
+/// let mut gripper = VirtualGripper::new(Config::default());
+/// let client = gripper.connect(PortKind::Serial).unwrap();
+/// // Homing (20h) outward.
+/// gripper.receive(client, Time::ZERO, &[0xAA, 0xAA, 0xAA, 0x20, 0x01, 0x00, 0x01, 0xAE, 0x93]);
+/// let mut buffer = [0; wsg_sim::MAX_FRAME_LEN];
+/// let pending = gripper.transmit(client, &mut buffer).unwrap();
+/// assert_eq!(pending[3..8], [0x20, 0x02, 0x00, 0x1A, 0x00]);
+///
+/// gripper.advance(Time::from_millis(4_000));
+/// let done = gripper.transmit(client, &mut buffer).unwrap();
+/// assert_eq!(done, [0xAA, 0xAA, 0xAA, 0x20, 0x02, 0x00, 0x00, 0x00, 0xB3, 0xFD]);
+/// assert_eq!(gripper.state().width, 110.0);
+/// ```
+#[derive(Clone, Debug)]
+pub struct VirtualGripper<const PORTS: usize = DEFAULT_PORTS> {
+    device: Device,
+    ports: [Option<Port>; PORTS],
+    connections: u32,
+    now: Time,
+}
+
+/// How many clients a [`VirtualGripper`] takes when nothing else is said.
+pub const DEFAULT_PORTS: usize = 8;
+
+/// What the gripper is at, as somebody beside it would see it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State {
+    /// The real opening width in mm, referenced or not.
+    pub width: f32,
+    /// What Get Opening Width answers, in mm: 0 while the fingers are not referenced.
+    pub reported_width: f32,
+    /// The change of the opening width in mm/s, negative while the fingers close; as the gripper counts, before the
+    /// time scale.
+    pub speed: f32,
+    /// The force on the fingers in N, summed over both.
+    pub force: f32,
+    /// The force limit that is set, in N, summed over both fingers.
+    pub force_limit: f32,
+    /// The gripper state.
+    pub gripper: GripperState,
+    /// The system state flags.
+    pub flags: SystemFlags,
+    /// The temperature of the device.
+    pub temperature: Temperature,
+    /// The gripping statistics.
+    pub statistics: GrippingStatistics,
+    /// The part, between the fingers or waiting for them to open far enough.
+    pub part: Option<Part>,
+}
+
+impl VirtualGripper {
+    /// A gripper that has just been switched on: not referenced, its fingers half open; for [`DEFAULT_PORTS`] clients.
+    #[must_use]
+    pub fn new(config: Config) -> Self {
+        Self::with_ports(config)
+    }
+}
+
+impl<const PORTS: usize> VirtualGripper<PORTS> {
+    /// As [`new`](VirtualGripper::new), for any number of clients.
+    #[must_use]
+    pub fn with_ports(config: Config) -> Self {
+        Self { device: Device::new(config), ports: [const { None }; PORTS], connections: 0, now: Time::ZERO }
+    }
+
+    /// Takes a client; `None` when there are as many as it can have.
+    pub fn connect(&mut self, kind: PortKind) -> Option<PortId> {
+        let index = self.ports.iter().position(Option::is_none)?;
+        self.connections = self.connections.wrapping_add(1);
+        let id = PortId { index: index as u16, generation: self.connections };
+        *self.ports.get_mut(index)? = Some(Port::new(id, kind, self.device.config.check_checksum));
+        Some(id)
+    }
+
+    /// The client is gone. A TCP connection that ends without announcement causes a FAST STOP (command set, 1.4.2),
+    /// unless that is configured off.
+    pub fn disconnect(&mut self, id: PortId, now: Time) {
+        self.advance(now);
+        let Some(port) = self.port_mut(id) else { return };
+        let is_error = port.line.kind == PortKind::Tcp && !port.line.announced;
+        if let Some(slot) = self.ports.get_mut(usize::from(id.index)) {
+            *slot = None;
+        }
+        if is_error && self.device.config.disconnect_error {
+            self.device.fast_stop(Status::CmdAborted);
+        }
+        self.settle();
+    }
+
+    /// Takes bytes from the client.
+    ///
+    /// All are taken at once. What they ask for is answered as long as the queue of frames has room, so empty it by
+    /// [`transmit`](Self::transmit) every few hundred bytes.
+    pub fn receive(&mut self, id: PortId, now: Time, bytes: &[u8]) {
+        self.advance(now);
+        let request = Request { port: id, now: self.now };
+        let mut rest = bytes;
+        loop {
+            let Self { device, ports, .. } = self;
+            let Some(port) = port_in(ports, id) else { return };
+            let (taken, event) = port.parser.push_slice(rest);
+            rest = rest.get(taken..).unwrap_or(&[]);
+            match event {
+                Some(event) => take_event(device, &mut port.line, request, event),
+                None => break,
+            }
+            self.settle();
+        }
+        let timeout_ms = u64::from(self.device.config.frame_timeout_ms);
+        if let Some(port) = self.port_mut(id) {
+            let is_datagram = port.line.kind == PortKind::Udp;
+            let ends = if is_datagram { request.now } else { request.now.plus_millis(timeout_ms) };
+            port.half_frame_ends = port.parser.is_mid_frame().then_some(ends);
+            if is_datagram {
+                self.expire_half_frames();
+            }
+        }
+    }
+
+    /// The next frame for the client, whole; `None` when there is none at this time.
+    pub fn transmit<'a>(&mut self, id: PortId, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        self.port_mut(id)?.line.next_frame(buffer)
+    }
+
+    /// Whether [`transmit`](Self::transmit) has a frame for the client.
+    #[must_use]
+    pub fn has_frame(&self, id: PortId) -> bool {
+        self.port(id).is_some_and(|port| port.line.has_frame())
+    }
+
+    /// What went wrong on the client's line; `None` when it is gone.
+    #[must_use]
+    pub fn counters(&self, id: PortId) -> Option<PortCounters> {
+        self.port(id).map(Port::counters)
+    }
+
+    /// Lets everything happen that is due up to `now`, each at its own time.
+    pub fn advance(&mut self, now: Time) {
+        while let Some(at) = self.next_event(|event| event.any).filter(|at| *at <= now) {
+            let before = self.now;
+            // Something that has become due while time stood still happens now.
+            self.now = at.max(before);
+            self.device.run_due(before, self.now);
+            self.settle();
+            self.expire_half_frames();
+        }
+        self.now = self.now.max(now);
+    }
+
+    /// When something happens next that may show on a line; `None`: not before something comes in.
+    #[must_use]
+    pub fn next_wake(&self) -> Option<Time> {
+        self.next_event(|event| event.awake)
+    }
+
+    /// The time up to which everything has happened.
+    #[must_use]
+    pub const fn now(&self) -> Time {
+        self.now
+    }
+
+    /// Puts a part between the fingers, or takes it away. A part wider than the opening goes in when the fingers have
+    /// opened far enough.
+    pub fn set_part(&mut self, part: Option<Part>, now: Time) {
+        self.advance(now);
+        self.device.set_part(part);
+        self.settle();
+    }
+
+    /// Lets a fault begin or end.
+    pub fn set_fault(&mut self, fault: Fault, on: bool, now: Time) {
+        self.advance(now);
+        self.device.set_fault(fault, on);
+        self.settle();
+    }
+
+    /// How things stand at [`now`](Self::now).
+    #[must_use]
+    pub fn state(&self) -> State {
+        let device = &self.device;
+        State {
+            width: device.axis.width() as f32,
+            reported_width: device.reported_width(),
+            speed: device.axis.speed() as f32,
+            force: device.axis.force() as f32,
+            force_limit: device.force_limit,
+            gripper: device.state,
+            flags: device.flags(),
+            temperature: device.thermal.reading(),
+            statistics: device.statistics,
+            part: device.axis.part(),
+        }
+    }
+
+    /// Sends what the last event led to: second answers, then updates.
+    fn settle(&mut self) {
+        let Self { device, ports, now, .. } = self;
+        while let Some(done) = device.take_completion(*now) {
+            if let Some(port) = port_in(ports, done.port) {
+                port.line.reply(Reply::status_only(done.id, done.status));
+            }
+        }
+        device.note_load();
+        let readings = device.readings();
+        for port in ports.iter_mut().flatten() {
+            port.line.publish(*now, &readings);
+        }
+    }
+
+    /// Gives up the half frames whose time is over. What they held is scanned again, and may hold whole frames.
+    fn expire_half_frames(&mut self) {
+        let now = self.now;
+        for index in 0..PORTS {
+            let Some(Some(port)) = self.ports.get_mut(index) else { continue };
+            if port.half_frame_ends.is_none_or(|ends| ends > now) {
+                continue;
+            }
+            port.half_frame_ends = None;
+            let id = port.line.id;
+            loop {
+                let Self { device, ports, .. } = self;
+                let Some(port) = port_in(ports, id) else { break };
+                match port.parser.expire() {
+                    Some(event) => take_event(device, &mut port.line, Request { port: id, now }, event),
+                    None => break,
+                }
+                self.settle();
+            }
+        }
+    }
+
+    fn next_event(&self, pick: impl FnOnce(crate::device::NextEvent) -> Option<Time>) -> Option<Time> {
+        let device = pick(self.device.next_event(self.now));
+        let ports = self.ports.iter().flatten().filter_map(|port| port.next_due(self.now)).min();
+        earlier(device, ports)
+    }
+
+    fn port(&self, id: PortId) -> Option<&Port> {
+        self.ports.get(usize::from(id.index))?.as_ref().filter(|port| port.line.id == id)
+    }
+
+    fn port_mut(&mut self, id: PortId) -> Option<&mut Port> {
+        port_in(&mut self.ports, id)
+    }
+}
+
+fn port_in(ports: &mut [Option<Port>], id: PortId) -> Option<&mut Port> {
+    ports.get_mut(usize::from(id.index))?.as_mut().filter(|port| port.line.id == id)
+}
+
+fn take_event(device: &mut Device, line: &mut crate::port::Line, request: Request, event: Event<'_>) {
+    match event {
+        Event::Frame(frame) => commands::answer(device, line, request, &frame),
+        Event::BadChecksum { id, .. } if device.config.answer_bad_checksum => {
+            line.reply(Reply::status_only(CommandId::from_code(id), Status::ChecksumError));
+        }
+        Event::BadChecksum { .. } | Event::Oversize { .. } => {}
+    }
+}

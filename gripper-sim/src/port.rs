@@ -1,0 +1,194 @@
+//! One client: its parser, its frames to be sent, its subscriptions.
+
+use crate::time::Time;
+use crate::updates::{Readings, Subscriptions};
+use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
+use wsg_protocol::{Counters, FrameEncoder, FrameParser, LoopData, Reply};
+
+/// The longest frame that a gripper sends, in bytes: Loop with all its data.
+pub const MAX_FRAME_LEN: usize = OVERHEAD + STATUS_LEN + LoopData::MAX_LEN;
+
+/// A frame to be sent has room in this.
+pub type FrameBuffer = [u8; MAX_FRAME_LEN];
+
+const STATUS_LEN: usize = 2;
+/// Bytes of frames that wait for a client to read them.
+const QUEUE_LEN: usize = 2_048;
+/// Updates leave this much room for answers.
+const RESERVED_FOR_REPLIES: usize = 512;
+/// The most payload in a frame that is taken.
+const MAX_PAYLOAD: usize = MAX_MESSAGE_LEN - OVERHEAD;
+/// Where the size stands in a frame.
+const SIZE_AT: usize = 4;
+
+const _: () = assert!(QUEUE_LEN >= RESERVED_FOR_REPLIES + MAX_FRAME_LEN);
+
+/// The kind of line that a client uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PortKind {
+    /// Ethernet TCP/IP: connection oriented, so its end is noticed.
+    Tcp,
+    /// Ethernet UDP/IP: no frame goes over the end of a datagram; give each to
+    /// [`receive`](crate::VirtualGripper::receive) by itself.
+    Udp,
+    /// RS-232.
+    Serial,
+    /// CAN, as a stream of bytes.
+    Can,
+}
+
+impl core::fmt::Display for PortKind {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Tcp => "tcp",
+            Self::Udp => "udp",
+            Self::Serial => "serial",
+            Self::Can => "can",
+        })
+    }
+}
+
+/// Which client: valid from [`connect`](crate::VirtualGripper::connect) to
+/// [`disconnect`](crate::VirtualGripper::disconnect), harmless afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct PortId {
+    pub(crate) index: u16,
+    pub(crate) generation: u32,
+}
+
+/// What went wrong on a line so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PortCounters {
+    /// Bytes and frames that were refused.
+    pub parser: Counters,
+    /// Automatic updates that found no room because the client does not read.
+    pub updates_lost: u32,
+    /// Answers that found no room because the client does not read.
+    pub replies_lost: u32,
+}
+
+/// A client.
+#[derive(Clone, Debug)]
+pub(crate) struct Port {
+    pub(crate) parser: FrameParser<MAX_PAYLOAD>,
+    pub(crate) line: Line,
+    /// When half a frame is given up.
+    pub(crate) half_frame_ends: Option<Time>,
+}
+
+/// All of a client but its parser.
+#[derive(Clone, Debug)]
+pub(crate) struct Line {
+    pub(crate) id: PortId,
+    pub(crate) kind: PortKind,
+    pub(crate) subscriptions: Subscriptions,
+    /// Whether the client has announced its disconnection.
+    pub(crate) announced: bool,
+    queue: FrameQueue,
+    updates_lost: u32,
+    replies_lost: u32,
+}
+
+impl Port {
+    pub(crate) fn new(id: PortId, kind: PortKind, check_checksum: bool) -> Self {
+        Self {
+            parser: if check_checksum { FrameParser::new() } else { FrameParser::ignoring_checksums() },
+            line: Line {
+                id,
+                kind,
+                subscriptions: Subscriptions::default(),
+                announced: false,
+                queue: FrameQueue::new(),
+                updates_lost: 0,
+                replies_lost: 0,
+            },
+            half_frame_ends: None,
+        }
+    }
+
+    pub(crate) const fn counters(&self) -> PortCounters {
+        PortCounters {
+            parser: self.parser.counters(),
+            updates_lost: self.line.updates_lost,
+            replies_lost: self.line.replies_lost,
+        }
+    }
+
+    pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
+        crate::device::earlier(self.line.subscriptions.next_due(now), self.half_frame_ends)
+    }
+}
+
+impl Line {
+    pub(crate) fn reply(&mut self, reply: Reply<'_>) {
+        if !self.queue.push(reply, QUEUE_LEN) {
+            self.replies_lost = self.replies_lost.saturating_add(1);
+        }
+    }
+
+    pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
+        let Self { subscriptions, queue, updates_lost, .. } = self;
+        subscriptions.publish(now, readings, |value| {
+            let found_room = queue.push(Reply::success(value), QUEUE_LEN - RESERVED_FOR_REPLIES);
+            if !found_room {
+                *updates_lost = updates_lost.saturating_add(1);
+            }
+            found_room
+        });
+    }
+
+    pub(crate) const fn has_frame(&self) -> bool {
+        self.queue.len > 0
+    }
+
+    pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let len = self.queue.pop(buffer)?;
+        buffer.get(..len)
+    }
+}
+
+/// Frames in a ring of bytes. A frame tells its own length.
+#[derive(Clone, Debug)]
+struct FrameQueue {
+    bytes: [u8; QUEUE_LEN],
+    first: usize,
+    len: usize,
+}
+
+impl FrameQueue {
+    const fn new() -> Self {
+        Self { bytes: [0; QUEUE_LEN], first: 0, len: 0 }
+    }
+
+    /// Appends a frame unless the queue would hold more than `limit` bytes; whether it did.
+    fn push(&mut self, reply: Reply<'_>, limit: usize) -> bool {
+        let frame = FrameEncoder::new(reply.id().code(), reply);
+        if self.len + frame.frame_len() > limit {
+            return false;
+        }
+        for byte in frame {
+            self.bytes[(self.first + self.len) % QUEUE_LEN] = byte;
+            self.len += 1;
+        }
+        true
+    }
+
+    /// Takes the oldest frame; its length.
+    fn pop(&mut self, buffer: &mut FrameBuffer) -> Option<usize> {
+        if self.len == 0 {
+            return None;
+        }
+        let size = u16::from_le_bytes([self.byte(SIZE_AT), self.byte(SIZE_AT + 1)]);
+        let len = usize::from(size) + OVERHEAD;
+        for (at, slot) in buffer.iter_mut().enumerate().take(len) {
+            *slot = self.byte(at);
+        }
+        self.first = (self.first + len) % QUEUE_LEN;
+        self.len -= len;
+        Some(len)
+    }
+
+    fn byte(&self, at: usize) -> u8 {
+        self.bytes[(self.first + at) % QUEUE_LEN]
+    }
+}

@@ -1,0 +1,479 @@
+//! Motion commands: what moves, how it ends, what is refused (command set, 3.2 and appendix C).
+
+mod common;
+
+use common::{Rig, Sent, go_by, go_to, go_to_or_stop, grip, release, texts};
+use wsg_protocol::{Command, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
+use wsg_sim::{Config, Direction, Fault, Model, Part};
+
+#[test]
+fn homing_takes_under_four_seconds_on_every_model_and_in_both_directions() {
+    for &model in Model::ALL {
+        for (direction, reference) in
+            [(HomingDirection::Positive, model.parameters().limits.stroke), (HomingDirection::Negative, 0.0)]
+        {
+            // From the far end.
+            let mut rig = Rig::homed_with(Config { model, ..Config::default() });
+            if direction == HomingDirection::Positive {
+                assert_eq!(rig.run(go_to(0.0)), Status::Success);
+            }
+            let start = rig.now;
+            assert_eq!(rig.run(Command::Homing { direction }), Status::Success, "{model}");
+            assert!(rig.now < start.plus_millis(4_000), "{model}: {start} to {}", rig.now);
+            assert_eq!(rig.width(), reference, "{model}");
+            assert!(rig.flags().contains(SystemFlags::REFERENCED));
+            assert_eq!(rig.state(), GripperState::Idle);
+        }
+    }
+}
+
+#[test]
+fn homing_without_direction_goes_where_it_is_configured_to() {
+    for (homing_default, reference) in [(Direction::Plus, 110.0), (Direction::Minus, 0.0)] {
+        let mut rig = Rig::new(Config { homing_default, ..Config::default() });
+        assert_eq!(rig.run(Command::Homing { direction: HomingDirection::Default }), Status::Success);
+        assert_eq!(rig.width(), reference);
+    }
+}
+
+#[test]
+fn homing_against_a_part_takes_it_for_the_end_stop() {
+    let mut rig = Rig::new(Config { part: Part::of_width(20.0), ..Config::default() });
+    assert_eq!(rig.run(Command::Homing { direction: HomingDirection::Negative }), Status::Success);
+    let state = rig.gripper.state();
+    assert!(state.reported_width.abs() < 1e-3 && (state.width - 19.95).abs() < 1e-3, "{state:?}");
+    // What it takes for 110 mm lies beyond the real end stop.
+    assert_eq!(rig.run(go_to(110.0)), Status::RangeError);
+    assert_eq!(rig.width(), 110.0);
+}
+
+#[test]
+fn homing_on_a_jammed_axis_cannot_move_away_from_the_end_stop() {
+    let mut rig = Rig::new(Config::default());
+    rig.set_fault(Fault::AxisBlocked, true);
+    let homing = Command::Homing { direction: HomingDirection::Positive };
+    assert_eq!(rig.run(homing), Status::AxisBlocked);
+    assert!(!rig.flags().contains(SystemFlags::REFERENCED));
+    assert_eq!(rig.state(), GripperState::Error);
+    rig.set_fault(Fault::AxisBlocked, false);
+    assert_eq!(rig.run(homing), Status::Success);
+}
+
+#[test]
+fn motions_other_than_homing_need_a_reference() {
+    let mut rig = Rig::new(Config::default());
+    for command in [go_to(20.0), go_by(1.0), grip(20.0), release(50.0)] {
+        assert_eq!(rig.status(command), Status::NotInitialized, "{command}");
+    }
+    // An aborted homing leaves none.
+    assert_eq!(rig.status(Command::Homing { direction: HomingDirection::Positive }), Status::CmdPending);
+    rig.wait(100);
+    rig.send(Command::Stop);
+    rig.frames();
+    assert_eq!(rig.status(go_to(20.0)), Status::NotInitialized);
+}
+
+#[test]
+fn pre_position_answers_pending_and_then_success_at_the_target() {
+    let mut rig = Rig::homed(None);
+    assert_eq!(rig.status(go_to(30.0)), Status::CmdPending);
+    assert_eq!(rig.state(), GripperState::Positioning);
+    rig.wait(100);
+    assert!(rig.flags().contains(SystemFlags::MOVING));
+    assert!(!rig.flags().contains(SystemFlags::TARGET_POS_REACHED));
+    let done = rig.next();
+    assert_eq!(done.status(), Status::Success);
+    assert_eq!((rig.width(), rig.state()), (30.0, GripperState::Idle));
+    assert!(rig.flags().contains(SystemFlags::TARGET_POS_REACHED));
+    assert!(!rig.flags().contains(SystemFlags::MOVING));
+}
+
+#[test]
+fn relative_moves_count_from_where_the_fingers_are() {
+    let mut rig = Rig::homed(None);
+    assert_eq!(rig.run(go_by(-40.0)), Status::Success);
+    assert_eq!(rig.width(), 70.0);
+    assert_eq!(rig.run(go_by(5.5)), Status::Success);
+    assert_eq!(rig.width(), 75.5);
+}
+
+#[test]
+fn position_and_speed_are_clamped_to_the_limits_of_the_gripper() {
+    let mut rig = Rig::homed(None);
+    assert_eq!(rig.run(go_to(-30.0)), Status::Success);
+    assert_eq!(rig.width(), 0.0);
+    let fastest = Command::PrePosition { flags: Default::default(), width: 500.0, speed: 9_999.0 };
+    rig.status(Command::SetAcceleration { acceleration: 5_000.0 });
+    assert_eq!(rig.status(fastest), Status::CmdPending);
+    let mut top = 0.0f32;
+    while rig.frames().is_empty() {
+        rig.now = rig.now.plus_millis(1);
+        rig.gripper.advance(rig.now);
+        top = top.max(rig.gripper.state().speed);
+    }
+    assert!((419.9..=420.0).contains(&top), "{top} mm/s");
+    assert_eq!(rig.width(), 110.0);
+}
+
+#[test]
+fn time_scale_makes_the_fingers_travel_that_many_times_as_fast() {
+    let travel_ms = |time_scale: f32| {
+        let mut rig = Rig::homed_with(Config { time_scale, ..Config::default() });
+        let start = rig.now;
+        assert_eq!(rig.run(go_to(10.0)), Status::Success);
+        (rig.now.as_micros() - start.as_micros()) / 1_000
+    };
+    assert_eq!(travel_ms(1.0), 1_100);
+    assert!((109..=112).contains(&travel_ms(10.0)), "{}", travel_ms(10.0));
+    assert!((2_200..=2_206).contains(&travel_ms(0.5)), "{}", travel_ms(0.5));
+    assert!((1..=3).contains(&travel_ms(1_000.0)));
+}
+
+#[test]
+fn stop_on_block_turns_the_motor_off() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    assert_eq!(rig.run(go_to_or_stop(10.0)), Status::AxisBlocked);
+    assert_eq!(rig.state(), GripperState::Error);
+    assert!(rig.flags().contains(SystemFlags::BLOCKED_MINUS));
+    rig.wait(20);
+    assert_eq!((rig.width(), rig.force()), (20.0, 0.0));
+    // The blocking condition is resolved.
+    rig.set_part(None);
+    rig.wait(100);
+    assert!(!rig.flags().contains(SystemFlags::BLOCKED_MINUS));
+    assert_eq!(rig.width(), 20.0);
+}
+
+#[test]
+fn clamp_on_block_pushes_with_half_the_nominal_force_and_snaps_to_the_target() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.status(Command::SetForceLimit { force: 10.0 });
+    assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
+    rig.wait(20);
+    assert_eq!(rig.force(), 40.0);
+    assert!(rig.flags().contains(SystemFlags::BLOCKED_MINUS));
+    rig.set_part(None);
+    rig.wait(1);
+    assert!(rig.flags().contains(SystemFlags::MOVING));
+    assert_eq!(texts(&rig.wait(500)), Vec::<String>::new(), "the command was answered long ago");
+    assert_eq!((rig.width(), rig.force()), (10.0, 0.0));
+}
+
+#[test]
+fn grip_on_a_part_of_the_nominal_width_holds_it_with_the_force_limit() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.status(Command::SetForceLimit { force: 30.0 });
+    assert_eq!(rig.status(grip(20.0)), Status::CmdPending);
+    assert_eq!(rig.state(), GripperState::Gripping);
+    assert_eq!(rig.next().status(), Status::Success);
+    assert_eq!(rig.state(), GripperState::Holding);
+    assert_eq!(rig.force(), 30.0);
+    assert!((rig.width() - 19.7).abs() < 1e-3);
+    assert_eq!(texts(&rig.wait(5_000)), Vec::<String>::new());
+    assert_eq!((rig.state(), rig.force()), (GripperState::Holding, 30.0));
+}
+
+#[test]
+fn grip_without_a_part_ends_at_the_clamping_travel() {
+    let mut rig = Rig::homed(None);
+    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
+    assert_eq!(rig.state(), GripperState::NoPart);
+    assert!((rig.width() - 15.0).abs() < 1e-3, "{}", rig.width());
+    assert!(!rig.flags().contains(SystemFlags::MOVING));
+    // The state stays until the next motion.
+    rig.wait(1_000);
+    assert_eq!(rig.state(), GripperState::NoPart);
+}
+
+#[test]
+fn grip_without_a_part_ends_at_the_end_stop_when_that_comes_first() {
+    let mut rig = Rig::homed(None);
+    assert_eq!(rig.run(grip(2.0)), Status::CmdFailed);
+    assert_eq!((rig.state(), rig.width()), (GripperState::NoPart, 0.0));
+}
+
+#[test]
+fn grip_on_a_part_too_soft_for_the_force_finds_no_part() {
+    let mut rig = Rig::homed(Part::new(20.0, 2.0));
+    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
+    assert_eq!(rig.state(), GripperState::NoPart);
+}
+
+#[test]
+fn clamping_travel_counts_from_where_a_part_is_met_before_the_nominal_width() {
+    // 40 N at 10 N/mm need 4 mm: enough from 23 mm on, though it ends 1 mm before the nominal width.
+    let mut rig = Rig::homed(Part::new(23.0, 10.0));
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    // 40 N at 7 N/mm need 5.7 mm.
+    let mut rig = Rig::homed(Part::new(23.0, 7.0));
+    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
+    assert!((17.9..18.1).contains(&rig.width()), "{}", rig.width());
+}
+
+#[test]
+fn grip_on_a_part_beyond_the_width_tolerance_finds_no_part() {
+    let mut rig = Rig::homed(Part::of_width(40.0));
+    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
+    assert_eq!(rig.state(), GripperState::NoPart);
+    rig.wait(20);
+    assert_eq!((rig.width(), rig.force()), (40.0, 0.0));
+}
+
+#[test]
+fn grip_on_a_jammed_axis_times_out() {
+    let mut rig = Rig::homed(None);
+    rig.set_fault(Fault::AxisBlocked, true);
+    assert_eq!(rig.run(grip(20.0)), Status::Timeout);
+    assert_eq!(rig.state(), GripperState::Error);
+    assert_eq!(rig.force(), 0.0);
+}
+
+#[test]
+fn part_pulled_out_while_holding_is_lost() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    rig.set_part(None);
+    assert_eq!(rig.state(), GripperState::PartLost);
+    assert_eq!(rig.force(), 0.0);
+    assert_eq!(texts(&rig.wait(1_000)), Vec::<String>::new());
+    assert_eq!(rig.state(), GripperState::PartLost);
+    let statistics = rig.gripper.state().statistics;
+    assert_eq!((statistics.total, statistics.no_part, statistics.part_lost), (1, 0, 1));
+}
+
+#[test]
+fn release_opens_and_leaves_the_part_behind() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.run(grip(20.0));
+    assert_eq!(rig.status(release(50.0)), Status::CmdPending);
+    assert_eq!(rig.state(), GripperState::Releasing);
+    assert_eq!(rig.next().status(), Status::Success);
+    assert_eq!((rig.state(), rig.width(), rig.force()), (GripperState::Idle, 50.0, 0.0));
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+}
+
+#[test]
+fn release_that_cannot_open_times_out() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.run(grip(20.0));
+    rig.set_fault(Fault::AxisBlocked, true);
+    assert_eq!(rig.run(release(50.0)), Status::Timeout);
+}
+
+#[test]
+fn grip_again_is_allowed_in_the_same_direction_only() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    assert_eq!(rig.run(grip(40.0)), Status::CmdFailed);
+    assert!((rig.width() - 35.0).abs() < 1e-3);
+    assert_eq!(rig.status(grip(60.0)), Status::RangeError);
+    assert_eq!(rig.state(), GripperState::NoPart);
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    // Once more on the part that is held.
+    rig.status(Command::SetForceLimit { force: 80.0 });
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    assert_eq!(rig.force(), 80.0);
+    assert_eq!(rig.status(grip(60.0)), Status::RangeError);
+    assert_eq!(rig.state(), GripperState::Holding);
+    rig.run(release(50.0));
+    assert_eq!(rig.status(grip(60.0)), Status::CmdPending);
+}
+
+#[test]
+fn grip_outward_moves_outward() {
+    let mut rig = Rig::homed(None);
+    rig.run(go_to(20.0));
+    assert_eq!(rig.run(grip(40.0)), Status::CmdFailed);
+    assert!((rig.width() - 45.0).abs() < 1e-3);
+}
+
+#[test]
+fn second_motion_while_moving_is_refused_and_the_first_goes_on() {
+    let mut rig = Rig::homed(None);
+    assert_eq!(rig.status(go_to(30.0)), Status::CmdPending);
+    rig.wait(100);
+    for command in
+        [go_to(50.0), grip(20.0), release(50.0), Command::Homing { direction: HomingDirection::Default }]
+    {
+        assert_eq!(rig.status(command), Status::AlreadyRunning, "{command}");
+    }
+    assert_eq!(rig.next().status(), Status::Success);
+    assert_eq!(rig.width(), 30.0);
+}
+
+#[test]
+fn stop_aborts_a_motion_and_needs_no_acknowledgement() {
+    let mut rig = Rig::homed(None);
+    rig.status(go_to(30.0));
+    rig.wait(200);
+    rig.send(Command::Stop);
+    assert_eq!(texts(&rig.frames()), ["22h Stop E_SUCCESS", "21h Pre-position Fingers E_CMD_ABORTED"]);
+    let width = rig.width();
+    rig.wait(100);
+    assert_eq!(rig.width(), width);
+    assert_eq!(rig.state(), GripperState::Idle);
+    assert!(rig.flags().contains(SystemFlags::AXIS_STOPPED));
+    assert_eq!(rig.run(go_to(30.0)), Status::Success);
+    assert!(!rig.flags().contains(SystemFlags::AXIS_STOPPED));
+}
+
+#[test]
+fn stop_while_holding_releases_force() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.run(grip(20.0));
+    assert_eq!(rig.status(Command::Stop), Status::Success);
+    assert_eq!(rig.state(), GripperState::Idle);
+    rig.wait(10);
+    assert_eq!((rig.force(), rig.width()), (0.0, 20.0));
+    // The part is not watched any more.
+    rig.set_part(None);
+    rig.wait(100);
+    assert_eq!(rig.state(), GripperState::Idle);
+    assert_eq!(rig.gripper.state().statistics.part_lost, 0);
+}
+
+#[test]
+fn fast_stop_latches_until_acknowledged() {
+    let mut rig = Rig::homed(None);
+    rig.status(go_to(30.0));
+    rig.wait(200);
+    rig.send(Command::FastStop);
+    assert_eq!(
+        texts(&rig.frames()),
+        ["23h Issue FAST STOP E_SUCCESS", "21h Pre-position Fingers E_CMD_ABORTED"]
+    );
+    assert_eq!(rig.state(), GripperState::Error);
+    assert!(rig.flags().contains(SystemFlags::FAST_STOP));
+    let motions = [go_to(50.0), grip(20.0), release(50.0), Command::Homing { direction: Default::default() }];
+    for command in motions {
+        assert_eq!(rig.status(command), Status::AccessDenied, "{command}");
+    }
+    // Stop does not end it.
+    assert_eq!(rig.status(Command::Stop), Status::Success);
+    assert_eq!((rig.state(), rig.status(go_to(50.0))), (GripperState::Error, Status::AccessDenied));
+    assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
+    assert_eq!(rig.state(), GripperState::Idle);
+    assert!(!rig.flags().contains(SystemFlags::FAST_STOP));
+    assert_eq!(rig.run(go_to(30.0)), Status::Success);
+}
+
+#[test]
+fn fast_stop_is_obeyed_whatever_its_payload() {
+    let mut rig = Rig::homed(None);
+    let frame: Vec<u8> = wsg_protocol::FrameEncoder::new(0x23, &[1, 2, 3][..]).collect();
+    rig.send_bytes(&frame);
+    assert_eq!(rig.frames()[0].status(), Status::Success);
+    assert!(rig.flags().contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn fast_stop_while_holding_lets_the_part_go_without_losing_it() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.run(grip(20.0));
+    rig.status(Command::FastStop);
+    rig.wait(10);
+    assert_eq!((rig.force(), rig.state()), (0.0, GripperState::Error));
+    rig.set_part(None);
+    assert_eq!(rig.gripper.state().statistics.part_lost, 0);
+}
+
+#[test]
+fn acknowledge_succeeds_with_nothing_to_acknowledge_and_needs_its_key() {
+    let mut rig = Rig::new(Config::default());
+    assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
+    rig.status(Command::FastStop);
+    for payload in [&b""[..], b"ac", b"ACK", b"ackk"] {
+        let frame: Vec<u8> = wsg_protocol::FrameEncoder::new(0x24, payload).collect();
+        rig.send_bytes(&frame);
+        assert_eq!(rig.frames()[0].status(), Status::CmdFormatError, "{payload:?}");
+        assert!(rig.flags().contains(SystemFlags::FAST_STOP));
+    }
+}
+
+#[test]
+fn soft_limits_refuse_targets_outside() {
+    let mut rig = Rig::homed(None);
+    rig.run(go_to(50.0));
+    rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 20.0, plus: 80.0 } });
+    for command in [go_to(19.0), go_to(81.0), grip(10.0), release(90.0), go_by(40.0)] {
+        assert_eq!(rig.status(command), Status::RangeError, "{command}");
+    }
+    assert_eq!(rig.run(go_to(20.0)), Status::Success);
+    assert!(rig.flags().contains(SystemFlags::SOFT_LIMIT_MINUS));
+    assert_eq!(rig.run(go_to(80.0)), Status::Success);
+    assert!(rig.flags().contains(SystemFlags::SOFT_LIMIT_PLUS));
+    assert!(!rig.flags().contains(SystemFlags::SOFT_LIMIT_MINUS));
+    assert_eq!(rig.run(go_to(50.0)), Status::Success);
+    let limit_flags = SystemFlags::SOFT_LIMIT_MINUS.union(SystemFlags::SOFT_LIMIT_PLUS);
+    assert!(!rig.flags().intersects(limit_flags));
+    rig.status(Command::ClearSoftLimits);
+    assert_eq!(rig.run(go_to(100.0)), Status::Success);
+}
+
+#[test]
+fn fingers_outside_the_soft_limits_may_only_come_back() {
+    let mut rig = Rig::homed(None);
+    rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 20.0, plus: 80.0 } });
+    assert!(rig.flags().contains(SystemFlags::SOFT_LIMIT_PLUS));
+    rig.run(go_to(95.0));
+    assert_eq!(rig.status(go_to(100.0)), Status::RangeError);
+    assert_eq!(rig.run(go_by(-5.0)), Status::Success);
+    assert_eq!(rig.run(go_to(60.0)), Status::Success);
+    assert!(!rig.flags().contains(SystemFlags::SOFT_LIMIT_PLUS));
+}
+
+#[test]
+fn entering_the_restricted_area_causes_a_fast_stop_at_the_limit() {
+    for (command, status) in [(go_to(10.0), Status::RangeError), (grip(10.0), Status::CmdAborted)] {
+        let mut rig = Rig::homed(None);
+        rig.run(go_to(60.0));
+        rig.status(command);
+        rig.wait(50);
+        rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 40.0, plus: 80.0 } });
+        assert_eq!(rig.next().status(), status, "{command}");
+        assert_eq!((rig.width(), rig.state()), (40.0, GripperState::Error));
+        assert!(rig.flags().contains(SystemFlags::FAST_STOP.union(SystemFlags::SOFT_LIMIT_MINUS)));
+        rig.status(Command::ACKNOWLEDGE);
+        assert_eq!(rig.run(go_to(60.0)), Status::Success);
+    }
+}
+
+#[test]
+fn clamping_travel_ends_at_a_soft_limit_without_a_fast_stop() {
+    let mut rig = Rig::homed(None);
+    rig.run(go_to(60.0));
+    rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 18.0, plus: 80.0 } });
+    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
+    assert_eq!((rig.width(), rig.state()), (18.0, GripperState::NoPart));
+    assert!(!rig.flags().contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn homing_ignores_soft_limits() {
+    let mut rig = Rig::homed(None);
+    rig.run(go_to(60.0));
+    rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 18.0, plus: 80.0 } });
+    rig.home();
+    assert_eq!(rig.width(), 110.0);
+}
+
+#[test]
+fn statistics_count_grips_and_what_became_of_them_and_reset_after_reading() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.run(grip(20.0));
+    rig.run(release(50.0));
+    rig.run(grip(20.0));
+    rig.set_part(None);
+    rig.run(release(50.0));
+    rig.run(grip(20.0));
+    let read = |rig: &mut Rig, reset: bool| {
+        let sent: Sent = rig.ask(Command::GetGrippingStatistics { reset });
+        sent.text()
+    };
+    let full = "42h Get Gripping Statistics E_SUCCESS 3 grips, 1 without part, 1 lost";
+    assert_eq!(read(&mut rig, false), full);
+    assert_eq!(read(&mut rig, true), full);
+    assert_eq!(
+        read(&mut rig, false),
+        "42h Get Gripping Statistics E_SUCCESS 0 grips, 0 without part, 0 lost"
+    );
+}

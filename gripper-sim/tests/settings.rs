@@ -1,0 +1,290 @@
+//! Settings, device information, fingers, temperature, faults and flags (command set, 3.3 to 3.6 and appendix B).
+
+mod common;
+
+use common::{Rig, go_to, grip, release, texts};
+use wsg_protocol::{
+    Command, CommandId, DeviceTag, FingerFlags, FrameEncoder, GripperState, LoopData, SoftLimits, Status,
+    SystemFlags, Value,
+};
+use wsg_sim::{Config, Fault, Finger, Jaw, Model, Part, Tag};
+
+fn raw(rig: &mut Rig, id: u8, payload: &[u8]) -> Status {
+    let frame: Vec<u8> = FrameEncoder::new(id, payload).collect();
+    rig.send_bytes(&frame);
+    let frames = rig.frames();
+    assert_eq!(frames.len(), 1);
+    assert_eq!(frames[0].id(), id);
+    frames[0].status()
+}
+
+#[test]
+fn loop_returns_its_data() {
+    let mut rig = Rig::new(Config::default());
+    for len in [0, 1, 8, 256] {
+        let data = vec![0xFF; len];
+        let sent = rig.ask(Command::Loop { data: LoopData::new(&data).unwrap() });
+        sent.with(|reply| assert_eq!(reply.value(), Some(Value::Loop(LoopData::new(&data).unwrap()))));
+    }
+    assert_eq!(raw(&mut rig, 0x06, &[0; 257]), Status::CmdFormatError);
+}
+
+#[test]
+fn acceleration_and_force_limit_are_clamped_to_the_limits() {
+    let mut rig = Rig::new(Config::default());
+    for (set, get) in [(1.0, 100.0), (250.0, 250.0), (1e9, 5_000.0), (-5.0, 100.0)] {
+        assert_eq!(rig.status(Command::SetAcceleration { acceleration: set }), Status::Success);
+        assert_eq!(rig.ask(Command::GetAcceleration).f32(), get);
+    }
+    for (set, get) in [(1.0, 5.0), (33.0, 33.0), (100.0, 80.0)] {
+        assert_eq!(rig.status(Command::SetForceLimit { force: set }), Status::Success);
+        assert_eq!(rig.ask(Command::GetForceLimit).f32(), get);
+    }
+}
+
+#[test]
+fn overdrive_raises_the_force_limit_and_its_end_lowers_it_again() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    assert_eq!(rig.status(Command::OverdriveMode { enabled: true }), Status::Success);
+    assert!(rig.flags().contains(SystemFlags::OVERDRIVE_MODE));
+    rig.status(Command::SetForceLimit { force: 100.0 });
+    assert_eq!(rig.ask(Command::GetForceLimit).f32(), 100.0);
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    assert_eq!(rig.force(), 100.0);
+    rig.status(Command::OverdriveMode { enabled: false });
+    assert!(!rig.flags().contains(SystemFlags::OVERDRIVE_MODE));
+    assert_eq!(rig.ask(Command::GetForceLimit).f32(), 80.0);
+}
+
+#[test]
+fn soft_limits_can_be_read_only_while_set() {
+    let mut rig = Rig::new(Config::default());
+    assert_eq!(rig.status(Command::GetSoftLimits), Status::NotAvailable);
+    let limits = SoftLimits { minus: 10.0, plus: 90.0 };
+    assert_eq!(rig.status(Command::SetSoftLimits { limits }), Status::Success);
+    rig.ask(Command::GetSoftLimits)
+        .with(|reply| assert_eq!(reply.value(), Some(Value::GetSoftLimits(limits))));
+    let crossed = SoftLimits { minus: 90.0, plus: 10.0 };
+    assert_eq!(rig.status(Command::SetSoftLimits { limits: crossed }), Status::CmdFormatError);
+    assert_eq!(rig.status(Command::ClearSoftLimits), Status::Success);
+    assert_eq!(rig.status(Command::GetSoftLimits), Status::NotAvailable);
+}
+
+#[test]
+fn device_tells_model_serial_number_and_limits() {
+    let config = Config { model: Model::Wsg32, serial_number: 4_711, ..Config::default() };
+    let mut rig = Rig::new(config);
+    assert_eq!(
+        rig.ask(Command::GetSystemInfo).text(),
+        "50h Get System Information E_SUCCESS WSG 32, revision 1, firmware 4.0.0, serial number 4711"
+    );
+    rig.ask(Command::GetSystemLimits).with(|reply| {
+        assert_eq!(reply.value(), Some(Value::GetSystemLimits(Model::Wsg32.parameters().limits)));
+    });
+}
+
+#[test]
+fn device_tag_is_kept_and_refused_when_it_is_none() {
+    let mut rig = Rig::new(Config::default());
+    assert_eq!(rig.status(Command::GetDeviceTag), Status::NotAvailable);
+    let tag = DeviceTag::new("cell 4, left").unwrap();
+    assert_eq!(rig.status(Command::SetDeviceTag { tag }), Status::Success);
+    rig.ask(Command::GetDeviceTag).with(|reply| assert_eq!(reply.value(), Some(Value::GetDeviceTag(tag))));
+    assert_eq!(raw(&mut rig, 0x51, &[b'x'; 65]), Status::Overrun);
+    assert_eq!(raw(&mut rig, 0x51, b"line\nfeed"), Status::InvalidParameter);
+    assert_eq!(raw(&mut rig, 0x51, b"short\0\0"), Status::Success);
+    assert_eq!(rig.ask(Command::GetDeviceTag).text(), "52h Get Device Tag E_SUCCESS \"short\"");
+    let configured = Config { tag: Tag::new("from the start").unwrap(), ..Config::default() };
+    let mut rig = Rig::new(configured);
+    assert_eq!(rig.ask(Command::GetDeviceTag).text(), "52h Get Device Tag E_SUCCESS \"from the start\"");
+}
+
+#[test]
+fn refused_payloads_get_the_status_that_the_manual_lists() {
+    let mut rig = Rig::homed(None);
+    for &id in CommandId::ALL {
+        // Too long for every command but Loop and the tag, and FAST STOP that takes anything.
+        if matches!(id, CommandId::Loop | CommandId::SetDeviceTag | CommandId::FastStop) {
+            continue;
+        }
+        let status = raw(&mut rig, id.code(), &[0; 40]);
+        assert!(id.immediate_statuses().contains(&status), "{id}: {status}");
+        assert!(matches!(status, Status::NoParamExpected | Status::CmdFormatError), "{id}: {status}");
+    }
+    assert_eq!(raw(&mut rig, 0x20, &[3]), Status::InvalidParameter);
+    let not_a_number = [&[0][..], &f32::NAN.to_le_bytes(), &50f32.to_le_bytes()].concat();
+    assert_eq!(raw(&mut rig, 0x21, &not_a_number), Status::CmdFormatError);
+    assert_eq!(rig.state(), GripperState::Idle);
+}
+
+#[test]
+fn unknown_commands_are_answered_as_such() {
+    let mut rig = Rig::new(Config::default());
+    for id in [0x00, 0x01, 0x90, 0xA0, 0xBF, 0xFF] {
+        assert_eq!(raw(&mut rig, id, &[1, 2, 3]), Status::CmdUnknown);
+    }
+    rig.send_bytes(&FrameEncoder::new(0x90, &[][..]).collect::<Vec<u8>>());
+    let mut buffer = [0; wsg_sim::MAX_FRAME_LEN];
+    // The manual's example.
+    assert_eq!(
+        rig.gripper.transmit(rig.port, &mut buffer).unwrap(),
+        [0xAA, 0xAA, 0xAA, 0x90, 0x02, 0x00, 0x0E, 0x00, 0xFD, 0x02]
+    );
+}
+
+#[test]
+fn command_failure_flag_shows_the_last_command_that_did_something() {
+    let mut rig = Rig::homed(None);
+    let failed = |rig: &Rig| rig.flags().contains(SystemFlags::CMD_FAILURE);
+    assert!(!failed(&rig));
+    rig.run(grip(20.0));
+    assert!(failed(&rig));
+    // Looking does not clear it.
+    rig.ask(Command::GetSystemState { update: Default::default() })
+        .with(|reply| assert!(reply.to_string().contains("CMD_FAILURE")));
+    rig.ask(Command::GetGripperState { update: Default::default() });
+    assert!(failed(&rig));
+    rig.status(release(50.0));
+    assert!(!failed(&rig));
+    assert_eq!(raw(&mut rig, 0x90, &[]), Status::CmdUnknown);
+    assert!(failed(&rig));
+}
+
+#[test]
+fn fingers_show_type_size_and_flags() {
+    let fingers = [Finger::Fmf, Finger::Dsa];
+    let mut rig = Rig::new(Config { fingers, ..Config::default() });
+    assert_eq!(rig.ask(Command::GetFinger1Info).frame[8..11], [1, 4, 0]);
+    assert_eq!(rig.ask(Command::GetFinger2Info).frame[8..11], [2, 0, 0]);
+    rig.ask(Command::GetFinger1Flags).with(|reply| {
+        let flags = FingerFlags::POWER_ON | FingerFlags::CONFIG_AVAIL | FingerFlags::COMM_OPEN;
+        assert_eq!(reply.value(), Some(Value::GetFinger1Flags(flags)));
+    });
+    let mut rig = Rig::new(Config { fingers: [Finger::None, Finger::Generic], ..Config::default() });
+    for (info, flags) in [
+        (Command::GetFinger1Info, Command::GetFinger1Flags),
+        (Command::GetFinger2Info, Command::GetFinger2Flags),
+    ] {
+        assert_eq!(rig.ask(info).frame[8..11], [0, 0, 0]);
+        assert_eq!(rig.ask(flags).frame[8..10], [1, 0]);
+    }
+}
+
+#[test]
+fn finger_power_answers_twice_when_switched_on_and_once_when_off() {
+    let mut rig = Rig::new(Config { fingers: [Finger::Generic; 2], ..Config::default() });
+    assert_eq!(rig.status(Command::Finger1Power { enabled: false }), Status::Success);
+    assert_eq!(rig.ask(Command::GetFinger1Flags).frame[8], 0);
+    assert_eq!(rig.status(Command::Finger1Power { enabled: true }), Status::CmdPending);
+    assert_eq!(texts(&rig.wait(499)), Vec::<String>::new());
+    assert_eq!(texts(&rig.wait(1)), ["62h Finger 1 Power Control E_SUCCESS"]);
+    assert_eq!(rig.ask(Command::GetFinger1Flags).frame[8], 1);
+}
+
+#[test]
+fn finger_power_is_for_fingers_without_a_known_type() {
+    let mut rig = Rig::new(Config { fingers: [Finger::Fmf, Finger::Dsa], ..Config::default() });
+    assert_eq!(rig.status(Command::Finger1Power { enabled: false }), Status::CmdFailed);
+    assert_eq!(rig.status(Command::Finger2Power { enabled: true }), Status::CmdFailed);
+}
+
+#[test]
+fn force_finger_measures_its_half_of_the_force() {
+    let fingers = [Finger::Fmf, Finger::Generic];
+    let mut rig = Rig::homed_with(Config { fingers, part: Part::of_width(20.0), ..Config::default() });
+    assert_eq!(rig.ask(Command::GetFinger1Data).f32(), 0.0);
+    assert_eq!(rig.status(Command::GetFinger2Data), Status::NotAvailable);
+    rig.run(grip(20.0));
+    assert_eq!(rig.ask(Command::GetFinger1Data).f32(), 20.0);
+    assert_eq!(rig.ask(Command::GetForce { update: Default::default() }).f32(), 40.0);
+    assert!(rig.flags().contains(SystemFlags::FORCECNTL_MODE));
+    rig.run(release(50.0));
+    assert!(!rig.flags().contains(SystemFlags::FORCECNTL_MODE));
+}
+
+#[test]
+fn tare_zeroes_the_sensor_unless_there_is_none_or_a_part_is_held() {
+    let mut rig = Rig::homed(None);
+    assert_eq!(rig.status(Command::TareForceSensor), Status::NotAvailable);
+    let part = Part::of_width(20.0);
+    let mut rig = Rig::homed_with(Config { fingers: [Finger::Fmf; 2], part, ..Config::default() });
+    // Clamped on a block: pressed, but no grip.
+    assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
+    assert_eq!(rig.ask(Command::GetFinger1Data).f32(), 20.0);
+    assert_eq!(rig.status(Command::TareForceSensor), Status::Success);
+    assert_eq!(rig.ask(Command::GetFinger1Data).f32(), 0.0);
+    rig.run(release(50.0));
+    rig.run(grip(20.0));
+    assert_eq!(rig.status(Command::TareForceSensor), Status::AccessDenied);
+}
+
+#[test]
+fn finger_faults_show_in_flags_and_answers() {
+    let mut rig = Rig::new(Config { fingers: [Finger::Fmf, Finger::Generic], ..Config::default() });
+    rig.set_fault(Fault::FingerCommunication(Jaw::One), true);
+    assert!(rig.flags().contains(SystemFlags::FINGER_FAULT));
+    assert_eq!(rig.status(Command::GetFinger1Data), Status::IoError);
+    rig.set_fault(Fault::FingerCommunication(Jaw::One), false);
+    assert!(!rig.flags().contains(SystemFlags::FINGER_FAULT));
+    assert_eq!(rig.status(Command::GetFinger1Data), Status::Success);
+
+    rig.set_fault(Fault::FingerShortCircuit(Jaw::Two), true);
+    assert!(rig.flags().contains(SystemFlags::FINGER_FAULT));
+    assert_eq!(rig.ask(Command::GetFinger2Flags).frame[8..10], [0, 1]);
+    assert_eq!(rig.status(Command::Finger2Power { enabled: true }), Status::CmdFailed);
+    rig.set_fault(Fault::FingerShortCircuit(Jaw::Two), false);
+    assert_eq!(rig.status(Command::Finger2Power { enabled: true }), Status::CmdPending);
+}
+
+#[test]
+fn severe_faults_cause_a_fast_stop_that_outlasts_them() {
+    for (fault, flag) in [
+        (Fault::OverTemperature, SystemFlags::TEMP_FAULT | SystemFlags::TEMP_WARNING),
+        (Fault::SupplyOutOfRange, SystemFlags::POWER_FAULT),
+        (Fault::MotorCurrent, SystemFlags::CURR_FAULT),
+    ] {
+        let mut rig = Rig::homed(None);
+        rig.status(go_to(30.0));
+        rig.wait(100);
+        rig.set_fault(fault, true);
+        assert_eq!(texts(&rig.frames()), ["21h Pre-position Fingers E_CMD_ABORTED"], "{fault:?}");
+        assert!(rig.flags().contains(flag | SystemFlags::FAST_STOP), "{fault:?}");
+        // As long as the cause lasts, nothing unlocks it.
+        assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
+        assert_eq!(rig.status(go_to(30.0)), Status::AccessDenied);
+        rig.set_fault(fault, false);
+        assert!(!rig.flags().intersects(flag), "{fault:?}");
+        assert_eq!(rig.status(go_to(30.0)), Status::AccessDenied);
+        rig.status(Command::ACKNOWLEDGE);
+        assert_eq!(rig.run(go_to(30.0)), Status::Success);
+    }
+}
+
+#[test]
+fn temperature_rises_with_load_and_overdrive_cannot_be_held_for_ever() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    let temperature = |rig: &Rig| rig.gripper.state().temperature.0;
+    let idle = temperature(&rig);
+    rig.status(Command::SetForceLimit { force: 80.0 });
+    rig.run(grip(20.0));
+    let wait_minutes = |rig: &mut Rig, minutes: u64| {
+        rig.now = rig.now.plus_millis(minutes * 60_000);
+        rig.gripper.advance(rig.now);
+    };
+    wait_minutes(&mut rig, 2);
+    let warm = temperature(&rig);
+    assert!(warm > idle + 100, "{idle} to {warm}");
+    wait_minutes(&mut rig, 60);
+    assert!(temperature(&rig) > warm);
+    assert_eq!(rig.state(), GripperState::Holding, "the nominal force may be held for ever");
+    assert!(!rig.flags().contains(SystemFlags::TEMP_WARNING));
+
+    rig.status(Command::OverdriveMode { enabled: true });
+    rig.status(Command::SetForceLimit { force: 120.0 });
+    rig.run(grip(20.0));
+    wait_minutes(&mut rig, 60);
+    assert!(rig.flags().contains(SystemFlags::FAST_STOP));
+    // Without force it has cooled down.
+    assert!(!rig.flags().contains(SystemFlags::TEMP_FAULT));
+    assert_eq!(rig.ask(Command::GetTemperature).text(), "46h Get Temperature E_SUCCESS 32.0 °C");
+}

@@ -1,0 +1,147 @@
+//! The client's side of QEMU's qtest protocol: pins in, memory out, beside a machine that runs.
+//!
+//! One command at a time, a line each way; the protocol is described in QEMU's `system/qtest.c`. Here
+//! is only what this project asks for.
+
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::net::UnixStream;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail, ensure};
+
+/// A connection to a QEMU that was started with `-qtest`.
+#[derive(Debug)]
+pub struct Qtest {
+    connection: BufReader<UnixStream>,
+}
+
+impl Qtest {
+    /// Speaks qtest over `connection`; an answer that takes longer than `patience` is an error.
+    ///
+    /// # Errors
+    /// When `patience` is zero.
+    pub fn new(connection: UnixStream, patience: Duration) -> Result<Self> {
+        connection.set_read_timeout(Some(patience))?;
+        connection.set_write_timeout(Some(patience))?;
+        Ok(Self { connection: BufReader::new(connection) })
+    }
+
+    /// Drives input `line` of the GPIO device at `qom_path` (`/machine/soc/gpioc`) high or low.
+    ///
+    /// # Errors
+    /// When QEMU knows no such device, or does not answer.
+    pub fn set_gpio_in(&mut self, qom_path: &str, line: u8, high: bool) -> Result<()> {
+        let level = u8::from(high);
+        self.command(&format!("set_irq_in {qom_path} unnamed-gpio-in {line} {level}")).map(drop)
+    }
+
+    /// Reads the 32-bit word at `address`, as the core would; a register's side effects happen.
+    ///
+    /// # Errors
+    /// When QEMU does not answer.
+    pub fn readl(&mut self, address: u32) -> Result<u32> {
+        let answer = self.command(&format!("readl {address:#x}"))?;
+        let digits = answer.strip_prefix("0x").unwrap_or(&answer);
+        u32::from_str_radix(digits, 16).with_context(|| format!("QEMU read the word `{answer}`"))
+    }
+
+    /// Reads `len` bytes of memory from `address` on.
+    ///
+    /// # Errors
+    /// When QEMU does not answer, or not with `len` bytes.
+    pub fn read(&mut self, address: u32, len: usize) -> Result<Vec<u8>> {
+        if len == 0 {
+            return Ok(Vec::new());
+        }
+        let answer = self.command(&format!("read {address:#x} {len:#x}"))?;
+        let digits = answer.strip_prefix("0x").unwrap_or(&answer).as_bytes();
+        let bytes: Option<Vec<u8>> =
+            digits.chunks(2).map(|byte| u8::from_str_radix(str::from_utf8(byte).ok()?, 16).ok()).collect();
+        let bytes = bytes.with_context(|| format!("QEMU read the bytes `{answer}`"))?;
+        ensure!(bytes.len() == len, "QEMU read {} bytes instead of {len}", bytes.len());
+        Ok(bytes)
+    }
+
+    /// What QEMU answers to `command` behind its `OK`.
+    fn command(&mut self, command: &str) -> Result<String> {
+        let no_answer = || format!("QEMU does not answer `{command}`");
+        writeln!(self.connection.get_mut(), "{command}").with_context(no_answer)?;
+        let mut line = String::new();
+        loop {
+            line.clear();
+            let read = self.connection.read_line(&mut line).with_context(no_answer)?;
+            ensure!(read > 0, "QEMU ended before it answered `{command}`");
+            match line.trim_end().split_once(' ').unwrap_or((line.trim_end(), "")) {
+                ("OK", answer) => return Ok(answer.to_owned()),
+                ("FAIL" | "ERR", why) => bail!("QEMU refuses `{command}`: {why}"),
+                // News nobody here asked for, like an intercepted interrupt, may come before the answer.
+                _ => {}
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A client, and a peer that has said `answers` already.
+    fn client_hears(answers: &str) -> (Qtest, UnixStream) {
+        let (ours, mut theirs) = UnixStream::pair().unwrap();
+        theirs.write_all(answers.as_bytes()).unwrap();
+        (Qtest::new(ours, Duration::from_millis(20)).unwrap(), theirs)
+    }
+
+    fn line_said_to(peer: UnixStream) -> String {
+        let mut line = String::new();
+        BufReader::new(peer).read_line(&mut line).unwrap();
+        line
+    }
+
+    #[test]
+    fn a_pin_is_set_by_device_line_and_level() {
+        let (mut qtest, peer) = client_hears("OK\n");
+        qtest.set_gpio_in("/machine/soc/gpioc", 13, true).unwrap();
+        assert_eq!(line_said_to(peer), "set_irq_in /machine/soc/gpioc unnamed-gpio-in 13 1\n");
+    }
+
+    #[test]
+    fn a_word_is_read_past_unasked_news() {
+        let (mut qtest, peer) = client_hears("IRQ raise 5\nIRQ lower 5\nOK 0x00000000deadbeef\n");
+        assert_eq!(qtest.readl(0x2000_0000).unwrap(), 0xDEAD_BEEF);
+        assert_eq!(line_said_to(peer), "readl 0x20000000\n");
+    }
+
+    #[test]
+    fn memory_is_read_as_it_lies() {
+        let (mut qtest, peer) = client_hears("OK 0x01fe00\n");
+        assert_eq!(qtest.read(0x2000_0000, 3).unwrap(), [0x01, 0xFE, 0x00]);
+        assert_eq!(line_said_to(peer), "read 0x20000000 0x3\n");
+    }
+
+    #[test]
+    fn fewer_bytes_than_asked_for_are_an_error() {
+        let (mut qtest, _peer) = client_hears("OK 0x01fe\n");
+        assert!(qtest.read(0x2000_0000, 3).is_err());
+    }
+
+    #[test]
+    fn a_refusal_says_what_was_refused_and_why() {
+        let (mut qtest, _peer) = client_hears("FAIL Unknown device\n");
+        let refusal = qtest.set_gpio_in("/machine/gpioz", 0, true).unwrap_err().to_string();
+        assert!(refusal.contains("/machine/gpioz") && refusal.ends_with("Unknown device"), "{refusal}");
+    }
+
+    #[test]
+    fn silence_is_an_error_after_the_patience() {
+        let (mut qtest, _peer) = client_hears("IRQ raise 5\n");
+        assert!(qtest.readl(0).is_err());
+    }
+
+    #[test]
+    fn a_peer_that_hangs_up_is_an_error() {
+        let (mut qtest, peer) = client_hears("");
+        drop(peer);
+        assert!(qtest.readl(0).is_err());
+    }
+}

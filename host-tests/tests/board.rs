@@ -1,0 +1,121 @@
+//! What holds for the board whatever the bridge does: wires, start, and nothing that moves by itself.
+#![cfg(unix)]
+
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use host_tests::emulator::Emulator;
+use wsg_bridge_fw::boards::b_l475e_iot01a::INPUTS;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+
+/// Some hundred turns of the firmware's main loop.
+const A_WHILE: Duration = Duration::from_millis(500);
+
+/// Homing, Pre-position, Grip Part and Release Part: the commands that move the fingers.
+const MOTION_COMMANDS: [u8; 4] = [0x20, 0x21, 0x25, 0x26];
+const PREAMBLE: [u8; 3] = [0xAA; 3];
+
+/// Base address of a GPIO port, and its input data register there (RM0351, 2.2.2 and 8.4.5).
+const GPIOA: u32 = 0x4800_0000;
+const PORT_SPACING: u32 = 0x400;
+const IDR: u32 = 0x10;
+
+fn image() -> PathBuf {
+    std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF names the firmware image").into()
+}
+
+fn board() -> Emulator {
+    Emulator::start(&image()).unwrap()
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn outputs_promise_nothing_while_no_gripper_answers() {
+    let board = board();
+    let changes = board.output_changes();
+    let end = Instant::now() + A_WHILE;
+
+    while let Ok(change) = changes.recv_timeout(end.saturating_duration_since(Instant::now())) {
+        let promised = change.outputs & !(Outputs::ERROR | Outputs::PART_FAULT);
+        assert_eq!(promised, Outputs::empty());
+    }
+    assert!(Instant::now() >= end, "the board went off");
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn each_input_wire_reaches_its_pin_and_is_low_when_broken() {
+    let board = board();
+    let levels = || -> Inputs {
+        let is_high = |port: char, pin: u8| {
+            let register = GPIOA + (port as u32 - 'A' as u32) * PORT_SPACING + IDR;
+            board.readl(register).unwrap() & (1 << pin) != 0
+        };
+        INPUTS.iter().filter(|wire| is_high(wire.port.letter(), wire.pin)).map(|wire| wire.signal).collect()
+    };
+
+    assert_eq!(levels(), Inputs::empty());
+    for wire in Inputs::all().iter() {
+        board.set_inputs(wire).unwrap();
+        assert_eq!(levels(), wire);
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn no_motion_command_is_sent_unasked() {
+    let mut board = board();
+    let mut gripper_line = board.take_gripper_line().unwrap();
+    // No FAST STOP is wanted, and nothing else either.
+    board.set_inputs(Inputs::FAST_STOP_OK).unwrap();
+
+    let sent = received_within(&mut gripper_line, A_WHILE);
+
+    let moves = |frame: &[u8]| frame.starts_with(&PREAMBLE) && MOTION_COMMANDS.contains(&frame[3]);
+    assert!(!sent.windows(4).any(moves), "{sent:02X?}");
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn the_board_outlives_noise_on_the_gripper_line() {
+    let mut board = board();
+    let mut gripper_line = board.take_gripper_line().unwrap();
+    // Every byte value in every neighbourhood of a simple generator, preambles among them.
+    let noise: Vec<u8> =
+        (0..4096_u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8 | (n as u8 & 0xAA)).collect();
+
+    gripper_line.write_all(&noise).unwrap();
+    let _ = received_within(&mut gripper_line, A_WHILE);
+
+    board.set_inputs(Inputs::FAST_STOP_OK).unwrap();
+    assert!(!board.outputs().intersects(Outputs::LINK_OK | Outputs::READY | Outputs::BUSY));
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn a_file_that_is_no_firmware_is_refused_in_one_line() {
+    let refusal = format!("{:#}", Emulator::start("Cargo.toml.missing".as_ref()).unwrap_err());
+    assert!(refusal.contains("Cargo.toml.missing") && !refusal.contains('\n'), "{refusal}");
+}
+
+/// All bytes that come out of `line` in `time`.
+fn received_within(line: &mut UnixStream, time: Duration) -> Vec<u8> {
+    let end = Instant::now() + time;
+    let mut received = Vec::new();
+    let mut chunk = [0; 256];
+    loop {
+        let left = end.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return received;
+        }
+        line.set_read_timeout(Some(left)).unwrap();
+        match line.read(&mut chunk) {
+            Ok(0) => panic!("the board went off"),
+            Ok(count) => received.extend_from_slice(&chunk[..count]),
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+            Err(error) => panic!("{error}"),
+        }
+    }
+}

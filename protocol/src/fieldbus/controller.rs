@@ -1,0 +1,370 @@
+//! From edges in the output image to commands, and from the gripper's answers to the input image (fieldbus,
+//! chapter 6).
+
+use super::image::to_register;
+use super::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
+use crate::command::{Command, CommandId};
+use crate::reply::{Reply, Value};
+use crate::session::{Known, Notice, RequestError};
+use crate::types::{GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits};
+use heapless::Deque;
+
+/// The flags that begin a motion on their rising edge.
+const MOTIONS: CommandFlags =
+    CommandFlags::MOVE.union(CommandFlags::GRIP).union(CommandFlags::RELEASE).union(CommandFlags::HOMING);
+
+/// Commands that may wait to be fetched: a FAST STOP replaces all others, so one motion's two at the most.
+const OUTGOING_LEN: usize = 2;
+
+/// The register interface of a gripper, whatever carries the images.
+///
+/// Sans-IO, beside a [`Session`](crate::session::Session): give it each image by [`set_output`](Self::set_output) and
+/// each notice of the session by [`handle`](Self::handle), then fetch commands by
+/// [`poll_command`](Self::poll_command) and show the PLC [`input`](Self::input).
+///
+/// The rules, beside those that the manual states at each flag:
+/// - The first image gives no edge: what is 1 at power-up starts nothing. FASTSTOP acts on its level there.
+/// - When several motions rise at once only the lowest bit runs; while STOP/ACK or FASTSTOP is 1 none does, and its
+///   edge is lost.
+/// - WIDTH, SPEED or FORCELIMIT changed while the fingers move: FAST STOP. So is SPEED or FORCELIMIT outside the
+///   limits with MOVE, GRIP or RELEASE; HOMING has no parameters.
+/// - A FAST STOP is left only by a rising edge of STOP/ACK while FASTSTOP is 0, and once the gripper has confirmed it.
+/// - MOVE is refused while a part is held: RELEASE is the way to open then (fieldbus, 6.1).
+/// - MOVE stops on a block: fingers that clamp and later snap to the target would move unasked.
+/// - Without a connection a motion is refused, never kept for later.
+///
+/// JOG is not carried out yet.
+#[derive(Debug)]
+pub struct Controller {
+    /// The last image; none before the first.
+    image: Option<OutputImage>,
+    connected: bool,
+    fast_stop: FastStop,
+    /// The motion whose result is awaited.
+    motion: Option<Motion>,
+    /// The command whose outcome the status register shows.
+    shown: Option<CommandId>,
+    status: Status,
+    /// The last command failed, or its outcome is not known.
+    failed: bool,
+    /// The state that the last result implies, until the gripper reports one.
+    settled: Option<GripperState>,
+    outgoing: Deque<Command<'static>, OUTGOING_LEN>,
+}
+
+/// The controller's own memory of a FAST STOP, beside the gripper's flag.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FastStop {
+    /// None, or acknowledged.
+    Clear,
+    /// Asked for; the gripper has not confirmed it.
+    Asked,
+    /// Confirmed; awaits STOP/ACK.
+    Latched,
+}
+
+/// A motion on its way.
+#[derive(Clone, Copy, Debug)]
+struct Motion {
+    command: Command<'static>,
+    /// The force limit is being set first.
+    prepares: bool,
+}
+
+impl Controller {
+    /// A controller that has seen no image and no gripper.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            image: None,
+            connected: false,
+            fast_stop: FastStop::Clear,
+            motion: None,
+            shown: None,
+            status: Status::Success,
+            failed: false,
+            settled: None,
+            outgoing: Deque::new(),
+        }
+    }
+
+    /// Takes an image that the PLC wrote, complete and at once.
+    pub fn set_output(&mut self, image: &OutputImage, known: &Known) {
+        let previous = self.image.replace(*image);
+        let rising =
+            previous.map_or(CommandFlags::empty(), |previous| image.flags.difference(previous.flags));
+        if image.flags.contains(CommandFlags::FASTSTOP) {
+            if previous.is_none() || rising.contains(CommandFlags::FASTSTOP) {
+                self.fast_stop();
+            }
+            return;
+        }
+        let changed = previous.is_some_and(|previous| image.parameters_differ(&previous));
+        if changed && self.is_moving(known) {
+            self.fast_stop();
+        } else if rising.contains(CommandFlags::STOP_ACK) {
+            self.stop_or_acknowledge(known);
+        } else if !image.flags.contains(CommandFlags::STOP_ACK) {
+            self.begin_lowest(rising.intersection(MOTIONS), image, known);
+        }
+    }
+
+    /// Takes what the session noticed.
+    pub fn handle(&mut self, notice: &Notice<'_>) {
+        match notice {
+            Notice::Connected => {
+                self.connected = true;
+                if self.fast_stop == FastStop::Latched {
+                    // The gripper may have been restarted and have forgotten it.
+                    self.fast_stop();
+                }
+            }
+            Notice::Disconnected => {
+                self.connected = false;
+                self.settled = None;
+            }
+            Notice::Answered(reply) => self.answered(reply),
+            Notice::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout),
+            Notice::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted),
+            Notice::Reported(Value::GetGripperState(_)) => self.settled = None,
+            Notice::Pending(_) | Notice::Reported(_) => {}
+        }
+    }
+
+    /// Takes back a command that the session did not take.
+    pub fn refused(&mut self, id: CommandId, error: RequestError) {
+        let status = match error {
+            RequestError::NotConnected => Status::IoError,
+            RequestError::MotionRunning => Status::AlreadyRunning,
+            RequestError::FastStopRunning => Status::AccessDenied,
+            RequestError::Invalid(_) => Status::InvalidParameter,
+            RequestError::QueueFull => Status::InsufficientResources,
+        };
+        self.came_to_nothing(id, status);
+    }
+
+    /// The next command to send.
+    pub fn poll_command(&mut self) -> Option<Command<'static>> {
+        self.outgoing.pop_front()
+    }
+
+    /// The image that the PLC reads.
+    #[must_use]
+    pub fn input(&self, known: &Known) -> InputImage {
+        let unit = force_unit(known);
+        let mut system = known.flags.unwrap_or_default();
+        system.set(SystemFlags::FAST_STOP, self.is_fast_stopped(known));
+        InputImage {
+            state: self.state(known),
+            user: 0,
+            system,
+            width: to_register(known.width.unwrap_or(0.0), 100.0),
+            force: to_register(known.force.unwrap_or(0.0), unit.per_newton()),
+            status: self.status,
+        }
+    }
+
+    /// GSTATE: FAST STOP shows as IDLE (SYSSTATE has the flag), a motion from its edge on, a failure as ERROR; no bit
+    /// when nothing is known.
+    fn state(&self, known: &Known) -> GripperFlags {
+        if self.is_fast_stopped(known) {
+            return GripperFlags::IDLE;
+        }
+        if let Some(motion) = &self.motion {
+            return GripperFlags::from(match motion.command.id() {
+                CommandId::GripPart => GripperState::Gripping,
+                CommandId::ReleasePart => GripperState::Releasing,
+                _ => GripperState::Positioning,
+            });
+        }
+        match self.settled.or(known.state) {
+            // That a part is held matters more than that a command failed, which the status register says.
+            Some(GripperState::Holding) => GripperFlags::HOLDING,
+            _ if self.failed => GripperFlags::ERROR,
+            Some(state) => state.into(),
+            None => GripperFlags::empty(),
+        }
+    }
+
+    fn is_fast_stopped(&self, known: &Known) -> bool {
+        self.fast_stop != FastStop::Clear || has_flag(known, SystemFlags::FAST_STOP)
+    }
+
+    fn is_moving(&self, known: &Known) -> bool {
+        self.motion.is_some() || known.is_moving()
+    }
+
+    fn fast_stop(&mut self) {
+        self.fast_stop = FastStop::Asked;
+        self.send_alone(Command::FastStop);
+    }
+
+    fn stop_or_acknowledge(&mut self, known: &Known) {
+        if self.fast_stop == FastStop::Asked {
+            // The gripper has not heard of it yet: an acknowledgement now would be undone by the FAST STOP behind it.
+            self.show(Status::AccessDenied);
+        } else if !self.connected {
+            self.show(Status::IoError);
+        } else if self.is_fast_stopped(known) {
+            self.send_alone(Command::ACKNOWLEDGE);
+        } else {
+            self.send_alone(Command::Stop);
+        }
+    }
+
+    /// Sends a command that ends or overrules a motion; what the motion still answers no longer matters.
+    fn send_alone(&mut self, command: Command<'static>) {
+        self.motion = None;
+        self.failed = false;
+        self.outgoing.clear();
+        self.send(command);
+        self.shown = Some(command.id());
+        self.status = Status::CmdPending;
+    }
+
+    fn begin_lowest(&mut self, rising: CommandFlags, image: &OutputImage, known: &Known) {
+        let Some(lowest) = rising.iter().next() else { return };
+        if !self.connected {
+            self.show(Status::IoError);
+        } else if self.is_fast_stopped(known) {
+            self.show(Status::AccessDenied);
+        } else if self.is_moving(known) {
+            // The running motion's result will replace this.
+            self.status = Status::AlreadyRunning;
+        } else if lowest == CommandFlags::MOVE && self.state(known) == GripperFlags::HOLDING {
+            self.show(Status::AccessDenied);
+        } else if lowest != CommandFlags::HOMING && !within_limits(image, known) {
+            self.fast_stop();
+        } else {
+            self.begin(lowest, image, known);
+        }
+    }
+
+    fn begin(&mut self, flag: CommandFlags, image: &OutputImage, known: &Known) {
+        let (width, speed) = (image.width_mm(), image.speed_mm_s());
+        let command = match flag {
+            CommandFlags::MOVE => {
+                Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed }
+            }
+            CommandFlags::GRIP => Command::GripPart { width, speed },
+            CommandFlags::RELEASE => Command::ReleasePart { width, speed },
+            _ => Command::Homing { direction: HomingDirection::Default },
+        };
+        let prepares = flag == CommandFlags::GRIP;
+        self.send(if prepares {
+            Command::SetForceLimit { force: image.force_limit_n(force_unit(known)) }
+        } else {
+            command
+        });
+        self.motion = Some(Motion { command, prepares });
+        self.shown = Some(command.id());
+        self.status = Status::CmdPending;
+        self.failed = false;
+        self.settled = None;
+    }
+
+    fn send(&mut self, command: Command<'static>) {
+        // There is room: a motion only begins when none runs, and all else clears the queue first.
+        let _ = self.outgoing.push_back(command);
+    }
+
+    /// A status of the PLC's own doing, with no command behind it.
+    fn show(&mut self, status: Status) {
+        self.shown = None;
+        self.status = status;
+    }
+
+    fn answered(&mut self, reply: &Reply<'_>) {
+        let (id, status) = (reply.id(), reply.status());
+        if let Some(motion) = self.motion {
+            if motion.prepares && id == CommandId::SetForceLimit {
+                if status == Status::Success {
+                    self.motion = Some(Motion { prepares: false, ..motion });
+                    self.send(motion.command);
+                } else {
+                    self.came_to_nothing(id, status);
+                }
+                return;
+            }
+            if id == motion.command.id() {
+                self.finish(id, status);
+                return;
+            }
+        }
+        match (id, status) {
+            (CommandId::FastStop, Status::Success) => self.fast_stop = FastStop::Latched,
+            (CommandId::Acknowledge, Status::Success)
+                // Unless a new FAST STOP was asked for in the meantime.
+                if self.fast_stop == FastStop::Latched => {
+                    self.fast_stop = FastStop::Clear;
+                }
+            (CommandId::Stop, Status::Success) => self.settled = Some(GripperState::Idle),
+            _ => {}
+        }
+        if self.shown == Some(id) {
+            self.status = status;
+        }
+    }
+
+    /// The result of the running motion.
+    fn finish(&mut self, id: CommandId, status: Status) {
+        self.motion = None;
+        self.status = status;
+        self.settled = match (id, status) {
+            (CommandId::GripPart, Status::Success) => Some(GripperState::Holding),
+            (CommandId::GripPart, Status::CmdFailed) => Some(GripperState::NoPart),
+            (_, Status::Success) => Some(GripperState::Idle),
+            _ => None,
+        };
+        self.failed = self.settled.is_none();
+    }
+
+    /// A command that was not carried out, or of which that is not known.
+    fn came_to_nothing(&mut self, id: CommandId, status: Status) {
+        let of_motion = self.motion.is_some_and(|motion| {
+            id == motion.command.id() || (motion.prepares && id == CommandId::SetForceLimit)
+        });
+        if of_motion {
+            self.motion = None;
+            self.failed = true;
+        }
+        if of_motion || self.shown == Some(id) {
+            self.status = status;
+        }
+    }
+}
+
+impl Default for Controller {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+fn force_unit(known: &Known) -> ForceUnit {
+    known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device))
+}
+
+fn has_flag(known: &Known, flag: SystemFlags) -> bool {
+    known.flags.is_some_and(|flags| flags.contains(flag))
+}
+
+/// Whether SPEED and FORCELIMIT are inside the gripper's limits; unknown limits allow nothing.
+fn within_limits(image: &OutputImage, known: &Known) -> bool {
+    let Some(SystemLimits { min_speed, max_speed, min_force, nominal_force, overdrive_force, .. }) =
+        known.limits
+    else {
+        return false;
+    };
+    let overdrive = has_flag(known, SystemFlags::OVERDRIVE_MODE);
+    let max_force = if overdrive { overdrive_force } else { nominal_force };
+    let unit = force_unit(known);
+    // A limit is met by the register value nearest to it.
+    let inside =
+        |value: f32, from: f32, to: f32, half_step: f32| value >= from - half_step && value <= to + half_step;
+    inside(image.speed_mm_s(), min_speed, max_speed, 0.005)
+        && inside(image.force_limit_n(unit), min_force, max_force, 0.5 / unit.per_newton())
+}
+
+#[cfg(test)]
+#[path = "controller_tests.rs"]
+mod tests;

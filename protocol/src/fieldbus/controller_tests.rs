@@ -1,0 +1,461 @@
+//! The rules of the fieldbus manual, one by one, with a session's part played by each test.
+
+use super::*;
+use crate::session::Known;
+use crate::types::{DeviceType, FirmwareVersion, SystemInfo};
+use std::vec;
+use std::vec::Vec;
+
+const LIMITS: SystemLimits = SystemLimits {
+    stroke: 110.0,
+    min_speed: 5.0,
+    max_speed: 420.0,
+    min_acceleration: 100.0,
+    max_acceleration: 5000.0,
+    min_force: 5.0,
+    nominal_force: 80.0,
+    overdrive_force: 120.0,
+};
+
+/// Parameters inside the limits.
+const PARAMETERS: OutputImage =
+    OutputImage { flags: CommandFlags::empty(), user: 0, width: 20_00, speed: 50_00, force_limit: 40_00 };
+
+const GRIP: Command<'static> = Command::GripPart { width: 20.0, speed: 50.0 };
+const MOVE: Command<'static> =
+    Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width: 20.0, speed: 50.0 };
+const FORCE: Command<'static> = Command::SetForceLimit { force: 40.0 };
+const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Default };
+
+struct Plc {
+    controller: Controller,
+    known: Known,
+    image: OutputImage,
+}
+
+impl Plc {
+    /// A PLC with all flags 0 and parameters set, and a connected, referenced, idle gripper.
+    fn ready() -> Self {
+        let mut plc = Self::with_first_image(PARAMETERS);
+        plc.connect();
+        plc
+    }
+
+    fn with_first_image(image: OutputImage) -> Self {
+        let mut plc = Self { controller: Controller::new(), known: Known::NOTHING, image };
+        plc.write(|_| {});
+        plc
+    }
+
+    fn connect(&mut self) {
+        self.known = Known {
+            info: Some(SystemInfo {
+                device: DeviceType::Wsg50,
+                hardware_revision: 1,
+                firmware: FirmwareVersion::new(4, 0, 0, 0),
+                serial_number: 1,
+            }),
+            limits: Some(LIMITS),
+            flags: Some(SystemFlags::REFERENCED),
+            state: Some(GripperState::Idle),
+            width: Some(50.0),
+            force: Some(0.0),
+        };
+        self.controller.handle(&Notice::Connected);
+    }
+
+    fn disconnect(&mut self) {
+        self.known = Known::NOTHING;
+        self.controller.handle(&Notice::Disconnected);
+    }
+
+    fn write(&mut self, change: impl FnOnce(&mut OutputImage)) -> Vec<Command<'static>> {
+        change(&mut self.image);
+        self.controller.set_output(&self.image, &self.known);
+        self.commands()
+    }
+
+    fn raise(&mut self, flags: CommandFlags) -> Vec<Command<'static>> {
+        self.write(|image| image.flags |= flags)
+    }
+
+    fn lower(&mut self, flags: CommandFlags) -> Vec<Command<'static>> {
+        self.write(|image| image.flags &= !flags)
+    }
+
+    fn answer(&mut self, id: CommandId, status: Status) -> Vec<Command<'static>> {
+        self.controller.handle(&Notice::Answered(Reply::status_only(id, status)));
+        self.commands()
+    }
+
+    fn report(&mut self, state: GripperState) {
+        self.known.state = Some(state);
+        self.controller.handle(&Notice::Reported(Value::GetGripperState(state)));
+    }
+
+    fn report_flags(&mut self, flags: SystemFlags) {
+        self.known.flags = Some(flags);
+        self.controller.handle(&Notice::Reported(Value::GetSystemState(flags)));
+    }
+
+    fn commands(&mut self) -> Vec<Command<'static>> {
+        let mut commands = vec![];
+        while let Some(command) = self.controller.poll_command() {
+            commands.push(command);
+        }
+        commands
+    }
+
+    fn shows(&self) -> (GripperFlags, Status) {
+        let input = self.controller.input(&self.known);
+        (input.state, input.status)
+    }
+
+    fn grip(&mut self) {
+        assert_eq!(self.raise(CommandFlags::GRIP), [FORCE]);
+        assert_eq!(self.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
+    }
+}
+
+#[test]
+fn grip_sets_the_force_limit_and_then_grips() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
+    assert_eq!(plc.answer(CommandId::GripPart, Status::Success), []);
+    assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Success));
+}
+
+#[test]
+fn grip_is_not_sent_when_the_force_limit_was_not_taken() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), []);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::CmdFormatError));
+}
+
+#[test]
+fn grip_without_a_part_shows_no_part_and_e_cmd_failed() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.answer(CommandId::GripPart, Status::CmdFailed);
+    assert_eq!(plc.shows(), (GripperFlags::NO_PART, Status::CmdFailed));
+}
+
+#[test]
+fn part_that_goes_while_held_is_shown_lost() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.answer(CommandId::GripPart, Status::Success);
+    plc.report(GripperState::PartLost);
+    assert_eq!(plc.shows(), (GripperFlags::PART_LOST, Status::Success));
+}
+
+#[test]
+fn move_release_and_homing_go_through_their_states() {
+    for (flag, command, state) in [
+        (CommandFlags::MOVE, MOVE, GripperFlags::POSITIONING),
+        (CommandFlags::RELEASE, Command::ReleasePart { width: 20.0, speed: 50.0 }, GripperFlags::RELEASING),
+        (CommandFlags::HOMING, HOMING, GripperFlags::POSITIONING),
+    ] {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(flag), [command]);
+        assert_eq!(plc.shows(), (state, Status::CmdPending));
+        plc.answer(command.id(), Status::Success);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+        assert_eq!(plc.lower(flag), [], "a falling edge is no command");
+        assert_eq!(plc.raise(flag), [command], "the next rising edge is");
+    }
+}
+
+#[test]
+fn motion_that_fails_shows_error_until_the_next_command() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.answer(CommandId::PrePosition, Status::AxisBlocked);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::AxisBlocked));
+    assert_eq!(plc.raise(CommandFlags::HOMING), [HOMING]);
+    assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::CmdPending));
+}
+
+#[test]
+fn flags_that_are_set_at_power_up_start_nothing() {
+    for flag in MOTIONS.iter().chain([CommandFlags::STOP_ACK]) {
+        let mut plc = Plc::with_first_image(OutputImage { flags: flag, ..PARAMETERS });
+        plc.connect();
+        assert_eq!(plc.write(|_| {}), [], "{flag:?}");
+    }
+}
+
+#[test]
+fn of_several_edges_only_the_lowest_runs() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::GRIP | CommandFlags::MOVE | CommandFlags::HOMING), [MOVE]);
+    plc.answer(CommandId::PrePosition, Status::Success);
+    assert_eq!(plc.commands(), [], "the others are lost, not kept");
+}
+
+#[test]
+fn motion_is_ignored_while_stop_is_set_and_its_edge_is_lost() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    plc.answer(CommandId::Stop, Status::Success);
+    assert_eq!(plc.raise(CommandFlags::MOVE), []);
+    assert_eq!(plc.lower(CommandFlags::STOP_ACK), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn stop_beats_a_motion_that_rises_with_it() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK | CommandFlags::MOVE), [Command::Stop]);
+}
+
+#[test]
+fn stop_while_holding_ends_in_idle() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.answer(CommandId::GripPart, Status::Success);
+    plc.report(GripperState::Holding);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    plc.answer(CommandId::Stop, Status::Success);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn stop_in_mid_travel_shows_success_and_not_the_aborted_motion() {
+    for stop_answers_first in [true, false] {
+        let mut plc = Plc::ready();
+        plc.raise(CommandFlags::MOVE);
+        plc.raise(CommandFlags::STOP_ACK);
+        let (stop, motion) =
+            ((CommandId::Stop, Status::Success), (CommandId::PrePosition, Status::CmdAborted));
+        let order = if stop_answers_first { [stop, motion] } else { [motion, stop] };
+        for (id, status) in order {
+            plc.answer(id, status);
+        }
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    }
+}
+
+#[test]
+fn grip_that_is_stopped_while_its_force_limit_is_set_never_grips() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), []);
+}
+
+#[test]
+fn fast_stop_shows_idle_and_the_flag_and_is_left_by_an_acknowledgement_only() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+    plc.answer(CommandId::FastStop, Status::Success);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.report(GripperState::Error);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [], "FASTSTOP is still 1");
+    assert_eq!(plc.lower(CommandFlags::FASTSTOP), [], "STOP/ACK is 1 but does not rise");
+    plc.lower(CommandFlags::STOP_ACK | CommandFlags::MOVE);
+    assert_eq!(plc.raise(CommandFlags::MOVE), [], "motion is refused");
+    assert_eq!(plc.shows().1, Status::AccessDenied);
+    plc.lower(CommandFlags::MOVE);
+
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    plc.answer(CommandId::Acknowledge, Status::Success);
+    plc.report_flags(SystemFlags::REFERENCED);
+    plc.report(GripperState::Idle);
+    plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
+}
+
+#[test]
+fn fast_stop_at_power_up_locks_motion_until_it_is_acknowledged() {
+    let mut plc = Plc { controller: Controller::new(), known: Known::NOTHING, image: PARAMETERS };
+    assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop], "the level counts, without an edge");
+    plc.answer(CommandId::FastStop, Status::Success);
+    plc.connect();
+    plc.commands();
+    plc.answer(CommandId::FastStop, Status::Success);
+    for flag in MOTIONS.iter() {
+        assert_eq!(plc.raise(flag), []);
+        plc.lower(flag);
+    }
+    assert_eq!(plc.lower(CommandFlags::FASTSTOP), []);
+    assert_eq!(plc.raise(CommandFlags::HOMING), [], "high again, but not acknowledged");
+    plc.lower(CommandFlags::HOMING);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+}
+
+#[test]
+fn fast_stop_that_the_gripper_has_not_confirmed_cannot_be_acknowledged() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.lower(CommandFlags::FASTSTOP);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), []);
+    assert_eq!(plc.shows().1, Status::AccessDenied);
+    plc.answer(CommandId::FastStop, Status::Success);
+    plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+}
+
+#[test]
+fn fast_stop_is_given_again_to_a_gripper_that_comes_back() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.answer(CommandId::FastStop, Status::Success);
+    plc.disconnect();
+    plc.connect();
+    assert_eq!(plc.commands(), [Command::FastStop]);
+}
+
+#[test]
+fn fast_stop_of_the_gripper_itself_is_acknowledged_in_the_same_way() {
+    let mut plc = Plc::ready();
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    assert_eq!(plc.raise(CommandFlags::MOVE), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AccessDenied));
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+}
+
+#[test]
+fn parameter_that_changes_while_the_fingers_move_is_a_fast_stop() {
+    let changes: [fn(&mut OutputImage); 3] =
+        [|image| image.width += 1, |image| image.speed += 1, |image| image.force_limit += 1];
+    for change in changes {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.write(change), [], "not while they stand");
+        plc.raise(CommandFlags::MOVE);
+        assert_eq!(plc.write(change), [Command::FastStop]);
+    }
+    let mut plc = Plc::ready();
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    assert_eq!(plc.write(changes[0]), [Command::FastStop], "moved by somebody else");
+}
+
+#[test]
+fn user_flags_may_change_while_the_fingers_move() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    assert_eq!(plc.write(|image| image.user = 0xFF), []);
+}
+
+#[test]
+fn parameter_outside_the_limits_with_a_motion_is_a_fast_stop() {
+    let changes: [fn(&mut OutputImage); 5] = [
+        |image| image.speed = 4_99,
+        |image| image.speed = 420_01,
+        |image| image.force_limit = 4_99,
+        |image| image.force_limit = 80_01,
+        |image| image.force_limit = -1,
+    ];
+    for change in changes {
+        for flag in [CommandFlags::MOVE, CommandFlags::GRIP, CommandFlags::RELEASE] {
+            let mut plc = Plc::ready();
+            assert_eq!(plc.write(change), [], "the value alone does nothing");
+            assert_eq!(plc.raise(flag), [Command::FastStop], "{:?} {flag:?}", plc.image);
+        }
+        let mut plc = Plc::ready();
+        plc.write(change);
+        assert_eq!(plc.raise(CommandFlags::HOMING), [HOMING], "homing has no parameters");
+    }
+}
+
+#[test]
+fn parameters_at_the_limits_are_inside() {
+    for (speed, force_limit) in [(5_00, 5_00), (420_00, 80_00)] {
+        let mut plc = Plc::ready();
+        plc.write(|image| (image.speed, image.force_limit) = (speed, force_limit));
+        assert_eq!(plc.raise(CommandFlags::MOVE).len(), 1);
+        assert_ne!(plc.shows().1, Status::Success);
+        assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    }
+}
+
+#[test]
+fn overdrive_mode_allows_forces_up_to_the_overdrive_limit() {
+    let mut plc = Plc::ready();
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::OVERDRIVE_MODE);
+    plc.write(|image| image.force_limit = 120_00);
+    assert_eq!(plc.raise(CommandFlags::GRIP), [Command::SetForceLimit { force: 120.0 }]);
+}
+
+#[test]
+fn force_of_a_wsg_70_is_in_tenths_of_a_newton() {
+    let mut plc = Plc::ready();
+    plc.known.info = plc.known.info.map(|info| SystemInfo { device: DeviceType::Wsg70, ..info });
+    plc.known.limits = Some(SystemLimits { nominal_force: 400.0, ..LIMITS });
+    plc.known.force = Some(305.0);
+    plc.write(|image| image.force_limit = 3050);
+    assert_eq!(plc.raise(CommandFlags::GRIP), [Command::SetForceLimit { force: 305.0 }]);
+    assert_eq!(plc.controller.input(&plc.known).force, 3050);
+}
+
+#[test]
+fn second_motion_while_one_runs_is_refused_and_the_first_still_ends() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    assert_eq!(plc.raise(CommandFlags::RELEASE), []);
+    assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::AlreadyRunning));
+    plc.answer(CommandId::PrePosition, Status::Success);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn move_is_refused_while_a_part_is_held() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.answer(CommandId::GripPart, Status::Success);
+    plc.lower(CommandFlags::GRIP);
+    assert_eq!(plc.raise(CommandFlags::MOVE), []);
+    assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::AccessDenied));
+}
+
+#[test]
+fn motion_without_a_connection_is_refused_and_not_kept() {
+    let mut plc = Plc::ready();
+    plc.disconnect();
+    assert_eq!(plc.raise(CommandFlags::MOVE), []);
+    assert_eq!(plc.shows(), (GripperFlags::empty(), Status::IoError));
+    plc.connect();
+    assert_eq!(plc.write(|_| {}), []);
+}
+
+#[test]
+fn motion_whose_outcome_is_not_known_shows_error_and_e_timeout() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart));
+    plc.disconnect();
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
+    plc.connect();
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout), "still not known after the reconnect");
+}
+
+#[test]
+fn part_that_is_held_shows_even_if_the_result_of_the_grip_was_lost() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.report(GripperState::Holding);
+    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart));
+    assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Timeout));
+}
+
+#[test]
+fn command_that_the_session_refuses_shows_why() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::AlreadyRunning));
+}
+
+#[test]
+fn measured_values_stand_in_the_input_image() {
+    let mut plc = Plc::ready();
+    (plc.known.width, plc.known.force) = (Some(12.2), Some(4.05));
+    let input = plc.controller.input(&plc.known);
+    assert_eq!((input.width, input.force), (1220, 405));
+}

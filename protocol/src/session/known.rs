@@ -1,0 +1,60 @@
+//! What the session knows of the gripper.
+
+use crate::command::CommandId;
+use crate::reply::Value;
+use crate::types::{GripperState, SystemFlags, SystemInfo, SystemLimits};
+
+/// What the gripper has told since the connection stands; `None` is not known.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Known {
+    /// Device, versions, serial number.
+    pub info: Option<SystemInfo>,
+    /// Physical limits.
+    pub limits: Option<SystemLimits>,
+    /// System state.
+    pub flags: Option<SystemFlags>,
+    /// Gripper state.
+    pub state: Option<GripperState>,
+    /// Opening width in mm.
+    pub width: Option<f32>,
+    /// Gripping force in N, summed over both fingers.
+    pub force: Option<f32>,
+}
+
+impl Known {
+    /// Nothing is known.
+    pub const NOTHING: Self =
+        Self { info: None, limits: None, flags: None, state: None, width: None, force: None };
+
+    /// Whether the gripper reports that the fingers move.
+    #[must_use]
+    pub fn is_moving(&self) -> bool {
+        self.flags.is_some_and(|flags| flags.contains(SystemFlags::MOVING))
+            || self.state.is_some_and(GripperState::is_motion)
+    }
+
+    /// Takes over a value, if it is one that is kept.
+    pub(super) fn learn(&mut self, value: &Value<'_>) {
+        match *value {
+            Value::GetSystemInfo(info) => self.info = Some(info),
+            Value::GetSystemLimits(limits) => self.limits = Some(limits),
+            Value::GetSystemState(flags) => self.flags = Some(flags),
+            Value::GetGripperState(state) => self.state = Some(state),
+            Value::GetOpeningWidth(width) => self.width = Some(width),
+            Value::GetForce(force) => self.force = Some(force),
+            _ => {}
+        }
+    }
+
+    /// Whether the values of this command are kept.
+    pub(super) const fn holds(id: CommandId) -> bool {
+        matches!(
+            id,
+            CommandId::GetSystemState
+                | CommandId::GetGripperState
+                | CommandId::GetOpeningWidth
+                | CommandId::GetForce
+        )
+    }
+}

@@ -1,0 +1,449 @@
+//! The session in virtual time, against a gripper whose answers each test writes down.
+
+use super::*;
+use crate::types::{
+    DeviceType, FirmwareVersion, GripperState, HomingDirection, SystemFlags, SystemInfo, SystemLimits,
+};
+use crate::{Frame, Payload};
+use std::vec;
+use std::vec::Vec;
+
+const GRIP: Command<'static> = Command::GripPart { width: 20.0, speed: 50.0 };
+const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Default };
+
+pub(crate) const INFO: SystemInfo = SystemInfo {
+    device: DeviceType::Wsg50,
+    hardware_revision: 1,
+    firmware: FirmwareVersion::new(4, 0, 0, 0),
+    serial_number: 7,
+};
+
+pub(crate) const LIMITS: SystemLimits = SystemLimits {
+    stroke: 110.0,
+    min_speed: 5.0,
+    max_speed: 420.0,
+    min_acceleration: 100.0,
+    max_acceleration: 5000.0,
+    min_force: 5.0,
+    nominal_force: 80.0,
+    overdrive_force: 120.0,
+};
+
+/// A session, its clock, and what has happened.
+struct Desk {
+    session: Session,
+    now: Instant,
+    notices: Vec<std::string::String>,
+}
+
+impl Desk {
+    fn new() -> Self {
+        // Near the end of the clock's range, so that every script also shows that it may wrap.
+        Self {
+            session: Session::new(Config::DEFAULT),
+            now: Instant::from_millis(u32::MAX - 400),
+            notices: vec![],
+        }
+    }
+
+    fn connected() -> Self {
+        let mut desk = Self::new();
+        desk.connect();
+        desk.notices.clear();
+        desk
+    }
+
+    fn connect(&mut self) {
+        for _ in 0..2_000 {
+            if self.session.is_connected() {
+                return;
+            }
+            for command in self.pass(1) {
+                self.answer(command.id());
+            }
+        }
+        panic!("a gripper that answers is found");
+    }
+
+    /// Lets `ms` pass, one by one, noting what happens.
+    fn pass(&mut self, ms: u32) -> Vec<Command<'static>> {
+        let mut sent = self.sent();
+        for _ in 0..ms {
+            self.now = self.now.plus(1);
+            sent.extend(self.sent());
+        }
+        sent
+    }
+
+    fn sent(&mut self) -> Vec<Command<'static>> {
+        while let Some(notice) = self.session.tick(self.now) {
+            self.notices.push(std::format!("{notice:?}"));
+        }
+        let mut sent = vec![];
+        while let Some(command) = self.session.poll_transmit(self.now) {
+            sent.push(command);
+        }
+        sent
+    }
+
+    fn reply(&mut self, reply: Reply<'_>) {
+        let payload: Vec<u8> = (0..reply.len()).map(|at| reply.byte(at)).collect();
+        let event = Event::Frame(Frame { id: reply.id().code(), payload: &payload });
+        if let Some(notice) = self.session.handle(self.now, &event) {
+            self.notices.push(std::format!("{notice:?}"));
+        }
+    }
+
+    fn status(&mut self, id: CommandId, status: Status) {
+        self.reply(Reply::status_only(id, status));
+    }
+
+    /// A healthy gripper's answer to one of the session's own requests.
+    fn answer(&mut self, id: CommandId) {
+        self.reply(Reply::success(match id {
+            CommandId::GetSystemInfo => Value::GetSystemInfo(INFO),
+            CommandId::GetSystemLimits => Value::GetSystemLimits(LIMITS),
+            CommandId::GetSystemState => Value::GetSystemState(SystemFlags::REFERENCED),
+            CommandId::GetGripperState => Value::GetGripperState(GripperState::Idle),
+            other => return self.status(other, Status::Success),
+        }));
+    }
+
+    /// Lets `ms` pass with a gripper that answers the session's own requests, and nothing else.
+    fn pass_answered(&mut self, ms: u32) {
+        for _ in 0..ms {
+            for command in self.pass(1) {
+                if command.id().kind() == Kind::Query {
+                    self.answer(command.id());
+                }
+            }
+        }
+    }
+
+    fn noticed(&self, text: &str) -> usize {
+        self.notices.iter().filter(|notice| notice.starts_with(text)).count()
+    }
+}
+
+#[test]
+fn connecting_asks_for_device_and_limits_and_subscribes() {
+    let mut desk = Desk::new();
+    let mut asked = vec![];
+    while !desk.session.is_connected() {
+        for command in desk.sent() {
+            asked.push(command);
+            desk.answer(command.id());
+        }
+    }
+    let update = AutoUpdate::on_change(10);
+    let expected = [
+        Command::GetSystemInfo,
+        Command::GetSystemLimits,
+        Command::GetSystemState { update },
+        Command::GetGripperState { update },
+    ];
+    assert_eq!(asked, expected);
+    assert_eq!(desk.notices, ["Connected"]);
+    assert_eq!(desk.session.known().limits, Some(LIMITS));
+}
+
+#[test]
+fn motion_is_pending_and_then_done_while_queries_go_on() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.sent(), [GRIP]);
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    desk.session.request(Command::GetTemperature).unwrap();
+    assert_eq!(desk.sent(), [Command::GetTemperature]);
+    desk.reply(Reply::success(Value::GetTemperature(crate::Temperature(250))));
+    desk.status(CommandId::GripPart, Status::Success);
+    assert_eq!(desk.noticed("Pending(GripPart)"), 1);
+    assert_eq!(desk.noticed("Answered(Reply { id: GetTemperature, status: Success"), 1);
+    assert_eq!(desk.noticed("Answered(Reply { id: GripPart, status: Success"), 1);
+    assert_eq!(desk.session.motion(), None);
+    assert_eq!(desk.session.counters().unasked, 0);
+}
+
+#[test]
+fn second_motion_is_refused_while_one_runs() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.session.request(HOMING), Err(RequestError::MotionRunning), "while it waits");
+    desk.sent();
+    assert_eq!(desk.session.request(HOMING), Err(RequestError::MotionRunning), "while it is sent");
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    assert_eq!(desk.session.request(HOMING), Err(RequestError::MotionRunning), "while it runs");
+    desk.status(CommandId::GripPart, Status::CmdFailed);
+    assert_eq!(desk.session.request(HOMING), Ok(()));
+}
+
+#[test]
+fn motion_without_an_answer_is_never_sent_again() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    let sent = desk.pass(5_000);
+    assert_eq!(sent.iter().filter(|command| **command == GRIP).count(), 1);
+    assert_eq!(desk.noticed("Unanswered(GripPart)"), 1);
+    assert_eq!(desk.noticed("Disconnected"), 1);
+}
+
+#[test]
+fn query_without_an_answer_is_repeated_and_then_the_link_is_lost() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::GetTemperature).unwrap();
+    let sent = desk.pass(599);
+    assert_eq!(sent.iter().filter(|command| **command == Command::GetTemperature).count(), 3);
+    desk.pass(1);
+    assert_eq!(desk.notices.first().map(|notice| &notice[..]), Some("Unanswered(GetTemperature)"));
+    assert_eq!(desk.noticed("Disconnected"), 1);
+    assert_eq!(desk.session.known(), &Known::NOTHING);
+}
+
+#[test]
+fn silence_is_noticed_within_a_second_and_a_gripper_that_comes_back_is_found() {
+    let mut desk = Desk::connected();
+    desk.pass(1_000);
+    assert_eq!(desk.notices, ["Disconnected"]);
+    let asked = desk.pass(2_000);
+    assert!(asked.iter().all(|command| *command == Command::GetSystemInfo), "{asked:?}");
+    assert!(asked.len() >= 3);
+    desk.connect();
+    assert_eq!(desk.notices, ["Disconnected", "Connected"]);
+}
+
+#[test]
+fn subscriptions_are_renewed_in_turn_so_that_a_restarted_gripper_is_noticed() {
+    let mut desk = Desk::connected();
+    let mut asked = vec![];
+    for _ in 0..1_010 {
+        for command in desk.pass(1) {
+            asked.push(command.id());
+            desk.answer(command.id());
+        }
+    }
+    let (state, gripper) = (CommandId::GetSystemState, CommandId::GetGripperState);
+    assert_eq!(asked, [state, gripper, state, gripper]);
+}
+
+#[test]
+fn nothing_asked_for_before_a_disconnect_leaves_after_it() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::SetForceLimit { force: 40.0 }).unwrap();
+    desk.session.request(GRIP).unwrap();
+    let sent = desk.pass(2_000);
+    assert!(!sent.contains(&GRIP));
+    assert_eq!(desk.noticed("Unanswered(SetForceLimit)"), 1);
+    assert_eq!(desk.noticed("Withdrawn(GripPart)"), 1);
+    desk.connect();
+    assert!(desk.pass(200).iter().all(|command| command.id().kind() == Kind::Query));
+}
+
+#[test]
+fn stop_overtakes_what_waits_and_ends_the_motion() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    desk.session.request(Command::SetForceLimit { force: 40.0 }).unwrap();
+    desk.session.request(Command::Stop).unwrap();
+    assert_eq!(desk.sent(), [Command::Stop]);
+    assert_eq!(desk.noticed("Withdrawn(SetForceLimit)"), 1);
+    desk.status(CommandId::GripPart, Status::CmdAborted);
+    desk.status(CommandId::Stop, Status::Success);
+    assert_eq!(desk.noticed("Answered(Reply { id: GripPart, status: CmdAborted"), 1);
+    assert_eq!(desk.noticed("Answered(Reply { id: Stop, status: Success"), 1);
+}
+
+#[test]
+fn fast_stop_goes_first_and_is_repeated_until_it_is_confirmed() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.session.request(Command::FastStop).unwrap();
+    let sent = desk.pass(10_000);
+    assert!(!sent.contains(&GRIP), "what waited is withdrawn");
+    assert_eq!(sent.first(), Some(&Command::FastStop));
+    let stops = sent.iter().filter(|command| **command == Command::FastStop).count();
+    assert!(stops >= 40, "over the disconnect, without end: {stops}");
+    desk.status(CommandId::FastStop, Status::CmdFormatError);
+    assert!(desk.session.owes_fast_stop(), "only E_SUCCESS confirms it");
+    desk.status(CommandId::FastStop, Status::Success);
+    assert!(!desk.session.owes_fast_stop());
+    desk.connect();
+    assert!(!desk.pass(100).contains(&Command::FastStop), "and it is not sent again");
+}
+
+#[test]
+fn fast_stop_is_the_first_thing_that_a_gripper_hears() {
+    let mut desk = Desk::new();
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(desk.sent(), [Command::FastStop]);
+    assert_eq!(desk.session.request(Command::ACKNOWLEDGE), Err(RequestError::NotConnected));
+    desk.status(CommandId::FastStop, Status::Success);
+    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+}
+
+#[test]
+fn fast_stop_is_never_acknowledged_by_the_session() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(desk.session.request(Command::ACKNOWLEDGE), Err(RequestError::FastStopRunning));
+    desk.sent();
+    desk.status(CommandId::FastStop, Status::Success);
+    desk.reply(Reply::success(Value::GetSystemState(SystemFlags::REFERENCED | SystemFlags::FAST_STOP)));
+    for _ in 0..3 {
+        assert!(!desk.pass(3_000).contains(&Command::ACKNOWLEDGE));
+        desk.connect();
+    }
+}
+
+#[test]
+fn acknowledgement_without_an_answer_is_not_repeated() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::ACKNOWLEDGE).unwrap();
+    let sent = desk.pass(3_000);
+    assert_eq!(sent.iter().filter(|command| **command == Command::ACKNOWLEDGE).count(), 1);
+    assert_eq!(desk.noticed("Unanswered(Acknowledge)"), 1);
+}
+
+#[test]
+fn lost_result_is_given_up_once_the_gripper_stands_still() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    desk.reply(Reply::success(Value::GetGripperState(GripperState::Gripping)));
+    desk.pass(100);
+    desk.reply(Reply::success(Value::GetGripperState(GripperState::Holding)));
+    desk.pass_answered(900);
+    assert_eq!(desk.noticed("Unanswered"), 0, "a result may be a little late");
+    desk.pass_answered(200);
+    assert_eq!(desk.noticed("Unanswered(GripPart)"), 1);
+    assert!(desk.session.is_connected());
+}
+
+#[test]
+fn slow_motion_is_waited_for_while_the_gripper_reports_it() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    for _ in 0..30_000 {
+        for command in desk.pass(1) {
+            match command.id() {
+                CommandId::GetGripperState => {
+                    desk.reply(Reply::success(Value::GetGripperState(GripperState::Gripping)));
+                }
+                id => desk.answer(id),
+            }
+        }
+    }
+    assert_eq!(desk.noticed("Unanswered"), 0);
+    desk.status(CommandId::GripPart, Status::Success);
+    assert_eq!(desk.noticed("Answered(Reply { id: GripPart, status: Success"), 1);
+}
+
+#[test]
+fn late_result_of_an_earlier_motion_is_not_taken_for_that_of_a_new_one() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.pass(5_000);
+    desk.connect();
+    desk.notices.clear();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.status(CommandId::GripPart, Status::Success); // of the first
+    assert_eq!(desk.notices, [""; 0]);
+    assert_eq!(desk.session.counters().unasked, 1);
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    desk.status(CommandId::GripPart, Status::CmdFailed);
+    assert_eq!(desk.noticed("Answered(Reply { id: GripPart, status: CmdFailed"), 1);
+}
+
+#[test]
+fn unasked_and_forbidden_frames_are_counted_and_change_nothing() {
+    let mut desk = Desk::connected();
+    desk.status(CommandId::Homing, Status::Success);
+    desk.status(CommandId::Unknown(0xB0), Status::Success);
+    assert_eq!(desk.session.counters().unasked, 2);
+    let undefined = Event::Frame(Frame { id: 0x41, payload: &[0, 0, 9] });
+    assert_eq!(desk.session.handle(desk.now, &undefined), None);
+    assert_eq!(desk.session.counters().refused, 1);
+    assert_eq!(desk.session.known().state, Some(GripperState::Idle));
+    assert_eq!(desk.notices, [""; 0]);
+}
+
+#[test]
+fn updates_are_reported_as_they_come() {
+    let mut desk = Desk::connected();
+    desk.reply(Reply::success(Value::GetGripperState(GripperState::PartLost)));
+    assert_eq!(desk.notices, ["Reported(GetGripperState(PartLost))"]);
+    assert_eq!(desk.session.known().state, Some(GripperState::PartLost));
+    assert_eq!(desk.session.counters().unasked, 0);
+}
+
+#[test]
+fn error_status_is_the_answer_of_a_motion_that_did_not_begin() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.status(CommandId::GripPart, Status::AccessDenied);
+    assert_eq!(desk.noticed("Answered(Reply { id: GripPart, status: AccessDenied"), 1);
+    assert_eq!(desk.session.motion(), None);
+}
+
+#[test]
+fn number_that_is_not_finite_is_refused_before_it_is_sent() {
+    let mut desk = Desk::connected();
+    let refused = desk.session.request(Command::GripPart { width: f32::NAN, speed: 50.0 });
+    assert_eq!(refused, Err(RequestError::Invalid(Refusal::NotFinite)));
+    assert_eq!(desk.sent(), []);
+}
+
+#[test]
+fn queue_that_is_full_refuses_and_loses_nothing() {
+    let mut desk = Desk::connected();
+    for _ in 0..QUEUE_LEN {
+        desk.session.request(Command::GetTemperature).unwrap();
+    }
+    assert_eq!(desk.session.request(Command::GetTemperature), Err(RequestError::QueueFull));
+    for _ in 0..QUEUE_LEN {
+        assert_eq!(desk.sent(), [Command::GetTemperature]);
+        desk.reply(Reply::success(Value::GetTemperature(crate::Temperature(0))));
+    }
+    assert_eq!(desk.sent(), []);
+}
+
+#[test]
+fn finger_supply_may_be_switched_on_beside_a_motion() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    desk.session.request(Command::Finger1Power { enabled: true }).unwrap();
+    desk.sent();
+    desk.status(CommandId::Finger1Power, Status::CmdPending);
+    desk.status(CommandId::GripPart, Status::Success);
+    desk.status(CommandId::Finger1Power, Status::Success);
+    assert_eq!(desk.noticed("Answered(Reply { id: Finger1Power, status: Success"), 1);
+    assert_eq!(desk.noticed("Answered(Reply { id: GripPart, status: Success"), 1);
+}
+
+#[test]
+fn time_out_is_told_in_advance() {
+    let mut desk = Desk::connected();
+    let mut checked = 0;
+    for step in 0..2_000 {
+        if step == 100 {
+            desk.session.request(GRIP).unwrap();
+        }
+        let due = desk.session.poll_timeout();
+        let before = (desk.notices.len(), desk.session.is_connected());
+        let sent = desk.pass(1);
+        let happened = !sent.is_empty() || before != (desk.notices.len(), desk.session.is_connected());
+        if happened && step != 100 {
+            checked += 1;
+            assert!(due.is_some_and(|due| desk.now.has_reached(due)), "{step}: {sent:?} was not announced");
+        }
+    }
+    assert!(checked > 5, "{checked}");
+}

@@ -1,0 +1,99 @@
+//! The formatter and the linter: parts of a tool chain that a machine may lack, and that only `test` asks for.
+
+use std::{path::Path, process::Command};
+
+use super::{
+    ThumbToolchain,
+    apt::{self, Packages},
+    installing_is_forbidden, obstacle_to_installing, rust_target,
+};
+use crate::{process, workspace::Workspace};
+
+/// A part of the tool chain that rustup's minimal profile and Debian's `cargo-web` leave out.
+#[derive(Clone, Copy)]
+pub(crate) enum Component {
+    /// The formatter.
+    Rustfmt,
+    /// The linter.
+    Clippy,
+}
+
+impl Component {
+    /// Makes the component available to the cargo that was called; says whether it is.
+    pub(crate) fn provide(self, workspace: &Workspace) -> bool {
+        self.is_available(workspace) || {
+            self.add(workspace);
+            self.is_available(workspace)
+        }
+    }
+
+    /// [`Self::provide`] for the cargo that builds for the thumb target.
+    pub(crate) fn provide_for_thumb(self, workspace: &Workspace, toolchain: &ThumbToolchain) -> bool {
+        match toolchain {
+            ThumbToolchain::Active => self.provide(workspace),
+            ThumbToolchain::Debian { .. } => {
+                let program = self.debian_program();
+                program.exists() || {
+                    self.install_debian_package();
+                    program.exists()
+                }
+            }
+        }
+    }
+
+    fn is_available(self, workspace: &Workspace) -> bool {
+        process::answer(workspace.cargo().args([self.subcommand(), "--version"])).is_some()
+    }
+
+    fn add(self, workspace: &Workspace) {
+        if workspace.cargo_is(rust_target::DEBIAN_CARGO) {
+            self.install_debian_package();
+        } else if !installing_is_forbidden() && rust_target::rustup_may_be_called() {
+            let mut rustup = Command::new("rustup");
+            rustup.current_dir(&workspace.root).args(["component", "add", self.rustup_name()]);
+            report(process::run(&mut rustup));
+        }
+    }
+
+    fn install_debian_package(self) {
+        if obstacle_to_installing().is_none() {
+            let package = Packages { names: vec![self.debian_package()], release: None, source: None };
+            report(apt::install(&[package]));
+        }
+    }
+
+    fn subcommand(self) -> &'static str {
+        match self {
+            Self::Rustfmt => "fmt",
+            Self::Clippy => "clippy",
+        }
+    }
+
+    fn rustup_name(self) -> &'static str {
+        match self {
+            Self::Rustfmt => "rustfmt",
+            Self::Clippy => "clippy",
+        }
+    }
+
+    fn debian_package(self) -> &'static str {
+        match self {
+            Self::Rustfmt => "rustfmt-web",
+            Self::Clippy => "rust-web-clippy",
+        }
+    }
+
+    fn debian_program(self) -> &'static Path {
+        Path::new(match self {
+            Self::Rustfmt => "/usr/bin/cargo-fmt",
+            Self::Clippy => rust_target::DEBIAN_CLIPPY,
+        })
+    }
+}
+
+/// A component that can not be had is no failure here: `test` says what it therefore could not check.
+fn report(outcome: anyhow::Result<()>) {
+    if let Err(error) = outcome {
+        eprintln!("{error:#}");
+    }
+}

@@ -1,0 +1,226 @@
+//! The Cortex-M4F target: by the active tool chain where it has the target, else by Debian's Rust packages,
+//! which build `core` from source.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use super::{apt::Packages, is_set};
+use crate::{process, workspace::Workspace};
+
+/// The target of the default board's Cortex-M4F.
+pub(crate) const TRIPLE: &str = "thumbv7em-none-eabihf";
+
+/// What adds the target where rustup reaches its server.
+pub(crate) const RUSTUP_LINE: &str = "rustup target add thumbv7em-none-eabihf";
+
+/// The oldest Rust that builds this workspace.
+pub(crate) const MINIMUM_RUST: &str = env!("CARGO_PKG_RUST_VERSION");
+
+pub(super) const DEBIAN_CARGO: &str = "/usr/bin/cargo";
+const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+pub(super) const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
+const DEBIAN_LINKER: &str = "/usr/bin/ld.lld";
+
+/// What builds for the thumb target.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum ThumbToolchain {
+    /// The tool chain of the cargo that was called.
+    Active,
+    /// Debian's `cargo-web`, `rustc-web` and `rust-web-src`.
+    Debian {
+        /// The linker, by its whole path.
+        linker: PathBuf,
+    },
+}
+
+/// The tool chain that can build for the target as things are; nothing is installed.
+pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
+    if !is_set("WSG_NO_RUSTUP") && active_has_core(workspace) {
+        return Some(ThumbToolchain::Active);
+    }
+    if !debian_can_build_core() {
+        return None;
+    }
+    linker(workspace).map(|linker| ThumbToolchain::Debian { linker })
+}
+
+/// Lets rustup add the target; says whether it did.
+pub(crate) fn add_by_rustup(workspace: &Workspace) -> bool {
+    if super::installing_is_forbidden() || !rustup_may_be_called() {
+        return false;
+    }
+    let mut rustup = Command::new("rustup");
+    // Its own account of a failed download is enough; a backtrace after it hides what is done next.
+    rustup.current_dir(&workspace.root).env_remove("RUST_BACKTRACE").args(["target", "add", TRIPLE]);
+    match process::run(&mut rustup) {
+        Ok(()) => true,
+        Err(error) => {
+            eprintln!("{error:#}: taking Debian's Rust packages instead");
+            false
+        }
+    }
+}
+
+/// Whether there is a rustup and `WSG_NO_RUSTUP` does not forbid it.
+pub(crate) fn rustup_may_be_called() -> bool {
+    !is_set("WSG_NO_RUSTUP") && process::answer(Command::new("rustup").arg("--version")).is_some()
+}
+
+/// Debian's packages that build `core` from source and link.
+pub(crate) fn packages(workspace: &Workspace) -> Packages {
+    let mut names = vec!["cargo-web", "rustc-web", "rust-web-src"];
+    if linker(workspace).is_none() {
+        names.push("lld");
+    }
+    Packages { names, release: None, source: None }
+}
+
+impl ThumbToolchain {
+    /// `cargo <subcommand>` for the target, with every option that the tool chain needs.
+    pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str) -> Command {
+        let mut command = match self {
+            Self::Active => {
+                let mut command = workspace.cargo();
+                command.arg(subcommand);
+                command
+            }
+            Self::Debian { linker } => debian_cargo(workspace, subcommand, linker),
+        };
+        command.args(["--target", TRIPLE, "--config", &remap_config(workspace)]);
+        // Flags from the environment would displace the linker script's of .cargo/config.toml, and make this
+        // image another than everybody's.
+        for name in ["RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUSTFLAGS"] {
+            command.env_remove(name);
+        }
+        command
+    }
+
+    /// The folder that holds what was built with `profile`.
+    pub(crate) fn output_dir(&self, workspace: &Workspace, profile: &str) -> PathBuf {
+        let target_dir = match self {
+            Self::Active => workspace.target_dir.clone(),
+            Self::Debian { .. } => debian_target_dir(workspace),
+        };
+        target_dir.join(TRIPLE).join(profile)
+    }
+}
+
+fn debian_cargo(workspace: &Workspace, subcommand: &str, linker: &Path) -> Command {
+    // cargo would look for `cargo-clippy` in its home first, where rustup's shim is.
+    let program = if subcommand == "clippy" { DEBIAN_CLIPPY } else { DEBIAN_CARGO };
+    let mut command = Command::new(program);
+    command.current_dir(&workspace.root).args([subcommand, "-Z", "build-std=core"]);
+    command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
+    command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker);
+    command.env("CARGO_TARGET_DIR", debian_target_dir(workspace));
+    // The outer cargo's: they would lead Debian's programs to rustup's tool chain and its libraries.
+    command.env_remove("RUSTUP_TOOLCHAIN").env_remove("LD_LIBRARY_PATH").env_remove("RUSTDOC");
+    command
+}
+
+/// Apart from the active tool chain's, so that neither waits for the other's lock nor cleans its work away.
+fn debian_target_dir(workspace: &Workspace) -> PathBuf {
+    workspace.target_dir.join("debian")
+}
+
+/// Takes the places of this checkout, its target folder and cargo's home out of the debug information, so that
+/// the same sources give the same image everywhere. `--config` adds to the flags of .cargo/config.toml.
+fn remap_config(workspace: &Workspace) -> String {
+    // rustc takes the last that fits: the target folder may lie within the checkout.
+    let mut places = vec![(workspace.root.clone(), "."), (workspace.target_dir.clone(), "target")];
+    places.extend(workspace.cargo_home().map(|home| (home, "cargo")));
+    let flags: Vec<String> = places
+        .iter()
+        .map(|(place, name)| toml_string(&format!("--remap-path-prefix={}={name}", place.display())))
+        .collect();
+    format!("target.{TRIPLE}.rustflags=[{}]", flags.join(", "))
+}
+
+fn toml_string(text: &str) -> String {
+    format!("\"{}\"", text.replace('\\', r"\\").replace('"', "\\\""))
+}
+
+fn active_has_core(workspace: &Workspace) -> bool {
+    let answer = process::answer(workspace.rustc().args(["--print", "target-libdir", "--target", TRIPLE]));
+    answer.is_some_and(|dir| holds_core(Path::new(dir.trim())))
+}
+
+/// rustc names the folder whether or not the target is installed.
+fn holds_core(libdir: &Path) -> bool {
+    fs::read_dir(libdir).into_iter().flatten().flatten().any(|entry| {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        name.starts_with("libcore-") && name.ends_with(".rlib")
+    })
+}
+
+fn debian_can_build_core() -> bool {
+    if !Path::new(DEBIAN_CARGO).exists() {
+        return false;
+    }
+    let ask = |question: [&str; 1]| {
+        // The outer cargo's library path would give Debian's rustc the libraries of rustup's.
+        process::answer(Command::new(DEBIAN_RUSTC).env_remove("LD_LIBRARY_PATH").args(question))
+    };
+    let new_enough = ask(["--version"]).is_some_and(|version| is_new_enough(&version, MINIMUM_RUST));
+    let core = Path::new("lib/rustlib/src/rust/library/core/Cargo.toml");
+    new_enough
+        && ask(["--print=sysroot"]).is_some_and(|sysroot| Path::new(sysroot.trim()).join(core).exists())
+}
+
+/// `rust-lld` beside the active tool chain's libraries, else Debian's `lld`.
+fn linker(workspace: &Workspace) -> Option<PathBuf> {
+    let libdir = process::answer(workspace.rustc().args(["--print", "target-libdir"]));
+    let rust_lld = libdir.and_then(|dir| Some(Path::new(dir.trim()).parent()?.join("bin/rust-lld")));
+    rust_lld.into_iter().chain([PathBuf::from(DEBIAN_LINKER)]).find(|linker| linker.exists())
+}
+
+/// Compares `rustc --version` with a `rust-version`, by major and minor number.
+fn is_new_enough(rustc_version: &str, minimum: &str) -> bool {
+    let numbers = |version: &str| {
+        let mut parts = version.split('.').map(|part| part.parse::<u32>().ok());
+        Some((parts.next()??, parts.next()??))
+    };
+    match (rustc_version.split_whitespace().nth(1).and_then(numbers), numbers(minimum)) {
+        (Some(version), Some(minimum)) => version >= minimum,
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_compare_by_number_not_by_text() {
+        assert!(is_new_enough("rustc 1.96.0 (ac68faa20 2026-05-25) (built from a source tarball)", "1.88"));
+        assert!(is_new_enough("rustc 1.100.0", "1.88"));
+        assert!(is_new_enough("rustc 1.88.0-nightly", "1.88"));
+        assert!(!is_new_enough("rustc 1.85.0 (4d91de4e4 2025-02-17)", "1.88"));
+        assert!(!is_new_enough("rustc 1.9.0", "1.88"));
+        assert!(!is_new_enough("", "1.88"));
+    }
+
+    #[test]
+    fn a_libdir_without_core_is_no_target() {
+        let dir = std::env::temp_dir().join(format!("wsg-xtask-libdir-{}", std::process::id()));
+        fs::create_dir_all(&dir).unwrap();
+        fs::write(dir.join("libcompiler_builtins-12.rlib"), "").unwrap();
+
+        let before = holds_core(&dir);
+        fs::write(dir.join("libcore-12.rlib"), "").unwrap();
+        let after = holds_core(&dir);
+
+        fs::remove_dir_all(&dir).unwrap();
+        assert!(!before && after);
+        assert!(!holds_core(&dir));
+    }
+
+    #[test]
+    fn a_remap_survives_quotes_and_backslashes() {
+        assert_eq!(toml_string(r#"a"b\c"#), r#""a\"b\\c""#);
+    }
+}

@@ -1,0 +1,160 @@
+//! Every check of the workspace, in order, each announced; the first that fails ends it.
+
+use std::{ffi::OsString, process::Command};
+
+use anyhow::{Context, Result};
+
+use crate::{
+    firmware::{self, IMAGE_VARIABLE, Image},
+    process,
+    setup::{Component, ThumbToolchain},
+    size,
+    workspace::Workspace,
+};
+
+const TESTS: &str = "tests, emulator included";
+
+/// Runs all checks; with `filter` only the tests that it names.
+pub(crate) fn run(
+    workspace: &Workspace,
+    toolchain: &ThumbToolchain,
+    image: &Image,
+    filter: &[OsString],
+) -> Result<()> {
+    let checks = Checks { workspace, toolchain, image };
+    let mut record = Record::default();
+    if !filter.is_empty() {
+        record.check(TESTS, || checks.tests(filter))?;
+        println!("test: only the tests that match {filter:?} ran; without arguments every check runs");
+        return Ok(());
+    }
+    let outcome = checks.run_all(&mut record);
+    println!("{}", record.summary(outcome.is_err()));
+    outcome
+}
+
+struct Checks<'a> {
+    workspace: &'a Workspace,
+    toolchain: &'a ThumbToolchain,
+    image: &'a Image,
+}
+
+impl Checks<'_> {
+    fn run_all(&self, record: &mut Record) -> Result<()> {
+        let Self { workspace, toolchain, image } = self;
+        let cargo = |arguments: &[&str]| {
+            let mut cargo = workspace.cargo();
+            cargo.args(arguments);
+            cargo
+        };
+
+        if Component::Rustfmt.provide(workspace) {
+            record.check("format", || process::run(&mut cargo(&["fmt", "--all", "--", "--check"])))?;
+        } else {
+            record.not_checked("format (no rustfmt)");
+        }
+        if Component::Clippy.provide(workspace) {
+            let arguments = ["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"];
+            record.check("clippy, host", || process::run(&mut cargo(&arguments)))?;
+        } else {
+            record.not_checked("clippy, host (no clippy)");
+        }
+        if Component::Clippy.provide_for_thumb(workspace, toolchain) {
+            record.check("clippy, firmware", || process::run(&mut self.firmware_clippy()))?;
+        } else {
+            record.not_checked("clippy, firmware (no clippy for that tool chain)");
+        }
+        record.check(TESTS, || self.tests(&[]))?;
+        record.check("protocol alone on the target", || process::run(&mut self.protocol_alone()))?;
+        record
+            .check("examples in the docs", || process::run(&mut cargo(&["test", "--workspace", "--doc"])))?;
+        record.check("docs", || {
+            process::run(cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
+        })?;
+        record.check("size", || size::check(&size::of_image(image)?))
+    }
+
+    fn firmware_clippy(&self) -> Command {
+        let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
+        clippy.args(firmware::selection(&[])).args(["--", "-D", "warnings"]);
+        clippy
+    }
+
+    /// The examples in the docs are a check of their own: `--include-ignored` would run those marked `ignore`.
+    fn tests(&self, filter: &[OsString]) -> Result<()> {
+        let mut tests = self.workspace.cargo();
+        tests.env(IMAGE_VARIABLE, &self.image.path);
+        tests.args([
+            "test",
+            "--workspace",
+            "--lib",
+            "--bins",
+            "--tests",
+            "--examples",
+            "--",
+            "--include-ignored",
+        ]);
+        process::run(tests.args(filter))
+    }
+
+    fn protocol_alone(&self) -> Command {
+        let mut build = self.toolchain.cargo(self.workspace, "build");
+        build.args(["-p", "wsg-protocol", "--no-default-features"]);
+        build
+    }
+}
+
+/// What ran, and what could not.
+#[derive(Default)]
+struct Record {
+    passed: Vec<&'static str>,
+    not_checked: Vec<&'static str>,
+}
+
+impl Record {
+    fn check(&mut self, name: &'static str, check: impl FnOnce() -> Result<()>) -> Result<()> {
+        println!("== {name}");
+        check().with_context(|| format!("check \"{name}\""))?;
+        self.passed.push(name);
+        Ok(())
+    }
+
+    fn not_checked(&mut self, name: &'static str) {
+        println!("== NOT CHECKED: {name}");
+        self.not_checked.push(name);
+    }
+
+    fn summary(&self, failed: bool) -> String {
+        let mut text = format!("test: {} passed ({})", self.passed.len(), self.passed.join("; "));
+        if failed {
+            text.push_str(", then one FAILED; what comes after it did not run");
+        }
+        if !self.not_checked.is_empty() {
+            text.push_str(&format!(
+                "; {} NOT CHECKED ({})",
+                self.not_checked.len(),
+                self.not_checked.join("; ")
+            ));
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::bail;
+
+    use super::*;
+
+    #[test]
+    fn the_summary_names_what_ran_what_failed_and_what_was_not_checked() {
+        let mut record = Record::default();
+        record.not_checked("format (no rustfmt)");
+        record.check("size", || Ok(())).unwrap();
+        let failed = record.check("docs", || bail!("x")).is_err();
+
+        let expected = "test: 1 passed (size), then one FAILED; what comes after it did not run; \
+                        1 NOT CHECKED (format (no rustfmt))";
+        assert_eq!(record.summary(failed), expected);
+    }
+}
