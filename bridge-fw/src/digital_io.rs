@@ -80,17 +80,21 @@ impl DigitalIo {
         let released = levels.contains(Inputs::FAST_STOP_OK) && !levels.contains(Inputs::STOP_ACK);
         let locked = gripper.system.intersects(LOCKING_FAULTS);
         let mut outputs = Outputs::empty();
-        outputs.set(Outputs::READY, connected && !moving && !locked && released);
-        outputs.set(Outputs::BUSY, connected && moving);
+        outputs.set(Outputs::ERROR, is_error(gripper));
+        if !connected {
+            // Nothing is known of the gripper, whatever it has told so far.
+            return outputs;
+        }
+        outputs.set(Outputs::LINK_OK, true);
+        outputs.set(Outputs::READY, !moving && !locked && released);
+        outputs.set(Outputs::BUSY, moving);
         // The result may overtake the report that the fingers stand still: both count together.
         outputs.set(Outputs::HOLDING, has(GripperFlags::HOLDING) && !moving);
         outputs.set(
             Outputs::PART_FAULT,
             has(GripperFlags::PART_LOST) || (has(GripperFlags::NO_PART) && !moving),
         );
-        outputs.set(Outputs::ERROR, is_error(gripper));
         outputs.set(Outputs::REFERENCED, gripper.system.contains(SystemFlags::REFERENCED));
-        outputs.set(Outputs::LINK_OK, connected);
         outputs
     }
 

@@ -12,6 +12,7 @@
 //! | `device`, `motion`, `commands` | the manual: states and flags; motions; commands |
 //! | `updates`, `port` | the manual's rules for connections |
 //! | `gripper` | the contract with the caller |
+//! | `server` | TCP, UDP, serial lines (feature `std`) |
 //!
 //! It is a model, not a copy: the fingers stop dead on Stop, FAST STOP and contact, a part is an ideal spring, and the
 //! force is exact. Where the manual is silent, the documents of the item say what was decided.
@@ -28,6 +29,8 @@ mod gripper;
 mod model;
 mod motion;
 mod port;
+#[cfg(feature = "std")]
+pub mod server;
 mod thermal;
 mod time;
 mod updates;

@@ -21,6 +21,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use object::{Object, ObjectSymbol};
 use wsg_bridge_fw::boards::b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
@@ -35,6 +36,9 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// The socket's name in a directory of its own.
 const SOCKET_NAME: &str = "uart4";
 
+/// Part of the name of the board file's millisecond counter.
+const CLOCK_SYMBOL: &str = "4tick6NOW_MS";
+
 /// Lines kept of what QEMU says besides its trace.
 const SAID_MAX: usize = 4;
 
@@ -45,6 +49,8 @@ pub struct Emulator {
     qtest: Mutex<Qtest>,
     inputs: Mutex<Inputs>,
     gripper_line: Option<UnixStream>,
+    /// Where the firmware counts its milliseconds.
+    clock_address: Option<u32>,
     watch: Arc<Watch>,
 }
 
@@ -121,6 +127,7 @@ impl Emulator {
             qtest: Mutex::new(Qtest::new(qtest, PATIENCE)?),
             inputs: Mutex::new(Inputs::empty()),
             gripper_line: None,
+            clock_address: symbol(elf, CLOCK_SYMBOL),
             watch: Arc::default(),
         };
         if let Some(said_by_qemu) = said_by_qemu {
@@ -221,6 +228,16 @@ impl Emulator {
     /// When QEMU has ended.
     pub fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>> {
         self.ask(|qtest| qtest.read(address, len))
+    }
+
+    /// The firmware's clock: milliseconds since its main loop began.
+    ///
+    /// A wait for this to advance is one in the board's time, however slow the host is.
+    ///
+    /// # Errors
+    /// When the image has no symbols, or QEMU has ended.
+    pub fn now_ms(&self) -> Result<u32> {
+        self.readl(self.clock_address.with_context(|| format!("the image has no symbol {CLOCK_SYMBOL}"))?)
     }
 
     fn ask<T>(&self, question: impl FnOnce(&mut Qtest) -> Result<T>) -> Result<T> {
@@ -365,6 +382,14 @@ impl Seen {
             said => format!("{QEMU} {state}, and said: {}", said.join("; ")),
         }
     }
+}
+
+/// The address of the symbol whose name contains `name`.
+fn symbol(elf: &Path, name: &str) -> Option<u32> {
+    let image = fs::read(elf).ok()?;
+    let image = object::File::parse(&*image).ok()?;
+    let symbol = image.symbols().find(|symbol| symbol.name().is_ok_and(|found| found.contains(name)))?;
+    u32::try_from(symbol.address()).ok()
 }
 
 /// A lock that a panicking test held guards nothing that would be left half done.

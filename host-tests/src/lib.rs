@@ -1,6 +1,21 @@
-//! placeholder
+//! The harness: the flashed image in an emulator, a virtual gripper on its line, a PLC on its wires.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
+//! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
+//! | [`rig`] | board, gripper and PLC together |
+//! | [`trace`] | what happened, as a person reads it and as a test compares it |
+//!
+//! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
+//! is empty.
 
 #[cfg(unix)]
 pub mod emulator;
 #[cfg(unix)]
+pub mod gripper_end;
+#[cfg(unix)]
 pub mod qtest;
+#[cfg(unix)]
+pub mod rig;
+pub mod trace;

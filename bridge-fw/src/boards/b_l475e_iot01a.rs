@@ -90,7 +90,10 @@ pub const OUTPUT_PINS: u16 = {
     let mut mask = 0;
     let mut wire = 0;
     while wire < OUTPUTS.len() {
-        mask |= 1 << OUTPUTS[wire].pin;
+        #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
+        {
+            mask |= 1 << OUTPUTS[wire].pin;
+        }
         wire += 1;
     }
     mask

@@ -112,16 +112,14 @@ impl Controller {
     /// Takes what the session noticed.
     pub fn handle(&mut self, notice: &Notice<'_>) {
         match notice {
-            Notice::Connected => {
-                self.connected = true;
-                if self.fast_stop == FastStop::Latched {
-                    // The gripper may have been restarted and have forgotten it.
-                    self.fast_stop();
-                }
-            }
+            Notice::Connected => self.connected = true,
             Notice::Disconnected => {
                 self.connected = false;
                 self.settled = None;
+                if self.fast_stop == FastStop::Latched {
+                    // The gripper may be restarted and forget it: it shall be the first thing that it hears.
+                    self.fast_stop();
+                }
             }
             Notice::Answered(reply) => self.answered(reply),
             Notice::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout),

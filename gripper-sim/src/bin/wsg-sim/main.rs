@@ -1,0 +1,77 @@
+//! The virtual gripper as a program: `wsg-sim --help` says how.
+
+mod options;
+
+use anyhow::{Context, Result};
+use options::{LogTo, Options, Request, USAGE};
+use std::io::{self, Write};
+use std::process::ExitCode;
+use tokio::signal::unix::{SignalKind, signal};
+use wsg_sim::server::{Log, Server};
+
+/// Exit status for options that are wrong.
+const WRONG_USE: u8 = 2;
+
+fn main() -> ExitCode {
+    let options = match options::parse(lexopt::Parser::from_env()) {
+        Ok(Request::Serve(options)) => *options,
+        Ok(Request::Help) => return print(USAGE),
+        Ok(Request::Version) => return print(concat!("wsg-sim ", env!("CARGO_PKG_VERSION"), "\n")),
+        Err(error) => return fail(&error, WRONG_USE),
+    };
+    match serve(options) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => fail(&error, 1),
+    }
+}
+
+fn serve(options: Options) -> Result<()> {
+    let log = match &options.log {
+        Some(LogTo::Stdout) => Some(Log::to_stdout()),
+        Some(LogTo::File(path)) => Some(Log::to_file(path)?),
+        None => None,
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let server = Server::bind(options.config, &options.lines, log).await?;
+        announce(&options, &server).context("standard output cannot be written")?;
+        let (mut interrupt, mut terminate) =
+            (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+        let end = async move {
+            tokio::select! {
+                _ = interrupt.recv() => {}
+                _ = terminate.recv() => {}
+            }
+        };
+        server.run(end).await
+    })
+}
+
+/// Says what is served where, one line each, for people and for scripts that wait for it.
+fn announce(options: &Options, server: &Server) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    writeln!(out, "model {}", options.config.model)?;
+    if let Some(address) = server.tcp_address() {
+        writeln!(out, "tcp {address}")?;
+    }
+    if let Some(address) = server.udp_address() {
+        writeln!(out, "udp {address}")?;
+    }
+    if let Some(path) = server.serial_path() {
+        writeln!(out, "serial {}", path.display())?;
+    }
+    out.flush()
+}
+
+fn print(text: &str) -> ExitCode {
+    match io::stdout().write_all(text.as_bytes()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(_) => ExitCode::FAILURE,
+    }
+}
+
+/// One line that says what was wrong.
+fn fail(error: &anyhow::Error, status: u8) -> ExitCode {
+    eprintln!("wsg-sim: {error:#}");
+    ExitCode::from(status)
+}

@@ -1,0 +1,281 @@
+//! The command line.
+
+use anyhow::{Context, Result, anyhow, bail};
+use lexopt::{Arg, Parser, ValueExt};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::str::FromStr;
+use wsg_sim::server::{Lines, SerialLine, UdpLine};
+use wsg_sim::{Config, Direction, Finger, Model, Part, Tag};
+
+/// What `--help` shows.
+pub(crate) const USAGE: &str = "\
+A virtual gripper of the WSG series.
+
+Usage: wsg-sim [OPTION]...
+
+Lines (without any: --tcp 127.0.0.1:1000)
+  --tcp ADDR               listen for TCP on ADDR, such as 127.0.0.1:1000
+  --udp ADDR               listen for UDP on ADDR, such as 127.0.0.1:1500
+  --udp-remote-port PORT   answer UDP requests to this port (default 1501)
+  --serial LINE            pty: open a pseudo terminal and say its path;
+                           unix:PATH: listen on a Unix socket;
+                           PATH: use this terminal device at 115200 8N1
+  --no-checksum-check      take frames whatever their checksum
+  --answer-bad-checksum    answer E_CHECKSUM_ERROR to a wrong checksum (otherwise: silence)
+  --no-disconnect-error    no FAST STOP when a TCP connection ends unannounced
+
+Gripper
+  --model MODEL            wsg50-110 (default), wsg50-210, wsg32, wsg25 or wsg70
+  --serial-number N        serial number (default 1)
+  --tag TEXT               device tag, up to 64 ASCII characters
+  --finger1 KIND           none (default), generic, fmf or dsa
+  --finger2 KIND           none (default), generic, fmf or dsa
+  --homing-default DIR     out (default) or in
+  --part WIDTH[:STIFFNESS] a part of this width in mm (and stiffness in N/mm) between the fingers, or none (default)
+  --time-scale X           the fingers travel X times as fast, 0.01 to 1000
+
+  --log FILE               write each frame to FILE, or to standard output if FILE is -
+  --help                   show this
+  --version                show the version
+";
+
+/// The TCP address when no line is asked for: the gripper's own port, on this machine only.
+const DEFAULT_TCP: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 1_000);
+const DEFAULT_UDP_REMOTE_PORT: u16 = 1_501;
+
+/// What the command line asks for.
+#[derive(Debug)]
+pub(crate) enum Request {
+    Serve(Box<Options>),
+    Help,
+    Version,
+}
+
+/// Everything that `wsg-sim` is told.
+#[derive(Debug)]
+pub(crate) struct Options {
+    pub(crate) config: Config,
+    pub(crate) lines: Lines,
+    pub(crate) log: Option<LogTo>,
+}
+
+/// Where the log goes.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum LogTo {
+    Stdout,
+    File(PathBuf),
+}
+
+/// Reads the command line.
+pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
+    let mut config = Config::default();
+    let mut lines = Lines::default();
+    let mut log = None;
+    let mut udp_address = None;
+    let mut udp_remote_port = None;
+    while let Some(argument) = parser.next()? {
+        let Arg::Long(name) = argument else {
+            return Err(anyhow!(argument.unexpected()).context("expected options as --help lists them"));
+        };
+        let name = name.to_owned();
+        let [finger1, finger2] = &mut config.fingers;
+        match name.as_str() {
+            "help" => return Ok(Request::Help),
+            "version" => return Ok(Request::Version),
+            "tcp" => lines.tcp = Some(value(&mut parser, &name, ADDRESS, parsed)?),
+            "udp" => udp_address = Some(value(&mut parser, &name, ADDRESS, parsed)?),
+            "udp-remote-port" => {
+                udp_remote_port = Some(value(&mut parser, &name, "a port from 1 to 65535", port)?);
+            }
+            "serial" => {
+                lines.serial = Some(value(&mut parser, &name, "pty, unix:PATH or a device's path", serial)?);
+            }
+            "no-checksum-check" => config.check_checksum = false,
+            "answer-bad-checksum" => config.answer_bad_checksum = true,
+            "no-disconnect-error" => config.disconnect_error = false,
+            "model" => config.model = value(&mut parser, &name, MODELS, Model::from_name)?,
+            "serial-number" => {
+                config.serial_number = value(&mut parser, &name, "a number from 0 to 4294967295", parsed)?;
+            }
+            "tag" => {
+                config.tag = value(&mut parser, &name, "up to 64 printable ASCII characters", |text| {
+                    Tag::new(text).ok()
+                })?;
+            }
+            "finger1" => *finger1 = value(&mut parser, &name, FINGERS, Finger::from_name)?,
+            "finger2" => *finger2 = value(&mut parser, &name, FINGERS, Finger::from_name)?,
+            "homing-default" => {
+                config.homing_default = value(&mut parser, &name, "out or in", direction)?;
+            }
+            "part" => {
+                config.part = value(
+                    &mut parser,
+                    &name,
+                    "none, or WIDTH_MM[:STIFFNESS_N_PER_MM] with numbers above 0",
+                    part,
+                )?;
+            }
+            "time-scale" => {
+                config.time_scale = value(&mut parser, &name, "a number from 0.01 to 1000", time_scale)?;
+            }
+            "log" => {
+                log = Some(value(&mut parser, &name, "a file, or -", |text| {
+                    Some(if text == "-" { LogTo::Stdout } else { LogTo::File(text.into()) })
+                })?);
+            }
+            _ => bail!("--{name} is unknown; expected options as --help lists them"),
+        }
+    }
+    lines.udp = match (udp_address, udp_remote_port) {
+        (Some(address), port) => {
+            Some(UdpLine { address, remote_port: port.unwrap_or(DEFAULT_UDP_REMOTE_PORT) })
+        }
+        (None, Some(_)) => bail!("--udp-remote-port is of no use without --udp ADDR"),
+        (None, None) => None,
+    };
+    if lines == Lines::default() {
+        lines.tcp = Some(DEFAULT_TCP);
+    }
+    Ok(Request::Serve(Box::new(Options { config, lines, log })))
+}
+
+const ADDRESS: &str = "an address with a port, such as 127.0.0.1:1000";
+const MODELS: &str = "wsg50-110, wsg50-210, wsg32, wsg25 or wsg70";
+const FINGERS: &str = "none, generic, fmf or dsa";
+
+/// The value of the option, or what is wrong with it.
+fn value<T>(
+    parser: &mut Parser,
+    name: &str,
+    expected: &str,
+    read: impl FnOnce(&str) -> Option<T>,
+) -> Result<T> {
+    let text = parser
+        .value()
+        .and_then(|value| value.string())
+        .with_context(|| format!("--{name} expects {expected}"))?;
+    read(&text).with_context(|| format!("--{name} {text:?} is wrong; expected {expected}"))
+}
+
+fn parsed<T: FromStr>(text: &str) -> Option<T> {
+    text.parse().ok()
+}
+
+fn port(text: &str) -> Option<u16> {
+    parsed(text).filter(|port| *port != 0)
+}
+
+fn serial(text: &str) -> Option<SerialLine> {
+    match text.strip_prefix("unix:") {
+        Some("") => None,
+        Some(path) => Some(SerialLine::Unix(path.into())),
+        None if text == "pty" => Some(SerialLine::Pty),
+        None if text.is_empty() => None,
+        None => Some(SerialLine::Device(text.into())),
+    }
+}
+
+fn direction(text: &str) -> Option<Direction> {
+    match text {
+        "out" => Some(Direction::Plus),
+        "in" => Some(Direction::Minus),
+        _ => None,
+    }
+}
+
+/// `none` is a part that is read well: no part.
+fn part(text: &str) -> Option<Option<Part>> {
+    if text == "none" {
+        return Some(None);
+    }
+    let part = match text.split_once(':') {
+        Some((width, stiffness)) => Part::new(parsed(width)?, parsed(stiffness)?),
+        None => Part::of_width(parsed(text)?),
+    };
+    part.map(Some)
+}
+
+fn time_scale(text: &str) -> Option<f32> {
+    parsed(text).filter(|scale| (Config::MIN_TIME_SCALE..=Config::MAX_TIME_SCALE).contains(scale))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn options(arguments: &[&str]) -> Result<Options> {
+        match parse(Parser::from_args(arguments))? {
+            Request::Serve(options) => Ok(*options),
+            request => bail!("{request:?}"),
+        }
+    }
+
+    fn options_of(line: &str) -> Options {
+        options(&line.split_whitespace().collect::<Vec<_>>()).unwrap()
+    }
+
+    #[test]
+    fn without_any_line_tcp_is_served_on_this_machine() {
+        let lines = options(&[]).unwrap().lines;
+        assert_eq!(lines, Lines { tcp: Some("127.0.0.1:1000".parse().unwrap()), ..Lines::default() });
+    }
+
+    #[test]
+    fn another_line_replaces_the_default_one() {
+        let lines = options(&["--serial", "unix:/run/wsg"]).unwrap().lines;
+        assert_eq!(lines, Lines { serial: Some(SerialLine::Unix("/run/wsg".into())), ..Lines::default() });
+        let lines = options(&["--udp", "127.0.0.1:1500"]).unwrap().lines;
+        assert_eq!((lines.tcp, lines.udp.unwrap().remote_port), (None, 1_501));
+    }
+
+    #[test]
+    fn every_option_arrives() {
+        let all = "--model wsg32 --serial-number 7 --tag cell --tcp 127.0.0.1:0 --udp 127.0.0.1:1500 \
+                   --udp-remote-port 9 --serial pty --part 20:50 --finger1 fmf --finger2 dsa --no-checksum-check \
+                   --answer-bad-checksum --no-disconnect-error --homing-default in --time-scale 2.5 --log -";
+        let options = options_of(all);
+        let expected = Config {
+            model: Model::Wsg32,
+            serial_number: 7,
+            tag: Tag::new("cell").unwrap(),
+            homing_default: Direction::Minus,
+            part: Part::new(20.0, 50.0),
+            time_scale: 2.5,
+            check_checksum: false,
+            answer_bad_checksum: true,
+            disconnect_error: false,
+            fingers: [Finger::Fmf, Finger::Dsa],
+            ..Config::default()
+        };
+        assert_eq!(options.config, expected);
+        assert_eq!(options.lines.serial, Some(SerialLine::Pty));
+        assert_eq!(options.lines.udp.unwrap().remote_port, 9);
+        assert_eq!(options.log, Some(LogTo::Stdout));
+    }
+
+    #[test]
+    fn the_last_part_counts() {
+        assert_eq!(options_of("--part 20 --part none").config.part, None);
+        assert_eq!(options_of("--part none --part 20").config.part, Part::of_width(20.0));
+    }
+
+    #[test]
+    fn wrong_options_say_what_was_wrong_and_what_was_expected() {
+        for (arguments, wrong, expected) in [
+            (&["--model", "wsg99"][..], "--model \"wsg99\"", "wsg50-110"),
+            (&["--part", "-3"], "--part \"-3\"", "WIDTH_MM"),
+            (&["--part", "20:"], "--part \"20:\"", "STIFFNESS"),
+            (&["--tcp", "1000"], "--tcp \"1000\"", "127.0.0.1:1000"),
+            (&["--time-scale", "0"], "--time-scale \"0\"", "0.01"),
+            (&["--time-scale"], "--time-scale", "0.01"),
+            (&["--finger1", "thumb"], "--finger1 \"thumb\"", "generic"),
+            (&["--udp-remote-port", "9"], "--udp-remote-port", "--udp"),
+            (&["--fast"], "--fast", "--help"),
+            (&["stray"], "stray", "--help"),
+        ] {
+            let error = format!("{:#}", options(arguments).unwrap_err());
+            assert!(error.contains(wrong) && error.contains(expected) && !error.contains('\n'), "{error}");
+        }
+    }
+}

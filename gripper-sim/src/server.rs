@@ -1,0 +1,147 @@
+//! Servers around the gripper: TCP, UDP, serial lines (feature `std`).
+//!
+//! One thread serves all of them on a current-thread runtime, so that the gripper needs no lock. Every frame is one
+//! write, and TCP does not delay: a client that takes what one `recv` gives for one frame is right.
+
+mod hub;
+mod log;
+mod serial;
+mod stream;
+mod tcp;
+mod udp;
+
+pub use log::Log;
+pub use serial::SerialLine;
+
+use crate::config::Config;
+use anyhow::{Context, Result};
+use hub::Hub;
+use serial::SerialPort;
+use std::future::Future;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::rc::Rc;
+use tokio::net::{TcpListener, UdpSocket};
+use tokio::task::{JoinSet, LocalSet};
+
+/// Where a gripper is served.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Lines {
+    /// TCP: the address to listen on. Port 0 lets the system choose.
+    pub tcp: Option<SocketAddr>,
+    /// UDP: the address to listen on.
+    pub udp: Option<UdpLine>,
+    /// A serial line.
+    pub serial: Option<SerialLine>,
+}
+
+/// A UDP address, and where answers go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UdpLine {
+    /// The address to listen on; grippers in the field use port 1500.
+    pub address: SocketAddr,
+    /// The port that answers go to, whatever port the request came from; 1501 in the field.
+    pub remote_port: u16,
+}
+
+/// A gripper with all its lines open, ready to [`run`](Self::run).
+///
+/// ```
+/// # fn main() -> anyhow::Result<()> {
+/// use wsg_sim::server::{Lines, Server};
+/// use wsg_sim::Config;
+///
+/// let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+/// runtime.block_on(async {
+///     let lines = Lines { tcp: Some("127.0.0.1:0".parse()?), ..Lines::default() };
+///     let server = Server::bind(Config::default(), &lines, None).await?;
+///     println!("tcp {}", server.tcp_address().expect("it was asked for"));
+///     // Any future ends it: here one that is ready at once.
+///     server.run(std::future::ready(())).await
+/// })
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct Server {
+    hub: Rc<Hub>,
+    tcp: Option<TcpListener>,
+    udp: Option<(UdpSocket, u16)>,
+    serial: Option<SerialPort>,
+}
+
+impl Server {
+    /// Opens the lines and switches the gripper on.
+    ///
+    /// # Errors
+    /// One for the line that cannot be opened, naming it.
+    pub async fn bind(config: Config, lines: &Lines, log: Option<Log>) -> Result<Self> {
+        let tcp = match lines.tcp {
+            Some(address) => Some(
+                TcpListener::bind(address)
+                    .await
+                    .with_context(|| format!("TCP cannot listen on {address}"))?,
+            ),
+            None => None,
+        };
+        let udp = match lines.udp {
+            Some(line) => {
+                let socket = UdpSocket::bind(line.address)
+                    .await
+                    .with_context(|| format!("UDP cannot listen on {}", line.address))?;
+                Some((socket, line.remote_port))
+            }
+            None => None,
+        };
+        let serial = match &lines.serial {
+            Some(line) => Some(SerialPort::open(line)?),
+            None => None,
+        };
+        Ok(Self { hub: Rc::new(Hub::new(config, log)), tcp, udp, serial })
+    }
+
+    /// The address that TCP listens on.
+    #[must_use]
+    pub fn tcp_address(&self) -> Option<SocketAddr> {
+        self.tcp.as_ref()?.local_addr().ok()
+    }
+
+    /// The address that UDP listens on.
+    #[must_use]
+    pub fn udp_address(&self) -> Option<SocketAddr> {
+        self.udp.as_ref()?.0.local_addr().ok()
+    }
+
+    /// What a client opens to get at the serial line: the pseudo terminal, the Unix socket, or the device.
+    #[must_use]
+    pub fn serial_path(&self) -> Option<&Path> {
+        self.serial.as_ref().map(SerialPort::path)
+    }
+
+    /// Serves until `end` is ready, or a line fails for good.
+    ///
+    /// # Errors
+    /// That of the line.
+    pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
+        let Self { hub, tcp, udp, serial } = self;
+        let local = LocalSet::new();
+        local
+            .run_until(async move {
+                let mut tasks = JoinSet::new();
+                tasks.spawn_local(Rc::clone(&hub).keep_time());
+                if let Some(listener) = tcp {
+                    tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener));
+                }
+                if let Some((socket, remote_port)) = udp {
+                    tasks.spawn_local(udp::serve(Rc::clone(&hub), socket, remote_port));
+                }
+                if let Some(port) = serial {
+                    tasks.spawn_local(port.serve(Rc::clone(&hub)));
+                }
+                tokio::select! {
+                    () = end => Ok(()),
+                    Some(ended) = tasks.join_next() => ended?,
+                }
+            })
+            .await
+    }
+}

@@ -1,0 +1,41 @@
+//! UDP: one frame per datagram, answers to a fixed port of whoever sent last.
+
+use super::hub::Hub;
+use crate::port::{MAX_FRAME_LEN, PortKind};
+use anyhow::{Context, Result};
+use std::io::ErrorKind;
+use std::net::{IpAddr, SocketAddr};
+use std::rc::Rc;
+use tokio::net::UdpSocket;
+
+/// The longest datagram there is.
+const DATAGRAM_LEN: usize = 65_535;
+
+pub(super) async fn serve(hub: Rc<Hub>, socket: UdpSocket, remote_port: u16) -> Result<()> {
+    let client = hub
+        .connect(PortKind::Udp, socket.local_addr()?.to_string())
+        .context("the gripper has no place for UDP")?;
+    let mut datagram = vec![0; DATAGRAM_LEN];
+    let mut buffer = [0; MAX_FRAME_LEN];
+    let mut remote: Option<IpAddr> = None;
+    loop {
+        while let Some(frame) = client.transmit(&mut buffer) {
+            if let Some(address) = remote {
+                // Nobody may listen there; a datagram is lost then, as datagrams are.
+                let _ = socket.send_to(frame, SocketAddr::new(address, remote_port)).await;
+            }
+        }
+        tokio::select! {
+            received = socket.recv_from(&mut datagram) => match received {
+                Ok((len, from)) => {
+                    remote = Some(from.ip());
+                    client.receive(datagram.get(..len).unwrap_or(&[]));
+                }
+                // The system tells about an earlier datagram that found nobody.
+                Err(error) if matches!(error.kind(), ErrorKind::ConnectionRefused | ErrorKind::ConnectionReset) => {}
+                Err(error) => return Err(error).context("UDP receives no more"),
+            },
+            () = client.frame_waits() => {}
+        }
+    }
+}

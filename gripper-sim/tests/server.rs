@@ -1,0 +1,377 @@
+//! The servers over real sockets and terminals, and the binary. Every wait is bounded by a time-out of the socket.
+
+mod common;
+
+use common::{grip, parse};
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::process::{Command as Process, Stdio};
+use std::sync::mpsc;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+use tokio::sync::oneshot;
+use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, LoopData, Status, SystemFlags};
+use wsg_sim::server::{Lines, Log, SerialLine, Server, UdpLine};
+use wsg_sim::{Config, MAX_FRAME_LEN, Part};
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(10);
+/// So that motions take no time to speak of.
+const QUICK: f32 = 100.0;
+
+const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
+
+/// A server in a thread, ended when dropped.
+struct Served {
+    tcp: Option<SocketAddr>,
+    udp: Option<SocketAddr>,
+    serial: Option<PathBuf>,
+    end: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+fn serve_logged(config: Config, lines: Lines, log: Option<PathBuf>) -> Served {
+    let (bound, binding) = mpsc::channel();
+    let (end, ended) = oneshot::channel();
+    let thread = thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let log = log.map(|path| Log::to_file(&path).unwrap());
+            let server = Server::bind(config, &lines, log).await.unwrap();
+            let serial = server.serial_path().map(PathBuf::from);
+            bound.send((server.tcp_address(), server.udp_address(), serial)).unwrap();
+            let end = async {
+                let _ = ended.await;
+            };
+            server.run(end).await.unwrap();
+        });
+    });
+    let (tcp, udp, serial) = binding.recv_timeout(BOUND).expect("the server is up in time");
+    Served { tcp, udp, serial, end: Some(end), thread: Some(thread) }
+}
+
+fn serve(config: Config, lines: Lines) -> Served {
+    serve_logged(config, lines, None)
+}
+
+fn serve_tcp(config: Config) -> Served {
+    serve(config, tcp_lines())
+}
+
+fn tcp_lines() -> Lines {
+    Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() }
+}
+
+impl Served {
+    fn connect(&self) -> Client<TcpStream> {
+        let stream = TcpStream::connect_timeout(&self.tcp.expect("TCP is served"), BOUND).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream.set_write_timeout(Some(BOUND)).unwrap();
+        stream.set_nodelay(true).unwrap();
+        Client(stream)
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.end.take().map(|end| end.send(()));
+        let joined = self.thread.take().map(JoinHandle::join);
+        assert!(joined.is_some_and(|result| result.is_ok()) || thread::panicking(), "the server ended well");
+    }
+}
+
+/// A client that, like several in the field, takes what one read gives for one frame.
+struct Client<S>(S);
+
+impl<S: Read + Write> Client<S> {
+    fn send(&mut self, command: Command<'_>) {
+        self.0.write_all(&frame(command)).unwrap();
+    }
+
+    /// The id and status of the one frame that one read gives.
+    fn recv(&mut self) -> (u8, Status) {
+        let (id, payload) = self.recv_payload();
+        (id, Status::from_code(u16::from_le_bytes([payload[0], payload[1]])))
+    }
+
+    fn recv_payload(&mut self) -> (u8, Vec<u8>) {
+        let mut buffer = [0; 4 * MAX_FRAME_LEN];
+        let len = self.0.read(&mut buffer).expect("an answer in time");
+        let frames = parse(&buffer[..len]);
+        assert_eq!(frames.len(), 1, "one read gives one frame: {:02X?}", &buffer[..len]);
+        assert_eq!(frames[0].1.len() + 8, len, "and nothing else");
+        frames.into_iter().next().unwrap()
+    }
+
+    fn ask(&mut self, command: Command<'_>) -> Status {
+        self.send(command);
+        let (id, status) = self.recv();
+        assert_eq!(id, command.id().code());
+        status
+    }
+
+    fn run(&mut self, command: Command<'_>) -> Status {
+        assert_eq!(self.ask(command), Status::CmdPending);
+        self.recv().1
+    }
+
+    fn flags(&mut self) -> SystemFlags {
+        self.send(Command::GetSystemState { update: AutoUpdate::once() });
+        let (_, payload) = self.recv_payload();
+        SystemFlags::from_bits_retain(u32::from_le_bytes(payload[2..6].try_into().unwrap()))
+    }
+}
+
+fn frame(command: Command<'_>) -> Vec<u8> {
+    FrameEncoder::new(command.id().code(), command).collect()
+}
+
+/// A path in the directory for temporary files that no other test uses.
+fn scratch(name: &str) -> PathBuf {
+    std::env::temp_dir().join(format!("wsg-sim-{}-{name}", std::process::id()))
+}
+
+#[test]
+fn tcp_pending_and_result_are_separate_segments() {
+    let part = Part::of_width(20.0);
+    // Slow enough for the two answers to be read one by one.
+    let served = serve_tcp(Config { time_scale: 2.0, part, ..Config::default() });
+    let mut client = served.connect();
+    assert_eq!(client.ask(Command::ACKNOWLEDGE), Status::Success);
+    assert_eq!(client.run(HOMING), Status::Success);
+    assert_eq!(client.run(grip(20.0)), Status::Success);
+    assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::Success);
+}
+
+#[test]
+fn tcp_loop_of_eight_ff_is_a_handshake() {
+    let served = serve_tcp(Config::default());
+    let mut client = served.connect();
+    client.send(Command::Loop { data: LoopData::new(&[0xFF; 8]).unwrap() });
+    let (id, payload) = client.recv_payload();
+    assert_eq!((id, &payload[2..]), (0x06, &[0xFF; 8][..]));
+}
+
+#[test]
+fn tcp_close_without_announcement_latches_fast_stop_for_the_next_client() {
+    let served = serve_tcp(Config::default());
+    drop(served.connect());
+    let mut next = served.connect();
+    // The close may arrive a little after the next connection.
+    let start = Instant::now();
+    while !next.flags().contains(SystemFlags::FAST_STOP) {
+        assert!(start.elapsed() < BOUND, "no FAST STOP");
+    }
+    assert_eq!(next.ask(HOMING), Status::AccessDenied);
+    assert_eq!(next.ask(Command::ACKNOWLEDGE), Status::Success);
+    assert_eq!(next.ask(HOMING), Status::CmdPending);
+}
+
+#[test]
+fn tcp_announced_close_latches_nothing() {
+    let served = serve_tcp(Config::default());
+    let mut watcher = served.connect();
+    let mut client = served.connect();
+    assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::Success);
+    assert_eq!(client.ask(Command::Stop), Status::AccessDenied);
+    // The server's end of the connection closes after ours: then it has noticed.
+    client.0.shutdown(std::net::Shutdown::Write).unwrap();
+    assert_eq!(client.0.read(&mut [0; 1]).unwrap(), 0);
+    assert!(!watcher.flags().contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn tcp_client_that_floods_and_never_reads_leaves_the_others_alone() {
+    let served = serve_tcp(Config { disconnect_error: false, ..Config::default() });
+    let flood = served.connect();
+    flood.0.set_nonblocking(true).unwrap();
+    let requests = frame(Command::GetSystemLimits).repeat(1_000);
+    let mut stuck = 0;
+    let mut client = served.connect();
+    let start = Instant::now();
+    while stuck < 20 {
+        match (&flood.0).write(&requests) {
+            Ok(_) => {}
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => stuck += 1,
+            Err(error) => panic!("{error}"),
+        }
+        assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
+        assert!(start.elapsed() < BOUND, "the flood is never held back");
+    }
+}
+
+#[test]
+fn tcp_pipelined_requests_are_all_answered_in_order() {
+    let served = serve_tcp(Config::default());
+    let mut client = served.connect();
+    let one = [frame(Command::GetSystemLimits), frame(Command::Stop)].concat();
+    client.0.write_all(&one.repeat(500)).unwrap();
+    let mut bytes = Vec::new();
+    let mut buffer = [0; 4_096];
+    let expected = 500 * (42 + 10);
+    while bytes.len() < expected {
+        let len = client.0.read(&mut buffer).expect("all answers in time");
+        bytes.extend_from_slice(&buffer[..len]);
+    }
+    let ids: Vec<u8> = parse(&bytes).into_iter().map(|(id, _)| id).collect();
+    assert_eq!(ids, [0x53, 0x22].repeat(500));
+}
+
+#[test]
+fn tcp_updates_arrive_by_themselves() {
+    let served = serve_tcp(Config::default());
+    let mut client = served.connect();
+    client.send(Command::GetForce { update: AutoUpdate::every(10) });
+    // Several may have come when this thread gets to read.
+    let mut answers = [0; 6 * 14];
+    client.0.read_exact(&mut answers).expect("six answers in time");
+    let ids: Vec<u8> = parse(&answers).into_iter().map(|(id, _)| id).collect();
+    assert_eq!(ids, [0x45; 6]);
+}
+
+#[test]
+fn udp_answers_go_to_the_fixed_remote_port_whatever_port_asked() {
+    let listener = UdpSocket::bind("127.0.0.1:0").unwrap();
+    listener.set_read_timeout(Some(BOUND)).unwrap();
+    let udp = UdpLine {
+        address: "127.0.0.1:0".parse().unwrap(),
+        remote_port: listener.local_addr().unwrap().port(),
+    };
+    let served = serve(
+        Config { time_scale: QUICK, ..Config::default() },
+        Lines { udp: Some(udp), ..Lines::default() },
+    );
+    let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let mut buffer = [0; 2_048];
+    for (command, answers) in [(Command::GetForceLimit, 1), (HOMING, 2), (Command::DisconnectAnnouncement, 1)]
+    {
+        sender.send_to(&frame(command), served.udp.unwrap()).unwrap();
+        for _ in 0..answers {
+            let len = listener.recv(&mut buffer).expect("an answer in time");
+            let frames = parse(&buffer[..len]);
+            assert_eq!(frames.len(), 1, "one frame in a datagram");
+            assert_eq!(frames[0].0, command.id().code());
+        }
+    }
+}
+
+#[test]
+fn unix_socket_is_a_serial_line() {
+    let path = scratch("line");
+    let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
+    let config = Config { time_scale: 2.0, ..Config::default() };
+    let served = serve(config, lines);
+    let stream = UnixStream::connect(served.serial.as_ref().unwrap()).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    let mut client = Client(stream);
+    assert_eq!(client.run(HOMING), Status::Success);
+    assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::NotAvailable);
+    drop(served);
+    assert!(!path.exists(), "the socket goes with its server");
+}
+
+#[test]
+fn unix_socket_left_over_by_a_dead_server_is_taken_over() {
+    let path = scratch("left-over");
+    drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+    assert!(path.exists());
+    let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
+    let served = serve(Config::default(), lines);
+    assert!(UnixStream::connect(&path).is_ok());
+    drop(served);
+}
+
+#[test]
+fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
+    let lines = Lines { serial: Some(SerialLine::Pty), ..Lines::default() };
+    let served = serve(Config { time_scale: QUICK, ..Config::default() }, lines);
+    for _ in 0..2 {
+        let path = served.serial.clone().unwrap();
+        let mut terminal = std::fs::OpenOptions::new().read(true).write(true).open(path).unwrap();
+        terminal.write_all(&frame(HOMING)).unwrap();
+        // A terminal has no read time-out, so another thread reads.
+        let (done, result) = mpsc::channel();
+        thread::spawn(move || {
+            let mut answers = [0; 20];
+            let read = terminal.read_exact(&mut answers);
+            let _ = done.send(read.map(|()| answers));
+        });
+        let answers = result.recv_timeout(BOUND).expect("answers in time").unwrap();
+        let frames = parse(&answers);
+        assert_eq!(frames, [(0x20, vec![0x1A, 0]), (0x20, vec![0, 0])]);
+    }
+}
+
+#[test]
+fn log_tells_time_direction_line_bytes_and_meaning() {
+    let path = scratch("log");
+    let served = serve_logged(Config::default(), tcp_lines(), Some(path.clone()));
+    let mut client = served.connect();
+    assert_eq!(client.ask(Command::Stop), Status::Success);
+    let mut bad = frame(Command::Stop);
+    bad[6] ^= 1;
+    client.0.write_all(&bad).unwrap();
+    assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
+    drop((client, served));
+    let log = std::fs::read_to_string(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    let lines: Vec<&str> = log.lines().collect();
+    assert_eq!(lines.len(), 5, "{log}");
+    assert!(lines[0].contains(" s tcp 127.0.0.1:"), "{log}");
+    assert!(lines[0].contains(" -> AA AA AA 22 00 00 ") && lines[0].ends_with(" 22h Stop"), "{log}");
+    assert!(
+        lines[1].contains(" <- AA AA AA 22 02 00 00 00 ") && lines[1].ends_with("22h Stop E_SUCCESS"),
+        "{log}"
+    );
+    assert!(lines[2].ends_with("-> wrong checksum: 22h Stop with 0 bytes of payload"), "{log}");
+    assert!(lines[4].ends_with("33h Get Force Limit E_SUCCESS 40.0"), "{log}");
+}
+
+/// Runs the binary to its end; its exit status, standard output and standard error.
+fn sim(arguments: &[&str]) -> (Option<i32>, String, String) {
+    let output = Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(arguments).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code(), text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn binary_refuses_what_cannot_be_served_in_one_line() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = taken.local_addr().unwrap().to_string();
+    let no_device = scratch("no-device");
+    let no_device = no_device.to_str().unwrap();
+    for (arguments, status, named) in [
+        (&["--tcp", &taken][..], 1, taken.as_str()),
+        (&["--serial", no_device], 1, no_device),
+        (&["--serial", "/dev/null"], 1, "/dev/null"),
+        (&["--model", "wsg1"], 2, "wsg50-110"),
+        (&["--nonsense"], 2, "--nonsense"),
+    ] {
+        let (code, stdout, stderr) = sim(arguments);
+        assert_eq!((code, stdout.as_str()), (Some(status), ""), "{arguments:?}: {stderr}");
+        assert!(stderr.starts_with("wsg-sim: ") && stderr.contains(named), "{stderr}");
+        assert_eq!(stderr.lines().count(), 1, "{stderr}");
+    }
+    let (code, stdout, _) = sim(&["--help"]);
+    assert!(code == Some(0) && stdout.contains("--time-scale"));
+}
+
+#[test]
+fn binary_serves_until_it_is_interrupted() {
+    let mut process = Process::new(env!("CARGO_BIN_EXE_wsg-sim"))
+        .args(["--tcp", "127.0.0.1:0", "--model", "wsg32", "--time-scale", "50"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(process.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert_eq!(lines.next().as_deref(), Some("model wsg32"));
+    let address = lines.next().unwrap().strip_prefix("tcp ").unwrap().parse().unwrap();
+    let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    assert_eq!(Client(&stream).ask(Command::GetSystemInfo), Status::Success);
+    let killed = Process::new("kill").args(["-INT", &process.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    assert!(process.wait().unwrap().success());
+}

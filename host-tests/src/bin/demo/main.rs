@@ -1,0 +1,34 @@
+//! The main job on real input: the flashed image in an emulator, a virtual gripper on its line, a PLC on its wires, and
+//! a live trace of what they do. Run it by `cargo xtask demo`.
+
+#[cfg(unix)]
+mod options;
+#[cfg(unix)]
+mod scenario;
+
+#[cfg(unix)]
+fn main() -> std::process::ExitCode {
+    use std::process::ExitCode;
+
+    let run = options::Options::from_arguments().and_then(|options| match options {
+        Some(options) => scenario::play(&options),
+        None => {
+            println!("{}", options::HELP);
+            Ok(true)
+        }
+    });
+    match run {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(not(unix))]
+fn main() -> std::process::ExitCode {
+    eprintln!("error: the demonstration needs Unix sockets towards the emulator; run it on Linux");
+    std::process::ExitCode::FAILURE
+}

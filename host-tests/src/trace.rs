@@ -1,0 +1,264 @@
+//! What happened between PLC, bridge and gripper: for a person to follow and for a test to compare.
+
+use std::fmt;
+use std::io::Write;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::{Command, Event, FrameParser, Reply, frame::MAX_MESSAGE_LEN};
+
+/// One thing that happened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Entry {
+    /// The PLC changed wires: before, after.
+    Plc(Inputs, Inputs),
+    /// The bridge changed wires: before, after.
+    Bridge(Outputs, Outputs),
+    /// A frame from bridge to gripper.
+    ToGripper(Vec<u8>),
+    /// A frame, or what became of one, from gripper to bridge.
+    FromGripper(Vec<u8>),
+    /// The fingers came to this opening width, in mm.
+    Fingers(f32),
+    /// Something that the tester did or found.
+    Note(String),
+}
+
+/// A recording, shared by all who watch.
+#[derive(Clone)]
+pub struct Trace {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    start: Instant,
+    inner: Mutex<Inner>,
+    grown: Condvar,
+}
+
+struct Inner {
+    entries: Vec<(Duration, Entry)>,
+    sinks: Vec<Box<dyn Write + Send>>,
+}
+
+impl fmt::Debug for Trace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Trace").field("entries", &self.lock().entries.len()).finish_non_exhaustive()
+    }
+}
+
+impl Trace {
+    /// A recording that begins now; each entry is also written to every sink, as a line.
+    #[must_use]
+    pub fn new(sinks: Vec<Box<dyn Write + Send>>) -> Self {
+        let inner = Mutex::new(Inner { entries: Vec::new(), sinks });
+        Self { shared: Arc::new(Shared { start: Instant::now(), inner, grown: Condvar::new() }) }
+    }
+
+    /// Since when this records.
+    #[must_use]
+    pub fn start(&self) -> Instant {
+        self.shared.start
+    }
+
+    /// Records an entry.
+    pub fn add(&self, entry: Entry) {
+        let at = self.shared.start.elapsed();
+        let mut inner = self.lock();
+        let line = format!("{:>9.3}  {entry}\n", at.as_secs_f64());
+        // A sink that fails (a closed pipe) does not end the recording.
+        inner.sinks.retain_mut(|sink| sink.write_all(line.as_bytes()).and_then(|()| sink.flush()).is_ok());
+        inner.entries.push((at, entry));
+        drop(inner);
+        self.shared.grown.notify_all();
+    }
+
+    /// Writes a line to every sink that is no entry.
+    pub fn headline(&self, text: &str) {
+        let mut inner = self.lock();
+        inner.sinks.retain_mut(|sink| writeln!(sink, "{text}").and_then(|()| sink.flush()).is_ok());
+    }
+
+    /// How many entries there are: a place to come back to.
+    #[must_use]
+    pub fn mark(&self) -> usize {
+        self.lock().entries.len()
+    }
+
+    /// The entries from a place on.
+    #[must_use]
+    pub fn since(&self, mark: usize) -> Vec<Entry> {
+        self.lock().entries.iter().skip(mark).map(|(_, entry)| entry.clone()).collect()
+    }
+
+    /// Waits until an entry from `mark` on is as `wanted`; whether one came in time.
+    pub fn wait(&self, mark: usize, timeout: Duration, wanted: impl Fn(&Entry) -> bool) -> bool {
+        let seen = |inner: &Inner| inner.entries.iter().skip(mark).any(|(_, entry)| wanted(entry));
+        let (inner, _) = self
+            .shared
+            .grown
+            .wait_timeout_while(self.lock(), timeout, |inner| !seen(inner))
+            .unwrap_or_else(PoisonError::into_inner);
+        seen(&inner)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.shared.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What two runs are compared by: three sequences, without times. How the three interleave is not compared: they
+/// reach the harness on separate ways.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sequences {
+    /// Edges on the PLC's wires.
+    pub edges: Vec<(Inputs, Inputs)>,
+    /// Changes of the bridge's wires.
+    pub outputs: Vec<(Outputs, Outputs)>,
+    /// Frames on the gripper's line, as text. Left out is what only the time decides: the bridge's regular questions
+    /// for system state and gripper state, and answers that repeat what the one before said.
+    pub frames: Vec<String>,
+}
+
+/// The commands that the bridge repeats in a steady rhythm.
+const STATE_QUERIES: [u8; 2] = [0x40, 0x41];
+/// Where the id stands in a frame.
+const ID_AT: usize = 3;
+
+impl Sequences {
+    /// The sequences of a recording.
+    #[must_use]
+    pub fn of(entries: &[Entry]) -> Self {
+        let mut sequences = Self::default();
+        let mut last_report: [Option<&[u8]>; STATE_QUERIES.len()] = [None; STATE_QUERIES.len()];
+        for entry in entries {
+            match entry {
+                Entry::Plc(before, after) => sequences.edges.push((*before, *after)),
+                Entry::Bridge(before, after) => sequences.outputs.push((*before, *after)),
+                Entry::ToGripper(bytes) | Entry::FromGripper(bytes) => {
+                    let query = STATE_QUERIES.iter().position(|id| bytes.get(ID_AT) == Some(id));
+                    let is_news = match (query, entry) {
+                        (None, _) => true,
+                        (Some(_), Entry::ToGripper(_)) => false,
+                        (Some(query), _) => last_report[query].replace(bytes) != Some(bytes),
+                    };
+                    if is_news {
+                        sequences.frames.push(entry.to_string());
+                    }
+                }
+                Entry::Fingers(_) | Entry::Note(_) => {}
+            }
+        }
+        sequences
+    }
+}
+
+/// The id of the frame in these bytes, if they look like one.
+#[must_use]
+pub fn frame_id(bytes: &[u8]) -> Option<u8> {
+    bytes.get(ID_AT).copied()
+}
+
+impl fmt::Display for Entry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Plc(before, after) => {
+                f.write_str("PLC     ")?;
+                edges(f, before.bits(), after.bits(), |bit| {
+                    name(Inputs::from_bits_retain(bit).iter_names().next())
+                })
+            }
+            Self::Bridge(before, after) => {
+                f.write_str("bridge  ")?;
+                edges(f, before.bits(), after.bits(), |bit| {
+                    name(Outputs::from_bits_retain(bit).iter_names().next())
+                })
+            }
+            Self::ToGripper(bytes) => write!(f, "-> {}", Described { bytes, is_reply: false }),
+            Self::FromGripper(bytes) => write!(f, "<- {}", Described { bytes, is_reply: true }),
+            Self::Fingers(width) => write!(f, "fingers {width:.2} mm"),
+            Self::Note(text) => write!(f, "{text}"),
+        }
+    }
+}
+
+fn name<T>(named: Option<(&'static str, T)>) -> &'static str {
+    named.map_or("?", |(name, _)| name)
+}
+
+/// `GRIP ↑  RECIPE0 ↓`.
+fn edges(
+    f: &mut fmt::Formatter<'_>,
+    before: u8,
+    after: u8,
+    name: impl Fn(u8) -> &'static str,
+) -> fmt::Result {
+    let mut gap = "";
+    for bit in (0..u8::BITS).map(|n| 1 << n).filter(|bit| (before ^ after) & bit != 0) {
+        write!(f, "{gap}{} {}", name(bit), if after & bit != 0 { '↑' } else { '↓' })?;
+        gap = "  ";
+    }
+    Ok(())
+}
+
+/// A frame's meaning and its bytes.
+struct Described<'a> {
+    bytes: &'a [u8],
+    is_reply: bool,
+}
+
+impl fmt::Display for Described<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut parser = FrameParser::<{ MAX_MESSAGE_LEN }>::new();
+        let meaning = match parser.push_slice(self.bytes) {
+            (taken, Some(Event::Frame(frame))) if taken == self.bytes.len() => {
+                let read = if self.is_reply {
+                    Reply::decode(&frame).map(|reply| reply.to_string())
+                } else {
+                    Command::decode(&frame).map(|command| command.to_string())
+                };
+                read.unwrap_or_else(|refusal| format!("{:02X}h not understood: {refusal}", frame.id))
+            }
+            (_, Some(Event::BadChecksum { id, .. })) => format!("{id:02X}h with a wrong checksum"),
+            _ => "no frame".to_owned(),
+        };
+        write!(f, "{meaning:<58}")?;
+        self.bytes.iter().try_for_each(|byte| write!(f, " {byte:02X}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_and_edges_read_as_a_person_would_write_them() {
+        let pending = [0xAA, 0xAA, 0xAA, 0x21, 0x02, 0x00, 0x1A, 0x00, 0x67, 0xCB];
+        let line = Entry::FromGripper(pending.to_vec()).to_string();
+        assert!(line.starts_with("<- 21h Pre-position Fingers E_CMD_PENDING "), "{line}");
+        assert!(line.ends_with(" AA AA AA 21 02 00 1A 00 67 CB"), "{line}");
+        let edge = Entry::Plc(Inputs::RECIPE0, Inputs::GRIP).to_string();
+        assert_eq!(edge, "PLC     GRIP ↑  RECIPE0 ↓");
+    }
+
+    #[test]
+    fn sequences_leave_out_what_only_the_time_decides() {
+        let state = |byte| Entry::FromGripper(vec![0xAA, 0xAA, 0xAA, 0x41, 3, 0, 0, 0, byte]);
+        let question = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x41, 3, 0, 3, 10, 0]);
+        let stop = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x22, 0, 0]);
+        let entries = [question.clone(), state(0), question, state(0), stop.clone(), state(6), state(0)];
+        let frames = Sequences::of(&entries).frames;
+        let expected = [state(0), stop, state(6), state(0)].map(|entry| entry.to_string());
+        assert_eq!(frames, expected);
+    }
+
+    #[test]
+    fn wait_ends_at_its_bound_or_with_the_entry() {
+        let trace = Trace::new(vec![]);
+        assert!(!trace.wait(0, Duration::from_millis(1), |_| true));
+        trace.add(Entry::Fingers(1.0));
+        assert!(trace.wait(0, Duration::ZERO, |entry| matches!(entry, Entry::Fingers(_))));
+        assert!(!trace.wait(1, Duration::ZERO, |_| true), "entries before the mark do not count");
+    }
+}
