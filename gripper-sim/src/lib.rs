@@ -15,7 +15,7 @@
 //! | `server` | TCP, UDP, serial lines (feature `std`) |
 //!
 //! It is a model, not a copy: the fingers stop dead on Stop, FAST STOP and contact, a part is an ideal spring, and the
-//! force is exact. Where the manual is silent, the documents of the item say what was decided.
+//! force is exact. What was decided where the manual is silent stands in `docs/models.md`.
 #![cfg_attr(not(feature = "std"), no_std)]
 #![forbid(unsafe_code)]
 

@@ -2,6 +2,7 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
 //! | [`rig`] | board, gripper and PLC together |
@@ -10,6 +11,7 @@
 //! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
 //! is empty.
 
+pub mod bench;
 #[cfg(unix)]
 pub mod emulator;
 #[cfg(unix)]

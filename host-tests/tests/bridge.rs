@@ -1,0 +1,345 @@
+//! The bridge library and the virtual gripper in virtual time: what a PLC sees, and what must never happen.
+
+use host_tests::bench::Bench;
+use proptest::prelude::*;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
+use wsg_sim::{Config, Fault, Part};
+
+const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
+
+fn with_part(width: f32) -> Config {
+    Config { part: Part::of_width(width), time_scale: 10.0, ..Config::default() }
+}
+
+fn quick() -> Config {
+    Config { time_scale: 10.0, ..Config::default() }
+}
+
+fn frame(reply: Reply<'_>) -> Vec<u8> {
+    FrameEncoder::new(reply.id().code(), reply).collect()
+}
+
+#[test]
+fn grip_cycle_shows_what_the_gripper_does() {
+    let mut bench = Bench::homed(with_part(20.0));
+    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    assert_eq!(bench.command(Inputs::RELEASE), IDLE);
+    assert_eq!(bench.take_motions(), [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart]);
+}
+
+#[test]
+fn part_pulled_out_is_a_part_fault() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.command(Inputs::GRIP);
+    let now = bench.now();
+    bench.gripper().set_part(None, now);
+    assert!(bench.until(50, |outputs| outputs == IDLE | Outputs::PART_FAULT), "{:?}", bench.outputs());
+}
+
+#[test]
+fn grip_without_a_part_is_a_part_fault_and_no_error() {
+    let mut bench = Bench::homed(quick());
+    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::PART_FAULT);
+}
+
+#[test]
+fn recipe_wires_choose_the_width() {
+    for (number, width) in [(0u8, 20.0), (1, 80.0), (2, 10.0), (3, 50.0)] {
+        let mut bench = Bench::homed(quick());
+        bench.set(Inputs::RECIPE0, number & 1 != 0);
+        bench.set(Inputs::RECIPE1, number & 2 != 0);
+        bench.command(Inputs::MOVE);
+        let stands = bench.gripper().state().width;
+        assert!((stands - width).abs() < 0.05, "recipe {number}: {stands}");
+    }
+}
+
+#[test]
+fn motion_before_homing_is_refused_by_the_gripper_and_shows_error() {
+    let mut bench = Bench::ready(quick());
+    bench.pulse(Inputs::MOVE);
+    assert!(bench.until(100, |outputs| outputs.contains(Outputs::ERROR)));
+    assert_eq!(bench.command(Inputs::HOME), IDLE, "and homing clears it");
+}
+
+#[test]
+fn recipe_that_changes_during_a_motion_changes_nothing() {
+    let mut bench = Bench::homed(quick());
+    bench.set(Inputs::MOVE, true);
+    bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
+    bench.set(Inputs::RECIPE0 | Inputs::RECIPE1, true);
+    assert!(bench.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
+    assert_eq!(bench.outputs(), IDLE, "no FAST STOP");
+}
+
+#[test]
+fn second_command_during_a_motion_shows_error_and_does_not_reach_the_gripper() {
+    let mut bench = Bench::homed(quick());
+    bench.take_sent();
+    bench.set(Inputs::MOVE, true);
+    bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
+    bench.pulse(Inputs::RELEASE);
+    assert!(bench.outputs().contains(Outputs::ERROR | Outputs::BUSY));
+    assert!(bench.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
+    assert_eq!(bench.outputs(), IDLE, "the motion's own result counts");
+    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+}
+
+#[test]
+fn stop_while_holding_releases_the_force() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.command(Inputs::GRIP);
+    bench.pulse(Inputs::STOP_ACK);
+    assert!(bench.until(100, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+    assert_eq!(bench.gripper().state().force, 0.0);
+}
+
+#[test]
+fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged() {
+    let mut bench = Bench::new(quick());
+    let commands = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
+    let try_all = |bench: &mut Bench| {
+        for wire in commands {
+            bench.pulse(wire);
+            bench.pass(50);
+        }
+    };
+    bench.pass(500);
+    assert!(bench.outputs().contains(Outputs::LINK_OK | Outputs::ERROR));
+    try_all(&mut bench);
+    bench.pulse(Inputs::STOP_ACK);
+    try_all(&mut bench);
+    bench.set(Inputs::FAST_STOP_OK, true);
+    bench.pass(20);
+    try_all(&mut bench);
+    assert_eq!(bench.take_motions(), []);
+    bench.pulse(Inputs::STOP_ACK);
+    assert!(
+        bench.until(100, |outputs| outputs == Outputs::READY | Outputs::LINK_OK),
+        "{:?}",
+        bench.outputs()
+    );
+    bench.command(Inputs::HOME);
+    assert_eq!(bench.take_motions(), [CommandId::Homing]);
+}
+
+#[test]
+fn fast_stop_ends_a_motion_within_milliseconds() {
+    let mut bench = Bench::homed(Config::default());
+    bench.set(Inputs::MOVE, true);
+    bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
+    bench.pass(300);
+    bench.set(Inputs::FAST_STOP_OK, false);
+    bench.pass(6);
+    let stands = bench.gripper().state().width;
+    bench.pass(500);
+    assert_eq!(bench.gripper().state().width, stands);
+    assert!(bench.outputs().contains(Outputs::ERROR) && !bench.outputs().contains(Outputs::READY));
+}
+
+#[test]
+fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
+    let mut bench = Bench::new(quick());
+    bench.to_bridge = Some(Box::new(Vec::clear));
+    bench.set(Inputs::FAST_STOP_OK, true);
+    for _ in 0..20 {
+        for wire in [Inputs::STOP_ACK, Inputs::HOME, Inputs::GRIP] {
+            bench.pulse(wire);
+            bench.pass(100);
+        }
+    }
+    assert!(!bench.outputs().intersects(Outputs::LINK_OK | Outputs::READY | Outputs::BUSY));
+    assert_eq!(bench.take_motions(), []);
+}
+
+#[test]
+fn command_while_the_line_is_cut_is_not_carried_out_when_it_is_mended() {
+    let mut bench = Bench::homed(quick());
+    bench.take_sent();
+    bench.to_bridge = Some(Box::new(Vec::clear));
+    bench.to_gripper = Some(Box::new(Vec::clear));
+    assert!(
+        bench.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)),
+        "the cut shows within a second"
+    );
+    bench.pulse(Inputs::MOVE);
+    bench.to_bridge = None;
+    bench.to_gripper = None;
+    assert!(bench.until(1_000, |outputs| outputs.contains(Outputs::LINK_OK)));
+    bench.pass(1_000);
+    assert_eq!(bench.take_motions(), []);
+}
+
+#[test]
+fn line_cut_during_a_motion_says_that_the_outcome_is_not_known() {
+    let mut bench = Bench::homed(Config::default());
+    bench.set(Inputs::MOVE, true);
+    bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
+    bench.set(Inputs::MOVE, false);
+    bench.to_bridge = Some(Box::new(Vec::clear));
+    assert!(bench.until(1_000, |outputs| outputs == Outputs::ERROR), "{:?}", bench.outputs());
+    bench.to_bridge = None;
+    assert!(bench.until(5_000, |outputs| outputs.contains(Outputs::READY)));
+    assert!(bench.outputs().contains(Outputs::ERROR), "still not known");
+    bench.set(Inputs::RECIPE0, true);
+    assert_eq!(bench.command(Inputs::MOVE), IDLE, "the next command clears it");
+}
+
+#[test]
+fn result_with_a_wrong_checksum_is_noticed_and_recovered_from() {
+    let mut bench = Bench::homed(quick());
+    bench.take_sent();
+    // The second answer to Pre-position (21h, E_SUCCESS) arrives damaged, once.
+    let result = frame(Reply::status_only(CommandId::PrePosition, Status::Success));
+    let mut done = false;
+    bench.to_bridge = Some(Box::new(move |bytes| {
+        if let Some(at) = bytes.windows(result.len()).position(|window| window == result).filter(|_| !done) {
+            bytes[at + 6] ^= 0x10;
+            done = true;
+        }
+    }));
+    bench.set(Inputs::RECIPE0, true);
+    let outputs = bench.command(Inputs::MOVE);
+    assert!(outputs.contains(Outputs::ERROR | Outputs::LINK_OK), "{outputs:?}");
+    assert_eq!(bench.counters().line.bad_checksum, 1);
+    bench.set(Inputs::RECIPE0, false);
+    assert_eq!(bench.command(Inputs::MOVE), IDLE);
+    assert_eq!(bench.take_motions(), [CommandId::PrePosition; 2], "one for each edge");
+}
+
+#[test]
+fn answers_to_nothing_ever_asked_change_nothing() {
+    let mut bench = Bench::homed(quick());
+    let outputs = bench.outputs();
+    bench.take_sent();
+    for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
+        for status in [Status::Success, Status::CmdPending, Status::CmdFailed] {
+            bench.inject(&frame(Reply::status_only(*id, status)));
+        }
+    }
+    bench.pass(300);
+    assert_eq!(bench.outputs(), outputs);
+    assert_eq!(bench.take_motions(), []);
+    assert!(bench.counters().session.unasked > 50, "and they are counted: {:?}", bench.counters());
+}
+
+#[test]
+fn restarted_gripper_shows_that_homing_is_due() {
+    let mut bench = Bench::homed(quick());
+    bench.restart_gripper(quick());
+    assert!(
+        bench.until(1_500, |outputs| outputs == Outputs::READY | Outputs::LINK_OK),
+        "{:?}",
+        bench.outputs()
+    );
+}
+
+#[test]
+fn fault_of_the_gripper_shows_error_and_is_left_by_an_acknowledgement() {
+    let mut bench = Bench::homed(quick());
+    let now = bench.now();
+    bench.gripper().set_fault(Fault::SupplyOutOfRange, true, now);
+    assert!(
+        bench.until(100, |outputs| outputs.contains(Outputs::ERROR) && !outputs.contains(Outputs::READY))
+    );
+    let now = bench.now();
+    bench.gripper().set_fault(Fault::SupplyOutOfRange, false, now);
+    bench.pass(100);
+    assert!(bench.outputs().contains(Outputs::ERROR), "not by itself");
+    bench.pulse(Inputs::STOP_ACK);
+    assert!(bench.until(100, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+}
+
+/// What can happen to the bench from outside.
+#[derive(Clone, Debug)]
+enum Happening {
+    /// Bytes on the line to the bridge.
+    Bytes(Vec<u8>),
+    /// A wire that commands no motion changes.
+    Wire(usize, bool),
+    /// A pulse on a command wire that is too short to count.
+    Spike(usize),
+    /// The line is dead, or not.
+    Cut(bool),
+    /// The gripper's supply fails, or comes back.
+    Fault(bool),
+    Pass(u32),
+}
+
+const COMMANDS: [Inputs; 4] = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
+const OTHERS: [Inputs; 4] = [Inputs::STOP_ACK, Inputs::FAST_STOP_OK, Inputs::RECIPE0, Inputs::RECIPE1];
+
+fn happening() -> impl Strategy<Value = Happening> {
+    let reply = (any::<prop::sample::Index>(), any::<prop::sample::Index>()).prop_map(|(id, status)| {
+        frame(Reply::status_only(*id.get(CommandId::ALL), *status.get(Status::ALL)))
+    });
+    prop_oneof![
+        3 => proptest::collection::vec(prop_oneof![Just(0xAAu8), any::<u8>()], 0..40).prop_map(Happening::Bytes),
+        3 => reply.prop_map(Happening::Bytes),
+        3 => (0..OTHERS.len(), any::<bool>()).prop_map(|(wire, high)| Happening::Wire(wire, high)),
+        2 => (0..COMMANDS.len()).prop_map(Happening::Spike),
+        1 => any::<bool>().prop_map(Happening::Cut),
+        1 => any::<bool>().prop_map(Happening::Fault),
+        4 => (1..400u32).prop_map(Happening::Pass),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn without_an_edge_on_a_command_wire_no_motion_ever_leaves(happenings in proptest::collection::vec(happening(), 1..40)) {
+        let mut bench = Bench::homed(with_part(20.0));
+        bench.take_sent();
+        for happening in happenings {
+            match happening {
+                Happening::Bytes(bytes) => bench.inject(&bytes),
+                Happening::Wire(wire, high) => bench.set(OTHERS[wire], high),
+                Happening::Spike(wire) => {
+                    bench.set(COMMANDS[wire], true);
+                    bench.pass(1);
+                    bench.set(COMMANDS[wire], false);
+                }
+                Happening::Cut(true) => bench.to_bridge = Some(Box::new(Vec::clear)),
+                Happening::Cut(false) => bench.to_bridge = None,
+                Happening::Fault(on) => {
+                    let now = bench.now();
+                    bench.gripper().set_fault(Fault::SupplyOutOfRange, on, now);
+                }
+                Happening::Pass(ms) => bench.pass(ms),
+            }
+        }
+        bench.pass(50);
+        prop_assert_eq!(bench.take_motions(), []);
+    }
+
+    #[test]
+    fn after_any_noise_the_bridge_works_again(noise in proptest::collection::vec(prop_oneof![Just(0xAAu8), any::<u8>()], 0..200)) {
+        let mut bench = Bench::homed(with_part(20.0));
+        bench.inject(&noise);
+        bench.pass(2_000);
+        if !bench.outputs().contains(Outputs::READY) {
+            // Noise can hold a right report by chance, of a FAST STOP for example; the next regular question corrects it.
+            bench.pass(2_000);
+        }
+        prop_assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    }
+}
+
+#[test]
+fn two_hundred_cycles_in_virtual_time_are_all_alike() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.take_sent();
+    for cycle in 0..200 {
+        bench.set(Inputs::RECIPE0, true);
+        assert_eq!(bench.command(Inputs::MOVE), IDLE, "cycle {cycle}");
+        bench.set(Inputs::RECIPE0, false);
+        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING, "cycle {cycle}");
+        assert_eq!(bench.command(Inputs::RELEASE), IDLE, "cycle {cycle}");
+        let expected = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
+        assert_eq!(bench.take_motions(), expected, "cycle {cycle}");
+    }
+    assert_eq!(bench.gripper().state().statistics.total, 200);
+    assert_eq!(bench.counters(), wsg_bridge_fw::Counters::default(), "nothing was lost, repeated or unasked");
+}
