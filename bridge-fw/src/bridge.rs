@@ -112,7 +112,8 @@ impl Bridge {
                 let (taken, event) = self.parser.push_slice(rest);
                 rest = rest.get(taken..).unwrap_or(&[]);
                 let Some(event) = event else { break };
-                notice(&mut self.controller, self.session.handle(now, &event));
+                let noticed = self.session.handle(now, &event);
+                notice(&mut self.controller, &self.session, noticed);
             }
         }
     }
@@ -122,7 +123,8 @@ impl Bridge {
             return;
         }
         while let Some(event) = self.parser.expire() {
-            notice(&mut self.controller, self.session.handle(now, &event));
+            let noticed = self.session.handle(now, &event);
+            notice(&mut self.controller, &self.session, noticed);
         }
     }
 
@@ -132,7 +134,7 @@ impl Bridge {
                 // What has not left by now must not leave when the line comes back.
                 self.sending = None;
             }
-            notice(&mut self.controller, Some(noticed));
+            notice(&mut self.controller, &self.session, Some(noticed));
         }
     }
 
@@ -179,9 +181,9 @@ impl Bridge {
     }
 }
 
-fn notice(controller: &mut Controller, notice: Option<Notice<'_>>) {
+fn notice(controller: &mut Controller, session: &Session, notice: Option<Notice<'_>>) {
     if let Some(notice) = notice {
         log::noticed(&notice);
-        controller.handle(&notice);
+        controller.handle(&notice, session.known());
     }
 }

@@ -189,7 +189,12 @@ impl Bench {
     /// When it is not taken, or does not end within a minute.
     pub fn command(&mut self, wire: Inputs) -> Outputs {
         self.set(wire, true);
-        assert!(self.until(1_000, |outputs| outputs.contains(Outputs::BUSY)), "{wire:?} is not taken");
+        assert!(
+            self.until(1_000, |outputs| outputs.contains(Outputs::BUSY)),
+            "{wire:?} is not taken: {:?}, sent {:?}",
+            self.outputs,
+            self.sent
+        );
         self.set(wire, false);
         assert!(self.until(60_000, |outputs| !outputs.contains(Outputs::BUSY)), "{wire:?} does not end");
         self.outputs

@@ -300,6 +300,7 @@ proptest! {
                     bench.set(COMMANDS[wire], true);
                     bench.pass(1);
                     bench.set(COMMANDS[wire], false);
+                    bench.pass(1);
                 }
                 Happening::Cut(true) => bench.to_bridge = Some(Box::new(Vec::clear)),
                 Happening::Cut(false) => bench.to_bridge = None,

@@ -49,6 +49,9 @@ pub struct Controller {
     failed: bool,
     /// The state that the last result implies, until the gripper reports one.
     settled: Option<GripperState>,
+    /// A success that is shown once the gripper reports that its fingers stand: the PLC sees the end of a motion, its
+    /// result and the flags that belong to it at one and the same time.
+    held_back: Option<(CommandId, Status)>,
     outgoing: Deque<Command<'static>, OUTGOING_LEN>,
 }
 
@@ -84,6 +87,7 @@ impl Controller {
             status: Status::Success,
             failed: false,
             settled: None,
+            held_back: None,
             outgoing: Deque::new(),
         }
     }
@@ -109,11 +113,12 @@ impl Controller {
         }
     }
 
-    /// Takes what the session noticed.
-    pub fn handle(&mut self, notice: &Notice<'_>) {
+    /// Takes what the session noticed, with what it knows since.
+    pub fn handle(&mut self, notice: &Notice<'_>, known: &Known) {
         match notice {
             Notice::Connected => self.connected = true,
             Notice::Disconnected => {
+                self.show_held_back();
                 self.connected = false;
                 self.settled = None;
                 if self.fast_stop == FastStop::Latched {
@@ -121,10 +126,11 @@ impl Controller {
                     self.fast_stop();
                 }
             }
-            Notice::Answered(reply) => self.answered(reply),
+            Notice::Answered(reply) => self.answered(reply, known),
             Notice::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout),
             Notice::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted),
             Notice::Reported(Value::GetGripperState(_)) => self.settled = None,
+            Notice::Reported(Value::GetSystemState(_)) => self.show_held_back(),
             Notice::Pending(_) | Notice::Reported(_) => {}
         }
     }
@@ -189,7 +195,11 @@ impl Controller {
     }
 
     fn is_moving(&self, known: &Known) -> bool {
-        self.motion.is_some() || known.is_moving()
+        // A result overtakes the report of the state that it ends.
+        let state = self.settled.or(known.state);
+        self.motion.is_some()
+            || has_flag(known, SystemFlags::MOVING)
+            || state.is_some_and(GripperState::is_motion)
     }
 
     fn fast_stop(&mut self) {
@@ -213,6 +223,7 @@ impl Controller {
     /// Sends a command that ends or overrules a motion; what the motion still answers no longer matters.
     fn send_alone(&mut self, command: Command<'static>) {
         self.motion = None;
+        self.held_back = None;
         self.failed = false;
         self.outgoing.clear();
         self.send(command);
@@ -272,49 +283,51 @@ impl Controller {
         self.status = status;
     }
 
-    fn answered(&mut self, reply: &Reply<'_>) {
+    fn answered(&mut self, reply: &Reply<'_>, known: &Known) {
         let (id, status) = (reply.id(), reply.status());
-        if let Some(motion) = self.motion {
-            if motion.prepares && id == CommandId::SetForceLimit {
-                if status == Status::Success {
-                    self.motion = Some(Motion { prepares: false, ..motion });
-                    self.send(motion.command);
-                } else {
-                    self.came_to_nothing(id, status);
-                }
-                return;
+        if let Some(motion) = self.motion.filter(|motion| motion.prepares && id == CommandId::SetForceLimit) {
+            if status == Status::Success {
+                self.motion = Some(Motion { prepares: false, ..motion });
+                self.send(motion.command);
+            } else {
+                self.came_to_nothing(id, status);
             }
-            if id == motion.command.id() {
-                self.finish(id, status);
-                return;
-            }
+            return;
         }
-        match (id, status) {
-            (CommandId::FastStop, Status::Success) => self.fast_stop = FastStop::Latched,
-            (CommandId::Acknowledge, Status::Success)
-                // Unless a new FAST STOP was asked for in the meantime.
-                if self.fast_stop == FastStop::Latched => {
-                    self.fast_stop = FastStop::Clear;
-                }
-            (CommandId::Stop, Status::Success) => self.settled = Some(GripperState::Idle),
+        let ends_motion =
+            id == CommandId::Stop || self.motion.is_some_and(|motion| id == motion.command.id());
+        if ends_motion && implied_state(id, status).is_some() && has_flag(known, SystemFlags::MOVING) {
+            self.held_back = Some((id, status));
+        } else {
+            self.show_outcome(id, status);
+        }
+    }
+
+    fn show_held_back(&mut self) {
+        if let Some((id, status)) = self.held_back.take() {
+            self.show_outcome(id, status);
+        }
+    }
+
+    /// The outcome of a command, for the PLC to see.
+    fn show_outcome(&mut self, id: CommandId, status: Status) {
+        if self.motion.is_some_and(|motion| id == motion.command.id()) {
+            self.motion = None;
+            self.settled = implied_state(id, status);
+            self.failed = self.settled.is_none();
+            self.status = status;
+            return;
+        }
+        match (id, status, self.fast_stop) {
+            (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
+            (CommandId::FastStop, Status::Success, _) => self.fast_stop = FastStop::Latched,
+            // Unless a new FAST STOP was asked for in the meantime.
+            (CommandId::Acknowledge, Status::Success, FastStop::Latched) => self.fast_stop = FastStop::Clear,
             _ => {}
         }
         if self.shown == Some(id) {
             self.status = status;
         }
-    }
-
-    /// The result of the running motion.
-    fn finish(&mut self, id: CommandId, status: Status) {
-        self.motion = None;
-        self.status = status;
-        self.settled = match (id, status) {
-            (CommandId::GripPart, Status::Success) => Some(GripperState::Holding),
-            (CommandId::GripPart, Status::CmdFailed) => Some(GripperState::NoPart),
-            (_, Status::Success) => Some(GripperState::Idle),
-            _ => None,
-        };
-        self.failed = self.settled.is_none();
     }
 
     /// A command that was not carried out, or of which that is not known.
@@ -335,6 +348,16 @@ impl Controller {
 impl Default for Controller {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+/// The gripper state that the end of a command implies; `None` when it failed.
+const fn implied_state(id: CommandId, status: Status) -> Option<GripperState> {
+    match (id, status) {
+        (CommandId::GripPart, Status::Success) => Some(GripperState::Holding),
+        (CommandId::GripPart, Status::CmdFailed) => Some(GripperState::NoPart),
+        (_, Status::Success) => Some(GripperState::Idle),
+        _ => None,
     }
 }
 

@@ -61,12 +61,12 @@ impl Plc {
             width: Some(50.0),
             force: Some(0.0),
         };
-        self.controller.handle(&Notice::Connected);
+        self.controller.handle(&Notice::Connected, &self.known);
     }
 
     fn disconnect(&mut self) {
         self.known = Known::NOTHING;
-        self.controller.handle(&Notice::Disconnected);
+        self.controller.handle(&Notice::Disconnected, &self.known);
     }
 
     fn write(&mut self, change: impl FnOnce(&mut OutputImage)) -> Vec<Command<'static>> {
@@ -84,18 +84,18 @@ impl Plc {
     }
 
     fn answer(&mut self, id: CommandId, status: Status) -> Vec<Command<'static>> {
-        self.controller.handle(&Notice::Answered(Reply::status_only(id, status)));
+        self.controller.handle(&Notice::Answered(Reply::status_only(id, status)), &self.known);
         self.commands()
     }
 
     fn report(&mut self, state: GripperState) {
         self.known.state = Some(state);
-        self.controller.handle(&Notice::Reported(Value::GetGripperState(state)));
+        self.controller.handle(&Notice::Reported(Value::GetGripperState(state)), &self.known);
     }
 
     fn report_flags(&mut self, flags: SystemFlags) {
         self.known.flags = Some(flags);
-        self.controller.handle(&Notice::Reported(Value::GetSystemState(flags)));
+        self.controller.handle(&Notice::Reported(Value::GetSystemState(flags)), &self.known);
     }
 
     fn commands(&mut self) -> Vec<Command<'static>> {
@@ -428,7 +428,7 @@ fn motion_without_a_connection_is_refused_and_not_kept() {
 fn motion_whose_outcome_is_not_known_shows_error_and_e_timeout() {
     let mut plc = Plc::ready();
     plc.grip();
-    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart));
+    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart), &plc.known);
     plc.disconnect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
     plc.connect();
@@ -440,7 +440,7 @@ fn part_that_is_held_shows_even_if_the_result_of_the_grip_was_lost() {
     let mut plc = Plc::ready();
     plc.grip();
     plc.report(GripperState::Holding);
-    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart));
+    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart), &plc.known);
     assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Timeout));
 }
 
@@ -458,4 +458,52 @@ fn measured_values_stand_in_the_input_image() {
     (plc.known.width, plc.known.force) = (Some(12.2), Some(4.05));
     let input = plc.controller.input(&plc.known);
     assert_eq!((input.width, input.force), (1220, 405));
+}
+
+#[test]
+fn success_shows_together_with_the_report_that_the_fingers_stand() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.report(GripperState::Gripping);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.answer(CommandId::GripPart, Status::Success);
+    assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending), "not yet");
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Success), "although the state's report is older");
+    plc.lower(CommandFlags::GRIP);
+    let commands = plc.write(|image| {
+        image.width = 40_00;
+        image.flags = CommandFlags::RELEASE;
+    });
+    assert_eq!(commands, [Command::ReleasePart { width: 40.0, speed: 50.0 }], "new parameters, no FAST STOP");
+}
+
+#[test]
+fn failure_shows_at_once_even_while_the_fingers_are_reported_to_move() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.answer(CommandId::PrePosition, Status::AxisBlocked);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::AxisBlocked));
+}
+
+#[test]
+fn success_that_is_held_back_is_not_lost_with_the_connection() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.answer(CommandId::PrePosition, Status::Success);
+    plc.disconnect();
+    assert_eq!(plc.shows().1, Status::Success);
+}
+
+#[test]
+fn fast_stop_wins_over_a_success_that_is_held_back() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.answer(CommandId::PrePosition, Status::Success);
+    assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::CmdPending));
 }

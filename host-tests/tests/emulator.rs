@@ -1,0 +1,272 @@
+//! The flashed image between a PLC and a virtual gripper, in the emulator.
+#![cfg(unix)]
+
+use std::path::PathBuf;
+
+use host_tests::rig::{PATIENCE, Rig, motions, names};
+use host_tests::trace::{Entry, Sequences, Trace};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
+use wsg_sim::{Config, Part};
+
+const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
+
+/// The recipe that opens wide.
+const WIDE: u8 = 1;
+
+fn image() -> PathBuf {
+    std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF names the firmware image").into()
+}
+
+/// A gripper whose fingers travel ten times as fast, which leaves every phase of a motion well above the 10 ms in which
+/// reports are drawn together.
+fn quick() -> Config {
+    Config { time_scale: 10.0, ..Config::default() }
+}
+
+fn with_part() -> Config {
+    Config { part: Part::of_width(20.0), ..quick() }
+}
+
+fn powered(config: Config) -> Rig {
+    Rig::power_up(&image(), config, Trace::new(vec![])).unwrap()
+}
+
+fn ready(config: Config) -> Rig {
+    let rig = powered(config);
+    rig.release_fast_stop().unwrap();
+    rig
+}
+
+fn homed(config: Config) -> Rig {
+    let rig = ready(config);
+    assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
+    rig
+}
+
+fn frame(reply: Reply<'_>) -> Vec<u8> {
+    FrameEncoder::new(reply.id().code(), reply).collect()
+}
+
+/// MOVE wide, GRIP the part, RELEASE: each must end as it should.
+fn cycle(rig: &Rig, number: u32) {
+    rig.select_recipe(WIDE).unwrap();
+    assert_eq!(rig.command(Inputs::MOVE).unwrap(), IDLE, "MOVE of cycle {number}");
+    rig.select_recipe(0).unwrap();
+    assert_eq!(rig.command(Inputs::GRIP).unwrap(), IDLE | Outputs::HOLDING, "GRIP of cycle {number}");
+    assert_eq!(rig.command(Inputs::RELEASE).unwrap(), IDLE, "RELEASE of cycle {number}");
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn two_hundred_grip_cycles_without_one_deviation() {
+    let rig = homed(with_part());
+    let mark = rig.trace().mark();
+
+    for number in 0..200 {
+        cycle(&rig, number);
+    }
+
+    rig.flush_line().unwrap();
+    let entries = rig.trace().since(mark);
+    let expected = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart].repeat(200);
+    assert_eq!(motions(&entries), expected, "one command for each edge");
+    let statistics = rig.gripper().state().statistics;
+    assert_eq!((statistics.total, statistics.no_part, statistics.part_lost), (200, 0, 0));
+    let notes: Vec<&Entry> = entries.iter().filter(|entry| matches!(entry, Entry::Note(_))).collect();
+    assert!(notes.is_empty(), "{notes:?}");
+    // Every cycle looks like the first one: edges and outputs from the sequence of one cycle.
+    let sequences = Sequences::of(&entries);
+    let per_cycle = sequences.edges.len() / 200;
+    assert!(sequences.edges.chunks(per_cycle).all(|chunk| chunk == &sequences.edges[..per_cycle]));
+    assert_eq!(sequences.outputs.len() % 200, 0, "{} changes of outputs", sequences.outputs.len());
+    let per_cycle = sequences.outputs.len() / 200;
+    assert!(sequences.outputs.chunks(per_cycle).all(|chunk| chunk == &sequences.outputs[..per_cycle]));
+}
+
+/// The main job once, from power-up on.
+fn main_job() -> Sequences {
+    let rig = homed(with_part());
+    cycle(&rig, 0);
+    rig.command(Inputs::GRIP).unwrap();
+    rig.gripper().set_part(None);
+    rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::PART_FAULT)).unwrap();
+    rig.command(Inputs::RELEASE).unwrap();
+    assert_eq!(rig.command(Inputs::GRIP).unwrap(), IDLE | Outputs::PART_FAULT);
+    rig.command(Inputs::RELEASE).unwrap();
+    rig.set(Inputs::FAST_STOP_OK, false).unwrap();
+    rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::ERROR)).unwrap();
+    rig.release_fast_stop().unwrap();
+    rig.flush_line().unwrap();
+    Sequences::of(&rig.trace().since(0))
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn two_runs_give_the_same_edges_frames_and_output_changes() {
+    let (first, second) = (main_job(), main_job());
+    assert!(first.frames.len() > 40 && first.edges.len() > 15 && first.outputs.len() > 15);
+    assert_eq!(first.edges, second.edges);
+    assert_eq!(first.outputs, second.outputs);
+    assert_eq!(first.frames, second.frames);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged() {
+    let rig = powered(quick());
+    rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+    let commands = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
+    let try_all = || commands.iter().for_each(|wire| rig.pulse(*wire).unwrap());
+
+    try_all();
+    rig.pulse(Inputs::STOP_ACK).unwrap();
+    try_all();
+    rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+    rig.pass(10).unwrap();
+    try_all();
+    assert_eq!(rig.motions_since(0).unwrap(), []);
+
+    rig.release_fast_stop().unwrap();
+    rig.command(Inputs::HOME).unwrap();
+    assert_eq!(rig.motions_since(0).unwrap(), [CommandId::Homing]);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn command_wire_that_is_high_at_power_up_starts_nothing() {
+    let rig = powered(quick());
+    rig.set(Inputs::HOME | Inputs::GRIP, true).unwrap();
+    rig.release_fast_stop().unwrap();
+    rig.pass(300).unwrap();
+    assert_eq!(rig.motions_since(0).unwrap(), []);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from() {
+    let rig = homed(with_part());
+    let mark = rig.trace().mark();
+    let false_starts: [&[u8]; 4] = [
+        &[0x00, 0xFF, 0xAA],
+        &[0xAA, 0xAA, 0xAA, 0x25, 0x02],
+        &[0xAA, 0xAA, 0xAA, 0xAA, 0xAA, 0xAA, 0xAA],
+        &[0xAA, 0xAA, 0xAA, 0x20, 0xFF, 0xFF, 0x12],
+    ];
+    for noise in false_starts {
+        rig.gripper().inject(noise);
+        rig.flush_line().unwrap();
+    }
+    // Before and behind every frame of a while, then inside every third one.
+    let mut count = 0u32;
+    rig.gripper().tamper(Some(Box::new(move |frame| {
+        count += 1;
+        let mut inside = frame.clone();
+        if count % 3 == 0 {
+            inside.splice(5..5, [0x55, 0xAA]);
+        }
+        vec![vec![0xAA, 0xAA], inside, vec![0x13]]
+    })));
+    for _ in 0..8 {
+        rig.flush_line().unwrap();
+    }
+    rig.gripper().tamper(None);
+    assert_eq!(rig.motions_since(mark).unwrap(), []);
+    rig.await_outputs(PATIENCE, |outputs| outputs.contains(IDLE)).unwrap();
+    cycle(&rig, 0);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from() {
+    let rig = homed(quick());
+    rig.select_recipe(WIDE).unwrap();
+    for damaged in [Status::CmdPending, Status::Success] {
+        let target = frame(Reply::status_only(CommandId::PrePosition, damaged));
+        let mut once = true;
+        rig.gripper().tamper(Some(Box::new(move |mut frame| {
+            if frame == target && std::mem::take(&mut once) {
+                frame[7] ^= 0x04;
+            }
+            vec![frame]
+        })));
+        let mark = rig.trace().mark();
+        rig.begin(Inputs::MOVE).unwrap();
+        let shown =
+            |outputs: Outputs| outputs.contains(Outputs::ERROR) || !outputs.contains(Outputs::LINK_OK);
+        rig.await_outputs(PATIENCE, shown).unwrap();
+        rig.await_outputs(PATIENCE, |outputs| outputs.contains(IDLE)).unwrap();
+        assert_eq!(
+            rig.motions_since(mark).unwrap(),
+            [CommandId::PrePosition],
+            "never a second time by itself"
+        );
+        rig.gripper().tamper(None);
+        assert_eq!(rig.command(Inputs::MOVE).unwrap(), IDLE, "and the next command clears the error");
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn answers_to_nothing_ever_asked_change_nothing() {
+    let rig = homed(quick());
+    let (mark, before) = (rig.trace().mark(), rig.board().outputs());
+    for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
+        for status in [Status::Success, Status::CmdPending, Status::AccessDenied] {
+            rig.gripper().inject(&frame(Reply::status_only(*id, status)));
+        }
+    }
+    rig.flush_line().unwrap();
+    rig.flush_line().unwrap();
+    let outputs: Vec<Entry> =
+        rig.trace().since(mark).into_iter().filter(|entry| matches!(entry, Entry::Bridge(..))).collect();
+    assert_eq!(outputs, []);
+    assert_eq!(rig.board().outputs(), before);
+    assert_eq!(rig.motions_since(mark).unwrap(), []);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
+    let rig = powered(quick());
+    rig.gripper().tamper(Some(Box::new(|_| vec![])));
+    rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+    for _ in 0..5 {
+        for wire in [Inputs::STOP_ACK, Inputs::HOME, Inputs::GRIP] {
+            rig.pulse(wire).unwrap();
+            rig.pass(50).unwrap();
+        }
+    }
+    let outputs = rig.board().outputs();
+    assert!(!outputs.intersects(Outputs::LINK_OK | Outputs::READY | Outputs::BUSY), "{}", names(outputs));
+    assert_eq!(rig.motions_since(0).unwrap(), []);
+    rig.gripper().tamper(None);
+    rig.release_fast_stop().unwrap();
+    assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done() {
+    let rig = homed(quick());
+    rig.gripper().cut(true);
+    rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::empty()).unwrap();
+    rig.pulse(Inputs::MOVE).unwrap();
+    let mark = rig.trace().mark();
+    rig.gripper().cut(false);
+    rig.await_outputs(PATIENCE, |outputs| outputs.contains(IDLE)).unwrap();
+    rig.pass(300).unwrap();
+    assert_eq!(rig.motions_since(mark).unwrap(), []);
+    assert!(rig.board().outputs().contains(Outputs::ERROR), "the refused MOVE shows");
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn restarted_gripper_shows_that_homing_is_due() {
+    let rig = homed(quick());
+    rig.gripper().restart().unwrap();
+    let outputs = rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::REFERENCED)).unwrap();
+    assert!(!outputs.contains(Outputs::HOLDING), "{}", names(outputs));
+    rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::READY | Outputs::LINK_OK).unwrap();
+    assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
+}
