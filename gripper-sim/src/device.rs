@@ -221,7 +221,7 @@ impl Device {
 
     /// When something happens by itself, and whether a caller must be awake for it.
     pub(crate) fn next_event(&self, now: Time) -> NextEvent {
-        let step = self.axis.is_active().then(|| now.next_on_grid(STEP_MICROS));
+        let step = self.needs_step().then(|| now.next_on_grid(STEP_MICROS));
         let deadline = self.motion.map(|motion| motion.deadline);
         let finger = self.starting_fingers.front().map(|(at, ..)| *at);
         let thermal = self.thermal.next_step(now);
@@ -233,9 +233,14 @@ impl Device {
         }
     }
 
+    /// Whether a step of the axis changes anything; a motion to where the fingers are ends in one step.
+    fn needs_step(&self) -> bool {
+        self.axis.is_active() || (self.motion.is_some() && self.axis.has_arrived())
+    }
+
     /// Lets happen what is due at `now`; `before` is the moment up to which everything has happened.
     pub(crate) fn run_due(&mut self, before: Time, now: Time) {
-        if self.axis.is_active() && before.next_on_grid(STEP_MICROS) <= now {
+        if self.needs_step() && before.next_on_grid(STEP_MICROS) <= now {
             self.step_axis();
         }
         if self.motion.is_some_and(|motion| motion.deadline <= now) {

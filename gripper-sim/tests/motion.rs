@@ -89,6 +89,18 @@ fn pre_position_answers_pending_and_then_success_at_the_target() {
 }
 
 #[test]
+fn motion_to_where_the_fingers_are_succeeds_at_once() {
+    let mut rig = Rig::homed(None);
+    for target in [110.0, 80.0, 80.0] {
+        rig.run(go_to(target));
+    }
+    let start = rig.now;
+    assert_eq!(rig.run(go_to(80.0)), Status::Success);
+    assert!(rig.now <= start.plus_millis(2), "{}", rig.now);
+    assert!(rig.flags().contains(SystemFlags::TARGET_POS_REACHED));
+}
+
+#[test]
 fn relative_moves_count_from_where_the_fingers_are() {
     let mut rig = Rig::homed(None);
     assert_eq!(rig.run(go_by(-40.0)), Status::Success);

@@ -171,17 +171,21 @@ impl Rig {
         self.pass(HOLD_MS)
     }
 
-    /// Mends the wire of FAST STOP and acknowledges, until the bridge is READY.
+    /// Mends the wire of FAST STOP and acknowledges as a PLC does: STOP/ACK up until ERROR goes; then the bridge becomes
+    /// READY.
     ///
     /// # Errors
-    /// When it does not become READY in time.
+    /// When it does not in time.
     pub fn release_fast_stop(&self) -> Result<()> {
         self.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).context("no link")?;
         self.set(Inputs::FAST_STOP_OK, true)?;
         self.pass(HOLD_MS)?;
-        self.pulse(Inputs::STOP_ACK)?;
+        self.set(Inputs::STOP_ACK, true)?;
+        self.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::ERROR))
+            .context("the FAST STOP is not acknowledged")?;
+        self.set(Inputs::STOP_ACK, false)?;
         self.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::READY))
-            .context("FAST STOP is acknowledged")?;
+            .context("not READY after the acknowledgement")?;
         Ok(())
     }
 

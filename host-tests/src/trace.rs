@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{Command, Event, FrameParser, Reply, frame::MAX_MESSAGE_LEN};
+use wsg_protocol::{Command, CommandId, Event, FrameParser, Reply, frame::MAX_MESSAGE_LEN};
 
 /// One thing that happened.
 #[derive(Clone, Debug, PartialEq)]
@@ -108,21 +108,25 @@ impl Trace {
     }
 }
 
-/// What two runs are compared by: three sequences, without times. How the three interleave is not compared: they
-/// reach the harness on separate ways.
+/// What two runs are compared by: sequences without times.
+///
+/// They are five because only the time decides how they interleave: wires and line reach the harness on separate ways,
+/// and the gripper spaces the reports of each value by itself (10 ms at least, the bridge's regular questions in
+/// between).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sequences {
     /// Edges on the PLC's wires.
     pub edges: Vec<(Inputs, Inputs)>,
     /// Changes of the bridge's wires.
     pub outputs: Vec<(Outputs, Outputs)>,
-    /// Frames on the gripper's line, as text. Left out is what only the time decides: the bridge's regular questions
-    /// for system state and gripper state, and answers that repeat what the one before said.
+    /// Every frame on the gripper's line, both ways, but those of the two values below.
     pub frames: Vec<String>,
+    /// The system states that the gripper reported, each that differs from the one before.
+    pub system_states: Vec<String>,
+    /// The gripper states that the gripper reported, each that differs from the one before.
+    pub gripper_states: Vec<String>,
 }
 
-/// The commands that the bridge repeats in a steady rhythm.
-const STATE_QUERIES: [u8; 2] = [0x40, 0x41];
 /// Where the id stands in a frame.
 const ID_AT: usize = 3;
 
@@ -131,20 +135,22 @@ impl Sequences {
     #[must_use]
     pub fn of(entries: &[Entry]) -> Self {
         let mut sequences = Self::default();
-        let mut last_report: [Option<&[u8]>; STATE_QUERIES.len()] = [None; STATE_QUERIES.len()];
         for entry in entries {
             match entry {
                 Entry::Plc(before, after) => sequences.edges.push((*before, *after)),
                 Entry::Bridge(before, after) => sequences.outputs.push((*before, *after)),
                 Entry::ToGripper(bytes) | Entry::FromGripper(bytes) => {
-                    let query = STATE_QUERIES.iter().position(|id| bytes.get(ID_AT) == Some(id));
-                    let is_news = match (query, entry) {
-                        (None, _) => true,
-                        (Some(_), Entry::ToGripper(_)) => false,
-                        (Some(query), _) => last_report[query].replace(bytes) != Some(bytes),
+                    let states = match frame_id(bytes).map(CommandId::from_code) {
+                        Some(CommandId::GetSystemState) => &mut sequences.system_states,
+                        Some(CommandId::GetGripperState) => &mut sequences.gripper_states,
+                        _ => {
+                            sequences.frames.push(entry.to_string());
+                            continue;
+                        }
                     };
-                    if is_news {
-                        sequences.frames.push(entry.to_string());
+                    let report = entry.to_string();
+                    if matches!(entry, Entry::FromGripper(_)) && states.last() != Some(&report) {
+                        states.push(report);
                     }
                 }
                 Entry::Fingers(_) | Entry::Note(_) => {}
@@ -248,9 +254,9 @@ mod tests {
         let question = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x41, 3, 0, 3, 10, 0]);
         let stop = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x22, 0, 0]);
         let entries = [question.clone(), state(0), question, state(0), stop.clone(), state(6), state(0)];
-        let frames = Sequences::of(&entries).frames;
-        let expected = [state(0), stop, state(6), state(0)].map(|entry| entry.to_string());
-        assert_eq!(frames, expected);
+        let sequences = Sequences::of(&entries);
+        assert_eq!(sequences.frames, [stop.to_string()]);
+        assert_eq!(sequences.gripper_states, [state(0), state(6), state(0)].map(|entry| entry.to_string()));
     }
 
     #[test]

@@ -86,17 +86,28 @@ fn two_hundred_grip_cycles_without_one_deviation() {
 
 /// The main job once, from power-up on.
 fn main_job() -> Sequences {
-    let rig = homed(with_part());
-    cycle(&rig, 0);
-    rig.command(Inputs::GRIP).unwrap();
+    let rig = powered(with_part());
+    // A PLC takes longer from one action to the next than the 10 ms that lie between two reports of one value, so no
+    // report is drawn together with the one after it.
+    let next = || rig.pass(20).unwrap();
+    rig.release_fast_stop().unwrap();
+    next();
+    for wire in [Inputs::HOME, Inputs::GRIP, Inputs::RELEASE, Inputs::GRIP] {
+        rig.command(wire).unwrap();
+        next();
+    }
     rig.gripper().set_part(None);
     rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::PART_FAULT)).unwrap();
-    rig.command(Inputs::RELEASE).unwrap();
-    assert_eq!(rig.command(Inputs::GRIP).unwrap(), IDLE | Outputs::PART_FAULT);
-    rig.command(Inputs::RELEASE).unwrap();
+    for wire in [Inputs::RELEASE, Inputs::GRIP, Inputs::RELEASE] {
+        next();
+        rig.command(wire).unwrap();
+    }
+    next();
     rig.set(Inputs::FAST_STOP_OK, false).unwrap();
     rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::ERROR)).unwrap();
+    next();
     rig.release_fast_stop().unwrap();
+    next();
     rig.flush_line().unwrap();
     Sequences::of(&rig.trace().since(0))
 }
@@ -105,9 +116,11 @@ fn main_job() -> Sequences {
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn two_runs_give_the_same_edges_frames_and_output_changes() {
     let (first, second) = (main_job(), main_job());
-    assert!(first.frames.len() > 40 && first.edges.len() > 15 && first.outputs.len() > 15);
+    assert!(first.frames.len() > 35 && first.edges.len() > 15 && first.outputs.len() > 15);
     assert_eq!(first.edges, second.edges);
     assert_eq!(first.outputs, second.outputs);
+    assert_eq!(first.system_states, second.system_states);
+    assert_eq!(first.gripper_states, second.gripper_states);
     assert_eq!(first.frames, second.frames);
 }
 
@@ -210,7 +223,8 @@ fn reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn answers_to_nothing_ever_asked_change_nothing() {
     let rig = homed(quick());
-    let (mark, before) = (rig.trace().mark(), rig.board().outputs());
+    let (mark, changes) = (rig.trace().mark(), rig.board().output_changes());
+    let before = changes.try_iter().count();
     for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
         for status in [Status::Success, Status::CmdPending, Status::AccessDenied] {
             rig.gripper().inject(&frame(Reply::status_only(*id, status)));
@@ -218,10 +232,8 @@ fn answers_to_nothing_ever_asked_change_nothing() {
     }
     rig.flush_line().unwrap();
     rig.flush_line().unwrap();
-    let outputs: Vec<Entry> =
-        rig.trace().since(mark).into_iter().filter(|entry| matches!(entry, Entry::Bridge(..))).collect();
-    assert_eq!(outputs, []);
-    assert_eq!(rig.board().outputs(), before);
+    assert!(before > 0);
+    assert_eq!(changes.try_iter().collect::<Vec<_>>(), []);
     assert_eq!(rig.motions_since(mark).unwrap(), []);
 }
 

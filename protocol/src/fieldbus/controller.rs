@@ -321,8 +321,11 @@ impl Controller {
         match (id, status, self.fast_stop) {
             (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
             (CommandId::FastStop, Status::Success, _) => self.fast_stop = FastStop::Latched,
-            // Unless a new FAST STOP was asked for in the meantime.
-            (CommandId::Acknowledge, Status::Success, FastStop::Latched) => self.fast_stop = FastStop::Clear,
+            // A FAST STOP that was asked for in the meantime stays.
+            (CommandId::Acknowledge, Status::Success, FastStop::Latched | FastStop::Clear) => {
+                self.fast_stop = FastStop::Clear;
+                self.settled = implied_state(id, status);
+            }
             _ => {}
         }
         if self.shown == Some(id) {

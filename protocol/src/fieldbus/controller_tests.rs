@@ -267,6 +267,7 @@ fn fast_stop_shows_idle_and_the_flag_and_is_left_by_an_acknowledgement_only() {
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
     plc.answer(CommandId::Acknowledge, Status::Success);
     plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success), "before the state itself is reported");
     plc.report(GripperState::Idle);
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);

@@ -1,0 +1,178 @@
+//! The tables of commands and status codes in docs/protocol.md.
+
+use crate::document::{hold, read, table};
+use wsg_protocol::{Command, CommandId, Frame, Reply, Status};
+
+const DOCUMENT: &str = "docs/protocol.md";
+
+/// How a type of the command table stands in a payload: in words, and how many bytes it takes (least, most).
+const LAYOUTS: [(&str, &str, usize, usize); 17] = [
+    ("f32", "f32", 4, 4),
+    ("bool", "u8 (D0)", 1, 1),
+    ("LoopData<'a>", "0 to 256 bytes", 0, 256),
+    ("HomingDirection", "u8 (0 as set, 1 positive, 2 negative)", 1, 1),
+    ("PrePositionFlags", "u8 (D0 relative, D1 stop on block)", 1, 1),
+    ("AckKey", "`ack`", 3, 3),
+    ("SoftLimits", "minus f32 mm, plus f32 mm", 8, 8),
+    ("AutoUpdate", "flags u8 (D0 automatic, D1 on change), period u16 ms", 3, 3),
+    ("DeviceTag<'a>", "0 to 64 ASCII characters", 0, 64),
+    ("SystemFlags", "flags u32", 4, 4),
+    ("GripperState", "state u8", 1, 1),
+    ("GrippingStatistics", "grips u32, without part u16, part lost u16", 8, 8),
+    ("Temperature", "i16, 0.1 °C", 2, 2),
+    ("SystemInfo", "type u8, revision u8, firmware u16, serial number u32", 8, 8),
+    (
+        "SystemLimits",
+        "8 × f32: stroke, speed from, to, acceleration from, to, force from, nominal, overdrive",
+        32,
+        32,
+    ),
+    ("FingerInfo", "type u8, bytes of data u16", 3, 3),
+    ("FingerFlags", "flags u16", 2, 2),
+];
+/// As long as a message may be, so its length has no bound of its own.
+const FINGER_DATA: &str = "FingerData<'a>";
+
+/// A row of the command table as its source has it.
+struct Row {
+    id: CommandId,
+    /// Name, type, unit.
+    request: Vec<(String, String, String)>,
+    /// Type and unit.
+    reply: Option<(String, &'static str)>,
+}
+
+/// The rows of protocol/src/table.rs: `id Name "title" "section" Kind request { .. } reply (..) ..;`. Layouts are not
+/// public, so they are read from there; the lengths are checked against the code below.
+fn rows() -> Vec<Row> {
+    let source = read("protocol/src/table.rs");
+    let lines = source.lines().map(str::trim).filter(|line| !line.starts_with("//"));
+    let text = lines.skip_while(|line| !line.starts_with("0x")).collect::<Vec<_>>().join(" ");
+    let rows = text.split(';').map(str::trim).filter(|row| row.starts_with("0x"));
+    rows.map(|row| {
+        let (code, rest) = row[2..].split_once(' ').unwrap();
+        let id = CommandId::from_code(u8::from_str_radix(code, 16).unwrap());
+        let (request, reply) = rest.split_once(" request ").unwrap().1.split_once("reply").unwrap();
+        let fields = request.trim().trim_start_matches('{').trim_end_matches('}').split(',');
+        let request = fields.filter(|field| !field.trim().is_empty()).map(|field| {
+            let (name, rest) = field.split_once(':').unwrap();
+            let (kind, unit) = rest.split_once('=').unwrap();
+            (name.trim().to_owned(), kind.trim().to_owned(), unit.trim().trim_matches('"').to_owned())
+        });
+        let reply = reply.split("immediate").next().unwrap().trim();
+        let reply = reply.strip_prefix('(').map(|kind| (kind.trim_end_matches(')').to_owned(), unit_of(id)));
+        Row { id, request: request.collect(), reply }
+    })
+    .collect()
+}
+
+/// The unit of a lone number in a reply.
+fn unit_of(id: CommandId) -> &'static str {
+    match id {
+        CommandId::GetAcceleration => " mm/s²",
+        CommandId::GetForceLimit | CommandId::GetForce => " N",
+        CommandId::GetOpeningWidth => " mm",
+        CommandId::GetSpeed => " mm/s",
+        _ => "",
+    }
+}
+
+fn layout(kind: &str) -> (&'static str, usize, usize) {
+    if kind == FINGER_DATA {
+        return ("any bytes", 0, usize::MAX);
+    }
+    let (_, words, least, most) = LAYOUTS.iter().find(|layout| layout.0 == kind).unwrap();
+    (words, *least, *most)
+}
+
+fn request_words(row: &Row) -> String {
+    let word = |(name, kind, unit): &(String, String, String)| match layout(kind).0 {
+        "f32" => format!("{name} f32 {unit}").trim_end().to_owned(),
+        words if kind == "bool" => format!("{name} {words}"),
+        words => words.to_owned(),
+    };
+    row.request.iter().map(word).collect::<Vec<_>>().join(", ")
+}
+
+fn reply_words(row: &Row) -> String {
+    row.reply.as_ref().map_or_else(String::new, |(kind, unit)| format!("{}{unit}", layout(kind).0))
+}
+
+fn statuses(list: &[Status]) -> String {
+    list.iter().map(|status| status.symbol()).collect::<Vec<_>>().join(", ")
+}
+
+#[test]
+fn commands_in_the_document_are_those_of_the_code() {
+    let rows = rows();
+    assert!(rows.iter().map(|row| &row.id).eq(CommandId::ALL), "table.rs was not read as it is meant");
+    let yes = |yes: bool| if yes { "yes" } else { "no" }.to_owned();
+    let layouts = table(
+        ["id", "name", "manual", "kind", "repeated", "request", "reply after E_SUCCESS"],
+        rows.iter().map(|row| {
+            let id = row.id;
+            [
+                format!("{:02X}h", id.code()),
+                id.name().to_owned(),
+                id.section().to_owned(),
+                format!("{:?}", id.kind()).to_lowercase(),
+                yes(id.is_repeatable()),
+                request_words(row),
+                reply_words(row),
+            ]
+        }),
+    );
+    hold(DOCUMENT, "commands", &layouts);
+    let answers = table(
+        ["id", "name", "first answer", "second answer"],
+        CommandId::ALL.iter().map(|id| {
+            [
+                format!("{:02X}h", id.code()),
+                id.name().to_owned(),
+                statuses(id.immediate_statuses()),
+                statuses(id.completion_statuses()),
+            ]
+        }),
+    );
+    hold(DOCUMENT, "answers", &answers);
+}
+
+#[test]
+fn status_codes_in_the_document_are_those_of_the_code() {
+    let codes = Status::ALL.iter().map(|status| [status.code().to_string(), status.symbol().to_owned()]);
+    hold(DOCUMENT, "status codes", &table(["code", "name"], codes));
+}
+
+#[test]
+fn layouts_in_the_document_are_as_long_as_the_code_says() {
+    /// Longer than any payload but a finger's data.
+    const LONGEST: usize = 300;
+    let lengths = |kinds: &[&String]| {
+        let sum = |add: fn((&str, usize, usize)) -> usize| {
+            kinds.iter().fold(0usize, |sum, kind| sum.saturating_add(add(layout(kind))))
+        };
+        sum(|layout| layout.1)..=sum(|layout| layout.2)
+    };
+    for row in rows() {
+        let id = row.id.code();
+        let request = lengths(&row.request.iter().map(|(_, kind, _)| kind).collect::<Vec<_>>());
+        let reply = lengths(&row.reply.iter().map(|(kind, _)| kind).collect::<Vec<_>>());
+        for length in 0..LONGEST {
+            // The key is the one request that zeros do not make, and a tag ends before its zeros.
+            let mut payload = match row.id {
+                CommandId::Acknowledge => b"ack".repeat(LONGEST),
+                CommandId::SetDeviceTag => vec![b' '; LONGEST],
+                _ => vec![0; LONGEST],
+            };
+            payload.truncate(length);
+            let taken = Command::decode(&Frame { id, payload: &payload }).is_ok();
+            assert_eq!(taken, request.contains(&length), "{} request, {length} bytes", row.id);
+
+            let fill = if row.id == CommandId::GetDeviceTag { b' ' } else { 0 };
+            let mut payload = vec![fill; 2 + length];
+            payload[..2].fill(0);
+            let taken = Reply::decode(&Frame { id, payload: &payload }).is_ok();
+            assert_eq!(taken, reply.contains(&length), "{} reply, {length} bytes", row.id);
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! protocol/README.md: its example is the crate's, its tables are those of Cargo.toml.
+
+use crate::document::read;
+
+const DOCUMENT: &str = "protocol/README.md";
+
+/// The first example of a crate's documentation.
+fn first_example(source: &str) -> String {
+    let doc = source
+        .lines()
+        .map_while(|line| line.strip_prefix("//!"))
+        .map(|line| line.strip_prefix(' ').unwrap_or(line));
+    let example = doc.skip_while(|line| *line != "```").skip(1).take_while(|line| *line != "```");
+    example.collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn example_is_the_one_that_is_compiled_in_the_crates_documentation() {
+    let example = first_example(&read("protocol/src/lib.rs"));
+    assert!(example.contains("FrameParser"));
+    assert!(read(DOCUMENT).contains(&format!("```rust\n{example}\n```")), "{DOCUMENT} has another example");
+}
+
+#[test]
+fn features_are_those_of_the_manifest() {
+    let manifest = read("protocol/Cargo.toml");
+    let section = |name: &str| {
+        let lines = manifest.lines().skip_while(move |line| line.trim() != name).skip(1);
+        lines.take_while(|line| !line.starts_with('[')).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let key = |line: &String| line.split([' ', '=', '.']).next().unwrap().to_owned();
+    let is_entry = |line: &&String| line.contains('=') && !line.starts_with('#');
+    let features = section("[features]");
+    let mut named: Vec<String> =
+        features.iter().filter(is_entry).map(key).filter(|name| name != "default").collect();
+    // An optional dependency that no feature takes as `dep:` is a feature itself.
+    let dependencies = section("[dependencies]");
+    let optional = dependencies.iter().filter(|line| line.contains("optional = true")).map(key);
+    named.extend(optional.filter(|name| !manifest.contains(&format!("\"dep:{name}\""))));
+
+    let readme = read(DOCUMENT);
+    let rows: Vec<&str> = readme
+        .lines()
+        .skip_while(|line| !line.starts_with("| feature"))
+        .skip(2)
+        .map_while(|line| line.strip_prefix("| `")?.split('`').next())
+        .collect();
+    named.sort();
+    let mut told: Vec<String> = rows.iter().map(|row| (*row).to_owned()).collect();
+    told.sort();
+    assert_eq!(told, named);
+}
+
+#[test]
+fn least_rust_version_is_that_of_the_workspace() {
+    let manifest = read("Cargo.toml");
+    let version =
+        manifest.lines().find_map(|line| line.strip_prefix("rust-version = ")).unwrap().trim_matches('"');
+    for document in [DOCUMENT, "README.md"] {
+        assert!(
+            read(document).contains(&format!("Rust {version}")),
+            "{document} does not say Rust {version}"
+        );
+    }
+}

@@ -1,0 +1,83 @@
+//! docs/decisions.md: each decision names a test that exists, or says that there is no code for it yet.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use crate::document::{read, root};
+
+const DOCUMENT: &str = "docs/decisions.md";
+
+/// Opens the last cell of a decision that nothing carries out yet.
+const NOT_BUILT: &str = "not built yet";
+
+/// The names of all tests in the sources of the workspace.
+fn tests() -> BTreeSet<String> {
+    let mut names = BTreeSet::new();
+    for member in ["protocol", "bridge-fw", "gripper-sim", "host-tests", "xtask"] {
+        for folder in ["src", "tests"] {
+            collect(&root().join(member).join(folder), &mut names);
+        }
+    }
+    names
+}
+
+fn collect(folder: &Path, names: &mut BTreeSet<String>) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for entry in entries {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            collect(&path, names);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            names.extend(tests_in(&fs::read_to_string(&path).unwrap()));
+        }
+    }
+}
+
+fn tests_in(source: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    let mut is_test = false;
+    for line in source.lines().map(str::trim) {
+        if line == "#[test]" {
+            is_test = true;
+        } else if let Some(rest) = line.strip_prefix("fn ") {
+            if is_test {
+                names.push(rest.split('(').next().unwrap().to_owned());
+            }
+            is_test = false;
+        }
+    }
+    names
+}
+
+/// The decisions: the cells of each row of the document's tables, headings left out.
+fn decisions(text: &str) -> Vec<Vec<&str>> {
+    let rows = text.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| decision"));
+    rows.map(|row| row.trim_matches('|').split(" | ").map(str::trim).collect()).collect()
+}
+
+#[test]
+fn each_decision_names_tests_that_exist() {
+    let text = read(DOCUMENT);
+    let tests = tests();
+    let decisions = decisions(&text);
+    assert!(decisions.len() > 50, "{DOCUMENT} has {} decisions", decisions.len());
+    for cells in decisions {
+        let [decision, held_by] = cells[..] else { panic!("{DOCUMENT}: no two cells: {cells:?}") };
+        let named: Vec<&str> = held_by.split('`').skip(1).step_by(2).collect();
+        assert!(
+            !named.is_empty() || held_by.starts_with(NOT_BUILT),
+            "{DOCUMENT}: nothing holds \"{decision}\""
+        );
+        for name in named {
+            assert!(tests.contains(name), "{DOCUMENT}: there is no test `{name}` to hold \"{decision}\"");
+        }
+    }
+}
+
+#[test]
+fn tests_are_found_with_attributes_between_and_helpers_are_not() {
+    let source =
+        "#[test]\n#[ignore = \"x\"]\nfn a_test() {\n}\nfn helper() {}\n    #[test]\n    fn in_proptest(\n";
+    assert_eq!(tests_in(source), ["a_test", "in_proptest"]);
+}

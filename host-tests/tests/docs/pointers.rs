@@ -1,0 +1,74 @@
+//! What the documents point at exists: files, commands of xtask, environment variables.
+
+use std::path::Path;
+
+use crate::document::{read, root};
+
+/// The documents that are held here.
+const DOCUMENTS: [&str; 6] = [
+    "README.md",
+    "CHANGELOG.md",
+    "docs/wiring.md",
+    "docs/protocol.md",
+    "docs/decisions.md",
+    "protocol/README.md",
+];
+
+#[test]
+fn links_lead_to_files_of_this_repository() {
+    for document in DOCUMENTS {
+        let text = read(document);
+        let targets = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+        for target in targets.filter(|target| !target.starts_with("https://") && !target.starts_with('#')) {
+            let folder = Path::new(document).parent().unwrap();
+            let file = target.split('#').next().unwrap();
+            assert!(root().join(folder).join(file).exists(), "{document} points at {target}");
+        }
+    }
+}
+
+#[test]
+fn commands_of_xtask_are_those_that_its_help_lists() {
+    let help = read("xtask/src/main.rs");
+    for document in DOCUMENTS {
+        let text = read(document);
+        for rest in text.split("cargo xtask ").skip(1) {
+            let command: String = rest.chars().take_while(char::is_ascii_lowercase).collect();
+            assert!(help.contains(&format!("\n  {command} ")), "{document}: no `cargo xtask {command}`");
+        }
+    }
+}
+
+#[test]
+fn environment_variables_are_known_to_the_code() {
+    let code =
+        [read("xtask/src/main.rs"), read("xtask/src/firmware.rs"), read("host-tests/tests/docs/document.rs")];
+    for document in DOCUMENTS {
+        let text = read(document);
+        for rest in text.split("WSG_").skip(1) {
+            let rest: String = rest.chars().take_while(|c| c.is_ascii_uppercase() || *c == '_').collect();
+            let variable = format!("WSG_{rest}");
+            assert!(code.iter().any(|code| code.contains(&variable)), "{document}: {variable} is not known");
+        }
+    }
+}
+
+#[test]
+fn layout_in_the_readme_names_every_part_of_the_workspace() {
+    let readme = read("README.md");
+    let manifest = read("Cargo.toml");
+    let members = manifest.lines().find(|line| line.starts_with("members")).unwrap();
+    for member in members.split('"').skip(1).step_by(2) {
+        assert!(readme.contains(&format!("| `{member}/`")), "README.md does not tell what {member} is");
+    }
+}
+
+#[test]
+fn no_document_names_a_place_on_somebodys_machine() {
+    for document in DOCUMENTS {
+        let text = read(document);
+        for place in ["/work", "/root", "/home/", "/Users/"] {
+            assert!(!text.contains(place), "{document} names {place}");
+        }
+    }
+}

@@ -1,0 +1,43 @@
+//! The excerpt of the demonstration's trace in README.md: its bytes mean what it says they mean.
+
+use crate::document::read;
+use host_tests::trace::Entry;
+
+/// Where an entry begins in a line of the trace, behind the time.
+const ENTRY_AT: usize = 11;
+
+/// The bytes at the end of a line: words of two hexadecimal digits, back to the last one that is none.
+fn bytes_at_end(line: &str) -> Vec<u8> {
+    let is_byte = |word: &&str| word.len() == 2 && word.bytes().all(|c| c.is_ascii_hexdigit());
+    let words: Vec<&str> = line.split_whitespace().rev().take_while(is_byte).collect();
+    words.iter().rev().map(|word| u8::from_str_radix(word, 16).unwrap()).collect()
+}
+
+#[test]
+fn frames_of_the_excerpt_read_as_the_code_reads_them() {
+    let readme = read("README.md");
+    let mut frames = 0;
+    for line in readme.lines() {
+        let Some(entry) = line.get(ENTRY_AT..) else { continue };
+        let wanted = match entry.get(..2) {
+            Some("->") => Entry::ToGripper(bytes_at_end(line)),
+            Some("<-") => Entry::FromGripper(bytes_at_end(line)),
+            _ => continue,
+        };
+        frames += 1;
+        assert_eq!(entry, wanted.to_string());
+    }
+    assert!(frames >= 4, "README.md shows {frames} frames");
+}
+
+#[test]
+fn step_of_the_excerpt_is_one_of_the_demonstration() {
+    let readme = read("README.md");
+    let scenario = read("host-tests/src/bin/demo/scenario.rs");
+    let steps = readme.lines().filter_map(|line| line.strip_prefix("=== ")?.split_once(". "));
+    let steps: Vec<&str> = steps.map(|(_, name)| name).collect();
+    assert!(!steps.is_empty());
+    for step in steps {
+        assert!(scenario.contains(&format!("\"{step}\"")), "the demonstration has no step \"{step}\"");
+    }
+}

@@ -1,0 +1,111 @@
+//! The wiring, recipes and times in README.md and docs/wiring.md.
+
+use crate::document::{hold, table};
+use wsg_bridge_fw::boards::b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Config, RECIPES};
+
+/// Each input and what it is for.
+const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
+    (Inputs::GRIP, "rising edge: grip a part"),
+    (Inputs::RELEASE, "rising edge: release it"),
+    (Inputs::MOVE, "rising edge: move the fingers to a width"),
+    (Inputs::HOME, "rising edge: reference the fingers"),
+    (Inputs::STOP_ACK, "rising edge: stop, or acknowledge a FAST STOP"),
+    (Inputs::FAST_STOP_OK, "**low: FAST STOP** (so a broken wire stops)"),
+    (Inputs::RECIPE0, "recipe number, bit 0"),
+    (Inputs::RECIPE1, "recipe number, bit 1"),
+];
+
+/// Each output and what it says.
+const OUTPUT_MEANINGS: [(Outputs, &str); Outputs::COUNT] = [
+    (Outputs::READY, "a command would be taken"),
+    (Outputs::BUSY, "a command is being carried out"),
+    (Outputs::HOLDING, "a part is held"),
+    (Outputs::PART_FAULT, "no part was found, or it was lost"),
+    (Outputs::ERROR, "refused, failed, unknown, or FAST STOP"),
+    (Outputs::REFERENCED, "the fingers have been homed"),
+    (Outputs::LINK_OK, "the gripper answers"),
+];
+
+fn name<T>(mut names: impl Iterator<Item = (&'static str, T)>) -> String {
+    format!("`{}`", names.next().expect("each wire has a name").0)
+}
+
+fn wires() -> String {
+    let inputs = INPUTS.iter().zip(INPUT_MEANINGS).map(|(wire, (signal, meaning))| {
+        assert_eq!(wire.signal, signal);
+        [
+            name(wire.signal.iter_names()),
+            "PLC to bridge".to_owned(),
+            wire.connector.to_owned(),
+            format!("P{}{}", wire.port.letter(), wire.pin),
+            meaning.to_owned(),
+        ]
+    });
+    let outputs = OUTPUTS.iter().zip(OUTPUT_MEANINGS).map(|(wire, (signal, meaning))| {
+        assert_eq!(wire.signal, signal);
+        [
+            name(wire.signal.iter_names()),
+            "bridge to PLC".to_owned(),
+            wire.connector.to_owned(),
+            format!("P{}{}", OUTPUT_PORT.letter(), wire.pin),
+            meaning.to_owned(),
+        ]
+    });
+    table(["wire", "direction", "Arduino pin", "MCU pin", "meaning"], inputs.chain(outputs))
+}
+
+fn recipes() -> String {
+    let hundredths = |value: i32| format!("{:.1}", f64::from(value) / 100.0);
+    let rows = RECIPES.iter().enumerate().map(|(number, recipe)| {
+        [
+            number.to_string(),
+            (number >> 1).to_string(),
+            (number & 1).to_string(),
+            hundredths(recipe.width.into()),
+            hundredths(recipe.speed.into()),
+            hundredths(recipe.force.into()),
+            hundredths(recipe.release_width.into()),
+        ]
+    });
+    table(
+        ["recipe", "`RECIPE1`", "`RECIPE0`", "width, mm", "speed, mm/s", "force, N", "release width, mm"],
+        rows,
+    )
+}
+
+fn times() -> String {
+    let Config { debounce_ms, half_frame_ms, session, .. } = Config::DEFAULT;
+    let ms = |value: u32| format!("{value} ms");
+    let rows = [
+        ("a wire must keep its level", ms(debounce_ms)),
+        ("the first answer to a request may take", ms(session.reply_timeout_ms)),
+        ("times a repeatable request is sent before the link counts as lost", session.attempts.to_string()),
+        ("the gripper's states are asked for again every", ms(session.refresh_ms)),
+        ("a lost link is tried again every", ms(session.reconnect_ms)),
+        ("a motion may take", ms(session.motion_timeout_ms)),
+        ("a result may come after the gripper stands still", ms(session.result_grace_ms)),
+        ("half a frame is given up after", ms(half_frame_ms)),
+    ];
+    table(["what", "how long, how often"], rows.map(|(what, value)| [what.to_owned(), value]))
+}
+
+#[test]
+fn wiring_in_the_documents_is_that_of_the_board_file() {
+    let wires = wires();
+    hold("README.md", "wires", &wires);
+    hold("docs/wiring.md", "wires", &wires);
+}
+
+#[test]
+fn recipes_in_the_documents_are_those_of_the_firmware() {
+    let recipes = recipes();
+    hold("README.md", "recipes", &recipes);
+    hold("docs/wiring.md", "recipes", &recipes);
+}
+
+#[test]
+fn times_in_the_document_are_those_of_the_firmware() {
+    hold("docs/wiring.md", "times", &times());
+}
