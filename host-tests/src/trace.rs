@@ -131,29 +131,36 @@ pub struct Sequences {
 const ID_AT: usize = 3;
 
 impl Sequences {
-    /// The sequences of a recording.
+    /// The sequences of a recording from the entry `mark` on. What was reported before is known: repeating it is no
+    /// news.
     #[must_use]
-    pub fn of(entries: &[Entry]) -> Self {
+    pub fn of(entries: &[Entry], mark: usize) -> Self {
         let mut sequences = Self::default();
-        for entry in entries {
+        let mut last_reports = [None, None];
+        for (at, entry) in entries.iter().enumerate() {
+            let counts = at >= mark;
             match entry {
-                Entry::Plc(before, after) => sequences.edges.push((*before, *after)),
-                Entry::Bridge(before, after) => sequences.outputs.push((*before, *after)),
+                Entry::Plc(before, after) if counts => sequences.edges.push((*before, *after)),
+                Entry::Bridge(before, after) if counts => sequences.outputs.push((*before, *after)),
                 Entry::ToGripper(bytes) | Entry::FromGripper(bytes) => {
-                    let states = match frame_id(bytes).map(CommandId::from_code) {
-                        Some(CommandId::GetSystemState) => &mut sequences.system_states,
-                        Some(CommandId::GetGripperState) => &mut sequences.gripper_states,
-                        _ => {
+                    let [last_system_state, last_gripper_state] = &mut last_reports;
+                    let (last, reports) = match frame_id(bytes).map(CommandId::from_code) {
+                        Some(CommandId::GetSystemState) => (last_system_state, &mut sequences.system_states),
+                        Some(CommandId::GetGripperState) => {
+                            (last_gripper_state, &mut sequences.gripper_states)
+                        }
+                        _ if counts => {
                             sequences.frames.push(entry.to_string());
                             continue;
                         }
+                        _ => continue,
                     };
-                    let report = entry.to_string();
-                    if matches!(entry, Entry::FromGripper(_)) && states.last() != Some(&report) {
-                        states.push(report);
+                    let is_report = matches!(entry, Entry::FromGripper(_));
+                    if is_report && last.replace(bytes) != Some(bytes) && counts {
+                        reports.push(entry.to_string());
                     }
                 }
-                Entry::Fingers(_) | Entry::Note(_) => {}
+                _ => {}
             }
         }
         sequences
@@ -254,9 +261,11 @@ mod tests {
         let question = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x41, 3, 0, 3, 10, 0]);
         let stop = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x22, 0, 0]);
         let entries = [question.clone(), state(0), question, state(0), stop.clone(), state(6), state(0)];
-        let sequences = Sequences::of(&entries);
+        let sequences = Sequences::of(&entries, 0);
         assert_eq!(sequences.frames, [stop.to_string()]);
         assert_eq!(sequences.gripper_states, [state(0), state(6), state(0)].map(|entry| entry.to_string()));
+        let later = Sequences::of(&entries, 3);
+        assert_eq!(later.gripper_states, [state(6), state(0)].map(|entry| entry.to_string()));
     }
 
     #[test]

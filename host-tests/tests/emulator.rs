@@ -76,7 +76,7 @@ fn two_hundred_grip_cycles_without_one_deviation() {
     let notes: Vec<&Entry> = entries.iter().filter(|entry| matches!(entry, Entry::Note(_))).collect();
     assert!(notes.is_empty(), "{notes:?}");
     // Every cycle looks like the first one: edges and outputs from the sequence of one cycle.
-    let sequences = Sequences::of(&entries);
+    let sequences = Sequences::of(&entries, 0);
     let per_cycle = sequences.edges.len() / 200;
     assert!(sequences.edges.chunks(per_cycle).all(|chunk| chunk == &sequences.edges[..per_cycle]));
     assert_eq!(sequences.outputs.len() % 200, 0, "{} changes of outputs", sequences.outputs.len());
@@ -84,7 +84,8 @@ fn two_hundred_grip_cycles_without_one_deviation() {
     assert!(sequences.outputs.chunks(per_cycle).all(|chunk| chunk == &sequences.outputs[..per_cycle]));
 }
 
-/// The main job once, from power-up on.
+/// The main job once, from READY on. (At power-up the board, the gripper and the PLC start each in its own time: whether
+/// the first question or the FAST STOP of the low wire goes out first is nobody's to say.)
 fn main_job() -> Sequences {
     let rig = powered(with_part());
     // A PLC takes longer from one action to the next than the 10 ms that lie between two reports of one value, so no
@@ -92,6 +93,7 @@ fn main_job() -> Sequences {
     let next = || rig.pass(20).unwrap();
     rig.release_fast_stop().unwrap();
     next();
+    let mark = rig.trace().mark();
     for wire in [Inputs::HOME, Inputs::GRIP, Inputs::RELEASE, Inputs::GRIP] {
         rig.command(wire).unwrap();
         next();
@@ -109,14 +111,14 @@ fn main_job() -> Sequences {
     rig.release_fast_stop().unwrap();
     next();
     rig.flush_line().unwrap();
-    Sequences::of(&rig.trace().since(0))
+    Sequences::of(&rig.trace().since(0), mark)
 }
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn two_runs_give_the_same_edges_frames_and_output_changes() {
     let (first, second) = (main_job(), main_job());
-    assert!(first.frames.len() > 35 && first.edges.len() > 15 && first.outputs.len() > 15);
+    assert!(first.frames.len() > 25 && first.edges.len() > 15 && first.outputs.len() > 15);
     assert_eq!(first.edges, second.edges);
     assert_eq!(first.outputs, second.outputs);
     assert_eq!(first.system_states, second.system_states);

@@ -54,7 +54,11 @@ fn figures(flash: u64, static_ram: u64) -> String {
         row("parser for 64 bytes of payload, RAM", format!("{parser} B"), "64 + 16 B"),
     ];
     // A build that links only without them: `cargo xtask build --features prove-panic-free`.
-    rows.push(row("panic paths in the firmware image", "0 (it links with `prove-panic-free`)".to_owned(), "0"));
+    rows.push(row(
+        "panic paths in the firmware image",
+        "0 (it links with `prove-panic-free`)".to_owned(),
+        "0",
+    ));
     rows.extend(NOT_MEASURED.map(|(what, limit)| row(what, "not measured yet".to_owned(), limit)));
     table(["what", "measured", "limit"], rows)
 }

@@ -37,6 +37,8 @@ fn step_of_the_excerpt_is_one_of_the_demonstration() {
     let steps = readme.lines().filter_map(|line| line.strip_prefix("=== ")?.split_once(". "));
     let steps: Vec<&str> = steps.map(|(_, name)| name).collect();
     assert!(!steps.is_empty());
+    let all = scenario.split("const STEPS: [Step; ").nth(1).and_then(|rest| rest.split(']').next()).unwrap();
+    assert!(readme.contains(&format!("`demo: {all} steps passed, 0 failed`")), "there are {all} steps");
     for step in steps {
         assert!(scenario.contains(&format!("\"{step}\"")), "the demonstration has no step \"{step}\"");
     }
