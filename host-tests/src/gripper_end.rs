@@ -227,8 +227,8 @@ impl World {
         let state = self.gripper.state();
         let travelled = (state.width - self.traced_width).abs();
         let stands = state.speed == 0.0;
-        // Also true for the first look, when the last width is not a number.
-        if !(travelled < TRACED_TRAVEL) || (stands && travelled > 0.005) {
+        // At the first look the last width is not a number, and neither is the travel.
+        if travelled.is_nan() || travelled >= TRACED_TRAVEL || (stands && travelled > 0.005) {
             self.traced_width = state.width;
             self.trace.add(Entry::Fingers(state.width));
         }

@@ -80,6 +80,12 @@ impl Trace {
         inner.sinks.retain_mut(|sink| writeln!(sink, "{text}").and_then(|()| sink.flush()).is_ok());
     }
 
+    /// Writes a last line to every sink; what happens later is recorded and not written.
+    pub fn finish(&self, text: &str) {
+        self.headline(text);
+        self.lock().sinks.clear();
+    }
+
     /// How many entries there are: a place to come back to.
     #[must_use]
     pub fn mark(&self) -> usize {

@@ -177,7 +177,7 @@ fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from() 
     rig.gripper().tamper(Some(Box::new(move |frame| {
         count += 1;
         let mut inside = frame.clone();
-        if count % 3 == 0 {
+        if count.is_multiple_of(3) {
             inside.splice(5..5, [0x55, 0xAA]);
         }
         vec![vec![0xAA, 0xAA], inside, vec![0x13]]

@@ -42,7 +42,7 @@ fn reference(bytes: &[u8], limit: usize, ended: bool) -> (Vec<Seen>, usize, usiz
                 continue;
             }
             if rest.len() >= size + 8 {
-                if checksum::of(&rest[..size + 8]) == 0 {
+                if checksum::of(&rest[..size + 6]).to_le_bytes() == rest[size + 6..size + 8] {
                     events.push(Seen::Frame(rest[3], rest[6..6 + size].to_vec()));
                     at += size + 8;
                 } else {
@@ -287,4 +287,19 @@ fn reset_state_is_all_zero_so_a_static_parser_lies_in_bss() {
     assert_eq!((parser.head, parser.body, parser.tail), ([0; 3], [0; 16], [0; 2]));
     assert_eq!((parser.flags, parser.held, parser.checksum_or_next), (0, 0, 0));
     assert_eq!(parser.counters, Counters::default());
+}
+
+#[test]
+fn checksum_that_only_leads_to_zero_is_refused() {
+    let good = frame(0x21, &[0x1A, 0]);
+    let mut accepted = 0;
+    for wrong in 0..=u16::MAX {
+        let mut bytes = good.clone();
+        bytes[8..].copy_from_slice(&wrong.to_le_bytes());
+        let leads_to_zero = checksum::of(&bytes) == 0;
+        accepted += usize::from(leads_to_zero);
+        let is_frame = matches!(by_byte(&mut FrameParser::<16>::new(), &bytes)[..], [Seen::Frame(..)]);
+        assert_eq!(is_frame, bytes == good, "{wrong:04X}h");
+    }
+    assert_eq!(accepted, 4, "looking for 0 would take four");
 }

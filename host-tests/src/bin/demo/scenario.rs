@@ -88,7 +88,7 @@ pub(crate) fn play(options: &Options) -> Result<bool> {
             }
         }
     }
-    trace.headline(&format!("\ndemo: {passed} steps passed, {failed} failed"));
+    trace.finish(&format!("\ndemo: {passed} steps passed, {failed} failed"));
     Ok(failed == 0)
 }
 
