@@ -2,7 +2,7 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | [`bench`] | the bridge library and a virtual gripper in virtual time |
+//! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
 //! | [`rig`] | board, gripper and PLC together |
