@@ -189,15 +189,19 @@ impl Rig {
         Ok(())
     }
 
-    /// Waits until everything that the bridge has sent so far has been seen: its regular questions come at least every
-    /// 250 ms while it is connected or tries to be.
+    /// Waits until the recording has everything that the bridge has sent and shown so far. Its regular questions come at
+    /// least every 250 ms while it is connected or tries to be, and what it sent before comes before them.
     ///
     /// # Errors
     /// When the bridge falls silent.
-    pub fn flush_line(&self) -> Result<()> {
+    pub fn catch_up(&self) -> Result<()> {
         let mark = self.trace.mark();
         let seen = self.trace.wait(mark, PATIENCE, |entry| matches!(entry, Entry::ToGripper(_)));
         ensure!(seen, "the bridge has fallen silent");
+        let changes = self.board.output_changes().try_iter().count();
+        let seen =
+            self.trace.wait_for_count(0, changes, PATIENCE, |entry| matches!(entry, Entry::Bridge(..)));
+        ensure!(seen, "the recording lags behind");
         Ok(())
     }
 
@@ -206,7 +210,7 @@ impl Rig {
     /// # Errors
     /// When the bridge falls silent.
     pub fn motions_since(&self, mark: usize) -> Result<Vec<CommandId>> {
-        self.flush_line()?;
+        self.catch_up()?;
         Ok(motions(&self.trace.since(mark)))
     }
 }

@@ -100,7 +100,20 @@ impl Trace {
 
     /// Waits until an entry from `mark` on is as `wanted`; whether one came in time.
     pub fn wait(&self, mark: usize, timeout: Duration, wanted: impl Fn(&Entry) -> bool) -> bool {
-        let seen = |inner: &Inner| inner.entries.iter().skip(mark).any(|(_, entry)| wanted(entry));
+        self.wait_for_count(mark, 1, timeout, wanted)
+    }
+
+    /// Waits until so many entries from `mark` on are as `wanted`; whether they came in time.
+    pub fn wait_for_count(
+        &self,
+        mark: usize,
+        count: usize,
+        timeout: Duration,
+        wanted: impl Fn(&Entry) -> bool,
+    ) -> bool {
+        let seen = |inner: &Inner| {
+            inner.entries.iter().skip(mark).filter(|(_, entry)| wanted(entry)).count() >= count
+        };
         let (inner, _) = self
             .shared
             .grown

@@ -61,13 +61,14 @@ fn cycle(rig: &Rig, number: u32) {
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn two_hundred_grip_cycles_without_one_deviation() {
     let rig = homed(with_part());
+    rig.catch_up().unwrap();
     let mark = rig.trace().mark();
 
     for number in 0..200 {
         cycle(&rig, number);
     }
 
-    rig.flush_line().unwrap();
+    rig.catch_up().unwrap();
     let entries = rig.trace().since(mark);
     let expected = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart].repeat(200);
     assert_eq!(motions(&entries), expected, "one command for each edge");
@@ -92,7 +93,7 @@ fn main_job() -> Sequences {
     // report is drawn together with the one after it.
     let next = || rig.pass(20).unwrap();
     rig.release_fast_stop().unwrap();
-    next();
+    rig.catch_up().unwrap();
     let mark = rig.trace().mark();
     for wire in [Inputs::HOME, Inputs::GRIP, Inputs::RELEASE, Inputs::GRIP] {
         rig.command(wire).unwrap();
@@ -110,7 +111,7 @@ fn main_job() -> Sequences {
     next();
     rig.release_fast_stop().unwrap();
     next();
-    rig.flush_line().unwrap();
+    rig.catch_up().unwrap();
     Sequences::of(&rig.trace().since(0), mark)
 }
 
@@ -170,7 +171,7 @@ fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from() 
     ];
     for noise in false_starts {
         rig.gripper().inject(noise);
-        rig.flush_line().unwrap();
+        rig.catch_up().unwrap();
     }
     // Before and behind every frame of a while, then inside every third one.
     let mut count = 0u32;
@@ -183,7 +184,7 @@ fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from() 
         vec![vec![0xAA, 0xAA], inside, vec![0x13]]
     })));
     for _ in 0..8 {
-        rig.flush_line().unwrap();
+        rig.catch_up().unwrap();
     }
     rig.gripper().tamper(None);
     assert_eq!(rig.motions_since(mark).unwrap(), []);
@@ -232,8 +233,8 @@ fn answers_to_nothing_ever_asked_change_nothing() {
             rig.gripper().inject(&frame(Reply::status_only(*id, status)));
         }
     }
-    rig.flush_line().unwrap();
-    rig.flush_line().unwrap();
+    rig.catch_up().unwrap();
+    rig.catch_up().unwrap();
     assert!(before > 0);
     assert_eq!(changes.try_iter().collect::<Vec<_>>(), []);
     assert_eq!(rig.motions_since(mark).unwrap(), []);

@@ -109,7 +109,7 @@ fn power_up(bench: &Bench) -> Result<Outcome> {
         "READY although the FAST STOP wire is low: {}",
         names(outputs)
     );
-    rig.flush_line()?;
+    rig.catch_up()?;
     let moved = motions(&rig.trace().since(0));
     ensure!(moved.is_empty(), "the bridge sent {moved:?} by itself");
     Ok(Outcome::Passed)
