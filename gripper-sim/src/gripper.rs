@@ -3,6 +3,7 @@
 use crate::axis::Part;
 use crate::commands;
 use crate::config::Config;
+use crate::deframer::Deframer;
 use crate::device::{Device, earlier};
 use crate::faults::Fault;
 use crate::motion::Request;
@@ -97,7 +98,9 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let index = self.ports.iter().position(Option::is_none)?;
         self.connections = self.connections.wrapping_add(1);
         let id = PortId { index: index as u16, generation: self.connections };
-        *self.ports.get_mut(index)? = Some(Port::new(id, kind, self.device.config.check_checksum));
+        let config = &self.device.config;
+        let deframer = Deframer::new(config.check_checksum, config.frame_timeout_ms);
+        *self.ports.get_mut(index)? = Some(Port::new(id, kind, deframer));
         Some(id)
     }
 
@@ -127,22 +130,20 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         loop {
             let Self { device, ports, .. } = self;
             let Some(port) = port_in(ports, id) else { return };
-            let (taken, event) = port.parser.push_slice(rest);
+            let (taken, event) = port.deframer.push_slice(rest);
             rest = rest.get(taken..).unwrap_or(&[]);
             match event {
-                Some(event) => take_event(device, &mut port.line, request, event),
-                None => break,
+                Some(event) => {
+                    take_event(device, &mut port.line, request, event);
+                    self.settle();
+                }
+                None if rest.is_empty() => break,
+                None => {}
             }
-            self.settle();
         }
-        let timeout_ms = u64::from(self.device.config.frame_timeout_ms);
         if let Some(port) = self.port_mut(id) {
-            let is_datagram = port.line.kind == PortKind::Udp;
-            let ends = if is_datagram { request.now } else { request.now.plus_millis(timeout_ms) };
-            port.half_frame_ends = port.parser.is_mid_frame().then_some(ends);
-            if is_datagram {
-                self.expire_half_frames();
-            }
+            port.deframer.pause(request.now, port.line.kind == PortKind::Udp);
+            self.expire_half_frames();
         }
     }
 
@@ -236,20 +237,16 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
     }
 
-    /// Gives up the half frames whose time is over. What they held is scanned again, and may hold whole frames.
+    /// Ends the wait for half frames whose time is over. What they held may hold whole frames.
     fn expire_half_frames(&mut self) {
         let now = self.now;
         for index in 0..PORTS {
             let Some(Some(port)) = self.ports.get_mut(index) else { continue };
-            if port.half_frame_ends.is_none_or(|ends| ends > now) {
-                continue;
-            }
-            port.half_frame_ends = None;
             let id = port.line.id;
             loop {
                 let Self { device, ports, .. } = self;
                 let Some(port) = port_in(ports, id) else { break };
-                match port.parser.expire() {
+                match port.deframer.expire(now) {
                     Some(event) => take_event(device, &mut port.line, Request { port: id, now }, event),
                     None => break,
                 }

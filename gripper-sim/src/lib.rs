@@ -10,7 +10,7 @@
 //! | `config` | what can be set on the real one's web interface |
 //! | `axis`, `thermal`, `finger` | the physics |
 //! | `device`, `motion`, `commands` | the manual: states and flags; motions; commands |
-//! | `updates`, `port` | the manual's rules for connections |
+//! | `updates`, `port`, `deframer` | the manual's rules for connections, and what clients make of them |
 //! | `gripper` | the contract with the caller |
 //! | `server` | TCP, UDP, serial lines (feature `std`) |
 //!
@@ -22,6 +22,7 @@
 mod axis;
 mod commands;
 mod config;
+mod deframer;
 mod device;
 mod faults;
 mod finger;

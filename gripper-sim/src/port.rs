@@ -1,9 +1,10 @@
-//! One client: its parser, its frames to be sent, its subscriptions.
+//! One client: what comes from it, its frames to be sent, its subscriptions.
 
+use crate::deframer::Deframer;
 use crate::time::Time;
 use crate::updates::{Readings, Subscriptions};
-use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
-use wsg_protocol::{Counters, FrameEncoder, FrameParser, LoopData, Reply};
+use wsg_protocol::frame::OVERHEAD;
+use wsg_protocol::{Counters, FrameEncoder, LoopData, Reply};
 
 /// The longest frame that a gripper sends, in bytes: Loop with all its data.
 pub const MAX_FRAME_LEN: usize = OVERHEAD + STATUS_LEN + LoopData::MAX_LEN;
@@ -16,8 +17,6 @@ const STATUS_LEN: usize = 2;
 const QUEUE_LEN: usize = 2_048;
 /// Updates leave this much room for answers.
 const RESERVED_FOR_REPLIES: usize = 512;
-/// The most payload in a frame that is taken.
-const MAX_PAYLOAD: usize = MAX_MESSAGE_LEN - OVERHEAD;
 /// Where the size stands in a frame.
 const SIZE_AT: usize = 4;
 
@@ -70,13 +69,11 @@ pub struct PortCounters {
 /// A client.
 #[derive(Clone, Debug)]
 pub(crate) struct Port {
-    pub(crate) parser: FrameParser<MAX_PAYLOAD>,
+    pub(crate) deframer: Deframer,
     pub(crate) line: Line,
-    /// When half a frame is given up.
-    pub(crate) half_frame_ends: Option<Time>,
 }
 
-/// All of a client but its parser.
+/// All of a client but what finds its frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Line {
     pub(crate) id: PortId,
@@ -90,9 +87,9 @@ pub(crate) struct Line {
 }
 
 impl Port {
-    pub(crate) fn new(id: PortId, kind: PortKind, check_checksum: bool) -> Self {
+    pub(crate) fn new(id: PortId, kind: PortKind, deframer: Deframer) -> Self {
         Self {
-            parser: if check_checksum { FrameParser::new() } else { FrameParser::ignoring_checksums() },
+            deframer,
             line: Line {
                 id,
                 kind,
@@ -102,20 +99,19 @@ impl Port {
                 updates_lost: 0,
                 replies_lost: 0,
             },
-            half_frame_ends: None,
         }
     }
 
     pub(crate) const fn counters(&self) -> PortCounters {
         PortCounters {
-            parser: self.parser.counters(),
+            parser: self.deframer.counters(),
             updates_lost: self.line.updates_lost,
             replies_lost: self.line.replies_lost,
         }
     }
 
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
-        crate::device::earlier(self.line.subscriptions.next_due(now), self.half_frame_ends)
+        crate::device::earlier(self.line.subscriptions.next_due(now), self.deframer.due())
     }
 }
 

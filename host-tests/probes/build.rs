@@ -1,0 +1,14 @@
+//! Tells the linker about the memory of the default board; builds for the host need no such thing.
+
+use std::env;
+use std::path::PathBuf;
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    if env::var("CARGO_CFG_TARGET_OS").is_ok_and(|os| os == "none") {
+        // cortex-m-rt's link.x includes memory.x by name.
+        let workspace = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
+        println!("cargo:rerun-if-changed={}", workspace.join("memory.x").display());
+        println!("cargo:rustc-link-search={}", workspace.display());
+    }
+}

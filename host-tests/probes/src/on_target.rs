@@ -1,0 +1,37 @@
+//! The part of every probe that only the target has.
+
+use core::hint::black_box;
+use core::panic::PanicInfo;
+
+/// The same value, of which the compiler knows no more than its type.
+#[inline(always)]
+pub fn opaque<T>(value: T) -> T {
+    black_box(value)
+}
+
+/// Bytes that the compiler knows neither the number nor the values of.
+#[inline(always)]
+pub fn bytes() -> &'static [u8] {
+    static BYTES: [u8; 8] = [0; 8];
+    black_box(&BYTES[..])
+}
+
+// The bench says what failed instead: it is run, and has panics of its own.
+#[cfg(not(feature = "bench"))]
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    unsafe extern "C" {
+        safe fn a_panic_can_be_reached() -> !;
+    }
+    a_panic_can_be_reached()
+}
+
+#[cfg(feature = "bench")]
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    cortex_m_semihosting::hprintln!("{}", info);
+    cortex_m_semihosting::debug::exit(cortex_m_semihosting::debug::EXIT_FAILURE);
+    loop {
+        cortex_m::asm::nop();
+    }
+}
