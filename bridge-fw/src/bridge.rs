@@ -21,6 +21,9 @@ const MAX_RECEIVED_PER_POLL: usize = 256;
 pub struct Config {
     /// How long a wire must keep its level before it counts, in milliseconds.
     pub debounce_ms: u32,
+    /// How long BUSY is high at least, in milliseconds: fingers that are at their goal already would show it for less than
+    /// a PLC's cycle.
+    pub min_busy_ms: u32,
     /// After how long without a byte half a frame is given up, in milliseconds.
     pub half_frame_ms: u32,
     /// What the recipe wires choose from.
@@ -30,9 +33,14 @@ pub struct Config {
 }
 
 impl Config {
-    /// Debounced for 2 ms, the recipes as delivered, time-outs for a serial line.
-    pub const DEFAULT: Self =
-        Self { debounce_ms: 2, half_frame_ms: 20, recipes: &RECIPES, session: session::Config::DEFAULT };
+    /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, time-outs for a serial line.
+    pub const DEFAULT: Self = Self {
+        debounce_ms: 2,
+        min_busy_ms: 50,
+        half_frame_ms: 20,
+        recipes: &RECIPES,
+        session: session::Config::DEFAULT,
+    };
 }
 
 /// What the bridge has met that it could not use.
@@ -69,7 +77,7 @@ impl Bridge {
             received_at: Instant::from_millis(0),
             session: Session::new(config.session),
             controller: Controller::new(),
-            wires: DigitalIo::new(config.debounce_ms, config.recipes),
+            wires: DigitalIo::new(config.debounce_ms, config.min_busy_ms, config.recipes),
             sending: None,
         }
     }
@@ -91,7 +99,7 @@ impl Bridge {
         self.tick(now);
         self.transmit(now, link);
         let gripper = self.controller.input(self.session.known());
-        self.wires.outputs(&gripper, self.session.is_connected())
+        self.wires.outputs(now, &gripper, self.session.is_connected())
     }
 
     /// What has been met so far that could not be used.

@@ -33,13 +33,23 @@ pub struct DigitalIo {
     /// The wires as they count now; none before they have settled after power-up.
     levels: Option<Inputs>,
     image: OutputImage,
+    min_busy_ms: u32,
+    /// Since when BUSY is high.
+    busy_since: Option<Instant>,
 }
 
 impl DigitalIo {
-    /// Wires that are debounced for `debounce_ms` milliseconds.
+    /// Wires that are debounced for `debounce_ms` milliseconds, and a BUSY that lasts `min_busy_ms` at least.
     #[must_use]
-    pub const fn new(debounce_ms: u32, recipes: &'static [Recipe; RECIPE_COUNT]) -> Self {
-        Self { debounce: Debounce::new(debounce_ms), recipes, levels: None, image: OutputImage::ZERO }
+    pub const fn new(debounce_ms: u32, min_busy_ms: u32, recipes: &'static [Recipe; RECIPE_COUNT]) -> Self {
+        Self {
+            debounce: Debounce::new(debounce_ms),
+            recipes,
+            levels: None,
+            image: OutputImage::ZERO,
+            min_busy_ms,
+            busy_since: None,
+        }
     }
 
     /// Takes a reading of the wires; the output image when it has changed.
@@ -72,9 +82,8 @@ impl DigitalIo {
     }
 
     /// The wires to the PLC for what the gripper shows.
-    #[must_use]
-    pub fn outputs(&self, gripper: &InputImage, connected: bool) -> Outputs {
-        let moving = is_moving(gripper);
+    pub fn outputs(&mut self, now: Instant, gripper: &InputImage, connected: bool) -> Outputs {
+        let busy = self.is_busy(now, gripper, connected);
         let has = |state: GripperFlags| gripper.state.intersects(state);
         let levels = self.levels.unwrap_or_default();
         let released = levels.contains(Inputs::FAST_STOP_OK) && !levels.contains(Inputs::STOP_ACK);
@@ -86,16 +95,24 @@ impl DigitalIo {
             return outputs;
         }
         outputs.set(Outputs::LINK_OK, true);
-        outputs.set(Outputs::READY, !moving && !locked && released);
-        outputs.set(Outputs::BUSY, moving);
-        // The result may overtake the report that the fingers stand still: both count together.
-        outputs.set(Outputs::HOLDING, has(GripperFlags::HOLDING) && !moving);
-        outputs.set(
-            Outputs::PART_FAULT,
-            has(GripperFlags::PART_LOST) || (has(GripperFlags::NO_PART) && !moving),
-        );
+        outputs.set(Outputs::READY, !busy && !locked && released);
+        outputs.set(Outputs::BUSY, busy);
+        // A result shows when BUSY goes, not before.
+        outputs.set(Outputs::HOLDING, has(GripperFlags::HOLDING) && !busy);
+        outputs
+            .set(Outputs::PART_FAULT, has(GripperFlags::PART_LOST) || (has(GripperFlags::NO_PART) && !busy));
         outputs.set(Outputs::REFERENCED, gripper.system.contains(SystemFlags::REFERENCED));
         outputs
+    }
+
+    /// Whether a motion runs, or ran too short for a PLC to have seen it. An error shows at once, and stays to be seen.
+    fn is_busy(&mut self, now: Instant, gripper: &InputImage, connected: bool) -> bool {
+        let moving = is_moving(gripper);
+        let since = self.busy_since.or(moving.then_some(now));
+        let too_short = since.is_some_and(|since| now.since(since) < self.min_busy_ms);
+        let shown = connected && (moving || (too_short && !is_error(gripper)));
+        self.busy_since = since.filter(|_| shown);
+        shown
     }
 
     fn take_recipe(&mut self, rising: CommandFlags, levels: Inputs, unit: ForceUnit) {

@@ -56,6 +56,25 @@ fn recipe_wires_choose_the_width() {
 }
 
 #[test]
+fn busy_lasts_long_enough_for_a_plc_even_if_the_fingers_are_there_already() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.command(Inputs::MOVE);
+    bench.set(Inputs::MOVE, true);
+    assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+    assert!(!bench.until(49, |outputs| !outputs.contains(Outputs::BUSY)), "shorter than 50 ms");
+    assert!(bench.until(10, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+}
+
+#[test]
+fn fast_stop_ends_busy_at_once() {
+    let mut bench = Bench::homed(quick());
+    bench.set(Inputs::MOVE, true);
+    assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+    bench.set(Inputs::FAST_STOP_OK, false);
+    assert!(bench.until(20, |outputs| outputs == Outputs::ERROR | Outputs::REFERENCED | Outputs::LINK_OK));
+}
+
+#[test]
 fn motion_before_homing_is_refused_by_the_gripper_and_shows_error() {
     let mut bench = Bench::ready(quick());
     bench.pulse(Inputs::MOVE);

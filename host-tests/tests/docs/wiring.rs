@@ -76,10 +76,11 @@ fn recipes() -> String {
 }
 
 fn times() -> String {
-    let Config { debounce_ms, half_frame_ms, session, .. } = Config::DEFAULT;
+    let Config { debounce_ms, min_busy_ms, half_frame_ms, session, .. } = Config::DEFAULT;
     let ms = |value: u32| format!("{value} ms");
     let rows = [
         ("a wire must keep its level", ms(debounce_ms)),
+        ("`BUSY` is high for at least, unless an error ends it,", ms(min_busy_ms)),
         ("the first answer to a request may take", ms(session.reply_timeout_ms)),
         ("times a repeatable request is sent before the link counts as lost", session.attempts.to_string()),
         ("the gripper's states are asked for again every", ms(session.refresh_ms)),
