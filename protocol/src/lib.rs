@@ -11,6 +11,7 @@
 //! | [`reply`] | [`Reply`]: status and typed values | command set, 1.2.2 and chapter 3 |
 //! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
 //! | [`session`] | the controller's side of a connection | command set, 1.3 |
+//! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async` | command set, chapter 3 |
 //! | [`fieldbus`] | the register images and the controller behind them | fieldbus, chapters 5 and 6 |
 //!
 //! A request becomes bytes, bytes become frames, frames become typed values:
@@ -64,6 +65,8 @@ extern crate std;
 
 pub mod checksum;
 pub mod command;
+#[cfg(any(feature = "embedded-io", feature = "embedded-io-async"))]
+pub mod driver;
 mod field;
 pub mod fieldbus;
 pub mod frame;

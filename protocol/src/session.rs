@@ -15,6 +15,8 @@
 //!   is. What it does not know it says: [`Notice::Unanswered`].
 //! - **FAST STOP**: goes out before anything else, is repeated until the gripper confirms it, over a reconnect as well,
 //!   and is never acknowledged by the session itself.
+//! - **Settings** are read back when [`Config::verify_settings`] is set: what is not what was set is [`MISMATCH`].
+//! - **Updates**: what is subscribed to by [`Config`] or [`Session::subscribe`] is subscribed to again after a reconnect.
 //! - **Silence**: the connection is given up, all knowledge of the gripper with it, and what was waiting to be sent is
 //!   withdrawn: nothing that was asked for before a reconnect leaves after it.
 //!
@@ -30,10 +32,15 @@
 //! assert!(session.request(Command::GripPart { width: 20.0, speed: 50.0 }).is_err());
 //! ```
 
+mod config;
 mod known;
+mod read_back;
+mod signal;
 mod track;
 
+pub use config::{Config, Timeout};
 pub use known::Known;
+pub use signal::Signal;
 
 use crate::command::{Command, CommandId, Kind};
 use crate::field::Refusal;
@@ -42,48 +49,8 @@ use crate::reply::{Reply, Value};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
 use heapless::{Deque, Vec};
-use track::{Expired, Track};
-
-/// Time-outs and subscriptions. All times in milliseconds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Config {
-    /// How long the first answer to a request may take.
-    pub reply_timeout_ms: u32,
-    /// How often a request that may be repeated is sent before the connection counts as lost.
-    pub attempts: u8,
-    /// How long after one of the subscribed values was asked for the next one is.
-    pub refresh_ms: u32,
-    /// How long to wait before connecting is tried again.
-    pub reconnect_ms: u32,
-    /// How long a motion may take.
-    pub motion_timeout_ms: u32,
-    /// How long the result of a motion is waited for once the gripper reports that it stands still.
-    pub result_grace_ms: u32,
-    /// The least time between two updates of one value that the gripper sends, at least 10.
-    pub update_period_ms: u16,
-    /// Whether the opening width is subscribed to.
-    pub width: bool,
-    /// Whether the gripping force is subscribed to.
-    pub force: bool,
-}
-
-impl Config {
-    /// For a serial line at 115 200 bit/s: silence is noticed in under a second. System state and gripper state only.
-    ///
-    /// The longest stroke (210 mm) at the least speed (5 mm/s) takes 42 s, so a motion may take a minute.
-    pub const DEFAULT: Self = Self {
-        reply_timeout_ms: 200,
-        attempts: 3,
-        refresh_ms: 250,
-        reconnect_ms: 250,
-        motion_timeout_ms: 60_000,
-        result_grace_ms: 1_000,
-        update_period_ms: AutoUpdate::MIN_PERIOD_MS,
-        width: false,
-        force: false,
-    };
-}
+use signal::Subscriptions;
+use track::{Expired, Request, Track};
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,7 +63,7 @@ pub enum Notice<'a> {
     Disconnected,
     /// A requested motion has begun (E_CMD_PENDING).
     Pending(CommandId),
-    /// The final answer to a request.
+    /// The final answer to a request; [`MISMATCH`] is the session's own.
     Answered(Reply<'a>),
     /// A request was sent, and its outcome is not known.
     Unanswered(CommandId),
@@ -137,6 +104,13 @@ pub struct Counters {
     pub disconnects: u16,
 }
 
+/// The status of a setting that the gripper confirmed but did not take over: read back, it shows another value, or none
+/// ([`Config::verify_settings`]).
+///
+/// It is E_WRITE_ERROR, which the manual lists for none of the settings that are read back, so that a register interface
+/// can show it as it is.
+pub const MISMATCH: Status = Status::WriteError;
+
 /// How many requests may wait to be sent.
 pub const QUEUE_LEN: usize = 4;
 
@@ -176,14 +150,17 @@ pub struct Session {
     request: Track,
     /// The session's own: a step of connecting, or a value asked for again.
     refresh: Track,
+    /// The setting that is being read back: `request` is the query.
+    reading_back: Option<Command<'static>>,
     /// Requests that wait for the one before to be answered.
-    queue: Deque<Command<'static>, QUEUE_LEN>,
+    queue: Deque<Request, QUEUE_LEN>,
     /// Something waits that a Stop has overtaken.
     overtaken: bool,
     running: Vec<Running, RUNNING_LEN>,
     /// When the next value is asked for again, and which.
     refresh_at: Instant,
     refresh_step: u8,
+    subscriptions: Subscriptions,
     known: Known,
     counters: Counters,
 }
@@ -201,11 +178,13 @@ impl Session {
             urgent: Track::new(),
             request: Track::new(),
             refresh: Track::new(),
+            reading_back: None,
             queue: Deque::new(),
             overtaken: false,
             running: Vec::new(),
             refresh_at: Instant::from_millis(0),
             refresh_step: FIRST_SUBSCRIPTION,
+            subscriptions: Subscriptions::new(&config),
             known: Known::NOTHING,
             counters: Counters { unasked: 0, refused: 0, repeated: 0, disconnects: 0 },
         }
@@ -226,7 +205,7 @@ impl Session {
     /// The motion that is running: sent and not yet finished, as far as is known.
     #[must_use]
     pub fn motion(&self) -> Option<CommandId> {
-        let sent = self.request.command().map(|command| command.id());
+        let sent = self.request.id();
         self.running.iter().map(|running| running.id).chain(sent).find(|id| id.kind() == Kind::Motion)
     }
 
@@ -236,18 +215,56 @@ impl Session {
         self.counters
     }
 
+    /// Whether a request waits to be sent, or for its first answer (or its read-back). Stop and FAST STOP aside.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        !self.request.is_idle() || !self.queue.is_empty()
+    }
+
     /// Asks for a command to be sent. Its outcome comes as a [`Notice`].
     ///
-    /// Stop and FAST STOP overtake what waits: it is withdrawn.
+    /// Stop and FAST STOP overtake what waits: it is withdrawn. To ask once for a value that is subscribed to does not
+    /// end the subscription.
     ///
     /// # Errors
     /// [`RequestError`]; then the command is not sent, now or later.
     pub fn request(&mut self, command: Command<'static>) -> Result<(), RequestError> {
         command.check().map_err(RequestError::Invalid)?;
-        let id = command.id();
+        self.enqueue(Request::Own(self.subscriptions.kept_by(command)))
+    }
+
+    /// As [`request`](Self::request), for a command that the caller keeps, because it borrows its payload: only the id
+    /// is kept here, and the command is sent when [`poll_transmit_lent`](Self::poll_transmit_lent) has it at hand.
+    ///
+    /// A caller that cannot lend it any more calls [`withdraw`](Self::withdraw). A setting that is lent is not read
+    /// back.
+    ///
+    /// ```
+    /// use wsg_protocol::session::{Config, RequestError, Session};
+    /// use wsg_protocol::{Command, DeviceTag};
+    ///
+    /// let mut session = Session::new(Config::DEFAULT);
+    /// let text = String::from("left hand");
+    /// let command = Command::SetDeviceTag { tag: DeviceTag::new(&text).unwrap() };
+    /// assert_eq!(session.request_lent(&command), Err(RequestError::NotConnected));
+    /// ```
+    ///
+    /// # Errors
+    /// [`RequestError`]; then the command is not sent, now or later.
+    pub fn request_lent(&mut self, command: &Command<'_>) -> Result<(), RequestError> {
+        command.check().map_err(RequestError::Invalid)?;
+        self.enqueue(match command.id() {
+            CommandId::FastStop => Request::Own(Command::FastStop),
+            CommandId::Stop => Request::Own(Command::Stop),
+            id => Request::Lent(id),
+        })
+    }
+
+    fn enqueue(&mut self, request: Request) -> Result<(), RequestError> {
+        let id = request.id();
         if id == CommandId::FastStop {
             // Owed until the gripper confirms it, connected or not.
-            self.urgent.open(command);
+            self.urgent.open(request);
             self.overtaken = true;
             return Ok(());
         }
@@ -258,14 +275,58 @@ impl Session {
         match id.kind() {
             Kind::Stop if fast_stop_runs => Err(RequestError::FastStopRunning),
             Kind::Stop => {
-                self.urgent.open(command);
+                self.urgent.open(request);
                 self.overtaken = true;
                 Ok(())
             }
             Kind::Acknowledge | Kind::Motion if fast_stop_runs => Err(RequestError::FastStopRunning),
             Kind::Motion if self.motion_is_open() => Err(RequestError::MotionRunning),
             _ if self.running.iter().any(|running| running.id == id) => Err(RequestError::MotionRunning),
-            _ => self.queue.push_back(command).map_err(|_| RequestError::QueueFull),
+            _ => self.queue.push_back(request).map_err(|_| RequestError::QueueFull),
+        }
+    }
+
+    /// Takes back every request that was not sent yet, for a caller who is gone (a future that was dropped): no notice
+    /// tells of them. What was lent and sent is not sent again. Stop and FAST STOP stay.
+    pub fn withdraw(&mut self) {
+        self.queue.clear();
+        if self.reading_back.is_none() && self.request.withdraw_unsent().is_none() {
+            self.request.orphan();
+        }
+    }
+
+    /// Takes back what [`poll_transmit`](Self::poll_transmit) gave last and the caller did not send, not one byte of it,
+    /// and will not; whether that was a request that it can still do without. No notice tells of it. A query, Stop and
+    /// FAST STOP are not taken back: they may leave late.
+    pub fn take_back(&mut self, id: CommandId) -> bool {
+        id.kind() != Kind::Query && self.request.take_back(id)
+    }
+
+    /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Notice::Reported`].
+    /// [`AutoUpdate::once`] ends that. Periods below 10 ms count as 10 ms. In place of what [`Config`] says.
+    ///
+    /// The two states are asked for again and again even without updates: the session needs them.
+    ///
+    /// ```
+    /// use wsg_protocol::session::{Config, Session, Signal};
+    /// use wsg_protocol::AutoUpdate;
+    ///
+    /// let mut session = Session::new(Config::DEFAULT);
+    /// session.subscribe(Signal::Force, AutoUpdate::every(20));
+    /// ```
+    pub fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
+        self.subscriptions.set(signal, update);
+    }
+
+    /// Gives up the connection, for a caller who knows that it is gone: the next [`tick`](Self::tick)s tell what became
+    /// of what was open, and a new connection is tried after that.
+    pub fn disconnect(&mut self) {
+        if self.link == Link::Up {
+            self.link = Link::Closing;
+        } else if self.link != Link::Closing {
+            self.known = Known::NOTHING;
+            self.refresh.close();
+            self.link = Link::Down { retry_at: None };
         }
     }
 
@@ -278,12 +339,14 @@ impl Session {
             count(&mut self.counters.refused);
             return None;
         };
-        let notice = self.route(now, &reply);
-        let answers_refresh = self.refresh.take_answered();
-        if notice.is_none() && !answers_refresh {
-            count(&mut self.counters.unasked);
+        match self.route(now, &reply) {
+            Routed::Unasked => {
+                count(&mut self.counters.unasked);
+                None
+            }
+            Routed::Taken => None,
+            Routed::Noticed(notice) => Some(notice),
         }
-        notice
     }
 
     /// Lets time pass. Call again until it gives `None`.
@@ -307,12 +370,17 @@ impl Session {
 
     /// The next command to send. It counts as sent now.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Command<'static>> {
-        let deadline = now.plus(self.config.reply_timeout_ms);
+        self.poll_transmit_lent(now, None)
+    }
+
+    /// As [`poll_transmit`](Self::poll_transmit), with the command of [`request_lent`](Self::request_lent) at hand. It
+    /// may be given more than once, until it is answered.
+    pub fn poll_transmit_lent<'p>(&mut self, now: Instant, lent: Option<Command<'p>>) -> Option<Command<'p>> {
         if self.link == Link::Closing {
             return None; // The caller has not taken all notices yet: what is open belongs to a lost connection.
         }
         for track in [&mut self.urgent, &mut self.request, &mut self.refresh] {
-            if let Some(command) = track.send(deadline) {
+            if let Some(command) = track.send(now, &self.config, lent) {
                 return Some(command);
             }
         }
@@ -324,7 +392,8 @@ impl Session {
     pub fn poll_timeout(&self) -> Option<Instant> {
         let tracks = [self.urgent.deadline(), self.request.deadline(), self.refresh.deadline()];
         let link = match self.link {
-            Link::Down { retry_at } => retry_at,
+            // A FAST STOP that is owed comes first; its own time-out runs then.
+            Link::Down { retry_at } if self.urgent.is_idle() => retry_at,
             Link::Up if self.refresh.is_idle() => Some(self.refresh_at),
             _ => None,
         };
@@ -340,25 +409,20 @@ impl Session {
 
     /// The commands of connecting, in order: what device, what limits, then the subscriptions.
     fn setup(&self, step: u8) -> Option<Command<'static>> {
-        let update = AutoUpdate::on_change(self.config.update_period_ms);
-        let steps = [
-            Some(Command::GetSystemInfo),
-            Some(Command::GetSystemLimits),
-            Some(Command::GetSystemState { update }),
-            Some(Command::GetGripperState { update }),
-            self.config.width.then_some(Command::GetOpeningWidth { update }),
-            self.config.force.then_some(Command::GetForce { update }),
-        ];
-        steps.into_iter().flatten().nth(step as usize)
+        match step {
+            0 => Some(Command::GetSystemInfo),
+            1 => Some(Command::GetSystemLimits),
+            _ => self.subscriptions.nth(step.saturating_sub(FIRST_SUBSCRIPTION)),
+        }
     }
 
     /// Whether a motion runs or waits.
     fn motion_is_open(&self) -> bool {
-        self.motion().is_some() || self.queue.iter().any(|command| command.id().kind() == Kind::Motion)
+        self.motion().is_some() || self.queue.iter().any(|request| request.id().kind() == Kind::Motion)
     }
 
     /// To whom a reply belongs.
-    fn route<'a>(&mut self, now: Instant, reply: &Reply<'a>) -> Option<Notice<'a>> {
+    fn route<'a>(&mut self, now: Instant, reply: &Reply<'a>) -> Routed<'a> {
         let (id, status) = (reply.id(), reply.status());
         if let Some(value) = reply.value() {
             self.learn(now, &value);
@@ -366,13 +430,13 @@ impl Session {
         if self.urgent.awaits_answer(id) && status.is_final() {
             // A FAST STOP is only done when the gripper says so.
             if id == CommandId::FastStop && status != Status::Success {
-                return None;
+                return Routed::Unasked;
             }
             self.urgent.close();
             if matches!(self.link, Link::Down { .. }) {
                 self.link = Link::Down { retry_at: None };
             }
-            return Some(Notice::Answered(*reply));
+            return Routed::Noticed(Notice::Answered(*reply));
         }
         if self.request.awaits_answer(id) {
             return self.route_first_answer(now, reply);
@@ -381,18 +445,21 @@ impl Session {
             && let Some(at) = self.running.iter().position(|running| running.id == id)
         {
             self.running.swap_remove(at);
-            return Some(Notice::Answered(*reply));
+            return Routed::Noticed(Notice::Answered(*reply));
         }
         if self.refresh.awaits_answer(id) && status == Status::Success {
             return self.route_refresh(now, reply);
         }
-        let value = reply.value()?;
-        let subscribed = self.is_connected() && id.kind() == Kind::Query && Known::holds(id);
-        subscribed.then_some(Notice::Reported(value))
+        let subscribed =
+            self.is_connected() && Signal::of(id).is_some_and(|signal| self.subscriptions.wants(signal));
+        match reply.value() {
+            Some(value) if subscribed => Routed::Noticed(Notice::Reported(value)),
+            _ => Routed::Unasked,
+        }
     }
 
     /// The first answer to a request.
-    fn route_first_answer<'a>(&mut self, now: Instant, reply: &Reply<'a>) -> Option<Notice<'a>> {
+    fn route_first_answer<'a>(&mut self, now: Instant, reply: &Reply<'a>) -> Routed<'a> {
         let (id, status) = (reply.id(), reply.status());
         let asynchronous = id.kind() == Kind::Motion || !id.completion_statuses().is_empty();
         match status {
@@ -400,41 +467,62 @@ impl Session {
                 self.request.close();
                 // There is room: only one motion is let in, and each finger's supply once.
                 let _ = self.running.push(Running { id, begun: now, still_since: None });
-                Some(Notice::Pending(id))
+                Routed::Noticed(Notice::Pending(id))
             }
-            Status::CmdPending => None,
+            Status::CmdPending => Routed::Unasked,
             // A result without E_CMD_PENDING before it is that of an earlier motion, late.
             result
                 if asynchronous
                     && id.completion_statuses().contains(&result)
                     && !id.immediate_statuses().contains(&result) =>
             {
-                None
+                Routed::Unasked
             }
-            _ => {
-                self.request.close();
-                Some(Notice::Answered(*reply))
-            }
+            _ => self.finish_request(reply),
         }
     }
 
+    /// The request is answered; a setting may have to be read back first.
+    fn finish_request<'a>(&mut self, reply: &Reply<'a>) -> Routed<'a> {
+        let command = self.request.own();
+        self.request.close();
+        if let Some(setting) = self.reading_back.take() {
+            let agrees = reply.value().is_some_and(|value| read_back::agrees(&setting, &value, &self.known));
+            let status = if agrees { Status::Success } else { MISMATCH };
+            return Routed::Noticed(Notice::Answered(Reply::status_only(setting.id(), status)));
+        }
+        if self.config.verify_settings
+            && reply.status() == Status::Success
+            && let Some(setting) = command
+            && let Some(query) = read_back::query(&setting)
+        {
+            self.reading_back = Some(setting);
+            self.request.open(Request::Own(query));
+            return Routed::Taken;
+        }
+        Routed::Noticed(Notice::Answered(*reply))
+    }
+
     /// An answer to one of the session's own requests.
-    fn route_refresh<'a>(&mut self, now: Instant, reply: &Reply<'a>) -> Option<Notice<'a>> {
-        self.refresh.close_answered();
+    fn route_refresh<'a>(&mut self, now: Instant, reply: &Reply<'a>) -> Routed<'a> {
+        if let Some(command) = self.refresh.own() {
+            self.subscriptions.confirm(command);
+        }
+        self.refresh.close();
         self.refresh_at = now.plus(self.config.refresh_ms);
         match self.link {
             Link::Connecting { step } => {
                 let next = step.saturating_add(1);
                 if self.setup(next).is_some() {
                     self.link = Link::Connecting { step: next };
-                    None
+                    Routed::Taken
                 } else {
                     self.link = Link::Up;
                     self.refresh_step = FIRST_SUBSCRIPTION;
-                    Some(Notice::Connected)
+                    Routed::Noticed(Notice::Connected)
                 }
             }
-            _ => reply.value().map(Notice::Reported),
+            _ => reply.value().map_or(Routed::Taken, |value| Routed::Noticed(Notice::Reported(value))),
         }
     }
 
@@ -476,14 +564,15 @@ impl Session {
         if let Some(running) = self.running.pop() {
             return Notice::Unanswered(running.id);
         }
-        if let Some(command) = self.request.abandon() {
-            return Notice::Unanswered(command.id());
+        let setting = self.reading_back.take().map(|setting| setting.id());
+        if let Some(id) = self.request.abandon() {
+            return Notice::Unanswered(setting.unwrap_or(id));
         }
-        if let Some(command) = self.urgent.abandon_unless(CommandId::FastStop) {
-            return Notice::Unanswered(command.id());
+        if let Some(id) = self.urgent.abandon_unless(CommandId::FastStop) {
+            return Notice::Unanswered(id);
         }
-        if let Some(command) = self.queue.pop_front() {
-            return Notice::Withdrawn(command.id());
+        if let Some(request) = self.queue.pop_front() {
+            return Notice::Withdrawn(request.id());
         }
         count(&mut self.counters.disconnects);
         self.link = Link::Down { retry_at: Some(now.plus(self.config.reconnect_ms)) };
@@ -495,9 +584,11 @@ impl Session {
         if !self.overtaken {
             return None;
         }
-        let command = self.request.withdraw_unsent().or_else(|| self.queue.pop_front());
-        self.overtaken = command.is_some();
-        command.map(|command| command.id())
+        // What was set is read back all the same.
+        let unsent = if self.reading_back.is_none() { self.request.withdraw_unsent() } else { None };
+        let id = unsent.or_else(|| self.queue.pop_front().map(|request| request.id()));
+        self.overtaken = id.is_some();
+        id
     }
 
     /// Gives up a running command whose result does not come.
@@ -508,7 +599,7 @@ impl Session {
 
     /// Until when the result of a running command is waited for.
     fn result_deadline(&self, running: &Running) -> Instant {
-        let longest = running.begun.plus(self.config.motion_timeout_ms);
+        let longest = running.begun.plus(self.config.result_timeout(running.id));
         let grace = running.still_since.map(|since| since.plus(self.config.result_grace_ms));
         grace.map_or(longest, |grace| grace.earlier_of(longest))
     }
@@ -518,11 +609,17 @@ impl Session {
         if self.is_connected()
             && self.urgent.is_idle()
             && self.request.is_idle()
-            && let Some(command) = self.queue.pop_front()
+            && let Some(request) = self.queue.pop_front()
         {
-            self.request.open(command);
+            self.request.open(request);
         }
         if !self.refresh.is_idle() {
+            return;
+        }
+        if self.link == Link::Up
+            && let Some(changed) = self.subscriptions.changed()
+        {
+            self.refresh.open(Request::Own(changed));
             return;
         }
         match self.link {
@@ -546,9 +643,19 @@ impl Session {
 
     fn open_refresh(&mut self, step: u8) {
         if let Some(command) = self.setup(step) {
-            self.refresh.open(command);
+            self.refresh.open(Request::Own(command));
         }
     }
+}
+
+/// To whom a reply belongs.
+enum Routed<'a> {
+    /// To nobody.
+    Unasked,
+    /// To the session itself.
+    Taken,
+    /// To the caller.
+    Noticed(Notice<'a>),
 }
 
 fn count(counter: &mut u16) {
@@ -557,4 +664,4 @@ fn count(counter: &mut u16) {
 
 #[cfg(test)]
 #[path = "session_tests.rs"]
-mod tests;
+pub(crate) mod tests;

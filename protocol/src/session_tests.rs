@@ -38,12 +38,12 @@ struct Desk {
 
 impl Desk {
     fn new() -> Self {
+        Self::with(Config::DEFAULT)
+    }
+
+    fn with(config: Config) -> Self {
         // Near the end of the clock's range, so that every script also shows that it may wrap.
-        Self {
-            session: Session::new(Config::DEFAULT),
-            now: Instant::from_millis(u32::MAX - 400),
-            notices: vec![],
-        }
+        Self { session: Session::new(config), now: Instant::from_millis(u32::MAX - 400), notices: vec![] }
     }
 
     fn connected() -> Self {
@@ -446,4 +446,315 @@ fn time_out_is_told_in_advance() {
         }
     }
     assert!(checked > 5, "{checked}");
+}
+
+const FORCE_40: Command<'static> = Command::SetForceLimit { force: 40.0 };
+
+fn verifying() -> Desk {
+    let mut desk = Desk::with(Config { verify_settings: true, ..Config::DEFAULT });
+    desk.connect();
+    desk.notices.clear();
+    desk
+}
+
+/// Sets the force limit and has it read back as this; what is noticed then.
+fn read_back(force: f32, read: f32) -> Vec<std::string::String> {
+    let mut desk = verifying();
+    desk.session.request(Command::SetForceLimit { force }).unwrap();
+    desk.sent();
+    desk.status(CommandId::SetForceLimit, Status::Success);
+    assert_eq!(desk.notices, [""; 0], "confirmed is not answered");
+    assert_eq!(desk.sent(), [Command::GetForceLimit]);
+    assert!(desk.session.is_busy());
+    desk.reply(Reply::success(Value::GetForceLimit(read)));
+    assert!(!desk.session.is_busy());
+    assert_eq!(desk.session.counters().unasked, 0);
+    desk.notices
+}
+
+fn answered(id: CommandId, status: Status) -> std::string::String {
+    std::format!("{:?}", Notice::Answered(Reply::status_only(id, status)))
+}
+
+#[test]
+fn setting_is_answered_once_it_was_read_back() {
+    let success = [answered(CommandId::SetForceLimit, Status::Success)];
+    assert_eq!(read_back(40.0, 40.0), success);
+    assert_eq!(read_back(40.0, 40.02), success, "in steps of the gripper's own");
+    assert_eq!(read_back(1.0, 5.0), success, "clamped to the least force");
+    assert_eq!(read_back(100.0, 80.0), success, "clamped to the nominal force");
+    assert_eq!(read_back(500.0, 120.0), success, "clamped to the overdrive force");
+}
+
+#[test]
+fn setting_that_the_gripper_did_not_take_over_is_a_mismatch() {
+    let mismatch = [answered(CommandId::SetForceLimit, MISMATCH)];
+    assert_eq!(read_back(40.0, 41.0), mismatch);
+    assert_eq!(read_back(40.0, 80.0), mismatch);
+    for setting in [CommandId::SetAcceleration, CommandId::SetForceLimit, CommandId::SetSoftLimits] {
+        assert!(!setting.may_answer(MISMATCH), "no gripper says it");
+    }
+}
+
+#[test]
+fn other_settings_are_read_back_too() {
+    let mut desk = verifying();
+    desk.session.request(Command::SetAcceleration { acceleration: 9_999.0 }).unwrap();
+    desk.sent();
+    desk.status(CommandId::SetAcceleration, Status::Success);
+    assert_eq!(desk.sent(), [Command::GetAcceleration]);
+    desk.reply(Reply::success(Value::GetAcceleration(5_000.0)));
+    let limits = crate::SoftLimits { minus: 10.0, plus: 90.0 };
+    desk.session.request(Command::SetSoftLimits { limits }).unwrap();
+    desk.sent();
+    desk.status(CommandId::SetSoftLimits, Status::Success);
+    assert_eq!(desk.sent(), [Command::GetSoftLimits]);
+    desk.status(CommandId::GetSoftLimits, Status::NotAvailable);
+    let expected =
+        [answered(CommandId::SetAcceleration, Status::Success), answered(CommandId::SetSoftLimits, MISMATCH)];
+    assert_eq!(desk.notices, expected);
+}
+
+#[test]
+fn setting_that_was_refused_is_not_read_back() {
+    let mut desk = verifying();
+    desk.session.request(FORCE_40).unwrap();
+    desk.sent();
+    desk.status(CommandId::SetForceLimit, Status::CmdFormatError);
+    assert_eq!(desk.notices, [answered(CommandId::SetForceLimit, Status::CmdFormatError)]);
+    assert_eq!(desk.sent(), []);
+}
+
+#[test]
+fn next_request_waits_for_the_read_back() {
+    let mut desk = verifying();
+    desk.session.request(FORCE_40).unwrap();
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.sent(), [FORCE_40]);
+    desk.status(CommandId::SetForceLimit, Status::Success);
+    assert_eq!(desk.sent(), [Command::GetForceLimit]);
+    desk.reply(Reply::success(Value::GetForceLimit(40.0)));
+    assert_eq!(desk.sent(), [GRIP]);
+}
+
+#[test]
+fn read_back_without_an_answer_leaves_the_setting_unanswered() {
+    let mut desk = verifying();
+    desk.session.request(FORCE_40).unwrap();
+    desk.sent();
+    desk.status(CommandId::SetForceLimit, Status::Success);
+    let asked = desk.pass(2_000).into_iter().filter(|command| *command == Command::GetForceLimit).count();
+    assert_eq!(asked, 3);
+    assert_eq!(desk.notices, ["Unanswered(SetForceLimit)", "Disconnected"]);
+}
+
+#[test]
+fn stop_does_not_take_a_read_back_away() {
+    let mut desk = verifying();
+    desk.session.request(FORCE_40).unwrap();
+    desk.sent();
+    desk.status(CommandId::SetForceLimit, Status::Success);
+    desk.session.request(Command::Stop).unwrap();
+    desk.session.withdraw();
+    assert_eq!(desk.sent(), [Command::Stop, Command::GetForceLimit]);
+    desk.reply(Reply::success(Value::GetForceLimit(40.0)));
+    assert_eq!(desk.notices, [answered(CommandId::SetForceLimit, Status::Success)]);
+}
+
+#[test]
+fn command_with_time_outs_of_its_own_is_waited_for_that_long() {
+    let script = CommandId::Unknown(0xB0);
+    const TIMEOUTS: &[Timeout] = &[
+        Timeout { id: CommandId::Unknown(0xB0), reply_ms: 2_000, result_ms: 5_000 },
+        Timeout { id: CommandId::GripPart, reply_ms: 200, result_ms: 700 },
+    ];
+    let mut desk = Desk::with(Config { timeouts: TIMEOUTS, ..Config::DEFAULT });
+    desk.connect();
+    desk.notices.clear();
+    desk.session.request(Command::Unknown { id: 0xB0, payload: &[] }).unwrap();
+    desk.pass_answered(1_900);
+    assert_eq!(desk.noticed("Unanswered"), 0);
+    desk.status(script, Status::CmdPending);
+    desk.pass_answered(900);
+    assert_eq!(desk.noticed("Unanswered"), 0);
+    desk.status(script, Status::Success);
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    desk.reply(Reply::success(Value::GetGripperState(GripperState::Gripping)));
+    for _ in 0..699 {
+        for command in desk.pass(1) {
+            match command.id() {
+                CommandId::GetGripperState => {
+                    desk.reply(Reply::success(Value::GetGripperState(GripperState::Gripping)));
+                }
+                id => desk.answer(id),
+            }
+        }
+    }
+    assert_eq!(desk.noticed("Unanswered"), 0);
+    desk.pass(2);
+    assert_eq!(desk.noticed("Unanswered(GripPart)"), 1);
+    assert!(desk.session.is_connected());
+}
+
+#[test]
+fn subscription_is_asked_for_at_once_and_again_after_a_reconnect() {
+    let mut desk = Desk::connected();
+    let update = AutoUpdate::every(50);
+    let force = Command::GetForce { update };
+    desk.session.subscribe(Signal::Force, update);
+    assert_eq!(desk.sent(), [force]);
+    desk.reply(Reply::success(Value::GetForce(1.0)));
+    desk.reply(Reply::success(Value::GetForce(2.0)));
+    assert_eq!(desk.notices, ["Reported(GetForce(1.0))", "Reported(GetForce(2.0))"]);
+    assert_eq!(desk.session.known().force, Some(2.0));
+    desk.pass(1_000);
+    assert_eq!(desk.noticed("Disconnected"), 1);
+
+    let mut asked = vec![];
+    while !desk.session.is_connected() {
+        for command in desk.pass(1) {
+            asked.push(command);
+            match command.id() {
+                CommandId::GetForce => desk.reply(Reply::success(Value::GetForce(3.0))),
+                id => desk.answer(id),
+            }
+        }
+    }
+    assert_eq!(asked.last(), Some(&force));
+}
+
+#[test]
+fn each_signal_has_a_period_of_its_own() {
+    let mut desk = Desk::new();
+    for (signal, period_ms) in Signal::ALL.into_iter().zip([20, 30, 40, 50, 5]) {
+        desk.session.subscribe(signal, AutoUpdate::on_change(period_ms));
+    }
+    let mut asked = vec![];
+    for _ in 0..50 {
+        for command in desk.pass(1) {
+            asked.push(command);
+            match command.id() {
+                CommandId::GetOpeningWidth => desk.reply(Reply::success(Value::GetOpeningWidth(0.0))),
+                CommandId::GetSpeed => desk.reply(Reply::success(Value::GetSpeed(0.0))),
+                CommandId::GetForce => desk.reply(Reply::success(Value::GetForce(0.0))),
+                id => desk.answer(id),
+            }
+        }
+    }
+    let update = AutoUpdate::on_change;
+    let expected = [
+        Command::GetSystemInfo,
+        Command::GetSystemLimits,
+        Command::GetSystemState { update: update(20) },
+        Command::GetGripperState { update: update(30) },
+        Command::GetOpeningWidth { update: update(40) },
+        Command::GetSpeed { update: update(50) },
+        Command::GetForce { update: update(10) },
+    ];
+    assert_eq!(asked, expected);
+}
+
+#[test]
+fn subscription_that_ends_is_ended_at_the_gripper() {
+    let mut desk = Desk::with(Config { width: true, ..Config::DEFAULT });
+    for _ in 0..20 {
+        for command in desk.pass(1) {
+            match command.id() {
+                CommandId::GetOpeningWidth => desk.reply(Reply::success(Value::GetOpeningWidth(0.0))),
+                id => desk.answer(id),
+            }
+        }
+    }
+    assert!(desk.session.is_connected());
+    desk.session.subscribe(Signal::Width, AutoUpdate::once());
+    assert_eq!(desk.sent(), [Command::GetOpeningWidth { update: AutoUpdate::once() }]);
+    desk.reply(Reply::success(Value::GetOpeningWidth(0.0)));
+    desk.notices.clear();
+    desk.reply(Reply::success(Value::GetOpeningWidth(1.0)));
+    assert_eq!(desk.notices, [""; 0]);
+    assert_eq!(desk.session.counters().unasked, 1);
+}
+
+#[test]
+fn to_ask_once_does_not_end_a_subscription() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::GetGripperState { update: AutoUpdate::once() }).unwrap();
+    assert_eq!(desk.sent(), [Command::GetGripperState { update: AutoUpdate::on_change(10) }]);
+    desk.answer(CommandId::GetGripperState);
+    desk.session.request(Command::GetSpeed { update: AutoUpdate::once() }).unwrap();
+    assert_eq!(desk.sent(), [Command::GetSpeed { update: AutoUpdate::once() }]);
+}
+
+#[test]
+fn lent_command_is_sent_when_it_is_at_hand_and_repeated_while_it_is() {
+    let mut desk = Desk::connected();
+    let text = std::string::String::from("left");
+    let tag = Command::SetDeviceTag { tag: crate::DeviceTag::new(&text).unwrap() };
+    desk.session.request_lent(&tag).unwrap();
+    assert_eq!(desk.sent(), [], "it is not at hand");
+    assert_eq!(desk.session.poll_transmit_lent(desk.now, Some(Command::GetTemperature)), None);
+    assert_eq!(desk.session.poll_transmit_lent(desk.now, Some(tag)), Some(tag));
+    assert_eq!(desk.session.poll_transmit_lent(desk.now, Some(tag)), None);
+    desk.now = desk.now.plus(200);
+    desk.sent();
+    assert_eq!(desk.session.poll_transmit_lent(desk.now, Some(tag)), Some(tag));
+    desk.status(CommandId::SetDeviceTag, Status::Success);
+    assert_eq!(desk.notices, [answered(CommandId::SetDeviceTag, Status::Success)]);
+}
+
+#[test]
+fn what_is_withdrawn_does_not_leave_and_what_was_lent_is_not_repeated() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.session.withdraw();
+    assert_eq!(desk.sent(), []);
+    assert!(!desk.session.is_busy());
+
+    let echo = Command::Loop { data: crate::LoopData::new(&[1]).unwrap() };
+    desk.session.request_lent(&echo).unwrap();
+    desk.sent();
+    assert_eq!(desk.session.poll_transmit_lent(desk.now, Some(echo)), Some(echo));
+    desk.session.withdraw();
+    assert!(desk.session.is_busy(), "its answer may still come");
+    desk.pass_answered(201);
+    assert!(!desk.session.is_busy());
+    assert!(desk.session.is_connected());
+    assert_eq!(desk.noticed("Unanswered"), 0);
+}
+
+#[test]
+fn motion_that_the_caller_did_not_send_is_taken_back() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.sent(), [GRIP]);
+    assert!(!desk.session.take_back(CommandId::Homing));
+    assert!(desk.session.take_back(CommandId::GripPart));
+    assert_eq!(desk.session.motion(), None);
+    assert_eq!(desk.session.request(HOMING), Ok(()));
+}
+
+#[test]
+fn connection_that_the_caller_knows_is_gone_is_given_up_at_once() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.status(CommandId::GripPart, Status::CmdPending);
+    desk.session.disconnect();
+    desk.sent();
+    assert_eq!(desk.notices, ["Pending(GripPart)", "Unanswered(GripPart)", "Disconnected"]);
+    assert_eq!(desk.session.known(), &Known::NOTHING);
+    desk.connect();
+}
+
+#[test]
+fn fast_stop_that_is_owed_while_the_line_is_down_does_not_make_the_caller_spin() {
+    let mut desk = Desk::with(Config { reconnect_ms: 50, ..Config::DEFAULT });
+    desk.connect();
+    desk.session.request(Command::FastStop).unwrap();
+    for _ in 0..5_000 {
+        desk.pass(1);
+        assert!(desk.session.poll_timeout().is_none_or(|due| !desk.now.has_reached(due)));
+    }
 }

@@ -1,6 +1,5 @@
 //! What the session knows of the gripper.
 
-use crate::command::CommandId;
 use crate::reply::Value;
 use crate::types::{GripperState, SystemFlags, SystemInfo, SystemLimits};
 
@@ -45,16 +44,5 @@ impl Known {
             Value::GetForce(force) => self.force = Some(force),
             _ => {}
         }
-    }
-
-    /// Whether the values of this command are kept.
-    pub(super) const fn holds(id: CommandId) -> bool {
-        matches!(
-            id,
-            CommandId::GetSystemState
-                | CommandId::GetGripperState
-                | CommandId::GetOpeningWidth
-                | CommandId::GetForce
-        )
     }
 }

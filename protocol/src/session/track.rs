@@ -1,7 +1,37 @@
 //! One request on its way: waiting to be sent, sent and awaiting its first answer, or none.
 
+use super::Config;
 use crate::command::{Command, CommandId};
 use crate::time::Instant;
+
+/// A request, as long as it is not answered.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Request {
+    /// The session has it.
+    Own(Command<'static>),
+    /// The caller has it, and lends it when it is to be sent.
+    Lent(CommandId),
+    /// The caller had it, and is gone: it was sent, and will not be again.
+    Orphan(CommandId),
+}
+
+impl Request {
+    pub(super) const fn id(&self) -> CommandId {
+        match self {
+            Self::Own(command) => command.id(),
+            Self::Lent(id) | Self::Orphan(id) => *id,
+        }
+    }
+
+    /// The command to send, if it is at hand.
+    fn command<'p>(&self, lent: Option<Command<'p>>) -> Option<Command<'p>> {
+        match *self {
+            Self::Own(command) => Some(command),
+            Self::Lent(id) => lent.filter(|command| command.id() == id),
+            Self::Orphan(_) => None,
+        }
+    }
+}
 
 /// A request on its way.
 #[derive(Debug)]
@@ -9,21 +39,19 @@ pub(super) struct Track {
     state: State,
     /// How often it was sent.
     sent: u8,
-    /// An answer has just closed it.
-    answered: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum State {
     Idle,
-    Waiting(Command<'static>),
-    Sent { command: Command<'static>, deadline: Instant },
+    Waiting(Request),
+    Sent { request: Request, deadline: Instant },
 }
 
 /// What a time-out came to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Expired {
-    /// There was none.
+    /// There was none, or nobody is left who asked.
     No,
     /// The request will be sent again.
     Repeated,
@@ -33,46 +61,49 @@ pub(super) enum Expired {
 
 impl Track {
     pub(super) const fn new() -> Self {
-        Self { state: State::Idle, sent: 0, answered: false }
+        Self { state: State::Idle, sent: 0 }
     }
 
     /// Opens the track for this request, in place of the one before.
-    pub(super) fn open(&mut self, command: Command<'static>) {
+    pub(super) fn open(&mut self, request: Request) {
         // A FAST STOP that is asked for again is the same one: the answer to the first serves.
-        if self.command().is_some_and(|open| open == command) {
+        if self.request().is_some_and(|open| open == request) {
             return;
         }
-        *self = Self { state: State::Waiting(command), sent: 0, answered: false };
+        *self = Self { state: State::Waiting(request), sent: 0 };
     }
 
-    pub(super) fn close(&mut self) {
+    pub(super) const fn close(&mut self) {
         self.state = State::Idle;
-    }
-
-    pub(super) fn close_answered(&mut self) {
-        self.state = State::Idle;
-        self.answered = true;
-    }
-
-    /// Whether an answer has closed it since this was last asked.
-    pub(super) fn take_answered(&mut self) -> bool {
-        core::mem::take(&mut self.answered)
     }
 
     pub(super) const fn is_idle(&self) -> bool {
         matches!(self.state, State::Idle)
     }
 
-    pub(super) const fn command(&self) -> Option<Command<'static>> {
+    const fn request(&self) -> Option<Request> {
         match self.state {
             State::Idle => None,
-            State::Waiting(command) | State::Sent { command, .. } => Some(command),
+            State::Waiting(request) | State::Sent { request, .. } => Some(request),
+        }
+    }
+
+    /// The id of the open request.
+    pub(super) fn id(&self) -> Option<CommandId> {
+        self.request().map(|request| request.id())
+    }
+
+    /// The open request, if the session has it.
+    pub(super) const fn own(&self) -> Option<Command<'static>> {
+        match self.request() {
+            Some(Request::Own(command)) => Some(command),
+            _ => None,
         }
     }
 
     /// Whether a request with this id is open, sent or not.
     pub(super) fn awaits(&self, id: CommandId) -> bool {
-        self.command().is_some_and(|command| command.id() == id)
+        self.id() == Some(id)
     }
 
     /// Whether a request with this id was sent, at least once, and is open.
@@ -87,42 +118,73 @@ impl Track {
         }
     }
 
-    /// The request, if it waits to be sent; it counts as sent.
-    pub(super) fn send(&mut self, deadline: Instant) -> Option<Command<'static>> {
-        let State::Waiting(command) = self.state else { return None };
-        self.state = State::Sent { command, deadline };
+    /// The command, if it waits to be sent and is at hand; it counts as sent.
+    pub(super) fn send<'p>(
+        &mut self,
+        now: Instant,
+        config: &Config,
+        lent: Option<Command<'p>>,
+    ) -> Option<Command<'p>> {
+        let State::Waiting(request) = self.state else { return None };
+        let command = request.command(lent)?;
+        self.state = State::Sent { request, deadline: now.plus(config.reply_timeout(request.id())) };
         self.sent = self.sent.saturating_add(1);
         Some(command)
     }
 
     /// Lets time pass; a request that may be repeated is, up to `attempts` times in all, a FAST STOP without end.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
-        let State::Sent { command, deadline } = self.state else { return Expired::No };
+        let State::Sent { request, deadline } = self.state else { return Expired::No };
         if !now.has_reached(deadline) {
             return Expired::No;
         }
-        let id = command.id();
+        let id = request.id();
+        if matches!(request, Request::Orphan(_)) && id.is_repeatable() {
+            self.close();
+            return Expired::No;
+        }
         let repeat = id.is_repeatable() && self.sent < attempts;
         if repeat || id == CommandId::FastStop {
-            self.state = State::Waiting(command);
+            self.state = State::Waiting(request);
         }
         if repeat { Expired::Repeated } else { Expired::GivenUp }
     }
 
-    /// Closes it and gives the request back.
-    pub(super) fn abandon(&mut self) -> Option<Command<'static>> {
-        let command = self.command();
+    /// Closes it and says what it was open for.
+    pub(super) fn abandon(&mut self) -> Option<CommandId> {
+        let id = self.id();
         self.close();
-        command
+        id
     }
 
-    /// Closes it and gives the request back, unless it has this id.
-    pub(super) fn abandon_unless(&mut self, id: CommandId) -> Option<Command<'static>> {
+    /// Closes it and says what it was open for, unless that has this id.
+    pub(super) fn abandon_unless(&mut self, id: CommandId) -> Option<CommandId> {
         if self.awaits(id) { None } else { self.abandon() }
     }
 
-    /// Closes it and gives the request back if it was never sent.
-    pub(super) fn withdraw_unsent(&mut self) -> Option<Command<'static>> {
+    /// Closes it and says what it was open for, if that was never sent.
+    pub(super) fn withdraw_unsent(&mut self) -> Option<CommandId> {
         if self.sent == 0 { self.abandon() } else { None }
+    }
+
+    /// Closes it if it was sent once and is this; whether it was.
+    pub(super) fn take_back(&mut self, id: CommandId) -> bool {
+        let is_this = self.sent == 1 && self.awaits(id);
+        if is_this {
+            self.close();
+        }
+        is_this
+    }
+
+    /// Whoever asked is gone: what was lent is not sent (again).
+    pub(super) const fn orphan(&mut self) {
+        match self.state {
+            // Its answer did not come in time, and it cannot be repeated any more.
+            State::Waiting(Request::Lent(_)) => self.close(),
+            State::Sent { request: Request::Lent(id), deadline } => {
+                self.state = State::Sent { request: Request::Orphan(id), deadline };
+            }
+            _ => {}
+        }
     }
 }

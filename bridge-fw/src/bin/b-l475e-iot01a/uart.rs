@@ -6,6 +6,8 @@ use cortex_m::peripheral::NVIC;
 use embedded_io::{Error, ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
 use stm32_metapac::{Interrupt, RCC, UART4, interrupt};
 use wsg_bridge_fw::byte_queue::ByteQueue;
+use wsg_protocol::Command;
+use wsg_protocol::frame::OVERHEAD;
 
 use crate::clock::HCLK_HZ;
 
@@ -19,10 +21,11 @@ const BYTES_PER_10_MS: usize = (BAUD / 10 / 100) as usize;
 const RECEIVED_MAX: usize = 128;
 const _: () = assert!(RECEIVED_MAX >= BYTES_PER_10_MS);
 
-/// The longest frame the bridge sends: 8 bytes of framing around a width and a speed.
-const LONGEST_FRAME: usize = 8 + 8;
+/// The longest frame the bridge sends. It gives one frame at a time, so that a FAST STOP never waits for more than the
+/// rest of one.
+const LONGEST_FRAME: usize = Command::MAX_FIXED_LEN + OVERHEAD;
 const TO_SEND_MAX: usize = 32;
-const _: () = assert!(TO_SEND_MAX >= 2 * LONGEST_FRAME);
+const _: () = assert!(TO_SEND_MAX >= LONGEST_FRAME);
 
 static RECEIVED: ByteQueue<RECEIVED_MAX> = ByteQueue::new();
 static TO_SEND: ByteQueue<TO_SEND_MAX> = ByteQueue::new();

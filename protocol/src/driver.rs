@@ -1,0 +1,207 @@
+//! A gripper as an object with methods: blocking over `embedded-io`, async over `embedded-io-async`.
+//!
+//! | module | over | feature |
+//! |---|---|---|
+//! | [`blocking`] | `embedded_io::{Read, ReadReady, Write}` and a [`Clock`] | `embedded-io` |
+//! | [`asynch`] | `embedded_io_async::{Read, Write}` and a [`Timer`] | `embedded-io-async` |
+//!
+//! Both have the same methods, and both are thin: a [`Session`](crate::session::Session) decides what is sent and what an
+//! answer means, a [`FrameParser`](crate::FrameParser) finds the frames. What they add:
+//!
+//! - **Typed results.** [`Grip`] tells a part from none; [`Error`] tells whose fault it is.
+//! - **Two steps for a motion, if wanted.** `begin_grip` comes back with E_CMD_PENDING and a [`Pending`]; meanwhile
+//!   anything may be asked, and `wait` or `poll` has the result.
+//! - **One write for a frame**, so that over TCP a frame is one segment, as clients and grippers in the field expect.
+//! - **Nothing leaves late.** What a dropped future (or a call that failed half way) had asked for and was not sent is
+//!   taken back; what was sent is awaited before the next request, so that no answer is taken for another's. Only Stop
+//!   and FAST STOP leave in any case.
+//!
+//! Nothing runs by itself: a gripper is heard while one of the methods is called. A program that has nothing to ask calls
+//! `next_update` now and then, several times a second if the transport has a small buffer.
+
+#[cfg(feature = "embedded-io-async")]
+pub mod asynch;
+#[cfg(feature = "embedded-io")]
+pub mod blocking;
+mod engine;
+mod error;
+mod methods;
+mod motion;
+
+pub use error::{Culprit, Error};
+pub use motion::{MotionResult, Pending};
+
+use crate::reply::Value;
+use crate::time::Instant;
+use crate::types::{GripperState, LoopData, PrePositionFlags, SystemFlags};
+use crate::{frame, session};
+
+/// The caller's clock.
+///
+/// A closure is one:
+///
+/// ```
+/// use wsg_protocol::Instant;
+/// use wsg_protocol::driver::Clock;
+///
+/// let start = std::time::Instant::now();
+/// let mut clock = move || Instant::from_millis(start.elapsed().as_millis() as u32);
+/// assert!(clock.now().as_millis() < 1_000);
+/// ```
+pub trait Clock {
+    /// This moment.
+    fn now(&mut self) -> Instant;
+}
+
+impl<F: FnMut() -> Instant> Clock for F {
+    fn now(&mut self) -> Instant {
+        self()
+    }
+}
+
+/// A clock that can wake a task.
+///
+/// ```
+/// use wsg_protocol::Instant;
+/// use wsg_protocol::driver::{Clock, Timer};
+///
+/// struct EmbassyTimer;
+///
+/// impl Clock for EmbassyTimer {
+///     fn now(&mut self) -> Instant {
+///         Instant::from_millis(embassy_time::Instant::now().as_millis() as u32)
+///     }
+/// }
+///
+/// impl Timer for EmbassyTimer {
+///     async fn wait_until(&mut self, moment: Instant) {
+///         embassy_time::Timer::after_millis(moment.since(self.now()).into()).await;
+///     }
+/// }
+/// ```
+pub trait Timer: Clock {
+    /// Is ready at this moment, or soon after it. It is dropped when something else happens first.
+    fn wait_until(&mut self, moment: Instant) -> impl Future<Output = ()>;
+}
+
+/// What can be set about a driver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Config {
+    /// Time-outs, subscriptions and read-back.
+    pub session: session::Config,
+    /// After how long without a byte half a frame is given up, in milliseconds.
+    pub half_frame_ms: u32,
+    /// How long `connect` tries, in milliseconds.
+    pub connect_timeout_ms: u32,
+}
+
+impl Config {
+    /// The session's defaults, with settings read back; half a frame is waited for for 20 ms, which is some 230 bytes at
+    /// 115 200 bit/s; a gripper is looked for for 3 s.
+    pub const DEFAULT: Self = Self {
+        session: session::Config { verify_settings: true, ..session::Config::DEFAULT },
+        half_frame_ms: 20,
+        connect_timeout_ms: 3_000,
+    };
+
+    /// How long the confirmation of a FAST STOP is waited for.
+    fn confirmation_ms(&self) -> u32 {
+        self.session.reply_timeout_ms.saturating_mul(u32::from(self.session.attempts).saturating_add(1))
+    }
+}
+
+/// What a grip came to (command set, 3.2.6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Grip {
+    /// A part is held with the gripping force.
+    Held,
+    /// The fingers closed and found no part, or did not build up the force (E_CMD_FAILED).
+    NoPart,
+}
+
+/// What Pre-position Fingers does when something is in the way (command set, 3.2.2).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum OnBlock {
+    /// The motor is turned off.
+    #[default]
+    Stop,
+    /// The fingers clamp with half of the nominal force, and move on when the way is free.
+    Clamp,
+}
+
+impl OnBlock {
+    const fn flags(self) -> PrePositionFlags {
+        match self {
+            Self::Stop => PrePositionFlags::STOP_ON_BLOCK,
+            Self::Clamp => PrePositionFlags::empty(),
+        }
+    }
+}
+
+/// One of the two finger ports (command set, 3.6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Finger {
+    /// Finger 1.
+    One,
+    /// Finger 2.
+    Two,
+}
+
+/// A value that the gripper sent by itself, or that was asked for again in its turn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Update {
+    /// The system state flags.
+    SystemState(SystemFlags),
+    /// The gripper state.
+    GripperState(GripperState),
+    /// The opening width in mm.
+    Width(f32),
+    /// The finger speed in mm/s.
+    Speed(f32),
+    /// The gripping force in N, summed over both fingers.
+    Force(f32),
+}
+
+impl Update {
+    fn of(value: &Value<'_>) -> Option<Self> {
+        Some(match *value {
+            Value::GetSystemState(flags) => Self::SystemState(flags),
+            Value::GetGripperState(state) => Self::GripperState(state),
+            Value::GetOpeningWidth(width) => Self::Width(width),
+            Value::GetSpeed(speed) => Self::Speed(speed),
+            Value::GetForce(force) => Self::Force(force),
+            _ => return None,
+        })
+    }
+}
+
+/// What a driver has met that it could not use; each count stops at 65 535.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Counters {
+    /// On the line, below frames.
+    pub line: frame::Counters,
+    /// In frames and requests.
+    pub session: session::Counters,
+    /// Updates that were not fetched in time.
+    pub updates_lost: u16,
+}
+
+/// The longest payload of a reply that a driver takes when nothing else is said: Loop with all its data. Finger data may
+/// be longer.
+pub const MAX_REPLY_LEN: usize = LoopData::MAX_LEN + 2;
+
+/// The longest frame that a driver sends when nothing else is said: Loop with all its data.
+pub const MAX_FRAME_LEN: usize = LoopData::MAX_LEN + frame::OVERHEAD;
+
+/// How many updates are kept until they are fetched; the oldest gives way.
+pub const UPDATES_LEN: usize = 8;
+
+#[cfg(all(test, feature = "embedded-io", feature = "embedded-io-async"))]
+mod tests;

@@ -1,0 +1,212 @@
+//! The async driver, over `embedded-io-async`.
+
+use super::engine::{Awaited, Copied, Engine, Goal};
+use super::methods::methods;
+use super::{
+    Config, Counters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult, OnBlock, Pending,
+    Timer, Update,
+};
+use crate::command::{Command, CommandId};
+use crate::frame::Frame;
+use crate::reply::{Reply, Value};
+use crate::session::{Known, Signal};
+use crate::time::Instant;
+use crate::types::{
+    AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
+    LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
+};
+use core::future::{pending, poll_fn, ready};
+use core::pin::pin;
+use core::task::Poll;
+use embedded_io_async::{Read, Write};
+
+/// Bytes read at a time.
+const CHUNK_LEN: usize = 64;
+/// Chunks read before time is looked at again: a line that never falls silent must not stop the clock.
+const MAX_CHUNKS: usize = 64;
+
+/// A gripper at the other end of a transport.
+///
+/// Every method may be given up: drop its future. Nothing that was received is lost, a frame that was cut off is sent to
+/// its end before the next one, and what had not left does not leave any more; a motion that had begun goes on, as
+/// [`motion`](Self::motion) tells, and [`stop`](Self::stop) ends it. For that the transport's `read`, `write` and `flush`
+/// must have no effect when they are dropped, as those of the buffered serial ports and the TCP sockets of embassy.
+///
+/// `RX` is the longest payload of a reply that is taken, at least 34, and `TX` the longest frame that is sent, at least
+/// 17; both can be lower than what [`new`](Self::new) takes where RAM is short and Loop is not used.
+///
+/// ```
+/// use embedded_io_async::{Read, Write};
+/// use wsg_protocol::driver::{Error, Grip, Timer, asynch::Gripper};
+///
+/// /// Takes a part of 20 mm and says how wide the fingers are open meanwhile.
+/// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<Grip, Error<IO::Error>> {
+///     let mut gripper = Gripper::new(io, timer);
+///     gripper.connect().await?;
+///     let grip = gripper.begin_grip(20.0, 100.0).await?;
+///     loop {
+///         println!("{:.1} mm", gripper.width().await?);
+///         if let Some(result) = gripper.poll(&grip).await? {
+///             return Ok(result);
+///         }
+///     }
+/// }
+/// ```
+#[derive(Debug)]
+pub struct Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> {
+    io: IO,
+    clock: C,
+    engine: Engine<RX, TX>,
+}
+
+impl<IO, C> Gripper<IO, C> {
+    /// A gripper that is not connected yet, with [`Config::DEFAULT`] and room for every command.
+    #[must_use]
+    pub const fn new(io: IO, timer: C) -> Self {
+        Self::with_config(io, timer, Config::DEFAULT)
+    }
+}
+
+impl<IO, C, const RX: usize, const TX: usize> Gripper<IO, C, RX, TX> {
+    /// As [`new`](Gripper::new), with other settings and buffers.
+    ///
+    /// ```
+    /// use wsg_protocol::driver::{Config, asynch::Gripper};
+    /// # fn with<IO, T>(io: IO, timer: T) {
+    /// let gripper = Gripper::<_, _, 66, 32>::with_config(io, timer, Config::DEFAULT);
+    /// # }
+    /// ```
+    #[must_use]
+    pub const fn with_config(io: IO, timer: C, config: Config) -> Self {
+        Self { io, clock: timer, engine: Engine::new(config) }
+    }
+}
+
+/// Which of two futures was ready.
+enum First<A, B> {
+    One(A),
+    Other(B),
+}
+
+/// The result of the future that is ready first; of `one` when both are.
+async fn first<A, B>(one: impl Future<Output = A>, other: impl Future<Output = B>) -> First<A, B> {
+    let mut one = pin!(one);
+    let mut other = pin!(other);
+    poll_fn(|context| {
+        if let Poll::Ready(value) = one.as_mut().poll(context) {
+            return Poll::Ready(First::One(value));
+        }
+        other.as_mut().poll(context).map(First::Other)
+    })
+    .await
+}
+
+async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>) {
+    match moment {
+        Some(moment) => timer.wait_until(moment).await,
+        None => pending().await,
+    }
+}
+
+impl<IO: Read + Write, C: Timer, const RX: usize, const TX: usize> Gripper<IO, C, RX, TX> {
+    methods!([async] [.await]);
+
+    /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
+    async fn drive(
+        &mut self,
+        awaited: &mut Awaited<'_>,
+        goal: Goal,
+        until: Option<Instant>,
+    ) -> Result<bool, Error<IO::Error>> {
+        loop {
+            self.receive(awaited).await?;
+            let now = self.clock.now();
+            self.engine.elapse(now, awaited);
+            if self.engine.has_reached(goal, awaited) {
+                return Ok(true);
+            }
+            let is_over = until.is_some_and(|until| now.has_reached(until));
+            if self.engine.fetch(now, awaited) && (self.transmit(awaited, until).await? || !is_over) {
+                continue;
+            }
+            if is_over {
+                return Ok(false);
+            }
+            let moment = self.next_moment(until);
+            let mut chunk = [0; CHUNK_LEN];
+            let read = self.io.read(&mut chunk);
+            if let First::One(read) = first(read, wait_until(&mut self.clock, moment)).await {
+                self.take(read, &chunk, awaited)?;
+            }
+        }
+    }
+
+    /// Takes the bytes that are there.
+    async fn receive(&mut self, awaited: &mut Awaited<'_>) -> Result<(), Error<IO::Error>> {
+        for _ in 0..MAX_CHUNKS {
+            let mut chunk = [0; CHUNK_LEN];
+            let First::One(read) = first(self.io.read(&mut chunk), ready(())).await else { break };
+            self.take(read, &chunk, awaited)?;
+        }
+        Ok(())
+    }
+
+    fn take(
+        &mut self,
+        read: Result<usize, IO::Error>,
+        chunk: &[u8],
+        awaited: &mut Awaited<'_>,
+    ) -> Result<(), Error<IO::Error>> {
+        let count = read.map_err(Error::Transport)?;
+        let now = self.clock.now();
+        if count == 0 {
+            self.engine.hang_up(now, awaited);
+            return Err(Error::Closed);
+        }
+        self.engine.receive(now, chunk.get(..count).unwrap_or(&[]), awaited);
+        Ok(())
+    }
+
+    /// Sends what is left of the frame, by one write unless the transport takes less; whether it took anything before
+    /// something else is due.
+    async fn transmit(
+        &mut self,
+        awaited: &mut Awaited<'_>,
+        until: Option<Instant>,
+    ) -> Result<bool, Error<IO::Error>> {
+        let moment = self.next_moment(until);
+        let outbox = self.engine.outbox();
+        let written = if outbox.needs_flush() {
+            match first(self.io.flush(), wait_until(&mut self.clock, moment)).await {
+                First::One(flushed) => {
+                    outbox.flushed();
+                    flushed.map(|()| None)
+                }
+                First::Other(()) => return Ok(false),
+            }
+        } else {
+            match first(self.io.write(outbox.rest()), wait_until(&mut self.clock, moment)).await {
+                First::One(written) => written.map(Some),
+                First::Other(()) => return Ok(false),
+            }
+        };
+        match written {
+            Ok(None) => {}
+            Ok(Some(0)) => {
+                let now = self.clock.now();
+                self.engine.hang_up(now, awaited);
+                return Err(Error::Closed);
+            }
+            Ok(Some(count)) => self.engine.outbox().sent(count),
+            Err(error) => {
+                self.engine.outbox().clear();
+                return Err(Error::Transport(error));
+            }
+        }
+        Ok(true)
+    }
+
+    fn next_moment(&self, until: Option<Instant>) -> Option<Instant> {
+        [until, self.engine.next_timeout()].into_iter().flatten().reduce(Instant::earlier_of)
+    }
+}

@@ -1,0 +1,145 @@
+//! The blocking driver, over `embedded-io`.
+
+use super::engine::{Awaited, Copied, Engine, Goal};
+use super::methods::methods;
+use super::{
+    Clock, Config, Counters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult, OnBlock,
+    Pending, Update,
+};
+use crate::command::{Command, CommandId};
+use crate::frame::Frame;
+use crate::reply::{Reply, Value};
+use crate::session::{Known, Signal};
+use crate::time::Instant;
+use crate::types::{
+    AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
+    LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
+};
+use embedded_io::{Read, ReadReady, Write};
+
+/// Bytes read at a time.
+const CHUNK_LEN: usize = 64;
+/// Chunks read before time is looked at again: a line that never falls silent must not stop the clock.
+const MAX_CHUNKS: usize = 64;
+
+/// A gripper at the other end of a transport.
+///
+/// While it waits it asks the transport again and again whether there are bytes, and the clock for the time. A transport
+/// that waits a millisecond for bytes in `read_ready`, or a clock that sleeps in `now` (`wfi`), saves the processor's
+/// time.
+///
+/// `RX` is the longest payload of a reply that is taken, at least 34, and `TX` the longest frame that is sent, at least
+/// 17; both can be lower than what [`new`](Self::new) takes where RAM is short and Loop is not used.
+///
+/// ```
+/// use embedded_io::{Read, ReadReady, Write};
+/// use wsg_protocol::HomingDirection;
+/// use wsg_protocol::driver::{Clock, Error, Grip, blocking::Gripper};
+///
+/// /// Takes a part of 20 mm; whether there was one.
+/// fn pick<IO: Read + ReadReady + Write>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
+///     let mut gripper = Gripper::new(io, clock);
+///     gripper.connect()?;
+///     gripper.home(HomingDirection::Default)?;
+///     gripper.set_force_limit(40.0)?;
+///     Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
+/// }
+/// ```
+#[derive(Debug)]
+pub struct Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> {
+    io: IO,
+    clock: C,
+    engine: Engine<RX, TX>,
+}
+
+impl<IO, C> Gripper<IO, C> {
+    /// A gripper that is not connected yet, with [`Config::DEFAULT`] and room for every command.
+    #[must_use]
+    pub const fn new(io: IO, clock: C) -> Self {
+        Self::with_config(io, clock, Config::DEFAULT)
+    }
+}
+
+impl<IO, C, const RX: usize, const TX: usize> Gripper<IO, C, RX, TX> {
+    /// As [`new`](Gripper::new), with other settings and buffers.
+    ///
+    /// ```
+    /// use wsg_protocol::driver::{Config, blocking::Gripper};
+    /// # fn with<IO, C>(io: IO, clock: C) {
+    /// let gripper = Gripper::<_, _, 66, 32>::with_config(io, clock, Config::DEFAULT);
+    /// # }
+    /// ```
+    #[must_use]
+    pub const fn with_config(io: IO, clock: C, config: Config) -> Self {
+        Self { io, clock, engine: Engine::new(config) }
+    }
+}
+
+impl<IO: Read + ReadReady + Write, C: Clock, const RX: usize, const TX: usize> Gripper<IO, C, RX, TX> {
+    methods!([] []);
+
+    /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
+    fn drive(
+        &mut self,
+        awaited: &mut Awaited<'_>,
+        goal: Goal,
+        until: Option<Instant>,
+    ) -> Result<bool, Error<IO::Error>> {
+        loop {
+            let now = self.clock.now();
+            self.receive(now, awaited)?;
+            self.engine.elapse(now, awaited);
+            self.transmit(now, awaited)?;
+            if self.engine.has_reached(goal, awaited) {
+                return Ok(true);
+            }
+            if until.is_some_and(|until| now.has_reached(until)) {
+                return Ok(false);
+            }
+        }
+    }
+
+    /// Takes the bytes that are there.
+    fn receive(&mut self, now: Instant, awaited: &mut Awaited<'_>) -> Result<(), Error<IO::Error>> {
+        let mut chunk = [0; CHUNK_LEN];
+        for _ in 0..MAX_CHUNKS {
+            if !self.io.read_ready().map_err(Error::Transport)? {
+                break;
+            }
+            let count = self.io.read(&mut chunk).map_err(Error::Transport)?;
+            if count == 0 {
+                return Err(self.closed(now, awaited));
+            }
+            self.engine.receive(now, chunk.get(..count).unwrap_or(&[]), awaited);
+        }
+        Ok(())
+    }
+
+    /// Sends the frames that are due, each by one write unless the transport takes less.
+    fn transmit(&mut self, now: Instant, awaited: &mut Awaited<'_>) -> Result<(), Error<IO::Error>> {
+        while self.engine.fetch(now, awaited) {
+            let outbox = self.engine.outbox();
+            let written = if outbox.needs_flush() {
+                outbox.flushed();
+                self.io.flush().map(|()| None)
+            } else {
+                self.io.write(outbox.rest()).map(Some)
+            };
+            match written {
+                Ok(None) => {}
+                Ok(Some(0)) => return Err(self.closed(now, awaited)),
+                Ok(Some(count)) => self.engine.outbox().sent(count),
+                Err(error) => {
+                    self.engine.outbox().clear();
+                    return Err(Error::Transport(error));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn closed(&mut self, now: Instant, awaited: &mut Awaited<'_>) -> Error<IO::Error> {
+        self.engine.hang_up(now, awaited);
+        Error::Closed
+    }
+}

@@ -1,0 +1,172 @@
+//! A motion that was begun, and what it came to.
+
+use super::{Error, Grip};
+use crate::command::CommandId;
+use crate::session::Notice;
+use crate::types::Status;
+use core::marker::PhantomData;
+
+/// A motion that has begun (E_CMD_PENDING). `wait` or `poll` tells what it comes to, a `T`, as often as asked, until
+/// another one is begun. To drop it changes nothing: the motion goes on.
+#[must_use = "the motion goes on; `wait` or `poll` tells what it comes to"]
+pub struct Pending<T> {
+    id: CommandId,
+    serial: u16,
+    result: PhantomData<fn() -> T>,
+}
+
+impl<T> Pending<T> {
+    /// The command that is being carried out.
+    #[must_use]
+    pub const fn id(&self) -> CommandId {
+        self.id
+    }
+}
+
+impl<T> Clone for Pending<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for Pending<T> {}
+
+impl<T> core::fmt::Debug for Pending<T> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_tuple("Pending").field(&self.id).finish()
+    }
+}
+
+/// What a motion comes to when it succeeds: [`Grip`] for a grip, `()` for the others.
+pub trait MotionResult: Sized + private::Sealed {
+    /// What this status of a second answer stands for; `None`: failure.
+    #[doc(hidden)]
+    fn from_status(status: Status) -> Option<Self>;
+}
+
+mod private {
+    pub trait Sealed {}
+    impl Sealed for () {}
+    impl Sealed for super::Grip {}
+}
+
+impl MotionResult for () {
+    fn from_status(status: Status) -> Option<Self> {
+        (status == Status::Success).then_some(())
+    }
+}
+
+impl MotionResult for Grip {
+    fn from_status(status: Status) -> Option<Self> {
+        match status {
+            Status::Success => Some(Self::Held),
+            Status::CmdFailed => Some(Self::NoPart),
+            _ => None,
+        }
+    }
+}
+
+/// The motion that was asked for last.
+#[derive(Debug)]
+pub(super) struct Motion {
+    id: CommandId,
+    serial: u16,
+    stage: Stage,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Not answered yet.
+    Asked,
+    /// E_CMD_PENDING.
+    Runs,
+    /// It did not begin.
+    NotBegun(Verdict),
+    /// It began and ended.
+    Over(Verdict),
+}
+
+/// What became of a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verdict {
+    /// This final status came.
+    Answered(Status),
+    /// Sent, and not answered.
+    Unanswered,
+    /// Not sent.
+    Withdrawn,
+}
+
+impl Verdict {
+    /// What this notice says of a request with this id; nothing if it is about another, or not final.
+    pub(super) fn of(notice: &Notice<'_>, id: CommandId) -> Option<Self> {
+        match notice {
+            Notice::Answered(reply) if reply.id() == id => Some(Self::Answered(reply.status())),
+            Notice::Unanswered(of) if *of == id => Some(Self::Unanswered),
+            Notice::Withdrawn(of) if *of == id => Some(Self::Withdrawn),
+            _ => None,
+        }
+    }
+}
+
+impl Motion {
+    pub(super) const fn none() -> Self {
+        Self { id: CommandId::Unknown(0), serial: 0, stage: Stage::NotBegun(Verdict::Withdrawn) }
+    }
+
+    /// Another one is asked for.
+    pub(super) const fn ask(&mut self, id: CommandId) {
+        *self = Self { id, serial: self.serial.wrapping_add(1), stage: Stage::Asked };
+    }
+
+    pub(super) fn note(&mut self, notice: &Notice<'_>) {
+        match (self.stage, Verdict::of(notice, self.id)) {
+            (Stage::Asked, Some(verdict)) => self.stage = Stage::NotBegun(verdict),
+            (Stage::Runs, Some(verdict)) => self.stage = Stage::Over(verdict),
+            (Stage::Asked, None) if *notice == Notice::Pending(self.id) => self.stage = Stage::Runs,
+            _ => {}
+        }
+    }
+
+    /// It was taken back before it left.
+    pub(super) fn withdraw(&mut self) {
+        if self.stage == Stage::Asked {
+            self.stage = Stage::NotBegun(Verdict::Withdrawn);
+        }
+    }
+
+    /// Whether it is known that it has begun, or that it has not.
+    pub(super) const fn is_decided(&self) -> bool {
+        !matches!(self.stage, Stage::Asked)
+    }
+
+    pub(super) const fn is_over(&self) -> bool {
+        matches!(self.stage, Stage::NotBegun(_) | Stage::Over(_))
+    }
+
+    /// The one that has begun.
+    pub(super) fn begun<T, E>(&self) -> Result<Pending<T>, Error<E>> {
+        match self.stage {
+            Stage::NotBegun(Verdict::Answered(status)) => Err(Error::Refused(status)),
+            Stage::NotBegun(Verdict::Withdrawn) => Err(Error::NotConnected),
+            Stage::NotBegun(Verdict::Unanswered) | Stage::Asked => Err(Error::Unanswered),
+            Stage::Runs | Stage::Over(_) => {
+                Ok(Pending { id: self.id, serial: self.serial, result: PhantomData })
+            }
+        }
+    }
+
+    pub(super) const fn is_of<T>(&self, pending: &Pending<T>) -> bool {
+        self.serial == pending.serial
+    }
+
+    /// What it came to.
+    pub(super) fn result<T: MotionResult, E>(&self) -> Result<T, Error<E>> {
+        let Stage::Over(Verdict::Answered(status)) = self.stage else { return Err(Error::Unanswered) };
+        T::from_status(status).ok_or(match status {
+            Status::AxisBlocked => Error::Blocked,
+            Status::CmdAborted => Error::Aborted,
+            status => Error::Failed(status),
+        })
+    }
+}

@@ -1,0 +1,341 @@
+//! Both drivers in virtual time, against a gripper whose answers each test writes down.
+
+mod cancelled;
+mod desk;
+mod framing;
+
+use super::*;
+use crate::session::Signal;
+use crate::{AutoUpdate, CommandId, HomingDirection, Refusal, Reply, Status};
+use desk::{Desk, Noise, Segment, Watch, frame, status};
+use std::vec;
+use std::vec::Vec;
+
+type Blocking = blocking::Gripper<Desk, Watch>;
+type Asynch = asynch::Gripper<Desk, Watch>;
+
+fn connected(desk: &Desk) -> Blocking {
+    let mut gripper = Blocking::new(desk.clone(), Watch(desk.clone()));
+    gripper.connect().unwrap();
+    gripper
+}
+
+fn connected_async(desk: &Desk) -> Asynch {
+    let mut gripper = Asynch::new(desk.clone(), Watch(desk.clone()));
+    desk.run(gripper.connect()).unwrap();
+    gripper
+}
+
+#[test]
+fn a_gripper_that_is_off_is_not_connected() {
+    let desk = Desk::new();
+    desk.world(|world| world.silent = true);
+    let mut gripper = Blocking::new(desk.clone(), Watch(desk.clone()));
+    assert_eq!(gripper.connect(), Err(Error::NotConnected));
+    assert_eq!(gripper.home(HomingDirection::Default), Err(Error::NotConnected));
+    let mut gripper = Asynch::new(desk.clone(), Watch(desk.clone()));
+    assert_eq!(desk.run(gripper.connect()), Err(Error::NotConnected));
+    assert_eq!(desk.run(gripper.grip(20.0, 50.0)), Err(Error::NotConnected));
+}
+
+#[test]
+fn grip_tells_held_no_part_and_every_failure_apart() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let mut other = connected_async(&desk);
+    let outcomes = [
+        (Status::Success, Ok(Grip::Held)),
+        (Status::CmdFailed, Ok(Grip::NoPart)),
+        (Status::CmdAborted, Err(Error::Aborted)),
+        (Status::AxisBlocked, Err(Error::Blocked)),
+        (Status::Timeout, Err(Error::Failed(Status::Timeout))),
+    ];
+    for (status, outcome) in outcomes {
+        desk.script_motion(CommandId::GripPart, status);
+        assert_eq!(gripper.grip(20.0, 50.0), outcome);
+        desk.script_motion(CommandId::GripPart, status);
+        assert_eq!(desk.run(other.grip(20.0, 50.0)), outcome);
+    }
+}
+
+#[test]
+fn refusal_at_once_carries_its_status() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    desk.script(CommandId::Homing, vec![(1, status(CommandId::Homing, Status::AccessDenied))]);
+    assert_eq!(gripper.home(HomingDirection::Default), Err(Error::Refused(Status::AccessDenied)));
+    desk.script(
+        CommandId::TareForceSensor,
+        vec![(1, status(CommandId::TareForceSensor, Status::NotAvailable))],
+    );
+    assert_eq!(gripper.tare(), Err(Error::Refused(Status::NotAvailable)));
+}
+
+#[test]
+fn motion_without_an_answer_is_unanswered_and_was_sent_once() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    desk.script(CommandId::GripPart, vec![]);
+    assert_eq!(gripper.grip(20.0, 50.0), Err(Error::Unanswered));
+    assert_eq!(desk.heard(CommandId::GripPart), 1);
+    assert!(!gripper.is_connected());
+    gripper.connect().unwrap();
+    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
+}
+
+#[test]
+fn query_whose_answer_is_lost_is_asked_again() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    desk.script(CommandId::GetOpeningWidth, vec![]);
+    assert_eq!(gripper.width(), Ok(42.5));
+    assert_eq!(desk.heard(CommandId::GetOpeningWidth), 2);
+}
+
+#[test]
+fn queries_go_on_while_a_motion_runs() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    assert_eq!(gripper.motion(), Some(CommandId::GripPart));
+    assert_eq!(gripper.width(), Ok(42.5));
+    assert_eq!(gripper.poll(&grip), Ok(None));
+    assert_eq!(gripper.home(HomingDirection::Default), Err(Error::MotionRunning));
+    assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
+    assert_eq!(gripper.poll(&grip), Ok(Some(Grip::Held)), "as often as asked");
+    assert_eq!(gripper.motion(), None);
+}
+
+#[test]
+fn result_that_came_while_something_else_was_asked_is_kept() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    desk.script_motion(CommandId::GripPart, Status::CmdFailed);
+    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    desk.pass(500);
+    assert_eq!(gripper.width(), Ok(42.5));
+    assert_eq!(gripper.wait(&grip), Ok(Grip::NoPart));
+    let homing = gripper.begin_home(HomingDirection::Default).unwrap();
+    assert_eq!(gripper.wait(&grip), Err(Error::Superseded));
+    assert_eq!(gripper.wait(&homing), Ok(()));
+}
+
+#[test]
+fn stop_ends_a_motion() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    desk.script(CommandId::PrePosition, vec![(1, status(CommandId::PrePosition, Status::CmdPending))]);
+    desk.script(
+        CommandId::Stop,
+        vec![
+            (1, status(CommandId::PrePosition, Status::CmdAborted)),
+            (1, status(CommandId::Stop, Status::Success)),
+        ],
+    );
+    let motion = gripper.begin_move_to(50.0, 100.0, OnBlock::Stop).unwrap();
+    assert_eq!(gripper.stop(), Ok(()));
+    assert_eq!(gripper.wait(&motion), Err(Error::Aborted));
+}
+
+#[test]
+fn pre_position_flags_stand_as_in_the_manual() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    gripper.move_to(50.0, 100.0, OnBlock::Clamp).unwrap();
+    gripper.move_to(50.0, 100.0, OnBlock::Stop).unwrap();
+    gripper.move_by(-5.0, 100.0, OnBlock::Clamp).unwrap();
+    gripper.move_by(-5.0, 100.0, OnBlock::Stop).unwrap();
+    let flags: Vec<u8> = desk.world(|world| world.heard.iter().map(|(_, payload)| payload[0]).collect());
+    assert_eq!(flags, [0b00, 0b10, 0b01, 0b11]);
+}
+
+#[test]
+fn fast_stop_that_is_not_confirmed_is_owed_over_a_reconnect() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    desk.world(|world| world.silent = true);
+    assert_eq!(gripper.fast_stop(), Err(Error::Unanswered));
+    assert!(gripper.owes_fast_stop());
+    assert_eq!(gripper.acknowledge(), Err(Error::NotConnected));
+    desk.world(|world| world.silent = false);
+    gripper.connect().unwrap();
+    assert!(!gripper.owes_fast_stop());
+    assert!(desk.heard(CommandId::FastStop) >= 1);
+    assert_eq!(desk.heard(CommandId::Acknowledge), 0, "never by itself");
+    assert_eq!(gripper.acknowledge(), Ok(()));
+}
+
+#[test]
+fn setting_is_read_back_and_clamping_is_no_mismatch() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    assert_eq!(gripper.set_force_limit(40.0), Ok(()));
+    assert_eq!(gripper.set_force_limit(500.0), Ok(()));
+    assert_eq!(desk.heard(CommandId::GetForceLimit), 2);
+    let other = frame(Reply::success(Value::GetForceLimit(8.0)));
+    desk.script(CommandId::GetForceLimit, vec![(1, other)]);
+    assert_eq!(gripper.set_force_limit(40.0), Err(Error::Mismatch));
+}
+
+#[test]
+fn number_that_is_none_is_refused_before_it_is_sent() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    assert_eq!(gripper.grip(f32::NAN, 50.0), Err(Error::Invalid(Refusal::NotFinite)));
+    assert_eq!(gripper.set_tag("tab\t"), Err(Error::Invalid(Refusal::Character)));
+    assert_eq!(gripper.raw(0x24, b"nak", &mut []), Err(Error::Invalid(Refusal::AckKey)));
+    assert_eq!(desk.world(|world| world.heard.len()), 0);
+}
+
+#[test]
+fn borrowed_payloads_are_sent_and_repeated_when_the_answer_is_lost() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    desk.script(CommandId::SetDeviceTag, vec![]);
+    assert_eq!(gripper.set_tag("left hand"), Ok(()));
+    let tags: Vec<_> = desk.world(|world| core::mem::take(&mut world.heard));
+    assert_eq!(tags, [(0x51, b"left hand".to_vec()), (0x51, b"left hand".to_vec())]);
+    let tag = crate::DeviceTag::new("left hand").unwrap();
+    desk.script(CommandId::GetDeviceTag, vec![(1, frame(Reply::success(Value::GetDeviceTag(tag))))]);
+    assert_eq!(gripper.tag(&mut [0; 64]), Ok("left hand"));
+}
+
+#[test]
+fn script_command_is_sent_once_and_its_answer_comes_as_it_is() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let id = CommandId::Unknown(0xB0);
+    let value = Value::Unknown { id: 0xB0, parameters: &[1, 2, 3] };
+    desk.script(id, vec![(1, status(id, Status::CmdPending)), (50, frame(Reply::success(value)))]);
+    assert_eq!(gripper.raw(0xB0, &[7; 100], &mut [0; 8]), Ok(&[1, 2, 3][..]));
+    assert_eq!(desk.world(|world| world.heard.last().cloned()), Some((0xB0, vec![7; 100])));
+    desk.script(id, vec![(1, status(id, Status::CmdUnknown))]);
+    assert_eq!(gripper.raw(0xB0, &[], &mut []), Err(Error::Refused(Status::CmdUnknown)));
+    desk.script(id, vec![(1, frame(Reply::success(value)))]);
+    assert_eq!(gripper.raw(0xB0, &[], &mut [0; 2]), Err(Error::TooLong { needed: 3 }));
+    desk.script(id, vec![]);
+    assert_eq!(gripper.raw(0xB0, &[], &mut []), Err(Error::Unanswered));
+    assert_eq!(desk.heard(id), 4);
+}
+
+#[test]
+fn frame_that_does_not_fit_is_not_sent() {
+    let desk = Desk::new();
+    let mut gripper =
+        blocking::Gripper::<_, _, 66, 17>::with_config(desk.clone(), Watch(desk.clone()), Config::DEFAULT);
+    gripper.connect().unwrap();
+    assert_eq!(gripper.loop_back(&[1; 9]), Ok(()));
+    assert_eq!(gripper.loop_back(&[1; 10]), Err(Error::TooLong { needed: 18 }));
+    assert_eq!(desk.heard(CommandId::Loop), 1);
+    assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Stop), Ok(()), "the longest of fixed length");
+}
+
+#[test]
+fn loop_back_notices_other_bytes() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    assert_eq!(gripper.loop_back(&[0xFF; 256]), Ok(()));
+    let other = crate::LoopData::new(&[0xFE; 8]).unwrap();
+    desk.script(CommandId::Loop, vec![(1, frame(Reply::success(Value::Loop(other))))]);
+    assert_eq!(gripper.loop_back(&[0xFF; 8]), Err(Error::Mismatch));
+}
+
+#[test]
+fn updates_are_kept_and_subscribed_to_again_after_a_reconnect() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    while gripper.next_update(0).unwrap().is_some() {}
+    gripper.subscribe(Signal::Width, AutoUpdate::every(2));
+    assert_eq!(gripper.next_update(50), Ok(Some(Update::Width(42.5))));
+    let subscription = Some(vec![0b01, 10, 0]);
+    assert_eq!(desk.world(|world| world.width_update.take()), subscription, "not below 10 ms");
+    desk.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
+    assert_eq!(gripper.width(), Ok(42.5), "what was asked for");
+    assert_eq!(desk.world(|world| world.width_update.take()), subscription, "to ask does not end it");
+    assert_eq!(gripper.next_update(0), Ok(Some(Update::Width(41.0))), "what came meanwhile");
+
+    desk.world(|world| world.silent = true);
+    while gripper.is_connected() {
+        gripper.next_update(100).unwrap();
+    }
+    desk.world(|world| world.silent = false);
+    gripper.connect().unwrap();
+    assert_eq!(desk.world(|world| world.width_update.take()), subscription);
+
+    gripper.subscribe(Signal::Width, AutoUpdate::once());
+    gripper.next_update(20).unwrap();
+    assert_eq!(desk.world(|world| world.width_update.take()), Some(vec![0, 0, 0]));
+}
+
+#[test]
+fn newest_updates_are_kept_and_lost_ones_counted() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    gripper.subscribe(Signal::Force, AutoUpdate::every(10));
+    while gripper.next_update(50).unwrap().is_some() {}
+    let before = gripper.counters().updates_lost;
+    for force in 1..=10u8 {
+        desk.inject(&frame(Reply::success(Value::GetForce(force.into()))));
+    }
+    let updates: Vec<Update> = core::iter::from_fn(|| gripper.next_update(0).unwrap()).collect();
+    let forces: Vec<f32> = updates
+        .iter()
+        .filter_map(|update| if let Update::Force(force) = update { Some(*force) } else { None })
+        .collect();
+    assert_eq!(forces, (3..=10u8).map(f32::from).collect::<Vec<_>>());
+    assert_eq!(gripper.counters().updates_lost, before + 2);
+}
+
+#[test]
+fn error_of_the_transport_is_told_and_the_motion_can_be_waited_for_again() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    desk.world(|world| world.noise = true);
+    assert_eq!(gripper.wait(&grip), Err(Error::Transport(Noise)));
+    assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
+}
+
+#[test]
+fn end_of_the_transport_is_told_and_another_one_can_take_its_place() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    desk.world(|world| world.closed = true);
+    assert_eq!(gripper.wait(&grip), Err(Error::Closed));
+    assert_eq!(gripper.wait(&grip), Err(Error::Closed));
+    assert!(!gripper.is_connected());
+    assert_eq!(gripper.known(), &crate::session::Known::NOTHING);
+
+    desk.world(|world| world.closed = false);
+    gripper.replace_io(desk.clone());
+    gripper.connect().unwrap();
+    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
+}
+
+#[test]
+fn motion_of_a_line_that_was_replaced_is_unanswered() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    desk.world(|world| world.drop_what_comes());
+    gripper.replace_io(desk.clone());
+    assert_eq!(gripper.wait(&grip), Err(Error::Unanswered));
+    gripper.connect().unwrap();
+    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
+}
+
+#[test]
+fn finger_supply_takes_its_time() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let id = CommandId::Finger1Power;
+    let answers: Vec<Segment> = vec![(1, status(id, Status::CmdPending)), (500, status(id, Status::Success))];
+    desk.script(id, answers);
+    let before = desk.world(|world| world.now);
+    assert_eq!(gripper.set_finger_power(Finger::One, true), Ok(()));
+    assert!(desk.world(|world| world.now).since(before) >= 500);
+    desk.script(id, vec![(1, status(id, Status::CmdPending))]);
+    assert_eq!(gripper.set_finger_power(Finger::One, true), Err(Error::Unanswered));
+    assert!(gripper.is_connected());
+}

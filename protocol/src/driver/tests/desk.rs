@@ -1,0 +1,312 @@
+//! Both ends in one process, in virtual time: a transport and a clock for the driver, a scripted gripper behind them.
+
+use crate::driver::{Clock, Timer};
+use crate::session::tests::{INFO, LIMITS};
+use crate::{
+    Command, CommandId, Event, Frame, FrameEncoder, FrameParser, GripperState, Instant, Payload, Reply,
+    Status, SystemFlags, Value,
+};
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::rc::Rc;
+use std::vec;
+use std::vec::Vec;
+
+/// Bytes that arrive together, so many milliseconds after the request.
+pub(super) type Segment = (u32, Vec<u8>);
+
+/// What the transport reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Noise;
+
+impl core::fmt::Display for Noise {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("noise")
+    }
+}
+
+impl core::error::Error for Noise {}
+
+impl embedded_io::Error for Noise {
+    fn kind(&self) -> embedded_io::ErrorKind {
+        embedded_io::ErrorKind::Other
+    }
+}
+
+pub(super) struct World {
+    pub(super) now: Instant,
+    parser: FrameParser<300>,
+    /// To the driver, in order of time.
+    coming: VecDeque<(Instant, Vec<u8>)>,
+    /// The answers to the next requests with an id, in place of a healthy gripper's.
+    scripted: Vec<(u8, Vec<Segment>)>,
+    /// What the gripper has heard: requests without the session's own.
+    pub(super) heard: Vec<(u8, Vec<u8>)>,
+    /// Bytes of each write.
+    pub(super) writes: Vec<usize>,
+    /// Bytes that the transport takes before it is full.
+    pub(super) room: usize,
+    /// The gripper is off.
+    pub(super) silent: bool,
+    pub(super) closed: bool,
+    pub(super) noise: bool,
+    pub(super) force_limit: f32,
+    /// The last subscription to the width.
+    pub(super) width_update: Option<Vec<u8>>,
+}
+
+/// The way to it, for both ends and the test.
+#[derive(Clone)]
+pub(super) struct Desk(Rc<RefCell<World>>);
+
+pub(super) fn frame(reply: Reply<'_>) -> Vec<u8> {
+    FrameEncoder::new(reply.id().code(), reply).collect()
+}
+
+pub(super) fn status(id: CommandId, status: Status) -> Vec<u8> {
+    frame(Reply::status_only(id, status))
+}
+
+impl Desk {
+    pub(super) fn new() -> Self {
+        Self(Rc::new(RefCell::new(World {
+            // Near the end of the clock's range, so that every script also shows that it may wrap.
+            now: Instant::from_millis(u32::MAX - 300),
+            parser: FrameParser::new(),
+            coming: VecDeque::new(),
+            scripted: vec![],
+            heard: vec![],
+            writes: vec![],
+            room: usize::MAX,
+            silent: false,
+            closed: false,
+            noise: false,
+            force_limit: 80.0,
+            width_update: None,
+        })))
+    }
+
+    pub(super) fn world<T>(&self, look: impl FnOnce(&mut World) -> T) -> T {
+        look(&mut self.0.borrow_mut())
+    }
+
+    /// The answer to the next request with this id; none: silence.
+    pub(super) fn script(&self, id: CommandId, answer: Vec<Segment>) {
+        self.world(|world| world.scripted.push((id.code(), answer)));
+    }
+
+    /// A motion that is answered at once and, after 100 ms, with this.
+    pub(super) fn script_motion(&self, id: CommandId, result: Status) {
+        self.script(id, vec![(1, status(id, Status::CmdPending)), (100, status(id, result))]);
+    }
+
+    /// Bytes out of nowhere.
+    pub(super) fn inject(&self, bytes: &[u8]) {
+        self.world(|world| world.coming.push_back((world.now, bytes.to_vec())));
+    }
+
+    pub(super) fn heard(&self, id: CommandId) -> usize {
+        self.world(|world| world.heard.iter().filter(|(heard, _)| *heard == id.code()).count())
+    }
+
+    pub(super) fn pass(&self, ms: u32) {
+        self.world(|world| world.now = world.now.plus(ms));
+    }
+
+    /// Runs a future to its end in virtual time.
+    pub(super) fn run<T>(&self, future: impl Future<Output = T>) -> T {
+        self.run_for(600_000, future).expect("it comes to an end within ten minutes")
+    }
+
+    /// Polls a future once a millisecond, so many times at the most, and drops it.
+    pub(super) fn run_for<T>(&self, polls: u32, future: impl Future<Output = T>) -> Option<T> {
+        let mut future = pin!(future);
+        let mut context = Context::from_waker(Waker::noop());
+        for _ in 0..polls {
+            if let Poll::Ready(value) = future.as_mut().poll(&mut context) {
+                return Some(value);
+            }
+            self.pass(1);
+        }
+        None
+    }
+}
+
+impl World {
+    fn take(&mut self, bytes: &[u8]) {
+        let mut rest = bytes;
+        loop {
+            let (taken, event) = self.parser.push_slice(rest);
+            rest = &rest[taken..];
+            let Some(event) = event else { return };
+            let Event::Frame(frame) = event else { panic!("a driver sends whole frames: {event:?}") };
+            let (id, payload) = (frame.id, frame.payload.to_vec());
+            if !self.silent {
+                self.answer(id, payload);
+            }
+        }
+    }
+
+    fn answer(&mut self, id: u8, payload: Vec<u8>) {
+        let command =
+            Command::decode(&Frame { id, payload: &payload }).expect("a driver sends what is allowed");
+        let scripted = self.scripted.iter().position(|(scripted, _)| *scripted == id);
+        let segments = match scripted {
+            Some(at) => self.scripted.remove(at).1,
+            None => self.healthy(&command),
+        };
+        if let Command::SetForceLimit { force } = command {
+            self.force_limit = force.clamp(5.0, 80.0);
+        }
+        if let Command::GetOpeningWidth { .. } = command {
+            self.width_update = Some(payload.clone());
+        }
+        for (delay, bytes) in segments {
+            self.coming.push_back((self.now.plus(delay), bytes));
+        }
+        let is_sessions = matches!(
+            command,
+            Command::GetSystemInfo
+                | Command::GetSystemLimits
+                | Command::GetSystemState { .. }
+                | Command::GetGripperState { .. }
+        );
+        if !is_sessions {
+            self.heard.push((id, payload));
+        }
+    }
+
+    fn healthy(&self, command: &Command<'_>) -> Vec<Segment> {
+        let id = command.id();
+        let value = match *command {
+            Command::GetSystemInfo => Value::GetSystemInfo(INFO),
+            Command::GetSystemLimits => Value::GetSystemLimits(LIMITS),
+            Command::GetSystemState { .. } => Value::GetSystemState(SystemFlags::REFERENCED),
+            Command::GetGripperState { .. } => Value::GetGripperState(GripperState::Positioning),
+            Command::GetOpeningWidth { .. } => Value::GetOpeningWidth(42.5),
+            Command::GetForceLimit => Value::GetForceLimit(self.force_limit),
+            Command::Loop { data } => Value::Loop(data),
+            _ if id.kind() == crate::Kind::Motion && !id.completion_statuses().is_empty() => {
+                return vec![(1, status(id, Status::CmdPending)), (100, status(id, Status::Success))];
+            }
+            _ => return vec![(1, status(id, Status::Success))],
+        };
+        vec![(1, frame(Reply::success(value)))]
+    }
+
+    /// What was on its way to the driver is lost.
+    pub(super) fn drop_what_comes(&mut self) {
+        self.coming.clear();
+    }
+
+    fn is_due(&self) -> bool {
+        self.closed || self.noise || self.coming.iter().any(|(at, _)| self.now.has_reached(*at))
+    }
+
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Noise> {
+        if core::mem::take(&mut self.noise) {
+            return Err(Noise);
+        }
+        if self.closed {
+            return Ok(0);
+        }
+        let at = self.coming.iter().position(|(at, _)| self.now.has_reached(*at)).expect("something is due");
+        let bytes = &mut self.coming[at].1;
+        let count = bytes.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&bytes[..count]);
+        bytes.drain(..count);
+        if bytes.is_empty() {
+            self.coming.remove(at);
+        }
+        Ok(count)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> usize {
+        let count = bytes.len().min(self.room);
+        self.room -= count;
+        self.writes.push(count);
+        self.take(&bytes[..count]);
+        count
+    }
+}
+
+impl embedded_io::ErrorType for Desk {
+    type Error = Noise;
+}
+
+impl embedded_io::ReadReady for Desk {
+    fn read_ready(&mut self) -> Result<bool, Noise> {
+        let is_due = self.world(|world| world.is_due());
+        if !is_due {
+            self.pass(1);
+        }
+        Ok(is_due)
+    }
+}
+
+impl embedded_io::Read for Desk {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Noise> {
+        self.world(|world| world.read(buffer))
+    }
+}
+
+impl embedded_io::Write for Desk {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
+        Ok(self.world(|world| world.write(bytes)))
+    }
+
+    fn flush(&mut self) -> Result<(), Noise> {
+        Ok(())
+    }
+}
+
+impl embedded_io_async::Read for Desk {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Noise> {
+        core::future::poll_fn(|_| {
+            self.world(|world| if world.is_due() { Poll::Ready(world.read(buffer)) } else { Poll::Pending })
+        })
+        .await
+    }
+}
+
+impl embedded_io_async::Write for Desk {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
+        core::future::poll_fn(|_| {
+            self.world(
+                |world| {
+                    if world.room == 0 { Poll::Pending } else { Poll::Ready(Ok(world.write(bytes))) }
+                },
+            )
+        })
+        .await
+    }
+
+    async fn flush(&mut self) -> Result<(), Noise> {
+        Ok(())
+    }
+}
+
+/// The desk's clock.
+pub(super) struct Watch(pub(super) Desk);
+
+impl Clock for Watch {
+    fn now(&mut self) -> Instant {
+        self.0.world(|world| world.now)
+    }
+}
+
+impl Timer for Watch {
+    async fn wait_until(&mut self, moment: Instant) {
+        core::future::poll_fn(|_| {
+            if self.0.world(|world| world.now).has_reached(moment) { Poll::Ready(()) } else { Poll::Pending }
+        })
+        .await;
+    }
+}
+
+/// The payload of a request.
+pub(super) fn payload(command: &Command<'_>) -> Vec<u8> {
+    (0..command.len()).map(|at| command.byte(at)).collect()
+}

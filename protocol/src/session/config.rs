@@ -1,0 +1,95 @@
+//! What can be set about a session: time-outs, subscriptions, read-back.
+
+use crate::command::CommandId;
+use crate::types::AutoUpdate;
+
+/// Time-outs and subscriptions. All times in milliseconds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Config {
+    /// How long the first answer to a request may take.
+    pub reply_timeout_ms: u32,
+    /// How often a request that may be repeated is sent before the connection counts as lost.
+    pub attempts: u8,
+    /// How long after one of the subscribed values was asked for the next one is.
+    pub refresh_ms: u32,
+    /// How long to wait before connecting is tried again.
+    pub reconnect_ms: u32,
+    /// How long a motion may take.
+    pub motion_timeout_ms: u32,
+    /// How long the result of a motion is waited for once the gripper reports that it stands still.
+    pub result_grace_ms: u32,
+    /// The least time between two updates of one value that the gripper sends, at least 10, unless
+    /// [`Session::subscribe`](super::Session::subscribe) says otherwise for one of them.
+    pub update_period_ms: u16,
+    /// Whether the opening width is subscribed to.
+    pub width: bool,
+    /// Whether the finger speed is subscribed to.
+    pub speed: bool,
+    /// Whether the gripping force is subscribed to.
+    pub force: bool,
+    /// Whether Set Acceleration, Set Force Limit and Set Soft Limits are read back, because the checksum is weak. Such a
+    /// request counts as answered only then, and another value than the one that was set as [`MISMATCH`](super::MISMATCH).
+    pub verify_settings: bool,
+    /// The commands with time-outs of their own, in place of `reply_timeout_ms` and `motion_timeout_ms`.
+    pub timeouts: &'static [Timeout],
+}
+
+/// The time-outs of one command. A script on the gripper, for example, may take its time to answer:
+///
+/// ```
+/// use wsg_protocol::session::{Config, Timeout};
+/// use wsg_protocol::CommandId;
+///
+/// const SCRIPT: Timeout = Timeout { id: CommandId::Unknown(0xB0), reply_ms: 2_000, result_ms: 10_000 };
+/// let config = Config { timeouts: &[SCRIPT], ..Config::DEFAULT };
+/// assert_eq!(config.timeouts.len(), 1);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Timeout {
+    /// The command.
+    pub id: CommandId,
+    /// How long its first answer may take, in milliseconds.
+    pub reply_ms: u32,
+    /// How long its second answer may take after E_CMD_PENDING, in milliseconds.
+    pub result_ms: u32,
+}
+
+impl Config {
+    /// For a serial line at 115 200 bit/s: silence is noticed in under a second. System state and gripper state only.
+    ///
+    /// The longest stroke (210 mm) at the least speed (5 mm/s) takes 42 s, so a motion may take a minute. A finger's
+    /// supply is on after about 500 ms (command set, 3.6.3), so two seconds are given.
+    pub const DEFAULT: Self = Self {
+        reply_timeout_ms: 200,
+        attempts: 3,
+        refresh_ms: 250,
+        reconnect_ms: 250,
+        motion_timeout_ms: 60_000,
+        result_grace_ms: 1_000,
+        update_period_ms: AutoUpdate::MIN_PERIOD_MS,
+        width: false,
+        speed: false,
+        force: false,
+        verify_settings: false,
+        timeouts: &[
+            Timeout { id: CommandId::Finger1Power, reply_ms: 200, result_ms: 2_000 },
+            Timeout { id: CommandId::Finger2Power, reply_ms: 200, result_ms: 2_000 },
+        ],
+    };
+
+    /// How long the first answer to this command may take.
+    pub(super) fn reply_timeout(&self, id: CommandId) -> u32 {
+        self.timeout(id).map_or(self.reply_timeout_ms, |timeout| timeout.reply_ms)
+    }
+
+    /// How long the second answer to this command may take.
+    pub(super) fn result_timeout(&self, id: CommandId) -> u32 {
+        self.timeout(id).map_or(self.motion_timeout_ms, |timeout| timeout.result_ms)
+    }
+
+    fn timeout(&self, id: CommandId) -> Option<&'static Timeout> {
+        self.timeouts.iter().find(|timeout| timeout.id == id)
+    }
+}
