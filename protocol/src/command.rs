@@ -234,7 +234,8 @@ impl CommandId {
         self.immediate_statuses().contains(&status) || self.completion_statuses().contains(&status)
     }
 
-    /// Whether sending it a second time changes nothing, so that a lost answer may be asked for again.
+    /// Whether sending it a second time changes nothing, so that a lost answer may be asked for again. For Get Gripping
+    /// Statistics that is so without a reset only: see [`Command::is_repeatable`].
     #[must_use]
     pub const fn is_repeatable(self) -> bool {
         match self.kind() {
@@ -276,6 +277,21 @@ impl core::fmt::Display for CommandId {
 impl Command<'_> {
     /// Acknowledges a FAST STOP or a fault.
     pub const ACKNOWLEDGE: Self = Self::Acknowledge { key: AckKey };
+
+    /// Whether sending it a second time changes nothing, so that a lost answer may be asked for again.
+    ///
+    /// ```
+    /// use wsg_protocol::Command;
+    ///
+    /// assert!(Command::GetGrippingStatistics { reset: false }.is_repeatable());
+    /// // The counts that the lost answer brought would be gone.
+    /// assert!(!Command::GetGrippingStatistics { reset: true }.is_repeatable());
+    /// assert!(!Command::GripPart { width: 20.0, speed: 50.0 }.is_repeatable());
+    /// ```
+    #[must_use]
+    pub const fn is_repeatable(&self) -> bool {
+        !matches!(self, Self::GetGrippingStatistics { reset: true }) && self.id().is_repeatable()
+    }
 
     /// The longest request without the ones of variable length (Loop, Set Device Tag, unknown ones): Pre-position
     /// Fingers, in bytes of payload.

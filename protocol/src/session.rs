@@ -13,6 +13,7 @@
 //!   but the gripper reports that it stands still, the result is given up.
 //! - **Lost answers**: what may be repeated is ([`CommandId::is_repeatable`]); a motion or an acknowledgement never
 //!   is. What it does not know it says: [`Notice::Unanswered`].
+//! - **Stop**: overtakes what waits; without a connection it is sent once, at once, and never later.
 //! - **FAST STOP**: goes out before anything else, is repeated until the gripper confirms it, over a reconnect as well,
 //!   and is never acknowledged by the session itself.
 //! - **Settings** are read back when [`Config::verify_settings`] is set: what is not what was set is [`MISMATCH`].
@@ -78,7 +79,8 @@ pub enum Notice<'a> {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum RequestError {
-    /// The caller's: there is no connection. (Only FAST STOP is taken then, and sent as soon as there is one.)
+    /// The caller's: there is no connection. (Only FAST STOP is taken then, and sent until it is confirmed; and Stop,
+    /// which is sent once.)
     NotConnected,
     /// The caller's: a motion is running.
     MotionRunning,
@@ -156,6 +158,8 @@ pub struct Session {
     queue: Deque<Request, QUEUE_LEN>,
     /// Something waits that a Stop has overtaken.
     overtaken: bool,
+    /// A Stop without a connection was not answered.
+    stop_unanswered: bool,
     running: Vec<Running, RUNNING_LEN>,
     /// When the next value is asked for again, and which.
     refresh_at: Instant,
@@ -181,6 +185,7 @@ impl Session {
             reading_back: None,
             queue: Deque::new(),
             overtaken: false,
+            stop_unanswered: false,
             running: Vec::new(),
             refresh_at: Instant::from_millis(0),
             refresh_step: FIRST_SUBSCRIPTION,
@@ -268,17 +273,19 @@ impl Session {
             self.overtaken = true;
             return Ok(());
         }
+        let fast_stop_runs = self.owes_fast_stop();
+        if id == CommandId::Stop && !fast_stop_runs {
+            // The gripper may hear although it is not heard. But it is now or never: a Stop that arrives after a
+            // reconnect would drop the part that is held then.
+            self.urgent.open(request);
+            self.overtaken = true;
+            return Ok(());
+        }
         if !self.is_connected() {
             return Err(RequestError::NotConnected);
         }
-        let fast_stop_runs = self.owes_fast_stop();
         match id.kind() {
-            Kind::Stop if fast_stop_runs => Err(RequestError::FastStopRunning),
-            Kind::Stop => {
-                self.urgent.open(request);
-                self.overtaken = true;
-                Ok(())
-            }
+            Kind::Stop => Err(RequestError::FastStopRunning),
             Kind::Acknowledge | Kind::Motion if fast_stop_runs => Err(RequestError::FastStopRunning),
             Kind::Motion if self.motion_is_open() => Err(RequestError::MotionRunning),
             _ if self.running.iter().any(|running| running.id == id) => Err(RequestError::MotionRunning),
@@ -357,6 +364,9 @@ impl Session {
         self.expire_tracks(now);
         if self.link == Link::Closing {
             return Some(self.close_one(now));
+        }
+        if core::mem::take(&mut self.stop_unanswered) {
+            return Some(Notice::Unanswered(CommandId::Stop));
         }
         if let Some(overtaken) = self.withdraw_overtaken() {
             return Some(Notice::Withdrawn(overtaken));
@@ -541,6 +551,10 @@ impl Session {
     /// What is done about answers that did not come.
     fn expire_tracks(&mut self, now: Instant) {
         let attempts = if self.is_connected() { self.config.attempts } else { 1 };
+        if !self.is_connected() && self.urgent.awaits(CommandId::Stop) && self.urgent.is_overdue(now) {
+            self.urgent.close();
+            self.stop_unanswered = true;
+        }
         for track in [&mut self.urgent, &mut self.request, &mut self.refresh] {
             match track.expire(now, attempts) {
                 Expired::No => {}

@@ -255,6 +255,43 @@ fn stop_overtakes_what_waits_and_ends_the_motion() {
 }
 
 #[test]
+fn stop_without_a_connection_is_sent_at_once_and_never_later() {
+    let mut desk = Desk::connected();
+    desk.pass(1_000);
+    assert_eq!(desk.notices, ["Disconnected"]);
+    desk.session.request(Command::Stop).unwrap();
+    assert_eq!(desk.sent(), [Command::Stop]);
+    let sent = desk.pass(3_000);
+    assert!(!sent.contains(&Command::Stop), "once: {sent:?}");
+    assert_eq!(desk.noticed("Unanswered(Stop)"), 1);
+    desk.connect();
+    assert!(!desk.pass(300).contains(&Command::Stop), "and not after the reconnect");
+}
+
+#[test]
+fn stop_without_a_connection_that_is_answered_brings_the_connection_back() {
+    let mut desk = Desk::connected();
+    desk.pass(1_000);
+    desk.session.request(Command::Stop).unwrap();
+    desk.sent();
+    desk.status(CommandId::Stop, Status::Success);
+    assert_eq!(desk.noticed("Answered(Reply { id: Stop, status: Success"), 1);
+    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+}
+
+#[test]
+fn statistics_that_are_reset_by_reading_are_read_once() {
+    for (reset, times) in [(true, 1), (false, 3)] {
+        let mut desk = Desk::connected();
+        let command = Command::GetGrippingStatistics { reset };
+        desk.session.request(command).unwrap();
+        let sent = desk.pass(3_000);
+        assert_eq!(sent.iter().filter(|sent| **sent == command).count(), times, "reset: {reset}");
+        assert_eq!(desk.noticed("Unanswered(GetGrippingStatistics)"), 1);
+    }
+}
+
+#[test]
 fn fast_stop_goes_first_and_is_repeated_until_it_is_confirmed() {
     let mut desk = Desk::connected();
     desk.session.request(GRIP).unwrap();

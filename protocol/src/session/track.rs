@@ -23,6 +23,13 @@ impl Request {
         }
     }
 
+    const fn is_repeatable(&self) -> bool {
+        match self {
+            Self::Own(command) => command.is_repeatable(),
+            Self::Lent(id) | Self::Orphan(id) => id.is_repeatable(),
+        }
+    }
+
     /// The command to send, if it is at hand.
     fn command<'p>(&self, lent: Option<Command<'p>>) -> Option<Command<'p>> {
         match *self {
@@ -132,6 +139,11 @@ impl Track {
         Some(command)
     }
 
+    /// Whether its answer should have come by now.
+    pub(super) fn is_overdue(&self, now: Instant) -> bool {
+        self.deadline().is_some_and(|deadline| now.has_reached(deadline))
+    }
+
     /// Lets time pass; a request that may be repeated is, up to `attempts` times in all, a FAST STOP without end.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
         let State::Sent { request, deadline } = self.state else { return Expired::No };
@@ -139,11 +151,11 @@ impl Track {
             return Expired::No;
         }
         let id = request.id();
-        if matches!(request, Request::Orphan(_)) && id.is_repeatable() {
+        if matches!(request, Request::Orphan(_)) && request.is_repeatable() {
             self.close();
             return Expired::No;
         }
-        let repeat = id.is_repeatable() && self.sent < attempts;
+        let repeat = request.is_repeatable() && self.sent < attempts;
         if repeat || id == CommandId::FastStop {
             self.state = State::Waiting(request);
         }
