@@ -50,6 +50,12 @@ impl Debounce {
         self.read = Some((reading, since));
         self.settled.is_all().then_some(self.levels)
     }
+
+    /// Whether this wire has settled low, whatever the others do.
+    #[must_use]
+    pub fn is_settled_low(&self, wire: Inputs) -> bool {
+        self.settled.contains(wire) && !self.levels.intersects(wire)
+    }
 }
 
 #[cfg(test)]

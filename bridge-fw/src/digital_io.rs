@@ -63,7 +63,7 @@ impl DigitalIo {
         gripper: &InputImage,
         unit: ForceUnit,
     ) -> Option<OutputImage> {
-        let levels = self.debounce.update(now, reading)?;
+        let Some(levels) = self.debounce.update(now, reading) else { return self.early_fast_stop() };
         let before = self.levels.replace(levels);
         if before == Some(levels) {
             return None;
@@ -78,6 +78,19 @@ impl DigitalIo {
         if !is_moving(gripper) {
             self.take_recipe(rising, levels, unit);
         }
+        Some(self.image)
+    }
+
+    /// FAST STOP before all wires have settled after power-up: it must not wait for a command wire that chatters.
+    ///
+    /// All other flags are shown set, which FASTSTOP overrules, so that none of them rises when the wires settle.
+    fn early_fast_stop(&mut self) -> Option<OutputImage> {
+        let wanted = self.debounce.is_settled_low(Inputs::FAST_STOP_OK);
+        if !wanted || self.image.flags.contains(CommandFlags::FASTSTOP) {
+            return None;
+        }
+        self.image.flags =
+            COMMANDS.iter().fold(CommandFlags::FASTSTOP, |flags, (_, flag)| flags.union(*flag));
         Some(self.image)
     }
 

@@ -3,7 +3,7 @@
 use host_tests::bench::Bench;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
+use wsg_protocol::{CommandId, FrameEncoder, Kind, Reply, Status};
 use wsg_sim::{Config, Fault, Part};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
@@ -141,6 +141,36 @@ fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged
     );
     bench.command(Inputs::HOME);
     assert_eq!(bench.take_motions(), [CommandId::Homing]);
+}
+
+#[test]
+fn fast_stop_wire_low_at_power_up_counts_even_if_a_command_wire_chatters() {
+    let mut bench = Bench::new(quick());
+    let chatter = |bench: &mut Bench, ms: u32| {
+        for n in 0..ms {
+            bench.set(Inputs::GRIP, n % 2 == 0);
+            bench.pass(1);
+        }
+    };
+    bench.set(Inputs::STOP_ACK, true);
+    chatter(&mut bench, 300);
+    assert!(bench.take_sent().contains(&CommandId::FastStop));
+    bench.set(Inputs::FAST_STOP_OK, true);
+    chatter(&mut bench, 300);
+    bench.set(Inputs::GRIP, true);
+    bench.pass(300);
+    let sent = bench.take_sent();
+    assert!(!sent.contains(&CommandId::Acknowledge), "STOP/ACK was high from the start: {sent:?}");
+    assert!(sent.iter().all(|id| id.kind() != Kind::Motion), "and so was GRIP: {sent:?}");
+    assert!(bench.outputs().contains(Outputs::ERROR));
+    bench.set(Inputs::STOP_ACK | Inputs::GRIP, false);
+    bench.pass(10);
+    bench.pulse(Inputs::STOP_ACK);
+    assert!(
+        bench.until(100, |outputs| outputs == Outputs::READY | Outputs::LINK_OK),
+        "{:?}",
+        bench.outputs()
+    );
 }
 
 #[test]
