@@ -1,17 +1,22 @@
-//! Servers around the gripper: TCP, UDP, serial lines (feature `std`).
+//! Servers around the gripper: TCP, UDP, serial lines, and the control interface (feature `std`).
 //!
 //! One thread serves all of them on a current-thread runtime, so that the gripper needs no lock. Every frame is one
-//! write, and TCP does not delay: a client that takes what one `recv` gives for one frame is right.
+//! write, and TCP does not delay: a client that takes what one `recv` gives for one frame is right. [`Server`] is for
+//! programs that have such a runtime, [`ServerThread`] for all others.
 
+mod control;
+mod faulty_line;
 mod hub;
 mod log;
 mod serial;
 mod stream;
 mod tcp;
+mod thread;
 mod udp;
 
 pub use log::Log;
 pub use serial::SerialLine;
+pub use thread::ServerThread;
 
 use crate::config::Config;
 use anyhow::{Context, Result};
@@ -33,6 +38,11 @@ pub struct Lines {
     pub udp: Option<UdpLine>,
     /// A serial line.
     pub serial: Option<SerialLine>,
+    /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
+    /// what a hand beside it can, so keep it on the loopback interface.
+    pub control: Option<SocketAddr>,
+    /// Decides which frames the faults hit that the control interface lets loose on the lines.
+    pub seed: u64,
 }
 
 /// A UDP address, and where answers go.
@@ -67,6 +77,7 @@ pub struct Server {
     tcp: Option<TcpListener>,
     udp: Option<(UdpSocket, u16)>,
     serial: Option<SerialPort>,
+    control: Option<TcpListener>,
 }
 
 impl Server {
@@ -75,14 +86,7 @@ impl Server {
     /// # Errors
     /// One for the line that cannot be opened, naming it.
     pub async fn bind(config: Config, lines: &Lines, log: Option<Log>) -> Result<Self> {
-        let tcp = match lines.tcp {
-            Some(address) => Some(
-                TcpListener::bind(address)
-                    .await
-                    .with_context(|| format!("TCP cannot listen on {address}"))?,
-            ),
-            None => None,
-        };
+        let tcp = listen(lines.tcp, "TCP").await?;
         let udp = match lines.udp {
             Some(line) => {
                 let socket = UdpSocket::bind(line.address)
@@ -96,7 +100,8 @@ impl Server {
             Some(line) => Some(SerialPort::open(line)?),
             None => None,
         };
-        Ok(Self { hub: Rc::new(Hub::new(config, log)), tcp, udp, serial })
+        let control = listen(lines.control, "the control interface").await?;
+        Ok(Self { hub: Rc::new(Hub::new(config, lines.seed, log)), tcp, udp, serial, control })
     }
 
     /// The address that TCP listens on.
@@ -117,12 +122,18 @@ impl Server {
         self.serial.as_ref().map(SerialPort::path)
     }
 
+    /// The address that the control interface listens on.
+    #[must_use]
+    pub fn control_address(&self) -> Option<SocketAddr> {
+        self.control.as_ref()?.local_addr().ok()
+    }
+
     /// Serves until `end` is ready, or a line fails for good.
     ///
     /// # Errors
     /// That of the line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
-        let Self { hub, tcp, udp, serial } = self;
+        let Self { hub, tcp, udp, serial, control } = self;
         let local = LocalSet::new();
         local
             .run_until(async move {
@@ -137,6 +148,9 @@ impl Server {
                 if let Some(port) = serial {
                     tasks.spawn_local(port.serve(Rc::clone(&hub)));
                 }
+                if let Some(listener) = control {
+                    tasks.spawn_local(control::serve(hub, listener));
+                }
                 tokio::select! {
                     () = end => Ok(()),
                     Some(ended) = tasks.join_next() => ended?,
@@ -144,4 +158,10 @@ impl Server {
             })
             .await
     }
+}
+
+async fn listen(address: Option<SocketAddr>, what: &str) -> Result<Option<TcpListener>> {
+    let Some(address) = address else { return Ok(None) };
+    let listener = TcpListener::bind(address).await;
+    listener.map(Some).with_context(|| format!("{what} cannot listen on {address}"))
 }

@@ -4,16 +4,15 @@ mod common;
 
 use common::{grip, parse};
 use std::io::{self, BufRead, BufReader, Read, Write};
-use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::net::{TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::{Command as Process, Stdio};
 use std::sync::mpsc;
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::{Duration, Instant};
-use tokio::sync::oneshot;
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, LoopData, Status, SystemFlags};
-use wsg_sim::server::{Lines, Log, SerialLine, Server, UdpLine};
+use wsg_sim::server::{Lines, Log, SerialLine, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
 /// The longest that anything may take here.
@@ -23,40 +22,11 @@ const QUICK: f32 = 100.0;
 
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
-/// A server in a thread, ended when dropped.
-struct Served {
-    tcp: Option<SocketAddr>,
-    udp: Option<SocketAddr>,
-    serial: Option<PathBuf>,
-    end: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+fn serve(config: Config, lines: Lines) -> ServerThread {
+    ServerThread::start(config, &lines, None).expect("the server is up")
 }
 
-fn serve_logged(config: Config, lines: Lines, log: Option<PathBuf>) -> Served {
-    let (bound, binding) = mpsc::channel();
-    let (end, ended) = oneshot::channel();
-    let thread = thread::spawn(move || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        runtime.block_on(async {
-            let log = log.map(|path| Log::to_file(&path).unwrap());
-            let server = Server::bind(config, &lines, log).await.unwrap();
-            let serial = server.serial_path().map(PathBuf::from);
-            bound.send((server.tcp_address(), server.udp_address(), serial)).unwrap();
-            let end = async {
-                let _ = ended.await;
-            };
-            server.run(end).await.unwrap();
-        });
-    });
-    let (tcp, udp, serial) = binding.recv_timeout(BOUND).expect("the server is up in time");
-    Served { tcp, udp, serial, end: Some(end), thread: Some(thread) }
-}
-
-fn serve(config: Config, lines: Lines) -> Served {
-    serve_logged(config, lines, None)
-}
-
-fn serve_tcp(config: Config) -> Served {
+fn serve_tcp(config: Config) -> ServerThread {
     serve(config, tcp_lines())
 }
 
@@ -64,22 +34,12 @@ fn tcp_lines() -> Lines {
     Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() }
 }
 
-impl Served {
-    fn connect(&self) -> Client<TcpStream> {
-        let stream = TcpStream::connect_timeout(&self.tcp.expect("TCP is served"), BOUND).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        stream.set_write_timeout(Some(BOUND)).unwrap();
-        stream.set_nodelay(true).unwrap();
-        Client(stream)
-    }
-}
-
-impl Drop for Served {
-    fn drop(&mut self) {
-        let _ = self.end.take().map(|end| end.send(()));
-        let joined = self.thread.take().map(JoinHandle::join);
-        assert!(joined.is_some_and(|result| result.is_ok()) || thread::panicking(), "the server ended well");
-    }
+fn connect(served: &ServerThread) -> Client<TcpStream> {
+    let stream = TcpStream::connect_timeout(&served.tcp_address().expect("TCP is served"), BOUND).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    stream.set_write_timeout(Some(BOUND)).unwrap();
+    stream.set_nodelay(true).unwrap();
+    Client(stream)
 }
 
 /// A client that, like several in the field, takes what one read gives for one frame.
@@ -138,7 +98,7 @@ fn tcp_pending_and_result_are_separate_segments() {
     let part = Part::of_width(20.0);
     // Slow enough for the two answers to be read one by one.
     let served = serve_tcp(Config { time_scale: 2.0, part, ..Config::default() });
-    let mut client = served.connect();
+    let mut client = connect(&served);
     assert_eq!(client.ask(Command::ACKNOWLEDGE), Status::Success);
     assert_eq!(client.run(HOMING), Status::Success);
     assert_eq!(client.run(grip(20.0)), Status::Success);
@@ -148,7 +108,7 @@ fn tcp_pending_and_result_are_separate_segments() {
 #[test]
 fn tcp_loop_of_eight_ff_is_a_handshake() {
     let served = serve_tcp(Config::default());
-    let mut client = served.connect();
+    let mut client = connect(&served);
     client.send(Command::Loop { data: LoopData::new(&[0xFF; 8]).unwrap() });
     let (id, payload) = client.recv_payload();
     assert_eq!((id, &payload[2..]), (0x06, &[0xFF; 8][..]));
@@ -157,8 +117,8 @@ fn tcp_loop_of_eight_ff_is_a_handshake() {
 #[test]
 fn tcp_close_without_announcement_latches_fast_stop_for_the_next_client() {
     let served = serve_tcp(Config::default());
-    drop(served.connect());
-    let mut next = served.connect();
+    drop(connect(&served));
+    let mut next = connect(&served);
     // The close may arrive a little after the next connection.
     let start = Instant::now();
     while !next.flags().contains(SystemFlags::FAST_STOP) {
@@ -172,8 +132,8 @@ fn tcp_close_without_announcement_latches_fast_stop_for_the_next_client() {
 #[test]
 fn tcp_announced_close_latches_nothing() {
     let served = serve_tcp(Config::default());
-    let mut watcher = served.connect();
-    let mut client = served.connect();
+    let mut watcher = connect(&served);
+    let mut client = connect(&served);
     assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::Success);
     assert_eq!(client.ask(Command::Stop), Status::AccessDenied);
     // The server's end of the connection closes after ours: then it has noticed.
@@ -185,11 +145,11 @@ fn tcp_announced_close_latches_nothing() {
 #[test]
 fn tcp_client_that_floods_and_never_reads_leaves_the_others_alone() {
     let served = serve_tcp(Config { disconnect_error: false, ..Config::default() });
-    let flood = served.connect();
+    let flood = connect(&served);
     flood.0.set_nonblocking(true).unwrap();
     let requests = frame(Command::GetSystemLimits).repeat(1_000);
     let mut stuck = 0;
-    let mut client = served.connect();
+    let mut client = connect(&served);
     let start = Instant::now();
     while stuck < 20 {
         match (&flood.0).write(&requests) {
@@ -203,9 +163,100 @@ fn tcp_client_that_floods_and_never_reads_leaves_the_others_alone() {
 }
 
 #[test]
+fn tcp_clients_that_hold_half_frames_or_never_read_leave_the_others_alone() {
+    let served = serve_tcp(Config::default());
+    let mut held = Vec::new();
+    for _ in 0..20 {
+        let mut half = connect(&served);
+        half.0.write_all(&frame(Command::GetSystemLimits)[..5]).unwrap();
+        let mut unread = connect(&served);
+        unread.send(Command::GetForce { update: AutoUpdate::every(10) });
+        held.push((half, unread));
+    }
+    let mut client = connect(&served);
+    for _ in 0..200 {
+        assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
+    }
+}
+
+#[test]
+fn tcp_connection_too_many_is_closed_and_a_place_that_gets_free_is_given_again() {
+    let served = serve_tcp(Config { disconnect_error: false, ..Config::default() });
+    let mut clients: Vec<_> = (0..128).map(|_| connect(&served)).collect();
+    for client in &mut clients {
+        assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
+    }
+    assert_eq!(connect(&served).0.read(&mut [0; 1]).unwrap(), 0);
+    drop(clients.pop());
+    let start = Instant::now();
+    loop {
+        let mut next = connect(&served);
+        next.send(Command::GetForceLimit);
+        // It may come before the place is free; then it is closed, too.
+        if matches!(next.0.read(&mut [0; MAX_FRAME_LEN]), Ok(1..)) {
+            break;
+        }
+        assert!(start.elapsed() < BOUND, "the place is never free");
+    }
+}
+
+#[test]
+fn random_bytes_on_every_port_leave_it_answering() {
+    for check_checksum in [true, false] {
+        let path = scratch(if check_checksum { "noise-checked" } else { "noise-unchecked" });
+        let any = "127.0.0.1:0".parse().unwrap();
+        let lines = Lines {
+            tcp: Some(any),
+            udp: Some(UdpLine { address: any, remote_port: 9 }),
+            serial: Some(SerialLine::Unix(path)),
+            control: Some(any),
+            ..Lines::default()
+        };
+        let served = serve(Config { check_checksum, disconnect_error: false, ..Config::default() }, lines);
+        // A xorshift: any numbers do that are the same at every run.
+        let mut random = 0x2545_F491u32;
+        let mut noise = || -> Vec<u8> {
+            let next = || {
+                random ^= random << 13;
+                random ^= random >> 17;
+                random ^= random << 5;
+                // Every other byte is one that frames are made of.
+                if random & 0x100 == 0 {
+                    random as u8
+                } else {
+                    [0xAA, 0x00, 0x07, 0x40][random as usize >> 30]
+                }
+            };
+            std::iter::repeat_with(next).take(20_000).collect()
+        };
+        let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
+        for _ in 0..4 {
+            // Any of them may be closed for what it says.
+            let _ = connect(&served).0.write_all(&noise());
+            let _ = TcpStream::connect(served.control_address().unwrap()).unwrap().write_all(&noise());
+            let _ = UnixStream::connect(served.serial_path().unwrap()).unwrap().write_all(&noise());
+            for datagram in noise().chunks(700) {
+                udp.send_to(datagram, served.udp_address().unwrap()).unwrap();
+            }
+        }
+        assert_eq!(connect(&served).ask(Command::GetForceLimit), Status::Success);
+        let serial = UnixStream::connect(served.serial_path().unwrap()).unwrap();
+        serial.set_read_timeout(Some(BOUND)).unwrap();
+        assert_eq!(Client(serial).ask(Command::GetForceLimit), Status::Success);
+        let mut control = TcpStream::connect(served.control_address().unwrap()).unwrap();
+        control.set_read_timeout(Some(BOUND)).unwrap();
+        control.write_all(b"GET /state HTTP/1.1\r\nHost: wsg-sim\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        control.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
+        served.stop().unwrap();
+    }
+}
+
+#[test]
 fn tcp_pipelined_requests_are_all_answered_in_order() {
     let served = serve_tcp(Config::default());
-    let mut client = served.connect();
+    let mut client = connect(&served);
     let one = [frame(Command::GetSystemLimits), frame(Command::Stop)].concat();
     client.0.write_all(&one.repeat(500)).unwrap();
     let mut bytes = Vec::new();
@@ -222,7 +273,7 @@ fn tcp_pipelined_requests_are_all_answered_in_order() {
 #[test]
 fn tcp_updates_arrive_by_themselves() {
     let served = serve_tcp(Config::default());
-    let mut client = served.connect();
+    let mut client = connect(&served);
     client.send(Command::GetForce { update: AutoUpdate::every(10) });
     // Several may have come when this thread gets to read.
     let mut answers = [0; 6 * 14];
@@ -247,7 +298,7 @@ fn udp_answers_go_to_the_fixed_remote_port_whatever_port_asked() {
     let mut buffer = [0; 2_048];
     for (command, answers) in [(Command::GetForceLimit, 1), (HOMING, 2), (Command::DisconnectAnnouncement, 1)]
     {
-        sender.send_to(&frame(command), served.udp.unwrap()).unwrap();
+        sender.send_to(&frame(command), served.udp_address().unwrap()).unwrap();
         for _ in 0..answers {
             let len = listener.recv(&mut buffer).expect("an answer in time");
             let frames = parse(&buffer[..len]);
@@ -263,7 +314,7 @@ fn unix_socket_is_a_serial_line() {
     let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
     let config = Config { time_scale: 2.0, ..Config::default() };
     let served = serve(config, lines);
-    let stream = UnixStream::connect(served.serial.as_ref().unwrap()).unwrap();
+    let stream = UnixStream::connect(served.serial_path().unwrap()).unwrap();
     stream.set_read_timeout(Some(BOUND)).unwrap();
     let mut client = Client(stream);
     assert_eq!(client.run(HOMING), Status::Success);
@@ -288,7 +339,7 @@ fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
     let lines = Lines { serial: Some(SerialLine::Pty), ..Lines::default() };
     let served = serve(Config { time_scale: QUICK, ..Config::default() }, lines);
     for _ in 0..2 {
-        let path = served.serial.clone().unwrap();
+        let path = served.serial_path().unwrap().to_owned();
         let mut terminal = std::fs::OpenOptions::new().read(true).write(true).open(path).unwrap();
         terminal.write_all(&frame(HOMING)).unwrap();
         // A terminal has no read time-out, so another thread reads.
@@ -307,14 +358,16 @@ fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
 #[test]
 fn log_tells_time_direction_line_bytes_and_meaning() {
     let path = scratch("log");
-    let served = serve_logged(Config::default(), tcp_lines(), Some(path.clone()));
-    let mut client = served.connect();
+    let log = Log::to_file(&path).unwrap();
+    let served = ServerThread::start(Config::default(), &tcp_lines(), Some(log)).unwrap();
+    let mut client = connect(&served);
     assert_eq!(client.ask(Command::Stop), Status::Success);
     let mut bad = frame(Command::Stop);
     bad[6] ^= 1;
     client.0.write_all(&bad).unwrap();
     assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
-    drop((client, served));
+    drop(client);
+    served.stop().unwrap();
     let log = std::fs::read_to_string(&path).unwrap();
     std::fs::remove_file(&path).unwrap();
     let lines: Vec<&str> = log.lines().collect();

@@ -1,14 +1,18 @@
 //! The gripper in real time, shared by the tasks of its lines.
 
+use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Passage};
 use super::log::{Direction, Log};
+use crate::axis::Part;
 use crate::config::Config;
-use crate::gripper::VirtualGripper;
-use crate::port::{FrameBuffer, PortId, PortKind};
+use crate::faults::Fault;
+use crate::gripper::{State, VirtualGripper};
+use crate::port::{FrameBuffer, PortCounters, PortId, PortKind};
 use crate::time::Time;
 use anyhow::Result;
-use std::cell::RefCell;
-use std::collections::HashMap;
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
 use std::rc::Rc;
+use std::sync::Arc;
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
 
@@ -20,22 +24,52 @@ const MAX_CLIENTS: usize = 128;
 pub(super) struct Hub {
     gripper: RefCell<Box<VirtualGripper<MAX_CLIENTS>>>,
     started: Instant,
-    waiting: RefCell<HashMap<PortId, Rc<Notify>>>,
+    /// In the order in which they came.
+    clients: RefCell<BTreeMap<u64, Connected>>,
     /// Something came in, so the next wake may have changed.
     rescheduled: Notify,
     log: RefCell<Option<Log>>,
-    check_checksum: bool,
+    config: Config,
+    seed: u64,
+    connections: Cell<u64>,
+    line_faults: Cell<LineFaults>,
+    line_counts: Cell<LineCounts>,
+    faults: RefCell<Vec<Fault>>,
+}
+
+#[derive(Debug)]
+struct Connected {
+    id: PortId,
+    name: Arc<str>,
+    frames: Rc<Notify>,
+}
+
+/// How things stand, for somebody who watches.
+#[derive(Debug)]
+pub(super) struct Report {
+    pub(super) now: Time,
+    pub(super) state: State,
+    /// Those that have been injected.
+    pub(super) faults: Vec<Fault>,
+    pub(super) line_faults: LineFaults,
+    pub(super) line_counts: LineCounts,
+    pub(super) clients: Vec<(Arc<str>, PortCounters)>,
 }
 
 impl Hub {
-    pub(super) fn new(config: Config, log: Option<Log>) -> Self {
+    pub(super) fn new(config: Config, seed: u64, log: Option<Log>) -> Self {
         Self {
-            check_checksum: config.check_checksum,
+            config,
             gripper: RefCell::new(Box::new(VirtualGripper::with_ports(config))),
             started: Instant::now(),
-            waiting: RefCell::default(),
+            clients: RefCell::default(),
             rescheduled: Notify::new(),
             log: RefCell::new(log),
+            seed,
+            connections: Cell::new(0),
+            line_faults: Cell::default(),
+            line_counts: Cell::default(),
+            faults: RefCell::default(),
         }
     }
 
@@ -45,7 +79,7 @@ impl Hub {
             let wake = self.gripper.borrow().next_wake();
             let due = async {
                 match wake {
-                    Some(at) => sleep_until(self.started + Duration::from_micros(at.as_micros())).await,
+                    Some(at) => self.reached(at).await,
                     None => std::future::pending().await,
                 }
             };
@@ -58,32 +92,99 @@ impl Hub {
     }
 
     /// A client; `None` when there are too many.
-    pub(super) fn connect(self: &Rc<Self>, kind: PortKind, peer: String) -> Option<Client> {
+    pub(super) fn connect(self: &Rc<Self>, kind: PortKind, peer: &str) -> Option<Client> {
         let id = self.with_gripper(|gripper, now| {
             gripper.advance(now);
             gripper.connect(kind)
         })?;
+        let number = self.connections.get();
+        self.connections.set(number.wrapping_add(1));
+        let name: Arc<str> = format!("{kind} {peer}").into();
         let frames = Rc::new(Notify::new());
-        self.waiting.borrow_mut().insert(id, Rc::clone(&frames));
-        let name = format!("{kind} {peer}");
+        let connected = Connected { id, name: Arc::clone(&name), frames: Rc::clone(&frames) };
+        self.clients.borrow_mut().insert(number, connected);
         if let Some(log) = &mut *self.log.borrow_mut() {
-            log.connect(id, self.check_checksum);
+            log.connect(id, kind, Arc::clone(&name), &self.config);
         }
-        Some(Client { hub: Rc::clone(self), id, name, frames })
+        let line = RefCell::new(FaultyLine::new(self.seed, number));
+        Some(Client { hub: Rc::clone(self), id, number, name, frames, line })
+    }
+
+    /// What the gripper was made with.
+    pub(super) const fn config(&self) -> &Config {
+        &self.config
+    }
+
+    pub(super) fn report(&self) -> Report {
+        let (now, state) = self.with_gripper(|gripper, now| {
+            gripper.advance(now);
+            (gripper.now(), gripper.state())
+        });
+        let gripper = self.gripper.borrow();
+        let clients = self.clients.borrow();
+        let counters = |client: &Connected| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
+        Report {
+            now,
+            state,
+            faults: self.faults.borrow().clone(),
+            line_faults: self.line_faults.get(),
+            line_counts: self.line_counts.get(),
+            clients: clients.values().filter_map(counters).collect(),
+        }
+    }
+
+    pub(super) fn set_part(&self, part: Option<Part>) {
+        match part {
+            Some(part) => self.note(format_args!("part {} mm, {} N/mm", part.width(), part.stiffness())),
+            None => self.note(format_args!("no part")),
+        }
+        self.with_gripper(|gripper, now| gripper.set_part(part, now));
+        self.rescheduled.notify_one();
+    }
+
+    pub(super) fn set_fault(&self, fault: Fault, on: bool) {
+        self.note(format_args!("fault {fault:?} {}", if on { "begins" } else { "ends" }));
+        let mut faults = self.faults.borrow_mut();
+        faults.retain(|other| *other != fault);
+        if on {
+            faults.push(fault);
+        }
+        self.with_gripper(|gripper, now| gripper.set_fault(fault, on, now));
+        self.rescheduled.notify_one();
+    }
+
+    /// What goes wrong on every line from the next frame on.
+    pub(super) fn set_line_faults(&self, faults: LineFaults) {
+        self.note(format_args!("line faults: {faults}"));
+        self.line_faults.set(faults);
+    }
+
+    fn note(&self, what: std::fmt::Arguments<'_>) {
+        if let Some(log) = &mut *self.log.borrow_mut() {
+            log.note(self.now(), "control", what);
+        }
     }
 
     fn now(&self) -> Time {
         Time::from_micros(u64::try_from(self.started.elapsed().as_micros()).unwrap_or(u64::MAX))
     }
 
+    async fn reached(&self, at: Time) {
+        sleep_until(self.started + Duration::from_micros(at.as_micros())).await;
+    }
+
     /// Does something with the gripper at this time, and wakes whom it concerns.
     fn with_gripper<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
         let mut gripper = self.gripper.borrow_mut();
-        let result = act(&mut gripper, self.now());
-        for (id, frames) in &*self.waiting.borrow() {
-            if gripper.has_frame(*id) {
-                frames.notify_one();
+        let now = self.now();
+        let result = act(&mut gripper, now);
+        for client in self.clients.borrow().values() {
+            if gripper.has_frame(client.id) {
+                client.frames.notify_one();
             }
+        }
+        if let Some(log) = &mut *self.log.borrow_mut() {
+            log.expire(now);
         }
         result
     }
@@ -94,38 +195,81 @@ impl Hub {
 pub(super) struct Client {
     hub: Rc<Hub>,
     id: PortId,
+    number: u64,
     /// Kind of line and peer, for the log.
-    name: String,
+    name: Arc<str>,
     frames: Rc<Notify>,
+    line: RefCell<FaultyLine>,
 }
 
 impl Client {
     pub(super) fn receive(&self, bytes: &[u8]) {
         if let Some(log) = &mut *self.hub.log.borrow_mut() {
-            log.received(self.id, self.hub.now(), &self.name, bytes);
+            log.received(self.id, self.hub.now(), bytes);
         }
         self.hub.with_gripper(|gripper, now| gripper.receive(self.id, now, bytes));
         self.hub.rescheduled.notify_one();
     }
 
-    /// The next frame for this client.
+    /// Whether there is room for answers: a line that is slow holds a bounded number of frames.
+    pub(super) fn has_room(&self) -> bool {
+        self.line.borrow().has_room()
+    }
+
+    /// The next frame for this client, as it arrives.
     pub(super) fn transmit<'a>(&self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        let frame = self.hub.gripper.borrow_mut().transmit(self.id, buffer)?;
-        if let Some(log) = &mut *self.hub.log.borrow_mut() {
-            log.frame(self.hub.now(), Direction::FromGripper, &self.name, frame);
-        }
-        Some(frame)
+        let len = self.next_frame(buffer)?;
+        buffer.get(..len)
     }
 
     /// Ready when there may be a frame.
     pub(super) async fn frame_waits(&self) {
-        self.frames.notified().await;
+        let arrival = self.line.borrow().next_arrival();
+        let arrived = async {
+            match arrival {
+                Some(at) => self.hub.reached(at).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            () = arrived => {}
+            () = self.frames.notified() => {}
+        }
+    }
+
+    fn next_frame(&self, buffer: &mut FrameBuffer) -> Option<usize> {
+        let Self { hub, line, .. } = self;
+        let mut line = line.borrow_mut();
+        let faults = hub.line_faults.get();
+        while line.has_room() {
+            let mut gripper = hub.gripper.borrow_mut();
+            let Some(frame) = gripper.transmit(self.id, buffer) else { break };
+            let now = hub.now();
+            let passage = line.pass(&faults, now, frame);
+            let fate = match passage {
+                Passage::Through => Fate::default(),
+                Passage::Held(fate) => fate,
+            };
+            let mut counts = hub.line_counts.get();
+            counts.count(&fate);
+            hub.line_counts.set(counts);
+            if let Some(log) = &mut *hub.log.borrow_mut() {
+                log.frame(now, Direction::FromGripper, &self.name, frame);
+                if !fate.is_harmless() {
+                    log.note(now, &self.name, format_args!("<- line fault: {fate}"));
+                }
+            }
+            if passage == Passage::Through {
+                return Some(frame.len());
+            }
+        }
+        line.arrive(hub.now(), buffer)
     }
 }
 
 impl Drop for Client {
     fn drop(&mut self) {
-        self.hub.waiting.borrow_mut().remove(&self.id);
+        self.hub.clients.borrow_mut().remove(&self.number);
         if let Some(log) = &mut *self.hub.log.borrow_mut() {
             log.disconnect(self.id);
         }

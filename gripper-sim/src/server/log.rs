@@ -1,6 +1,8 @@
 //! The log: a line for each frame, with time, direction, line, hex and meaning.
 
-use crate::port::PortId;
+use crate::config::Config;
+use crate::deframer::Deframer;
+use crate::port::{PortId, PortKind};
 use crate::time::Time;
 use anyhow::{Context, Result};
 use std::collections::HashMap;
@@ -8,8 +10,9 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
-use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD, PREAMBLE_LEN};
-use wsg_protocol::{Command, CommandId, Event, Frame, FrameEncoder, FrameParser, Reply};
+use std::sync::Arc;
+use wsg_protocol::frame::PREAMBLE_LEN;
+use wsg_protocol::{Command, CommandId, Event, Frame, FrameEncoder, Reply};
 
 /// Where the payload begins in a frame.
 const PAYLOAD_AT: usize = PREAMBLE_LEN + 3;
@@ -24,11 +27,19 @@ const CHECKSUM_LEN: usize = 2;
 ///
 /// `->` goes to the gripper, `<-` comes from it.
 pub struct Log {
-    /// `None` after writing failed.
-    output: Option<Box<dyn Write>>,
-    /// One for each client: what it sends is cut into frames here once more.
-    parsers: HashMap<PortId, FrameParser<{ MAX_MESSAGE_LEN - OVERHEAD }>>,
+    output: Output,
+    clients: HashMap<PortId, Client>,
 }
+
+/// A client whose requests are logged: what it sends is cut into frames here once more.
+struct Client {
+    name: Arc<str>,
+    is_datagram: bool,
+    deframer: Deframer,
+}
+
+/// `None` after writing failed.
+struct Output(Option<Box<dyn Write + Send>>);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Direction {
@@ -39,8 +50,8 @@ pub(super) enum Direction {
 impl Log {
     /// A log that is written here.
     #[must_use]
-    pub fn to(output: impl Write + 'static) -> Self {
-        Self { output: Some(Box::new(output)), parsers: HashMap::new() }
+    pub fn to(output: impl Write + Send + 'static) -> Self {
+        Self { output: Output(Some(Box::new(output))), clients: HashMap::new() }
     }
 
     /// A log on standard output.
@@ -59,37 +70,68 @@ impl Log {
         Ok(Self::to(BufWriter::new(file)))
     }
 
-    pub(super) fn connect(&mut self, id: PortId, check_checksum: bool) {
-        let parser = if check_checksum { FrameParser::new() } else { FrameParser::ignoring_checksums() };
-        self.parsers.insert(id, parser);
+    pub(super) fn connect(&mut self, id: PortId, kind: PortKind, name: Arc<str>, config: &Config) {
+        let deframer = Deframer::new(config.check_checksum, config.frame_timeout_ms);
+        self.clients.insert(id, Client { name, is_datagram: kind == PortKind::Udp, deframer });
     }
 
     pub(super) fn disconnect(&mut self, id: PortId) {
-        self.parsers.remove(&id);
-        self.flush();
+        self.clients.remove(&id);
+        self.output.flush();
     }
 
-    pub(super) fn received(&mut self, id: PortId, now: Time, line: &str, bytes: &[u8]) {
-        let Some(mut parser) = self.parsers.remove(&id) else { return };
+    pub(super) fn received(&mut self, id: PortId, now: Time, bytes: &[u8]) {
+        self.expire(now);
+        let Self { output, clients } = self;
+        let Some(client) = clients.get_mut(&id) else { return };
         let mut rest = bytes;
         loop {
-            let (taken, event) = parser.push_slice(rest);
+            let (taken, event) = client.deframer.push_slice(rest);
             rest = rest.get(taken..).unwrap_or(&[]);
             match event {
-                Some(Event::Frame(frame)) => {
-                    let whole: Vec<u8> = FrameEncoder::new(frame.id, frame.payload).collect();
-                    self.frame(now, Direction::ToGripper, line, &whole);
-                }
-                Some(Event::BadChecksum { id, size }) => self.refused(now, line, "wrong checksum", id, size),
-                Some(Event::Oversize { id, size }) => self.refused(now, line, "too long", id, size),
-                None => break,
+                Some(event) => output.event(now, &client.name, event),
+                None if rest.is_empty() => break,
+                None => {}
             }
         }
-        self.parsers.insert(id, parser);
+        client.deframer.pause(now, client.is_datagram);
+        self.expire(now);
+    }
+
+    /// Ends the wait for half frames as the gripper does.
+    pub(super) fn expire(&mut self, now: Time) {
+        let Self { output, clients } = self;
+        for client in clients.values_mut() {
+            while let Some(event) = client.deframer.expire(now) {
+                output.event(now, &client.name, event);
+            }
+        }
     }
 
     /// One frame with its meaning.
     pub(super) fn frame(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
+        self.output.frame(now, direction, line, bytes);
+    }
+
+    /// Something that is no frame.
+    pub(super) fn note(&mut self, now: Time, line: &str, what: std::fmt::Arguments<'_>) {
+        self.output.write(format_args!("{now} {line} {what}\n"));
+    }
+}
+
+impl Output {
+    fn event(&mut self, now: Time, line: &str, event: Event<'_>) {
+        match event {
+            Event::Frame(frame) => {
+                let whole: Vec<u8> = FrameEncoder::new(frame.id, frame.payload).collect();
+                self.frame(now, Direction::ToGripper, line, &whole);
+            }
+            Event::BadChecksum { id, size } => self.refused(now, line, "wrong checksum", id, size),
+            Event::Oversize { id, size } => self.refused(now, line, "too long", id, size),
+        }
+    }
+
+    fn frame(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
         let mut hex = String::with_capacity(3 * bytes.len());
         for byte in bytes {
             // Writing to a string does not fail.
@@ -114,15 +156,15 @@ impl Log {
 
     /// A log that cannot be written is given up with one message; the gripper goes on.
     fn write(&mut self, text: std::fmt::Arguments<'_>) {
-        let Some(output) = &mut self.output else { return };
+        let Some(output) = &mut self.0 else { return };
         if let Err(error) = output.write_fmt(text) {
             eprintln!("wsg-sim: the log ends here: {error}");
-            self.output = None;
+            self.0 = None;
         }
     }
 
     fn flush(&mut self) {
-        if let Some(output) = &mut self.output {
+        if let Some(output) = &mut self.0 {
             // A failure shows at the next line.
             let _ = output.flush();
         }
@@ -131,7 +173,7 @@ impl Log {
 
 impl Drop for Log {
     fn drop(&mut self) {
-        self.flush();
+        self.output.flush();
     }
 }
 

@@ -72,7 +72,7 @@ impl SerialPort {
         match self.line {
             Open::Terminal { line, .. } => {
                 let client = hub
-                    .connect(PortKind::Serial, name.clone())
+                    .connect(PortKind::Serial, &name)
                     .context("the gripper has no place for the serial line")?;
                 stream::serve(&client, line.reader, line.writer, Pace::OfTheLine)
                     .await
@@ -110,7 +110,7 @@ impl SerialPort {
 }
 
 async fn serve_client(hub: Rc<Hub>, mut stream: UnixStream, name: String) {
-    let Some(client) = hub.connect(PortKind::Serial, name) else { return };
+    let Some(client) = hub.connect(PortKind::Serial, &name) else { return };
     let (reader, writer) = stream.split();
     // However it ends, the client is gone; that is all there is to say about it.
     let _ = stream::serve(&client, reader, writer, Pace::OfTheLine).await;

@@ -4,6 +4,7 @@ use super::hub::Client;
 use crate::port::MAX_FRAME_LEN;
 use std::io;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::task::yield_now;
 
 /// Bytes read at a time: few enough that the answers to them always find room in the gripper's queue.
 const CHUNK_LEN: usize = 256;
@@ -38,11 +39,13 @@ pub(super) async fn serve(
                 0 => return Err(io::ErrorKind::WriteZero.into()),
                 count => left.start += count,
             },
-            read = reader.read(&mut chunk), if is_idle || pace == Pace::OfTheLine => match read? {
+            read = reader.read(&mut chunk), if (is_idle && client.has_room()) || pace == Pace::OfTheLine => match read? {
                 0 => return Ok(()),
                 count => client.receive(chunk.get(..count).unwrap_or(&[])),
             },
             () = client.frame_waits(), if is_idle => {}
         }
+        // One frame, or one run of bytes, is a turn: clients without end leave the others theirs.
+        yield_now().await;
     }
 }

@@ -27,7 +27,7 @@ pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener) -> Result<()> {
 
 async fn serve_client(hub: Rc<Hub>, mut stream: TcpStream, peer: SocketAddr) {
     // One too many: the connection is closed at once.
-    let Some(client) = hub.connect(PortKind::Tcp, peer.to_string()) else { return };
+    let Some(client) = hub.connect(PortKind::Tcp, &peer.to_string()) else { return };
     if stream.set_nodelay(true).is_ok() {
         let (reader, writer) = stream.split();
         // However it ends, the client is gone; that is all there is to say about it.

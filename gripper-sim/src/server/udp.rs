@@ -7,13 +7,14 @@ use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr};
 use std::rc::Rc;
 use tokio::net::UdpSocket;
+use tokio::task::yield_now;
 
 /// The longest datagram there is.
 const DATAGRAM_LEN: usize = 65_535;
 
 pub(super) async fn serve(hub: Rc<Hub>, socket: UdpSocket, remote_port: u16) -> Result<()> {
     let client = hub
-        .connect(PortKind::Udp, socket.local_addr()?.to_string())
+        .connect(PortKind::Udp, &socket.local_addr()?.to_string())
         .context("the gripper has no place for UDP")?;
     let mut datagram = vec![0; DATAGRAM_LEN];
     let mut buffer = [0; MAX_FRAME_LEN];
@@ -30,6 +31,8 @@ pub(super) async fn serve(hub: Rc<Hub>, socket: UdpSocket, remote_port: u16) -> 
                 Ok((len, from)) => {
                     remote = Some(from.ip());
                     client.receive(datagram.get(..len).unwrap_or(&[]));
+                    // A client that sends without end gets no more than its turn.
+                    yield_now().await;
                 }
                 // The system tells about an earlier datagram that found nobody.
                 Err(error) if matches!(error.kind(), ErrorKind::ConnectionRefused | ErrorKind::ConnectionReset) => {}

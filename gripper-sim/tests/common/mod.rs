@@ -188,14 +188,22 @@ pub(crate) fn texts(frames: &[Sent]) -> Vec<String> {
     frames.iter().map(Sent::text).collect()
 }
 
-/// The frames in a run of bytes.
+/// The frames in a run of bytes that ends there.
 pub(crate) fn parse(bytes: &[u8]) -> Vec<(u8, Vec<u8>)> {
     let mut parser = FrameParser::<1016>::new();
     let mut frames = Vec::new();
-    for byte in bytes {
-        if let Some(Event::Frame(frame)) = parser.push(*byte) {
+    let mut take = |event: Option<Event<'_>>| {
+        if let Some(Event::Frame(frame)) = event {
             frames.push((frame.id, frame.payload.to_vec()));
         }
+        event.is_some()
+    };
+    for byte in bytes {
+        let mut more = take(parser.push(*byte));
+        while more {
+            more = take(parser.poll());
+        }
     }
+    while take(parser.expire()) {}
     frames
 }

@@ -60,6 +60,9 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
     if let Some(path) = server.serial_path() {
         writeln!(out, "serial {}", path.display())?;
     }
+    if let Some(address) = server.control_address() {
+        writeln!(out, "control {address}")?;
+    }
     out.flush()
 }
 

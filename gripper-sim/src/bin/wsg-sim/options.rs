@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, anyhow, bail};
 use lexopt::{Arg, Parser, ValueExt};
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
 use wsg_sim::server::{Lines, SerialLine, UdpLine};
@@ -35,13 +35,17 @@ Gripper
   --part WIDTH[:STIFFNESS] a part of this width in mm (and stiffness in N/mm) between the fingers, or none (default)
   --time-scale X           the fingers travel X times as fast, 0.01 to 1000
 
+  --control ADDR           watch the gripper and make things go wrong, by HTTP with JSON on ADDR, such as
+                           127.0.0.1:8080; a PORT alone is one of this machine
+  --seed N                 which frames the line faults hit that --control lets loose (default 0)
   --log FILE               write each frame to FILE, or to standard output if FILE is -
   --help                   show this
   --version                show the version
 ";
 
+const LOOPBACK: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 /// The TCP address when no line is asked for: the gripper's own port, on this machine only.
-const DEFAULT_TCP: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 1_000);
+const DEFAULT_TCP: SocketAddr = SocketAddr::new(LOOPBACK, 1_000);
 const DEFAULT_UDP_REMOTE_PORT: u16 = 1_501;
 
 /// What the command line asks for.
@@ -119,6 +123,10 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
             "time-scale" => {
                 config.time_scale = value(&mut parser, &name, "a number from 0.01 to 1000", time_scale)?;
             }
+            "control" => lines.control = Some(value(&mut parser, &name, CONTROL, control)?),
+            "seed" => {
+                lines.seed = value(&mut parser, &name, "a number from 0 to 18446744073709551615", parsed)?;
+            }
             "log" => {
                 log = Some(value(&mut parser, &name, "a file, or -", |text| {
                     Some(if text == "-" { LogTo::Stdout } else { LogTo::File(text.into()) })
@@ -134,13 +142,14 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
         (None, Some(_)) => bail!("--udp-remote-port is of no use without --udp ADDR"),
         (None, None) => None,
     };
-    if lines == Lines::default() {
+    if lines.tcp.is_none() && lines.udp.is_none() && lines.serial.is_none() {
         lines.tcp = Some(DEFAULT_TCP);
     }
     Ok(Request::Serve(Box::new(Options { config, lines, log })))
 }
 
 const ADDRESS: &str = "an address with a port, such as 127.0.0.1:1000";
+const CONTROL: &str = "an address with a port, such as 127.0.0.1:8080, or a port";
 const MODELS: &str = "wsg50-110, wsg50-210, wsg32, wsg25 or wsg70";
 const FINGERS: &str = "none, generic, fmf or dsa";
 
@@ -164,6 +173,11 @@ fn parsed<T: FromStr>(text: &str) -> Option<T> {
 
 fn port(text: &str) -> Option<u16> {
     parsed(text).filter(|port| *port != 0)
+}
+
+/// Where the control interface listens; a port alone never leads beyond this machine.
+fn control(text: &str) -> Option<SocketAddr> {
+    parsed(text).or_else(|| Some(SocketAddr::new(LOOPBACK, parsed(text)?)))
 }
 
 fn serial(text: &str) -> Option<SerialLine> {
@@ -233,7 +247,8 @@ mod tests {
     fn every_option_arrives() {
         let all = "--model wsg32 --serial-number 7 --tag cell --tcp 127.0.0.1:0 --udp 127.0.0.1:1500 \
                    --udp-remote-port 9 --serial pty --part 20:50 --finger1 fmf --finger2 dsa --no-checksum-check \
-                   --answer-bad-checksum --no-disconnect-error --homing-default in --time-scale 2.5 --log -";
+                   --answer-bad-checksum --no-disconnect-error --homing-default in --time-scale 2.5 --log - --seed 9 \
+                   --control 127.0.0.1:8080";
         let options = options_of(all);
         let expected = Config {
             model: Model::Wsg32,
@@ -252,6 +267,15 @@ mod tests {
         assert_eq!(options.lines.serial, Some(SerialLine::Pty));
         assert_eq!(options.lines.udp.unwrap().remote_port, 9);
         assert_eq!(options.log, Some(LogTo::Stdout));
+        assert_eq!((options.lines.seed, options.lines.control), (9, "127.0.0.1:8080".parse().ok()));
+    }
+
+    #[test]
+    fn control_alone_leaves_the_default_line_and_its_port_alone_stays_on_this_machine() {
+        let lines = options_of("--control 8080").lines;
+        assert_eq!((lines.tcp, lines.control), (Some(DEFAULT_TCP), "127.0.0.1:8080".parse().ok()));
+        let lines = options_of("--control 0.0.0.0:8080").lines;
+        assert_eq!(lines.control, "0.0.0.0:8080".parse().ok());
     }
 
     #[test]
@@ -270,6 +294,8 @@ mod tests {
             (&["--time-scale", "0"], "--time-scale \"0\"", "0.01"),
             (&["--time-scale"], "--time-scale", "0.01"),
             (&["--finger1", "thumb"], "--finger1 \"thumb\"", "generic"),
+            (&["--control", "here"], "--control \"here\"", "127.0.0.1:8080"),
+            (&["--seed", "-1"], "--seed \"-1\"", "number"),
             (&["--udp-remote-port", "9"], "--udp-remote-port", "--udp"),
             (&["--fast"], "--fast", "--help"),
             (&["stray"], "stray", "--help"),

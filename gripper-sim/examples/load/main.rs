@@ -1,0 +1,69 @@
+//! Puts load on the servers and says what it does to them. The gripper runs in a process of its own, so that its CPU
+//! time and its memory can be told apart from those of the clients. Linux only.
+//!
+//! ```sh
+//! cargo run --release -p wsg-sim --example load -- updates --seconds 30
+//! cargo run --release -p wsg-sim --example load -- flood --seconds 15
+//! cargo run --release -p wsg-sim --example load -- noise --seconds 60
+//! ```
+//!
+//! Each fails, with a non-zero exit, when a limit is passed. `docs/simulator.md` says what the limits are.
+
+mod figures;
+mod flood;
+mod noise;
+mod sim;
+mod updates;
+
+use anyhow::{Context, Result, bail};
+use lexopt::{Arg, Parser, ValueExt};
+use std::process::ExitCode;
+use std::time::Duration;
+
+const USAGE: &str = "\
+Puts load on the servers of the virtual gripper.
+
+Usage: load updates|flood|noise [--seconds N]
+
+  updates   100 connections with updates of four values every 10 ms, while the fingers travel (30 s)
+  flood     clients that flood, hold half frames, never read, come and go; how the others fare (15 s)
+  noise     random bytes on every port; whether it still answers (60 s)
+";
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("load: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<()> {
+    let mut parser = Parser::from_env();
+    let mut seconds = None;
+    let mut mode = None;
+    while let Some(argument) = parser.next()? {
+        match argument {
+            Arg::Long("seconds") => {
+                seconds = Some(parser.value()?.parse().context("--seconds expects a number")?)
+            }
+            Arg::Long("help") => {
+                print!("{USAGE}");
+                return Ok(());
+            }
+            Arg::Value(value) if mode.is_none() => mode = Some(value.string()?),
+            _ => return Err(argument.unexpected().into()),
+        }
+    }
+    let lasting = |usual: u64| Duration::from_secs(seconds.unwrap_or(usual).max(1));
+    match mode.as_deref() {
+        Some("updates") => updates::run(lasting(30)),
+        Some("flood") => flood::run(lasting(15)),
+        Some("noise") => noise::run(lasting(60)),
+        // What the modes above start: the gripper.
+        Some(sim::SERVE) => sim::serve(),
+        _ => bail!("expected updates, flood or noise; --help says more"),
+    }
+}

@@ -1,0 +1,209 @@
+//! Random bytes on every port, with checksums evaluated and without: it must not fail, and must still answer.
+
+use crate::sim::{PATIENCE, Random, Setup, Sim, frame};
+use anyhow::{Context, Result, anyhow, ensure};
+use std::fs::OpenOptions;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::sync::mpsc;
+use std::thread;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use wsg_protocol::{Command, LoopData};
+
+/// The longest run of bytes that is sent at a time.
+const MAX_RUN: usize = 1_500;
+/// How long is waited for an answer before the question is put again.
+const RETRY: Duration = Duration::from_secs(1);
+const SOUGHT: &[u8] = b"after all that noise";
+
+pub(crate) fn run(lasting: Duration) -> Result<()> {
+    let seed = SystemTime::now().duration_since(UNIX_EPOCH)?.as_micros() as u64;
+    println!("seed {seed}, for {lasting:?}");
+    let path = std::env::temp_dir().join(format!("wsg-load-{}", std::process::id()));
+    let remote = UdpSocket::bind("127.0.0.1:0")?;
+    remote.set_read_timeout(Some(RETRY))?;
+    let udp_remote_port = remote.local_addr()?.port();
+    for (name, setup) in [
+        ("checksums evaluated, pseudo terminal", Setup { udp_remote_port, ..Setup::default() }),
+        (
+            "checksums ignored, Unix socket",
+            Setup { udp_remote_port, ignore_checksums: true, unix: Some(&path) },
+        ),
+    ] {
+        let sim = Sim::start(setup)?;
+        let bytes = disturb(&sim, setup, seed, lasting / 2)?;
+        println!("{name}: {bytes} bytes");
+        answers_tcp(&sim).context("TCP")?;
+        answers_udp(&sim, &remote).context("UDP")?;
+        answers_serial(&sim, setup).context("the serial line")?;
+        answers_control(sim.control).context("the control interface")?;
+        sim.stop()?;
+    }
+    println!("every port still answers");
+    Ok(())
+}
+
+/// Sends a run of bytes to one port.
+type Sender = Box<dyn FnMut(&[u8]) -> Result<()> + Send>;
+
+/// Sends bytes to every port until the time is over; how many.
+fn disturb(sim: &Sim, setup: Setup<'_>, seed: u64, lasting: Duration) -> Result<u64> {
+    let end = Instant::now() + lasting;
+    let (_unread, mut serial) = open_serial(&sim.serial, setup)?;
+    let socket = UdpSocket::bind("127.0.0.1:0")?;
+    let (tcp, udp, control) = (sim.tcp, sim.udp, sim.control);
+    let senders: [Sender; 5] = [
+        Box::new(move |run| say_and_leave(tcp, run)),
+        Box::new(move |run| say_and_leave(tcp, run)),
+        Box::new(move |run| say_and_leave(control, run)),
+        // What the system has no room for is lost.
+        Box::new(move |run| socket.send_to(run, udp).map_or(Ok(()), |_| Ok(()))),
+        Box::new(move |run| Ok(serial.write_all(run)?)),
+    ];
+    thread::scope(|scope| {
+        let mut clients = Vec::new();
+        for (mut send, number) in senders.into_iter().zip(0..) {
+            clients.push(scope.spawn(move || -> Result<u64> {
+                let mut random = Random(seed ^ number);
+                let mut sent = 0;
+                while Instant::now() < end {
+                    let run = noise(&mut random);
+                    send(&run)?;
+                    sent += run.len() as u64;
+                }
+                Ok(sent)
+            }));
+        }
+        let mut sent = 0;
+        for client in clients {
+            sent += client.join().map_err(|_| anyhow!("a client failed"))??;
+        }
+        Ok(sent)
+    })
+}
+
+/// Bytes of one of three kinds: any; those that frames are made of; a request with a few wrong bytes.
+fn noise(random: &mut Random) -> Vec<u8> {
+    let len = 1 + random.below(MAX_RUN);
+    match random.below(3) {
+        0 => (0..len).map(|_| random.next() as u8).collect(),
+        1 => {
+            const LIKELY: [u8; 16] = [
+                0xAA, 0xAA, 0xAA, 0xAA, 0xAA, 0x06, 0x07, 0x20, 0x25, 0x40, 0x00, 0x00, 0x00, 0x01, 0x02,
+                0xFF,
+            ];
+            (0..len).map(|_| LIKELY[random.below(LIKELY.len())]).collect()
+        }
+        _ => {
+            let mut run: Vec<u8> = [
+                frame(Command::ACKNOWLEDGE),
+                frame(Command::GripPart { width: 20.0, speed: 100.0 }),
+                frame(Command::GetSystemInfo),
+                b"POST /part HTTP/1.1\r\nContent-Length: 4\r\n\r\nnull".to_vec(),
+            ]
+            .concat();
+            for _ in 0..random.below(4) {
+                let at = random.below(run.len());
+                run[at] = random.next() as u8;
+            }
+            run
+        }
+    }
+}
+
+/// One connection: says it, reads what there is, and goes.
+fn say_and_leave(to: SocketAddr, run: &[u8]) -> Result<()> {
+    let mut stream = TcpStream::connect(to)?;
+    stream.set_read_timeout(Some(Duration::from_millis(1)))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    // It may be closed for what was said.
+    let _ = stream.write_all(run);
+    let _ = stream.read(&mut [0; 4_096]);
+    Ok(())
+}
+
+/// The two directions of the serial line.
+type SerialEnds = (Box<dyn Read + Send>, Box<dyn Write + Send>);
+
+fn open_serial(path: &Path, setup: Setup<'_>) -> Result<SerialEnds> {
+    if setup.unix.is_some() {
+        let stream = UnixStream::connect(path)?;
+        Ok((Box::new(stream.try_clone()?), Box::new(stream)))
+    } else {
+        let terminal = OpenOptions::new().read(true).write(true).open(path)?;
+        Ok((Box::new(terminal.try_clone()?), Box::new(terminal)))
+    }
+}
+
+fn question() -> Result<Vec<u8>> {
+    let data = LoopData::new(SOUGHT).map_err(|refusal| anyhow!("{refusal}"))?;
+    Ok(frame(Command::Loop { data }))
+}
+
+fn answers_tcp(sim: &Sim) -> Result<()> {
+    let mut stream = sim.connect()?;
+    stream.write_all(&question()?)?;
+    let mut answer = vec![0; question()?.len() + 2];
+    stream.read_exact(&mut answer)?;
+    ensure!(contains(&answer, SOUGHT), "the answer is another: {answer:02X?}");
+    Ok(())
+}
+
+fn answers_udp(sim: &Sim, remote: &UdpSocket) -> Result<()> {
+    let start = Instant::now();
+    let mut datagram = [0; 2_048];
+    while start.elapsed() < PATIENCE {
+        remote.send_to(&question()?, sim.udp)?;
+        // Answers to the noise come first.
+        while let Ok(len) = remote.recv(&mut datagram) {
+            if contains(&datagram[..len], SOUGHT) {
+                return Ok(());
+            }
+        }
+    }
+    Err(anyhow!("no answer"))
+}
+
+/// Asks again and again, since half a frame of the noise may be waited for.
+fn answers_serial(sim: &Sim, setup: Setup<'_>) -> Result<()> {
+    let (mut reader, mut writer) = open_serial(&sim.serial, setup)?;
+    // A terminal has no time-out for reading, so another thread reads.
+    let (bytes, incoming) = mpsc::channel();
+    thread::spawn(move || {
+        let mut buffer = [0; 4_096];
+        while let Ok(len @ 1..) = reader.read(&mut buffer) {
+            if bytes.send(buffer[..len].to_vec()).is_err() {
+                break;
+            }
+        }
+    });
+    let start = Instant::now();
+    let mut seen = Vec::new();
+    while start.elapsed() < PATIENCE {
+        writer.write_all(&question()?)?;
+        let asked = Instant::now();
+        while let Ok(more) = incoming.recv_timeout(RETRY.saturating_sub(asked.elapsed())) {
+            seen.extend_from_slice(&more);
+            if contains(&seen, SOUGHT) {
+                return Ok(());
+            }
+        }
+    }
+    Err(anyhow!("no answer"))
+}
+
+fn answers_control(control: SocketAddr) -> Result<()> {
+    let mut stream = TcpStream::connect(control)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.write_all(b"GET /state HTTP/1.1\r\nHost: wsg-sim\r\n\r\n")?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer)?;
+    ensure!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+    Ok(())
+}
+
+fn contains(bytes: &[u8], sought: &[u8]) -> bool {
+    bytes.windows(sought.len()).any(|window| window == sought)
+}

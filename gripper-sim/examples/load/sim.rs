@@ -1,0 +1,167 @@
+//! The gripper in a process of its own, and clients of it.
+
+use anyhow::{Context, Result, ensure};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command as Process, Stdio};
+use std::time::Duration;
+use wsg_protocol::{Command, Event, FrameEncoder, FrameParser};
+use wsg_sim::server::{Lines, SerialLine, ServerThread, UdpLine};
+use wsg_sim::{Config, Part};
+
+/// The argument that makes this program the gripper.
+pub(crate) const SERVE: &str = "serve";
+/// The longest that an answer may take.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Ticks of the kernel's process clock in a second; the same on every architecture that Linux runs on today.
+const CLOCK_TICKS: f64 = 100.0;
+
+/// How the gripper is served: the variables that tell the process.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Setup<'a> {
+    /// A Unix socket instead of a pseudo terminal.
+    pub(crate) unix: Option<&'a Path>,
+    pub(crate) ignore_checksums: bool,
+    pub(crate) udp_remote_port: u16,
+}
+
+/// The gripper's process, ended when dropped.
+pub(crate) struct Sim {
+    process: Child,
+    pub(crate) tcp: SocketAddr,
+    pub(crate) udp: SocketAddr,
+    pub(crate) control: SocketAddr,
+    pub(crate) serial: PathBuf,
+}
+
+const UNIX: &str = "WSG_LOAD_UNIX";
+const IGNORE_CHECKSUMS: &str = "WSG_LOAD_IGNORE_CHECKSUMS";
+const UDP_REMOTE_PORT: &str = "WSG_LOAD_UDP_REMOTE_PORT";
+
+/// What the process does: it serves until its standard input ends.
+pub(crate) fn serve() -> Result<()> {
+    let any = "127.0.0.1:0".parse()?;
+    let remote_port = std::env::var(UDP_REMOTE_PORT)?.parse()?;
+    let serial = std::env::var_os(UNIX).map_or(SerialLine::Pty, |path| SerialLine::Unix(path.into()));
+    let config = Config {
+        time_scale: 4.0,
+        part: Part::of_width(20.0),
+        check_checksum: std::env::var_os(IGNORE_CHECKSUMS).is_none(),
+        ..Config::default()
+    };
+    let lines = Lines {
+        tcp: Some(any),
+        udp: Some(UdpLine { address: any, remote_port }),
+        serial: Some(serial),
+        control: Some(any),
+        ..Lines::default()
+    };
+    let server = ServerThread::start(config, &lines, None)?;
+    for address in [server.tcp_address(), server.udp_address(), server.control_address()] {
+        println!("{}", address.context("it was asked for")?);
+    }
+    println!("{}", server.serial_path().context("it was asked for")?.display());
+    std::io::stdin().read_to_end(&mut Vec::new())?;
+    server.stop()
+}
+
+impl Sim {
+    pub(crate) fn start(setup: Setup<'_>) -> Result<Self> {
+        let mut process = Process::new(std::env::current_exe()?);
+        process.arg(SERVE).stdin(Stdio::piped()).stdout(Stdio::piped());
+        process.env(UDP_REMOTE_PORT, setup.udp_remote_port.to_string());
+        if let Some(path) = setup.unix {
+            process.env(UNIX, path);
+        }
+        if setup.ignore_checksums {
+            process.env(IGNORE_CHECKSUMS, "1");
+        }
+        let mut process = process.spawn()?;
+        let mut lines = BufReader::new(process.stdout.take().context("it is piped")?).lines();
+        let mut line =
+            move || lines.next().context("the gripper did not start")?.map_err(anyhow::Error::from);
+        let (tcp, udp, control) = (line()?.parse()?, line()?.parse()?, line()?.parse()?);
+        Ok(Self { tcp, udp, control, serial: line()?.into(), process })
+    }
+
+    pub(crate) fn connect(&self) -> Result<TcpStream> {
+        let stream = TcpStream::connect(self.tcp)?;
+        stream.set_read_timeout(Some(PATIENCE))?;
+        stream.set_write_timeout(Some(PATIENCE))?;
+        stream.set_nodelay(true)?;
+        Ok(stream)
+    }
+
+    /// CPU time used so far, in seconds.
+    pub(crate) fn cpu_s(&self) -> Result<f64> {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.process.id()))?;
+        // Fields 14 and 15; the second field, in parentheses, may contain spaces.
+        let (_, fields) = stat.rsplit_once(')').context("the kernel's format")?;
+        let ticks: Vec<f64> =
+            fields.split_whitespace().skip(11).take(2).map(str::parse).collect::<Result<_, _>>()?;
+        Ok(ticks.iter().sum::<f64>() / CLOCK_TICKS)
+    }
+
+    /// Memory in use, in KiB.
+    pub(crate) fn rss_kib(&self) -> Result<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.id()))?;
+        let line =
+            status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("the kernel's format")?;
+        Ok(line.trim().trim_end_matches(" kB").parse()?)
+    }
+
+    /// Ends the process by ending its input; it must have lived up to now, and end well.
+    pub(crate) fn stop(mut self) -> Result<()> {
+        ensure!(self.process.try_wait()?.is_none(), "the gripper ended by itself");
+        drop(self.process.stdin.take());
+        ensure!(self.process.wait()?.success(), "the gripper did not end well");
+        Ok(())
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        // After `stop` there is nothing left to end.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+pub(crate) fn frame(command: Command<'_>) -> Vec<u8> {
+    FrameEncoder::new(command.id().code(), command).collect()
+}
+
+/// Sends a command and waits for `answers` answers to it.
+pub(crate) fn ask(stream: &mut (impl Read + Write), command: Command<'_>, answers: usize) -> Result<()> {
+    stream.write_all(&frame(command))?;
+    let mut parser = FrameParser::<1016>::new();
+    let mut seen = 0;
+    let mut buffer = [0; 1_024];
+    while seen < answers {
+        let len = stream.read(&mut buffer)?;
+        ensure!(len > 0, "the gripper closed the connection");
+        for byte in &buffer[..len] {
+            let is_answer = |event| matches!(event, Event::Frame(frame) if frame.id == command.id().code());
+            seen += usize::from(parser.push(*byte).is_some_and(is_answer));
+        }
+    }
+    Ok(())
+}
+
+/// Numbers that look random (SplitMix64), the same for a seed.
+pub(crate) struct Random(pub(crate) u64);
+
+impl Random {
+    pub(crate) fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let value = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let value = (value ^ (value >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        value ^ (value >> 31)
+    }
+
+    pub(crate) fn below(&mut self, bound: usize) -> usize {
+        (self.next() % bound as u64) as usize
+    }
+}

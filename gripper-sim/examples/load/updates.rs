@@ -1,0 +1,147 @@
+//! 100 connections, each with updates of four values every 10 ms, while the fingers travel.
+
+use crate::figures::{Durations, Verdict};
+use crate::sim::{Setup, Sim, ask, frame};
+use anyhow::{Result, ensure};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::runtime;
+use tokio::task::JoinSet;
+use wsg_protocol::{AutoUpdate, Command, Event, FrameParser, HomingDirection, PrePositionFlags};
+
+const CONNECTIONS: usize = 100;
+const PERIOD: Duration = Duration::from_millis(10);
+const VALUES: [u8; 4] = [0x41, 0x43, 0x44, 0x45];
+
+/// The limits.
+const MEDIAN_MS: f64 = 5.0;
+const CORES: f64 = 1.0;
+/// What the allocator may take and give while nothing grows.
+const FLAT_KIB: u64 = 1_024;
+
+/// When each update of one value arrived, in microseconds.
+type Arrivals = Vec<u32>;
+
+pub(crate) fn run(lasting: Duration) -> Result<()> {
+    let sim = Sim::start(Setup { udp_remote_port: 1, ..Setup::default() })?;
+    let mut mover = sim.connect()?;
+    ask(&mut mover, Command::ACKNOWLEDGE, 1)?;
+    ask(&mut mover, Command::Homing { direction: HomingDirection::Positive }, 2)?;
+    println!("{CONNECTIONS} connections, {} values every {PERIOD:?}, for {lasting:?}", VALUES.len());
+
+    let ended = AtomicBool::new(false);
+    let (series, cpu_s, (early_kib, late_kib)) = thread::scope(|scope| -> Result<_> {
+        scope.spawn(|| -> Result<()> {
+            for width in [100.0, 30.0].into_iter().cycle() {
+                if ended.load(Ordering::Relaxed) {
+                    break;
+                }
+                let flags = PrePositionFlags::empty();
+                ask(&mut mover, Command::PrePosition { flags, width, speed: 200.0 }, 2)?;
+            }
+            ask(&mut mover, Command::DisconnectAnnouncement, 1)
+        });
+        let before_s = sim.cpu_s()?;
+        let memory = scope.spawn(|| -> Result<_> {
+            // When all have connected and every buffer has been used, and at the end.
+            thread::sleep(lasting.mul_f64(0.3));
+            let early = sim.rss_kib()?;
+            thread::sleep(lasting.mul_f64(0.6));
+            Ok((early, sim.rss_kib()?))
+        });
+        let series = subscribe(&sim, lasting);
+        let cpu_s = sim.cpu_s()? - before_s;
+        ended.store(true, Ordering::Relaxed);
+        let memory = memory.join().map_err(|_| anyhow::anyhow!("the memory was not read"))??;
+        Ok((series?, cpu_s, memory))
+    })?;
+    sim.stop()?;
+
+    let missed: usize = series.iter().map(missed).sum();
+    let lateness = Durations::new(series.iter().flat_map(lateness).collect());
+    let cores = cpu_s / lasting.as_secs_f64();
+    println!("updates   {}, missed {missed}", lateness.count());
+    println!("late by   {lateness}");
+    println!("CPU       {cpu_s:.1} s, {cores:.2} cores");
+    println!("memory    {early_kib} KiB early, {late_kib} KiB late");
+
+    let mut verdict = Verdict::default();
+    let median = lateness.quantile(0.5);
+    verdict.must(missed == 0, format!("{missed} updates are missing"));
+    verdict.must(median <= MEDIAN_MS, format!("half of the updates are more than {median} ms late"));
+    verdict.must(cores < CORES, format!("it takes {cores:.2} cores"));
+    let growth = late_kib.saturating_sub(early_kib);
+    verdict.must(growth <= FLAT_KIB, format!("the memory grew by {growth} KiB"));
+    verdict.give()
+}
+
+/// Opens the connections and reads until the time is over; a series for each value of each connection.
+fn subscribe(sim: &Sim, lasting: Duration) -> Result<Vec<Arrivals>> {
+    let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let start = Instant::now();
+        let mut clients = JoinSet::new();
+        for _ in 0..CONNECTIONS {
+            let stream = sim.connect()?;
+            stream.set_nonblocking(true)?;
+            clients.spawn(read_updates(stream, start, lasting));
+        }
+        let mut series = Vec::new();
+        while let Some(client) = clients.join_next().await {
+            series.extend(client??);
+        }
+        Ok(series)
+    })
+}
+
+async fn read_updates(
+    stream: std::net::TcpStream,
+    start: Instant,
+    lasting: Duration,
+) -> Result<[Arrivals; VALUES.len()]> {
+    let mut stream = tokio::net::TcpStream::from_std(stream)?;
+    let update = AutoUpdate::every(PERIOD.as_millis() as u16);
+    let requests = [
+        Command::GetGripperState { update },
+        Command::GetOpeningWidth { update },
+        Command::GetSpeed { update },
+        Command::GetForce { update },
+    ];
+    stream.write_all(&requests.map(frame).concat()).await?;
+    let mut parser = FrameParser::<64>::new();
+    let mut series: [Arrivals; VALUES.len()] = Default::default();
+    let mut buffer = [0; 4_096];
+    while start.elapsed() < lasting {
+        let len = stream.read(&mut buffer).await?;
+        ensure!(len > 0, "the gripper closed the connection");
+        let at = start.elapsed().as_micros() as u32;
+        for byte in &buffer[..len] {
+            let Some(event) = parser.push(*byte) else { continue };
+            let Event::Frame(frame) = event else { anyhow::bail!("a broken frame arrived") };
+            if let Some(value) = VALUES.iter().position(|id| *id == frame.id) {
+                series[value].push(at);
+            }
+        }
+    }
+    // Announced, so that the others go on undisturbed.
+    stream.write_all(&frame(Command::DisconnectAnnouncement)).await?;
+    Ok(series)
+}
+
+/// How late each update came, measured against the earliest: the one that was delayed the least tells the phase.
+fn lateness(arrivals: &Arrivals) -> Vec<u32> {
+    let period = PERIOD.as_micros() as i64;
+    let phases = || arrivals.iter().zip(0..).map(|(at, count)| i64::from(*at) - count * period);
+    let earliest = phases().min().unwrap_or(0);
+    phases().map(|phase| (phase - earliest) as u32).collect()
+}
+
+/// How many updates are missing between the first and the last. An update that is late moves the last by less than a
+/// period.
+fn missed(arrivals: &Arrivals) -> usize {
+    let (Some(first), Some(last)) = (arrivals.first(), arrivals.last()) else { return usize::MAX };
+    let expected = 1 + (f64::from(last - first) / PERIOD.as_micros() as f64).round() as usize;
+    expected.saturating_sub(arrivals.len())
+}

@@ -1,0 +1,398 @@
+//! The control interface: a hand beside the gripper, by HTTP with JSON. `docs/simulator.md` describes it to users.
+//!
+//! One request to a connection, and everything about one is bounded: its size, its time, and how many there are.
+
+use super::faulty_line::{LineCounts, LineFaults};
+use super::hub::{Hub, Report};
+use crate::axis::Part;
+use crate::faults::Fault;
+use crate::finger::{Finger, Jaw};
+use anyhow::Result;
+use http_body_util::{BodyExt, Full, LengthLimitError, Limited};
+use hyper::body::{Bytes, Incoming};
+use hyper::header::{ALLOW, CONTENT_TYPE, HeaderValue, ORIGIN};
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper::{Method, Request, Response, StatusCode};
+use hyper_util::rt::TokioIo;
+use serde::{Deserialize, Serialize};
+use std::convert::Infallible;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::task::spawn_local;
+use tokio::time::{sleep, timeout};
+use wsg_protocol::SystemFlags;
+
+/// The longest body that is read, in bytes.
+const MAX_BODY_LEN: usize = 4_096;
+/// Room for the head of a request, in bytes.
+const MAX_HEAD_LEN: usize = 16_384;
+/// How many connections are served at a time; others wait.
+const MAX_CONNECTIONS: usize = 32;
+/// How long a connection may last.
+const TIME_LIMIT: Duration = Duration::from_secs(5);
+/// How long no connection is accepted after the system refused one.
+const RECOVERY: Duration = Duration::from_millis(100);
+
+const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness may be left out), or null for no part"#;
+const FAULT_EXPECTED: &str =
+    r#"{"fault":"axis_blocked","on":true}, and "finger":1 or "finger":2 with the faults of a finger"#;
+const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and what is left out is 0"#;
+
+pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener) -> Result<()> {
+    let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    loop {
+        let place = Arc::clone(&places).acquire_owned().await?;
+        match listener.accept().await {
+            Ok((stream, _)) => {
+                let hub = Rc::clone(&hub);
+                spawn_local(async move {
+                    // Whoever takes longer, or speaks something else, is dropped.
+                    let _ = timeout(TIME_LIMIT, serve_connection(hub, stream)).await;
+                    drop(place);
+                });
+            }
+            Err(_) => sleep(RECOVERY).await,
+        }
+    }
+}
+
+async fn serve_connection(hub: Rc<Hub>, stream: TcpStream) -> hyper::Result<()> {
+    let service = service_fn(move |request| answer(Rc::clone(&hub), request));
+    http1::Builder::new()
+        .keep_alive(false)
+        .max_buf_size(MAX_HEAD_LEN)
+        .serve_connection(TokioIo::new(stream), service)
+        .await
+}
+
+async fn answer(hub: Rc<Hub>, request: Request<Incoming>) -> Result<Response<Full<Bytes>>, Infallible> {
+    let answer = act(&hub, request).await.and_then(|()| {
+        let report = hub.report();
+        serde_json::to_vec(&StateBody::of(&hub, &report))
+            .map_err(|error| Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
+    });
+    let (status, body, allowed) = match answer {
+        Ok(body) => (StatusCode::OK, body, None),
+        Err(Refusal { status, error, allowed }) => {
+            (status, serde_json::json!({ "error": error }).to_string().into_bytes(), allowed)
+        }
+    };
+    let mut response = Response::new(Full::new(Bytes::from([&body, &b"\n"[..]].concat())));
+    *response.status_mut() = status;
+    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static("application/json"));
+    if let Some(method) = allowed {
+        response.headers_mut().insert(ALLOW, HeaderValue::from_static(method));
+    }
+    Ok(response)
+}
+
+/// Why a request is refused, in a sentence for whoever sent it.
+#[derive(Debug)]
+struct Refusal {
+    status: StatusCode,
+    error: String,
+    /// The method that the path takes.
+    allowed: Option<&'static str>,
+}
+
+impl Refusal {
+    const fn new(status: StatusCode, error: String) -> Self {
+        Self { status, error, allowed: None }
+    }
+
+    const fn wrong(error: String) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, error)
+    }
+}
+
+/// Does what the request asks for; the answer to all of them is the state.
+async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), Refusal> {
+    if request.headers().contains_key(ORIGIN) {
+        // Otherwise any page in a browser on this machine could stop the gripper.
+        let error = "the request comes from a web page, by its header Origin; expected one from a program";
+        return Err(Refusal::new(StatusCode::FORBIDDEN, error.to_owned()));
+    }
+    let path = request.uri().path().to_owned();
+    let method = match path.as_str() {
+        "/state" => Method::GET,
+        "/part" | "/fault" | "/line" => Method::POST,
+        _ => {
+            let error = format!(
+                "the path {path:?} is unknown; expected GET /state, POST /part, POST /fault or POST /line"
+            );
+            return Err(Refusal::new(StatusCode::NOT_FOUND, error));
+        }
+    };
+    if request.method() != method {
+        let error = format!("{path} does not take {}; expected {method}", request.method());
+        let allowed = Some(if method == Method::GET { "GET" } else { "POST" });
+        return Err(Refusal { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed });
+    }
+    match path.as_str() {
+        "/part" => hub.set_part(part(read(request, PART_EXPECTED).await?)?),
+        "/fault" => {
+            let FaultBody { fault, finger, on } = read(request, FAULT_EXPECTED).await?;
+            hub.set_fault(which_fault(hub, fault, finger)?, on);
+        }
+        "/line" => hub.set_line_faults(line_faults(&read(request, LINE_EXPECTED).await?)?),
+        _ => {}
+    }
+    Ok(())
+}
+
+/// The body of a request.
+async fn read<T: for<'a> Deserialize<'a>>(request: Request<Incoming>, expected: &str) -> Result<T, Refusal> {
+    let body = match Limited::new(request.into_body(), MAX_BODY_LEN).collect().await {
+        Ok(body) => body.to_bytes(),
+        Err(error) if error.is::<LengthLimitError>() => {
+            let error = format!("the body is too long; expected at most {MAX_BODY_LEN} bytes");
+            return Err(Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, error));
+        }
+        Err(error) => {
+            return Err(Refusal::wrong(format!("the body did not come: {error}; expected {expected}")));
+        }
+    };
+    serde_json::from_slice(&body)
+        .map_err(|error| Refusal::wrong(format!("the body is wrong: {error}; expected {expected}")))
+}
+
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct PartBody {
+    width_mm: f32,
+    stiffness_n_per_mm: Option<f32>,
+}
+
+fn part(body: Option<PartBody>) -> Result<Option<Part>, Refusal> {
+    let Some(PartBody { width_mm, stiffness_n_per_mm }) = body else { return Ok(None) };
+    let stiffness = stiffness_n_per_mm.unwrap_or(Part::DEFAULT_STIFFNESS);
+    Part::new(width_mm, stiffness).map(Some).ok_or_else(|| {
+        Refusal::wrong(format!(
+            "a part {width_mm} mm wide with {stiffness} N/mm is none; expected {PART_EXPECTED}"
+        ))
+    })
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FaultBody {
+    fault: FaultName,
+    finger: Option<u8>,
+    on: bool,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum FaultName {
+    AxisBlocked,
+    OverTemperature,
+    SupplyOutOfRange,
+    MotorCurrent,
+    FingerShortCircuit,
+    FingerCommunication,
+}
+
+fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, Refusal> {
+    let of_a_finger = |fault: fn(Jaw) -> Fault, is_possible: fn(Finger) -> bool, needs: &str| {
+        let [one, two] = hub.config().fingers;
+        let (jaw, mounted) = match finger {
+            Some(1) => (Jaw::One, one),
+            Some(2) => (Jaw::Two, two),
+            Some(other) => {
+                return Err(Refusal::wrong(format!("there is no finger {other}; expected 1 or 2")));
+            }
+            None => {
+                return Err(Refusal::wrong(format!(
+                    "the fault does not say which finger; expected {FAULT_EXPECTED}"
+                )));
+            }
+        };
+        if is_possible(mounted) {
+            return Ok(fault(jaw));
+        }
+        let error =
+            format!("the finger is {:?}, which can not have this fault; expected {needs}", mounted.name());
+        Err(Refusal::new(StatusCode::CONFLICT, error))
+    };
+    let fault = match name {
+        FaultName::AxisBlocked => Fault::AxisBlocked,
+        FaultName::OverTemperature => Fault::OverTemperature,
+        FaultName::SupplyOutOfRange => Fault::SupplyOutOfRange,
+        FaultName::MotorCurrent => Fault::MotorCurrent,
+        FaultName::FingerShortCircuit => {
+            let is_possible = |finger| finger != Finger::None;
+            return of_a_finger(Fault::FingerShortCircuit, is_possible, "generic, fmf or dsa");
+        }
+        FaultName::FingerCommunication => {
+            let is_possible = |finger| matches!(finger, Finger::Fmf | Finger::Dsa);
+            return of_a_finger(Fault::FingerCommunication, is_possible, "fmf or dsa");
+        }
+    };
+    match finger {
+        None => Ok(fault),
+        Some(_) => {
+            Err(Refusal::wrong("the fault is none of a finger; expected it without \"finger\"".to_owned()))
+        }
+    }
+}
+
+#[derive(Debug, Default, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+struct LineBody {
+    drop: f64,
+    delay: Option<f64>,
+    delay_ms: Option<u32>,
+    corrupt: f64,
+    truncate: f64,
+    duplicate: f64,
+}
+
+/// What is asked for, where a delay without a rate hits every frame.
+fn line_faults(body: &LineBody) -> Result<LineFaults, Refusal> {
+    let LineBody { drop, delay, delay_ms, corrupt, truncate, duplicate } = *body;
+    if delay.is_some_and(|rate| rate > 0.0) && delay_ms.is_none() {
+        return Err(Refusal::wrong(format!("delay lacks delay_ms; expected {LINE_EXPECTED}")));
+    }
+    let delay_ms = delay_ms.unwrap_or(0);
+    let delay = delay.unwrap_or(if delay_ms > 0 { 1.0 } else { 0.0 });
+    for (name, rate) in [
+        ("drop", drop),
+        ("delay", delay),
+        ("corrupt", corrupt),
+        ("truncate", truncate),
+        ("duplicate", duplicate),
+    ] {
+        if !(0.0..=1.0).contains(&rate) {
+            return Err(Refusal::wrong(format!("{name} is {rate}; expected {LINE_EXPECTED}")));
+        }
+    }
+    if delay_ms > LineFaults::MAX_DELAY_MS {
+        return Err(Refusal::wrong(format!("delay_ms is {delay_ms}; expected {LINE_EXPECTED}")));
+    }
+    Ok(LineFaults { drop, delay, delay_ms, corrupt, truncate, duplicate })
+}
+
+/// The answer to every request that is granted.
+#[derive(Debug, Serialize)]
+struct StateBody<'a> {
+    model: &'static str,
+    time_s: f64,
+    width_mm: f32,
+    reported_width_mm: f32,
+    speed_mm_per_s: f32,
+    force_n: f32,
+    force_limit_n: f32,
+    gripper_state: String,
+    system_state: Vec<&'static str>,
+    temperature_c: f32,
+    gripping_statistics: StatisticsBody,
+    part: Option<PartBody>,
+    faults: Vec<ActiveFaultBody>,
+    line: LineBody,
+    line_counts: LineCountsBody,
+    clients: Vec<ClientBody<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct StatisticsBody {
+    total: u32,
+    no_part: u16,
+    part_lost: u16,
+}
+
+#[derive(Debug, Serialize)]
+struct ActiveFaultBody {
+    fault: FaultName,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    finger: Option<u8>,
+}
+
+#[derive(Debug, Serialize)]
+struct LineCountsBody {
+    frames: u64,
+    dropped: u64,
+    delayed: u64,
+    corrupted: u64,
+    truncated: u64,
+    duplicated: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct ClientBody<'a> {
+    name: &'a str,
+    bytes_dropped: u16,
+    bad_checksums: u16,
+    too_long: u16,
+    updates_lost: u32,
+    replies_lost: u32,
+}
+
+impl<'a> StateBody<'a> {
+    fn of(hub: &Hub, report: &'a Report) -> Self {
+        let Report { now, state, faults, line_faults, line_counts, clients } = report;
+        let LineFaults { drop, delay, delay_ms, corrupt, truncate, duplicate } = *line_faults;
+        let LineCounts { frames, dropped, delayed, corrupted, truncated, duplicated } = *line_counts;
+        Self {
+            model: hub.config().model.name(),
+            time_s: now.as_micros() as f64 / 1e6,
+            width_mm: state.width,
+            reported_width_mm: state.reported_width,
+            speed_mm_per_s: state.speed,
+            force_n: state.force,
+            force_limit_n: state.force_limit,
+            gripper_state: state.gripper.to_string(),
+            system_state: flag_names(state.flags),
+            temperature_c: f32::from(state.temperature.0) / 10.0,
+            gripping_statistics: StatisticsBody {
+                total: state.statistics.total,
+                no_part: state.statistics.no_part,
+                part_lost: state.statistics.part_lost,
+            },
+            part: state
+                .part
+                .map(|part| PartBody { width_mm: part.width(), stiffness_n_per_mm: Some(part.stiffness()) }),
+            faults: faults.iter().map(active_fault).collect(),
+            line: LineBody {
+                drop,
+                delay: Some(delay),
+                delay_ms: Some(delay_ms),
+                corrupt,
+                truncate,
+                duplicate,
+            },
+            line_counts: LineCountsBody { frames, dropped, delayed, corrupted, truncated, duplicated },
+            clients: clients
+                .iter()
+                .map(|(name, counters)| ClientBody {
+                    name,
+                    bytes_dropped: counters.parser.dropped,
+                    bad_checksums: counters.parser.bad_checksum,
+                    too_long: counters.parser.oversize,
+                    updates_lost: counters.updates_lost,
+                    replies_lost: counters.replies_lost,
+                })
+                .collect(),
+        }
+    }
+}
+
+fn flag_names(flags: SystemFlags) -> Vec<&'static str> {
+    flags.iter_names().map(|(name, _)| name).collect()
+}
+
+fn active_fault(fault: &Fault) -> ActiveFaultBody {
+    let number = |jaw: &Jaw| Some(if *jaw == Jaw::One { 1 } else { 2 });
+    let (fault, finger) = match fault {
+        Fault::AxisBlocked => (FaultName::AxisBlocked, None),
+        Fault::OverTemperature => (FaultName::OverTemperature, None),
+        Fault::SupplyOutOfRange => (FaultName::SupplyOutOfRange, None),
+        Fault::MotorCurrent => (FaultName::MotorCurrent, None),
+        Fault::FingerShortCircuit(jaw) => (FaultName::FingerShortCircuit, number(jaw)),
+        Fault::FingerCommunication(jaw) => (FaultName::FingerCommunication, number(jaw)),
+    };
+    ActiveFaultBody { fault, finger }
+}

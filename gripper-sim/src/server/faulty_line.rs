@@ -1,0 +1,359 @@
+//! What a bad line does to the frames for a client: some are lost, come late, changed, cut short or twice.
+//!
+//! Knows no sockets and no clock. What happens to a frame is decided by the seed, the connection, the frame's number on
+//! it, and the rates; by nothing else. So a run can be repeated, and a rate that changes does not change what the others
+//! hit.
+
+use crate::port::{FrameBuffer, MAX_FRAME_LEN};
+use crate::time::Time;
+use std::collections::VecDeque;
+
+/// The most frames that a line holds back.
+const MAX_WAITING: usize = 64;
+/// The most that one frame of the gripper becomes.
+const MAX_COPIES: usize = 2;
+
+/// How often each fault hits a frame, from 0 (never) to 1 (always).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct LineFaults {
+    pub(super) drop: f64,
+    pub(super) delay: f64,
+    /// How late a frame comes that is delayed.
+    pub(super) delay_ms: u32,
+    /// One bit is wrong.
+    pub(super) corrupt: f64,
+    /// The end is missing.
+    pub(super) truncate: f64,
+    /// It comes twice.
+    pub(super) duplicate: f64,
+}
+
+impl LineFaults {
+    /// The longest delay.
+    pub(super) const MAX_DELAY_MS: u32 = 60_000;
+
+    fn are_none(&self) -> bool {
+        [self.drop, self.delay, self.corrupt, self.truncate, self.duplicate].iter().all(|rate| *rate <= 0.0)
+    }
+}
+
+impl std::fmt::Display for LineFaults {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { drop, delay, delay_ms, corrupt, truncate, duplicate } = self;
+        write!(f, "drop {drop}, delay {delay} by {delay_ms} ms, corrupt {corrupt}, ")?;
+        write!(f, "truncate {truncate}, duplicate {duplicate}")
+    }
+}
+
+/// What happens to one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Fate {
+    pub(super) dropped: bool,
+    /// For how many milliseconds.
+    pub(super) delayed: Option<u32>,
+    /// Which byte is changed by exclusive or, and with what.
+    pub(super) corrupted: Option<(usize, u8)>,
+    /// How many bytes are left.
+    pub(super) truncated: Option<usize>,
+    pub(super) duplicated: bool,
+}
+
+impl Fate {
+    /// The fate of a frame of `len` bytes. Every chance is drawn whether it counts or not, so that each fault depends on
+    /// its own rate alone.
+    fn draw(faults: &LineFaults, chance: &mut Chance, len: usize) -> Self {
+        let dropped = chance.hits(faults.drop);
+        let delayed = chance.hits(faults.delay);
+        let corrupted = chance.hits(faults.corrupt);
+        let corruption = (chance.below(len), 1 << chance.below(8));
+        let truncated = chance.hits(faults.truncate);
+        // At least a byte comes, and at least one is missing.
+        let left = 1 + chance.below(len.saturating_sub(1));
+        let duplicated = chance.hits(faults.duplicate);
+        if dropped {
+            return Self { dropped, ..Self::default() };
+        }
+        Self {
+            dropped,
+            delayed: delayed.then_some(faults.delay_ms),
+            corrupted: corrupted.then_some(corruption),
+            truncated: truncated.then_some(left),
+            duplicated,
+        }
+    }
+
+    /// Whether the line does nothing to the frame.
+    pub(super) fn is_harmless(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// What arrives of the frame.
+    fn apply(&self, frame: &[u8]) -> Vec<u8> {
+        let mut bytes = frame.to_vec();
+        if let Some((at, flipped)) = self.corrupted
+            && let Some(byte) = bytes.get_mut(at)
+        {
+            *byte ^= flipped;
+        }
+        bytes.truncate(self.truncated.unwrap_or(bytes.len()));
+        bytes
+    }
+}
+
+impl std::fmt::Display for Fate {
+    /// `delayed by 50 ms, byte 3 changed by 10h`
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let parts = [
+            self.dropped.then(|| "dropped".to_owned()),
+            self.delayed.map(|ms| format!("delayed by {ms} ms")),
+            self.corrupted.map(|(at, flipped)| format!("byte {at} changed by {flipped:02X}h")),
+            self.truncated.map(|left| format!("cut to {left} bytes")),
+            self.duplicated.then(|| "sent twice".to_owned()),
+        ];
+        f.write_str(&parts.into_iter().flatten().collect::<Vec<_>>().join(", "))
+    }
+}
+
+/// Frames that went to clients, and those that faults have hit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct LineCounts {
+    pub(super) frames: u64,
+    pub(super) dropped: u64,
+    pub(super) delayed: u64,
+    pub(super) corrupted: u64,
+    pub(super) truncated: u64,
+    pub(super) duplicated: u64,
+}
+
+impl LineCounts {
+    pub(super) fn count(&mut self, fate: &Fate) {
+        self.frames += 1;
+        self.dropped += u64::from(fate.dropped);
+        self.delayed += u64::from(fate.delayed.is_some());
+        self.corrupted += u64::from(fate.corrupted.is_some());
+        self.truncated += u64::from(fate.truncated.is_some());
+        self.duplicated += u64::from(fate.duplicated);
+    }
+}
+
+/// How a frame goes over the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Passage {
+    /// As it is, at once.
+    Through,
+    /// What arrives of it, if anything, waits in the line.
+    Held(Fate),
+}
+
+/// The line to one client.
+#[derive(Debug)]
+pub(super) struct FaultyLine {
+    seed: u64,
+    /// Frames so far.
+    frames: u64,
+    waiting: VecDeque<(Time, Vec<u8>)>,
+}
+
+impl FaultyLine {
+    /// The line of the connection with this number.
+    pub(super) const fn new(seed: u64, connection: u64) -> Self {
+        Self { seed: mixed(mixed(seed) ^ connection), frames: 0, waiting: VecDeque::new() }
+    }
+
+    /// Whether [`pass`](Self::pass) has room for what becomes of a frame.
+    pub(super) fn has_room(&self) -> bool {
+        self.waiting.len() + MAX_COPIES <= MAX_WAITING
+    }
+
+    /// Takes the gripper's next frame. Frames never overtake each other: behind one that is delayed the others wait.
+    pub(super) fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8]) -> Passage {
+        let mut chance = Chance(mixed(self.seed ^ self.frames));
+        self.frames = self.frames.wrapping_add(1);
+        let fate =
+            if faults.are_none() { Fate::default() } else { Fate::draw(faults, &mut chance, frame.len()) };
+        if fate.is_harmless() && self.waiting.is_empty() {
+            return Passage::Through;
+        }
+        if !fate.dropped {
+            let due = now.plus_millis(fate.delayed.unwrap_or(0).into());
+            let due = self.waiting.back().map_or(due, |(before, _)| due.max(*before));
+            let bytes = fate.apply(frame);
+            if fate.duplicated {
+                self.waiting.push_back((due, bytes.clone()));
+            }
+            self.waiting.push_back((due, bytes));
+        }
+        Passage::Held(fate)
+    }
+
+    /// What arrives next, as far as it does by `now`; its length.
+    pub(super) fn arrive(&mut self, now: Time, buffer: &mut FrameBuffer) -> Option<usize> {
+        let (due, _) = self.waiting.front()?;
+        if *due > now {
+            return None;
+        }
+        let (_, bytes) = self.waiting.pop_front()?;
+        let len = bytes.len().min(MAX_FRAME_LEN);
+        for (slot, byte) in buffer.iter_mut().zip(bytes) {
+            *slot = byte;
+        }
+        Some(len)
+    }
+
+    /// When something arrives next.
+    pub(super) fn next_arrival(&self) -> Option<Time> {
+        self.waiting.front().map(|(due, _)| *due)
+    }
+}
+
+/// Numbers that look random: SplitMix64, whose output is [`mixed`] of a counter.
+#[derive(Clone, Copy, Debug)]
+struct Chance(u64);
+
+impl Chance {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(STEP);
+        mixed(self.0)
+    }
+
+    /// Whether something happens that does so at this rate.
+    fn hits(&mut self, rate: f64) -> bool {
+        const TWO_TO_53: f64 = (1u64 << 53) as f64;
+        ((self.next() >> 11) as f64) < rate * TWO_TO_53
+    }
+
+    /// A number from 0 to `bound` - 1; 0 for a bound of 0.
+    fn below(&mut self, bound: usize) -> usize {
+        let drawn = self.next();
+        drawn.checked_rem(bound as u64).map_or(0, |value| value as usize)
+    }
+}
+
+/// The step of SplitMix64's counter.
+const STEP: u64 = 0x9E37_79B9_7F4A_7C15;
+
+/// The output function of SplitMix64: every bit of the value reaches every bit of the result.
+const fn mixed(value: u64) -> u64 {
+    let value = (value ^ (value >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let value = (value ^ (value >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    value ^ (value >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAME: [u8; 10] = [0xAA, 0xAA, 0xAA, 0x22, 0x02, 0, 0, 0, 0x12, 0x34];
+    const SOME: LineFaults =
+        LineFaults { drop: 0.1, delay: 0.2, delay_ms: 7, corrupt: 0.3, truncate: 0.1, duplicate: 0.05 };
+
+    fn fates(faults: LineFaults, seed: u64, connection: u64, count: usize) -> Vec<Fate> {
+        let mut line = FaultyLine::new(seed, connection);
+        let mut buffer = [0; MAX_FRAME_LEN];
+        (0..count)
+            .map(|_| {
+                let passage = line.pass(&faults, Time::ZERO, &FRAME);
+                while line.arrive(Time::from_millis(60_000), &mut buffer).is_some() {}
+                match passage {
+                    Passage::Through => Fate::default(),
+                    Passage::Held(fate) => fate,
+                }
+            })
+            .collect()
+    }
+
+    fn arrivals(line: &mut FaultyLine, now: Time) -> Vec<Vec<u8>> {
+        let mut buffer = [0; MAX_FRAME_LEN];
+        std::iter::from_fn(|| line.arrive(now, &mut buffer).map(|len| buffer[..len].to_vec())).collect()
+    }
+
+    #[test]
+    fn same_seed_gives_each_connection_the_same_faults_again() {
+        let fates_of = |seed, connection| fates(SOME, seed, connection, 200);
+        assert_eq!(fates_of(1, 0), fates_of(1, 0));
+        assert_ne!(fates_of(1, 0), fates_of(2, 0));
+        assert_ne!(fates_of(1, 0), fates_of(1, 1));
+    }
+
+    #[test]
+    fn each_fault_hits_as_often_as_its_rate_says() {
+        let mut counts = LineCounts::default();
+        for fate in fates(SOME, 5, 0, 10_000) {
+            counts.count(&fate);
+        }
+        // Of the tenth that is lost nothing else is told.
+        for (count, expected) in [
+            (counts.dropped, 1_000),
+            (counts.delayed, 1_800),
+            (counts.corrupted, 2_700),
+            (counts.truncated, 900),
+            (counts.duplicated, 450),
+        ] {
+            assert!(count.abs_diff(expected) < 150, "{counts:?}");
+        }
+    }
+
+    #[test]
+    fn rate_that_changes_does_not_change_what_the_others_hit() {
+        let with = fates(LineFaults { delay: 0.0, duplicate: 0.9, ..SOME }, 9, 3, 500);
+        for (before, after) in fates(SOME, 9, 3, 500).iter().zip(with) {
+            assert_eq!(
+                (before.dropped, before.corrupted, before.truncated),
+                (after.dropped, after.corrupted, after.truncated)
+            );
+        }
+    }
+
+    #[test]
+    fn line_without_faults_passes_every_frame_through() {
+        assert!(fates(LineFaults::default(), 1, 1, 100).iter().all(Fate::is_harmless));
+    }
+
+    #[test]
+    fn corrupted_frame_has_one_wrong_bit() {
+        let mut line = FaultyLine::new(1, 0);
+        for _ in 0..40 {
+            line.pass(&LineFaults { corrupt: 1.0, ..LineFaults::default() }, Time::ZERO, &FRAME);
+            let got = arrivals(&mut line, Time::ZERO).remove(0);
+            let wrong: u32 = got.iter().zip(FRAME).map(|(got, sent)| (got ^ sent).count_ones()).sum();
+            assert_eq!((got.len(), wrong), (FRAME.len(), 1));
+        }
+    }
+
+    #[test]
+    fn truncated_frame_lacks_its_end_and_duplicated_one_comes_twice() {
+        let mut line = FaultyLine::new(1, 0);
+        for _ in 0..40 {
+            let faults = LineFaults { truncate: 1.0, duplicate: 1.0, ..LineFaults::default() };
+            line.pass(&faults, Time::ZERO, &FRAME);
+            let got = arrivals(&mut line, Time::ZERO);
+            assert_eq!(got.len(), 2);
+            assert_eq!(got[0], got[1]);
+            assert!((1..FRAME.len()).contains(&got[0].len()) && FRAME.starts_with(&got[0]));
+        }
+    }
+
+    #[test]
+    fn delayed_frame_holds_up_those_behind_it() {
+        let mut line = FaultyLine::new(1, 0);
+        let late = LineFaults { delay: 1.0, delay_ms: 50, ..LineFaults::default() };
+        assert!(matches!(line.pass(&late, Time::ZERO, &FRAME), Passage::Held(_)));
+        assert!(matches!(line.pass(&LineFaults::default(), Time::ZERO, &FRAME[..9]), Passage::Held(_)));
+        assert_eq!(line.next_arrival(), Some(Time::from_millis(50)));
+        assert_eq!(arrivals(&mut line, Time::from_millis(49)), Vec::<Vec<u8>>::new());
+        assert_eq!(arrivals(&mut line, Time::from_millis(50)), [&FRAME[..], &FRAME[..9]]);
+        assert_eq!(line.pass(&LineFaults::default(), Time::ZERO, &FRAME), Passage::Through);
+    }
+
+    #[test]
+    fn line_holds_a_bounded_number_of_frames() {
+        let mut line = FaultyLine::new(1, 0);
+        let faults = LineFaults { delay: 1.0, delay_ms: 1_000, duplicate: 1.0, ..LineFaults::default() };
+        let mut passed = 0;
+        while line.has_room() {
+            line.pass(&faults, Time::ZERO, &FRAME);
+            passed += 1;
+        }
+        assert_eq!(passed, MAX_WAITING / MAX_COPIES);
+    }
+}

@@ -1,0 +1,445 @@
+//! The control interface and the faults that it lets loose on the lines. Every wait is bounded by a time-out of the
+//! socket.
+
+mod common;
+
+use common::{go_to, grip, parse};
+use serde_json::{Value, json};
+use std::io::{ErrorKind, Read, Write};
+use std::net::{TcpStream, UdpSocket};
+use std::time::{Duration, Instant};
+use wsg_protocol::{Command, FrameEncoder, HomingDirection, LoopData, Status};
+use wsg_sim::server::{Lines, Log, ServerThread, UdpLine};
+use wsg_sim::{Config, Finger, MAX_FRAME_LEN};
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(20);
+const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
+
+struct Rig {
+    server: ServerThread,
+    client: TcpStream,
+}
+
+impl Rig {
+    fn new(config: Config) -> Self {
+        Self::with_seed(config, 0)
+    }
+
+    fn with_seed(config: Config, seed: u64) -> Self {
+        Self::with_log(config, seed, None)
+    }
+
+    fn with_log(config: Config, seed: u64, log: Option<Log>) -> Self {
+        let any = "127.0.0.1:0".parse().ok();
+        let lines = Lines { tcp: any, control: any, seed, ..Lines::default() };
+        let server = ServerThread::start(config, &lines, log).expect("the server is up");
+        let client = TcpStream::connect(server.tcp_address().unwrap()).unwrap();
+        client.set_read_timeout(Some(BOUND)).unwrap();
+        client.set_nodelay(true).unwrap();
+        Self { server, client }
+    }
+
+    fn homed() -> Self {
+        let mut rig = Self::new(Config { time_scale: 20.0, ..Config::default() });
+        assert_eq!(rig.run(HOMING), Status::Success);
+        rig
+    }
+
+    fn control(&self) -> TcpStream {
+        let stream = TcpStream::connect(self.server.control_address().unwrap()).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream
+    }
+
+    /// A request as it stands; the status, the head and the body of the answer.
+    fn http(&self, request: &str) -> (u16, String, String) {
+        let mut stream = self.control();
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("an answer in time");
+        let (head, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
+        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+        (status, head.to_owned(), body.to_owned())
+    }
+
+    fn request(&self, method: &str, path: &str, body: &str) -> (u16, Value) {
+        let len = body.len();
+        let (status, _, body) = self.http(&format!(
+            "{method} {path} HTTP/1.1\r\nHost: wsg-sim\r\nContent-Length: {len}\r\n\r\n{body}"
+        ));
+        (status, serde_json::from_str(&body).expect("every answer is JSON"))
+    }
+
+    /// What is asked for is done; the state.
+    fn post(&self, path: &str, body: &Value) -> Value {
+        let (status, state) = self.request("POST", path, &body.to_string());
+        assert_eq!(status, 200, "{path} {body}: {state}");
+        state
+    }
+
+    fn state(&self) -> Value {
+        let (status, state) = self.request("GET", "/state", "");
+        assert_eq!(status, 200);
+        state
+    }
+
+    /// Until so many frames went to clients, or would have.
+    fn await_frames(&self, count: u64) {
+        let start = Instant::now();
+        while self.state()["line_counts"]["frames"] != json!(count) {
+            assert!(start.elapsed() < BOUND, "{}", self.state());
+        }
+    }
+
+    fn flags(&self) -> Vec<String> {
+        serde_json::from_value(self.state()["system_state"].clone()).unwrap()
+    }
+
+    fn send(&mut self, command: Command<'_>) {
+        self.client.write_all(&frame(command)).unwrap();
+    }
+
+    fn recv(&mut self) -> Vec<u8> {
+        let mut buffer = [0; 2 * MAX_FRAME_LEN];
+        let len = self.client.read(&mut buffer).expect("an answer in time");
+        buffer[..len].to_vec()
+    }
+
+    fn recv_status(&mut self) -> Status {
+        let mut answer = [0; 10];
+        self.client.read_exact(&mut answer).expect("an answer in time");
+        Status::from_code(u16::from_le_bytes([answer[6], answer[7]]))
+    }
+
+    fn ask(&mut self, command: Command<'_>) -> Status {
+        self.send(command);
+        self.recv_status()
+    }
+
+    fn run(&mut self, command: Command<'_>) -> Status {
+        assert_eq!(self.ask(command), Status::CmdPending);
+        self.recv_status()
+    }
+
+    /// All bytes up to the answer to a Loop that is sent when the line is whole again.
+    fn bytes_until_mended(&mut self) -> Vec<u8> {
+        let mark = Command::Loop { data: LoopData::new(b"the line is whole again").unwrap() };
+        self.post("/line", &json!({}));
+        self.send(mark);
+        let end = b"the line is whole again";
+        let mut bytes = Vec::new();
+        while !bytes.windows(end.len()).any(|window| window == end) {
+            bytes.extend_from_slice(&self.recv());
+        }
+        bytes
+    }
+}
+
+fn frame(command: Command<'_>) -> Vec<u8> {
+    FrameEncoder::new(command.id().code(), command).collect()
+}
+
+#[test]
+fn state_shows_how_the_gripper_stands() {
+    let mut rig = Rig::homed();
+    assert_eq!(rig.run(go_to(42.0)), Status::Success);
+    let state = rig.state();
+    assert_eq!(state["model"], "wsg50-110");
+    assert_eq!((&state["width_mm"], &state["reported_width_mm"]), (&json!(42.0), &json!(42.0)));
+    assert_eq!(state["gripper_state"], "IDLE");
+    assert_eq!(state["system_state"], json!(["REFERENCED", "TARGET_POS_REACHED"]));
+    assert_eq!(state["force_limit_n"], json!(40.0));
+    assert_eq!((&state["part"], &state["faults"]), (&Value::Null, &json!([])));
+    let name = format!("tcp {}", rig.client.local_addr().unwrap());
+    assert_eq!(state["clients"][0]["name"], json!(name));
+}
+
+#[test]
+fn part_is_put_in_and_gripped_and_lost_when_it_is_taken_away() {
+    let mut rig = Rig::homed();
+    let state = rig.post("/part", &json!({ "width_mm": 20, "stiffness_n_per_mm": 50 }));
+    assert_eq!(state["part"], json!({ "width_mm": 20.0, "stiffness_n_per_mm": 50.0 }));
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    let state = rig.state();
+    // 40 N squeeze it by 0.8 mm.
+    assert_eq!((&state["gripper_state"], &state["width_mm"]), (&json!("HOLDING"), &json!(19.2)));
+    let state = rig.post("/part", &Value::Null);
+    assert_eq!((&state["part"], &state["gripper_state"]), (&Value::Null, &json!("PART LOST")));
+    assert_eq!(state["gripping_statistics"], json!({ "total": 1, "no_part": 0, "part_lost": 1 }));
+}
+
+#[test]
+fn each_fault_begins_and_ends() {
+    let fingers = [Finger::Fmf, Finger::Dsa];
+    let rig = Rig::new(Config { fingers, ..Config::default() });
+    for (fault, flags) in [
+        (json!({ "fault": "over_temperature" }), &["TEMP_WARNING", "TEMP_FAULT"][..]),
+        (json!({ "fault": "supply_out_of_range" }), &["POWER_FAULT"]),
+        (json!({ "fault": "motor_current" }), &["CURR_FAULT"]),
+        (json!({ "fault": "finger_short_circuit", "finger": 1 }), &["FINGER_FAULT"]),
+        (json!({ "fault": "finger_communication", "finger": 2 }), &["FINGER_FAULT"]),
+    ] {
+        let switched = |on: bool| {
+            let mut body = fault.clone();
+            body["on"] = json!(on);
+            rig.post("/fault", &body)
+        };
+        assert_eq!(switched(true)["faults"], json!([fault]));
+        let shown = rig.flags();
+        assert!(flags.iter().all(|flag| shown.iter().any(|shown| shown == flag)), "{fault}: {shown:?}");
+        assert_eq!(switched(false)["faults"], json!([]));
+        let shown = rig.flags();
+        assert!(!flags.iter().any(|flag| shown.iter().any(|shown| shown == flag)), "{fault}: {shown:?}");
+    }
+}
+
+#[test]
+fn jammed_axis_blocks_a_motion_until_it_is_free_again() {
+    let mut rig = Rig::homed();
+    rig.post("/fault", &json!({ "fault": "axis_blocked", "on": true }));
+    assert_eq!(rig.run(go_to(42.0)), Status::AxisBlocked);
+    rig.post("/fault", &json!({ "fault": "axis_blocked", "on": false }));
+    assert_eq!(rig.ask(Command::Stop), Status::Success);
+    assert_eq!(rig.run(go_to(42.0)), Status::Success);
+}
+
+#[test]
+fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
+    let rig = Rig::new(Config { fingers: [Finger::Generic, Finger::None], ..Config::default() });
+    let long = format!("{{\"drop\":0.{}}}", "0".repeat(5_000));
+    for (method, path, body, status, wrong, expected) in [
+        ("POST", "/part", "", 400, "EOF", "width_mm"),
+        ("POST", "/part", "{}", 400, "missing field `width_mm`", "20.0"),
+        ("POST", "/part", r#"{"width_mm":"wide"}"#, 400, "\"wide\"", "20.0"),
+        ("POST", "/part", r#"{"width_mm":-3}"#, 400, "-3 mm", "above 0"),
+        ("POST", "/part", r#"{"width_mm":1e39}"#, 400, "inf mm", "above 0"),
+        ("POST", "/part", r#"{"width_mm":3,"stiffness_n_per_mm":0}"#, 400, "0 N/mm", "above 0"),
+        ("POST", "/part", r#"{"width_mm":3,"length_mm":3}"#, 400, "length_mm", "stiffness_n_per_mm"),
+        ("POST", "/part", "null null", 400, "trailing", "or null"),
+        ("POST", "/fault", r#"{"fault":"hiccup","on":true}"#, 400, "hiccup", "motor_current"),
+        ("POST", "/fault", r#"{"fault":"motor_current"}"#, 400, "missing field `on`", "\"on\":true"),
+        (
+            "POST",
+            "/fault",
+            r#"{"fault":"motor_current","finger":1,"on":true}"#,
+            400,
+            "none of a finger",
+            "without",
+        ),
+        (
+            "POST",
+            "/fault",
+            r#"{"fault":"finger_short_circuit","on":true}"#,
+            400,
+            "which finger",
+            "\"finger\":2",
+        ),
+        ("POST", "/fault", r#"{"fault":"finger_short_circuit","finger":3,"on":true}"#, 400, "3", "1 or 2"),
+        (
+            "POST",
+            "/fault",
+            r#"{"fault":"finger_short_circuit","finger":2,"on":true}"#,
+            409,
+            "none",
+            "generic",
+        ),
+        ("POST", "/fault", r#"{"fault":"finger_communication","finger":1,"on":true}"#, 409, "generic", "fmf"),
+        ("POST", "/line", r#"{"drop":1.5}"#, 400, "drop is 1.5", "from 0 to 1"),
+        ("POST", "/line", r#"{"corrupt":-0.1}"#, 400, "corrupt is -0.1", "from 0 to 1"),
+        ("POST", "/line", r#"{"delay":0.5}"#, 400, "delay lacks delay_ms", "delay_ms"),
+        ("POST", "/line", r#"{"delay_ms":60001}"#, 400, "60001", "60000"),
+        ("POST", "/line", "null", 400, "null", "drop"),
+        ("POST", "/line", &long, 413, "too long", "4096"),
+        ("GET", "/part", "", 405, "GET", "POST"),
+        ("DELETE", "/state", "", 405, "DELETE", "GET"),
+        ("GET", "/", "", 404, "\"/\"", "GET /state"),
+    ] {
+        let (got, answer) = rig.request(method, path, body);
+        let error = answer["error"].as_str().unwrap_or_else(|| panic!("{method} {path} {body}: {answer}"));
+        assert_eq!(got, status, "{method} {path} {body}: {error}");
+        assert!(error.contains(wrong) && error.contains(expected) && !error.contains('\n'), "{error}");
+    }
+    let state = rig.state();
+    assert_eq!((&state["part"], &state["faults"]), (&Value::Null, &json!([])));
+    assert_eq!((&state["line"]["drop"], &state["line"]["corrupt"]), (&json!(0.0), &json!(0.0)));
+}
+
+#[test]
+fn refused_method_says_which_one_is_allowed() {
+    let (status, head, _) = Rig::new(Config::default()).http("GET /part HTTP/1.1\r\nHost: wsg-sim\r\n\r\n");
+    assert_eq!(status, 405);
+    assert!(head.to_lowercase().contains("\r\nallow: post"), "{head}");
+}
+
+#[test]
+fn web_pages_are_refused() {
+    let rig = Rig::new(Config::default());
+    let request = "POST /fault HTTP/1.1\r\nHost: wsg-sim\r\nOrigin: http://example.com\r\nContent-Length: 36\r\n\r\n\
+                   {\"fault\":\"motor_current\",\"on\":true}\n";
+    let (status, _, body) = rig.http(request);
+    assert!(status == 403 && body.contains("Origin"), "{status} {body}");
+    assert!(rig.flags().is_empty());
+}
+
+#[test]
+fn endless_heads_are_refused() {
+    let rig = Rig::new(Config::default());
+    let mut stream = rig.control();
+    stream.write_all(b"GET /state HTTP/1.1\r\n").unwrap();
+    let line = format!("X: {}\r\n", "x".repeat(1_000));
+    let start = Instant::now();
+    // It answers and closes; what is on its way then may break the connection.
+    while stream.write_all(line.as_bytes()).is_ok() {
+        assert!(start.elapsed() < BOUND, "the head is read without end");
+    }
+    assert_eq!(rig.state()["model"], "wsg50-110");
+}
+
+#[test]
+fn connections_that_say_nothing_are_closed_and_others_get_their_turn() {
+    let rig = Rig::new(Config::default());
+    let mut silent: Vec<TcpStream> = (0..40).map(|_| rig.control()).collect();
+    silent[0].write_all(b"POST /part HTTP/1.1\r\nContent-Length: 4000\r\n\r\n{").unwrap();
+    assert_eq!(rig.state()["model"], "wsg50-110");
+    let mut rest = [0; 1_000];
+    match silent[0].read(&mut rest) {
+        Ok(0) => {}
+        Err(error) if error.kind() == ErrorKind::ConnectionReset => {}
+        other => panic!("the first one is closed by now: {other:?}"),
+    }
+}
+
+#[test]
+fn dropped_frames_do_not_arrive() {
+    let mut rig = Rig::new(Config::default());
+    rig.post("/line", &json!({ "drop": 1 }));
+    rig.send(Command::GetForceLimit);
+    rig.send(Command::GetAcceleration);
+    rig.await_frames(2);
+    let arrived = rig.bytes_until_mended();
+    assert_eq!(parse(&arrived).into_iter().map(|(id, _)| id).collect::<Vec<u8>>(), [0x06]);
+}
+
+#[test]
+fn corrupted_frames_fail_their_checksum_and_the_next_whole_one_is_found() {
+    let mut rig = Rig::new(Config::default());
+    rig.post("/line", &json!({ "corrupt": 1 }));
+    for _ in 0..20 {
+        rig.send(Command::GetForceLimit);
+    }
+    rig.await_frames(20);
+    let arrived = rig.bytes_until_mended();
+    let ids: Vec<u8> = parse(&arrived).into_iter().map(|(id, _)| id).collect();
+    assert_eq!(ids, [0x06]);
+    assert_eq!(arrived.len(), 20 * 14 + 10 + "the line is whole again".len());
+}
+
+#[test]
+fn truncated_frames_lack_their_end() {
+    let mut rig = Rig::new(Config::default());
+    rig.post("/line", &json!({ "truncate": 1 }));
+    rig.send(Command::GetForceLimit);
+    let whole = frame_of_force_limit();
+    let arrived = rig.recv();
+    assert!(arrived.len() < whole.len() && whole.starts_with(&arrived), "{arrived:02X?}");
+}
+
+#[test]
+fn duplicated_frames_come_twice() {
+    let mut rig = Rig::new(Config::default());
+    rig.post("/line", &json!({ "duplicate": 1 }));
+    rig.send(Command::GetForceLimit);
+    let mut arrived = vec![0; 28];
+    rig.client.read_exact(&mut arrived).expect("two answers in time");
+    assert_eq!(arrived, frame_of_force_limit().repeat(2));
+}
+
+#[test]
+fn delayed_frames_come_late_and_in_order() {
+    let mut rig = Rig::new(Config::default());
+    rig.post("/line", &json!({ "delay_ms": 300 }));
+    let start = Instant::now();
+    rig.send(Command::GetForceLimit);
+    rig.send(Command::GetAcceleration);
+    let mut arrived = vec![0; 28];
+    rig.client.read_exact(&mut arrived).expect("two answers in time");
+    assert!(start.elapsed() >= Duration::from_millis(300), "{:?}", start.elapsed());
+    assert_eq!(parse(&arrived).into_iter().map(|(id, _)| id).collect::<Vec<u8>>(), [0x33, 0x31]);
+}
+
+#[test]
+fn slow_line_loses_no_answer_however_many_are_asked_for() {
+    let mut rig = Rig::new(Config::default());
+    rig.post("/line", &json!({ "delay_ms": 20 }));
+    rig.client.write_all(&frame(Command::GetForceLimit).repeat(2_000)).unwrap();
+    let mut arrived = vec![0; 2_000 * 14];
+    rig.client.read_exact(&mut arrived).expect("all answers in time");
+    assert_eq!(arrived, frame_of_force_limit().repeat(2_000));
+    assert_eq!(rig.state()["clients"][0]["replies_lost"], json!(0));
+}
+
+#[test]
+fn same_seed_hits_the_same_frames() {
+    let bytes = |seed| {
+        let mut rig = Rig::with_seed(Config::default(), seed);
+        rig.post("/line", &json!({ "drop": 0.2, "corrupt": 0.2, "truncate": 0.2, "duplicate": 0.2 }));
+        for _ in 0..100 {
+            rig.send(Command::GetForceLimit);
+        }
+        rig.await_frames(100);
+        rig.bytes_until_mended()
+    };
+    let first = bytes(7);
+    assert_eq!(first, bytes(7));
+    assert_ne!(first, bytes(8));
+}
+
+#[test]
+fn datagrams_are_hit_as_well() {
+    let remote = UdpSocket::bind("127.0.0.1:0").unwrap();
+    remote.set_read_timeout(Some(BOUND)).unwrap();
+    let any = "127.0.0.1:0".parse().unwrap();
+    let remote_port = remote.local_addr().unwrap().port();
+    let lines = Lines {
+        tcp: Some(any),
+        udp: Some(UdpLine { address: any, remote_port }),
+        control: Some(any),
+        ..Lines::default()
+    };
+    let server = ServerThread::start(Config::default(), &lines, None).unwrap();
+    let client = TcpStream::connect(server.tcp_address().unwrap()).unwrap();
+    let rig = Rig { server, client };
+    rig.post("/line", &json!({ "duplicate": 1, "delay_ms": 30 }));
+    let asked = Instant::now();
+    remote.send_to(&frame(Command::GetForceLimit), rig.server.udp_address().unwrap()).unwrap();
+    for _ in 0..2 {
+        let mut datagram = [0; MAX_FRAME_LEN];
+        let len = remote.recv(&mut datagram).expect("two datagrams in time");
+        assert_eq!(datagram[..len], frame_of_force_limit());
+    }
+    assert!(asked.elapsed() >= Duration::from_millis(30));
+}
+
+#[test]
+fn log_tells_what_was_done_by_hand_and_what_the_line_did() {
+    let path = std::env::temp_dir().join(format!("wsg-sim-{}-control-log", std::process::id()));
+    let mut rig = Rig::with_log(Config::default(), 0, Some(Log::to_file(&path).unwrap()));
+    rig.post("/fault", &json!({ "fault": "motor_current", "on": true }));
+    rig.post("/line", &json!({ "duplicate": 1 }));
+    rig.send(Command::GetForceLimit);
+    rig.client.read_exact(&mut [0; 28]).expect("two answers in time");
+    rig.server.stop().unwrap();
+    let log = std::fs::read_to_string(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    let lines: Vec<&str> = log.lines().collect();
+    assert_eq!(lines.len(), 5, "{log}");
+    assert!(lines[0].ends_with(" s control fault MotorCurrent begins"), "{log}");
+    let line = "line faults: drop 0, delay 0 by 0 ms, corrupt 0, truncate 0, duplicate 1";
+    assert!(lines[1].ends_with(line), "{log}");
+    assert!(lines[4].ends_with(" <- line fault: sent twice"), "{log}");
+}
+
+fn frame_of_force_limit() -> Vec<u8> {
+    FrameEncoder::new(0x33, &[0, 0, 0, 0, 0x20, 0x42][..]).collect()
+}
