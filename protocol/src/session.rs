@@ -559,11 +559,14 @@ impl Session {
             match track.expire(now, attempts) {
                 Expired::No => {}
                 Expired::Repeated => count(&mut self.counters.repeated),
-                Expired::GivenUp if self.link == Link::Up => self.link = Link::Closing,
-                Expired::GivenUp => {
-                    self.link = Link::Down { retry_at: Some(now.plus(self.config.reconnect_ms)) };
-                    self.known = Known::NOTHING;
-                }
+                Expired::GivenUp => match self.link {
+                    // Another track may have been given up at the same moment.
+                    Link::Up | Link::Closing => self.link = Link::Closing,
+                    Link::Down { .. } | Link::Connecting { .. } => {
+                        self.link = Link::Down { retry_at: Some(now.plus(self.config.reconnect_ms)) };
+                        self.known = Known::NOTHING;
+                    }
+                },
             }
         }
         if matches!(self.link, Link::Down { .. }) {

@@ -239,6 +239,25 @@ fn nothing_asked_for_before_a_disconnect_leaves_after_it() {
 }
 
 #[test]
+fn two_requests_that_run_out_at_the_same_moment_lose_the_connection_once_and_leave_nothing_behind() {
+    let mut desk = Desk::connected();
+    // The regular question is due at 250 ms; at its last attempt a motion goes out with it.
+    let before = desk.pass(250 + 2 * 200 - 1);
+    assert_eq!(before.len(), 2, "{before:?}");
+    desk.now = desk.now.plus(1);
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.sent().len(), 2, "both leave at one moment");
+    desk.session.request(Command::SetForceLimit { force: 40.0 }).unwrap();
+    desk.pass(1_000);
+    assert_eq!(desk.noticed("Unanswered(GripPart)"), 1);
+    assert_eq!(desk.noticed("Withdrawn(SetForceLimit)"), 1);
+    assert_eq!(desk.noticed("Disconnected"), 1);
+    desk.connect();
+    let after = desk.pass(300);
+    assert!(after.iter().all(|command| command.id().kind() == Kind::Query), "{after:?}");
+}
+
+#[test]
 fn stop_overtakes_what_waits_and_ends_the_motion() {
     let mut desk = Desk::connected();
     desk.session.request(GRIP).unwrap();
