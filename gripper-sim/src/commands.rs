@@ -38,12 +38,12 @@ pub(crate) fn answer(device: &mut Device, line: &mut Line, request: Request, fra
     if let Some(update) = update_of(&command) {
         line.subscriptions.request(id, update, request.now, device.readings());
     }
-    device.note_result(id, status);
+    device.note_result(id.kind(), status);
 }
 
 fn refuse(device: &mut Device, line: &mut Line, id: CommandId, status: Status) {
     line.reply(Reply::status_only(id, status));
-    device.note_result(id, status);
+    device.note_result(id.kind(), status);
 }
 
 fn announce_disconnection(device: &mut Device, line: &mut Line) {
@@ -54,7 +54,7 @@ fn announce_disconnection(device: &mut Device, line: &mut Line) {
     line.announced = true;
     line.subscriptions.clear();
     line.reply(Reply::status_only(id, Status::Success));
-    device.note_result(id, Status::Success);
+    device.note_result(id.kind(), Status::Success);
     device.abort_motion();
 }
 
@@ -71,7 +71,7 @@ const fn update_of(command: &Command<'_>) -> Option<AutoUpdate> {
 
 impl Device {
     /// Carries out a command; its first answer.
-    fn execute<'a>(&'a mut self, request: Request, command: &Command<'a>) -> Reply<'a> {
+    pub(crate) fn execute<'a>(&'a mut self, request: Request, command: &Command<'a>) -> Reply<'a> {
         let id = command.id();
         let limits = self.parameters.limits;
         let status = match *command {
@@ -172,9 +172,9 @@ impl Device {
     }
 
     /// Keeps SF_CMD_FAILURE: a query that succeeds does not hide what went wrong before it.
-    fn note_result(&mut self, id: CommandId, status: Status) {
+    pub(crate) fn note_result(&mut self, kind: Kind, status: Status) {
         let failed = !matches!(status, Status::Success | Status::CmdPending);
-        if failed || id.kind() != Kind::Query {
+        if failed || kind != Kind::Query {
             self.command_failure = failed;
         }
     }
@@ -184,7 +184,7 @@ impl Device {
     }
 
     /// The greatest force limit that may be set now, in N.
-    const fn greatest_force(&self) -> f32 {
+    pub(crate) const fn greatest_force(&self) -> f32 {
         let limits = &self.parameters.limits;
         if self.overdrive { limits.overdrive_force } else { limits.nominal_force }
     }
@@ -211,7 +211,7 @@ impl Device {
         Status::Success
     }
 
-    const fn info(&self) -> SystemInfo {
+    pub(crate) const fn info(&self) -> SystemInfo {
         SystemInfo {
             device: self.parameters.device,
             hardware_revision: HARDWARE_REVISION,

@@ -184,6 +184,7 @@ impl Device {
             speed: self.axis.speed() as f32,
             force: self.reported_force(),
             referenced: self.referenced,
+            temperature: self.thermal.reading(),
         }
     }
 

@@ -3,11 +3,11 @@
 use crate::axis::Part;
 use crate::commands;
 use crate::config::Config;
-use crate::deframer::Deframer;
 use crate::device::{Device, earlier};
 use crate::faults::Fault;
+use crate::gcl;
 use crate::motion::Request;
-use crate::port::{FrameBuffer, Port, PortCounters, PortId, PortKind};
+use crate::port::{FrameBuffer, Framed, Port, PortCounters, PortId, PortKind};
 use crate::time::Time;
 use wsg_protocol::{
     CommandId, Event, GripperState, GrippingStatistics, Reply, Status, SystemFlags, Temperature,
@@ -98,9 +98,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let index = self.ports.iter().position(Option::is_none)?;
         self.connections = self.connections.wrapping_add(1);
         let id = PortId { index: index as u16, generation: self.connections };
-        let config = &self.device.config;
-        let deframer = Deframer::new(config.check_checksum, config.frame_timeout_ms);
-        *self.ports.get_mut(index)? = Some(Port::new(id, kind, deframer));
+        *self.ports.get_mut(index)? = Some(Port::new(id, kind, &self.device.config));
         Some(id)
     }
 
@@ -109,7 +107,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     pub fn disconnect(&mut self, id: PortId, now: Time) {
         self.advance(now);
         let Some(port) = self.port_mut(id) else { return };
-        let is_error = port.line.kind == PortKind::Tcp && !port.line.announced;
+        let is_error = port.is_missed();
         if let Some(slot) = self.ports.get_mut(usize::from(id.index)) {
             *slot = None;
         }
@@ -119,7 +117,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.settle();
     }
 
-    /// Takes bytes from the client.
+    /// Takes bytes from the client: frames, or lines of the text protocol, as its kind is.
     ///
     /// All are taken at once. What they ask for is answered as long as the queue of frames has room, so empty it by
     /// [`transmit`](Self::transmit) every few hundred bytes.
@@ -129,33 +127,49 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let mut rest = bytes;
         loop {
             let Self { device, ports, .. } = self;
-            let Some(port) = port_in(ports, id) else { return };
-            let (taken, event) = port.deframer.push_slice(rest);
-            rest = rest.get(taken..).unwrap_or(&[]);
-            match event {
-                Some(event) => {
-                    take_event(device, &mut port.line, request, event);
-                    self.settle();
+            let (taken, happened) = match port_in(ports, id) {
+                Some(Port::Frames(Framed { deframer, line })) => {
+                    let (taken, event) = deframer.push_slice(rest);
+                    (taken, event.map(|event| take_event(device, line, request, event)))
                 }
+                Some(Port::Lines(gcl::Client { reader, line })) => {
+                    let (taken, event) = reader.push_slice(rest);
+                    (taken, event.map(|event| gcl::hear(device, line, request, event)))
+                }
+                None => return,
+            };
+            rest = rest.get(taken..).unwrap_or(&[]);
+            match happened {
+                Some(()) => self.settle(),
                 None if rest.is_empty() => break,
                 None => {}
             }
         }
-        if let Some(port) = self.port_mut(id) {
-            port.deframer.pause(request.now, port.line.kind == PortKind::Udp);
-            self.expire_half_frames();
+        let Self { device, ports, .. } = self;
+        match port_in(ports, id) {
+            Some(Port::Frames(Framed { deframer, line })) => {
+                deframer.pause(request.now, line.kind.is_datagram());
+                self.expire_half_frames();
+            }
+            Some(Port::Lines(gcl::Client { reader, line })) if line.kind.is_datagram() => {
+                if let Some(event) = reader.finish() {
+                    gcl::hear(device, line, request, event);
+                    self.settle();
+                }
+            }
+            Some(Port::Lines(_)) | None => {}
         }
     }
 
     /// The next frame for the client, whole; `None` when there is none at this time.
     pub fn transmit<'a>(&mut self, id: PortId, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        self.port_mut(id)?.line.next_frame(buffer)
+        self.port_mut(id)?.next_frame(buffer)
     }
 
     /// Whether [`transmit`](Self::transmit) has a frame for the client.
     #[must_use]
     pub fn has_frame(&self, id: PortId) -> bool {
-        self.port(id).is_some_and(|port| port.line.has_frame())
+        self.port(id).is_some_and(|port| port.has_frame())
     }
 
     /// What went wrong on the client's line; `None` when it is gone.
@@ -227,13 +241,13 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let Self { device, ports, now, .. } = self;
         while let Some(done) = device.take_completion(*now) {
             if let Some(port) = port_in(ports, done.port) {
-                port.line.reply(Reply::status_only(done.id, done.status));
+                port.complete(done);
             }
         }
         device.note_load();
         let readings = device.readings();
         for port in ports.iter_mut().flatten() {
-            port.line.publish(*now, &readings);
+            port.publish(*now, &readings);
         }
     }
 
@@ -242,12 +256,12 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let now = self.now;
         for index in 0..PORTS {
             let Some(Some(port)) = self.ports.get_mut(index) else { continue };
-            let id = port.line.id;
+            let id = port.id();
             loop {
                 let Self { device, ports, .. } = self;
-                let Some(port) = port_in(ports, id) else { break };
-                match port.deframer.expire(now) {
-                    Some(event) => take_event(device, &mut port.line, Request { port: id, now }, event),
+                let Some(Port::Frames(Framed { deframer, line })) = port_in(ports, id) else { break };
+                match deframer.expire(now) {
+                    Some(event) => take_event(device, line, Request { port: id, now }, event),
                     None => break,
                 }
                 self.settle();
@@ -262,7 +276,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     }
 
     fn port(&self, id: PortId) -> Option<&Port> {
-        self.ports.get(usize::from(id.index))?.as_ref().filter(|port| port.line.id == id)
+        self.ports.get(usize::from(id.index))?.as_ref().filter(|port| port.id() == id)
     }
 
     fn port_mut(&mut self, id: PortId) -> Option<&mut Port> {
@@ -271,7 +285,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
 }
 
 fn port_in(ports: &mut [Option<Port>], id: PortId) -> Option<&mut Port> {
-    ports.get_mut(usize::from(id.index))?.as_mut().filter(|port| port.line.id == id)
+    ports.get_mut(usize::from(id.index))?.as_mut().filter(|port| port.id() == id)
 }
 
 fn take_event(device: &mut Device, line: &mut crate::port::Line, request: Request, event: Event<'_>) {

@@ -11,6 +11,7 @@
 //! | `axis`, `thermal`, `finger` | the physics |
 //! | `device`, `motion`, `commands` | the manual: states and flags; motions; commands |
 //! | `updates`, `port`, `deframer` | the manual's rules for connections, and what clients make of them |
+//! | `gcl` | the text protocol: its connections and requests |
 //! | `gripper` | the contract with the caller |
 //! | `server` | TCP, UDP, serial lines (feature `std`) |
 //!
@@ -26,6 +27,7 @@ mod deframer;
 mod device;
 mod faults;
 mod finger;
+mod gcl;
 mod gripper;
 mod model;
 mod motion;

@@ -1,5 +1,9 @@
 //! Motions: how they start, what they are refused for, and how they end (command set, 3.2 and appendix C).
 
+mod gcl;
+
+pub(crate) use gcl::GripOrder;
+
 use crate::axis::{Block, Direction, Obstacle, Travel};
 use crate::device::{Completion, Device};
 use crate::port::PortId;
@@ -56,6 +60,20 @@ struct Grip {
     /// Where the clamping travel ends: from the nominal width, or from where a part was met before (GCL manual, 2.2.6).
     end: f64,
     met: bool,
+    /// How much before the nominal width a part may be met, in mm.
+    tolerance: f64,
+    /// How far the grip may go on from there, in mm.
+    clamping_travel: f64,
+    early_block: EarlyBlock,
+}
+
+/// What a grip makes of a block before its tolerance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum EarlyBlock {
+    /// It is no part (command set, 3.2.6).
+    NoPart,
+    /// It is a collision (GCL, 2.2.3).
+    AxisBlocked,
 }
 
 /// Who asked for a motion, and when.
@@ -115,14 +133,23 @@ impl Device {
         if let Err(refused) = self.may_go_to(nominal) {
             return refused;
         }
+        let clamping_travel = f64::from(self.config.clamping_travel);
         let direction = match self.grip_direction {
             Some(direction) if self.lies_behind(direction, nominal) => return Status::RangeError,
             Some(direction) => direction,
             None => Direction::of(nominal - self.width()),
         };
-        let end = self.clamping_end(direction, nominal);
+        let end = self.clamping_end(direction, nominal, clamping_travel);
         let travel = self.travel(end, speed, self.force_limit.into());
-        let task = Task::Grip(Grip { direction, nominal, end, met: false });
+        let task = Task::Grip(Grip {
+            direction,
+            nominal,
+            end,
+            met: false,
+            tolerance: self.config.part_width_tolerance.into(),
+            clamping_travel,
+            early_block: EarlyBlock::NoPart,
+        });
         let status = self.start(request, CommandId::GripPart, task, travel, GripperState::Gripping);
         self.grip_direction = Some(direction);
         self.statistics.total = self.statistics.total.saturating_add(1);
@@ -258,10 +285,12 @@ impl Device {
         let sign = grip.direction.sign();
         let past = |mark: f64| (width - mark) * sign >= -NOTHING;
         if let Some(block) = self.axis.block() {
-            let tolerance = f64::from(self.config.part_width_tolerance);
-            if past(grip.nominal - sign * tolerance) {
+            if past(grip.nominal - sign * grip.tolerance) {
                 self.state = GripperState::Holding;
                 self.end_motion(Status::Success);
+            } else if grip.early_block == EarlyBlock::AxisBlocked {
+                self.axis.switch_off();
+                self.end_in(GripperState::Error, Status::AxisBlocked);
             } else if block.obstacle == Obstacle::Part {
                 self.find_no_part();
             }
@@ -272,7 +301,7 @@ impl Device {
             grip.met = true;
             let contact = width - sign * self.axis.penetration();
             if (contact - grip.nominal) * sign < 0.0 {
-                grip.end = self.clamping_end(grip.direction, contact);
+                grip.end = self.clamping_end(grip.direction, contact, grip.clamping_travel);
                 self.axis.retarget(grip.end + self.origin);
             }
             self.motion = Some(Motion { task: Task::Grip(grip), ..motion });
@@ -396,13 +425,13 @@ impl Device {
 
     /// Whether a grip in this direction cannot get at `nominal` any more.
     fn lies_behind(&self, direction: Direction, nominal: f64) -> bool {
-        let end = self.clamping_end(direction, nominal);
+        let end = self.clamping_end(direction, nominal, self.config.clamping_travel.into());
         (end - self.width()) * direction.sign() < -NOTHING
     }
 
     /// Where the clamping travel ends that begins at `from`; it stays clear of soft limits and end stops.
-    fn clamping_end(&self, direction: Direction, from: f64) -> f64 {
-        let end = from + direction.sign() * f64::from(self.config.clamping_travel);
+    fn clamping_end(&self, direction: Direction, from: f64, clamping_travel: f64) -> f64 {
+        let end = from + direction.sign() * clamping_travel;
         let (minus, plus) = match self.soft_limits {
             Some(limits) => (f64::from(limits.minus).max(0.0), f64::from(limits.plus).min(self.stroke())),
             None => (0.0, self.stroke()),

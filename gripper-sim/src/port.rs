@@ -1,6 +1,9 @@
 //! One client: what comes from it, its frames to be sent, its subscriptions.
 
+use crate::config::Config;
 use crate::deframer::Deframer;
+use crate::device::Completion;
+use crate::gcl;
 use crate::time::Time;
 use crate::updates::{Readings, Subscriptions};
 use wsg_protocol::frame::OVERHEAD;
@@ -34,6 +37,27 @@ pub enum PortKind {
     Serial,
     /// CAN, as a stream of bytes.
     Can,
+    /// The text protocol (GCL) over TCP/IP.
+    GclTcp,
+    /// The text protocol (GCL) over UDP/IP: a datagram holds whole lines.
+    GclUdp,
+}
+
+impl PortKind {
+    /// Whether its end is noticed, and is an error unless it was announced.
+    pub(crate) const fn is_connection(self) -> bool {
+        matches!(self, Self::Tcp | Self::GclTcp)
+    }
+
+    /// Whether what arrives together is a whole.
+    pub(crate) const fn is_datagram(self) -> bool {
+        matches!(self, Self::Udp | Self::GclUdp)
+    }
+
+    /// Whether the text protocol is spoken on it.
+    pub(crate) const fn is_gcl(self) -> bool {
+        matches!(self, Self::GclTcp | Self::GclUdp)
+    }
 }
 
 impl core::fmt::Display for PortKind {
@@ -43,6 +67,8 @@ impl core::fmt::Display for PortKind {
             Self::Udp => "udp",
             Self::Serial => "serial",
             Self::Can => "can",
+            Self::GclTcp => "gcl-tcp",
+            Self::GclUdp => "gcl-udp",
         })
     }
 }
@@ -68,12 +94,22 @@ pub struct PortCounters {
 
 /// A client.
 #[derive(Clone, Debug)]
-pub(crate) struct Port {
+#[expect(clippy::large_enum_variant, reason = "the core allocates nothing, and neither is small")]
+pub(crate) enum Port {
+    /// It speaks the binary protocol.
+    Frames(Framed),
+    /// It speaks the text protocol.
+    Lines(gcl::Client),
+}
+
+/// A client that speaks the binary protocol.
+#[derive(Clone, Debug)]
+pub(crate) struct Framed {
     pub(crate) deframer: Deframer,
     pub(crate) line: Line,
 }
 
-/// All of a client but what finds its frames.
+/// All of a client of the binary protocol but what finds its frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Line {
     pub(crate) id: PortId,
@@ -87,9 +123,12 @@ pub(crate) struct Line {
 }
 
 impl Port {
-    pub(crate) fn new(id: PortId, kind: PortKind, deframer: Deframer) -> Self {
-        Self {
-            deframer,
+    pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
+        if kind.is_gcl() {
+            return Self::Lines(gcl::Client::new(id, kind, config));
+        }
+        Self::Frames(Framed {
+            deframer: Deframer::new(config.check_checksum, config.frame_timeout_ms),
             line: Line {
                 id,
                 kind,
@@ -99,19 +138,73 @@ impl Port {
                 updates_lost: 0,
                 replies_lost: 0,
             },
+        })
+    }
+
+    pub(crate) const fn id(&self) -> PortId {
+        match self {
+            Self::Frames(client) => client.line.id,
+            Self::Lines(client) => client.line.id,
+        }
+    }
+
+    /// Whether it is an error that the client is gone.
+    pub(crate) const fn is_missed(&self) -> bool {
+        match self {
+            Self::Frames(client) => client.line.kind.is_connection() && !client.line.announced,
+            Self::Lines(client) => client.line.kind.is_connection() && !client.line.announced,
         }
     }
 
     pub(crate) const fn counters(&self) -> PortCounters {
-        PortCounters {
-            parser: self.deframer.counters(),
-            updates_lost: self.line.updates_lost,
-            replies_lost: self.line.replies_lost,
+        match self {
+            Self::Frames(client) => PortCounters {
+                parser: client.deframer.counters(),
+                updates_lost: client.line.updates_lost,
+                replies_lost: client.line.replies_lost,
+            },
+            Self::Lines(client) => client.counters(),
         }
     }
 
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
-        crate::device::earlier(self.line.subscriptions.next_due(now), self.deframer.due())
+        match self {
+            Self::Frames(client) => {
+                crate::device::earlier(client.line.subscriptions.next_due(now), client.deframer.due())
+            }
+            Self::Lines(client) => client.line.next_due(now),
+        }
+    }
+
+    /// Sends the second answer to a command.
+    pub(crate) fn complete(&mut self, done: Completion) {
+        match self {
+            Self::Frames(client) => client.line.reply(Reply::status_only(done.id, done.status)),
+            Self::Lines(client) => client.line.complete(done),
+        }
+    }
+
+    /// Sends the updates that are due.
+    pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
+        match self {
+            Self::Frames(client) => client.line.publish(now, readings),
+            Self::Lines(client) => client.line.publish(now, readings),
+        }
+    }
+
+    pub(crate) fn has_frame(&self) -> bool {
+        match self {
+            Self::Frames(client) => client.line.has_frame(),
+            Self::Lines(client) => client.line.has_line(),
+        }
+    }
+
+    /// The next frame, or line, whole.
+    pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        match self {
+            Self::Frames(client) => client.line.next_frame(buffer),
+            Self::Lines(client) => client.line.next_line(buffer),
+        }
     }
 }
 
@@ -122,7 +215,7 @@ impl Line {
         }
     }
 
-    pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
+    fn publish(&mut self, now: Time, readings: &Readings) {
         let Self { subscriptions, queue, updates_lost, .. } = self;
         subscriptions.publish(now, readings, |value| {
             let found_room = queue.push(Reply::success(value), QUEUE_LEN - RESERVED_FOR_REPLIES);
@@ -133,11 +226,11 @@ impl Line {
         });
     }
 
-    pub(crate) const fn has_frame(&self) -> bool {
+    const fn has_frame(&self) -> bool {
         self.queue.len > 0
     }
 
-    pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+    fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
         let len = self.queue.pop(buffer)?;
         buffer.get(..len)
     }

@@ -19,6 +19,7 @@ pub use serial::SerialLine;
 pub use thread::ServerThread;
 
 use crate::config::Config;
+use crate::port::PortKind;
 use anyhow::{Context, Result};
 use hub::Hub;
 use serial::SerialPort;
@@ -38,6 +39,10 @@ pub struct Lines {
     pub udp: Option<UdpLine>,
     /// A serial line.
     pub serial: Option<SerialLine>,
+    /// The text protocol (GCL) over TCP: the address to listen on.
+    pub gcl: Option<SocketAddr>,
+    /// The text protocol (GCL) over UDP: the address to listen on. Answers go to the port that asked.
+    pub gcl_udp: Option<SocketAddr>,
     /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
     /// what a hand beside it can, so keep it on the loopback interface.
     pub control: Option<SocketAddr>,
@@ -77,6 +82,8 @@ pub struct Server {
     tcp: Option<TcpListener>,
     udp: Option<(UdpSocket, u16)>,
     serial: Option<SerialPort>,
+    gcl: Option<TcpListener>,
+    gcl_udp: Option<UdpSocket>,
     control: Option<TcpListener>,
 }
 
@@ -88,20 +95,20 @@ impl Server {
     pub async fn bind(config: Config, lines: &Lines, log: Option<Log>) -> Result<Self> {
         let tcp = listen(lines.tcp, "TCP").await?;
         let udp = match lines.udp {
-            Some(line) => {
-                let socket = UdpSocket::bind(line.address)
-                    .await
-                    .with_context(|| format!("UDP cannot listen on {}", line.address))?;
-                Some((socket, line.remote_port))
-            }
+            Some(line) => Some((bind_udp(line.address, "UDP").await?, line.remote_port)),
             None => None,
         };
         let serial = match &lines.serial {
             Some(line) => Some(SerialPort::open(line)?),
             None => None,
         };
+        let gcl = listen(lines.gcl, "GCL over TCP").await?;
+        let gcl_udp = match lines.gcl_udp {
+            Some(address) => Some(bind_udp(address, "GCL over UDP").await?),
+            None => None,
+        };
         let control = listen(lines.control, "the control interface").await?;
-        Ok(Self { hub: Rc::new(Hub::new(config, lines.seed, log)), tcp, udp, serial, control })
+        Ok(Self { hub: Rc::new(Hub::new(config, lines.seed, log)), tcp, udp, serial, gcl, gcl_udp, control })
     }
 
     /// The address that TCP listens on.
@@ -122,6 +129,18 @@ impl Server {
         self.serial.as_ref().map(SerialPort::path)
     }
 
+    /// The address that the text protocol (GCL) over TCP listens on.
+    #[must_use]
+    pub fn gcl_address(&self) -> Option<SocketAddr> {
+        self.gcl.as_ref()?.local_addr().ok()
+    }
+
+    /// The address that the text protocol (GCL) over UDP listens on.
+    #[must_use]
+    pub fn gcl_udp_address(&self) -> Option<SocketAddr> {
+        self.gcl_udp.as_ref()?.local_addr().ok()
+    }
+
     /// The address that the control interface listens on.
     #[must_use]
     pub fn control_address(&self) -> Option<SocketAddr> {
@@ -133,20 +152,26 @@ impl Server {
     /// # Errors
     /// That of the line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
-        let Self { hub, tcp, udp, serial, control } = self;
+        let Self { hub, tcp, udp, serial, gcl, gcl_udp, control } = self;
         let local = LocalSet::new();
         local
             .run_until(async move {
                 let mut tasks = JoinSet::new();
                 tasks.spawn_local(Rc::clone(&hub).keep_time());
                 if let Some(listener) = tcp {
-                    tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener));
+                    tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::Tcp));
                 }
                 if let Some((socket, remote_port)) = udp {
-                    tasks.spawn_local(udp::serve(Rc::clone(&hub), socket, remote_port));
+                    tasks.spawn_local(udp::serve(Rc::clone(&hub), socket, Some(remote_port), PortKind::Udp));
                 }
                 if let Some(port) = serial {
                     tasks.spawn_local(port.serve(Rc::clone(&hub)));
+                }
+                if let Some(listener) = gcl {
+                    tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::GclTcp));
+                }
+                if let Some(socket) = gcl_udp {
+                    tasks.spawn_local(udp::serve(Rc::clone(&hub), socket, None, PortKind::GclUdp));
                 }
                 if let Some(listener) = control {
                     tasks.spawn_local(control::serve(hub, listener));
@@ -158,6 +183,10 @@ impl Server {
             })
             .await
     }
+}
+
+async fn bind_udp(address: SocketAddr, what: &str) -> Result<UdpSocket> {
+    UdpSocket::bind(address).await.with_context(|| format!("{what} cannot listen on {address}"))
 }
 
 async fn listen(address: Option<SocketAddr>, what: &str) -> Result<Option<TcpListener>> {

@@ -1,7 +1,7 @@
 //! Automatic updates (command set, 3.4.1 to 3.4.6): what is sent by itself, when, and at which change.
 
 use crate::time::Time;
-use wsg_protocol::{AutoUpdate, CommandId, GripperState, SystemFlags, UpdateFlags, Value};
+use wsg_protocol::{AutoUpdate, CommandId, GripperState, SystemFlags, Temperature, UpdateFlags, Value};
 
 /// The change in mm that a width update needs (command set, 3.4.4).
 const WIDTH_CHANGE: f32 = 0.01;
@@ -22,6 +22,7 @@ pub(crate) struct Readings {
     /// N.
     pub(crate) force: f32,
     pub(crate) referenced: bool,
+    pub(crate) temperature: Temperature,
 }
 
 /// A value that can be subscribed to.

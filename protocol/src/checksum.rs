@@ -111,7 +111,86 @@ pub fn push(value: u16, byte: u8) -> u16 {
 #[must_use]
 #[inline]
 pub fn push_slice(value: u16, bytes: &[u8]) -> u16 {
-    bytes.iter().fold(value, |value, &byte| push(value, byte))
+    let (chunks, rest) = bytes.as_chunks::<{ chunk::LEN }>();
+    let value = chunks.iter().fold(value, |value, bytes| chunk::push(value, *bytes));
+    rest.iter().fold(value, |value, &byte| push(value, byte))
+}
+
+/// Takes a slice into the running value while it is copied to the front of `target`, which is no shorter.
+#[inline]
+pub(crate) fn push_copied(value: u16, source: &[u8], target: &mut [u8]) -> u16 {
+    let mut value = value;
+    let (chunks, rest) = source.as_chunks::<{ chunk::LEN }>();
+    let (slots, _) = target.as_chunks_mut::<{ chunk::LEN }>();
+    for (slot, bytes) in slots.iter_mut().zip(chunks) {
+        *slot = *bytes;
+        value = chunk::push(value, *bytes);
+    }
+    let done = source.len().wrapping_sub(rest.len());
+    for (slot, &byte) in target.get_mut(done..).unwrap_or(&mut []).iter_mut().zip(rest) {
+        *slot = byte;
+        value = push(value, byte);
+    }
+    value
+}
+
+/// Takes several bytes into the running value.
+///
+/// [`push`] is linear, so the value and all the bytes lie in one word, which a byte leaves with each step: nothing is
+/// read or combined byte by byte but the table.
+#[cfg(any(feature = "small-table", not(target_pointer_width = "64")))]
+mod chunk {
+    use super::lookup;
+
+    pub(super) const LEN: usize = 4;
+
+    #[inline]
+    pub(super) fn push(value: u16, bytes: [u8; LEN]) -> u16 {
+        let word = u32::from_le_bytes(bytes) ^ u32::from(value);
+        let word = (0..LEN).fold(word, |word, _| (word >> 8) ^ u32::from(lookup::table(word as u8)));
+        word as u16
+    }
+}
+
+/// The same where flash is no matter: a table for each byte of the word, 4 KiB in all, so that no look-up waits for the
+/// one before.
+#[cfg(not(any(feature = "small-table", not(target_pointer_width = "64"))))]
+mod chunk {
+    pub(super) const LEN: usize = 8;
+
+    /// What a byte comes to that so many others follow.
+    static TABLES: [[u16; 256]; LEN] = {
+        let mut tables = [[0; 256]; LEN];
+        let mut index = 0usize;
+        while index < 256 {
+            let mut value = super::update(0, index as u8);
+            let mut behind = 0usize;
+            while behind < LEN {
+                #[expect(
+                    clippy::indexing_slicing,
+                    reason = "the loops end at the tables' length, at compile time"
+                )]
+                {
+                    tables[behind][index] = value;
+                }
+                value = super::update(value, 0);
+                behind = behind.wrapping_add(1);
+            }
+            index = index.wrapping_add(1);
+        }
+        tables
+    };
+
+    #[inline]
+    pub(super) fn push(value: u16, bytes: [u8; LEN]) -> u16 {
+        let word = (u64::from_le_bytes(bytes) ^ u64::from(value)).to_le_bytes();
+        #[expect(
+            clippy::indexing_slicing,
+            reason = "a u8 always indexes 256 entries: no check is left in the code"
+        )]
+        let part = |(table, byte): (&[u16; 256], u8)| table[byte as usize];
+        TABLES.iter().rev().zip(word).map(part).fold(0, |sum, part| sum ^ part)
+    }
 }
 
 /// The checksum of a whole message, preamble included.
@@ -146,6 +225,21 @@ mod tests {
     fn table_is_linear_so_two_small_tables_serve() {
         for index in 0..=255 {
             assert_eq!(entry(index), entry(index & 0xF0) ^ entry(index & 0x0F));
+        }
+    }
+
+    #[test]
+    fn slices_are_taken_in_like_their_bytes_at_every_length() {
+        let bytes: std::vec::Vec<u8> = (0..40u8).map(|n| n.wrapping_mul(37) ^ 0x5A).collect();
+        for length in 0..=bytes.len() {
+            for value in [0, START, AFTER_PREAMBLE] {
+                let slice = &bytes[..length];
+                let by_byte = slice.iter().fold(value, |value, &byte| update(value, byte));
+                assert_eq!(push_slice(value, slice), by_byte, "{length} bytes");
+                let mut copy = [0xEE; 40];
+                assert_eq!(push_copied(value, slice, &mut copy[..length]), by_byte, "{length} bytes");
+                assert!(copy[..length] == *slice && copy[length..].iter().all(|&byte| byte == 0xEE));
+            }
         }
     }
 

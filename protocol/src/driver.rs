@@ -2,8 +2,8 @@
 //!
 //! | module | over | feature |
 //! |---|---|---|
-//! | [`blocking`] | `embedded_io::{Read, ReadReady, Write}` and a [`Clock`] | `embedded-io` |
-//! | [`asynch`] | `embedded_io_async::{Read, Write}` and a [`Timer`] | `embedded-io-async` |
+//! | `blocking` | `embedded_io::{Read, ReadReady, Write}` and a [`Clock`] | `embedded-io` |
+//! | `asynch` | `embedded_io_async::{Read, Write}` and a [`Timer`] | `embedded-io-async` |
 //!
 //! Both have the same methods, and both are thin: a [`Session`](crate::session::Session) decides what is sent and what an
 //! answer means, a [`FrameParser`](crate::FrameParser) finds the frames. What they add:

@@ -13,6 +13,8 @@
 //! | [`session`] | the controller's side of a connection | command set, 1.3 |
 //! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async` | command set, chapter 3 |
 //! | [`fieldbus`] | the register images and the controller behind them | fieldbus, chapters 5 and 6 |
+//! | `modbus` | a MODBUS server over the images, and RTU framing, by feature `modbus` | fieldbus, chapter 4 |
+//! | [`gcl`] | the text protocol, both directions | GCL |
 //!
 //! A request becomes bytes, bytes become frames, frames become typed values:
 //!
@@ -70,6 +72,9 @@ pub mod driver;
 mod field;
 pub mod fieldbus;
 pub mod frame;
+pub mod gcl;
+#[cfg(feature = "modbus")]
+pub mod modbus;
 pub mod reply;
 pub mod session;
 mod table;

@@ -1,7 +1,7 @@
 //! The gripper in real time, shared by the tasks of its lines.
 
 use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Passage};
-use super::log::{Direction, Log};
+use super::log::Log;
 use crate::axis::Part;
 use crate::config::Config;
 use crate::faults::Fault;
@@ -254,7 +254,7 @@ impl Client {
             counts.count(&fate);
             hub.line_counts.set(counts);
             if let Some(log) = &mut *hub.log.borrow_mut() {
-                log.frame(now, Direction::FromGripper, &self.name, frame);
+                log.sent(now, self.id, &self.name, frame);
                 if !fate.is_harmless() {
                     log.note(now, &self.name, format_args!("<- line fault: {fate}"));
                 }

@@ -16,6 +16,8 @@ use wsg_protocol::{Command, CommandId, Event, Frame, FrameEncoder, Reply};
 
 /// Where the payload begins in a frame.
 const PAYLOAD_AT: usize = PREAMBLE_LEN + 3;
+/// The longest piece of a line of the text protocol that is shown in one line of the log.
+const LINE_LEN: usize = 512;
 /// Bytes of the checksum.
 const CHECKSUM_LEN: usize = 2;
 
@@ -25,7 +27,7 @@ const CHECKSUM_LEN: usize = 2;
 /// 12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 D3 5A  22h Stop
 /// ```
 ///
-/// `->` goes to the gripper, `<-` comes from it.
+/// `->` goes to the gripper, `<-` comes from it. What is spoken in GCL is shown as it is.
 pub struct Log {
     output: Output,
     clients: HashMap<PortId, Client>,
@@ -35,7 +37,13 @@ pub struct Log {
 struct Client {
     name: Arc<str>,
     is_datagram: bool,
-    deframer: Deframer,
+    requests: Requests,
+}
+
+enum Requests {
+    Frames(Box<Deframer>),
+    /// Of the text protocol: what came of a line that has no end yet.
+    Lines(Vec<u8>),
 }
 
 /// `None` after writing failed.
@@ -45,6 +53,15 @@ struct Output(Option<Box<dyn Write + Send>>);
 pub(super) enum Direction {
     ToGripper,
     FromGripper,
+}
+
+impl Direction {
+    const fn arrow(self) -> &'static str {
+        match self {
+            Self::ToGripper => "->",
+            Self::FromGripper => "<-",
+        }
+    }
 }
 
 impl Log {
@@ -71,8 +88,12 @@ impl Log {
     }
 
     pub(super) fn connect(&mut self, id: PortId, kind: PortKind, name: Arc<str>, config: &Config) {
-        let deframer = Deframer::new(config.check_checksum, config.frame_timeout_ms);
-        self.clients.insert(id, Client { name, is_datagram: kind == PortKind::Udp, deframer });
+        let requests = if kind.is_gcl() {
+            Requests::Lines(Vec::new())
+        } else {
+            Requests::Frames(Box::new(Deframer::new(config.check_checksum, config.frame_timeout_ms)))
+        };
+        self.clients.insert(id, Client { name, is_datagram: kind.is_datagram(), requests });
     }
 
     pub(super) fn disconnect(&mut self, id: PortId) {
@@ -84,33 +105,53 @@ impl Log {
         self.expire(now);
         let Self { output, clients } = self;
         let Some(client) = clients.get_mut(&id) else { return };
-        let mut rest = bytes;
-        loop {
-            let (taken, event) = client.deframer.push_slice(rest);
-            rest = rest.get(taken..).unwrap_or(&[]);
-            match event {
-                Some(event) => output.event(now, &client.name, event),
-                None if rest.is_empty() => break,
-                None => {}
+        match &mut client.requests {
+            Requests::Frames(deframer) => {
+                let mut rest = bytes;
+                loop {
+                    let (taken, event) = deframer.push_slice(rest);
+                    rest = rest.get(taken..).unwrap_or(&[]);
+                    match event {
+                        Some(event) => output.event(now, &client.name, event),
+                        None if rest.is_empty() => break,
+                        None => {}
+                    }
+                }
+                deframer.pause(now, client.is_datagram);
+                self.expire(now);
+            }
+            Requests::Lines(line) => {
+                for byte in bytes.iter().chain(client.is_datagram.then_some(&b'\n')) {
+                    if !matches!(byte, b'\n' | b'\r') && line.len() < LINE_LEN {
+                        line.push(*byte);
+                    } else if !line.is_empty() {
+                        output.line(now, Direction::ToGripper, &client.name, line);
+                        line.clear();
+                    }
+                }
             }
         }
-        client.deframer.pause(now, client.is_datagram);
-        self.expire(now);
     }
 
     /// Ends the wait for half frames as the gripper does.
     pub(super) fn expire(&mut self, now: Time) {
         let Self { output, clients } = self;
         for client in clients.values_mut() {
-            while let Some(event) = client.deframer.expire(now) {
+            let Requests::Frames(deframer) = &mut client.requests else { continue };
+            while let Some(event) = deframer.expire(now) {
                 output.event(now, &client.name, event);
             }
         }
     }
 
-    /// One frame with its meaning.
-    pub(super) fn frame(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
-        self.output.frame(now, direction, line, bytes);
+    /// One frame with its meaning, or one line of the text protocol as it is.
+    pub(super) fn sent(&mut self, now: Time, id: PortId, line: &str, bytes: &[u8]) {
+        let requests = self.clients.get(&id).map(|client| &client.requests);
+        if matches!(requests, Some(Requests::Lines(_))) {
+            self.output.line(now, Direction::FromGripper, line, bytes);
+        } else {
+            self.output.frame(now, Direction::FromGripper, line, bytes);
+        }
     }
 
     /// Something that is no frame.
@@ -145,8 +186,12 @@ impl Output {
             Direction::FromGripper => Reply::decode(&frame).map(|reply| reply.to_string()),
         };
         let meaning = meaning.unwrap_or_else(|refusal| format!("{}: {refusal}", CommandId::from_code(id)));
-        let arrow = if direction == Direction::ToGripper { "->" } else { "<-" };
-        self.write(format_args!("{now} {line} {arrow} {hex} {meaning}\n"));
+        self.write(format_args!("{now} {line} {} {hex} {meaning}\n", direction.arrow()));
+    }
+
+    fn line(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
+        let text = bytes.trim_ascii_end().escape_ascii();
+        self.write(format_args!("{now} {line} {} {text}\n", direction.arrow()));
     }
 
     fn refused(&mut self, now: Time, line: &str, why: &str, id: u8, size: u16) {

@@ -42,6 +42,8 @@ struct Addresses {
     tcp: Option<SocketAddr>,
     udp: Option<SocketAddr>,
     serial: Option<PathBuf>,
+    gcl: Option<SocketAddr>,
+    gcl_udp: Option<SocketAddr>,
     control: Option<SocketAddr>,
 }
 
@@ -63,6 +65,8 @@ impl ServerThread {
                     tcp: server.tcp_address(),
                     udp: server.udp_address(),
                     serial: server.serial_path().map(Path::to_owned),
+                    gcl: server.gcl_address(),
+                    gcl_udp: server.gcl_udp_address(),
                     control: server.control_address(),
                 });
                 let end = async {
@@ -96,6 +100,18 @@ impl ServerThread {
     #[must_use]
     pub fn serial_path(&self) -> Option<&Path> {
         self.addresses.serial.as_deref()
+    }
+
+    /// The address that the text protocol (GCL) over TCP listens on.
+    #[must_use]
+    pub const fn gcl_address(&self) -> Option<SocketAddr> {
+        self.addresses.gcl
+    }
+
+    /// The address that the text protocol (GCL) over UDP listens on.
+    #[must_use]
+    pub const fn gcl_udp_address(&self) -> Option<SocketAddr> {
+        self.addresses.gcl_udp
     }
 
     /// The address that the control interface listens on.

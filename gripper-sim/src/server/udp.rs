@@ -1,10 +1,10 @@
-//! UDP: one frame per datagram, answers to a fixed port of whoever sent last.
+//! UDP: one frame or line per datagram. Frames go to a fixed port of whoever sent last, lines to the port that asked.
 
 use super::hub::Hub;
 use crate::port::{MAX_FRAME_LEN, PortKind};
 use anyhow::{Context, Result};
 use std::io::ErrorKind;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::rc::Rc;
 use tokio::net::UdpSocket;
 use tokio::task::yield_now;
@@ -12,24 +12,29 @@ use tokio::task::yield_now;
 /// The longest datagram there is.
 const DATAGRAM_LEN: usize = 65_535;
 
-pub(super) async fn serve(hub: Rc<Hub>, socket: UdpSocket, remote_port: u16) -> Result<()> {
-    let client = hub
-        .connect(PortKind::Udp, &socket.local_addr()?.to_string())
-        .context("the gripper has no place for UDP")?;
+/// `remote_port`: where answers go; `None`: to the port that asked. `kind` says which protocol is spoken.
+pub(super) async fn serve(
+    hub: Rc<Hub>,
+    socket: UdpSocket,
+    remote_port: Option<u16>,
+    kind: PortKind,
+) -> Result<()> {
+    let client =
+        hub.connect(kind, &socket.local_addr()?.to_string()).context("the gripper has no place for UDP")?;
     let mut datagram = vec![0; DATAGRAM_LEN];
     let mut buffer = [0; MAX_FRAME_LEN];
-    let mut remote: Option<IpAddr> = None;
+    let mut remote: Option<SocketAddr> = None;
     loop {
         while let Some(frame) = client.transmit(&mut buffer) {
             if let Some(address) = remote {
                 // Nobody may listen there; a datagram is lost then, as datagrams are.
-                let _ = socket.send_to(frame, SocketAddr::new(address, remote_port)).await;
+                let _ = socket.send_to(frame, address).await;
             }
         }
         tokio::select! {
             received = socket.recv_from(&mut datagram) => match received {
                 Ok((len, from)) => {
-                    remote = Some(from.ip());
+                    remote = Some(SocketAddr::new(from.ip(), remote_port.unwrap_or(from.port())));
                     client.receive(datagram.get(..len).unwrap_or(&[]));
                     // A client that sends without end gets no more than its turn.
                     yield_now().await;

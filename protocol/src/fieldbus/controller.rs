@@ -2,6 +2,7 @@
 //! chapter 6).
 
 use super::image::to_register;
+use super::jog::{Direction, Drive, Jog, Stage};
 use super::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use crate::command::{Command, CommandId};
 use crate::reply::{Reply, Value};
@@ -33,7 +34,17 @@ const OUTGOING_LEN: usize = 2;
 /// - MOVE stops on a block: fingers that clamp and later snap to the target would move unasked.
 /// - Without a connection a motion is refused, never kept for later.
 ///
-/// JOG is not carried out yet.
+/// JOG (fieldbus, 6.7) has no command of its own in the binary command set. It runs as the force limit and a
+/// Pre-position to the end of the stroke, with a Stop when its flag goes:
+/// - The flags count by their level, once both have been 0: a level that is there at power-up starts nothing. Both at
+///   once stop. SPEED 0 is the least speed.
+/// - SPEED and FORCELIMIT may follow a dial: the fingers are stopped and go on with the new values, because a force
+///   limit holds for consecutive motions (command set, 3.3.3). Outside the limits they are a FAST STOP here as well.
+/// - A jog that reached the end, failed, was refused, or was ended by STOP/ACK, FASTSTOP or the loss of the connection
+///   begins again only after both flags were 0. It is refused while a part is held.
+/// - When the connection goes while the fingers may be moving, a FAST STOP is the first thing that the gripper hears
+///   when it comes back: nobody could stop them in the meantime.
+/// - With soft limits set the gripper refuses the end of the stroke (E_RANGE_ERROR), and so the jog.
 #[derive(Debug)]
 pub struct Controller {
     /// The last image; none before the first.
@@ -52,6 +63,9 @@ pub struct Controller {
     /// A success that is shown once the gripper reports that its fingers stand: the PLC sees the end of a motion, its
     /// result and the flags that belong to it at one and the same time.
     held_back: Option<(CommandId, Status)>,
+    jog: Jog,
+    /// OF, for the input image.
+    user_outputs: u8,
     outgoing: Deque<Command<'static>, OUTGOING_LEN>,
 }
 
@@ -64,6 +78,21 @@ enum FastStop {
     Asked,
     /// Confirmed; awaits STOP/ACK.
     Latched,
+}
+
+/// What becomes of the fingers when the PLC that commands them falls silent.
+///
+/// A jog ends in any case: nobody holds its button any more.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum SilenceReaction {
+    /// What runs goes on.
+    Hold,
+    /// A motion is stopped; a part that is held stays held.
+    #[default]
+    Stop,
+    /// FAST STOP, which must be acknowledged.
+    FastStop,
 }
 
 /// A motion on its way.
@@ -88,6 +117,8 @@ impl Controller {
             failed: false,
             settled: None,
             held_back: None,
+            jog: Jog::new(),
+            user_outputs: 0,
             outgoing: Deque::new(),
         }
     }
@@ -97,20 +128,55 @@ impl Controller {
         let previous = self.image.replace(*image);
         let rising =
             previous.map_or(CommandFlags::empty(), |previous| image.flags.difference(previous.flags));
+        self.jog.see(image);
         if image.flags.contains(CommandFlags::FASTSTOP) {
             if previous.is_none() || rising.contains(CommandFlags::FASTSTOP) {
                 self.fast_stop();
             }
             return;
         }
-        let changed = previous.is_some_and(|previous| image.parameters_differ(&previous));
+        let changed = previous.is_some_and(|previous| {
+            // A jog follows its dial; the width is none of its parameters.
+            if self.jog.is_on() { image.width != previous.width } else { image.parameters_differ(&previous) }
+        });
         if changed && self.is_moving(known) {
             self.fast_stop();
         } else if rising.contains(CommandFlags::STOP_ACK) {
             self.stop_or_acknowledge(known);
-        } else if !image.flags.contains(CommandFlags::STOP_ACK) {
-            self.begin_lowest(rising.intersection(MOTIONS), image, known);
+        } else {
+            if !image.flags.contains(CommandFlags::STOP_ACK) {
+                self.begin_lowest(rising.intersection(MOTIONS), image, known);
+            }
+            self.follow_jog(known);
         }
+    }
+
+    /// Takes notice that the PLC is not heard any more, for a bus that notices.
+    ///
+    /// The image stays as it is, so that its flags give no edge when the PLC is back; JOG counts again after both of its
+    /// flags were 0.
+    pub fn silence(&mut self, reaction: SilenceReaction, known: &Known) {
+        self.jog.disarm(self.image.as_ref());
+        match reaction {
+            SilenceReaction::FastStop => self.fast_stop(),
+            SilenceReaction::Stop
+                if self.connected && self.is_moving(known) && !self.is_fast_stopped(known) =>
+            {
+                self.stop();
+            }
+            SilenceReaction::Stop | SilenceReaction::Hold => self.follow_jog(known),
+        }
+    }
+
+    /// IF as the PLC wrote it last: user flags IF1 (bit 0) to IF8, for a script on the gripper.
+    #[must_use]
+    pub fn user_inputs(&self) -> u8 {
+        self.image.map_or(0, |image| image.user)
+    }
+
+    /// Sets OF: user flags OF1 (bit 0) to OF8, from a script on the gripper to the PLC.
+    pub const fn set_user_outputs(&mut self, flags: u8) {
+        self.user_outputs = flags;
     }
 
     /// Takes what the session noticed, with what it knows since.
@@ -118,19 +184,21 @@ impl Controller {
         match notice {
             Notice::Connected => self.connected = true,
             Notice::Disconnected => {
-                self.show_held_back();
+                self.show_held_back(known);
                 self.connected = false;
                 self.settled = None;
-                if self.fast_stop == FastStop::Latched {
+                self.jog.disarm(self.image.as_ref());
+                if self.fast_stop == FastStop::Latched || self.jog.is_on() {
                     // The gripper may be restarted and forget it: it shall be the first thing that it hears.
                     self.fast_stop();
                 }
             }
             Notice::Answered(reply) => self.answered(reply, known),
-            Notice::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout),
-            Notice::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted),
+            Notice::Unanswered(id) if self.jog_may_move(*id, known) => self.fast_stop(),
+            Notice::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, known),
+            Notice::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, known),
             Notice::Reported(Value::GetGripperState(_)) => self.settled = None,
-            Notice::Reported(Value::GetSystemState(_)) => self.show_held_back(),
+            Notice::Reported(Value::GetSystemState(_)) => self.show_held_back(known),
             Notice::Pending(_) | Notice::Reported(_) => {}
         }
     }
@@ -144,7 +212,8 @@ impl Controller {
             RequestError::Invalid(_) => Status::InvalidParameter,
             RequestError::QueueFull => Status::InsufficientResources,
         };
-        self.came_to_nothing(id, status);
+        // What is known matters to a Stop alone, and a session that refuses one has no connection.
+        self.came_to_nothing(id, status, &Known::NOTHING);
     }
 
     /// The next command to send.
@@ -160,7 +229,7 @@ impl Controller {
         system.set(SystemFlags::FAST_STOP, self.is_fast_stopped(known));
         InputImage {
             state: self.state(known),
-            user: 0,
+            user: self.user_outputs,
             system,
             width: to_register(known.width.unwrap_or(0.0), 100.0),
             force: to_register(known.force.unwrap_or(0.0), unit.per_newton()),
@@ -173,6 +242,9 @@ impl Controller {
     fn state(&self, known: &Known) -> GripperFlags {
         if self.is_fast_stopped(known) {
             return GripperFlags::IDLE;
+        }
+        if self.jog.is_on() {
+            return GripperFlags::RELEASING;
         }
         if let Some(motion) = &self.motion {
             return GripperFlags::from(match motion.command.id() {
@@ -190,6 +262,7 @@ impl Controller {
         }
     }
 
+    #[inline(never)]
     fn is_fast_stopped(&self, known: &Known) -> bool {
         self.fast_stop != FastStop::Clear || has_flag(known, SystemFlags::FAST_STOP)
     }
@@ -198,12 +271,15 @@ impl Controller {
         // A result overtakes the report of the state that it ends.
         let state = self.settled.or(known.state);
         self.motion.is_some()
+            || self.jog.is_on()
             || has_flag(known, SystemFlags::MOVING)
             || state.is_some_and(GripperState::is_motion)
     }
 
     fn fast_stop(&mut self) {
         self.fast_stop = FastStop::Asked;
+        self.jog.stage = Stage::Off;
+        self.jog.disarm(self.image.as_ref());
         self.send_alone(Command::FastStop);
     }
 
@@ -216,11 +292,27 @@ impl Controller {
         } else if self.is_fast_stopped(known) {
             self.send_alone(Command::ACKNOWLEDGE);
         } else {
-            self.send_alone(Command::Stop);
+            self.jog.disarm(self.image.as_ref());
+            self.stop();
         }
     }
 
+    /// Ends what runs by a Stop; a jog is over once the gripper has answered for all of it.
+    fn stop(&mut self) {
+        if self.jog.is_on() {
+            let unsent = self.outgoing.iter().any(|command| command.id() == CommandId::PrePosition);
+            let ended = self.held_back.is_some_and(|(id, _)| id == CommandId::PrePosition);
+            let motion_open = match self.jog.stage {
+                Stage::Stops { motion_open, .. } => motion_open,
+                _ => !unsent && !ended && self.motion.is_some_and(|motion| !motion.prepares),
+            };
+            self.jog.stage = Stage::Stops { stop_open: true, motion_open };
+        }
+        self.send_alone(Command::Stop);
+    }
+
     /// Sends a command that ends or overrules a motion; what the motion still answers no longer matters.
+    #[inline(never)]
     fn send_alone(&mut self, command: Command<'static>) {
         self.motion = None;
         self.held_back = None;
@@ -232,7 +324,11 @@ impl Controller {
     }
 
     fn begin_lowest(&mut self, rising: CommandFlags, image: &OutputImage, known: &Known) {
-        let Some(lowest) = rising.iter().next() else { return };
+        let Some(lowest) = rising.lowest() else { return };
+        if !self.jog.is_on() {
+            // JOG has the highest bits of all.
+            self.jog.disarm(Some(image));
+        }
         if !self.connected {
             self.show(Status::IoError);
         } else if self.is_fast_stopped(known) {
@@ -242,7 +338,9 @@ impl Controller {
             self.status = Status::AlreadyRunning;
         } else if lowest == CommandFlags::MOVE && self.state(known) == GripperFlags::HOLDING {
             self.show(Status::AccessDenied);
-        } else if lowest != CommandFlags::HOMING && !within_limits(image, known) {
+        } else if lowest != CommandFlags::HOMING
+            && !within_limits(image.speed_mm_s(), image.force_limit_n(force_unit(known)), known)
+        {
             self.fast_stop();
         } else {
             self.begin(lowest, image, known);
@@ -259,19 +357,90 @@ impl Controller {
             CommandFlags::RELEASE => Command::ReleasePart { width, speed },
             _ => Command::Homing { direction: HomingDirection::Default },
         };
-        let prepares = flag == CommandFlags::GRIP;
-        self.send(if prepares {
-            Command::SetForceLimit { force: image.force_limit_n(force_unit(known)) }
-        } else {
-            command
-        });
-        self.motion = Some(Motion { command, prepares });
+        let force = (flag == CommandFlags::GRIP).then(|| image.force_limit_n(force_unit(known)));
+        self.begin_motion(command, force);
+    }
+
+    /// Sends a motion, its force limit first if it has one.
+    fn begin_motion(&mut self, command: Command<'static>, force: Option<f32>) {
+        self.send(force.map_or(command, |force| Command::SetForceLimit { force }));
+        self.motion = Some(Motion { command, prepares: force.is_some() });
         self.shown = Some(command.id());
         self.status = Status::CmdPending;
         self.failed = false;
         self.settled = None;
     }
 
+    /// Makes the jog what the flags ask for.
+    fn follow_jog(&mut self, known: &Known) {
+        let asked = self.jog.asked(self.image.as_ref());
+        match (self.jog.stage, asked) {
+            (Stage::Off, None) | (Stage::Stops { .. }, _) => {}
+            (Stage::Off, Some(drive)) => self.begin_jog(drive, known),
+            (Stage::Runs(running), Some(drive)) if running == drive => {}
+            (Stage::Runs(_), Some(drive)) if jog_command(drive, known).is_none() => self.fast_stop(),
+            (Stage::Runs(_), _) => self.stop(),
+        }
+    }
+
+    fn begin_jog(&mut self, drive: Drive, known: &Known) {
+        if self.connected && !self.is_fast_stopped(known) && self.is_moving(known) {
+            // The running motion's result will replace this.
+            self.status = Status::AlreadyRunning;
+        } else if !self.connected {
+            self.show(Status::IoError);
+        } else if self.is_fast_stopped(known) || self.state(known) == GripperFlags::HOLDING {
+            self.show(Status::AccessDenied);
+        } else if let Some((command, force)) = jog_command(drive, known) {
+            self.begin_motion(command, Some(force));
+            self.jog.stage = Stage::Runs(drive);
+            return;
+        } else {
+            self.fast_stop();
+        }
+        self.jog.disarm(self.image.as_ref());
+    }
+
+    /// A jog is over by itself, or did not begin: GSTATE is IDLE, after an error as well (fieldbus, 6.7).
+    #[inline(never)]
+    fn end_jog(&mut self, status: Status) {
+        self.jog.stage = Stage::Off;
+        self.jog.disarm(self.image.as_ref());
+        self.motion = None;
+        self.settled = Some(GripperState::Idle);
+        self.failed = false;
+        self.status = status;
+    }
+
+    /// The gripper has answered for the Stop of a jog, or for the motion that it ended; a Stop that it does not know of
+    /// leaves the fingers moving.
+    fn jog_stopped(&mut self, id: CommandId, status: Status, known: &Known) {
+        let Stage::Stops { mut stop_open, mut motion_open } = self.jog.stage else { return };
+        match id {
+            CommandId::Stop if status != Status::Success && !stands(known) => return self.fast_stop(),
+            CommandId::Stop => stop_open = false,
+            CommandId::PrePosition => motion_open = false,
+            _ => return,
+        }
+        if stop_open || motion_open {
+            self.jog.stage = Stage::Stops { stop_open, motion_open };
+        } else {
+            self.jog.stage = Stage::Off;
+            self.follow_jog(known);
+        }
+    }
+
+    /// Whether nobody knows if a jog still moves the fingers, now that this command has no answer.
+    fn jog_may_move(&self, id: CommandId, known: &Known) -> bool {
+        let of_jog = match self.jog.stage {
+            Stage::Off => false,
+            Stage::Runs(_) => id == CommandId::PrePosition,
+            Stage::Stops { .. } => matches!(id, CommandId::PrePosition | CommandId::Stop),
+        };
+        of_jog && !stands(known)
+    }
+
+    #[inline(never)]
     fn send(&mut self, command: Command<'static>) {
         // There is room: a motion only begins when none runs, and all else clears the queue first.
         let _ = self.outgoing.push_back(command);
@@ -290,7 +459,7 @@ impl Controller {
                 self.motion = Some(Motion { prepares: false, ..motion });
                 self.send(motion.command);
             } else {
-                self.came_to_nothing(id, status);
+                self.came_to_nothing(id, status, known);
             }
             return;
         }
@@ -299,19 +468,22 @@ impl Controller {
         if ends_motion && implied_state(id, status).is_some() && has_flag(known, SystemFlags::MOVING) {
             self.held_back = Some((id, status));
         } else {
-            self.show_outcome(id, status);
+            self.show_outcome(id, status, known);
         }
     }
 
-    fn show_held_back(&mut self) {
+    fn show_held_back(&mut self, known: &Known) {
         if let Some((id, status)) = self.held_back.take() {
-            self.show_outcome(id, status);
+            self.show_outcome(id, status, known);
         }
     }
 
     /// The outcome of a command, for the PLC to see.
-    fn show_outcome(&mut self, id: CommandId, status: Status) {
+    fn show_outcome(&mut self, id: CommandId, status: Status, known: &Known) {
         if self.motion.is_some_and(|motion| id == motion.command.id()) {
+            if self.jog.is_on() {
+                return self.end_jog(status);
+            }
             self.motion = None;
             self.settled = implied_state(id, status);
             self.failed = self.settled.is_none();
@@ -331,13 +503,17 @@ impl Controller {
         if self.shown == Some(id) {
             self.status = status;
         }
+        self.jog_stopped(id, status, known);
     }
 
     /// A command that was not carried out, or of which that is not known.
-    fn came_to_nothing(&mut self, id: CommandId, status: Status) {
+    fn came_to_nothing(&mut self, id: CommandId, status: Status, known: &Known) {
         let of_motion = self.motion.is_some_and(|motion| {
             id == motion.command.id() || (motion.prepares && id == CommandId::SetForceLimit)
         });
+        if of_motion && self.jog.is_on() {
+            return self.end_jog(status);
+        }
         if of_motion {
             self.motion = None;
             self.failed = true;
@@ -345,6 +521,7 @@ impl Controller {
         if of_motion || self.shown == Some(id) {
             self.status = status;
         }
+        self.jog_stopped(id, status, known);
     }
 }
 
@@ -368,12 +545,32 @@ fn force_unit(known: &Known) -> ForceUnit {
     known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device))
 }
 
+#[inline(never)]
 fn has_flag(known: &Known, flag: SystemFlags) -> bool {
     known.flags.is_some_and(|flags| flags.contains(flag))
 }
 
-/// Whether SPEED and FORCELIMIT are inside the gripper's limits; unknown limits allow nothing.
-fn within_limits(image: &OutputImage, known: &Known) -> bool {
+/// Whether the gripper reports that its fingers stand.
+fn stands(known: &Known) -> bool {
+    known.flags.is_some() && !known.is_moving()
+}
+
+/// The Pre-position that a jog is, and its force limit; `None` when they are outside the gripper's limits.
+fn jog_command(drive: Drive, known: &Known) -> Option<(Command<'static>, f32)> {
+    let image = OutputImage { speed: drive.speed, force_limit: drive.force_limit, ..OutputImage::ZERO };
+    let limits = known.limits?;
+    let speed = if drive.speed == 0 { limits.min_speed } else { image.speed_mm_s() };
+    let force = image.force_limit_n(force_unit(known));
+    let width = match drive.direction {
+        Direction::Plus => limits.stroke,
+        Direction::Minus => 0.0,
+    };
+    let command = Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed };
+    within_limits(speed, force, known).then_some((command, force))
+}
+
+/// Whether a speed in mm/s and a force in N are inside the gripper's limits; unknown limits allow nothing.
+fn within_limits(speed: f32, force: f32, known: &Known) -> bool {
     let Some(SystemLimits { min_speed, max_speed, min_force, nominal_force, overdrive_force, .. }) =
         known.limits
     else {
@@ -381,12 +578,11 @@ fn within_limits(image: &OutputImage, known: &Known) -> bool {
     };
     let overdrive = has_flag(known, SystemFlags::OVERDRIVE_MODE);
     let max_force = if overdrive { overdrive_force } else { nominal_force };
-    let unit = force_unit(known);
     // A limit is met by the register value nearest to it.
     let inside =
         |value: f32, from: f32, to: f32, half_step: f32| value >= from - half_step && value <= to + half_step;
-    inside(image.speed_mm_s(), min_speed, max_speed, 0.005)
-        && inside(image.force_limit_n(unit), min_force, max_force, 0.5 / unit.per_newton())
+    inside(speed, min_speed, max_speed, 0.005)
+        && inside(force, min_force, max_force, 0.5 / force_unit(known).per_newton())
 }
 
 #[cfg(test)]

@@ -508,3 +508,6 @@ fn fast_stop_wins_over_a_success_that_is_held_back() {
     plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::CmdPending));
 }
+
+#[path = "jog_tests.rs"]
+mod jog;

@@ -47,6 +47,22 @@ bitflags! {
     }
 }
 
+impl CommandFlags {
+    /// The set flag with the lowest bit number: of several that rise at once the one that counts.
+    ///
+    /// ```
+    /// use wsg_protocol::fieldbus::CommandFlags;
+    ///
+    /// assert_eq!((CommandFlags::HOMING | CommandFlags::GRIP).lowest(), Some(CommandFlags::GRIP));
+    /// assert_eq!(CommandFlags::empty().lowest(), None);
+    /// ```
+    #[must_use]
+    pub const fn lowest(self) -> Option<Self> {
+        let lowest = self.bits() & self.bits().wrapping_neg();
+        if lowest == 0 { None } else { Some(Self::from_bits_retain(lowest)) }
+    }
+}
+
 #[cfg(feature = "defmt")]
 mod format {
     impl defmt::Format for super::CommandFlags {

@@ -95,9 +95,14 @@ impl<P: Payload> FrameEncoder<P> {
                 *slot = byte;
                 filled = filled.saturating_add(1);
             }
-            match chunk.get(..filled) {
-                Some(bytes) if !bytes.is_empty() => writer.write_all(bytes)?,
-                _ => return Ok(()),
+            let mut bytes = chunk.get(..filled).unwrap_or(&[]);
+            if bytes.is_empty() {
+                return Ok(());
+            }
+            // Not `write_all`, which panics at a writer that takes nothing. None may; one that does is asked again.
+            while !bytes.is_empty() {
+                let taken = writer.write(bytes)?;
+                bytes = bytes.get(taken..).unwrap_or(&[]);
             }
         }
     }
@@ -174,6 +179,43 @@ mod tests {
         assert_eq!(bytes, buffer[..length]);
         assert_eq!(bytes[4..6], [0x58, 0x02]);
         assert_eq!(checksum::of(&bytes), 0);
+    }
+
+    /// Takes three bytes at a time, and every other time none.
+    #[cfg(feature = "embedded-io")]
+    #[derive(Default)]
+    struct Reluctant {
+        taken: Vec<u8>,
+        asked: usize,
+    }
+
+    #[cfg(feature = "embedded-io")]
+    impl embedded_io::ErrorType for Reluctant {
+        type Error = core::convert::Infallible;
+    }
+
+    #[cfg(feature = "embedded-io")]
+    impl embedded_io::Write for Reluctant {
+        fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
+            self.asked += 1;
+            let count = if self.asked.is_multiple_of(2) { 0 } else { bytes.len().min(3) };
+            self.taken.extend_from_slice(&bytes[..count]);
+            Ok(count)
+        }
+
+        fn flush(&mut self) -> Result<(), Self::Error> {
+            Ok(())
+        }
+    }
+
+    #[cfg(feature = "embedded-io")]
+    #[test]
+    fn writer_that_takes_little_or_nothing_at_a_time_gets_every_byte_once() {
+        let payload = [7u8; 150];
+        let mut writer = Reluctant::default();
+        FrameEncoder::new(6, &payload[..]).write_to(&mut writer).unwrap();
+        let bytes: Vec<u8> = FrameEncoder::new(6, &payload[..]).collect();
+        assert_eq!(writer.taken, bytes);
     }
 
     #[cfg(feature = "embedded-io")]

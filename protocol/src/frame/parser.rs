@@ -67,33 +67,36 @@ pub struct Counters {
 /// assert_eq!(parser.counters().dropped, 1);
 /// ```
 #[derive(Clone, Debug)]
+// What is used for each byte comes first, near enough for short instructions.
+#[repr(C)]
 pub struct FrameParser<const N: usize> {
-    /// Held bytes, without the preamble: those of the frame being received, from its id on; or, while draining, those
-    /// that wait to be scanned.
-    head: [u8; HEAD_LEN],
-    body: [u8; N],
-    tail: [u8; TAIL_LEN],
-    /// Preamble bytes seen (0 to 3), and the switches.
-    flags: u8,
     /// How many bytes are held.
     held: u16,
     /// The running checksum; while draining, the index of the held byte to scan next.
     checksum_or_next: u16,
     counters: Counters,
+    /// Preamble bytes seen (0 to 3), and the switches.
+    flags: u8,
+    /// Held bytes, without the preamble: those of the frame being received, from its id on; or, while draining, those
+    /// that wait to be scanned.
+    store: Store<N>,
 }
 
 /// Part of `flags`: preamble bytes seen.
 const PREAMBLE_MASK: u8 = 0b11;
+/// All of them: behind a preamble.
+const IN_FRAME: u8 = PREAMBLE_MASK;
 /// Part of `flags`: held bytes wait to be scanned (an event interrupted that).
 const DRAINING: u8 = 0b0100;
 /// Part of `flags`: frames are taken whatever their checksum.
 const IGNORE_CHECKSUM: u8 = 0b1000;
 
-/// What a scan of the held bytes came to.
+/// What a byte completed.
+#[derive(Clone, Copy, PartialEq)]
 enum Found {
-    Frame { payload_at: usize, size: usize },
-    BadChecksum { id: u8, size: u16 },
-    Oversize { id: u8, size: u16 },
+    Frame,
+    BadChecksum,
+    Oversize,
 }
 
 impl<const N: usize> FrameParser<N> {
@@ -107,13 +110,11 @@ impl<const N: usize> FrameParser<N> {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            head: [0; HEAD_LEN],
-            body: [0; N],
-            tail: [0; TAIL_LEN],
-            flags: 0,
             held: 0,
             checksum_or_next: 0,
             counters: Counters { dropped: 0, bad_checksum: 0, oversize: 0 },
+            flags: 0,
+            store: Store { head: [0; HEAD_LEN], body: [0; N], tail: [0; TAIL_LEN] },
         }
     }
 
@@ -141,6 +142,7 @@ impl<const N: usize> FrameParser<N> {
     /// Takes one byte.
     #[inline]
     pub fn push(&mut self, byte: u8) -> Option<Event<'_>> {
+        // Inlined up to here: an event is only made where there is one.
         let found = self.step(byte)?;
         self.event(found)
     }
@@ -148,36 +150,21 @@ impl<const N: usize> FrameParser<N> {
     /// Takes bytes up to the first event, and says how many that were. The same events as [`push`](Self::push) byte
     /// by byte. With an empty slice it is [`poll`](Self::poll).
     pub fn push_slice(&mut self, bytes: &[u8]) -> (usize, Option<Event<'_>>) {
-        if self.is_draining()
-            && let Some(found) = self.scan()
-        {
-            return (0, self.event(found));
-        }
-        let mut taken = 0usize;
-        let mut found = None;
+        let mut rest = bytes;
+        let mut found = self.drain();
         while found.is_none() {
-            let rest = bytes.get(taken..).unwrap_or(&[]);
-            let Some((&byte, _)) = rest.split_first() else { break };
-            let bulk = self.take_payload(rest);
-            if bulk > 0 {
-                taken = taken.wrapping_add(bulk);
-            } else {
-                found = self.step(byte);
-                taken = taken.wrapping_add(1);
-            }
+            rest = self.take_run(rest);
+            let Some((&byte, behind)) = rest.split_first() else { break };
+            rest = behind;
+            found = self.step(byte);
         }
-        match found {
-            Some(found) => (taken, self.event(found)),
-            None => (taken, None),
-        }
+        let taken = bytes.len().wrapping_sub(rest.len());
+        (taken, found.and_then(|found| self.event(found)))
     }
 
     /// The next event about bytes already taken.
     pub fn poll(&mut self) -> Option<Event<'_>> {
-        if !self.is_draining() {
-            return None;
-        }
-        let found = self.scan()?;
+        let found = self.drain()?;
         self.event(found)
     }
 
@@ -185,16 +172,17 @@ impl<const N: usize> FrameParser<N> {
     /// gives `None`; then nothing is held any more.
     pub fn expire(&mut self) -> Option<Event<'_>> {
         loop {
-            if self.is_draining()
-                && let Some(found) = self.scan()
-            {
+            if let Some(found) = self.drain() {
                 return self.event(found);
             }
             match self.preamble_seen() {
                 0 => return None,
-                3 => self.give_up_frame(0, self.held as usize),
+                IN_FRAME => {
+                    let held = self.held as usize;
+                    self.give_up_frame(held, held);
+                }
                 seen => {
-                    self.drop_bytes(seen as usize);
+                    self.drop_bytes(seen.into());
                     self.set_preamble_seen(0);
                 }
             }
@@ -203,184 +191,172 @@ impl<const N: usize> FrameParser<N> {
 
     /// Forgets what is held; the bytes count as dropped.
     pub fn reset(&mut self) {
-        let waiting =
-            if self.is_draining() { self.held.saturating_sub(self.checksum_or_next) } else { self.held };
-        self.drop_bytes((self.preamble_seen() as usize).wrapping_add(waiting as usize));
+        let seen = u16::from(self.preamble_seen());
+        let waiting = if self.is_draining() {
+            self.held.saturating_sub(self.checksum_or_next)
+        } else if self.preamble_seen() == IN_FRAME {
+            self.held
+        } else {
+            0
+        };
+        self.drop_bytes(waiting.saturating_add(seen));
         self.flags &= IGNORE_CHECKSUM;
-        self.held = 0;
     }
 
-    /// One byte into the state machine.
-    #[inline]
+    /// One byte into the state machine, behind those that wait to be scanned; up to the next event.
     fn step(&mut self, byte: u8) -> Option<Found> {
-        if self.flags & (PREAMBLE_MASK | DRAINING) == PREAMBLE_MASK {
-            return self.step_in_frame(byte);
+        match self.flags & (DRAINING | PREAMBLE_MASK) {
+            IN_FRAME => self.step_and_settle(byte),
+            seen @ 0..IN_FRAME => {
+                self.look_for_preamble(seen, byte);
+                None
+            }
+            _ => self.step_behind(byte),
         }
+    }
+
+    /// The same while bytes wait.
+    #[cold]
+    fn step_behind(&mut self, byte: u8) -> Option<Found> {
+        let found = self.drain_before(byte);
+        if found.is_some() {
+            return found;
+        }
+        match self.preamble_seen() {
+            IN_FRAME => self.step_and_settle(byte),
+            seen => {
+                self.look_for_preamble(seen, byte);
+                None
+            }
+        }
+    }
+
+    fn step_and_settle(&mut self, byte: u8) -> Option<Found> {
+        let found = self.step_in_frame(byte)?;
+        let held = self.held as usize;
+        self.settle(found, held, held);
+        Some(found)
+    }
+
+    /// The next event about the bytes that wait. If there is one, `byte` is taken as well.
+    fn drain_before(&mut self, byte: u8) -> Option<Found> {
+        let found = self.drain()?;
         if self.is_draining() {
             self.append(byte);
-            return self.scan();
+        } else {
+            // The last byte that waited ended a frame.
+            self.look_for_preamble(0, byte);
         }
-        self.step_preamble(byte);
-        None
+        Some(found)
     }
 
-    /// One byte while the preamble is looked for.
-    #[inline]
-    fn step_preamble(&mut self, byte: u8) {
-        let seen = self.preamble_seen();
-        if byte == PREAMBLE_BYTE {
-            self.set_preamble_seen(seen.wrapping_add(1));
-            self.held = 0;
-            self.checksum_or_next = checksum::AFTER_PREAMBLE;
-        } else {
-            self.drop_bytes((seen as usize).wrapping_add(1));
-            self.set_preamble_seen(0);
+    /// Scans the bytes that wait, up to the next event or to their end, by receiving them once more: what is received
+    /// lies at the front of the store, what waits further back.
+    fn drain(&mut self) -> Option<Found> {
+        if !self.is_draining() {
+            return None;
         }
+        self.flags &= !DRAINING;
+        let end = self.held as usize;
+        let mut next = self.checksum_or_next as usize;
+        self.held = 0;
+        while next < end {
+            let byte = self.store.get(next);
+            next = next.wrapping_add(1);
+            match self.preamble_seen() {
+                IN_FRAME => {
+                    if let Some(found) = self.step_in_frame(byte) {
+                        self.settle(found, next, end);
+                        return Some(found);
+                    }
+                }
+                seen => self.look_for_preamble(seen, byte),
+            }
+        }
+        None
     }
 
     /// One byte behind a preamble.
-    #[inline]
     fn step_in_frame(&mut self, byte: u8) -> Option<Found> {
         let at = self.held as usize;
-        self.put(at, byte);
-        let held = at.wrapping_add(1);
-        self.held = held as u16;
-        if at < HEAD_LEN {
-            self.checksum_or_next = checksum::push(self.checksum_or_next, byte);
-            let size = self.head_size();
-            return if held == HEAD_LEN && size > N { Some(self.oversize(0, held)) } else { None };
-        }
-        let size = self.head_size();
-        let checksum_at = HEAD_LEN.wrapping_add(size);
-        if at < checksum_at {
-            self.checksum_or_next = checksum::push(self.checksum_or_next, byte);
-            return None;
-        }
-        if held < checksum_at.wrapping_add(TAIL_LEN) {
-            return None;
-        }
-        if self.accepts(self.checksum_or_next, checksum_at) {
-            self.set_preamble_seen(0);
-            self.held = 0;
-            return Some(Found::Frame { payload_at: 0, size });
-        }
-        Some(self.bad_checksum(0, held))
-    }
-
-    /// Whether the two bytes held at `at` are this checksum, low byte first.
-    ///
-    /// The manual lets a receiver take them in as well and look for 0. But four different pairs of bytes lead to 0 from
-    /// any value, so comparing lets through a quarter of the corruptions that looking for 0 would.
-    #[inline]
-    fn accepts(&self, checksum: u16, at: usize) -> bool {
-        let received = u16::from_le_bytes([self.get(at), self.get(at.wrapping_add(1))]);
-        received == checksum || self.flags & IGNORE_CHECKSUM != 0
-    }
-
-    /// Copies payload bytes of the frame being received at one go; how many.
-    #[inline]
-    fn take_payload(&mut self, bytes: &[u8]) -> usize {
-        let held = self.held as usize;
-        if self.flags & (PREAMBLE_MASK | DRAINING) != PREAMBLE_MASK || held < HEAD_LEN {
-            return 0;
-        }
-        let done = held.wrapping_sub(HEAD_LEN);
-        let size = self.head_size();
-        let room = self.body.get_mut(done..size).unwrap_or(&mut []);
-        let count = room.len().min(bytes.len());
-        let mut value = self.checksum_or_next;
-        for (slot, &byte) in room.iter_mut().zip(bytes) {
+        self.held = at.wrapping_add(1) as u16;
+        let index = at.wrapping_sub(HEAD_LEN);
+        if index < self.store.size()
+            && let Some(slot) = self.store.body.get_mut(index)
+        {
             *slot = byte;
-            value = checksum::push(value, byte);
-        }
-        self.checksum_or_next = value;
-        self.held = held.wrapping_add(count) as u16;
-        count
-    }
-
-    /// Scans held bytes from the marked one on, in place, up to the next event or to their end. A frame that begins
-    /// there and is not yet whole is moved to the front, and reception goes on behind it.
-    fn scan(&mut self) -> Option<Found> {
-        let end = self.held as usize;
-        let mut next = self.checksum_or_next as usize;
-        let mut seen = self.preamble_seen();
-        while seen < 3 && next < end {
-            if self.get(next) == PREAMBLE_BYTE {
-                seen = seen.wrapping_add(1);
-            } else {
-                self.drop_bytes((seen as usize).wrapping_add(1));
-                seen = 0;
+        } else if let Some(slot) = self.store.head.get_mut(at) {
+            *slot = byte;
+            if at == HEAD_LEN - 1 && self.store.size() > N {
+                return Some(Found::Oversize);
             }
-            next = next.wrapping_add(1);
-        }
-        self.set_preamble_seen(seen);
-        let start = next;
-        let available = end.wrapping_sub(start);
-        if seen == 3 && available >= HEAD_LEN {
-            let size = self.size_at(start);
-            if size > N {
-                return Some(self.oversize(start, end));
-            }
-            let whole = HEAD_LEN.wrapping_add(size).wrapping_add(TAIL_LEN);
-            if available >= whole {
-                let behind = start.wrapping_add(whole);
-                let checksum_at = behind.wrapping_sub(TAIL_LEN);
-                if !self.accepts(self.checksum_of(start, checksum_at), checksum_at) {
-                    return Some(self.bad_checksum(start, end));
-                }
-                self.set_preamble_seen(0);
-                self.drain_from(behind, end);
-                return Some(Found::Frame { payload_at: start, size });
-            }
-        }
-        self.flags &= !DRAINING;
-        for at in start..end {
-            let byte = self.get(at);
-            self.put(at.wrapping_sub(start), byte);
-        }
-        self.held = available as u16;
-        // The checksum itself is not part of what it is taken over.
-        let summed = if available < HEAD_LEN {
-            available
         } else {
-            available.min(HEAD_LEN.wrapping_add(self.head_size()))
-        };
-        self.checksum_or_next = self.checksum_of(0, summed);
+            return self.end(at, byte);
+        }
+        self.checksum_or_next = checksum::push(self.checksum_or_next, byte);
         None
     }
 
-    /// The checksum of a frame's preamble and the bytes held from `start` to `end`.
-    fn checksum_of(&self, start: usize, end: usize) -> u16 {
-        (start..end).fold(checksum::AFTER_PREAMBLE, |value, at| checksum::push(value, self.get(at)))
+    /// A byte of the checksum. Apart, so that all other bytes need fewer registers.
+    #[inline(never)]
+    fn end(&mut self, at: usize, byte: u8) -> Option<Found> {
+        self.store.put(at, byte);
+        let checksum_at = HEAD_LEN.wrapping_add(self.store.size());
+        if at == checksum_at {
+            return None;
+        }
+        // The manual lets a receiver take the two bytes in as well and look for 0. But four different pairs of bytes
+        // lead to 0 from any value, so comparing lets through a quarter of the corruptions that looking for 0 would.
+        let received = u16::from_le_bytes([self.store.get(checksum_at), byte]);
+        let accepted = received == self.checksum_or_next || self.flags & IGNORE_CHECKSUM != 0;
+        Some(if accepted { Found::Frame } else { Found::BadChecksum })
     }
 
-    /// The frame whose id is held at `start` announces too much.
-    fn oversize(&mut self, start: usize, end: usize) -> Found {
-        self.counters.oversize = self.counters.oversize.saturating_add(1);
-        let found = Found::Oversize { id: self.get(start), size: self.size_at(start) as u16 };
-        self.give_up_frame(start, end);
-        found
+    /// One byte outside a frame.
+    fn look_for_preamble(&mut self, seen: u8, byte: u8) {
+        if byte == PREAMBLE_BYTE {
+            self.flags = self.flags.wrapping_add(1);
+            self.held = 0;
+            self.checksum_or_next = checksum::AFTER_PREAMBLE;
+        } else {
+            self.drop_bytes(u16::from(seen).wrapping_add(1));
+            self.set_preamble_seen(0);
+        }
     }
 
-    /// The frame whose id is held at `start` is whole, and its checksum wrong.
-    fn bad_checksum(&mut self, start: usize, end: usize) -> Found {
-        self.counters.bad_checksum = self.counters.bad_checksum.saturating_add(1);
-        let found = Found::BadChecksum { id: self.get(start), size: self.size_at(start) as u16 };
-        self.give_up_frame(start, end);
-        found
+    /// Ends the frame being received; the bytes from `next` to `end` wait to be scanned.
+    fn settle(&mut self, found: Found, next: usize, end: usize) {
+        let count = match found {
+            Found::Frame => {
+                self.set_preamble_seen(0);
+                self.wait(next, end);
+                return;
+            }
+            Found::BadChecksum => &mut self.counters.bad_checksum,
+            Found::Oversize => &mut self.counters.oversize,
+        };
+        *count = count.saturating_add(1);
+        self.give_up_frame(next, end);
     }
 
-    /// The frame whose id is held at `start` is none: its first byte is dropped, and all others will be scanned again,
-    /// beginning with the two preamble bytes that are left.
-    fn give_up_frame(&mut self, start: usize, end: usize) {
+    /// The frame being received is none: its first byte is dropped, and all others wait to be scanned before those from
+    /// `next` to `end`, beginning with the two preamble bytes that are left.
+    fn give_up_frame(&mut self, next: usize, end: usize) {
         self.drop_bytes(1);
         self.set_preamble_seen(2);
-        self.drain_from(start, end);
+        let held = self.held as usize;
+        let start = next.wrapping_sub(held);
+        for at in (0..held).rev() {
+            self.store.put(start.wrapping_add(at), self.store.get(at));
+        }
+        self.wait(start, end);
     }
 
-    /// Marks the held bytes from `next` to `end` to be scanned.
-    fn drain_from(&mut self, next: usize, end: usize) {
-        self.flags |= DRAINING;
+    /// Marks the held bytes from `next` to `end` to be scanned, if there are any.
+    fn wait(&mut self, next: usize, end: usize) {
+        if next != end {
+            self.flags |= DRAINING;
+        }
         self.checksum_or_next = next as u16;
         self.held = end as u16;
     }
@@ -389,43 +365,33 @@ impl<const N: usize> FrameParser<N> {
     fn append(&mut self, byte: u8) {
         let mut end = self.held as usize;
         if end == Self::CAPACITY {
-            // A full store never waits from its very first byte on: a frame that long was given up, and its id is
-            // settled here (it opens a preamble or is dropped), which makes room for one byte.
-            let mut next = self.checksum_or_next as usize;
-            if next == 0 {
-                let seen = self.preamble_seen();
-                if self.get(0) == PREAMBLE_BYTE {
-                    self.set_preamble_seen(seen.wrapping_add(1));
-                } else {
-                    self.drop_bytes((seen as usize).wrapping_add(1));
-                    self.set_preamble_seen(0);
-                }
-                next = 1;
-            }
+            // The event that is being told has used up at least one byte, so there is room for one. A payload that is
+            // being told ends more than one byte before what waits.
+            let next = self.checksum_or_next as usize;
             for at in next..end {
-                let moved = self.get(at);
-                self.put(at.wrapping_sub(next), moved);
+                self.store.put(at.wrapping_sub(1), self.store.get(at));
             }
-            end = end.wrapping_sub(next);
-            self.checksum_or_next = 0;
+            self.checksum_or_next = next.wrapping_sub(1) as u16;
+            end = end.wrapping_sub(1);
         }
-        self.put(end, byte);
+        self.store.put(end, byte);
         self.held = end.wrapping_add(1) as u16;
     }
 
     /// The event to hand out, with its view of the payload.
-    #[inline]
     fn event(&self, found: Found) -> Option<Event<'_>> {
-        Some(match found {
-            Found::Frame { payload_at, size } => Event::Frame(Frame {
-                id: self.get(payload_at),
-                // The payload lies HEAD_LEN behind the id, so from the same index on in `body`; its checksum is held
-                // behind it, so it ends inside.
-                payload: self.body.get(payload_at..payload_at.wrapping_add(size))?,
-            }),
-            Found::BadChecksum { id, size } => Event::BadChecksum { id, size },
-            Found::Oversize { id, size } => Event::Oversize { id, size },
-        })
+        if found == Found::Frame {
+            let [id, ..] = self.store.head;
+            return Some(Event::Frame(Frame { id, payload: self.store.body.get(..self.store.size())? }));
+        }
+        // It has been given up, and is the first that waits to be scanned.
+        let at = self.checksum_or_next as usize;
+        let id = self.store.get(at);
+        let low = self.store.get(at.wrapping_add(1));
+        let high = self.store.get(at.wrapping_add(2));
+        let size = u16::from_le_bytes([low, high]);
+        let oversize = found == Found::Oversize;
+        Some(if oversize { Event::Oversize { id, size } } else { Event::BadChecksum { id, size } })
     }
 
     const fn is_draining(&self) -> bool {
@@ -440,25 +406,74 @@ impl<const N: usize> FrameParser<N> {
         self.flags = (self.flags & !PREAMBLE_MASK) | (seen & PREAMBLE_MASK);
     }
 
-    fn drop_bytes(&mut self, count: usize) {
-        self.counters.dropped = self.counters.dropped.saturating_add(count.min(u16::MAX as usize) as u16);
+    fn drop_bytes(&mut self, count: u16) {
+        self.counters.dropped = self.counters.dropped.saturating_add(count);
     }
 
-    /// The payload size announced by the frame at the front of the store.
+    /// Takes payload bytes of the frame being received, or the whole beginning of a frame, at one go; gives the bytes
+    /// behind them.
     #[inline]
-    fn head_size(&self) -> usize {
+    fn take_run<'b>(&mut self, bytes: &'b [u8]) -> &'b [u8] {
+        match self.preamble_seen() {
+            IN_FRAME => self.take_payload(bytes),
+            0 => self.take_head(bytes),
+            _ => bytes,
+        }
+    }
+
+    #[inline]
+    fn take_payload<'b>(&mut self, bytes: &'b [u8]) -> &'b [u8] {
+        let held = self.held as usize;
+        let done = held.wrapping_sub(HEAD_LEN);
+        let size = self.store.size();
+        if done >= size {
+            return bytes;
+        }
+        let room = self.store.body.get_mut(done..size).unwrap_or(&mut []);
+        let count = room.len().min(bytes.len());
+        let (taken, rest) = bytes.split_at_checked(count).unwrap_or((&[], bytes));
+        self.checksum_or_next = checksum::push_copied(self.checksum_or_next, taken, room);
+        self.held = held.wrapping_add(count) as u16;
+        rest
+    }
+
+    #[inline]
+    fn take_head<'b>(&mut self, bytes: &'b [u8]) -> &'b [u8] {
+        let [PREAMBLE_BYTE, PREAMBLE_BYTE, PREAMBLE_BYTE, id, low, high, rest @ ..] = bytes else {
+            return bytes;
+        };
+        if u16::from_le_bytes([*low, *high]) as usize > N {
+            return bytes;
+        }
+        self.store.head = [*id, *low, *high];
+        self.flags |= IN_FRAME;
+        self.held = HEAD_LEN as u16;
+        self.checksum_or_next = checksum::push_slice(checksum::AFTER_PREAMBLE, &self.store.head);
+        rest
+    }
+}
+
+/// Head, payload and checksum of the longest frame.
+///
+/// Three arrays, because the sum N + 5 is none of stable Rust's array lengths. In this order they lie one behind the
+/// other, so an index becomes an address after one comparison.
+#[derive(Clone, Debug)]
+#[repr(C)]
+struct Store<const N: usize> {
+    head: [u8; HEAD_LEN],
+    body: [u8; N],
+    tail: [u8; TAIL_LEN],
+}
+
+impl<const N: usize> Store<N> {
+    /// The payload size announced by the frame at the front.
+    #[inline]
+    fn size(&self) -> usize {
         let [_, low, high] = self.head;
         u16::from_le_bytes([low, high]) as usize
     }
 
-    /// The payload size announced by the frame whose id is held at `start`.
-    fn size_at(&self, start: usize) -> usize {
-        let low = self.get(start.wrapping_add(1));
-        let high = self.get(start.wrapping_add(2));
-        u16::from_le_bytes([low, high]) as usize
-    }
-
-    /// The held byte at `at`.
+    /// The byte at `at`.
     #[inline]
     fn get(&self, at: usize) -> u8 {
         let slot = match at.checked_sub(HEAD_LEN) {

@@ -60,6 +60,12 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
     if let Some(path) = server.serial_path() {
         writeln!(out, "serial {}", path.display())?;
     }
+    if let Some(address) = server.gcl_address() {
+        writeln!(out, "gcl {address}")?;
+    }
+    if let Some(address) = server.gcl_udp_address() {
+        writeln!(out, "gcl-udp {address}")?;
+    }
     if let Some(address) = server.control_address() {
         writeln!(out, "control {address}")?;
     }

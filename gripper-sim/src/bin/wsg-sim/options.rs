@@ -21,6 +21,8 @@ Lines (without any: --tcp 127.0.0.1:1000)
   --serial LINE            pty: open a pseudo terminal and say its path;
                            unix:PATH: listen on a Unix socket;
                            PATH: use this terminal device at 115200 8N1
+  --gcl ADDR               listen for the text protocol (GCL) over TCP on ADDR, such as 127.0.0.1:1001
+  --gcl-udp ADDR           listen for the text protocol over UDP on ADDR, and answer to the port that asked
   --no-checksum-check      take frames whatever their checksum
   --answer-bad-checksum    answer E_CHECKSUM_ERROR to a wrong checksum (otherwise: silence)
   --no-disconnect-error    no FAST STOP when a TCP connection ends unannounced
@@ -95,6 +97,8 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
             "serial" => {
                 lines.serial = Some(value(&mut parser, &name, "pty, unix:PATH or a device's path", serial)?);
             }
+            "gcl" => lines.gcl = Some(value(&mut parser, &name, ADDRESS, parsed)?),
+            "gcl-udp" => lines.gcl_udp = Some(value(&mut parser, &name, ADDRESS, parsed)?),
             "no-checksum-check" => config.check_checksum = false,
             "answer-bad-checksum" => config.answer_bad_checksum = true,
             "no-disconnect-error" => config.disconnect_error = false,
@@ -142,7 +146,8 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
         (None, Some(_)) => bail!("--udp-remote-port is of no use without --udp ADDR"),
         (None, None) => None,
     };
-    if lines.tcp.is_none() && lines.udp.is_none() && lines.serial.is_none() {
+    let has_line = lines.tcp.is_some() || lines.udp.is_some() || lines.serial.is_some();
+    if !has_line && lines.gcl.is_none() && lines.gcl_udp.is_none() {
         lines.tcp = Some(DEFAULT_TCP);
     }
     Ok(Request::Serve(Box::new(Options { config, lines, log })))
@@ -241,6 +246,14 @@ mod tests {
         assert_eq!(lines, Lines { serial: Some(SerialLine::Unix("/run/wsg".into())), ..Lines::default() });
         let lines = options(&["--udp", "127.0.0.1:1500"]).unwrap().lines;
         assert_eq!((lines.tcp, lines.udp.unwrap().remote_port), (None, 1_501));
+    }
+
+    #[test]
+    fn text_protocol_replaces_the_default_line() {
+        let lines = options_of("--gcl 127.0.0.1:1001 --gcl-udp 127.0.0.1:1501").lines;
+        assert_eq!((lines.tcp, lines.udp), (None, None));
+        assert_eq!(lines.gcl, "127.0.0.1:1001".parse().ok());
+        assert_eq!(lines.gcl_udp, "127.0.0.1:1501".parse().ok());
     }
 
     #[test]

@@ -1,0 +1,100 @@
+//! Values that are sent by themselves (GCL, 3.1.7): which, when, and at which change.
+
+use super::celsius;
+use crate::time::Time;
+use crate::updates::Readings;
+use wsg_protocol::gcl::{Autosend, Filter, Selected, Signal, Value};
+
+#[derive(Clone, Copy, Debug)]
+struct Subscription {
+    autosend: Autosend,
+    /// Before which nothing is sent.
+    due: Time,
+    /// What was sent last.
+    last: Option<Readings>,
+}
+
+/// What one connection has subscribed to, by signal.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Autosends([Option<Subscription>; Signal::ALL.len()]);
+
+impl Autosends {
+    /// Takes a request; the first value comes after one interval.
+    pub(super) fn request(&mut self, autosend: Autosend, now: Time) {
+        let interval_ms = autosend.interval_ms.max(Autosend::MIN_INTERVAL_MS);
+        let subscription = (autosend.interval_ms > 0).then_some(Subscription {
+            autosend: Autosend { interval_ms, ..autosend },
+            due: now.plus_millis(interval_ms.into()),
+            last: None,
+        });
+        for (slot, signal) in self.0.iter_mut().zip(Signal::ALL) {
+            if signal == autosend.signal {
+                *slot = subscription;
+            }
+        }
+    }
+
+    /// Ends all of them.
+    pub(super) fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    /// When there may be something to send again, other than because something happens.
+    pub(super) fn next_due(&self, now: Time) -> Option<Time> {
+        self.0.iter().flatten().map(|subscription| subscription.due).filter(|due| *due > now).min()
+    }
+
+    /// Gives what is due to `send`, which says whether it found room; a change that did not is tried again.
+    pub(super) fn publish(
+        &mut self,
+        now: Time,
+        readings: &Readings,
+        mut send: impl FnMut(Value<'static>) -> bool,
+    ) {
+        for subscription in self.0.iter_mut().flatten() {
+            let signal = subscription.autosend.signal;
+            if subscription.due > now || subscription.waits_for_change(readings) {
+                continue;
+            }
+            // The width is not sent as long as the fingers are not referenced, as in the binary protocol.
+            let is_sent = signal != Signal::Pos || readings.referenced;
+            if !is_sent || send(value(signal, readings)) {
+                subscription.last = Some(*readings);
+            }
+            subscription.due = now.plus_millis(subscription.autosend.interval_ms.into());
+        }
+    }
+}
+
+impl Subscription {
+    fn waits_for_change(&self, now: &Readings) -> bool {
+        let Some(last) = &self.last else { return false };
+        let signal = self.autosend.signal;
+        match self.autosend.filter {
+            Filter::None | Filter::Unchanged(false) => false,
+            Filter::Unchanged(true) => value(signal, last) == value(signal, now),
+            Filter::Delta(delta) => (measured(signal, last) - measured(signal, now)).abs() < delta,
+        }
+    }
+}
+
+fn measured(signal: Signal, readings: &Readings) -> f32 {
+    match signal {
+        Signal::Pos => readings.width,
+        Signal::Speed => readings.speed,
+        Signal::Force => readings.force,
+        Signal::Temp => celsius(readings),
+        Signal::Gripstate | Signal::Sysflags => 0.0,
+    }
+}
+
+fn value(signal: Signal, readings: &Readings) -> Value<'static> {
+    match signal {
+        Signal::Pos => Value::Pos(readings.width),
+        Signal::Speed => Value::Speed(readings.speed),
+        Signal::Force => Value::Force(readings.force),
+        Signal::Gripstate => Value::Gripstate(readings.state),
+        Signal::Sysflags => Value::Sysflags(Selected::All(readings.flags)),
+        Signal::Temp => Value::Temp(celsius(readings)),
+    }
+}

@@ -1,0 +1,83 @@
+//! GRIP and RELEASE of the text protocol, where they differ from Grip Part and Release Part (GCL, 2.2.3 and 2.2.4).
+
+use super::{BEYOND_THE_END, EarlyBlock, Grip, Request, Task};
+use crate::axis::Direction;
+use crate::device::Device;
+use wsg_protocol::{CommandId, GripperState, Status};
+
+/// A GRIP with all that it leaves open filled in.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct GripOrder {
+    /// Force in N, summed over both fingers.
+    pub(crate) force: f32,
+    /// Nominal width of the part in mm; `None`: inward until the fingers meet something.
+    pub(crate) width: Option<f32>,
+    /// Speed in mm/s.
+    pub(crate) speed: f32,
+    /// Part width tolerance in mm.
+    pub(crate) tolerance: f32,
+    /// Clamping travel in mm.
+    pub(crate) clamping_travel: f32,
+}
+
+impl Device {
+    /// GRIP (GCL, 2.2.3). A block before the tolerance is an error of its own, and without a width any block is a part,
+    /// that of the end stop too.
+    pub(crate) fn start_grip_by(&mut self, request: Request, order: GripOrder) -> Status {
+        if let Err(refused) = self.may_move() {
+            return refused;
+        }
+        // A part that is held is released first.
+        if self.state == GripperState::Holding {
+            return Status::AlreadyRunning;
+        }
+        let least = self.soft_limits.map_or(0.0, |limits| f64::from(limits.minus).max(0.0));
+        let nominal = order.width.map_or(least, |width| f64::from(width).clamp(0.0, self.stroke()));
+        if let Err(refused) = self.may_go_to(nominal) {
+            return refused;
+        }
+        let clamping_travel = f64::from(order.clamping_travel);
+        let (direction, tolerance, end) = match order.width {
+            Some(_) => {
+                let direction = Direction::of(nominal - self.width());
+                let end = self.clamping_end(direction, nominal, clamping_travel);
+                (direction, order.tolerance.into(), end)
+            }
+            // Into the end stop, so that the drive pushes against it; but not over a soft limit.
+            None if self.soft_limits.is_none() => (Direction::Minus, f64::INFINITY, -BEYOND_THE_END),
+            None => (Direction::Minus, f64::INFINITY, least),
+        };
+        let travel = self.travel(end, order.speed, order.force.into());
+        let grip = Grip {
+            direction,
+            nominal,
+            end,
+            met: false,
+            tolerance,
+            clamping_travel,
+            early_block: EarlyBlock::AxisBlocked,
+        };
+        let status =
+            self.start(request, CommandId::GripPart, Task::Grip(grip), travel, GripperState::Gripping);
+        self.grip_direction = Some(direction);
+        self.statistics.total = self.statistics.total.saturating_add(1);
+        status
+    }
+
+    /// RELEASE (GCL, 2.2.4): by a distance away from the part, and only after a grip.
+    pub(crate) fn start_release_by(&mut self, request: Request, distance: f32, speed: f32) -> Status {
+        if let Err(refused) = self.may_move() {
+            return refused;
+        }
+        let Some(direction) = self.grip_direction else { return Status::NotAvailable };
+        if distance < 0.0 {
+            return Status::RangeError;
+        }
+        let target = (self.width() - direction.sign() * f64::from(distance)).clamp(0.0, self.stroke());
+        if let Err(refused) = self.may_go_to(target) {
+            return refused;
+        }
+        let travel = self.travel(target, speed, self.force_limit.into());
+        self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
+    }
+}

@@ -1,0 +1,424 @@
+//! The text protocol at the virtual gripper, in virtual time: what each line does and what is answered.
+
+mod common;
+
+use common::Rig;
+use wsg_protocol::{Command, GripperState, SystemFlags};
+use wsg_sim::{Config, Finger, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
+
+/// A gripper, a client that speaks GCL, and the time.
+struct Desk {
+    gripper: VirtualGripper,
+    port: PortId,
+    now: Time,
+}
+
+impl Desk {
+    fn new(config: Config) -> Self {
+        let mut gripper = VirtualGripper::new(config);
+        let port = gripper.connect(PortKind::GclTcp).expect("a port is free");
+        Self { gripper, port, now: Time::ZERO }
+    }
+
+    /// Referenced, fingers wide open.
+    fn homed(part: Option<Part>) -> Self {
+        let mut desk = Self::new(Config { part, ..Config::default() });
+        assert_eq!(desk.ask("HOME(1)"), ["ACK HOME"]);
+        assert_eq!(desk.wait(5_000), ["FIN HOME"]);
+        desk
+    }
+
+    /// Sends a line; what is answered at once.
+    fn ask(&mut self, line: &str) -> Vec<String> {
+        self.gripper.receive(self.port, self.now, format!("{line}\n").as_bytes());
+        self.lines()
+    }
+
+    fn lines(&mut self) -> Vec<String> {
+        self.lines_of(self.port)
+    }
+
+    fn lines_of(&mut self, port: PortId) -> Vec<String> {
+        let mut lines = vec![];
+        let mut buffer = [0; MAX_FRAME_LEN];
+        while let Some(line) = self.gripper.transmit(port, &mut buffer) {
+            let text = str::from_utf8(line).expect("a line is ASCII");
+            let text = text.strip_suffix('\n').expect("a line at a time, with LF");
+            assert!(!text.contains(['\n', '\r']), "{text:?}");
+            lines.push(text.to_owned());
+        }
+        lines
+    }
+
+    /// Lets time pass; what is sent meanwhile.
+    fn wait(&mut self, millis: u64) -> Vec<String> {
+        let mut lines = vec![];
+        for _ in 0..millis {
+            self.now = self.now.plus_millis(1);
+            self.gripper.advance(self.now);
+            lines.extend(self.lines());
+        }
+        lines
+    }
+
+    /// Sends a motion and waits for its end; its last line.
+    fn run(&mut self, line: &str) -> String {
+        let mut lines = self.ask(line);
+        lines.extend(self.wait(10_000));
+        assert_eq!(lines.len(), 2, "{line}: {lines:?}");
+        assert!(lines[0].starts_with("ACK "), "{line}: {lines:?}");
+        lines.remove(1)
+    }
+
+    fn one(&mut self, line: &str) -> String {
+        let mut lines = self.ask(line);
+        assert_eq!(lines.len(), 1, "{line}: {lines:?}");
+        lines.remove(0)
+    }
+
+    fn flags(&self) -> SystemFlags {
+        self.gripper.state().flags
+    }
+}
+
+fn part(width: f32) -> Option<Part> {
+    Part::of_width(width)
+}
+
+#[test]
+fn gripper_says_what_it_is() {
+    let mut desk = Desk::new(Config { serial_number: 12_345_678, ..Config::default() });
+    assert_eq!(desk.one("devtype?"), "DEVTYPE=\"WSG 50-110\"");
+    assert_eq!(desk.one("version?"), "VERSION=\"4.0.0\"");
+    assert_eq!(desk.one("sn?"), "SN=12345678");
+    assert_eq!(desk.one("tag?"), "TAG=\"\"");
+    assert!(desk.one("temp?").starts_with("TEMP="));
+    assert_eq!(desk.one("gripstate?"), "GRIPSTATE=0");
+    assert_eq!(desk.one("gripstats?"), "GRIPSTATS=[0,0,0]");
+    let mut small = Desk::new(Config { model: wsg_sim::Model::Wsg32, ..Config::default() });
+    assert_eq!(small.one("DEVTYPE?"), "DEVTYPE=\"WSG 32-068\"");
+}
+
+#[test]
+fn motions_need_a_reference_first() {
+    let mut desk = Desk::new(Config::default());
+    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
+    assert_eq!(desk.one("GRIP()"), "ERR GRIP 3");
+    assert_eq!(desk.one("SYSFLAGS[0]?"), "SYSFLAGS[0]=0");
+    assert_eq!(desk.run("HOME(0)"), "FIN HOME");
+    assert_eq!(desk.one("SYSFLAGS[0]?"), "SYSFLAGS[0]=1");
+    assert_eq!(desk.one("POS?"), "POS=0.0");
+}
+
+#[test]
+fn motion_is_acknowledged_and_finished_while_questions_are_answered() {
+    let mut desk = Desk::homed(None);
+    assert_eq!(desk.ask("MOVE(50,100)"), ["ACK MOVE"]);
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=6");
+    assert_eq!(desk.wait(200), Vec::<String>::new());
+    assert_eq!(desk.one("SPEED?"), "SPEED=-100.0");
+    assert_eq!(desk.one("MOVE(60)"), "ERR MOVE 4");
+    assert_eq!(desk.wait(2_000), ["FIN MOVE"]);
+    assert_eq!(desk.one("POS?"), "POS=50.0");
+}
+
+#[test]
+fn move_onto_a_part_is_blocked() {
+    let mut desk = Desk::homed(part(20.0));
+    assert_eq!(desk.run("MOVE(10)"), "ERR MOVE 29");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=7");
+}
+
+#[test]
+fn grip_of_a_part_holds_it_and_release_opens_by_a_distance() {
+    let mut desk = Desk::homed(part(20.0));
+    assert_eq!(desk.run("GRIP(40,20,100)"), "FIN GRIP");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=4");
+    assert_eq!(desk.one("FORCE?"), "FORCE=40.0");
+    assert_eq!(desk.run("RELEASE(5)"), "FIN RELEASE");
+    let width = desk.gripper.state().width;
+    assert!((width - 24.6).abs() < 0.2, "{width}");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=0");
+    assert_eq!(desk.one("GRIPSTATS?"), "GRIPSTATS=[1,0,0]");
+}
+
+#[test]
+fn release_is_for_after_a_grip_only() {
+    let mut desk = Desk::homed(part(20.0));
+    assert_eq!(desk.one("RELEASE()"), "ERR RELEASE 1");
+    assert_eq!(desk.run("GRIP(40,20)"), "FIN GRIP");
+    assert_eq!(desk.one("GRIP(40,20)"), "ERR GRIP 4");
+    assert_eq!(desk.run("RELEASE()"), "FIN RELEASE");
+    assert_eq!(desk.one("RELEASE()"), "ERR RELEASE 1");
+}
+
+#[test]
+fn release_after_an_outward_grip_goes_inward() {
+    let mut desk = Desk::homed(None);
+    assert_eq!(desk.run("MOVE(20)"), "FIN MOVE");
+    assert_eq!(desk.run("GRIP(40,110)"), "ERR GRIP 18");
+    assert_eq!(desk.run("RELEASE(5)"), "FIN RELEASE");
+    let width = desk.gripper.state().width;
+    assert!((width - 105.0).abs() < 0.5, "{width}");
+}
+
+#[test]
+fn grip_without_a_part_at_its_width_finds_none() {
+    let mut desk = Desk::homed(None);
+    assert_eq!(desk.run("GRIP(40,20)"), "ERR GRIP 18");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=2");
+    assert_eq!(desk.one("GRIPSTATS?"), "GRIPSTATS=[1,1,0]");
+    assert_eq!(desk.run("RELEASE(10)"), "FIN RELEASE");
+}
+
+#[test]
+fn grip_without_a_width_holds_what_it_meets() {
+    let mut desk = Desk::homed(part(35.0));
+    assert_eq!(desk.run("GRIP(30)"), "FIN GRIP");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=4");
+    assert_eq!(desk.one("FORCE?"), "FORCE=30.0");
+}
+
+#[test]
+fn grip_without_a_width_ends_holding_at_the_end_stop() {
+    let mut desk = Desk::homed(None);
+    assert_eq!(desk.run("GRIP()"), "FIN GRIP");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=4");
+    assert_eq!(desk.one("POS?"), "POS=0.0");
+    assert_eq!(desk.wait(1_000), Vec::<String>::new());
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=4");
+}
+
+#[test]
+fn part_outside_the_tolerance_blocks_the_axis() {
+    let mut desk = Desk::homed(part(30.0));
+    assert_eq!(desk.run("GRIP(40,20)"), "ERR GRIP 29");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=7");
+    assert_eq!(desk.run("RELEASE(20)"), "FIN RELEASE");
+    assert_eq!(desk.one("PWT=11"), "PWT=11.0");
+    assert_eq!(desk.run("GRIP(40,20)"), "FIN GRIP");
+}
+
+#[test]
+fn clamping_travel_bounds_what_a_soft_part_may_give_way() {
+    let soft = Part::new(20.0, 5.0);
+    let mut desk = Desk::homed(soft);
+    assert_eq!(desk.one("CLT=1"), "CLT=1.0");
+    assert_eq!(desk.run("GRIP(40,20)"), "ERR GRIP 18");
+    assert_eq!(desk.run("RELEASE(20)"), "FIN RELEASE");
+    assert_eq!(desk.one("CLT=10"), "CLT=10.0");
+    assert_eq!(desk.run("GRIP(40,20)"), "FIN GRIP");
+}
+
+#[test]
+fn tolerance_and_clamping_travel_are_those_of_the_connection() {
+    let mut desk = Desk::homed(None);
+    let other = desk.gripper.connect(PortKind::GclTcp).unwrap();
+    assert_eq!(desk.one("PWT=2.5"), "PWT=2.5");
+    assert_eq!(desk.one("CLT=1.5"), "CLT=1.5");
+    assert_eq!(desk.one("PWT=-1"), "ERR PWT 28");
+    assert_eq!(desk.one("PWT?"), "PWT=2.5");
+    desk.gripper.receive(other, desk.now, b"PWT?\nCLT?\n");
+    assert_eq!(desk.lines_of(other), ["PWT=5.0", "CLT=5.0"]);
+    desk.ask("BYE()");
+    desk.gripper.disconnect(desk.port, desk.now);
+    desk.port = desk.gripper.connect(PortKind::GclTcp).unwrap();
+    assert_eq!(desk.one("PWT?"), "PWT=5.0");
+}
+
+#[test]
+fn force_of_a_grip_leaves_the_force_limit_of_the_binary_protocol() {
+    let mut desk = Desk::homed(part(20.0));
+    let before = desk.gripper.state().force_limit;
+    assert_eq!(desk.run("GRIP(12,20)"), "FIN GRIP");
+    assert_eq!(desk.gripper.state().force, 12.0);
+    assert_eq!(desk.gripper.state().force_limit, before);
+}
+
+#[test]
+fn stop_aborts_the_motion() {
+    let mut desk = Desk::homed(None);
+    desk.ask("MOVE(20)");
+    desk.wait(100);
+    assert_eq!(desk.ask("STOP()"), ["ACK STOP", "ERR MOVE 19"]);
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=0");
+    assert_eq!(desk.one("SYSFLAGS[6]?"), "SYSFLAGS[6]=1");
+}
+
+#[test]
+fn fast_stop_locks_motion_until_fsack() {
+    let mut desk = Desk::homed(None);
+    desk.ask("MOVE(20)");
+    desk.wait(100);
+    assert_eq!(desk.ask("faststop()"), ["ACK FASTSTOP", "ERR MOVE 19"]);
+    for motion in ["MOVE(30)", "GRIP()", "RELEASE()", "HOME()"] {
+        let name = motion.split('(').next().unwrap();
+        assert_eq!(desk.one(motion), format!("ERR {name} 16"));
+    }
+    assert_eq!(desk.one("SYSFLAGS[12]?"), "SYSFLAGS[12]=1");
+    assert_eq!(desk.one("FSACK()"), "ACK FSACK");
+    assert_eq!(desk.run("MOVE(30)"), "FIN MOVE");
+    assert_eq!(desk.one("FSACK()"), "ACK FSACK");
+}
+
+#[test]
+fn bye_refuses_all_that_follows_and_the_end_is_no_error() {
+    let mut desk = Desk::homed(None);
+    desk.ask("AUTOSEND(\"TEMP\",10)");
+    desk.ask("MOVE(20)");
+    desk.wait(100);
+    assert_eq!(desk.ask("BYE()"), ["ACK BYE", "ERR MOVE 19"]);
+    assert_eq!(desk.wait(100), Vec::<String>::new());
+    assert_eq!(desk.one("POS?"), "ERR POS 16");
+    desk.gripper.disconnect(desk.port, desk.now);
+    assert!(!desk.flags().contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn connection_that_ends_without_bye_latches_a_fast_stop() {
+    let mut desk = Desk::homed(None);
+    desk.gripper.disconnect(desk.port, desk.now);
+    assert!(desk.flags().contains(SystemFlags::FAST_STOP));
+    let mut tolerant = Desk::new(Config { disconnect_error: false, ..Config::default() });
+    tolerant.gripper.disconnect(tolerant.port, tolerant.now);
+    assert!(!tolerant.flags().contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn datagrams_have_no_bye_and_end_their_line() {
+    let mut gripper = VirtualGripper::new(Config::default());
+    let port = gripper.connect(PortKind::GclUdp).unwrap();
+    let mut desk = Desk { gripper, port, now: Time::ZERO };
+    desk.gripper.receive(port, desk.now, b"GRIPSTATE?");
+    assert_eq!(desk.lines(), ["GRIPSTATE=0"]);
+    assert_eq!(desk.one("BYE()"), "ERR BYE 1");
+    desk.gripper.disconnect(port, desk.now);
+    assert!(!desk.flags().contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn verbose_mode_adds_a_text_on_this_connection() {
+    let mut desk = Desk::new(Config::default());
+    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
+    assert_eq!(desk.one("VERBOSE=1"), "VERBOSE=1");
+    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3 E_NOT_INITIALIZED");
+    assert_eq!(desk.one("dance()"), "ERR DANCE 14 E_CMD_UNKNOWN");
+    assert_eq!(desk.one("VERBOSE=0"), "VERBOSE=0");
+    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
+}
+
+#[test]
+fn what_is_not_gcl_is_answered_and_what_is_too_long_as_well() {
+    let mut desk = Desk::new(Config::default());
+    assert_eq!(desk.ask("%&!"), ["ERR ? 15"]);
+    assert_eq!(desk.ask(""), Vec::<String>::new());
+    let long = format!("MOVE({})", "0".repeat(400));
+    assert_eq!(desk.ask(&long), ["ERR MOVE 27"]);
+    assert_eq!(desk.one("POS?"), "POS=0.0");
+    let counters = desk.gripper.counters(desk.port).unwrap();
+    assert_eq!((counters.parser.oversize, counters.parser.dropped), (1, 406));
+}
+
+#[test]
+fn several_lines_at_once_are_answered_in_order() {
+    let mut desk = Desk::homed(None);
+    desk.gripper.receive(desk.port, desk.now, b"POS?\r\nSPEED?\rFORCE?\n\nGRIP");
+    assert_eq!(desk.lines(), ["POS=110.0", "SPEED=0.0", "FORCE=0.0"]);
+    assert_eq!(desk.ask("STATE?"), ["GRIPSTATE=0"]);
+}
+
+#[test]
+fn autosend_sends_at_its_interval_and_ends_with_0() {
+    let mut desk = Desk::homed(None);
+    assert_eq!(desk.one("AUTOSEND(\"POS\",50)"), "ACK AUTOSEND");
+    assert_eq!(desk.wait(200), vec!["@POS=110.0"; 4]);
+    assert_eq!(desk.one("AUTOSEND(\"POS\",1)"), "ACK AUTOSEND");
+    assert_eq!(desk.wait(50).len(), 5, "10 ms at least");
+    assert_eq!(desk.one("AUTOSEND(\"POS\",0)"), "ACK AUTOSEND");
+    assert_eq!(desk.wait(200), Vec::<String>::new());
+}
+
+#[test]
+fn autosend_with_a_delta_waits_for_that_change() {
+    let mut desk = Desk::homed(None);
+    desk.ask("AUTOSEND(\"POS\",10,2)");
+    assert_eq!(desk.wait(500), ["@POS=110.0"]);
+    desk.ask("MOVE(90,100)");
+    let lines = desk.wait(1_000);
+    let widths: Vec<f32> = lines.iter().filter_map(|line| line.strip_prefix("@POS=")?.parse().ok()).collect();
+    assert!((7..=10).contains(&widths.len()), "{lines:?}");
+    assert!(widths.windows(2).all(|pair| pair[0] - pair[1] >= 2.0), "{widths:?}");
+}
+
+#[test]
+fn autosend_of_a_state_on_change_is_sent_once_and_then_at_changes() {
+    let mut desk = Desk::homed(part(20.0));
+    desk.ask("AUTOSEND(\"GRIPSTATE\",10,1)");
+    assert_eq!(desk.wait(200), ["@GRIPSTATE=0"]);
+    let mut lines = desk.ask("GRIP(40,20)");
+    lines.extend(desk.wait(3_000));
+    assert_eq!(lines, ["ACK GRIP", "@GRIPSTATE=1", "FIN GRIP", "@GRIPSTATE=4"]);
+}
+
+#[test]
+fn width_is_not_sent_while_not_referenced() {
+    let mut desk = Desk::new(Config::default());
+    desk.ask("AUTOSEND(\"POS\",10)");
+    assert_eq!(desk.wait(100), Vec::<String>::new());
+}
+
+#[test]
+fn fingers_are_asked_one_by_one_and_together() {
+    let mut desk =
+        Desk::new(Config { fingers: [Finger::Fmf, Finger::None], part: part(20.0), ..Config::default() });
+    assert_eq!(desk.one("FTYPE?"), "FTYPE=[\"WSG-FMF\",\"\"]");
+    assert_eq!(desk.one("FTYPE[1]?"), "FTYPE[1]=\"\"");
+    assert_eq!(desk.one("FDATA?"), "FDATA=[0.0,[]]");
+    assert_eq!(desk.one("FDATA[0]?"), "FDATA[0]=0.0");
+    assert_eq!(desk.one("FDATA[1]?"), "ERR FDATA 1");
+    assert_eq!(desk.one("FFLAGS[0]?"), "FFLAGS[0]=[1,1,1,0,0,0,0,0,0,0,0,0,0,0,0,0]");
+    assert!(desk.one("FFLAGS?").starts_with("FFLAGS=[[1,1,1,"));
+    assert_eq!(desk.one("TARE()"), "ACK TARE");
+    assert_eq!(desk.one("TARE(0)"), "ACK TARE");
+    assert_eq!(desk.one("TARE(1)"), "ERR TARE 1");
+    assert_eq!(desk.run("HOME(1)"), "FIN HOME");
+    assert_eq!(desk.run("GRIP(40,20)"), "FIN GRIP");
+    assert_eq!(desk.one("FDATA[0]?"), "FDATA[0]=20.0");
+    assert_eq!(desk.one("TARE(0)"), "ERR TARE 16");
+}
+
+#[test]
+fn binary_and_text_clients_see_the_same_gripper() {
+    let mut rig = Rig::homed(part(20.0));
+    let port = rig.gripper.connect(PortKind::GclTcp).unwrap();
+    let mut buffer = [0; MAX_FRAME_LEN];
+    let mut line = |rig: &mut Rig, text: &str| {
+        rig.gripper.receive(port, rig.now, format!("{text}\n").as_bytes());
+        let line = rig.gripper.transmit(port, &mut buffer).expect("an answer");
+        str::from_utf8(line).unwrap().trim_end().to_owned()
+    };
+    // What the binary client does the text client sees.
+    rig.run(Command::PrePosition {
+        flags: wsg_protocol::PrePositionFlags::empty(),
+        width: 60.0,
+        speed: 100.0,
+    });
+    assert_eq!(line(&mut rig, "POS?"), "POS=60.0");
+    // And the other way round.
+    assert_eq!(line(&mut rig, "GRIP(40,20)"), "ACK GRIP");
+    rig.wait(3_000);
+    let state = rig.gripper.state();
+    assert_eq!((state.gripper, state.force), (GripperState::Holding, 40.0));
+    let frame = rig.ask(Command::GetForce { update: wsg_protocol::AutoUpdate::once() });
+    assert_eq!(frame.f32(), 40.0);
+    assert_eq!(frame.at, rig.now, "no answer to GRIP goes to the binary client");
+}
+
+#[test]
+fn motion_of_a_binary_client_is_answered_to_it_alone() {
+    let mut rig = Rig::homed(None);
+    let port = rig.gripper.connect(PortKind::GclTcp).unwrap();
+    rig.send(Command::GripPart { width: 20.0, speed: 100.0 });
+    rig.wait(3_000);
+    assert!(!rig.gripper.has_frame(port));
+}

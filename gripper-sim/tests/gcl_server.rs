@@ -1,0 +1,144 @@
+//! The text protocol over real sockets, and the binary. Every wait is bounded by a time-out of the socket.
+#![cfg(feature = "std")]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::process::{Command as Process, Stdio};
+use std::time::Duration;
+use wsg_sim::server::{Lines, Log, ServerThread};
+use wsg_sim::{Config, Part};
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(10);
+
+fn any_port() -> Option<SocketAddr> {
+    "127.0.0.1:0".parse().ok()
+}
+
+fn serve(config: Config, log: Option<Log>) -> ServerThread {
+    let lines = Lines { gcl: any_port(), gcl_udp: any_port(), ..Lines::default() };
+    // So that motions take no time to speak of.
+    ServerThread::start(Config { time_scale: 100.0, ..config }, &lines, log).expect("the server is up")
+}
+
+/// A client that takes what one read gives for one line.
+struct Client(TcpStream);
+
+impl Client {
+    fn new(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream.set_nodelay(true).unwrap();
+        Self(stream)
+    }
+
+    fn send(&mut self, line: &str) {
+        self.0.write_all(format!("{line}\n").as_bytes()).unwrap();
+    }
+
+    /// The one line that one read gives.
+    fn recv(&mut self) -> String {
+        let mut buffer = [0; 1_024];
+        let len = self.0.read(&mut buffer).expect("an answer in time");
+        let text = str::from_utf8(&buffer[..len]).unwrap();
+        let line = text.strip_suffix('\n').expect("a read gives a whole line");
+        assert!(!line.contains('\n'), "one read gives one line: {text:?}");
+        line.to_owned()
+    }
+
+    fn ask(&mut self, line: &str) -> String {
+        self.send(line);
+        self.recv()
+    }
+
+    /// The end of a motion, whatever is sent by itself meanwhile.
+    fn run(&mut self, line: &str) -> String {
+        assert!(self.ask(line).starts_with("ACK "), "{line}");
+        self.recv()
+    }
+}
+
+#[test]
+fn ack_and_fin_are_separate_segments() {
+    let served = serve(Config { part: Part::of_width(20.0), ..Config::default() }, None);
+    let mut client = Client::new(served.gcl_address().unwrap());
+    assert_eq!(client.run("home()"), "FIN HOME");
+    assert_eq!(client.run("grip(40, 20)"), "FIN GRIP");
+    assert_eq!(client.ask("gripstate?"), "GRIPSTATE=4");
+    assert_eq!(client.run("release(5)"), "FIN RELEASE");
+    assert_eq!(client.ask("bye()"), "ACK BYE");
+}
+
+#[test]
+fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
+    let served = serve(Config::default(), None);
+    let address = served.gcl_address().unwrap();
+    let mut first = Client::new(address);
+    let mut watcher = Client::new(address);
+    assert_eq!(first.ask("bye()"), "ACK BYE");
+    drop(first);
+    std::thread::sleep(Duration::from_millis(100));
+    assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=0");
+    drop(Client::new(address));
+    for _ in 0..100 {
+        if watcher.ask("sysflags[12]?") == "SYSFLAGS[12]=1" {
+            assert_eq!(watcher.ask("fsack()"), "ACK FSACK");
+            assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=0");
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    panic!("no FAST STOP");
+}
+
+#[test]
+fn datagrams_are_answered_to_the_port_that_asked() {
+    let served = serve(Config::default(), None);
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.set_read_timeout(Some(BOUND)).unwrap();
+    let mut buffer = [0; 1_024];
+    // With the end of the line and without it.
+    for line in ["devtype?\r\n", "devtype?"] {
+        socket.send_to(line.as_bytes(), served.gcl_udp_address().unwrap()).unwrap();
+        let (len, from) = socket.recv_from(&mut buffer).unwrap();
+        assert_eq!(&buffer[..len], b"DEVTYPE=\"WSG 50-110\"\n");
+        assert_eq!(Some(from), served.gcl_udp_address());
+    }
+}
+
+#[test]
+fn log_shows_lines_as_they_are() {
+    let path = std::env::temp_dir().join(format!("wsg-sim-gcl-{}.log", std::process::id()));
+    let served = serve(Config::default(), Some(Log::to_file(&path).unwrap()));
+    let mut client = Client::new(served.gcl_address().unwrap());
+    client.ask("pos?");
+    client.ask("d\u{fc}nn");
+    client.ask("bye()");
+    drop(client);
+    served.stop().unwrap();
+    let log = std::fs::read_to_string(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    for line in ["-> pos?", "<- POS=0.0", "-> d\\xc3\\xbcnn", "<- ERR D 14", "<- ACK BYE"] {
+        assert!(log.contains(line), "{line} in {log}");
+    }
+}
+
+#[test]
+fn program_serves_the_text_protocol_and_says_where() {
+    let mut program = Process::new(env!("CARGO_BIN_EXE_wsg-sim"))
+        .args(["--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0", "--time-scale", "100"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = BufReader::new(program.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert_eq!(said.next().unwrap(), "model wsg50-110");
+    let gcl = said.next().unwrap();
+    let address: SocketAddr = gcl.strip_prefix("gcl ").expect("where GCL is served").parse().unwrap();
+    assert!(said.next().unwrap().starts_with("gcl-udp "));
+    // As the manual's chapter 1.4 types it.
+    let mut client = Client::new(address);
+    assert_eq!(client.run("HOME()\r"), "FIN HOME");
+    assert_eq!(client.ask("BYE()\r"), "ACK BYE");
+    program.kill().unwrap();
+    program.wait().unwrap();
+}

@@ -1,0 +1,195 @@
+//! docs/gcl.md, executed: its grammar, its table, its conversations, the tests that it names.
+
+use crate::grammar::Grammar;
+use crate::hostile::mutated;
+use crate::strategies::{answer, numbers, request, texts};
+use proptest::prelude::*;
+use std::fs;
+use std::path::Path;
+use std::sync::LazyLock;
+use wsg_protocol::gcl::{Answer, CommandName, Mistake, Request};
+
+const DOCUMENT: &str = "docs/gcl.md";
+
+static GRAMMAR: LazyLock<Grammar> = LazyLock::new(|| {
+    let mut grammar = Grammar::default();
+    blocks("grammar").iter().for_each(|block| grammar.add(block));
+    grammar
+});
+
+fn read(path: &str) -> String {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    fs::read_to_string(root.join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// The blocks of code in this language.
+fn blocks(language: &str) -> Vec<String> {
+    let text = read(DOCUMENT);
+    let blocks = text.split("```").skip(1).step_by(2);
+    let ours = blocks.filter_map(|block| block.strip_prefix(language)?.strip_prefix('\n'));
+    ours.map(str::to_owned).collect()
+}
+
+/// Holds a generated part to `wanted`, or writes it.
+fn hold(name: &str, wanted: &str) {
+    let text = read(DOCUMENT);
+    let begin = format!("<!-- generated: {name} -->\n");
+    let from = text.find(&begin).unwrap_or_else(|| panic!("{DOCUMENT} has no {begin}")) + begin.len();
+    let to = from + text[from..].find("<!-- end -->").expect("the part has an end");
+    if std::env::var_os("WSG_UPDATE_DOCS").is_some_and(|value| value == "1") {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+        fs::write(root.join(DOCUMENT), format!("{}{wanted}{}", &text[..from], &text[to..])).unwrap();
+        return;
+    }
+    assert_eq!(&text[from..to], wanted, "{DOCUMENT}: write it anew with WSG_UPDATE_DOCS=1");
+}
+
+fn code(texts: impl IntoIterator<Item = String>) -> String {
+    texts.into_iter().map(|text| format!("`{text}`")).collect::<Vec<_>>().join(", ")
+}
+
+#[test]
+fn generated_parts_are_those_of_the_table_and_of_the_mistakes() {
+    let mut commands = String::from("| request | answer | manual |\n|---|---|---|\n");
+    for name in CommandName::ALL {
+        let with_name = |form: &&str| format!("{name}{form}");
+        let requests = code(name.forms().iter().map(with_name));
+        let answers = match (name.is_acknowledged(), name.is_finished()) {
+            (true, true) => code([format!("ACK {name}"), format!("FIN {name}")]),
+            (true, false) => code([format!("ACK {name}")]),
+            _ => code(name.value_forms().iter().map(with_name)),
+        };
+        commands.push_str(&format!("| {requests} | {answers} | {} |\n", name.section()));
+    }
+    hold("commands", &commands);
+
+    let mut mistakes = String::from("| what is wrong | status code |\n|---|---|\n");
+    for mistake in [
+        Mistake::NoName,
+        Mistake::UnknownName,
+        Mistake::Form,
+        Mistake::TooFew,
+        Mistake::TooMany,
+        Mistake::Range,
+        Mistake::Value,
+        Mistake::Index,
+        Mistake::TooLong,
+    ] {
+        let status = mistake.status();
+        mistakes.push_str(&format!("| {mistake} | {} {status} |\n", status.code()));
+    }
+    hold("mistakes", &mistakes);
+}
+
+#[test]
+fn conversations_are_made_of_requests_and_their_answers() {
+    let blocks = blocks("gcl");
+    assert!(blocks.len() > 4);
+    let mut seen = vec![];
+    for block in &blocks {
+        let mut asked: Vec<&str> = vec![];
+        for line in block.lines() {
+            let (mark, line) = line.split_at(2);
+            if mark == "> " {
+                asked.push(line);
+                continue;
+            }
+            assert_eq!(mark, "< ");
+            let answer = Answer::parse(line.as_bytes()).unwrap_or_else(|mistake| panic!("{line}: {mistake}"));
+            assert_eq!(answer.to_string(), line);
+            assert!(GRAMMAR.derives("answer", line), "{line}");
+            let last = *asked.last().expect("a question before the answer");
+            match Request::parse(last.as_bytes()) {
+                Err(refused) => assert_eq!(refused.answer(false), answer, "{last}"),
+                Ok(request) => {
+                    seen.push(request.name());
+                    let answers = |asked: &&str| {
+                        Request::parse(asked.as_bytes())
+                            .is_ok_and(|request| Some(request.name()) == answer.name().command())
+                    };
+                    let is_update = matches!(answer, Answer::Update(_));
+                    assert!(is_update || asked.iter().any(answers), "{last} {line}");
+                }
+            }
+        }
+    }
+    for name in CommandName::ALL {
+        let unsaid = [CommandName::Clt, CommandName::Speed, CommandName::Force];
+        assert!(seen.contains(name) || unsaid.contains(name), "{DOCUMENT} shows no {name}");
+    }
+}
+
+#[test]
+fn tests_that_the_document_names_exist() {
+    let sources = [
+        "host-tests/tests/gcl/manual.rs",
+        "host-tests/tests/gcl/hostile.rs",
+        "host-tests/tests/gcl/round_trip.rs",
+        "protocol/src/gcl/line_tests.rs",
+        "protocol/src/gcl/number_tests.rs",
+        "protocol/src/gcl/session_tests.rs",
+        "gripper-sim/tests/gcl.rs",
+        "gripper-sim/tests/gcl_server.rs",
+    ]
+    .map(read)
+    .concat();
+    let text = read(DOCUMENT);
+    let decisions = text.split("## Decisions").nth(1).unwrap();
+    let names: Vec<&str> = decisions
+        .lines()
+        .filter(|line| line.starts_with("| ") && line.matches('|').count() == 4)
+        .filter_map(|line| line.trim_end_matches(" |").rsplit("| ").next())
+        .flat_map(|cell| cell.split('`').skip(1).step_by(2))
+        .collect();
+    assert!(names.len() > 30, "{names:?}");
+    for name in names {
+        assert!(sources.contains(&format!("fn {name}(")), "{DOCUMENT} names {name}");
+    }
+}
+
+#[test]
+fn longest_request_is_as_long_as_the_document_says() {
+    assert!(read(DOCUMENT).contains(&format!("at most\n  {} bytes", Request::MAX_LEN)));
+}
+
+/// The line without blanks outside its texts.
+fn without_blanks(line: &str) -> String {
+    let mut inside = false;
+    line.chars()
+        .filter(|c| {
+            inside ^= *c == '"';
+            inside || !matches!(c, ' ' | '\t')
+        })
+        .collect()
+}
+
+proptest! {
+    #[test]
+    fn every_request_is_derived_by_the_grammar(request in request()) {
+        let line = request.to_string();
+        prop_assert!(GRAMMAR.derives("request", &line), "{}", line);
+    }
+
+    #[test]
+    fn every_answer_is_derived_by_the_grammar(texts in texts(), kind in any::<u8>(), numbers in numbers()) {
+        let line = answer(&texts, kind, numbers).to_string();
+        prop_assert!(GRAMMAR.derives("answer", &line), "{}", line);
+    }
+
+    #[test]
+    fn grammar_and_parser_agree_on_what_is_a_request(
+        line in request().prop_flat_map(|request| mutated(request.to_string())),
+    ) {
+        let Ok(text) = String::from_utf8(line) else { return Ok(()) };
+        // A blank inside a word, a text with blanks around it: the grammar does not speak of them.
+        let is_told = !text.contains([' ', '\t']) && text.trim_ascii().len() == text.len();
+        let is_derived = GRAMMAR.derives("request", &without_blanks(&text));
+        match Request::parse(text.as_bytes()) {
+            Ok(_) => prop_assert!(is_derived || !is_told, "understood: {}", text),
+            Err(refused) => {
+                let is_of_value = matches!(refused.mistake, Mistake::Range | Mistake::Value | Mistake::Index);
+                prop_assert!(!is_derived || is_of_value || !is_told, "{}: {}", refused, text);
+            }
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! Lines that are no GCL, and nearly GCL: each is understood exactly, or refused with a reason.
+
+use crate::strategies::{answer, numbers, request, texts};
+use proptest::prelude::*;
+use wsg_protocol::Status;
+use wsg_protocol::gcl::{Answer, Mistake, Named, Refused, Request};
+
+/// The words of a line: numbers by their value, all else by its letters.
+#[derive(Debug, PartialEq)]
+enum Word {
+    Number(f32),
+    Mark(u8),
+}
+
+/// A reading of a line that shares nothing with the parser: nothing of it is left out.
+fn words(line: &[u8]) -> Vec<Word> {
+    let mut words = vec![];
+    let mut rest = line;
+    let mut inside_name = false;
+    while let Some((byte, after)) = rest.split_first() {
+        let is_number = |byte: &u8| byte.is_ascii_digit() || b"+-.eE".contains(byte);
+        let number = rest.iter().position(|byte| !is_number(byte)).unwrap_or(rest.len());
+        let parsed = (1..=number)
+            .rev()
+            .find_map(|len| Some((len, str::from_utf8(&rest[..len]).ok()?.parse::<f32>().ok()?)));
+        match parsed {
+            Some((len, value)) if !inside_name => {
+                words.push(Word::Number(value));
+                rest = &rest[len..];
+            }
+            _ => {
+                if !byte.is_ascii_whitespace() {
+                    words.push(Word::Mark(byte.to_ascii_uppercase()));
+                }
+                inside_name = byte.is_ascii_alphanumeric();
+                rest = after;
+            }
+        }
+    }
+    words
+}
+
+fn understood_exactly_or_refused(line: &[u8]) -> Result<(), TestCaseError> {
+    match Request::parse(line) {
+        Ok(request) => {
+            prop_assert!(request.check().is_ok());
+            let written = request.to_string();
+            prop_assert_eq!(words(line), words(written.as_bytes()), "{}", written);
+            prop_assert_eq!(Request::parse(written.as_bytes()), Ok(request));
+        }
+        Err(refused) => {
+            prop_assert_ne!(refused.mistake.status(), Status::Success);
+            let answer = refused.answer(true);
+            prop_assert!(answer.check().is_ok());
+            let written = answer.to_string();
+            prop_assert_eq!(Answer::parse(written.as_bytes()), Ok(answer), "{}", written);
+        }
+    }
+    if let Ok(answer) = Answer::parse(line) {
+        prop_assert!(answer.check().is_ok());
+        let written = answer.to_string();
+        if let Answer::Err { description: Some(description), .. } = answer
+            && str::from_utf8(description.bytes()).is_err()
+        {
+            return Ok(()); // Written with a `?` in the place of each of the other bytes.
+        }
+        prop_assert_eq!(Answer::parse(written.as_bytes()), Ok(answer), "{}", written);
+    }
+    Ok(())
+}
+
+/// The line with some of its bytes changed, left out, doubled or put in.
+pub(crate) fn mutated(line: String) -> impl Strategy<Value = Vec<u8>> {
+    let byte = prop_oneof![any::<u8>(), proptest::sample::select(b"()[],=?\"@ .-+0123456789eE".to_vec())];
+    proptest::collection::vec((any::<proptest::sample::Index>(), 0..4u8, byte), 0..4).prop_map(
+        move |changes| {
+            let mut line = line.clone().into_bytes();
+            for (at, change, byte) in changes {
+                let at = at.index(line.len() + 1);
+                match (change, line.get(at).copied()) {
+                    (0, Some(_)) => line[at] = byte,
+                    (1, Some(_)) => drop(line.remove(at)),
+                    (2, Some(old)) => line.insert(at, old),
+                    _ => line.insert(at, byte),
+                }
+            }
+            line.retain(|byte| !matches!(byte, b'\n' | b'\r'));
+            line
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+    #[test]
+    fn random_bytes_are_refused_with_a_reason(line in proptest::collection::vec(any::<u8>(), 0..80)) {
+        understood_exactly_or_refused(&line)?;
+    }
+
+    #[test]
+    fn random_words_are_understood_exactly_or_refused(
+        line in "(MOVE|grip|AUTOSEND|SYSFLAGS|PWT|TARE|ERR|ACK|@POS|FDATA| |\\(|\\)|\\[|\\]|,|=|\\?|\"POS\"|-|1|2\\.5|99999999999){0,9}",
+    ) {
+        understood_exactly_or_refused(line.as_bytes())?;
+    }
+
+    #[test]
+    fn mutated_requests_are_understood_exactly_or_refused(
+        line in request().prop_flat_map(|request| mutated(request.to_string())),
+    ) {
+        understood_exactly_or_refused(&line)?;
+    }
+
+    #[test]
+    fn mutated_answers_are_understood_exactly_or_refused(
+        line in (texts(), any::<u8>(), numbers())
+            .prop_flat_map(|(texts, kind, numbers)| mutated(answer(&texts, kind, numbers).to_string())),
+    ) {
+        understood_exactly_or_refused(&line)?;
+    }
+}
+
+#[test]
+fn what_is_not_gcl_is_answered_with_its_name_and_the_right_code() {
+    use Mistake::{Form, Index, NoName, Range, TooFew, TooMany, UnknownName, Value};
+    for (line, mistake, answer) in [
+        ("dance(3)", UnknownName, "ERR DANCE 14"),
+        ("hello", UnknownName, "ERR HELLO 14"),
+        ("a_name_of_more_than_16_letters()", UnknownName, "ERR A_NAME_OF_MORE_T 14"),
+        ("%&!", NoName, "ERR ? 15"),
+        ("42", NoName, "ERR ? 15"),
+        ("(", NoName, "ERR ? 15"),
+        ("stop", Form, "ERR STOP 15"),
+        ("stop(", Form, "ERR STOP 15"),
+        ("stop)", Form, "ERR STOP 15"),
+        ("stop()x", Form, "ERR STOP 15"),
+        ("stop() stop()", Form, "ERR STOP 15"),
+        ("stop(1)", TooMany, "ERR STOP 12"),
+        ("home(1,1)", TooMany, "ERR HOME 12"),
+        ("home(2)", Value, "ERR HOME 24"),
+        ("move()", TooFew, "ERR MOVE 13"),
+        ("move 50", Form, "ERR MOVE 15"),
+        ("move?", Form, "ERR MOVE 15"),
+        ("move=5", Form, "ERR MOVE 15"),
+        ("move(50,)", Form, "ERR MOVE 15"),
+        ("move(,50)", Form, "ERR MOVE 15"),
+        ("move(fast)", Form, "ERR MOVE 15"),
+        ("move(50 100)", Form, "ERR MOVE 15"),
+        ("move(nan)", Form, "ERR MOVE 15"),
+        ("move(1e99)", Range, "ERR MOVE 28"),
+        ("move(1,2,3)", TooMany, "ERR MOVE 12"),
+        ("grip(1,2,3,4)", TooMany, "ERR GRIP 12"),
+        ("pos", Form, "ERR POS 15"),
+        ("pos()", Form, "ERR POS 15"),
+        ("pos=5", Form, "ERR POS 15"),
+        ("pos?5", Form, "ERR POS 15"),
+        ("pos[0]?", Form, "ERR POS 15"),
+        ("verbose?", Form, "ERR VERBOSE 15"),
+        ("verbose=2", Value, "ERR VERBOSE 24"),
+        ("pwt=", Form, "ERR PWT 15"),
+        ("sysflags[32]?", Index, "ERR SYSFLAGS 25"),
+        ("sysflags[99999999999]?", Index, "ERR SYSFLAGS 25"),
+        ("sysflags[]?", Form, "ERR SYSFLAGS 15"),
+        ("sysflags[-1]?", Form, "ERR SYSFLAGS 15"),
+        ("gripstats[3]?", Index, "ERR GRIPSTATS 25"),
+        ("tare(2)", Index, "ERR TARE 25"),
+        ("tare(1000)", Index, "ERR TARE 25"),
+        ("autosend()", TooFew, "ERR AUTOSEND 13"),
+        ("autosend(\"pos\")", TooFew, "ERR AUTOSEND 13"),
+        ("autosend(pos,10)", Form, "ERR AUTOSEND 15"),
+        ("autosend(\"pos,10)", Form, "ERR AUTOSEND 15"),
+        ("autosend(\"tag\",10)", Value, "ERR AUTOSEND 24"),
+        ("autosend(\"pos\",-10)", Form, "ERR AUTOSEND 15"),
+        ("autosend(\"pos\",10.5)", Form, "ERR AUTOSEND 15"),
+        ("autosend(\"pos\",10,-1)", Value, "ERR AUTOSEND 24"),
+        ("autosend(\"sysflags\",10,2)", Value, "ERR AUTOSEND 24"),
+        ("autosend(\"pos\",10,1,1)", TooMany, "ERR AUTOSEND 12"),
+    ] {
+        let refused = Request::parse(line.as_bytes()).expect_err(line);
+        assert_eq!(refused.mistake, mistake, "{line}");
+        assert_eq!(refused.answer(false).to_string(), answer, "{line}");
+    }
+}
+
+#[test]
+fn line_too_long_is_answered_by_the_name_that_it_began_with() {
+    assert_eq!(Refused::too_long(b"  grip(0000").answer(false).to_string(), "ERR GRIP 27");
+    assert_eq!(Refused::too_long(b"((((").answer(false).to_string(), "ERR ? 27");
+}
+
+#[test]
+fn verbose_mode_adds_the_name_of_the_code() {
+    let refused = Request::parse(b"move()").unwrap_err();
+    assert_eq!(refused.answer(true).to_string(), "ERR MOVE 13 E_NOT_ENOUGH_PARAMS");
+    assert_eq!(refused.name, Named::at_start_of(b"MOVE"));
+}
+
+#[test]
+fn what_is_no_answer_is_refused_with_its_reason() {
+    for (line, mistake) in [
+        ("", Mistake::NoName),
+        ("20.0", Mistake::NoName),
+        ("HELLO=1", Mistake::UnknownName),
+        ("ACK", Mistake::Form),
+        ("ACKMOVE", Mistake::UnknownName),
+        ("ACK DANCE", Mistake::UnknownName),
+        ("ACK POS", Mistake::Form),
+        ("FIN STOP", Mistake::Form),
+        ("ACK MOVE now", Mistake::Form),
+        ("ERR 19", Mistake::Form),
+        ("ERR MOVE", Mistake::Form),
+        ("ERR MOVE x", Mistake::Form),
+        ("ERR MOVE 18x", Mistake::Form),
+        ("ERR MOVE 70000", Mistake::Range),
+        ("MOVE(50.0)", Mistake::Form),
+        ("POS?", Mistake::Form),
+        ("POS=", Mistake::Form),
+        ("POS=20.0 mm", Mistake::Form),
+        ("SN=4294967296", Mistake::Range),
+        ("TAG=left", Mistake::Form),
+        ("TAG=\"", Mistake::Form),
+        ("TAG=\"\u{1}\"", Mistake::Text),
+        ("VERSION=\"\u{7f}\"", Mistake::Text),
+        ("SYSFLAGS=[2]", Mistake::Value),
+        ("SYSFLAGS[32]=1", Mistake::Index),
+        ("GRIPSTATS=[1,2]", Mistake::Form),
+        ("GRIPSTATS=[1,65536,0]", Mistake::Range),
+        ("FDATA=[1.0]", Mistake::Form),
+        ("FDATA[0]=[1,[2]", Mistake::Form),
+        ("@SN=5", Mistake::Value),
+    ] {
+        assert_eq!(Answer::parse(line.as_bytes()), Err(mistake), "{line}");
+    }
+}

@@ -1,0 +1,9 @@
+//! The Gripper Control Language (GCL): the manual's lines, every value both ways, and lines that are none.
+
+mod document;
+mod grammar;
+mod hostile;
+mod manual;
+mod round_trip;
+mod split;
+mod strategies;

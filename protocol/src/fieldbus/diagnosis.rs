@@ -1,0 +1,88 @@
+//! The PROFIBUS diagnosis block (fieldbus, 5.2, table 3) as data. Who sends it when is the bus stack's business.
+
+use crate::types::SystemFlags;
+
+/// What a WSG tells a PROFIBUS master about itself: 16 bytes.
+///
+/// ```
+/// use wsg_protocol::SystemFlags;
+/// use wsg_protocol::fieldbus::Diagnosis;
+///
+/// let block = Diagnosis { standard: [0x08, 0x0C, 0x00, 0x02], system: SystemFlags::FAST_STOP };
+/// let bytes = block.to_bytes();
+/// assert_eq!(bytes[..7], [0x08, 0x0C, 0x00, 0x02, 0x55, 0x55, 0x0A]);
+/// assert_eq!(bytes[7..], [0x00, 0x10, 0, 0, 0, 0, 0, 0, 0]);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Diagnosis {
+    /// Bytes 0 to 3: station status 1 to 3 and the master's address, by the PROFIBUS specification; the bus stack's.
+    pub standard: [u8; 4],
+    /// Bytes 7 to 10: the system state as in SYSSTATE (byte 7 holds bits 0 to 7).
+    pub system: SystemFlags,
+}
+
+impl Diagnosis {
+    /// Bytes of the block.
+    pub const LEN: usize = 16;
+
+    /// Bytes 4 and 5: the identification number of the WSG.
+    pub const IDENT: u16 = 0x5555;
+
+    /// Byte 6: how long the device's own part is, this byte included. Table 3 prints the reserved rest as bytes 10 to
+    /// 15; byte 10 belongs to the system state.
+    pub const DEVICE_PART_LEN: u8 = 10;
+
+    /// The flags that have the block sent when one of them goes from 0 to 1.
+    pub const TRIGGERS: SystemFlags = SystemFlags::SOFT_LIMIT_MINUS
+        .union(SystemFlags::SOFT_LIMIT_PLUS)
+        .union(SystemFlags::FAST_STOP)
+        .union(SystemFlags::TEMP_FAULT)
+        .union(SystemFlags::POWER_FAULT)
+        .union(SystemFlags::CURR_FAULT)
+        .union(SystemFlags::FINGER_FAULT)
+        .union(SystemFlags::CMD_FAILURE)
+        .union(SystemFlags::SCRIPT_FAILURE);
+
+    /// Whether the block is due when the system state goes from one to the other.
+    ///
+    /// ```
+    /// use wsg_protocol::SystemFlags;
+    /// use wsg_protocol::fieldbus::Diagnosis;
+    ///
+    /// let (moving, stopped) = (SystemFlags::MOVING, SystemFlags::FAST_STOP);
+    /// assert!(Diagnosis::is_due(moving, stopped));
+    /// assert!(!Diagnosis::is_due(stopped, stopped | moving), "it was sent already");
+    /// assert!(!Diagnosis::is_due(stopped, moving), "the end of a fault is no fault");
+    /// ```
+    #[must_use]
+    pub const fn is_due(before: SystemFlags, after: SystemFlags) -> bool {
+        after.difference(before).intersects(Self::TRIGGERS)
+    }
+
+    /// The bytes of the block.
+    #[must_use]
+    pub const fn to_bytes(self) -> [u8; Self::LEN] {
+        let [s0, s1, s2, s3] = self.standard;
+        let [i1, i0] = Self::IDENT.to_be_bytes();
+        let [y0, y1, y2, y3] = self.system.bits().to_le_bytes();
+        [s0, s1, s2, s3, i1, i0, Self::DEVICE_PART_LEN, y0, y1, y2, y3, 0, 0, 0, 0, 0]
+    }
+}
+
+/// The device's own part reaches from its length byte to the end of the block.
+const _: () = assert!(6 + Diagnosis::DEVICE_PART_LEN as usize == Diagnosis::LEN);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn diagnosis_is_due_for_each_flag_of_the_manuals_list_and_no_other() {
+        let listed = [4, 5, 12, 14, 15, 16, 17, 18, 20];
+        for bit in 0..32 {
+            let flag = SystemFlags::from_bits_retain(1 << bit);
+            assert_eq!(Diagnosis::is_due(SystemFlags::empty(), flag), listed.contains(&bit), "bit {bit}");
+        }
+    }
+}

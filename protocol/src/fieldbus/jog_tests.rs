@@ -1,0 +1,362 @@
+//! JOG (fieldbus, 6.7), the silence of a PLC, and the user flags, with a session's part played by each test.
+
+use super::*;
+
+const MINUS: Command<'static> = jog(0.0, 50.0);
+const PLUS: Command<'static> = jog(110.0, 50.0);
+
+const fn jog(width: f32, speed: f32) -> Command<'static> {
+    Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed }
+}
+
+impl Plc {
+    /// Fingers that open because JOG+ is 1.
+    fn jogging() -> Self {
+        let mut plc = Self::ready();
+        assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
+        assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [PLUS]);
+        plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+        plc
+    }
+
+    /// The gripper's answers when a Stop ends a motion; what the controller sends then.
+    fn stopped(&mut self) -> Vec<Command<'static>> {
+        self.answer(CommandId::PrePosition, Status::CmdAborted);
+        self.answer(CommandId::Stop, Status::Success);
+        self.report_flags(SystemFlags::REFERENCED | SystemFlags::AXIS_STOPPED);
+        self.commands()
+    }
+
+    fn is_fast_stopped(&self) -> bool {
+        self.controller.input(&self.known).system.contains(SystemFlags::FAST_STOP)
+    }
+}
+
+#[test]
+fn jog_moves_to_the_end_of_the_stroke_while_its_flag_is_1_and_stops_when_it_goes() {
+    for (flag, command) in [(CommandFlags::JOG_PLUS, PLUS), (CommandFlags::JOG_MINUS, MINUS)] {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(flag), [FORCE], "the force limit comes first");
+        assert_eq!(plc.shows(), (GripperFlags::RELEASING, Status::CmdPending));
+        assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [command]);
+        assert_eq!(plc.write(|_| {}), [], "the same image again is no second command");
+        assert_eq!(plc.lower(flag), [Command::Stop]);
+        assert_eq!(plc.shows(), (GripperFlags::RELEASING, Status::CmdPending), "until it is confirmed");
+        assert_eq!(plc.stopped(), []);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+        assert_eq!(plc.raise(flag), [FORCE], "and again");
+    }
+}
+
+#[test]
+fn jog_that_reaches_the_end_is_idle_and_waits_for_the_flag_to_go() {
+    let mut plc = Plc::jogging();
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.answer(CommandId::PrePosition, Status::Success), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    assert_eq!(plc.write(|image| image.speed = 60_00), [], "there is nowhere to go");
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
+}
+
+#[test]
+fn jog_that_fails_is_idle_and_shows_why() {
+    let mut plc = Plc::jogging();
+    assert_eq!(plc.answer(CommandId::PrePosition, Status::AxisBlocked), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AxisBlocked));
+    assert_eq!(plc.write(|_| {}), [], "not again by itself");
+
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::JOG_MINUS);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), [], "nothing moves");
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::CmdFormatError));
+}
+
+#[test]
+fn both_jog_flags_stop_and_the_one_that_stays_goes_on() {
+    let mut plc = Plc::jogging();
+    assert_eq!(plc.raise(CommandFlags::JOG_MINUS), [Command::Stop]);
+    assert_eq!(plc.stopped(), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [FORCE]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [MINUS]);
+}
+
+#[test]
+fn jog_flags_that_rise_together_move_nothing() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS | CommandFlags::JOG_MINUS), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn jog_that_turns_round_stops_before_it_goes_the_other_way() {
+    let mut plc = Plc::jogging();
+    let turned = plc.write(|image| image.flags = CommandFlags::JOG_MINUS);
+    assert_eq!(turned, [Command::Stop]);
+    assert_eq!(plc.answer(CommandId::PrePosition, Status::CmdAborted), []);
+    assert_eq!(plc.answer(CommandId::Stop, Status::Success), [], "they still move");
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.commands(), [FORCE]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [MINUS]);
+}
+
+#[test]
+fn speed_and_force_of_a_jog_follow_a_dial() {
+    let mut plc = Plc::jogging();
+    assert_eq!(plc.write(|image| image.speed = 60_00), [Command::Stop], "no FAST STOP");
+    assert_eq!(plc.write(|image| image.speed = 70_00), [], "one Stop is enough");
+    assert_eq!(plc.write(|image| image.force_limit = 30_00), []);
+    assert_eq!(plc.stopped(), [Command::SetForceLimit { force: 30.0 }], "the newest values");
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [jog(110.0, 70.0)]);
+    assert!(!plc.is_fast_stopped());
+}
+
+#[test]
+fn jog_waits_for_both_answers_before_it_goes_on() {
+    for first in [CommandId::Stop, CommandId::PrePosition] {
+        let mut plc = Plc::jogging();
+        plc.report_flags(SystemFlags::REFERENCED);
+        plc.write(|image| image.speed = 60_00);
+        let status = |id| if id == CommandId::Stop { Status::Success } else { Status::CmdAborted };
+        assert_eq!(plc.answer(first, status(first)), []);
+        let second = if first == CommandId::Stop { CommandId::PrePosition } else { CommandId::Stop };
+        assert_eq!(plc.answer(second, status(second)), [FORCE]);
+    }
+}
+
+#[test]
+fn width_that_changes_during_a_jog_is_a_fast_stop() {
+    let mut plc = Plc::jogging();
+    assert_eq!(plc.write(|image| image.width += 1), [Command::FastStop]);
+}
+
+#[test]
+fn jog_at_speed_0_runs_at_the_least_speed() {
+    let mut plc = Plc::ready();
+    plc.write(|image| image.speed = 0);
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [jog(110.0, 5.0)]);
+    let mut plc = Plc::ready();
+    plc.write(|image| image.speed = 0);
+    assert_eq!(plc.raise(CommandFlags::MOVE), [Command::FastStop], "that is for JOG alone");
+}
+
+#[test]
+fn jog_outside_the_limits_is_a_fast_stop_at_its_begin_and_on_its_way() {
+    let changes: [fn(&mut OutputImage); 4] = [
+        |image| image.speed = 4_99,
+        |image| image.speed = 420_01,
+        |image| image.force_limit = 80_01,
+        |image| image.force_limit = 0,
+    ];
+    for change in changes {
+        let mut plc = Plc::ready();
+        plc.write(change);
+        assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [Command::FastStop]);
+        assert_eq!(Plc::jogging().write(change), [Command::FastStop]);
+    }
+}
+
+#[test]
+fn jog_flag_at_power_up_starts_nothing_until_both_were_0() {
+    let jogs = OutputImage { flags: CommandFlags::JOG_PLUS, ..PARAMETERS };
+    let mut plc = Plc::with_first_image(jogs);
+    plc.connect();
+    assert_eq!(plc.write(|_| {}), []);
+    assert_eq!(plc.write(|image| image.flags = CommandFlags::JOG_MINUS), [], "never 0");
+    assert_eq!(plc.lower(CommandFlags::JOG_MINUS), []);
+    assert_eq!(plc.raise(CommandFlags::JOG_MINUS), [FORCE]);
+}
+
+#[test]
+fn jog_that_stop_or_fast_stop_ended_waits_until_its_flag_was_0() {
+    let mut plc = Plc::jogging();
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    assert_eq!(plc.stopped(), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    assert_eq!(plc.lower(CommandFlags::STOP_ACK), [], "JOG+ is still 1");
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
+
+    let mut plc = Plc::jogging();
+    assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+    plc.answer(CommandId::FastStop, Status::Success);
+    plc.answer(CommandId::PrePosition, Status::CmdAborted);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    assert_eq!(plc.lower(CommandFlags::FASTSTOP), []);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    plc.answer(CommandId::Acknowledge, Status::Success);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.lower(CommandFlags::STOP_ACK), [], "JOG+ is still 1");
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn jog_is_refused_without_a_connection_in_fast_stop_and_while_a_part_is_held() {
+    let mut plc = Plc::ready();
+    plc.disconnect();
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.shows(), (GripperFlags::empty(), Status::IoError));
+    plc.connect();
+    assert_eq!(plc.write(|_| {}), [], "and not kept");
+
+    let mut plc = Plc::ready();
+    plc.report_flags(SystemFlags::FAST_STOP);
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.shows().1, Status::AccessDenied);
+
+    let mut plc = Plc::ready();
+    plc.report(GripperState::Holding);
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::AccessDenied));
+}
+
+#[test]
+fn jog_beside_another_motion_does_not_run_now_or_after_it() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::MOVE | CommandFlags::JOG_PLUS), [MOVE], "the lowest bit");
+    assert_eq!(plc.shows().1, Status::CmdPending);
+    plc.answer(CommandId::PrePosition, Status::Success);
+    assert_eq!(plc.write(|_| {}), []);
+
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::AlreadyRunning));
+    plc.answer(CommandId::PrePosition, Status::Success);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    assert_eq!(plc.write(|_| {}), []);
+}
+
+#[test]
+fn motion_during_a_jog_is_refused_and_the_jog_goes_on() {
+    let mut plc = Plc::jogging();
+    assert_eq!(plc.raise(CommandFlags::MOVE), []);
+    assert_eq!(plc.shows(), (GripperFlags::RELEASING, Status::AlreadyRunning));
+    assert_eq!(plc.lower(CommandFlags::MOVE | CommandFlags::JOG_PLUS), [Command::Stop]);
+}
+
+#[test]
+fn jog_flag_that_goes_while_the_force_limit_is_set_moves_nothing() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), []);
+    assert_eq!(plc.answer(CommandId::Stop, Status::Success), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success), "there is no motion to wait for");
+}
+
+#[test]
+fn jog_flag_that_goes_before_its_motion_was_fetched_moves_nothing() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::JOG_PLUS);
+    let success = Reply::status_only(CommandId::SetForceLimit, Status::Success);
+    plc.controller.handle(&Notice::Answered(success), &plc.known);
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop], "and no Pre-position");
+    plc.answer(CommandId::Stop, Status::Success);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn jog_flag_that_goes_while_the_end_is_held_back_ends_all_the_same() {
+    let mut plc = Plc::jogging();
+    plc.answer(CommandId::PrePosition, Status::Success);
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
+    plc.answer(CommandId::Stop, Status::Success);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn connection_that_goes_during_a_jog_leaves_a_fast_stop_for_the_gripper() {
+    let mut plc = Plc::jogging();
+    plc.known = Known::NOTHING;
+    plc.controller.handle(&Notice::Unanswered(CommandId::PrePosition), &plc.known);
+    plc.disconnect();
+    assert!(plc.commands().contains(&Command::FastStop));
+    plc.connect();
+    assert_eq!(plc.write(|_| {}), [], "JOG+ is still 1");
+
+    let mut plc = Plc::jogging();
+    plc.lower(CommandFlags::JOG_PLUS);
+    plc.known = Known::NOTHING;
+    plc.controller.handle(&Notice::Unanswered(CommandId::Stop), &plc.known);
+    assert_eq!(plc.commands(), [Command::FastStop], "the Stop may not have arrived");
+}
+
+#[test]
+fn jog_whose_result_is_lost_but_whose_fingers_stand_needs_no_fast_stop() {
+    let mut plc = Plc::jogging();
+    plc.report_flags(SystemFlags::REFERENCED);
+    plc.controller.handle(&Notice::Unanswered(CommandId::PrePosition), &plc.known);
+    assert_eq!(plc.commands(), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Timeout));
+}
+
+#[test]
+fn stop_of_a_jog_that_the_gripper_or_the_session_refuses_becomes_a_fast_stop() {
+    let mut plc = Plc::jogging();
+    plc.lower(CommandFlags::JOG_PLUS);
+    assert_eq!(plc.answer(CommandId::Stop, Status::CmdFailed), [Command::FastStop]);
+
+    let mut plc = Plc::jogging();
+    plc.lower(CommandFlags::JOG_PLUS);
+    plc.controller.refused(CommandId::Stop, RequestError::NotConnected);
+    assert_eq!(plc.commands(), [Command::FastStop]);
+}
+
+#[test]
+fn jog_that_the_session_refuses_ends() {
+    let mut plc = Plc::jogging();
+    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AlreadyRunning));
+    assert_eq!(plc.write(|_| {}), []);
+}
+
+#[test]
+fn silence_ends_a_jog_whatever_the_reaction() {
+    for reaction in [SilenceReaction::Hold, SilenceReaction::Stop] {
+        let mut plc = Plc::jogging();
+        plc.controller.silence(reaction, &plc.known);
+        assert_eq!(plc.commands(), [Command::Stop], "{reaction:?}");
+        assert_eq!(plc.stopped(), []);
+        assert_eq!(plc.write(|_| {}), [], "JOG+ is still 1 when the PLC is back");
+    }
+}
+
+#[test]
+fn silence_holds_stops_or_fast_stops_a_motion() {
+    for (reaction, commands) in [
+        (SilenceReaction::Hold, vec![]),
+        (SilenceReaction::Stop, vec![Command::Stop]),
+        (SilenceReaction::FastStop, vec![Command::FastStop]),
+    ] {
+        let mut plc = Plc::ready();
+        plc.raise(CommandFlags::MOVE);
+        plc.controller.silence(reaction, &plc.known);
+        assert_eq!(plc.commands(), commands);
+    }
+}
+
+#[test]
+fn silence_does_not_drop_a_part_or_acknowledge_a_fast_stop() {
+    let mut plc = Plc::ready();
+    plc.report(GripperState::Holding);
+    plc.controller.silence(SilenceReaction::Stop, &plc.known);
+    assert_eq!(plc.commands(), []);
+
+    let mut plc = Plc::ready();
+    plc.report_flags(SystemFlags::FAST_STOP | SystemFlags::MOVING);
+    plc.controller.silence(SilenceReaction::Stop, &plc.known);
+    assert_eq!(plc.commands(), []);
+}
+
+#[test]
+fn user_flags_go_both_ways() {
+    let mut plc = Plc::ready();
+    plc.write(|image| image.user = 0b0010_0000);
+    assert_eq!(plc.controller.user_inputs(), 0b0010_0000);
+    plc.controller.set_user_outputs(0b1000_0001);
+    assert_eq!(plc.controller.input(&plc.known).to_bytes()[1], 0b1000_0001);
+}

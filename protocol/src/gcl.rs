@@ -1,0 +1,66 @@
+//! The Gripper Control Language: the text protocol over TCP and UDP, both directions (GCL).
+//!
+//! A request is a line, and so is each answer. A command is acknowledged (`ACK MOVE`); a motion is answered once more when it
+//! is done (`FIN MOVE`) or has failed (`ERR MOVE 29`); a question is answered by a value (`POS=20.0`). What AUTOSEND has
+//! sent by itself begins with an `@`.
+//!
+//! | what | is |
+//! |---|---|
+//! | [`LineReader`] | bytes to lines |
+//! | [`Request`], [`Answer`], [`Value`] | lines to typed values, and back |
+//! | [`Mistake`], [`Refused`] | why a line is not understood, and the answer to it |
+//! | [`CommandName`] | the table of commands: sections, forms, kinds |
+//! | [`session`] | the controller's side of a connection |
+//!
+//! The grammar, and what was decided where the manual is silent, stand in `docs/gcl.md`.
+//!
+//! ```
+//! use wsg_protocol::gcl::{Answer, LineEvent, LineReader, Move, Request, Value};
+//!
+//! // The controller asks.
+//! let mut buffer = [0; Request::MAX_LEN + 1];
+//! let length = Request::Move(Move { width: 50.0, speed: None }).write_line_into(&mut buffer).unwrap();
+//! assert_eq!(&buffer[..length], b"MOVE(50.0)\n");
+//!
+//! // The gripper answers.
+//! let mut reader = LineReader::<64>::new();
+//! let mut answers = 0;
+//! for byte in *b"ACK MOVE\n@POS=31.25\nFIN MOVE\n" {
+//!     if let Some(LineEvent::Line(line)) = reader.push(byte) {
+//!         answers += 1;
+//!         if let Ok(Answer::Update(Value::Pos(width))) = Answer::parse(line) {
+//!             assert_eq!(width, 31.25);
+//!         }
+//!     }
+//! }
+//! assert_eq!(answers, 3);
+//! ```
+
+mod answer;
+mod form;
+mod line;
+mod mistake;
+mod name;
+mod number;
+mod parameters;
+mod request;
+mod scanner;
+pub mod session;
+mod signal;
+mod table;
+mod text;
+mod value;
+mod writer;
+
+pub use answer::Answer;
+pub use line::{LineCounters, LineEvent, LineReader, MAX_LINE_LEN};
+pub use mistake::{Mistake, Refused};
+pub use name::{CommandName, Named, OtherName};
+pub use parameters::{Autosend, Filter, Grip, Move, Release, Select, Setting, Tare};
+pub use request::Request;
+pub use signal::Signal;
+pub use text::{Description, Text};
+pub use value::{FingerReading, Selected, Value, Vector};
+pub use writer::LineError;
+
+use writer::write_line;

@@ -1,0 +1,243 @@
+//! How values stand in a line (GCL, appendix E), and how a command's forms are put together of them.
+
+use super::Mistake;
+use super::number::{finite, read_float, read_integer, write_float, write_integer};
+use super::scanner::Scanner;
+use crate::types::{GripperState, GrippingStatistics};
+use core::fmt::{Result as Written, Write};
+
+/// What stands after the name of a command: parameters, a question mark, a value.
+pub(super) trait Form<'a>: Sized {
+    /// Its forms, in the manual's notation.
+    const FORMS: &'static [&'static str];
+
+    /// Takes it from the line.
+    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake>;
+
+    /// Writes it.
+    fn write(&self, to: &mut impl Write) -> Written;
+
+    /// Whether what is written is read back as the same.
+    fn check(&self) -> Result<(), Mistake> {
+        Ok(())
+    }
+}
+
+/// `()`: no parameters.
+pub(super) struct Call;
+
+impl Form<'_> for Call {
+    const FORMS: &'static [&'static str] = &["()"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        Parameters::open(input)?.close()?;
+        Ok(Self)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_str("()")
+    }
+}
+
+/// `?`: a question.
+pub(super) struct Ask;
+
+impl Form<'_> for Ask {
+    const FORMS: &'static [&'static str] = &["?"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        input.expect(b'?')?;
+        Ok(Self)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_char('?')
+    }
+}
+
+/// One value.
+pub(super) trait Word<'a>: Sized {
+    /// After an equals sign, in the manual's notation.
+    const ASSIGNED: &'static str;
+    /// The same, as one element of a vector.
+    const INDEXED: &'static str;
+
+    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake>;
+
+    fn write(&self, to: &mut impl Write) -> Written;
+
+    fn check(&self) -> Result<(), Mistake> {
+        Ok(())
+    }
+}
+
+/// How a word stands in the manual's notation.
+macro_rules! notation {
+    ($text:literal) => {
+        const ASSIGNED: &'static str = concat!("=", $text);
+        const INDEXED: &'static str = concat!("[<integer>]=", $text);
+    };
+}
+pub(super) use notation;
+
+/// A word after an equals sign is a form.
+macro_rules! assigned {
+    ($($type:ty),*) => {
+        $(impl<'a> $crate::gcl::form::Form<'a> for $type {
+            const FORMS: &'static [&'static str] = &[<Self as $crate::gcl::form::Word<'a>>::ASSIGNED];
+
+            fn read(input: &mut $crate::gcl::scanner::Scanner<'a>) -> Result<Self, $crate::gcl::Mistake> {
+                input.expect(b'=')?;
+                $crate::gcl::form::Word::read(input)
+            }
+
+            fn write(&self, to: &mut impl core::fmt::Write) -> core::fmt::Result {
+                to.write_char('=')?;
+                $crate::gcl::form::Word::write(self, to)
+            }
+
+            fn check(&self) -> Result<(), $crate::gcl::Mistake> {
+                $crate::gcl::form::Word::check(self)
+            }
+        })*
+    };
+}
+pub(super) use assigned;
+
+assigned!(f32, bool, u32, GripperState);
+
+impl Word<'_> for f32 {
+    notation!("<float>");
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        read_float(input)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        write_float(*self, to)
+    }
+
+    fn check(&self) -> Result<(), Mistake> {
+        finite(*self).map(|_| ())
+    }
+}
+
+impl Word<'_> for u32 {
+    notation!("<integer>");
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        read_integer(input)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        write_integer(*self, to)
+    }
+}
+
+impl Word<'_> for bool {
+    notation!("<bool>");
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        match read_integer(input)? {
+            0 => Ok(false),
+            1 => Ok(true),
+            _ => Err(Mistake::Value),
+        }
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_char(if *self { '1' } else { '0' })
+    }
+}
+
+impl Word<'_> for GripperState {
+    notation!("<integer>");
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let code = u8::try_from(read_integer(input)?).map_err(|_| Mistake::Value)?;
+        Self::from_code(code).ok_or(Mistake::Value)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        write_integer(self.code().into(), to)
+    }
+}
+
+/// `[total, no part, part lost]`.
+impl Word<'_> for GrippingStatistics {
+    notation!("[<integer>,<integer>,<integer>]");
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let short = |count| u16::try_from(count).map_err(|_| Mistake::Range);
+        input.expect(b'[')?;
+        let total = read_integer(input)?;
+        input.expect(b',')?;
+        let no_part = short(read_integer(input)?)?;
+        input.expect(b',')?;
+        let part_lost = short(read_integer(input)?)?;
+        input.expect(b']')?;
+        Ok(Self { total, no_part, part_lost })
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_char('[')?;
+        write_integer(self.total, to)?;
+        to.write_char(',')?;
+        write_integer(self.no_part.into(), to)?;
+        to.write_char(',')?;
+        write_integer(self.part_lost.into(), to)?;
+        to.write_char(']')
+    }
+}
+
+/// The parameters between parentheses, one after the other.
+pub(super) struct Parameters<'s, 'a> {
+    input: &'s mut Scanner<'a>,
+    taken: bool,
+}
+
+impl<'s, 'a> Parameters<'s, 'a> {
+    pub(super) fn open(input: &'s mut Scanner<'a>) -> Result<Self, Mistake> {
+        input.expect(b'(')?;
+        Ok(Self { input, taken: false })
+    }
+
+    /// The next parameter, if there is one.
+    pub(super) fn optional<T: Word<'a>>(&mut self) -> Result<Option<T>, Mistake> {
+        if self.input.peek() == Some(b')') {
+            return Ok(None);
+        }
+        if self.taken {
+            self.input.expect(b',')?;
+        }
+        self.taken = true;
+        T::read(self.input).map(Some)
+    }
+
+    /// The next parameter.
+    pub(super) fn required<T: Word<'a>>(&mut self) -> Result<T, Mistake> {
+        self.optional()?.ok_or(Mistake::TooFew)
+    }
+
+    pub(super) fn close(self) -> Result<(), Mistake> {
+        match self.input.peek() {
+            Some(b')') => self.input.expect(b')'),
+            // Only where a parameter could begin is what stands here one.
+            Some(b',') if self.taken => Err(Mistake::TooMany),
+            Some(_) if !self.taken => Err(Mistake::TooMany),
+            _ => Err(Mistake::Form),
+        }
+    }
+}
+
+/// Writes parameters between parentheses, up to the first that is not given.
+pub(super) fn write_parameters(parameters: &[Option<f32>], to: &mut impl Write) -> Written {
+    to.write_char('(')?;
+    let mut separator = "";
+    for value in parameters.iter().map_while(|parameter| *parameter) {
+        to.write_str(separator)?;
+        write_float(value, to)?;
+        separator = ",";
+    }
+    to.write_char(')')
+}

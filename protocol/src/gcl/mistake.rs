@@ -1,0 +1,110 @@
+//! Why a line is not understood, and what a gripper answers to it.
+
+use super::{Answer, Description, Named};
+use crate::types::Status;
+
+/// What is wrong with a line, or with a request that is to be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Mistake {
+    /// It does not begin with a name.
+    NoName,
+    /// The manual lists no command of this name.
+    UnknownName,
+    /// What follows the name is none of the forms that the command has.
+    Form,
+    /// Too few parameters.
+    TooFew,
+    /// More parameters than the command takes.
+    TooMany,
+    /// A number is too large for what it stands for, or not finite.
+    Range,
+    /// A value that the manual does not list.
+    Value,
+    /// An index past the end.
+    Index,
+    /// A text holds a control character, one that is not ASCII, or too many of them.
+    Text,
+    /// The line is longer than the reader holds.
+    TooLong,
+}
+
+impl Mistake {
+    /// The status code that a gripper answers with (GCL, appendix A).
+    ///
+    /// The manual names the codes and not the cases; E_NO_PARAM_EXPECTED stands for every parameter too many.
+    #[must_use]
+    pub const fn status(self) -> Status {
+        match self {
+            Self::NoName | Self::Form | Self::Text => Status::CmdFormatError,
+            Self::UnknownName => Status::CmdUnknown,
+            Self::TooFew => Status::NotEnoughParams,
+            Self::TooMany => Status::NoParamExpected,
+            Self::Range => Status::RangeError,
+            Self::Value => Status::InvalidParameter,
+            Self::Index => Status::IndexOutOfBounds,
+            Self::TooLong => Status::Overrun,
+        }
+    }
+}
+
+impl core::fmt::Display for Mistake {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::NoName => "no name at the start",
+            Self::UnknownName => "unknown name",
+            Self::Form => "not a form that this command has",
+            Self::TooFew => "too few parameters",
+            Self::TooMany => "too many parameters",
+            Self::Range => "number too large or not finite",
+            Self::Value => "undefined value",
+            Self::Index => "index past the end",
+            Self::Text => "control or non-ASCII character in a text, or text too long",
+            Self::TooLong => "line too long",
+        })
+    }
+}
+
+impl core::error::Error for Mistake {}
+
+/// A line that is no request, and what to call it in the answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Refused<'a> {
+    /// The name at the start of the line.
+    pub name: Named<'a>,
+    /// What is wrong.
+    pub mistake: Mistake,
+}
+
+impl<'a> Refused<'a> {
+    /// A line that is longer than the reader holds, from how it began.
+    ///
+    /// ```
+    /// use wsg_protocol::gcl::Refused;
+    ///
+    /// let refused = Refused::too_long(b"move(0.000000000000000000000000000000000");
+    /// assert_eq!(refused.answer(false).to_string(), "ERR MOVE 27");
+    /// ```
+    #[must_use]
+    pub fn too_long(start: &'a [u8]) -> Self {
+        Self { name: Named::at_start_of(start), mistake: Mistake::TooLong }
+    }
+
+    /// The gripper's answer to it (GCL, 1.3), with a text in verbose mode.
+    #[must_use]
+    pub const fn answer(&self, verbose: bool) -> Answer<'a> {
+        let status = self.mistake.status();
+        let description = if verbose { Some(Description::of(status)) } else { None };
+        Answer::Err { name: self.name, status, description }
+    }
+}
+
+impl core::fmt::Display for Refused<'_> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{}: {}", self.name, self.mistake)
+    }
+}
+
+impl core::error::Error for Refused<'_> {}

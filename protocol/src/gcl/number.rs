@@ -1,0 +1,92 @@
+//! Numbers as text, both ways.
+//!
+//! Read by `core`: every decimal number becomes the nearest `f32`. Written by `zmij`: the fewest digits that are read
+//! back as the same `f32`, so what one side means the other side gets. Where `zmij` would write an exponent, it is
+//! spelled out in zeros: the manual shows none, and a PLC that reads digits and a point is not to stumble over one. `zmij` beside
+//! `core::fmt`: a third of the flash, and no path to a panic. An exponent is understood when it comes.
+
+use super::Mistake;
+use super::scanner::Scanner;
+use core::fmt::{Result as Written, Write};
+
+/// The longest number that is written: `-0.`, 37 zeros and 9 digits, or a little less.
+pub(super) const MAX_FLOAT_LEN: usize = 52;
+
+pub(super) fn read_float(input: &mut Scanner<'_>) -> Result<f32, Mistake> {
+    // Without its other letters, so that `core` knows neither `inf` nor `nan`.
+    let word = input.word(|byte| matches!(byte, b'0'..=b'9' | b'+' | b'-' | b'.' | b'e' | b'E'));
+    let text = core::str::from_utf8(word).map_err(|_| Mistake::Form)?;
+    finite(text.parse().map_err(|_| Mistake::Form)?)
+}
+
+/// Refuses what is infinite or not a number.
+pub(super) const fn finite(value: f32) -> Result<f32, Mistake> {
+    if value.is_finite() { Ok(value) } else { Err(Mistake::Range) }
+}
+
+pub(super) fn read_integer(input: &mut Scanner<'_>) -> Result<u32, Mistake> {
+    let word = input.word(|byte| byte.is_ascii_digit());
+    if word.is_empty() {
+        return Err(Mistake::Form);
+    }
+    word.iter().try_fold(0u32, |value, digit| {
+        let digit = u32::from(digit.wrapping_sub(b'0'));
+        value.checked_mul(10).and_then(|tens| tens.checked_add(digit)).ok_or(Mistake::Range)
+    })
+}
+
+pub(super) fn write_float(value: f32, to: &mut impl Write) -> Written {
+    let mut buffer = zmij::Buffer::new();
+    let text = buffer.format(value);
+    match text.split_once('e') {
+        None => to.write_str(text),
+        Some((digits, exponent)) => write_without_exponent(digits, exponent.parse().unwrap_or(0), to),
+    }
+}
+
+/// Writes `digits` times ten to the power of `exponent`, in digits.
+fn write_without_exponent(digits: &str, exponent: i8, to: &mut impl Write) -> Written {
+    let digits = match digits.strip_prefix('-') {
+        Some(digits) => {
+            to.write_char('-')?;
+            digits
+        }
+        None => digits,
+    };
+    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let shift = usize::from(exponent.unsigned_abs());
+    if exponent < 0 {
+        // The point moves left: `whole` is one digit.
+        to.write_str("0.")?;
+        write_zeros(shift.saturating_sub(1), to)?;
+        to.write_str(whole)?;
+        to.write_str(fraction)
+    } else {
+        // An exponent is written from 10^13 on, and there are at most 9 digits: the point moves past them all.
+        to.write_str(whole)?;
+        to.write_str(fraction)?;
+        write_zeros(shift.saturating_sub(fraction.len()), to)?;
+        to.write_str(".0")
+    }
+}
+
+fn write_zeros(count: usize, to: &mut impl Write) -> Written {
+    (0..count).try_for_each(|_| to.write_char('0'))
+}
+
+pub(super) fn write_integer(value: u32, to: &mut impl Write) -> Written {
+    let mut unit = 1_000_000_000u32;
+    while unit > value && unit > 1 {
+        unit /= 10;
+    }
+    while unit > 0 {
+        let digit = value.checked_div(unit).unwrap_or(0) % 10;
+        to.write_char(char::from_digit(digit, 10).unwrap_or('0'))?;
+        unit /= 10;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+#[path = "number_tests.rs"]
+mod tests;

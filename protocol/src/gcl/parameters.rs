@@ -1,0 +1,443 @@
+//! The parameters of requests.
+
+use super::form::{Form, Parameters, Word, write_parameters};
+use super::number::{finite, read_integer, write_float, write_integer};
+use super::scanner::Scanner;
+use super::{Mistake, Signal};
+use crate::types::HomingDirection;
+use core::fmt::{Result as Written, Write};
+
+/// Checks numbers that may be missing.
+fn check_all(parameters: &[Option<f32>]) -> Result<(), Mistake> {
+    parameters.iter().flatten().try_for_each(|value| finite(*value).map(|_| ()))
+}
+
+/// `1`: positive, outward. `0`: negative, inward. None: as the gripper is configured (GCL, 2.2.1).
+impl Form<'_> for HomingDirection {
+    const FORMS: &'static [&'static str] = &["()", "(<bool>)"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let mut parameters = Parameters::open(input)?;
+        let outward = parameters.optional()?;
+        parameters.close()?;
+        Ok(match outward {
+            None => Self::Default,
+            Some(true) => Self::Positive,
+            Some(false) => Self::Negative,
+        })
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_str(match self {
+            Self::Default => "()",
+            Self::Positive => "(1)",
+            Self::Negative => "(0)",
+        })
+    }
+}
+
+/// The parameters of MOVE (GCL, 2.2.2).
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Move {
+    /// Opening width to go to, in mm.
+    pub width: f32,
+    /// Speed in mm/s; `None`: as the gripper is configured.
+    pub speed: Option<f32>,
+}
+
+impl Form<'_> for Move {
+    const FORMS: &'static [&'static str] = &["(<float>)", "(<float>, <float>)"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let mut parameters = Parameters::open(input)?;
+        let width = parameters.required()?;
+        let speed = parameters.optional()?;
+        parameters.close()?;
+        Ok(Self { width, speed })
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        write_parameters(&[Some(self.width), self.speed], to)
+    }
+
+    fn check(&self) -> Result<(), Mistake> {
+        check_all(&[Some(self.width), self.speed])
+    }
+}
+
+/// The parameters of GRIP: the manual's four cases (GCL, 2.2.3).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Grip {
+    /// Inward until the fingers meet something, with the force and speed that the gripper is configured for. The end
+    /// stop counts as a part.
+    #[default]
+    Preset,
+    /// The same with this force.
+    Force {
+        /// Force in N.
+        force: f32,
+    },
+    /// Towards a part of this width, inward or outward.
+    Part {
+        /// Force in N.
+        force: f32,
+        /// Nominal width of the part in mm.
+        width: f32,
+    },
+    /// The same at this speed.
+    PartAtSpeed {
+        /// Force in N.
+        force: f32,
+        /// Nominal width of the part in mm.
+        width: f32,
+        /// Speed in mm/s.
+        speed: f32,
+    },
+}
+
+impl Grip {
+    const fn list(&self) -> [Option<f32>; 3] {
+        match *self {
+            Self::Preset => [None; 3],
+            Self::Force { force } => [Some(force), None, None],
+            Self::Part { force, width } => [Some(force), Some(width), None],
+            Self::PartAtSpeed { force, width, speed } => [Some(force), Some(width), Some(speed)],
+        }
+    }
+}
+
+impl Form<'_> for Grip {
+    const FORMS: &'static [&'static str] =
+        &["()", "(<float>)", "(<float>, <float>)", "(<float>, <float>, <float>)"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let mut parameters = Parameters::open(input)?;
+        let list = (parameters.optional()?, parameters.optional()?, parameters.optional()?);
+        parameters.close()?;
+        Ok(match list {
+            (Some(force), Some(width), Some(speed)) => Self::PartAtSpeed { force, width, speed },
+            (Some(force), Some(width), None) => Self::Part { force, width },
+            (Some(force), None, _) => Self::Force { force },
+            (None, ..) => Self::Preset,
+        })
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        write_parameters(&self.list(), to)
+    }
+
+    fn check(&self) -> Result<(), Mistake> {
+        check_all(&self.list())
+    }
+}
+
+/// The parameters of RELEASE (GCL, 2.2.4).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Release {
+    /// Opens as far and as fast as the gripper is configured for.
+    #[default]
+    Preset,
+    /// Opens this far, as fast as it can.
+    By {
+        /// Distance from the current width, in mm.
+        distance: f32,
+    },
+    /// Opens this far at this speed.
+    ByAtSpeed {
+        /// Distance from the current width, in mm.
+        distance: f32,
+        /// Speed in mm/s.
+        speed: f32,
+    },
+}
+
+impl Release {
+    const fn list(&self) -> [Option<f32>; 2] {
+        match *self {
+            Self::Preset => [None; 2],
+            Self::By { distance } => [Some(distance), None],
+            Self::ByAtSpeed { distance, speed } => [Some(distance), Some(speed)],
+        }
+    }
+}
+
+impl Form<'_> for Release {
+    const FORMS: &'static [&'static str] = &["()", "(<float>)", "(<float>, <float>)"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let mut parameters = Parameters::open(input)?;
+        let list = (parameters.optional()?, parameters.optional()?);
+        parameters.close()?;
+        Ok(match list {
+            (Some(distance), Some(speed)) => Self::ByAtSpeed { distance, speed },
+            (Some(distance), None) => Self::By { distance },
+            (None, _) => Self::Preset,
+        })
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        write_parameters(&self.list(), to)
+    }
+
+    fn check(&self) -> Result<(), Mistake> {
+        check_all(&self.list())
+    }
+}
+
+/// Asks for a setting, or sets it: PWT and CLT (GCL, 2.2.5 and 2.2.6).
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Setting {
+    /// What is it?
+    Ask,
+    /// It is this from now on, in mm, until the connection ends.
+    Set(f32),
+}
+
+impl Form<'_> for Setting {
+    const FORMS: &'static [&'static str] = &["?", "=<float>"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        if input.take(b'?') { Ok(Self::Ask) } else { Form::read(input).map(Self::Set) }
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        match self {
+            Self::Ask => to.write_char('?'),
+            Self::Set(value) => Form::write(value, to),
+        }
+    }
+
+    fn check(&self) -> Result<(), Mistake> {
+        match self {
+            Self::Ask => Ok(()),
+            Self::Set(value) => Form::check(value),
+        }
+    }
+}
+
+/// Asks for all `LEN` elements of a vector, or for one of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Select<const LEN: u8> {
+    /// All of them.
+    #[default]
+    All,
+    /// The one with this index, counted from 0.
+    One(u8),
+}
+
+/// An index and the bracket after it.
+pub(super) fn read_index<const LEN: u8>(input: &mut Scanner<'_>) -> Result<u8, Mistake> {
+    let index = match read_integer(input) {
+        Err(Mistake::Range) => return Err(Mistake::Index),
+        other => other?,
+    };
+    input.expect(b']')?;
+    u8::try_from(index).ok().filter(|index| *index < LEN).ok_or(Mistake::Index)
+}
+
+pub(super) fn write_index(index: u8, to: &mut impl Write) -> Written {
+    to.write_char('[')?;
+    write_integer(index.into(), to)?;
+    to.write_char(']')
+}
+
+pub(super) const fn check_index<const LEN: u8>(index: u8) -> Result<(), Mistake> {
+    if index < LEN { Ok(()) } else { Err(Mistake::Index) }
+}
+
+impl<const LEN: u8> Form<'_> for Select<LEN> {
+    const FORMS: &'static [&'static str] = &["?", "[<integer>]?"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let selection = if input.take(b'[') { Self::One(read_index::<LEN>(input)?) } else { Self::All };
+        input.expect(b'?')?;
+        Ok(selection)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        if let Self::One(index) = self {
+            write_index(*index, to)?;
+        }
+        to.write_char('?')
+    }
+
+    fn check(&self) -> Result<(), Mistake> {
+        match self {
+            Self::All => Ok(()),
+            Self::One(index) => check_index::<LEN>(*index),
+        }
+    }
+}
+
+/// Which force measurement finger TARE zeroes (GCL, 3.3.1).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Tare {
+    /// All that are connected.
+    #[default]
+    All,
+    /// The one with this index, 0 or 1.
+    Finger(u8),
+}
+
+/// Fingers of a gripper.
+pub(super) const FINGERS: u8 = 2;
+
+impl Form<'_> for Tare {
+    const FORMS: &'static [&'static str] = &["()", "(<integer>)"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let mut parameters = Parameters::open(input)?;
+        let finger = parameters.optional::<u32>()?;
+        parameters.close()?;
+        match finger {
+            None => Ok(Self::All),
+            Some(index) => {
+                let index = u8::try_from(index).map_err(|_| Mistake::Index)?;
+                check_index::<FINGERS>(index)?;
+                Ok(Self::Finger(index))
+            }
+        }
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_char('(')?;
+        if let Self::Finger(index) = self {
+            write_integer((*index).into(), to)?;
+        }
+        to.write_char(')')
+    }
+
+    fn check(&self) -> Result<(), Mistake> {
+        match self {
+            Self::All => Ok(()),
+            Self::Finger(index) => check_index::<FINGERS>(*index),
+        }
+    }
+}
+
+/// The parameters of AUTOSEND: which value is sent by itself, and when (GCL, 3.1.7).
+///
+/// ```
+/// use wsg_protocol::gcl::{Autosend, Request, Signal};
+///
+/// let every = Request::Autosend(Autosend::every(Signal::Pos, 10));
+/// assert_eq!(every.to_string(), "AUTOSEND(\"POS\",10)");
+/// let by_two = Request::Autosend(Autosend::by(Signal::Pos, 10, 2.0));
+/// assert_eq!(by_two.to_string(), "AUTOSEND(\"POS\",10,2.0)");
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Autosend {
+    /// The value.
+    pub signal: Signal,
+    /// The least time between two of its updates in ms, at least [`MIN_INTERVAL_MS`](Self::MIN_INTERVAL_MS); 0 ends
+    /// them.
+    pub interval_ms: u32,
+    /// Which updates are left out.
+    pub filter: Filter,
+}
+
+/// Which updates are left out (GCL, 3.1.7).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Filter {
+    /// None is.
+    #[default]
+    None,
+    /// Of a measured value ([`Signal::is_measured`]): those that differ by less than this from the one sent last. Not
+    /// negative, in the unit of the value.
+    Delta(f32),
+    /// Of a state: if `true`, those that are the same as the one sent last.
+    Unchanged(bool),
+}
+
+impl Autosend {
+    /// The manual's least interval in ms.
+    pub const MIN_INTERVAL_MS: u32 = 10;
+
+    /// An update every `interval_ms` milliseconds.
+    #[must_use]
+    pub const fn every(signal: Signal, interval_ms: u32) -> Self {
+        Self { signal, interval_ms, filter: Filter::None }
+    }
+
+    /// An update of a measured value whenever it has changed by `delta`, at least `interval_ms` milliseconds apart.
+    #[must_use]
+    pub const fn by(signal: Signal, interval_ms: u32, delta: f32) -> Self {
+        Self { signal, interval_ms, filter: Filter::Delta(delta) }
+    }
+
+    /// An update at each change, at least `interval_ms` milliseconds apart. A measured value counts as changed as it
+    /// does in the binary protocol: by 0.01 mm, 0.05 mm/s, 0.05 N; and by 0.1 °C.
+    #[must_use]
+    pub const fn on_change(signal: Signal, interval_ms: u32) -> Self {
+        match signal {
+            Signal::Pos => Self::by(signal, interval_ms, 0.01),
+            Signal::Speed | Signal::Force => Self::by(signal, interval_ms, 0.05),
+            Signal::Temp => Self::by(signal, interval_ms, 0.1),
+            Signal::Gripstate | Signal::Sysflags => {
+                Self { signal, interval_ms, filter: Filter::Unchanged(true) }
+            }
+        }
+    }
+
+    /// No more updates.
+    #[must_use]
+    pub const fn off(signal: Signal) -> Self {
+        Self::every(signal, 0)
+    }
+}
+
+impl Form<'_> for Autosend {
+    const FORMS: &'static [&'static str] =
+        &["(<string>, <integer>)", "(<string>, <integer>, <float>)", "(<string>, <integer>, <bool>)"];
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let mut parameters = Parameters::open(input)?;
+        let signal: Signal = parameters.required()?;
+        let interval_ms = parameters.required()?;
+        let filter = if signal.is_measured() {
+            parameters.optional()?.map(Filter::Delta)
+        } else {
+            parameters.optional()?.map(Filter::Unchanged)
+        };
+        parameters.close()?;
+        let autosend = Self { signal, interval_ms, filter: filter.unwrap_or_default() };
+        autosend.check()?;
+        Ok(autosend)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_char('(')?;
+        Word::write(&self.signal, to)?;
+        to.write_char(',')?;
+        write_integer(self.interval_ms, to)?;
+        match self.filter {
+            Filter::None => {}
+            Filter::Delta(delta) => {
+                to.write_char(',')?;
+                write_float(delta, to)?;
+            }
+            Filter::Unchanged(unchanged) => {
+                to.write_char(',')?;
+                Word::write(&unchanged, to)?;
+            }
+        }
+        to.write_char(')')
+    }
+
+    fn check(&self) -> Result<(), Mistake> {
+        match self.filter {
+            Filter::None => Ok(()),
+            Filter::Delta(delta) if self.signal.is_measured() && finite(delta)? >= 0.0 => Ok(()),
+            Filter::Unchanged(_) if !self.signal.is_measured() => Ok(()),
+            Filter::Delta(_) | Filter::Unchanged(_) => Err(Mistake::Value),
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! What is known of the gripper.
+
+use crate::gcl::{Selected, Value};
+use crate::types::{DeviceType, FirmwareVersion, GripperState, SystemFlags};
+
+/// What the gripper has said of itself; `None`: not yet, or not any more.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Known {
+    /// The product.
+    pub device: Option<DeviceType>,
+    /// Firmware version, where it is one that the binary protocol could say.
+    pub firmware: Option<FirmwareVersion>,
+    /// Serial number.
+    pub serial_number: Option<u32>,
+    /// System state.
+    pub flags: Option<SystemFlags>,
+    /// Gripper state.
+    pub state: Option<GripperState>,
+    /// Opening width in mm.
+    pub width: Option<f32>,
+    /// Finger speed in mm/s.
+    pub speed: Option<f32>,
+    /// Gripping force in N.
+    pub force: Option<f32>,
+    /// Temperature of the device in °C.
+    pub temperature: Option<f32>,
+    /// Part width tolerance of this connection in mm.
+    pub part_width_tolerance: Option<f32>,
+    /// Clamping travel of this connection in mm.
+    pub clamping_travel: Option<f32>,
+}
+
+impl Known {
+    /// Nothing is known.
+    pub const NOTHING: Self = Self {
+        device: None,
+        firmware: None,
+        serial_number: None,
+        flags: None,
+        state: None,
+        width: None,
+        speed: None,
+        force: None,
+        temperature: None,
+        part_width_tolerance: None,
+        clamping_travel: None,
+    };
+
+    /// Whether the gripper reports that the fingers move.
+    #[must_use]
+    pub fn is_moving(&self) -> bool {
+        self.flags.is_some_and(|flags| flags.contains(SystemFlags::MOVING))
+            || self.state.is_some_and(GripperState::is_motion)
+    }
+
+    /// Takes over a value, if it is one that is kept; whether it says if the fingers move.
+    pub(super) fn learn(&mut self, value: &Value<'_>) -> bool {
+        match *value {
+            Value::Sysflags(Selected::All(flags)) => {
+                self.flags = Some(flags);
+                return true;
+            }
+            Value::Gripstate(state) => {
+                self.state = Some(state);
+                return true;
+            }
+            Value::Devtype(text) => self.device = Some(text.device_type()),
+            Value::Version(text) => self.firmware = text.firmware_version(),
+            Value::Sn(number) => self.serial_number = Some(number),
+            Value::Pos(width) => self.width = Some(width),
+            Value::Speed(speed) => self.speed = Some(speed),
+            Value::Force(force) => self.force = Some(force),
+            Value::Temp(temperature) => self.temperature = Some(temperature),
+            Value::Pwt(tolerance) => self.part_width_tolerance = Some(tolerance),
+            Value::Clt(travel) => self.clamping_travel = Some(travel),
+            _ => {}
+        }
+        false
+    }
+}

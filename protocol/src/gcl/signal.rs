@@ -1,0 +1,90 @@
+//! The values that a gripper sends by itself (GCL, 3.1.7).
+
+use super::form::{Word, notation};
+use super::scanner::Scanner;
+use super::{CommandName, Mistake, Request, Select, Value};
+use core::fmt::{Result as Written, Write};
+
+/// A value that AUTOSEND has sent again and again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Signal {
+    /// Opening width in mm.
+    Pos,
+    /// Speed of the fingers in mm/s.
+    Speed,
+    /// Gripping force in N.
+    Force,
+    /// Gripper state.
+    Gripstate,
+    /// System state flags.
+    Sysflags,
+    /// Temperature of the device in °C.
+    Temp,
+}
+
+impl Signal {
+    /// Every one, in the manual's order.
+    pub const ALL: [Self; 6] =
+        [Self::Pos, Self::Speed, Self::Force, Self::Gripstate, Self::Sysflags, Self::Temp];
+
+    /// The command that asks for it, whose name it has.
+    #[must_use]
+    pub const fn name(self) -> CommandName {
+        match self {
+            Self::Pos => CommandName::Pos,
+            Self::Speed => CommandName::Speed,
+            Self::Force => CommandName::Force,
+            Self::Gripstate => CommandName::Gripstate,
+            Self::Sysflags => CommandName::Sysflags,
+            Self::Temp => CommandName::Temp,
+        }
+    }
+
+    /// The request that asks for it once.
+    #[must_use]
+    pub const fn query(self) -> Request {
+        match self {
+            Self::Pos => Request::Pos,
+            Self::Speed => Request::Speed,
+            Self::Force => Request::Force,
+            Self::Gripstate => Request::Gripstate,
+            Self::Sysflags => Request::Sysflags(Select::All),
+            Self::Temp => Request::Temp,
+        }
+    }
+
+    /// The one that this command asks for.
+    #[must_use]
+    pub fn of(name: CommandName) -> Option<Self> {
+        Self::ALL.into_iter().find(|signal| signal.name() == name)
+    }
+
+    /// Whether it is a measured value, whose changes have a size, and not a state. The manual speaks of numeric values
+    /// and gives the gripper state as an integer; it is a state here.
+    #[must_use]
+    pub const fn is_measured(self) -> bool {
+        !matches!(self, Self::Gripstate | Self::Sysflags)
+    }
+
+    /// Whether an update may carry this value: whole, and one that can be subscribed to.
+    pub(super) fn is_carried_by(value: &Value<'_>) -> bool {
+        Self::of(value.name()).is_some() && !matches!(value, Value::Sysflags(super::Selected::One(..)))
+    }
+}
+
+impl Word<'_> for Signal {
+    notation!("<string>");
+
+    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+        let text = input.quoted()?.trim_ascii();
+        let named = |signal: &Self| signal.name().text().as_bytes().eq_ignore_ascii_case(text);
+        Self::ALL.into_iter().find(named).ok_or(Mistake::Value)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_char('"')?;
+        to.write_str(self.name().text())?;
+        to.write_char('"')
+    }
+}

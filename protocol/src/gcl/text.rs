@@ -1,0 +1,195 @@
+//! Texts in answers (GCL, 1.3 and appendix E), and what those of a device say.
+
+use super::Mistake;
+use super::form::{Word, assigned, notation};
+use super::number::read_integer;
+use super::scanner::{Scanner, is_blank};
+use crate::types::{DeviceTag, DeviceType, FingerType, FirmwareVersion, Status};
+use core::fmt::{Formatter, Result as Written, Write};
+
+/// A text between quotation marks: printable ASCII characters, no quotation mark among them. The manual knows no way to
+/// write one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Text<'a>(&'a str);
+
+impl<'a> Text<'a> {
+    /// This text.
+    ///
+    /// # Errors
+    /// [`Mistake::Text`]: a character that it may not hold.
+    pub fn new(text: &'a str) -> Result<Self, Mistake> {
+        let is_allowed = |byte: u8| (0x20..0x7F).contains(&byte) && byte != b'"';
+        if text.bytes().all(is_allowed) { Ok(Self(text)) } else { Err(Mistake::Text) }
+    }
+
+    /// The text.
+    #[must_use]
+    pub const fn as_str(self) -> &'a str {
+        self.0
+    }
+
+    /// The product, of an answer to DEVTYPE: `WSG 50-110` is a WSG 50.
+    ///
+    /// ```
+    /// use wsg_protocol::DeviceType;
+    /// use wsg_protocol::gcl::Text;
+    ///
+    /// assert_eq!(Text::new("WSG 32-068").unwrap().device_type(), DeviceType::Wsg32);
+    /// assert_eq!(Text::new("toaster").unwrap().device_type(), DeviceType::Unspecified);
+    /// ```
+    #[must_use]
+    pub fn device_type(self) -> DeviceType {
+        const NAMES: [(&str, DeviceType); 6] = [
+            ("WSG 50", DeviceType::Wsg50),
+            ("WSG 32", DeviceType::Wsg32),
+            ("KMS 40", DeviceType::Kms40),
+            ("WTS", DeviceType::Wts),
+            ("WSG 25", DeviceType::Wsg25),
+            ("WSG 70", DeviceType::Wsg70),
+        ];
+        let named = NAMES.into_iter().find(|(name, _)| self.0.starts_with(name));
+        named.map_or(DeviceType::Unspecified, |(_, device)| device)
+    }
+
+    /// The version, of an answer to VERSION; `None` if it has other than three numbers up to 15, or four with a release
+    /// candidate (`4.0.0-rc1`), which is what the binary protocol can say.
+    ///
+    /// ```
+    /// use wsg_protocol::FirmwareVersion;
+    /// use wsg_protocol::gcl::Text;
+    ///
+    /// let version = Text::new("4.0.0").unwrap().firmware_version();
+    /// assert_eq!(version, Some(FirmwareVersion::new(4, 0, 0, 0)));
+    /// ```
+    #[must_use]
+    pub fn firmware_version(self) -> Option<FirmwareVersion> {
+        if self.0.bytes().any(is_blank) {
+            return None;
+        }
+        let mut input = Scanner::new(self.0.as_bytes());
+        let number = |input: &mut Scanner<'_>| {
+            u8::try_from(read_integer(input).ok()?).ok().filter(|number| *number <= 15)
+        };
+        let major = number(&mut input)?;
+        input.expect(b'.').ok()?;
+        let minor = number(&mut input)?;
+        input.expect(b'.').ok()?;
+        let patch = number(&mut input)?;
+        let candidate = if input.take(b'-') {
+            [b'r', b'c'].into_iter().try_for_each(|letter| input.expect(letter)).ok()?;
+            number(&mut input)?
+        } else {
+            0
+        };
+        input.end().ok()?;
+        Some(FirmwareVersion::new(major, minor, patch, candidate))
+    }
+
+    /// The kind of finger, of an answer to FTYPE.
+    ///
+    /// ```
+    /// use wsg_protocol::FingerType;
+    /// use wsg_protocol::gcl::Text;
+    ///
+    /// assert_eq!(Text::new("WSG-FMF").unwrap().finger_type(), FingerType::Fmf);
+    /// assert_eq!(Text::new("").unwrap().finger_type(), FingerType::Generic);
+    /// ```
+    #[must_use]
+    pub fn finger_type(self) -> FingerType {
+        if self.0.contains("FMF") {
+            FingerType::Fmf
+        } else if self.0.contains("DSA") {
+            FingerType::Dsa
+        } else {
+            FingerType::Generic
+        }
+    }
+}
+
+impl core::fmt::Display for Text<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Written {
+        f.write_str(self.0)
+    }
+}
+
+assigned!(Text<'a>, DeviceTag<'a>);
+
+impl<'a> Word<'a> for Text<'a> {
+    notation!("<string>");
+
+    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+        let text = input.quoted()?;
+        Self::new(core::str::from_utf8(text).map_err(|_| Mistake::Text)?)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_char('"')?;
+        to.write_str(self.0)?;
+        to.write_char('"')
+    }
+}
+
+/// A tag may hold quotation marks. It is the last word of its line, so it ends at the last one.
+impl<'a> Word<'a> for DeviceTag<'a> {
+    notation!("<string>");
+
+    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+        let text = input.remainder().strip_prefix(b"\"").and_then(|text| text.strip_suffix(b"\""));
+        let text = core::str::from_utf8(text.ok_or(Mistake::Form)?).map_err(|_| Mistake::Text)?;
+        Self::new(text).map_err(|_| Mistake::Text)
+    }
+
+    fn write(&self, to: &mut impl Write) -> Written {
+        to.write_char('"')?;
+        to.write_str(self.as_str())?;
+        to.write_char('"')
+    }
+}
+
+/// The text that an error carries in verbose mode (GCL, 1.3), in whatever language and character set it came.
+#[derive(Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Description<'a>(&'a [u8]);
+
+impl<'a> Description<'a> {
+    /// This text, without the blanks around it; `None` if nothing is left, or if it has more than one line.
+    #[must_use]
+    pub fn new(text: &'a [u8]) -> Option<Self> {
+        let text = text.trim_ascii();
+        let is_one_line = !text.is_empty() && !text.iter().any(|byte| matches!(byte, b'\n' | b'\r'));
+        is_one_line.then_some(Self(text))
+    }
+
+    /// What this crate's gripper says of a status: the manual's name of it.
+    #[must_use]
+    pub const fn of(status: Status) -> Description<'static> {
+        Description(status.symbol().as_bytes())
+    }
+
+    /// The bytes.
+    #[must_use]
+    pub const fn bytes(self) -> &'a [u8] {
+        self.0
+    }
+
+    pub(super) fn write(self, to: &mut impl Write) -> Written {
+        self.0.utf8_chunks().try_for_each(|chunk| {
+            to.write_str(chunk.valid())?;
+            if chunk.invalid().is_empty() { Ok(()) } else { to.write_char('?') }
+        })
+    }
+}
+
+impl core::fmt::Display for Description<'_> {
+    /// What is not UTF-8 is written as `?`.
+    fn fmt(&self, f: &mut Formatter<'_>) -> Written {
+        self.write(f)
+    }
+}
+
+impl core::fmt::Debug for Description<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Written {
+        write!(f, "\"{self}\"")
+    }
+}

@@ -1,0 +1,52 @@
+//! A line in a slice of bytes.
+
+use super::Mistake;
+use core::fmt::{Error, Result as Written, Write};
+
+/// Why a line was not written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum LineError {
+    /// The other side would not understand it.
+    Invalid(Mistake),
+    /// It is longer than the slice.
+    BufferTooSmall,
+}
+
+impl core::fmt::Display for LineError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> Written {
+        match self {
+            Self::Invalid(mistake) => mistake.fmt(f),
+            Self::BufferTooSmall => f.write_str("buffer too small"),
+        }
+    }
+}
+
+impl core::error::Error for LineError {}
+
+/// What is left of a slice.
+pub(super) struct Line<'b> {
+    rest: &'b mut [u8],
+}
+
+impl Write for Line<'_> {
+    fn write_str(&mut self, text: &str) -> Written {
+        let rest = core::mem::take(&mut self.rest);
+        let (target, rest) = rest.split_at_mut_checked(text.len()).ok_or(Error)?;
+        target.copy_from_slice(text.as_bytes());
+        self.rest = rest;
+        Ok(())
+    }
+}
+
+/// Writes a line and its end to the start of `buffer`, and says how many bytes that were.
+pub(super) fn write_line(
+    buffer: &mut [u8],
+    write: impl FnOnce(&mut Line<'_>) -> Written,
+) -> Result<usize, LineError> {
+    let room = buffer.len();
+    let mut line = Line { rest: buffer };
+    let written = write(&mut line).and_then(|()| line.write_char('\n'));
+    written.map_err(|_| LineError::BufferTooSmall)?;
+    Ok(room.saturating_sub(line.rest.len()))
+}

@@ -1,0 +1,237 @@
+//! The two images as tables of coils and registers (fieldbus, chapter 4; its byte order as NOTES of the project say).
+
+use super::device::bit;
+use super::register::{INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
+use super::{Bits, Exception, Words};
+use crate::fieldbus::{InputImage, OutputImage};
+
+/// The output image as coils and holding registers, the input image as discrete inputs and input registers, all from
+/// address 0 on.
+///
+/// - Register n holds bytes 2n and 2n + 1 of its image, the first as its high byte.
+/// - Coil or discrete input n is bit n mod 8 of byte n div 8, over the whole image. So coil 0 (MOVE) is bit 8 of
+///   register 0.
+/// - With `swap_bytes` the two bytes of each number change places, for a PLC that takes the manual's "low byte first"
+///   by the letter; bit vectors stay.
+///
+/// A write changes the image as a whole; [`take_written`](Self::take_written) hands it over once.
+///
+/// ```
+/// use wsg_protocol::fieldbus::CommandFlags;
+/// use wsg_protocol::modbus::{Images, Words};
+///
+/// let mut images = Images::new(false);
+/// // The manual's example: MOVE and IF6 are register 0 = 288.
+/// images.write_registers(0, Words::new(&288u16.to_be_bytes())).unwrap();
+/// assert_eq!(images.coil(0), Ok(true));
+/// assert_eq!(images.coil(13), Ok(true), "IF6");
+/// let image = images.take_written().unwrap();
+/// assert_eq!((image.flags, image.user), (CommandFlags::MOVE, 1 << 5));
+/// assert_eq!(images.take_written(), None);
+/// ```
+#[derive(Clone, Debug)]
+pub struct Images {
+    swap_bytes: bool,
+    /// As they go over the line, that is, swapped if that is asked for.
+    output: [u8; OutputImage::LEN],
+    input: [u8; InputImage::LEN],
+    written: bool,
+}
+
+impl Images {
+    /// Coils and holding registers: how many there are of the output image.
+    pub const COILS: u16 = 8 * OutputImage::LEN as u16;
+    /// Discrete inputs: how many there are of the input image.
+    pub const DISCRETE_INPUTS: u16 = 8 * InputImage::LEN as u16;
+
+    /// Images of zeros.
+    #[must_use]
+    pub const fn new(swap_bytes: bool) -> Self {
+        Self { swap_bytes, output: [0; OutputImage::LEN], input: [0; InputImage::LEN], written: false }
+    }
+
+    /// Changes whether numbers are swapped; what the images mean stays.
+    pub fn set_swap_bytes(&mut self, swap_bytes: bool) {
+        if self.swap_bytes != swap_bytes {
+            swap_numbers(&mut self.output, &OUTPUT_REGISTERS);
+            swap_numbers(&mut self.input, &INPUT_REGISTERS);
+            self.swap_bytes = swap_bytes;
+        }
+    }
+
+    /// Shows this input image from now on.
+    pub fn set_input(&mut self, image: &InputImage) {
+        self.input = image.to_bytes();
+        if self.swap_bytes {
+            swap_numbers(&mut self.input, &INPUT_REGISTERS);
+        }
+    }
+
+    /// The output image as it was written last.
+    #[must_use]
+    pub fn output(&self) -> OutputImage {
+        let mut bytes = self.output;
+        if self.swap_bytes {
+            swap_numbers(&mut bytes, &OUTPUT_REGISTERS);
+        }
+        OutputImage::from_bytes(bytes)
+    }
+
+    /// The output image, if a request has written to it since this was last asked. To be asked after each request: an
+    /// edge that two requests make and take back would be lost otherwise.
+    pub fn take_written(&mut self) -> Option<OutputImage> {
+        core::mem::take(&mut self.written).then(|| self.output())
+    }
+
+    /// The coil at this address.
+    ///
+    /// # Errors
+    /// [`Exception::IllegalDataAddress`] behind the last.
+    pub fn coil(&self, address: u16) -> Result<bool, Exception> {
+        bit(&self.output, address.into()).ok_or(Exception::IllegalDataAddress)
+    }
+
+    /// The discrete input at this address.
+    ///
+    /// # Errors
+    /// [`Exception::IllegalDataAddress`] behind the last.
+    pub fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
+        bit(&self.input, address.into()).ok_or(Exception::IllegalDataAddress)
+    }
+
+    /// The holding register at this address.
+    ///
+    /// # Errors
+    /// [`Exception::IllegalDataAddress`] behind the last.
+    pub fn holding_register(&self, address: u16) -> Result<u16, Exception> {
+        word(&self.output, address)
+    }
+
+    /// The input register at this address.
+    ///
+    /// # Errors
+    /// [`Exception::IllegalDataAddress`] behind the last.
+    pub fn input_register(&self, address: u16) -> Result<u16, Exception> {
+        word(&self.input, address)
+    }
+
+    /// Writes coils from this address on.
+    ///
+    /// # Errors
+    /// [`Exception::IllegalDataAddress`] if one of them does not exist; then none is written.
+    pub fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
+        let mut bytes = self.output;
+        for (n, value) in (usize::from(first)..).zip(values.iter()) {
+            let byte = bytes.get_mut(n / 8).ok_or(Exception::IllegalDataAddress)?;
+            let mask = 1 << (n % 8);
+            *byte = if value { *byte | mask } else { *byte & !mask };
+        }
+        self.accept(bytes);
+        Ok(())
+    }
+
+    /// Writes holding registers from this address on.
+    ///
+    /// # Errors
+    /// [`Exception::IllegalDataAddress`] if one of them does not exist; then none is written.
+    pub fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
+        let mut bytes = self.output;
+        let (pairs, _) = bytes.as_chunks_mut();
+        for (n, value) in (usize::from(first)..).zip(values.iter()) {
+            *pairs.get_mut(n).ok_or(Exception::IllegalDataAddress)? = value.to_be_bytes();
+        }
+        self.accept(bytes);
+        Ok(())
+    }
+
+    fn accept(&mut self, bytes: [u8; OutputImage::LEN]) {
+        self.output = bytes;
+        self.written = true;
+    }
+}
+
+fn word(bytes: &[u8], address: u16) -> Result<u16, Exception> {
+    let pair = bytes.as_chunks().0.get(usize::from(address));
+    pair.map(|pair| u16::from_be_bytes(*pair)).ok_or(Exception::IllegalDataAddress)
+}
+
+/// Turns round the bytes of each register that is a number.
+fn swap_numbers(bytes: &mut [u8], registers: &[Register]) {
+    let (pairs, _) = bytes.as_chunks_mut::<2>();
+    for (pair, register) in pairs.iter_mut().zip(registers) {
+        if register.content.is_number() {
+            pair.reverse();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fieldbus::{CommandFlags, GripperFlags};
+    use crate::types::{Status, SystemFlags};
+
+    const INPUT: InputImage = InputImage {
+        state: GripperFlags::IDLE,
+        user: 1,
+        system: SystemFlags::REFERENCED,
+        width: 1220,
+        force: 405,
+        status: Status::CmdPending,
+    };
+
+    #[test]
+    fn registers_hold_the_image_byte_0_first() {
+        let mut images = Images::new(false);
+        images.set_input(&INPUT);
+        let registers = [0, 1, 2, 3, 4, 5].map(|address| images.input_register(address).unwrap());
+        // A master that reads SYSSTATE as one 32-bit value sees REFERENCED as 01000000h.
+        assert_eq!(registers, [0x0101, 0x0100, 0x0000, 1220, 405, 26]);
+        assert_eq!(images.input_register(6), Err(Exception::IllegalDataAddress));
+    }
+
+    #[test]
+    fn bits_count_from_byte_0_bit_0_over_the_whole_image() {
+        let mut images = Images::new(false);
+        images.set_input(&INPUT);
+        let bytes = INPUT.to_bytes();
+        for n in 0..Images::DISCRETE_INPUTS {
+            let expected = bytes[usize::from(n / 8)] >> (n % 8) & 1 == 1;
+            assert_eq!(images.discrete_input(n), Ok(expected), "{n}");
+        }
+        let set = (0..Images::DISCRETE_INPUTS).filter(|n| images.discrete_input(*n) == Ok(true));
+        assert!(set.take(3).eq([0, 8, 16]), "IDLE, OF1, REFERENCED");
+        assert_eq!(images.discrete_input(96), Err(Exception::IllegalDataAddress));
+        assert_eq!(images.coil(64), Err(Exception::IllegalDataAddress));
+    }
+
+    #[test]
+    fn swap_bytes_turns_numbers_round_and_leaves_bits() {
+        let mut images = Images::new(true);
+        images.set_input(&INPUT);
+        let registers = [0, 1, 2, 3, 4, 5].map(|address| images.input_register(address).unwrap());
+        assert_eq!(registers, [0x0101, 0x0100, 0x0000, 0xC404, 0x9501, 0x1A00]);
+        images.write_registers(0, Words::new(&[0x01, 0x20, 0xC4, 0x04, 0x88, 0x13, 0xA0, 0x0F])).unwrap();
+        let image = OutputImage {
+            flags: CommandFlags::MOVE,
+            user: 0x20,
+            width: 1220,
+            speed: 50_00,
+            force_limit: 40_00,
+        };
+        assert_eq!(images.take_written(), Some(image));
+        images.set_swap_bytes(false);
+        assert_eq!(images.output(), image, "the meaning stays");
+        assert_eq!(images.holding_register(1), Ok(1220));
+        assert_eq!(images.input_register(3), Ok(1220));
+    }
+
+    #[test]
+    fn write_that_reaches_past_the_end_writes_nothing() {
+        let mut images = Images::new(false);
+        assert_eq!(images.write_registers(3, Words::new(&[1; 4])), Err(Exception::IllegalDataAddress));
+        assert_eq!(images.write_coils(60, Bits::new(&[0xFF], 5)), Err(Exception::IllegalDataAddress));
+        assert_eq!(images.take_written(), None);
+        assert_eq!(images.output(), OutputImage::ZERO);
+    }
+}

@@ -1,0 +1,73 @@
+//! What FC 8 tells of the line (MODBUS over serial line, appendix A; application protocol, 6.8).
+
+use super::Damage;
+use crate::modbus::Exception;
+
+/// The diagnostic counters; each stops at 65 535.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Counters {
+    /// Bus Message Count: intact frames, for whatever unit.
+    pub bus_messages: u16,
+    /// Bus Communication Error Count: what was no intact frame.
+    pub bus_errors: u16,
+    /// Bus Exception Error Count: exceptions, those of broadcasts included.
+    pub exceptions: u16,
+    /// Server Message Count: intact frames for this unit and broadcasts.
+    pub server_messages: u16,
+    /// Server No Response Count: those of them that got no response.
+    pub no_responses: u16,
+    /// Server Busy Count: exceptions 06.
+    pub busy: u16,
+    /// Bus Character Overrun Count: frames with a damaged or lost character.
+    pub overruns: u16,
+}
+
+impl Counters {
+    /// Nothing counted.
+    pub const ZERO: Self = Self {
+        bus_messages: 0,
+        bus_errors: 0,
+        exceptions: 0,
+        server_messages: 0,
+        no_responses: 0,
+        busy: 0,
+        overruns: 0,
+    };
+
+    /// The counter that this subfunction of FC 8 reads, 0Bh to 12h.
+    pub(super) fn by_subfunction(&self, sub: u16) -> u16 {
+        // Negative acknowledgements (07) are none of this server's exceptions.
+        let naks = 0;
+        let counters = [
+            self.bus_messages,
+            self.bus_errors,
+            self.exceptions,
+            self.server_messages,
+            self.no_responses,
+            naks,
+            self.busy,
+            self.overruns,
+        ];
+        counters.get(usize::from(sub.wrapping_sub(0x0B))).copied().unwrap_or(0)
+    }
+
+    pub(super) fn damaged(&mut self, damage: Damage) {
+        count(&mut self.bus_errors);
+        if damage == Damage::Character {
+            count(&mut self.overruns);
+        }
+    }
+
+    /// An exception, by its code.
+    pub(super) fn excepted(&mut self, code: u8) {
+        count(&mut self.exceptions);
+        if code == Exception::ServerDeviceBusy.code() {
+            count(&mut self.busy);
+        }
+    }
+}
+
+pub(super) const fn count(counter: &mut u16) {
+    *counter = counter.saturating_add(1);
+}

@@ -1,0 +1,274 @@
+//! One unit on a serial line: frames in, responses out, and FC 8.
+
+use super::counters::count;
+use super::{CRC_LEN, Character, Counters, Damage, MAX_FRAME_LEN, Mode, Received, Receiver, Timing, crc};
+use crate::modbus::{Device, Exception, Function, MAX_PDU_LEN, serve};
+
+/// The address of a broadcast.
+pub const BROADCAST: u8 = 0;
+
+/// The addresses a unit may have (MODBUS over serial line, 2.2).
+pub const UNITS: core::ops::RangeInclusive<u8> = 1..=247;
+
+/// What can be set about a server on a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Config {
+    /// Its address, one of [`UNITS`].
+    pub unit: u8,
+    /// How strictly silence is judged.
+    pub mode: Mode,
+    /// Whether writes to all units at once count. The specification asks for it; on a line with devices of other kinds
+    /// a register that is meant for them would be CMDFLAGS here.
+    pub broadcast: bool,
+}
+
+/// What became of what the line brought.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event<'a> {
+    /// A request for this unit was served: the frame to send, checksum included.
+    Answer(&'a [u8]),
+    /// A request for this unit, or a broadcast, was served, and gets no response.
+    Served,
+    /// A frame for another unit, or one that this unit does not listen to.
+    Passed,
+    /// No frame.
+    Damaged(Damage),
+}
+
+/// A MODBUS server on a serial line.
+///
+/// ```
+/// # use wsg_protocol::modbus::{Bits, Device, Exception, Identification, Images, Words};
+/// # struct Gripper(Images);
+/// # impl Device for Gripper {
+/// #     fn coil(&self, address: u16) -> Result<bool, Exception> { self.0.coil(address) }
+/// #     fn discrete_input(&self, address: u16) -> Result<bool, Exception> { self.0.discrete_input(address) }
+/// #     fn holding_register(&self, address: u16) -> Result<u16, Exception> { self.0.holding_register(address) }
+/// #     fn input_register(&self, address: u16) -> Result<u16, Exception> { self.0.input_register(address) }
+/// #     fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> { self.0.write_coils(first, values) }
+/// #     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> { self.0.write_registers(first, values) }
+/// #     fn identification(&self) -> Identification { unimplemented!() }
+/// # }
+/// # let mut device = Gripper(Images::new(false));
+/// use wsg_protocol::modbus::rtu::{Character, Config, Event, Mode, Server, Timing};
+///
+/// let config = Config { unit: 1, mode: Mode::Strict, broadcast: true };
+/// let mut server = Server::new(config, Timing::of(19_200, 11));
+/// // Read Holding Registers, one from 0 on.
+/// for byte in [0x01, 0x03, 0x00, 0x00, 0x00, 0x01, 0x84, 0x0A] {
+///     assert_eq!(server.push(Character::Byte(byte), 0, &mut device), None);
+/// }
+/// let answer: &[u8] = &[0x01, 0x03, 0x02, 0x00, 0x00, 0xB8, 0x44];
+/// assert_eq!(server.silence(2_010, &mut device), Some(Event::Answer(answer)));
+/// ```
+#[derive(Clone, Debug)]
+pub struct Server {
+    config: Config,
+    receiver: Receiver,
+    line: Line,
+    response: [u8; MAX_FRAME_LEN],
+}
+
+/// What FC 8 reads and changes.
+#[derive(Clone, Debug)]
+struct Line {
+    counters: Counters,
+    listen_only: bool,
+}
+
+impl Server {
+    /// A server that listens from now on.
+    #[must_use]
+    pub const fn new(config: Config, timing: Timing) -> Self {
+        Self {
+            config,
+            receiver: Receiver::new(config.unit, config.mode, timing),
+            line: Line { counters: Counters::ZERO, listen_only: false },
+            response: [0; MAX_FRAME_LEN],
+        }
+    }
+
+    /// Changes the configuration, from the next frame on.
+    pub const fn configure(&mut self, config: Config) {
+        self.config = config;
+        self.receiver.configure(config.unit, config.mode);
+    }
+
+    /// What was counted so far.
+    #[must_use]
+    pub const fn counters(&self) -> Counters {
+        self.line.counters
+    }
+
+    /// Whether FC 8 has told it to listen only.
+    #[must_use]
+    pub const fn is_listen_only(&self) -> bool {
+        self.line.listen_only
+    }
+
+    /// Takes a character and the silence before it, in microseconds: see [`Receiver`].
+    pub fn push<D: Device + ?Sized>(
+        &mut self,
+        character: Character,
+        silence_us: u32,
+        device: &mut D,
+    ) -> Option<Event<'_>> {
+        let Self { config, receiver, line, response } = self;
+        let received = receiver.push(character, silence_us)?;
+        Some(line.handle(*config, received, device, response))
+    }
+
+    /// Takes notice that no character has come for so long, in microseconds.
+    pub fn silence<D: Device + ?Sized>(&mut self, silence_us: u32, device: &mut D) -> Option<Event<'_>> {
+        let Self { config, receiver, line, response } = self;
+        let received = receiver.silence(silence_us)?;
+        Some(line.handle(*config, received, device, response))
+    }
+}
+
+impl Line {
+    fn handle<'r, D: Device + ?Sized>(
+        &mut self,
+        config: Config,
+        received: Received<'_>,
+        device: &mut D,
+        response: &'r mut [u8; MAX_FRAME_LEN],
+    ) -> Event<'r> {
+        let (unit, pdu) = match received {
+            Received::Frame { unit, pdu } => (unit, pdu),
+            Received::Damaged(damage) => {
+                self.counters.damaged(damage);
+                return Event::Damaged(damage);
+            }
+        };
+        count(&mut self.counters.bus_messages);
+        let broadcast = unit == BROADCAST;
+        if unit != config.unit && !broadcast {
+            return Event::Passed;
+        }
+        count(&mut self.counters.server_messages);
+        let function = pdu.first().copied().and_then(Function::from_code);
+        let [unit_place, rest @ ..] = response;
+        *unit_place = unit;
+        let Some(place) = rest.first_chunk_mut::<MAX_PDU_LEN>() else { return Event::Passed };
+        let unheard = broadcast && !(config.broadcast && function.is_some_and(Function::may_be_broadcast));
+        if unheard || (self.listen_only && !is_restart(pdu)) {
+            count(&mut self.counters.no_responses);
+            return Event::Passed;
+        }
+        let len = if function == Some(Function::Diagnostics) {
+            self.diagnose(pdu, place)
+        } else {
+            serve(pdu, device, place)
+        };
+        if let &mut [code, exception, ..] = place
+            && len == 2
+            && code & 0x80 != 0
+        {
+            self.counters.excepted(exception);
+        }
+        if broadcast || len == 0 {
+            count(&mut self.counters.no_responses);
+            return Event::Served;
+        }
+        Event::Answer(seal(response, len))
+    }
+
+    /// FC 8, Diagnostics; the length of its response, 0 for none.
+    fn diagnose(&mut self, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> usize {
+        match self.subfunction(pdu) {
+            Ok(Diagnosed::Echo) => {
+                for (to, from) in response.iter_mut().zip(pdu) {
+                    *to = *from;
+                }
+                pdu.len()
+            }
+            Ok(Diagnosed::Value(value)) => {
+                let [high, low] = value.to_be_bytes();
+                let sub = pdu.get(2).copied().unwrap_or(0);
+                if let Some(place) = response.first_chunk_mut() {
+                    *place = [Function::Diagnostics.code(), 0, sub, high, low];
+                }
+                5
+            }
+            Ok(Diagnosed::Nothing) => 0,
+            Err(exception) => {
+                if let Some(place) = response.first_chunk_mut() {
+                    *place = [Function::Diagnostics.code() | 0x80, exception.code()];
+                }
+                2
+            }
+        }
+    }
+
+    fn subfunction(&mut self, pdu: &[u8]) -> Result<Diagnosed, Exception> {
+        let &[_, high, low, ref data @ ..] = pdu else { return Err(Exception::IllegalDataValue) };
+        let sub = u16::from_be_bytes([high, low]);
+        if sub == RETURN_QUERY_DATA {
+            return Ok(Diagnosed::Echo);
+        }
+        let value = match data {
+            &[high, low] => Ok(u16::from_be_bytes([high, low])),
+            _ => Err(Exception::IllegalDataValue),
+        };
+        let zero = value.and_then(|value| if value == 0 { Ok(()) } else { Err(Exception::IllegalDataValue) });
+        let counters = &mut self.counters;
+        let read = |counter: u16| zero.map(|()| Diagnosed::Value(counter));
+        match sub {
+            RESTART => match value? {
+                // There is no event log that FF00 would clear.
+                0x0000 | 0xFF00 => {
+                    let silent = core::mem::take(&mut self.listen_only);
+                    *counters = Counters::ZERO;
+                    Ok(if silent { Diagnosed::Nothing } else { Diagnosed::Echo })
+                }
+                _ => Err(Exception::IllegalDataValue),
+            },
+            0x02 => read(0),
+            0x04 => zero.map(|()| {
+                self.listen_only = true;
+                Diagnosed::Nothing
+            }),
+            0x0A => zero.map(|()| {
+                *counters = Counters::ZERO;
+                Diagnosed::Echo
+            }),
+            0x0B..=0x12 => read(counters.by_subfunction(sub)),
+            0x14 => zero.map(|()| {
+                counters.overruns = 0;
+                Diagnosed::Echo
+            }),
+            _ => Err(Exception::IllegalFunction),
+        }
+    }
+}
+
+/// Subfunctions of FC 8.
+const RETURN_QUERY_DATA: u16 = 0x00;
+const RESTART: u16 = 0x01;
+
+/// What a subfunction of FC 8 answers.
+#[derive(Clone, Copy)]
+enum Diagnosed {
+    /// The request itself.
+    Echo,
+    /// A value in place of the request's data.
+    Value(u16),
+    Nothing,
+}
+
+/// Restart Communications Option, which alone ends listening only.
+fn is_restart(pdu: &[u8]) -> bool {
+    matches!(pdu, [0x08, 0x00, 0x01, 0x00 | 0xFF, 0x00])
+}
+
+/// Puts the checksum behind a response of this length behind its unit.
+fn seal(frame: &mut [u8; MAX_FRAME_LEN], pdu_len: usize) -> &[u8] {
+    let end = pdu_len.saturating_add(1);
+    let sum = crc(frame.get(..end).unwrap_or_default());
+    if let Some(place) = frame.get_mut(end..).and_then(|rest| rest.first_chunk_mut::<CRC_LEN>()) {
+        *place = sum.to_le_bytes();
+    }
+    frame.get(..end.saturating_add(CRC_LEN)).unwrap_or_default()
+}

@@ -1,0 +1,350 @@
+//! Frames and silences: what is a frame, who answers it, and what is counted.
+
+use super::*;
+use crate::modbus::tests::Plant;
+use std::vec;
+use std::vec::Vec;
+
+const TIMING: Timing = Timing::of(19_200, 11);
+const UNIT: u8 = 5;
+const PATIENCE_US: u32 = 20_000;
+const STRICT: Config = Config { unit: UNIT, mode: Mode::Strict, broadcast: true };
+const TOLERANT: Config = Config { mode: Mode::Tolerant { patience_us: PATIENCE_US }, ..STRICT };
+
+fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+    let mut frame = [&[unit], pdu].concat();
+    frame.extend(crc(&frame).to_le_bytes());
+    frame
+}
+
+/// A line with a server and its device.
+struct Bus {
+    server: Server,
+    plant: Plant,
+    answers: Vec<Vec<u8>>,
+    others: Vec<&'static str>,
+}
+
+impl Bus {
+    fn new(config: Config) -> Self {
+        Self { server: Server::new(config, TIMING), plant: Plant::new(), answers: vec![], others: vec![] }
+    }
+
+    fn note(answers: &mut Vec<Vec<u8>>, others: &mut Vec<&'static str>, event: Option<Event<'_>>) {
+        match event {
+            None => {}
+            Some(Event::Answer(answer)) => answers.push(answer.to_vec()),
+            Some(Event::Served) => others.push("served"),
+            Some(Event::Passed) => others.push("passed"),
+            Some(Event::Damaged(Damage::Silence)) => others.push("silence"),
+            Some(Event::Damaged(Damage::Character)) => others.push("character"),
+            Some(Event::Damaged(Damage::Length)) => others.push("length"),
+            Some(Event::Damaged(Damage::Checksum)) => others.push("checksum"),
+        }
+    }
+
+    fn send_after(&mut self, silence_us: u32, bytes: &[u8]) {
+        for (n, byte) in bytes.iter().enumerate() {
+            let silence_us = if n == 0 { silence_us } else { 0 };
+            let event = self.server.push(Character::Byte(*byte), silence_us, &mut self.plant);
+            Self::note(&mut self.answers, &mut self.others, event);
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) {
+        self.send_after(1_000_000, bytes);
+    }
+
+    fn silence(&mut self, us: u32) {
+        let event = self.server.silence(us, &mut self.plant);
+        Self::note(&mut self.answers, &mut self.others, event);
+    }
+
+    /// Sends a frame, ends it, and gives its answer.
+    fn ask(&mut self, unit: u8, pdu: &[u8]) -> Vec<u8> {
+        self.send(&frame(unit, pdu));
+        self.silence(TIMING.t3_5_us);
+        self.answers.pop().unwrap_or_default()
+    }
+
+    fn diagnose(&mut self, sub: u16, data: u16) -> Vec<u8> {
+        let ([s1, s0], [d1, d0]) = (sub.to_be_bytes(), data.to_be_bytes());
+        self.ask(UNIT, &[8, s1, s0, d1, d0])
+    }
+
+    fn counter(&mut self, sub: u16) -> u16 {
+        let answer = self.diagnose(sub, 0);
+        assert_eq!(answer[..4], [UNIT, 8, 0, sub as u8], "subfunction {sub:02X}h");
+        u16::from_be_bytes([answer[4], answer[5]])
+    }
+}
+
+const READ: [u8; 5] = [3, 0, 0, 0, 4];
+
+fn is_read_answer(answer: &[u8]) -> bool {
+    answer == frame(UNIT, &[3, 8, 0, 0, 0, 0, 0, 0, 0, 0])
+}
+
+#[test]
+fn request_is_answered_once_the_line_was_silent_for_3_5_characters() {
+    for config in [STRICT, TOLERANT] {
+        let mut bus = Bus::new(config);
+        bus.send(&frame(UNIT, &READ));
+        bus.silence(TIMING.t3_5_us - 1);
+        assert_eq!(bus.answers.len(), 0);
+        bus.silence(TIMING.t3_5_us);
+        assert!(is_read_answer(&bus.answers[0]));
+        bus.silence(1_000_000);
+        assert_eq!(bus.answers.len(), 1, "and once only");
+    }
+}
+
+#[test]
+fn request_in_two_pieces_is_one_up_to_1_5_characters_of_silence_wherever_it_is_cut() {
+    let request = frame(UNIT, &READ);
+    for cut in 1..request.len() {
+        for (silence_us, strict) in [(TIMING.t1_5_us, 1), (TIMING.t1_5_us + 1, 0), (TIMING.t3_5_us - 1, 0)] {
+            for (config, answers) in [(STRICT, strict), (TOLERANT, 1)] {
+                let mut bus = Bus::new(config);
+                bus.send(&request[..cut]);
+                bus.send_after(silence_us, &request[cut..]);
+                bus.silence(TIMING.t3_5_us);
+                assert_eq!(bus.answers.len(), answers, "cut at {cut}, {silence_us} us, {:?}", config.mode);
+                if answers == 0 {
+                    assert_eq!(bus.others, ["silence"]);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn tolerant_mode_waits_for_the_rest_of_a_request_for_this_unit() {
+    let request = frame(UNIT, &[16, 0, 1, 0, 2, 4, 0, 1, 0, 2]);
+    for cut in 1..request.len() {
+        let mut bus = Bus::new(TOLERANT);
+        bus.send(&request[..cut]);
+        bus.silence(PATIENCE_US - 1);
+        bus.send_after(PATIENCE_US - 1, &request[cut..]);
+        bus.silence(TIMING.t3_5_us);
+        assert_eq!(bus.answers, [frame(UNIT, &[16, 0, 1, 0, 2])], "cut at {cut}");
+
+        let mut bus = Bus::new(TOLERANT);
+        bus.send(&request[..cut]);
+        bus.send_after(PATIENCE_US, &request[cut..]);
+        bus.silence(PATIENCE_US);
+        assert_eq!(bus.answers.len(), 0, "cut at {cut}");
+        assert!(bus.plant.images.take_written().is_none());
+    }
+}
+
+#[test]
+fn tolerant_mode_does_not_glue_a_broken_frame_for_another_unit_to_ours() {
+    let mut bus = Bus::new(TOLERANT);
+    bus.send(&frame(UNIT + 1, &READ)[..5]);
+    bus.send_after(TIMING.t3_5_us, &frame(UNIT, &READ));
+    bus.silence(TIMING.t3_5_us);
+    assert!(is_read_answer(&bus.answers[0]));
+    assert_eq!(bus.others, ["checksum"]);
+}
+
+#[test]
+fn half_a_frame_is_none() {
+    let request = frame(UNIT, &[6, 0, 0, 0, 1]);
+    for config in [STRICT, TOLERANT] {
+        for len in 1..request.len() {
+            let mut bus = Bus::new(config);
+            bus.send(&request[..len]);
+            bus.silence(PATIENCE_US);
+            assert_eq!(bus.answers.len(), 0);
+            assert!(bus.plant.images.take_written().is_none(), "{len} bytes");
+        }
+    }
+}
+
+#[test]
+fn frame_with_any_bit_wrong_is_dropped() {
+    let request = frame(UNIT, &[16, 0, 0, 0, 2, 4, 0x01, 0x00, 0x07, 0xD0]);
+    for bit in 0..request.len() * 8 {
+        let mut wrong = request.clone();
+        wrong[bit / 8] ^= 1 << (bit % 8);
+        let mut bus = Bus::new(STRICT);
+        bus.send(&wrong);
+        bus.silence(TIMING.t3_5_us);
+        assert_eq!((bus.answers.len(), &bus.others[..]), (0, &["checksum"][..]), "bit {bit}");
+        assert!(bus.plant.images.take_written().is_none());
+    }
+}
+
+#[test]
+fn damaged_character_voids_its_frame_and_no_other() {
+    let request = frame(UNIT, &READ);
+    for at in 0..request.len() {
+        let mut bus = Bus::new(TOLERANT);
+        for (n, byte) in request.iter().enumerate() {
+            let character = if n == at { Character::Damaged } else { Character::Byte(*byte) };
+            assert_eq!(bus.server.push(character, 0, &mut bus.plant), None);
+        }
+        bus.silence(TIMING.t3_5_us);
+        assert_eq!((bus.answers.len(), &bus.others[..]), (0, &["character"][..]));
+        assert!(is_read_answer(&bus.ask(UNIT, &READ)));
+        assert_eq!((bus.counter(0x0C), bus.counter(0x12)), (1, 1));
+    }
+}
+
+#[test]
+fn frame_for_another_unit_between_two_of_ours_is_passed_over() {
+    let mut bus = Bus::new(STRICT);
+    for unit in [UNIT, UNIT + 1, 247, UNIT] {
+        bus.send_after(TIMING.t3_5_us, &frame(unit, &[6, 0, 1, 0, unit]));
+    }
+    bus.silence(TIMING.t3_5_us);
+    assert_eq!(bus.answers, vec![frame(UNIT, &[6, 0, 1, 0, UNIT]); 2]);
+    assert_eq!(bus.others, ["passed", "passed"]);
+}
+
+#[test]
+fn frames_that_come_before_anybody_looks_are_all_served_in_order() {
+    let mut bus = Bus::new(STRICT);
+    for value in 1..=4 {
+        bus.send_after(TIMING.t3_5_us, &frame(UNIT, &[6, 0, 1, 0, value]));
+    }
+    bus.silence(TIMING.t3_5_us);
+    let expected: Vec<_> = (1..=4).map(|value| frame(UNIT, &[6, 0, 1, 0, value])).collect();
+    assert_eq!(bus.answers, expected);
+}
+
+#[test]
+fn frames_without_silence_between_them_are_none() {
+    for config in [STRICT, TOLERANT] {
+        let mut bus = Bus::new(config);
+        let request = frame(UNIT, &[6, 0, 0, 0, 1]);
+        bus.send(&[request.clone(), request].concat());
+        bus.silence(TIMING.t3_5_us);
+        assert_eq!(bus.others, ["checksum"]);
+        assert!(bus.plant.images.take_written().is_none());
+    }
+}
+
+#[test]
+fn frame_of_256_bytes_is_one_and_of_257_is_none() {
+    let echo = [&[8, 0, 0][..], &[7; 250]].concat();
+    let mut bus = Bus::new(STRICT);
+    assert_eq!(frame(UNIT, &echo).len(), MAX_FRAME_LEN);
+    assert_eq!(bus.ask(UNIT, &echo), frame(UNIT, &echo));
+    bus.ask(UNIT, &[&echo[..], &[7]].concat());
+    bus.ask(UNIT, &[&echo[..], &[7; 1000]].concat());
+    bus.ask(UNIT, &[]);
+    bus.send(&[UNIT]);
+    bus.silence(TIMING.t3_5_us);
+    assert_eq!(bus.others, ["length"; 4]);
+    assert!(is_read_answer(&bus.ask(UNIT, &READ)), "and it goes on");
+}
+
+#[test]
+fn broadcast_writes_are_carried_out_and_get_no_answer() {
+    let mut bus = Bus::new(STRICT);
+    bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
+    assert_eq!(bus.others, ["served"]);
+    assert_eq!(bus.plant.images.take_written().map(|image| image.width), Some(7));
+    for pdu in [&READ[..], &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 9], &[8, 0, 4, 0, 0], &[43, 14, 1, 0], &[99]] {
+        bus.ask(BROADCAST, pdu);
+    }
+    assert_eq!(bus.others, ["served", "passed", "passed", "passed", "passed", "passed"]);
+    assert!(bus.plant.images.take_written().is_none() && bus.answers.is_empty());
+    assert!(!bus.server.is_listen_only());
+}
+
+#[test]
+fn broadcast_is_passed_over_where_it_is_switched_off() {
+    let mut bus = Bus::new(Config { broadcast: false, ..STRICT });
+    bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
+    assert!(bus.plant.images.take_written().is_none() && bus.answers.is_empty());
+}
+
+#[test]
+fn exceptions_go_out_as_frames() {
+    let mut bus = Bus::new(STRICT);
+    assert_eq!(bus.ask(UNIT, &[3, 0, 9, 0, 1]), frame(UNIT, &[0x83, 2]));
+    assert_eq!(bus.ask(UNIT, &[7]), frame(UNIT, &[0x87, 1]));
+}
+
+#[test]
+fn diagnostic_counters_count_what_the_specification_says() {
+    let mut bus = Bus::new(STRICT);
+    bus.ask(UNIT + 1, &READ);
+    bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
+    bus.ask(BROADCAST, &[6, 0, 9, 0, 7]);
+    bus.ask(UNIT, &[3, 0, 9, 0, 1]);
+    bus.send(&[1, 2, 3, 4, 5]);
+    bus.silence(TIMING.t3_5_us);
+    // Each question is a message as well.
+    assert_eq!(bus.counter(0x0B), 5, "bus messages");
+    assert_eq!(bus.counter(0x0C), 1, "communication errors");
+    assert_eq!(bus.counter(0x0D), 2, "exceptions, that of the broadcast too");
+    assert_eq!(bus.counter(0x0E), 7, "server messages");
+    assert_eq!(bus.counter(0x0F), 2, "no response");
+    assert_eq!((bus.counter(0x10), bus.counter(0x11), bus.counter(0x12)), (0, 0, 0));
+    assert_eq!(bus.counter(0x02), 0, "the diagnostic register");
+    bus.diagnose(0x0A, 0);
+    assert_eq!(bus.counter(0x0B), 1);
+}
+
+#[test]
+fn diagnostics_echo_and_refuse_as_the_specification_says() {
+    let mut bus = Bus::new(STRICT);
+    assert_eq!(bus.diagnose(0, 0xA537), frame(UNIT, &[8, 0, 0, 0xA5, 0x37]));
+    assert_eq!(bus.diagnose(1, 0), frame(UNIT, &[8, 0, 1, 0, 0]));
+    assert_eq!(bus.diagnose(1, 0xFF00), frame(UNIT, &[8, 0, 1, 0xFF, 0]));
+    assert_eq!(bus.diagnose(0x14, 0), frame(UNIT, &[8, 0, 0x14, 0, 0]));
+    for (sub, data) in [(1, 1), (1, 0xFFFF), (2, 1), (4, 1), (0x0A, 1), (0x0B, 1), (0x14, 1)] {
+        assert_eq!(bus.diagnose(sub, data), frame(UNIT, &[0x88, 3]), "{sub:02X}h with {data}");
+    }
+    for sub in [3, 5, 0x13, 0x15, 0xFFFF] {
+        assert_eq!(bus.diagnose(sub, 0), frame(UNIT, &[0x88, 1]), "{sub:02X}h");
+    }
+    assert_eq!(bus.ask(UNIT, &[8, 0]), frame(UNIT, &[0x88, 3]));
+    assert_eq!(bus.ask(UNIT, &[8, 0, 2, 0]), frame(UNIT, &[0x88, 3]));
+}
+
+#[test]
+fn server_that_listens_only_is_woken_by_a_restart_alone() {
+    let mut bus = Bus::new(STRICT);
+    assert_eq!(bus.diagnose(4, 0), []);
+    assert!(bus.server.is_listen_only());
+    assert_eq!(bus.ask(UNIT, &[6, 0, 0, 0, 1]), []);
+    assert_eq!(bus.diagnose(0, 0), []);
+    assert!(bus.plant.images.take_written().is_none());
+    assert_eq!(bus.diagnose(1, 0), [], "no answer to this one either");
+    assert!(!bus.server.is_listen_only());
+    assert!(is_read_answer(&bus.ask(UNIT, &READ)));
+}
+
+#[test]
+fn counters_stop_at_their_end() {
+    let mut bus = Bus::new(STRICT);
+    for _ in 0..=u16::MAX {
+        bus.send(&[1]);
+        bus.silence(TIMING.t3_5_us);
+    }
+    assert_eq!(bus.counter(0x0C), u16::MAX);
+}
+
+#[test]
+fn new_unit_counts_from_the_next_frame_on() {
+    let mut bus = Bus::new(STRICT);
+    bus.server.configure(Config { unit: 9, ..STRICT });
+    assert_eq!(bus.ask(UNIT, &READ), []);
+    assert_eq!(bus.ask(9, &READ)[0], 9);
+}
+
+#[test]
+fn longer_frames_than_the_buffer_cannot_hide_a_right_checksum() {
+    // The first 256 bytes are a frame; it goes on all the same.
+    let mut long = frame(UNIT, &[&[8, 0, 0][..], &[7; 250]].concat());
+    long.push(0);
+    let mut bus = Bus::new(TOLERANT);
+    bus.send(&long);
+    bus.silence(PATIENCE_US);
+    assert_eq!(bus.others, ["length"]);
+}

@@ -1,0 +1,365 @@
+//! Each function and each exception of the application protocol specification, byte by byte.
+
+use super::*;
+use crate::fieldbus::{CommandFlags, OutputImage};
+use std::vec;
+use std::vec::Vec;
+
+/// A device with the two images, a second block of registers that a test plans refusals for, and a name.
+pub(super) struct Plant {
+    pub(super) images: Images,
+    /// Holding register 100, whose writes are refused with this.
+    refusal: Option<Exception>,
+    /// What writes reached the device.
+    writes: Vec<(u16, usize)>,
+    regular: bool,
+}
+
+impl Plant {
+    pub(super) fn new() -> Self {
+        Self { images: Images::new(false), refusal: None, writes: vec![], regular: true }
+    }
+
+    fn ask(&mut self, request: &[u8]) -> Vec<u8> {
+        let mut response = [0xEE; MAX_PDU_LEN];
+        let len = serve(request, self, &mut response);
+        response[..len].to_vec()
+    }
+}
+
+impl Device for Plant {
+    fn coil(&self, address: u16) -> Result<bool, Exception> {
+        self.images.coil(address)
+    }
+
+    fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
+        self.images.discrete_input(address)
+    }
+
+    fn holding_register(&self, address: u16) -> Result<u16, Exception> {
+        // The last block there may be, to see what becomes of addresses behind 65 535.
+        if address >= 65_500 { Ok(address) } else { self.images.holding_register(address) }
+    }
+
+    fn input_register(&self, address: u16) -> Result<u16, Exception> {
+        // Registers enough for the longest answer.
+        if address >= 1_000 { Ok(address) } else { self.images.input_register(address) }
+    }
+
+    fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
+        self.writes.push((first, values.len().into()));
+        self.images.write_coils(first, values)
+    }
+
+    fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
+        self.writes.push((first, values.len()));
+        if let Some(refusal) = self.refusal {
+            return Err(refusal);
+        }
+        self.images.write_registers(first, values)
+    }
+
+    fn identification(&self) -> Identification {
+        Identification {
+            vendor_name: "V",
+            product_code: "PC",
+            revision: "1.2",
+            regular: self.regular.then_some(["", "PN", "M", ""]),
+        }
+    }
+}
+
+const ILLEGAL_FUNCTION: u8 = 1;
+const ILLEGAL_ADDRESS: u8 = 2;
+const ILLEGAL_VALUE: u8 = 3;
+
+#[track_caller]
+fn refused(request: &[u8], exception: u8) {
+    let mut plant = Plant::new();
+    assert_eq!(plant.ask(request), [request[0] | 0x80, exception], "{request:02X?}");
+    assert_eq!(plant.images.take_written(), None, "{request:02X?} is refused and changes nothing");
+}
+
+#[test]
+fn read_coils_packs_bits_from_the_lowest_and_fills_with_zeros() {
+    let mut plant = Plant::new();
+    plant.ask(&[6, 0, 0, 0b1000_0001, 0b1010_0110]);
+    assert_eq!(plant.ask(&[1, 0, 0, 0, 8]), [1, 1, 0b1000_0001]);
+    assert_eq!(plant.ask(&[1, 0, 7, 0, 3]), [1, 1, 0b0000_0101], "bits 7 to 9");
+    assert_eq!(plant.ask(&[1, 0, 0, 0, 17]), [1, 3, 0b1000_0001, 0b1010_0110, 0]);
+    assert_eq!(plant.ask(&[1, 0, 63, 0, 1]), [1, 1, 0]);
+}
+
+#[test]
+fn read_discrete_inputs_reads_the_input_image() {
+    let mut plant = Plant::new();
+    let mut bytes = [0; 12];
+    (bytes[0], bytes[11]) = (0x01, 26);
+    plant.images.set_input(&crate::fieldbus::InputImage::from_bytes(bytes));
+    assert_eq!(plant.ask(&[2, 0, 0, 0, 1]), [2, 1, 1]);
+    assert_eq!(plant.ask(&[2, 0, 88, 0, 8]), [2, 1, 26]);
+}
+
+#[test]
+fn read_registers_sends_the_high_byte_first() {
+    let mut plant = Plant::new();
+    plant.ask(&[6, 0, 1, 0x04, 0xC4]);
+    assert_eq!(plant.ask(&[3, 0, 0, 0, 2]), [3, 4, 0, 0, 0x04, 0xC4]);
+    assert_eq!(plant.ask(&[4, 0x03, 0xE8, 0, 2]), [4, 4, 0x03, 0xE8, 0x03, 0xE9]);
+    assert_eq!(plant.ask(&[4, 0x03, 0xE8, 0, 125]).len(), 252, "the longest answer");
+}
+
+#[test]
+fn quantities_outside_the_specification_are_03_before_addresses_are_looked_at() {
+    for (code, most) in [(1u8, 2000u16), (2, 2000), (3, 125), (4, 125)] {
+        let [high, low] = (most + 1).to_be_bytes();
+        refused(&[code, 0xFF, 0xFF, 0, 0], ILLEGAL_VALUE);
+        refused(&[code, 0xFF, 0xFF, high, low], ILLEGAL_VALUE);
+        let [high, low] = most.to_be_bytes();
+        refused(&[code, 0, 0, high, low], ILLEGAL_ADDRESS);
+    }
+}
+
+#[test]
+fn addresses_behind_the_last_are_02_for_each_function() {
+    for request in [
+        &[1, 0, 64, 0, 1][..],
+        &[1, 0, 63, 0, 2],
+        &[2, 0, 96, 0, 1],
+        &[2, 0, 90, 0, 7],
+        &[3, 0, 4, 0, 1],
+        &[3, 0, 3, 0, 2],
+        &[4, 0, 6, 0, 1],
+        &[4, 0, 5, 0, 2],
+        &[5, 0, 64, 0xFF, 0],
+        &[6, 0, 4, 0, 0],
+        &[15, 0, 60, 0, 5, 1, 0x1F],
+        &[16, 0, 3, 0, 2, 4, 0, 1, 0, 2],
+        &[22, 0, 4, 0, 0, 0, 0],
+        &[23, 0, 4, 0, 1, 0, 0, 0, 1, 2, 0, 1],
+        &[23, 0, 0, 0, 1, 0, 4, 0, 1, 2, 0, 1],
+    ] {
+        refused(request, ILLEGAL_ADDRESS);
+    }
+}
+
+#[test]
+fn addresses_do_not_wrap_at_65_535() {
+    let mut plant = Plant::new();
+    assert_eq!(plant.ask(&[3, 0xFF, 0xFF, 0, 1]), [3, 2, 0xFF, 0xFF]);
+    refused(&[3, 0xFF, 0xFF, 0, 2], ILLEGAL_ADDRESS);
+    refused(&[4, 0xFF, 0xF0, 0, 17], ILLEGAL_ADDRESS);
+    refused(&[16, 0xFF, 0xFF, 0, 2, 4, 0, 1, 0, 2], ILLEGAL_ADDRESS);
+    refused(&[15, 0xFF, 0xFF, 0, 2, 1, 3], ILLEGAL_ADDRESS);
+}
+
+#[test]
+fn write_single_coil_knows_on_and_off_alone() {
+    let mut plant = Plant::new();
+    assert_eq!(plant.ask(&[5, 0, 13, 0xFF, 0]), [5, 0, 13, 0xFF, 0]);
+    assert_eq!(plant.images.take_written().map(|image| image.user), Some(1 << 5));
+    assert_eq!(plant.ask(&[5, 0, 13, 0, 0]), [5, 0, 13, 0, 0]);
+    assert_eq!(plant.images.take_written(), Some(OutputImage::ZERO));
+    for value in [[0, 1], [0xFF, 1], [1, 0], [0xFF, 0xFF]] {
+        refused(&[5, 0xFF, 0xFF, value[0], value[1]], ILLEGAL_VALUE);
+    }
+}
+
+#[test]
+fn write_single_register_echoes() {
+    let mut plant = Plant::new();
+    assert_eq!(plant.ask(&[6, 0, 0, 0x01, 0x20]), [6, 0, 0, 0x01, 0x20]);
+    assert_eq!(plant.images.output().flags, CommandFlags::MOVE);
+}
+
+#[test]
+fn multiple_writes_reach_the_device_as_one() {
+    let mut plant = Plant::new();
+    let request = [16, 0, 0, 0, 4, 8, 0x02, 0, 0x07, 0xD0, 0x13, 0x88, 0x0F, 0xA0];
+    assert_eq!(plant.ask(&request), [16, 0, 0, 0, 4]);
+    assert_eq!(plant.writes, [(0, 4)]);
+    let image =
+        OutputImage { flags: CommandFlags::GRIP, user: 0, width: 20_00, speed: 50_00, force_limit: 40_00 };
+    assert_eq!(plant.images.take_written(), Some(image));
+
+    assert_eq!(plant.ask(&[15, 0, 1, 0, 10, 2, 0b0000_0010, 0b11]), [15, 0, 1, 0, 10]);
+    assert_eq!(plant.writes, [(0, 4), (1, 10)]);
+    let written = plant.images.take_written().unwrap();
+    assert_eq!((written.flags, written.user), (CommandFlags::RELEASE, 0b110));
+}
+
+#[test]
+fn multiple_writes_whose_counts_disagree_are_03() {
+    for request in [
+        &[16, 0, 0, 0, 0, 0][..],
+        &[16, 0, 0, 0, 1, 4, 0, 1, 0, 2],
+        &[16, 0, 0, 0, 2, 2, 0, 1],
+        &[16, 0, 0, 0, 2, 4, 0, 1, 0],
+        &[16, 0, 0, 0, 2, 4, 0, 1, 0, 2, 0],
+        &[16, 0, 0, 0, 2],
+        &[16, 0, 0, 0, 124, 248],
+        &[15, 0, 0, 0, 0, 0],
+        &[15, 0, 0, 0, 9, 1, 0xFF],
+        &[15, 0, 0, 0, 8, 2, 0xFF, 0xFF],
+        &[15, 0, 0, 0, 8, 1],
+        &[15, 0, 0, 0x07, 0xB1, 247],
+        &[23, 0, 0, 0, 0, 0, 0, 0, 1, 2, 0, 1],
+        &[23, 0, 0, 0, 126, 0, 0, 0, 1, 2, 0, 1],
+        &[23, 0, 0, 0, 1, 0, 0, 0, 0, 0],
+        &[23, 0, 0, 0, 1, 0, 0, 0, 122, 244],
+        &[23, 0, 0, 0, 1, 0, 0, 0, 1, 4, 0, 1, 0, 2],
+        &[23, 0, 0, 0, 1, 0, 0, 0, 1, 2, 0],
+    ] {
+        refused(request, ILLEGAL_VALUE);
+    }
+}
+
+#[test]
+fn mask_write_register_combines_by_and_then_or() {
+    let mut plant = Plant::new();
+    // The specification's example: 12h, And_Mask F2h, Or_Mask 25h: 17h.
+    plant.ask(&[6, 0, 1, 0, 0x12]);
+    let request = [22, 0, 1, 0, 0xF2, 0, 0x25];
+    assert_eq!(plant.ask(&request), request);
+    assert_eq!(plant.images.holding_register(1), Ok(0x17));
+}
+
+#[test]
+fn read_write_multiple_registers_writes_first() {
+    let mut plant = Plant::new();
+    let answer = plant.ask(&[23, 0, 0, 0, 3, 0, 1, 0, 2, 4, 0x07, 0xD0, 0x13, 0x88]);
+    assert_eq!(answer, [23, 6, 0, 0, 0x07, 0xD0, 0x13, 0x88]);
+}
+
+#[test]
+fn read_write_multiple_registers_that_cannot_read_does_not_write() {
+    let mut plant = Plant::new();
+    assert_eq!(plant.ask(&[23, 0, 3, 0, 2, 0, 0, 0, 1, 2, 0, 1]), [0x97, ILLEGAL_ADDRESS]);
+    assert_eq!(plant.writes, []);
+}
+
+#[test]
+fn lengths_that_the_function_does_not_have_are_03() {
+    for code in [1u8, 2, 3, 4, 5, 6] {
+        for len in (0..10).filter(|len| *len != 4) {
+            let mut request = vec![code];
+            request.resize(1 + len, 0);
+            refused(&request, ILLEGAL_VALUE);
+        }
+    }
+    refused(&[22, 0, 0, 0, 0, 0], ILLEGAL_VALUE);
+    refused(&[22, 0, 0, 0, 0, 0, 0, 0], ILLEGAL_VALUE);
+    refused(&[43], ILLEGAL_VALUE);
+    refused(&[43, 14, 1], ILLEGAL_VALUE);
+    refused(&[43, 14, 1, 0, 0], ILLEGAL_VALUE);
+}
+
+#[test]
+fn functions_that_are_not_served_are_01() {
+    let served = [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43];
+    for code in (0..=255u8).filter(|code| !served.contains(code)) {
+        refused(&[code, 0, 0, 0, 0], ILLEGAL_FUNCTION);
+    }
+    refused(&[43, 13, 0, 0], ILLEGAL_FUNCTION);
+}
+
+#[test]
+fn request_without_a_function_code_gets_no_answer() {
+    assert_eq!(Plant::new().ask(&[]), []);
+}
+
+#[test]
+fn refusal_of_the_device_is_the_exception() {
+    for (exception, code) in [
+        (Exception::ServerDeviceFailure, 4),
+        (Exception::ServerDeviceBusy, 6),
+        (Exception::GatewayPathUnavailable, 10),
+        (Exception::GatewayTargetDeviceFailedToRespond, 11),
+    ] {
+        let mut plant = Plant::new();
+        plant.refusal = Some(exception);
+        assert_eq!(plant.ask(&[6, 0, 0, 0, 1]), [0x86, code]);
+        assert_eq!(plant.ask(&[16, 0, 0, 0, 1, 2, 0, 1]), [0x90, code]);
+    }
+}
+
+#[test]
+fn device_identification_streams_its_objects() {
+    let mut plant = Plant::new();
+    let basic = [&[43, 14, 1, 0x82, 0, 0, 3][..], b"\0\x01V", b"\x01\x02PC", b"\x02\x031.2"].concat();
+    assert_eq!(plant.ask(&[43, 14, 1, 0]), basic);
+    assert_eq!(plant.ask(&[43, 14, 1, 200]), basic, "from an unknown object: from the first on");
+    let tail = [&[43, 14, 2, 0x82, 0, 0, 3][..], b"\x04\x02PN", b"\x05\x01M", b"\x06\0"].concat();
+    assert_eq!(plant.ask(&[43, 14, 2, 4]), tail);
+    assert_eq!(plant.ask(&[43, 14, 3, 4])[3..], tail[3..], "extended: what there is");
+    plant.regular = false;
+    assert_eq!(plant.ask(&[43, 14, 3, 0])[2..7], [3, 0x81, 0, 0, 3], "its own level");
+}
+
+#[test]
+fn device_identification_gives_a_single_object() {
+    let mut plant = Plant::new();
+    assert_eq!(plant.ask(&[43, 14, 4, 1]), [&[43, 14, 4, 0x82, 0, 0, 1][..], b"\x01\x02PC"].concat());
+    assert_eq!(plant.ask(&[43, 14, 4, 7]), [0xAB, ILLEGAL_ADDRESS]);
+    plant.regular = false;
+    assert_eq!(plant.ask(&[43, 14, 4, 4]), [0xAB, ILLEGAL_ADDRESS]);
+    assert_eq!(plant.ask(&[43, 14, 0, 0]), [0xAB, ILLEGAL_VALUE]);
+    assert_eq!(plant.ask(&[43, 14, 5, 200]), [0xAB, ILLEGAL_VALUE]);
+}
+
+#[test]
+fn device_identification_that_does_not_fit_says_where_it_goes_on() {
+    struct Talker(Plant);
+    const LONG: &str = match core::str::from_utf8(&[b'x'; 120]) {
+        Ok(text) => text,
+        Err(_) => "",
+    };
+    impl Device for Talker {
+        fn coil(&self, _: u16) -> Result<bool, Exception> {
+            self.0.coil(0)
+        }
+        fn discrete_input(&self, _: u16) -> Result<bool, Exception> {
+            self.0.coil(0)
+        }
+        fn holding_register(&self, _: u16) -> Result<u16, Exception> {
+            Ok(0)
+        }
+        fn input_register(&self, _: u16) -> Result<u16, Exception> {
+            Ok(0)
+        }
+        fn write_coils(&mut self, _: u16, _: Bits<'_>) -> Result<(), Exception> {
+            Ok(())
+        }
+        fn write_registers(&mut self, _: u16, _: Words<'_>) -> Result<(), Exception> {
+            Ok(())
+        }
+        fn identification(&self) -> Identification {
+            Identification { vendor_name: LONG, product_code: LONG, revision: LONG, regular: None }
+        }
+    }
+    let mut response = [0; MAX_PDU_LEN];
+    let mut talker = Talker(Plant::new());
+    let len = serve(&[43, 14, 1, 0], &mut talker, &mut response);
+    assert_eq!((len, &response[3..7]), (7 + 2 * 122, &[0x81, 0xFF, 2, 2][..]));
+    let len = serve(&[43, 14, 1, 2], &mut talker, &mut response);
+    assert_eq!((len, &response[3..7]), (7 + 122, &[0x81, 0, 0, 1][..]));
+}
+
+#[test]
+fn every_function_at_every_length_is_answered_and_none_panics() {
+    for code in 0..=255u8 {
+        for len in 0..=260usize {
+            for fill in [0u8, 1, 0xFF] {
+                let mut request = vec![code];
+                request.resize(1 + len, fill);
+                let mut plant = Plant::new();
+                let answer = plant.ask(&request);
+                let is_exception = answer.len() == 2 && answer[0] == code | 0x80;
+                assert!(
+                    (answer[0] == code && answer.len() <= MAX_PDU_LEN) || is_exception,
+                    "{code} with {len} bytes of {fill}: {answer:02X?}"
+                );
+            }
+        }
+    }
+}
