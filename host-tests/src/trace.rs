@@ -82,8 +82,11 @@ impl Trace {
 
     /// Writes a last line to every sink; what happens later is recorded and not written.
     pub fn finish(&self, text: &str) {
-        self.headline(text);
-        self.lock().sinks.clear();
+        // One turn of the lock: nothing gets in between.
+        for mut sink in self.lock().sinks.drain(..) {
+            // A sink that fails (a closed pipe) has nothing more to lose.
+            let _ = writeln!(sink, "{text}").and_then(|()| sink.flush());
+        }
     }
 
     /// How many entries there are: a place to come back to.
