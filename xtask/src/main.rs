@@ -5,6 +5,7 @@
 mod demo;
 mod firmware;
 mod flash;
+mod matrix;
 mod process;
 mod setup;
 mod size;
@@ -32,6 +33,8 @@ Commands
                      ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
   test [FILTER]      every check of the workspace, the emulator tests included;
                      with FILTER only the tests whose names match it
+  matrix             the protocol crate with every combination of its features on three targets,
+                     the workspace on the oldest Rust, and the package for crates.io
   size               flash and static RAM of the image against their limits
   flash              write the image to a board with probe-rs and start it
                      [--features X] as for build
@@ -91,6 +94,10 @@ fn run() -> Result<ExitCode> {
             let image = firmware::build(&workspace, &toolchain, &[])?;
             print_image(&image);
             test::run(&workspace, &toolchain, &image, &rest(arguments)?)?;
+        }
+        "matrix" => {
+            no_more(arguments)?;
+            matrix::run(&Workspace::from_env()?)?;
         }
         "size" => {
             no_more(arguments)?;

@@ -12,7 +12,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 pub(crate) use component::Component;
-pub(crate) use rust_target::ThumbToolchain;
+pub(crate) use rust_target::{MINIMUM_RUST, ThumbToolchain, has_target, rustup};
 
 use crate::{process, workspace::Workspace};
 

@@ -38,7 +38,7 @@ pub(crate) enum ThumbToolchain {
 
 /// The tool chain that can build for the target as things are; nothing is installed.
 pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
-    if !is_set("WSG_NO_RUSTUP") && active_has_core(workspace) {
+    if has_target(workspace, TRIPLE) {
         return Some(ThumbToolchain::Active);
     }
     if !debian_can_build_core() {
@@ -49,16 +49,30 @@ pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
 
 /// Lets rustup add the target; says whether it did.
 pub(crate) fn add_by_rustup(workspace: &Workspace) -> bool {
+    rustup(workspace, &["target", "add", TRIPLE])
+}
+
+/// Whether the tool chain of the cargo that was called has `target`'s `core`, and may use it.
+pub(crate) fn has_target(workspace: &Workspace, target: &str) -> bool {
+    if is_set("WSG_NO_RUSTUP") {
+        return false;
+    }
+    let answer = process::answer(workspace.rustc().args(["--print", "target-libdir", "--target", target]));
+    answer.is_some_and(|dir| holds_core(Path::new(dir.trim())))
+}
+
+/// Lets rustup do what `arguments` say, where it may be called; says whether it did.
+pub(crate) fn rustup(workspace: &Workspace, arguments: &[&str]) -> bool {
     if super::installing_is_forbidden() || !rustup_may_be_called() {
         return false;
     }
     let mut rustup = Command::new("rustup");
     // Its own account of a failed download is enough; a backtrace after it hides what is done next.
-    rustup.current_dir(&workspace.root).env_remove("RUST_BACKTRACE").args(["target", "add", TRIPLE]);
+    rustup.current_dir(&workspace.root).env_remove("RUST_BACKTRACE").args(arguments);
     match process::run(&mut rustup) {
         Ok(()) => true,
         Err(error) => {
-            eprintln!("{error:#}: taking Debian's Rust packages instead");
+            eprintln!("{error:#}: going on without");
             false
         }
     }
@@ -141,11 +155,6 @@ fn remap_config(workspace: &Workspace) -> String {
 
 fn toml_string(text: &str) -> String {
     format!("\"{}\"", text.replace('\\', r"\\").replace('"', "\\\""))
-}
-
-fn active_has_core(workspace: &Workspace) -> bool {
-    let answer = process::answer(workspace.rustc().args(["--print", "target-libdir", "--target", TRIPLE]));
-    answer.is_some_and(|dir| holds_core(Path::new(dir.trim())))
 }
 
 /// rustc names the folder whether or not the target is installed.

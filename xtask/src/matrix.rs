@@ -1,0 +1,154 @@
+//! The protocol crate where others will use it: every combination of its features on targets with and without atomics,
+//! on the oldest Rust that it declares, and as the package that would be published.
+
+use std::{fs, process::Command};
+
+use anyhow::{Context, Result, bail};
+
+use crate::{
+    process,
+    setup::{self, MINIMUM_RUST},
+    workspace::Workspace,
+};
+
+const PACKAGE: &str = "wsg-protocol";
+
+/// Without atomics that compare and swap; the board's; without any atomics.
+const TARGETS: [&str; 3] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf", "riscv32i-unknown-none-elf"];
+
+/// The example for a board: a library that needs a core and nothing else.
+const BOARD_EXAMPLE: [&str; 4] = ["--example", "no_std_board", "--features", "embedded-io"];
+
+/// How many of the combinations.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Extent {
+    /// Every combination, and the whole workspace on the oldest Rust: minutes.
+    Whole,
+    /// No feature, each alone, all together; the crate alone on the oldest Rust.
+    Quick,
+}
+
+/// What was built, and what could not be.
+pub(crate) struct Outcome {
+    pub(crate) passed: usize,
+    pub(crate) not_checked: Vec<String>,
+}
+
+/// The whole matrix; what could not be had is named, and makes this fail at the end.
+pub(crate) fn run(workspace: &Workspace) -> Result<()> {
+    let Outcome { passed, not_checked } = build(workspace, Extent::Whole)?;
+    if !not_checked.is_empty() {
+        bail!("{passed} builds passed; NOT CHECKED: {}", not_checked.join("; "));
+    }
+    println!("matrix: {passed} builds passed");
+    Ok(())
+}
+
+/// Builds what `extent` says; fails at the first build that does.
+pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
+    let combinations = combinations(&features(&workspace.root.join("protocol/Cargo.toml"))?, extent);
+    let mut outcome = Outcome { passed: 0, not_checked: Vec::new() };
+
+    for target in TARGETS {
+        if !setup::has_target(workspace, target) && !setup::rustup(workspace, &["target", "add", target]) {
+            outcome.not_checked.push(format!("protocol on {target} (rustup could not bring the target)"));
+            continue;
+        }
+        for features in &combinations {
+            let mut check = workspace.cargo();
+            check.args(["check", "--quiet", "-p", PACKAGE, "--no-default-features", "--target", target]);
+            process::run(check.args(["--features", features]))?;
+            outcome.passed += 1;
+        }
+        let mut example = workspace.cargo();
+        process::run(
+            example.args(["build", "--quiet", "-p", PACKAGE, "--target", target]).args(BOARD_EXAMPLE),
+        )?;
+        outcome.passed += 1;
+    }
+
+    let oldest = format!("{MINIMUM_RUST}.0");
+    if has_toolchain(&oldest)
+        || setup::rustup(
+            workspace,
+            &["toolchain", "install", &oldest, "--profile", "minimal", "--no-self-update"],
+        )
+    {
+        process::run(&mut check_with(workspace, &oldest, extent))?;
+        outcome.passed += 1;
+    } else {
+        outcome.not_checked.push(format!("Rust {oldest} (rustup could not bring it)"));
+    }
+
+    let mut package = workspace.cargo();
+    process::run(package.args(["package", "--quiet", "--allow-dirty", "-p", PACKAGE]))?;
+    outcome.passed += 1;
+    Ok(outcome)
+}
+
+fn check_with(workspace: &Workspace, toolchain: &str, extent: Extent) -> Command {
+    let mut check = Command::new("rustup");
+    // Apart from the active tool chain's, so that neither makes the other build again.
+    check.current_dir(&workspace.root).env("CARGO_TARGET_DIR", workspace.target_dir.join("oldest-rust"));
+    check.args(["run", toolchain, "cargo", "check", "--quiet"]);
+    match extent {
+        Extent::Whole => check.args(["--workspace", "--all-targets"]),
+        Extent::Quick => check.args(["-p", PACKAGE, "--all-features"]),
+    };
+    check
+}
+
+/// The features that the manifest declares, `default` aside.
+fn features(manifest: &std::path::Path) -> Result<Vec<String>> {
+    let text = fs::read_to_string(manifest).with_context(|| format!("cannot read {}", manifest.display()))?;
+    let features: Vec<String> = text
+        .lines()
+        .skip_while(|line| *line != "[features]")
+        .skip(1)
+        .take_while(|line| !line.starts_with('['))
+        .filter(|line| !line.starts_with('#'))
+        .filter_map(|line| Some(line.split_once('=')?.0.trim().to_owned()))
+        .filter(|name| name != "default")
+        .collect();
+    if features.is_empty() {
+        bail!("{} declares no features; a table [features] was expected", manifest.display());
+    }
+    Ok(features)
+}
+
+/// Combinations, comma-separated, the empty one first.
+fn combinations(features: &[String], extent: Extent) -> Vec<String> {
+    let all = (1usize << features.len()) - 1;
+    (0..=all)
+        .filter(|&chosen| extent == Extent::Whole || chosen.count_ones() < 2 || chosen == all)
+        .map(|chosen| {
+            let names = features.iter().enumerate().filter(|(n, _)| chosen & (1 << n) != 0);
+            names.map(|(_, name)| name.as_str()).collect::<Vec<_>>().join(",")
+        })
+        .collect()
+}
+
+fn has_toolchain(version: &str) -> bool {
+    process::answer(Command::new("rustup").args(["run", version, "rustc", "--version"])).is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_combination_occurs_once() {
+        let names = ["a", "b", "c"].map(str::to_owned);
+        let whole = combinations(&names, Extent::Whole);
+        assert_eq!(whole, ["", "a", "b", "a,b", "c", "a,c", "b,c", "a,b,c"]);
+        assert_eq!(combinations(&names, Extent::Quick), ["", "a", "b", "c", "a,b,c"]);
+    }
+
+    #[test]
+    fn features_are_read_from_the_manifest() {
+        let manifest = concat!(env!("CARGO_MANIFEST_DIR"), "/../protocol/Cargo.toml");
+        let features = features(manifest.as_ref()).unwrap();
+        assert!(features.contains(&"small-table".to_owned()), "{features:?}");
+        assert!(!features.iter().any(|name| name == "default" || name.contains('#')), "{features:?}");
+    }
+}
