@@ -3,7 +3,7 @@
 use crate::sim::{PATIENCE, Random, Setup, Sim, frame};
 use anyhow::{Context, Result, anyhow, ensure};
 use std::fs::OpenOptions;
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
@@ -38,6 +38,8 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
         answers_tcp(&sim).context("TCP")?;
         answers_udp(&sim, &remote).context("UDP")?;
         answers_serial(&sim, setup).context("the serial line")?;
+        answers_gcl(&sim).context("GCL over TCP")?;
+        answers_gcl_udp(&sim).context("GCL over UDP")?;
         answers_control(sim.control).context("the control interface")?;
         sim.stop()?;
     }
@@ -53,13 +55,16 @@ fn disturb(sim: &Sim, setup: Setup<'_>, seed: u64, lasting: Duration) -> Result<
     let end = Instant::now() + lasting;
     let (_unread, mut serial) = open_serial(&sim.serial, setup)?;
     let socket = UdpSocket::bind("127.0.0.1:0")?;
-    let (tcp, udp, control) = (sim.tcp, sim.udp, sim.control);
-    let senders: [Sender; 5] = [
+    let (tcp, udp, gcl, gcl_udp, control) = (sim.tcp, sim.udp, sim.gcl, sim.gcl_udp, sim.control);
+    let gcl_socket = UdpSocket::bind("127.0.0.1:0")?;
+    let senders: [Sender; 7] = [
         Box::new(move |run| say_and_leave(tcp, run)),
         Box::new(move |run| say_and_leave(tcp, run)),
+        Box::new(move |run| say_and_leave(gcl, run)),
         Box::new(move |run| say_and_leave(control, run)),
         // What the system has no room for is lost.
         Box::new(move |run| socket.send_to(run, udp).map_or(Ok(()), |_| Ok(()))),
+        Box::new(move |run| gcl_socket.send_to(run, gcl_udp).map_or(Ok(()), |_| Ok(()))),
         Box::new(move |run| Ok(serial.write_all(run)?)),
     ];
     thread::scope(|scope| {
@@ -101,6 +106,7 @@ fn noise(random: &mut Random) -> Vec<u8> {
                 frame(Command::ACKNOWLEDGE),
                 frame(Command::GripPart { width: 20.0, speed: 100.0 }),
                 frame(Command::GetSystemInfo),
+                b"VERBOSE=1\nGRIP(10,20.5)\nAUTOSEND('POS',10,0.5)\nSYSFLAGS[3]?\n".to_vec(),
                 b"POST /part HTTP/1.1\r\nContent-Length: 4\r\n\r\nnull".to_vec(),
             ]
             .concat();
@@ -161,6 +167,36 @@ fn answers_udp(sim: &Sim, remote: &UdpSocket) -> Result<()> {
             if contains(&datagram[..len], SOUGHT) {
                 return Ok(());
             }
+        }
+    }
+    Err(anyhow!("no answer"))
+}
+
+fn answers_gcl(sim: &Sim) -> Result<()> {
+    let mut stream = TcpStream::connect(sim.gcl)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.write_all(b"DEVTYPE?\n")?;
+    let mut line = String::new();
+    BufReader::new(stream).read_line(&mut line)?;
+    ensure!(line.starts_with("DEVTYPE="), "the answer is another: {line:?}");
+    Ok(())
+}
+
+/// From a socket of its own, so that no answer to the noise comes here; the line's buffers may still be full of it.
+fn answers_gcl_udp(sim: &Sim) -> Result<()> {
+    let socket = UdpSocket::bind("127.0.0.1:0")?;
+    socket.set_read_timeout(Some(RETRY))?;
+    let start = Instant::now();
+    let mut datagram = [0; 2_048];
+    while start.elapsed() < PATIENCE {
+        socket.send_to(b"DEVTYPE?\n", sim.gcl_udp)?;
+        if let Ok(len) = socket.recv(&mut datagram) {
+            ensure!(
+                datagram[..len].starts_with(b"DEVTYPE="),
+                "the answer is another: {:02X?}",
+                &datagram[..len]
+            );
+            return Ok(());
         }
     }
     Err(anyhow!("no answer"))

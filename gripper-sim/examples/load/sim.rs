@@ -32,6 +32,8 @@ pub(crate) struct Sim {
     process: Child,
     pub(crate) tcp: SocketAddr,
     pub(crate) udp: SocketAddr,
+    pub(crate) gcl: SocketAddr,
+    pub(crate) gcl_udp: SocketAddr,
     pub(crate) control: SocketAddr,
     pub(crate) serial: PathBuf,
 }
@@ -54,12 +56,20 @@ pub(crate) fn serve() -> Result<()> {
     let lines = Lines {
         tcp: Some(any),
         udp: Some(UdpLine { address: any, remote_port }),
+        gcl: Some(any),
+        gcl_udp: Some(any),
         serial: Some(serial),
         control: Some(any),
         ..Lines::default()
     };
     let server = ServerThread::start(config, &lines, None)?;
-    for address in [server.tcp_address(), server.udp_address(), server.control_address()] {
+    for address in [
+        server.tcp_address(),
+        server.udp_address(),
+        server.gcl_address(),
+        server.gcl_udp_address(),
+        server.control_address(),
+    ] {
         println!("{}", address.context("it was asked for")?);
     }
     println!("{}", server.serial_path().context("it was asked for")?.display());
@@ -82,8 +92,15 @@ impl Sim {
         let mut lines = BufReader::new(process.stdout.take().context("it is piped")?).lines();
         let mut line =
             move || lines.next().context("the gripper did not start")?.map_err(anyhow::Error::from);
-        let (tcp, udp, control) = (line()?.parse()?, line()?.parse()?, line()?.parse()?);
-        Ok(Self { tcp, udp, control, serial: line()?.into(), process })
+        Ok(Self {
+            tcp: line()?.parse()?,
+            udp: line()?.parse()?,
+            gcl: line()?.parse()?,
+            gcl_udp: line()?.parse()?,
+            control: line()?.parse()?,
+            serial: line()?.into(),
+            process,
+        })
     }
 
     pub(crate) fn connect(&self) -> Result<TcpStream> {

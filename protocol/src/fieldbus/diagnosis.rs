@@ -78,6 +78,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn diagnosis_has_16_bytes_and_each_flag_in_bytes_7_to_10() {
+        for bit in 0..32 {
+            let system = SystemFlags::from_bits_retain(1 << bit);
+            let mut expected = [1, 2, 3, 4, 0x55, 0x55, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+            expected[7 + bit / 8] = 1 << (bit % 8);
+            assert_eq!(Diagnosis { standard: [1, 2, 3, 4], system }.to_bytes(), expected, "bit {bit}");
+        }
+    }
+
+    #[test]
     fn diagnosis_is_due_for_each_flag_of_the_manuals_list_and_no_other() {
         let listed = [4, 5, 12, 14, 15, 16, 17, 18, 20];
         for bit in 0..32 {
