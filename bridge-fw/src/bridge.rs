@@ -1,13 +1,16 @@
 //! The bridge: a PLC side, the register controller, the session, and the gripper's line.
 
-use crate::digital_io::DigitalIo;
+use crate::arbiter::{Arbiter, Commander};
+use crate::digital_io::{DigitalIo, is_moving};
 use crate::io::{Inputs, Outputs};
 use crate::log;
+use crate::modbus::{BusConfig, BusPort, ModbusSide, NoBus, Settings, Subjects};
 use crate::recipe::{RECIPE_COUNT, RECIPES, Recipe};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::{Controller, ForceUnit};
-use wsg_protocol::session::{self, Notice, Session};
-use wsg_protocol::{Command, DeviceTag, FrameEncoder, FrameParser, Instant, frame};
+use wsg_protocol::modbus::rtu;
+use wsg_protocol::session::{self, Notice, Session, Signal};
+use wsg_protocol::{AutoUpdate, Command, DeviceTag, FrameEncoder, FrameParser, Instant, frame};
 
 /// The longest reply that a bridge asks for: a device tag behind its status code. Everything longer is not for it.
 pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
@@ -15,6 +18,13 @@ pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
 /// Bytes taken from the line in one turn of the main loop, at the most: a line that never falls silent must not keep
 /// the wires waiting. One millisecond at 115 200 bit/s brings 12.
 const MAX_RECEIVED_PER_POLL: usize = 256;
+
+/// Requests of the bus served in one turn, at the most: the shortest takes longer to come than a turn.
+const MAX_SERVED_PER_POLL: usize = 4;
+
+/// The least time between two updates of width or force for the bus's registers: a report has 14 bytes, and the line
+/// carries 115 in that time.
+const MEASURED_PERIOD_MS: u16 = AutoUpdate::MIN_PERIOD_MS;
 
 /// What can be set about a bridge.
 #[derive(Clone, Copy, Debug)]
@@ -30,16 +40,20 @@ pub struct Config {
     pub recipes: &'static [Recipe; RECIPE_COUNT],
     /// Time-outs towards the gripper.
     pub session: session::Config,
+    /// The bus: Modbus RTU.
+    pub bus: BusConfig,
 }
 
 impl Config {
-    /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, time-outs for a serial line.
+    /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, time-outs for a serial line, and a bus at
+    /// 19 200 bit/s.
     pub const DEFAULT: Self = Self {
         debounce_ms: 2,
         min_busy_ms: 50,
         half_frame_ms: 20,
         recipes: &RECIPES,
         session: session::Config::DEFAULT,
+        bus: BusConfig::DEFAULT,
     };
 }
 
@@ -52,17 +66,24 @@ pub struct Counters {
     pub session: session::Counters,
 }
 
-/// One bridge between the wires of a PLC and one gripper.
+/// One bridge between the wires of a PLC, or its bus, and one gripper.
 ///
 /// Board-free: [`poll`](Self::poll) it in the main loop, at least once a millisecond.
 #[derive(Debug)]
 pub struct Bridge {
-    half_frame_ms: u32,
+    settings: Settings,
     parser: FrameParser<MAX_REPLY_LEN>,
     received_at: Instant,
     session: Session,
     controller: Controller,
     wires: DigitalIo,
+    bus_config: BusConfig,
+    bus: ModbusSide,
+    /// How often a PLC on the bus was silent for too long.
+    bus_timeouts: u16,
+    arbiter: Arbiter,
+    /// A gripper has answered since power-up.
+    was_connected: bool,
     /// The frame that is being sent.
     sending: Option<FrameEncoder<Command<'static>>>,
 }
@@ -71,14 +92,20 @@ impl Bridge {
     /// A bridge at power-up: nothing is known, nothing will be sent that moves fingers.
     #[must_use]
     pub const fn new(config: Config) -> Self {
+        let settings = Settings::new(&config);
         Self {
-            half_frame_ms: config.half_frame_ms,
             parser: FrameParser::new(),
             received_at: Instant::from_millis(0),
             session: Session::new(config.session),
             controller: Controller::new(),
-            wires: DigitalIo::new(config.debounce_ms, config.min_busy_ms, config.recipes),
+            wires: DigitalIo::new(config.debounce_ms, config.min_busy_ms, *config.recipes),
+            bus_config: config.bus,
+            bus: ModbusSide::new(&config.bus, &settings),
+            bus_timeouts: 0,
+            arbiter: Arbiter::new(),
+            was_connected: false,
             sending: None,
+            settings,
         }
     }
 
@@ -90,11 +117,24 @@ impl Bridge {
         inputs: Inputs,
         link: &mut L,
     ) -> Outputs {
+        self.poll_with_bus(now_ms, inputs, link, &mut NoBus)
+    }
+
+    /// As [`poll`](Self::poll), with a bus beside the wires.
+    pub fn poll_with_bus<L: Read + ReadReady + Write + WriteReady>(
+        &mut self,
+        now_ms: u32,
+        inputs: Inputs,
+        link: &mut L,
+        bus: &mut impl BusPort,
+    ) -> Outputs {
         let now = Instant::from_millis(now_ms);
         self.receive(now, link);
         self.expire_half_frame(now);
         self.tick(now);
+        self.was_connected |= self.session.is_connected();
         self.take_wires(now, inputs);
+        self.take_bus(now, bus);
         self.forward_commands();
         self.tick(now);
         self.transmit(now, link);
@@ -106,6 +146,18 @@ impl Bridge {
     #[must_use]
     pub const fn counters(&self) -> Counters {
         Counters { line: self.parser.counters(), session: self.session.counters() }
+    }
+
+    /// What the bus has counted so far (FC 8).
+    #[must_use]
+    pub const fn bus_counters(&self) -> rtu::Counters {
+        self.bus.counters()
+    }
+
+    /// Who gave the last motion command.
+    #[must_use]
+    pub const fn commander(&self) -> Commander {
+        self.arbiter.commander()
     }
 
     fn receive<L: Read + ReadReady>(&mut self, now: Instant, link: &mut L) {
@@ -127,7 +179,7 @@ impl Bridge {
     }
 
     fn expire_half_frame(&mut self, now: Instant) {
-        if !self.parser.is_mid_frame() || now.since(self.received_at) < self.half_frame_ms {
+        if !self.parser.is_mid_frame() || now.since(self.received_at) < self.settings.half_frame_ms() {
             return;
         }
         while let Some(event) = self.parser.expire() {
@@ -151,6 +203,59 @@ impl Bridge {
         let unit = known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
         let gripper = self.controller.input(known);
         if let Some(image) = self.wires.update(now, inputs, &gripper, unit) {
+            for image in self.arbiter.take_wires(image, is_moving(&gripper)).into_iter().flatten() {
+                self.controller.set_output(&image, known);
+            }
+        }
+    }
+
+    /// Serves what the bus has brought. Each request's image reaches the controller by itself, so that no edge is lost.
+    fn take_bus(&mut self, now: Instant, port: &mut impl BusPort) {
+        for _ in 0..MAX_SERVED_PER_POLL {
+            let gripper = self.controller.input(self.session.known());
+            let moving = is_moving(&gripper);
+            let subjects = Subjects {
+                config: &self.bus_config,
+                session: &self.session,
+                was_connected: self.was_connected,
+                line: self.parser.counters(),
+                commander: self.arbiter.commander(),
+                bus: self.bus.counters(),
+                timeouts: self.bus_timeouts,
+            };
+            let was_heard = self.bus.is_heard();
+            let settings = &mut self.settings;
+            let Some(served) = self.bus.serve(now, port, &gripper, moving, &subjects, settings) else {
+                break;
+            };
+            if !was_heard {
+                // Wires alone have no use for them.
+                let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
+                self.session.subscribe(Signal::Width, update);
+                self.session.subscribe(Signal::Force, update);
+            }
+            if served.configured {
+                self.bus.configure(&self.settings);
+                self.wires.configure(&self.settings);
+            }
+            if let Some(image) = served.image
+                && let Some(image) = self.arbiter.take_bus(image, moving)
+            {
+                self.controller.set_output(&image, self.session.known());
+            }
+        }
+        if self.bus.has_fallen_silent(now, self.settings.timeout_ms()) {
+            self.lose_bus();
+        }
+    }
+
+    fn lose_bus(&mut self) {
+        let known = self.session.known();
+        if self.arbiter.commander() == Commander::Bus {
+            self.bus_timeouts = self.bus_timeouts.saturating_add(1);
+            self.controller.silence(self.settings.reaction(), known);
+        }
+        if let Some(image) = self.arbiter.lose_bus() {
             self.controller.set_output(&image, known);
         }
     }

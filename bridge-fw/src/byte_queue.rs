@@ -75,6 +75,13 @@ impl<const N: usize> ByteQueue<N> {
         Some(byte)
     }
 
+    /// How many more bytes can be pushed, as the producer sees it.
+    #[must_use]
+    pub fn room(&self) -> usize {
+        let pushed = self.pushed.load(Ordering::Relaxed);
+        N.saturating_sub(pushed.wrapping_sub(self.popped.load(Ordering::Acquire)))
+    }
+
     /// Whether no byte waits.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -109,7 +116,7 @@ mod tests {
             assert_eq!(queue.push(byte), Ok(()));
         }
         assert!(queue.is_full());
-        assert_eq!(queue.push(4), Err(Full));
+        assert_eq!((queue.room(), queue.push(4)), (0, Err(Full)));
         for byte in 0..4 {
             assert!(!queue.is_empty());
             assert_eq!(queue.pop(), Some(byte));

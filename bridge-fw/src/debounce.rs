@@ -35,6 +35,11 @@ impl Debounce {
         Self { period_ms, read: None, settled: Inputs::empty(), levels: Inputs::empty() }
     }
 
+    /// Changes the time, from the next reading on.
+    pub(crate) const fn set_period(&mut self, period_ms: u32) {
+        self.period_ms = period_ms;
+    }
+
     /// Takes a reading, and gives the levels that count; `None` until every wire has settled once after power-up.
     pub fn update(&mut self, now: Instant, reading: Inputs) -> Option<Inputs> {
         let (before, mut since) = self.read.unwrap_or((reading, [now; GROUPS.len()]));

@@ -2,6 +2,7 @@
 
 use crate::debounce::Debounce;
 use crate::io::{Inputs, Outputs};
+use crate::modbus::Settings;
 use crate::recipe::{RECIPE_COUNT, Recipe};
 use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Instant, Status, SystemFlags};
@@ -29,7 +30,7 @@ const LOCKING_FAULTS: SystemFlags = SystemFlags::FAST_STOP
 #[derive(Debug)]
 pub struct DigitalIo {
     debounce: Debounce,
-    recipes: &'static [Recipe; RECIPE_COUNT],
+    recipes: [Recipe; RECIPE_COUNT],
     /// The wires as they count now; none before they have settled after power-up.
     levels: Option<Inputs>,
     image: OutputImage,
@@ -41,7 +42,7 @@ pub struct DigitalIo {
 impl DigitalIo {
     /// Wires that are debounced for `debounce_ms` milliseconds, and a BUSY that lasts `min_busy_ms` at least.
     #[must_use]
-    pub const fn new(debounce_ms: u32, min_busy_ms: u32, recipes: &'static [Recipe; RECIPE_COUNT]) -> Self {
+    pub const fn new(debounce_ms: u32, min_busy_ms: u32, recipes: [Recipe; RECIPE_COUNT]) -> Self {
         Self {
             debounce: Debounce::new(debounce_ms),
             recipes,
@@ -49,6 +50,15 @@ impl DigitalIo {
             image: OutputImage::ZERO,
             min_busy_ms,
             busy_since: None,
+        }
+    }
+
+    /// Takes over settings, from the next reading on.
+    pub(crate) fn configure(&mut self, settings: &Settings) {
+        self.debounce.set_period(settings.debounce_ms());
+        self.min_busy_ms = settings.min_busy_ms();
+        for (number, recipe) in self.recipes.iter_mut().enumerate() {
+            *recipe = settings.recipe(number).unwrap_or(*recipe);
         }
     }
 
@@ -131,7 +141,7 @@ impl DigitalIo {
     fn take_recipe(&mut self, rising: CommandFlags, levels: Inputs, unit: ForceUnit) {
         let with_recipe = CommandFlags::MOVE | CommandFlags::GRIP | CommandFlags::RELEASE;
         // As the controller does: of several the lowest bit counts.
-        let Some(command) = rising.intersection(with_recipe).iter().next() else { return };
+        let Some(command) = rising.intersection(with_recipe).lowest() else { return };
         let number =
             usize::from(levels.contains(Inputs::RECIPE0)) + 2 * usize::from(levels.contains(Inputs::RECIPE1));
         let Some(recipe) = self.recipes.get(number) else { return };
@@ -144,7 +154,8 @@ impl DigitalIo {
     }
 }
 
-fn is_moving(gripper: &InputImage) -> bool {
+/// Whether a motion is carried out, or the fingers move for another reason.
+pub(crate) fn is_moving(gripper: &InputImage) -> bool {
     gripper.state.intersects(MOTION_STATES) || gripper.system.contains(SystemFlags::MOVING)
 }
 

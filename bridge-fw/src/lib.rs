@@ -2,8 +2,15 @@
 //! well.
 //!
 //! `wires -> DigitalIo -> fieldbus::Controller -> Session -> line`, and back. A PLC side produces the output image and
-//! consumes the input image of the fieldbus manual, so another one (Modbus RTU, CAN) takes the place of the wires
-//! without a change behind it.
+//! consumes the input image of the fieldbus manual; Modbus RTU ([`modbus`]) is a second one beside the wires.
+//!
+//! Who commands, when both are connected:
+//! - FASTSTOP and STOP/ACK of either side always count; so does a FASTSTOP wire that is low. Without wires, that one must
+//!   be tied high.
+//! - The bus moves the fingers only while no command wire is high. What rises meanwhile is lost, and a jog of the bus
+//!   ends when a command wire rises.
+//! - What a bus writes first, after power-up or after it was silent, gives no edge.
+//! - A motion goes on with the parameters of the side that began it.
 #![no_std]
 #![forbid(unsafe_code)]
 #![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -12,6 +19,7 @@
 #[cfg(test)]
 extern crate std;
 
+mod arbiter;
 pub mod boards;
 mod bridge;
 pub mod byte_queue;
@@ -19,9 +27,12 @@ mod debounce;
 mod digital_io;
 pub mod io;
 mod log;
+pub mod modbus;
 mod recipe;
 
+pub use arbiter::Commander;
 pub use bridge::{Bridge, Config, Counters, MAX_REPLY_LEN};
 pub use debounce::Debounce;
 pub use digital_io::DigitalIo;
+pub use modbus::{BusConfig, BusPort};
 pub use recipe::{RECIPE_COUNT, RECIPES, Recipe};

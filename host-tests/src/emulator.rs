@@ -1,8 +1,8 @@
 //! The firmware image on an emulated B-L475E-IOT01A: power it, wire it, watch it.
 //!
 //! QEMU runs the ELF that is flashed. The PLC's input wires are driven through qtest, its output
-//! wires are watched in QEMU's trace, the gripper's line (UART4) is a socket. Nothing here sleeps,
-//! and every wait has a bound. To reset the board drop the [`Emulator`] and start another.
+//! wires are watched in QEMU's trace, the gripper's line (UART4) and the bus (LPUART1) are sockets. Nothing
+//! here sleeps, and every wait has a bound. To reset the board drop the [`Emulator`] and start another.
 //!
 //! What QEMU's machine lacks, it cannot show: the independent watchdog, baud rates, line errors.
 
@@ -33,8 +33,9 @@ const QEMU: &str = "qemu-system-arm";
 /// QEMU starts in tens of milliseconds and answers in less; this is for a host that is very busy.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// The socket's name in a directory of its own.
-const SOCKET_NAME: &str = "uart4";
+/// The sockets' names, each in a directory of its own.
+const GRIPPER_LINE: &str = "uart4";
+const MODBUS_LINE: &str = "lpuart1";
 
 /// Part of the name of the board file's millisecond counter.
 const CLOCK_SYMBOL: &str = "4tick6NOW_MS";
@@ -49,6 +50,7 @@ pub struct Emulator {
     qtest: Mutex<Qtest>,
     inputs: Mutex<Inputs>,
     gripper_line: Option<UnixStream>,
+    modbus_line: Option<UnixStream>,
     /// Where the firmware counts its milliseconds.
     clock_address: Option<u32>,
     watch: Arc<Watch>,
@@ -89,7 +91,8 @@ impl Emulator {
     /// # Errors
     /// See [`start`](Self::start).
     pub fn start_with(elf: &Path, extras: Extras<'_>) -> Result<Self> {
-        let uart4 = SocketAddress::bind()?;
+        let uart4 = SocketAddress::bind(GRIPPER_LINE)?;
+        let lpuart1 = SocketAddress::bind(MODBUS_LINE)?;
         let (qtest, qtest_server) = UnixStream::pair()?;
         let mut command = Command::new(QEMU);
         command
@@ -101,9 +104,10 @@ impl Emulator {
             // Standard input of QEMU is a socket here, so this one needs no name.
             .args(["-chardev", "socket,id=qtest,fd=0", "-qtest", "chardev:qtest", "-qtest-log", "none"])
             .args(["-chardev", &format!("socket,id=uart4,path={}", uart4.path().display())])
+            .args(["-chardev", &format!("socket,id=lpuart1,path={}", lpuart1.path().display())])
             // USART1 to USART3, UART4, UART5, LPUART1.
             .args(
-                ["null", "null", "null", "chardev:uart4", "null", "null"]
+                ["null", "null", "null", "chardev:uart4", "null", "chardev:lpuart1"]
                     .iter()
                     .flat_map(|to| ["-serial", to]),
             )
@@ -127,6 +131,7 @@ impl Emulator {
             qtest: Mutex::new(Qtest::new(qtest, PATIENCE)?),
             inputs: Mutex::new(Inputs::empty()),
             gripper_line: None,
+            modbus_line: None,
             clock_address: symbol(elf, CLOCK_SYMBOL),
             watch: Arc::default(),
         };
@@ -138,6 +143,7 @@ impl Emulator {
         running.with_context(|| format!("no firmware for this board comes up from {}", elf.display()))?;
         // QEMU connected before the firmware ran, so there is nothing to wait for.
         emulator.gripper_line = Some(uart4.accept()?);
+        emulator.modbus_line = Some(lpuart1.accept()?);
         Ok(emulator)
     }
 
@@ -148,6 +154,13 @@ impl Emulator {
     /// for the receiver instead of overrunning it. Dropping the end cuts the line for good.
     pub fn take_gripper_line(&mut self) -> Option<UnixStream> {
         self.gripper_line.take()
+    }
+
+    /// The master's end of the bus, as [`take_gripper_line`](Self::take_gripper_line) is the gripper's end of its line.
+    ///
+    /// Bytes come through as fast as the firmware takes them, and pauses between them as long as the host makes them.
+    pub fn take_modbus_line(&mut self) -> Option<UnixStream> {
+        self.modbus_line.take()
     }
 
     /// Drives all input wires; those that change do so one after the other, in the order of their bits.
@@ -256,11 +269,12 @@ impl Drop for Emulator {
 /// A socket in a directory of its own that QEMU connects to; both are gone when this is dropped.
 struct SocketAddress {
     directory: PathBuf,
+    name: &'static str,
     listener: UnixListener,
 }
 
 impl SocketAddress {
-    fn bind() -> Result<Self> {
+    fn bind(name: &'static str) -> Result<Self> {
         static EMULATORS: AtomicU32 = AtomicU32::new(0);
         let number = EMULATORS.fetch_add(1, Ordering::Relaxed);
         let directory = std::env::temp_dir().join(format!("wsg-emulator-{}-{number}", process::id()));
@@ -268,21 +282,22 @@ impl SocketAddress {
             // A process of this number may have died before it tidied up.
             let _ = fs::remove_dir_all(&directory);
             fs::create_dir(&directory)?;
-            let listener = UnixListener::bind(directory.join(SOCKET_NAME))?;
+            let listener = UnixListener::bind(directory.join(name))?;
             listener.set_nonblocking(true)?;
             Ok::<_, io::Error>(listener)
         };
         let listener = bind().with_context(|| format!("cannot make a socket in {}", directory.display()))?;
-        Ok(Self { directory, listener })
+        Ok(Self { directory, name, listener })
     }
 
     fn path(&self) -> PathBuf {
-        self.directory.join(SOCKET_NAME)
+        self.directory.join(self.name)
     }
 
     /// The connection that QEMU has made.
     fn accept(&self) -> Result<UnixStream> {
-        let (connection, _) = self.listener.accept().context("QEMU has not connected its UART4")?;
+        let (connection, _) =
+            self.listener.accept().with_context(|| format!("QEMU has not connected its {}", self.name))?;
         connection.set_nonblocking(false)?;
         Ok(connection)
     }

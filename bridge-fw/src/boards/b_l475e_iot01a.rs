@@ -1,8 +1,8 @@
 //! Where the PLC's wires are on the board B-L475E-IOT01A (ST UM2153, Arduino connectors CN1 to CN4).
 //!
 //! The firmware's pin file and the harness that plays the PLC in the emulator both read these
-//! tables. Taken besides: UART4 to the gripper on PA0 (TX, D1) and PA1 (RX, D0). Kept free: PC0
-//! and PC1 (LPUART1), PB1 (its driver enable), PB8 and PB9 (CAN1).
+//! tables. Taken besides: UART4 to the gripper on PA0 (TX, D1) and PA1 (RX, D0); LPUART1 to the bus on PC1
+//! (TX, A4), PC0 (RX, A5) and PB1 (driver enable, D6). Kept free: PB8 and PB9 (CAN1).
 
 use crate::io::{Inputs, Outputs};
 

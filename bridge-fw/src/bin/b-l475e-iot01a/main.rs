@@ -13,6 +13,7 @@
     clippy::panic
 )]
 
+mod bus;
 mod clock;
 mod log;
 mod pins;
@@ -29,6 +30,9 @@ use wsg_bridge_fw::{Bridge, Config};
 
 #[entry]
 fn main() -> ! {
+    // Too large for the stack. (`entry` lends it safely: it runs once.)
+    static mut BRIDGE: Bridge = Bridge::new(Config::DEFAULT);
+
     // Outputs first: they show "not ready" through everything that may go wrong below.
     let mut pins = pins::init();
     let Some(core) = cortex_m::Peripherals::take() else { SCB::sys_reset() };
@@ -44,12 +48,12 @@ fn main() -> ! {
     }
     tick::start(core.SYST);
     let mut gripper_line = uart::start();
-    let mut bridge = Bridge::new(Config::DEFAULT);
+    let mut plc_bus = bus::start();
     log::running();
 
     loop {
         let now_ms = tick::now_ms();
-        let outputs = bridge.poll(now_ms, pins.read(), &mut gripper_line);
+        let outputs = BRIDGE.poll_with_bus(now_ms, pins.read(), &mut gripper_line, &mut plc_bus);
         pins.write(outputs);
         watchdog.feed();
         log::line_errors();

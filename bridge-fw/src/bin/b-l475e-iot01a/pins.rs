@@ -1,4 +1,4 @@
-//! The PLC's wires and the gripper's line on their pins (RM0351, chapter 8).
+//! The PLC's wires, the gripper's line and the bus on their pins (RM0351, chapter 8).
 
 use stm32_metapac::gpio::Gpio;
 use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, RCC};
@@ -9,6 +9,12 @@ use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 const UART4_TX: u8 = 0;
 const UART4_RX: u8 = 1;
 const AF_UART4: u32 = 8;
+
+/// Pins of the bus, LPUART1: receiver and transmitter on port C, driver enable on port B, and their function there.
+const LPUART1_RX: u8 = 0;
+const LPUART1_TX: u8 = 1;
+const LPUART1_DE: u8 = 1;
+const AF_LPUART1: u32 = 8;
 
 /// Values of a pin's field in MODER and PUPDR.
 const MODE_INPUT: u32 = 0b00;
@@ -41,12 +47,13 @@ pub(crate) fn init() -> Pins {
         set_up(wire.port, wire.pin, MODE_INPUT, PULL_DOWN);
     }
 
-    let line_pins = 0xF << (4 * UART4_TX) | 0xF << (4 * UART4_RX);
-    let line_functions = AF_UART4 << (4 * UART4_TX) | AF_UART4 << (4 * UART4_RX);
-    GPIOA.afr(0).modify(|w| w.0 = (w.0 & !line_pins) | line_functions);
-    set_up(Port::A, UART4_TX, MODE_ALTERNATE, PULL_NONE);
+    hand_over(Port::A, UART4_TX, AF_UART4, PULL_NONE);
     // A line idles high: without a transceiver the receiver hears silence, not noise.
-    set_up(Port::A, UART4_RX, MODE_ALTERNATE, PULL_UP);
+    hand_over(Port::A, UART4_RX, AF_UART4, PULL_UP);
+    hand_over(Port::C, LPUART1_TX, AF_LPUART1, PULL_UP);
+    hand_over(Port::C, LPUART1_RX, AF_LPUART1, PULL_UP);
+    // Low, which is no driver, also while nobody drives it.
+    hand_over(Port::B, LPUART1_DE, AF_LPUART1, PULL_DOWN);
     pins
 }
 
@@ -72,6 +79,13 @@ impl OutputPort for Pins {
         let low = OUTPUT_PINS & !high;
         registers(OUTPUT_PORT).bsrr().write(|w| w.0 = u32::from(low) << 16 | u32::from(high));
     }
+}
+
+/// Hands a pin, one of 0 to 7, over to a peripheral.
+fn hand_over(port: Port, pin: u8, function: u32, pull: u32) {
+    let field = 4 * pin;
+    registers(port).afr(0).modify(|w| w.0 = (w.0 & !(0xF << field)) | function << field);
+    set_up(port, pin, MODE_ALTERNATE, pull);
 }
 
 fn set_up(port: Port, pin: u8, mode: u32, pull: u32) {

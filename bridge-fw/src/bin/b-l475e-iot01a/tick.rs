@@ -2,8 +2,8 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m::peripheral::{SCB, SYST};
 use cortex_m_rt::exception;
 
 use crate::clock::HCLK_HZ;
@@ -25,6 +25,18 @@ pub(crate) fn start(mut systick: SYST) {
 /// Milliseconds since [`start`]; starts again from 0 after 49 days.
 pub(crate) fn now_ms() -> u32 {
     NOW_MS.load(Ordering::Relaxed)
+}
+
+/// Microseconds since [`start`]; starts again from 0 after 71 minutes. Also for interrupt handlers.
+pub(crate) fn now_us() -> u32 {
+    cortex_m::interrupt::free(|_| {
+        let left = SYST::get_current();
+        // The counter may have begun anew while its interrupt waits for this code to end.
+        let late = SCB::is_pendst_pending() && left > CYCLES_PER_MS / 2;
+        let ms = now_ms().wrapping_add(u32::from(late));
+        let cycles = (CYCLES_PER_MS - 1).saturating_sub(left);
+        ms.wrapping_mul(1_000).wrapping_add(cycles / (CYCLES_PER_MS / 1_000))
+    })
 }
 
 #[exception]

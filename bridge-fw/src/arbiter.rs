@@ -1,0 +1,268 @@
+//! Who commands: wires and bus at the same time, one output image for the controller.
+//!
+//! The rule:
+//! 1. FASTSTOP and STOP/ACK of either side always count; so does a FASTSTOP wire that is low.
+//! 2. Motion and jog flags of the bus count only while no command wire (GRIP, RELEASE, MOVE, HOME) is high. One that
+//!    rises meanwhile, or is 1 when a command wire rises, counts again after it was written 0. So a jog of the bus ends
+//!    when a command wire rises.
+//! 3. What the bus writes first, after power-up or after it was silent, gives no edge: a flag that is 1 there counts
+//!    after it was written 0. FASTSTOP counts at once.
+//! 4. WIDTH, SPEED and FORCELIMIT are those of the side that gave the last motion command; while the fingers move the
+//!    other side's change nothing.
+
+use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+
+/// The flags of the command wires.
+const MOTIONS: CommandFlags =
+    CommandFlags::MOVE.union(CommandFlags::GRIP).union(CommandFlags::RELEASE).union(CommandFlags::HOMING);
+
+/// What moves fingers.
+const MOVERS: CommandFlags = MOTIONS.union(CommandFlags::JOG_PLUS).union(CommandFlags::JOG_MINUS);
+
+/// Whose motion command was the last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Commander {
+    /// Nobody's yet.
+    #[default]
+    Nobody,
+    /// The wires'.
+    Wires,
+    /// The bus's.
+    Bus,
+}
+
+/// Both sides, and what comes of them.
+#[derive(Debug)]
+pub(crate) struct Arbiter {
+    /// What the wires ask for; none before they have settled.
+    wires: Option<OutputImage>,
+    /// What the bus wrote last.
+    bus: OutputImage,
+    /// The next image of the bus is its first.
+    bus_is_new: bool,
+    /// Flags of the bus that do not count until they are written 0.
+    masked: CommandFlags,
+    commander: Commander,
+    /// WIDTH, SPEED and FORCELIMIT that count; its flags mean nothing.
+    parameters: OutputImage,
+}
+
+impl Arbiter {
+    pub(crate) const fn new() -> Self {
+        Self {
+            wires: None,
+            bus: OutputImage::ZERO,
+            bus_is_new: true,
+            masked: CommandFlags::empty(),
+            commander: Commander::Nobody,
+            parameters: OutputImage::ZERO,
+        }
+    }
+
+    pub(crate) const fn commander(&self) -> Commander {
+        self.commander
+    }
+
+    /// Takes what the wires ask for. Gives the images for the controller, in order: before a command wire's edge, one
+    /// in which the bus has let go.
+    pub(crate) fn take_wires(&mut self, image: OutputImage, moving: bool) -> [Option<OutputImage>; 2] {
+        let before = self.wires.replace(image);
+        let rising =
+            before.map_or(MOTIONS, |before| image.flags.difference(before.flags)).intersection(MOTIONS);
+        let effective = self.bus_flags();
+        if image.flags.intersects(MOTIONS) {
+            self.masked |= self.bus.flags.intersection(MOVERS);
+        }
+        let let_go = before.filter(|_| effective != self.bus_flags()).map(|before| self.merged(before.flags));
+        if !rising.is_empty() && image.flags.intersects(MOTIONS) && !moving {
+            self.commander = Commander::Wires;
+            self.parameters = image;
+        }
+        [let_go, Some(self.merged(image.flags))]
+    }
+
+    /// Takes an image that the bus wrote. Gives the one for the controller, if the wires have settled.
+    pub(crate) fn take_bus(&mut self, image: OutputImage, moving: bool) -> Option<OutputImage> {
+        let before = core::mem::replace(&mut self.bus, image);
+        self.masked &= image.flags;
+        let rising = image.flags.difference(before.flags);
+        if core::mem::take(&mut self.bus_is_new) {
+            self.masked |= image.flags.difference(CommandFlags::FASTSTOP);
+        }
+        let wires = self.wires.unwrap_or_default();
+        let stopped = image.flags.contains(CommandFlags::STOP_ACK);
+        if wires.flags.intersects(MOTIONS) || stopped {
+            self.masked |= rising.intersection(MOVERS);
+        }
+        let commands = self.bus_flags().intersects(rising.intersection(MOVERS));
+        if commands && !moving {
+            self.commander = Commander::Bus;
+        }
+        if self.commander == Commander::Bus {
+            self.parameters = image;
+        }
+        self.wires.map(|wires| self.merged(wires.flags))
+    }
+
+    /// Takes notice that the bus is silent: nothing that it wrote counts any more, but FASTSTOP.
+    pub(crate) fn lose_bus(&mut self) -> Option<OutputImage> {
+        self.bus_is_new = true;
+        self.masked |= self.bus.flags.difference(CommandFlags::FASTSTOP);
+        self.wires.map(|wires| self.merged(wires.flags))
+    }
+
+    fn bus_flags(&self) -> CommandFlags {
+        self.bus.flags.difference(self.masked)
+    }
+
+    fn merged(&self, wires: CommandFlags) -> OutputImage {
+        OutputImage { flags: wires.union(self.bus_flags()), user: self.bus.user, ..self.parameters }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MOVE: CommandFlags = CommandFlags::MOVE;
+    const GRIP: CommandFlags = CommandFlags::GRIP;
+
+    fn image(flags: CommandFlags, width: i16) -> OutputImage {
+        OutputImage { flags, user: 0, width, speed: 50_00, force_limit: 40_00 }
+    }
+
+    /// Wires that are low, and a bus that has written zeros once.
+    fn idle() -> Arbiter {
+        let mut arbiter = Arbiter::new();
+        arbiter.take_wires(image(CommandFlags::empty(), 1), false);
+        arbiter.take_bus(image(CommandFlags::empty(), 2), false);
+        arbiter
+    }
+
+    fn flags(merged: Option<OutputImage>) -> CommandFlags {
+        merged.unwrap().flags
+    }
+
+    #[test]
+    fn bus_commands_while_all_command_wires_are_low() {
+        let mut arbiter = idle();
+        assert_eq!(arbiter.take_bus(image(MOVE, 3), false), Some(image(MOVE, 3)));
+        assert_eq!(arbiter.commander(), Commander::Bus);
+    }
+
+    #[test]
+    fn wire_commands_with_its_own_parameters() {
+        let mut arbiter = idle();
+        arbiter.take_bus(image(CommandFlags::empty(), 3), false);
+        assert_eq!(arbiter.take_wires(image(GRIP, 7), false), [None, Some(image(GRIP, 7))]);
+        assert_eq!(arbiter.commander(), Commander::Wires);
+    }
+
+    #[test]
+    fn edge_of_the_bus_while_a_command_wire_is_high_is_lost() {
+        let mut arbiter = idle();
+        arbiter.take_wires(image(GRIP, 7), false);
+        assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), GRIP);
+        let [_, merged] = arbiter.take_wires(image(CommandFlags::empty(), 7), false);
+        assert_eq!(flags(merged), CommandFlags::empty(), "MOVE is still 1, and still lost");
+        arbiter.take_bus(image(CommandFlags::empty(), 3), false);
+        assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), MOVE);
+    }
+
+    #[test]
+    fn wire_gives_an_edge_although_the_bus_has_the_same_flag_set() {
+        let mut arbiter = idle();
+        arbiter.take_bus(image(MOVE, 3), false);
+        let [let_go, merged] = arbiter.take_wires(image(MOVE, 7), false);
+        assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)), "the bus lets go first");
+        assert_eq!(merged, Some(image(MOVE, 7)));
+    }
+
+    #[test]
+    fn jog_of_the_bus_ends_when_a_command_wire_rises() {
+        let mut arbiter = idle();
+        arbiter.take_bus(image(CommandFlags::JOG_PLUS, 3), false);
+        let [let_go, merged] = arbiter.take_wires(image(GRIP, 7), true);
+        assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)));
+        assert_eq!(merged, Some(image(GRIP, 3)), "and the parameters do not change while the fingers move");
+        let [_, merged] = arbiter.take_wires(image(CommandFlags::empty(), 7), false);
+        assert_eq!(flags(merged), CommandFlags::empty(), "it does not go on");
+    }
+
+    #[test]
+    fn stop_and_fast_stop_of_either_side_count_always() {
+        for flag in [CommandFlags::STOP_ACK, CommandFlags::FASTSTOP] {
+            let mut arbiter = idle();
+            arbiter.take_wires(image(GRIP, 7), false);
+            assert_eq!(flags(arbiter.take_bus(image(flag, 2), true)), GRIP | flag);
+            let mut arbiter = idle();
+            arbiter.take_bus(image(MOVE, 2), false);
+            let [_, merged] = arbiter.take_wires(image(flag, 7), true);
+            assert_eq!(flags(merged), MOVE | flag);
+        }
+    }
+
+    #[test]
+    fn first_image_of_the_bus_gives_no_edge_but_fast_stop() {
+        for lost in [false, true] {
+            let mut arbiter = idle();
+            if lost {
+                arbiter.lose_bus();
+            } else {
+                arbiter = Arbiter::new();
+                arbiter.take_wires(image(CommandFlags::empty(), 1), false);
+            }
+            assert_eq!(flags(arbiter.take_bus(image(CommandFlags::all(), 3), false)), CommandFlags::FASTSTOP);
+            assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), CommandFlags::empty(), "never 0");
+            arbiter.take_bus(image(CommandFlags::empty(), 3), false);
+            assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), MOVE);
+        }
+    }
+
+    #[test]
+    fn motion_that_rises_beside_a_stop_flag_which_does_not_count_does_not_count_either() {
+        let mut arbiter = Arbiter::new();
+        arbiter.take_wires(image(CommandFlags::empty(), 1), false);
+        arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), false);
+        let merged = arbiter.take_bus(image(CommandFlags::STOP_ACK | MOVE, 3), false);
+        assert_eq!(flags(merged), CommandFlags::empty());
+    }
+
+    #[test]
+    fn silent_bus_lets_go_of_all_but_fast_stop() {
+        let mut arbiter = idle();
+        arbiter.take_bus(image(MOVE | CommandFlags::JOG_PLUS | CommandFlags::FASTSTOP, 3), false);
+        assert_eq!(flags(arbiter.lose_bus()), CommandFlags::FASTSTOP);
+    }
+
+    #[test]
+    fn parameters_of_the_bus_change_nothing_while_the_wires_move_the_fingers() {
+        let mut arbiter = idle();
+        arbiter.take_wires(image(GRIP, 7), false);
+        arbiter.take_wires(image(CommandFlags::empty(), 7), true);
+        assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), true).unwrap().width, 7);
+        let second = arbiter.take_bus(image(MOVE, 3), true).unwrap();
+        assert_eq!((second.flags, second.width), (MOVE, 7), "the controller refuses it");
+        assert_eq!(arbiter.commander(), Commander::Wires);
+    }
+
+    #[test]
+    fn parameters_of_the_bus_follow_during_its_own_motion() {
+        let mut arbiter = idle();
+        arbiter.take_bus(image(MOVE, 3), false);
+        assert_eq!(
+            arbiter.take_bus(image(MOVE, 4), true),
+            Some(image(MOVE, 4)),
+            "the controller makes it a FAST STOP"
+        );
+    }
+
+    #[test]
+    fn nothing_reaches_the_controller_before_the_wires_have_settled() {
+        let mut arbiter = Arbiter::new();
+        assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), false), None);
+        assert_eq!(arbiter.take_bus(image(CommandFlags::FASTSTOP, 3), false), None);
+        let [_, merged] = arbiter.take_wires(image(CommandFlags::empty(), 1), false);
+        assert_eq!(flags(merged), CommandFlags::FASTSTOP, "but what the bus wrote is not forgotten");
+    }
+}

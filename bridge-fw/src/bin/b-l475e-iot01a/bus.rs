@@ -1,0 +1,168 @@
+//! The PLC's bus: LPUART1 for Modbus RTU, interrupt driven both ways (RM0351, chapter 41).
+//!
+//! The peripheral switches the transceiver's driver by itself (DE mode). What the transceiver echoes of the bridge's own
+//! frames is not handed over.
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use cortex_m::peripheral::NVIC;
+use stm32_metapac::rcc::vals::Lpuart1sel;
+use stm32_metapac::usart::vals::{M0, Ps, Stop};
+use stm32_metapac::{Interrupt, LPUART1, RCC, interrupt};
+use wsg_bridge_fw::Config;
+use wsg_bridge_fw::byte_queue::ByteQueue;
+use wsg_bridge_fw::modbus::{BusConfig, BusPort, Format};
+use wsg_protocol::modbus::rtu::{Character, MAX_FRAME_LEN};
+
+use crate::tick;
+
+const BUS: BusConfig = Config::DEFAULT.bus;
+
+/// HSI16, which runs for the PLL anyway: the 80 MHz of the bus clock are too fast below 19 532 bit/s.
+const CLOCK_HZ: u32 = 16_000_000;
+/// BRR holds 256 times the ratio of clock and rate, between these bounds (RM0351, 41.4.5).
+const DIVIDER: u64 = (256 * CLOCK_HZ as u64 + BUS.baud as u64 / 2) / BUS.baud as u64;
+const _: () = assert!(DIVIDER >= 0x300 && DIVIDER <= 0xF_FFFF, "this board's bus takes 4800 to 230400 bit/s");
+const _: () = assert!(BUS.baud <= 230_400);
+
+/// The time of a character, rounded up.
+const CHARACTER_US: u32 = (BUS.format.bits() * 1_000_000).div_ceil(BUS.baud);
+
+/// Steps in which silence is handed on, in microseconds; 15 bits hold 262 ms of it.
+const STEP_US: u32 = 8;
+const MAX_STEPS: u32 = 0x7FFF;
+/// Beside the steps: the character is damaged, or one before it was lost.
+const DAMAGED: u16 = 0x8000;
+
+/// A character in the queue: silence, high byte first, and the byte.
+const ENTRY_LEN: usize = 3;
+/// What comes in 7 ms at 230 400 bit/s.
+const RECEIVED_MAX: usize = 512;
+const TO_SEND_MAX: usize = 256;
+const _: () = assert!(TO_SEND_MAX >= MAX_FRAME_LEN);
+
+static RECEIVED: ByteQueue<RECEIVED_MAX> = ByteQueue::new();
+static TO_SEND: ByteQueue<TO_SEND_MAX> = ByteQueue::new();
+/// When the last character ended, in microseconds.
+static RECEIVED_AT: AtomicU32 = AtomicU32::new(0);
+/// A frame is being sent. Set by [`Bus::send`] while it is not, cleared by the handler.
+static SENDING: AtomicBool = AtomicBool::new(false);
+/// The next character follows one that was lost. The handler's own.
+static LOST: AtomicBool = AtomicBool::new(false);
+
+/// The bridge's end of the bus. There is one value of it, made by [`start`].
+pub(crate) struct Bus(());
+
+/// Starts the bus. The clock runs, the pins are set up.
+pub(crate) fn start() -> Bus {
+    RCC.ccipr().modify(|w| w.set_lpuart1sel(Lpuart1sel::HSI));
+    RCC.apb1enr2().modify(|w| w.set_lpuart1en(true));
+    let _ = RCC.apb1enr2().read();
+
+    LPUART1.brr().write(|w| w.0 = DIVIDER as u32);
+    LPUART1.cr2().write(|w| {
+        w.set_stop(if matches!(BUS.format, Format::None2) { Stop::STOP2 } else { Stop::STOP1 });
+    });
+    LPUART1.cr3().write(|w| w.set_dem(true));
+    let with_parity = matches!(BUS.format, Format::Even1);
+    LPUART1.cr1().write(|w| {
+        // The parity bit is the ninth.
+        w.set_m0(if with_parity { M0::BIT9 } else { M0::BIT8 });
+        w.set_pce(with_parity);
+        w.set_ps(Ps::EVEN);
+        // The driver is on for 16 clocks, a microsecond, before and after what it sends.
+        w.set_deat(16);
+        w.set_dedt(16);
+        w.set_ue(true);
+        w.set_re(true);
+        w.set_te(true);
+        w.set_rxneie(true);
+    });
+    // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
+    // atomics with the rest.
+    unsafe { NVIC::unmask(Interrupt::LPUART1) };
+    Bus(())
+}
+
+impl BusPort for Bus {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        // The handler pushes the three together, and this code does not interrupt it.
+        let silence = u16::from_be_bytes([RECEIVED.pop()?, RECEIVED.pop()?]);
+        let byte = RECEIVED.pop()?;
+        let character = if silence & DAMAGED != 0 { Character::Damaged } else { Character::Byte(byte) };
+        Some((character, u32::from(silence & !DAMAGED) * STEP_US))
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        tick::now_us().wrapping_sub(RECEIVED_AT.load(Ordering::Relaxed))
+    }
+
+    fn send(&mut self, frame: &[u8]) {
+        if SENDING.load(Ordering::Relaxed) {
+            return;
+        }
+        SENDING.store(true, Ordering::Relaxed);
+        for &byte in frame {
+            // There is room for the longest.
+            let _ = TO_SEND.push(byte);
+        }
+        // The handler alone switches interrupts, so main loop and handler never change the same register.
+        NVIC::pend(Interrupt::LPUART1);
+    }
+}
+
+/// One byte each way per call; the interrupt stays pending while there is more.
+#[interrupt]
+fn LPUART1() {
+    let status = LPUART1.isr().read();
+    let damaged = status.fe() || status.pe() || status.ne() || status.ore();
+    if status.rxne() {
+        let byte = (LPUART1.rdr().read().0 & 0xFF) as u8;
+        if !SENDING.load(Ordering::Relaxed) {
+            take(byte, damaged);
+        }
+    }
+    LPUART1.icr().write(|w| {
+        w.set_fe(status.fe());
+        w.set_pe(status.pe());
+        w.set_ne(status.ne());
+        w.set_ore(status.ore());
+    });
+    send_next(status.txe(), status.tc());
+}
+
+fn take(byte: u8, damaged: bool) {
+    let now_us = tick::now_us();
+    let distance_us = now_us.wrapping_sub(RECEIVED_AT.load(Ordering::Relaxed));
+    RECEIVED_AT.store(now_us, Ordering::Relaxed);
+    if RECEIVED.room() < ENTRY_LEN {
+        LOST.store(true, Ordering::Relaxed);
+        return;
+    }
+    let steps = (distance_us.saturating_sub(CHARACTER_US) / STEP_US).min(MAX_STEPS) as u16;
+    let void = damaged || LOST.load(Ordering::Relaxed);
+    LOST.store(false, Ordering::Relaxed);
+    let [high, low] = if void { steps | DAMAGED } else { steps }.to_be_bytes();
+    for byte in [high, low, byte] {
+        let _ = RECEIVED.push(byte);
+    }
+}
+
+/// The next byte of a frame, or its end: the last bit has left.
+fn send_next(has_room: bool, is_complete: bool) {
+    let sending = SENDING.load(Ordering::Relaxed);
+    if has_room && let Some(byte) = TO_SEND.pop() {
+        LPUART1.tdr().write(|w| w.0 = byte.into());
+    } else if sending && is_complete && TO_SEND.is_empty() {
+        SENDING.store(false, Ordering::Relaxed);
+    }
+    let more_to_send = !TO_SEND.is_empty();
+    let ends = !more_to_send && SENDING.load(Ordering::Relaxed);
+    let control = LPUART1.cr1().read();
+    if control.txeie() != more_to_send || control.tcie() != ends {
+        LPUART1.cr1().modify(|w| {
+            w.set_txeie(more_to_send);
+            w.set_tcie(ends);
+        });
+    }
+}

@@ -1,0 +1,79 @@
+//! What is fixed about the bus when the bridge starts: rate and format, and what the settings begin with.
+
+use wsg_protocol::fieldbus::SilenceReaction;
+use wsg_protocol::modbus::rtu::Timing;
+
+/// The bits of a character besides the eight of data (MODBUS over serial line, 2.5.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Even parity, one stop bit: the specification's default.
+    Even1,
+    /// No parity, one stop bit.
+    None1,
+    /// No parity, two stop bits: what the specification asks for without parity.
+    None2,
+}
+
+impl Format {
+    /// Bits of a character on the line, start bit included.
+    #[must_use]
+    pub const fn bits(self) -> u32 {
+        match self {
+            Self::Even1 | Self::None2 => 11,
+            Self::None1 => 10,
+        }
+    }
+
+    /// As it is written: `8E1`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Even1 => "8E1",
+            Self::None1 => "8N1",
+            Self::None2 => "8N2",
+        }
+    }
+}
+
+/// The bus at power-up. What can be changed while it runs has a register ([`SETTINGS`](super::SETTINGS)); rate and
+/// format need a start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BusConfig {
+    /// The rate in bit/s. Which ones a board can do, its board file says.
+    pub baud: u32,
+    /// The format of a character.
+    pub format: Format,
+    /// The bridge's address, 1 to 247.
+    pub unit: u8,
+    /// How long a PLC that commanded may be silent, in milliseconds; 0: for ever.
+    pub timeout_ms: u16,
+    /// What is done then.
+    pub reaction: SilenceReaction,
+    /// How long a pause inside a request may be, in milliseconds; 0: by the specification, T1.5.
+    pub patience_ms: u16,
+    /// Whether broadcasts count. Off as delivered: a register that is broadcast for devices of another kind would be
+    /// CMDFLAGS here.
+    pub broadcast: bool,
+    /// Whether the bytes of numbers in registers 0 to 5 are swapped.
+    pub swap_bytes: bool,
+}
+
+impl BusConfig {
+    /// 19 200 bit/s, 8E1, unit 1: the specification's defaults. Silence of a second stops a motion.
+    pub const DEFAULT: Self = Self {
+        baud: 19_200,
+        format: Format::Even1,
+        unit: 1,
+        timeout_ms: 1_000,
+        reaction: SilenceReaction::Stop,
+        patience_ms: 50,
+        broadcast: false,
+        swap_bytes: false,
+    };
+
+    /// The silences of this rate and format.
+    #[must_use]
+    pub const fn timing(&self) -> Timing {
+        Timing::of(self.baud, self.format.bits())
+    }
+}

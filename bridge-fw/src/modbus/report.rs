@@ -1,0 +1,194 @@
+//! Counters and versions as input registers.
+
+use super::BusConfig;
+use crate::arbiter::Commander;
+use wsg_protocol::frame;
+use wsg_protocol::modbus::{Exception, rtu};
+use wsg_protocol::session::Session;
+
+/// The address of the first of [`REPORTS`].
+pub const FIRST_REPORT: u16 = 100;
+
+/// The version of the register map: the last register or meaning that was added or changed.
+pub const MAP_VERSION: u16 = 1;
+
+/// An input register that reports on the bridge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Report {
+    /// Its name.
+    pub name: &'static str,
+    /// What it says.
+    pub meaning: &'static str,
+    subject: Subject,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Subject {
+    MapVersion,
+    BridgeVersion,
+    BridgePatch,
+    GripperType,
+    GripperFirmware,
+    SerialNumberHigh,
+    SerialNumberLow,
+    GripperLink,
+    Commander,
+    Rate,
+    Format,
+    LineDropped,
+    LineChecksum,
+    LineOversize,
+    Unasked,
+    Refused,
+    Repeated,
+    Disconnects,
+    BusMessages,
+    BusErrors,
+    BusExceptions,
+    ServerMessages,
+    NoResponses,
+    Busy,
+    Overruns,
+    BusTimeouts,
+}
+
+const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> Report {
+    Report { name, meaning, subject }
+}
+
+/// The reports, from [`FIRST_REPORT`] on. Counters stop at 65 535.
+pub const REPORTS: [Report; 26] = [
+    report("MAP_VERSION", Subject::MapVersion, "version of this register map"),
+    report(
+        "BRIDGE_VERSION",
+        Subject::BridgeVersion,
+        "high byte: major, low byte: minor version of the firmware",
+    ),
+    report("BRIDGE_PATCH", Subject::BridgePatch, "patch level of the firmware"),
+    report("GRIPPER_TYPE", Subject::GripperType, "the gripper's type (command set, 3.5.1); 0: unknown"),
+    report(
+        "GRIPPER_FIRMWARE",
+        Subject::GripperFirmware,
+        "its version, four digits (command set, 3.5.1); 0: unknown",
+    ),
+    report("SERIAL_HIGH", Subject::SerialNumberHigh, "its serial number, bits 31 to 16"),
+    report("SERIAL_LOW", Subject::SerialNumberLow, "its serial number, bits 15 to 0"),
+    report("GRIPPER_LINK", Subject::GripperLink, "0: has never answered, 1: is silent, 2: answers"),
+    report(
+        "COMMANDER",
+        Subject::Commander,
+        "who gave the last motion command: 0 nobody, 1 the wires, 2 the bus",
+    ),
+    report("BUS_RATE", Subject::Rate, "rate of this bus in 100 bit/s"),
+    report("BUS_FORMAT", Subject::Format, "format of this bus: 0 8E1, 1 8N1, 2 8N2"),
+    report("LINE_DROPPED", Subject::LineDropped, "bytes of the gripper that belonged to no intact frame"),
+    report("LINE_CHECKSUM", Subject::LineChecksum, "frames of the gripper with a wrong checksum"),
+    report("LINE_OVERSIZE", Subject::LineOversize, "frames of the gripper that were too long"),
+    report("UNASKED", Subject::Unasked, "replies of the gripper that nobody asked for, or late ones"),
+    report("REFUSED", Subject::Refused, "replies of the gripper that the manual forbids"),
+    report("REPEATED", Subject::Repeated, "requests to the gripper that were sent again"),
+    report("DISCONNECTS", Subject::Disconnects, "how often the gripper fell silent"),
+    report("BUS_MESSAGES", Subject::BusMessages, "intact frames on the bus (FC 8, 0Bh)"),
+    report("BUS_ERRORS", Subject::BusErrors, "broken ones (FC 8, 0Ch)"),
+    report("BUS_EXCEPTIONS", Subject::BusExceptions, "exceptions (FC 8, 0Dh)"),
+    report("SERVER_MESSAGES", Subject::ServerMessages, "frames for this unit, and broadcasts (FC 8, 0Eh)"),
+    report("NO_RESPONSES", Subject::NoResponses, "those of them without a response (FC 8, 0Fh)"),
+    report("SERVER_BUSY", Subject::Busy, "exceptions 06 (FC 8, 11h)"),
+    report("BUS_OVERRUNS", Subject::Overruns, "frames with a damaged or lost character (FC 8, 12h)"),
+    report("BUS_TIMEOUTS", Subject::BusTimeouts, "how often the PLC that commanded was silent for too long"),
+];
+
+/// The subjects alone, so that the words of the table stay out of the image.
+const SUBJECTS: [Subject; REPORTS.len()] = {
+    let mut subjects = [Subject::MapVersion; REPORTS.len()];
+    let mut at = 0;
+    while at < REPORTS.len() {
+        #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
+        {
+            subjects[at] = REPORTS[at].subject;
+        }
+        at += 1;
+    }
+    subjects
+};
+
+/// Whether the gripper answers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Link {
+    /// It has not answered since power-up.
+    #[default]
+    Never,
+    /// It answered, and does not any more.
+    Silent,
+    /// It does.
+    Up,
+}
+
+/// What the reports are about, at the moment of a request.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Subjects<'a> {
+    pub(crate) config: &'a BusConfig,
+    pub(crate) session: &'a Session,
+    pub(crate) was_connected: bool,
+    pub(crate) line: frame::Counters,
+    pub(crate) commander: Commander,
+    pub(crate) bus: rtu::Counters,
+    pub(crate) timeouts: u16,
+}
+
+impl Subjects<'_> {
+    /// Whether the gripper answers.
+    pub(crate) const fn link(&self) -> Link {
+        match (self.session.is_connected(), self.was_connected) {
+            (true, _) => Link::Up,
+            (false, true) => Link::Silent,
+            (false, false) => Link::Never,
+        }
+    }
+
+    /// The register at this address, counted from [`FIRST_REPORT`].
+    pub(crate) fn register(&self, index: u16) -> Result<u16, Exception> {
+        let subject = *SUBJECTS.get(usize::from(index)).ok_or(Exception::IllegalDataAddress)?;
+        let gripper = self.session.known().info;
+        let serial_number = gripper.map_or(0, |info| info.serial_number);
+        let (line, session) = (self.line, self.session.counters());
+        Ok(match subject {
+            Subject::MapVersion => MAP_VERSION,
+            Subject::BridgeVersion => {
+                const { number(env!("CARGO_PKG_VERSION_MAJOR")) << 8 | number(env!("CARGO_PKG_VERSION_MINOR")) }
+            }
+            Subject::BridgePatch => const { number(env!("CARGO_PKG_VERSION_PATCH")) },
+            Subject::GripperType => gripper.map_or(0, |info| info.device.code().into()),
+            Subject::GripperFirmware => gripper.map_or(0, |info| info.firmware.bits()),
+            Subject::SerialNumberHigh => (serial_number >> 16) as u16,
+            Subject::SerialNumberLow => serial_number as u16,
+            Subject::GripperLink => self.link() as u16,
+            Subject::Commander => self.commander as u16,
+            Subject::Rate => u16::try_from(self.config.baud / 100).unwrap_or(u16::MAX),
+            Subject::Format => self.config.format as u16,
+            Subject::LineDropped => line.dropped,
+            Subject::LineChecksum => line.bad_checksum,
+            Subject::LineOversize => line.oversize,
+            Subject::Unasked => session.unasked,
+            Subject::Refused => session.refused,
+            Subject::Repeated => session.repeated,
+            Subject::Disconnects => session.disconnects,
+            Subject::BusMessages => self.bus.bus_messages,
+            Subject::BusErrors => self.bus.bus_errors,
+            Subject::BusExceptions => self.bus.exceptions,
+            Subject::ServerMessages => self.bus.server_messages,
+            Subject::NoResponses => self.bus.no_responses,
+            Subject::Busy => self.bus.busy,
+            Subject::Overruns => self.bus.overruns,
+            Subject::BusTimeouts => self.timeouts,
+        })
+    }
+}
+
+/// The number that these digits are.
+const fn number(digits: &str) -> u16 {
+    match u16::from_str_radix(digits, 10) {
+        Ok(number) => number,
+        Err(_) => 0,
+    }
+}

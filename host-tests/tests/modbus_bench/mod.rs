@@ -1,0 +1,333 @@
+//! Bridge and virtual gripper in virtual time, with a Modbus master and wires that a test plays.
+#![allow(dead_code, reason = "each test uses its part")]
+
+use std::collections::VecDeque;
+use std::convert::Infallible;
+
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Bridge, BusPort, Config};
+use wsg_protocol::modbus::rtu::{Character, crc};
+use wsg_protocol::{CommandId, Event, FrameParser, Kind, frame::MAX_MESSAGE_LEN};
+use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
+
+/// The bridge's unit as delivered.
+pub(crate) const UNIT: u8 = 1;
+
+/// The gripper's line; as many bytes a millisecond as 115 200 bit/s carry.
+#[derive(Default)]
+struct Line {
+    to_bridge: VecDeque<u8>,
+    from_bridge: Vec<u8>,
+}
+
+const BYTES_PER_MS: usize = 12;
+
+impl ErrorType for Line {
+    type Error = Infallible;
+}
+
+impl ReadReady for Line {
+    fn read_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.to_bridge.is_empty())
+    }
+}
+
+impl Read for Line {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        let count = buffer.len().min(self.to_bridge.len());
+        for (slot, byte) in buffer.iter_mut().zip(self.to_bridge.drain(..count)) {
+            *slot = byte;
+        }
+        Ok(count)
+    }
+}
+
+impl WriteReady for Line {
+    fn write_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(self.from_bridge.len() < BYTES_PER_MS)
+    }
+}
+
+impl Write for Line {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        let taken = bytes.len().min(BYTES_PER_MS - self.from_bridge.len().min(BYTES_PER_MS));
+        self.from_bridge.extend_from_slice(&bytes[..taken]);
+        Ok(taken)
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+/// The bus.
+#[derive(Default)]
+struct Bus {
+    waiting: VecDeque<(Character, u32)>,
+    silence_us: u32,
+    answers: Vec<Vec<u8>>,
+}
+
+impl BusPort for Bus {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        self.waiting.pop_front()
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        self.silence_us
+    }
+
+    fn send(&mut self, frame: &[u8]) {
+        self.answers.push(frame.to_vec());
+    }
+}
+
+/// Everything on the bench.
+pub(crate) struct Bench {
+    bridge: Bridge,
+    pub(crate) gripper: VirtualGripper<1>,
+    port: PortId,
+    line: Line,
+    /// The line from gripper to bridge is cut.
+    pub(crate) cut: bool,
+    bus: Bus,
+    now_ms: u32,
+    inputs: Inputs,
+    pub(crate) outputs: Outputs,
+    seen: FrameParser<MAX_MESSAGE_LEN>,
+    sent: Vec<CommandId>,
+}
+
+impl Bench {
+    /// A bench whose wires are low, but the one of FAST STOP.
+    pub(crate) fn new(config: Config, gripper: wsg_sim::Config) -> Self {
+        let mut gripper = VirtualGripper::with_ports(gripper);
+        let port = gripper.connect(PortKind::Serial).unwrap();
+        Self {
+            bridge: Bridge::new(config),
+            gripper,
+            port,
+            line: Line::default(),
+            cut: false,
+            bus: Bus { silence_us: 1_000_000, ..Bus::default() },
+            now_ms: 0,
+            inputs: Inputs::FAST_STOP_OK,
+            outputs: Outputs::empty(),
+            seen: FrameParser::new(),
+            sent: vec![],
+        }
+    }
+
+    /// A bench whose gripper answers, with a bus that has written zeros.
+    pub(crate) fn ready() -> Self {
+        Self::ready_with(Config::DEFAULT, quick())
+    }
+
+    pub(crate) fn ready_with(config: Config, gripper: wsg_sim::Config) -> Self {
+        let mut bench = Self::new(config, gripper);
+        bench.pass(200);
+        bench.write(0, &[0, 0, 0, 0]);
+        bench
+    }
+
+    /// A bench whose fingers are referenced, by the bus.
+    pub(crate) fn homed(gripper: wsg_sim::Config) -> Self {
+        let mut bench = Self::ready_with(Config::DEFAULT, gripper);
+        bench.command(HOMING, 0, 0, 0);
+        assert_eq!(bench.state(), IDLE);
+        assert!(bench.bit(16), "REFERENCED");
+        bench
+    }
+
+    pub(crate) fn now(&self) -> Time {
+        Time::from_millis(self.now_ms.into())
+    }
+
+    pub(crate) fn bridge(&self) -> &Bridge {
+        &self.bridge
+    }
+
+    pub(crate) fn set(&mut self, wires: Inputs, high: bool) {
+        self.inputs.set(wires, high);
+    }
+
+    pub(crate) fn pulse(&mut self, wires: Inputs) {
+        self.set(wires, true);
+        self.pass(5);
+        self.set(wires, false);
+        self.pass(5);
+    }
+
+    /// The motion commands that left the bridge since this was last asked.
+    pub(crate) fn take_motions(&mut self) -> Vec<CommandId> {
+        std::mem::take(&mut self.sent).into_iter().filter(|id| id.kind() == Kind::Motion).collect()
+    }
+
+    /// Every command since then.
+    pub(crate) fn take_sent(&mut self) -> Vec<CommandId> {
+        std::mem::take(&mut self.sent)
+    }
+
+    pub(crate) fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            self.step();
+        }
+    }
+
+    /// Puts bytes on the bus, one right behind the other.
+    pub(crate) fn send_raw(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            self.bus.waiting.push_back((Character::Byte(*byte), std::mem::take(&mut self.bus.silence_us)));
+        }
+    }
+
+    /// A request's frame, checksum included.
+    pub(crate) fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+        let mut frame = [&[unit], pdu].concat();
+        frame.extend(crc(&frame).to_le_bytes());
+        frame
+    }
+
+    /// Sends a request, and waits for what the bridge answers in 20 ms: the PDU, checked.
+    pub(crate) fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
+        // Half a frame can have a right checksum by chance, and is answered by an exception.
+        self.bus.answers.clear();
+        self.send_raw(&Self::frame(UNIT, pdu));
+        for _ in 0..20 {
+            self.step();
+            if let Some(answer) = self.bus.answers.pop() {
+                assert_eq!(self.bus.answers.len(), 0);
+                let (body, sum) = answer.split_at(answer.len() - 2);
+                assert_eq!(crc(body).to_le_bytes(), sum);
+                assert_eq!(body[0], UNIT);
+                return body[1..].to_vec();
+            }
+        }
+        vec![]
+    }
+
+    pub(crate) fn answers(&mut self) -> usize {
+        std::mem::take(&mut self.bus.answers).len()
+    }
+
+    /// FC 16.
+    pub(crate) fn write(&mut self, first: u16, values: &[u16]) {
+        assert_eq!(self.try_write(first, values), None);
+    }
+
+    /// FC 16; the exception.
+    pub(crate) fn try_write(&mut self, first: u16, values: &[u16]) -> Option<u8> {
+        let [a1, a0] = first.to_be_bytes();
+        let count = values.len() as u8;
+        let mut pdu = vec![16, a1, a0, 0, count, 2 * count];
+        pdu.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        let answer = self.ask(&pdu);
+        if answer == [16, a1, a0, 0, count] {
+            return None;
+        }
+        assert_eq!((answer.len(), answer[0]), (2, 0x90));
+        Some(answer[1])
+    }
+
+    /// FC 3 or 4.
+    fn registers(&mut self, function: u8, first: u16, count: u8) -> Result<Vec<u16>, u8> {
+        let [a1, a0] = first.to_be_bytes();
+        let answer = self.ask(&[function, a1, a0, 0, count]);
+        if answer[0] == function | 0x80 {
+            return Err(answer[1]);
+        }
+        assert_eq!(answer[..2], [function, 2 * count]);
+        Ok(answer[2..].chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect())
+    }
+
+    pub(crate) fn holding(&mut self, first: u16, count: u8) -> Result<Vec<u16>, u8> {
+        self.registers(3, first, count)
+    }
+
+    pub(crate) fn input(&mut self, first: u16, count: u8) -> Result<Vec<u16>, u8> {
+        self.registers(4, first, count)
+    }
+
+    /// GSTATE.
+    pub(crate) fn state(&mut self) -> u8 {
+        (self.input(0, 1).unwrap()[0] >> 8) as u8
+    }
+
+    /// The status register.
+    pub(crate) fn status(&mut self) -> u16 {
+        self.input(5, 1).unwrap()[0]
+    }
+
+    /// A discrete input.
+    pub(crate) fn bit(&mut self, address: u16) -> bool {
+        let [a1, a0] = address.to_be_bytes();
+        self.ask(&[2, a1, a0, 0, 1]) == [2, 1, 1]
+    }
+
+    /// Gives a command as a PLC does: parameters and flag in one write, wait for the status, flag back, wait for the
+    /// end.
+    pub(crate) fn command(&mut self, flags: u8, width: u16, speed: u16, force: u16) {
+        self.write(0, &[u16::from(flags) << 8, width, speed, force]);
+        self.write(0, &[0, width, speed, force]);
+        for _ in 0..20_000 {
+            if self.status() != PENDING {
+                return;
+            }
+            self.pass(10);
+        }
+        panic!("the command does not end");
+    }
+
+    fn step(&mut self) {
+        self.now_ms += 1;
+        self.bus.silence_us = self.bus.silence_us.saturating_add(1_000);
+        self.outputs = self.bridge.poll_with_bus(self.now_ms, self.inputs, &mut self.line, &mut self.bus);
+        let bytes = std::mem::take(&mut self.line.from_bridge);
+        let mut rest = &bytes[..];
+        loop {
+            let (taken, event) = self.seen.push_slice(rest);
+            rest = &rest[taken..];
+            match event {
+                Some(Event::Frame(frame)) => self.sent.push(CommandId::from_code(frame.id)),
+                Some(broken) => panic!("the bridge sent a broken frame: {broken:?}"),
+                None => break,
+            }
+        }
+        let now = self.now();
+        self.gripper.receive(self.port, now, &bytes);
+        self.gripper.advance(now);
+        let mut buffer = [0; MAX_FRAME_LEN];
+        while let Some(frame) = self.gripper.transmit(self.port, &mut buffer) {
+            if !self.cut {
+                self.line.to_bridge.extend(frame);
+            }
+        }
+    }
+}
+
+/// A gripper whose fingers travel ten times as fast.
+pub(crate) fn quick() -> wsg_sim::Config {
+    wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
+}
+
+/// CMDFLAGS.
+pub(crate) const MOVE: u8 = 1 << 0;
+pub(crate) const GRIP: u8 = 1 << 1;
+pub(crate) const RELEASE: u8 = 1 << 2;
+pub(crate) const HOMING: u8 = 1 << 3;
+pub(crate) const STOP_ACK: u8 = 1 << 4;
+pub(crate) const FASTSTOP: u8 = 1 << 5;
+pub(crate) const JOG_PLUS: u8 = 1 << 6;
+
+/// GSTATE.
+pub(crate) const IDLE: u8 = 1 << 0;
+pub(crate) const NO_PART: u8 = 1 << 2;
+pub(crate) const PART_LOST: u8 = 1 << 3;
+pub(crate) const HOLDING: u8 = 1 << 4;
+pub(crate) const RELEASING: u8 = 1 << 5;
+
+/// E_CMD_PENDING and others.
+pub(crate) const SUCCESS: u16 = 0;
+pub(crate) const ALREADY_RUNNING: u16 = 4;
+pub(crate) const PENDING: u16 = 26;

@@ -1,0 +1,443 @@
+//! The bridge over Modbus RTU in virtual time: what a PLC on the bus sees, who commands, and what must never happen.
+
+mod modbus_bench;
+
+use modbus_bench::*;
+use proptest::prelude::*;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::modbus::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
+use wsg_bridge_fw::{BusConfig, Commander, Config, RECIPES};
+use wsg_protocol::CommandId;
+use wsg_protocol::fieldbus::SilenceReaction;
+use wsg_sim::Part;
+
+fn with_part() -> wsg_sim::Config {
+    wsg_sim::Config { part: Part::of_width(20.0), ..quick() }
+}
+
+fn setting(name: &str) -> u16 {
+    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).unwrap() as u16
+}
+
+fn report(name: &str) -> u16 {
+    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).unwrap() as u16
+}
+
+#[test]
+fn grip_cycle_over_the_bus() {
+    let mut bench = Bench::homed(with_part());
+    bench.take_motions();
+    for _ in 0..20 {
+        bench.command(MOVE, 80_00, 200_00, 40_00);
+        assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
+        bench.pass(20);
+        assert_eq!(bench.input(3, 1).unwrap(), [80_00]);
+        bench.command(GRIP, 20_00, 50_00, 40_00);
+        assert_eq!((bench.state(), bench.status()), (HOLDING, SUCCESS));
+        bench.pass(30);
+        let measured = bench.input(3, 2).unwrap();
+        assert!(measured[0].abs_diff(20_00) <= 50 && measured[1].abs_diff(40_00) <= 1_00, "{measured:?}");
+        bench.command(RELEASE, 40_00, 50_00, 40_00);
+        assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
+    }
+    let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
+    assert_eq!(bench.take_motions(), cycle.repeat(20));
+    assert_eq!(bench.bridge().counters(), wsg_bridge_fw::Counters::default());
+}
+
+#[test]
+fn no_part_and_a_lost_part_show_in_gstate() {
+    let mut bench = Bench::homed(quick());
+    bench.command(GRIP, 20_00, 50_00, 40_00);
+    assert_eq!((bench.state(), bench.status()), (NO_PART, 18), "E_CMD_FAILED");
+    let mut bench = Bench::homed(with_part());
+    bench.command(GRIP, 20_00, 50_00, 40_00);
+    let now = bench.now();
+    bench.gripper.set_part(None, now);
+    bench.pass(100);
+    assert_eq!(bench.state(), PART_LOST);
+}
+
+#[test]
+fn two_edges_at_once_run_the_lowest() {
+    let mut bench = Bench::homed(quick());
+    bench.take_motions();
+    bench.command(MOVE | GRIP | HOMING, 40_00, 50_00, 40_00);
+    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+}
+
+#[test]
+fn parameter_that_changes_on_the_way_and_speed_out_of_range_are_a_fast_stop() {
+    for second in [[u16::from(MOVE) << 8, 30_01, 50_00, 40_00], [u16::from(MOVE) << 8, 30_00, 51_00, 40_00]] {
+        let mut bench = Bench::homed(quick());
+        bench.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
+        bench.pass(10);
+        bench.write(0, &second);
+        bench.pass(20);
+        assert!(bench.bit(16 + 12), "FAST_STOP");
+        assert_eq!(bench.state(), IDLE);
+    }
+    let mut bench = Bench::homed(quick());
+    bench.write(0, &[u16::from(MOVE) << 8, 30_00, 1, 40_00]);
+    bench.pass(20);
+    assert!(bench.bit(16 + 12));
+    bench.write(0, &[0, 30_00, 50_00, 40_00]);
+    bench.command(STOP_ACK, 30_00, 50_00, 40_00);
+    assert!(!bench.bit(16 + 12));
+    bench.command(MOVE, 30_00, 50_00, 40_00);
+    assert_eq!(bench.status(), SUCCESS);
+}
+
+#[test]
+fn jog_moves_while_its_coil_is_set() {
+    let mut bench = Bench::homed(quick());
+    bench.command(MOVE, 30_00, 400_00, 40_00);
+    bench.write(2, &[20_00, 40_00]);
+    assert_eq!(bench.ask(&[5, 0, 6, 0xFF, 0]), [5, 0, 6, 0xFF, 0]);
+    bench.pass(100);
+    assert_eq!(bench.state(), RELEASING);
+    let from = bench.gripper.state().width;
+    bench.write(2, &[40_00]);
+    bench.pass(100);
+    assert_eq!(bench.state(), RELEASING, "it follows the dial");
+    assert_eq!(bench.ask(&[5, 0, 6, 0, 0]), [5, 0, 6, 0, 0]);
+    bench.pass(100);
+    assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
+    let stands = bench.gripper.state().width;
+    assert!(stands > from && stands < 109.0, "{stands}");
+    bench.pass(500);
+    assert_eq!(bench.gripper.state().width, stands);
+}
+
+#[test]
+fn silent_master_ends_a_jog_even_where_silence_is_to_be_ignored() {
+    let bus = BusConfig { reaction: SilenceReaction::Hold, ..BusConfig::DEFAULT };
+    let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
+    bench.command(HOMING, 0, 0, 0);
+    bench.command(MOVE, 10_00, 400_00, 40_00);
+    bench.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
+    bench.take_sent();
+    bench.pass(1_100);
+    assert!(bench.take_sent().contains(&CommandId::Stop));
+    let stands = bench.gripper.state().width;
+    // The PLC is back, its button still pressed.
+    bench.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
+    bench.pass(200);
+    assert_eq!(bench.gripper.state().width, stands);
+}
+
+#[test]
+fn silent_master_holds_stops_or_fast_stops_its_motion() {
+    for (reaction, expected) in [
+        (SilenceReaction::Hold, None),
+        (SilenceReaction::Stop, Some(CommandId::Stop)),
+        (SilenceReaction::FastStop, Some(CommandId::FastStop)),
+    ] {
+        let bus = BusConfig { reaction, timeout_ms: 300, ..BusConfig::DEFAULT };
+        let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+        bench.command(HOMING, 0, 0, 0);
+        bench.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
+        bench.take_sent();
+        bench.pass(250);
+        let stops = |bench: &mut Bench| {
+            bench.take_sent().into_iter().find(|id| matches!(id, CommandId::Stop | CommandId::FastStop))
+        };
+        assert_eq!(stops(&mut bench), None, "too early");
+        bench.pass(100);
+        assert_eq!(stops(&mut bench), expected, "{reaction:?}");
+        bench.pass(1_000);
+        assert_eq!(stops(&mut bench), None, "once");
+        assert_eq!(bench.input(report("BUS_TIMEOUTS"), 1), Ok(vec![1]));
+    }
+}
+
+#[test]
+fn silent_master_that_only_read_stops_nobody() {
+    let mut bench = Bench::ready();
+    bench.input(0, 1).unwrap();
+    bench.set(Inputs::HOME, true);
+    bench.take_sent();
+    bench.pass(2_000);
+    let sent = bench.take_sent();
+    assert!(sent.contains(&CommandId::Homing));
+    assert!(!sent.iter().any(|id| matches!(id, CommandId::Stop | CommandId::FastStop)));
+}
+
+#[test]
+fn part_stays_held_when_the_master_falls_silent() {
+    let mut bench = Bench::homed(with_part());
+    bench.command(GRIP, 20_00, 50_00, 40_00);
+    bench.pass(5_000);
+    assert_eq!(bench.state(), HOLDING);
+}
+
+#[test]
+fn first_write_of_a_master_starts_nothing() {
+    let mut bench = Bench::new(Config::DEFAULT, quick());
+    bench.pass(200);
+    bench.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
+    bench.pass(100);
+    bench.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
+    bench.pass(100);
+    assert_eq!(bench.take_motions(), []);
+    bench.write(0, &[0, 0, 50_00, 40_00]);
+    bench.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
+    bench.pass(10);
+    assert_eq!(bench.take_motions(), [CommandId::Homing]);
+}
+
+#[test]
+fn fast_stop_wire_stops_a_motion_of_the_bus_and_the_bus_may_acknowledge() {
+    let mut bench = Bench::homed(quick());
+    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
+    bench.pass(10);
+    bench.set(Inputs::FAST_STOP_OK, false);
+    bench.pass(20);
+    assert!(bench.bit(28), "FAST_STOP");
+    bench.write(0, &[0, 10_00, 50_00, 40_00]);
+    bench.command(STOP_ACK, 10_00, 50_00, 40_00);
+    assert!(bench.bit(28), "not while the wire is low");
+    bench.set(Inputs::FAST_STOP_OK, true);
+    bench.pass(10);
+    bench.command(STOP_ACK, 10_00, 50_00, 40_00);
+    assert!(!bench.bit(28));
+}
+
+#[test]
+fn fast_stop_of_the_bus_stops_a_motion_of_the_wires() {
+    let mut bench = Bench::homed(quick());
+    bench.pulse(Inputs::MOVE);
+    bench.write(0, &[u16::from(FASTSTOP) << 8, 0, 0, 0]);
+    bench.pass(20);
+    assert!(bench.outputs.contains(Outputs::ERROR) && bench.bit(28));
+    bench.pulse(Inputs::STOP_ACK);
+    assert!(bench.bit(28), "the bus's FASTSTOP is still 1");
+}
+
+#[test]
+fn wires_command_while_one_of_them_is_high_and_the_bus_does_after_that() {
+    let mut bench = Bench::homed(quick());
+    bench.set(Inputs::MOVE, true);
+    bench.pass(3_000);
+    bench.take_motions();
+    bench.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
+    bench.pass(50);
+    assert_eq!(bench.take_motions(), [], "the wire is high");
+    bench.set(Inputs::MOVE, false);
+    bench.pass(50);
+    assert_eq!(bench.take_motions(), [], "and what it asked for is not done later");
+    assert_eq!(bench.bridge().commander(), Commander::Wires);
+    bench.write(0, &[0, 30_00, 50_00, 40_00]);
+    bench.command(MOVE, 30_00, 50_00, 40_00);
+    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(bench.bridge().commander(), Commander::Bus);
+    assert!((bench.gripper.state().width - 30.0).abs() < 0.05);
+}
+
+#[test]
+fn parameters_on_the_bus_do_not_disturb_a_motion_of_the_wires() {
+    let mut bench = Bench::homed(quick());
+    bench.set(Inputs::MOVE, true);
+    bench.pass(20);
+    bench.write(0, &[0, 12_34, 100_00, 20_00]);
+    bench.pass(3_000);
+    assert!(!bench.bit(28), "no FAST STOP");
+    assert!((bench.gripper.state().width - 20.0).abs() < 0.05, "{}", bench.gripper.state().width);
+}
+
+#[test]
+fn second_motion_is_refused_and_the_first_still_ends() {
+    let mut bench = Bench::homed(quick());
+    bench.take_motions();
+    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
+    bench.write(0, &[u16::from(MOVE | RELEASE) << 8, 10_00, 50_00, 40_00]);
+    assert_eq!(bench.status(), ALREADY_RUNNING);
+    bench.pass(3_000);
+    assert_eq!(bench.status(), SUCCESS);
+    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+}
+
+#[test]
+fn gripper_that_never_answered_is_0a_and_one_that_fell_silent_is_0b() {
+    let mut bench = Bench::new(Config::DEFAULT, quick());
+    bench.cut = true;
+    bench.pass(500);
+    assert_eq!(bench.input(0, 6), Err(0x0A));
+    assert_eq!(bench.ask(&[2, 0, 0, 0, 1]), [0x82, 0x0A]);
+    assert_eq!(bench.input(6, 1), Err(2), "there is no register 6 in any case");
+    assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![0]));
+    bench.cut = false;
+    bench.pass(1_000);
+    assert!(bench.input(0, 6).is_ok());
+    assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![2]));
+    bench.cut = true;
+    bench.pass(2_000);
+    assert_eq!(bench.input(0, 6), Err(0x0B));
+    assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![1]));
+    assert!(bench.holding(0, 4).is_ok(), "what the PLC wrote is here");
+    // What is written meanwhile is not done when the gripper is back.
+    bench.write(0, &[u16::from(HOMING) << 8, 0, 0, 0]);
+    bench.take_motions();
+    bench.cut = false;
+    bench.pass(2_000);
+    assert!(bench.input(0, 6).is_ok());
+    assert_eq!(bench.take_motions(), []);
+}
+
+#[test]
+fn settings_read_as_built_and_take_effect_when_written() {
+    let mut bench = Bench::homed(quick());
+    let recipe = setting("RECIPE0_WIDTH");
+    let Some(first) = RECIPES.first() else { unreachable!() };
+    let values = [first.width as u16, first.speed, first.force as u16, first.release_width as u16];
+    assert_eq!(bench.holding(recipe, 4), Ok(values.to_vec()));
+    bench.write(recipe, &[33_00]);
+    bench.pulse(Inputs::MOVE);
+    bench.pass(3_000);
+    assert!((bench.gripper.state().width - 33.0).abs() < 0.05, "{}", bench.gripper.state().width);
+
+    bench.write(setting("DEBOUNCE"), &[20]);
+    bench.take_motions();
+    bench.pulse(Inputs::GRIP);
+    assert_eq!(bench.take_motions(), [], "5 ms are too short now");
+
+    bench.write(setting("SWAP_BYTES"), &[1]);
+    assert_eq!(bench.input(3, 1).map(|width| width[0].swap_bytes()), Ok(33_00));
+
+    let unit = setting("UNIT").to_be_bytes();
+    let answer = bench.ask(&[6, unit[0], unit[1], 0, 9]);
+    assert_eq!(answer, [6, unit[0], unit[1], 0, 9], "answered as the old unit");
+    assert!(bench.ask(&[4, 0, 0, 0, 1]).is_empty(), "and then it is another");
+    bench.send_raw(&Bench::frame(9, &[4, 0, 0, 0, 1]));
+    bench.pass(5);
+    assert_eq!(bench.answers(), 1);
+}
+
+#[test]
+fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06() {
+    let mut bench = Bench::homed(quick());
+    assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3));
+    assert_eq!(bench.try_write(setting("UNIT"), &[248]), Some(3));
+    assert_eq!(bench.try_write(setting("BUS_REACTION"), &[1, 2_000]), Some(3), "all or nothing");
+    assert_eq!(bench.try_write(99, &[1]), Some(2));
+    let last = FIRST_SETTING + SETTINGS.len() as u16 - 1;
+    assert_eq!(bench.try_write(last, &[1, 1]), Some(2));
+    assert_eq!(bench.try_write(3, &[40_00, 0]), Some(2), "no write across the gap");
+    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
+    assert_eq!(bench.try_write(setting("DEBOUNCE"), &[5]), Some(6));
+    assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3), "what is wrong is wrong at any time");
+    let counters = bench.input(report("SERVER_BUSY"), 1);
+    assert_eq!(counters, Ok(vec![1]));
+}
+
+#[test]
+fn reports_name_versions_and_the_gripper() {
+    let mut bench = Bench::ready();
+    let reports = bench.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
+    let of = |name: &str| reports[usize::from(report(name) - FIRST_REPORT)];
+    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (1, 0x0001));
+    assert_eq!((of("GRIPPER_TYPE"), of("GRIPPER_LINK")), (1, 2));
+    assert_eq!((of("BUS_RATE"), of("BUS_FORMAT")), (192, 0));
+    assert_eq!(of("SERVER_MESSAGES"), 1, "before this request");
+    assert_eq!(bench.input(FIRST_REPORT + REPORTS.len() as u16, 1), Err(2));
+}
+
+#[test]
+fn device_identification_names_the_bridge() {
+    let mut bench = Bench::ready();
+    let answer = bench.ask(&[43, 14, 1, 0]);
+    let text = String::from_utf8_lossy(&answer);
+    assert!(text.contains("wsg-bridge-fw") && text.contains("V0.1.0"), "{text}");
+}
+
+#[test]
+fn width_and_force_are_asked_for_once_a_master_is_heard_and_not_before() {
+    let mut bench = Bench::new(Config::DEFAULT, quick());
+    bench.pass(1_000);
+    let asks = |sent: Vec<CommandId>| {
+        sent.iter().any(|id| matches!(id, CommandId::GetOpeningWidth | CommandId::GetForce))
+    };
+    assert!(!asks(bench.take_sent()));
+    bench.input(0, 1).unwrap();
+    bench.pass(100);
+    assert!(asks(bench.take_sent()));
+}
+
+#[test]
+fn broadcast_counts_where_it_is_switched_on_alone() {
+    let stop = Bench::frame(0, &[6, 0, 0, FASTSTOP, 0]);
+    let mut bench = Bench::homed(quick());
+    bench.send_raw(&stop);
+    bench.pass(20);
+    assert!(!bench.bit(28));
+    bench.write(setting("BROADCAST"), &[1]);
+    bench.pass(5);
+    bench.send_raw(&stop);
+    bench.pass(20);
+    assert_eq!(bench.answers(), 0);
+    assert!(bench.bit(28));
+}
+
+/// Something that happens on the bus and is no request of the PLC.
+#[derive(Clone, Debug)]
+enum Happening {
+    Noise(Vec<u8>),
+    /// A frame that moves fingers, with one of its bits turned over.
+    Damaged(u8, usize),
+    /// The begin of one.
+    Half(u8, usize),
+    /// One for another unit.
+    Foreign(u8, u8),
+    Pass(u32),
+}
+
+fn happening() -> impl Strategy<Value = Happening> {
+    prop_oneof![
+        3 => proptest::collection::vec(any::<u8>(), 1..40).prop_map(Happening::Noise),
+        3 => (any::<u8>(), 0..17usize * 8).prop_map(|(flags, bit)| Happening::Damaged(flags, bit)),
+        2 => (any::<u8>(), 1..17usize).prop_map(|(flags, len)| Happening::Half(flags, len)),
+        2 => (any::<u8>(), 2..=247u8).prop_map(|(flags, unit)| Happening::Foreign(flags, unit)),
+        3 => (0..60u32).prop_map(Happening::Pass),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn nothing_but_an_intact_request_for_this_unit_moves_fingers(happenings in proptest::collection::vec(happening(), 1..40)) {
+        let mut bench = Bench::homed(quick());
+        bench.take_motions();
+        let moves = |unit: u8, flags: u8| {
+            Bench::frame(unit, &[16, 0, 0, 0, 4, 8, flags, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0])
+        };
+        for happening in happenings {
+            match happening {
+                Happening::Noise(bytes) => bench.send_raw(&bytes),
+                Happening::Damaged(flags, bit) => {
+                    let mut frame = moves(UNIT, flags);
+                    frame[bit / 8] ^= 1 << (bit % 8);
+                    bench.pass(55);
+                    bench.send_raw(&frame);
+                    bench.pass(55);
+                }
+                Happening::Half(flags, len) => {
+                    bench.pass(55);
+                    bench.send_raw(&moves(UNIT, flags)[..len.min(16)]);
+                    bench.pass(55);
+                }
+                Happening::Foreign(flags, unit) => {
+                    bench.pass(55);
+                    bench.send_raw(&moves(unit, flags));
+                    bench.pass(5);
+                }
+                Happening::Pass(ms) => bench.pass(ms),
+            }
+        }
+        bench.pass(50);
+        prop_assert_eq!(bench.take_motions(), []);
+        bench.write(0, &[0, 0, 50_00, 40_00]);
+        bench.command(MOVE, 40_00, 50_00, 40_00);
+        prop_assert_eq!(bench.status(), SUCCESS);
+    }
+}

@@ -1,0 +1,201 @@
+//! docs/registers.md says what the tables in the code say.
+//!
+//! Parts that are made from the code stand between `<!-- generated: NAME -->` and `<!-- end -->`. Here they are
+//! compared; `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test modbus_docs` writes them anew.
+
+mod modbus_bench;
+
+use std::fs;
+use std::path::PathBuf;
+
+use modbus_bench::Bench;
+use wsg_bridge_fw::Config;
+use wsg_bridge_fw::modbus::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
+use wsg_protocol::SystemFlags;
+use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
+use wsg_protocol::modbus::{Content, Function, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
+
+fn document() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/registers.md")
+}
+
+fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {
+    let line = |cells: [String; N]| format!("| {} |\n", cells.join(" | "));
+    let mut text = line(head.map(str::to_owned));
+    text.push_str(&format!("|{}\n", "---|".repeat(N)));
+    text.extend(rows.into_iter().map(line));
+    text
+}
+
+fn line() -> String {
+    let bus = Config::DEFAULT.bus;
+    let timing = bus.timing();
+    table(
+        ["what", "as delivered"],
+        [
+            ["rate".into(), format!("{} bit/s", bus.baud)],
+            ["format".into(), bus.format.name().into()],
+            ["unit".into(), bus.unit.to_string()],
+            ["T1.5, T3.5".into(), format!("{} µs, {} µs", timing.t1_5_us, timing.t3_5_us)],
+        ],
+    )
+}
+
+fn functions() -> String {
+    table(
+        ["FC", "function", "what it reads or writes"],
+        Function::ALL.map(|function| {
+            let (name, what) = match function {
+                Function::ReadCoils => ("Read Coils", "coils"),
+                Function::ReadDiscreteInputs => ("Read Discrete Inputs", "discrete inputs"),
+                Function::ReadHoldingRegisters => ("Read Holding Registers", "output image, settings"),
+                Function::ReadInputRegisters => {
+                    ("Read Input Registers", "input image, counters and versions")
+                }
+                Function::WriteSingleCoil => ("Write Single Coil", "a coil"),
+                Function::WriteSingleRegister => ("Write Single Register", "output image, settings"),
+                Function::Diagnostics => {
+                    ("Diagnostics", "subfunctions 00, 01, 02, 04, 0Ah to 12h, 14h; not as a broadcast")
+                }
+                Function::WriteMultipleCoils => ("Write Multiple Coils", "coils, as one"),
+                Function::WriteMultipleRegisters => {
+                    ("Write Multiple Registers", "output image or settings, as one")
+                }
+                Function::MaskWriteRegister => ("Mask Write Register", "output image, settings"),
+                Function::ReadWriteMultipleRegisters => {
+                    ("Read/Write Multiple Registers", "writes first; output image, settings")
+                }
+                Function::EncapsulatedInterfaceTransport => {
+                    ("Read Device Identification (type 14)", "vendor, product code, revision")
+                }
+            };
+            [function.code().to_string(), name.into(), what.into()]
+        }),
+    )
+}
+
+fn registers(registers: &[Register]) -> String {
+    table(
+        ["register", "bytes", "name", "kind", "unit, bits"],
+        registers.iter().enumerate().map(|(n, register)| {
+            let kind = match register.content {
+                Content::Bits => "bits",
+                Content::Signed => "signed number",
+                Content::Unsigned => "unsigned number",
+            };
+            [
+                n.to_string(),
+                format!("{}, {}", 2 * n, 2 * n + 1),
+                register.name.into(),
+                kind.into(),
+                register.unit.into(),
+            ]
+        }),
+    )
+}
+
+/// Names of bits, by the number of the first bit.
+fn bits<'a>(parts: impl IntoIterator<Item = (usize, &'a str)>) -> String {
+    table(["address", "bit"], parts.into_iter().map(|(address, name)| [address.to_string(), name.to_owned()]))
+}
+
+fn coils() -> String {
+    let commands = CommandFlags::all().iter_names().map(|(name, flag)| {
+        (
+            flag.bits().trailing_zeros() as usize,
+            name.replace("STOP_ACK", "STOP/ACK").replace("JOG_PLUS", "JOG+").replace("JOG_MINUS", "JOG-"),
+        )
+    });
+    let users = (1..=8).map(|n| (7 + n, format!("IF{n}")));
+    let all: Vec<_> = commands.chain(users).collect();
+    bits(all.iter().map(|(address, name)| (*address, name.as_str())))
+        + "| 16 to 63 | the bits of WIDTH, SPEED and FORCELIMIT, byte by byte |\n"
+}
+
+fn discrete_inputs() -> String {
+    let states = GripperFlags::all()
+        .iter_names()
+        .map(|(name, flag)| (flag.bits().trailing_zeros() as usize, name.to_owned()));
+    let users = (1..=8).map(|n| (7 + n, format!("OF{n}")));
+    let system = SystemFlags::all()
+        .iter_names()
+        .map(|(name, flag)| (16 + flag.bits().trailing_zeros() as usize, format!("SYSSTATE {name}")));
+    let all: Vec<_> = states.chain(users).chain(system).collect();
+    bits(all.iter().map(|(address, name)| (*address, name.as_str())))
+        + "| 48 to 95 | the bits of WIDTH, Gripping Force and Status Code, byte by byte |\n"
+}
+
+fn settings() -> String {
+    // As a PLC reads them.
+    let delivered = Bench::ready().holding(FIRST_SETTING, SETTINGS.len() as u8).unwrap();
+    table(
+        ["register", "name", "unit", "from", "to", "as delivered", "meaning"],
+        (FIRST_SETTING..).zip(&SETTINGS).zip(delivered).map(|((address, setting), delivered)| {
+            [
+                address.to_string(),
+                format!("`{}`", setting.name),
+                setting.unit.into(),
+                setting.least.to_string(),
+                setting.most.to_string(),
+                delivered.to_string(),
+                setting.meaning.into(),
+            ]
+        }),
+    )
+}
+
+fn reports() -> String {
+    table(
+        ["register", "name", "meaning"],
+        (FIRST_REPORT..).zip(&REPORTS).map(|(address, report)| {
+            [address.to_string(), format!("`{}`", report.name), report.meaning.into()]
+        }),
+    )
+}
+
+/// Where the text of a part begins and ends.
+fn bounds(text: &str, name: &str) -> (usize, usize) {
+    let begin = format!("<!-- generated: {name} -->");
+    let from = text.find(&begin).unwrap_or_else(|| panic!("there is no `{begin}`")) + begin.len();
+    let to = text[from..].find("<!-- end -->").unwrap_or_else(|| panic!("`{begin}` has no end")) + from;
+    (from, to)
+}
+
+#[test]
+fn registers_in_the_document_are_those_of_the_code() {
+    let parts = [
+        ("line", line()),
+        ("functions", functions()),
+        ("output", registers(&OUTPUT_REGISTERS)),
+        ("coils", coils()),
+        ("input", registers(&INPUT_REGISTERS)),
+        ("discrete", discrete_inputs()),
+        ("settings", settings()),
+        ("reports", reports()),
+    ];
+    let mut text = fs::read_to_string(document()).unwrap();
+    if std::env::var_os("WSG_UPDATE_DOCS").is_some_and(|value| value == "1") {
+        for (name, wanted) in &parts {
+            let (from, to) = bounds(&text, name);
+            text = format!("{}\n{}\n{}", &text[..from], wanted.trim(), &text[to..]);
+        }
+        fs::write(document(), &text).unwrap();
+    }
+    for (name, wanted) in parts {
+        let (from, to) = bounds(&text, name);
+        assert!(
+            text[from..to].trim() == wanted.trim(),
+            "docs/registers.md, part \"{name}\", is out of date; `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test \
+             modbus_docs` writes it anew"
+        );
+    }
+}
+
+#[test]
+fn names_of_registers_are_unique() {
+    let names: Vec<_> =
+        SETTINGS.iter().map(|setting| setting.name).chain(REPORTS.iter().map(|report| report.name)).collect();
+    for (n, name) in names.iter().enumerate() {
+        assert!(!names[n + 1..].contains(name), "{name}");
+    }
+}

@@ -1,0 +1,178 @@
+//! `rmodbus` as a second opinion on requests, with a list of what it may see differently.
+//!
+//! Expectations come from the MODBUS application protocol specification (the tests beside the code), not from here: this
+//! only finds what nobody thought of. Both servers keep the same plain tables.
+
+use proptest::prelude::*;
+use rmodbus::ModbusProto;
+use rmodbus::server::ModbusFrame;
+use rmodbus::server::storage::ModbusStorage;
+use wsg_protocol::modbus::rtu::crc;
+use wsg_protocol::modbus::{Bits, Device, Exception, Identification, MAX_PDU_LEN, Words, serve};
+
+const BITS: usize = 40;
+const REGISTERS: usize = 130;
+const UNIT: u8 = 7;
+
+/// Coils, discrete inputs, input registers and holding registers that have nothing to do with each other.
+type Tables = ModbusStorage<BITS, BITS, REGISTERS, REGISTERS>;
+
+fn tables() -> Tables {
+    Tables {
+        discretes: std::array::from_fn(|n| n % 3 == 0),
+        inputs: std::array::from_fn(|n| 0x1000 + n as u16),
+        ..Tables::default()
+    }
+}
+
+struct Ours(Tables);
+
+fn get<T: Copy>(table: &[T], address: u16) -> Result<T, Exception> {
+    table.get(usize::from(address)).copied().ok_or(Exception::IllegalDataAddress)
+}
+
+fn put<T>(table: &mut [T], first: u16, values: impl ExactSizeIterator<Item = T>) -> Result<(), Exception> {
+    let first = usize::from(first);
+    let slots = table.get_mut(first..first + values.len()).ok_or(Exception::IllegalDataAddress)?;
+    slots.iter_mut().zip(values).for_each(|(slot, value)| *slot = value);
+    Ok(())
+}
+
+impl Device for Ours {
+    fn coil(&self, address: u16) -> Result<bool, Exception> {
+        get(&self.0.coils, address)
+    }
+
+    fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
+        get(&self.0.discretes, address)
+    }
+
+    fn holding_register(&self, address: u16) -> Result<u16, Exception> {
+        get(&self.0.holdings, address)
+    }
+
+    fn input_register(&self, address: u16) -> Result<u16, Exception> {
+        get(&self.0.inputs, address)
+    }
+
+    fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
+        put(&mut self.0.coils, first, values.iter().collect::<Vec<_>>().into_iter())
+    }
+
+    fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
+        put(&mut self.0.holdings, first, values.iter().collect::<Vec<_>>().into_iter())
+    }
+
+    fn identification(&self) -> Identification {
+        Identification { vendor_name: "", product_code: "", revision: "", regular: None }
+    }
+}
+
+fn frame(pdu: &[u8]) -> Vec<u8> {
+    let mut frame = [&[UNIT], pdu].concat();
+    frame.extend(crc(&frame).to_le_bytes());
+    frame
+}
+
+/// What `rmodbus` answers; nothing when it does not.
+fn theirs(tables: &mut Tables, pdu: &[u8]) -> Vec<u8> {
+    let request = frame(pdu);
+    let mut response = Vec::new();
+    let mut server = ModbusFrame::new(UNIT, &request, ModbusProto::Rtu, &mut response);
+    if server.parse().is_err() {
+        return vec![];
+    }
+    if server.processing_required {
+        let result = if server.readonly { server.process_read(tables) } else { server.process_write(tables) };
+        if result.is_err() {
+            return vec![];
+        }
+    }
+    if server.response_required && server.finalize_response().is_err() {
+        return vec![];
+    }
+    response
+}
+
+fn ours(device: &mut Ours, pdu: &[u8]) -> Vec<u8> {
+    let mut response = [0; MAX_PDU_LEN];
+    let len = serve(pdu, device, &mut response);
+    frame(&response[..len])
+}
+
+fn be(value: u16) -> [u8; 2] {
+    value.to_be_bytes()
+}
+
+fn address() -> impl Strategy<Value = u16> {
+    prop_oneof![4 => 0..45u16, 2 => 100..140u16, 1 => any::<u16>(), 1 => 65_400..=u16::MAX]
+}
+
+/// Requests whose length, quantity and byte count agree and are in range.
+fn request() -> impl Strategy<Value = Vec<u8>> {
+    let read = |code: u8, most: u16| {
+        (address(), prop_oneof![4 => 1..30u16, 1 => 1..=most])
+            .prop_map(move |(first, quantity)| [&[code][..], &be(first), &be(quantity)].concat())
+    };
+    let coil = (address(), any::<bool>())
+        .prop_map(|(at, on)| [&[5][..], &be(at), &[if on { 0xFF } else { 0 }, 0]].concat());
+    let register = (address(), any::<u16>()).prop_map(|(at, value)| [&[6][..], &be(at), &be(value)].concat());
+    let coils = (address(), proptest::collection::vec(any::<bool>(), 1..50)).prop_map(|(first, values)| {
+        let mut bytes = vec![0u8; values.len().div_ceil(8)];
+        for (n, value) in values.iter().enumerate() {
+            bytes[n / 8] |= u8::from(*value) << (n % 8);
+        }
+        [&[15][..], &be(first), &be(values.len() as u16), &[bytes.len() as u8], &bytes].concat()
+    });
+    let registers =
+        (address(), proptest::collection::vec(any::<u16>(), 1..=123)).prop_map(|(first, values)| {
+            let bytes: Vec<u8> = values.iter().flat_map(|value| be(*value)).collect();
+            [&[16][..], &be(first), &be(values.len() as u16), &[bytes.len() as u8], &bytes].concat()
+        });
+    prop_oneof![read(1, 2000), read(2, 2000), read(3, 125), read(4, 125), coil, register, coils, registers]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn requests_in_order_get_the_same_answers_and_leave_the_same_tables(requests in proptest::collection::vec(request(), 1..40)) {
+        let mut our_device = Ours(tables());
+        let mut their_tables = tables();
+        for pdu in requests {
+            prop_assert_eq!(ours(&mut our_device, &pdu), theirs(&mut their_tables, &pdu), "{:02X?}", pdu);
+        }
+        prop_assert_eq!(our_device.0.coils, their_tables.coils);
+        prop_assert_eq!(our_device.0.holdings, their_tables.holdings);
+    }
+}
+
+/// What each answers, and whether each wrote; so that a line here goes when `rmodbus` changes its mind.
+#[test]
+fn allowed_disagreements_are_these_and_the_specification_is_on_our_side() {
+    const VALUE: &[u8] = &[3];
+    let refused = |code: u8, exception: &[u8]| frame(&[&[code | 0x80], exception].concat());
+    for (why, pdu, exception) in [
+        ("a quantity of 0 is no quantity (6.1 to 6.4)", &[3, 0, 0, 0, 0][..], VALUE),
+        ("nor is it one to write (6.12)", &[16, 0, 0, 0, 0, 0], VALUE),
+        ("byte count and quantity disagree (6.12)", &[16, 0, 0, 0, 1, 4, 0, 1, 0, 2], VALUE),
+        ("byte count and quantity disagree (6.11)", &[15, 0, 0, 0, 1, 2, 1, 0], VALUE),
+    ] {
+        let (mut our_device, mut their_tables) = (Ours(tables()), tables());
+        assert_eq!(ours(&mut our_device, pdu), refused(pdu[0], exception), "{why}");
+        assert_ne!(
+            theirs(&mut their_tables, pdu),
+            refused(pdu[0], exception),
+            "{why}: no disagreement any more"
+        );
+        assert_eq!(our_device.0.holdings, tables().holdings);
+    }
+    // Functions that it does not serve: 22, 23, 43 and 8.
+    for pdu in [&[22, 0, 0, 0xFF, 0xFF, 0, 0][..], &[23, 0, 0, 0, 1, 0, 0, 0, 1, 2, 0, 1], &[43, 14, 1, 0]] {
+        assert_eq!(ours(&mut Ours(tables()), pdu)[1], pdu[0]);
+        assert_ne!(theirs(&mut tables(), pdu).get(1), Some(&pdu[0]));
+    }
+    // It numbers the gateway's exceptions 09 and 0A; the specification 0A and 0B (chapter 7).
+    assert_eq!(rmodbus::consts::ModbusErrorCode::GatewayPathUnavailable as u8, 9);
+    assert_eq!(Exception::GatewayPathUnavailable.code(), 10);
+}

@@ -1,0 +1,112 @@
+//! JOG in commands (fieldbus, 6.7): the force limit and a Pre-position to the end of the stroke, and a Stop.
+
+use super::{Controller, force_unit, within_limits};
+use crate::command::{Command, CommandId};
+use crate::fieldbus::jog::{Direction, Drive, Stage};
+use crate::fieldbus::{GripperFlags, OutputImage};
+use crate::session::Known;
+use crate::types::{GripperState, PrePositionFlags, Status};
+
+impl Controller {
+    /// Ends what runs by a Stop; a jog is over once the gripper has answered for all of it.
+    pub(super) fn stop(&mut self) {
+        if self.jog.is_on() {
+            let unsent = self.outgoing.iter().any(|command| command.id() == CommandId::PrePosition);
+            let ended = self.held_back.is_some_and(|(id, _)| id == CommandId::PrePosition);
+            let motion_open = match self.jog.stage {
+                Stage::Stops { motion_open, .. } => motion_open,
+                _ => !unsent && !ended && self.motion.is_some_and(|motion| !motion.prepares),
+            };
+            self.jog.stage = Stage::Stops { stop_open: true, motion_open };
+        }
+        self.send_alone(Command::Stop);
+    }
+
+    /// Makes the jog what the flags ask for.
+    pub(super) fn follow_jog(&mut self, known: &Known) {
+        let asked = self.jog.asked(self.image.as_ref());
+        match (self.jog.stage, asked) {
+            (Stage::Off, None) | (Stage::Stops { .. }, _) => {}
+            (Stage::Off, Some(drive)) => self.begin_jog(drive, known),
+            (Stage::Runs(running), Some(drive)) if running == drive => {}
+            (Stage::Runs(_), Some(drive)) if jog_command(drive, known).is_none() => self.fast_stop(),
+            (Stage::Runs(_), _) => self.stop(),
+        }
+    }
+
+    fn begin_jog(&mut self, drive: Drive, known: &Known) {
+        if self.connected && !self.is_fast_stopped(known) && self.is_moving(known) {
+            // The running motion's result will replace this.
+            self.status = Status::AlreadyRunning;
+        } else if !self.connected {
+            self.show(Status::IoError);
+        } else if self.is_fast_stopped(known) || self.state(known) == GripperFlags::HOLDING {
+            self.show(Status::AccessDenied);
+        } else if let Some((command, force)) = jog_command(drive, known) {
+            self.begin_motion(command, Some(force));
+            self.jog.stage = Stage::Runs(drive);
+            return;
+        } else {
+            self.fast_stop();
+        }
+        self.jog.disarm(self.image.as_ref());
+    }
+
+    /// A jog is over by itself, or did not begin: GSTATE is IDLE, after an error as well (fieldbus, 6.7).
+    #[inline(never)]
+    pub(super) fn end_jog(&mut self, status: Status) {
+        self.jog.stage = Stage::Off;
+        self.jog.disarm(self.image.as_ref());
+        self.motion = None;
+        self.settled = Some(GripperState::Idle);
+        self.failed = false;
+        self.status = status;
+    }
+
+    /// The gripper has answered for the Stop of a jog, or for the motion that it ended; a Stop that it does not know of
+    /// leaves the fingers moving.
+    pub(super) fn jog_stopped(&mut self, id: CommandId, status: Status, known: &Known) {
+        let Stage::Stops { mut stop_open, mut motion_open } = self.jog.stage else { return };
+        match id {
+            CommandId::Stop if status != Status::Success && !stands(known) => return self.fast_stop(),
+            CommandId::Stop => stop_open = false,
+            CommandId::PrePosition => motion_open = false,
+            _ => return,
+        }
+        if stop_open || motion_open {
+            self.jog.stage = Stage::Stops { stop_open, motion_open };
+        } else {
+            self.jog.stage = Stage::Off;
+            self.follow_jog(known);
+        }
+    }
+
+    /// Whether nobody knows if a jog still moves the fingers, now that this command has no answer.
+    pub(super) fn jog_may_move(&self, id: CommandId, known: &Known) -> bool {
+        let of_jog = match self.jog.stage {
+            Stage::Off => false,
+            Stage::Runs(_) => id == CommandId::PrePosition,
+            Stage::Stops { .. } => matches!(id, CommandId::PrePosition | CommandId::Stop),
+        };
+        of_jog && !stands(known)
+    }
+}
+
+/// Whether the gripper reports that its fingers stand.
+fn stands(known: &Known) -> bool {
+    known.flags.is_some() && !known.is_moving()
+}
+
+/// The Pre-position that a jog is, and its force limit; `None` when they are outside the gripper's limits.
+fn jog_command(drive: Drive, known: &Known) -> Option<(Command<'static>, f32)> {
+    let image = OutputImage { speed: drive.speed, force_limit: drive.force_limit, ..OutputImage::ZERO };
+    let limits = known.limits?;
+    let speed = if drive.speed == 0 { limits.min_speed } else { image.speed_mm_s() };
+    let force = image.force_limit_n(force_unit(known));
+    let width = match drive.direction {
+        Direction::Plus => limits.stroke,
+        Direction::Minus => 0.0,
+    };
+    let command = Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed };
+    within_limits(speed, force, known).then_some((command, force))
+}
