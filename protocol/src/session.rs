@@ -49,7 +49,7 @@ use crate::frame::Event;
 use crate::reply::{Reply, Value};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
-use heapless::{Deque, Vec};
+use heapless::Deque;
 use signal::Subscriptions;
 use track::{Expired, Request, Track};
 
@@ -160,7 +160,7 @@ pub struct Session {
     overtaken: bool,
     /// A Stop without a connection was not answered.
     stop_unanswered: bool,
-    running: Vec<Running, RUNNING_LEN>,
+    running: [Option<Running>; RUNNING_LEN],
     /// When the next value is asked for again, and which.
     refresh_at: Instant,
     refresh_step: u8,
@@ -186,7 +186,7 @@ impl Session {
             queue: Deque::new(),
             overtaken: false,
             stop_unanswered: false,
-            running: Vec::new(),
+            running: [None; RUNNING_LEN],
             refresh_at: Instant::from_millis(0),
             refresh_step: FIRST_SUBSCRIPTION,
             subscriptions: Subscriptions::new(&config),
@@ -211,7 +211,12 @@ impl Session {
     #[must_use]
     pub fn motion(&self) -> Option<CommandId> {
         let sent = self.request.id();
-        self.running.iter().map(|running| running.id).chain(sent).find(|id| id.kind() == Kind::Motion)
+        self.running
+            .iter()
+            .flatten()
+            .map(|running| running.id)
+            .chain(sent)
+            .find(|id| id.kind() == Kind::Motion)
     }
 
     /// What could not be used so far.
@@ -288,7 +293,9 @@ impl Session {
             Kind::Stop => Err(RequestError::FastStopRunning),
             Kind::Acknowledge | Kind::Motion if fast_stop_runs => Err(RequestError::FastStopRunning),
             Kind::Motion if self.motion_is_open() => Err(RequestError::MotionRunning),
-            _ if self.running.iter().any(|running| running.id == id) => Err(RequestError::MotionRunning),
+            _ if self.running.iter().flatten().any(|running| running.id == id) => {
+                Err(RequestError::MotionRunning)
+            }
             _ => self.queue.push_back(request).map_err(|_| RequestError::QueueFull),
         }
     }
@@ -407,7 +414,7 @@ impl Session {
             Link::Up if self.refresh.is_idle() => Some(self.refresh_at),
             _ => None,
         };
-        let running = self.running.iter().map(|running| self.result_deadline(running));
+        let running = self.running.iter().flatten().map(|running| self.result_deadline(running));
         tracks.into_iter().chain([link]).flatten().chain(running).reduce(Instant::earlier_of)
     }
 
@@ -451,10 +458,7 @@ impl Session {
         if self.request.awaits_answer(id) {
             return self.route_first_answer(now, reply);
         }
-        if status.is_final()
-            && let Some(at) = self.running.iter().position(|running| running.id == id)
-        {
-            self.running.swap_remove(at);
+        if status.is_final() && self.end_running(id) {
             return Routed::Noticed(Notice::Answered(*reply));
         }
         if self.refresh.awaits_answer(id) && status == Status::Success {
@@ -476,7 +480,9 @@ impl Session {
             Status::CmdPending if asynchronous => {
                 self.request.close();
                 // There is room: only one motion is let in, and each finger's supply once.
-                let _ = self.running.push(Running { id, begun: now, still_since: None });
+                if let Some(place) = self.running.iter_mut().find(|place| place.is_none()) {
+                    *place = Some(Running { id, begun: now, still_since: None });
+                }
                 Routed::Noticed(Notice::Pending(id))
             }
             Status::CmdPending => Routed::Unasked,
@@ -543,7 +549,7 @@ impl Session {
             return;
         }
         let moves = self.known.is_moving();
-        for motion in self.running.iter_mut().filter(|running| running.id.kind() == Kind::Motion) {
+        for motion in self.running.iter_mut().flatten().filter(|running| running.id.kind() == Kind::Motion) {
             motion.still_since = if moves { None } else { motion.still_since.or(Some(now)) };
         }
     }
@@ -578,7 +584,7 @@ impl Session {
     fn close_one(&mut self, now: Instant) -> Notice<'static> {
         self.known = Known::NOTHING;
         self.refresh.close();
-        if let Some(running) = self.running.pop() {
+        if let Some(running) = self.running.iter_mut().find_map(Option::take) {
             return Notice::Unanswered(running.id);
         }
         let setting = self.reading_back.take().map(|setting| setting.id());
@@ -610,8 +616,16 @@ impl Session {
 
     /// Gives up a running command whose result does not come.
     fn expire_running(&mut self, now: Instant) -> Option<CommandId> {
-        let at = self.running.iter().position(|running| now.has_reached(self.result_deadline(running)))?;
-        Some(self.running.swap_remove(at).id)
+        let mut running = self.running.iter().flatten();
+        let late = running.find(|running| now.has_reached(self.result_deadline(running)))?.id;
+        self.end_running(late);
+        Some(late)
+    }
+
+    /// Takes out this command, if it runs; whether it does.
+    fn end_running(&mut self, id: CommandId) -> bool {
+        let place = self.running.iter_mut().find(|place| place.is_some_and(|running| running.id == id));
+        place.is_some_and(|place| place.take().is_some())
     }
 
     /// Until when the result of a running command is waited for.

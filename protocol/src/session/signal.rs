@@ -42,6 +42,18 @@ impl Signal {
         Self::ALL.into_iter().find(|signal| signal.id() == id)
     }
 
+    /// The one that this command asks for, and how.
+    const fn asked_by(command: &Command<'_>) -> Option<(Self, AutoUpdate)> {
+        match *command {
+            Command::GetSystemState { update } => Some((Self::SystemState, update)),
+            Command::GetGripperState { update } => Some((Self::GripperState, update)),
+            Command::GetOpeningWidth { update } => Some((Self::Width, update)),
+            Command::GetSpeed { update } => Some((Self::Speed, update)),
+            Command::GetForce { update } => Some((Self::Force, update)),
+            _ => None,
+        }
+    }
+
     const fn request(self, update: AutoUpdate) -> Command<'static> {
         match self {
             Self::SystemState => Command::GetSystemState { update },
@@ -124,8 +136,8 @@ impl Subscriptions {
     /// The gripper has answered this request of the session's own.
     pub(super) fn confirm(&mut self, command: Command<'static>) {
         // Unless it was changed again in the meantime.
-        if let Some(signal) = Signal::of(command.id())
-            && command == signal.request(self.update(signal))
+        if let Some((signal, update)) = Signal::asked_by(&command)
+            && update == self.update(signal)
         {
             self.changed &= !signal.bit();
         }
@@ -133,10 +145,8 @@ impl Subscriptions {
 
     /// The command, changed so that it does not end the subscription, as to ask once would (command set, 3.4.1).
     pub(super) fn kept_by(&self, command: Command<'static>) -> Command<'static> {
-        match Signal::of(command.id()) {
-            Some(signal) if command == signal.request(AutoUpdate::once()) => {
-                signal.request(self.update(signal))
-            }
+        match Signal::asked_by(&command) {
+            Some((signal, update)) if update == AutoUpdate::once() => signal.request(self.update(signal)),
             _ => command,
         }
     }

@@ -43,16 +43,12 @@ impl Request {
 /// A request on its way.
 #[derive(Debug)]
 pub(super) struct Track {
-    state: State,
+    /// None while the track is idle.
+    request: Option<Request>,
+    /// When its answer should have come; none while it waits to be sent.
+    deadline: Option<Instant>,
     /// How often it was sent.
     sent: u8,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum State {
-    Idle,
-    Waiting(Request),
-    Sent { request: Request, deadline: Instant },
 }
 
 /// What a time-out came to.
@@ -68,41 +64,35 @@ pub(super) enum Expired {
 
 impl Track {
     pub(super) const fn new() -> Self {
-        Self { state: State::Idle, sent: 0 }
+        Self { request: None, deadline: None, sent: 0 }
     }
 
     /// Opens the track for this request, in place of the one before.
     pub(super) fn open(&mut self, request: Request) {
         // A FAST STOP that is asked for again is the same one: the answer to the first serves.
-        if self.request().is_some_and(|open| open == request) {
+        if self.awaits(request.id()) {
             return;
         }
-        *self = Self { state: State::Waiting(request), sent: 0 };
+        *self = Self { request: Some(request), deadline: None, sent: 0 };
     }
 
     pub(super) const fn close(&mut self) {
-        self.state = State::Idle;
+        self.request = None;
+        self.deadline = None;
     }
 
     pub(super) const fn is_idle(&self) -> bool {
-        matches!(self.state, State::Idle)
-    }
-
-    const fn request(&self) -> Option<Request> {
-        match self.state {
-            State::Idle => None,
-            State::Waiting(request) | State::Sent { request, .. } => Some(request),
-        }
+        self.request.is_none()
     }
 
     /// The id of the open request.
     pub(super) fn id(&self) -> Option<CommandId> {
-        self.request().map(|request| request.id())
+        self.request.as_ref().map(Request::id)
     }
 
     /// The open request, if the session has it.
     pub(super) const fn own(&self) -> Option<Command<'static>> {
-        match self.request() {
+        match self.request {
             Some(Request::Own(command)) => Some(command),
             _ => None,
         }
@@ -119,10 +109,7 @@ impl Track {
     }
 
     pub(super) const fn deadline(&self) -> Option<Instant> {
-        match self.state {
-            State::Sent { deadline, .. } => Some(deadline),
-            State::Idle | State::Waiting(_) => None,
-        }
+        self.deadline
     }
 
     /// The command, if it waits to be sent and is at hand; it counts as sent.
@@ -132,32 +119,34 @@ impl Track {
         config: &Config,
         lent: Option<Command<'p>>,
     ) -> Option<Command<'p>> {
-        let State::Waiting(request) = self.state else { return None };
+        if self.deadline.is_some() {
+            return None;
+        }
+        let request = self.request.as_ref()?;
         let command = request.command(lent)?;
-        self.state = State::Sent { request, deadline: now.plus(config.reply_timeout(request.id())) };
+        self.deadline = Some(now.plus(config.reply_timeout(request.id())));
         self.sent = self.sent.saturating_add(1);
         Some(command)
     }
 
     /// Whether its answer should have come by now.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
-        self.deadline().is_some_and(|deadline| now.has_reached(deadline))
+        self.deadline.is_some_and(|deadline| now.has_reached(deadline))
     }
 
     /// Lets time pass; a request that may be repeated is, up to `attempts` times in all, a FAST STOP without end.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
-        let State::Sent { request, deadline } = self.state else { return Expired::No };
-        if !now.has_reached(deadline) {
+        let Some(request) = self.request.as_ref().filter(|_| self.is_overdue(now)) else {
             return Expired::No;
-        }
-        let id = request.id();
-        if matches!(request, Request::Orphan(_)) && request.is_repeatable() {
+        };
+        let is_repeatable = request.is_repeatable();
+        if is_repeatable && matches!(request, Request::Orphan(_)) {
             self.close();
             return Expired::No;
         }
-        let repeat = request.is_repeatable() && self.sent < attempts;
-        if repeat || id == CommandId::FastStop {
-            self.state = State::Waiting(request);
+        let repeat = is_repeatable && self.sent < attempts;
+        if repeat || request.id() == CommandId::FastStop {
+            self.deadline = None;
         }
         if repeat { Expired::Repeated } else { Expired::GivenUp }
     }
@@ -190,13 +179,13 @@ impl Track {
 
     /// Whoever asked is gone: what was lent is not sent (again).
     pub(super) const fn orphan(&mut self) {
-        match self.state {
-            // Its answer did not come in time, and it cannot be repeated any more.
-            State::Waiting(Request::Lent(_)) => self.close(),
-            State::Sent { request: Request::Lent(id), deadline } => {
-                self.state = State::Sent { request: Request::Orphan(id), deadline };
+        if let Some(Request::Lent(id)) = self.request {
+            if self.deadline.is_some() {
+                self.request = Some(Request::Orphan(id));
+            } else {
+                // Its answer did not come in time, and it cannot be repeated any more.
+                self.close();
             }
-            _ => {}
         }
     }
 }
