@@ -215,7 +215,8 @@ impl Terms {
                 let info = known.info.unwrap_or(UNKNOWN_DEVICE);
                 Some(Value::GetSystemInfo(SystemInfo { serial_number, ..info }))
             }
-            LineValue::Tag(tag) => Some(Value::GetDeviceTag(tag)),
+            // One that is not set is an empty text here, and E_NOT_AVAILABLE there.
+            LineValue::Tag(tag) => (!tag.as_str().is_empty()).then_some(Value::GetDeviceTag(tag)),
             LineValue::Ftype(Selected::One(_, text)) => {
                 let finger = text.finger_type();
                 let data_len = if finger == FingerType::Fmf { FMF_LEN } else { 0 };
