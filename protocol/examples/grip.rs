@@ -1,16 +1,19 @@
 //! Grips a part over TCP, with the blocking driver: against the virtual gripper, or a real one.
 //!
 //! ```text
-//! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000
+//! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000 --gcl 127.0.0.1:1001
 //! cargo run -p wsg-protocol --example grip --features embedded-io -- 127.0.0.1:1000
+//! cargo run -p wsg-protocol --example grip --features embedded-io -- --protocol gcl 127.0.0.1:1001
 //! ```
 
 use std::io::{self, ErrorKind};
 use std::net::TcpStream;
+use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
-use wsg_protocol::driver::{Error, Grip, blocking::Gripper};
+use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
+use wsg_protocol::driver::{Clock, Error, Grip, Protocol};
 use wsg_protocol::session::Signal;
 use wsg_protocol::{AutoUpdate, HomingDirection, Status};
 
@@ -58,23 +61,20 @@ impl Write for Tcp {
     }
 }
 
-fn main() -> Result<(), Error<io::Error>> {
-    let address = std::env::args().nth(1).unwrap_or_else(|| "127.0.0.1:1000".into());
-    let line = Tcp::connect(&address).map_err(Error::Transport)?;
-    let start = Instant::now();
-    // The clock may wrap, so its low 32 bits will do.
-    let clock = move || wsg_protocol::Instant::from_millis(start.elapsed().as_millis() as u32);
-
-    let mut gripper = Gripper::new(line, clock);
+/// The same program over either protocol.
+fn run<C: Clock, P: Protocol>(mut gripper: GripperOver<Tcp, C, P>) -> Result<(), Error<io::Error>> {
     gripper.connect()?;
     println!("{}", gripper.system_info()?);
-    println!("{}", gripper.limits()?);
+    match gripper.limits() {
+        Ok(limits) => println!("{limits}"),
+        Err(Error::NotInGcl) => println!("the text protocol does not tell the limits"),
+        Err(error) => return Err(error),
+    }
     match gripper.tag(&mut [0; 64]) {
         Ok(tag) => println!("tag: {tag}"),
         Err(Error::Refused(Status::NotAvailable)) => println!("no tag"),
         Err(error) => return Err(error),
     }
-    gripper.loop_back(&[0xAA; 32])?;
 
     // A FAST STOP of an earlier client may be latched.
     gripper.acknowledge()?;
@@ -98,4 +98,38 @@ fn main() -> Result<(), Error<io::Error>> {
     gripper.release(60.0, 200.0)?;
     println!("{}", gripper.statistics(false)?);
     gripper.announce_disconnect()
+}
+
+const USAGE: &str = "grip [--protocol binary|gcl] [ADDRESS:PORT]";
+
+fn start() -> Result<(), String> {
+    let (mut protocol, mut address) = ("binary".to_owned(), "127.0.0.1:1000".to_owned());
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--protocol" => protocol = arguments.next().ok_or(USAGE)?,
+            _ if argument.starts_with('-') => return Err(format!("{argument} is not known: {USAGE}")),
+            _ => address = argument,
+        }
+    }
+    let line = Tcp::connect(&address).map_err(|error| format!("{address}: {error}"))?;
+    let start = Instant::now();
+    // The clock may wrap, so its low 32 bits will do.
+    let clock = move || wsg_protocol::Instant::from_millis(start.elapsed().as_millis() as u32);
+    match protocol.as_str() {
+        "binary" => run(Gripper::new(line, clock)),
+        "gcl" => run(GclGripper::new(line, clock)),
+        other => return Err(format!("no protocol {other}: {USAGE}")),
+    }
+    .map_err(|error| error.to_string())
+}
+
+fn main() -> ExitCode {
+    match start() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
 }

@@ -2,8 +2,9 @@
 //! the timer are the same; the transport is a UART or a socket of `embassy-net`.
 //!
 //! ```text
-//! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000
+//! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000 --gcl 127.0.0.1:1001
 //! cargo run -p wsg-protocol --example grip_async --features embedded-io-async -- 127.0.0.1:1000
+//! cargo run -p wsg-protocol --example grip_async --features embedded-io-async -- --protocol gcl 127.0.0.1:1001
 //! ```
 
 use std::io;
@@ -13,7 +14,8 @@ use async_io::Async;
 use embassy_executor::Spawner;
 use embassy_time::{Duration, Ticker};
 use embedded_io_adapters::futures_03::FromFutures;
-use wsg_protocol::driver::{Clock, Error, Grip, Timer, asynch::Gripper};
+use wsg_protocol::driver::asynch::{GclGripper, Gripper, GripperOver};
+use wsg_protocol::driver::{Clock, Error, Grip, Protocol, Timer};
 use wsg_protocol::{HomingDirection, Instant};
 
 /// Embassy's clock.
@@ -42,11 +44,16 @@ async fn blink() {
     }
 }
 
-async fn run(address: SocketAddr) -> Result<(), Error<io::Error>> {
-    let stream = Async::<TcpStream>::connect(address).await.map_err(Error::Transport)?;
-    stream.get_ref().set_nodelay(true).map_err(Error::Transport)?;
+type Tcp = FromFutures<Async<TcpStream>>;
 
-    let mut gripper = Gripper::new(FromFutures::new(stream), EmbassyTimer);
+async fn connect(address: SocketAddr) -> io::Result<Tcp> {
+    let stream = Async::<TcpStream>::connect(address).await?;
+    stream.get_ref().set_nodelay(true)?;
+    Ok(FromFutures::new(stream))
+}
+
+/// The same program over either protocol.
+async fn run<P: Protocol>(mut gripper: GripperOver<Tcp, EmbassyTimer, P>) -> Result<(), Error<io::Error>> {
     gripper.connect().await?;
     println!("{}", gripper.system_info().await?);
     gripper.acknowledge().await?;
@@ -70,16 +77,34 @@ async fn run(address: SocketAddr) -> Result<(), Error<io::Error>> {
     gripper.announce_disconnect().await
 }
 
+const USAGE: &str = "grip_async [--protocol binary|gcl] [ADDRESS:PORT]";
+
+async fn start() -> Result<(), String> {
+    let (mut protocol, mut address) = ("binary".to_owned(), "127.0.0.1:1000".to_owned());
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--protocol" => protocol = arguments.next().ok_or(USAGE)?,
+            _ if argument.starts_with('-') => return Err(format!("{argument} is not known: {USAGE}")),
+            _ => address = argument,
+        }
+    }
+    let about_address = |error: &dyn std::fmt::Display| format!("{address}: {error}");
+    let socket = address.parse().map_err(|error| about_address(&error))?;
+    let line = connect(socket).await.map_err(|error| about_address(&error))?;
+    match protocol.as_str() {
+        "binary" => run(Gripper::new(line, EmbassyTimer)).await,
+        "gcl" => run(GclGripper::new(line, EmbassyTimer)).await,
+        other => return Err(format!("no protocol {other}: {USAGE}")),
+    }
+    .map_err(|error| error.to_string())
+}
+
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     spawner.spawn(blink().expect("it is spawned once"));
-    let address = std::env::args().nth(1).unwrap_or_else(|| "127.0.0.1:1000".into());
-    let result = match address.parse() {
-        Ok(address) => run(address).await,
-        Err(error) => return eprintln!("{address}: {error}"),
-    };
     // The executor never ends by itself.
-    match result {
+    match start().await {
         Ok(()) => std::process::exit(0),
         Err(error) => {
             eprintln!("{error}");

@@ -1,11 +1,12 @@
 //! What both drivers share: everything but bytes and time.
 
+use super::link::Protocol;
 use super::motion::{Motion, Verdict};
 use super::{Config, Counters, Error, UPDATES_LEN, Update};
 use crate::command::{Command, CommandId, Kind};
-use crate::frame::{Event, FrameEncoder, FrameParser, OVERHEAD, Payload};
+use crate::frame::Payload;
 use crate::reply::Reply;
-use crate::session::{MISMATCH, Notice, Session};
+use crate::session::{MISMATCH, Notice};
 use crate::time::Instant;
 use crate::types::Status;
 use heapless::Deque;
@@ -79,30 +80,24 @@ impl<'p> Awaited<'p> {
     }
 }
 
-/// The session, its parser, and the frame being sent.
+/// The protocol, how far its message has left, and what became of motion and updates.
 #[derive(Debug)]
-pub(super) struct Engine<const RX: usize, const TX: usize> {
-    session: Session,
-    parser: FrameParser<RX>,
+pub(super) struct Engine<P> {
+    link: P,
     received_at: Instant,
-    outbox: Outbox<TX>,
+    outbox: Outbox,
     motion: Motion,
     updates: Deque<Update, UPDATES_LEN>,
     updates_lost: u16,
     config: Config,
 }
 
-impl<const RX: usize, const TX: usize> Engine<RX, TX> {
-    pub(super) const fn new(config: Config) -> Self {
-        const {
-            assert!(RX >= 34, "the session asks for the limits, 32 bytes behind a status");
-            assert!(TX >= OVERHEAD + Command::MAX_FIXED_LEN, "every command of fixed length fits");
-        }
+impl<P: Protocol> Engine<P> {
+    pub(super) const fn new(link: P, config: Config) -> Self {
         Self {
-            session: Session::new(config.session),
-            parser: FrameParser::new(),
+            link,
             received_at: Instant::from_millis(0),
-            outbox: Outbox::new(),
+            outbox: Outbox::EMPTY,
             motion: Motion::none(),
             updates: Deque::new(),
             updates_lost: 0,
@@ -110,12 +105,12 @@ impl<const RX: usize, const TX: usize> Engine<RX, TX> {
         }
     }
 
-    pub(super) const fn session(&self) -> &Session {
-        &self.session
+    pub(super) const fn link(&self) -> &P {
+        &self.link
     }
 
-    pub(super) const fn session_mut(&mut self) -> &mut Session {
-        &mut self.session
+    pub(super) const fn link_mut(&mut self) -> &mut P {
+        &mut self.link
     }
 
     pub(super) const fn motion(&self) -> &Motion {
@@ -126,10 +121,10 @@ impl<const RX: usize, const TX: usize> Engine<RX, TX> {
         &self.config
     }
 
-    pub(super) const fn counters(&self) -> Counters {
+    pub(super) fn counters(&self) -> Counters {
         Counters {
-            line: self.parser.counters(),
-            session: self.session.counters(),
+            line: self.link.line_counters(),
+            session: self.link.session_counters(),
             updates_lost: self.updates_lost,
         }
     }
@@ -140,32 +135,22 @@ impl<const RX: usize, const TX: usize> Engine<RX, TX> {
 
     /// Takes back what a call that was given up has left behind, as far as it did not leave.
     pub(super) fn clear_up(&mut self) {
-        self.session.withdraw();
-        if self.outbox.is_untouched() && self.session.take_back(self.outbox.id) {
-            self.outbox.clear();
+        self.link.withdraw();
+        if self.outbox.is_untouched() && self.link.take_back() {
+            self.outbox = Outbox::EMPTY;
         }
-        if !self.session.is_busy() {
+        if !self.link.is_busy() {
             self.motion.withdraw();
         }
     }
 
-    /// Asks for a command of fixed length.
-    pub(super) fn request<E>(&mut self, command: Command<'static>) -> Result<(), Error<E>> {
-        Ok(self.session.request(command)?)
-    }
-
-    /// Asks for a command that borrows its payload.
-    pub(super) fn request_lent<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>> {
-        let needed = command.len().saturating_add(OVERHEAD);
-        if needed > TX {
-            return Err(Error::TooLong { needed });
-        }
-        Ok(self.session.request_lent(command)?)
-    }
-
-    /// Asks for a motion.
-    pub(super) fn request_motion<E>(&mut self, command: Command<'static>) -> Result<(), Error<E>> {
-        self.session.request(command)?;
+    /// Asks for a motion; `width` is the current one if the protocol wants it.
+    pub(super) fn request_motion<E>(
+        &mut self,
+        command: Command<'static>,
+        width: Option<f32>,
+    ) -> Result<(), Error<E>> {
+        self.link.request(command, width)?;
         self.motion.ask(command.id());
         Ok(())
     }
@@ -173,58 +158,54 @@ impl<const RX: usize, const TX: usize> Engine<RX, TX> {
     /// Takes bytes from the line.
     pub(super) fn receive(&mut self, now: Instant, bytes: &[u8], awaited: &mut Awaited<'_>) {
         self.received_at = now;
-        let Self { session, parser, motion, updates, updates_lost, .. } = self;
-        let mut rest = bytes;
-        loop {
-            let (taken, event) = parser.push_slice(rest);
-            rest = rest.get(taken..).unwrap_or(&[]);
-            let Some(event) = event else { return };
-            take(session, now, &event, |notice| note(motion, updates, updates_lost, awaited, notice));
-        }
+        let Self { link, motion, updates, updates_lost, .. } = self;
+        link.receive(now, bytes, &mut |notice| note(motion, updates, updates_lost, awaited, notice));
     }
 
     /// Lets time pass.
     pub(super) fn elapse(&mut self, now: Instant, awaited: &mut Awaited<'_>) {
-        let Self { session, parser, motion, updates, updates_lost, outbox, config, .. } = self;
-        if parser.is_mid_frame() && now.since(self.received_at) >= config.half_frame_ms {
-            while let Some(event) = parser.expire() {
-                take(session, now, &event, |notice| note(motion, updates, updates_lost, awaited, notice));
-            }
+        let Self { link, motion, updates, updates_lost, outbox, config, .. } = self;
+        if link.is_mid_message() && now.since(self.received_at) >= config.half_frame_ms {
+            link.give_up_half(now, &mut |notice| note(motion, updates, updates_lost, awaited, notice));
         }
-        while let Some(notice) = session.tick(now) {
+        while let Some(notice) = link.tick(now) {
             if notice == Notice::Disconnected && outbox.is_untouched() {
-                outbox.clear();
+                *outbox = Outbox::EMPTY;
             }
             note(motion, updates, updates_lost, awaited, &notice);
         }
     }
 
-    /// Fetches the next frame to send, if the last one has left; whether there is something to send.
+    /// Fetches the next message to send, if the last one has left; whether there is something to send.
     pub(super) fn fetch(&mut self, now: Instant, awaited: &Awaited<'_>) -> bool {
         if self.outbox.is_empty()
-            && let Some(command) = self.session.poll_transmit_lent(now, awaited.lent)
+            && let Some(len) = self.link.encode_next(now, awaited.lent)
         {
-            self.outbox.put(command);
+            self.outbox = Outbox { len, ..Outbox::EMPTY };
         }
         !self.outbox.is_empty()
     }
 
-    pub(super) const fn outbox(&mut self) -> &mut Outbox<TX> {
+    /// What is left of the message.
+    pub(super) fn rest(&self) -> &[u8] {
+        self.link.encoded().get(self.outbox.sent..self.outbox.len).unwrap_or(&[])
+    }
+
+    pub(super) const fn outbox(&mut self) -> &mut Outbox {
         &mut self.outbox
     }
 
     /// The line is gone.
     pub(super) fn hang_up(&mut self, now: Instant, awaited: &mut Awaited<'_>) {
-        self.session.disconnect();
-        self.parser.reset();
-        self.outbox.clear();
+        self.link.hang_up();
+        self.outbox = Outbox::EMPTY;
         self.elapse(now, awaited);
     }
 
     pub(super) fn has_reached(&self, goal: Goal, awaited: &Awaited<'_>) -> bool {
         match goal {
-            Goal::Connected => self.session.is_connected(),
-            Goal::Free => !self.session.is_busy(),
+            Goal::Connected => self.link.is_connected(),
+            Goal::Free => !self.link.is_busy(),
             Goal::Answered => awaited.verdict.is_some(),
             Goal::MotionDecided => self.motion.is_decided(),
             Goal::MotionOver => self.motion.is_over(),
@@ -235,14 +216,8 @@ impl<const RX: usize, const TX: usize> Engine<RX, TX> {
     /// When something is due even if no byte comes.
     #[cfg(feature = "embedded-io-async")]
     pub(super) fn next_timeout(&self) -> Option<Instant> {
-        let half_frame = self.parser.is_mid_frame().then(|| self.received_at.plus(self.config.half_frame_ms));
-        [self.session.poll_timeout(), half_frame].into_iter().flatten().reduce(Instant::earlier_of)
-    }
-}
-
-fn take(session: &mut Session, now: Instant, event: &Event<'_>, mut note: impl FnMut(&Notice<'_>)) {
-    if let Some(notice) = session.handle(now, event) {
-        note(&notice);
+        let half = self.link.is_mid_message().then(|| self.received_at.plus(self.config.half_frame_ms));
+        [self.link.poll_timeout(), half].into_iter().flatten().reduce(Instant::earlier_of)
     }
 }
 
@@ -295,38 +270,24 @@ impl<'b> Copied<'b> {
 /// Bytes of the status code.
 const STATUS_LEN: usize = 2;
 
-/// The frame being sent.
+/// How far the message that was encoded last has left.
 #[derive(Debug)]
-pub(super) struct Outbox<const TX: usize> {
-    bytes: [u8; TX],
+pub(super) struct Outbox {
     len: usize,
     sent: usize,
-    id: CommandId,
     /// All of it is written, and the transport may still hold it back.
     needs_flush: bool,
 }
 
-impl<const TX: usize> Outbox<TX> {
-    const fn new() -> Self {
-        Self { bytes: [0; TX], len: 0, sent: 0, id: CommandId::Unknown(0), needs_flush: false }
-    }
-
-    fn put(&mut self, command: Command<'_>) {
-        self.id = command.id();
-        self.sent = 0;
-        // It fits: what is lent was checked, and there is room for all others.
-        self.len = FrameEncoder::new(self.id.code(), command).write_into(&mut self.bytes).unwrap_or(0);
-    }
-
-    /// What is left of the frame.
-    pub(super) fn rest(&self) -> &[u8] {
-        self.bytes.get(self.sent..self.len).unwrap_or(&[])
-    }
+impl Outbox {
+    /// Nothing is to be sent. The rest of a message that was cut off makes no sense to a gripper; the session misses the
+    /// answer.
+    pub(super) const EMPTY: Self = Self { len: 0, sent: 0, needs_flush: false };
 
     /// So many bytes have left.
-    pub(super) fn sent(&mut self, count: usize) {
+    pub(super) const fn sent(&mut self, count: usize) {
         self.sent = self.sent.saturating_add(count);
-        self.needs_flush = self.rest().is_empty();
+        self.needs_flush = self.sent >= self.len;
     }
 
     pub(super) const fn needs_flush(&self) -> bool {
@@ -337,18 +298,15 @@ impl<const TX: usize> Outbox<TX> {
         self.needs_flush = false;
     }
 
-    /// The rest of a frame that was cut off makes no sense to a gripper; the session misses the answer.
     pub(super) const fn clear(&mut self) {
-        self.len = 0;
-        self.sent = 0;
-        self.needs_flush = false;
+        *self = Self::EMPTY;
     }
 
-    fn is_empty(&self) -> bool {
-        self.rest().is_empty() && !self.needs_flush
+    const fn is_empty(&self) -> bool {
+        self.sent >= self.len && !self.needs_flush
     }
 
-    fn is_untouched(&self) -> bool {
-        self.sent == 0 && !self.rest().is_empty()
+    const fn is_untouched(&self) -> bool {
+        self.sent == 0 && self.len > 0
     }
 }

@@ -19,6 +19,10 @@ pub enum Error<E> {
     Invalid(Refusal),
     /// The caller's: another motion was begun after this one, so its result is not kept any more.
     Superseded,
+    /// The caller's: the text protocol cannot say this; nothing was sent ([`Gcl`](super::Gcl) lists what it cannot say).
+    NotInGcl,
+    /// The caller's: GCL states the force with each grip, and `set_force_limit` was not called yet; nothing was sent.
+    NoForceLimit,
     /// Capacity: a frame of `needed` bytes does not fit the driver, and nothing was sent; or an answer of `needed` bytes
     /// does not fit the caller's buffer, and the command was carried out.
     TooLong {
@@ -74,7 +78,9 @@ impl<E> Error<E> {
             | Self::MotionRunning
             | Self::FastStopRunning
             | Self::Invalid(_)
-            | Self::Superseded => Culprit::Caller,
+            | Self::Superseded
+            | Self::NotInGcl
+            | Self::NoForceLimit => Culprit::Caller,
             Self::TooLong { .. } => Culprit::Capacity,
             Self::Refused(_)
             | Self::Blocked
@@ -113,6 +119,8 @@ impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
             Self::FastStopRunning => f.write_str("a FAST STOP is not confirmed yet"),
             Self::Invalid(refusal) => write!(f, "invalid parameter: {refusal}"),
             Self::Superseded => f.write_str("another motion was begun since"),
+            Self::NotInGcl => f.write_str("the text protocol (GCL) cannot say this"),
+            Self::NoForceLimit => f.write_str("no force limit is set, and a grip over GCL states one"),
             Self::TooLong { needed } => write!(f, "no room for {needed} bytes"),
             Self::Refused(status) => write!(f, "refused: {status}"),
             Self::Blocked => f.write_str("the fingers are blocked"),

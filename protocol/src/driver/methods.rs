@@ -6,32 +6,32 @@ macro_rules! methods {
     ([$($async:tt)?] [$($await:tt)*]) => {
         /// Whether the gripper answered when it was last heard.
         #[must_use]
-        pub const fn is_connected(&self) -> bool {
-            self.engine.session().is_connected()
+        pub fn is_connected(&self) -> bool {
+            self.engine.link().is_connected()
         }
 
         /// What is known of the gripper, as of the last call: its limits and states, and width and force if they are
         /// subscribed to. Nothing without a connection.
         #[must_use]
-        pub const fn known(&self) -> &Known {
-            self.engine.session().known()
+        pub fn known(&self) -> &Known {
+            self.engine.link().known()
         }
 
         /// The motion that is running, as far as is known; also one whose call was given up.
         #[must_use]
         pub fn motion(&self) -> Option<CommandId> {
-            self.engine.session().motion()
+            self.engine.link().motion()
         }
 
         /// Whether a FAST STOP was asked for and is not confirmed yet. It is repeated in every call until it is.
         #[must_use]
         pub fn owes_fast_stop(&self) -> bool {
-            self.engine.session().owes_fast_stop()
+            self.engine.link().owes_fast_stop()
         }
 
         /// What could not be used so far.
         #[must_use]
-        pub const fn counters(&self) -> Counters {
+        pub fn counters(&self) -> Counters {
             self.engine.counters()
         }
 
@@ -54,7 +54,7 @@ macro_rules! methods {
         /// [`AutoUpdate::once`] ends that. [`next_update`](Self::next_update) has the values, and
         /// [`known`](Self::known) the latest of each (command set, 3.4).
         pub fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
-            self.engine.session_mut().subscribe(signal, update);
+            self.engine.link_mut().subscribe(signal, update);
         }
 
         /// The next value that the gripper sent by itself, or that was asked for again in its turn; `None` when there is
@@ -615,7 +615,7 @@ macro_rules! methods {
             look: &mut (dyn FnMut(&Reply<'_>) + Send),
         ) -> Result<(), Error<IO::Error>> {
             self.become_free() $($await)* ?;
-            self.engine.request(command)?;
+            self.engine.link_mut().request(command, None)?;
             let mut awaited = Awaited::answer(command.id(), None, look);
             self.drive(&mut awaited, Goal::Answered, None) $($await)* ?;
             awaited.result()
@@ -628,7 +628,7 @@ macro_rules! methods {
             look: &mut (dyn FnMut(&Reply<'_>) + Send),
         ) -> Result<(), Error<IO::Error>> {
             self.become_free() $($await)* ?;
-            self.engine.request_lent(&command)?;
+            self.engine.link_mut().request_lent(&command)?;
             let mut awaited = Awaited::answer(command.id(), Some(command), look);
             self.drive(&mut awaited, Goal::Answered, None) $($await)* ?;
             awaited.result()
@@ -637,7 +637,12 @@ macro_rules! methods {
         /// A motion, up to its first answer.
         $($async)? fn begin<T>(&mut self, command: Command<'static>) -> Result<Pending<T>, Error<IO::Error>> {
             self.become_free() $($await)* ?;
-            self.engine.request_motion(command)?;
+            let width = if self.engine.link().wants_width(&command) {
+                Some(self.width() $($await)* ?)
+            } else {
+                None
+            };
+            self.engine.request_motion(command, width)?;
             self.drive(&mut Awaited::nothing(&mut |_| {}), Goal::MotionDecided, None) $($await)* ?;
             self.engine.motion().begun()
         }
@@ -645,7 +650,7 @@ macro_rules! methods {
         /// Stop or FAST STOP.
         $($async)? fn urge(&mut self, command: Command<'static>) -> Result<(), Error<IO::Error>> {
             self.engine.clear_up();
-            self.engine.request(command)?;
+            self.engine.link_mut().request(command, None)?;
             let look = &mut |_: &Reply<'_>| {};
             let mut awaited = Awaited::answer(command.id(), None, look);
             // A session never gives up a FAST STOP; a caller wants to know.
@@ -663,3 +668,50 @@ macro_rules! methods {
     };
 }
 pub(super) use methods;
+
+/// The methods that only GCL has.
+macro_rules! gcl_methods {
+    ([$($async:tt)?] [$($await:tt)*]) => {
+        /// How much before the nominal width of a grip a part may be met, in mm (PWT; GCL, 2.2.5).
+        ///
+        /// # Errors
+        /// [`Error`]
+        pub $($async)? fn part_width_tolerance(&mut self) -> Result<f32, Error<IO::Error>> {
+            self.setting(Request::Pwt(Setting::Ask)) $($await)*
+        }
+
+        /// Sets it for the grips that follow, in mm, until the connection ends; as the gripper has taken it over
+        /// (GCL, 2.2.5).
+        ///
+        /// # Errors
+        /// [`Error`]
+        pub $($async)? fn set_part_width_tolerance(&mut self, tolerance: f32) -> Result<f32, Error<IO::Error>> {
+            self.setting(Request::Pwt(Setting::Set(tolerance))) $($await)*
+        }
+
+        /// How far a grip may go on to build up its force, in mm (CLT; GCL, 2.2.6).
+        ///
+        /// # Errors
+        /// [`Error`]
+        pub $($async)? fn clamping_travel(&mut self) -> Result<f32, Error<IO::Error>> {
+            self.setting(Request::Clt(Setting::Ask)) $($await)*
+        }
+
+        /// Sets it for the grips that follow, in mm, until the connection ends; as the gripper has taken it over
+        /// (GCL, 2.2.6).
+        ///
+        /// # Errors
+        /// [`Error`]
+        pub $($async)? fn set_clamping_travel(&mut self, travel: f32) -> Result<f32, Error<IO::Error>> {
+            self.setting(Request::Clt(Setting::Set(travel))) $($await)*
+        }
+
+        $($async)? fn setting(&mut self, request: Request) -> Result<f32, Error<IO::Error>> {
+            self.become_free() $($await)* ?;
+            self.engine.link_mut().request_setting(request)?;
+            self.drive(&mut Awaited::nothing(&mut |_| {}), Goal::Free, None) $($await)* ?;
+            self.engine.link().setting()
+        }
+    };
+}
+pub(super) use gcl_methods;

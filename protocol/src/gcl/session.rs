@@ -257,6 +257,20 @@ impl Session {
         }
     }
 
+    /// Takes back every request that was not sent yet, for a caller who is gone (a future that was dropped): no notice
+    /// tells of them. STOP and FASTSTOP stay.
+    pub fn withdraw(&mut self) {
+        self.queue.clear();
+        self.request.withdraw_unsent();
+    }
+
+    /// Takes back what [`poll_transmit`](Self::poll_transmit) gave last and the caller did not send, not one byte of it,
+    /// and will not; whether that was a request that it can still do without. No notice tells of it. A question, STOP and
+    /// FASTSTOP are not taken back: they may leave late.
+    pub fn take_back(&mut self, name: CommandName) -> bool {
+        name.kind() != Kind::Query && self.request.take_back(name)
+    }
+
     /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Notice::Reported`].
     /// [`Autosend::off`] ends that. Intervals below 10 ms, other than 0, count as 10 ms. In place of what [`Config`]
     /// says; what [`Autosend::check`](Request::check) would refuse changes nothing.

@@ -133,6 +133,15 @@ impl Track {
     pub(super) fn withdraw_unsent(&mut self) -> Option<CommandName> {
         if self.sent == 0 { self.abandon() } else { None }
     }
+
+    /// Closes it if it was sent once and has this name; whether it was.
+    pub(super) fn take_back(&mut self, name: CommandName) -> bool {
+        let is_this = self.sent == 1 && self.awaits(name);
+        if is_this {
+            self.close();
+        }
+        is_this
+    }
 }
 
 /// The element of a vector that a request asks for.

@@ -1,0 +1,221 @@
+//! A virtual gripper at the other end of a line, and the time: transport, clock and executor of a driver.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::future::poll_fn;
+use std::pin::pin;
+use std::rc::Rc;
+use std::task::{Context, Poll, Waker};
+
+use wsg_protocol::Instant;
+use wsg_protocol::driver::{Clock, Timer};
+use wsg_sim::{Config, MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
+
+/// A minute and a half: no motion takes longer.
+const LONGEST_MS: u32 = 90_000;
+
+/// One line to a virtual gripper, for both ends and the test.
+#[derive(Clone)]
+pub(crate) struct Bench(Rc<RefCell<World>>);
+
+pub(crate) struct World {
+    pub(crate) gripper: VirtualGripper,
+    kind: PortKind,
+    port: PortId,
+    now: Time,
+    to_driver: VecDeque<u8>,
+    /// What the driver has written, one entry for each write.
+    pub(crate) writes: Vec<Vec<u8>>,
+    /// Nothing comes from the gripper any more.
+    pub(crate) mute: bool,
+    /// Nothing gets to the gripper any more.
+    pub(crate) deaf: bool,
+    /// The other end has closed.
+    pub(crate) closed: bool,
+    /// Bytes that the transport takes before it is full.
+    pub(crate) room: usize,
+    /// So many messages from the gripper get lost, then the others come again.
+    pub(crate) lose: usize,
+}
+
+impl Bench {
+    pub(crate) fn new(kind: PortKind, config: Config) -> Self {
+        let mut gripper = VirtualGripper::new(config);
+        let port = gripper.connect(kind).expect("a new gripper takes a client");
+        Self(Rc::new(RefCell::new(World {
+            gripper,
+            kind,
+            port,
+            now: Time::ZERO,
+            to_driver: VecDeque::new(),
+            writes: vec![],
+            mute: false,
+            deaf: false,
+            closed: false,
+            room: usize::MAX,
+            lose: 0,
+        })))
+    }
+
+    pub(crate) fn world<T>(&self, look: impl FnOnce(&mut World) -> T) -> T {
+        look(&mut self.0.borrow_mut())
+    }
+
+    pub(crate) fn millis(&self) -> u32 {
+        self.world(|world| world.millis())
+    }
+
+    pub(crate) fn pass(&self, millis: u32) {
+        (0..millis).for_each(|_| self.world(World::pass));
+    }
+
+    /// Bytes to the driver that the gripper never sent.
+    pub(crate) fn inject(&self, bytes: &[u8]) {
+        self.world(|world| world.to_driver.extend(bytes));
+    }
+
+    /// The connection breaks, and another one is made.
+    pub(crate) fn reconnect(&self) {
+        self.world(|world| {
+            world.gripper.disconnect(world.port, world.now);
+            world.port = world.gripper.connect(world.kind).expect("a port is free");
+            world.to_driver.clear();
+            world.closed = false;
+        });
+    }
+
+    /// Runs a future to its end in virtual time.
+    pub(crate) fn run<T>(&self, future: impl Future<Output = T>) -> T {
+        self.run_for(LONGEST_MS, future).expect("it comes to an end")
+    }
+
+    /// Polls a future once a millisecond, so many times at the most, and drops it.
+    pub(crate) fn run_for<T>(&self, polls: u32, future: impl Future<Output = T>) -> Option<T> {
+        let mut future = pin!(future);
+        let mut context = Context::from_waker(Waker::noop());
+        for _ in 0..polls {
+            if let Poll::Ready(value) = future.as_mut().poll(&mut context) {
+                return Some(value);
+            }
+            self.pass(1);
+        }
+        None
+    }
+}
+
+impl World {
+    fn millis(&self) -> u32 {
+        (self.now.as_micros() / 1_000) as u32
+    }
+
+    fn pass(&mut self) {
+        self.now = self.now.plus_millis(1);
+        self.gripper.advance(self.now);
+        self.collect();
+    }
+
+    fn collect(&mut self) {
+        let mut buffer = [0; MAX_FRAME_LEN];
+        while let Some(message) = self.gripper.transmit(self.port, &mut buffer) {
+            if self.lose > 0 {
+                self.lose -= 1;
+            } else if !self.mute && !self.closed {
+                self.to_driver.extend(message);
+            }
+        }
+    }
+
+    fn take(&mut self, bytes: &[u8]) -> usize {
+        let taken = if self.closed { 0 } else { bytes.len().min(self.room) };
+        let bytes = &bytes[..taken];
+        self.room -= taken;
+        if taken > 0 {
+            self.writes.push(bytes.to_vec());
+        }
+        if !self.deaf {
+            self.gripper.receive(self.port, self.now, bytes);
+        }
+        self.collect();
+        taken
+    }
+
+    fn give(&mut self, buffer: &mut [u8]) -> usize {
+        let count = buffer.len().min(self.to_driver.len());
+        buffer.iter_mut().zip(self.to_driver.drain(..count)).for_each(|(slot, byte)| *slot = byte);
+        count
+    }
+}
+
+impl Clock for Bench {
+    fn now(&mut self) -> Instant {
+        // Near the end of the clock's range, so that every script also shows that it may wrap.
+        Instant::from_millis(self.millis().wrapping_sub(300))
+    }
+}
+
+impl Timer for Bench {
+    async fn wait_until(&mut self, moment: Instant) {
+        poll_fn(|_| if self.now().has_reached(moment) { Poll::Ready(()) } else { Poll::Pending }).await;
+    }
+}
+
+impl embedded_io::ErrorType for Bench {
+    type Error = Infallible;
+}
+
+impl embedded_io::ReadReady for Bench {
+    /// When nothing is there, a millisecond passes.
+    fn read_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(self.world(|world| {
+            if world.to_driver.is_empty() && !world.closed {
+                world.pass();
+            }
+            !world.to_driver.is_empty() || world.closed
+        }))
+    }
+}
+
+impl embedded_io::Read for Bench {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        Ok(self.world(|world| world.give(buffer)))
+    }
+}
+
+impl embedded_io::Write for Bench {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        Ok(self.world(|world| world.take(bytes)))
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+impl embedded_io_async::Read for Bench {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        poll_fn(|_| {
+            self.world(|world| match world.give(buffer) {
+                0 if !world.closed => Poll::Pending,
+                count => Poll::Ready(Ok(count)),
+            })
+        })
+        .await
+    }
+}
+
+impl embedded_io_async::Write for Bench {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        poll_fn(|_| {
+            self.world(|world| match world.take(bytes) {
+                0 if !world.closed => Poll::Pending,
+                count => Poll::Ready(Ok(count)),
+            })
+        })
+        .await
+    }
+
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}

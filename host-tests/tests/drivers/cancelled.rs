@@ -1,0 +1,107 @@
+//! Futures of the async driver that are dropped, over both protocols: nothing leaves late, and no answer is taken for
+//! another's.
+
+use wsg_protocol::driver::{Grip, OnBlock};
+use wsg_protocol::{GripperState, HomingDirection};
+use wsg_sim::{Config, Part};
+
+use crate::client::{Asynch, Calls, Client, Error, Frames, Lines, Speech};
+
+#[test]
+fn dropping_a_call_at_any_moment_mixes_up_no_answers() {
+    fn check<S: Speech>() {
+        for polls in 0..60 {
+            let mut client = Asynch::<S>::homed(Config { part: Part::of_width(105.0), ..Config::default() });
+            let Asynch { bench, gripper } = &mut client;
+            // A grip of some 40 ms.
+            let _ = bench.run_for(polls, gripper.grip(105.0, 400.0));
+            assert_eq!(client.force_limit(), Ok(40.0), "{polls}");
+            let width = client.width().unwrap();
+            assert!((104.0..=110.0).contains(&width), "{polls}: {width}");
+            client.bench.pass(3_000);
+            let state = client.state().unwrap();
+            assert!(matches!(state, GripperState::Idle | GripperState::Holding), "{polls}: {state}");
+            assert_eq!(client.stop(), Ok(()), "{polls}");
+            assert_eq!(client.home(HomingDirection::Default), Ok(()), "{polls}");
+            let counters = client.counters();
+            assert_eq!((counters.session.unasked, counters.session.refused), (0, 0), "{polls}: {counters:?}");
+            assert_eq!(
+                (counters.line.dropped, counters.session.disconnects),
+                (0, 0),
+                "{polls}: {counters:?}"
+            );
+        }
+    }
+    check::<Frames>();
+    check::<Lines>();
+}
+
+#[test]
+fn motion_that_had_not_left_does_not_leave_any_more() {
+    fn check<S: Speech>() {
+        let mut client = Asynch::<S>::homed(Config::default());
+        let Asynch { bench, gripper } = &mut client;
+        bench.world(|world| world.room = 0);
+        assert!(bench.run_for(50, gripper.move_to(10.0, 400.0, OnBlock::Stop)).is_none());
+        bench.world(|world| world.room = usize::MAX);
+        assert_eq!(client.state(), Ok(GripperState::Idle));
+        client.bench.pass(2_000);
+        assert!(client.width().unwrap() > 109.0);
+    }
+    check::<Frames>();
+    check::<Lines>();
+}
+
+#[test]
+fn message_that_was_cut_off_is_sent_to_its_end() {
+    fn check<S: Speech>() {
+        let mut client = Asynch::<S>::homed(Config::default());
+        let Asynch { bench, gripper } = &mut client;
+        bench.world(|world| world.room = 3);
+        assert!(bench.run_for(50, gripper.move_to(50.0, 400.0, OnBlock::Stop)).is_none());
+        bench.world(|world| world.room = usize::MAX);
+        // What began to leave leaves: half a message would spoil the next one.
+        client.state().unwrap();
+        client.bench.pass(2_000);
+        assert!((client.width().unwrap() - 50.0).abs() < 0.1);
+        assert_eq!(client.counters().session.disconnects, 0);
+    }
+    check::<Frames>();
+    check::<Lines>();
+}
+
+#[test]
+fn stop_and_fast_stop_leave_even_if_the_call_is_given_up() {
+    fn check<S: Speech>() {
+        for fast in [false, true] {
+            let mut client = Asynch::<S>::homed(Config::default());
+            let motion = client.begin_move_to(10.0, 20.0, OnBlock::Stop).unwrap();
+            let Asynch { bench, gripper } = &mut client;
+            bench.world(|world| world.room = 0);
+            let gave_up = if fast {
+                bench.run_for(10, gripper.fast_stop()).is_none()
+            } else {
+                bench.run_for(10, gripper.stop()).is_none()
+            };
+            assert!(gave_up);
+            bench.world(|world| world.room = usize::MAX);
+            assert_eq!(client.wait(&motion), Err(Error::Aborted), "fast: {fast}");
+        }
+    }
+    check::<Frames>();
+    check::<Lines>();
+}
+
+#[test]
+fn motion_whose_call_was_given_up_goes_on_and_can_be_waited_for() {
+    fn check<S: Speech>() {
+        let mut client = Asynch::<S>::homed(Config { part: Part::of_width(20.0), ..Config::default() });
+        let grip = client.begin_grip(20.0, 100.0).unwrap();
+        let Asynch { bench, gripper } = &mut client;
+        assert!(bench.run_for(100, gripper.wait(&grip)).is_none());
+        assert!(client.motion().is_some());
+        assert_eq!(client.wait(&grip), Ok(Grip::Held));
+    }
+    check::<Frames>();
+    check::<Lines>();
+}

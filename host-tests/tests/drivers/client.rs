@@ -1,0 +1,242 @@
+//! A driver as the tests see it: blocking or async, over the binary protocol or over GCL.
+
+use std::convert::Infallible;
+
+use wsg_protocol::driver::{
+    self, Counters, Finger, Grip, MotionResult, OnBlock, Pending, Protocol, Update, asynch, blocking,
+};
+use wsg_protocol::session::{Known, Signal};
+use wsg_protocol::{
+    AutoUpdate, CommandId, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics,
+    HomingDirection, SystemFlags, SystemInfo, Temperature,
+};
+use wsg_sim::{Config, PortKind};
+
+use crate::bench::Bench;
+
+pub(crate) type Error = driver::Error<Infallible>;
+type Result<T> = std::result::Result<T, Error>;
+
+/// A protocol, and how its drivers are made.
+pub(crate) trait Speech {
+    type Protocol: Protocol;
+    /// How it is spoken to a virtual gripper, over a connection whose end is noticed.
+    const PORT: PortKind;
+    /// What a driver of this protocol cannot use.
+    const GARBAGE: &[u8];
+    fn blocking(bench: &Bench) -> blocking::GripperOver<Bench, Bench, Self::Protocol>;
+    fn asynch(bench: &Bench) -> asynch::GripperOver<Bench, Bench, Self::Protocol>;
+}
+
+/// The binary protocol.
+pub(crate) enum Frames {}
+
+/// GCL.
+pub(crate) enum Lines {}
+
+impl Speech for Frames {
+    type Protocol = driver::Binary;
+    const PORT: PortKind = PortKind::Tcp;
+    // Two preamble bytes and more, a frame with a wrong checksum, and an answer that nobody asked for.
+    const GARBAGE: &[u8] =
+        b"\xAA\xAA\x00noise\xAA\xAA\xAA\x43\x02\x00\x00\x00\x00\x00\xAA\xAA\xAA\x20\x02\x00\x00\x00\xB3\xFD";
+
+    fn blocking(bench: &Bench) -> blocking::GripperOver<Bench, Bench, Self::Protocol> {
+        blocking::Gripper::new(bench.clone(), bench.clone())
+    }
+
+    fn asynch(bench: &Bench) -> asynch::GripperOver<Bench, Bench, Self::Protocol> {
+        asynch::Gripper::new(bench.clone(), bench.clone())
+    }
+}
+
+impl Speech for Lines {
+    type Protocol = driver::Gcl;
+    const PORT: PortKind = PortKind::GclTcp;
+    const GARBAGE: &[u8] = b"\xFF\x00noise\nPOS=\nFIN HOME\nERR DANCE 14\nACK\r\n@TAG=\"x\"\n\n";
+
+    fn blocking(bench: &Bench) -> blocking::GripperOver<Bench, Bench, Self::Protocol> {
+        blocking::GclGripper::new(bench.clone(), bench.clone())
+    }
+
+    fn asynch(bench: &Bench) -> asynch::GripperOver<Bench, Bench, Self::Protocol> {
+        asynch::GclGripper::new(bench.clone(), bench.clone())
+    }
+}
+
+/// The blocking driver.
+pub(crate) struct Blocking<S: Speech> {
+    pub(crate) bench: Bench,
+    pub(crate) gripper: blocking::GripperOver<Bench, Bench, S::Protocol>,
+}
+
+/// The async driver, each call of which is run to its end.
+pub(crate) struct Asynch<S: Speech> {
+    pub(crate) bench: Bench,
+    pub(crate) gripper: asynch::GripperOver<Bench, Bench, S::Protocol>,
+}
+
+/// Every test is written for this.
+pub(crate) trait Client: Calls + Sized {
+    type Speech: Speech;
+
+    /// A driver that is not connected, and its gripper.
+    fn at(bench: Bench) -> Self;
+
+    fn new(config: Config) -> Self {
+        Self::at(Bench::new(Self::Speech::PORT, config))
+    }
+
+    fn bench(&self) -> Bench;
+
+    /// Connected.
+    fn connected(config: Config) -> Self {
+        let mut client = Self::new(config);
+        client.connect().expect("the gripper answers");
+        client
+    }
+
+    /// Connected, referenced, with a force limit of 40 N.
+    fn homed(config: Config) -> Self {
+        let mut client = Self::connected(config);
+        client.home(HomingDirection::Default).expect("the way is free");
+        client.set_force_limit(40.0).expect("it is within the limits");
+        client
+    }
+}
+
+impl<S: Speech> Client for Blocking<S> {
+    type Speech = S;
+
+    fn at(bench: Bench) -> Self {
+        Self { gripper: S::blocking(&bench), bench }
+    }
+
+    fn bench(&self) -> Bench {
+        self.bench.clone()
+    }
+}
+
+impl<S: Speech> Client for Asynch<S> {
+    type Speech = S;
+
+    fn at(bench: Bench) -> Self {
+        Self { gripper: S::asynch(&bench), bench }
+    }
+
+    fn bench(&self) -> Bench {
+        self.bench.clone()
+    }
+}
+
+/// The methods of a driver, the same for all.
+macro_rules! calls {
+    ($(fn $name:ident $([$T:ident: $bound:ident])? ($($arg:ident: $type:ty),*) -> $result:ty;)*) => {
+        pub(crate) trait Calls {
+            $(fn $name $(<$T: $bound>)? (&mut self, $($arg: $type),*) -> Result<$result>;)*
+            fn tag(&mut self) -> Result<String>;
+            fn finger_data(&mut self, finger: Finger) -> Result<Vec<u8>>;
+            fn is_connected(&self) -> bool;
+            fn known(&self) -> Known;
+            fn motion(&self) -> Option<CommandId>;
+            fn owes_fast_stop(&self) -> bool;
+            fn counters(&self) -> Counters;
+            fn subscribe(&mut self, signal: Signal, update: AutoUpdate);
+            /// Goes on with another connection to the same gripper.
+            fn take_new_line(&mut self);
+        }
+
+        impl<S: Speech> Calls for Blocking<S> {
+            $(fn $name $(<$T: $bound>)? (&mut self, $($arg: $type),*) -> Result<$result> {
+                self.gripper.$name($($arg),*)
+            })*
+
+            fn tag(&mut self) -> Result<String> {
+                self.gripper.tag(&mut [0; DeviceTag::MAX_LEN]).map(str::to_owned)
+            }
+
+            fn finger_data(&mut self, finger: Finger) -> Result<Vec<u8>> {
+                self.gripper.finger_data(finger, &mut [0; 16]).map(<[u8]>::to_vec)
+            }
+
+            calls!(@at_once);
+        }
+
+        impl<S: Speech> Calls for Asynch<S> {
+            $(fn $name $(<$T: $bound>)? (&mut self, $($arg: $type),*) -> Result<$result> {
+                self.bench.run(self.gripper.$name($($arg),*))
+            })*
+
+            fn tag(&mut self) -> Result<String> {
+                self.bench.run(self.gripper.tag(&mut [0; DeviceTag::MAX_LEN])).map(str::to_owned)
+            }
+
+            fn finger_data(&mut self, finger: Finger) -> Result<Vec<u8>> {
+                self.bench.run(self.gripper.finger_data(finger, &mut [0; 16])).map(<[u8]>::to_vec)
+            }
+
+            calls!(@at_once);
+        }
+    };
+    (@at_once) => {
+        fn is_connected(&self) -> bool {
+            self.gripper.is_connected()
+        }
+
+        fn known(&self) -> Known {
+            *self.gripper.known()
+        }
+
+        fn motion(&self) -> Option<CommandId> {
+            self.gripper.motion()
+        }
+
+        fn owes_fast_stop(&self) -> bool {
+            self.gripper.owes_fast_stop()
+        }
+
+        fn counters(&self) -> Counters {
+            self.gripper.counters()
+        }
+
+        fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
+            self.gripper.subscribe(signal, update);
+        }
+
+        fn take_new_line(&mut self) {
+            self.bench.reconnect();
+            self.gripper.replace_io(self.bench.clone());
+        }
+    };
+}
+
+calls! {
+    fn connect() -> ();
+    fn announce_disconnect() -> ();
+    fn home(direction: HomingDirection) -> ();
+    fn move_to(width: f32, speed: f32, block: OnBlock) -> ();
+    fn begin_move_to(width: f32, speed: f32, block: OnBlock) -> Pending<()>;
+    fn move_by(offset: f32, speed: f32, block: OnBlock) -> ();
+    fn grip(width: f32, speed: f32) -> Grip;
+    fn begin_grip(width: f32, speed: f32) -> Pending<Grip>;
+    fn release(width: f32, speed: f32) -> ();
+    fn wait[T: MotionResult](pending: &Pending<T>) -> T;
+    fn poll[T: MotionResult](pending: &Pending<T>) -> Option<T>;
+    fn stop() -> ();
+    fn fast_stop() -> ();
+    fn acknowledge() -> ();
+    fn set_force_limit(force: f32) -> ();
+    fn force_limit() -> f32;
+    fn tare() -> ();
+    fn system_state() -> SystemFlags;
+    fn state() -> GripperState;
+    fn statistics(reset: bool) -> GrippingStatistics;
+    fn width() -> f32;
+    fn speed() -> f32;
+    fn force() -> f32;
+    fn temperature() -> Temperature;
+    fn system_info() -> SystemInfo;
+    fn finger_info(finger: Finger) -> FingerInfo;
+    fn finger_flags(finger: Finger) -> FingerFlags;
+    fn next_update(within_ms: u32) -> Option<Update>;
+}

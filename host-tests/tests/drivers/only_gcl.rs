@@ -1,0 +1,150 @@
+//! Where the drivers over GCL differ from those over the binary protocol.
+
+use wsg_protocol::driver::{Culprit, Finger, Grip, OnBlock};
+use wsg_protocol::{HomingDirection, SoftLimits, Status};
+use wsg_sim::{Config, Part, PortKind};
+
+use crate::bench::Bench;
+use crate::client::{Asynch, Blocking, Calls, Client, Error, Lines};
+
+fn homed(part: f32) -> Blocking<Lines> {
+    Blocking::homed(Config { part: Part::of_width(part), ..Config::default() })
+}
+
+/// The lines that were sent since this was last asked, without the session's own questions.
+fn sent(bench: &Bench) -> Vec<String> {
+    let writes = bench.world(|world| std::mem::take(&mut world.writes));
+    let lines = writes.into_iter().map(|bytes| String::from_utf8(bytes).unwrap().trim_end().to_owned());
+    lines
+        .filter(|line| !["AUTOSEND", "GRIPSTATE", "SYSFLAGS"].iter().any(|own| line.starts_with(own)))
+        .collect()
+}
+
+#[test]
+fn what_gcl_cannot_say_is_told_and_not_sent() {
+    let mut client = homed(20.0);
+    let bench = client.bench();
+    sent(&bench);
+    let gripper = &mut client.gripper;
+    let no = Err(Error::NotInGcl);
+    assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Clamp), no);
+    assert_eq!(gripper.move_by(5.0, 100.0, OnBlock::Clamp), no);
+    assert_eq!(gripper.statistics(true).map(drop), no);
+    assert_eq!(gripper.limits().map(drop), no);
+    assert_eq!(gripper.set_acceleration(500.0), no);
+    assert_eq!(gripper.acceleration().map(drop), no);
+    assert_eq!(gripper.set_soft_limits(SoftLimits { minus: 10.0, plus: 90.0 }), no);
+    assert_eq!(gripper.soft_limits().map(drop), no);
+    assert_eq!(gripper.clear_soft_limits(), no);
+    assert_eq!(gripper.set_overdrive(true), no);
+    assert_eq!(gripper.set_tag("left"), no);
+    assert_eq!(gripper.set_finger_power(Finger::One, true), no);
+    assert_eq!(gripper.loop_back(&[1, 2, 3]), no);
+    assert_eq!(gripper.raw(0xB0, &[1], &mut []).map(drop), no);
+    assert_eq!(sent(&bench), Vec::<String>::new());
+    assert_eq!(Error::NotInGcl.culprit(), Culprit::Caller);
+    assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Stop), Ok(()), "it is none the worse for it");
+}
+
+#[test]
+fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
+    let mut client = Blocking::<Lines>::connected(Config { part: Part::of_width(20.0), ..Config::default() });
+    let bench = client.bench();
+    client.home(HomingDirection::Default).unwrap();
+    sent(&bench);
+    assert_eq!(client.force_limit(), Err(Error::NoForceLimit));
+    assert_eq!(client.grip(20.0, 100.0), Err(Error::NoForceLimit));
+    assert_eq!(sent(&bench), Vec::<String>::new());
+    client.set_force_limit(33.5).unwrap();
+    assert_eq!(sent(&bench), Vec::<String>::new(), "GCL has no request for it");
+    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::Held));
+    assert_eq!(sent(&bench), ["POS?", "GRIP(33.5,20.0,100.0)"]);
+    // It stays with the driver.
+    client.take_new_line();
+    client.connect().unwrap();
+    assert_eq!(client.force_limit(), Ok(33.5));
+}
+
+#[test]
+fn release_is_a_distance_from_the_width_that_was_asked_for_before() {
+    let mut client = homed(20.0);
+    let bench = client.bench();
+    client.grip(20.0, 100.0).unwrap();
+    let held = client.width().unwrap();
+    sent(&bench);
+    client.release(60.0, 150.0).unwrap();
+    assert_eq!(sent(&bench), ["POS?".to_owned(), format!("RELEASE({:?},150.0)", 60.0 - held)]);
+}
+
+#[test]
+fn release_towards_the_part_is_refused_and_not_sent() {
+    let mut client = homed(20.0);
+    let bench = client.bench();
+    client.grip(20.0, 100.0).unwrap();
+    sent(&bench);
+    assert_eq!(client.release(10.0, 100.0), Err(Error::NotInGcl));
+    assert_eq!(sent(&bench), ["POS?"]);
+    assert_eq!(client.release(60.0, 100.0), Ok(()));
+}
+
+#[test]
+fn release_without_a_grip_is_refused_by_the_gripper() {
+    let mut client = homed(20.0);
+    client.move_to(60.0, 200.0, OnBlock::Stop).unwrap();
+    assert_eq!(client.release(80.0, 100.0), Err(Error::Refused(Status::NotAvailable)));
+}
+
+#[test]
+fn part_outside_the_tolerance_blocks_a_grip() {
+    let mut client = homed(60.0);
+    assert_eq!(client.grip(20.0, 100.0), Err(Error::Blocked));
+}
+
+#[test]
+fn tolerance_and_clamping_travel_are_asked_for_and_set() {
+    let mut client = homed(26.0);
+    assert_eq!(client.gripper.part_width_tolerance(), Ok(5.0));
+    assert_eq!(client.gripper.set_part_width_tolerance(7.5), Ok(7.5));
+    assert_eq!(client.gripper.part_width_tolerance(), Ok(7.5));
+    assert_eq!(client.gripper.clamping_travel(), Ok(5.0));
+    assert_eq!(client.gripper.set_clamping_travel(2.0), Ok(2.0));
+    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::Held), "6 mm before the nominal width");
+    let refused = Err(Error::Refused(Status::RangeError));
+    assert_eq!(client.gripper.set_clamping_travel(-1.0), refused);
+    assert_eq!(client.gripper.clamping_travel(), Ok(2.0));
+    client.take_new_line();
+    assert_eq!(client.gripper.clamping_travel(), Err(Error::NotConnected));
+    client.connect().unwrap();
+    assert_eq!(client.gripper.part_width_tolerance(), Ok(5.0), "they end with the connection");
+    client.bench().world(|world| world.mute = true);
+    assert_eq!(client.gripper.clamping_travel(), Err(Error::Unanswered));
+
+    let mut client = Asynch::<Lines>::connected(Config::default());
+    let Asynch { bench, gripper } = &mut client;
+    assert_eq!(bench.run(gripper.set_part_width_tolerance(1.5)), Ok(1.5));
+    assert_eq!(bench.run(gripper.part_width_tolerance()), Ok(1.5));
+    assert_eq!(bench.run(gripper.set_clamping_travel(0.5)), Ok(0.5));
+    assert_eq!(bench.run(gripper.clamping_travel()), Ok(0.5));
+}
+
+#[test]
+fn line_that_comes_in_pieces_is_waited_for() {
+    let mut client = homed(20.0);
+    let bench = client.bench();
+    bench.inject(b"@PO");
+    bench.world(|world| world.mute = true);
+    bench.pass(1_000);
+    client.next_update(0).unwrap();
+    assert_eq!(client.known().width, None);
+    bench.inject(b"S=31.5\n");
+    client.next_update(0).unwrap();
+    assert_eq!(client.known().width, Some(31.5));
+}
+
+#[test]
+fn end_over_datagrams_cannot_be_announced() {
+    let mut client = Blocking::<Lines>::at(Bench::new(PortKind::GclUdp, Config::default()));
+    client.connect().unwrap();
+    assert_eq!(client.announce_disconnect(), Err(Error::Refused(Status::NotAvailable)));
+    assert_eq!(client.home(HomingDirection::Default), Ok(()));
+}

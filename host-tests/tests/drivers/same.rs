@@ -1,0 +1,424 @@
+//! What is the same over both protocols and in both drivers.
+
+use wsg_protocol::driver::{Counters, Finger, Grip, OnBlock, Update};
+use wsg_protocol::session::{Known, Signal};
+use wsg_protocol::{
+    AutoUpdate, CommandId, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
+    HomingDirection, Refusal, Status, SystemFlags,
+};
+use wsg_sim::{Config, Part, Tag};
+
+use crate::client::{Asynch, Blocking, Client, Error, Frames, Lines, Speech};
+
+/// A test of each body for each protocol and driver.
+macro_rules! for_all {
+    ($(fn $name:ident;)*) => {
+        for_all!(@modules [$($name)*]
+            blocking_over_frames Blocking<Frames>, blocking_over_lines Blocking<Lines>,
+            async_over_frames Asynch<Frames>, async_over_lines Asynch<Lines>);
+    };
+    (@modules $names:tt $($module:ident $client:ty),*) => {
+        $(for_all!(@module $module $client, $names);)*
+    };
+    (@module $module:ident $client:ty, [$($name:ident)*]) => {
+        mod $module {
+            use super::*;
+
+            $(#[test]
+            fn $name() {
+                super::$name::<$client>();
+            })*
+        }
+    };
+}
+
+for_all! {
+    fn device_tells_about_itself;
+    fn gripper_that_is_silent_is_not_connected_and_time_is_bounded;
+    fn motion_before_homing_is_refused;
+    fn fingers_go_to_the_width_that_was_asked_for;
+    fn relative_moves_add_up;
+    fn part_is_held_with_the_force_limit;
+    fn grip_without_a_part_finds_none;
+    fn part_in_the_way_blocks;
+    fn release_opens_to_the_width_that_was_asked_for;
+    fn release_after_an_outward_grip_goes_inward;
+    fn stop_aborts_a_motion_and_lets_a_part_go;
+    fn fast_stop_aborts_and_locks_until_it_is_acknowledged;
+    fn fast_stop_that_is_not_confirmed_is_owed_until_it_is;
+    fn state_is_told_while_a_motion_runs;
+    fn one_motion_at_a_time;
+    fn result_that_came_meanwhile_is_kept;
+    fn question_whose_answer_is_lost_is_asked_again;
+    fn motion_whose_answer_is_lost_is_unanswered_and_was_sent_once;
+    fn silence_during_a_motion_is_unanswered;
+    fn closed_connection_is_told_and_another_takes_its_place;
+    fn announced_end_causes_no_fast_stop;
+    fn garbage_is_counted_and_nothing_else;
+    fn number_that_is_none_is_refused_before_anything_is_sent;
+    fn updates_come_while_the_fingers_travel;
+    fn fingers_tell_what_they_are;
+    fn message_is_one_write;
+    fn nothing_is_sent_without_a_connection;
+}
+
+fn with_part(width: f32) -> Config {
+    Config { part: Part::of_width(width), ..Config::default() }
+}
+
+#[track_caller]
+fn assert_near(value: f32, expected: f32) {
+    assert!((value - expected).abs() < 0.1, "{value} is not {expected}");
+}
+
+fn device_tells_about_itself<C: Client>() {
+    let tag = Tag::new("left hand").unwrap();
+    let mut client = C::connected(Config { serial_number: 77, tag, ..Config::default() });
+    let info = client.system_info().unwrap();
+    assert_eq!((info.device, info.serial_number), (DeviceType::Wsg50, 77));
+    assert_eq!(info.firmware, FirmwareVersion::new(4, 0, 0, 0));
+    assert_eq!(client.tag(), Ok("left hand".into()));
+    assert_eq!(client.state(), Ok(GripperState::Idle));
+    assert_eq!(client.statistics(false).unwrap().total, 0);
+    assert_eq!(client.temperature().unwrap().0, 320);
+    let known = client.known();
+    assert_eq!(known.info.unwrap().serial_number, 77);
+    assert_eq!(known.state, Some(GripperState::Idle));
+    assert_eq!(known.flags, Some(client.system_state().unwrap()));
+
+    let mut client = C::connected(Config::default());
+    assert_eq!(client.tag(), Err(Error::Refused(Status::NotAvailable)));
+}
+
+fn gripper_that_is_silent_is_not_connected_and_time_is_bounded<C: Client>() {
+    let mut client = C::new(Config::default());
+    client.bench().world(|world| world.mute = true);
+    assert_eq!(client.connect(), Err(Error::NotConnected));
+    let took = client.bench().millis();
+    assert!((3_000..3_010).contains(&took), "{took} ms");
+    assert_eq!(client.home(HomingDirection::Default), Err(Error::NotConnected));
+    assert_eq!(client.width(), Err(Error::NotConnected));
+    assert_eq!(client.known(), Known::NOTHING);
+}
+
+fn motion_before_homing_is_refused<C: Client>() {
+    let mut client = C::connected(Config::default());
+    client.set_force_limit(40.0).unwrap();
+    let refused = Error::Refused(Status::NotInitialized);
+    assert_eq!(client.move_to(50.0, 100.0, OnBlock::Stop), Err(refused));
+    assert_eq!(client.grip(20.0, 100.0), Err(refused));
+    assert_eq!(client.home(HomingDirection::Negative), Ok(()));
+    assert!(client.system_state().unwrap().contains(SystemFlags::REFERENCED));
+    assert_near(client.width().unwrap(), 0.0);
+}
+
+fn fingers_go_to_the_width_that_was_asked_for<C: Client>() {
+    let mut client = C::homed(Config::default());
+    assert_eq!(client.move_to(42.5, 200.0, OnBlock::Stop), Ok(()));
+    assert_near(client.width().unwrap(), 42.5);
+    assert_eq!(client.speed(), Ok(0.0));
+    assert_eq!(client.state(), Ok(GripperState::Idle));
+}
+
+fn relative_moves_add_up<C: Client>() {
+    let mut client = C::homed(Config::default());
+    client.move_by(-30.0, 200.0, OnBlock::Stop).unwrap();
+    client.move_by(10.0, 200.0, OnBlock::Stop).unwrap();
+    assert_near(client.width().unwrap(), 90.0);
+}
+
+fn part_is_held_with_the_force_limit<C: Client>() {
+    let mut client = C::homed(with_part(20.0));
+    client.set_force_limit(30.0).unwrap();
+    assert_eq!(client.force_limit(), Ok(30.0));
+    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::Held));
+    assert_eq!(client.state(), Ok(GripperState::Holding));
+    assert_near(client.force().unwrap(), 30.0);
+    assert_near(client.width().unwrap(), 20.0 - 0.3);
+}
+
+fn grip_without_a_part_finds_none<C: Client>() {
+    let mut client = C::homed(Config::default());
+    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::NoPart));
+    assert_eq!(client.state(), Ok(GripperState::NoPart));
+    let statistics = client.statistics(false).unwrap();
+    assert_eq!((statistics.total, statistics.no_part), (1, 1));
+}
+
+fn part_in_the_way_blocks<C: Client>() {
+    let mut client = C::homed(with_part(60.0));
+    assert_eq!(client.move_to(20.0, 100.0, OnBlock::Stop), Err(Error::Blocked));
+    assert_eq!(client.state(), Ok(GripperState::Error));
+}
+
+fn release_opens_to_the_width_that_was_asked_for<C: Client>() {
+    let mut client = C::homed(with_part(20.0));
+    client.move_to(40.0, 200.0, OnBlock::Stop).unwrap();
+    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::Held));
+    assert_eq!(client.release(55.0, 200.0), Ok(()));
+    assert_near(client.width().unwrap(), 55.0);
+    assert_eq!(client.state(), Ok(GripperState::Idle));
+}
+
+fn release_after_an_outward_grip_goes_inward<C: Client>() {
+    let mut client = C::homed(Config::default());
+    client.move_to(30.0, 200.0, OnBlock::Stop).unwrap();
+    assert_eq!(client.grip(60.0, 100.0), Ok(Grip::NoPart));
+    assert_near(client.width().unwrap(), 65.0);
+    assert_eq!(client.release(45.0, 200.0), Ok(()));
+    assert_near(client.width().unwrap(), 45.0);
+}
+
+fn stop_aborts_a_motion_and_lets_a_part_go<C: Client>() {
+    let mut client = C::homed(with_part(20.0));
+    let motion = client.begin_move_to(50.0, 20.0, OnBlock::Stop).unwrap();
+    assert_eq!(client.stop(), Ok(()));
+    assert_eq!(client.wait(&motion), Err(Error::Aborted));
+    assert!(client.width().unwrap() > 100.0);
+    assert!(client.system_state().unwrap().contains(SystemFlags::AXIS_STOPPED));
+
+    assert_eq!(client.grip(20.0, 200.0), Ok(Grip::Held));
+    client.stop().unwrap();
+    client.bench().pass(10);
+    assert_eq!(client.state(), Ok(GripperState::Idle));
+    assert_eq!(client.force(), Ok(0.0));
+}
+
+fn fast_stop_aborts_and_locks_until_it_is_acknowledged<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let motion = client.begin_grip(20.0, 20.0).unwrap();
+    assert_eq!(client.fast_stop(), Ok(()));
+    assert!(!client.owes_fast_stop());
+    assert_eq!(client.wait(&motion), Err(Error::Aborted));
+    assert!(client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
+    let denied = Error::Refused(Status::AccessDenied);
+    assert_eq!(client.move_to(50.0, 100.0, OnBlock::Stop), Err(denied));
+    assert_eq!(client.home(HomingDirection::Default), Err(denied));
+    assert_eq!(client.acknowledge(), Ok(()));
+    assert!(!client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
+    assert_eq!(client.move_to(50.0, 100.0, OnBlock::Stop), Ok(()));
+}
+
+fn fast_stop_that_is_not_confirmed_is_owed_until_it_is<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let bench = client.bench();
+    bench.world(|world| (world.mute, world.deaf) = (true, true));
+    assert_eq!(client.fast_stop(), Err(Error::Unanswered));
+    assert!(client.owes_fast_stop());
+    assert_eq!(client.acknowledge(), Err(Error::NotConnected));
+    bench.world(|world| (world.mute, world.deaf) = (false, false));
+    let locked = |client: &C| {
+        let flags = client.bench().world(|world| world.gripper.state().flags);
+        flags.contains(SystemFlags::FAST_STOP)
+    };
+    assert!(!locked(&client));
+    client.connect().unwrap();
+    assert!(!client.owes_fast_stop());
+    assert!(locked(&client), "it arrived after all, and nothing acknowledged it");
+    assert_eq!(client.acknowledge(), Ok(()));
+    assert!(!locked(&client));
+}
+
+fn state_is_told_while_a_motion_runs<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let motion = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+    assert_eq!(client.motion(), Some(CommandId::PrePosition));
+    assert_eq!(client.state(), Ok(GripperState::Positioning));
+    assert!(client.system_state().unwrap().contains(SystemFlags::MOVING));
+    let mut widths = vec![];
+    while client.poll(&motion).unwrap().is_none() {
+        client.bench().pass(5);
+        widths.push(client.width().unwrap());
+    }
+    assert!(widths.len() > 100, "{}", widths.len());
+    assert!(widths.is_sorted_by(|one, other| one >= other));
+    assert_eq!(client.motion(), None);
+    assert_eq!(client.wait(&motion), Ok(()), "as often as asked");
+}
+
+fn one_motion_at_a_time<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let first = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+    assert_eq!(client.home(HomingDirection::Default), Err(Error::MotionRunning));
+    assert_eq!(client.grip(20.0, 100.0), Err(Error::MotionRunning));
+    assert_eq!(client.wait(&first), Ok(()));
+    let second = client.begin_move_to(50.0, 100.0, OnBlock::Stop).unwrap();
+    assert_eq!(client.wait(&first), Err(Error::Superseded));
+    assert_eq!(client.wait(&second), Ok(()));
+}
+
+fn result_that_came_meanwhile_is_kept<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let grip = client.begin_grip(100.0, 200.0).unwrap();
+    client.bench().pass(5_000);
+    assert_near(client.width().unwrap(), 95.0);
+    assert_eq!(client.wait(&grip), Ok(Grip::NoPart));
+}
+
+fn question_whose_answer_is_lost_is_asked_again<C: Client>() {
+    let mut client = C::homed(Config::default());
+    client.bench().world(|world| world.lose = 1);
+    assert_near(client.width().unwrap(), 110.0);
+    assert_eq!(client.counters().session.repeated, 1);
+    assert!(client.is_connected());
+}
+
+fn motion_whose_answer_is_lost_is_unanswered_and_was_sent_once<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let bench = client.bench();
+    bench.world(|world| (world.mute, world.writes) = (true, vec![]));
+    assert_eq!(client.home(HomingDirection::Default), Err(Error::Unanswered));
+    assert!(!client.is_connected());
+    bench.pass(5_000);
+    bench.world(|world| world.mute = false);
+    client.connect().unwrap();
+    let homing = |bytes: &Vec<u8>| bytes.starts_with(b"HOME") || bytes.get(3) == Some(&0x20);
+    assert_eq!(bench.world(|world| world.writes.iter().filter(|bytes| homing(bytes)).count()), 1);
+    assert_eq!(client.move_to(50.0, 200.0, OnBlock::Stop), Ok(()));
+}
+
+fn silence_during_a_motion_is_unanswered<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let bench = client.bench();
+    let motion = client.begin_move_to(10.0, 20.0, OnBlock::Stop).unwrap();
+    bench.world(|world| (world.mute, world.deaf) = (true, true));
+    let begun = bench.millis();
+    assert_eq!(client.wait(&motion), Err(Error::Unanswered));
+    let took = bench.millis() - begun;
+    assert!(took < 1_500, "{took} ms");
+    assert_eq!(client.known(), Known::NOTHING);
+    assert_eq!(client.width(), Err(Error::NotConnected));
+    bench.world(|world| (world.mute, world.deaf) = (false, false));
+    client.connect().unwrap();
+    assert_eq!(client.stop(), Ok(()));
+}
+
+fn closed_connection_is_told_and_another_takes_its_place<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let motion = client.begin_move_to(10.0, 20.0, OnBlock::Stop).unwrap();
+    client.bench().world(|world| world.closed = true);
+    assert_eq!(client.wait(&motion), Err(Error::Closed));
+    assert!(!client.is_connected());
+    assert_eq!(client.known(), Known::NOTHING);
+    client.take_new_line();
+    assert_eq!(client.wait(&motion), Err(Error::Unanswered));
+    client.connect().unwrap();
+    // The gripper took the end for an error.
+    assert!(client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
+    client.acknowledge().unwrap();
+    assert_eq!(client.move_to(50.0, 200.0, OnBlock::Stop), Ok(()));
+}
+
+fn announced_end_causes_no_fast_stop<C: Client>() {
+    let mut client = C::homed(Config::default());
+    assert_eq!(client.announce_disconnect(), Ok(()));
+    assert!(client.move_to(50.0, 200.0, OnBlock::Stop).is_err());
+    client.take_new_line();
+    client.connect().unwrap();
+    assert!(!client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
+    assert_eq!(client.move_to(50.0, 200.0, OnBlock::Stop), Ok(()));
+}
+
+fn garbage_is_counted_and_nothing_else<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let motion = client.begin_move_to(50.0, 100.0, OnBlock::Stop).unwrap();
+    let (before, known) = (client.counters(), client.known());
+    client.bench().inject(C::Speech::GARBAGE);
+    assert_eq!(client.poll(&motion), Ok(None));
+    let after = client.counters();
+    let sum = |counters: Counters| {
+        counters.line.dropped
+            + counters.line.bad_checksum
+            + counters.session.refused
+            + counters.session.unasked
+    };
+    assert!(sum(after) > sum(before), "{after:?}");
+    assert_eq!(client.known().info, known.info);
+    assert_eq!(client.wait(&motion), Ok(()));
+    assert_near(client.width().unwrap(), 50.0);
+}
+
+fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let bench = client.bench();
+    bench.world(|world| world.writes.clear());
+    let invalid = Error::Invalid(Refusal::NotFinite);
+    assert_eq!(client.grip(f32::NAN, 50.0), Err(invalid));
+    assert_eq!(client.move_to(50.0, f32::INFINITY, OnBlock::Stop), Err(invalid));
+    assert_eq!(client.move_by(f32::NAN, 50.0, OnBlock::Stop), Err(invalid));
+    assert_eq!(client.release(f32::NEG_INFINITY, 50.0), Err(invalid));
+    assert_eq!(client.set_force_limit(f32::NAN), Err(invalid));
+    assert_eq!(bench.world(|world| world.writes.len()), 0);
+    assert_eq!(client.force_limit(), Ok(40.0));
+}
+
+fn updates_come_while_the_fingers_travel<C: Client>() {
+    let mut client = C::homed(Config::default());
+    client.subscribe(Signal::Width, AutoUpdate::every(10));
+    let motion = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+    let mut widths = vec![];
+    while client.poll(&motion).unwrap().is_none() {
+        if let Some(Update::Width(width)) = client.next_update(100).unwrap() {
+            widths.push(width);
+        }
+    }
+    assert!(widths.len() > 80, "{}", widths.len());
+    assert!(widths.is_sorted_by(|one, other| one >= other));
+    assert_near(client.known().width.unwrap(), 10.0);
+
+    client.subscribe(Signal::Width, AutoUpdate::once());
+    client.next_update(0).unwrap();
+    client.bench().pass(100);
+    while client.next_update(0).unwrap().is_some() {}
+    client.bench().pass(500);
+    let mut came = vec![];
+    while let Some(update) = client.next_update(0).unwrap() {
+        came.push(update);
+    }
+    assert!(!came.iter().any(|update| matches!(update, Update::Width(_))), "{came:?}");
+}
+
+fn fingers_tell_what_they_are<C: Client>() {
+    let fingers = [wsg_sim::Finger::Fmf, wsg_sim::Finger::None];
+    let mut client = C::homed(Config { fingers, ..with_part(20.0) });
+    let one = client.finger_info(Finger::One).unwrap();
+    assert_eq!((one.finger, one.data_len), (FingerType::Fmf, 4));
+    let two = client.finger_info(Finger::Two).unwrap();
+    assert_eq!((two.finger, two.data_len), (FingerType::Generic, 0));
+    let connected = FingerFlags::CONFIG_AVAIL | FingerFlags::COMM_OPEN;
+    assert!(client.finger_flags(Finger::One).unwrap().contains(connected));
+    assert!(!client.finger_flags(Finger::Two).unwrap().intersects(connected));
+    assert_eq!(client.tare(), Ok(()));
+    client.grip(20.0, 100.0).unwrap();
+    assert_eq!(client.finger_data(Finger::One), Ok(20.0_f32.to_le_bytes().to_vec()));
+    assert_eq!(client.finger_data(Finger::Two), Err(Error::Refused(Status::NotAvailable)));
+    assert_eq!(client.tare(), Err(Error::Refused(Status::AccessDenied)));
+}
+
+fn message_is_one_write<C: Client>() {
+    let mut client = C::homed(with_part(20.0));
+    client.grip(20.0, 100.0).unwrap();
+    client.release(60.0, 100.0).unwrap();
+    let writes = client.bench().world(|world| world.writes.clone());
+    for bytes in writes {
+        let is_line = bytes.iter().filter(|byte| **byte == b'\n').count() == 1 && bytes.ends_with(b"\n");
+        let is_frame = bytes.starts_with(&[0xAA; 3]) && bytes.len() == 8 + usize::from(bytes[4]);
+        assert!(is_line || is_frame, "{bytes:?}");
+    }
+}
+
+fn nothing_is_sent_without_a_connection<C: Client>() {
+    let mut client = C::homed(Config::default());
+    let bench = client.bench();
+    bench.world(|world| (world.mute, world.deaf) = (true, true));
+    while client.is_connected() {
+        client.next_update(50).unwrap();
+    }
+    assert_eq!(client.move_to(10.0, 100.0, OnBlock::Stop), Err(Error::NotConnected));
+    assert_eq!(client.set_force_limit(20.0), Err(Error::NotConnected));
+    assert_eq!(client.grip(20.0, 100.0), Err(Error::NotConnected));
+    bench.world(|world| (world.mute, world.deaf) = (false, false));
+    client.connect().unwrap();
+    bench.pass(2_000);
+    assert_near(client.width().unwrap(), 110.0);
+}

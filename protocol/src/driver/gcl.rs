@@ -1,0 +1,278 @@
+//! GCL below a driver: the terms of the binary protocol, said in lines of text.
+
+mod translate;
+
+use super::Error;
+use super::link::{Link, Protocol};
+use crate::command::{Command, CommandId};
+use crate::frame;
+use crate::gcl::session::{Notice as LineNotice, RequestError as LineError, Session};
+use crate::gcl::{Answer, CommandName, LineReader, Mistake, Request, Value as LineValue};
+use crate::reply::{Reply, Value};
+use crate::session::{self, Known, Notice, RequestError, Signal};
+use crate::time::Instant;
+use crate::types::{AutoUpdate, Status};
+use crate::{field::Refusal, gcl};
+use translate::Terms;
+
+/// The longest line that a driver takes over GCL when nothing else is said.
+pub const GCL_LINE_LEN: usize = 256;
+
+/// The longest line of an answer that a driver asks for: 32 system state flags.
+const LONGEST_NEEDED: usize = "@SYSFLAGS=[]".len() + 2 * 32;
+
+/// The text protocol (GCL). `RX` is the longest line that is taken, at least 76.
+///
+/// What a program says through a driver means the same as over the binary protocol:
+///
+/// | method | over GCL |
+/// |---|---|
+/// | `connect` | does not ask for the limits: `known().limits` stays `None` |
+/// | `set_force_limit`, `force_limit` | kept by the driver, not clamped, and sent with every GRIP; [`Error::NoForceLimit`] before it was set |
+/// | `move_by` | `MOVE` to the width that is asked for just before, plus the offset |
+/// | `grip` | asks for the width before, to know which way the fingers go; blocked outside the part width tolerance: [`Error::Blocked`] |
+/// | `release` | `RELEASE` by the distance from the width that is asked for just before; only after a grip (E_NOT_AVAILABLE), and only away from the part: else [`Error::NotInGcl`] |
+/// | `system_info` | hardware revision 0; firmware 0.0.0 if it is none that the binary protocol could say |
+/// | `finger_info` | four bytes of data for a WSG-FMF, none for others |
+/// | `finger_data` | of a WSG-FMF; E_NOT_AVAILABLE for others |
+/// | `announce_disconnect` | `BYE` |
+/// | [`timeouts`](session::Config::timeouts), [`verify_settings`](session::Config::verify_settings) | without effect |
+///
+/// [`Error::NotInGcl`], and nothing is sent: `move_to` and `move_by` with [`OnBlock::Clamp`](super::OnBlock::Clamp),
+/// `statistics` with a reset, `limits`, acceleration, soft limits, overdrive, `set_tag`, `set_finger_power`, `loop_back`,
+/// and `raw` with anything that GCL has not.
+#[derive(Debug)]
+pub struct Gcl<const RX: usize = GCL_LINE_LEN> {
+    session: Session,
+    reader: LineReader<RX>,
+    line: [u8; Request::MAX_LEN + 1],
+    /// The request in the line.
+    name: CommandName,
+    terms: Terms,
+    known: Known,
+    /// The answer to a request that the driver serves itself.
+    own_answer: Option<Reply<'static>>,
+    /// What became of PWT or CLT.
+    setting: Setting,
+}
+
+/// What became of a request that only GCL has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Setting {
+    Open,
+    Is(f32),
+    Refused(Status),
+    Withdrawn,
+}
+
+impl<const RX: usize> Gcl<RX> {
+    pub(super) const fn new(config: session::Config) -> Self {
+        const {
+            assert!(RX >= LONGEST_NEEDED, "the session asks for the system state flags");
+        }
+        Self {
+            session: Session::new(translate::session_config(&config)),
+            reader: LineReader::new(),
+            line: [0; Request::MAX_LEN + 1],
+            name: CommandName::Verbose,
+            terms: Terms::NONE,
+            known: Known::NOTHING,
+            own_answer: None,
+            setting: Setting::Open,
+        }
+    }
+
+    /// Asks for PWT or CLT, or sets it.
+    pub(super) fn request_setting<E>(&mut self, request: Request) -> Result<(), Error<E>> {
+        self.setting = Setting::Open;
+        Ok(self.session.request(request)?)
+    }
+
+    /// What became of it.
+    pub(super) const fn setting<E>(&self) -> Result<f32, Error<E>> {
+        match self.setting {
+            Setting::Is(value) => Ok(value),
+            Setting::Refused(status) => Err(Error::Refused(status)),
+            Setting::Withdrawn => Err(Error::NotConnected),
+            Setting::Open => Err(Error::Unanswered),
+        }
+    }
+
+    /// Requests that the driver serves itself; the answer to one.
+    fn serve<E>(&mut self, command: &Command<'_>) -> Result<Option<Reply<'static>>, Error<E>> {
+        match *command {
+            Command::SetForceLimit { force } => {
+                self.terms.force = Some(force);
+                Ok(Some(Reply::success(Value::SetForceLimit)))
+            }
+            Command::GetForceLimit => {
+                let force = self.terms.force.ok_or(Error::NoForceLimit)?;
+                Ok(Some(Reply::success(Value::GetForceLimit(force))))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    fn ask<E>(&mut self, command: &Command<'_>, width: Option<f32>) -> Result<(), Error<E>> {
+        command.check()?;
+        if matches!(command, Command::SetForceLimit { .. } | Command::GetForceLimit) && !self.is_connected() {
+            return Err(Error::NotConnected);
+        }
+        if let Some(answer) = self.serve(command)? {
+            self.own_answer = Some(answer);
+            return Ok(());
+        }
+        let request = self.terms.request(command, width)?;
+        self.session.request(request)?;
+        self.terms.asked(command, width);
+        Ok(())
+    }
+}
+
+impl<const RX: usize> Protocol for Gcl<RX> {}
+
+impl<const RX: usize> Link for Gcl<RX> {
+    fn is_connected(&self) -> bool {
+        self.session.is_connected()
+    }
+
+    fn is_busy(&self) -> bool {
+        self.session.is_busy() || self.own_answer.is_some()
+    }
+
+    fn owes_fast_stop(&self) -> bool {
+        self.session.owes_fast_stop()
+    }
+
+    fn motion(&self) -> Option<CommandId> {
+        self.session.motion().and_then(|name| self.terms.id(name))
+    }
+
+    fn known(&self) -> &Known {
+        &self.known
+    }
+
+    fn line_counters(&self) -> frame::Counters {
+        let lines = self.reader.counters();
+        frame::Counters { dropped: lines.dropped, bad_checksum: 0, oversize: lines.too_long }
+    }
+
+    fn session_counters(&self) -> session::Counters {
+        let gcl::session::Counters { unasked, refused, repeated, disconnects } = self.session.counters();
+        session::Counters { unasked, refused, repeated, disconnects }
+    }
+
+    fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
+        self.session.subscribe(translate::autosend(signal, update));
+    }
+
+    fn wants_width(&self, command: &Command<'_>) -> bool {
+        command.check().is_ok() && self.terms.wants_width(command)
+    }
+
+    fn request<E>(&mut self, command: Command<'static>, width: Option<f32>) -> Result<(), Error<E>> {
+        self.ask(&command, width)
+    }
+
+    fn request_lent<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>> {
+        self.ask(command, None)
+    }
+
+    fn withdraw(&mut self) {
+        self.own_answer = None;
+        self.session.withdraw();
+    }
+
+    fn take_back(&mut self) -> bool {
+        self.session.take_back(self.name)
+    }
+
+    fn hang_up(&mut self) {
+        self.session.disconnect();
+        self.reader.reset();
+    }
+
+    fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Notice<'_>)) {
+        let Self { session, reader, terms, known, setting, .. } = self;
+        let mut rest = bytes;
+        loop {
+            let (taken, event) = reader.push_slice(rest);
+            rest = rest.get(taken..).unwrap_or(&[]);
+            let Some(event) = event else { return };
+            let notice = session.handle(now, &event);
+            *known = translate::known(session.known());
+            if let Some(notice) = notice {
+                setting.note(&notice);
+                terms.tell(&notice, known, note);
+            }
+        }
+    }
+
+    /// A line has no time to come in: TCP may hold a part of it back, and a datagram holds all of it.
+    fn is_mid_message(&self) -> bool {
+        false
+    }
+
+    fn give_up_half(&mut self, _now: Instant, _note: &mut impl FnMut(&Notice<'_>)) {}
+
+    fn tick(&mut self, now: Instant) -> Option<Notice<'static>> {
+        if let Some(answer) = self.own_answer.take() {
+            return Some(Notice::Answered(answer));
+        }
+        loop {
+            let notice = self.session.tick(now);
+            self.known = translate::known(self.session.known());
+            let notice = notice?;
+            self.setting.note(&notice);
+            if let Some(notice) = self.terms.of_time(&notice) {
+                return Some(notice);
+            }
+        }
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.session.poll_timeout()
+    }
+
+    fn encode_next(&mut self, now: Instant, _lent: Option<Command<'_>>) -> Option<usize> {
+        let request = self.session.poll_transmit(now)?;
+        self.name = request.name();
+        // It fits, and the session has checked it.
+        Some(request.write_line_into(&mut self.line).unwrap_or(0))
+    }
+
+    fn encoded(&self) -> &[u8] {
+        &self.line
+    }
+}
+
+impl Setting {
+    fn note(&mut self, notice: &LineNotice<'_>) {
+        let is_setting = |name: &CommandName| matches!(name, CommandName::Pwt | CommandName::Clt);
+        match notice {
+            LineNotice::Answered(Answer::Value(LineValue::Pwt(value) | LineValue::Clt(value))) => {
+                *self = Self::Is(*value);
+            }
+            LineNotice::Answered(answer @ Answer::Err { name, .. })
+                if name.command().is_some_and(|name| is_setting(&name)) =>
+            {
+                *self = Self::Refused(answer.status());
+            }
+            LineNotice::Withdrawn(name) if is_setting(name) => *self = Self::Withdrawn,
+            _ => {}
+        }
+    }
+}
+
+impl<E> From<LineError> for Error<E> {
+    fn from(error: LineError) -> Self {
+        Self::from(match error {
+            LineError::NotConnected => RequestError::NotConnected,
+            LineError::MotionRunning => RequestError::MotionRunning,
+            LineError::FastStopRunning => RequestError::FastStopRunning,
+            LineError::QueueFull => RequestError::QueueFull,
+            LineError::Invalid(Mistake::Range) => RequestError::Invalid(Refusal::NotFinite),
+            LineError::Invalid(_) => RequestError::Invalid(Refusal::UndefinedValue),
+        })
+    }
+}

@@ -1,0 +1,315 @@
+//! Commands to requests, answers to replies.
+
+use crate::command::{Command, CommandId};
+use crate::driver::Error;
+use crate::field::Refusal;
+use crate::gcl::session::{self as lines, Notice as LineNotice};
+use crate::gcl::{
+    Answer, Autosend, CommandName, FingerReading, Grip, Move, Release, Request, Select, Selected,
+    Signal as LineSignal, Tare, Value as LineValue,
+};
+use crate::reply::{Reply, Value};
+use crate::session::{self, Known, Notice, Signal};
+use crate::types::{
+    AutoUpdate, DeviceType, FingerData, FingerInfo, FingerType, FirmwareVersion, PrePositionFlags, Status,
+    SystemInfo, Temperature, UpdateFlags,
+};
+
+/// What the terms of the binary protocol stand for, beside what stands in a line.
+#[derive(Debug)]
+pub(super) struct Terms {
+    /// The force limit in N.
+    pub(super) force: Option<f32>,
+    /// Whether the last grip that began went outward.
+    outward: bool,
+    /// Whether the last grip that was asked for goes outward.
+    asked_outward: bool,
+    /// Whether the finger that was asked for last is the second one.
+    second_finger: bool,
+}
+
+impl Terms {
+    pub(super) const NONE: Self =
+        Self { force: None, outward: false, asked_outward: false, second_finger: false };
+
+    /// Whether the current opening width must be known to say this in GCL.
+    pub(super) fn wants_width(&self, command: &Command<'_>) -> bool {
+        match command {
+            Command::PrePosition { flags, .. } => {
+                flags.contains(PrePositionFlags::RELATIVE | PrePositionFlags::STOP_ON_BLOCK)
+            }
+            Command::GripPart { .. } => self.force.is_some(),
+            Command::ReleasePart { .. } => true,
+            _ => false,
+        }
+    }
+
+    /// The request that says the same as a command; `width` is the current opening width if it was wanted.
+    pub(super) fn request<E>(&self, command: &Command<'_>, width: Option<f32>) -> Result<Request, Error<E>> {
+        let current = width.ok_or(Error::NotInGcl);
+        Ok(match *command {
+            Command::DisconnectAnnouncement => Request::Bye,
+            Command::Homing { direction } => Request::Home(direction),
+            Command::PrePosition { flags, width, speed } => {
+                if !flags.contains(PrePositionFlags::STOP_ON_BLOCK) {
+                    return Err(Error::NotInGcl);
+                }
+                let is_relative = flags.contains(PrePositionFlags::RELATIVE);
+                let target = if is_relative { current? + width } else { width };
+                Request::Move(Move { width: target, speed: Some(speed) })
+            }
+            Command::GripPart { width, speed } => {
+                let force = self.force.ok_or(Error::NoForceLimit)?;
+                Request::Grip(Grip::PartAtSpeed { force, width, speed })
+            }
+            Command::ReleasePart { width, speed } => {
+                let opening = width - current?;
+                let distance = if self.outward { -opening } else { opening };
+                if !distance.is_finite() {
+                    return Err(Error::Invalid(Refusal::NotFinite));
+                }
+                if distance < 0.0 {
+                    return Err(Error::NotInGcl);
+                }
+                Request::Release(Release::ByAtSpeed { distance, speed })
+            }
+            Command::Stop => Request::Stop,
+            Command::FastStop => Request::Faststop,
+            Command::Acknowledge { .. } => Request::Fsack,
+            Command::TareForceSensor => Request::Tare(Tare::All),
+            Command::GetSystemState { .. } => Request::Sysflags(Select::All),
+            Command::GetGripperState { .. } => Request::Gripstate,
+            Command::GetGrippingStatistics { reset: false } => Request::Gripstats(Select::All),
+            Command::GetOpeningWidth { .. } => Request::Pos,
+            Command::GetSpeed { .. } => Request::Speed,
+            Command::GetForce { .. } => Request::Force,
+            Command::GetTemperature => Request::Temp,
+            // Device and version are known from connecting.
+            Command::GetSystemInfo => Request::Sn,
+            Command::GetDeviceTag => Request::Tag,
+            Command::GetFinger1Info => Request::Ftype(Select::One(0)),
+            Command::GetFinger2Info => Request::Ftype(Select::One(1)),
+            Command::GetFinger1Flags => Request::Fflags(Select::One(0)),
+            Command::GetFinger2Flags => Request::Fflags(Select::One(1)),
+            Command::GetFinger1Data => Request::Fdata(Select::One(0)),
+            Command::GetFinger2Data => Request::Fdata(Select::One(1)),
+            _ => return Err(Error::NotInGcl),
+        })
+    }
+
+    /// The command was taken, and will be sent.
+    pub(super) fn asked(&mut self, command: &Command<'_>, current: Option<f32>) {
+        match *command {
+            Command::GripPart { width, .. } => {
+                self.asked_outward = current.is_some_and(|current| width > current);
+            }
+            Command::GetFinger1Info | Command::GetFinger1Flags | Command::GetFinger1Data => {
+                self.second_finger = false;
+            }
+            Command::GetFinger2Info | Command::GetFinger2Flags | Command::GetFinger2Data => {
+                self.second_finger = true;
+            }
+            _ => {}
+        }
+    }
+
+    /// The command that a request of this name stands for.
+    pub(super) const fn id(&self, name: CommandName) -> Option<CommandId> {
+        Some(match name {
+            CommandName::Bye => CommandId::DisconnectAnnouncement,
+            CommandName::Home => CommandId::Homing,
+            CommandName::Move => CommandId::PrePosition,
+            CommandName::Grip => CommandId::GripPart,
+            CommandName::Release => CommandId::ReleasePart,
+            CommandName::Stop => CommandId::Stop,
+            CommandName::Faststop => CommandId::FastStop,
+            CommandName::Fsack => CommandId::Acknowledge,
+            CommandName::Tare => CommandId::TareForceSensor,
+            CommandName::Sysflags => CommandId::GetSystemState,
+            CommandName::Gripstate => CommandId::GetGripperState,
+            CommandName::Gripstats => CommandId::GetGrippingStatistics,
+            CommandName::Pos => CommandId::GetOpeningWidth,
+            CommandName::Speed => CommandId::GetSpeed,
+            CommandName::Force => CommandId::GetForce,
+            CommandName::Temp => CommandId::GetTemperature,
+            CommandName::Sn => CommandId::GetSystemInfo,
+            CommandName::Tag => CommandId::GetDeviceTag,
+            CommandName::Ftype if self.second_finger => CommandId::GetFinger2Info,
+            CommandName::Ftype => CommandId::GetFinger1Info,
+            CommandName::Fflags if self.second_finger => CommandId::GetFinger2Flags,
+            CommandName::Fflags => CommandId::GetFinger1Flags,
+            CommandName::Fdata if self.second_finger => CommandId::GetFinger2Data,
+            CommandName::Fdata => CommandId::GetFinger1Data,
+            CommandName::Verbose
+            | CommandName::Autosend
+            | CommandName::Devtype
+            | CommandName::Version
+            | CommandName::Pwt
+            | CommandName::Clt => return None,
+        })
+    }
+
+    /// Calls `note` with what a notice says, if the binary protocol has words for it.
+    pub(super) fn tell(
+        &mut self,
+        notice: &LineNotice<'_>,
+        known: &Known,
+        note: &mut impl FnMut(&Notice<'_>),
+    ) {
+        match notice {
+            LineNotice::Answered(answer) => self.tell_answer(answer, known, note),
+            LineNotice::Reported(value) => self.with_value(value, known, |value| {
+                if let Some(value) = value {
+                    note(&Notice::Reported(value));
+                }
+            }),
+            other => {
+                if let Some(notice) = self.of_time(other) {
+                    note(&notice);
+                }
+            }
+        }
+    }
+
+    /// What a notice says that carries no answer.
+    pub(super) fn of_time(&mut self, notice: &LineNotice<'_>) -> Option<Notice<'static>> {
+        match *notice {
+            LineNotice::Connected => Some(Notice::Connected),
+            LineNotice::Disconnected => Some(Notice::Disconnected),
+            LineNotice::Pending(name) => {
+                if name == CommandName::Grip {
+                    self.outward = self.asked_outward;
+                }
+                self.id(name).map(Notice::Pending)
+            }
+            LineNotice::Unanswered(name) => self.id(name).map(Notice::Unanswered),
+            LineNotice::Withdrawn(name) => self.id(name).map(Notice::Withdrawn),
+            LineNotice::Answered(_) | LineNotice::Reported(_) => None,
+        }
+    }
+
+    fn tell_answer(&self, answer: &Answer<'_>, known: &Known, note: &mut impl FnMut(&Notice<'_>)) {
+        let Some(id) = answer.name().command().and_then(|name| self.id(name)) else { return };
+        match answer {
+            Answer::Value(value) => self.with_value(value, known, |value| {
+                // What the binary protocol has no form for, such as the data of a tactile finger.
+                let unsaid = Reply::status_only(id, Status::NotAvailable);
+                note(&Notice::Answered(value.map_or(unsaid, Reply::success)));
+            }),
+            _ => note(&Notice::Answered(Reply::status_only(id, answer.status()))),
+        }
+    }
+
+    /// Calls `look` with the binary protocol's value, if it has one.
+    fn with_value(&self, value: &LineValue<'_>, known: &Known, look: impl FnOnce(Option<Value<'_>>)) {
+        let bytes;
+        let value = match *value {
+            LineValue::Sysflags(Selected::All(flags)) => Some(Value::GetSystemState(flags)),
+            LineValue::Gripstate(state) => Some(Value::GetGripperState(state)),
+            LineValue::Gripstats(Selected::All(statistics)) => Some(Value::GetGrippingStatistics(statistics)),
+            LineValue::Pos(width) => Some(Value::GetOpeningWidth(width)),
+            LineValue::Speed(speed) => Some(Value::GetSpeed(speed)),
+            LineValue::Force(force) => Some(Value::GetForce(force)),
+            LineValue::Temp(celsius) => Some(Value::GetTemperature(tenths(celsius))),
+            LineValue::Sn(serial_number) => {
+                let info = known.info.unwrap_or(UNKNOWN_DEVICE);
+                Some(Value::GetSystemInfo(SystemInfo { serial_number, ..info }))
+            }
+            // One that is not set is an empty text here, and E_NOT_AVAILABLE there.
+            LineValue::Tag(tag) => (!tag.as_str().is_empty()).then_some(Value::GetDeviceTag(tag)),
+            LineValue::Ftype(Selected::One(_, text)) => {
+                let finger = text.finger_type();
+                let data_len = if finger == FingerType::Fmf { FMF_LEN } else { 0 };
+                let info = FingerInfo { finger, data_len };
+                let second = self.second_finger;
+                Some(if second { Value::GetFinger2Info(info) } else { Value::GetFinger1Info(info) })
+            }
+            LineValue::Fflags(Selected::One(_, flags)) => {
+                let second = self.second_finger;
+                Some(if second { Value::GetFinger2Flags(flags) } else { Value::GetFinger1Flags(flags) })
+            }
+            LineValue::Fdata(Selected::One(_, FingerReading::Number(force))) => {
+                bytes = force.to_le_bytes();
+                let of = if self.second_finger { Value::GetFinger2Data } else { Value::GetFinger1Data };
+                FingerData::new(&bytes).ok().map(of)
+            }
+            _ => None,
+        };
+        look(value);
+    }
+}
+
+/// Bytes of the data of a WSG-FMF: one `f32`.
+const FMF_LEN: u16 = 4;
+
+/// What GCL does not tell.
+const UNKNOWN_DEVICE: SystemInfo = SystemInfo {
+    device: DeviceType::Unspecified,
+    hardware_revision: 0,
+    firmware: FirmwareVersion::from_bits(0),
+    serial_number: 0,
+};
+
+/// The nearest tenth of a degree; what is out of range is the end of it.
+fn tenths(celsius: f32) -> Temperature {
+    let half = if celsius < 0.0 { -0.5 } else { 0.5 };
+    Temperature((celsius * 10.0 + half) as i16)
+}
+
+/// What is known, in the binary protocol's terms.
+pub(super) fn known(lines: &lines::Known) -> Known {
+    let info = lines.device.map(|device| SystemInfo {
+        device,
+        firmware: lines.firmware.unwrap_or(UNKNOWN_DEVICE.firmware),
+        serial_number: lines.serial_number.unwrap_or(0),
+        ..UNKNOWN_DEVICE
+    });
+    Known {
+        info,
+        limits: None,
+        flags: lines.flags,
+        state: lines.state,
+        width: lines.width,
+        force: lines.force,
+    }
+}
+
+/// The same settings, as far as GCL has them.
+pub(super) const fn session_config(config: &session::Config) -> lines::Config {
+    lines::Config {
+        reply_timeout_ms: config.reply_timeout_ms,
+        attempts: config.attempts,
+        refresh_ms: config.refresh_ms,
+        reconnect_ms: config.reconnect_ms,
+        motion_timeout_ms: config.motion_timeout_ms,
+        result_grace_ms: config.result_grace_ms,
+        interval_ms: config.update_period_ms as u32,
+        width: config.width,
+        speed: config.speed,
+        force: config.force,
+        ..lines::Config::DEFAULT
+    }
+}
+
+/// The same subscription.
+pub(super) const fn autosend(signal: Signal, update: AutoUpdate) -> Autosend {
+    let signal = match signal {
+        Signal::SystemState => LineSignal::Sysflags,
+        Signal::GripperState => LineSignal::Gripstate,
+        Signal::Width => LineSignal::Pos,
+        Signal::Speed => LineSignal::Speed,
+        Signal::Force => LineSignal::Force,
+    };
+    let interval_ms = if (update.period_ms as u32) < Autosend::MIN_INTERVAL_MS {
+        Autosend::MIN_INTERVAL_MS
+    } else {
+        update.period_ms as u32
+    };
+    if !update.flags.contains(UpdateFlags::AUTOMATIC) {
+        Autosend::off(signal)
+    } else if update.flags.contains(UpdateFlags::ON_CHANGE) {
+        Autosend::on_change(signal, interval_ms)
+    } else {
+        Autosend::every(signal, interval_ms)
+    }
+}
