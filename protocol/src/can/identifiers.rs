@@ -28,6 +28,13 @@ pub struct Endpoint {
 }
 
 impl Identifiers {
+    /// 120h and 121h, which this project uses where nothing else is said: none of CANopen's predefined identifiers, so
+    /// both fit on one bus, and of higher priority than process data.
+    pub const DEFAULT: Self = match Self::from_base(0x120) {
+        Some(pair) => pair,
+        None => Self { to_gripper: StandardId::ZERO, from_gripper: StandardId::MAX },
+    };
+
     /// The pair N and N + 1; `None` where N + 1 has no 11-bit identifier, that is from N = 7FFh on.
     #[must_use]
     pub const fn from_base(n: u16) -> Option<Self> {
