@@ -7,10 +7,10 @@ use crate::log;
 use crate::modbus::{BusConfig, BusPort, ModbusSide, NoBus, Settings, Subjects};
 use crate::recipe::{RECIPE_COUNT, RECIPES, Recipe};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use wsg_protocol::fieldbus::{Controller, ForceUnit};
+use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
 use wsg_protocol::modbus::rtu;
 use wsg_protocol::session::{self, Notice, Session, Signal};
-use wsg_protocol::{AutoUpdate, Command, DeviceTag, FrameEncoder, FrameParser, Instant, frame};
+use wsg_protocol::{AutoUpdate, Command, DeviceTag, FrameEncoder, FrameParser, Instant, Status, frame};
 
 /// The longest reply that a bridge asks for: a device tag behind its status code. Everything longer is not for it.
 pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
@@ -84,6 +84,8 @@ pub struct Bridge {
     arbiter: Arbiter,
     /// A gripper has answered since power-up.
     was_connected: bool,
+    /// The way to the gripper is known to be gone, as a bus is after bus-off.
+    link_is_lost: bool,
     /// The frame that is being sent.
     sending: Option<FrameEncoder<Command<'static>>>,
 }
@@ -104,6 +106,7 @@ impl Bridge {
             bus_timeouts: 0,
             arbiter: Arbiter::new(),
             was_connected: false,
+            link_is_lost: false,
             sending: None,
             settings,
         }
@@ -138,8 +141,33 @@ impl Bridge {
         self.forward_commands();
         self.tick(now);
         self.transmit(now, link);
-        let gripper = self.controller.input(self.session.known());
+        let gripper = self.shown();
         self.wires.outputs(now, &gripper, self.session.is_connected())
+    }
+
+    /// Says whether the way to the gripper is known to be gone (bus-off), before a poll. As long as it is, the PLC sees
+    /// ERROR and E_IO_ERROR, and no LINK_OK.
+    ///
+    /// The connection is given up at once and not after a silence: what was asked for does not leave when the way is
+    /// there again.
+    pub fn set_link_lost(&mut self, is_lost: bool) {
+        if is_lost {
+            self.sending = None;
+            if !self.link_is_lost {
+                self.session.disconnect();
+            }
+        }
+        self.link_is_lost = is_lost;
+    }
+
+    /// The image that the PLC reads.
+    fn shown(&self) -> InputImage {
+        let mut image = self.controller.input(self.session.known());
+        if self.link_is_lost {
+            image.state = GripperFlags::ERROR;
+            image.status = Status::IoError;
+        }
+        image
     }
 
     /// What has been met so far that could not be used.
@@ -214,6 +242,7 @@ impl Bridge {
         for _ in 0..MAX_SERVED_PER_POLL {
             let gripper = self.controller.input(self.session.known());
             let moving = is_moving(&gripper);
+            let shown = self.shown();
             let subjects = Subjects {
                 config: &self.bus_config,
                 session: &self.session,
@@ -225,7 +254,7 @@ impl Bridge {
             };
             let was_heard = self.bus.is_heard();
             let settings = &mut self.settings;
-            let Some(served) = self.bus.serve(now, port, &gripper, moving, &subjects, settings) else {
+            let Some(served) = self.bus.serve(now, port, &shown, moving, &subjects, settings) else {
                 break;
             };
             if !was_heard {

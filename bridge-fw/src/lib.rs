@@ -23,6 +23,8 @@ mod arbiter;
 pub mod boards;
 mod bridge;
 pub mod byte_queue;
+#[cfg(feature = "can")]
+pub mod can;
 mod debounce;
 mod digital_io;
 pub mod io;

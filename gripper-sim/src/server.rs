@@ -4,16 +4,19 @@
 //! write, and TCP does not delay: a client that takes what one `recv` gives for one frame is right. [`Server`] is for
 //! programs that have such a runtime, [`ServerThread`] for all others.
 
+mod can;
 mod control;
 mod faulty_line;
 mod hub;
 mod log;
 mod serial;
+mod slcan;
 mod stream;
 mod tcp;
 mod thread;
 mod udp;
 
+pub use can::{CanBus, CanLine};
 pub use log::Log;
 pub use serial::SerialLine;
 pub use thread::ServerThread;
@@ -22,13 +25,14 @@ use crate::config::Config;
 use crate::port::PortKind;
 use anyhow::{Context, Result};
 use hub::Hub;
-use serial::SerialPort;
+use serial::{Carried, SerialPort};
 use std::future::Future;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::rc::Rc;
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::task::{JoinSet, LocalSet};
+use wsg_protocol::can::Identifiers;
 
 /// Where a gripper is served.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -39,6 +43,8 @@ pub struct Lines {
     pub udp: Option<UdpLine>,
     /// A serial line.
     pub serial: Option<SerialLine>,
+    /// A CAN bus.
+    pub can: Option<CanLine>,
     /// The text protocol (GCL) over TCP: the address to listen on.
     pub gcl: Option<SocketAddr>,
     /// The text protocol (GCL) over UDP: the address to listen on. Answers go to the port that asked.
@@ -82,6 +88,7 @@ pub struct Server {
     tcp: Option<TcpListener>,
     udp: Option<(UdpSocket, u16)>,
     serial: Option<SerialPort>,
+    can: Option<CanPort>,
     gcl: Option<TcpListener>,
     gcl_udp: Option<UdpSocket>,
     control: Option<TcpListener>,
@@ -102,13 +109,23 @@ impl Server {
             Some(line) => Some(SerialPort::open(line)?),
             None => None,
         };
+        let can = lines.can.as_ref().map(CanPort::open).transpose()?;
         let gcl = listen(lines.gcl, "GCL over TCP").await?;
         let gcl_udp = match lines.gcl_udp {
             Some(address) => Some(bind_udp(address, "GCL over UDP").await?),
             None => None,
         };
         let control = listen(lines.control, "the control interface").await?;
-        Ok(Self { hub: Rc::new(Hub::new(config, lines.seed, log)), tcp, udp, serial, gcl, gcl_udp, control })
+        Ok(Self {
+            hub: Rc::new(Hub::new(config, lines.seed, log)),
+            tcp,
+            udp,
+            serial,
+            can,
+            gcl,
+            gcl_udp,
+            control,
+        })
     }
 
     /// The address that TCP listens on.
@@ -127,6 +144,12 @@ impl Server {
     #[must_use]
     pub fn serial_path(&self) -> Option<&Path> {
         self.serial.as_ref().map(SerialPort::path)
+    }
+
+    /// What leads to the CAN bus: the interface, or what a client opens to get at the SLCAN line.
+    #[must_use]
+    pub fn can_path(&self) -> Option<&Path> {
+        self.can.as_ref().map(CanPort::path)
     }
 
     /// The address that the text protocol (GCL) over TCP listens on.
@@ -152,7 +175,7 @@ impl Server {
     /// # Errors
     /// That of the line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
-        let Self { hub, tcp, udp, serial, gcl, gcl_udp, control } = self;
+        let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, control } = self;
         let local = LocalSet::new();
         local
             .run_until(async move {
@@ -165,7 +188,16 @@ impl Server {
                     tasks.spawn_local(udp::serve(Rc::clone(&hub), socket, Some(remote_port), PortKind::Udp));
                 }
                 if let Some(port) = serial {
-                    tasks.spawn_local(port.serve(Rc::clone(&hub)));
+                    tasks.spawn_local(port.serve(Rc::clone(&hub), Carried::Bytes));
+                }
+                match can {
+                    Some(CanPort::Interface(interface, identifiers)) => {
+                        tasks.spawn_local(interface.serve(Rc::clone(&hub), identifiers));
+                    }
+                    Some(CanPort::Slcan(port, carried)) => {
+                        tasks.spawn_local(port.serve(Rc::clone(&hub), carried));
+                    }
+                    None => {}
                 }
                 if let Some(listener) = gcl {
                     tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::GclTcp));
@@ -182,6 +214,36 @@ impl Server {
                 }
             })
             .await
+    }
+}
+
+/// What leads to a CAN bus, open.
+#[derive(Debug)]
+enum CanPort {
+    Interface(can::Interface, Identifiers),
+    Slcan(SerialPort, Carried),
+}
+
+impl CanPort {
+    fn open(line: &CanLine) -> Result<Self> {
+        let CanLine { bus, identifiers } = line;
+        match bus {
+            CanBus::Interface(name) => Ok(Self::Interface(can::Interface::open(name)?, *identifiers)),
+            CanBus::Slcan(line) => {
+                let side = match line {
+                    SerialLine::Pty | SerialLine::Unix(_) => slcan::Side::Adapter,
+                    SerialLine::Device(_) => slcan::Side::Host,
+                };
+                Ok(Self::Slcan(SerialPort::open(line)?, Carried::Slcan(*identifiers, side)))
+            }
+        }
+    }
+
+    fn path(&self) -> &Path {
+        match self {
+            Self::Interface(interface, _) => interface.path(),
+            Self::Slcan(port, _) => port.path(),
+        }
     }
 }
 

@@ -12,6 +12,7 @@
 //! is empty.
 
 pub mod bench;
+pub mod can_bench;
 #[cfg(unix)]
 pub mod emulator;
 #[cfg(unix)]

@@ -14,6 +14,7 @@
 //! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async` | command set, chapter 3 |
 //! | [`fieldbus`] | the register images and the controller behind them | fieldbus, chapters 5 and 6 |
 //! | `modbus` | a MODBUS server over the images, and RTU framing, by feature `modbus` | fieldbus, chapter 4 |
+//! | `can` | the messages over CAN frames, both directions, by feature `embedded-can` | command set, 1.1 |
 //! | [`gcl`] | the text protocol, both directions | GCL |
 //!
 //! A request becomes bytes, bytes become frames, frames become typed values:
@@ -65,6 +66,8 @@
 #[cfg(test)]
 extern crate std;
 
+#[cfg(feature = "embedded-can")]
+pub mod can;
 pub mod checksum;
 pub mod command;
 #[cfg(any(feature = "embedded-io", feature = "embedded-io-async"))]

@@ -1,6 +1,7 @@
 //! Serial lines: a pseudo terminal, a Unix socket as an emulator's UART has it, or a real device.
 
-use super::hub::Hub;
+use super::hub::{Client, Hub};
+use super::slcan;
 use super::stream::{self, Pace};
 use crate::port::PortKind;
 use anyhow::{Context, Result, bail};
@@ -13,9 +14,11 @@ use std::os::unix::fs::FileTypeExt;
 use std::os::unix::net::UnixStream as StdUnixStream;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::unix::pipe;
 use tokio::net::{UnixListener, UnixStream};
 use tokio::task::spawn_local;
+use wsg_protocol::can::Identifiers;
 
 /// Bits per second of the RS-232 interface, 8 data bits, no parity, one stop bit.
 const BIT_RATE: u32 = 115_200;
@@ -67,14 +70,16 @@ impl SerialPort {
         &self.path
     }
 
-    pub(super) async fn serve(self, hub: Rc<Hub>) -> Result<()> {
+    /// Serves the line, which carries the frames' bytes themselves or, by SLCAN, those of CAN frames.
+    pub(super) async fn serve(self, hub: Rc<Hub>, carried: Carried) -> Result<()> {
         let name = self.path.display().to_string();
         match self.line {
             Open::Terminal { line, .. } => {
                 let client = hub
-                    .connect(PortKind::Serial, &name)
+                    .connect(carried.kind(), &name)
                     .context("the gripper has no place for the serial line")?;
-                stream::serve(&client, line.reader, line.writer, Pace::OfTheLine)
+                carried
+                    .serve(&client, line.reader, line.writer)
                     .await
                     .with_context(|| format!("the serial line {name} failed"))?;
                 bail!("the serial line {name} was closed")
@@ -82,7 +87,7 @@ impl SerialPort {
             Open::Socket(socket) => loop {
                 let (stream, _) =
                     socket.listener.accept().await.with_context(|| format!("{name} accepts no more"))?;
-                spawn_local(serve_client(Rc::clone(&hub), stream, name.clone()));
+                spawn_local(serve_client(Rc::clone(&hub), stream, name.clone(), carried));
             },
         }
     }
@@ -109,11 +114,41 @@ impl SerialPort {
     }
 }
 
-async fn serve_client(hub: Rc<Hub>, mut stream: UnixStream, name: String) {
-    let Some(client) = hub.connect(PortKind::Serial, &name) else { return };
+async fn serve_client(hub: Rc<Hub>, mut stream: UnixStream, name: String, carried: Carried) {
+    let Some(client) = hub.connect(carried.kind(), &name) else { return };
     let (reader, writer) = stream.split();
     // However it ends, the client is gone; that is all there is to say about it.
-    let _ = stream::serve(&client, reader, writer, Pace::OfTheLine).await;
+    let _ = carried.serve(&client, reader, writer).await;
+}
+
+/// What goes over a serial line.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Carried {
+    /// The frames, byte by byte.
+    Bytes,
+    /// CAN frames by SLCAN.
+    Slcan(Identifiers, slcan::Side),
+}
+
+impl Carried {
+    const fn kind(self) -> PortKind {
+        match self {
+            Self::Bytes => PortKind::Serial,
+            Self::Slcan(..) => PortKind::Can,
+        }
+    }
+
+    async fn serve(
+        self,
+        client: &Client,
+        reader: impl AsyncRead + Unpin,
+        writer: impl AsyncWrite + Unpin,
+    ) -> io::Result<()> {
+        match self {
+            Self::Bytes => stream::serve(client, reader, writer, Pace::OfTheLine).await,
+            Self::Slcan(identifiers, side) => slcan::serve(client, reader, writer, identifiers, side).await,
+        }
+    }
 }
 
 /// A terminal, read and written without blocking.

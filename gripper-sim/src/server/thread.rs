@@ -42,6 +42,7 @@ struct Addresses {
     tcp: Option<SocketAddr>,
     udp: Option<SocketAddr>,
     serial: Option<PathBuf>,
+    can: Option<PathBuf>,
     gcl: Option<SocketAddr>,
     gcl_udp: Option<SocketAddr>,
     control: Option<SocketAddr>,
@@ -65,6 +66,7 @@ impl ServerThread {
                     tcp: server.tcp_address(),
                     udp: server.udp_address(),
                     serial: server.serial_path().map(Path::to_owned),
+                    can: server.can_path().map(Path::to_owned),
                     gcl: server.gcl_address(),
                     gcl_udp: server.gcl_udp_address(),
                     control: server.control_address(),
@@ -100,6 +102,12 @@ impl ServerThread {
     #[must_use]
     pub fn serial_path(&self) -> Option<&Path> {
         self.addresses.serial.as_deref()
+    }
+
+    /// What leads to the CAN bus.
+    #[must_use]
+    pub fn can_path(&self) -> Option<&Path> {
+        self.addresses.can.as_deref()
     }
 
     /// The address that the text protocol (GCL) over TCP listens on.

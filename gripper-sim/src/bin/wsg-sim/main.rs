@@ -60,6 +60,9 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
     if let Some(path) = server.serial_path() {
         writeln!(out, "serial {}", path.display())?;
     }
+    if let Some(path) = server.can_path() {
+        writeln!(out, "can {}", path.display())?;
+    }
     if let Some(address) = server.gcl_address() {
         writeln!(out, "gcl {address}")?;
     }

@@ -5,7 +5,8 @@ use lexopt::{Arg, Parser, ValueExt};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
-use wsg_sim::server::{Lines, SerialLine, UdpLine};
+use wsg_protocol::can::Identifiers;
+use wsg_sim::server::{CanBus, CanLine, Lines, SerialLine, UdpLine};
 use wsg_sim::{Config, Direction, Finger, Model, Part, Tag};
 
 /// What `--help` shows.
@@ -21,6 +22,10 @@ Lines (without any: --tcp 127.0.0.1:1000)
   --serial LINE            pty: open a pseudo terminal and say its path;
                            unix:PATH: listen on a Unix socket;
                            PATH: use this terminal device at 115200 8N1
+  --can IFACE              CAN by this interface of Linux SocketCAN, such as can0
+  --slcan LINE             CAN over a serial line (SLCAN), with LINE as for --serial; a pseudo terminal or socket
+                           is an adapter for whoever opens it, behind a device an adapter is expected
+  --can-id N               listen to CAN identifier N and send on N + 1, 0 to 0x7FE (default 0x120)
   --gcl ADDR               listen for the text protocol (GCL) over TCP on ADDR, such as 127.0.0.1:1001
   --gcl-udp ADDR           listen for the text protocol over UDP on ADDR, and answer to the port that asked
   --no-checksum-check      take frames whatever their checksum
@@ -80,6 +85,7 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     let mut log = None;
     let mut udp_address = None;
     let mut udp_remote_port = None;
+    let (mut can_bus, mut can_id) = (None, None);
     while let Some(argument) = parser.next()? {
         let Arg::Long(name) = argument else {
             return Err(anyhow!(argument.unexpected()).context("expected options as --help lists them"));
@@ -96,6 +102,14 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
             }
             "serial" => {
                 lines.serial = Some(value(&mut parser, &name, "pty, unix:PATH or a device's path", serial)?);
+            }
+            "can" => can_bus = Some(value(&mut parser, &name, "an interface, such as can0", interface)?),
+            "slcan" => {
+                let expected = "pty, unix:PATH or a device's path";
+                can_bus = Some(value(&mut parser, &name, expected, |text| serial(text).map(CanBus::Slcan))?);
+            }
+            "can-id" => {
+                can_id = Some(value(&mut parser, &name, "an identifier from 0 to 0x7FE", identifiers)?);
             }
             "gcl" => lines.gcl = Some(value(&mut parser, &name, ADDRESS, parsed)?),
             "gcl-udp" => lines.gcl_udp = Some(value(&mut parser, &name, ADDRESS, parsed)?),
@@ -146,7 +160,13 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
         (None, Some(_)) => bail!("--udp-remote-port is of no use without --udp ADDR"),
         (None, None) => None,
     };
-    let has_line = lines.tcp.is_some() || lines.udp.is_some() || lines.serial.is_some();
+    lines.can = match (can_bus, can_id) {
+        (Some(bus), id) => Some(CanLine { bus, identifiers: id.unwrap_or(Identifiers::DEFAULT) }),
+        (None, Some(_)) => bail!("--can-id is of no use without --can IFACE or --slcan LINE"),
+        (None, None) => None,
+    };
+    let has_line =
+        lines.can.is_some() || lines.tcp.is_some() || lines.udp.is_some() || lines.serial.is_some();
     if !has_line && lines.gcl.is_none() && lines.gcl_udp.is_none() {
         lines.tcp = Some(DEFAULT_TCP);
     }
@@ -193,6 +213,19 @@ fn serial(text: &str) -> Option<SerialLine> {
         None if text.is_empty() => None,
         None => Some(SerialLine::Device(text.into())),
     }
+}
+
+fn interface(text: &str) -> Option<CanBus> {
+    (!text.is_empty()).then(|| CanBus::Interface(text.to_owned()))
+}
+
+/// N, in decimal or, behind 0x, in hexadecimal.
+fn identifiers(text: &str) -> Option<Identifiers> {
+    let n = match text.strip_prefix("0x") {
+        Some(digits) => u16::from_str_radix(digits, 16).ok()?,
+        None => parsed(text)?,
+    };
+    Identifiers::from_base(n)
 }
 
 fn direction(text: &str) -> Option<Direction> {
@@ -246,6 +279,18 @@ mod tests {
         assert_eq!(lines, Lines { serial: Some(SerialLine::Unix("/run/wsg".into())), ..Lines::default() });
         let lines = options(&["--udp", "127.0.0.1:1500"]).unwrap().lines;
         assert_eq!((lines.tcp, lines.udp.unwrap().remote_port), (None, 1_501));
+    }
+
+    #[test]
+    fn can_replaces_the_default_line() {
+        let lines = options_of("--slcan pty --can-id 0x7FE").lines;
+        let identifiers = Identifiers::from_base(0x7FE).unwrap();
+        let bus = CanBus::Slcan(SerialLine::Pty);
+        assert_eq!(lines, Lines { can: Some(CanLine { bus, identifiers }), ..Lines::default() });
+        let can = options_of("--can can0").lines.can.unwrap();
+        assert_eq!(can.bus, CanBus::Interface("can0".to_owned()));
+        assert_eq!(can.identifiers.controller().transmit.as_raw(), 0x120);
+        assert_eq!(options_of("--can can0 --can-id 288").lines.can, Some(can));
     }
 
     #[test]
@@ -310,6 +355,11 @@ mod tests {
             (&["--control", "here"], "--control \"here\"", "127.0.0.1:8080"),
             (&["--seed", "-1"], "--seed \"-1\"", "number"),
             (&["--udp-remote-port", "9"], "--udp-remote-port", "--udp"),
+            (&["--can-id", "9"], "--can-id", "--slcan"),
+            (&["--slcan", "pty", "--can-id", "0x7FF"], "--can-id \"0x7FF\"", "0x7FE"),
+            (&["--slcan", "pty", "--can-id", "x"], "--can-id \"x\"", "0x7FE"),
+            (&["--slcan", "unix:"], "--slcan \"unix:\"", "unix:PATH"),
+            (&["--can", ""], "--can \"\"", "can0"),
             (&["--fast"], "--fast", "--help"),
             (&["stray"], "stray", "--help"),
         ] {

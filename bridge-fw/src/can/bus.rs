@@ -1,0 +1,277 @@
+//! The controller, shared by those who are on the bus.
+
+use embedded_can::{Frame, Id};
+use wsg_protocol::Instant;
+
+use super::bus_off::{BusOff, Step};
+use super::{BusOffPolicy, BusState, CanController, Health};
+
+/// Frames taken from the controller in one turn, at the most: at 1 Mbit/s a millisecond brings 9 of 8 bytes, or 21 empty
+/// ones.
+const MAX_RECEIVED_PER_POLL: usize = 24;
+
+/// Frames given to the controller in one turn, at the most.
+const MAX_SENT_PER_POLL: usize = 8;
+
+/// Places of the participants among those who wait.
+const FIRST: usize = 0;
+const SECOND: usize = 1;
+
+/// Somebody on the bus: what it hears and what it has to say.
+pub trait Participant<F> {
+    /// Hears a frame, whoever it is for.
+    fn hear(&mut self, now: Instant, frame: &F);
+
+    /// The next frame that it sends.
+    fn say(&mut self, now: Instant) -> Option<F>;
+
+    /// Whether frames with this identifier are its own.
+    fn sends(&self, id: Id) -> bool;
+
+    /// A frame of its own will not leave: what goes with it need not either.
+    fn lost(&mut self);
+
+    /// The bus is lost, or there again. What was to be said before is not said after.
+    fn bus_changed(&mut self, is_on: bool);
+}
+
+/// Nobody.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Nobody;
+
+impl<F> Participant<F> for Nobody {
+    fn hear(&mut self, _: Instant, _: &F) {}
+
+    fn say(&mut self, _: Instant) -> Option<F> {
+        None
+    }
+
+    fn sends(&self, _: Id) -> bool {
+        false
+    }
+
+    fn lost(&mut self) {}
+
+    fn bus_changed(&mut self, _: bool) {}
+}
+
+/// What the bus has met so far; each count stops at 65 535.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusCounters {
+    /// How often the controller went bus-off.
+    pub bus_offs: u16,
+    /// How often the controller had no room for a frame that it received.
+    pub overruns: u16,
+    /// Frames that the controller refused to send.
+    pub refused: u16,
+}
+
+/// A controller and its bus, for up to two participants. Board-free: [`poll`](Self::poll) it before and after the bridge
+/// in each turn of the main loop.
+#[derive(Debug)]
+pub struct CanBus<C: CanController> {
+    controller: C,
+    bus_off: BusOff,
+    health: Health,
+    counters: BusCounters,
+    waiting: [Waiting<C::Frame>; 2],
+}
+
+/// Frames of one participant that the controller has not taken, in order.
+#[derive(Debug)]
+struct Waiting<F> {
+    next: Option<F>,
+    /// What was to follow when the controller gave back a frame that it had taken.
+    behind: Option<F>,
+}
+
+impl<F> Waiting<F> {
+    const NOTHING: Self = Self { next: None, behind: None };
+}
+
+impl<C: CanController> CanBus<C> {
+    /// A bus by this controller, which takes part already.
+    pub const fn new(controller: C, policy: BusOffPolicy) -> Self {
+        Self {
+            controller,
+            bus_off: BusOff::new(policy),
+            health: Health { is_off: false, is_passive: false, transmit_errors: 0, receive_errors: 0 },
+            counters: BusCounters { bus_offs: 0, overruns: 0, refused: 0 },
+            waiting: [const { Waiting::NOTHING }; 2],
+        }
+    }
+
+    /// How the bridge stands to the bus.
+    pub const fn state(&self) -> BusState {
+        self.bus_off.state()
+    }
+
+    /// Whether the bus is lost, which the PLC must be told.
+    pub fn is_lost(&self) -> bool {
+        self.state() != BusState::On
+    }
+
+    /// How the controller saw the bus at the last poll.
+    pub const fn health(&self) -> Health {
+        self.health
+    }
+
+    /// What has been met so far.
+    pub const fn counters(&self) -> BusCounters {
+        self.counters
+    }
+
+    /// The controller, for its board.
+    pub const fn controller(&mut self) -> &mut C {
+        &mut self.controller
+    }
+
+    /// Tries again after the bus was given up.
+    pub fn retry(&mut self, now: Instant) {
+        self.bus_off.retry(now);
+    }
+
+    /// One turn: hears what has come, says what the controller takes. Never waits.
+    pub fn poll(
+        &mut self,
+        now: Instant,
+        first: &mut impl Participant<C::Frame>,
+        second: &mut impl Participant<C::Frame>,
+    ) {
+        self.health = self.controller.health();
+        match self.bus_off.update(now, self.health.is_off) {
+            Step::Nothing => {}
+            Step::Leave => {
+                add(&mut self.counters.bus_offs);
+                self.forget();
+                first.bus_changed(false);
+                second.bus_changed(false);
+            }
+            Step::Recover => self.controller.recover(),
+            Step::Join => {
+                // What the controller was given before must not leave now, whatever it did with it meanwhile.
+                self.forget();
+                first.bus_changed(true);
+                second.bus_changed(true);
+            }
+        }
+        self.listen(now, first, second);
+        if !self.is_lost() {
+            self.talk(now, first, second);
+        }
+    }
+
+    fn forget(&mut self) {
+        self.controller.abort();
+        self.waiting = [const { Waiting::NOTHING }; 2];
+    }
+
+    fn listen(
+        &mut self,
+        now: Instant,
+        first: &mut impl Participant<C::Frame>,
+        second: &mut impl Participant<C::Frame>,
+    ) {
+        for _ in 0..MAX_RECEIVED_PER_POLL {
+            match self.controller.receive() {
+                Ok(frame) => {
+                    first.hear(now, &frame);
+                    second.hear(now, &frame);
+                }
+                Err(nb::Error::WouldBlock) => return,
+                Err(nb::Error::Other(_)) => add(&mut self.counters.overruns),
+            }
+        }
+    }
+
+    /// Of the two frames that wait, the one that would win on the bus goes first: the other must not keep it waiting.
+    fn talk(
+        &mut self,
+        now: Instant,
+        first: &mut impl Participant<C::Frame>,
+        second: &mut impl Participant<C::Frame>,
+    ) {
+        for _ in 0..MAX_SENT_PER_POLL {
+            let [own, other] = &mut self.waiting;
+            fill(own, now, first);
+            fill(other, now, second);
+            let second_leads = match (&own.next, &other.next) {
+                (Some(own), Some(other)) => priority(other.id()) < priority(own.id()),
+                (own, _) => own.is_none(),
+            };
+            let (leader, follower) = if second_leads { (SECOND, FIRST) } else { (FIRST, SECOND) };
+            if !self.send(leader, first, second) && !self.send(follower, first, second) {
+                return;
+            }
+        }
+    }
+
+    /// Gives the controller the next frame of a participant; whether it is gone.
+    fn send(
+        &mut self,
+        whose: usize,
+        first: &mut impl Participant<C::Frame>,
+        second: &mut impl Participant<C::Frame>,
+    ) -> bool {
+        let Some(waiting) = self.waiting.get_mut(whose) else { return false };
+        let Some(frame) = waiting.next.take() else { return false };
+        match self.controller.transmit(&frame) {
+            Ok(None) => true,
+            Ok(Some(given_back)) => {
+                let [own, other] = &mut self.waiting;
+                let fits = if first.sends(given_back.id()) {
+                    put_back(own, given_back)
+                } else {
+                    put_back(other, given_back)
+                };
+                if !fits {
+                    add(&mut self.counters.refused);
+                    first.lost();
+                    second.lost();
+                }
+                true
+            }
+            Err(nb::Error::WouldBlock) => {
+                waiting.next = Some(frame);
+                false
+            }
+            Err(nb::Error::Other(_)) => {
+                add(&mut self.counters.refused);
+                if whose == FIRST {
+                    first.lost()
+                } else {
+                    second.lost()
+                }
+                true
+            }
+        }
+    }
+}
+
+fn fill<F>(waiting: &mut Waiting<F>, now: Instant, whose: &mut impl Participant<F>) {
+    if waiting.next.is_none() {
+        waiting.next = waiting.behind.take().or_else(|| whose.say(now));
+    }
+}
+
+/// Puts a frame before those that wait; whether there was room.
+fn put_back<F>(waiting: &mut Waiting<F>, frame: F) -> bool {
+    let follower = waiting.next.replace(frame);
+    match follower {
+        None => true,
+        follower => core::mem::replace(&mut waiting.behind, follower).is_none(),
+    }
+}
+
+/// The order in which identifiers win on the bus: the lowest first, and of a standard and an extended one that begin
+/// alike the standard one.
+fn priority(id: Id) -> (u16, u32) {
+    match id {
+        Id::Standard(id) => (id.as_raw(), 0),
+        Id::Extended(id) => (id.standard_id().as_raw(), id.as_raw() | 1 << 29),
+    }
+}
+
+fn add(count: &mut u16) {
+    *count = count.saturating_add(1);
+}

@@ -1,0 +1,154 @@
+//! A gripper on a CAN bus: what of the bus is for it, and its messages cut into CAN frames; and Linux SocketCAN.
+
+use super::hub::{Client, Hub};
+use crate::port::{MAX_FRAME_LEN, PortKind};
+use anyhow::{Context, Result};
+use embedded_can::{Frame, Id};
+use std::path::Path;
+use std::rc::Rc;
+use wsg_protocol::can::{Identifiers, Segments};
+
+/// Where a gripper is on a CAN bus.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CanLine {
+    /// What leads to the bus.
+    pub bus: CanBus,
+    /// The gripper's two identifiers.
+    pub identifiers: Identifiers,
+}
+
+/// What leads to a CAN bus.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CanBus {
+    /// A network interface of Linux SocketCAN, such as `can0`.
+    Interface(String),
+    /// A serial line that carries CAN frames by SLCAN. A pseudo terminal and a Unix socket are an adapter for whoever
+    /// opens them; behind a device an adapter is expected.
+    Slcan(super::SerialLine),
+}
+
+/// Gives the gripper the data of a frame of the bus, if it is for it: the bytes of messages, whose ends it finds itself.
+pub(super) fn receive<F: Frame>(client: &Client, identifiers: Identifiers, frame: &F) {
+    if frame.id() == Id::Standard(identifiers.gripper().receive) && frame.is_data_frame() {
+        client.receive(frame.data());
+    }
+}
+
+/// The frames of the gripper's next message, as it goes over the bus; none when there is no message.
+pub(super) fn transmit<F: Frame>(client: &Client, identifiers: Identifiers) -> Vec<F> {
+    let mut buffer = [0; MAX_FRAME_LEN];
+    let message = client.transmit(&mut buffer).unwrap_or(&[]);
+    let segments = Segments::new(message.iter().copied());
+    segments.filter_map(|segment| segment.frame(identifiers.gripper().transmit)).collect()
+}
+
+#[cfg(target_os = "linux")]
+mod interface {
+    use super::*;
+    use socketcan::tokio::CanSocket;
+    use socketcan::{CanFrame, SocketOptions};
+    use std::collections::VecDeque;
+    use std::io;
+    use tokio::time::{Duration, sleep};
+
+    /// How long a frame waits that the interface has no room for: a few frames on the slowest bus.
+    const RETRY: Duration = Duration::from_millis(2);
+
+    /// A CAN interface that is open.
+    #[derive(Debug)]
+    pub(in crate::server) struct Interface {
+        socket: CanSocket,
+        name: String,
+    }
+
+    impl Interface {
+        pub(in crate::server) fn open(name: &str) -> Result<Self> {
+            let open = || {
+                let socket = CanSocket::open(name)?;
+                // What the controller has to say about the bus is not for a gripper.
+                socket.set_error_filter_drop_all()?;
+                io::Result::Ok(socket)
+            };
+            let socket = open().with_context(|| format!("the CAN interface {name} cannot be opened"))?;
+            Ok(Self { socket, name: name.to_owned() })
+        }
+
+        pub(in crate::server) fn path(&self) -> &Path {
+            Path::new(&self.name)
+        }
+
+        pub(in crate::server) async fn serve(self, hub: Rc<Hub>, identifiers: Identifiers) -> Result<()> {
+            let Self { socket, name } = self;
+            let client = hub
+                .connect(PortKind::Can, &name)
+                .context("the gripper has no place for the CAN interface")?;
+            exchange(&client, &socket, identifiers)
+                .await
+                .with_context(|| format!("the CAN interface {name} failed"))
+        }
+    }
+
+    async fn exchange(client: &Client, socket: &CanSocket, identifiers: Identifiers) -> io::Result<()> {
+        let mut waiting: VecDeque<CanFrame> = VecDeque::new();
+        loop {
+            if waiting.is_empty() {
+                waiting.extend(transmit::<CanFrame>(client, identifiers));
+            }
+            let next = waiting.front().copied();
+            let send = async {
+                match next {
+                    Some(frame) => write(socket, frame).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                sent = send => {
+                    sent?;
+                    waiting.pop_front();
+                }
+                received = socket.read_frame() => receive(client, identifiers, &received?),
+                () = client.frame_waits(), if next.is_none() => {}
+            }
+        }
+    }
+
+    /// Sends a frame as soon as the interface has room: its queue is short, and when it is full that is no error.
+    async fn write(socket: &CanSocket, frame: CanFrame) -> io::Result<()> {
+        const ENOBUFS: i32 = rustix::io::Errno::NOBUFS.raw_os_error();
+        loop {
+            match socket.write_frame(frame).await {
+                Err(error) if error.raw_os_error() == Some(ENOBUFS) => sleep(RETRY).await,
+                result => return result,
+            }
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+pub(super) use interface::Interface;
+
+#[cfg(not(target_os = "linux"))]
+mod no_interface {
+    use super::*;
+
+    /// There is no SocketCAN here.
+    #[derive(Debug)]
+    pub(in crate::server) enum Interface {}
+
+    impl Interface {
+        pub(in crate::server) fn open(name: &str) -> Result<Self> {
+            anyhow::bail!("the CAN interface {name} cannot be opened: SocketCAN is Linux's alone")
+        }
+
+        pub(in crate::server) fn path(&self) -> &Path {
+            match *self {}
+        }
+
+        pub(in crate::server) async fn serve(self, _: Rc<Hub>, _: Identifiers) -> Result<()> {
+            match self {}
+        }
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(super) use no_interface::Interface;

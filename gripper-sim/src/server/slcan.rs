@@ -1,0 +1,82 @@
+//! A gripper on a CAN bus that is reached over a serial line, by SLCAN.
+
+use super::can;
+use super::hub::Client;
+use std::io;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::task::yield_now;
+use wsg_protocol::can::slcan::{Adapter, Decoder, Line, encode};
+use wsg_protocol::can::{ClassicFrame, Identifiers};
+
+/// Which side of the serial line the gripper is on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    /// The adapter's: whoever opens the line is the host, and sees the gripper on the adapter's bus.
+    Adapter,
+    /// The host's: behind the line is an adapter with a bus.
+    Host,
+}
+
+/// What a host says first: close the channel, whatever was; 500 kbit/s; open it.
+const OPENING: &[u8] = b"\rC\rS6\rO\r";
+
+/// Bytes read at a time.
+const CHUNK_LEN: usize = 256;
+
+/// Bytes that wait for a host that does not read. What it has no room for is lost to it, as on a bus.
+const QUEUE_LEN: usize = 16 * 1024;
+
+/// Serves the client until the line is gone.
+pub(super) async fn serve(
+    client: &Client,
+    mut reader: impl AsyncRead + Unpin,
+    mut writer: impl AsyncWrite + Unpin,
+    identifiers: Identifiers,
+    side: Side,
+) -> io::Result<()> {
+    let mut decoder = Decoder::new();
+    let mut adapter = (side == Side::Adapter).then(Adapter::new);
+    let mut waiting: Vec<u8> = if side == Side::Host { OPENING.to_vec() } else { Vec::new() };
+    let mut chunk = [0; CHUNK_LEN];
+    loop {
+        // Messages are taken from the gripper also while the channel is closed: nobody hears them.
+        loop {
+            let frames: Vec<ClassicFrame> = can::transmit(client, identifiers);
+            if frames.is_empty() {
+                break;
+            }
+            if is_open(adapter) && waiting.len() < QUEUE_LEN {
+                waiting.extend(frames.iter().flat_map(|frame| encode(frame).as_bytes().to_vec()));
+            }
+        }
+        tokio::select! {
+            written = writer.write(&waiting), if !waiting.is_empty() => match written? {
+                0 => return Err(io::ErrorKind::WriteZero.into()),
+                count => drop(waiting.drain(..count)),
+            },
+            read = reader.read(&mut chunk) => match read? {
+                0 => return Ok(()),
+                count => {
+                    for &byte in chunk.iter().take(count) {
+                        let Some(line) = decoder.push::<ClassicFrame>(byte) else { continue };
+                        if let Some(adapter) = &mut adapter {
+                            waiting.extend(adapter.answer(&line));
+                        }
+                        if let Line::Frame(frame) = line
+                            && is_open(adapter)
+                        {
+                            can::receive(client, identifiers, &frame);
+                        }
+                    }
+                }
+            },
+            () = client.frame_waits() => {}
+        }
+        yield_now().await;
+    }
+}
+
+/// A host takes its channel for open.
+fn is_open(adapter: Option<Adapter>) -> bool {
+    adapter.is_none_or(|adapter| adapter.is_open())
+}

@@ -1,0 +1,381 @@
+//! Bridge and virtual gripper on a CAN bus in virtual time, with a controller that can be made to go bus-off.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::rc::Rc;
+
+use embedded_can::{Frame, Id};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, GripperLink, Health, Nobody};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Bridge, Config};
+use wsg_protocol::can::{ClassicFrame, Endpoint, Identifiers, Reassembler, Segments};
+use wsg_protocol::{CommandId, Event, Instant, Kind};
+use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
+
+/// Frames that a bus at 500 kbit/s carries in a millisecond.
+const FRAMES_PER_MS: usize = 4;
+
+/// Mailboxes of the controller that the board has.
+const MAILBOXES: usize = 3;
+
+/// What becomes of a frame on its way: none, one or more frames.
+pub type Disturbance = Box<dyn FnMut(ClassicFrame) -> Vec<ClassicFrame>>;
+
+/// A controller as the board's: three mailboxes, the lowest identifier first, one frame of an identifier at a time, and
+/// when all are taken a more urgent frame takes the place of the least urgent one.
+#[derive(Clone, Debug, Default)]
+pub struct Double(Rc<RefCell<DoubleState>>);
+
+#[derive(Debug, Default)]
+struct DoubleState {
+    mailboxes: Vec<ClassicFrame>,
+    received: VecDeque<ClassicFrame>,
+    health: Health,
+    /// How many calls of `recover` do not help.
+    recoveries_in_vain: u32,
+    recoveries: u32,
+    aborts: u32,
+    overrun: bool,
+    refuses: bool,
+}
+
+impl Double {
+    /// Goes bus-off now, and stays so through this many tries to come back.
+    pub fn go_off(&self, recoveries_in_vain: u32) {
+        let mut state = self.0.borrow_mut();
+        state.health = Health { is_off: true, is_passive: true, transmit_errors: 255, receive_errors: 3 };
+        state.recoveries_in_vain = recoveries_in_vain;
+    }
+
+    /// How often it was told to come back.
+    #[must_use]
+    pub fn recoveries(&self) -> u32 {
+        self.0.borrow().recoveries
+    }
+
+    /// How often it was told to forget what it had to send.
+    #[must_use]
+    pub fn aborts(&self) -> u32 {
+        self.0.borrow().aborts
+    }
+
+    /// Loses the next frame for want of room.
+    pub fn overrun(&self) {
+        self.0.borrow_mut().overrun = true;
+    }
+
+    /// Refuses frames, or takes them again.
+    pub fn refuse(&self, refuses: bool) {
+        self.0.borrow_mut().refuses = refuses;
+    }
+
+    /// The frame that wins on the bus.
+    pub fn take_winner(&self) -> Option<ClassicFrame> {
+        let mut state = self.0.borrow_mut();
+        if state.health.is_off {
+            return None;
+        }
+        let winner = (0..state.mailboxes.len()).min_by_key(|&at| priority(&state.mailboxes[at]))?;
+        Some(state.mailboxes.remove(winner))
+    }
+
+    /// Brings a frame from the bus.
+    pub fn bring(&self, frame: ClassicFrame) {
+        let mut state = self.0.borrow_mut();
+        if !state.health.is_off {
+            state.received.push_back(frame);
+        }
+    }
+}
+
+/// The controller had no room, or refuses.
+#[derive(Debug)]
+pub struct Trouble;
+
+impl embedded_can::Error for Trouble {
+    fn kind(&self) -> embedded_can::ErrorKind {
+        embedded_can::ErrorKind::Other
+    }
+}
+
+impl embedded_can::nb::Can for Double {
+    type Frame = ClassicFrame;
+    type Error = Trouble;
+
+    fn transmit(&mut self, frame: &ClassicFrame) -> nb::Result<Option<ClassicFrame>, Trouble> {
+        let mut state = self.0.borrow_mut();
+        if state.refuses {
+            return Err(nb::Error::Other(Trouble));
+        }
+        if state.mailboxes.iter().any(|pending| priority(pending) <= priority(frame)) {
+            return Err(nb::Error::WouldBlock);
+        }
+        let mut displaced = None;
+        if state.mailboxes.len() == MAILBOXES {
+            let least = (0..MAILBOXES).max_by_key(|&at| priority(&state.mailboxes[at]));
+            displaced = least.map(|at| state.mailboxes.remove(at));
+        }
+        state.mailboxes.push(*frame);
+        Ok(displaced)
+    }
+
+    fn receive(&mut self) -> nb::Result<ClassicFrame, Trouble> {
+        let mut state = self.0.borrow_mut();
+        let frame = state.received.pop_front().ok_or(nb::Error::WouldBlock)?;
+        if std::mem::take(&mut state.overrun) { Err(nb::Error::Other(Trouble)) } else { Ok(frame) }
+    }
+}
+
+impl CanController for Double {
+    fn health(&mut self) -> Health {
+        self.0.borrow().health
+    }
+
+    fn abort(&mut self) {
+        let mut state = self.0.borrow_mut();
+        state.mailboxes.clear();
+        state.aborts += 1;
+    }
+
+    fn recover(&mut self) {
+        let mut state = self.0.borrow_mut();
+        state.recoveries += 1;
+        match state.recoveries_in_vain.checked_sub(1) {
+            Some(left) => state.recoveries_in_vain = left,
+            None => state.health = Health::default(),
+        }
+    }
+}
+
+fn priority(frame: &ClassicFrame) -> u32 {
+    match frame.id() {
+        Id::Standard(id) => u32::from(id.as_raw()) << 18,
+        Id::Extended(id) => id.as_raw(),
+    }
+}
+
+/// Bridge and gripper on a bus, and a PLC on wires that a test plays.
+pub struct CanBench {
+    bridge: Bridge,
+    bus: CanBus<Double>,
+    double: Double,
+    link: GripperLink,
+    gripper: VirtualGripper<1>,
+    port: PortId,
+    endpoint: Endpoint,
+    from_gripper: VecDeque<ClassicFrame>,
+    now_ms: u32,
+    inputs: Inputs,
+    outputs: Outputs,
+    /// Finds messages in what the bridge sends.
+    seen: Reassembler<128>,
+    sent: Vec<CommandId>,
+    /// On the way to the gripper.
+    pub to_gripper: Option<Disturbance>,
+    /// On the way to the bridge.
+    pub to_bridge: Option<Disturbance>,
+}
+
+impl CanBench {
+    /// A bench with all wires of the PLC low.
+    ///
+    /// # Panics
+    /// Never: a new gripper takes a client.
+    #[must_use]
+    pub fn new(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
+        let identifiers = Identifiers::DEFAULT;
+        let mut gripper = VirtualGripper::with_ports(config);
+        let port = gripper.connect(PortKind::Can).expect("a new gripper takes a client");
+        let double = Double::default();
+        Self {
+            bridge: Bridge::new(Config::DEFAULT),
+            bus: CanBus::new(double.clone(), policy),
+            double,
+            link: GripperLink::new(identifiers),
+            gripper,
+            port,
+            endpoint: identifiers.gripper(),
+            from_gripper: VecDeque::new(),
+            now_ms: 0,
+            inputs: Inputs::empty(),
+            outputs: Outputs::empty(),
+            seen: Reassembler::new(identifiers.gripper().receive, 1_000),
+            sent: Vec::new(),
+            to_gripper: None,
+            to_bridge: None,
+        }
+    }
+
+    /// A bench that is READY and REFERENCED.
+    ///
+    /// # Panics
+    /// When it does not become so.
+    #[must_use]
+    pub fn homed(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
+        let mut bench = Self::new(config, policy);
+        bench.set(Inputs::FAST_STOP_OK, true);
+        bench.pass(200);
+        bench.pulse(Inputs::STOP_ACK);
+        assert!(bench.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", bench.outputs);
+        bench.command(Inputs::HOME);
+        assert!(bench.outputs.contains(Outputs::REFERENCED | Outputs::READY), "{:?}", bench.outputs);
+        bench
+    }
+
+    /// The controller.
+    #[must_use]
+    pub fn double(&self) -> &Double {
+        &self.double
+    }
+
+    /// The bus, as the bridge sees it.
+    #[must_use]
+    pub fn bus(&mut self) -> &mut CanBus<Double> {
+        &mut self.bus
+    }
+
+    /// The gripper's link.
+    #[must_use]
+    pub fn link(&self) -> &GripperLink {
+        &self.link
+    }
+
+    /// The gripper.
+    pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
+        &mut self.gripper
+    }
+
+    /// The moment, in milliseconds.
+    #[must_use]
+    pub fn now_ms(&self) -> u32 {
+        self.now_ms
+    }
+
+    /// The wires to the PLC.
+    #[must_use]
+    pub fn outputs(&self) -> Outputs {
+        self.outputs
+    }
+
+    /// The commands that the gripper was sent since this was last asked.
+    pub fn take_sent(&mut self) -> Vec<CommandId> {
+        std::mem::take(&mut self.sent)
+    }
+
+    /// The motion commands among those.
+    pub fn take_motions(&mut self) -> Vec<CommandId> {
+        self.take_sent().into_iter().filter(|id| id.kind() == Kind::Motion).collect()
+    }
+
+    /// Messages of the bridge that were broken when they left it.
+    #[must_use]
+    pub fn broken(&self) -> u16 {
+        let counters = self.seen.counters();
+        counters.miscut + counters.bad_checksum + counters.oversize + counters.expired
+    }
+
+    /// Sets wires of the PLC.
+    pub fn set(&mut self, wires: Inputs, high: bool) {
+        self.inputs.set(wires, high);
+    }
+
+    /// Lets time pass.
+    pub fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            self.step();
+        }
+    }
+
+    /// Raises wires for 5 ms and lowers them for as long.
+    pub fn pulse(&mut self, wires: Inputs) {
+        self.set(wires, true);
+        self.pass(5);
+        self.set(wires, false);
+        self.pass(5);
+    }
+
+    /// Lets time pass until the outputs are as wanted, `bound_ms` at the most; whether they are.
+    pub fn until(&mut self, bound_ms: u32, wanted: impl Fn(Outputs) -> bool) -> bool {
+        (0..bound_ms).any(|_| {
+            self.step();
+            wanted(self.outputs)
+        })
+    }
+
+    /// Gives a motion command and waits for its end; the outputs then.
+    ///
+    /// # Panics
+    /// When it is not taken, or does not end within a minute.
+    pub fn command(&mut self, wire: Inputs) -> Outputs {
+        self.set(wire, true);
+        let taken = self.until(1_000, |outputs| outputs.contains(Outputs::BUSY));
+        assert!(taken, "{wire:?} is not taken: {:?}, sent {:?}", self.outputs, self.sent);
+        self.set(wire, false);
+        assert!(self.until(60_000, |outputs| !outputs.contains(Outputs::BUSY)), "{wire:?} does not end");
+        self.outputs
+    }
+
+    /// One millisecond.
+    fn step(&mut self) {
+        self.now_ms += 1;
+        let now = Instant::from_millis(self.now_ms);
+        self.turn(now);
+        let time = Time::from_millis(self.now_ms.into());
+        for _ in 0..FRAMES_PER_MS {
+            if let Some(frame) = self.double.take_winner() {
+                self.reach_gripper(now, time, frame);
+            } else if let Some(frame) = self.from_gripper.pop_front() {
+                let frames = disturbed(&mut self.to_bridge, frame);
+                frames.into_iter().for_each(|frame| self.double.bring(frame));
+            }
+            // A frame that left makes an interrupt, and that a turn of the main loop.
+            self.turn(now);
+        }
+        self.gripper.advance(time);
+        let mut buffer = [0; MAX_FRAME_LEN];
+        while let Some(message) = self.gripper.transmit(self.port, &mut buffer) {
+            let segments = Segments::new(message.iter().copied());
+            self.from_gripper
+                .extend(segments.filter_map(|segment| segment.frame::<ClassicFrame>(self.endpoint.transmit)));
+        }
+    }
+
+    /// One turn of the main loop.
+    fn turn(&mut self, now: Instant) {
+        self.bus.poll(now, &mut self.link, &mut Nobody);
+        self.link.expire(now);
+        self.bridge.set_link_lost(self.bus.is_lost());
+        self.outputs = self.bridge.poll(self.now_ms, self.inputs, &mut self.link);
+        self.bus.poll(now, &mut self.link, &mut Nobody);
+    }
+
+    fn reach_gripper(&mut self, now: Instant, time: Time, frame: ClassicFrame) {
+        let Self { seen, sent, .. } = self;
+        seen.receive(now, &frame, |event| {
+            if let Event::Frame(message) = event {
+                sent.push(CommandId::from_code(message.id));
+            }
+        });
+        for frame in disturbed(&mut self.to_gripper, frame) {
+            if frame.id() == Id::Standard(self.endpoint.receive) {
+                self.gripper.receive(self.port, time, frame.data());
+            }
+        }
+    }
+}
+
+fn disturbed(disturbance: &mut Option<Disturbance>, frame: ClassicFrame) -> Vec<ClassicFrame> {
+    match disturbance {
+        Some(disturb) => disturb(frame),
+        None => vec![frame],
+    }
+}
+
+impl std::fmt::Debug for CanBench {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("CanBench")
+            .field("now_ms", &self.now_ms)
+            .field("outputs", &self.outputs)
+            .finish_non_exhaustive()
+    }
+}

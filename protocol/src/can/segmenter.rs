@@ -1,0 +1,162 @@
+//! From the bytes of messages to the data of CAN frames.
+
+use embedded_can::{Frame, StandardId};
+
+use super::FULL;
+use crate::frame::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
+
+/// The data of one CAN frame, 1 to 8 bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Segment {
+    bytes: [u8; FULL],
+    len: u8,
+}
+
+impl Segment {
+    const EMPTY: Self = Self { bytes: [0; FULL], len: 0 };
+
+    /// The data.
+    #[must_use]
+    pub fn data(&self) -> &[u8] {
+        self.bytes.get(..self.len.into()).unwrap_or(&[])
+    }
+
+    /// The data frame with this identifier; `None` where the frame type refuses it, which none should.
+    #[must_use]
+    pub fn frame<F: Frame>(&self, id: StandardId) -> Option<F> {
+        F::new(id, self.data())
+    }
+
+    /// Puts a byte behind the others; says whether the segment is full.
+    fn append(&mut self, byte: u8) -> bool {
+        if let Some(place) = self.bytes.get_mut(usize::from(self.len)) {
+            *place = byte;
+            self.len = self.len.saturating_add(1);
+        }
+        usize::from(self.len) == FULL
+    }
+}
+
+/// Cuts messages that come byte by byte, one behind the other, as from a writer. The end of each it takes from its size
+/// field, so a following message begins a CAN frame of its own.
+///
+/// Whoever gives up a message before its last byte says so by [`reset`](Self::reset): the bytes of the next one would
+/// count as its rest.
+///
+/// ```
+/// use wsg_protocol::can::Segmenter;
+/// use wsg_protocol::{Command, FrameEncoder};
+///
+/// let mut segmenter = Segmenter::new();
+/// let grip = Command::GripPart { width: 20.0, speed: 50.0 };
+/// let cut: Vec<usize> = FrameEncoder::new(grip.id().code(), grip)
+///     .chain(FrameEncoder::new(0x22, Command::Stop))
+///     .filter_map(|byte| segmenter.push(byte))
+///     .map(|segment| segment.data().len())
+///     .collect();
+/// assert_eq!(cut, [8, 8, 8]);
+/// ```
+#[derive(Clone, Debug)]
+pub struct Segmenter {
+    /// Index of the next byte in its message.
+    at: u32,
+    /// The size field, as far as it has come.
+    size: [u8; 2],
+    filling: Segment,
+}
+
+impl Segmenter {
+    /// A segmenter before the first byte of a message.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { at: 0, size: [0; 2], filling: Segment::EMPTY }
+    }
+
+    /// Takes the next byte; gives the segment that it completes. A byte that is not the beginning of a message where one
+    /// has to begin goes nowhere: what has no size field has no end.
+    pub fn push(&mut self, byte: u8) -> Option<Segment> {
+        if self.at < PREAMBLE_LEN as u32 && byte != PREAMBLE_BYTE {
+            self.reset();
+            return None;
+        }
+        match self.at {
+            SIZE_LOW_AT => self.size = [byte, 0],
+            SIZE_HIGH_AT => self.size = [self.size[0], byte],
+            _ => {}
+        }
+        self.at = self.at.wrapping_add(1);
+        let is_full = self.filling.append(byte);
+        // Before the size is known this is less than a whole message as well: its overhead is one full segment.
+        let message_len = u32::from(u16::from_le_bytes(self.size)).wrapping_add(OVERHEAD as u32);
+        let is_last = self.at == message_len;
+        if !is_full && !is_last {
+            return None;
+        }
+        let segment = core::mem::replace(&mut self.filling, Segment::EMPTY);
+        if is_last {
+            self.reset();
+        }
+        Some(segment)
+    }
+
+    /// Whether a message has begun whose last byte has not come.
+    #[must_use]
+    pub const fn is_mid_message(&self) -> bool {
+        self.at != 0
+    }
+
+    /// Gives up the message that has begun. The next byte begins one.
+    pub const fn reset(&mut self) {
+        *self = Self::new();
+    }
+}
+
+/// Index of the size field's bytes in a message.
+const SIZE_LOW_AT: u32 = 4;
+const SIZE_HIGH_AT: u32 = 5;
+
+impl Default for Segmenter {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The segments of messages whose bytes come from an iterator, such as a [`FrameEncoder`](crate::FrameEncoder). Bytes of
+/// a message that ends before its size field says are not given.
+///
+/// ```
+/// use wsg_protocol::can::Segments;
+/// use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
+///
+/// let reply = FrameEncoder::new(0x25, Reply::status_only(CommandId::GripPart, Status::CmdPending));
+/// let mut segments = Segments::new(reply);
+/// assert_eq!(segments.next().unwrap().data(), [0xAA, 0xAA, 0xAA, 0x25, 0x02, 0x00, 0x1A, 0x00]);
+/// assert_eq!(segments.next().unwrap().data(), [0x6D, 0x48]);
+/// assert!(segments.next().is_none());
+/// ```
+#[derive(Clone, Debug)]
+pub struct Segments<I> {
+    bytes: I,
+    segmenter: Segmenter,
+}
+
+impl<I: Iterator<Item = u8>> Segments<I> {
+    /// The segments of `bytes`.
+    pub const fn new(bytes: I) -> Self {
+        Self { bytes, segmenter: Segmenter::new() }
+    }
+}
+
+impl<I: Iterator<Item = u8>> Iterator for Segments<I> {
+    type Item = Segment;
+
+    fn next(&mut self) -> Option<Segment> {
+        loop {
+            let byte = self.bytes.next()?;
+            if let Some(segment) = self.segmenter.push(byte) {
+                return Some(segment);
+            }
+        }
+    }
+}

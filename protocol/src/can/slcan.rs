@@ -1,0 +1,266 @@
+//! CAN over a serial line: the text protocol of LAWICEL's CANUSB adapter that SLCAN tools speak.
+//!
+//! A frame is a line, `t1202ABCD` for identifier 120h with the two bytes ABh and CDh: a letter (`t` and `T` for data
+//! frames with 11 and 29 bits, `r` and `R` for remote frames), the identifier, the DLC, the data, all in hexadecimal, and
+//! CR. Both sides send frames in this form. The host also sends commands, which the adapter answers with CR or, when it
+//! refuses, BEL.
+//!
+//! `mini-slcan` would be a codec for the adapter's side. It has ways to panic, takes no host's side, and depends on a
+//! `defmt` of before 1.0, which Cargo does not link beside the one that is used here.
+//!
+//! Not here: bit rates, which mean nothing where there is no bus, and time stamps, which are read over.
+
+use embedded_can::{ExtendedId, Frame, Id, StandardId};
+
+use super::FULL;
+
+/// Characters of the longest line, CR left out: a frame with 29 bits and eight bytes, and a time stamp.
+pub const MAX_LINE_LEN: usize = 1 + 8 + 1 + 2 * FULL + 4;
+
+/// Ends a line; alone, the answer to a command that was carried out.
+pub const CR: u8 = b'\r';
+/// The answer to a command that was refused.
+pub const BEL: u8 = 7;
+
+/// What a line says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Line<F> {
+    /// A frame: from the host to be sent, from the adapter received.
+    Frame(F),
+    /// Another line, by its letter: `O` opens the channel, `C` closes it, `S` and `s` set the bit rate, `z` and `Z`
+    /// answer that a frame was taken.
+    Other(u8),
+    /// A line without characters: the answer to a command that was carried out.
+    Done,
+    /// The answer to a command that was refused.
+    Refused,
+    /// No line of this protocol: too long, or a frame that is none.
+    Malformed,
+}
+
+/// The count of a line that is too long.
+const TOO_LONG: u8 = MAX_LINE_LEN as u8 + 1;
+
+/// Finds lines in a stream of bytes. After noise the next line is found, behind the next CR.
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    held: [u8; MAX_LINE_LEN],
+    /// How many are held, or [`TOO_LONG`].
+    count: u8,
+}
+
+impl Decoder {
+    /// A decoder before the first line.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { held: [0; MAX_LINE_LEN], count: 0 }
+    }
+
+    /// Takes a byte; gives the line that it ends. Line feeds are read over: some hosts send them.
+    pub fn push<F: Frame>(&mut self, byte: u8) -> Option<Line<F>> {
+        match byte {
+            CR => {
+                let count = usize::from(core::mem::take(&mut self.count));
+                Some(self.held.get(..count).map_or(Line::Malformed, line))
+            }
+            BEL => {
+                self.count = 0;
+                Some(Line::Refused)
+            }
+            b'\n' => None,
+            _ => {
+                match self.held.get_mut(usize::from(self.count)) {
+                    Some(place) => {
+                        *place = byte;
+                        self.count = self.count.saturating_add(1);
+                    }
+                    None => self.count = TOO_LONG,
+                }
+                None
+            }
+        }
+    }
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+fn line<F: Frame>(text: &[u8]) -> Line<F> {
+    match text {
+        [] => Line::Done,
+        [b't' | b'T' | b'r' | b'R', ..] => frame(text).map_or(Line::Malformed, Line::Frame),
+        [letter, ..] => Line::Other(*letter),
+    }
+}
+
+fn frame<F: Frame>(text: &[u8]) -> Option<F> {
+    let (letter, rest) = text.split_first()?;
+    let (id, rest) = if letter.is_ascii_lowercase() {
+        let (digits, rest) = rest.split_at_checked(3)?;
+        (Id::Standard(StandardId::new(number(digits)? as u16)?), rest)
+    } else {
+        let (digits, rest) = rest.split_at_checked(8)?;
+        (Id::Extended(ExtendedId::new(number(digits)?)?), rest)
+    };
+    let (dlc, rest) = rest.split_at_checked(1)?;
+    let dlc = number(dlc)? as usize;
+    let digits = if letter.eq_ignore_ascii_case(&b't') { dlc.checked_mul(2)? } else { 0 };
+    let (data, stamp) = rest.split_at_checked(digits)?;
+    if !matches!(stamp.len(), 0 | 4) {
+        return None;
+    }
+    number(stamp)?;
+    if digits == 0 && letter.eq_ignore_ascii_case(&b'r') {
+        return F::new_remote(id, dlc);
+    }
+    let mut bytes = [0; FULL];
+    let bytes = bytes.get_mut(..dlc)?;
+    for (byte, digits) in bytes.iter_mut().zip(data.chunks(2)) {
+        *byte = number(digits)? as u8;
+    }
+    F::new(id, bytes)
+}
+
+/// The number that up to eight hexadecimal digits show; upper and lower case are both in use.
+fn number(digits: &[u8]) -> Option<u32> {
+    digits.iter().try_fold(0u32, |number, &digit| {
+        let value = match digit {
+            b'0'..=b'9' => digit.wrapping_sub(b'0'),
+            b'A'..=b'F' => digit.wrapping_sub(b'A' - 10),
+            b'a'..=b'f' => digit.wrapping_sub(b'a' - 10),
+            _ => return None,
+        };
+        Some(number.wrapping_shl(4) | u32::from(value))
+    })
+}
+
+/// A frame as a line, its CR included.
+///
+/// ```
+/// use embedded_can::{Frame, StandardId};
+/// use wsg_protocol::can::{ClassicFrame, slcan};
+///
+/// let frame = ClassicFrame::new(StandardId::new(0x120).unwrap(), &[0xAB, 0xCD]).unwrap();
+/// let line = slcan::encode(&frame);
+/// assert_eq!(line.as_bytes(), b"t1202ABCD\r");
+///
+/// let mut decoder = slcan::Decoder::new();
+/// let read = line.as_bytes().iter().find_map(|&byte| decoder.push(byte));
+/// assert_eq!(read, Some(slcan::Line::Frame(frame)));
+/// ```
+#[must_use]
+pub fn encode<F: Frame>(frame: &F) -> Encoded {
+    let mut line = Encoded { bytes: [0; MAX_LINE_LEN + 1], len: 0 };
+    let (standard, extended) = if frame.is_remote_frame() { (b'r', b'R') } else { (b't', b'T') };
+    match frame.id() {
+        Id::Standard(id) => {
+            line.append(standard);
+            line.append_hex(id.as_raw().into(), 3);
+        }
+        Id::Extended(id) => {
+            line.append(extended);
+            line.append_hex(id.as_raw(), 8);
+        }
+    }
+    line.append_hex(frame.dlc() as u32, 1);
+    for &byte in frame.data().iter().take(FULL) {
+        line.append_hex(byte.into(), 2);
+    }
+    line.append(CR);
+    line
+}
+
+/// A line with its CR.
+#[derive(Clone, Copy, Debug)]
+pub struct Encoded {
+    bytes: [u8; MAX_LINE_LEN + 1],
+    len: u8,
+}
+
+impl Encoded {
+    /// The characters.
+    #[must_use]
+    pub fn as_bytes(&self) -> &[u8] {
+        self.bytes.get(..self.len.into()).unwrap_or(&[])
+    }
+
+    fn append(&mut self, byte: u8) {
+        if let Some(place) = self.bytes.get_mut(usize::from(self.len)) {
+            *place = byte;
+            self.len = self.len.saturating_add(1);
+        }
+    }
+
+    /// The lowest `digits` digits of a number.
+    fn append_hex(&mut self, number: u32, digits: u32) {
+        for place in (0..digits).rev() {
+            let digit = (number.wrapping_shr(place.wrapping_mul(4)) & 0xF) as u8;
+            self.append(if digit < 10 { digit.wrapping_add(b'0') } else { digit.wrapping_add(b'A' - 10) });
+        }
+    }
+}
+
+/// What the adapter's side of a line owes its host: answers, and no frames while the channel is closed.
+///
+/// ```
+/// use wsg_protocol::can::ClassicFrame;
+/// use wsg_protocol::can::slcan::{Adapter, Line};
+///
+/// let mut adapter = Adapter::new();
+/// assert_eq!(adapter.answer(&Line::<ClassicFrame>::Other(b'S')), b"\r");
+/// assert!(!adapter.is_open());
+/// assert_eq!(adapter.answer(&Line::<ClassicFrame>::Other(b'O')), b"\r");
+/// assert!(adapter.is_open());
+/// ```
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Adapter {
+    is_open: bool,
+}
+
+impl Adapter {
+    /// An adapter whose channel is closed.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { is_open: false }
+    }
+
+    /// Whether frames go through, either way.
+    #[must_use]
+    pub const fn is_open(&self) -> bool {
+        self.is_open
+    }
+
+    /// What the host is answered to its line. A line that is itself an answer gets none.
+    pub fn answer<F: Frame>(&mut self, line: &Line<F>) -> &'static [u8] {
+        const BEL_ALONE: &[u8] = &[BEL];
+        match line {
+            Line::Frame(_) if !self.is_open => BEL_ALONE,
+            Line::Frame(frame) => {
+                if frame.is_extended() {
+                    b"Z\r"
+                } else {
+                    b"z\r"
+                }
+            }
+            // Open; listen only is not, as what is sent would go nowhere.
+            Line::Other(b'O') => {
+                self.is_open = true;
+                b"\r"
+            }
+            Line::Other(b'C') => {
+                self.is_open = false;
+                b"\r"
+            }
+            // The bit rate, and whether received frames get a time stamp: there is no bus to time.
+            Line::Other(b'S' | b's') => b"\r",
+            Line::Other(b'F') => b"F00\r",
+            Line::Other(b'V') => b"V0101\r",
+            Line::Other(b'N') => b"N0001\r",
+            Line::Done | Line::Refused | Line::Other(b'z' | b'Z') => b"",
+            Line::Other(_) | Line::Malformed => BEL_ALONE,
+        }
+    }
+}

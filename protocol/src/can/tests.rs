@@ -1,0 +1,23 @@
+//! The mapping against a naive reader of the whole recording, over every fate of every CAN frame of three messages, and
+//! its edges one by one.
+
+use core::iter;
+use std::vec;
+use std::vec::Vec;
+
+use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
+use proptest::prelude::*;
+
+use super::*;
+use crate::frame::OVERHEAD;
+use crate::{
+    Command, CommandId, Event, FrameEncoder, Instant, Kind, PrePositionFlags, Reply, Status, checksum,
+};
+
+mod bus;
+mod fates;
+mod one_by_one;
+mod recording;
+mod slcan;
+
+use bus::{CanFrame, HALF_MS, Message, RECEIVED, Seen, Wire};

@@ -1,0 +1,180 @@
+//! Three messages on the bus, and everything that may happen to each of their CAN frames.
+
+use super::*;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fate {
+    Kept,
+    Lost,
+    Doubled,
+}
+
+const FATES: [Fate; 3] = [Fate::Kept, Fate::Lost, Fate::Doubled];
+
+/// Messages of every way to be cut: one frame, a short last one, a full last one, and payloads whose frames look like the
+/// beginning of another message, of a short one and of one far too long. Different at each place of the script.
+fn kinds(place: usize) -> [Message; 6] {
+    // So that no two messages share a frame.
+    let n = place as f32 * 1.37;
+    let payload = |len: usize| (1..=len as u8).map(|byte| byte ^ (0x10 << place)).collect::<Vec<u8>>();
+    let looking_like_a_beginning = |size: u8| {
+        let mut payload = payload(15);
+        payload[2..8].copy_from_slice(&[0xAA, 0xAA, 0xAA, 6, size, 0]);
+        Message::new(6, &payload)
+    };
+    let query = [Command::Stop, Command::FastStop, Command::GetTemperature][place];
+    [
+        Message::command(query),
+        Message::command(Command::SetForceLimit { force: 40.1 + n }),
+        Message::command(Command::GripPart { width: 20.3 + n, speed: 50.7 + n }),
+        Message::command(Command::PrePosition {
+            flags: PrePositionFlags::empty(),
+            width: 30.1 + n,
+            speed: 9.3 + n,
+        }),
+        looking_like_a_beginning(8),
+        looking_like_a_beginning(200),
+    ]
+}
+
+/// What is not for us and looks like this frame, or could be put between the frames of a message.
+fn foreign(ours: &CanFrame) -> [CanFrame; 5] {
+    let number = RECEIVED.as_raw();
+    [
+        CanFrame { id: StandardId::new(number - 1).unwrap().into(), ..ours.clone() },
+        CanFrame { id: ExtendedId::new(number.into()).unwrap().into(), ..ours.clone() },
+        CanFrame { id: ExtendedId::new(u32::from(number) << 18).unwrap().into(), ..ours.clone() },
+        CanFrame { remote: true, data: Vec::new(), ..ours.clone() },
+        CanFrame { data: Vec::new(), ..ours.clone() },
+    ]
+}
+
+/// Calls `check` with every assignment of fates to `count` frames.
+fn each_fate(count: usize, mut check: impl FnMut(&[Fate])) {
+    for number in 0..3usize.pow(count as u32) {
+        let fates: Vec<Fate> = (0..count).map(|frame| FATES[number / 3usize.pow(frame as u32) % 3]).collect();
+        check(&fates);
+    }
+}
+
+/// What comes off the bus of frames with these fates.
+fn on_the_bus<'a>(frames: &'a [CanFrame], fates: &[Fate]) -> impl Iterator<Item = &'a CanFrame> {
+    let times = |fate: &Fate| match fate {
+        Fate::Kept => 1,
+        Fate::Lost => 0,
+        Fate::Doubled => 2,
+    };
+    frames.iter().zip(fates).flat_map(move |(frame, fate)| iter::repeat_n(frame, times(fate)))
+}
+
+fn frames_of(script: &[Message]) -> Vec<CanFrame> {
+    script.iter().flat_map(Message::frames).collect()
+}
+
+/// No wrong message, none out of turn, each intact one.
+fn check_delivery(script: &[Message], fates: &[Fate], delivered: &[Message]) {
+    let context = || std::format!("{script:02X?}\n{fates:?}\ndelivered {delivered:02X?}");
+    let mut rest = delivered;
+    let mut fates = fates;
+    for message in script {
+        let (own, behind) = fates.split_at(message.frames().len());
+        fates = behind;
+        let times = rest.iter().take_while(|delivered| *delivered == message).count();
+        rest = &rest[times..];
+        let may_be = if own.contains(&Fate::Lost) {
+            0..=0
+        } else if !own.contains(&Fate::Doubled) {
+            1..=1
+        } else if own.len() == 1 {
+            // Nothing on the wire tells a message of one frame that was doubled from two.
+            2..=2
+        } else {
+            0..=1
+        };
+        assert!(may_be.contains(&times), "{message:02X?} came {times} times\n{}", context());
+    }
+    assert!(rest.is_empty(), "wrong or out of turn: {rest:02X?}\n{}", context());
+}
+
+#[test]
+fn every_fate_of_every_frame_of_three_messages_costs_at_most_the_messages_it_belongs_to() {
+    let mut runs = 0;
+    for first in kinds(0) {
+        for second in kinds(1) {
+            for third in kinds(2) {
+                let script = [first.clone(), second.clone(), third];
+                let frames = frames_of(&script);
+                let foreign: Vec<CanFrame> = frames.iter().flat_map(foreign).collect();
+                each_fate(frames.len(), |fates| {
+                    let mut wire = Wire::<4>::new();
+                    for (n, frame) in on_the_bus(&frames, fates).enumerate() {
+                        wire.receive([&foreign[(runs + n) % foreign.len()], frame]);
+                    }
+                    wire.pass(HALF_MS);
+                    check_delivery(&script, fates, &wire.messages());
+                    runs += 1;
+                });
+            }
+        }
+    }
+    // 1, 2, 2 and three times 3 frames, at each of three places.
+    assert_eq!(runs, (3 + 9 + 9 + 27 + 27 + 27usize).pow(3));
+}
+
+#[test]
+fn message_behind_any_damage_is_delivered_at_once_unless_a_false_beginning_holds_it_back() {
+    let next = Message::command(Command::GripPart { width: 77.7, speed: 11.1 });
+    for first in &kinds(0)[..4] {
+        for second in &kinds(1)[..4] {
+            let script = [first.clone(), second.clone()];
+            let frames = frames_of(&script);
+            each_fate(frames.len(), |fates| {
+                let mut wire = Wire::<4>::new();
+                wire.receive(on_the_bus(&frames, fates));
+                wire.receive(&next.frames());
+                assert_eq!(wire.messages().last(), Some(&next), "{script:02X?} {fates:?}");
+            });
+        }
+    }
+}
+
+/// Calls `check` with every order of `ours` and `others` that keeps the order within each.
+fn each_interleaving(ours: &[CanFrame], others: &[CanFrame], check: &mut impl FnMut(&[CanFrame])) {
+    fn merge(
+        merged: &mut Vec<CanFrame>,
+        a: &[CanFrame],
+        b: &[CanFrame],
+        check: &mut impl FnMut(&[CanFrame]),
+    ) {
+        if a.is_empty() && b.is_empty() {
+            check(merged);
+        }
+        for (taken, left) in [(a, b), (b, a)] {
+            if let Some((frame, rest)) = taken.split_first() {
+                merged.push(frame.clone());
+                merge(merged, rest, left, check);
+                merged.pop();
+            }
+        }
+    }
+    merge(&mut Vec::new(), ours, others, check);
+}
+
+#[test]
+fn traffic_of_the_other_direction_changes_nothing_in_whatever_order_it_lies_between() {
+    let grip = Command::GripPart { width: 20.3, speed: 50.7 };
+    let script = [Message::command(grip), Message::command(Command::Stop), Message::new(6, &[7; 9])];
+    let ours = frames_of(&script);
+    let other = Id::Standard(StandardId::new(RECEIVED.as_raw() - 1).unwrap());
+    let others: Vec<CanFrame> =
+        ours.iter().take(4).map(|frame| CanFrame { id: other, ..frame.clone() }).collect();
+    let mut orders = 0;
+    each_interleaving(&ours, &others, &mut |merged| {
+        let mut wire = Wire::<4>::new();
+        wire.receive(merged);
+        assert_eq!(wire.messages(), script);
+        assert_eq!(wire.reassembler.counters(), Counters { foreign: 4, ..Counters::default() });
+        orders += 1;
+    });
+    assert_eq!(orders, 210, "ten frames, four of them of the other direction");
+}

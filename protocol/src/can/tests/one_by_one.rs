@@ -1,0 +1,225 @@
+//! The edges of the mapping.
+
+use super::*;
+
+fn grip() -> Message {
+    Message::command(Command::GripPart { width: 20.0, speed: 50.0 })
+}
+
+#[test]
+fn the_size_field_ends_a_message_and_never_the_length_of_a_can_frame() {
+    // All lengths round the multiples of eight: the last frame is full for 8, 16 and 24 bytes.
+    for payload_len in 0..=24 {
+        let message = Message::new(6, &[0x5A; 24][..payload_len]);
+        let frames = message.frames();
+        assert_eq!(frames.len(), payload_len.div_ceil(8) + 1);
+
+        let mut wire = Wire::<4>::new();
+        let (last, before) = frames.split_last().unwrap();
+        wire.receive(before);
+        assert_eq!(wire.seen, []);
+        wire.receive([last]);
+        assert_eq!(wire.messages(), [message]);
+        assert_eq!(wire.reassembler.poll_timeout(), None);
+    }
+}
+
+#[test]
+fn message_of_the_greatest_length_goes_through_and_one_byte_more_is_oversize() {
+    let longest = Message::new(6, &[1; 8 * MAX_FRAMES - OVERHEAD]);
+    let mut wire = Wire::<MAX_FRAMES>::new();
+    wire.receive(&longest.frames());
+    assert_eq!(wire.messages(), [longest]);
+
+    let longer = Message::new(6, &[1; 8 * MAX_FRAMES - OVERHEAD + 1]);
+    wire.receive(&longer.frames());
+    wire.receive(&grip().frames());
+    assert_eq!(wire.seen[1..], [Seen::Oversize(6, 1017), Seen::Message(grip())]);
+    let counters = wire.reassembler.counters();
+    assert_eq!((counters.oversize, counters.dropped, counters.miscut), (1, 129, 0));
+}
+
+#[test]
+fn greatest_size_field_is_oversize() {
+    let mut wire = Wire::<1>::new();
+    wire.receive(&[CanFrame::ours(&[0xAA, 0xAA, 0xAA, 6, 0xFF, 0xFF, 0, 0])]);
+    assert_eq!(wire.seen, [Seen::Oversize(6, 0xFFFF)]);
+}
+
+#[test]
+fn half_a_message_is_given_up_when_its_time_is_over_and_what_it_held_back_is_delivered() {
+    let mut wire = Wire::<4>::new();
+    // A false beginning that waits for three frames more, with a whole message behind it.
+    wire.receive(&[CanFrame::ours(&[0xAA, 0xAA, 0xAA, 6, 24, 0, 0, 0])]);
+    let stop = Message::command(Command::Stop);
+    wire.receive(&stop.frames());
+    let at = wire.reassembler.poll_timeout().unwrap();
+    assert_eq!(at, wire.now.plus(HALF_MS));
+
+    wire.pass(HALF_MS - 1);
+    assert_eq!(wire.seen, []);
+    wire.pass(1);
+    assert_eq!(wire.messages(), [stop]);
+    assert_eq!(wire.reassembler.poll_timeout(), None);
+    assert_eq!(wire.reassembler.counters(), Counters { expired: 1, dropped: 1, ..Counters::default() });
+}
+
+#[test]
+fn half_a_message_is_given_up_by_the_next_frame_of_a_caller_that_never_looks_at_the_time() {
+    let [head, tail] = &grip().frames()[..] else { panic!() };
+    for (late_by, delivered) in [(0, 0), (1, 1)] {
+        let mut wire = Wire::<4>::new();
+        wire.receive([head]);
+        wire.now = wire.now.plus(HALF_MS - late_by);
+        wire.receive([tail]);
+        assert_eq!(wire.messages().len(), delivered);
+    }
+}
+
+#[test]
+fn time_runs_from_the_last_frame_of_the_message_whatever_else_is_on_the_bus() {
+    let mut wire = Wire::<4>::new();
+    let message = Message::new(6, &[3; 16]);
+    let frames = message.frames();
+    for frame in &frames {
+        wire.pass(HALF_MS - 1);
+        wire.receive([frame]);
+    }
+    assert_eq!(wire.messages(), [message]);
+
+    wire.receive(&frames[..1]);
+    wire.pass(HALF_MS - 1);
+    let foreign = CanFrame { id: StandardId::ZERO.into(), ..frames[1].clone() };
+    wire.receive([&foreign]);
+    wire.pass(1);
+    assert_eq!(wire.reassembler.counters().expired, 1);
+}
+
+#[test]
+fn message_inside_the_payload_of_another_is_none_even_when_the_other_is_broken() {
+    // Byte by byte the Stop in this payload would be found once the first frame is lost.
+    let mut payload = vec![0; 3];
+    payload.extend(Message::command(Command::Stop).bytes());
+    payload.extend([0; 10]);
+    let frames = Message::new(6, &payload).frames();
+    let mut wire = Wire::<4>::new();
+    wire.receive(&frames[1..]);
+    wire.pass(HALF_MS);
+    assert_eq!(wire.seen, []);
+    assert_eq!(wire.reassembler.counters().dropped, 3);
+}
+
+#[test]
+fn right_bytes_in_a_wrong_cut_are_no_message() {
+    let bytes = grip().bytes();
+    for cut in [[7, 9], [1, 15], [4, 12]] {
+        let (first, second) = bytes.split_at(cut[0]);
+        let mut wire = Wire::<4>::new();
+        let frames: Vec<CanFrame> =
+            [first, second].iter().flat_map(|piece| piece.chunks(8)).map(CanFrame::ours).collect();
+        wire.receive(&frames);
+        wire.receive(&grip().frames());
+        assert_eq!(wire.messages(), [grip()], "{cut:?}");
+    }
+    // Short where the middle has to be full.
+    let long = Message::new(6, &[9; 12]).bytes();
+    let mut wire = Wire::<4>::new();
+    wire.receive(&[CanFrame::ours(&long[..8]), CanFrame::ours(&long[8..12]), CanFrame::ours(&long[12..])]);
+    assert_eq!(wire.seen, []);
+    assert_eq!(wire.reassembler.counters(), Counters { miscut: 1, dropped: 3, ..Counters::default() });
+}
+
+#[test]
+fn frame_that_two_messages_share_stands_in_for_a_lost_one_and_gives_the_message_that_was_sent() {
+    // The low bytes of both widths are 0, so the two requests begin with the same frame.
+    let other = Message::command(Command::GripPart { width: 40.0, speed: 60.0 });
+    let ([head, _], [other_head, other_tail]) = (&grip().frames()[..], &other.frames()[..]) else { panic!() };
+    assert_eq!(head, other_head);
+    let mut wire = Wire::<4>::new();
+    wire.receive([head, other_tail]);
+    assert_eq!(wire.messages(), [other]);
+}
+
+#[test]
+fn frame_with_more_data_than_classic_can_has_is_foreign() {
+    let mut wire = Wire::<4>::new();
+    wire.receive(&[CanFrame::ours(&grip().bytes())]);
+    assert_eq!(wire.seen, []);
+    assert_eq!(wire.reassembler.counters(), Counters { foreign: 1, ..Counters::default() });
+}
+
+#[test]
+fn reset_forgets_half_a_message() {
+    let [head, tail] = &grip().frames()[..] else { panic!() };
+    let mut wire = Wire::<4>::new();
+    wire.receive([head]);
+    wire.reassembler.reset();
+    assert_eq!(wire.reassembler.poll_timeout(), None);
+    wire.receive([tail]);
+    assert_eq!(wire.seen, []);
+    assert_eq!(wire.reassembler.counters().dropped, 2);
+}
+
+#[test]
+fn counts_stay_at_their_maximum() {
+    let mut wire = Wire::<4>::new();
+    let foreign = CanFrame { remote: true, ..CanFrame::ours(&[1]) };
+    for _ in 0..=u16::MAX {
+        wire.receive([&foreign]);
+    }
+    assert_eq!(wire.reassembler.counters().foreign, u16::MAX);
+}
+
+#[test]
+fn no_motion_fits_into_one_can_frame_so_a_doubled_frame_never_moves_the_fingers_twice() {
+    for id in (0..=u8::MAX).map(CommandId::from_code) {
+        let parameterless = Command::decode(&crate::Frame { id: id.code(), payload: &[] }).is_ok();
+        if parameterless && !matches!(id, CommandId::Unknown(_)) {
+            assert!(!matches!(id.kind(), Kind::Motion | Kind::Acknowledge), "{id:?}");
+        }
+    }
+    // And no reply does: all begin with a status code.
+    let shortest = FrameEncoder::new(0x25, Reply::status_only(CommandId::GripPart, Status::Success));
+    assert_eq!(Segments::new(shortest).count(), 2);
+}
+
+#[test]
+fn segmenter_sends_nothing_that_is_no_message() {
+    let mut segmenter = Segmenter::new();
+    let noise = [0x00, 0xAA, 0xAA, 0x01, 0xAA, 0x02];
+    let line: Vec<u8> = noise.into_iter().chain(grip().bytes()).collect();
+    let segments: Vec<Vec<u8>> =
+        line.iter().filter_map(|&byte| segmenter.push(byte)).map(|segment| segment.data().to_vec()).collect();
+    assert_eq!(segments.concat(), grip().bytes());
+    assert!(!segmenter.is_mid_message());
+}
+
+#[test]
+fn message_given_up_half_way_leaves_the_next_one_whole() {
+    let mut segmenter = Segmenter::new();
+    let bytes = grip().bytes();
+    let begun = bytes.iter().take(11).filter_map(|&byte| segmenter.push(byte)).count();
+    assert_eq!((begun, segmenter.is_mid_message()), (1, true));
+    segmenter.reset();
+    assert!(!segmenter.is_mid_message());
+    let next: Vec<Segment> = bytes.iter().filter_map(|&byte| segmenter.push(byte)).collect();
+    assert_eq!(next.iter().map(|segment| segment.data().len()).collect::<Vec<_>>(), [8, 8]);
+    assert_eq!(next[0].data(), &bytes[..8]);
+}
+
+#[test]
+fn segmenter_takes_the_longest_message_that_a_size_field_can_tell() {
+    let bytes = Message::new(6, &vec![0x11; 0xFFFF]).bytes();
+    let segments: Vec<Segment> = Segments::new(bytes.iter().copied()).collect();
+    assert_eq!(segments.len(), 8192 + 1);
+    assert_eq!(segments.last().unwrap().data(), &bytes[65_536..]);
+}
+
+#[test]
+fn controller_sends_on_n_and_the_gripper_on_the_next_identifier() {
+    let pair = Identifiers::from_base(0x7FE).unwrap();
+    assert_eq!((pair.controller().transmit.as_raw(), pair.controller().receive.as_raw()), (0x7FE, 0x7FF));
+    assert_eq!((pair.gripper().transmit.as_raw(), pair.gripper().receive.as_raw()), (0x7FF, 0x7FE));
+    assert_eq!(Identifiers::from_base(0x7FF), None);
+    assert_eq!(Identifiers::from_base(u16::MAX), None);
+}
