@@ -42,6 +42,9 @@ pub struct Config {
     pub clamping_travel: f32,
     /// How much before the nominal width a part may be met, in mm; one met earlier is the wrong part.
     pub part_width_tolerance: f32,
+    /// Whether the two bytes of each number in the Modbus registers change places, for a PLC that takes "low byte first"
+    /// (fieldbus, 4) by the letter; flags stay.
+    pub modbus_swap_bytes: bool,
     /// After how many milliseconds without a further byte half a frame is dropped.
     pub frame_timeout_ms: u16,
 }
@@ -68,6 +71,7 @@ impl Default for Config {
             fingers: [Finger::None; 2],
             clamping_travel: 5.0,
             part_width_tolerance: 5.0,
+            modbus_swap_bytes: false,
             frame_timeout_ms: 500,
         }
     }

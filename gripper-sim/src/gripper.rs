@@ -5,7 +5,9 @@ use crate::commands;
 use crate::config::Config;
 use crate::device::{Device, earlier};
 use crate::faults::Fault;
+use crate::fieldbus::Fieldbus;
 use crate::gcl;
+use crate::modbus;
 use crate::motion::Request;
 use crate::port::{FrameBuffer, Framed, Port, PortCounters, PortId, PortKind};
 use crate::time::Time;
@@ -44,6 +46,7 @@ use wsg_protocol::{
 #[derive(Clone, Debug)]
 pub struct VirtualGripper<const PORTS: usize = DEFAULT_PORTS> {
     device: Device,
+    fieldbus: Fieldbus,
     ports: [Option<Port>; PORTS],
     connections: u32,
     now: Time,
@@ -90,7 +93,9 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// As [`new`](VirtualGripper::new), for any number of clients.
     #[must_use]
     pub fn with_ports(config: Config) -> Self {
-        Self { device: Device::new(config), ports: [const { None }; PORTS], connections: 0, now: Time::ZERO }
+        let device = Device::new(config);
+        let fieldbus = Fieldbus::new(&device);
+        Self { device, fieldbus, ports: [const { None }; PORTS], connections: 0, now: Time::ZERO }
     }
 
     /// Takes a client; `None` when there are as many as it can have.
@@ -114,10 +119,11 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         if is_error && self.device.config.disconnect_error {
             self.device.fast_stop(Status::CmdAborted);
         }
+        self.fieldbus.leave(&self.device, id);
         self.settle();
     }
 
-    /// Takes bytes from the client: frames, or lines of the text protocol, as its kind is.
+    /// Takes bytes from the client: frames, lines of the text protocol, or frames of Modbus/TCP, as its kind is.
     ///
     /// All are taken at once. What they ask for is answered as long as the queue of frames has room, so empty it by
     /// [`transmit`](Self::transmit) every few hundred bytes.
@@ -126,7 +132,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let request = Request { port: id, now: self.now };
         let mut rest = bytes;
         loop {
-            let Self { device, ports, .. } = self;
+            let Self { device, fieldbus, ports, .. } = self;
             let (taken, happened) = match port_in(ports, id) {
                 Some(Port::Frames(Framed { deframer, line })) => {
                     let (taken, event) = deframer.push_slice(rest);
@@ -135,6 +141,10 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
                 Some(Port::Lines(gcl::Client { reader, line })) => {
                     let (taken, event) = reader.push_slice(rest);
                     (taken, event.map(|event| gcl::hear(device, line, request, event)))
+                }
+                Some(Port::Registers(modbus::Client { receiver, line })) => {
+                    let (taken, event) = receiver.push_slice(rest);
+                    (taken, event.map(|event| modbus::hear(device, fieldbus, line, event)))
                 }
                 None => return,
             };
@@ -157,7 +167,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
                     self.settle();
                 }
             }
-            Some(Port::Lines(_)) | None => {}
+            Some(Port::Lines(_) | Port::Registers(_)) | None => {}
         }
     }
 
@@ -170,6 +180,13 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     #[must_use]
     pub fn has_frame(&self, id: PortId) -> bool {
         self.port(id).is_some_and(|port| port.has_frame())
+    }
+
+    /// Whether nothing more can be understood of what the client sends: its connection is to be closed once it has
+    /// been sent what there is. Only Modbus/TCP has no way back.
+    #[must_use]
+    pub fn is_lost(&self, id: PortId) -> bool {
+        self.port(id).is_some_and(Port::is_lost)
     }
 
     /// What went wrong on the client's line; `None` when it is gone.
@@ -238,10 +255,19 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
 
     /// Sends what the last event led to: second answers, then updates.
     fn settle(&mut self) {
-        let Self { device, ports, now, .. } = self;
-        while let Some(done) = device.take_completion(*now) {
-            if let Some(port) = port_in(ports, done.port) {
-                port.complete(done);
+        let Self { device, fieldbus, ports, now, .. } = self;
+        loop {
+            while let Some(done) = device.take_completion(*now) {
+                if done.port == PortId::FIELDBUS {
+                    fieldbus.complete(device, done);
+                } else if let Some(port) = port_in(ports, done.port) {
+                    port.complete(done);
+                }
+            }
+            // A motion that the controller ends has an answer, too. It asks for a bounded number of commands at a time:
+            // each of its motions begins with what a master wrote.
+            if !fieldbus.follow(device, *now) {
+                break;
             }
         }
         device.note_load();

@@ -12,6 +12,7 @@
 //! | `device`, `motion`, `commands` | the manual: states and flags; motions; commands |
 //! | `updates`, `port`, `deframer` | the manual's rules for connections, and what clients make of them |
 //! | `gcl` | the text protocol: its connections and requests |
+//! | `fieldbus`, `modbus` | the registers and their rules; Modbus/TCP, which carries them |
 //! | `gripper` | the contract with the caller |
 //! | `server` | TCP, UDP, serial lines (feature `std`) |
 //!
@@ -26,9 +27,11 @@ mod config;
 mod deframer;
 mod device;
 mod faults;
+mod fieldbus;
 mod finger;
 mod gcl;
 mod gripper;
+mod modbus;
 mod model;
 mod motion;
 mod port;

@@ -4,6 +4,7 @@ use crate::config::Config;
 use crate::deframer::Deframer;
 use crate::device::Completion;
 use crate::gcl;
+use crate::modbus;
 use crate::time::Time;
 use crate::updates::{Readings, Subscriptions};
 use wsg_protocol::frame::OVERHEAD;
@@ -41,6 +42,8 @@ pub enum PortKind {
     GclTcp,
     /// The text protocol (GCL) over UDP/IP: a datagram holds whole lines.
     GclUdp,
+    /// Modbus/TCP.
+    ModbusTcp,
 }
 
 impl PortKind {
@@ -54,10 +57,25 @@ impl PortKind {
         matches!(self, Self::Udp | Self::GclUdp)
     }
 
-    /// Whether the text protocol is spoken on it.
-    pub(crate) const fn is_gcl(self) -> bool {
-        matches!(self, Self::GclTcp | Self::GclUdp)
+    /// What is spoken on it.
+    pub(crate) const fn protocol(self) -> Protocol {
+        match self {
+            Self::Tcp | Self::Udp | Self::Serial | Self::Can => Protocol::Binary,
+            Self::GclTcp | Self::GclUdp => Protocol::Text,
+            Self::ModbusTcp => Protocol::Modbus,
+        }
     }
+}
+
+/// What is spoken on a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Protocol {
+    /// The binary command set.
+    Binary,
+    /// The text protocol (GCL).
+    Text,
+    /// Modbus/TCP.
+    Modbus,
 }
 
 impl core::fmt::Display for PortKind {
@@ -69,6 +87,7 @@ impl core::fmt::Display for PortKind {
             Self::Can => "can",
             Self::GclTcp => "gcl-tcp",
             Self::GclUdp => "gcl-udp",
+            Self::ModbusTcp => "modbus",
         })
     }
 }
@@ -79,6 +98,11 @@ impl core::fmt::Display for PortKind {
 pub struct PortId {
     pub(crate) index: u16,
     pub(crate) generation: u32,
+}
+
+impl PortId {
+    /// Nobody's: the register interface, whose answers go to no line.
+    pub(crate) const FIELDBUS: Self = Self { index: u16::MAX, generation: 0 };
 }
 
 /// What went wrong on a line so far.
@@ -100,6 +124,8 @@ pub(crate) enum Port {
     Frames(Framed),
     /// It speaks the text protocol.
     Lines(gcl::Client),
+    /// It speaks Modbus/TCP.
+    Registers(modbus::Client),
 }
 
 /// A client that speaks the binary protocol.
@@ -124,8 +150,10 @@ pub(crate) struct Line {
 
 impl Port {
     pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
-        if kind.is_gcl() {
-            return Self::Lines(gcl::Client::new(id, kind, config));
+        match kind.protocol() {
+            Protocol::Text => return Self::Lines(gcl::Client::new(id, kind, config)),
+            Protocol::Modbus => return Self::Registers(modbus::Client::new(id)),
+            Protocol::Binary => {}
         }
         Self::Frames(Framed {
             deframer: Deframer::new(config.check_checksum, config.frame_timeout_ms),
@@ -145,6 +173,7 @@ impl Port {
         match self {
             Self::Frames(client) => client.line.id,
             Self::Lines(client) => client.line.id,
+            Self::Registers(client) => client.line.id,
         }
     }
 
@@ -153,10 +182,20 @@ impl Port {
         match self {
             Self::Frames(client) => client.line.kind.is_connection() && !client.line.announced,
             Self::Lines(client) => client.line.kind.is_connection() && !client.line.announced,
+            // Masters that connect for each request are common.
+            Self::Registers(_) => false,
         }
     }
 
-    pub(crate) const fn counters(&self) -> PortCounters {
+    /// Whether nothing more can be understood of what the client sends.
+    pub(crate) const fn is_lost(&self) -> bool {
+        match self {
+            Self::Frames(_) | Self::Lines(_) => false,
+            Self::Registers(client) => client.line.lost,
+        }
+    }
+
+    pub(crate) fn counters(&self) -> PortCounters {
         match self {
             Self::Frames(client) => PortCounters {
                 parser: client.deframer.counters(),
@@ -164,6 +203,7 @@ impl Port {
                 replies_lost: client.line.replies_lost,
             },
             Self::Lines(client) => client.counters(),
+            Self::Registers(client) => client.counters(),
         }
     }
 
@@ -173,6 +213,7 @@ impl Port {
                 crate::device::earlier(client.line.subscriptions.next_due(now), client.deframer.due())
             }
             Self::Lines(client) => client.line.next_due(now),
+            Self::Registers(_) => None,
         }
     }
 
@@ -181,6 +222,7 @@ impl Port {
         match self {
             Self::Frames(client) => client.line.reply(Reply::status_only(done.id, done.status)),
             Self::Lines(client) => client.line.complete(done),
+            Self::Registers(_) => {}
         }
     }
 
@@ -189,6 +231,7 @@ impl Port {
         match self {
             Self::Frames(client) => client.line.publish(now, readings),
             Self::Lines(client) => client.line.publish(now, readings),
+            Self::Registers(_) => {}
         }
     }
 
@@ -196,6 +239,7 @@ impl Port {
         match self {
             Self::Frames(client) => client.line.has_frame(),
             Self::Lines(client) => client.line.has_line(),
+            Self::Registers(client) => client.line.has_frame(),
         }
     }
 
@@ -204,6 +248,7 @@ impl Port {
         match self {
             Self::Frames(client) => client.line.next_frame(buffer),
             Self::Lines(client) => client.line.next_line(buffer),
+            Self::Registers(client) => client.line.next_frame(buffer),
         }
     }
 }

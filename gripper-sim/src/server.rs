@@ -1,4 +1,4 @@
-//! Servers around the gripper: TCP, UDP, serial lines, and the control interface (feature `std`).
+//! Servers around the gripper: TCP, UDP, serial lines, Modbus/TCP, and the control interface (feature `std`).
 //!
 //! One thread serves all of them on a current-thread runtime, so that the gripper needs no lock. Every frame is one
 //! write, and TCP does not delay: a client that takes what one `recv` gives for one frame is right. [`Server`] is for
@@ -49,6 +49,8 @@ pub struct Lines {
     pub gcl: Option<SocketAddr>,
     /// The text protocol (GCL) over UDP: the address to listen on. Answers go to the port that asked.
     pub gcl_udp: Option<SocketAddr>,
+    /// Modbus/TCP: the address to listen on; port 502 on the real one.
+    pub modbus: Option<SocketAddr>,
     /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
     /// what a hand beside it can, so keep it on the loopback interface.
     pub control: Option<SocketAddr>,
@@ -91,6 +93,7 @@ pub struct Server {
     can: Option<CanPort>,
     gcl: Option<TcpListener>,
     gcl_udp: Option<UdpSocket>,
+    modbus: Option<TcpListener>,
     control: Option<TcpListener>,
 }
 
@@ -115,17 +118,10 @@ impl Server {
             Some(address) => Some(bind_udp(address, "GCL over UDP").await?),
             None => None,
         };
+        let modbus = listen(lines.modbus, "Modbus/TCP").await?;
         let control = listen(lines.control, "the control interface").await?;
-        Ok(Self {
-            hub: Rc::new(Hub::new(config, lines.seed, log)),
-            tcp,
-            udp,
-            serial,
-            can,
-            gcl,
-            gcl_udp,
-            control,
-        })
+        let hub = Rc::new(Hub::new(config, lines.seed, log));
+        Ok(Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, control })
     }
 
     /// The address that TCP listens on.
@@ -164,6 +160,12 @@ impl Server {
         self.gcl_udp.as_ref()?.local_addr().ok()
     }
 
+    /// The address that Modbus/TCP listens on.
+    #[must_use]
+    pub fn modbus_address(&self) -> Option<SocketAddr> {
+        self.modbus.as_ref()?.local_addr().ok()
+    }
+
     /// The address that the control interface listens on.
     #[must_use]
     pub fn control_address(&self) -> Option<SocketAddr> {
@@ -175,7 +177,7 @@ impl Server {
     /// # Errors
     /// That of the line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
-        let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, control } = self;
+        let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, control } = self;
         let local = LocalSet::new();
         local
             .run_until(async move {
@@ -204,6 +206,9 @@ impl Server {
                 }
                 if let Some(socket) = gcl_udp {
                     tasks.spawn_local(udp::serve(Rc::clone(&hub), socket, None, PortKind::GclUdp));
+                }
+                if let Some(listener) = modbus {
+                    tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::ModbusTcp));
                 }
                 if let Some(listener) = control {
                     tasks.spawn_local(control::serve(hub, listener));

@@ -2,7 +2,7 @@
 //!
 //! By the *MODBUS application protocol specification V1.1b3*: [`serve`] turns a request PDU into a response PDU over a
 //! [`Device`], whatever carries it. [`Images`] is the device's part that every gripper has. [`rtu`] is the serial line
-//! by *MODBUS over serial line V1.02*. Not here: TCP, which needs only a header around [`serve`].
+//! by *MODBUS over serial line V1.02*, [`tcp`] the header on TCP. Not here: sockets.
 //!
 //! Served are FC 1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43/14, and on a serial line 8.
 //!
@@ -15,6 +15,7 @@ mod images;
 mod pdu;
 mod register;
 pub mod rtu;
+pub mod tcp;
 
 pub use device::{Bits, Device, Words};
 pub use exception::Exception;

@@ -40,6 +40,7 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
         answers_serial(&sim, setup).context("the serial line")?;
         answers_gcl(&sim).context("GCL over TCP")?;
         answers_gcl_udp(&sim).context("GCL over UDP")?;
+        answers_modbus(&sim).context("Modbus/TCP")?;
         answers_control(sim.control).context("the control interface")?;
         sim.stop()?;
     }
@@ -55,12 +56,14 @@ fn disturb(sim: &Sim, setup: Setup<'_>, seed: u64, lasting: Duration) -> Result<
     let end = Instant::now() + lasting;
     let (_unread, mut serial) = open_serial(&sim.serial, setup)?;
     let socket = UdpSocket::bind("127.0.0.1:0")?;
-    let (tcp, udp, gcl, gcl_udp, control) = (sim.tcp, sim.udp, sim.gcl, sim.gcl_udp, sim.control);
+    let (tcp, udp, gcl, gcl_udp) = (sim.tcp, sim.udp, sim.gcl, sim.gcl_udp);
+    let (modbus, control) = (sim.modbus, sim.control);
     let gcl_socket = UdpSocket::bind("127.0.0.1:0")?;
-    let senders: [Sender; 7] = [
+    let senders: [Sender; 8] = [
         Box::new(move |run| say_and_leave(tcp, run)),
         Box::new(move |run| say_and_leave(tcp, run)),
         Box::new(move |run| say_and_leave(gcl, run)),
+        Box::new(move |run| say_and_leave(modbus, run)),
         Box::new(move |run| say_and_leave(control, run)),
         // What the system has no room for is lost.
         Box::new(move |run| socket.send_to(run, udp).map_or(Ok(()), |_| Ok(()))),
@@ -106,6 +109,8 @@ fn noise(random: &mut Random) -> Vec<u8> {
                 frame(Command::ACKNOWLEDGE),
                 frame(Command::GripPart { width: 20.0, speed: 100.0 }),
                 frame(Command::GetSystemInfo),
+                vec![0, 1, 0, 0, 0, 15, 1, 16, 0, 0, 0, 4, 8, 2, 0, 7, 0xD0, 0x27, 0x10, 0x0F, 0xA0],
+                vec![0, 2, 0, 0, 0, 6, 1, 3, 0, 0, 0, 4],
                 b"VERBOSE=1\nGRIP(10,20.5)\nAUTOSEND('POS',10,0.5)\nSYSFLAGS[3]?\n".to_vec(),
                 b"POST /part HTTP/1.1\r\nContent-Length: 4\r\n\r\nnull".to_vec(),
             ]
@@ -179,6 +184,21 @@ fn answers_gcl(sim: &Sim) -> Result<()> {
     let mut line = String::new();
     BufReader::new(stream).read_line(&mut line)?;
     ensure!(line.starts_with("DEVTYPE="), "the answer is another: {line:?}");
+    Ok(())
+}
+
+fn answers_modbus(sim: &Sim) -> Result<()> {
+    let mut stream = TcpStream::connect(sim.modbus)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    // Read Discrete Inputs: GSTATE, of which one bit is set.
+    stream.write_all(&[0, 7, 0, 0, 0, 6, 0xFF, 2, 0, 0, 0, 8])?;
+    let mut answer = [0; 10];
+    stream.read_exact(&mut answer)?;
+    let [head @ .., state] = answer;
+    ensure!(
+        head == [0, 7, 0, 0, 0, 4, 0xFF, 2, 1] && state.is_power_of_two(),
+        "the answer is another: {answer:02X?}"
+    );
     Ok(())
 }
 

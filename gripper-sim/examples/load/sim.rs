@@ -34,6 +34,7 @@ pub(crate) struct Sim {
     pub(crate) udp: SocketAddr,
     pub(crate) gcl: SocketAddr,
     pub(crate) gcl_udp: SocketAddr,
+    pub(crate) modbus: SocketAddr,
     pub(crate) control: SocketAddr,
     pub(crate) serial: PathBuf,
 }
@@ -58,6 +59,7 @@ pub(crate) fn serve() -> Result<()> {
         udp: Some(UdpLine { address: any, remote_port }),
         gcl: Some(any),
         gcl_udp: Some(any),
+        modbus: Some(any),
         serial: Some(serial),
         control: Some(any),
         ..Lines::default()
@@ -68,6 +70,7 @@ pub(crate) fn serve() -> Result<()> {
         server.udp_address(),
         server.gcl_address(),
         server.gcl_udp_address(),
+        server.modbus_address(),
         server.control_address(),
     ] {
         println!("{}", address.context("it was asked for")?);
@@ -97,6 +100,7 @@ impl Sim {
             udp: line()?.parse()?,
             gcl: line()?.parse()?,
             gcl_udp: line()?.parse()?,
+            modbus: line()?.parse()?,
             control: line()?.parse()?,
             serial: line()?.into(),
             process,

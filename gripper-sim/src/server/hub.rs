@@ -211,6 +211,12 @@ impl Client {
         self.hub.rescheduled.notify_one();
     }
 
+    /// Whether nothing more can be understood of what comes from it, and all that there was for it is sent.
+    pub(super) fn is_over(&self) -> bool {
+        let gripper = self.hub.gripper.borrow();
+        gripper.is_lost(self.id) && !gripper.has_frame(self.id) && self.line.borrow().next_arrival().is_none()
+    }
+
     /// Whether there is room for answers: a line that is slow holds a bounded number of frames.
     pub(super) fn has_room(&self) -> bool {
         self.line.borrow().has_room()

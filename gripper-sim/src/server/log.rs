@@ -2,7 +2,7 @@
 
 use crate::config::Config;
 use crate::deframer::Deframer;
-use crate::port::{PortId, PortKind};
+use crate::port::{PortId, PortKind, Protocol};
 use crate::time::Time;
 use anyhow::{Context, Result};
 use std::collections::HashMap;
@@ -12,6 +12,8 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
 use wsg_protocol::frame::PREAMBLE_LEN;
+use wsg_protocol::modbus::Function;
+use wsg_protocol::modbus::tcp::{self, HEADER_LEN, MAX_FRAME_LEN, Receiver};
 use wsg_protocol::{Command, CommandId, Event, Frame, FrameEncoder, Reply};
 
 /// Where the payload begins in a frame.
@@ -27,7 +29,7 @@ const CHECKSUM_LEN: usize = 2;
 /// 12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 D3 5A  22h Stop
 /// ```
 ///
-/// `->` goes to the gripper, `<-` comes from it. What is spoken in GCL is shown as it is.
+/// `->` goes to the gripper, `<-` comes from it. What is spoken in GCL is shown as it is, and Modbus/TCP with its header.
 pub struct Log {
     output: Output,
     clients: HashMap<PortId, Client>,
@@ -44,6 +46,8 @@ enum Requests {
     Frames(Box<Deframer>),
     /// Of the text protocol: what came of a line that has no end yet.
     Lines(Vec<u8>),
+    /// Of Modbus/TCP.
+    Registers(Box<Receiver>),
 }
 
 /// `None` after writing failed.
@@ -88,10 +92,12 @@ impl Log {
     }
 
     pub(super) fn connect(&mut self, id: PortId, kind: PortKind, name: Arc<str>, config: &Config) {
-        let requests = if kind.is_gcl() {
-            Requests::Lines(Vec::new())
-        } else {
-            Requests::Frames(Box::new(Deframer::new(config.check_checksum, config.frame_timeout_ms)))
+        let requests = match kind.protocol() {
+            Protocol::Binary => {
+                Requests::Frames(Box::new(Deframer::new(config.check_checksum, config.frame_timeout_ms)))
+            }
+            Protocol::Text => Requests::Lines(Vec::new()),
+            Protocol::Modbus => Requests::Registers(Box::default()),
         };
         self.clients.insert(id, Client { name, is_datagram: kind.is_datagram(), requests });
     }
@@ -130,6 +136,16 @@ impl Log {
                     }
                 }
             }
+            Requests::Registers(receiver) => {
+                let mut rest = bytes;
+                while !rest.is_empty() {
+                    let (taken, event) = receiver.push_slice(rest);
+                    rest = rest.get(taken..).unwrap_or(&[]);
+                    if let Some(event) = event {
+                        output.modbus_event(now, &client.name, event);
+                    }
+                }
+            }
         }
     }
 
@@ -147,10 +163,11 @@ impl Log {
     /// One frame with its meaning, or one line of the text protocol as it is.
     pub(super) fn sent(&mut self, now: Time, id: PortId, line: &str, bytes: &[u8]) {
         let requests = self.clients.get(&id).map(|client| &client.requests);
-        if matches!(requests, Some(Requests::Lines(_))) {
-            self.output.line(now, Direction::FromGripper, line, bytes);
-        } else {
-            self.output.frame(now, Direction::FromGripper, line, bytes);
+        let (output, direction) = (&mut self.output, Direction::FromGripper);
+        match requests {
+            Some(Requests::Lines(_)) => output.line(now, direction, line, bytes),
+            Some(Requests::Registers(_)) => output.modbus(now, direction, line, bytes),
+            Some(Requests::Frames(_)) | None => output.frame(now, direction, line, bytes),
         }
     }
 
@@ -173,11 +190,7 @@ impl Output {
     }
 
     fn frame(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
-        let mut hex = String::with_capacity(3 * bytes.len());
-        for byte in bytes {
-            // Writing to a string does not fail.
-            let _ = write!(hex, "{byte:02X} ");
-        }
+        let hex = hex(bytes);
         let id = bytes.get(PREAMBLE_LEN).copied().unwrap_or(0);
         let payload = bytes.get(PAYLOAD_AT..bytes.len().saturating_sub(CHECKSUM_LEN)).unwrap_or(&[]);
         let frame = Frame { id, payload };
@@ -192,6 +205,38 @@ impl Output {
     fn line(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
         let text = bytes.trim_ascii_end().escape_ascii();
         self.write(format_args!("{now} {line} {} {text}\n", direction.arrow()));
+    }
+
+    fn modbus_event(&mut self, now: Time, line: &str, event: tcp::Event<'_>) {
+        match event {
+            tcp::Event::Request(request) => {
+                let mut frame = [0; MAX_FRAME_LEN];
+                // As it came: its own PDU in a frame of its own.
+                let whole = request.answer(&mut frame, |pdu, place| {
+                    for (slot, byte) in place.iter_mut().zip(pdu) {
+                        *slot = *byte;
+                    }
+                    pdu.len()
+                });
+                self.modbus(now, Direction::ToGripper, line, whole);
+            }
+            tcp::Event::Foreign => self.write(format_args!("{now} {line} -> a frame of another protocol\n")),
+            tcp::Event::Lost => self.write(format_args!("{now} {line} -> a length that no frame has\n")),
+        }
+    }
+
+    fn modbus(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
+        let hex = hex(bytes);
+        let (code, data) = match bytes.get(HEADER_LEN..) {
+            Some([code, data @ ..]) => (*code, data),
+            _ => (0, &[][..]),
+        };
+        let exception =
+            (direction == Direction::FromGripper && code & 0x80 != 0).then(|| data.first()).flatten();
+        let code = if exception.is_some() { code & 0x7F } else { code };
+        let name = Function::from_code(code).map(|function| format!(" {function:?}")).unwrap_or_default();
+        let refused = exception.map(|number| format!(", exception {number}")).unwrap_or_default();
+        self.write(format_args!("{now} {line} {} {hex} FC {code}{name}{refused}\n", direction.arrow()));
     }
 
     fn refused(&mut self, now: Time, line: &str, why: &str, id: u8, size: u16) {
@@ -214,6 +259,15 @@ impl Output {
             let _ = output.flush();
         }
     }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    let mut hex = String::with_capacity(3 * bytes.len());
+    for byte in bytes {
+        // Writing to a string does not fail.
+        let _ = write!(hex, "{byte:02X} ");
+    }
+    hex
 }
 
 impl Drop for Log {

@@ -3,11 +3,16 @@
 use super::hub::Client;
 use crate::port::MAX_FRAME_LEN;
 use std::io;
+use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::task::yield_now;
+use tokio::time::timeout;
 
 /// Bytes read at a time: few enough that the answers to them always find room in the gripper's queue.
 const CHUNK_LEN: usize = 256;
+
+/// How long a connection that is closed by the gripper is read from for nothing.
+const LINGER: Duration = Duration::from_secs(1);
 
 /// When bytes are taken from a client that does not read its answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,7 +23,7 @@ pub(super) enum Pace {
     OfTheLine,
 }
 
-/// Serves the client until it is gone.
+/// Serves the client until it is gone, or can be understood no more.
 pub(super) async fn serve(
     client: &Client,
     mut reader: impl AsyncRead + Unpin,
@@ -34,6 +39,9 @@ pub(super) async fn serve(
             left = 0..client.transmit(&mut buffer).map_or(0, <[u8]>::len);
         }
         let is_idle = left.is_empty();
+        if is_idle && client.is_over() {
+            return close(reader, writer).await;
+        }
         tokio::select! {
             written = writer.write(buffer.get(left.clone()).unwrap_or(&[])), if !is_idle => match written? {
                 0 => return Err(io::ErrorKind::WriteZero.into()),
@@ -48,4 +56,16 @@ pub(super) async fn serve(
         // One frame, or one run of bytes, is a turn: clients without end leave the others theirs.
         yield_now().await;
     }
+}
+
+/// Closes a connection so that what was sent arrives: what comes in meanwhile would have the system take it back.
+async fn close(mut reader: impl AsyncRead + Unpin, mut writer: impl AsyncWrite + Unpin) -> io::Result<()> {
+    writer.shutdown().await?;
+    let mut chunk = [0; CHUNK_LEN];
+    // Whoever goes on sending is cut off.
+    let drained = timeout(LINGER, async {
+        while reader.read(&mut chunk).await? > 0 {}
+        Ok(())
+    });
+    drained.await.unwrap_or(Ok(()))
 }

@@ -45,6 +45,7 @@ struct Addresses {
     can: Option<PathBuf>,
     gcl: Option<SocketAddr>,
     gcl_udp: Option<SocketAddr>,
+    modbus: Option<SocketAddr>,
     control: Option<SocketAddr>,
 }
 
@@ -69,6 +70,7 @@ impl ServerThread {
                     can: server.can_path().map(Path::to_owned),
                     gcl: server.gcl_address(),
                     gcl_udp: server.gcl_udp_address(),
+                    modbus: server.modbus_address(),
                     control: server.control_address(),
                 });
                 let end = async {
@@ -120,6 +122,12 @@ impl ServerThread {
     #[must_use]
     pub const fn gcl_udp_address(&self) -> Option<SocketAddr> {
         self.addresses.gcl_udp
+    }
+
+    /// The address that Modbus/TCP listens on.
+    #[must_use]
+    pub const fn modbus_address(&self) -> Option<SocketAddr> {
+        self.addresses.modbus
     }
 
     /// The address that the control interface listens on.

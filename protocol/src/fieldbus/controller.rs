@@ -47,7 +47,7 @@ const OUTGOING_LEN: usize = 2;
 /// - When the connection goes while the fingers may be moving, a FAST STOP is the first thing that the gripper hears
 ///   when it comes back: nobody could stop them in the meantime.
 /// - With soft limits set the gripper refuses the end of the stroke (E_RANGE_ERROR), and so the jog.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Controller {
     /// The last image; none before the first.
     image: Option<OutputImage>,
@@ -296,7 +296,12 @@ impl Controller {
             self.send_alone(Command::ACKNOWLEDGE);
         } else {
             self.jog.disarm(self.image.as_ref());
+            let failed = self.failed || known.state == Some(GripperState::Error);
             self.stop();
+            if failed {
+                // A Stop leaves the state as it is; Acknowledge is the way to IDLE (command set, 3.2.5 and appendix C).
+                self.send(Command::ACKNOWLEDGE);
+            }
         }
     }
 

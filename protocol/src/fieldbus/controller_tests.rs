@@ -179,6 +179,25 @@ fn motion_that_fails_shows_error_until_the_next_command() {
 }
 
 #[test]
+fn stop_after_a_failed_motion_acknowledges_it_too() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.answer(CommandId::PrePosition, Status::AxisBlocked);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop, Command::ACKNOWLEDGE]);
+    plc.answer(CommandId::Stop, Status::Success);
+    plc.answer(CommandId::Acknowledge, Status::Success);
+    plc.report(GripperState::Idle);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    plc.lower(CommandFlags::STOP_ACK);
+    // An error that the controller knows by the gripper's report alone; and without any, a Stop is a Stop.
+    plc.report(GripperState::Error);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop, Command::ACKNOWLEDGE]);
+    plc.report(GripperState::Idle);
+    plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+}
+
+#[test]
 fn flags_that_are_set_at_power_up_start_nothing() {
     for flag in MOTIONS.iter().chain([CommandFlags::STOP_ACK]) {
         let mut plc = Plc::with_first_image(OutputImage { flags: flag, ..PARAMETERS });

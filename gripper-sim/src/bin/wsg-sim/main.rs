@@ -69,6 +69,9 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
     if let Some(address) = server.gcl_udp_address() {
         writeln!(out, "gcl-udp {address}")?;
     }
+    if let Some(address) = server.modbus_address() {
+        writeln!(out, "modbus {address}")?;
+    }
     if let Some(address) = server.control_address() {
         writeln!(out, "control {address}")?;
     }

@@ -28,6 +28,8 @@ Lines (without any: --tcp 127.0.0.1:1000)
   --can-id N               listen to CAN identifier N and send on N + 1, 0 to 0x7FE (default 0x120)
   --gcl ADDR               listen for the text protocol (GCL) over TCP on ADDR, such as 127.0.0.1:1001
   --gcl-udp ADDR           listen for the text protocol over UDP on ADDR, and answer to the port that asked
+  --modbus ADDR            listen for Modbus/TCP on ADDR, such as 127.0.0.1:1502 (port 502 on the real gripper)
+  --modbus-swap-bytes      low byte first in the numbers of the Modbus registers
   --no-checksum-check      take frames whatever their checksum
   --answer-bad-checksum    answer E_CHECKSUM_ERROR to a wrong checksum (otherwise: silence)
   --no-disconnect-error    no FAST STOP when a TCP connection ends unannounced
@@ -113,6 +115,8 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
             }
             "gcl" => lines.gcl = Some(value(&mut parser, &name, ADDRESS, parsed)?),
             "gcl-udp" => lines.gcl_udp = Some(value(&mut parser, &name, ADDRESS, parsed)?),
+            "modbus" => lines.modbus = Some(value(&mut parser, &name, ADDRESS, parsed)?),
+            "modbus-swap-bytes" => config.modbus_swap_bytes = true,
             "no-checksum-check" => config.check_checksum = false,
             "answer-bad-checksum" => config.answer_bad_checksum = true,
             "no-disconnect-error" => config.disconnect_error = false,
@@ -165,9 +169,12 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
         (None, Some(_)) => bail!("--can-id is of no use without --can IFACE or --slcan LINE"),
         (None, None) => None,
     };
-    let has_line =
-        lines.can.is_some() || lines.tcp.is_some() || lines.udp.is_some() || lines.serial.is_some();
-    if !has_line && lines.gcl.is_none() && lines.gcl_udp.is_none() {
+    if config.modbus_swap_bytes && lines.modbus.is_none() {
+        bail!("--modbus-swap-bytes is of no use without --modbus ADDR");
+    }
+    let Lines { tcp, udp, serial, can, gcl, gcl_udp, modbus, .. } = &lines;
+    let has_address = [tcp, gcl, gcl_udp, modbus].into_iter().any(Option::is_some);
+    if !has_address && udp.is_none() && serial.is_none() && can.is_none() {
         lines.tcp = Some(DEFAULT_TCP);
     }
     Ok(Request::Serve(Box::new(Options { config, lines, log })))
@@ -302,6 +309,14 @@ mod tests {
     }
 
     #[test]
+    fn modbus_replaces_the_default_line() {
+        let options = options_of("--modbus 127.0.0.1:1502 --modbus-swap-bytes");
+        assert_eq!((options.lines.tcp, options.lines.modbus), (None, "127.0.0.1:1502".parse().ok()));
+        assert!(options.config.modbus_swap_bytes);
+        assert!(!options_of("--modbus 127.0.0.1:1502").config.modbus_swap_bytes);
+    }
+
+    #[test]
     fn every_option_arrives() {
         let all = "--model wsg32 --serial-number 7 --tag cell --tcp 127.0.0.1:0 --udp 127.0.0.1:1500 \
                    --udp-remote-port 9 --serial pty --part 20:50 --finger1 fmf --finger2 dsa --no-checksum-check \
@@ -360,6 +375,8 @@ mod tests {
             (&["--slcan", "pty", "--can-id", "x"], "--can-id \"x\"", "0x7FE"),
             (&["--slcan", "unix:"], "--slcan \"unix:\"", "unix:PATH"),
             (&["--can", ""], "--can \"\"", "can0"),
+            (&["--modbus", "502"], "--modbus \"502\"", "127.0.0.1:1000"),
+            (&["--modbus-swap-bytes"], "--modbus-swap-bytes", "--modbus ADDR"),
             (&["--fast"], "--fast", "--help"),
             (&["stray"], "stray", "--help"),
         ] {

@@ -1,0 +1,150 @@
+//! The register interface (fieldbus, chapters 5 and 6): one pair of images for all masters, and the controller between
+//! them and the device.
+//!
+//! The controller is the one of the bridge. There a session stands between it and a gripper; here its commands reach the
+//! device at once, and what it is told is true at that moment. What was decided where the manual is silent stands in
+//! `docs/decisions.md`.
+
+use crate::device::{Completion, Device};
+use crate::motion::Request;
+use crate::port::PortId;
+use crate::time::Time;
+use wsg_protocol::fieldbus::{Controller, SilenceReaction};
+use wsg_protocol::modbus::{self, Bits, Exception, Identification, Images, MAX_PDU_LEN, Words};
+use wsg_protocol::session::{Known, Notice};
+use wsg_protocol::{Reply, Status, Value};
+
+/// What the gripper calls itself (FC 43/14).
+const IDENTIFICATION: Identification = Identification {
+    vendor_name: "wsg-sim",
+    product_code: "WSG",
+    revision: concat!("V", env!("CARGO_PKG_VERSION")),
+    regular: None,
+};
+
+/// The register interface of the gripper.
+#[derive(Clone, Debug)]
+pub(crate) struct Fieldbus {
+    images: Images,
+    controller: Controller,
+    /// Who wrote to the output image last, as long as it is there.
+    writer: Option<PortId>,
+    /// Whether anything has been written: before, the controller waits for nothing.
+    in_use: bool,
+}
+
+impl Fieldbus {
+    pub(crate) fn new(device: &Device) -> Self {
+        let mut controller = Controller::new();
+        // There is no line between the two that could be cut.
+        controller.handle(&Notice::Connected, &known(device));
+        let images = Images::new(device.config.modbus_swap_bytes);
+        Self { images, controller, writer: None, in_use: false }
+    }
+
+    /// Answers a request PDU of this client, and lets what it writes take effect. What it leads to is due at the next
+    /// [`follow`](Self::follow). Returns the length of the response.
+    pub(crate) fn serve(
+        &mut self,
+        device: &Device,
+        client: PortId,
+        request: &[u8],
+        response: &mut [u8; MAX_PDU_LEN],
+    ) -> usize {
+        let known = known(device);
+        self.images.set_input(&self.controller.input(&known));
+        let len = modbus::serve(request, &mut Registers(&mut self.images), response);
+        if let Some(image) = self.images.take_written() {
+            self.controller.set_output(&image, &known);
+            self.writer = Some(client);
+            self.in_use = true;
+        }
+        len
+    }
+
+    /// A client is gone. If it was the one that commands, a jog ends: nobody holds its button any more. What else runs
+    /// goes on, because masters that connect for each request are common; the image stays.
+    pub(crate) fn leave(&mut self, device: &Device, client: PortId) {
+        if self.writer == Some(client) {
+            self.writer = None;
+            self.controller.silence(SilenceReaction::Hold, &known(device));
+        }
+    }
+
+    /// The second answer to a command.
+    pub(crate) fn complete(&mut self, device: &Device, done: Completion) {
+        let reply = Reply::status_only(done.id, done.status);
+        self.controller.handle(&Notice::Answered(reply), &known(device));
+    }
+
+    /// Tells the controller how things stand, and carries out what it asks for; whether it asked for anything, which
+    /// may have ended a motion.
+    pub(crate) fn follow(&mut self, device: &mut Device, now: Time) -> bool {
+        if !self.in_use {
+            return false;
+        }
+        let (flags, state) = (device.flags(), device.state);
+        let known_now = known(device);
+        self.controller.handle(&Notice::Reported(Value::GetSystemState(flags)), &known_now);
+        self.controller.handle(&Notice::Reported(Value::GetGripperState(state)), &known_now);
+        let mut asked = false;
+        while let Some(command) = self.controller.poll_command() {
+            asked = true;
+            let id = command.id();
+            let reply = device.execute(Request { port: PortId::FIELDBUS, now }, &command);
+            let status = reply.status();
+            device.note_result(id.kind(), status);
+            let notice = match status {
+                Status::CmdPending => Notice::Pending(id),
+                status => Notice::Answered(Reply::status_only(id, status)),
+            };
+            self.controller.handle(&notice, &known(device));
+        }
+        asked
+    }
+}
+
+/// All that a session could know of the gripper, at this moment.
+fn known(device: &Device) -> Known {
+    Known {
+        info: Some(device.info()),
+        limits: Some(device.parameters.limits),
+        flags: Some(device.flags()),
+        state: Some(device.state),
+        width: Some(device.reported_width()),
+        force: Some(device.reported_force()),
+    }
+}
+
+/// The images as a server sees them.
+struct Registers<'a>(&'a mut Images);
+
+impl modbus::Device for Registers<'_> {
+    fn coil(&self, address: u16) -> Result<bool, Exception> {
+        self.0.coil(address)
+    }
+
+    fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
+        self.0.discrete_input(address)
+    }
+
+    fn holding_register(&self, address: u16) -> Result<u16, Exception> {
+        self.0.holding_register(address)
+    }
+
+    fn input_register(&self, address: u16) -> Result<u16, Exception> {
+        self.0.input_register(address)
+    }
+
+    fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
+        self.0.write_coils(first, values)
+    }
+
+    fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
+        self.0.write_registers(first, values)
+    }
+
+    fn identification(&self) -> Identification {
+        IDENTIFICATION
+    }
+}

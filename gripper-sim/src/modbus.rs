@@ -1,0 +1,89 @@
+//! A client that speaks Modbus/TCP: frames in, frames out. What the requests do is in `fieldbus`.
+
+use crate::device::Device;
+use crate::fieldbus::Fieldbus;
+use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId};
+use heapless::Deque;
+use wsg_protocol::Counters;
+use wsg_protocol::modbus::tcp::{self, Event, HEADER_LEN, Receiver};
+
+/// Bytes of frames that wait for a client to read them: the answers to all requests that come at a time.
+const QUEUE_LEN: usize = 2_048;
+/// Where the length stands in a frame; it counts what follows.
+const LENGTH_AT: usize = HEADER_LEN - 3;
+
+const _: () = assert!(tcp::MAX_FRAME_LEN <= MAX_FRAME_LEN);
+
+/// A client.
+#[derive(Clone, Debug)]
+pub(crate) struct Client {
+    pub(crate) receiver: Receiver,
+    pub(crate) line: Line,
+}
+
+/// All of a client but what finds its frames.
+#[derive(Clone, Debug)]
+pub(crate) struct Line {
+    pub(crate) id: PortId,
+    /// The way to the next frame is lost: what waits is sent, and the connection is closed.
+    pub(crate) lost: bool,
+    queue: Deque<u8, QUEUE_LEN>,
+    foreign: u16,
+    replies_lost: u32,
+}
+
+impl Client {
+    pub(crate) const fn new(id: PortId) -> Self {
+        let line = Line { id, lost: false, queue: Deque::new(), foreign: 0, replies_lost: 0 };
+        Self { receiver: Receiver::new(), line }
+    }
+
+    pub(crate) fn counters(&self) -> PortCounters {
+        let Line { lost, foreign, replies_lost, .. } = self.line;
+        PortCounters {
+            parser: Counters { dropped: foreign, bad_checksum: 0, oversize: lost.into() },
+            updates_lost: 0,
+            replies_lost,
+        }
+    }
+}
+
+/// Serves what a stream held.
+pub(crate) fn hear(device: &Device, fieldbus: &mut Fieldbus, line: &mut Line, event: Event<'_>) {
+    match event {
+        Event::Request(request) => {
+            let mut frame = [0; tcp::MAX_FRAME_LEN];
+            let id = line.id;
+            let answer = request.answer(&mut frame, |pdu, place| fieldbus.serve(device, id, pdu, place));
+            line.send(answer);
+        }
+        Event::Foreign => line.foreign = line.foreign.saturating_add(1),
+        Event::Lost => line.lost = true,
+    }
+}
+
+impl Line {
+    pub(crate) fn has_frame(&self) -> bool {
+        !self.queue.is_empty()
+    }
+
+    /// The oldest frame.
+    pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let mut bytes = self.queue.iter().skip(LENGTH_AT).copied();
+        let length = u16::from_be_bytes([bytes.next()?, bytes.next()?]);
+        let place = buffer.get_mut(..HEADER_LEN - 1 + usize::from(length))?;
+        for slot in place.iter_mut() {
+            *slot = self.queue.pop_front()?;
+        }
+        Some(place)
+    }
+
+    fn send(&mut self, frame: &[u8]) {
+        if self.queue.len() + frame.len() > QUEUE_LEN {
+            self.replies_lost = self.replies_lost.saturating_add(1);
+            return;
+        }
+        // There is room for all of it.
+        let _ = frame.iter().try_for_each(|byte| self.queue.push_back(*byte));
+    }
+}

@@ -1,0 +1,628 @@
+//! The rules of the fieldbus manual (chapters 4 to 6) at the virtual gripper, one by one, in virtual time: what a PLC
+//! writes over Modbus/TCP, and what it reads.
+
+use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
+use wsg_protocol::{GripperState, Status, SystemFlags};
+use wsg_sim::{Config, Direction, Fault, MAX_FRAME_LEN, Model, Part, PortId, PortKind, Time, VirtualGripper};
+
+/// Parameters inside the limits of a WSG 50.
+const PARAMETERS: OutputImage =
+    OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
+
+/// A PLC at a gripper, and the time.
+struct Plc {
+    gripper: VirtualGripper,
+    port: PortId,
+    image: OutputImage,
+    now: Time,
+}
+
+impl Plc {
+    /// Just switched on; the PLC has written its parameters, all flags 0.
+    fn new(config: Config) -> Self {
+        let mut gripper = VirtualGripper::new(config);
+        let port = gripper.connect(PortKind::ModbusTcp).expect("a port is free");
+        let mut plc = Self { gripper, port, image: PARAMETERS, now: Time::ZERO };
+        plc.write();
+        plc
+    }
+
+    /// Homed outward.
+    fn homed(part: Option<Part>) -> Self {
+        Self::homed_with(Config { part, ..Config::default() })
+    }
+
+    fn homed_with(config: Config) -> Self {
+        let mut plc = Self::new(Config { homing_default: Direction::Plus, ..config });
+        plc.raise(Flag::HOMING);
+        plc.wait(4_000);
+        plc.lower(Flag::HOMING);
+        assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+        plc
+    }
+
+    /// Holding a part of 20 mm.
+    fn holding() -> Self {
+        let mut plc = Self::homed(Part::of_width(20.0));
+        plc.raise(Flag::GRIP);
+        plc.wait(3_000);
+        plc.lower(Flag::GRIP);
+        assert_eq!(plc.shows(), (Shown::HOLDING, Status::Success));
+        plc
+    }
+
+    /// One request PDU from a client; its response PDU.
+    fn ask_from(&mut self, port: PortId, pdu: &[u8]) -> Vec<u8> {
+        let header = [0x15, 0x01, 0, 0, 0, pdu.len() as u8 + 1, 0xFF];
+        self.gripper.receive(port, self.now, &[&header, pdu].concat());
+        let mut buffer = [0; MAX_FRAME_LEN];
+        let answer = self.gripper.transmit(port, &mut buffer).expect("an answer").to_vec();
+        assert_eq!(answer[..4], header[..4], "{answer:02X?}");
+        assert_eq!(usize::from(answer[5]) + 6, answer.len(), "{answer:02X?}");
+        assert_eq!(answer[6], 0xFF);
+        assert_eq!(self.gripper.transmit(port, &mut buffer), None);
+        answer[7..].to_vec()
+    }
+
+    fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
+        self.ask_from(self.port, pdu)
+    }
+
+    /// Writes the whole output image.
+    fn write(&mut self) {
+        let answer = self.ask(&[&[16, 0, 0, 0, 4, 8][..], &self.image.to_bytes()].concat());
+        assert_eq!(answer, [16, 0, 0, 0, 4]);
+    }
+
+    fn change(&mut self, change: impl FnOnce(&mut OutputImage)) {
+        change(&mut self.image);
+        self.write();
+    }
+
+    fn raise(&mut self, flags: Flag) {
+        self.change(|image| image.flags |= flags);
+    }
+
+    fn lower(&mut self, flags: Flag) {
+        self.change(|image| image.flags &= !flags);
+    }
+
+    /// Reads the whole input image.
+    fn read(&mut self) -> InputImage {
+        let answer = self.ask(&[4, 0, 0, 0, 6]);
+        assert_eq!(answer[..2], [4, 12]);
+        InputImage::from_bytes(answer[2..].try_into().unwrap())
+    }
+
+    fn shows(&mut self) -> (Shown, Status) {
+        let input = self.read();
+        (input.state, input.status)
+    }
+
+    fn flags(&mut self) -> SystemFlags {
+        self.read().system
+    }
+
+    /// The real opening width in mm.
+    fn width(&self) -> f32 {
+        self.gripper.state().width
+    }
+
+    fn wait(&mut self, millis: u64) {
+        self.now = self.now.plus_millis(millis);
+        self.gripper.advance(self.now);
+    }
+
+    #[track_caller]
+    fn assert_fast_stopped(&mut self) {
+        let input = self.read();
+        assert_eq!(input.state, Shown::IDLE);
+        assert!(input.system.contains(SystemFlags::FAST_STOP));
+        assert_eq!(self.gripper.state().speed, 0.0);
+    }
+
+    #[track_caller]
+    fn assert_stands(&mut self) {
+        let before = self.width();
+        self.wait(500);
+        assert_eq!(self.width(), before);
+    }
+}
+
+#[test]
+fn homing_is_positioning_and_then_idle_and_referenced() {
+    let mut plc = Plc::new(Config::default());
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    plc.raise(Flag::HOMING);
+    assert_eq!(plc.shows(), (Shown::POSITIONING, Status::CmdPending));
+    plc.wait(50);
+    assert!(plc.flags().contains(SystemFlags::MOVING));
+    plc.wait(4_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    let input = plc.read();
+    assert!(input.system.contains(SystemFlags::REFERENCED));
+    assert_eq!(input.width, 110_00);
+    // D0 of SYSSTATE is the lowest bit of the image's byte 2, so one number of 32 bits shows it as 01000000h.
+    let answer = plc.ask(&[4, 0, 1, 0, 2]);
+    assert_eq!(answer[2] & 1, 1);
+}
+
+#[test]
+fn move_is_positioning_and_stops_at_its_width() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::MOVE);
+    assert_eq!(plc.shows(), (Shown::POSITIONING, Status::CmdPending));
+    plc.wait(200);
+    assert_eq!(plc.shows(), (Shown::POSITIONING, Status::CmdPending));
+    assert!(plc.gripper.state().speed < -90.0);
+    plc.wait(2_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.read().width, 20_00);
+}
+
+#[test]
+fn command_runs_on_its_rising_edge_only() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::MOVE);
+    plc.wait(2_000);
+    plc.change(|image| image.width = 50_00);
+    plc.write();
+    plc.assert_stands();
+    plc.lower(Flag::MOVE);
+    plc.assert_stands();
+    plc.raise(Flag::MOVE);
+    plc.wait(2_000);
+    assert_eq!(plc.read().width, 50_00);
+}
+
+#[test]
+fn what_is_written_first_gives_no_edge_but_fast_stop_counts() {
+    let first = |flags| {
+        let mut gripper = VirtualGripper::new(Config::default());
+        let port = gripper.connect(PortKind::ModbusTcp).unwrap();
+        let image = OutputImage { flags, ..PARAMETERS };
+        let mut plc = Plc { gripper, port, image, now: Time::ZERO };
+        plc.write();
+        plc
+    };
+    for flag in [Flag::MOVE, Flag::GRIP, Flag::RELEASE, Flag::HOMING, Flag::JOG_PLUS, Flag::JOG_MINUS] {
+        let mut plc = first(flag);
+        plc.assert_stands();
+        assert_eq!(plc.shows(), (Shown::IDLE, Status::Success), "{flag:?}");
+    }
+    first(Flag::FASTSTOP).assert_fast_stopped();
+}
+
+#[test]
+fn of_two_edges_at_once_the_lower_bit_runs_alone() {
+    let mut plc = Plc::homed(Part::of_width(20.0));
+    plc.change(|image| image.width = 60_00);
+    plc.raise(Flag::MOVE | Flag::GRIP);
+    assert_eq!(plc.shows(), (Shown::POSITIONING, Status::CmdPending));
+    plc.wait(3_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.read().width, 60_00);
+    assert_eq!(plc.gripper.state().statistics.total, 0, "no grip followed");
+}
+
+#[test]
+fn motion_is_ignored_while_stop_or_fast_stop_is_set() {
+    for flag in [Flag::STOP_ACK, Flag::FASTSTOP] {
+        let mut plc = Plc::homed(None);
+        plc.raise(flag);
+        for motion in [Flag::MOVE, Flag::GRIP, Flag::RELEASE, Flag::HOMING, Flag::JOG_PLUS, Flag::JOG_MINUS] {
+            plc.raise(motion);
+            plc.assert_stands();
+            plc.lower(motion);
+        }
+        plc.raise(Flag::MOVE);
+        plc.lower(flag);
+        // Its edge is lost.
+        plc.assert_stands();
+    }
+}
+
+#[test]
+fn parameter_that_changes_while_the_fingers_move_is_a_fast_stop_of_the_gripper() {
+    let changes: [fn(&mut OutputImage); 3] =
+        [|image| image.width += 1, |image| image.speed += 1, |image| image.force_limit += 1];
+    for (motion, change) in [Flag::MOVE, Flag::HOMING, Flag::GRIP].into_iter().zip(changes) {
+        let mut plc = Plc::homed(None);
+        plc.raise(motion);
+        plc.wait(10);
+        plc.change(|image| image.user = 0x55);
+        plc.wait(10);
+        assert_eq!(plc.shows().1, Status::CmdPending, "{motion:?}: user flags may change");
+        plc.change(change);
+        plc.assert_fast_stopped();
+    }
+}
+
+#[test]
+fn parameter_outside_the_limits_with_a_motion_fast_stops_before_anything_moves() {
+    let wrong: [fn(&mut OutputImage); 5] = [
+        |image| image.speed = 4_99,
+        |image| image.speed = 420_01,
+        |image| image.force_limit = 4_99,
+        |image| image.force_limit = 80_01,
+        |image| image.force_limit = -40_00,
+    ];
+    for change in wrong {
+        for motion in [Flag::MOVE, Flag::GRIP, Flag::RELEASE] {
+            let mut plc = Plc::homed(None);
+            plc.change(change);
+            assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty(), "not without a motion");
+            plc.raise(motion);
+            plc.assert_fast_stopped();
+            assert_eq!(plc.width(), 110.0);
+        }
+        let mut plc = Plc::homed(None);
+        plc.change(change);
+        plc.raise(Flag::HOMING);
+        assert_eq!(plc.shows().0, Shown::POSITIONING, "HOMING has no parameters");
+    }
+}
+
+#[test]
+fn fast_stop_of_the_plc_is_left_by_an_edge_of_stop_while_its_flag_is_0() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::MOVE);
+    plc.wait(200);
+    plc.raise(Flag::FASTSTOP);
+    plc.assert_fast_stopped();
+    assert_eq!(plc.shows().1, Status::Success);
+    plc.assert_stands();
+    // Command 41h and the text protocol say 7, Error.
+    assert_eq!(plc.gripper.state().gripper, GripperState::Error);
+
+    plc.raise(Flag::STOP_ACK);
+    plc.assert_fast_stopped();
+    plc.lower(Flag::FASTSTOP);
+    plc.assert_fast_stopped();
+    plc.lower(Flag::STOP_ACK | Flag::MOVE);
+    plc.raise(Flag::MOVE);
+    plc.assert_fast_stopped();
+    assert_eq!(plc.shows().1, Status::AccessDenied);
+    plc.lower(Flag::MOVE);
+    plc.raise(Flag::STOP_ACK);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty());
+    plc.assert_stands();
+    plc.lower(Flag::STOP_ACK);
+    plc.raise(Flag::MOVE);
+    plc.wait(2_000);
+    assert_eq!(plc.read().width, 20_00);
+}
+
+#[test]
+fn stop_ends_a_motion_and_leaves_no_error() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::MOVE);
+    plc.wait(200);
+    plc.raise(Flag::STOP_ACK);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert!(plc.flags().contains(SystemFlags::AXIS_STOPPED));
+    plc.assert_stands();
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success), "the aborted motion does not show later");
+}
+
+#[test]
+fn stop_while_holding_ends_the_watch_over_the_part_and_the_force() {
+    let mut plc = Plc::holding();
+    assert!(plc.gripper.state().force > 30.0);
+    plc.raise(Flag::STOP_ACK);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    // The fingers give way until nothing is pressed any more.
+    plc.wait(100);
+    assert_eq!(plc.read().force, 0);
+    plc.gripper.set_part(None, plc.now);
+    plc.wait(100);
+    assert_eq!(plc.shows().0, Shown::IDLE, "nobody watches any more");
+}
+
+#[test]
+fn grip_is_gripping_and_then_holding_with_the_force_limit_of_its_register() {
+    let mut plc = Plc::homed(Part::of_width(20.0));
+    plc.change(|image| image.force_limit = 25_00);
+    plc.raise(Flag::GRIP);
+    assert_eq!(plc.shows(), (Shown::GRIPPING, Status::CmdPending));
+    plc.wait(3_000);
+    assert_eq!(plc.shows(), (Shown::HOLDING, Status::Success));
+    assert_eq!(plc.read().force, 25_00);
+    assert_eq!(plc.gripper.state().force_limit, 25.0);
+}
+
+#[test]
+fn grip_without_a_part_is_no_part_and_e_cmd_failed() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::GRIP);
+    plc.wait(3_000);
+    assert_eq!(plc.shows(), (Shown::NO_PART, Status::CmdFailed));
+    plc.lower(Flag::GRIP);
+    plc.change(|image| image.width = 60_00);
+    plc.raise(Flag::RELEASE);
+    assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+    plc.wait(3_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+}
+
+#[test]
+fn part_that_goes_while_it_is_held_is_lost_until_the_release() {
+    let mut plc = Plc::holding();
+    plc.gripper.set_part(None, plc.now);
+    plc.wait(10);
+    assert_eq!(plc.shows(), (Shown::PART_LOST, Status::Success), "the status is that of the grip");
+    plc.change(|image| image.width = 60_00);
+    plc.raise(Flag::RELEASE);
+    assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+    plc.wait(3_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+}
+
+#[test]
+fn release_is_releasing_and_then_idle() {
+    let mut plc = Plc::holding();
+    plc.change(|image| image.width = 40_00);
+    plc.raise(Flag::RELEASE);
+    assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+    plc.wait(2_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.read().width, 40_00);
+}
+
+#[test]
+fn jog_moves_as_long_as_its_flag_is_set() {
+    for (flag, sign) in [(Flag::JOG_MINUS, -1.0), (Flag::JOG_PLUS, 1.0)] {
+        let mut plc = Plc::homed(None);
+        plc.change(|image| image.width = 50_00);
+        plc.raise(Flag::MOVE);
+        plc.wait(2_000);
+        plc.lower(Flag::MOVE);
+        plc.raise(flag);
+        assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+        plc.wait(200);
+        assert_eq!(plc.gripper.state().speed, sign * 100.0);
+        assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+        plc.lower(flag);
+        assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+        plc.assert_stands();
+    }
+}
+
+#[test]
+fn jog_flags_together_stop() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(200);
+    plc.raise(Flag::JOG_PLUS);
+    assert_eq!(plc.shows().0, Shown::IDLE);
+    plc.assert_stands();
+    plc.lower(Flag::JOG_PLUS);
+    plc.wait(200);
+    assert_eq!(plc.gripper.state().speed, -100.0, "one alone goes on");
+}
+
+#[test]
+fn jog_follows_the_dial_without_a_fast_stop() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(100);
+    plc.change(|image| image.speed = 30_00);
+    plc.wait(100);
+    assert_eq!(plc.gripper.state().speed, -30.0);
+    plc.change(|image| image.force_limit = 10_00);
+    plc.wait(100);
+    assert_eq!((plc.gripper.state().speed, plc.gripper.state().force_limit), (-30.0, 10.0));
+    plc.change(|image| image.speed = 0);
+    plc.wait(100);
+    assert_eq!(plc.gripper.state().speed, -5.0, "0 is the least speed");
+    assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+}
+
+#[test]
+fn jog_ends_idle_at_the_end_of_the_stroke() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(3_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.read().width, 0);
+}
+
+#[test]
+fn jog_ends_when_the_connection_that_wrote_last_is_gone() {
+    let mut plc = Plc::homed(None);
+    let other = plc.gripper.connect(PortKind::ModbusTcp).unwrap();
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(100);
+    plc.gripper.disconnect(plc.port, plc.now);
+    plc.port = other;
+    plc.assert_stands();
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty());
+    // The level alone does not start it again.
+    plc.write();
+    plc.assert_stands();
+    plc.lower(Flag::JOG_MINUS);
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(100);
+    assert_eq!(plc.gripper.state().speed, -100.0);
+}
+
+#[test]
+fn connection_that_only_reads_may_go_at_any_time() {
+    let mut plc = Plc::homed(None);
+    let watcher = plc.gripper.connect(PortKind::ModbusTcp).unwrap();
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(100);
+    assert_eq!(plc.ask_from(watcher, &[4, 0, 0, 0, 6]).len(), 14);
+    plc.gripper.disconnect(watcher, plc.now);
+    plc.wait(10);
+    assert_eq!(plc.gripper.state().speed, -100.0);
+}
+
+#[test]
+fn motion_goes_on_when_the_last_master_is_gone() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::MOVE);
+    plc.wait(100);
+    plc.gripper.disconnect(plc.port, plc.now);
+    plc.wait(2_000);
+    plc.port = plc.gripper.connect(PortKind::ModbusTcp).unwrap();
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.read().width, 20_00);
+    // The image stays, so the same flag is no edge.
+    plc.change(|image| image.width = 80_00);
+    plc.assert_stands();
+}
+
+#[test]
+fn failed_motion_is_error_until_stop_acknowledges_it() {
+    let mut plc = Plc::homed(None);
+    plc.gripper.set_fault(Fault::AxisBlocked, true, plc.now);
+    plc.raise(Flag::MOVE);
+    plc.wait(500);
+    assert_eq!(plc.shows(), (Shown::ERROR, Status::AxisBlocked));
+    plc.lower(Flag::MOVE);
+    assert_eq!(plc.shows(), (Shown::ERROR, Status::AxisBlocked), "kept until the next command");
+    plc.raise(Flag::STOP_ACK);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    plc.wait(100);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.gripper.state().gripper, GripperState::Idle);
+}
+
+#[test]
+fn motion_without_a_reference_is_refused() {
+    let mut plc = Plc::new(Config::default());
+    plc.raise(Flag::MOVE);
+    assert_eq!(plc.shows(), (Shown::ERROR, Status::NotInitialized));
+    plc.assert_stands();
+}
+
+#[test]
+fn fast_stop_that_a_fault_causes_shows_and_stays_as_long_as_the_fault() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::MOVE);
+    plc.wait(100);
+    plc.gripper.set_fault(Fault::MotorCurrent, true, plc.now);
+    plc.assert_fast_stopped();
+    plc.lower(Flag::MOVE);
+    plc.raise(Flag::STOP_ACK);
+    plc.assert_fast_stopped();
+    plc.gripper.set_fault(Fault::MotorCurrent, false, plc.now);
+    plc.assert_fast_stopped();
+    plc.lower(Flag::STOP_ACK);
+    plc.raise(Flag::STOP_ACK);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty());
+}
+
+#[test]
+fn unannounced_end_of_a_binary_connection_shows_in_the_registers() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::MOVE);
+    plc.wait(100);
+    let binary = plc.gripper.connect(PortKind::Tcp).unwrap();
+    plc.gripper.disconnect(binary, plc.now);
+    plc.assert_fast_stopped();
+    assert_eq!(plc.shows().1, Status::CmdAborted);
+}
+
+#[test]
+fn force_registers_of_a_wsg_70_count_tenths_of_a_newton() {
+    let part = Part::of_width(20.0);
+    let mut plc = Plc::new(Config { model: Model::Wsg70, part, ..Config::default() });
+    plc.change(|image| image.force_limit = 150_0);
+    plc.raise(Flag::HOMING);
+    plc.wait(4_000);
+    plc.lower(Flag::HOMING);
+    plc.raise(Flag::GRIP);
+    plc.wait(4_000);
+    assert_eq!(plc.shows(), (Shown::HOLDING, Status::Success));
+    assert_eq!(plc.gripper.state().force_limit, 150.0);
+    assert_eq!(plc.read().force, 150_0);
+}
+
+#[test]
+fn swapped_bytes_are_those_of_the_numbers_alone() {
+    let mut plc = Plc::homed_with(Config::default());
+    assert_eq!(plc.ask(&[4, 0, 3, 0, 1]), [4, 2, 0x2A, 0xF8], "110.00 mm");
+    let mut gripper = VirtualGripper::new(Config { modbus_swap_bytes: true, ..Config::default() });
+    let port = gripper.connect(PortKind::ModbusTcp).unwrap();
+    let mut plc = Plc { gripper, port, image: OutputImage::ZERO, now: Time::ZERO };
+    plc.write();
+    plc.raise(Flag::HOMING);
+    plc.wait(4_000);
+    plc.lower(Flag::HOMING);
+    assert_eq!(plc.ask(&[4, 0, 3, 0, 1]), [4, 2, 0xF8, 0x2A]);
+    // 50.00 mm at 100.00 mm/s with 40.00 N; CMDFLAGS stays where it is.
+    assert_eq!(plc.ask(&[16, 0, 0, 0, 4, 8, 0x01, 0, 0x88, 0x13, 0x10, 0x27, 0xA0, 0x0F]), [16, 0, 0, 0, 4]);
+    plc.wait(2_000);
+    assert_eq!(plc.width(), 50.0);
+}
+
+#[test]
+fn coils_and_registers_are_two_views_of_one_image() {
+    let mut plc = Plc::homed(None);
+    // FC 5: coil 0 is MOVE.
+    assert_eq!(plc.ask(&[5, 0, 0, 0xFF, 0]), [5, 0, 0, 0xFF, 0]);
+    assert_eq!(plc.shows().0, Shown::POSITIONING);
+    assert_eq!(plc.ask(&[3, 0, 0, 0, 1]), [3, 2, 1, 0], "bit 8 of register 0");
+    // FC 2: discrete input 6 is POSITIONING, 16 is REFERENCED, 17 is MOVING.
+    assert_eq!(plc.ask(&[2, 0, 0, 0, 8]), [2, 1, 1 << 6]);
+    plc.wait(50);
+    assert_eq!(plc.ask(&[2, 0, 16, 0, 2]), [2, 1, 0b11]);
+    // FC 22 takes the flag back and leaves the rest: no parameter changes, so nothing stops.
+    assert_eq!(plc.ask(&[22, 0, 0, 0, 0xFF, 0, 0]), [22, 0, 0, 0, 0xFF, 0, 0]);
+    assert_eq!(plc.shows().0, Shown::POSITIONING);
+    // FC 23 writes before it reads: IF6.
+    assert_eq!(plc.ask(&[23, 0, 0, 0, 1, 0, 0, 0, 1, 2, 0, 0x20]), [23, 2, 0, 0x20]);
+    plc.wait(2_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+}
+
+#[test]
+fn clients_share_one_output_image_and_see_one_state() {
+    let mut plc = Plc::homed(None);
+    let other = plc.gripper.connect(PortKind::ModbusTcp).unwrap();
+    plc.raise(Flag::MOVE);
+    assert_eq!(plc.ask_from(other, &[3, 0, 0, 0, 2]), [3, 4, 1, 0, 0x07, 0xD0]);
+    // The other one stops what the first began.
+    plc.wait(100);
+    assert_eq!(plc.ask_from(other, &[5, 0, 4, 0xFF, 0]), [5, 0, 4, 0xFF, 0]);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    plc.assert_stands();
+}
+
+#[test]
+fn many_identifications_at_once_are_all_answered() {
+    // The longest answers for the shortest request, as many as a server reads at a time.
+    let mut plc = Plc::new(Config::default());
+    let request = [0, 1, 0, 0, 0, 5, 1, 0x2B, 0x0E, 1, 0];
+    let count = 256 / request.len() + 1;
+    plc.gripper.receive(plc.port, plc.now, &request.repeat(count));
+    let mut buffer = [0; MAX_FRAME_LEN];
+    let answers = std::iter::from_fn(|| plc.gripper.transmit(plc.port, &mut buffer).map(<[u8]>::len));
+    assert_eq!(answers.count(), count);
+    assert_eq!(plc.gripper.counters(plc.port).unwrap().replies_lost, 0);
+}
+
+#[test]
+fn stream_without_a_way_to_its_next_frame_is_over() {
+    let mut plc = Plc::homed(None);
+    // A frame of another protocol is left out; after a length of 0 nothing is taken, not even a MOVE.
+    let foreign = [0, 1, 0, 9, 0, 6, 1, 5, 0, 0, 0xFF, 0];
+    let read = [0, 2, 0, 0, 0, 6, 1, 3, 0, 0, 0, 1];
+    let none = [0, 3, 0, 0, 0, 0];
+    let motion = [0, 4, 0, 0, 0, 6, 1, 5, 0, 0, 0xFF, 0];
+    plc.gripper.receive(plc.port, plc.now, &[&foreign, &read].map(|frame| &frame[..]).concat());
+    assert!(!plc.gripper.is_lost(plc.port));
+    plc.gripper.receive(plc.port, plc.now, &[&none[..], &motion].concat());
+    let mut buffer = [0; MAX_FRAME_LEN];
+    assert_eq!(plc.gripper.transmit(plc.port, &mut buffer), Some(&[0, 2, 0, 0, 0, 5, 1, 3, 2, 0, 0][..]));
+    assert_eq!(plc.gripper.transmit(plc.port, &mut buffer), None);
+    assert!(plc.gripper.is_lost(plc.port));
+    let counters = plc.gripper.counters(plc.port).unwrap().parser;
+    assert_eq!((counters.dropped, counters.oversize), (1, 1));
+    plc.assert_stands();
+}

@@ -1,0 +1,396 @@
+//! Modbus/TCP over real sockets, and the binary. Every wait is bounded by a time-out of the socket.
+//!
+//! What is expected is what the MODBUS application protocol specification and the messaging implementation guide say.
+#![cfg(feature = "std")]
+
+mod common;
+
+use common::parse;
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::process::{Command as Process, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+use wsg_protocol::{Command, FrameEncoder};
+use wsg_sim::server::{Lines, Log, ServerThread};
+use wsg_sim::{Config, Part};
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(10);
+
+const GSTATE: [u8; 5] = [4, 0, 0, 0, 1];
+const IDLE: u8 = 0x01;
+const HOLDING: u8 = 0x10;
+
+fn any_port() -> Option<SocketAddr> {
+    "127.0.0.1:0".parse().ok()
+}
+
+fn serve(lines: Lines) -> ServerThread {
+    // So that motions take no time to speak of.
+    let config = Config { time_scale: 100.0, part: Part::of_width(20.0), ..Config::default() };
+    ServerThread::start(config, &Lines { modbus: any_port(), ..lines }, None).expect("the server is up")
+}
+
+fn frame(transaction: u16, unit: u8, pdu: &[u8]) -> Vec<u8> {
+    let length = (pdu.len() as u16 + 1).to_be_bytes();
+    [&transaction.to_be_bytes()[..], &[0, 0], &length, &[unit], pdu].concat()
+}
+
+struct Master {
+    stream: TcpStream,
+    transaction: u16,
+}
+
+impl Master {
+    fn new(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream.set_write_timeout(Some(BOUND)).unwrap();
+        stream.set_nodelay(true).unwrap();
+        Self { stream, transaction: 0 }
+    }
+
+    fn of(served: &ServerThread) -> Self {
+        Self::new(served.modbus_address().expect("it was asked for"))
+    }
+
+    fn send(&mut self, bytes: &[u8]) {
+        self.stream.write_all(bytes).unwrap();
+    }
+
+    /// The next frame: its transaction, unit and PDU.
+    fn recv(&mut self) -> (u16, u8, Vec<u8>) {
+        let mut header = [0; 7];
+        self.stream.read_exact(&mut header).expect("an answer in time");
+        let [t1, t0, 0, 0, l1, l0, unit] = header else { panic!("no MODBUS: {header:02X?}") };
+        let mut pdu = vec![0; usize::from(u16::from_be_bytes([l1, l0])) - 1];
+        self.stream.read_exact(&mut pdu).expect("the rest of it");
+        (u16::from_be_bytes([t1, t0]), unit, pdu)
+    }
+
+    fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
+        self.transaction = self.transaction.wrapping_add(1);
+        self.send(&frame(self.transaction, 0xFF, pdu));
+        let (transaction, unit, answer) = self.recv();
+        assert_eq!((transaction, unit), (self.transaction, 0xFF));
+        answer
+    }
+
+    /// CMDFLAGS with the parameters of a grip at 20 mm.
+    fn write(&mut self, flags: u8) {
+        let image = [flags, 0, 0x07, 0xD0, 0x27, 0x10, 0x0F, 0xA0];
+        let answer = self.ask(&[&[16, 0, 0, 0, 4, 8][..], &image].concat());
+        assert_eq!(answer, [16, 0, 0, 0, 4]);
+    }
+
+    fn gstate(&mut self) -> u8 {
+        let answer = self.ask(&GSTATE);
+        assert_eq!(answer[..2], [4, 2]);
+        answer[2]
+    }
+
+    fn status(&mut self) -> u8 {
+        self.ask(&[4, 0, 5, 0, 1])[3]
+    }
+
+    /// Until the command that was begun has its result.
+    fn wait_for_result(&mut self) -> u8 {
+        let end = Instant::now() + BOUND;
+        loop {
+            match self.status() {
+                26 if Instant::now() < end => thread::sleep(Duration::from_millis(1)),
+                status => return status,
+            }
+        }
+    }
+
+    fn run(&mut self, flags: u8) {
+        self.write(0);
+        self.write(flags);
+        assert_eq!(self.wait_for_result(), 0);
+        self.write(0);
+    }
+
+    /// What comes until the gripper closes the connection.
+    fn rest(&mut self) -> Vec<u8> {
+        let mut rest = vec![];
+        self.stream.read_to_end(&mut rest).expect("the connection is closed in time");
+        rest
+    }
+}
+
+#[test]
+fn pipelined_requests_are_all_answered_in_order() {
+    let served = serve(Lines::default());
+    let mut master = Master::of(&served);
+    let requests: Vec<u8> = (0..2_000).flat_map(|n| frame(n, n as u8, &[3, 0, 0, 0, 4])).collect();
+    master.send(&requests);
+    for n in 0..2_000 {
+        assert_eq!(master.recv(), (n, n as u8, vec![3, 8, 0, 0, 0, 0, 0, 0, 0, 0]));
+    }
+}
+
+#[test]
+fn request_in_pieces_is_one_request() {
+    let served = serve(Lines::default());
+    let mut master = Master::of(&served);
+    for byte in frame(7, 1, &[6, 0, 1, 0x04, 0xC4]) {
+        master.send(&[byte]);
+    }
+    assert_eq!(master.recv(), (7, 1, vec![6, 0, 1, 0x04, 0xC4]));
+    // The end of one and the beginning of the next in one piece.
+    let two = [frame(8, 1, &[3, 0, 1, 0, 1]), frame(9, 1, &[3, 0, 2, 0, 1])].concat();
+    master.send(&two[..15]);
+    assert_eq!(master.recv(), (8, 1, vec![3, 2, 0x04, 0xC4]));
+    master.send(&two[15..]);
+    assert_eq!(master.recv(), (9, 1, vec![3, 2, 0, 0]));
+}
+
+#[test]
+fn unit_identifier_is_returned_and_chooses_nothing() {
+    let served = serve(Lines::default());
+    let mut master = Master::of(&served);
+    for unit in 0..=255 {
+        master.send(&frame(1, unit, &[6, 0, 1, 0, unit]));
+        assert_eq!(master.recv(), (1, unit, vec![6, 0, 1, 0, unit]), "0 is no broadcast here");
+    }
+}
+
+#[test]
+fn exceptions_are_those_of_the_specification() {
+    let served = serve(Lines::default());
+    let mut master = Master::of(&served);
+    for (request, exception, why) in [
+        (&[0][..], 1, "no function code"),
+        (&[7], 1, "Read Exception Status is for serial lines"),
+        (&[8, 0, 0, 0xA5, 0x37], 1, "so is Diagnostics"),
+        (&[20, 0], 1, "no files"),
+        (&[43, 13, 0], 1, "no CANopen"),
+        (&[65], 1, "user defined"),
+        (&[3, 0, 0, 0, 0], 3, "no register"),
+        (&[3, 0, 0, 0, 126], 3, "more than there may be"),
+        (&[3, 0, 0, 0], 3, "too short"),
+        (&[3, 0, 0, 0, 1, 0], 3, "too long"),
+        (&[1, 0, 0, 0x07, 0xD1], 3, "2001 coils"),
+        (&[3, 0, 0, 0, 5], 2, "behind the last"),
+        (&[4, 0, 6, 0, 1], 2, "behind the last"),
+        (&[4, 0xFF, 0xFF, 0, 2], 2, "addresses do not begin again"),
+        (&[5, 0, 0, 0x12, 0x34], 3, "neither on nor off"),
+        (&[5, 0, 64, 0xFF, 0], 2, "behind the last coil"),
+        (&[16, 0, 0, 0, 2, 4, 0, 0, 0], 3, "fewer bytes than counted"),
+        (&[16, 0, 0, 0, 2, 2, 0, 0], 3, "count and quantity differ"),
+        (&[16, 0, 3, 0, 2, 4, 0, 0, 0, 0], 2, "half of it is behind the last"),
+        (&[22, 0, 4, 0, 0, 0, 0], 2, "behind the last"),
+        (&[43, 14, 5, 0], 3, "no such access"),
+    ] {
+        assert_eq!(master.ask(request), [request[0] | 0x80, exception], "{request:02X?}: {why}");
+    }
+    // Two that read as one: what stands behind the counted data belongs to no request.
+    assert_eq!(master.ask(&[3, 0, 0, 0, 4]), [3, 8, 0, 0, 0, 0, 0, 0, 0, 0], "nothing was written");
+}
+
+#[test]
+fn frame_of_another_protocol_is_discarded_without_an_answer() {
+    let served = serve(Lines::default());
+    let mut master = Master::of(&served);
+    let mut foreign = frame(1, 1, &[6, 0, 1, 0, 1]);
+    foreign[2] = 1;
+    master.send(&[foreign, frame(2, 1, &[3, 0, 1, 0, 1])].concat());
+    assert_eq!(master.recv(), (2, 1, vec![3, 2, 0, 0]));
+}
+
+#[test]
+fn length_that_no_frame_has_closes_the_connection_once_all_before_it_is_answered() {
+    let served = serve(Lines::default());
+    for length in [0u16, 1, 255, 0xFFFF] {
+        let mut master = Master::of(&served);
+        let before: Vec<u8> = (0..50).flat_map(|n| frame(n, 1, &[3, 0, 0, 0, 1])).collect();
+        let mut wrong = frame(99, 1, &[6, 0, 1, 0x12, 0x34]);
+        wrong[4..6].copy_from_slice(&length.to_be_bytes());
+        let behind = frame(100, 1, &[6, 0, 2, 0x12, 0x34]);
+        master.send(&[before, wrong, behind].concat());
+        for n in 0..50 {
+            assert_eq!(master.recv(), (n, 1, vec![3, 2, 0, 0]));
+        }
+        assert!(master.rest().is_empty(), "{length}");
+        assert_eq!(
+            Master::of(&served).ask(&[3, 0, 1, 0, 2]),
+            [3, 4, 0, 0, 0, 0],
+            "{length}: nothing is written"
+        );
+    }
+}
+
+#[test]
+fn masters_that_never_read_or_stop_in_mid_frame_leave_the_others_alone() {
+    let served = serve(Lines::default());
+    let mut deaf = vec![];
+    for _ in 0..20 {
+        let mut master = Master::of(&served);
+        master.stream.set_write_timeout(Some(Duration::from_millis(50))).unwrap();
+        let requests = frame(1, 1, &[43, 14, 1, 0]).repeat(500);
+        // Until the gripper takes no more of it.
+        while let Ok(count) = master.stream.write(&requests) {
+            assert!(count > 0);
+        }
+        deaf.push(master);
+    }
+    let halves: Vec<Master> = (0..20)
+        .map(|n| {
+            let mut master = Master::of(&served);
+            master.send(&frame(1, 1, &[6, 0, 0, 1, 0])[..n % 11]);
+            master
+        })
+        .collect();
+    let begin = Instant::now();
+    let mut master = Master::of(&served);
+    for _ in 0..200 {
+        assert_eq!(master.gstate(), IDLE);
+    }
+    assert!(begin.elapsed() < BOUND / 2, "{:?}", begin.elapsed());
+    // Half a request is none.
+    assert_eq!(master.ask(&[3, 0, 0, 0, 1]), [3, 2, 0, 0]);
+    drop(halves);
+    // Once it reads, a deaf one gets all its answers.
+    let mut first = deaf.remove(0);
+    for _ in 0..5_000 {
+        assert_eq!(first.recv().2[..3], [43, 14, 1]);
+    }
+}
+
+#[test]
+fn random_bytes_leave_it_answering() {
+    let served = serve(Lines::default());
+    let mut random = 0x2545_F491_4F6C_DD1D_u64;
+    let mut next = move || {
+        random ^= random << 13;
+        random ^= random >> 7;
+        random ^= random << 17;
+        random
+    };
+    for round in 0..300 {
+        let mut master = Master::of(&served);
+        let mut bytes: Vec<u8> = (0..next() % 600).map(|_| next() as u8).collect();
+        // Two in three begin with a header that may be one.
+        if round % 3 > 0 && bytes.len() > 8 {
+            bytes[2..5].fill(0);
+            bytes[7] = next() as u8 % 3;
+        }
+        // The gripper may close it at any time.
+        let _ = master.stream.write_all(&bytes);
+        let _ = master.stream.shutdown(std::net::Shutdown::Write);
+        match master.stream.read_to_end(&mut vec![]) {
+            Ok(_) => {}
+            Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset, "round {round}"),
+        }
+    }
+    assert_eq!(Master::of(&served).ask(&GSTATE), [4, 2, IDLE, 0]);
+}
+
+#[test]
+fn binary_text_and_modbus_clients_see_one_gripper() {
+    let served = serve(Lines { tcp: any_port(), gcl: any_port(), ..Lines::default() });
+    let mut master = Master::of(&served);
+    let mut watcher = Master::of(&served);
+    let connect = |address: SocketAddr| {
+        let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream
+    };
+    let mut binary = connect(served.tcp_address().unwrap());
+    let mut text = connect(served.gcl_address().unwrap());
+    let mut says = |line: &str| {
+        text.write_all(format!("{line}\n").as_bytes()).unwrap();
+        let mut buffer = [0; 256];
+        let len = text.read(&mut buffer).unwrap();
+        str::from_utf8(&buffer[..len]).unwrap().trim_end().to_owned()
+    };
+    let mut answers = |command: Command<'_>| {
+        binary.write_all(&FrameEncoder::new(command.id().code(), command).collect::<Vec<u8>>()).unwrap();
+        let mut buffer = [0; 256];
+        let len = binary.read(&mut buffer).unwrap();
+        parse(&buffer[..len]).remove(0).1
+    };
+    const STATE: Command<'static> = Command::GetGripperState { update: wsg_protocol::AutoUpdate::once() };
+
+    // The PLC homes and grips; everybody sees the part held.
+    master.run(0b1000);
+    master.run(0b0010);
+    assert_eq!((master.gstate(), watcher.gstate()), (HOLDING, HOLDING));
+    assert_eq!(answers(STATE), [0, 0, 4]);
+    assert_eq!(says("GRIPSTATE?"), "GRIPSTATE=4");
+    // The text client lets go; the PLC sees it.
+    assert_eq!(says("RELEASE()"), "ACK RELEASE");
+    assert_eq!(says(""), "FIN RELEASE");
+    assert_eq!((master.gstate(), answers(STATE)), (IDLE, vec![0, 0, 0]));
+    // The binary client's FAST STOP is the PLC's as well: IDLE there, 7 here and in the text protocol.
+    assert_eq!(answers(Command::FastStop), [0, 0]);
+    assert_eq!(watcher.ask(&[2, 0, 28, 0, 1]), [2, 1, 1], "SYSSTATE bit 12");
+    assert_eq!(
+        (watcher.gstate(), answers(STATE), says("GRIPSTATE?")),
+        (IDLE, vec![0, 0, 7], "GRIPSTATE=7".to_owned())
+    );
+    // The PLC acknowledges it for all.
+    watcher.write(0);
+    watcher.write(0b1_0000);
+    assert_eq!(watcher.ask(&[2, 0, 28, 0, 1]), [2, 1, 0]);
+    assert_eq!(
+        (watcher.gstate(), answers(STATE), says("GRIPSTATE?")),
+        (IDLE, vec![0, 0, 0], "GRIPSTATE=0".to_owned())
+    );
+    assert_eq!(says("BYE()"), "ACK BYE");
+}
+
+#[test]
+fn log_shows_frames_with_their_function_and_exception() {
+    let path = std::env::temp_dir().join(format!("wsg-sim-modbus-{}.log", std::process::id()));
+    let lines = Lines { modbus: any_port(), ..Lines::default() };
+    let served = ServerThread::start(Config::default(), &lines, Some(Log::to_file(&path).unwrap())).unwrap();
+    let mut master = Master::of(&served);
+    master.ask(&[3, 0, 0, 0, 1]);
+    master.ask(&[3, 0, 4, 0, 1]);
+    let mut wrong = frame(3, 1, &[7]);
+    wrong[2] = 1;
+    master.send(&wrong);
+    wrong[2..6].fill(0);
+    master.send(&wrong);
+    master.rest();
+    served.stop().unwrap();
+    let log = std::fs::read_to_string(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    let lines: Vec<&str> = log.lines().collect();
+    assert_eq!(lines.len(), 6, "{log}");
+    for (line, end) in lines.iter().zip([
+        " -> 00 01 00 00 00 06 FF 03 00 00 00 01  FC 3 ReadHoldingRegisters",
+        " <- 00 01 00 00 00 05 FF 03 02 00 00  FC 3 ReadHoldingRegisters",
+        " -> 00 02 00 00 00 06 FF 03 00 04 00 01  FC 3 ReadHoldingRegisters",
+        " <- 00 02 00 00 00 03 FF 83 02  FC 3 ReadHoldingRegisters, exception 2",
+        " -> a frame of another protocol",
+        " -> a length that no frame has",
+    ]) {
+        assert!(line.contains(" s modbus 127.0.0.1:") && line.ends_with(end), "{log}");
+    }
+}
+
+#[test]
+fn program_serves_modbus_and_says_where() {
+    let mut program = Process::new(env!("CARGO_BIN_EXE_wsg-sim"))
+        .args(["--modbus", "127.0.0.1:0", "--modbus-swap-bytes", "--time-scale", "100"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = BufReader::new(program.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert_eq!(said.next().unwrap(), "model wsg50-110");
+    let modbus = said.next().unwrap();
+    let address = modbus.strip_prefix("modbus ").expect("where Modbus is served").parse().unwrap();
+    let mut master = Master::new(address);
+    master.ask(&[6, 0, 0, 0, 0]);
+    master.ask(&[6, 0, 0, 0x08, 0]);
+    while master.ask(&[4, 0, 5, 0, 1]) != [4, 2, 0, 0] {
+        thread::sleep(Duration::from_millis(1));
+    }
+    assert_eq!(master.ask(&[4, 0, 3, 0, 1]), [4, 2, 0xF8, 0x2A], "110.00 mm, low byte first");
+    program.kill().unwrap();
+    program.wait().unwrap();
+}

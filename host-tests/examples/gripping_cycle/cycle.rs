@@ -1,0 +1,362 @@
+//! The gripping cycle of the fieldbus manual's demo program (appendix D), as a PLC scans it: an input image in, an
+//! output image out. It knows no bus and no clock.
+//!
+//! As there, an error clears all command flags, acknowledges, homes and begins again. Other than there,
+//! - the cycle homes first, and counts a FAST STOP as an error whatever GSTATE says;
+//! - each command flag is seen at 0 before it rises, STOP/ACK as well: otherwise a second error gives no edge;
+//! - a motion that is over before the next scan is no motion that never began;
+//! - every wait has an end.
+
+use wsg_protocol::fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
+use wsg_protocol::{Status, SystemFlags};
+
+/// How long a part is held, in milliseconds.
+const HOLDING_TIME_MS: u64 = 1_000;
+/// How long anything else may take, in milliseconds: more than any stroke needs.
+const PATIENCE_MS: u64 = 30_000;
+/// How long after its edge a motion may be over without having been seen, in milliseconds.
+const BEGIN_MS: u64 = 300;
+/// How many errors in a row are not worth another attempt.
+const MAX_ERRORS_IN_A_ROW: u32 = 3;
+
+/// A motion of the cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Motion {
+    Home,
+    PrePosition,
+    Grip,
+    Release,
+    Start,
+}
+
+impl Motion {
+    const fn flag(self) -> CommandFlags {
+        match self {
+            Self::Home => CommandFlags::HOMING,
+            Self::PrePosition | Self::Start => CommandFlags::MOVE,
+            Self::Grip => CommandFlags::GRIP,
+            Self::Release => CommandFlags::RELEASE,
+        }
+    }
+
+    /// GSTATE while it runs.
+    const fn running(self) -> GripperFlags {
+        match self {
+            Self::Home | Self::PrePosition | Self::Start => GripperFlags::POSITIONING,
+            Self::Grip => GripperFlags::GRIPPING,
+            Self::Release => GripperFlags::RELEASING,
+        }
+    }
+
+    /// WIDTH, SPEED and FORCELIMIT as registers; HOMING has none.
+    const fn parameters(self) -> Option<(i16, u16, i16)> {
+        match self {
+            Self::Home => None,
+            Self::PrePosition | Self::Release => Some((30_00, 400_00, 80_00)),
+            Self::Grip => Some((22_00, 400_00, 50_00)),
+            Self::Start => Some((60_00, 400_00, 80_00)),
+        }
+    }
+}
+
+/// What happened so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Counters {
+    pub(crate) cycles: u32,
+    pub(crate) held: u32,
+    pub(crate) not_found: u32,
+    pub(crate) lost: u32,
+    pub(crate) homings: u32,
+    pub(crate) errors: u32,
+}
+
+/// Where the cycle stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Phase {
+    /// Nothing has been written.
+    Off,
+    /// All command flags are 0: what is written first gives no edge.
+    Clear,
+    /// STOP/ACK is set.
+    Acknowledge,
+    /// The flag of a motion is set.
+    Begin(Motion),
+    /// The motion runs; its flag is 0 again.
+    Run(Motion),
+    /// The part is held.
+    Hold,
+    /// All cycles are done.
+    Finished,
+    /// Too many errors in a row.
+    GivenUp,
+}
+
+/// The cycle.
+#[derive(Debug)]
+pub(crate) struct Cycle {
+    output: OutputImage,
+    phase: Phase,
+    since_ms: u64,
+    wanted: u32,
+    errors_in_a_row: u32,
+    counters: Counters,
+    last_error: Option<String>,
+}
+
+impl Cycle {
+    /// As many cycles as this, from the first image on.
+    pub(crate) const fn new(wanted: u32) -> Self {
+        Self {
+            output: OutputImage::ZERO,
+            phase: Phase::Off,
+            since_ms: 0,
+            wanted,
+            errors_in_a_row: 0,
+            counters: Counters { cycles: 0, held: 0, not_found: 0, lost: 0, homings: 0, errors: 0 },
+            last_error: None,
+        }
+    }
+
+    pub(crate) const fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    pub(crate) const fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// What went wrong last.
+    pub(crate) fn last_error(&self) -> Option<&str> {
+        self.last_error.as_deref()
+    }
+
+    /// One scan: takes what the gripper shows, gives what it is to be told.
+    pub(crate) fn scan(&mut self, now_ms: u64, input: &InputImage) -> OutputImage {
+        let lasted_ms = now_ms.saturating_sub(self.since_ms);
+        let next = match self.next(lasted_ms, input) {
+            Ok(next) => next,
+            Err(error) => Some(self.recover(error)),
+        };
+        if let Some(phase) = next {
+            self.enter(phase, now_ms);
+        }
+        self.output
+    }
+
+    /// The next phase, none to stay, or what went wrong.
+    fn next(&mut self, lasted_ms: u64, input: &InputImage) -> Result<Option<Phase>, String> {
+        let is_fast_stopped = input.system.contains(SystemFlags::FAST_STOP);
+        match self.phase {
+            Phase::Finished | Phase::GivenUp => return Ok(None),
+            Phase::Off => return Ok(Some(Phase::Clear)),
+            Phase::Clear => return Ok(Some(Phase::Acknowledge)),
+            Phase::Acknowledge if input.state == GripperFlags::IDLE && !is_fast_stopped => {
+                return Ok(Some(Phase::Begin(Motion::Home)));
+            }
+            Phase::Acknowledge => {}
+            Phase::Begin(_) | Phase::Run(_) | Phase::Hold if is_fast_stopped => {
+                return Err("FAST STOP".to_owned());
+            }
+            Phase::Begin(_) | Phase::Run(_) | Phase::Hold if input.state == GripperFlags::ERROR => {
+                return Err(format!("ERROR with {}", input.status));
+            }
+            Phase::Begin(motion) => {
+                let began = input.state == motion.running() || input.status == Status::CmdPending;
+                if began || lasted_ms >= BEGIN_MS {
+                    return Ok(Some(Phase::Run(motion)));
+                }
+            }
+            Phase::Run(motion) => {
+                if input.state != motion.running() && input.status != Status::CmdPending {
+                    return self.follow(motion, input).map(Some);
+                }
+            }
+            Phase::Hold => match input.state {
+                GripperFlags::HOLDING if lasted_ms < HOLDING_TIME_MS => {}
+                GripperFlags::HOLDING => {
+                    self.counters.held += 1;
+                    return Ok(Some(Phase::Begin(Motion::Release)));
+                }
+                GripperFlags::PART_LOST => {
+                    self.counters.lost += 1;
+                    return Ok(Some(Phase::Begin(Motion::Release)));
+                }
+                state => return Err(format!("{state:?} instead of HOLDING")),
+            },
+        }
+        if lasted_ms < PATIENCE_MS { Ok(None) } else { Err(format!("{:?} lasts too long", self.phase)) }
+    }
+
+    /// What follows a motion that is over.
+    fn follow(&mut self, motion: Motion, input: &InputImage) -> Result<Phase, String> {
+        let next = match (motion, input.state, input.status) {
+            (Motion::Home, GripperFlags::IDLE, Status::Success) => {
+                if !input.system.contains(SystemFlags::REFERENCED) {
+                    return Err("homed, and not REFERENCED".to_owned());
+                }
+                self.counters.homings += 1;
+                Phase::Begin(Motion::PrePosition)
+            }
+            (Motion::PrePosition, GripperFlags::IDLE, Status::Success) => Phase::Begin(Motion::Grip),
+            (Motion::Grip, GripperFlags::HOLDING, _) => Phase::Hold,
+            (Motion::Grip, GripperFlags::NO_PART, _) => {
+                self.counters.not_found += 1;
+                Phase::Begin(Motion::Release)
+            }
+            (Motion::Grip, GripperFlags::PART_LOST, _) => {
+                self.counters.lost += 1;
+                Phase::Begin(Motion::Release)
+            }
+            (Motion::Release, GripperFlags::IDLE, Status::Success) => Phase::Begin(Motion::Start),
+            (Motion::Start, GripperFlags::IDLE, Status::Success) => {
+                self.counters.cycles += 1;
+                self.errors_in_a_row = 0;
+                if self.counters.cycles < self.wanted {
+                    Phase::Begin(Motion::PrePosition)
+                } else {
+                    Phase::Finished
+                }
+            }
+            (motion, state, status) => return Err(format!("{motion:?} ended in {state:?} with {status}")),
+        };
+        Ok(next)
+    }
+
+    fn recover(&mut self, error: String) -> Phase {
+        self.counters.errors += 1;
+        self.errors_in_a_row += 1;
+        self.last_error = Some(error);
+        if self.errors_in_a_row < MAX_ERRORS_IN_A_ROW { Phase::Clear } else { Phase::GivenUp }
+    }
+
+    fn enter(&mut self, phase: Phase, now_ms: u64) {
+        self.output.flags = match phase {
+            Phase::Acknowledge => CommandFlags::STOP_ACK,
+            Phase::Begin(motion) => motion.flag(),
+            _ => CommandFlags::empty(),
+        };
+        if let Phase::Begin(motion) = phase
+            && let Some((width, speed, force_limit)) = motion.parameters()
+        {
+            self.output = OutputImage { width, speed, force_limit, ..self.output };
+        }
+        (self.phase, self.since_ms) = (phase, now_ms);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
+
+    /// A PLC that scans every 10 ms.
+    struct Plc {
+        gripper: VirtualGripper,
+        port: PortId,
+        now: Time,
+        cycle: Cycle,
+    }
+
+    impl Plc {
+        fn new(part: Option<Part>, cycles: u32) -> Self {
+            let mut gripper = VirtualGripper::new(Config { part, ..Config::default() });
+            let port = gripper.connect(PortKind::ModbusTcp).unwrap();
+            Self { gripper, port, now: Time::ZERO, cycle: Cycle::new(cycles) }
+        }
+
+        fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
+            let header = [0, 1, 0, 0, 0, pdu.len() as u8 + 1, 1];
+            self.gripper.receive(self.port, self.now, &[&header, pdu].concat());
+            let mut buffer = [0; MAX_FRAME_LEN];
+            self.gripper.transmit(self.port, &mut buffer).unwrap()[7..].to_vec()
+        }
+
+        fn scan(&mut self) {
+            let input = self.ask(&[4, 0, 0, 0, 6]);
+            let input = InputImage::from_bytes(input[2..].try_into().unwrap());
+            let output = self.cycle.scan(self.now.as_micros() / 1_000, &input);
+            self.ask(&[&[16, 0, 0, 0, 4, 8][..], &output.to_bytes()].concat());
+            self.now = self.now.plus_millis(10);
+            self.gripper.advance(self.now);
+        }
+
+        /// Scans until a phase begins, at most two minutes.
+        #[track_caller]
+        fn scan_until(&mut self, phase: Phase) {
+            for _ in 0..12_000 {
+                if self.cycle.phase() == phase {
+                    return;
+                }
+                self.scan();
+            }
+            panic!(
+                "{:?} after two minutes, not {phase:?}: {:?}",
+                self.cycle.phase(),
+                self.cycle.last_error()
+            );
+        }
+    }
+
+    #[test]
+    fn cycle_homes_once_and_holds_a_part_each_time() {
+        let mut plc = Plc::new(Part::of_width(22.0), 3);
+        plc.scan_until(Phase::Finished);
+        let expected = Counters { cycles: 3, held: 3, homings: 1, ..Counters::default() };
+        assert_eq!((plc.cycle.counters(), plc.cycle.last_error()), (expected, None));
+        assert_eq!(plc.gripper.state().width, 60.0);
+        assert_eq!(plc.gripper.state().statistics.total, 3);
+    }
+
+    #[test]
+    fn cycle_without_a_part_goes_on() {
+        let mut plc = Plc::new(None, 2);
+        plc.scan_until(Phase::Finished);
+        assert_eq!(
+            plc.cycle.counters(),
+            Counters { cycles: 2, not_found: 2, homings: 1, ..Counters::default() }
+        );
+    }
+
+    #[test]
+    fn part_that_is_lost_is_released_at_once() {
+        let mut plc = Plc::new(Part::of_width(22.0), 1);
+        plc.scan_until(Phase::Hold);
+        plc.gripper.set_part(None, plc.now);
+        plc.scan_until(Phase::Finished);
+        assert_eq!(plc.cycle.counters(), Counters { cycles: 1, lost: 1, homings: 1, ..Counters::default() });
+    }
+
+    #[test]
+    fn error_is_acknowledged_and_homed_and_the_cycle_begins_again() {
+        for (fault, named) in [(Fault::AxisBlocked, "E_AXIS_BLOCKED"), (Fault::MotorCurrent, "FAST STOP")] {
+            let mut plc = Plc::new(Part::of_width(22.0), 2);
+            plc.scan_until(Phase::Run(Motion::Start));
+            plc.gripper.set_fault(fault, true, plc.now);
+            plc.scan_until(Phase::Clear);
+            plc.gripper.set_fault(fault, false, plc.now);
+            plc.scan_until(Phase::Finished);
+            let expected = Counters { cycles: 2, held: 3, homings: 2, errors: 1, ..Counters::default() };
+            assert_eq!(plc.cycle.counters(), expected);
+            assert!(plc.cycle.last_error().unwrap().contains(named), "{:?}", plc.cycle.last_error());
+        }
+    }
+
+    #[test]
+    fn fault_that_stays_is_given_up_with_all_flags_0() {
+        let mut plc = Plc::new(None, 1);
+        plc.gripper.set_fault(Fault::MotorCurrent, true, plc.now);
+        plc.scan_until(Phase::GivenUp);
+        assert_eq!(plc.cycle.counters(), Counters { errors: MAX_ERRORS_IN_A_ROW, ..Counters::default() });
+        plc.scan();
+        assert_eq!(plc.ask(&[3, 0, 0, 0, 1]), [3, 2, 0, 0]);
+    }
+
+    #[test]
+    fn fast_stop_that_is_latched_at_the_start_is_acknowledged_first() {
+        let mut plc = Plc::new(None, 1);
+        plc.gripper.set_fault(Fault::MotorCurrent, true, plc.now);
+        plc.gripper.set_fault(Fault::MotorCurrent, false, plc.now);
+        plc.scan_until(Phase::Finished);
+        assert_eq!(plc.cycle.counters().errors, 0);
+    }
+}

@@ -1,0 +1,138 @@
+//! The master: `tokio-modbus` on TCP or on a serial line. Every request has an end, and is repeated when it is not
+//! answered; all of them may be, because the same image written again has no edge.
+
+use anyhow::{Context as _, Result, anyhow};
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+use tokio::time::{sleep, timeout};
+use tokio_modbus::client::{Context, rtu, tcp};
+use tokio_modbus::prelude::{Reader, Slave, Writer};
+use tokio_serial::{ClearBuffer, DataBits, Parity, SerialPort, SerialStream, StopBits};
+use wsg_protocol::fieldbus::{InputImage, OutputImage};
+
+/// How long an answer may take.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// How long after a request that failed it is repeated.
+const PAUSE: Duration = Duration::from_millis(200);
+/// How often a request is sent.
+const ATTEMPTS: u32 = 5;
+
+/// Where the gripper, or the bridge before it, is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Target {
+    Tcp(SocketAddr),
+    /// A serial line, 8N1, and its rate in bit/s.
+    Rtu {
+        device: String,
+        baud: u32,
+    },
+}
+
+/// What the line did so far.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Traffic {
+    pub(crate) requests: u64,
+    pub(crate) repeated: u64,
+    pub(crate) slowest: Duration,
+}
+
+pub(crate) struct Master {
+    target: Target,
+    unit: u8,
+    context: Option<Context>,
+    traffic: Traffic,
+}
+
+enum Request<'a> {
+    Read,
+    Write(&'a [u16]),
+}
+
+impl Master {
+    pub(crate) const fn new(target: Target, unit: u8) -> Self {
+        let traffic = Traffic { requests: 0, repeated: 0, slowest: Duration::ZERO };
+        Self { target, unit, context: None, traffic }
+    }
+
+    pub(crate) const fn traffic(&self) -> Traffic {
+        self.traffic
+    }
+
+    /// Reads the input image.
+    pub(crate) async fn read(&mut self) -> Result<InputImage> {
+        let registers = self.ask(&Request::Read).await?;
+        let mut bytes = [0; InputImage::LEN];
+        for (pair, register) in bytes.chunks_exact_mut(2).zip(registers) {
+            pair.copy_from_slice(&register.to_be_bytes());
+        }
+        Ok(InputImage::from_bytes(bytes))
+    }
+
+    /// Writes the output image, as a whole.
+    pub(crate) async fn write(&mut self, image: &OutputImage) -> Result<()> {
+        let bytes = image.to_bytes();
+        let registers: Vec<u16> =
+            bytes.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect();
+        self.ask(&Request::Write(&registers)).await.map(|_| ())
+    }
+
+    async fn ask(&mut self, request: &Request<'_>) -> Result<Vec<u16>> {
+        let mut attempt = 1;
+        loop {
+            self.traffic.requests += 1;
+            let begin = Instant::now();
+            match self.ask_once(request).await {
+                Ok(registers) => {
+                    self.traffic.slowest = self.traffic.slowest.max(begin.elapsed());
+                    return Ok(registers);
+                }
+                Err(error) if attempt >= ATTEMPTS => {
+                    return Err(error.context(format!("no answer to {ATTEMPTS} requests")));
+                }
+                Err(_) => {
+                    // What comes late must not pass for the answer to the next request.
+                    self.context = None;
+                    sleep(PAUSE).await;
+                    attempt += 1;
+                    self.traffic.repeated += 1;
+                }
+            }
+        }
+    }
+
+    async fn ask_once(&mut self, request: &Request<'_>) -> Result<Vec<u16>> {
+        let context = match &mut self.context {
+            Some(context) => context,
+            none => none.insert(connect(&self.target, self.unit).await?),
+        };
+        let answer = async {
+            match request {
+                Request::Read => context.read_input_registers(0, InputImage::LEN as u16 / 2).await,
+                Request::Write(registers) => {
+                    context.write_multiple_registers(0, registers).await.map(|done| done.map(|()| vec![]))
+                }
+            }
+        };
+        let answer = timeout(PATIENCE, answer).await.context("it takes too long")??;
+        answer.map_err(|exception| anyhow!("exception: {exception}"))
+    }
+}
+
+async fn connect(target: &Target, unit: u8) -> Result<Context> {
+    let slave = Slave(unit);
+    match target {
+        Target::Tcp(address) => timeout(PATIENCE, tcp::connect_slave(*address, slave))
+            .await
+            .with_context(|| format!("{address} takes too long"))?
+            .with_context(|| format!("{address} cannot be reached")),
+        Target::Rtu { device, baud } => {
+            let line = tokio_serial::new(device, *baud)
+                .data_bits(DataBits::Eight)
+                .parity(Parity::None)
+                .stop_bits(StopBits::One);
+            let stream = SerialStream::open(&line).with_context(|| format!("{device} cannot be opened"))?;
+            stream.clear(ClearBuffer::All).with_context(|| format!("{device} cannot be emptied"))?;
+            Ok(rtu::attach_slave(stream, slave))
+        }
+    }
+}
