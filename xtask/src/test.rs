@@ -99,7 +99,15 @@ impl Checks<'_> {
 
     fn probes_clippy(&self) -> Command {
         let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
-        clippy.args(["-p", "wsg-probes", "--bins", "--features", "bench,drivers", "--profile", "firmware"]);
+        clippy.args([
+            "-p",
+            "wsg-probes",
+            "--bins",
+            "--features",
+            "bench,drivers,modbus",
+            "--profile",
+            "firmware",
+        ]);
         clippy.args(["--", "-D", "warnings"]);
         clippy
     }
