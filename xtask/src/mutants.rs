@@ -52,7 +52,7 @@ fn make(workspace: &Workspace, name: &str, files: &[String], options: &[&str]) -
     let output = workspace.target_dir.join("mutants").join(name);
     fs::create_dir_all(&output).with_context(|| format!("cannot make {}", output.display()))?;
     let mut mutants =
-        tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle", "-j2"]);
+        tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle", "-j1"]);
     mutants.arg("--output").arg(&output).args(["--timeout", "40", "--colors", "never"]).args(options);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
     // The doctests take most of the time and notice what the other tests notice.
