@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
+//! | [`fuzz_bodies`] | what must hold for any bytes at all |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
@@ -15,6 +16,7 @@ pub mod bench;
 pub mod can_bench;
 #[cfg(unix)]
 pub mod emulator;
+pub mod fuzz_bodies;
 #[cfg(unix)]
 pub mod gripper_end;
 #[cfg(unix)]

@@ -37,6 +37,7 @@
 //! ```
 
 mod answer;
+mod decimal;
 mod form;
 mod line;
 mod mistake;

@@ -52,8 +52,13 @@ pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, features:
 
 /// Cargo's arguments that choose the firmware's binary and profile.
 pub(crate) fn selection(features: &[String]) -> Vec<String> {
+    selection_for(features, PROFILE)
+}
+
+/// The same with another profile.
+pub(crate) fn selection_for(features: &[String], profile: &str) -> Vec<String> {
     let features = [&[BOARD.feature.to_owned()], features].concat().join(",");
-    ["-p", PACKAGE, "--bin", BOARD.name, "--features", &features, "--profile", PROFILE]
+    ["-p", PACKAGE, "--bin", BOARD.name, "--features", &features, "--profile", profile]
         .map(str::to_owned)
         .to_vec()
 }

@@ -1,15 +1,29 @@
-//! `cargo xtask`: set-up, build, demo, test, size and flash of this workspace.
+//! `cargo xtask`: set-up, build, demo, test, figures and flash of this workspace.
 //!
 //! What a command needs is set up first; each program that is run for it is printed before.
 
+mod bench;
+mod coverage;
 mod demo;
+mod elf;
+mod figures;
 mod firmware;
 mod flash;
+mod fuzz;
+mod gate;
 mod matrix;
+mod measure;
+mod mutants;
+mod panics;
+mod probe;
 mod process;
+mod public_functions;
 mod setup;
 mod size;
+mod stack;
 mod test;
+mod tool;
+mod undefined_behaviour;
 mod workspace;
 
 use std::{
@@ -17,7 +31,7 @@ use std::{
     process::{ExitCode, ExitStatus},
 };
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use lexopt::{Arg, Parser, ValueExt};
 
 use workspace::Workspace;
@@ -35,7 +49,20 @@ Commands
                      with FILTER only the tests whose names match it
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
-  size               flash and static RAM of the image against their limits
+  ci                 test, then the stack and Miri: what runs on each change
+  size               flash and static RAM of the image, and of the protocol beside an empty
+                     program, against their limits
+  stack              the firmware's worst-case stack, by a walk over its calls and by a painted
+                     stack in the emulator
+  panics             firmware and protocol link only if no panic can be reached
+  bench              instructions on a Cortex-M4, counted in the emulator and held to a committed
+                     baseline [--update: write it anew]; throughput on this machine
+  fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz
+  mutants [FILE...]  changes of the protocol crate, or of these files of it, that no test notices;
+                     takes hours for all; cargo-mutants
+  miri               the bridge's host tests under Miri; nightly Rust
+  coverage           lines of the protocol crate that its tests reach; nightly Rust
+  figures            measure all that docs/figures.md tells, and write it and the README's table
   flash              write the image to a board with probe-rs and start it
                      [--features X] as for build
   help               this page
@@ -99,13 +126,6 @@ fn run() -> Result<ExitCode> {
             no_more(arguments)?;
             matrix::run(&Workspace::from_env()?)?;
         }
-        "size" => {
-            no_more(arguments)?;
-            let workspace = Workspace::from_env()?;
-            let toolchain = setup::thumb(&workspace)?;
-            let image = firmware::build(&workspace, &toolchain, &[])?;
-            size::check(&size::of_image(&image)?)?;
-        }
         "flash" => {
             let features = features(arguments)?;
             flash::require_probe_rs()?;
@@ -115,7 +135,7 @@ fn run() -> Result<ExitCode> {
             print_image(&image);
             flash::run(&image)?;
         }
-        unknown => bail!("no command `{unknown}`; `cargo xtask help` lists them"),
+        other => measure::run(other, arguments)?,
     }
     Ok(ExitCode::SUCCESS)
 }

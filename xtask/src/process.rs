@@ -23,6 +23,18 @@ pub(crate) fn run_for_status(command: &mut Command) -> Result<ExitStatus> {
     command.status().with_context(|| format!("cannot run `{}`", gist(command)))
 }
 
+/// Prints the command, runs it, and gives what it put on its standard output; fails unless it succeeds.
+pub(crate) fn output(command: &mut Command) -> Result<String> {
+    eprintln!("+ {}", shell_line(command));
+    let output = command.stdin(Stdio::null()).stderr(Stdio::inherit()).output();
+    let output = output.with_context(|| format!("cannot run `{}`", gist(command)))?;
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    if !output.status.success() {
+        bail!("`{}` failed ({}): {}", gist(command), output.status, said.trim());
+    }
+    Ok(said)
+}
+
 /// What a question to a program (never printed) put on its standard output; `None` where the program
 /// is missing or refuses.
 pub(crate) fn answer(command: &mut Command) -> Option<String> {

@@ -5,11 +5,15 @@ use std::{ffi::OsString, process::Command};
 use anyhow::{Context, Result};
 
 use crate::{
+    bench,
     firmware::{self, IMAGE_VARIABLE, Image},
+    gate,
     matrix::{self, Extent},
+    panics,
+    probe::Probes,
     process,
     setup::{Component, ThumbToolchain},
-    size,
+    size, stack,
     workspace::Workspace,
 };
 
@@ -62,8 +66,9 @@ impl Checks<'_> {
         }
         if Component::Clippy.provide_for_thumb(workspace, toolchain) {
             record.check("clippy, firmware", || process::run(&mut self.firmware_clippy()))?;
+            record.check("clippy, probes", || process::run(&mut self.probes_clippy()))?;
         } else {
-            record.not_checked("clippy, firmware (no clippy for that tool chain)");
+            record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
         }
         record.check(TESTS, || self.tests(&[]))?;
         let mut not_built = Vec::new();
@@ -77,12 +82,33 @@ impl Checks<'_> {
         record.check("docs", || {
             process::run(cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
         })?;
-        record.check("size", || size::check(&size::of_image(image)?))
+        let probes = Probes { workspace, toolchain };
+        record
+            .check("size", || gate::check(&[size::of_image(image)?, size::of_protocol(&probes)?].concat()))?;
+        record.check("stack, walked", || gate::check(&[stack::walked(workspace, toolchain, image)?]))?;
+        record.check("stack, painted", || gate::check(&[stack::painted(workspace, image)?]))?;
+        record.check("instructions", || gate::check(&bench::counted(&probes, false)?))?;
+        record.check("panic paths", || panics::check(&probes))
     }
 
     fn firmware_clippy(&self) -> Command {
         let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
         clippy.args(firmware::selection(&[])).args(["--", "-D", "warnings"]);
+        clippy
+    }
+
+    fn probes_clippy(&self) -> Command {
+        let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
+        clippy.args([
+            "-p",
+            "wsg-probes",
+            "--bins",
+            "--features",
+            "bench,drivers,modbus",
+            "--profile",
+            "firmware",
+        ]);
+        clippy.args(["--", "-D", "warnings"]);
         clippy
     }
 

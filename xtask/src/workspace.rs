@@ -32,6 +32,12 @@ impl Workspace {
         Ok(Self { root, target_dir, cargo })
     }
 
+    /// A workspace that nothing is built in.
+    #[cfg(test)]
+    pub(crate) fn for_tests() -> Self {
+        Self { root: env::temp_dir(), target_dir: env::temp_dir(), cargo: "cargo".into() }
+    }
+
     /// The cargo that was called (the same tool chain), run in the root.
     pub(crate) fn cargo(&self) -> Command {
         let mut command = self.cargo_in_current_dir();

@@ -8,4 +8,4 @@
 mod on_target;
 
 #[cfg(feature = "on-target")]
-pub use on_target::{bytes, opaque};
+pub use on_target::{bytes, keep, opaque};

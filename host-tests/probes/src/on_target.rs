@@ -9,6 +9,12 @@ pub fn opaque<T>(value: T) -> T {
     black_box(value)
 }
 
+/// Keeps what makes this value, without a copy of it.
+#[inline(always)]
+pub fn keep<T: ?Sized>(value: &T) {
+    black_box(value);
+}
+
 /// Bytes that the compiler knows neither the number nor the values of.
 #[inline(always)]
 pub fn bytes() -> &'static [u8] {
@@ -16,8 +22,7 @@ pub fn bytes() -> &'static [u8] {
     black_box(&BYTES[..])
 }
 
-// The bench says what failed instead: it is run, and has panics of its own.
-#[cfg(not(feature = "bench"))]
+#[cfg(not(any(feature = "bench", feature = "text")))]
 #[panic_handler]
 fn panic(_: &PanicInfo<'_>) -> ! {
     unsafe extern "C" {
@@ -26,6 +31,15 @@ fn panic(_: &PanicInfo<'_>) -> ! {
     a_panic_can_be_reached()
 }
 
+#[cfg(all(feature = "text", not(feature = "bench")))]
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    loop {
+        core::hint::spin_loop();
+    }
+}
+
+/// The bench says what failed: it is run, and has panics of its own.
 #[cfg(feature = "bench")]
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {

@@ -163,6 +163,12 @@ mod tests {
     }
 
     #[test]
+    fn payload_is_empty_without_bytes_alone() {
+        assert!(Payload::is_empty(&&[][..]));
+        assert!(!Payload::is_empty(&&[0][..]));
+    }
+
+    #[test]
     fn slice_too_short_is_refused_whole() {
         let mut buffer = [0x55; 9];
         let refused = FrameEncoder::new(1, &[0x12, 0x34][..]).write_into(&mut buffer);

@@ -297,17 +297,15 @@ impl<const N: usize> FrameParser<N> {
         None
     }
 
-    /// A byte of the checksum. Apart, so that all other bytes need fewer registers.
-    #[inline(never)]
+    /// A byte of the checksum.
     fn end(&mut self, at: usize, byte: u8) -> Option<Found> {
         self.store.put(at, byte);
-        let checksum_at = HEAD_LEN.wrapping_add(self.store.size());
-        if at == checksum_at {
+        if at == HEAD_LEN.wrapping_add(self.store.size()) {
             return None;
         }
         // The manual lets a receiver take the two bytes in as well and look for 0. But four different pairs of bytes
         // lead to 0 from any value, so comparing lets through a quarter of the corruptions that looking for 0 would.
-        let received = u16::from_le_bytes([self.store.get(checksum_at), byte]);
+        let received = u16::from_le_bytes([self.store.get(at.wrapping_sub(1)), byte]);
         let accepted = received == self.checksum_or_next || self.flags & IGNORE_CHECKSUM != 0;
         Some(if accepted { Found::Frame } else { Found::BadChecksum })
     }

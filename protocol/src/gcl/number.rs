@@ -1,22 +1,20 @@
 //! Numbers as text, both ways.
 //!
-//! Read by `core`: every decimal number becomes the nearest `f32`. Written by `zmij`: the fewest digits that are read
+//! Read by [`decimal`]: a decimal number becomes the nearest `f32`. Written by `zmij`: the fewest digits that are read
 //! back as the same `f32`, so what one side means the other side gets. Where `zmij` would write an exponent, it is
 //! spelled out in zeros: the manual shows none, and a PLC that reads digits and a point is not to stumble over one. `zmij` beside
 //! `core::fmt`: a third of the flash, and no path to a panic. An exponent is understood when it comes.
 
-use super::Mistake;
 use super::scanner::Scanner;
+use super::{Mistake, decimal};
 use core::fmt::{Result as Written, Write};
 
 /// The longest number that is written: `-0.`, 37 zeros and 9 digits, or a little less.
 pub(super) const MAX_FLOAT_LEN: usize = 52;
 
 pub(super) fn read_float(input: &mut Scanner<'_>) -> Result<f32, Mistake> {
-    // Without its other letters, so that `core` knows neither `inf` nor `nan`.
     let word = input.word(|byte| matches!(byte, b'0'..=b'9' | b'+' | b'-' | b'.' | b'e' | b'E'));
-    let text = core::str::from_utf8(word).map_err(|_| Mistake::Form)?;
-    finite(text.parse().map_err(|_| Mistake::Form)?)
+    finite(decimal::read(word).ok_or(Mistake::Form)?)
 }
 
 /// Refuses what is infinite or not a number.
@@ -38,7 +36,7 @@ pub(super) fn read_integer(input: &mut Scanner<'_>) -> Result<u32, Mistake> {
 pub(super) fn write_float(value: f32, to: &mut impl Write) -> Written {
     let mut buffer = zmij::Buffer::new();
     let text = buffer.format(value);
-    match text.split_once('e') {
+    match split_once(text, b'e') {
         None => to.write_str(text),
         Some((digits, exponent)) => write_without_exponent(digits, exponent.parse().unwrap_or(0), to),
     }
@@ -53,7 +51,7 @@ fn write_without_exponent(digits: &str, exponent: i8, to: &mut impl Write) -> Wr
         }
         None => digits,
     };
-    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let (whole, fraction) = split_once(digits, b'.').unwrap_or((digits, ""));
     let shift = usize::from(exponent.unsigned_abs());
     if exponent < 0 {
         // The point moves left: `whole` is one digit.
@@ -68,6 +66,12 @@ fn write_without_exponent(digits: &str, exponent: i8, to: &mut impl Write) -> Wr
         write_zeros(shift.saturating_sub(fraction.len()), to)?;
         to.write_str(".0")
     }
+}
+
+/// As that of `str`, without its path to a panic.
+fn split_once(text: &str, letter: u8) -> Option<(&str, &str)> {
+    let at = text.bytes().position(|byte| byte == letter)?;
+    Some((text.get(..at)?, text.get(at.wrapping_add(1)..)?))
 }
 
 fn write_zeros(count: usize, to: &mut impl Write) -> Written {

@@ -5,7 +5,7 @@ use super::number::{read_float, write_float};
 use super::parameters::{check_index, read_index, write_index};
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
-use super::{CommandName, Mistake, Text};
+use super::{CommandName, Mistake, Text, decimal};
 use crate::types::{DeviceTag, FingerFlags, GripperState, GrippingStatistics, SystemFlags};
 use core::fmt::{Formatter, Result as Written, Write};
 
@@ -187,7 +187,7 @@ impl<'a> Vector<'a> {
     /// The numbers in it, from left to right, whatever its depth; what is no number is left out.
     pub fn numbers(self) -> impl Iterator<Item = f32> + 'a {
         let words = self.0.split(|c: char| !matches!(c, '0'..='9' | '+' | '-' | '.' | 'e' | 'E'));
-        words.filter_map(|word| word.parse().ok()).filter(|number: &f32| number.is_finite())
+        words.filter_map(|word| decimal::read(word.as_bytes())).filter(|number| number.is_finite())
     }
 }
 

@@ -93,7 +93,8 @@ fn obstacle_to_installing() -> Option<&'static str> {
     }
 }
 
-fn installing_is_forbidden() -> bool {
+/// Whether `WSG_NO_INSTALL` says so.
+pub(crate) fn installing_is_forbidden() -> bool {
     is_set("WSG_NO_INSTALL")
 }
 

@@ -9,19 +9,17 @@ use wsg_protocol::{FrameEncoder, FrameParser};
 #[entry]
 fn main() -> ! {
     static mut PARSER: FrameParser<64> = FrameParser::new();
+    let parser: &mut FrameParser<64> = opaque(&mut *PARSER);
     loop {
-        let parser: &mut FrameParser<64> = opaque(&mut *PARSER);
-        for &byte in bytes() {
-            opaque(parser.push(byte));
-        }
-        opaque(parser.push_slice(bytes()));
-        opaque(parser.poll());
-        opaque(parser.expire());
-        opaque(parser.counters());
-        opaque(parser.is_mid_frame());
+        opaque(&parser.push(opaque(0)));
+        opaque(&parser.push_slice(bytes()));
+        opaque(&parser.poll());
+        opaque(&parser.expire());
         parser.reset();
-        let mut encoder = FrameEncoder::new(opaque(0), bytes());
-        while let Some(byte) = encoder.next() {
+        opaque(parser.counters().dropped);
+        opaque(parser.is_mid_frame());
+        let encoder = FrameEncoder::new(opaque(0), bytes());
+        for byte in encoder {
             opaque(byte);
         }
     }

@@ -1,0 +1,105 @@
+//! From an edge of the PLC to the first byte on the gripper's line, on the board's own drivers.
+
+use core::cell::Cell;
+
+use cortex_m_semihosting::hprintln;
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use heapless::{Deque, Vec};
+use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
+use wsg_bridge_fw::{Bridge, Config};
+use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
+
+use crate::counting::{self, Counter, Moment};
+use crate::pins;
+use crate::uart::{self, GripperLine, NotReady};
+
+/// The board's line, which the virtual gripper listens in on and answers to.
+struct Line {
+    board: GripperLine,
+    sent: Vec<u8, 64>,
+    answers: Deque<u8, 512>,
+    first_byte: Cell<Option<Moment>>,
+}
+
+impl ErrorType for Line {
+    type Error = NotReady;
+}
+
+impl ReadReady for Line {
+    fn read_ready(&mut self) -> Result<bool, NotReady> {
+        Ok(!self.answers.is_empty())
+    }
+}
+
+impl Read for Line {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, NotReady> {
+        let slots = buffer.iter_mut();
+        Ok(slots.map_while(|slot| self.answers.pop_front().map(|byte| *slot = byte)).count())
+    }
+}
+
+impl WriteReady for Line {
+    fn write_ready(&mut self) -> Result<bool, NotReady> {
+        self.board.write_ready()
+    }
+}
+
+impl Write for Line {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, NotReady> {
+        let taken = self.board.write(bytes)?;
+        // The interrupt is pending since the write, and nothing masks it: by now the byte is in the transmitter.
+        if self.first_byte.get().is_none() {
+            self.first_byte.set(Some(counting::now()));
+        }
+        let sent = bytes.get(..taken).unwrap_or(&[]);
+        assert!(self.sent.extend_from_slice(sent).is_ok(), "a turn of the main loop sends a few frames");
+        Ok(taken)
+    }
+
+    fn flush(&mut self) -> Result<(), NotReady> {
+        self.board.flush()
+    }
+}
+
+/// When the PLC's wire rises.
+const EDGE_MS: u32 = 700;
+
+/// Counts the turn of the main loop in which an edge counts, from its beginning to the first byte.
+pub(crate) fn count(counter: &Counter) {
+    let mut pins = pins::init();
+    let mut gripper = VirtualGripper::<1>::with_ports(wsg_sim::Config::default());
+    let Some(port) = gripper.connect(PortKind::Serial) else { unreachable!("a new gripper takes a client") };
+    let mut bridge = Bridge::new(Config::DEFAULT);
+    let mut line =
+        Line { board: uart::start(), sent: Vec::new(), answers: Deque::new(), first_byte: Cell::new(None) };
+    let mut buffer = [0; MAX_FRAME_LEN];
+    for ms in 1..2_000 {
+        let levels = match ms {
+            300..400 => Inputs::FAST_STOP_OK | Inputs::STOP_ACK,
+            ..EDGE_MS => Inputs::FAST_STOP_OK,
+            _ => Inputs::FAST_STOP_OK | Inputs::HOME,
+        };
+        line.first_byte.set(None);
+        let begun = counter.now();
+        // What reading the pins costs is counted; the levels are the script's.
+        let read = pins.read();
+        let outputs = bridge.poll(ms, levels | (read & Inputs::empty()), &mut line);
+        pins.write(outputs);
+        if let Some(sent) = line.first_byte.get()
+            && outputs.contains(Outputs::BUSY)
+        {
+            hprintln!("edge-to-first-byte {} 1", begun.instructions_to(sent));
+            return;
+        }
+        assert!(ms != EDGE_MS || outputs.contains(Outputs::READY), "READY before the edge");
+
+        let time = Time::from_millis(ms.into());
+        gripper.receive(port, time, &line.sent);
+        line.sent.clear();
+        gripper.advance(time);
+        while let Some(frame) = gripper.transmit(port, &mut buffer) {
+            line.answers.extend(frame.iter().copied());
+        }
+    }
+    panic!("the edge is not taken");
+}

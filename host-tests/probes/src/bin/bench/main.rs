@@ -1,0 +1,43 @@
+//! Counts instructions, in the emulator, and says the counts over semihosting: a line each, name and number.
+//!
+//! `cargo xtask bench` runs it with `-icount shift=10`: an instruction then takes 1024 ns of the machine's time, and
+//! SysTick, at the 4 MHz that the microcontroller starts with, counts 4.096 ticks for each. So no instruction is missed,
+//! and every run gives the same counts.
+#![no_std]
+#![no_main]
+
+mod counting;
+mod edge;
+mod frames;
+mod round_trip;
+
+// The drivers of the board that is flashed, so that what is counted is what runs there.
+#[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/clock.rs"]
+#[expect(dead_code, reason = "the bench runs at the clock of reset")]
+mod clock;
+#[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/pins.rs"]
+mod pins;
+#[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/uart.rs"]
+mod uart;
+
+use cortex_m_rt::entry;
+use cortex_m_semihosting::debug;
+use counting::Counter;
+// The panic handler.
+use wsg_probes as _;
+
+#[entry]
+fn main() -> ! {
+    if let Some(core) = cortex_m::Peripherals::take() {
+        let counter = Counter::start(core.SYST);
+        counter.check();
+        frames::count(&counter);
+        round_trip::count(&counter);
+        edge::count(&counter);
+        debug::exit(debug::EXIT_SUCCESS);
+    }
+    debug::exit(debug::EXIT_FAILURE);
+    loop {
+        cortex_m::asm::nop();
+    }
+}

@@ -1,0 +1,210 @@
+//! How deep the firmware's stack was: boots an image on painted memory, puts it through the worst that is known, and
+//! looks how far the paint is gone. Prints one line: `painted-stack` and bytes.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use host_tests::emulator::{Emulator, Extras};
+use host_tests::gripper_end::GripperEnd;
+use host_tests::trace::Trace;
+use object::{Object, ObjectSection};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
+use wsg_sim::{Config, Part};
+
+/// SRAM1, as memory.x has it: the stack begins at its end.
+const RAM: u32 = 0x2000_0000;
+const RAM_END: u32 = RAM + 96 * 1024;
+
+/// No value that a program is likely to put on its stack.
+const PAINT: u8 = 0xC5;
+
+/// Bytes read at a time.
+const CHUNK: u32 = 4096;
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(bytes) => {
+            println!("painted-stack {bytes}");
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<u32> {
+    let elf: PathBuf = std::env::args_os().nth(1).context("give the image")?.into();
+    let first = end_of_static(&elf)?;
+    let paint = Paint::new(first)?;
+    let loader = format!("loader,file={}", paint.path.display());
+    let extras = Extras { qemu_arguments: &["-device", &loader], ..Extras::default() };
+    let rig = Rig::power_up(&elf, extras)?;
+
+    worst(&rig)?;
+
+    Ok(RAM_END - deepest(&rig, first)?)
+}
+
+/// How long anything may take.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// How long a wire is held, and how long noise is given to arrive, in the board's milliseconds.
+const HOLD_MS: u32 = 60;
+
+/// Board and gripper.
+struct Rig {
+    board: Emulator,
+    gripper: GripperEnd,
+}
+
+impl Rig {
+    fn power_up(elf: &Path, extras: Extras<'_>) -> Result<Self> {
+        let mut board = Emulator::start_with(elf, extras)?;
+        let line = board.take_gripper_line().context("the board's line was taken")?;
+        let config = Config { time_scale: 10.0, ..Config::default() };
+        let gripper = GripperEnd::start(line, config, &Trace::new(vec![]))?;
+        Ok(Self { board, gripper })
+    }
+
+    fn pass(&self, ms: u32) -> Result<()> {
+        let start = self.board.now_ms()?;
+        while self.board.now_ms()?.wrapping_sub(start) <= ms {}
+        Ok(())
+    }
+
+    fn pulse(&self, wire: Inputs) -> Result<()> {
+        self.board.set_input(wire, true)?;
+        self.pass(HOLD_MS)?;
+        self.board.set_input(wire, false)?;
+        self.pass(HOLD_MS)
+    }
+
+    fn wait(&self, what: &str, wanted: impl Fn(Outputs) -> bool) -> Result<()> {
+        self.board.wait_outputs(PATIENCE, wanted).map(drop).with_context(|| format!("waited for {what}"))
+    }
+
+    /// The motion may fail: what it leaves behind matters.
+    fn motion(&self, wire: Inputs) -> Result<()> {
+        self.wait("READY", |outputs| outputs.contains(Outputs::READY))?;
+        self.pulse(wire)
+    }
+
+    fn release_fast_stop(&self) -> Result<()> {
+        self.wait("LINK_OK", |outputs| outputs.contains(Outputs::LINK_OK))?;
+        self.board.set_input(Inputs::FAST_STOP_OK, true)?;
+        self.pass(HOLD_MS)?;
+        self.pulse(Inputs::STOP_ACK)
+    }
+}
+
+/// Everything at once: motions, faults, noise in every place, the line cut and back, FAST STOP.
+fn worst(rig: &Rig) -> Result<()> {
+    rig.release_fast_stop()?;
+    rig.motion(Inputs::HOME)?;
+    for turn in 0..3_u8 {
+        rig.gripper.set_part(if turn == 1 { None } else { Part::of_width(20.0) });
+        noise(rig, turn)?;
+        rig.motion(Inputs::GRIP)?;
+        noise(rig, turn.wrapping_add(7))?;
+        rig.motion(Inputs::RELEASE)?;
+    }
+    rig.motion(Inputs::MOVE)?;
+    rig.board.set_input(Inputs::FAST_STOP_OK, false)?;
+    noise(rig, 1)?;
+    rig.gripper.cut(true);
+    rig.wait("no LINK_OK", |outputs| !outputs.contains(Outputs::LINK_OK))?;
+    rig.gripper.cut(false);
+    rig.release_fast_stop()?;
+    rig.motion(Inputs::HOME)
+}
+
+/// Answers to what nobody asked, false beginnings, wrong checksums with frames inside, lengths past every limit.
+fn noise(rig: &Rig, seed: u8) -> Result<()> {
+    for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
+        for status in [Status::Success, Status::CmdPending, Status::AccessDenied] {
+            let reply = Reply::status_only(*id, status);
+            let mut bytes: Vec<u8> = FrameEncoder::new(id.code(), reply).collect();
+            if id.code() % 3 == seed % 3
+                && let Some(last) = bytes.last_mut()
+            {
+                *last ^= 0x40;
+            }
+            rig.gripper.inject(&bytes);
+        }
+    }
+    for size in [0_u16, 1, 6, 66, 67, 1024, u16::MAX] {
+        let [low, high] = size.to_le_bytes();
+        rig.gripper.inject(&[0xAA, 0xAA, 0xAA, 0xAA, seed, low, high, 0xAA, 0xAA, 0xAA, 0x40, 6, 0]);
+        rig.pass(30)?;
+    }
+    let inner: Vec<u8> = FrameEncoder::new(0x25, &[0, 0][..]).collect();
+    let mut outer: Vec<u8> = FrameEncoder::new(0xAA, &inner.repeat(6)[..]).collect();
+    if let Some(last) = outer.last_mut() {
+        *last ^= 1;
+    }
+    rig.gripper.inject(&outer);
+    rig.pass(HOLD_MS)
+}
+
+/// The lowest address whose paint is gone.
+fn deepest(rig: &Rig, first: u32) -> Result<u32> {
+    let mut address = first;
+    while address < RAM_END {
+        let length = CHUNK.min(RAM_END - address);
+        let bytes = rig.board.read_memory(address, length as usize)?;
+        if let Some(at) = bytes.iter().position(|&byte| byte != PAINT) {
+            ensure!(address + at as u32 > first, "the stack has reached the static variables");
+            return Ok(address + at as u32);
+        }
+        address += length;
+    }
+    anyhow::bail!("no byte of the stack was written: was this image started?")
+}
+
+/// Where the stack would meet the static variables.
+fn end_of_static(elf: &Path) -> Result<u32> {
+    let image = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
+    let image = object::File::parse(&*image)?;
+    let ends = image.sections().map(|section| section.address() + section.size());
+    let end = ends.filter(|end| (u64::from(RAM)..u64::from(RAM_END)).contains(end)).max();
+    Ok(u32::try_from(end.unwrap_or(RAM.into()))?.next_multiple_of(8))
+}
+
+/// A file of paint for QEMU to load; gone when this is dropped.
+struct Paint {
+    path: PathBuf,
+}
+
+impl Paint {
+    /// Paint from `first` to the end of memory. An ELF file of one segment: QEMU takes raw files only for machines whose
+    /// memory can be chosen.
+    fn new(first: u32) -> Result<Self> {
+        const HEADERS: u32 = 52 + 32;
+        let length = RAM_END - first;
+        // Little endian, executable, Arm; one program header behind this header, no sections.
+        let ident = *b"\x7FELF\x01\x01\x01\0\0\0\0\0\0\0\0\0";
+        let mut bytes = ident.to_vec();
+        bytes.extend([2_u16, 40].map(u16::to_le_bytes).concat());
+        bytes.extend([1_u32, 0, 52, 0, 0].map(u32::to_le_bytes).concat());
+        bytes.extend([52_u16, 32, 1, 40, 0, 0].map(u16::to_le_bytes).concat());
+        // A segment to load: where in the file, where in memory (twice), how long (twice), readable and writable.
+        bytes.extend([1, HEADERS, first, first, length, length, 6, 8].map(u32::to_le_bytes).concat());
+        bytes.resize((HEADERS + length) as usize, PAINT);
+        let path = std::env::temp_dir().join(format!("wsg-paint-{}", std::process::id()));
+        fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(Self { path })
+    }
+}
+
+impl Drop for Paint {
+    fn drop(&mut self) {
+        // What stays behind in a directory for temporary files harms nobody.
+        let _ = fs::remove_file(&self.path);
+    }
+}

@@ -1,0 +1,99 @@
+//! How many bytes a second the host parses: our parser, a plain loop over the table of the command set's appendix D, and
+//! the parser of another protocol (its checksum is two sums, without a table), in one run on one machine.
+//!
+//! Prints a line for each: name and GB/s (10⁹ bytes a second, frames whole). Of several turns the best counts: what else
+//! the machine does only makes a turn slower.
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use wsg_protocol::{Event, FrameEncoder, FrameParser, checksum};
+
+const PAYLOAD: usize = 64;
+const FRAMES: usize = 4_000;
+const TURNS: usize = 60;
+
+fn main() {
+    let payload: [u8; PAYLOAD] = core::array::from_fn(|at| at as u8);
+    let frames: Vec<u8> = (0..FRAMES).flat_map(|_| FrameEncoder::new(0x06, &payload[..])).collect();
+    let table: [u16; 256] = core::array::from_fn(|index| checksum::update(0, index as u8));
+    let ubx: Vec<u8> = (0..FRAMES).flat_map(|_| ubx_frame(&payload)).collect();
+    let mut parser = FrameParser::<PAYLOAD>::new();
+    let mut other = ublox::Parser::<_, ublox::proto23::Proto23>::new(ublox::FixedBuffer::<1024>::new());
+
+    report("bulk-path", &frames, |bytes| by_slices(&mut parser, bytes));
+    report("byte-path", &frames, |bytes| by_bytes(&mut parser, bytes));
+    report("table-loop", &frames, |bytes| plain_loop(&table, bytes));
+    report("ublox-slices", &ubx, |bytes| by_ublox(&mut other, bytes, 8 * (PAYLOAD + 8)));
+    report("ublox-bytes", &ubx, |bytes| by_ublox(&mut other, bytes, 1));
+}
+
+/// Runs `parse` over the bytes, and says how fast it was at its best.
+fn report(name: &str, bytes: &[u8], mut parse: impl FnMut(&[u8]) -> usize) {
+    let seconds = (0..TURNS).map(|_| {
+        let begun = Instant::now();
+        assert_eq!(parse(black_box(bytes)), FRAMES, "{name} finds every frame");
+        begun.elapsed().as_secs_f64()
+    });
+    let best = seconds.fold(f64::INFINITY, f64::min);
+    println!("{name} {:.3}", bytes.len() as f64 / best / 1e9);
+}
+
+fn by_slices(parser: &mut FrameParser<PAYLOAD>, bytes: &[u8]) -> usize {
+    let (mut frames, mut rest) = (0, bytes);
+    while let (taken, Some(event)) = parser.push_slice(rest) {
+        frames += usize::from(matches!(black_box(event), Event::Frame(_)));
+        rest = &rest[taken..];
+    }
+    frames
+}
+
+fn by_bytes(parser: &mut FrameParser<PAYLOAD>, bytes: &[u8]) -> usize {
+    let is_frame = |byte: &&u8| matches!(black_box(parser.push(**byte)), Some(Event::Frame(_)));
+    bytes.iter().filter(is_frame).count()
+}
+
+/// The least that a parser byte by byte does: copy each byte and look it up, as the appendix does.
+fn plain_loop(table: &[u16; 256], bytes: &[u8]) -> usize {
+    let mut frame = [0; PAYLOAD + 8];
+    let mut intact = 0;
+    for bytes in bytes.chunks_exact(frame.len()) {
+        let mut value = checksum::START;
+        for (slot, &byte) in frame.iter_mut().zip(bytes) {
+            *slot = byte;
+            value = table[usize::from(value as u8 ^ byte)] ^ (value >> 8);
+        }
+        black_box(&frame);
+        intact += usize::from(value == 0);
+    }
+    intact
+}
+
+fn by_ublox<B: ublox::UnderlyingBuffer, P: ublox::UbxProtocol>(
+    parser: &mut ublox::Parser<B, P>,
+    bytes: &[u8],
+    at_a_time: usize,
+) -> usize {
+    let mut frames = 0;
+    for chunk in bytes.chunks(at_a_time) {
+        let mut found = parser.consume_ubx(chunk);
+        while let Some(packet) = found.next() {
+            frames += usize::from(black_box(packet).is_ok());
+        }
+    }
+    frames
+}
+
+/// A frame of the UBX protocol, of a message that the crate does not know and so only frames.
+fn ubx_frame(payload: &[u8]) -> Vec<u8> {
+    let mut bytes = vec![0xB5, 0x62, 0x77, 0x77];
+    bytes.extend_from_slice(&(payload.len() as u16).to_le_bytes());
+    bytes.extend_from_slice(payload);
+    let (mut a, mut b) = (0_u8, 0_u8);
+    for byte in &bytes[2..] {
+        a = a.wrapping_add(*byte);
+        b = b.wrapping_add(a);
+    }
+    bytes.extend([a, b]);
+    bytes
+}

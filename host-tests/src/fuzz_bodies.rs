@@ -1,0 +1,55 @@
+//! What must hold for any bytes at all: one body for each fuzz target, which panics where something does not.
+//!
+//! | body | what it holds |
+//! |---|---|
+//! | [`frames`] | the parser finds what a reader of the whole recording finds, however the bytes are cut |
+//! | [`typed`] | what decodes encodes to the same bytes |
+//! | [`session`] | a request leaves once at the most, and every one comes to an end |
+//! | [`controller`] | a command only after the edge that asks for it |
+//! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
+//! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
+//! | [`bridge`] | no motion without an edge, whatever the line and the wires do |
+//!
+//! cargo-fuzz runs them (`cargo xtask fuzz`, targets in `host-tests/fuzz`); the test `fuzz_smoke` runs them on stable Rust
+//! over the committed seeds and over [`generated`] inputs.
+
+mod bridge;
+mod controller;
+mod frames;
+mod gcl;
+mod generate;
+mod input;
+mod modbus;
+mod session;
+mod typed;
+
+pub use bridge::bridge;
+pub use controller::controller;
+pub use frames::frames;
+pub use gcl::gcl;
+pub use generate::generated;
+pub use modbus::modbus;
+pub use session::session;
+pub use typed::typed;
+
+/// A body, which is also a fuzz target and a folder of seeds.
+#[derive(Clone, Copy)]
+pub struct Body {
+    /// The name of all three.
+    pub name: &'static str,
+    /// Panics where something does not hold.
+    pub run: fn(&[u8]),
+    /// What [`generated`] inputs for it are made of.
+    pub pieces: &'static [&'static [u8]],
+}
+
+/// Every body.
+pub const ALL: [Body; 7] = [
+    Body { name: "frames", run: frames, pieces: generate::BINARY },
+    Body { name: "typed", run: typed, pieces: generate::BINARY },
+    Body { name: "session", run: session, pieces: generate::BINARY },
+    Body { name: "controller", run: controller, pieces: generate::BINARY },
+    Body { name: "bridge", run: bridge, pieces: generate::BINARY },
+    Body { name: "gcl", run: gcl, pieces: generate::TEXT },
+    Body { name: "modbus", run: modbus, pieces: generate::BINARY },
+];

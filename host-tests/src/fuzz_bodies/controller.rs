@@ -1,0 +1,178 @@
+//! The register controller against a small model: which edge, which command.
+
+use wsg_protocol::fieldbus::{CommandFlags, Controller, OutputImage};
+use wsg_protocol::session::{Known, Notice, RequestError};
+use wsg_protocol::{Command, CommandId, GripperState, Kind, Reply, Status, SystemFlags, SystemLimits, Value};
+
+use super::input::Input;
+
+/// The motion flags, lowest bit first, and their commands.
+const MOTIONS: [(CommandFlags, CommandId); 4] = [
+    (CommandFlags::MOVE, CommandId::PrePosition),
+    (CommandFlags::GRIP, CommandId::GripPart),
+    (CommandFlags::RELEASE, CommandId::ReleasePart),
+    (CommandFlags::HOMING, CommandId::Homing),
+];
+
+const LIMITS: SystemLimits = SystemLimits {
+    stroke: 110.0,
+    min_speed: 5.0,
+    max_speed: 420.0,
+    min_acceleration: 100.0,
+    max_acceleration: 5_000.0,
+    min_force: 5.0,
+    nominal_force: 80.0,
+    overdrive_force: 120.0,
+};
+
+struct Model {
+    controller: Controller,
+    known: Known,
+    image: Option<OutputImage>,
+    /// The motion that the last edge asks for, until its command has come.
+    wanted: Option<CommandId>,
+    /// The same, whose force limit is being set first: an edge in the meantime is refused and changes nothing.
+    prepared: Option<CommandId>,
+    /// STOP/ACK has risen since the last command for it.
+    stop_risen: bool,
+}
+
+/// Each op is a byte that says what, and bytes that say how: an image, what the gripper reports, an outcome.
+pub fn controller(data: &[u8]) {
+    let mut input = Input::new(data);
+    let mut model = Model {
+        controller: Controller::new(),
+        known: Known::NOTHING,
+        image: None,
+        wanted: None,
+        prepared: None,
+        stop_risen: false,
+    };
+    while !input.is_empty() {
+        match input.byte() % 8 {
+            0..=2 => model.write(&mut input),
+            3 => model.notice(&Notice::Connected),
+            4 => {
+                model.known.limits = Some(LIMITS);
+                model.known.flags = Some(SystemFlags::from_bits_retain(u32::from_le_bytes(input.array())));
+                model.known.state = GripperState::from_code(input.byte());
+            }
+            5 => {
+                let status = input.pick(&[
+                    Status::Success,
+                    Status::CmdFailed,
+                    Status::AxisBlocked,
+                    Status::CmdAborted,
+                ]);
+                let id = input.pick(CommandId::ALL);
+                model.notice(&Notice::Answered(Reply::status_only(id, status)));
+            }
+            6 => {
+                let id = input.pick(CommandId::ALL);
+                let notices = [
+                    Notice::Unanswered(id),
+                    Notice::Withdrawn(id),
+                    Notice::Pending(id),
+                    Notice::Disconnected,
+                    Notice::Reported(Value::GetSystemState(SystemFlags::REFERENCED)),
+                ];
+                model.notice(&input.pick(&notices));
+            }
+            _ => {
+                let errors =
+                    [RequestError::NotConnected, RequestError::MotionRunning, RequestError::QueueFull];
+                let (id, error) = (input.pick(CommandId::ALL), input.pick(&errors));
+                model.controller.refused(id, error);
+                model.fetch();
+            }
+        }
+    }
+}
+
+impl Model {
+    /// An image of which only flags and, now and then, parameters change: chance alone would find no edge.
+    fn write(&mut self, input: &mut Input<'_>) {
+        let (flags, parameters) = (CommandFlags::from_bits_retain(input.byte()), input.byte());
+        let image = OutputImage {
+            flags,
+            user: parameters,
+            width: i16::from(parameters & 1) * 10_00,
+            speed: if parameters & 2 == 0 { 50_00 } else { 1 },
+            force_limit: 40_00,
+        };
+        let before = self.image.replace(image);
+        let rising = before.map_or(CommandFlags::empty(), |before| flags.difference(before.flags));
+        let fast_stop = flags.contains(CommandFlags::FASTSTOP);
+        let fast_stop_due = fast_stop && (before.is_none() || rising.contains(CommandFlags::FASTSTOP));
+        self.stop_risen |= !fast_stop && rising.contains(CommandFlags::STOP_ACK);
+        let locked = fast_stop || flags.contains(CommandFlags::STOP_ACK);
+        let lowest = MOTIONS.iter().find(|(flag, _)| rising.contains(*flag) && !locked);
+        if let Some((_, id)) = lowest {
+            self.wanted = Some(*id);
+        }
+
+        self.controller.set_output(&image, &self.known);
+
+        if fast_stop_due {
+            assert_eq!(self.controller.poll_command(), Some(Command::FastStop), "before anything else");
+            self.prepared = None;
+        }
+        self.fetch();
+        self.shown();
+    }
+
+    fn notice(&mut self, notice: &Notice<'_>) {
+        self.controller.handle(notice, &self.known);
+        self.fetch();
+        self.shown();
+    }
+
+    /// Takes what the controller wants sent, and holds it to the edges.
+    fn fetch(&mut self) {
+        let mut commands = 0;
+        while let Some(command) = self.controller.poll_command() {
+            commands += 1;
+            assert!(commands < 8, "the commands come to an end");
+            assert_eq!(command.check(), Ok(()), "{command:?}");
+            let id = command.id();
+            match id.kind() {
+                Kind::Setting => {
+                    assert_eq!(id, CommandId::SetForceLimit);
+                    let grips = self.wanted == Some(CommandId::GripPart);
+                    assert!(grips || self.jogs(), "only GRIP and JOG set the force limit");
+                    self.prepared = if grips { self.wanted.take() } else { None };
+                }
+                Kind::Motion => {
+                    // What was being prepared may have come to nothing, and a new edge counts. JOG is a level.
+                    let (prepared, wanted) = (self.prepared.take(), self.wanted);
+                    let jogs = id == CommandId::PrePosition && self.jogs();
+                    assert!([prepared, wanted].contains(&Some(id)) || jogs, "{id} without its edge");
+                    self.wanted = wanted.filter(|wanted| *wanted != id);
+                    let flags = self.image.map_or(CommandFlags::empty(), |image| image.flags);
+                    assert!(!flags.contains(CommandFlags::FASTSTOP), "a motion during FASTSTOP");
+                }
+                Kind::Acknowledge => {
+                    assert!(std::mem::take(&mut self.stop_risen), "an acknowledgement without STOP/ACK");
+                    self.prepared = None;
+                }
+                // It ends whatever is being prepared.
+                Kind::Stop => self.prepared = None,
+                kind => panic!("{id} is no command of a PLC, but {kind:?}"),
+            }
+        }
+    }
+
+    /// A JOG flag is set, and nothing that overrules it.
+    fn jogs(&self) -> bool {
+        let flags = self.image.map_or(CommandFlags::empty(), |image| image.flags);
+        flags.intersects(CommandFlags::JOG_PLUS | CommandFlags::JOG_MINUS)
+            && !flags.contains(CommandFlags::FASTSTOP)
+    }
+
+    /// The input image shows one state at the most, and can always be read back.
+    fn shown(&self) {
+        let image = self.controller.input(&self.known);
+        assert!(image.state.bits().count_ones() <= 1, "{image:?}");
+        assert_eq!(wsg_protocol::fieldbus::InputImage::from_bytes(image.to_bytes()), image);
+    }
+}

@@ -1,0 +1,133 @@
+//! The text protocol: lines out of bytes, requests and answers out of lines.
+
+use wsg_protocol::gcl::session::{Config, Session};
+use wsg_protocol::gcl::{Answer, LineEvent, LineReader, Request};
+use wsg_protocol::{Instant, Kind};
+
+use super::input::Input;
+
+/// The line that the reader holds: short, so that lines are too long often.
+const LIMIT: usize = 40;
+
+/// What is compared: events by value.
+#[derive(Clone, Debug, PartialEq)]
+enum Seen {
+    Line(Vec<u8>),
+    TooLong(Vec<u8>),
+}
+
+impl From<LineEvent<'_>> for Seen {
+    fn from(event: LineEvent<'_>) -> Self {
+        match event {
+            LineEvent::Line(line) => Self::Line(line.to_vec()),
+            LineEvent::TooLong(start) => Self::TooLong(start.to_vec()),
+        }
+    }
+}
+
+/// The first byte says how long the slices are that the reader is given. The rest is the stream.
+pub fn gcl(data: &[u8]) {
+    let mut input = Input::new(data);
+    let slice = usize::from(input.byte()).max(1);
+    let stream = input.bytes(usize::MAX);
+    let expected = read_all(stream);
+
+    let mut by_byte = LineReader::<LIMIT>::new();
+    let mut events: Vec<Seen> =
+        stream.iter().filter_map(|byte| by_byte.push(*byte).map(Seen::from)).collect();
+    events.extend(by_byte.finish().map(Seen::from));
+    assert_eq!(events, expected, "byte by byte");
+
+    let mut by_slice = LineReader::<LIMIT>::new();
+    let mut events: Vec<Seen> = Vec::new();
+    for mut rest in stream.chunks(slice) {
+        while let (taken, Some(event)) = by_slice.push_slice(rest) {
+            events.push(event.into());
+            rest = &rest[taken..];
+        }
+    }
+    events.extend(by_slice.finish().map(Seen::from));
+    assert_eq!(events, expected, "in slices");
+    assert_eq!(by_slice.counters(), by_byte.counters());
+
+    for event in &expected {
+        if let Seen::Line(line) = event {
+            request(line);
+            answer(line);
+        }
+    }
+    listen(&expected);
+}
+
+/// What a reader finds that has the whole recording, and knows that it ends there.
+fn read_all(stream: &[u8]) -> Vec<Seen> {
+    let lines = stream.split(|byte| matches!(byte, b'\r' | b'\n'));
+    let begun = lines.map(|line| {
+        let blanks = line.iter().take_while(|byte| matches!(byte, b' ' | b'\t')).count();
+        &line[blanks..]
+    });
+    let found = begun.filter(|line| !line.is_empty()).map(|line| match line.get(..LIMIT) {
+        Some(start) if line.len() > LIMIT => Seen::TooLong(start.to_vec()),
+        _ => Seen::Line(line.to_vec()),
+    });
+    found.collect()
+}
+
+/// A request is written as it is understood; to what is none there is an answer that a client understands.
+fn request(line: &[u8]) {
+    let mut buffer = [0; Request::MAX_LEN + 1];
+    match Request::parse(line) {
+        Ok(request) => {
+            assert_eq!(request.check(), Ok(()), "what is understood may be sent");
+            let length = request.write_line_into(&mut buffer).expect("the longest request fits");
+            let (end, written) = buffer[..length].split_last().expect("a line has an end");
+            assert_eq!((*end, Request::parse(written)), (b'\n', Ok(request)), "{}", line.escape_ascii());
+        }
+        Err(refused) => {
+            for verbose in [false, true] {
+                let mut text = String::new();
+                refused.answer(verbose).write(&mut text).expect("a string takes everything");
+                let status = Answer::parse(text.as_bytes()).map(|answer| answer.status());
+                assert_eq!(status, Ok(refused.mistake.status()), "{text}");
+            }
+        }
+    }
+}
+
+/// An answer is written as it is understood.
+fn answer(line: &[u8]) {
+    let Ok(answer) = Answer::parse(line) else { return };
+    assert_eq!(answer.check(), Ok(()), "{}", line.escape_ascii());
+    let mut text = String::new();
+    answer.write(&mut text).expect("a string takes everything");
+    assert_eq!(Answer::parse(text.as_bytes()), Ok(answer), "{text}");
+}
+
+/// Whatever comes, a session that nobody has asked for anything only asks.
+fn listen(lines: &[Seen]) {
+    let mut session = Session::new(Config::DEFAULT);
+    for (at, event) in lines.iter().enumerate() {
+        let now = Instant::from_millis(at as u32 * 100);
+        let mut notices = 0;
+        while session.tick(now).is_some() {
+            notices += 1;
+            assert!(notices < 64, "the notices come to an end");
+        }
+        let mut requests = 0;
+        while let Some(request) = session.poll_transmit(now) {
+            requests += 1;
+            assert!(requests < 64, "the requests come to an end");
+            assert_eq!(request.check(), Ok(()));
+            assert!(
+                !matches!(request.kind(), Kind::Motion | Kind::Stop | Kind::Acknowledge),
+                "{request:?} and nobody asked for it"
+            );
+        }
+        let event = match event {
+            Seen::Line(line) => LineEvent::Line(line),
+            Seen::TooLong(start) => LineEvent::TooLong(start),
+        };
+        session.handle(now, &event);
+        assert_eq!(session.motion(), None, "nobody asked for a motion");
+    }
+}

@@ -1,0 +1,182 @@
+//! The session against a small model: what was asked for, what of it has left, what has come to an end.
+
+use wsg_protocol::session::{Config, Notice, Session};
+use wsg_protocol::{
+    Command, CommandId, Event, Frame, HomingDirection, Instant, Kind, PrePositionFlags, Reply, Status,
+};
+
+use super::input::Input;
+
+/// Requests whose fate is followed: those that move fingers, unlock motion, or change a setting, and a query that the
+/// session does not make by itself.
+const REQUESTS: [Command<'static>; 8] = [
+    Command::Homing { direction: HomingDirection::Default },
+    Command::GripPart { width: 20.0, speed: 50.0 },
+    Command::ReleasePart { width: 40.0, speed: 50.0 },
+    Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width: 30.0, speed: 50.0 },
+    Command::ACKNOWLEDGE,
+    Command::SetForceLimit { force: 40.0 },
+    Command::SetAcceleration { acceleration: 100.0 },
+    Command::GetTemperature,
+];
+
+const STATUSES: [Status; 6] = [
+    Status::Success,
+    Status::CmdPending,
+    Status::CmdFailed,
+    Status::CmdAborted,
+    Status::AccessDenied,
+    Status::AxisBlocked,
+];
+
+/// A request that was accepted.
+#[derive(Debug)]
+struct Accepted {
+    id: CommandId,
+    sent: bool,
+}
+
+struct Model {
+    session: Session,
+    now_ms: u32,
+    /// Accepted and not ended.
+    open: Vec<Accepted>,
+}
+
+/// Each op is a byte that says what, and bytes that say how: a request, an answer, other frames, time.
+pub fn session(data: &[u8]) {
+    let mut input = Input::new(data);
+    let config = Config { verify_settings: input.byte() & 1 != 0, ..Config::DEFAULT };
+    let mut model = Model { session: Session::new(config), now_ms: 0, open: Vec::new() };
+    while !input.is_empty() {
+        match input.byte() % 8 {
+            0 | 1 => model.request(input.pick(&REQUESTS)),
+            2 => model.request(Command::FastStop),
+            3 => model.request(Command::Stop),
+            4 => model.receive(input.byte(), &[input.bytes(2), &[0; 6][..]].concat()),
+            5 => model.answer(input.pick(&REQUESTS).id(), input.pick(&STATUSES)),
+            6 => model.answer_everything(usize::from(input.byte() % 8)),
+            _ => model.pass(u32::from(input.byte()) * 4),
+        }
+    }
+    model.end();
+}
+
+impl Model {
+    fn now(&self) -> Instant {
+        Instant::from_millis(self.now_ms)
+    }
+
+    fn request(&mut self, command: Command<'static>) {
+        let id = command.id();
+        let motion_before = self.session.motion();
+        if self.session.request(command).is_ok() && id.kind() != Kind::Stop {
+            if id.kind() == Kind::Motion {
+                assert_eq!(motion_before, None, "one motion at a time");
+                assert!(!self.session.owes_fast_stop(), "no motion while a FAST STOP is owed");
+            }
+            self.open.push(Accepted { id, sent: false });
+        }
+        self.pass(0);
+    }
+
+    fn receive(&mut self, id: u8, payload: &[u8]) {
+        let event = Event::Frame(Frame { id, payload });
+        if let Some(notice) = self.session.handle(self.now(), &event) {
+            note(&mut self.open, &notice);
+        }
+        self.pass(0);
+    }
+
+    fn answer(&mut self, id: CommandId, status: Status) {
+        let payload = status.code().to_le_bytes();
+        self.receive(id.code(), &payload);
+    }
+
+    /// Answers what the session asks by itself, so that it connects and stays connected.
+    fn answer_everything(&mut self, rounds: usize) {
+        for _ in 0..rounds {
+            for (id, payload) in answers() {
+                self.receive(id.code(), &payload);
+            }
+            self.pass(20);
+        }
+    }
+
+    /// Lets time pass; takes all notices and sends all commands, as the contract says.
+    fn pass(&mut self, ms: u32) {
+        self.now_ms = self.now_ms.wrapping_add(ms);
+        let now = self.now();
+        let mut notices = 0;
+        while let Some(notice) = self.session.tick(now) {
+            note(&mut self.open, &notice);
+            notices += 1;
+            assert!(notices < 64, "the notices come to an end");
+        }
+        let mut commands = 0;
+        while let Some(command) = self.session.poll_transmit(now) {
+            self.sent(command.id());
+            commands += 1;
+            assert!(commands < 16, "the commands come to an end");
+        }
+    }
+
+    fn sent(&mut self, id: CommandId) {
+        if matches!(id.kind(), Kind::Motion | Kind::Acknowledge) {
+            let request = self.open.iter_mut().find(|open| open.id == id && !open.sent);
+            request.unwrap_or_else(|| panic!("{id} leaves and nobody asks for it")).sent = true;
+        }
+    }
+
+    /// After silence without end, every request has come to an end.
+    fn end(mut self) {
+        for _ in 0..40 {
+            let Some(deadline) = self.session.poll_timeout() else { break };
+            let ms = deadline.since(self.now()).max(1);
+            self.pass(ms);
+        }
+        assert!(self.open.is_empty(), "without an end: {:?}", self.open);
+        assert!(!self.session.is_connected());
+        assert_eq!(self.session.motion(), None);
+    }
+}
+
+/// An end that a notice tells of.
+fn note(open: &mut Vec<Accepted>, notice: &Notice<'_>) {
+    let (id, was_sent) = match notice {
+        Notice::Answered(reply) => (reply.id(), true),
+        Notice::Unanswered(id) => (*id, true),
+        Notice::Withdrawn(id) => (*id, false),
+        Notice::Disconnected => {
+            assert!(open.is_empty(), "lost with the connection, and nobody is told: {open:?}");
+            return;
+        }
+        _ => return,
+    };
+    if id.kind() == Kind::Stop {
+        return;
+    }
+    let is_it = |open: &Accepted| {
+        open.id == id && (!matches!(id.kind(), Kind::Motion | Kind::Acknowledge) || open.sent == was_sent)
+    };
+    let at = open.iter().position(is_it);
+    open.remove(at.unwrap_or_else(|| panic!("{notice:?}, and nobody asked for it")));
+}
+
+/// What the session asks by itself, answered.
+fn answers() -> Vec<(CommandId, Vec<u8>)> {
+    let mut limits = vec![0, 0];
+    for limit in [110.0_f32, 5.0, 420.0, 100.0, 5000.0, 5.0, 80.0, 120.0] {
+        limits.extend(limit.to_le_bytes());
+    }
+    let answers = vec![
+        (CommandId::GetSystemInfo, vec![0, 0, 1, 2, 0x20, 0x31, 1, 0, 0, 0]),
+        (CommandId::GetSystemLimits, limits),
+        (CommandId::GetSystemState, vec![0, 0, 1, 0, 0, 0]),
+        (CommandId::GetGripperState, vec![0, 0, 0]),
+    ];
+    debug_assert!(
+        answers.iter().all(|(id, payload)| Reply::decode(&Frame { id: id.code(), payload }).is_ok())
+    );
+    answers
+}

@@ -1,0 +1,103 @@
+//! The fuzz bodies on stable Rust: over the committed seeds, and over the same 60 000 inputs every time.
+
+use std::fs;
+use std::path::Path;
+use std::thread;
+
+use host_tests::fuzz_bodies::{self, Body};
+
+const CASES: u32 = 60_000;
+
+/// Inputs are shared out among threads: half of them each, odd and even.
+const THREADS: u32 = 2;
+
+fn smoke(name: &str) {
+    let body = find(name);
+    thread::scope(|threads| {
+        for first in 0..THREADS {
+            threads.spawn(move || {
+                for number in (first..CASES).step_by(THREADS as usize) {
+                    let case = Case { input: fuzz_bodies::generated(number, body.pieces), number };
+                    (body.run)(&case.input);
+                }
+            });
+        }
+    });
+}
+
+/// Says which input it was, when a body panics.
+struct Case {
+    input: Vec<u8>,
+    number: u32,
+}
+
+impl Drop for Case {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            eprintln!("input {}: {:02X?}", self.number, self.input);
+        }
+    }
+}
+
+fn find(name: &str) -> Body {
+    fuzz_bodies::ALL.into_iter().find(|body| body.name == name).expect("a body of this name")
+}
+
+#[test]
+fn frames_60_000_cases() {
+    smoke("frames");
+}
+
+#[test]
+fn typed_60_000_cases() {
+    smoke("typed");
+}
+
+#[test]
+fn session_60_000_cases() {
+    smoke("session");
+}
+
+#[test]
+fn controller_60_000_cases() {
+    smoke("controller");
+}
+
+#[test]
+fn bridge_60_000_cases() {
+    smoke("bridge");
+}
+
+#[test]
+fn gcl_60_000_cases() {
+    smoke("gcl");
+}
+
+#[test]
+fn modbus_60_000_cases() {
+    smoke("modbus");
+}
+
+#[test]
+fn every_committed_seed_passes() {
+    let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+    for Body { name, run, .. } in fuzz_bodies::ALL {
+        let folder =
+            fs::read_dir(seeds.join(name)).unwrap_or_else(|error| panic!("seeds of {name}: {error}"));
+        let files: Vec<_> = folder.map(|entry| entry.unwrap().path()).collect();
+        assert!(!files.is_empty(), "{name} has seeds");
+        for file in files {
+            eprintln!("{}", file.display());
+            run(&fs::read(&file).unwrap());
+        }
+    }
+}
+
+#[test]
+fn every_body_has_a_fuzz_target() {
+    let targets = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/fuzz_targets");
+    for Body { name, .. } in fuzz_bodies::ALL {
+        let target = fs::read_to_string(targets.join(format!("{name}.rs"))).expect("its target");
+        assert!(target.contains(&format!("fuzz_bodies::{name}(")), "{name}");
+    }
+}

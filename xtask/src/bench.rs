@@ -1,0 +1,251 @@
+//! Speed: instructions on a Cortex-M4, counted in the emulator and held to a committed baseline; throughput on the host.
+
+use std::{collections::BTreeMap, fs, path::PathBuf, process::Command};
+
+use anyhow::{Context, Result, bail, ensure};
+
+use crate::{
+    gate::{Gate, Unit},
+    probe::{Probes, Profile},
+    process,
+    setup::ThumbToolchain,
+    workspace::Workspace,
+};
+
+const BASELINE: &str = "host-tests/probes/baseline.txt";
+
+/// How much more than the baseline is taken, in percent.
+const TOLERANCE: u64 = 2;
+
+/// Instructions for a byte of a frame, at opt-level 3: byte by byte at every payload, in bulk at 64 bytes of payload.
+const BYTE_PATH_LIMIT: f64 = 32.0;
+const BULK_PATH_LIMIT: f64 = 10.0;
+const BULK_PAYLOAD: &str = "bulk-path/64";
+
+/// From the turn of the main loop in which an edge counts to the first byte, in the firmware as it is flashed.
+const EDGE: &str = "edge-to-first-byte";
+const EDGE_LIMIT_US: f64 = 50.0;
+const CORE_MHZ: f64 = 80.0;
+/// The emulator counts instructions, not cycles. Assumed, not measured: two cycles for each, since a turn of the main loop
+/// is longer than the flash cache, and a line that it lacks costs four wait states. Entry into and return from three
+/// exceptions are 72 more.
+const CYCLES_PER_INSTRUCTION: f64 = 2.0;
+const EXCEPTION_CYCLES: f64 = 72.0;
+/// Not reached under that assumption: see docs/figures.md.
+const EDGE_STANDS_AT_US: f64 = 80.0;
+
+const THROUGHPUT_LIMIT: f64 = 1.0;
+
+/// A count: instructions, and for how many bytes or turns.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Count {
+    instructions: u64,
+    of: u64,
+}
+
+type Counts = BTreeMap<String, Count>;
+
+/// Counts in the emulator, holds the counts to the baseline (or writes it anew), and gives the gates.
+pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Vec<Gate>> {
+    let mut counts = Counts::new();
+    for profile in Profile::ALL {
+        let elf = probes.build("bench", "bench", profile)?;
+        let mut qemu = qemu(&elf);
+        let first = process::output(&mut qemu)?;
+        ensure!(
+            first == process::output(&mut qemu)?,
+            "two runs give other counts; this emulator does not count"
+        );
+        let level = profile.opt_level().replace("opt-level ", "O");
+        counts.extend(parse(&first)?.into_iter().map(|(name, count)| (format!("{level}/{name}"), count)));
+    }
+    for (name, count) in &counts {
+        let each = count.instructions as f64 / count.of as f64;
+        println!("  {name:<28} {:>7} instructions, {each:.1} each", count.instructions);
+    }
+    hold(probes, &counts, update)?;
+    gates(&counts)
+}
+
+/// Throughput on this machine. How fast it is depends on the machine: only the figure in bulk has a limit.
+pub(crate) fn throughput(workspace: &Workspace) -> Result<Gate> {
+    let mut cargo = workspace.cargo();
+    cargo.args([
+        "run",
+        "-q",
+        "--release",
+        "-p",
+        "wsg-probes",
+        "--features",
+        "throughput",
+        "--bin",
+        "throughput",
+    ]);
+    let said = process::output(&mut cargo)?;
+    let mut bulk = None;
+    for (name, figure) in said.lines().filter_map(|line| line.split_once(' ')) {
+        println!("  {name:<28} {figure:>7} GB/s");
+        if name == "bulk-path" {
+            bulk = figure.parse().ok();
+        }
+    }
+    let bulk = bulk.context("the program throughput told no figure")?;
+    Ok(Gate::new("host throughput in bulk, 64 B payloads", bulk, THROUGHPUT_LIMIT, Unit::GigabytesPerSecond))
+}
+
+fn qemu(elf: &std::path::Path) -> Command {
+    let mut qemu = Command::new("qemu-system-arm");
+    qemu.args([
+        "-M",
+        "b-l475e-iot01a",
+        "-display",
+        "none",
+        "-monitor",
+        "none",
+        "-serial",
+        "null",
+        "-no-reboot",
+    ]);
+    qemu.args(["-icount", "shift=10", "-semihosting-config", "enable=on,target=native", "-kernel"]).arg(elf);
+    qemu
+}
+
+fn gates(counts: &Counts) -> Result<Vec<Gate>> {
+    let each = |name: &str| {
+        let count = counts.get(name).with_context(|| format!("the bench has not counted {name}"))?;
+        Ok::<_, anyhow::Error>(count.instructions as f64 / count.of as f64)
+    };
+    let byte_path = counts.iter().filter(|(name, _)| name.starts_with("O3/byte-path/"));
+    let worst = byte_path.map(|(_, count)| count.instructions as f64 / count.of as f64).fold(0.0, f64::max);
+    ensure!(worst > 0.0, "the bench has not counted the byte path");
+    let cycles = each(&format!("Os/{EDGE}"))? * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES;
+    Ok(vec![
+        Gate::new("instructions per byte, byte by byte", worst, BYTE_PATH_LIMIT, Unit::InstructionsPerByte),
+        Gate::new(
+            "instructions per byte, in bulk at 64 B of payload",
+            each(&format!("O3/{BULK_PAYLOAD}"))?,
+            BULK_PATH_LIMIT,
+            Unit::InstructionsPerByte,
+        ),
+        Gate::new("PLC edge to first byte, debounced", cycles / CORE_MHZ, EDGE_LIMIT_US, Unit::Microseconds)
+            .standing_at(EDGE_STANDS_AT_US),
+    ])
+}
+
+/// Compares with the baseline, if it was counted with this compiler.
+fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<()> {
+    let path: PathBuf = probes.workspace.root.join(BASELINE);
+    let compiler = compiler(probes)?;
+    if update {
+        fs::write(&path, baseline_text(&compiler, counts))
+            .with_context(|| format!("cannot write {BASELINE}"))?;
+        println!("  {BASELINE} is written");
+        return Ok(());
+    }
+    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {BASELINE}"))?;
+    let counted_with = text.lines().next().unwrap_or_default().trim_start_matches("# ");
+    if counted_with != compiler {
+        println!(
+            "  NOT COMPARED with {BASELINE}: it is of {counted_with}, this is {compiler}; the limits hold"
+        );
+        return Ok(());
+    }
+    let worse = worse_than(&parse(&text)?, counts);
+    if !worse.is_empty() {
+        bail!("slower than {BASELINE} by more than {TOLERANCE} %: {}", worse.join(", "));
+    }
+    println!("  within {TOLERANCE} % of {BASELINE} (`cargo xtask bench --update` writes it anew)");
+    Ok(())
+}
+
+fn compiler(probes: &Probes<'_>) -> Result<String> {
+    let mut rustc = match probes.toolchain {
+        ThumbToolchain::Active => probes.workspace.rustc(),
+        ThumbToolchain::Debian { .. } => Command::new("/usr/bin/rustc"),
+    };
+    Ok(process::answer(rustc.arg("--version")).context("rustc does not tell its version")?.trim().to_owned())
+}
+
+fn baseline_text(compiler: &str, counts: &Counts) -> String {
+    let mut text = format!("# {compiler}\n");
+    for (name, Count { instructions, of }) in counts {
+        text.push_str(&format!("{name} {instructions} {of}\n"));
+    }
+    text
+}
+
+/// Lines of a name, a count and what it is of.
+fn parse(text: &str) -> Result<Counts> {
+    let mut counts = Counts::new();
+    for line in text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty()) {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let count = match words[..] {
+            [name, instructions, of] => instructions.parse().ok().zip(of.parse().ok()).map(|it| (name, it)),
+            _ => None,
+        };
+        let (name, (instructions, of)) = count.with_context(|| format!("`{line}` is no count"))?;
+        counts.insert(name.to_owned(), Count { instructions, of });
+    }
+    Ok(counts)
+}
+
+/// What takes more instructions than the baseline allows, or is not in it.
+fn worse_than(baseline: &Counts, counts: &Counts) -> Vec<String> {
+    let is_worse = |(name, count): &(&String, &Count)| match baseline.get(*name) {
+        Some(before) => count.instructions * 100 > before.instructions * (100 + TOLERANCE),
+        None => true,
+    };
+    let told = |(name, count): (&String, &Count)| match baseline.get(name) {
+        Some(before) => format!("{name} {} instead of {}", count.instructions, before.instructions),
+        None => format!("{name} is not in it"),
+    };
+    counts.iter().filter(is_worse).map(told).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BASELINE: &str = "# rustc 1.95.0\nO3/bulk-path/64 700 72\nOs/edge-to-first-byte 1000 1\n";
+
+    #[test]
+    fn two_percent_more_than_the_baseline_is_taken_and_no_more() {
+        let baseline = parse(BASELINE).unwrap();
+        let with = |instructions| {
+            let mut counts = baseline.clone();
+            counts.insert("O3/bulk-path/64".into(), Count { instructions, of: 72 });
+            worse_than(&baseline, &counts)
+        };
+
+        assert_eq!(with(714), [""; 0]);
+        assert_eq!(with(715), ["O3/bulk-path/64 715 instead of 700"]);
+        assert_eq!(with(300), [""; 0]);
+    }
+
+    #[test]
+    fn a_count_that_the_baseline_lacks_is_named() {
+        let counts = parse("new 1 1").unwrap();
+        assert_eq!(worse_than(&Counts::new(), &counts), ["new is not in it"]);
+    }
+
+    #[test]
+    fn a_baseline_is_read_as_it_is_written() {
+        let counts = parse(BASELINE).unwrap();
+        assert_eq!(baseline_text("rustc 1.95.0", &counts), BASELINE);
+        assert!(parse("nonsense").is_err());
+    }
+
+    #[test]
+    fn a_slow_byte_path_and_a_slow_edge_are_past_their_limits() {
+        let counts = parse(
+            "O3/byte-path/2 330 10\nO3/byte-path/64 100 72\nO3/bulk-path/64 700 72\nOs/edge-to-first-byte 4000 1",
+        );
+        let gates = gates(&counts.unwrap()).unwrap();
+
+        let failed = crate::gate::check(&gates).unwrap_err().to_string();
+        assert_eq!(
+            failed,
+            "past the limit: instructions per byte, byte by byte, PLC edge to first byte, debounced"
+        );
+    }
+}

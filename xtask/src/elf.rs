@@ -1,0 +1,111 @@
+//! What the gates read from an ELF file for the target: its sections.
+
+use anyhow::Result;
+use object::{
+    Object, ObjectSection, SectionFlags,
+    elf::{SHF_ALLOC, SHF_WRITE, SHT_NOBITS},
+    read::elf::ElfFile32,
+};
+
+/// A section that takes memory on the target.
+pub(crate) struct Section {
+    /// `.text`, `.bss`.
+    pub(crate) name: String,
+    /// Bytes.
+    pub(crate) size: u64,
+    /// Its contents are loaded from flash: all but `.bss` and `.uninit`.
+    pub(crate) is_loaded: bool,
+    /// It lies in RAM at run time: `.data`, `.bss`, `.uninit`.
+    pub(crate) is_written: bool,
+}
+
+/// What a program takes of the target's memory, in bytes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Footprint {
+    /// Code, constants, and the initial values of `.data`.
+    pub(crate) flash: u64,
+    /// What is there before the program starts, without the stack.
+    pub(crate) static_ram: u64,
+}
+
+impl Section {
+    /// Where it lies, for a person.
+    pub(crate) fn place(&self) -> &'static str {
+        match (self.is_loaded, self.is_written) {
+            (true, true) => "flash and RAM",
+            (true, false) => "flash",
+            (false, _) => "RAM",
+        }
+    }
+}
+
+impl Footprint {
+    /// The sum over sections.
+    pub(crate) fn of(sections: &[Section]) -> Self {
+        let sum =
+            |counts: fn(&Section) -> bool| sections.iter().filter(|it| counts(it)).map(|it| it.size).sum();
+        Self {
+            flash: sum(|section| section.is_loaded),
+            static_ram: sum(|section| section.is_written || !section.is_loaded),
+        }
+    }
+
+    /// What this one takes more than `other`.
+    pub(crate) fn over(self, other: Self) -> Self {
+        Self {
+            flash: self.flash.saturating_sub(other.flash),
+            static_ram: self.static_ram.saturating_sub(other.static_ram),
+        }
+    }
+}
+
+/// The sections of this file that take memory on the target.
+pub(crate) fn sections_of(elf: &[u8]) -> Result<Vec<Section>> {
+    let elf = ElfFile32::<object::Endianness>::parse(elf)?;
+    let mut sections = Vec::new();
+    for section in elf.sections() {
+        let SectionFlags::Elf { sh_type, sh_flags } = section.flags() else { continue };
+        if !sh_flags.contains(SHF_ALLOC) {
+            continue;
+        }
+        sections.push(Section {
+            name: section.name()?.to_owned(),
+            size: section.size(),
+            is_loaded: sh_type != SHT_NOBITS,
+            is_written: sh_flags.contains(SHF_WRITE),
+        });
+    }
+    Ok(sections)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn section(name: &str, size: u64, is_loaded: bool, is_written: bool) -> Section {
+        Section { name: name.into(), size, is_loaded, is_written }
+    }
+
+    #[test]
+    fn initialised_data_counts_in_flash_and_in_ram() {
+        let sections = [
+            section(".vector_table", 0x400, true, false),
+            section(".text", 3000, true, false),
+            section(".rodata", 500, true, false),
+            section(".data", 20, true, true),
+            section(".bss", 100, false, true),
+            section(".uninit", 7, false, true),
+        ];
+
+        let footprint = Footprint::of(&sections);
+
+        assert_eq!(footprint, Footprint { flash: 0x400 + 3520, static_ram: 127 });
+        let empty = Footprint { flash: 0x400, static_ram: 7 };
+        assert_eq!(footprint.over(empty), Footprint { flash: 3520, static_ram: 120 });
+    }
+
+    #[test]
+    fn a_file_that_is_no_elf_is_refused() {
+        assert!(sections_of(b"MZ").is_err());
+    }
+}

@@ -1,0 +1,89 @@
+//! docs/figures.md: every figure with its limit, written by what measured it.
+
+use std::fs;
+
+use anyhow::{Context, Result};
+
+use crate::{
+    bench,
+    firmware::Image,
+    gate::Gate,
+    panics,
+    probe::Probes,
+    process, size,
+    stack::{self},
+};
+
+const DOCUMENT: &str = "docs/figures.md";
+const BEGIN: &str = "<!-- generated: figures -->";
+const END: &str = "<!-- end -->";
+
+/// Measures everything that `docs/figures.md` tells, writes it, and has the README take it over; gives the gates.
+pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
+    panics::check(probes)?;
+    let mut gates = size::of_image(image)?;
+    gates.extend(size::of_protocol(probes)?);
+    gates.push(stack::walked(probes.workspace, probes.toolchain, image)?);
+    gates.push(stack::painted(probes.workspace, image)?);
+    gates.extend(bench::counted(probes, false)?);
+    gates.push(bench::throughput(probes.workspace)?);
+
+    let path = probes.workspace.root.join(DOCUMENT);
+    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;
+    let text = with_part(&text, &table(&gates))
+        .with_context(|| format!("{DOCUMENT} has no `{BEGIN}` and `{END}`"))?;
+    fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
+
+    let mut readme = probes.workspace.cargo();
+    readme.env("WSG_UPDATE_DOCS", "1").args([
+        "test",
+        "-q",
+        "-p",
+        "host-tests",
+        "--test",
+        "docs",
+        "figures_in_the_readme",
+    ]);
+    process::run(&mut readme)?;
+    println!("{DOCUMENT} and README.md are written");
+    Ok(gates)
+}
+
+fn table(gates: &[Gate]) -> String {
+    let mut text = "| what | measured | limit |\n|---|---|---|\n".to_owned();
+    for gate in gates {
+        let missed = if gate.holds() { "" } else { ", **missed**" };
+        text.push_str(&format!(
+            "| {} | {} | {}{missed} |\n",
+            gate.what,
+            gate.measured_text(),
+            gate.limit_text()
+        ));
+    }
+    text.push_str("| panic paths, firmware and every public function of the protocol | 0 | 0 |\n");
+    text
+}
+
+fn with_part(text: &str, part: &str) -> Option<String> {
+    let (before, rest) = text.split_once(BEGIN)?;
+    let (_, after) = rest.split_once(END)?;
+    Some(format!("{before}{BEGIN}\n{part}{END}{after}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_generated_part_is_replaced_and_nothing_else() {
+        let text = format!("# Figures\n\n{BEGIN}\nold\n{END}\n\nText.\n");
+        let gates = [Gate::bytes("flash", 90, 100), Gate::bytes("RAM", 120, 100).standing_at(130.0)];
+
+        let written = with_part(&text, &table(&gates)).unwrap();
+
+        assert!(written.starts_with("# Figures\n") && written.ends_with("<!-- end -->\n\nText.\n"));
+        assert!(written.contains("| flash | 90 B | 100 B |\n| RAM | 120 B | 100 B, **missed** |\n"));
+        assert!(!written.contains("old"));
+        assert_eq!(with_part("no part", ""), None);
+    }
+}

@@ -1,0 +1,160 @@
+//! A measured figure and its limit.
+
+use std::fmt;
+
+use anyhow::{Result, bail};
+
+/// What a figure counts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Unit {
+    /// Bytes.
+    Bytes,
+    /// Instructions for a byte on the line.
+    InstructionsPerByte,
+    /// Microseconds.
+    Microseconds,
+    /// 10⁹ bytes a second: more is better.
+    GigabytesPerSecond,
+}
+
+/// A measured figure and its limit.
+#[derive(Clone, Debug)]
+pub(crate) struct Gate {
+    /// What was measured.
+    pub(crate) what: String,
+    /// The figure.
+    pub(crate) measured: f64,
+    /// How far it may go, or with GB/s how far it must.
+    pub(crate) limit: f64,
+    /// A limit that is not reached yet is held where it stands: this far, and no further.
+    pub(crate) stands_at: Option<f64>,
+    /// Of both figures.
+    pub(crate) unit: Unit,
+}
+
+/// How a figure stands to its limit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Verdict {
+    Holds,
+    Missed,
+    Past,
+}
+
+impl Gate {
+    /// A figure in bytes.
+    pub(crate) fn bytes(what: impl Into<String>, measured: u64, limit: u64) -> Self {
+        Self::new(what, measured as f64, limit as f64, Unit::Bytes)
+    }
+
+    /// A figure in any unit.
+    pub(crate) fn new(what: impl Into<String>, measured: f64, limit: f64, unit: Unit) -> Self {
+        Self { what: what.into(), measured, limit, stands_at: None, unit }
+    }
+
+    /// The same, of which is known that it misses its limit and stands at most at `bound`.
+    pub(crate) fn standing_at(self, bound: f64) -> Self {
+        Self { stands_at: Some(bound), ..self }
+    }
+
+    /// The figure as a table shows it.
+    pub(crate) fn measured_text(&self) -> String {
+        self.unit.text(self.measured)
+    }
+
+    /// The limit as a table shows it.
+    pub(crate) fn limit_text(&self) -> String {
+        let kib = self.limit / 1024.0;
+        match self.unit {
+            Unit::Bytes if kib >= 1.0 && kib.fract() == 0.0 => format!("{kib:.0} KiB"),
+            unit => unit.text(self.limit),
+        }
+    }
+
+    /// Whether it is within its limit.
+    pub(crate) fn holds(&self) -> bool {
+        self.verdict() == Verdict::Holds
+    }
+
+    fn verdict(&self) -> Verdict {
+        let within = |bound: f64| match self.unit {
+            Unit::GigabytesPerSecond => self.measured >= bound,
+            _ => self.measured <= bound,
+        };
+        if within(self.limit) {
+            Verdict::Holds
+        } else if self.stands_at.is_some_and(within) {
+            Verdict::Missed
+        } else {
+            Verdict::Past
+        }
+    }
+}
+
+impl Unit {
+    fn text(self, value: f64) -> String {
+        match self {
+            Self::Bytes => format!("{value:.0} B"),
+            Self::InstructionsPerByte => format!("{value:.1}"),
+            Self::Microseconds => format!("{value:.1} µs"),
+            Self::GigabytesPerSecond => format!("{value:.2} GB/s"),
+        }
+    }
+}
+
+impl fmt::Display for Gate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let verdict = match self.verdict() {
+            Verdict::Holds => "ok".to_owned(),
+            Verdict::Missed => {
+                let by = self.unit.text((self.measured - self.limit).abs());
+                let bound = self.unit.text(self.stands_at.unwrap_or(self.limit));
+                format!("MISSED by {by}; held at {bound}")
+            }
+            Verdict::Past => "PAST ITS LIMIT".to_owned(),
+        };
+        write!(f, "{:<56} {:>10} of {:>10}  {verdict}", self.what, self.measured_text(), self.limit_text())
+    }
+}
+
+/// Prints each gate; fails where one is past its limit.
+pub(crate) fn check(gates: &[Gate]) -> Result<()> {
+    for gate in gates {
+        println!("{gate}");
+    }
+    let past = gates.iter().filter(|gate| gate.verdict() == Verdict::Past);
+    let past: Vec<&str> = past.map(|gate| gate.what.as_str()).collect();
+    if !past.is_empty() {
+        bail!("past the limit: {}", past.join(", "));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gate_holds_up_to_its_limit_and_not_past_it() {
+        assert!(check(&[Gate::bytes("flash", 0, 100), Gate::bytes("flash", 100, 100)]).is_ok());
+        let error = check(&[Gate::bytes("RAM", 100, 100), Gate::bytes("flash", 101, 100)]).unwrap_err();
+        assert_eq!(error.to_string(), "past the limit: flash");
+    }
+
+    #[test]
+    fn a_missed_limit_is_said_and_held_where_it_stands() {
+        let gate = |measured| Gate::bytes("flash", measured, 100).standing_at(150.0);
+
+        assert!(gate(90).to_string().ends_with("ok"));
+        assert!(gate(150).to_string().ends_with("MISSED by 50 B; held at 150 B"));
+        assert!(check(&[gate(150)]).is_ok());
+        assert!(check(&[gate(151)]).is_err());
+    }
+
+    #[test]
+    fn throughput_must_reach_its_limit() {
+        let gate = |measured| Gate::new("bulk", measured, 1.0, Unit::GigabytesPerSecond);
+
+        assert!(check(&[gate(1.5)]).is_ok());
+        assert!(check(&[gate(0.99)]).is_err());
+    }
+}

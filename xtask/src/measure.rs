@@ -1,0 +1,112 @@
+//! The commands that measure or prove: figures with their limits, and what takes long.
+
+use anyhow::{Context, Result, bail};
+use lexopt::{Arg, Parser, ValueExt};
+
+use crate::{
+    bench, coverage, figures,
+    firmware::{self, Image},
+    fuzz, gate, mutants, no_more, panics,
+    probe::Probes,
+    rest,
+    setup::{self, ThumbToolchain},
+    size, stack, test, undefined_behaviour,
+    workspace::Workspace,
+};
+
+/// Runs the command of this name.
+pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
+    match command {
+        "size" => {
+            no_more(arguments)?;
+            let built = Built::new()?;
+            gate::check(&[size::of_image(&built.image)?, size::of_protocol(&built.probes())?].concat())
+        }
+        "stack" => {
+            no_more(arguments)?;
+            let Built { workspace, toolchain, image } = Built::new()?;
+            let walked = stack::walked(&workspace, &toolchain, &image)?;
+            gate::check(&[walked, stack::painted(&workspace, &image)?])
+        }
+        "panics" => {
+            no_more(arguments)?;
+            panics::check(&Built::new()?.probes())
+        }
+        "bench" => {
+            let update = flag(arguments, "update")?;
+            let built = Built::new()?;
+            let mut gates = bench::counted(&built.probes(), update)?;
+            gates.push(bench::throughput(&built.workspace)?);
+            gate::check(&gates)
+        }
+        "figures" => {
+            no_more(arguments)?;
+            let built = Built::new()?;
+            gate::check(&figures::write(&built.probes(), &built.image)?)
+        }
+        "ci" => {
+            no_more(arguments)?;
+            let Built { workspace, toolchain, image } = Built::new()?;
+            test::run(&workspace, &toolchain, &image, &[])?;
+            undefined_behaviour::run(&workspace)
+        }
+        "fuzz" => {
+            let seconds = seconds(arguments)?;
+            fuzz::run(&Workspace::from_env()?, seconds)
+        }
+        "mutants" => {
+            let files: Vec<_> = rest(arguments)?.iter().map(|it| it.to_string_lossy().into_owned()).collect();
+            mutants::run(&Workspace::from_env()?, &files)
+        }
+        "miri" => {
+            no_more(arguments)?;
+            undefined_behaviour::run(&Workspace::from_env()?)
+        }
+        "coverage" => {
+            no_more(arguments)?;
+            coverage::run(&Workspace::from_env()?)
+        }
+        unknown => bail!("no command `{unknown}`; `cargo xtask help` lists them"),
+    }
+}
+
+/// What is measured.
+struct Built {
+    workspace: Workspace,
+    toolchain: ThumbToolchain,
+    image: Image,
+}
+
+impl Built {
+    fn new() -> Result<Self> {
+        let workspace = Workspace::from_env()?;
+        let toolchain = setup::thumb_and_qemu(&workspace)?;
+        let image = firmware::build(&workspace, &toolchain, &[])?;
+        Ok(Self { workspace, toolchain, image })
+    }
+
+    fn probes(&self) -> Probes<'_> {
+        Probes { workspace: &self.workspace, toolchain: &self.toolchain }
+    }
+}
+
+/// `--seconds N`.
+fn seconds(mut arguments: Parser) -> Result<u32> {
+    let mut seconds = fuzz::SECONDS;
+    while let Some(argument) = arguments.next()? {
+        match argument {
+            Arg::Long("seconds") => seconds = arguments.value()?.parse()?,
+            other => return Err(other.unexpected()).context("see `cargo xtask help`"),
+        }
+    }
+    Ok(seconds)
+}
+
+/// Whether the only argument that may be there, is.
+fn flag(mut arguments: Parser, name: &str) -> Result<bool> {
+    match arguments.next()? {
+        None => Ok(false),
+        Some(Arg::Long(given)) if given == name => no_more(arguments).map(|()| true),
+        Some(other) => Err(other.unexpected()).context("see `cargo xtask help`"),
+    }
+}

@@ -1,0 +1,181 @@
+//! Mutants of the protocol crate: which changes of the code no test notices.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::Path,
+};
+
+use anyhow::{Context, Result, bail, ensure};
+
+use crate::{
+    process,
+    tool::{self, CARGO_MUTANTS},
+    workspace::Workspace,
+};
+
+/// Survivors that are accepted, a name and a reason each.
+const ACCEPTED: &str = "xtask/mutants-accepted.txt";
+
+/// Where no mutant may survive that is not accepted.
+const ALL_CAUGHT_IN: [&str; 3] = ["protocol/src/checksum.rs", "protocol/src/frame/", "protocol/src/can"];
+
+/// How many must be caught of all, in percent.
+const CAUGHT_PERCENT: usize = 95;
+
+/// The file that the feature `small-table` changes.
+const OF_SMALL_TABLE: &str = "protocol/src/checksum.rs";
+
+/// What became of the mutants, each a line of cargo-mutants.
+#[derive(Debug, Default, PartialEq)]
+struct Outcome {
+    caught: BTreeSet<String>,
+    survived: BTreeSet<String>,
+}
+
+/// Makes the mutants of the crate, or of these files of it, and holds the survivors to the accepted ones.
+pub(crate) fn run(workspace: &Workspace, files: &[String]) -> Result<()> {
+    let accepted = accepted(&read(&workspace.root.join(ACCEPTED))?)?;
+    CARGO_MUTANTS.require(workspace, "the mutants of wsg-protocol")?;
+    let mut outcome = make(workspace, "all", files, &[])?;
+    if files.is_empty() || files.iter().any(|file| file == OF_SMALL_TABLE) {
+        // What is only there with the feature is noticed only with it; what either run notices is noticed.
+        let with =
+            make(workspace, "small-table", &[OF_SMALL_TABLE.to_owned()], &["--features", "small-table"])?;
+        outcome = outcome.or_in(&with);
+    }
+    judge(&outcome, &accepted, files.is_empty())
+}
+
+/// One run of cargo-mutants.
+fn make(workspace: &Workspace, name: &str, files: &[String], options: &[&str]) -> Result<Outcome> {
+    let output = workspace.target_dir.join("mutants").join(name);
+    fs::create_dir_all(&output).with_context(|| format!("cannot make {}", output.display()))?;
+    let mut mutants =
+        tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle", "-j1"]);
+    mutants.arg("--output").arg(&output).args(["--timeout", "40", "--colors", "never"]).args(options);
+    mutants.args(files.iter().flat_map(|file| ["--file", file]));
+    // The doctests take most of the time and notice what the other tests notice.
+    mutants.args(["--", "--lib", "--tests"]);
+    let status = process::run_for_status(&mut mutants)?;
+    // 2: mutants survived; 3: some ran out of time, which counts as noticed.
+    ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants itself failed ({status})");
+    outcome(&output.join("mutants.out"))
+}
+
+fn outcome(folder: &Path) -> Result<Outcome> {
+    let lines = |name: &str| {
+        let text = read(&folder.join(name))?;
+        Ok::<_, anyhow::Error>(text.lines().map(str::to_owned).collect::<BTreeSet<_>>())
+    };
+    let mut caught = lines("caught.txt")?;
+    caught.extend(lines("timeout.txt")?);
+    Ok(Outcome { caught, survived: lines("missed.txt")? })
+}
+
+impl Outcome {
+    /// With what another run has caught.
+    fn or_in(mut self, other: &Self) -> Self {
+        self.survived.retain(|mutant| !other.caught.contains(mutant));
+        self.caught.extend(other.caught.iter().cloned());
+        self
+    }
+}
+
+/// A mutant without line and column, which every edit above it changes.
+fn name_of(line: &str) -> String {
+    let mut parts = line.splitn(4, ':');
+    match (parts.next(), parts.next(), parts.next(), parts.next()) {
+        (Some(file), Some(_), Some(_), Some(what)) => format!("{file}:{what}"),
+        _ => line.to_owned(),
+    }
+}
+
+/// Lines of a mutant's name, ` -- ` and the reason.
+fn accepted(text: &str) -> Result<BTreeMap<String, String>> {
+    let lines = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
+    lines
+        .map(|line| {
+            let (name, reason) =
+                line.split_once(" -- ").with_context(|| format!("no reason in {ACCEPTED}: {line}"))?;
+            Ok((name.to_owned(), reason.to_owned()))
+        })
+        .collect()
+}
+
+fn judge(outcome: &Outcome, accepted: &BTreeMap<String, String>, is_whole: bool) -> Result<()> {
+    let mut open = Vec::new();
+    for mutant in &outcome.survived {
+        let name = name_of(mutant);
+        match accepted.get(&name) {
+            Some(reason) => println!("  accepted: {name} ({reason})"),
+            None => {
+                println!("  SURVIVED: {mutant}");
+                open.push(name);
+            }
+        }
+    }
+    let caught = outcome.caught.len();
+    let made = caught + outcome.survived.len();
+    ensure!(made > 0, "no mutant was made: are these files of protocol/src?");
+    let settled = made - open.len();
+    println!("mutants: {caught} of {made} caught, {} accepted, {} survived", settled - caught, open.len());
+    if let Some(name) = open.iter().find(|name| ALL_CAUGHT_IN.iter().any(|place| name.starts_with(place))) {
+        bail!("a mutant survives where none may: {name}");
+    }
+    if is_whole && settled * 100 < made * CAUGHT_PERCENT {
+        bail!("less than {CAUGHT_PERCENT} % of the mutants are caught");
+    }
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<String> {
+    fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn survived(names: &[&str]) -> Outcome {
+        let caught = (0..99).map(|n| format!("protocol/src/x.rs:{n}:1: caught")).collect();
+        Outcome { caught, survived: names.iter().map(|name| (*name).to_owned()).collect() }
+    }
+
+    #[test]
+    fn what_either_run_catches_is_caught() {
+        let first = Outcome { caught: ["a".into()].into(), survived: ["b".into(), "c".into()].into() };
+        let second = Outcome { caught: ["b".into()].into(), survived: ["a".into(), "c".into()].into() };
+
+        let both = Outcome { caught: ["a".into(), "b".into()].into(), survived: ["c".into()].into() };
+        assert_eq!(first.or_in(&second), both);
+    }
+
+    #[test]
+    fn a_survivor_in_the_parser_fails_and_an_accepted_one_does_not() {
+        let line = "protocol/src/frame/parser.rs:12:5: replace + with - in push";
+        let name = name_of(line);
+        assert_eq!(name, "protocol/src/frame/parser.rs: replace + with - in push");
+
+        let none = BTreeMap::new();
+        let accepted = accepted(&format!("# why\n\n{name} -- both do the same\n")).unwrap();
+
+        assert!(judge(&survived(&[line]), &none, false).is_err());
+        assert!(judge(&survived(&[line]), &accepted, false).is_ok());
+    }
+
+    #[test]
+    fn elsewhere_five_percent_may_survive() {
+        let names: Vec<String> =
+            (0..6).map(|n| format!("protocol/src/session.rs:{n}:1: mutant {n}")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+
+        assert!(judge(&survived(&names[..5]), &BTreeMap::new(), true).is_ok());
+        assert!(judge(&survived(&names), &BTreeMap::new(), true).is_err());
+    }
+
+    #[test]
+    fn a_name_without_a_reason_is_refused() {
+        assert!(accepted("protocol/src/frame/parser.rs: replace + with -").is_err());
+    }
+}

@@ -1,0 +1,230 @@
+//! The functions of an image, and what each calls.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use anyhow::{Context, Result, ensure};
+use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind, read::elf::ElfFile32};
+
+use super::{
+    frames,
+    thumb::{Effect, decode},
+};
+
+/// A function, by its first address.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Function {
+    pub(super) name: String,
+    /// Bytes of stack by the compiler; none where it did not make the function.
+    pub(super) frame: Option<u64>,
+    /// Bytes that all pushes in its code come to.
+    pub(super) pushed: u64,
+    /// Functions that it calls or goes on to.
+    pub(super) calls: BTreeSet<u32>,
+    /// It calls what a register holds.
+    pub(super) is_indirect: bool,
+}
+
+/// An image as the walk sees it.
+#[derive(Debug, Default)]
+pub(super) struct Program {
+    pub(super) functions: BTreeMap<u32, Function>,
+    /// Functions whose address stands in data or is made in code.
+    pub(super) taken: BTreeSet<u32>,
+    /// Where the program starts.
+    pub(super) reset: u32,
+    /// The handlers of exceptions and interrupts.
+    pub(super) handlers: BTreeSet<u32>,
+    /// Bytes of code.
+    pub(super) code_len: usize,
+}
+
+/// Code and the data within it.
+struct Text<'a> {
+    address: u32,
+    bytes: &'a [u8],
+    /// Where data begins and ends within the code.
+    data: BTreeMap<u32, bool>,
+}
+
+impl Program {
+    /// Reads an image for a Cortex-M.
+    pub(super) fn of(elf: &[u8]) -> Result<Self> {
+        let elf = ElfFile32::<object::Endianness>::parse(elf)?;
+        let mut program = Self::default();
+        let text = Text::of(&elf)?;
+        program.code_len = text.bytes.len();
+        let frames = match elf.section_by_name(".stack_sizes") {
+            Some(section) => frames::parse(section.data()?).context("the section .stack_sizes is broken")?,
+            None => BTreeMap::new(),
+        };
+        let starts = starts_of(&elf);
+        ensure!(!starts.is_empty(), "no symbols of functions");
+        for (&start, (name, size)) in &starts {
+            let next = starts.range(start + 1..).next().map_or(text.end(), |(next, _)| *next);
+            // Written in assembly, some say no size. Behind the others may be filling that is no code.
+            let behind = if *size == 0 { next } else { next.min(start + size) };
+            let function = text.function(name.clone(), start..behind, &mut program.taken);
+            program.functions.insert(start, Function { frame: frames.get(&start).copied(), ..function });
+        }
+        // A jump within a function is none to another: what is called is the function that holds the address.
+        let holders: Vec<u32> = program.functions.keys().copied().collect();
+        for (start, function) in &mut program.functions {
+            let of = |address: u32| {
+                holders.partition_point(|it| *it <= address).checked_sub(1).map(|at| holders[at])
+            };
+            let calls = std::mem::take(&mut function.calls);
+            let is_recursion = |address: &u32| *address == *start;
+            function.calls = calls
+                .into_iter()
+                .filter_map(|address| of(address).filter(|it| it != start || is_recursion(&address)))
+                .collect();
+        }
+        program.taken.extend(words_of_data(&elf)?);
+        program.read_vectors(&elf)?;
+        let functions = &program.functions;
+        program.taken.retain(|address| functions.contains_key(address));
+        Ok(program)
+    }
+
+    /// The vector table: the initial stack pointer, Reset, then the handlers.
+    fn read_vectors(&mut self, elf: &ElfFile32<'_>) -> Result<()> {
+        let vectors = elf.section_by_name(".vector_table").context("no section .vector_table")?;
+        let mut words = words(vectors.data()?).skip(1);
+        self.reset = words.next().context("the vector table is empty")? & !1;
+        self.handlers = words.filter(|word| *word != 0).map(|word| word & !1).collect();
+        Ok(())
+    }
+}
+
+impl<'a> Text<'a> {
+    fn of(elf: &ElfFile32<'a>) -> Result<Self> {
+        let section = elf.section_by_name(".text").context("no section .text")?;
+        let mut data = BTreeMap::new();
+        for symbol in elf.symbols() {
+            // Mapping symbols (ELF for the Arm Architecture, 5.5.5): $t before code, $d before data.
+            match symbol.name().unwrap_or_default() {
+                "$d" => data.insert(symbol.address() as u32, true),
+                "$t" => data.insert(symbol.address() as u32, false),
+                _ => None,
+            };
+        }
+        Ok(Self { address: section.address() as u32, bytes: section.data()?, data })
+    }
+
+    fn end(&self) -> u32 {
+        self.address + self.bytes.len() as u32
+    }
+
+    fn is_data(&self, address: u32) -> bool {
+        self.data.range(..=address).next_back().is_some_and(|(_, is_data)| *is_data)
+    }
+
+    fn halfword(&self, address: u32) -> Option<u16> {
+        let at = address.checked_sub(self.address)? as usize;
+        Some(u16::from_le_bytes(self.bytes.get(at..at + 2)?.try_into().ok()?))
+    }
+
+    /// Follows the code from start to end; addresses that it makes or holds go to `taken`.
+    fn function(&self, name: String, range: std::ops::Range<u32>, taken: &mut BTreeSet<u32>) -> Function {
+        let mut function = Function { name, ..Function::default() };
+        let mut low_halves = [0_u16; 16];
+        let mut address = range.start;
+        while address < range.end {
+            let Some(first) = self.halfword(address) else { break };
+            let second = self.halfword(address + 2).unwrap_or(0);
+            if self.is_data(address) {
+                let word = u32::from(second) << 16 | u32::from(first);
+                taken.extend((word & 1 == 1).then_some(word & !1));
+                address += 2;
+                continue;
+            }
+            let (length, effect) = decode(address, [first, second]);
+            match effect {
+                Effect::Call(to) => {
+                    function.calls.insert(to);
+                }
+                Effect::Jump(to) if !range.contains(&to) => {
+                    function.calls.insert(to);
+                }
+                Effect::IndirectCall => function.is_indirect = true,
+                Effect::Push(bytes) => function.pushed += u64::from(bytes),
+                Effect::Half { register, high: false, value } => {
+                    low_halves[usize::from(register & 0xF)] = value;
+                }
+                Effect::Half { register, high: true, value } => {
+                    let low = low_halves[usize::from(register & 0xF)];
+                    let made = u32::from(value) << 16 | u32::from(low);
+                    taken.extend((made & 1 == 1).then_some(made & !1));
+                }
+                Effect::Jump(_) | Effect::Other => {}
+            }
+            address += length;
+        }
+        function
+    }
+}
+
+/// Every function's first address, its name and its size.
+fn starts_of(elf: &ElfFile32<'_>) -> BTreeMap<u32, (String, u32)> {
+    let mut starts = BTreeMap::new();
+    for symbol in elf.symbols().filter(|symbol| symbol.kind() == SymbolKind::Text) {
+        let name = symbol.name().unwrap_or_default();
+        if symbol.is_definition() && !name.is_empty() && !name.starts_with('$') {
+            let start = symbol.address() as u32 & !1;
+            starts.entry(start).or_insert_with(|| (readable(name), symbol.size() as u32));
+        }
+    }
+    starts
+}
+
+/// The name as the sources have it, without the hash.
+fn readable(mangled: &str) -> String {
+    format!("{:#}", rustc_demangle::demangle(mangled))
+}
+
+/// Words in data that may be the address of a function.
+fn words_of_data(elf: &ElfFile32<'_>) -> Result<BTreeSet<u32>> {
+    let mut found = BTreeSet::new();
+    for section in elf.sections() {
+        if matches!(section.kind(), SectionKind::ReadOnlyData | SectionKind::Data)
+            && section.name()? != ".vector_table"
+        {
+            found.extend(words(section.data()?).filter(|word| word & 1 == 1).map(|word| word & !1));
+        }
+    }
+    Ok(found)
+}
+
+fn words(bytes: &[u8]) -> impl Iterator<Item = u32> {
+    bytes.chunks_exact(4).map(|word| u32::from_le_bytes(word.try_into().unwrap_or_default()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn follow(code: &[u16], range: std::ops::Range<u32>) -> (Function, BTreeSet<u32>) {
+        let bytes: Vec<u8> = code.iter().flat_map(|it| it.to_le_bytes()).collect();
+        let text = Text { address: 0x100, bytes: &bytes, data: BTreeMap::from([(0x10C, true)]) };
+        let mut taken = BTreeSet::new();
+        (text.function("f".into(), range, &mut taken), taken)
+    }
+
+    #[test]
+    fn pushes_calls_and_addresses_in_a_function_are_seen() {
+        // push {r7, lr}; sub sp, #56; bl 0x200; blx r3; then a word that looks like an address
+        let code = [0xB580, 0xB08E, 0xF000, 0xF87C, 0x4798, 0xBF00, 0x0301, 0x0000];
+
+        let (function, taken) = follow(&code, 0x100..0x110);
+
+        assert_eq!((function.pushed, function.is_indirect), (64, true));
+        assert_eq!(function.calls, BTreeSet::from([0x200]));
+        assert_eq!(taken, BTreeSet::from([0x300]));
+    }
+
+    #[test]
+    fn names_are_readable() {
+        assert_eq!(readable("_ZN5frame6parser4push17h0123456789abcdefE"), "frame::parser::push");
+        assert_eq!(readable("Reset"), "Reset");
+    }
+}

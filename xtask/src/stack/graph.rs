@@ -1,0 +1,156 @@
+//! The deepest path through all calls.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use anyhow::{Result, bail};
+
+use super::calls::{Function, Program};
+
+/// A path and the stack that it takes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Path {
+    pub(super) bytes: u64,
+    /// The functions, outermost first, each with its frame.
+    pub(super) path: Vec<String>,
+}
+
+/// What the walk found.
+#[derive(Debug)]
+pub(super) struct Deepest {
+    /// From Reset on.
+    pub(super) program: Path,
+    /// Of each handler.
+    pub(super) handlers: Vec<Path>,
+    /// Functions whose frame was taken from their code.
+    pub(super) by_prologue: BTreeSet<String>,
+    /// Functions that call what a register holds.
+    pub(super) indirect: BTreeSet<String>,
+}
+
+/// Walks all paths from Reset and from each handler.
+pub(super) fn walk(program: &Program) -> Result<Deepest> {
+    let mut walk = Walk { program, known: BTreeMap::new(), open: Vec::new() };
+    let deepest = walk.from(program.reset)?;
+    let handlers = program.handlers.iter().map(|handler| walk.from(*handler)).collect::<Result<Vec<_>>>()?;
+    let reached = || walk.known.keys().filter_map(|address| program.functions.get(address));
+    let names =
+        |of: &dyn Fn(&Function) -> bool| reached().filter(|it| of(it)).map(|it| it.name.clone()).collect();
+    Ok(Deepest {
+        program: deepest,
+        handlers,
+        by_prologue: names(&|function| function.frame.is_none() && function.pushed > 0),
+        indirect: names(&|function| function.is_indirect),
+    })
+}
+
+struct Walk<'a> {
+    program: &'a Program,
+    known: BTreeMap<u32, Path>,
+    /// The path that is being walked.
+    open: Vec<u32>,
+}
+
+impl Walk<'_> {
+    fn from(&mut self, address: u32) -> Result<Path> {
+        if let Some(known) = self.known.get(&address) {
+            return Ok(known.clone());
+        }
+        let Some(function) = self.program.functions.get(&address) else {
+            bail!("code at {address:#x} belongs to no function")
+        };
+        if self.open.contains(&address) {
+            bail!("{} calls itself, directly or not: its stack has no bound", function.name);
+        }
+        self.open.push(address);
+        let mut below = Path::default();
+        let anything = if function.is_indirect { self.program.taken.clone() } else { BTreeSet::new() };
+        for callee in function.calls.union(&anything) {
+            let path = self.from(*callee)?;
+            if path.bytes >= below.bytes {
+                below = path;
+            }
+        }
+        self.open.pop();
+        // What the compiler says counts as well as what the code does: the larger.
+        let frame = function.frame.unwrap_or(0).max(function.pushed);
+        let mut path = vec![format!("{} ({frame} B)", function.name)];
+        path.extend(below.path);
+        let deepest = Path { bytes: frame + below.bytes, path };
+        self.known.insert(address, deepest.clone());
+        Ok(deepest)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn function(name: &str, frame: u64, calls: &[u32]) -> Function {
+        Function {
+            name: name.into(),
+            frame: Some(frame),
+            calls: calls.iter().copied().collect(),
+            ..Function::default()
+        }
+    }
+
+    fn program(functions: Vec<(u32, Function)>) -> Program {
+        let functions = functions.into_iter().collect();
+        Program { functions, reset: 1, handlers: BTreeSet::from([9]), ..Program::default() }
+    }
+
+    #[test]
+    fn the_deepest_path_counts_and_handlers_are_apart() {
+        let functions = vec![
+            (1, function("reset", 8, &[2, 3])),
+            (2, function("shallow", 100, &[])),
+            (3, function("deep", 60, &[4])),
+            (4, function("deeper", 50, &[])),
+            (9, function("handler", 16, &[])),
+        ];
+
+        let deepest = walk(&program(functions)).unwrap();
+
+        assert_eq!(deepest.program.bytes, 118);
+        assert_eq!(deepest.program.path, ["reset (8 B)", "deep (60 B)", "deeper (50 B)"]);
+        assert_eq!(deepest.handlers.iter().map(|it| it.bytes).collect::<Vec<_>>(), [16]);
+    }
+
+    #[test]
+    fn recursion_has_no_bound() {
+        let functions =
+            vec![(1, function("one", 8, &[2])), (2, function("two", 8, &[1])), (9, function("h", 0, &[]))];
+
+        assert!(walk(&program(functions)).unwrap_err().to_string().contains("no bound"));
+    }
+
+    #[test]
+    fn an_indirect_call_may_be_one_of_anything_whose_address_is_taken() {
+        let mut caller = function("caller", 8, &[]);
+        caller.is_indirect = true;
+        let mut program = program(vec![
+            (1, caller),
+            (2, function("taken", 300, &[])),
+            (3, function("never", 900, &[])),
+            (9, function("h", 0, &[])),
+        ]);
+        program.taken = BTreeSet::from([2]);
+
+        let deepest = walk(&program).unwrap();
+
+        assert_eq!(deepest.program.bytes, 308);
+        assert_eq!(deepest.indirect, BTreeSet::from(["caller".to_owned()]));
+    }
+
+    #[test]
+    fn code_that_pushes_more_than_the_compiler_says_counts() {
+        let mut asm = function("asm", 0, &[]);
+        asm.frame = None;
+        asm.pushed = 24;
+
+        let deepest = walk(&program(vec![(1, asm), (9, function("h", 0, &[]))])).unwrap();
+
+        assert_eq!(deepest.program.bytes, 24);
+        assert_eq!(deepest.by_prologue, BTreeSet::from(["asm".to_owned()]));
+    }
+}

@@ -1,0 +1,83 @@
+//! The firmware's worst-case stack: by a walk over all calls in the image, and by a painted stack in the emulator.
+//!
+//! The walk sees every path and takes each as possible; the emulator sees what really happens in a bad case. The truth
+//! lies between the two.
+
+mod calls;
+mod frames;
+mod graph;
+mod painted;
+mod thumb;
+
+use std::fs;
+
+use anyhow::{Context, Result, ensure};
+
+use crate::{
+    firmware::{self, BOARD, Image},
+    gate::Gate,
+    process,
+    setup::ThumbToolchain,
+    workspace::Workspace,
+};
+
+pub(crate) use painted::of_image as painted;
+
+const LIMIT: u64 = 2 * 1024;
+
+/// What an exception puts on the stack by itself: 8 registers, 18 of the floating point unit, and a word to align.
+const EXCEPTION_FRAME: u64 = 4 * (8 + 18 + 1);
+
+/// Walks the firmware's calls.
+pub(crate) fn walked(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Result<Gate> {
+    let elf = build_with_sizes(workspace, toolchain)?;
+    let what_failed = || format!("cannot walk the calls of {}", image.path.display());
+    let program = calls::Program::of(&elf).with_context(what_failed)?;
+    // The option gives symbols other hashes, so functions lie in another order, and some bytes more or less apart.
+    let tested = calls::Program::of(&fs::read(&image.path)?).with_context(what_failed)?;
+    ensure!(
+        program.code_len.abs_diff(tested.code_len) * 100 <= tested.code_len
+            && program.functions.len() == tested.functions.len(),
+        "the image with stack sizes holds other code ({} B) than the image ({} B)",
+        program.code_len,
+        tested.code_len
+    );
+    let deepest = graph::walk(&program).with_context(what_failed)?;
+    for function in &deepest.by_prologue {
+        println!("  no stack size from the compiler, taken from its code: {function}");
+    }
+    for function in &deepest.indirect {
+        println!("  indirect call, taken for one of any function whose address is taken: {function}");
+    }
+    println!("  program: {} B", deepest.program.bytes);
+    for step in &deepest.program.path {
+        println!("    {step}");
+    }
+    for handler in &deepest.handlers {
+        println!(
+            "  exception: {} B and {EXCEPTION_FRAME} B by itself: {}",
+            handler.bytes,
+            handler.path.join(" > ")
+        );
+    }
+    let exceptions: u64 = deepest.handlers.iter().map(|handler| handler.bytes + EXCEPTION_FRAME).sum();
+    println!("  counted as if every exception interrupted the one before at its deepest");
+    Ok(Gate::bytes("worst-case stack, walked", deepest.program.bytes + exceptions, LIMIT))
+}
+
+/// The image once more, with a section of stack sizes that takes no memory.
+fn build_with_sizes(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<Vec<u8>> {
+    let mut cargo = toolchain.cargo(workspace, "build");
+    cargo.args(firmware::selection(&[]));
+    cargo.args(["--config", "target.thumbv7em-none-eabihf.rustflags=[\"-Zemit-stack-sizes\"]"]);
+    // Apart from the image that is tested. The option is not stable, the section that it writes is LLVM's.
+    let target_dir = workspace.target_dir.join("stack");
+    cargo.env("CARGO_TARGET_DIR", &target_dir).env("RUSTC_BOOTSTRAP", "1");
+    process::run(&mut cargo)?;
+    let output_dir = toolchain.output_dir(workspace, "firmware");
+    let below = output_dir.strip_prefix(&workspace.target_dir).unwrap_or(&output_dir);
+    // Debian's tool chain has a folder of its own below the target folder, which the variable replaces.
+    let below = below.strip_prefix("debian").unwrap_or(below);
+    let path = target_dir.join(below).join(BOARD.name);
+    fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
+}
