@@ -2,12 +2,12 @@
 //! answered; all of them may be, because the same image written again has no edge.
 
 use anyhow::{Context as _, Result, anyhow};
+use serial2_tokio::SerialPort;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 use tokio::time::{sleep, timeout};
 use tokio_modbus::client::{Context, rtu, tcp};
 use tokio_modbus::prelude::{Reader, Slave, Writer};
-use tokio_serial::{ClearBuffer, DataBits, Parity, SerialPort, SerialStream, StopBits};
 use wsg_protocol::fieldbus::{InputImage, OutputImage};
 
 /// How long an answer may take.
@@ -126,13 +126,11 @@ async fn connect(target: &Target, unit: u8) -> Result<Context> {
             .with_context(|| format!("{address} takes too long"))?
             .with_context(|| format!("{address} cannot be reached")),
         Target::Rtu { device, baud } => {
-            let line = tokio_serial::new(device, *baud)
-                .data_bits(DataBits::Eight)
-                .parity(Parity::None)
-                .stop_bits(StopBits::One);
-            let stream = SerialStream::open(&line).with_context(|| format!("{device} cannot be opened"))?;
-            stream.clear(ClearBuffer::All).with_context(|| format!("{device} cannot be emptied"))?;
-            Ok(rtu::attach_slave(stream, slave))
+            // A rate alone means 8N1.
+            let line =
+                SerialPort::open(device, *baud).with_context(|| format!("{device} cannot be opened"))?;
+            line.discard_buffers().with_context(|| format!("{device} cannot be emptied"))?;
+            Ok(rtu::attach_slave(line, slave))
         }
     }
 }
