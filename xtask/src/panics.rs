@@ -18,11 +18,12 @@ use crate::{
 const UNDEFINED: &str = "a_panic_can_be_reached";
 
 /// The programs that call every public function of the protocol crate: name, features, what they stand for.
-const PROGRAMS: [(&str, &str, &str); 4] = [
+const PROGRAMS: [(&str, &str, &str); 5] = [
     ("protocol", "on-target", "protocol, every public function of the binary protocol and the fieldbus"),
     ("gcl", "on-target", "protocol's module gcl, every public function"),
     ("modbus", "modbus", "protocol's module modbus, every public function"),
-    ("driver", "drivers", "protocol's blocking driver, every public function"),
+    ("can", "can", "protocol's module can, every public function"),
+    ("driver", "drivers", "protocol's blocking driver over both protocols, every public function"),
 ];
 
 /// Whether a panic can be reached in a program.

@@ -27,6 +27,7 @@ pub(crate) fn of_folder(folder: &Path) -> Result<BTreeSet<Function>> {
 
 /// Those that `program` does not call.
 pub(crate) fn missing_in(functions: &BTreeSet<Function>, program: &str) -> Vec<String> {
+    let program = &without_type_arguments(program);
     let calls = |(of, name): &Function| {
         let by_type = of.as_ref().is_some_and(|of| program.contains(&format!("{of}::{name}")));
         let by_any_type =
@@ -44,6 +45,22 @@ fn is_called(name: &str, program: &str) -> bool {
         let before = program.get(..at).unwrap_or_default();
         !before.ends_with(|c: char| c.is_alphanumeric() || c == '_') && !before.ends_with("fn ")
     })
+}
+
+/// `A::<B>::c` becomes `A::c`.
+fn without_type_arguments(program: &str) -> String {
+    let mut text = String::new();
+    let mut rest = program;
+    while let Some((before, behind)) = rest.split_once("::<") {
+        text.push_str(before);
+        let mut depth = 1;
+        let end = behind.find(|c| {
+            depth += i32::from(c == '<') - i32::from(c == '>');
+            depth == 0
+        });
+        rest = end.map_or("", |end| &behind[end + 1..]);
+    }
+    text + rest
 }
 
 fn of_source(source: &str) -> BTreeSet<Function> {
@@ -118,6 +135,10 @@ mod tests { pub fn helper() {} }
         let functions = of_source(SOURCE);
 
         assert_eq!(missing_in(&functions, "x::free(); Parser::new(); p.push(1); s.code()"), [""; 0]);
+        assert_eq!(
+            missing_in(&functions, "x::free(); Parser::<A<B>>::new(); p.push::<C>(1); s.code()"),
+            [""; 0]
+        );
         assert_eq!(
             missing_in(&functions, "x::free(); Other::new(); s.code()"),
             ["Parser::new", "Parser::push"]

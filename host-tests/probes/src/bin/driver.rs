@@ -1,4 +1,4 @@
-//! Every public function of `wsg-protocol`'s blocking driver.
+//! Every public function of `wsg-protocol`'s blocking driver, over the binary protocol and over GCL.
 #![no_std]
 #![no_main]
 
@@ -7,8 +7,8 @@ use core::convert::Infallible;
 use cortex_m_rt::entry;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use wsg_probes::{bytes, keep, opaque};
-use wsg_protocol::driver::blocking::Gripper;
-use wsg_protocol::driver::{Clock, Config, Finger, OnBlock};
+use wsg_protocol::driver::blocking::{GclGripper, GripperOver};
+use wsg_protocol::driver::{Binary, Clock, Config, Finger, Gcl, OnBlock, Protocol};
 use wsg_protocol::session::Signal;
 use wsg_protocol::{AutoUpdate, DeviceTag, HomingDirection, Instant, SoftLimits};
 
@@ -51,25 +51,41 @@ impl Clock for Time {
     }
 }
 
-type Bridge = Gripper<Line, Time>;
+type Over<P> = GripperOver<Line, Time, P>;
 
 #[entry]
 fn main() -> ! {
-    static mut GRIPPER: Bridge = Gripper::new(Line, Time);
+    static mut BINARY: Over<Binary> = GripperOver::<Line, Time, Binary>::new(Line, Time);
+    static mut GCL: Over<Gcl> = GclGripper::new(Line, Time);
     loop {
-        *GRIPPER = Gripper::with_config(Line, Time, Config::DEFAULT);
-        keep(&opaque(&mut *GRIPPER).replace_io(Line));
-        connection(GRIPPER);
-        motions(GRIPPER);
-        settings(GRIPPER);
-        states(GRIPPER);
-        fingers(GRIPPER);
-        keep(&Gripper::new(Line, Time).into_io());
+        *BINARY = GripperOver::<Line, Time, Binary>::with_config(Line, Time, Config::DEFAULT);
+        *GCL = GclGripper::with_config(Line, Time, Config::DEFAULT);
+        every_method(opaque(&mut *BINARY));
+        every_method(opaque(&mut *GCL));
+        of_gcl_alone(opaque(&mut *GCL));
+        keep(&GripperOver::<Line, Time, Binary>::new(Line, Time).into_io());
     }
 }
 
+fn every_method<P: Protocol>(gripper: &mut Over<P>) {
+    keep(&gripper.replace_io(Line));
+    connection(gripper);
+    motions(gripper);
+    settings(gripper);
+    states(gripper);
+    fingers(gripper);
+}
+
 #[inline(never)]
-fn connection(gripper: &mut Bridge) {
+fn of_gcl_alone(gripper: &mut Over<Gcl>) {
+    keep(&gripper.part_width_tolerance());
+    keep(&gripper.set_part_width_tolerance(opaque(0.0)));
+    keep(&gripper.clamping_travel());
+    keep(&gripper.set_clamping_travel(opaque(0.0)));
+}
+
+#[inline(never)]
+fn connection<P: Protocol>(gripper: &mut Over<P>) {
     if let Err(error) = gripper.connect() {
         keep(&error.culprit());
     }
@@ -83,7 +99,7 @@ fn connection(gripper: &mut Bridge) {
 }
 
 #[inline(never)]
-fn motions(gripper: &mut Bridge) {
+fn motions<P: Protocol>(gripper: &mut Over<P>) {
     keep(&gripper.home(HomingDirection::Default));
     keep(&gripper.begin_home(HomingDirection::Default));
     keep(&gripper.move_to(opaque(0.0), opaque(0.0), opaque(OnBlock::Stop)));
@@ -104,7 +120,7 @@ fn motions(gripper: &mut Bridge) {
 }
 
 #[inline(never)]
-fn settings(gripper: &mut Bridge) {
+fn settings<P: Protocol>(gripper: &mut Over<P>) {
     keep(&gripper.set_acceleration(opaque(0.0)));
     keep(&gripper.acceleration());
     keep(&gripper.set_force_limit(opaque(0.0)));
@@ -118,7 +134,7 @@ fn settings(gripper: &mut Bridge) {
 }
 
 #[inline(never)]
-fn states(gripper: &mut Bridge) {
+fn states<P: Protocol>(gripper: &mut Over<P>) {
     keep(&gripper.system_state());
     keep(&gripper.state());
     keep(&gripper.statistics(opaque(false)));
@@ -132,7 +148,7 @@ fn states(gripper: &mut Bridge) {
 }
 
 #[inline(never)]
-fn fingers(gripper: &mut Bridge) {
+fn fingers<P: Protocol>(gripper: &mut Over<P>) {
     keep(&gripper.finger_info(opaque(Finger::One)));
     keep(&gripper.finger_flags(opaque(Finger::One)));
     keep(&gripper.set_finger_power(opaque(Finger::One), opaque(false)));

@@ -1,4 +1,4 @@
-//! Every public function of `wsg_protocol::modbus`: the server, on a serial line and without one.
+//! Every public function of `wsg_protocol::modbus`: the server, on a serial line, on TCP and without a line.
 #![no_std]
 #![no_main]
 
@@ -8,6 +8,7 @@ use wsg_protocol::fieldbus::InputImage;
 use wsg_protocol::modbus::rtu::{Character, Config, Mode, Receiver, Server, Timing, crc};
 use wsg_protocol::modbus::{
     Bits, Device, Exception, Function, INPUT_REGISTERS, Identification, Images, MAX_PDU_LEN, Words, serve,
+    tcp,
 };
 
 /// The two images and nothing else.
@@ -56,12 +57,14 @@ fn main() -> ! {
     static mut GRIPPER: Gripper = Gripper(Images::new(false));
     static mut SERVER: Server = Server::new(CONFIG, TIMING);
     static mut RECEIVER: Receiver = Receiver::new(1, Mode::Strict, TIMING);
+    static mut TCP: tcp::Receiver = tcp::Receiver::new();
     static mut RESPONSE: [u8; MAX_PDU_LEN] = [0; MAX_PDU_LEN];
     loop {
         keep(&serve(bytes(), opaque(&mut *GRIPPER), opaque(&mut *RESPONSE)));
         images(opaque(&mut GRIPPER.0));
         line(opaque(&mut *SERVER), opaque(&mut *GRIPPER));
         receiver(opaque(&mut *RECEIVER));
+        tcp(opaque(&mut *TCP));
         tables();
     }
 }
@@ -97,6 +100,18 @@ fn receiver(receiver: &mut Receiver) {
     keep(&receiver.silence(opaque(0)));
     receiver.reset();
     keep(&crc(bytes()));
+}
+
+#[inline(never)]
+fn tcp(receiver: &mut tcp::Receiver) {
+    let mut frame = [0; tcp::MAX_FRAME_LEN];
+    keep(&receiver.push(opaque(0)));
+    if let (_, Some(tcp::Event::Request(request))) = receiver.push_slice(bytes()) {
+        keep(
+            request.answer(opaque(&mut frame), |pdu, response| opaque(pdu).len().min(opaque(response).len())),
+        );
+    }
+    keep(&receiver.is_lost());
 }
 
 #[inline(never)]
