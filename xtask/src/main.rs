@@ -26,7 +26,8 @@ const HELP: &str = "\
 cargo xtask <command>
 
 Commands
-  setup              install what build, demo and test need: the thumb target's Rust and QEMU
+  setup              install what build, demo and test need: the thumb target's Rust, QEMU, and
+                     the Modbus masters of the tests (mbpoll, and a Python environment)
   build              build the firmware image, print its path and SHA-256
                      [--features X]: more features; the image then has a name of its own
   demo [ARGS]        boot the image in QEMU between a PLC and a virtual gripper;
@@ -46,6 +47,7 @@ Environment
                      target that it installed is not used, and Debian's Rust packages build
                      for the target instead
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
+  WSG_MODBUS_PYTHON  set by test for those with Modbus masters: the Python that has them
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
 
 set-up asks before it acts: on a machine that has everything it runs nothing.
@@ -73,8 +75,12 @@ fn run() -> Result<ExitCode> {
         "help" => print!("{HELP}"),
         "setup" => {
             no_more(arguments)?;
-            setup::thumb_and_qemu(&Workspace::from_env()?)?;
-            println!("setup: everything is there");
+            let workspace = Workspace::from_env()?;
+            setup::thumb_and_qemu(&workspace)?;
+            match setup::masters(&workspace)?.missing() {
+                [] => println!("setup: everything is there"),
+                missing => println!("setup: test will not check what needs {}", missing.join(", ")),
+            }
         }
         "build" => {
             let features = features(arguments)?;

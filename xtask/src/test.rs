@@ -8,7 +8,7 @@ use crate::{
     firmware::{self, IMAGE_VARIABLE, Image},
     matrix::{self, Extent},
     process,
-    setup::{Component, ThumbToolchain},
+    setup::{self, Component, Masters, PYTHON_VARIABLE, ThumbToolchain},
     size,
     workspace::Workspace,
 };
@@ -22,8 +22,12 @@ pub(crate) fn run(
     image: &Image,
     filter: &[OsString],
 ) -> Result<()> {
-    let checks = Checks { workspace, toolchain, image };
+    let masters = setup::masters(workspace)?;
+    let checks = Checks { workspace, toolchain, image, masters: &masters };
     let mut record = Record::default();
+    for master in masters.missing() {
+        record.not_checked(&format!("tests with {master} (it is not installed)"));
+    }
     if !filter.is_empty() {
         record.check(TESTS, || checks.tests(filter))?;
         println!("test: only the tests that match {filter:?} ran; without arguments every check runs");
@@ -38,11 +42,12 @@ struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain,
     image: &'a Image,
+    masters: &'a Masters,
 }
 
 impl Checks<'_> {
     fn run_all(&self, record: &mut Record) -> Result<()> {
-        let Self { workspace, toolchain, image } = self;
+        let Self { workspace, toolchain, image, .. } = self;
         let cargo = |arguments: &[&str]| {
             let mut cargo = workspace.cargo();
             cargo.args(arguments);
@@ -89,7 +94,7 @@ impl Checks<'_> {
     /// The examples in the docs are a check of their own: `--include-ignored` would run those marked `ignore`.
     fn tests(&self, filter: &[OsString]) -> Result<()> {
         let mut tests = self.workspace.cargo();
-        tests.env(IMAGE_VARIABLE, &self.image.path);
+        tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, &self.masters.python);
         tests.args([
             "test",
             "--workspace",
@@ -100,6 +105,9 @@ impl Checks<'_> {
             "--",
             "--include-ignored",
         ]);
+        for master in self.masters.missing() {
+            tests.args(["--skip", master]);
+        }
         process::run(tests.args(filter))
     }
 }
