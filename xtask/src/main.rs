@@ -6,6 +6,7 @@ mod demo;
 mod firmware;
 mod flash;
 mod matrix;
+mod modbus_speed;
 mod process;
 mod setup;
 mod size;
@@ -36,6 +37,7 @@ Commands
                      with FILTER only the tests whose names match it
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
+  modbus             instructions of a Modbus request for eight registers, counted in the emulator
   size               flash and static RAM of the image against their limits
   flash              write the image to a board with probe-rs and start it
                      [--features X] as for build
@@ -104,6 +106,12 @@ fn run() -> Result<ExitCode> {
         "matrix" => {
             no_more(arguments)?;
             matrix::run(&Workspace::from_env()?)?;
+        }
+        "modbus" => {
+            no_more(arguments)?;
+            let workspace = Workspace::from_env()?;
+            let toolchain = setup::thumb_and_qemu(&workspace)?;
+            modbus_speed::check(&workspace, &toolchain)?;
         }
         "size" => {
             no_more(arguments)?;

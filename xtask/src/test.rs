@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use crate::{
     firmware::{self, IMAGE_VARIABLE, Image},
     matrix::{self, Extent},
-    process,
+    modbus_speed, process,
     setup::{self, Component, Masters, PYTHON_VARIABLE, ThumbToolchain},
     size,
     workspace::Workspace,
@@ -82,6 +82,7 @@ impl Checks<'_> {
         record.check("docs", || {
             process::run(cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
         })?;
+        record.check("instructions of a Modbus request", || modbus_speed::check(workspace, toolchain))?;
         record.check("size", || size::check(&size::of_image(image)?))
     }
 
