@@ -6,6 +6,8 @@
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
+//! | [`masters`] | Modbus masters that nobody here wrote |
+//! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
 //!
@@ -19,6 +21,9 @@ pub mod emulator;
 pub mod fuzz_bodies;
 #[cfg(unix)]
 pub mod gripper_end;
+pub mod masters;
+#[cfg(unix)]
+pub mod modbus_master;
 #[cfg(unix)]
 pub mod qtest;
 #[cfg(unix)]

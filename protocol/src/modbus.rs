@@ -21,6 +21,7 @@ pub use device::{Bits, Device, Words};
 pub use exception::Exception;
 pub use identification::Identification;
 pub use images::Images;
+use pdu::serve_as;
 pub use pdu::{Function, MAX_PDU_LEN, serve};
 pub use register::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 

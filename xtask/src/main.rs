@@ -13,6 +13,7 @@ mod fuzz;
 mod gate;
 mod matrix;
 mod measure;
+mod modbus_speed;
 mod mutants;
 mod panics;
 mod probe;
@@ -40,7 +41,8 @@ const HELP: &str = "\
 cargo xtask <command>
 
 Commands
-  setup              install what build, demo and test need: the thumb target's Rust and QEMU
+  setup              install what build, demo and test need: the thumb target's Rust, QEMU, and
+                     the Modbus masters of the tests (mbpoll, and a Python environment)
   build              build the firmware image, print its path and SHA-256
                      [--features X]: more features; the image then has a name of its own
   demo [ARGS]        boot the image in QEMU between a PLC and a virtual gripper;
@@ -57,6 +59,7 @@ Commands
   panics             firmware and protocol link only if no panic can be reached
   bench              instructions on a Cortex-M4, counted in the emulator and held to a committed
                      baseline [--update: write it anew]; throughput on this machine
+  modbus             instructions of a Modbus request for eight registers, counted in the emulator
   fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz
   mutants [FILE...]  changes of the protocol crate, or of these files of it, that no test notices;
                      takes hours for all; cargo-mutants
@@ -73,6 +76,7 @@ Environment
                      target that it installed is not used, and Debian's Rust packages build
                      for the target instead
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
+  WSG_MODBUS_PYTHON  set by test for those with Modbus masters: the Python that has them
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
 
 set-up asks before it acts: on a machine that has everything it runs nothing.
@@ -100,8 +104,12 @@ fn run() -> Result<ExitCode> {
         "help" => print!("{HELP}"),
         "setup" => {
             no_more(arguments)?;
-            setup::thumb_and_qemu(&Workspace::from_env()?)?;
-            println!("setup: everything is there");
+            let workspace = Workspace::from_env()?;
+            setup::thumb_and_qemu(&workspace)?;
+            match setup::masters(&workspace)?.missing() {
+                [] => println!("setup: everything is there"),
+                missing => println!("setup: test will not check what needs {}", missing.join(", ")),
+            }
         }
         "build" => {
             let features = features(arguments)?;
@@ -125,6 +133,12 @@ fn run() -> Result<ExitCode> {
         "matrix" => {
             no_more(arguments)?;
             matrix::run(&Workspace::from_env()?)?;
+        }
+        "modbus" => {
+            no_more(arguments)?;
+            let workspace = Workspace::from_env()?;
+            let toolchain = setup::thumb_and_qemu(&workspace)?;
+            modbus_speed::check(&workspace, &toolchain)?;
         }
         "flash" => {
             let features = features(arguments)?;

@@ -9,10 +9,10 @@ use crate::{
     firmware::{self, IMAGE_VARIABLE, Image},
     gate,
     matrix::{self, Extent},
-    panics,
+    modbus_speed, panics,
     probe::Probes,
     process,
-    setup::{Component, ThumbToolchain},
+    setup::{self, Component, Masters, PYTHON_VARIABLE, ThumbToolchain},
     size, stack,
     workspace::Workspace,
 };
@@ -26,8 +26,12 @@ pub(crate) fn run(
     image: &Image,
     filter: &[OsString],
 ) -> Result<()> {
-    let checks = Checks { workspace, toolchain, image };
+    let masters = setup::masters(workspace)?;
+    let checks = Checks { workspace, toolchain, image, masters: &masters };
     let mut record = Record::default();
+    for master in masters.missing() {
+        record.not_checked(&format!("tests with {master} (it is not installed)"));
+    }
     if !filter.is_empty() {
         record.check(TESTS, || checks.tests(filter))?;
         println!("test: only the tests that match {filter:?} ran; without arguments every check runs");
@@ -42,11 +46,12 @@ struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain,
     image: &'a Image,
+    masters: &'a Masters,
 }
 
 impl Checks<'_> {
     fn run_all(&self, record: &mut Record) -> Result<()> {
-        let Self { workspace, toolchain, image } = self;
+        let Self { workspace, toolchain, image, .. } = self;
         let cargo = |arguments: &[&str]| {
             let mut cargo = workspace.cargo();
             cargo.args(arguments);
@@ -88,6 +93,7 @@ impl Checks<'_> {
         record.check("stack, walked", || gate::check(&[stack::walked(workspace, toolchain, image)?]))?;
         record.check("stack, painted", || gate::check(&[stack::painted(workspace, image)?]))?;
         record.check("instructions", || gate::check(&bench::counted(&probes, false)?))?;
+        record.check("instructions of a Modbus request", || modbus_speed::check(workspace, toolchain))?;
         record.check("panic paths", || panics::check(&probes))
     }
 
@@ -115,7 +121,7 @@ impl Checks<'_> {
     /// The examples in the docs are a check of their own: `--include-ignored` would run those marked `ignore`.
     fn tests(&self, filter: &[OsString]) -> Result<()> {
         let mut tests = self.workspace.cargo();
-        tests.env(IMAGE_VARIABLE, &self.image.path);
+        tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, &self.masters.python);
         tests.args([
             "test",
             "--workspace",
@@ -126,6 +132,9 @@ impl Checks<'_> {
             "--",
             "--include-ignored",
         ]);
+        for master in self.masters.missing() {
+            tests.args(["--skip", master]);
+        }
         process::run(tests.args(filter))
     }
 }

@@ -122,21 +122,33 @@ impl Function {
 /// ```
 pub fn serve<D: Device + ?Sized>(request: &[u8], device: &mut D, response: &mut [u8; MAX_PDU_LEN]) -> usize {
     let Some((&code, data)) = request.split_first() else { return 0 };
+    let (len, _) = serve_as(Function::from_code(code), code, data, device, response);
+    len
+}
+
+/// As [`serve`], for a caller who has looked at the code; also the exception that it answers with.
+#[inline]
+pub(super) fn serve_as<D: Device + ?Sized>(
+    function: Option<Function>,
+    code: u8,
+    data: &[u8],
+    device: &mut D,
+    response: &mut [u8; MAX_PDU_LEN],
+) -> (usize, Option<Exception>) {
     let mut reply = Reply::new(code, response);
-    match answer(code, data, device, &mut reply) {
-        Ok(()) => reply.len(),
-        Err(exception) => reply.refuse(code, exception),
+    match answer(function, data, device, &mut reply) {
+        Ok(()) => (reply.len(), None),
+        Err(exception) => (reply.refuse(code, exception), Some(exception)),
     }
 }
 
 fn answer<D: Device + ?Sized>(
-    code: u8,
+    function: Option<Function>,
     data: &[u8],
     device: &mut D,
     reply: &mut Reply<'_>,
 ) -> Result<(), Exception> {
-    let function = Function::from_code(code).ok_or(Exception::IllegalFunction)?;
-    match function {
+    match function.ok_or(Exception::IllegalFunction)? {
         Function::ReadCoils => read_bits(data, device, false, reply),
         Function::ReadDiscreteInputs => read_bits(data, device, true, reply),
         Function::ReadHoldingRegisters => read_registers(data, device, false, reply),
@@ -161,7 +173,6 @@ fn answer<D: Device + ?Sized>(
 }
 
 /// The first address and the quantity of a read, the quantity within its limits.
-#[inline(never)]
 fn block(data: &[u8], most: u16) -> Result<(u16, u16), Exception> {
     let &[a1, a0, q1, q0] = data else { return Err(Exception::IllegalDataValue) };
     let quantity = u16::from_be_bytes([q1, q0]);
@@ -213,10 +224,12 @@ fn read_registers<D: Device + ?Sized>(
     reply: &mut Reply<'_>,
 ) -> Result<(), Exception> {
     let (first, quantity) = block(data, 125)?;
-    reply.put(&[quantity.wrapping_mul(2) as u8])?;
-    for address in addresses(first, quantity)? {
+    let count = quantity.wrapping_mul(2) as u8;
+    reply.put_byte(count)?;
+    let places = reply.extend(count.into())?.as_chunks_mut().0;
+    for (place, address) in places.iter_mut().zip(addresses(first, quantity)?) {
         let value = if inputs { device.input_register(address) } else { device.holding_register(address) };
-        reply.put(&value?.to_be_bytes())?;
+        *place = value?.to_be_bytes();
     }
     Ok(())
 }
@@ -307,7 +320,7 @@ pub(super) struct Reply<'a> {
 impl<'a> Reply<'a> {
     fn new(code: u8, bytes: &'a mut [u8; MAX_PDU_LEN]) -> Self {
         let mut reply = Self { bytes, len: 0 };
-        let _ = reply.put(&[code]);
+        let _ = reply.put_byte(code);
         reply
     }
 
@@ -322,11 +335,24 @@ impl<'a> Reply<'a> {
     // Small requests are worth more than the last microsecond of an answer.
     #[inline(never)]
     pub(super) fn put(&mut self, bytes: &[u8]) -> Result<(), Exception> {
-        let end = self.len.saturating_add(bytes.len());
-        let place = self.bytes.get_mut(self.len..end).ok_or(Exception::ServerDeviceFailure)?;
-        copy(place, bytes);
-        self.len = end;
+        copy(self.extend(bytes.len())?, bytes);
         Ok(())
+    }
+
+    fn put_byte(&mut self, byte: u8) -> Result<(), Exception> {
+        self.extend(1)?.first_mut().map_or(Err(Exception::ServerDeviceFailure), |place| {
+            *place = byte;
+            Ok(())
+        })
+    }
+
+    /// Makes it longer by so many bytes, for the caller to fill.
+    fn extend(&mut self, len: usize) -> Result<&mut [u8], Exception> {
+        let start = self.len;
+        let end = start.saturating_add(len);
+        let place = self.bytes.get_mut(start..end).ok_or(Exception::ServerDeviceFailure)?;
+        self.len = end;
+        Ok(place)
     }
 
     fn put_block(&mut self, first: u16, quantity: u16) -> Result<(), Exception> {

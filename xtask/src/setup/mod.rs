@@ -4,6 +4,7 @@
 
 mod apt;
 mod component;
+mod masters;
 mod qemu;
 mod rust_target;
 
@@ -12,6 +13,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 pub(crate) use component::Component;
+pub(crate) use masters::{Masters, PYTHON_VARIABLE, provide as masters};
 pub(crate) use rust_target::{MINIMUM_RUST, ThumbToolchain, has_target, rustup};
 
 use crate::{process, workspace::Workspace};

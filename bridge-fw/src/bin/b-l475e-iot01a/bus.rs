@@ -47,6 +47,9 @@ static TO_SEND: ByteQueue<TO_SEND_MAX> = ByteQueue::new();
 static RECEIVED_AT: AtomicU32 = AtomicU32::new(0);
 /// A frame is being sent. Set by [`Bus::send`] while it is not, cleared by the handler.
 static SENDING: AtomicBool = AtomicBool::new(false);
+/// Bytes of this frame that were sent, and that came back from a transceiver that echoes. The handler's own.
+static SENT: AtomicU32 = AtomicU32::new(0);
+static ECHOED: AtomicU32 = AtomicU32::new(0);
 /// The next character follows one that was lost. The handler's own.
 static LOST: AtomicBool = AtomicBool::new(false);
 
@@ -94,7 +97,11 @@ impl BusPort for Bus {
     }
 
     fn silence_us(&mut self) -> u32 {
-        tick::now_us().wrapping_sub(RECEIVED_AT.load(Ordering::Relaxed))
+        // In this order: a character that comes between the two readings would make the silence negative, that is, end
+        // a frame in its middle.
+        let received_at = RECEIVED_AT.load(Ordering::Relaxed);
+        let silence_us = tick::now_us().wrapping_sub(received_at);
+        if RECEIVED.is_empty() { silence_us } else { 0 }
     }
 
     fn send(&mut self, frame: &[u8]) {
@@ -118,7 +125,7 @@ fn LPUART1() {
     let damaged = status.fe() || status.pe() || status.ne() || status.ore();
     if status.rxne() {
         let byte = (LPUART1.rdr().read().0 & 0xFF) as u8;
-        if !SENDING.load(Ordering::Relaxed) {
+        if !is_echo(status.tc()) {
             take(byte, damaged);
         }
     }
@@ -129,6 +136,17 @@ fn LPUART1() {
         w.set_ore(status.ore());
     });
     send_next(status.txe(), status.tc());
+}
+
+/// Whether what was received is the bridge's own. Behind the last bit that can only be the last byte, and only if the
+/// others came back as well: else it is the begin of the next request already, and this handler is late.
+fn is_echo(is_complete: bool) -> bool {
+    if !SENDING.load(Ordering::Relaxed) {
+        return false;
+    }
+    let echoed = ECHOED.load(Ordering::Relaxed) + 1;
+    ECHOED.store(echoed, Ordering::Relaxed);
+    !(is_complete && TO_SEND.is_empty() && echoed < SENT.load(Ordering::Relaxed))
 }
 
 fn take(byte: u8, damaged: bool) {
@@ -153,7 +171,10 @@ fn send_next(has_room: bool, is_complete: bool) {
     let sending = SENDING.load(Ordering::Relaxed);
     if has_room && let Some(byte) = TO_SEND.pop() {
         LPUART1.tdr().write(|w| w.0 = byte.into());
+        SENT.store(SENT.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
     } else if sending && is_complete && TO_SEND.is_empty() {
+        SENT.store(0, Ordering::Relaxed);
+        ECHOED.store(0, Ordering::Relaxed);
         SENDING.store(false, Ordering::Relaxed);
     }
     let more_to_send = !TO_SEND.is_empty();

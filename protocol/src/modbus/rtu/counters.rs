@@ -59,10 +59,9 @@ impl Counters {
         }
     }
 
-    /// An exception, by its code.
-    pub(super) fn excepted(&mut self, code: u8) {
+    pub(super) fn excepted(&mut self, exception: Exception) {
         count(&mut self.exceptions);
-        if code == Exception::ServerDeviceBusy.code() {
+        if exception == Exception::ServerDeviceBusy {
             count(&mut self.busy);
         }
     }

@@ -2,7 +2,7 @@
 
 use super::counters::count;
 use super::{CRC_LEN, Character, Counters, Damage, MAX_FRAME_LEN, Mode, Received, Receiver, Timing, crc};
-use crate::modbus::{Device, Exception, Function, MAX_PDU_LEN, serve};
+use crate::modbus::{Device, Exception, Function, MAX_PDU_LEN, serve_as};
 
 /// The address of a broadcast.
 pub const BROADCAST: u8 = 0;
@@ -148,7 +148,8 @@ impl Line {
             return Event::Passed;
         }
         count(&mut self.counters.server_messages);
-        let function = pdu.first().copied().and_then(Function::from_code);
+        let Some((&code, data)) = pdu.split_first() else { return Event::Passed };
+        let function = Function::from_code(code);
         let [unit_place, rest @ ..] = response;
         *unit_place = unit;
         let Some(place) = rest.first_chunk_mut::<MAX_PDU_LEN>() else { return Event::Passed };
@@ -157,15 +158,12 @@ impl Line {
             count(&mut self.counters.no_responses);
             return Event::Passed;
         }
-        let len = if function == Some(Function::Diagnostics) {
+        let (len, exception) = if function == Some(Function::Diagnostics) {
             self.diagnose(pdu, place)
         } else {
-            serve(pdu, device, place)
+            serve_as(function, code, data, device, place)
         };
-        if let &mut [code, exception, ..] = place
-            && len == 2
-            && code & 0x80 != 0
-        {
+        if let Some(exception) = exception {
             self.counters.excepted(exception);
         }
         if broadcast || len == 0 {
@@ -175,14 +173,14 @@ impl Line {
         Event::Answer(seal(response, len))
     }
 
-    /// FC 8, Diagnostics; the length of its response, 0 for none.
-    fn diagnose(&mut self, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> usize {
+    /// FC 8, Diagnostics; the length of its response, 0 for none, and its exception.
+    fn diagnose(&mut self, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> (usize, Option<Exception>) {
         match self.subfunction(pdu) {
             Ok(Diagnosed::Echo) => {
                 for (to, from) in response.iter_mut().zip(pdu) {
                     *to = *from;
                 }
-                pdu.len()
+                (pdu.len(), None)
             }
             Ok(Diagnosed::Value(value)) => {
                 let [high, low] = value.to_be_bytes();
@@ -190,14 +188,14 @@ impl Line {
                 if let Some(place) = response.first_chunk_mut() {
                     *place = [Function::Diagnostics.code(), 0, sub, high, low];
                 }
-                5
+                (5, None)
             }
-            Ok(Diagnosed::Nothing) => 0,
+            Ok(Diagnosed::Nothing) => (0, None),
             Err(exception) => {
                 if let Some(place) = response.first_chunk_mut() {
                     *place = [Function::Diagnostics.code() | 0x80, exception.code()];
                 }
-                2
+                (2, Some(exception))
             }
         }
     }

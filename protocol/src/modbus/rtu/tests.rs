@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::modbus::tests::Plant;
+use crate::modbus::{Function, MAX_PDU_LEN};
 use std::vec;
 use std::vec::Vec;
 
@@ -347,4 +348,53 @@ fn longer_frames_than_the_buffer_cannot_hide_a_right_checksum() {
     bus.send(&long);
     bus.silence(PATIENCE_US);
     assert_eq!(bus.others, ["length"]);
+}
+
+#[test]
+fn every_function_at_every_length_of_frame_is_answered_whole_or_not_at_all() {
+    let mut bus = Bus::new(STRICT);
+    for code in (0..=255u8).filter(|code| *code != Function::Diagnostics.code()) {
+        for len in 0..=260usize {
+            let mut pdu = vec![code];
+            pdu.resize(1 + len, 1);
+            let answer = bus.ask(UNIT, &pdu);
+            if pdu.len() > MAX_PDU_LEN {
+                assert_eq!(answer, [], "{code} with {len} bytes is longer than a frame");
+            } else {
+                let (body, sum) = answer.split_last_chunk().unwrap();
+                assert_eq!((body[0], u16::from_le_bytes(*sum)), (UNIT, crc(body)), "{code} with {len} bytes");
+                assert_eq!(body[1] & 0x7F, code & 0x7F);
+            }
+        }
+    }
+    assert_eq!(bus.ask(UNIT, &[]), [], "no function code");
+    assert!(is_read_answer(&bus.ask(UNIT, &READ)), "and the line is not stuck");
+}
+
+#[test]
+fn diagnostics_at_every_length_are_answered_as_the_specification_says() {
+    for len in 0..=252usize {
+        for sub in 0..=0x20u16 {
+            let mut pdu = vec![8];
+            pdu.extend(sub.to_be_bytes());
+            pdu.resize(3 + len, 0);
+            pdu.truncate(1 + len);
+            let mut bus = Bus::new(STRICT);
+            let answer = bus.ask(UNIT, &pdu);
+            let whole = len == 4;
+            let sub = if len >= 2 { Some(sub) } else { None };
+            let expected: &[u8] = match sub {
+                None => &[UNIT, 0x88, 3],
+                Some(0) => &frame(UNIT, &pdu),
+                // Listen only: silence.
+                Some(4) if whole => &[],
+                Some(1 | 2 | 4 | 0x0A..=0x12 | 0x14) if !whole => &[UNIT, 0x88, 3],
+                Some(1 | 0x0A | 0x14 | 2) => &frame(UNIT, &pdu),
+                Some(0x0B..=0x12) => &[UNIT, 8],
+                Some(_) => &[UNIT, 0x88, 1],
+            };
+            assert!(answer.starts_with(expected), "{pdu:02X?}: {answer:02X?}");
+            assert_eq!(answer.is_empty(), expected.is_empty());
+        }
+    }
 }

@@ -1,0 +1,148 @@
+//! A Modbus RTU master on the emulated board's bus, for tests that want every byte in their hand.
+//!
+//! It knows what the MODBUS specifications say of requests and answers, and nothing of the server's code but the
+//! checksum, which a test holds to the `crc` crate and to other masters.
+
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use wsg_protocol::modbus::rtu::crc;
+
+/// How long an answer may take: the emulator runs as fast as its host lets it.
+const PATIENCE: Duration = Duration::from_millis(1_000);
+
+/// After so much silence what has come is all.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// How often a request is sent at the most.
+const ATTEMPTS: u32 = 10;
+
+/// What becomes of each byte on the line, each way.
+pub type Disturbance<'a> = &'a mut dyn FnMut(u8) -> u8;
+
+/// A master for one unit.
+pub struct Master {
+    line: UnixStream,
+    unit: u8,
+    /// Requests that were sent again.
+    pub retries: u32,
+}
+
+impl Master {
+    /// A master on this line.
+    ///
+    /// # Errors
+    /// When the line takes no time-out.
+    pub fn new(line: UnixStream, unit: u8) -> Result<Self> {
+        line.set_read_timeout(Some(PAUSE))?;
+        Ok(Self { line, unit, retries: 0 })
+    }
+
+    /// Hands the line back, without a time-out.
+    ///
+    /// # Errors
+    /// When the line keeps it.
+    pub fn into_line(self) -> Result<UnixStream> {
+        self.line.set_read_timeout(None)?;
+        Ok(self.line)
+    }
+
+    /// A frame: unit, PDU, checksum.
+    #[must_use]
+    pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+        let mut frame = [&[unit], pdu].concat();
+        frame.extend(crc(&frame).to_le_bytes());
+        frame
+    }
+
+    /// Asks until an intact answer comes: its PDU, which may be an exception.
+    ///
+    /// # Errors
+    /// When none comes.
+    pub fn ask(&mut self, pdu: &[u8]) -> Result<Vec<u8>> {
+        self.ask_over(pdu, &mut |byte| byte)
+    }
+
+    /// As [`ask`](Self::ask), over a line that changes bytes.
+    ///
+    /// # Errors
+    /// When no intact answer comes.
+    pub fn ask_over(&mut self, pdu: &[u8], disturb: Disturbance<'_>) -> Result<Vec<u8>> {
+        for attempt in 0..ATTEMPTS {
+            self.retries += u32::from(attempt > 0);
+            let frame: Vec<u8> = Self::frame(self.unit, pdu).into_iter().map(&mut *disturb).collect();
+            self.send(&frame)?;
+            if let Some(answer) = self.answer(disturb)? {
+                return Ok(answer);
+            }
+        }
+        bail!("no intact answer to {pdu:02X?} in {ATTEMPTS} attempts")
+    }
+
+    /// Puts bytes on the line.
+    ///
+    /// # Errors
+    /// When the board is off.
+    pub fn send(&mut self, bytes: &[u8]) -> Result<()> {
+        self.line.write_all(bytes).context("the board takes nothing any more")
+    }
+
+    /// Whether the line stays silent for `time`; what came meanwhile is dropped.
+    ///
+    /// # Errors
+    /// When the board is off.
+    pub fn is_silent(&mut self, time: Duration) -> Result<bool> {
+        let bound = Instant::now() + time;
+        let mut silent = true;
+        while Instant::now() < bound {
+            silent &= self.receive()?.is_empty();
+        }
+        Ok(silent)
+    }
+
+    /// The next answer's PDU; none if nothing intact from this unit comes.
+    ///
+    /// # Errors
+    /// When the board is off.
+    pub fn answer(&mut self, disturb: Disturbance<'_>) -> Result<Option<Vec<u8>>> {
+        let mut answer = vec![];
+        let bound = Instant::now() + PATIENCE;
+        while Instant::now() < bound {
+            let received = self.receive()?;
+            if received.is_empty() && !answer.is_empty() {
+                return Ok(None);
+            }
+            answer.extend(received.into_iter().map(&mut *disturb));
+            // By its length as well: a part of an answer can have a right checksum by chance.
+            if answer.len() >= 5 && answer.len() == length(&answer) {
+                let (body, sum) = answer.split_at(answer.len() - 2);
+                if crc(body).to_le_bytes() == sum && body.first() == Some(&self.unit) {
+                    return Ok(Some(body[1..].to_vec()));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn receive(&mut self) -> Result<Vec<u8>> {
+        let mut chunk = [0; 256];
+        match self.line.read(&mut chunk) {
+            Ok(0) => bail!("the board went off"),
+            Ok(count) => Ok(chunk[..count].to_vec()),
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => Ok(vec![]),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+/// How long an answer that begins like this is, of the functions that the tests use.
+fn length(answer: &[u8]) -> usize {
+    match answer[1] {
+        0x80.. => 5,
+        1..=4 | 23 => 5 + usize::from(answer[2]),
+        22 => 10,
+        _ => 8,
+    }
+}

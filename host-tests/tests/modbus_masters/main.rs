@@ -1,0 +1,163 @@
+//! Masters that nobody here wrote, over a pseudo terminal to the emulated board: `mbpoll`, `pymodbus`, `minimalmodbus`,
+//! `modbus-tk` and `tokio-modbus`.
+//!
+//! A pseudo terminal refuses parity, so they are told 8N1; the emulated line knows neither rate nor parity.
+#![cfg(unix)]
+
+mod terminal;
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use host_tests::emulator::Emulator;
+use host_tests::gripper_end::GripperEnd;
+use host_tests::masters::{self, said};
+use host_tests::modbus_master::Master;
+use host_tests::rig::motions;
+use host_tests::trace::Trace;
+use terminal::Terminal;
+use tokio_modbus::ExceptionCode;
+use tokio_modbus::client::{Context, rtu};
+use tokio_modbus::prelude::{Reader, Slave, Writer};
+use wsg_bridge_fw::io::Inputs;
+use wsg_protocol::CommandId;
+use wsg_sim::{Config, Part};
+
+struct Plant {
+    _board: Emulator,
+    gripper: GripperEnd,
+    trace: Trace,
+    terminal: Terminal,
+}
+
+/// A board whose gripper answers; the FAST STOP of power-up is not acknowledged yet.
+fn plant() -> Plant {
+    let elf: PathBuf =
+        std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF names the firmware image").into();
+    let mut board = Emulator::start(&elf).unwrap();
+    board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
+    let trace = Trace::new(vec![]);
+    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
+    let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+    let mut master = Master::new(board.take_modbus_line().unwrap(), 1).unwrap();
+    let bound = Instant::now() + Duration::from_secs(20);
+    while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
+        assert!(Instant::now() < bound, "the gripper does not answer");
+    }
+    Plant { _board: board, gripper, trace, terminal: Terminal::to(master.into_line().unwrap()) }
+}
+
+/// Homing, a grip and a release left the bridge, once each, and the fingers are where they belong.
+fn assert_one_cycle(plant: &Plant, said: &str) {
+    let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
+    assert_eq!(motions(&plant.trace.since(0)), expected, "{said}");
+    let width = plant.gripper.state().width;
+    assert!((width - 40.0).abs() < 0.5, "{width}");
+}
+
+/// Runs a script that homes, grips, releases and asserts what it sees on the way.
+fn run_python(script: &str) {
+    let plant = plant();
+    let script = script.replace("# cycle.py\n", include_str!("cycle.py"));
+    let output = masters::python(&script, &[&plant.terminal.path]);
+    assert!(output.status.success(), "{}", said(&output));
+    assert_one_cycle(&plant, &said(&output));
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware image and pymodbus: run `cargo xtask test`"]
+fn pymodbus_runs_a_grip_cycle() {
+    run_python(include_str!("pymodbus.py"));
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware image and minimalmodbus: run `cargo xtask test`"]
+fn minimalmodbus_runs_a_grip_cycle() {
+    run_python(include_str!("minimalmodbus.py"));
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware image and modbus-tk: run `cargo xtask test`"]
+fn modbus_tk_runs_a_grip_cycle() {
+    run_python(include_str!("modbus_tk.py"));
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
+fn mbpoll_reads_writes_and_homes() {
+    let plant = plant();
+    // References from 0, once, 8N1, and values behind the terminal.
+    let poll = |arguments: &[&str], values: &[&str]| {
+        let line = ["-m", "rtu", "-a", "1", "-b", "19200", "-P", "none", "-0", "-1", "-q"];
+        for _ in 0..5 {
+            let text = said(&masters::mbpoll(&[&line, arguments, &[&plant.terminal.path], values].concat()));
+            if !text.contains("timed out") && !text.contains("Invalid CRC") {
+                return text;
+            }
+        }
+        panic!("no answer to {arguments:?}");
+    };
+    let written = poll(&["-t", "4", "-r", "0"], &["0", "1220", "5000", "4000"]);
+    assert!(written.contains("Written 4 references"), "{written}");
+    let holding = poll(&["-t", "4", "-r", "0", "-c", "4"], &[]);
+    assert!(holding.contains("[1]: \t1220") && holding.contains("[3]: \t4000"), "{holding}");
+    let beyond = poll(&["-t", "4", "-r", "3", "-c", "2"], &[]);
+    assert!(beyond.contains("Illegal data address"), "{beyond}");
+    // STOP/ACK, then HOMING, by their coils.
+    for coil in ["4", "3"] {
+        for value in ["1", "0"] {
+            let written = poll(&["-t", "0", "-r", coil], &[value]);
+            assert!(written.contains("Written 1 references"), "{written}");
+        }
+    }
+    let referenced = || poll(&["-t", "1", "-r", "16", "-c", "1"], &[]).contains("[16]: \t1");
+    assert!((0..50).any(|_| referenced()), "REFERENCED does not come");
+    assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
+    let unit = poll(&["-t", "4", "-r", "100", "-c", "1"], &[]);
+    assert!(unit.contains("[100]: \t1"), "{unit}");
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn tokio_modbus_runs_a_grip_cycle() {
+    let plant = plant();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let port =
+            tokio_serial::SerialStream::open(&tokio_serial::new(&plant.terminal.path, 19_200)).unwrap();
+        let mut client = rtu::attach_slave(port, Slave(1));
+        let within = Duration::from_secs(60);
+        tokio::time::timeout(within, tokio_cycle(&mut client)).await.expect("the cycle takes too long");
+    });
+    assert_one_cycle(&plant, "");
+}
+
+async fn tokio_cycle(client: &mut Context) {
+    client.write_multiple_registers(0, &[0; 4]).await.unwrap().unwrap();
+    tokio_command(client, &[1 << 12, 0, 0, 0]).await;
+    assert_eq!(tokio_command(client, &[1 << 11, 0, 0, 0]).await, (1, 0), "HOMING ends in IDLE");
+    assert_eq!(tokio_command(client, &[1 << 9, 20_00, 50_00, 40_00]).await, (1 << 4, 0), "GRIP in HOLDING");
+    assert_eq!(client.read_holding_registers(0, 4).await.unwrap().unwrap(), [0, 20_00, 50_00, 40_00]);
+    assert_eq!(tokio_command(client, &[1 << 10, 40_00, 50_00, 40_00]).await, (1, 0), "RELEASE in IDLE");
+
+    assert_eq!(client.read_holding_registers(4, 1).await.unwrap(), Err(ExceptionCode::IllegalDataAddress));
+    let written_and_read = client.read_write_multiple_registers(0, 2, 1, &[40_01]).await.unwrap().unwrap();
+    assert_eq!(written_and_read, [0, 40_01]);
+    client.masked_write_register(1, 0xFF00, 0x0034).await.unwrap().unwrap();
+    assert_eq!(client.read_holding_registers(1, 1).await.unwrap().unwrap(), [(40_01 & 0xFF00) | 0x34]);
+    client.write_single_coil(8, true).await.unwrap().unwrap();
+    assert_eq!(client.read_coils(8, 2).await.unwrap().unwrap()[..2], [true, false]);
+    assert!(client.read_discrete_inputs(0, 1).await.unwrap().unwrap()[0], "IDLE");
+}
+
+/// A command; GSTATE and status at its end.
+async fn tokio_command(client: &mut Context, image: &[u16; 4]) -> (u16, u16) {
+    client.write_multiple_registers(0, image).await.unwrap().unwrap();
+    client.write_multiple_registers(0, &[0, image[1], image[2], image[3]]).await.unwrap().unwrap();
+    loop {
+        let input = client.read_input_registers(0, 6).await.unwrap().unwrap();
+        if input[5] != 26 {
+            return (input[0] >> 8, input[5]);
+        }
+    }
+}
