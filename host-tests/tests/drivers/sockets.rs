@@ -7,13 +7,24 @@ use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
-use wsg_protocol::driver::{Clock, Error, Grip, OnBlock, Protocol};
-use wsg_protocol::{GripperState, HomingDirection, Status, SystemFlags};
+use wsg_protocol::driver::{self, Clock, Error, Grip, OnBlock, Protocol};
+use wsg_protocol::{GripperState, HomingDirection, Status, SystemFlags, session};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
 
 /// The longest that anything may take here.
 const BOUND: Duration = Duration::from_secs(10);
+
+/// A loaded machine may let the server wait for longer than a gripper ever would.
+const PATIENT: driver::Config = driver::Config {
+    session: session::Config {
+        reply_timeout_ms: 3_000,
+        result_grace_ms: 10_000,
+        ..driver::Config::DEFAULT.session
+    },
+    connect_timeout_ms: 10_000,
+    ..driver::Config::DEFAULT
+};
 
 struct Tcp(TcpStream);
 
@@ -160,8 +171,9 @@ fn clients_of_both_protocols_at_the_same_time_see_the_same_gripper() {
     let lines = Lines { tcp: any(), gcl: any(), ..Lines::default() };
     let served = ServerThread::start(config, &lines, None).expect("the server is up");
     let watch = Watch(Instant::now());
-    let mut frames = Gripper::new(Tcp::connect(served.tcp_address()), watch);
-    let mut text = GclGripper::new(Tcp::connect(served.gcl_address()), watch);
+    let mut frames: Gripper<_, _> = Gripper::with_config(Tcp::connect(served.tcp_address()), watch, PATIENT);
+    let mut text: GclGripper<_, _> =
+        GclGripper::with_config(Tcp::connect(served.gcl_address()), watch, PATIENT);
     frames.connect().unwrap();
     text.connect().unwrap();
 
