@@ -142,7 +142,9 @@ pub(crate) fn hear(device: &mut Device, line: &mut Line, asked: Asked, event: Li
             status
         }
     };
-    device.note_result(request.kind(), status);
+    // A subscription is a query of the binary protocol: what went wrong before it stays to be read.
+    let is_subscription = matches!(request, Request::Autosend(_));
+    device.note_result(if is_subscription { Kind::Query } else { request.kind() }, status);
     if line.announced {
         // Only once BYE is answered: what it ends is answered after it.
         device.abort_motion();

@@ -361,6 +361,17 @@ fn autosend_of_a_state_on_change_is_sent_once_and_then_at_changes() {
 }
 
 #[test]
+fn autosend_leaves_the_command_failure_to_be_read() {
+    let mut desk = Desk::new(Config::default());
+    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
+    assert_eq!(desk.one("AUTOSEND(\"SYSFLAGS\",10,1)"), "ACK AUTOSEND");
+    assert!(desk.flags().contains(SystemFlags::CMD_FAILURE));
+    assert_eq!(desk.one("AUTOSEND(\"SYSFLAGS\",10,2)"), "ERR AUTOSEND 24");
+    assert_eq!(desk.one("STOP()"), "ACK STOP");
+    assert!(!desk.flags().contains(SystemFlags::CMD_FAILURE));
+}
+
+#[test]
 fn width_is_not_sent_while_not_referenced() {
     let mut desk = Desk::new(Config::default());
     desk.ask("AUTOSEND(\"POS\",10)");

@@ -6,3 +6,4 @@ mod cancelled;
 mod client;
 mod only_gcl;
 mod same;
+mod sockets;

@@ -23,7 +23,7 @@ fn read(path: &str) -> String {
 }
 
 /// The blocks of code in this language.
-fn blocks(language: &str) -> Vec<String> {
+pub(crate) fn blocks(language: &str) -> Vec<String> {
     let text = read(DOCUMENT);
     let blocks = text.split("```").skip(1).step_by(2);
     let ours = blocks.filter_map(|block| block.strip_prefix(language)?.strip_prefix('\n'));
@@ -122,6 +122,9 @@ fn conversations_are_made_of_requests_and_their_answers() {
 #[test]
 fn tests_that_the_document_names_exist() {
     let sources = [
+        "host-tests/tests/drivers/only_gcl.rs",
+        "host-tests/tests/drivers/same.rs",
+        "host-tests/tests/gcl/by_hand.rs",
         "host-tests/tests/gcl/manual.rs",
         "host-tests/tests/gcl/hostile.rs",
         "host-tests/tests/gcl/round_trip.rs",

@@ -1,5 +1,6 @@
 //! The Gripper Control Language (GCL): the manual's lines, every value both ways, and lines that are none.
 
+mod by_hand;
 mod document;
 mod grammar;
 mod hostile;

@@ -123,8 +123,7 @@ fn tokio_modbus_runs_a_grip_cycle() {
     let plant = plant();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
-        let port =
-            tokio_serial::SerialStream::open(&tokio_serial::new(&plant.terminal.path, 19_200)).unwrap();
+        let port = serial2_tokio::SerialPort::open(&plant.terminal.path, 19_200).unwrap();
         let mut client = rtu::attach_slave(port, Slave(1));
         let within = Duration::from_secs(60);
         tokio::time::timeout(within, tokio_cycle(&mut client)).await.expect("the cycle takes too long");

@@ -399,10 +399,11 @@ impl Session {
             Answer::Update(value) => {
                 self.learn(now, value);
                 let wanted = Signal::of(name).is_some_and(|signal| self.subscriptions.wants(signal));
-                if self.is_connected() && wanted {
-                    Routed::Noticed(Notice::Reported(*value))
-                } else {
-                    Routed::Unasked
+                match (wanted, self.is_connected()) {
+                    (true, true) => Routed::Noticed(Notice::Reported(*value)),
+                    // It begins to come while the next step of connecting is being answered.
+                    (true, false) => Routed::Taken,
+                    (false, _) => Routed::Unasked,
                 }
             }
             Answer::Fin(_) => self.finish(answer),

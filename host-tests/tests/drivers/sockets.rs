@@ -1,0 +1,193 @@
+//! Clients of both protocols at one virtual gripper at the same time, over real sockets: they see the same gripper. Every
+//! wait is bounded.
+
+use std::io::{self, ErrorKind};
+use std::net::{SocketAddr, TcpStream};
+use std::time::{Duration, Instant};
+
+use embedded_io::{ErrorType, Read, ReadReady, Write};
+use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
+use wsg_protocol::driver::{self, Clock, Error, Grip, OnBlock, Protocol};
+use wsg_protocol::{GripperState, HomingDirection, Status, SystemFlags, session};
+use wsg_sim::server::{Lines, ServerThread};
+use wsg_sim::{Config, Part};
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(10);
+
+/// A loaded machine may let the server wait for longer than a gripper ever would.
+const PATIENT: driver::Config = driver::Config {
+    session: session::Config {
+        reply_timeout_ms: 3_000,
+        result_grace_ms: 10_000,
+        ..driver::Config::DEFAULT.session
+    },
+    connect_timeout_ms: 10_000,
+    ..driver::Config::DEFAULT
+};
+
+struct Tcp(TcpStream);
+
+impl Tcp {
+    fn connect(address: Option<SocketAddr>) -> Self {
+        let stream = TcpStream::connect_timeout(&address.expect("it is served"), BOUND).unwrap();
+        stream.set_nodelay(true).unwrap();
+        // How long `read_ready` waits.
+        stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        Self(stream)
+    }
+}
+
+impl ErrorType for Tcp {
+    type Error = io::Error;
+}
+
+impl ReadReady for Tcp {
+    fn read_ready(&mut self) -> io::Result<bool> {
+        match self.0.peek(&mut [0]) {
+            Ok(_) => Ok(true),
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+impl Read for Tcp {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        io::Read::read(&mut self.0, buffer)
+    }
+}
+
+impl Write for Tcp {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        io::Write::write(&mut self.0, bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Milliseconds since it was made.
+#[derive(Clone, Copy)]
+struct Watch(Instant);
+
+impl Clock for Watch {
+    fn now(&mut self) -> wsg_protocol::Instant {
+        wsg_protocol::Instant::from_millis(self.0.elapsed().as_millis() as u32)
+    }
+}
+
+type Driver<P> = GripperOver<Tcp, Watch, P>;
+
+/// All that a gripper tells of its state and both protocols have words for.
+#[derive(Debug, PartialEq)]
+struct Seen {
+    state: GripperState,
+    flags: SystemFlags,
+    width: f32,
+    speed: f32,
+    force: f32,
+    grips: [u32; 3],
+    serial_number: u32,
+    tag: String,
+}
+
+fn seen<P: Protocol>(gripper: &mut Driver<P>) -> Seen {
+    let statistics = gripper.statistics(false).unwrap();
+    Seen {
+        state: gripper.state().unwrap(),
+        flags: gripper.system_state().unwrap(),
+        width: gripper.width().unwrap(),
+        speed: gripper.speed().unwrap(),
+        force: gripper.force().unwrap(),
+        grips: [statistics.total, statistics.no_part.into(), statistics.part_lost.into()],
+        serial_number: gripper.system_info().unwrap().serial_number,
+        tag: gripper.tag(&mut [0; 64]).unwrap().to_owned(),
+    }
+}
+
+/// Once the fingers stand, both see the same; what that is.
+#[track_caller]
+fn seen_by_both<P: Protocol, Q: Protocol>(one: &mut Driver<P>, other: &mut Driver<Q>) -> Seen {
+    let first = seen(one);
+    assert_eq!(first, seen(other));
+    first
+}
+
+/// What one begins the other watches, and ends.
+fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P>, watcher: &mut Driver<Q>) {
+    actor.set_force_limit(35.0).unwrap();
+    watcher.set_force_limit(35.0).unwrap();
+
+    // While the fingers move, for a second, the same state, and widths of one and the same way.
+    actor.move_to(100.0, 400.0, OnBlock::Stop).unwrap();
+    let motion = actor.begin_move_to(60.0, 10.0, OnBlock::Stop).unwrap();
+    let mut widths = vec![];
+    while actor.poll(&motion).unwrap().is_none() {
+        widths.push(actor.width().unwrap());
+        widths.push(watcher.width().unwrap());
+        if widths.len() == 2 {
+            assert_eq!(watcher.state().unwrap(), GripperState::Positioning);
+            let refused = watcher.grip(20.0, 100.0).unwrap_err();
+            assert!(matches!(refused, Error::Refused(Status::AlreadyRunning)), "{refused:?}");
+        }
+    }
+    assert!(widths.len() > 4 && widths.is_sorted_by(|one, other| one >= other), "{widths:?}");
+    assert_eq!(seen_by_both(actor, watcher).width, 60.0);
+
+    // A part is held.
+    let before = seen(watcher).grips[0];
+    assert_eq!(actor.grip(20.0, 100.0).unwrap(), Grip::Held);
+    let holding = seen_by_both(actor, watcher);
+    assert_eq!((holding.state, holding.force, holding.grips[0]), (GripperState::Holding, 35.0, before + 1));
+    actor.release(50.0, 200.0).unwrap();
+    assert_eq!(seen_by_both(actor, watcher).state, GripperState::Idle);
+
+    // FAST STOP of the one ends the motion of the other, and either acknowledges it.
+    let motion = watcher.begin_move_to(100.0, 10.0, OnBlock::Stop).unwrap();
+    actor.fast_stop().unwrap();
+    assert!(matches!(watcher.wait(&motion), Err(Error::Aborted)));
+    let locked = seen_by_both(actor, watcher);
+    assert!(locked.flags.contains(SystemFlags::FAST_STOP));
+    assert_eq!(locked.state, GripperState::Error);
+    let denied = watcher.move_to(50.0, 100.0, OnBlock::Stop).unwrap_err();
+    assert!(matches!(denied, Error::Refused(Status::AccessDenied)), "{denied:?}");
+    watcher.acknowledge().unwrap();
+    assert!(!seen_by_both(actor, watcher).flags.contains(SystemFlags::FAST_STOP));
+    actor.move_to(70.0, 200.0, OnBlock::Stop).unwrap();
+}
+
+#[test]
+fn clients_of_both_protocols_at_the_same_time_see_the_same_gripper() {
+    let any = || Some(SocketAddr::from(([127, 0, 0, 1], 0)));
+    let config = Config {
+        part: Part::of_width(20.0),
+        serial_number: 4_711,
+        tag: wsg_sim::Tag::new("shared").unwrap(),
+        time_scale: 4.0,
+        ..Config::default()
+    };
+    let lines = Lines { tcp: any(), gcl: any(), ..Lines::default() };
+    let served = ServerThread::start(config, &lines, None).expect("the server is up");
+    let watch = Watch(Instant::now());
+    let mut frames: Gripper<_, _> = Gripper::with_config(Tcp::connect(served.tcp_address()), watch, PATIENT);
+    let mut text: GclGripper<_, _> =
+        GclGripper::with_config(Tcp::connect(served.gcl_address()), watch, PATIENT);
+    frames.connect().unwrap();
+    text.connect().unwrap();
+
+    text.home(HomingDirection::Default).unwrap();
+    assert!(seen_by_both(&mut frames, &mut text).flags.contains(SystemFlags::REFERENCED));
+    one_acts_and_the_other_watches(&mut frames, &mut text);
+    one_acts_and_the_other_watches(&mut text, &mut frames);
+    assert_eq!(seen_by_both(&mut frames, &mut text).serial_number, 4_711);
+    assert_eq!((frames.counters().session.refused, text.counters().session.refused), (0, 0));
+
+    // The one goes announced, and the other is none the worse for it.
+    text.announce_disconnect().unwrap();
+    drop(text);
+    frames.move_to(80.0, 200.0, OnBlock::Stop).unwrap();
+    assert!(!frames.system_state().unwrap().contains(SystemFlags::FAST_STOP));
+    frames.announce_disconnect().unwrap();
+}
