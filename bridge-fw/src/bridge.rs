@@ -1,6 +1,8 @@
 //! The bridge: a PLC side, the register controller, the session, and the gripper's line.
 
 use crate::arbiter::{Arbiter, Commander};
+#[cfg(feature = "can")]
+use crate::can::{Node, Served};
 use crate::digital_io::{DigitalIo, is_moving};
 use crate::io::{Inputs, Outputs};
 use crate::log;
@@ -132,12 +134,20 @@ impl Bridge {
         bus: &mut impl BusPort,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
+        self.begin_turn(now, inputs, link);
+        self.take_bus(now, bus);
+        self.end_turn(now, link)
+    }
+
+    fn begin_turn<L: Read + ReadReady>(&mut self, now: Instant, inputs: Inputs, link: &mut L) {
         self.receive(now, link);
         self.expire_half_frame(now);
         self.tick(now);
         self.was_connected |= self.session.is_connected();
         self.take_wires(now, inputs);
-        self.take_bus(now, bus);
+    }
+
+    fn end_turn<L: Write + WriteReady>(&mut self, now: Instant, link: &mut L) -> Outputs {
         self.forward_commands();
         self.tick(now);
         self.transmit(now, link);
@@ -258,10 +268,7 @@ impl Bridge {
                 break;
             };
             if !was_heard {
-                // Wires alone have no use for them.
-                let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
-                self.session.subscribe(Signal::Width, update);
-                self.session.subscribe(Signal::Force, update);
+                self.subscribe_measured();
             }
             if served.configured {
                 self.bus.configure(&self.settings);
@@ -274,14 +281,71 @@ impl Bridge {
             }
         }
         if self.bus.has_fallen_silent(now, self.settings.timeout_ms()) {
-            self.lose_bus();
+            self.lose_bus(true);
         }
     }
 
-    fn lose_bus(&mut self) {
+    /// As [`poll`](Self::poll), with a PLC on CAN beside the wires.
+    #[cfg(feature = "can")]
+    pub fn poll_with_can<L: Read + ReadReady + Write + WriteReady>(
+        &mut self,
+        now_ms: u32,
+        inputs: Inputs,
+        link: &mut L,
+        node: &mut Node,
+    ) -> Outputs {
+        let now = Instant::from_millis(now_ms);
+        self.begin_turn(now, inputs, link);
+        self.take_node(now, node);
+        let outputs = self.end_turn(now, link);
+        let is_silent = self.was_connected && !self.session.is_connected();
+        node.show(&self.shown(), is_silent);
+        outputs
+    }
+
+    /// Serves what the node has heard, one thing after the other.
+    #[cfg(feature = "can")]
+    fn take_node(&mut self, now: Instant, node: &mut Node) {
+        for _ in 0..Node::MAX_SERVED_PER_TURN {
+            let moving = is_moving(&self.controller.input(self.session.known()));
+            let subjects = Subjects {
+                config: &self.bus_config,
+                session: &self.session,
+                was_connected: self.was_connected,
+                line: self.parser.counters(),
+                commander: self.arbiter.commander(),
+                bus: self.bus.counters(),
+                timeouts: self.bus_timeouts,
+            };
+            match node.serve(now, moving, &subjects, &mut self.settings) {
+                Some(Served::Image(image)) => {
+                    self.subscribe_measured();
+                    if let Some(image) = self.arbiter.take_bus(image, moving) {
+                        self.controller.set_output(&image, self.session.known());
+                    }
+                }
+                Some(Served::Configured) => {
+                    self.bus.configure(&self.settings);
+                    self.wires.configure(&self.settings);
+                }
+                Some(Served::Left { silent }) => self.lose_bus(silent),
+                None => return,
+            }
+        }
+    }
+
+    /// Wires alone have no use for them.
+    fn subscribe_measured(&mut self) {
+        let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
+        self.session.subscribe(Signal::Width, update);
+        self.session.subscribe(Signal::Force, update);
+    }
+
+    /// `silent`: unexpectedly, which is counted.
+    fn lose_bus(&mut self, silent: bool) {
         let known = self.session.known();
         if self.arbiter.commander() == Commander::Bus {
-            self.bus_timeouts = self.bus_timeouts.saturating_add(1);
+            self.bus_timeouts = self.bus_timeouts.saturating_add(silent.into());
             self.controller.silence(self.settings.reaction(), known);
         }
         if let Some(image) = self.arbiter.lose_bus() {

@@ -5,7 +5,9 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 
 use embedded_can::{Frame, Id};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, GripperLink, Health, Nobody};
+use wsg_bridge_fw::can::{
+    BusOffPolicy, BusReport, CanBus, CanController, GripperLink, Health, Nobody, Node, NodeConfig,
+};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config};
 use wsg_protocol::can::{ClassicFrame, Endpoint, Identifiers, Reassembler, Segments};
@@ -160,6 +162,10 @@ pub struct CanBench {
     bus: CanBus<Double>,
     double: Double,
     link: GripperLink,
+    node: Option<Node>,
+    /// What a PLC on the bus hears, and what it says next.
+    to_plc: Vec<(u32, ClassicFrame)>,
+    from_plc: VecDeque<ClassicFrame>,
     gripper: VirtualGripper<1>,
     port: PortId,
     endpoint: Endpoint,
@@ -192,6 +198,9 @@ impl CanBench {
             bus: CanBus::new(double.clone(), policy),
             double,
             link: GripperLink::new(identifiers),
+            node: None,
+            to_plc: Vec::new(),
+            from_plc: VecDeque::new(),
             gripper,
             port,
             endpoint: identifiers.gripper(),
@@ -220,6 +229,34 @@ impl CanBench {
         bench.command(Inputs::HOME);
         assert!(bench.outputs.contains(Outputs::REFERENCED | Outputs::READY), "{:?}", bench.outputs);
         bench
+    }
+
+    /// A bench with a PLC on the bus, and wires that let it: FAST_STOP_OK high.
+    #[must_use]
+    pub fn with_node(config: wsg_sim::Config, node: NodeConfig) -> Self {
+        let mut bench = Self::new(config, BusOffPolicy::DEFAULT);
+        bench.node = Some(Node::new(node));
+        bench.set(Inputs::FAST_STOP_OK, true);
+        bench
+    }
+
+    /// The bridge as a device on the bus.
+    ///
+    /// # Panics
+    /// On a bench without one.
+    #[must_use]
+    pub fn node(&self) -> &Node {
+        self.node.as_ref().expect("a bench with a node")
+    }
+
+    /// The PLC on the bus says this, after what it has said before.
+    pub fn say(&mut self, frame: ClassicFrame) {
+        self.from_plc.push_back(frame);
+    }
+
+    /// What the PLC has heard since this was last asked, with the moment in milliseconds.
+    pub fn take_heard(&mut self) -> Vec<(u32, ClassicFrame)> {
+        std::mem::take(&mut self.to_plc)
     }
 
     /// The controller.
@@ -323,7 +360,10 @@ impl CanBench {
         let time = Time::from_millis(self.now_ms.into());
         for _ in 0..FRAMES_PER_MS {
             if let Some(frame) = self.double.take_winner() {
+                self.to_plc.push((self.now_ms, frame));
                 self.reach_gripper(now, time, frame);
+            } else if let Some(frame) = self.from_plc.pop_front() {
+                self.double.bring(frame);
             } else if let Some(frame) = self.from_gripper.pop_front() {
                 let frames = disturbed(&mut self.to_bridge, frame);
                 frames.into_iter().for_each(|frame| self.double.bring(frame));
@@ -342,11 +382,26 @@ impl CanBench {
 
     /// One turn of the main loop.
     fn turn(&mut self, now: Instant) {
-        self.bus.poll(now, &mut self.link, &mut Nobody);
-        self.link.expire(now);
-        self.bridge.set_link_lost(self.bus.is_lost());
-        self.outputs = self.bridge.poll(self.now_ms, self.inputs, &mut self.link);
-        self.bus.poll(now, &mut self.link, &mut Nobody);
+        let Self { bus, link, bridge, inputs, .. } = self;
+        let Some(node) = &mut self.node else {
+            bus.listen(now, link, &mut Nobody);
+            link.expire(now);
+            bridge.set_link_lost(bus.is_lost());
+            self.outputs = bridge.poll(self.now_ms, *inputs, link);
+            bus.talk(now, link, &mut Nobody);
+            return;
+        };
+        bus.listen(now, link, node);
+        link.expire(now);
+        bridge.set_link_lost(bus.is_lost());
+        node.set_report(BusReport {
+            state: bus.state(),
+            health: bus.health(),
+            counters: bus.counters(),
+            link: link.counters(),
+        });
+        self.outputs = bridge.poll_with_can(self.now_ms, *inputs, link, node);
+        bus.talk(now, link, node);
     }
 
     fn reach_gripper(&mut self, now: Instant, time: Time, frame: ClassicFrame) {

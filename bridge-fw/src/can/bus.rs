@@ -8,7 +8,7 @@ use super::{BusOffPolicy, BusState, CanController, Health};
 
 /// Frames taken from the controller in one turn, at the most: at 1 Mbit/s a millisecond brings 9 of 8 bytes, or 21 empty
 /// ones.
-const MAX_RECEIVED_PER_POLL: usize = 24;
+pub(super) const MAX_RECEIVED_PER_POLL: usize = 24;
 
 /// Frames given to the controller in one turn, at the most.
 const MAX_SENT_PER_POLL: usize = 8;
@@ -66,8 +66,8 @@ pub struct BusCounters {
     pub refused: u16,
 }
 
-/// A controller and its bus, for up to two participants. Board-free: [`poll`](Self::poll) it before and after the bridge
-/// in each turn of the main loop.
+/// A controller and its bus, for up to two participants. Board-free: in each turn of the main loop
+/// [`listen`](Self::listen) before the bridge's turn and [`talk`](Self::talk) behind it.
 #[derive(Debug)]
 pub struct CanBus<C: CanController> {
     controller: C,
@@ -111,7 +111,7 @@ impl<C: CanController> CanBus<C> {
         self.state() != BusState::On
     }
 
-    /// How the controller saw the bus at the last poll.
+    /// How the controller saw the bus in the last turn.
     pub const fn health(&self) -> Health {
         self.health
     }
@@ -131,8 +131,8 @@ impl<C: CanController> CanBus<C> {
         self.bus_off.retry(now);
     }
 
-    /// One turn: hears what has come, says what the controller takes. Never waits.
-    pub fn poll(
+    /// The first half of a turn, before the bridge's: looks after the controller and hears what has come. Never waits.
+    pub fn listen(
         &mut self,
         now: Instant,
         first: &mut impl Participant<C::Frame>,
@@ -155,23 +155,6 @@ impl<C: CanController> CanBus<C> {
                 second.bus_changed(true);
             }
         }
-        self.listen(now, first, second);
-        if !self.is_lost() {
-            self.talk(now, first, second);
-        }
-    }
-
-    fn forget(&mut self) {
-        self.controller.abort();
-        self.waiting = [const { Waiting::NOTHING }; 2];
-    }
-
-    fn listen(
-        &mut self,
-        now: Instant,
-        first: &mut impl Participant<C::Frame>,
-        second: &mut impl Participant<C::Frame>,
-    ) {
         for _ in 0..MAX_RECEIVED_PER_POLL {
             match self.controller.receive() {
                 Ok(frame) => {
@@ -184,13 +167,18 @@ impl<C: CanController> CanBus<C> {
         }
     }
 
+    /// The second half of a turn, behind the bridge's: says what the controller takes. Never waits.
+    ///
     /// Of the two frames that wait, the one that would win on the bus goes first: the other must not keep it waiting.
-    fn talk(
+    pub fn talk(
         &mut self,
         now: Instant,
         first: &mut impl Participant<C::Frame>,
         second: &mut impl Participant<C::Frame>,
     ) {
+        if self.is_lost() {
+            return;
+        }
         for _ in 0..MAX_SENT_PER_POLL {
             let [own, other] = &mut self.waiting;
             fill(own, now, first);
@@ -204,6 +192,11 @@ impl<C: CanController> CanBus<C> {
                 return;
             }
         }
+    }
+
+    fn forget(&mut self) {
+        self.controller.abort();
+        self.waiting = [const { Waiting::NOTHING }; 2];
     }
 
     /// Gives the controller the next frame of a participant; whether it is gone.

@@ -126,6 +126,10 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
+    /// Where BUS_TIMEOUT stands, counted from [`FIRST_SETTING`].
+    #[cfg(feature = "can")]
+    pub(crate) const TIMEOUT: u16 = Place::Timeout as u16;
+
     /// What the configuration says, each value brought into its range.
     pub(crate) const fn new(config: &Config) -> Self {
         let bus = &config.bus;

@@ -1,0 +1,23 @@
+//! What is set about the bridge as a CANopen device.
+
+/// As built. What a master can change has an object ([`OBJECTS`](super::OBJECTS)); power-up brings this back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NodeConfig {
+    /// The node-ID, 1 to 127.
+    pub node: u8,
+    /// The node-ID of the master, whose heartbeat is watched.
+    pub master: u8,
+    /// How often the bridge sends its heartbeat, in milliseconds; 0: never.
+    pub heartbeat_ms: u16,
+    /// The least time between two TPDOs of one kind, in 100 µs.
+    pub inhibit: [u16; 2],
+    /// The most time between two TPDOs of one kind, in milliseconds; 0: only on change.
+    pub event_ms: [u16; 2],
+}
+
+impl NodeConfig {
+    /// Node 10h, master 7Fh, a heartbeat twice a second. State and status 2 ms apart at the least, width and force 20 ms,
+    /// which change all the time while the fingers move; both every 100 ms without a change.
+    pub const DEFAULT: Self =
+        Self { node: 0x10, master: 0x7F, heartbeat_ms: 500, inhibit: [20, 200], event_ms: [100, 100] };
+}

@@ -1,0 +1,623 @@
+//! A PLC on CAN, in virtual time. The master's frames are made and read by `canopen-rs`, which nobody here wrote.
+
+use canopen_rs::emcy::EmergencyMessage;
+use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
+use embedded_can::{Frame, Id, StandardId};
+use host_tests::can_bench::CanBench;
+use wsg_bridge_fw::can::{
+    DataType, FAULTS, NmtState, NodeConfig, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
+};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::modbus::{FIRST_REPORT, REPORTS, SETTINGS};
+use wsg_protocol::can::{ClassicFrame, Identifiers};
+use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
+use wsg_protocol::{CommandId, Status, SystemFlags};
+use wsg_sim::{Config, Part};
+
+const NODE: NodeConfig = NodeConfig::DEFAULT;
+/// BUS_TIMEOUT as delivered.
+const TIMEOUT_MS: u32 = 1_000;
+
+/// A master on the bus.
+struct Master {
+    bench: CanBench,
+    /// The last image that was sent.
+    image: [u8; 8],
+    heard: Vec<(u32, u16, Vec<u8>)>,
+    /// Sends its heartbeat every 200 ms.
+    beats: bool,
+}
+
+impl Master {
+    fn new(config: Config) -> Self {
+        let bench = CanBench::with_node(config, NODE);
+        Self { bench, image: [0; 8], heard: Vec::new(), beats: false }
+    }
+
+    /// Operational, connected, FAST STOP acknowledged, homed; the heartbeat goes on by itself.
+    fn homed(part: Option<f32>, time_scale: f32) -> Self {
+        let part = part.map(|width| Part::of_width(width).unwrap());
+        let mut master = Self::new(Config { part, time_scale, ..Config::default() });
+        master.beats = true;
+        master.pass(500);
+        master.nmt(NmtCommand::StartRemoteNode);
+        master.command(Cmd::empty());
+        master.command(Cmd::STOP_ACK);
+        master.command(Cmd::HOMING);
+        master.until(20_000, |master| {
+            master.state() == GripperFlags::IDLE && master.is(SystemFlags::REFERENCED)
+        });
+        master.command(Cmd::empty());
+        master.take_motions();
+        master
+    }
+
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            if self.beats && self.bench.now_ms().is_multiple_of(200) {
+                self.send(0x700 | u16::from(NODE.master), &[5]);
+            }
+            self.bench.pass(1);
+            for (at, frame) in self.bench.take_heard() {
+                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
+                let controller = Identifiers::DEFAULT.controller();
+                if id != controller.transmit {
+                    self.heard.push((at, id.as_raw(), frame.data().to_vec()));
+                }
+            }
+        }
+    }
+
+    fn until(&mut self, bound_ms: u32, wanted: impl Fn(&Self) -> bool) {
+        for _ in 0..bound_ms {
+            self.pass(1);
+            if wanted(self) {
+                return;
+            }
+        }
+        panic!("not within {bound_ms} ms: {:?} {:?}", self.state(), self.system());
+    }
+
+    fn send(&mut self, id: u16, data: &[u8]) {
+        self.bench.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+    }
+
+    fn nmt(&mut self, command: NmtCommand) {
+        let frame = nmt::encode_command(command, NodeId::new(NODE.node).unwrap());
+        self.send(0, &frame);
+        self.pass(5);
+    }
+
+    /// Writes the output image.
+    fn command(&mut self, flags: Cmd) {
+        self.image[0] = flags.bits();
+        self.image[2..4].copy_from_slice(&2_000i16.to_le_bytes());
+        self.image[4..6].copy_from_slice(&5_000u16.to_le_bytes());
+        self.image[6..8].copy_from_slice(&4_000i16.to_le_bytes());
+        self.send(0x200 | u16::from(NODE.node), &self.image.clone());
+        self.pass(5);
+    }
+
+    /// The last TPDO of a kind.
+    fn tpdo(&self, base: u16) -> Option<&[u8]> {
+        let id = base | u16::from(NODE.node);
+        self.heard.iter().rev().find(|(_, other, _)| *other == id).map(|(_, _, data)| &data[..])
+    }
+
+    fn state(&self) -> GripperFlags {
+        GripperFlags::from_bits_retain(self.tpdo(0x180).map_or(0, |data| data[0]))
+    }
+
+    fn system(&self) -> SystemFlags {
+        let bits = self.tpdo(0x180).map_or(0, |data| u32::from_le_bytes(data[2..6].try_into().unwrap()));
+        SystemFlags::from_bits_retain(bits)
+    }
+
+    fn is(&self, flag: SystemFlags) -> bool {
+        self.system().contains(flag)
+    }
+
+    fn status(&self) -> Status {
+        Status::from_code(self.tpdo(0x180).map_or(0, |data| u16::from_le_bytes([data[6], data[7]])))
+    }
+
+    /// The frames of one kind that were heard since this was last asked, with their moments.
+    fn take(&mut self, base: u16) -> Vec<(u32, Vec<u8>)> {
+        let id = base | u16::from(NODE.node);
+        let (found, rest) =
+            std::mem::take(&mut self.heard).into_iter().partition(|(_, other, _)| *other == id);
+        self.heard = rest;
+        let found: Vec<(u32, u16, Vec<u8>)> = found;
+        found.into_iter().map(|(at, _, data)| (at, data)).collect()
+    }
+
+    /// The codes of the emergencies that were heard since this was last asked, with the error register.
+    fn emergencies(&mut self) -> Vec<(u16, u8)> {
+        let frames = self.take(0x080);
+        let decoded = frames.iter().map(|(_, data)| EmergencyMessage::decode(data).unwrap());
+        decoded.map(|message| (message.error_code, message.error_register.0)).collect()
+    }
+
+    fn transfer(&mut self, request: &[u8; 8]) -> [u8; 8] {
+        self.take(0x580);
+        self.send(0x600 | u16::from(NODE.node), request);
+        self.pass(5);
+        let answers = self.take(0x580);
+        assert_eq!(answers.len(), 1, "one answer to {request:02X?}");
+        answers[0].1[..].try_into().unwrap()
+    }
+
+    fn upload(&mut self, index: u16, sub: u8, kind: Theirs) -> Result<Value, u32> {
+        let answer = self.transfer(&sdo::encode_upload_request(Address::new(index, sub)));
+        match sdo::decode_abort(&answer) {
+            Ok((_, code)) => Err(code),
+            Err(_) => {
+                let (address, value) = sdo::decode_upload_expedited_response(&answer, kind).unwrap();
+                assert_eq!(address, Address::new(index, sub));
+                Ok(value)
+            }
+        }
+    }
+
+    fn read_u16(&mut self, index: u16, sub: u8) -> u16 {
+        match self.upload(index, sub, Theirs::Unsigned16) {
+            Ok(Value::Unsigned16(value)) => value,
+            other => panic!("{index:X}h sub {sub}: {other:?}"),
+        }
+    }
+
+    fn download(&mut self, index: u16, sub: u8, value: Value) -> Result<(), u32> {
+        let address = Address::new(index, sub);
+        let answer = self.transfer(&sdo::encode_download_expedited(address, &value).unwrap());
+        match sdo::decode_abort(&answer) {
+            Ok((_, code)) => Err(code),
+            Err(_) => {
+                assert_eq!(sdo::decode_download_response(&answer).unwrap(), address);
+                Ok(())
+            }
+        }
+    }
+
+    fn take_motions(&mut self) -> Vec<CommandId> {
+        self.bench.take_motions()
+    }
+}
+
+fn setting(name: &str) -> u8 {
+    1 + SETTINGS.iter().position(|setting| setting.name == name).expect("a setting of this name") as u8
+}
+
+fn report(name: &str) -> u8 {
+    1 + REPORTS.iter().position(|report| report.name == name).expect("a report of this name") as u8
+}
+
+fn code_of(meaning: &str) -> u16 {
+    FAULTS.iter().find(|fault| fault.meaning.contains(meaning)).expect("a fault of this meaning").code
+}
+
+#[test]
+fn node_announces_itself_and_beats() {
+    let mut master = Master::new(Config::default());
+    master.pass(2_600);
+    let beats = master.take(0x700);
+    let states: Vec<u8> = beats.iter().map(|(_, data)| data[0]).collect();
+    assert_eq!(states, [0, 127, 127, 127, 127, 127], "boot-up, then pre-operational twice a second");
+    assert!(
+        beats.windows(2).skip(1).all(|two| two[1].0 - two[0].0 == u32::from(NODE.heartbeat_ms)),
+        "{beats:?}"
+    );
+    assert_eq!(master.tpdo(0x180), None, "no PDOs yet");
+    master.nmt(NmtCommand::StartRemoteNode);
+    assert_eq!(master.bench.node().state(), NmtState::Operational);
+    assert!(master.tpdo(0x180).is_some() && master.tpdo(0x280).is_some());
+    master.take(0x700);
+    master.pass(500);
+    assert_eq!(master.take(0x700)[0].1, [5]);
+}
+
+#[test]
+fn nmt_commands_of_others_and_broken_ones_change_nothing() {
+    let mut master = Master::new(Config::default());
+    master.pass(10);
+    for data in [&[1, NODE.node + 1][..], &[1], &[1, NODE.node, 0], &[9, NODE.node], &[]] {
+        master.send(0, data);
+        master.pass(5);
+        assert_eq!(master.bench.node().state(), NmtState::PreOperational, "{data:?}");
+    }
+    for (specifier, state) in
+        [(1, NmtState::Operational), (2, NmtState::Stopped), (128, NmtState::PreOperational)]
+    {
+        master.send(0, &[specifier, 0]);
+        master.pass(5);
+        assert_eq!(master.bench.node().state(), state, "by broadcast");
+    }
+}
+
+#[test]
+fn grip_cycle_by_pdo() {
+    let mut master = Master::homed(Some(20.0), 10.0);
+    master.command(Cmd::GRIP);
+    master.until(10_000, |master| master.state() == GripperFlags::HOLDING);
+    assert_eq!(master.status(), Status::Success, "state and status in one frame");
+    master.pass(200);
+    let measured = master.tpdo(0x280).unwrap().to_vec();
+    let width = i16::from_le_bytes([measured[0], measured[1]]);
+    let force = i16::from_le_bytes([measured[2], measured[3]]);
+    assert!((1_900..2_000).contains(&width) && (3_900..=4_100).contains(&force), "{width} {force}");
+
+    master.command(Cmd::RELEASE);
+    master.until(10_000, |master| master.state() == GripperFlags::IDLE);
+    assert_eq!(master.take_motions(), [CommandId::GripPart, CommandId::ReleasePart]);
+}
+
+#[test]
+fn rpdo_counts_in_operation_alone_and_whole_alone() {
+    let mut master = Master::homed(None, 10.0);
+    master.emergencies();
+    for len in 0..8 {
+        let image = [Cmd::MOVE.bits(), 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F];
+        master.send(0x200 | u16::from(NODE.node), &image[..len]);
+        master.pass(20);
+    }
+    assert_eq!(master.emergencies(), [(0x8210, 0); 8], "each of them told");
+    master.nmt(NmtCommand::EnterPreOperational);
+    master.command(Cmd::MOVE);
+    master.nmt(NmtCommand::StopRemoteNode);
+    master.command(Cmd::MOVE);
+    master.pass(100);
+    assert_eq!(master.take_motions(), []);
+}
+
+#[test]
+fn first_image_after_the_start_gives_no_edge_but_fast_stop() {
+    let mut master = Master::homed(None, 10.0);
+    master.nmt(NmtCommand::EnterPreOperational);
+    master.nmt(NmtCommand::StartRemoteNode);
+    master.command(Cmd::MOVE | Cmd::JOG_PLUS);
+    master.pass(200);
+    assert_eq!(master.take_motions(), []);
+    master.command(Cmd::empty());
+    master.command(Cmd::MOVE);
+    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+
+    master.nmt(NmtCommand::EnterPreOperational);
+    master.nmt(NmtCommand::StartRemoteNode);
+    master.command(Cmd::FASTSTOP);
+    master.until(500, |master| master.is(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn edges_that_come_in_one_millisecond_all_count() {
+    let mut master = Master::homed(None, 10.0);
+    let id = 0x200 | u16::from(NODE.node);
+    let image = |flags: Cmd| [flags.bits(), 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F];
+    // Four frames come within a millisecond.
+    for flags in [Cmd::MOVE, Cmd::empty(), Cmd::FASTSTOP, Cmd::empty()] {
+        master.send(id, &image(flags));
+    }
+    master.until(500, |master| master.is(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
+    let mut master = Master::homed(None, 1.0);
+    master.emergencies();
+    master.command(Cmd::MOVE);
+    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    master.beats = false;
+    // RPDOs do not stand in for a heartbeat that was heard.
+    for _ in 0..TIMEOUT_MS / 100 - 3 {
+        master.command(Cmd::MOVE);
+        master.pass(95);
+    }
+    assert_eq!(master.bench.node().state(), NmtState::Operational, "not before the time");
+    master.pass(400);
+    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
+    assert_eq!(master.emergencies(), [(code_of("the master is silent"), 0x11)]);
+    assert!(master.bench.take_sent().contains(&CommandId::Stop), "BUS_REACTION as delivered");
+    let timeouts = master.read_u16(REPORTS_INDEX, report("BUS_TIMEOUTS"));
+    assert_eq!(timeouts, 1);
+
+    // It is over when the master starts the node again.
+    master.beats = true;
+    master.nmt(NmtCommand::StartRemoteNode);
+    assert_eq!(master.emergencies(), [(0, 0)]);
+    master.command(Cmd::empty());
+    master.command(Cmd::MOVE);
+    master.until(1_000, |master| master.state() == GripperFlags::POSITIONING);
+}
+
+#[test]
+fn master_without_a_heartbeat_is_watched_by_its_rpdo() {
+    let mut master = Master::homed(None, 1.0);
+    master.beats = false;
+    master.pass(2 * TIMEOUT_MS);
+    master.nmt(NmtCommand::StartRemoteNode);
+    master.take_motions();
+    for _ in 0..2 * TIMEOUT_MS / 100 {
+        master.command(Cmd::empty());
+        master.pass(95);
+    }
+    assert_eq!(master.bench.node().state(), NmtState::Operational);
+    master.command(Cmd::MOVE);
+    master.pass(TIMEOUT_MS + 10);
+    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
+    assert!(master.bench.take_sent().contains(&CommandId::Stop));
+}
+
+#[test]
+fn master_that_restarts_commands_no_more() {
+    let mut master = Master::homed(None, 1.0);
+    master.command(Cmd::MOVE);
+    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    master.bench.take_sent();
+    master.send(0x700 | u16::from(NODE.master), &[0]);
+    master.pass(20);
+    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
+    assert!(master.bench.take_sent().contains(&CommandId::Stop));
+}
+
+#[test]
+fn nmt_stop_and_resets_during_a_motion_stop_it() {
+    for command in [
+        NmtCommand::StopRemoteNode,
+        NmtCommand::EnterPreOperational,
+        NmtCommand::ResetNode,
+        NmtCommand::ResetCommunication,
+    ] {
+        let mut master = Master::homed(None, 1.0);
+        master.command(Cmd::MOVE);
+        master.until(1_000, |master| master.is(SystemFlags::MOVING));
+        master.bench.take_sent();
+        master.nmt(command);
+        master.pass(20);
+        assert!(master.bench.take_sent().contains(&CommandId::Stop), "{command:?}");
+    }
+}
+
+#[test]
+fn reset_of_the_node_brings_settings_back_and_that_of_communication_does_not() {
+    let recipe = setting("RECIPE2_WIDTH");
+    for (command, width) in [(NmtCommand::ResetCommunication, 1_234), (NmtCommand::ResetNode, 1_000)] {
+        let mut master = Master::new(Config::default());
+        master.pass(500);
+        master.download(SETTINGS_INDEX, recipe, Value::Unsigned16(1_234)).unwrap();
+        master.download(0x1017, 0, Value::Unsigned16(50)).unwrap();
+        master.take(0x700);
+        master.nmt(command);
+        assert_eq!(master.take(0x700)[0].1, [0], "boot-up after {command:?}");
+        assert_eq!(master.read_u16(SETTINGS_INDEX, recipe), width, "{command:?}");
+        assert_eq!(master.read_u16(0x1017, 0), NODE.heartbeat_ms);
+    }
+}
+
+#[test]
+fn fast_stop_is_told_and_so_is_its_end() {
+    let mut master = Master::homed(None, 10.0);
+    master.emergencies();
+    master.command(Cmd::FASTSTOP);
+    master.pass(100);
+    assert_eq!(master.emergencies(), [(code_of("FAST STOP"), 0x81)]);
+    let Ok(Value::Unsigned8(register)) = master.upload(0x1001, 0, Theirs::Unsigned8) else { panic!() };
+    assert_eq!(register, 0x81);
+    master.command(Cmd::empty());
+    master.command(Cmd::STOP_ACK);
+    master.pass(100);
+    assert_eq!(master.emergencies(), [(0, 0)]);
+}
+
+#[test]
+fn silent_gripper_is_told() {
+    let mut master = Master::homed(None, 10.0);
+    master.emergencies();
+    master.bench.to_gripper = Some(Box::new(|_| vec![]));
+    master.pass(2_000);
+    assert_eq!(master.emergencies(), [(code_of("gripper is silent"), 0x11)]);
+    assert_eq!(master.state(), GripperFlags::empty(), "nothing is known");
+}
+
+#[test]
+fn bus_off_is_told_when_it_is_over() {
+    let mut master = Master::homed(None, 10.0);
+    master.emergencies();
+    master.bench.double().go_off(0);
+    master.pass(2_000);
+    let codes: Vec<u16> = master.emergencies().into_iter().map(|(code, _)| code).collect();
+    assert!(codes.contains(&0x8140), "{codes:04X?}");
+    assert_eq!(master.read_u16(0x2002, 4), 1);
+}
+
+#[test]
+fn recipe_is_read_and_written_and_serves_the_wires() {
+    let mut master = Master::homed(None, 10.0);
+    let width = setting("RECIPE0_WIDTH");
+    assert_eq!(master.read_u16(SETTINGS_INDEX, width), 2_000);
+    assert_eq!(master.download(SETTINGS_INDEX, width, Value::Unsigned16(3_300)), Ok(()));
+    assert_eq!(master.read_u16(SETTINGS_INDEX, width), 3_300);
+    master.bench.set(Inputs::MOVE, true);
+    master.pass(20);
+    master.until(10_000, |master| master.state() == GripperFlags::IDLE);
+    assert!((master.bench.gripper().state().width - 33.0).abs() < 0.05);
+}
+
+#[test]
+fn sdo_says_why_it_refuses() {
+    const VALUE: u32 = 0x0609_0030;
+    let mut master = Master::homed(None, 1.0);
+    let reaction = setting("BUS_REACTION");
+    assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(3)), Err(VALUE));
+    assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned8(1)), Err(0x0607_0010));
+    assert_eq!(master.download(SETTINGS_INDEX, 0, Value::Unsigned8(1)), Err(0x0601_0002));
+    assert_eq!(master.download(0x2000, 1, Value::Unsigned8(1)), Err(0x0601_0002), "no command by SDO");
+    assert_eq!(master.download(0x1016, 1, Value::Unsigned32(128 << 16)), Err(VALUE), "no such node");
+    assert_eq!(master.download(0x1016, 1, Value::Unsigned32(0x0100_0000)), Err(VALUE));
+    assert_eq!(master.upload(0x1A05, 1, Theirs::Unsigned8), Err(0x0602_0000));
+    assert_eq!(master.upload(SETTINGS_INDEX, SETTINGS.len() as u8 + 1, Theirs::Unsigned16), Err(0x0609_0011));
+    assert_eq!(master.upload(0x1018, 5, Theirs::Unsigned32), Err(0x0609_0011));
+    // Segmented and block transfer.
+    for specifier in [0x21, 0x60, 0xA0, 0xC2, 0xE0, 0x00] {
+        let answer = master.transfer(&[specifier, 0x17, 0x10, 0, 0, 0, 0, 0]);
+        assert_eq!(sdo::decode_abort(&answer).unwrap().1, 0x0504_0001, "{specifier:02X}h");
+    }
+    // Without a size: that of the object.
+    let answer = master.transfer(&[0x22, 0x17, 0x10, 0, 0x2C, 0x01, 0xFF, 0xFF]);
+    assert!(sdo::decode_download_response(&answer).is_ok());
+    assert_eq!(master.read_u16(0x1017, 0), 300);
+
+    master.command(Cmd::MOVE);
+    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(0)), Err(0x0800_0022));
+    assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(3)), Err(VALUE), "that first");
+}
+
+#[test]
+fn sdo_requests_that_are_cut_and_aborts_of_the_client_get_no_answer() {
+    let mut master = Master::new(Config::default());
+    master.pass(10);
+    for data in [&[0x40, 0x00, 0x10][..], &[0x80, 0x17, 0x10, 0, 0, 0, 0, 8]] {
+        master.send(0x600 | u16::from(NODE.node), data);
+        master.pass(10);
+    }
+    master.nmt(NmtCommand::StopRemoteNode);
+    master.send(0x600 | u16::from(NODE.node), &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]);
+    master.pass(10);
+    assert_eq!(master.take(0x580), []);
+}
+
+#[test]
+fn every_object_is_read_with_the_size_of_its_type_and_every_other_is_refused() {
+    let mut master = Master::new(Config::default());
+    master.pass(500);
+    let theirs = |kind: DataType| match kind {
+        DataType::I16 => Theirs::Integer16,
+        DataType::U8 => Theirs::Unsigned8,
+        DataType::U16 => Theirs::Unsigned16,
+        DataType::U32 => Theirs::Unsigned32,
+    };
+    for object in OBJECTS {
+        let value = master.upload(object.index, object.sub, theirs(object.kind));
+        assert!(value.is_ok(), "{:X}h sub {}: {value:?}", object.index, object.sub);
+        if !object.writable {
+            let write = master.download(object.index, object.sub, value.unwrap());
+            assert_eq!(write, Err(0x0601_0002), "{:X}h sub {}", object.index, object.sub);
+        }
+    }
+    for sub in 1..=SETTINGS.len() as u8 {
+        let value = master.read_u16(SETTINGS_INDEX, sub);
+        assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(value)), Ok(()));
+    }
+    for sub in 1..=REPORTS.len() as u8 {
+        master.read_u16(REPORTS_INDEX, sub);
+    }
+    assert_eq!(master.read_u16(REPORTS_INDEX, report("MAP_VERSION")), 1, "report {FIRST_REPORT}");
+    let mut subindices: Vec<(u16, u8)> = OBJECTS.iter().map(|object| (object.index, object.sub)).collect();
+    let count = subindices.len();
+    subindices.sort_unstable();
+    subindices.dedup();
+    assert_eq!(subindices.len(), count, "no object twice");
+}
+
+#[test]
+fn pdo_mappings_name_the_objects_whose_bytes_are_sent() {
+    for (mapping, len) in [(0x1600, 64), (0x1A00, 64), (0x1A01, 32)] {
+        let mut master = Master::new(Config::default());
+        master.pass(500);
+        let Ok(Value::Unsigned8(count)) = master.upload(mapping, 0, Theirs::Unsigned8) else { panic!() };
+        let mut bits = 0;
+        for sub in 1..=count {
+            let Ok(Value::Unsigned32(entry)) = master.upload(mapping, sub, Theirs::Unsigned32) else {
+                panic!()
+            };
+            let object = OBJECTS
+                .iter()
+                .find(|object| u32::from(object.index) == entry >> 16 && object.sub == (entry >> 8) as u8)
+                .expect("a mapped object exists");
+            assert!(object.mappable && u32::from(object.kind.len()) * 8 == entry & 0xFF);
+            bits += entry & 0xFF;
+        }
+        assert_eq!(bits, len, "{mapping:X}h");
+    }
+}
+
+#[test]
+fn tpdos_keep_their_inhibit_time_and_come_without_a_change_too() {
+    let mut master = Master::homed(None, 1.0);
+    master.command(Cmd::MOVE);
+    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    master.take(0x280);
+    master.pass(300);
+    let moments: Vec<u32> = master.take(0x280).iter().map(|(at, _)| *at).collect();
+    assert!(moments.len() > 10, "on change");
+    assert!(moments.windows(2).all(|two| two[1] - two[0] >= 20), "{moments:?}");
+
+    master.until(20_000, |master| master.state() == GripperFlags::IDLE);
+    master.pass(500);
+    for (base, number) in [(0x180, 0), (0x280, 1)] {
+        master.take(base);
+        master.pass(1_000);
+        let count = master.take(base).len() as u32;
+        let expected = 1_000 / u32::from(NODE.event_ms[number]);
+        assert!(count.abs_diff(expected) <= 1, "{base:X}h: {count}");
+    }
+    master.download(0x1800, 5, Value::Unsigned16(0)).unwrap();
+    master.take(0x180);
+    master.pass(1_000);
+    assert_eq!(master.take(0x180), [], "on change alone");
+}
+
+#[test]
+fn consumer_heartbeat_object_moves_the_master_and_is_the_setting() {
+    let mut master = Master::new(Config::default());
+    master.pass(500);
+    let Ok(value) = master.upload(0x1016, 1, Theirs::Unsigned32) else { panic!() };
+    assert_eq!(value, Value::Unsigned32(u32::from(NODE.master) << 16 | TIMEOUT_MS));
+    master.download(0x1016, 1, Value::Unsigned32(5 << 16 | 300)).unwrap();
+    assert_eq!(master.read_u16(SETTINGS_INDEX, setting("BUS_TIMEOUT")), 300);
+    master.nmt(NmtCommand::StartRemoteNode);
+    master.send(0x705, &[5]);
+    master.pass(290);
+    assert_eq!(master.bench.node().state(), NmtState::Operational);
+    master.pass(20);
+    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
+}
+
+#[test]
+fn wires_keep_their_rights_beside_a_plc_on_the_bus() {
+    let mut master = Master::homed(None, 1.0);
+    master.bench.set(Inputs::FAST_STOP_OK, false);
+    master.until(500, |master| master.is(SystemFlags::FAST_STOP));
+    assert!(master.bench.outputs().contains(Outputs::ERROR));
+    master.command(Cmd::STOP_ACK);
+    master.pass(100);
+    assert!(master.is(SystemFlags::FAST_STOP), "the wire is still low");
+}
+
+#[test]
+fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
+    // Everything that the node can send, all the time.
+    let mut master = Master::homed(Some(20.0), 10.0);
+    for index in [0x1800, 0x1801] {
+        master.download(index, 3, Value::Unsigned16(0)).unwrap();
+        master.download(index, 5, Value::Unsigned16(1)).unwrap();
+    }
+    master.download(0x1017, 0, Value::Unsigned16(1)).unwrap();
+    master.command(Cmd::GRIP);
+    master.until(10_000, |master| master.state() == GripperFlags::HOLDING);
+    assert_eq!(master.bench.broken(), 0);
+    assert_eq!(master.bench.bus().counters().refused, 0);
+}
+
+#[test]
+fn eds_file_is_that_of_the_tables() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/wsg-bridge.eds");
+    let mut made = String::new();
+    write_eds(&mut made, &NODE).unwrap();
+    if std::env::var_os("WSG_UPDATE_DOCS").is_some_and(|value| value == "1") {
+        std::fs::write(&path, &made).unwrap();
+    }
+    let kept = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        kept == made,
+        "docs/wsg-bridge.eds: write it anew with WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_node"
+    );
+}
