@@ -608,6 +608,15 @@ fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
 }
 
 #[test]
+fn gripper_and_canopen_share_a_bus_by_default_and_some_identifiers_are_told_to_collide() {
+    assert!(NODE.is_valid() && !NodeConfig::collides_with(Identifiers::DEFAULT));
+    let collides = |n| NodeConfig::collides_with(Identifiers::from_base(n).unwrap());
+    let (free, taken): (Vec<u16>, Vec<u16>) = (0..=0x7FE).partition(|&n| !collides(n));
+    assert!([0x001, 0x07E, 0x101, 0x17F, 0x681, 0x6FF].iter().all(|n| free.contains(n)), "{free:03X?}");
+    assert!([0x000, 0x07F, 0x080, 0x100, 0x180, 0x210, 0x600, 0x700].iter().all(|n| taken.contains(n)));
+}
+
+#[test]
 fn eds_file_is_that_of_the_tables() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/wsg-bridge.eds");
     let mut made = String::new();

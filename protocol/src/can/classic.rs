@@ -25,7 +25,9 @@ pub struct ClassicFrame {
 impl Frame for ClassicFrame {
     fn new(id: impl Into<Id>, data: &[u8]) -> Option<Self> {
         let mut bytes = [0; FULL];
-        bytes.get_mut(..data.len())?.copy_from_slice(data);
+        for (place, byte) in bytes.get_mut(..data.len())?.iter_mut().zip(data) {
+            *place = *byte;
+        }
         Some(Self { id: id.into(), is_remote: false, dlc: data.len() as u8, bytes })
     }
 

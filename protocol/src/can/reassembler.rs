@@ -194,7 +194,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
             first = first.saturating_add(passed.into());
             add(&mut self.counters.dropped, passed);
         }
-        // Not `copy_within`, which can panic for all that the compiler knows.
+        // Not `copy_within`, which can panic.
         for (to, from) in (first..count).enumerate() {
             if let Some(&frame) = self.held.get(from)
                 && let Some(place) = self.held.get_mut(to)

@@ -16,11 +16,14 @@ pub(crate) use no_log::{boot, line_errors, no_clock, running};
 
 #[cfg(feature = "defmt")]
 mod defmt_log {
+    #[cfg(not(feature = "can-gripper"))]
     use core::sync::atomic::{AtomicU32, Ordering};
 
     use stm32_metapac::RCC;
 
-    use crate::{clock, tick, uart};
+    #[cfg(not(feature = "can-gripper"))]
+    use crate::uart;
+    use crate::{clock, tick};
 
     defmt::timestamp!("{=u32:ms}", tick::now_ms());
 
@@ -48,7 +51,12 @@ mod defmt_log {
         defmt::info!("clock: {=u32} Hz, watchdog and gripper line started", clock::HCLK_HZ);
     }
 
+    /// There is no line.
+    #[cfg(feature = "can-gripper")]
+    pub(crate) fn line_errors() {}
+
     /// Says so when bytes from the gripper have been lost since the last call.
+    #[cfg(not(feature = "can-gripper"))]
     pub(crate) fn line_errors() {
         static SAID: [AtomicU32; 3] = [const { AtomicU32::new(0) }; 3];
         let lost = [&uart::LOST.overrun, &uart::LOST.framing, &uart::LOST.queue_full]

@@ -13,11 +13,19 @@
     clippy::panic
 )]
 
+#[cfg(not(feature = "can-plc"))]
 mod bus;
+#[cfg(any(feature = "can-gripper", feature = "can-plc"))]
+mod can;
+#[cfg(all(not(feature = "can-over-slcan"), any(feature = "can-gripper", feature = "can-plc")))]
+mod can1;
 mod clock;
 mod log;
 mod pins;
+#[cfg(all(feature = "can-over-slcan", any(feature = "can-gripper", feature = "can-plc")))]
+mod slcan_uart;
 mod tick;
+#[cfg(not(feature = "can-gripper"))]
 mod uart;
 mod watchdog;
 
@@ -32,6 +40,8 @@ use wsg_bridge_fw::{Bridge, Config};
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
     static mut BRIDGE: Bridge = Bridge::new(Config::DEFAULT);
+    #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
+    static mut CAN: can::Can = can::Can::new();
 
     // Outputs first: they show "not ready" through everything that may go wrong below.
     let mut pins = pins::init();
@@ -47,18 +57,43 @@ fn main() -> ! {
         }
     }
     tick::start(core.SYST);
+    #[cfg(not(feature = "can-gripper"))]
     let mut gripper_line = uart::start();
+    #[cfg(not(feature = "can-plc"))]
     let mut plc_bus = bus::start();
+    #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
+    CAN.start();
     log::running();
 
     loop {
         let now_ms = tick::now_ms();
-        let outputs = BRIDGE.poll_with_bus(now_ms, pins.read(), &mut gripper_line, &mut plc_bus);
+        let inputs = pins.read();
+        #[cfg(not(any(feature = "can-gripper", feature = "can-plc")))]
+        let outputs = BRIDGE.poll_with_bus(now_ms, inputs, &mut gripper_line, &mut plc_bus);
+        #[cfg(all(feature = "can-gripper", not(feature = "can-plc")))]
+        let outputs = CAN.turn(BRIDGE, now_ms, inputs, &mut plc_bus);
+        #[cfg(all(feature = "can-plc", not(feature = "can-gripper")))]
+        let outputs = CAN.turn(BRIDGE, now_ms, inputs, &mut gripper_line);
+        #[cfg(all(feature = "can-gripper", feature = "can-plc"))]
+        let outputs = CAN.turn(BRIDGE, now_ms, inputs);
         pins.write(outputs);
         watchdog.feed();
         log::line_errors();
-        sleep_unless(|| tick::now_ms() != now_ms || uart::has_received());
+        sleep_unless(|| tick::now_ms() != now_ms || has_received());
     }
+}
+
+/// Whether something waits to be read.
+fn has_received() -> bool {
+    #[cfg(not(feature = "can-gripper"))]
+    if uart::has_received() {
+        return true;
+    }
+    #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
+    if can::has_received() {
+        return true;
+    }
+    false
 }
 
 /// Sleeps until the next interrupt, unless `there_is_work`.

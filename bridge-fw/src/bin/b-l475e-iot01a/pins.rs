@@ -16,6 +16,12 @@ const LPUART1_TX: u8 = 1;
 const LPUART1_DE: u8 = 1;
 const AF_LPUART1: u32 = 8;
 
+/// Pins of CAN1 on port B: receiver, transmitter, and their function there.
+#[cfg(any(feature = "can-gripper", feature = "can-plc"))]
+const CAN1_PINS: [u8; 2] = [8, 9];
+#[cfg(any(feature = "can-gripper", feature = "can-plc"))]
+const AF_CAN1: u32 = 9;
+
 /// Values of a pin's field in MODER and PUPDR.
 const MODE_INPUT: u32 = 0b00;
 const MODE_OUTPUT: u32 = 0b01;
@@ -54,6 +60,11 @@ pub(crate) fn init() -> Pins {
     hand_over(Port::C, LPUART1_RX, AF_LPUART1, PULL_UP);
     // Low, which is no driver, also while nobody drives it.
     hand_over(Port::B, LPUART1_DE, AF_LPUART1, PULL_DOWN);
+    #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
+    for pin in CAN1_PINS {
+        // Recessive is high.
+        hand_over(Port::B, pin, AF_CAN1, PULL_UP);
+    }
     pins
 }
 
@@ -81,10 +92,10 @@ impl OutputPort for Pins {
     }
 }
 
-/// Hands a pin, one of 0 to 7, over to a peripheral.
+/// Hands a pin over to a peripheral.
 fn hand_over(port: Port, pin: u8, function: u32, pull: u32) {
-    let field = 4 * pin;
-    registers(port).afr(0).modify(|w| w.0 = (w.0 & !(0xF << field)) | function << field);
+    let field = 4 * (pin % 8);
+    registers(port).afr(usize::from(pin >= 8)).modify(|w| w.0 = (w.0 & !(0xF << field)) | function << field);
     set_up(port, pin, MODE_ALTERNATE, pull);
 }
 

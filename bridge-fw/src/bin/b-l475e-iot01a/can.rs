@@ -1,0 +1,113 @@
+//! What is on the CAN bus, by the features of the build: the gripper, the PLC, or both.
+
+#[cfg(not(feature = "can-over-slcan"))]
+use crate::can1 as controller;
+#[cfg(feature = "can-over-slcan")]
+use crate::slcan_uart as controller;
+
+use wsg_bridge_fw::Bridge;
+#[cfg(feature = "can-gripper")]
+use wsg_bridge_fw::can::GripperLink;
+#[cfg(not(all(feature = "can-gripper", feature = "can-plc")))]
+use wsg_bridge_fw::can::Nobody;
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+#[cfg(feature = "can-plc")]
+use wsg_bridge_fw::can::{BusReport, Node, NodeConfig};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::Instant;
+#[cfg(feature = "can-gripper")]
+use wsg_protocol::can::Identifiers;
+
+#[cfg(feature = "can-plc")]
+const _: () = assert!(NodeConfig::DEFAULT.is_valid());
+
+/// The bus and who is on it.
+pub(crate) struct Can {
+    bus: CanBus<controller::Controller>,
+    #[cfg(feature = "can-gripper")]
+    link: GripperLink,
+    #[cfg(feature = "can-plc")]
+    node: Node,
+    #[cfg(not(all(feature = "can-gripper", feature = "can-plc")))]
+    nobody: Nobody,
+}
+
+impl Can {
+    pub(crate) const fn new() -> Self {
+        Self {
+            bus: CanBus::new(controller::new(), BusOffPolicy::DEFAULT),
+            #[cfg(feature = "can-gripper")]
+            link: GripperLink::new(Identifiers::DEFAULT),
+            #[cfg(feature = "can-plc")]
+            node: Node::new(NodeConfig::DEFAULT),
+            #[cfg(not(all(feature = "can-gripper", feature = "can-plc")))]
+            nobody: Nobody,
+        }
+    }
+
+    /// Starts the controller. The clock runs, the pins are set up.
+    pub(crate) fn start(&mut self) {
+        controller::start(self.bus.controller());
+    }
+
+    /// One turn of the main loop: the gripper on the bus, the PLC on Modbus.
+    #[cfg(all(feature = "can-gripper", not(feature = "can-plc")))]
+    pub(crate) fn turn(
+        &mut self,
+        bridge: &mut Bridge,
+        now_ms: u32,
+        inputs: Inputs,
+        plc_bus: &mut crate::bus::Bus,
+    ) -> Outputs {
+        let now = Instant::from_millis(now_ms);
+        let Self { bus, link, nobody } = self;
+        bus.listen(now, link, nobody);
+        link.expire(now);
+        bridge.set_link_lost(bus.is_lost());
+        let outputs = bridge.poll_with_bus(now_ms, inputs, link, plc_bus);
+        bus.talk(now, link, nobody);
+        controller::rearm(bus.controller());
+        outputs
+    }
+
+    /// One turn of the main loop: the gripper on its serial line, the PLC on the bus.
+    #[cfg(all(feature = "can-plc", not(feature = "can-gripper")))]
+    pub(crate) fn turn(
+        &mut self,
+        bridge: &mut Bridge,
+        now_ms: u32,
+        inputs: Inputs,
+        gripper_line: &mut crate::uart::GripperLine,
+    ) -> Outputs {
+        let now = Instant::from_millis(now_ms);
+        let Self { bus, node, nobody } = self;
+        bus.listen(now, nobody, node);
+        let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
+        node.set_report(BusReport { state, health, counters, link: Default::default() });
+        let outputs = bridge.poll_with_can(now_ms, inputs, gripper_line, node);
+        bus.talk(now, nobody, node);
+        controller::rearm(bus.controller());
+        outputs
+    }
+
+    /// One turn of the main loop: both on the bus.
+    #[cfg(all(feature = "can-gripper", feature = "can-plc"))]
+    pub(crate) fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs) -> Outputs {
+        let now = Instant::from_millis(now_ms);
+        let Self { bus, link, node } = self;
+        bus.listen(now, link, node);
+        link.expire(now);
+        bridge.set_link_lost(bus.is_lost());
+        let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
+        node.set_report(BusReport { state, health, counters, link: link.counters() });
+        let outputs = bridge.poll_with_can(now_ms, inputs, link, node);
+        bus.talk(now, link, node);
+        controller::rearm(bus.controller());
+        outputs
+    }
+}
+
+/// Whether a frame may wait to be heard.
+pub(crate) fn has_received() -> bool {
+    controller::has_received()
+}

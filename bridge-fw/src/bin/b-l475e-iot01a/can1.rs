@@ -1,0 +1,168 @@
+//! CAN1 by `bxcan`: PB8 (RX, D15) and PB9 (TX, D14), behind a transceiver for 3.3 V (RM0351, chapter 46).
+//!
+//! No emulator has this peripheral: nothing here has run anywhere yet. What could be kept out of here is in the library
+//! and tested there.
+
+use bxcan::filter::Mask32;
+use bxcan::{FilterOwner, Instance, Interrupts, Mailbox, OverrunError, RegisterBlock, StandardId};
+use cortex_m::peripheral::NVIC;
+use stm32_metapac::{CAN1, Interrupt, RCC, interrupt};
+use wsg_bridge_fw::can::{CanController, Health, NodeConfig};
+use wsg_protocol::can::Identifiers;
+
+use crate::clock::HCLK_HZ;
+
+/// The rate: 125, 250, 500 or 1000 kbit/s.
+const BIT_RATE: u32 = 500_000;
+
+/// Quanta of a bit: one to synchronise, 13 before and 2 behind the sample point, which so is at 87.5 %.
+const BEFORE_SAMPLE: u32 = 13;
+const BEHIND_SAMPLE: u32 = 2;
+const QUANTA: u32 = 1 + BEFORE_SAMPLE + BEHIND_SAMPLE;
+const _: () = assert!((1 + BEFORE_SAMPLE) * 1_000 / QUANTA == 875);
+/// By how many quanta a bit may be made longer or shorter to stay in step.
+const JUMP: u32 = 2;
+const PRESCALER: u32 = HCLK_HZ / (BIT_RATE * QUANTA);
+const _: () = assert!(PRESCALER * BIT_RATE * QUANTA == HCLK_HZ, "the clock does not divide to this rate");
+const _: () = assert!(matches!(BIT_RATE, 125_000 | 250_000 | 500_000 | 1_000_000));
+/// BTR: each field holds one less than it means.
+const BIT_TIMING: u32 =
+    (JUMP - 1) << 24 | (BEHIND_SAMPLE - 1) << 20 | (BEFORE_SAMPLE - 1) << 16 | (PRESCALER - 1);
+
+/// How often the peripheral's answer to a change of its mode is looked at. It takes a few cycles of the bus clock.
+const MAX_LOOKS: u32 = 10_000;
+
+/// The peripheral, for `bxcan`.
+pub(crate) struct Registers(());
+
+// SAFETY: the block of CAN1, which nobody else in this program uses while a `Registers` exists, and there is one, in the
+// controller. (`health` and `recover` go to the same block from within the controller.)
+unsafe impl Instance for Registers {
+    const REGISTERS: *mut RegisterBlock = 0x4000_6400 as *mut RegisterBlock;
+}
+
+// SAFETY: CAN1 of this chip has 14 filter banks of its own (RM0351, 46.1).
+unsafe impl FilterOwner for Registers {
+    const NUM_FILTER_BANKS: u8 = 14;
+}
+
+/// CAN1.
+pub(crate) struct Controller {
+    can: Option<bxcan::Can<Registers>>,
+}
+
+pub(crate) const fn new() -> Controller {
+    Controller { can: None }
+}
+
+/// Starts the controller: only what the bridge may want passes its filters.
+pub(crate) fn start(controller: &mut Controller) {
+    RCC.apb1enr1().modify(|w| w.set_can1en(true));
+    let _ = RCC.apb1enr1().read();
+    let mut can = bxcan::Can::builder(Registers(()))
+        .set_bit_timing(BIT_TIMING)
+        .set_automatic_retransmit(true)
+        .leave_disabled();
+    {
+        let mut filters = can.modify_filters();
+        filters.clear();
+        let exact = |id: u16| StandardId::new(id).map(|id| Mask32::frames_with_std_id(id, StandardId::MAX));
+        let masked = |id: u16, mask: u16| {
+            Some(Mask32::frames_with_std_id(StandardId::new(id)?, StandardId::new(mask)?))
+        };
+        let wanted = [
+            exact(Identifiers::DEFAULT.controller().receive.as_raw()),
+            // NMT; what is for this node; heartbeats.
+            exact(0),
+            masked(NodeConfig::DEFAULT.node.into(), 0x07F),
+            masked(0x700, 0x780),
+        ];
+        for (bank, filter) in wanted.into_iter().enumerate() {
+            if let Some(filter) = filter {
+                filters.enable_bank(bank as u8, bxcan::Fifo::Fifo0, filter);
+            }
+        }
+    }
+    can.enable_interrupts(Interrupts::FIFO0_MESSAGE_PENDING | Interrupts::TRANSMIT_MAILBOX_EMPTY);
+    // It synchronises in its own time; the first frames wait for that.
+    let _ = can.enable_non_blocking();
+    no_automatic_recovery();
+    controller.can = Some(can);
+    rearm(controller);
+}
+
+/// `bxcan` lets the hardware leave bus-off by itself. That is the bus-off policy's to decide.
+fn no_automatic_recovery() {
+    CAN1.mcr().modify(|w| w.set_abom(false));
+}
+
+/// Lets the interrupts wake the main loop again. Their handlers mask themselves: the work is the main loop's.
+pub(crate) fn rearm(controller: &mut Controller) {
+    if let Some(can) = &mut controller.can {
+        can.clear_tx_interrupt();
+    }
+    // SAFETY: no critical section depends on these being masked; their handlers do nothing but mask them.
+    unsafe {
+        NVIC::unmask(Interrupt::CAN1_RX0);
+        NVIC::unmask(Interrupt::CAN1_TX);
+    }
+}
+
+/// Whether a frame waits.
+pub(crate) fn has_received() -> bool {
+    CAN1.rfr(0).read().fmp() != 0
+}
+
+impl embedded_can::nb::Can for Controller {
+    type Frame = bxcan::Frame;
+    type Error = OverrunError;
+
+    fn transmit(&mut self, frame: &bxcan::Frame) -> nb::Result<Option<bxcan::Frame>, OverrunError> {
+        let can = self.can.as_mut().ok_or(nb::Error::WouldBlock)?;
+        embedded_can::nb::Can::transmit(can, frame)
+    }
+
+    fn receive(&mut self) -> nb::Result<bxcan::Frame, OverrunError> {
+        let can = self.can.as_mut().ok_or(nb::Error::WouldBlock)?;
+        embedded_can::nb::Can::receive(can)
+    }
+}
+
+impl CanController for Controller {
+    fn health(&mut self) -> Health {
+        let status = CAN1.esr().read();
+        Health {
+            is_off: status.boff(),
+            is_passive: status.epvf(),
+            transmit_errors: status.tec(),
+            receive_errors: status.rec(),
+        }
+    }
+
+    fn abort(&mut self) {
+        if let Some(can) = &mut self.can {
+            for mailbox in [Mailbox::Mailbox0, Mailbox::Mailbox1, Mailbox::Mailbox2] {
+                can.abort(mailbox);
+            }
+        }
+    }
+
+    fn recover(&mut self) {
+        // Into the mode for initialisation and out of it: then the controller waits for 128 times 11 recessive bits.
+        CAN1.mcr().modify(|w| w.set_inrq(true));
+        let entered = (0..MAX_LOOKS).any(|_| CAN1.msr().read().inak());
+        CAN1.mcr().modify(|w| w.set_inrq(false));
+        // If it was not entered, bus-off goes on, and the policy tries again.
+        let _ = entered;
+    }
+}
+
+#[interrupt]
+fn CAN1_RX0() {
+    NVIC::mask(Interrupt::CAN1_RX0);
+}
+
+#[interrupt]
+fn CAN1_TX() {
+    NVIC::mask(Interrupt::CAN1_TX);
+}
