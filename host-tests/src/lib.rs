@@ -5,6 +5,7 @@
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
+//! | [`masters`] | Modbus masters that nobody here wrote |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
 //!
@@ -16,6 +17,7 @@ pub mod bench;
 pub mod emulator;
 #[cfg(unix)]
 pub mod gripper_end;
+pub mod masters;
 #[cfg(unix)]
 pub mod qtest;
 #[cfg(unix)]
