@@ -8,6 +8,7 @@ mod control;
 mod faulty_line;
 mod hub;
 mod log;
+mod log_writer;
 mod request_line;
 mod serial;
 mod stream;
