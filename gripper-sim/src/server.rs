@@ -9,6 +9,8 @@ mod control;
 mod faulty_line;
 mod hub;
 mod log;
+mod log_writer;
+mod request_line;
 mod serial;
 mod slcan;
 mod stream;

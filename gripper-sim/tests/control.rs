@@ -6,7 +6,7 @@ mod common;
 use common::{go_to, grip, parse};
 use serde_json::{Value, json};
 use std::io::{ErrorKind, Read, Write};
-use std::net::{TcpStream, UdpSocket};
+use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};
 use wsg_protocol::{Command, FrameEncoder, HomingDirection, LoopData, Status};
 use wsg_sim::server::{Lines, Log, ServerThread, UdpLine};
@@ -87,7 +87,7 @@ impl Rig {
     /// Until so many frames went to clients, or would have.
     fn await_frames(&self, count: u64) {
         let start = Instant::now();
-        while self.state()["line_counts"]["frames"] != json!(count) {
+        while self.state()["line_counts"]["replies"]["frames"] != json!(count) {
             assert!(start.elapsed() < BOUND, "{}", self.state());
         }
     }
@@ -249,6 +249,7 @@ fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
         ("POST", "/line", r#"{"corrupt":-0.1}"#, 400, "corrupt is -0.1", "from 0 to 1"),
         ("POST", "/line", r#"{"delay":0.5}"#, 400, "delay lacks delay_ms", "delay_ms"),
         ("POST", "/line", r#"{"delay_ms":60001}"#, 400, "60001", "60000"),
+        ("POST", "/line", r#"{"drop":1,"direction":"up"}"#, 400, "up", "requests"),
         ("POST", "/line", "null", 400, "null", "drop"),
         ("POST", "/line", &long, 413, "too long", "4096"),
         ("GET", "/part", "", 405, "GET", "POST"),
@@ -313,7 +314,7 @@ fn connections_that_say_nothing_are_closed_and_others_get_their_turn() {
 #[test]
 fn dropped_frames_do_not_arrive() {
     let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "drop": 1 }));
+    rig.post("/line", &json!({ "direction": "replies", "drop": 1 }));
     rig.send(Command::GetForceLimit);
     rig.send(Command::GetAcceleration);
     rig.await_frames(2);
@@ -324,7 +325,7 @@ fn dropped_frames_do_not_arrive() {
 #[test]
 fn corrupted_frames_fail_their_checksum_and_the_next_whole_one_is_found() {
     let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "corrupt": 1 }));
+    rig.post("/line", &json!({ "direction": "replies", "corrupt": 1 }));
     for _ in 0..20 {
         rig.send(Command::GetForceLimit);
     }
@@ -338,7 +339,7 @@ fn corrupted_frames_fail_their_checksum_and_the_next_whole_one_is_found() {
 #[test]
 fn truncated_frames_lack_their_end() {
     let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "truncate": 1 }));
+    rig.post("/line", &json!({ "direction": "replies", "truncate": 1 }));
     rig.send(Command::GetForceLimit);
     let whole = frame_of_force_limit();
     let arrived = rig.recv();
@@ -348,7 +349,7 @@ fn truncated_frames_lack_their_end() {
 #[test]
 fn duplicated_frames_come_twice() {
     let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "duplicate": 1 }));
+    rig.post("/line", &json!({ "direction": "replies", "duplicate": 1 }));
     rig.send(Command::GetForceLimit);
     let mut arrived = vec![0; 28];
     rig.client.read_exact(&mut arrived).expect("two answers in time");
@@ -383,7 +384,7 @@ fn slow_line_loses_no_answer_however_many_are_asked_for() {
 fn same_seed_hits_the_same_frames() {
     let bytes = |seed| {
         let mut rig = Rig::with_seed(Config::default(), seed);
-        rig.post("/line", &json!({ "drop": 0.2, "corrupt": 0.2, "truncate": 0.2, "duplicate": 0.2 }));
+        rig.post("/line", &json!({ "direction": "replies", "drop": 0.2, "corrupt": 0.2, "truncate": 0.2, "duplicate": 0.2 }));
         for _ in 0..100 {
             rig.send(Command::GetForceLimit);
         }
@@ -410,7 +411,7 @@ fn datagrams_are_hit_as_well() {
     let server = ServerThread::start(Config::default(), &lines, None).unwrap();
     let client = TcpStream::connect(server.tcp_address().unwrap()).unwrap();
     let rig = Rig { server, client };
-    rig.post("/line", &json!({ "duplicate": 1, "delay_ms": 30 }));
+    rig.post("/line", &json!({ "direction": "replies", "duplicate": 1, "delay_ms": 30 }));
     let asked = Instant::now();
     remote.send_to(&frame(Command::GetForceLimit), rig.server.udp_address().unwrap()).unwrap();
     for _ in 0..2 {
@@ -422,11 +423,133 @@ fn datagrams_are_hit_as_well() {
 }
 
 #[test]
+fn requests_that_are_dropped_truncated_or_corrupted_are_not_carried_out() {
+    for (fault, counted) in [("drop", "dropped"), ("truncate", "truncated"), ("corrupt", "corrupted")] {
+        let mut rig = Rig::new(Config::default());
+        rig.post("/line", &json!({ "direction": "requests", fault: 1 }));
+        for _ in 0..20 {
+            rig.send(Command::GetForceLimit);
+        }
+        let start = Instant::now();
+        while rig.state()["line_counts"]["requests"][counted] != json!(20) {
+            assert!(start.elapsed() < BOUND, "{}", rig.state());
+        }
+        let arrived = rig.bytes_until_mended();
+        let ids: Vec<u8> = parse(&arrived).into_iter().map(|(id, _)| id).collect();
+        assert_eq!(ids, [0x06], "{fault}");
+        let state = rig.state();
+        assert_eq!(state["line_counts"]["replies"]["frames"], json!(1), "{fault}");
+        let dropped = state["clients"][0]["bytes_dropped"].as_u64().unwrap();
+        assert_eq!(dropped > 0, fault != "drop", "{fault}: {state}");
+    }
+}
+
+#[test]
+fn request_that_comes_twice_is_answered_twice_and_moves_once() {
+    let mut rig = Rig::new(Config::default());
+    rig.post("/line", &json!({ "direction": "requests", "duplicate": 1 }));
+    rig.send(Command::Homing { direction: HomingDirection::Positive });
+    let statuses = [rig.recv_status(), rig.recv_status(), rig.recv_status()];
+    assert_eq!(statuses, [Status::CmdPending, Status::AlreadyRunning, Status::Success]);
+}
+
+#[test]
+fn requests_come_late_and_in_order_and_what_is_held_back_passes_when_the_line_is_mended() {
+    let mut rig = Rig::new(Config::default());
+    rig.post("/line", &json!({ "direction": "requests", "delay_ms": 300 }));
+    let start = Instant::now();
+    rig.send(Command::GetForceLimit);
+    rig.post("/line", &json!({}));
+    rig.send(Command::GetAcceleration);
+    let mut arrived = vec![0; 28];
+    rig.client.read_exact(&mut arrived).expect("two answers in time");
+    assert!(start.elapsed() >= Duration::from_millis(300), "{:?}", start.elapsed());
+    assert_eq!(parse(&arrived).into_iter().map(|(id, _)| id).collect::<Vec<u8>>(), [0x33, 0x31]);
+    // Half a request on a line that is mended meanwhile is whole in the end.
+    rig.post("/line", &json!({ "direction": "requests", "delay_ms": 300 }));
+    let stop = frame(Command::Stop);
+    rig.client.write_all(&stop[..4]).unwrap();
+    rig.post("/line", &json!({}));
+    rig.client.write_all(&stop[4..]).unwrap();
+    assert_eq!(rig.recv_status(), Status::Success);
+}
+
+#[test]
+fn same_seed_hits_the_same_requests() {
+    let bytes = |seed| {
+        let mut rig = Rig::with_seed(Config::default(), seed);
+        rig.post("/line", &json!({ "direction": "requests", "drop": 0.3, "duplicate": 0.3 }));
+        for n in 0..100u8 {
+            rig.send(Command::Loop { data: LoopData::new(&[n]).unwrap() });
+        }
+        let start = Instant::now();
+        while rig.state()["line_counts"]["requests"]["frames"] != json!(100) {
+            assert!(start.elapsed() < BOUND, "{}", rig.state());
+        }
+        rig.bytes_until_mended()
+    };
+    let first = bytes(7);
+    assert_eq!(first, bytes(7));
+    assert_ne!(first, bytes(8));
+}
+
+#[test]
+fn faults_of_replies_leave_requests_alone_and_by_default_both_are_hit() {
+    for (body, requests, replies) in [
+        (json!({ "direction": "replies", "duplicate": 1 }), 0, 1),
+        (json!({ "direction": "requests", "duplicate": 1 }), 1, 0),
+        (json!({ "direction": "both", "duplicate": 1 }), 1, 2),
+        (json!({ "duplicate": 1 }), 1, 2),
+    ] {
+        let mut rig = Rig::new(Config::default());
+        rig.post("/line", &body);
+        rig.send(Command::GetForceLimit);
+        let mut arrived = vec![0; frame_of_force_limit().len() * (1 << (requests + replies.min(1)))];
+        rig.client.read_exact(&mut arrived).expect("all answers in time");
+        let counts = rig.state()["line_counts"].clone();
+        assert_eq!(counts["requests"]["duplicated"], json!(requests), "{body}");
+        assert_eq!(counts["replies"]["duplicated"], json!(replies), "{body}");
+    }
+}
+
+#[test]
+fn datagrams_text_and_modbus_to_the_gripper_are_hit_as_well() {
+    let remote = UdpSocket::bind("127.0.0.1:0").unwrap();
+    remote.set_read_timeout(Some(BOUND)).unwrap();
+    let any = "127.0.0.1:0".parse().ok();
+    let lines = Lines { tcp: any, gcl: any, gcl_udp: any, modbus: any, control: any, ..Lines::default() };
+    let server = ServerThread::start(Config::default(), &lines, None).unwrap();
+    let connect = |address: Option<SocketAddr>| {
+        let stream = TcpStream::connect(address.unwrap()).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream
+    };
+    let (client, mut gcl) = (connect(server.tcp_address()), connect(server.gcl_address()));
+    let mut modbus = connect(server.modbus_address());
+    let rig = Rig { server, client };
+    rig.post("/line", &json!({ "direction": "requests", "duplicate": 1 }));
+    remote.send_to(b"VERBOSE?", rig.server.gcl_udp_address().unwrap()).unwrap();
+    for _ in 0..2 {
+        let mut datagram = [0; MAX_FRAME_LEN];
+        let len = remote.recv(&mut datagram).expect("two answers in time");
+        assert!(datagram[..len].ends_with(b"\n"));
+    }
+    gcl.write_all(b"DEVTYPE?\r\n").unwrap();
+    let mut text = [0; 42];
+    gcl.read_exact(&mut text).expect("two answers in time");
+    assert_eq!(&text, &b"DEVTYPE=\"WSG 50-110\"\n".repeat(2)[..]);
+    modbus.write_all(&[0, 1, 0, 0, 0, 6, 1, 3, 0, 0, 0, 1]).unwrap();
+    let mut registers = [0; 22];
+    modbus.read_exact(&mut registers).expect("two answers in time");
+    assert_eq!(registers, *[0, 1, 0, 0, 0, 5, 1, 3, 2, 0, 0].repeat(2));
+}
+
+#[test]
 fn log_tells_what_was_done_by_hand_and_what_the_line_did() {
     let path = std::env::temp_dir().join(format!("wsg-sim-{}-control-log", std::process::id()));
     let mut rig = Rig::with_log(Config::default(), 0, Some(Log::to_file(&path).unwrap()));
     rig.post("/fault", &json!({ "fault": "motor_current", "on": true }));
-    rig.post("/line", &json!({ "duplicate": 1 }));
+    rig.post("/line", &json!({ "direction": "replies", "duplicate": 1 }));
     rig.send(Command::GetForceLimit);
     rig.client.read_exact(&mut [0; 28]).expect("two answers in time");
     rig.server.stop().unwrap();
@@ -435,7 +558,7 @@ fn log_tells_what_was_done_by_hand_and_what_the_line_did() {
     let lines: Vec<&str> = log.lines().collect();
     assert_eq!(lines.len(), 5, "{log}");
     assert!(lines[0].ends_with(" s control fault MotorCurrent begins"), "{log}");
-    let line = "line faults: drop 0, delay 0 by 0 ms, corrupt 0, truncate 0, duplicate 1";
+    let line = "line faults: drop 0, delay 0 by 0 ms, corrupt 0, truncate 0, duplicate 1, of replies";
     assert!(lines[1].ends_with(line), "{log}");
     assert!(lines[4].ends_with(" <- line fault: sent twice"), "{log}");
 }

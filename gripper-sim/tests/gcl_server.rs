@@ -15,10 +15,18 @@ fn any_port() -> Option<SocketAddr> {
     "127.0.0.1:0".parse().ok()
 }
 
+/// So that motions take no time to speak of.
+const QUICK: f32 = 100.0;
+/// So that a motion's end does not come before its begin has been read, on a machine that has other things to do.
+const READABLE: f32 = 4.0;
+
 fn serve(config: Config, log: Option<Log>) -> ServerThread {
+    serve_at(QUICK, config, log)
+}
+
+fn serve_at(time_scale: f32, config: Config, log: Option<Log>) -> ServerThread {
     let lines = Lines { gcl: any_port(), gcl_udp: any_port(), ..Lines::default() };
-    // So that motions take no time to speak of.
-    ServerThread::start(Config { time_scale: 100.0, ..config }, &lines, log).expect("the server is up")
+    ServerThread::start(Config { time_scale, ..config }, &lines, log).expect("the server is up")
 }
 
 /// A client that takes what one read gives for one line.
@@ -60,7 +68,7 @@ impl Client {
 
 #[test]
 fn ack_and_fin_are_separate_segments() {
-    let served = serve(Config { part: Part::of_width(20.0), ..Config::default() }, None);
+    let served = serve_at(READABLE, Config { part: Part::of_width(20.0), ..Config::default() }, None);
     let mut client = Client::new(served.gcl_address().unwrap());
     assert_eq!(client.run("home()"), "FIN HOME");
     assert_eq!(client.run("grip(40, 20)"), "FIN GRIP");
@@ -126,7 +134,7 @@ fn log_shows_lines_as_they_are() {
 #[test]
 fn program_serves_the_text_protocol_and_says_where() {
     let mut program = Process::new(env!("CARGO_BIN_EXE_wsg-sim"))
-        .args(["--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0", "--time-scale", "100"])
+        .args(["--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0", "--time-scale", "4"])
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();

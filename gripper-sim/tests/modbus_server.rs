@@ -300,11 +300,10 @@ fn binary_text_and_modbus_clients_see_one_gripper() {
     };
     let mut binary = connect(served.tcp_address().unwrap());
     let mut text = connect(served.gcl_address().unwrap());
+    let mut lines = BufReader::new(text.try_clone().unwrap()).lines().map(Result::unwrap);
     let mut says = |line: &str| {
         text.write_all(format!("{line}\n").as_bytes()).unwrap();
-        let mut buffer = [0; 256];
-        let len = text.read(&mut buffer).unwrap();
-        str::from_utf8(&buffer[..len]).unwrap().trim_end().to_owned()
+        lines.next().unwrap()
     };
     let mut answers = |command: Command<'_>| {
         binary.write_all(&FrameEncoder::new(command.id().code(), command).collect::<Vec<u8>>()).unwrap();

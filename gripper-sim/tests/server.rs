@@ -428,3 +428,69 @@ fn binary_serves_until_it_is_interrupted() {
     assert!(killed.success());
     assert!(process.wait().unwrap().success());
 }
+
+#[test]
+fn log_file_shows_a_frame_while_its_client_is_still_there() {
+    let path = scratch("log-at-once");
+    let served =
+        ServerThread::start(Config::default(), &tcp_lines(), Some(Log::to_file(&path).unwrap())).unwrap();
+    let mut client = connect(&served);
+    assert_eq!(client.ask(Command::Stop), Status::Success);
+    let start = Instant::now();
+    let shown = || std::fs::read_to_string(&path).unwrap().contains("22h Stop E_SUCCESS\n");
+    while !shown() {
+        assert!(start.elapsed() < BOUND, "the frame is not shown");
+        thread::sleep(Duration::from_millis(1));
+    }
+    std::fs::remove_file(&path).unwrap();
+}
+
+/// A place for a log that takes nothing until it is told to.
+struct Stuck {
+    gate: mpsc::Receiver<()>,
+    taken: mpsc::Sender<Vec<u8>>,
+}
+
+impl Write for Stuck {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let _ = self.gate.recv();
+        let _ = self.taken.send(bytes.to_vec());
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn log_that_nobody_takes_does_not_hold_up_the_gripper_and_says_what_is_lost() {
+    let (open, gate) = mpsc::channel();
+    let (taken, log) = mpsc::channel();
+    let stuck = Log::to(Stuck { gate, taken });
+    let served = ServerThread::start(Config::default(), &tcp_lines(), Some(stuck)).unwrap();
+    let mut client = connect(&served);
+    for _ in 0..6_000 {
+        assert_eq!(client.ask(Command::Stop), Status::Success);
+    }
+    drop(open);
+    let mut lines = String::new();
+    while !lines.contains(" lines are lost here") {
+        lines += str::from_utf8(&log.recv_timeout(BOUND).expect("the log goes on")).unwrap();
+        // Whatever comes next is told together with what was lost.
+        assert_eq!(client.ask(Command::Stop), Status::Success);
+    }
+    served.stop().unwrap();
+}
+
+#[test]
+fn log_that_nobody_takes_does_not_hold_up_the_end() {
+    let (_open, gate) = mpsc::channel();
+    let (taken, _log) = mpsc::channel();
+    let stuck = Log::to(Stuck { gate, taken });
+    let served = ServerThread::start(Config::default(), &tcp_lines(), Some(stuck)).unwrap();
+    assert_eq!(connect(&served).ask(Command::Stop), Status::Success);
+    let start = Instant::now();
+    served.stop().unwrap();
+    assert!(start.elapsed() < BOUND);
+}

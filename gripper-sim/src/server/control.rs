@@ -2,7 +2,7 @@
 //!
 //! One request to a connection, and everything about one is bounded: its size, its time, and how many there are.
 
-use super::faulty_line::{LineCounts, LineFaults};
+use super::faulty_line::{Direction, LineCounts, LineFaults};
 use super::hub::{Hub, Report};
 use crate::axis::Part;
 use crate::faults::Fault;
@@ -40,7 +40,7 @@ const RECOVERY: Duration = Duration::from_millis(100);
 const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness may be left out), or null for no part"#;
 const FAULT_EXPECTED: &str =
     r#"{"fault":"axis_blocked","on":true}, and "finger":1 or "finger":2 with the faults of a finger"#;
-const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and what is left out is 0"#;
+const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and what is left out is 0, and "direction":"requests", "replies" or "both""#;
 
 pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener) -> Result<()> {
     let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
@@ -243,6 +243,7 @@ fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, 
 #[derive(Debug, Default, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 struct LineBody {
+    direction: DirectionName,
     drop: f64,
     delay: Option<f64>,
     delay_ms: Option<u32>,
@@ -251,9 +252,18 @@ struct LineBody {
     duplicate: f64,
 }
 
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum DirectionName {
+    Requests,
+    Replies,
+    #[default]
+    Both,
+}
+
 /// What is asked for, where a delay without a rate hits every frame.
 fn line_faults(body: &LineBody) -> Result<LineFaults, Refusal> {
-    let LineBody { drop, delay, delay_ms, corrupt, truncate, duplicate } = *body;
+    let LineBody { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *body;
     if delay.is_some_and(|rate| rate > 0.0) && delay_ms.is_none() {
         return Err(Refusal::wrong(format!("delay lacks delay_ms; expected {LINE_EXPECTED}")));
     }
@@ -273,7 +283,12 @@ fn line_faults(body: &LineBody) -> Result<LineFaults, Refusal> {
     if delay_ms > LineFaults::MAX_DELAY_MS {
         return Err(Refusal::wrong(format!("delay_ms is {delay_ms}; expected {LINE_EXPECTED}")));
     }
-    Ok(LineFaults { drop, delay, delay_ms, corrupt, truncate, duplicate })
+    let direction = match direction {
+        DirectionName::Requests => Direction::Requests,
+        DirectionName::Replies => Direction::Replies,
+        DirectionName::Both => Direction::Both,
+    };
+    Ok(LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate })
 }
 
 /// The answer to every request that is granted.
@@ -293,7 +308,7 @@ struct StateBody<'a> {
     part: Option<PartBody>,
     faults: Vec<ActiveFaultBody>,
     line: LineBody,
-    line_counts: LineCountsBody,
+    line_counts: LineCountsByDirection,
     clients: Vec<ClientBody<'a>>,
 }
 
@@ -309,6 +324,12 @@ struct ActiveFaultBody {
     fault: FaultName,
     #[serde(skip_serializing_if = "Option::is_none")]
     finger: Option<u8>,
+}
+
+#[derive(Debug, Serialize)]
+struct LineCountsByDirection {
+    requests: LineCountsBody,
+    replies: LineCountsBody,
 }
 
 #[derive(Debug, Serialize)]
@@ -331,11 +352,17 @@ struct ClientBody<'a> {
     replies_lost: u32,
 }
 
+impl LineCountsBody {
+    const fn of(counts: &LineCounts) -> Self {
+        let LineCounts { frames, dropped, delayed, corrupted, truncated, duplicated } = *counts;
+        Self { frames, dropped, delayed, corrupted, truncated, duplicated }
+    }
+}
+
 impl<'a> StateBody<'a> {
     fn of(hub: &Hub, report: &'a Report) -> Self {
-        let Report { now, state, faults, line_faults, line_counts, clients } = report;
-        let LineFaults { drop, delay, delay_ms, corrupt, truncate, duplicate } = *line_faults;
-        let LineCounts { frames, dropped, delayed, corrupted, truncated, duplicated } = *line_counts;
+        let Report { now, state, faults, line_faults, request_counts, reply_counts, clients } = report;
+        let LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *line_faults;
         Self {
             model: hub.config().model.name(),
             time_s: now.as_micros() as f64 / 1e6,
@@ -357,6 +384,11 @@ impl<'a> StateBody<'a> {
                 .map(|part| PartBody { width_mm: part.width(), stiffness_n_per_mm: Some(part.stiffness()) }),
             faults: faults.iter().map(active_fault).collect(),
             line: LineBody {
+                direction: match direction {
+                    Direction::Requests => DirectionName::Requests,
+                    Direction::Replies => DirectionName::Replies,
+                    Direction::Both => DirectionName::Both,
+                },
                 drop,
                 delay: Some(delay),
                 delay_ms: Some(delay_ms),
@@ -364,7 +396,10 @@ impl<'a> StateBody<'a> {
                 truncate,
                 duplicate,
             },
-            line_counts: LineCountsBody { frames, dropped, delayed, corrupted, truncated, duplicated },
+            line_counts: LineCountsByDirection {
+                requests: LineCountsBody::of(request_counts),
+                replies: LineCountsBody::of(reply_counts),
+            },
             clients: clients
                 .iter()
                 .map(|(name, counters)| ClientBody {

@@ -1,21 +1,34 @@
-//! What a bad line does to the frames for a client: some are lost, come late, changed, cut short or twice.
+//! What a bad line does to frames: some are lost, come late, changed, cut short or twice.
 //!
 //! Knows no sockets and no clock. What happens to a frame is decided by the seed, the connection, the frame's number on
 //! it, and the rates; by nothing else. So a run can be repeated, and a rate that changes does not change what the others
 //! hit.
 
-use crate::port::{FrameBuffer, MAX_FRAME_LEN};
 use crate::time::Time;
 use std::collections::VecDeque;
 
-/// The most frames that a line holds back.
+/// The most frames that a line holds back of a client that can be made to wait.
 const MAX_WAITING: usize = 64;
+/// The most that it holds at all: what one read brings comes on top.
+const MAX_HELD: usize = 512;
 /// The most that one frame of the gripper becomes.
 const MAX_COPIES: usize = 2;
+
+/// Which frames a bad line hits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Direction {
+    /// Those to the gripper.
+    Requests,
+    /// Those from it.
+    Replies,
+    #[default]
+    Both,
+}
 
 /// How often each fault hits a frame, from 0 (never) to 1 (always).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct LineFaults {
+    pub(super) direction: Direction,
     pub(super) drop: f64,
     pub(super) delay: f64,
     /// How late a frame comes that is delayed.
@@ -32,16 +45,42 @@ impl LineFaults {
     /// The longest delay.
     pub(super) const MAX_DELAY_MS: u32 = 60_000;
 
-    fn are_none(&self) -> bool {
+    /// A line that is whole.
+    pub(super) const NONE: Self = Self {
+        direction: Direction::Both,
+        drop: 0.0,
+        delay: 0.0,
+        delay_ms: 0,
+        corrupt: 0.0,
+        truncate: 0.0,
+        duplicate: 0.0,
+    };
+
+    /// What hits the frames to the gripper.
+    pub(super) fn of_requests(self) -> Self {
+        if self.direction == Direction::Replies { Self::NONE } else { self }
+    }
+
+    /// What hits the frames from it.
+    pub(super) fn of_replies(self) -> Self {
+        if self.direction == Direction::Requests { Self::NONE } else { self }
+    }
+
+    pub(super) fn are_none(&self) -> bool {
         [self.drop, self.delay, self.corrupt, self.truncate, self.duplicate].iter().all(|rate| *rate <= 0.0)
     }
 }
 
 impl std::fmt::Display for LineFaults {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { drop, delay, delay_ms, corrupt, truncate, duplicate } = self;
+        let Self { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = self;
+        let of = match direction {
+            Direction::Requests => "of requests",
+            Direction::Replies => "of replies",
+            Direction::Both => "of both directions",
+        };
         write!(f, "drop {drop}, delay {delay} by {delay_ms} ms, corrupt {corrupt}, ")?;
-        write!(f, "truncate {truncate}, duplicate {duplicate}")
+        write!(f, "truncate {truncate}, duplicate {duplicate}, {of}")
     }
 }
 
@@ -114,7 +153,7 @@ impl std::fmt::Display for Fate {
     }
 }
 
-/// Frames that went to clients, and those that faults have hit.
+/// Frames that went over the lines, and those that faults have hit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct LineCounts {
     pub(super) frames: u64,
@@ -145,7 +184,7 @@ pub(super) enum Passage {
     Held(Fate),
 }
 
-/// The line to one client.
+/// The line to one client, or from it.
 #[derive(Debug)]
 pub(super) struct FaultyLine {
     seed: u64,
@@ -165,15 +204,31 @@ impl FaultyLine {
         self.waiting.len() + MAX_COPIES <= MAX_WAITING
     }
 
-    /// Takes the gripper's next frame. Frames never overtake each other: behind one that is delayed the others wait.
-    pub(super) fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8]) -> Passage {
+    /// Whether it holds as much as it may.
+    pub(super) fn is_full(&self) -> bool {
+        self.waiting.len() >= MAX_HELD
+    }
+
+    /// What happens to the next frame, which has `len` bytes.
+    pub(super) fn fate(&mut self, faults: &LineFaults, len: usize) -> Fate {
         let mut chance = Chance(mixed(self.seed ^ self.frames));
         self.frames = self.frames.wrapping_add(1);
-        let fate =
-            if faults.are_none() { Fate::default() } else { Fate::draw(faults, &mut chance, frame.len()) };
+        if faults.are_none() { Fate::default() } else { Fate::draw(faults, &mut chance, len) }
+    }
+
+    /// Takes the gripper's next frame.
+    pub(super) fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8]) -> Passage {
+        let fate = self.fate(faults, frame.len());
         if fate.is_harmless() && self.waiting.is_empty() {
             return Passage::Through;
         }
+        self.hold(&fate, now, frame);
+        Passage::Held(fate)
+    }
+
+    /// Takes a frame, or other bytes, with this fate. Frames never overtake each other: behind one that is delayed the
+    /// others wait.
+    pub(super) fn hold(&mut self, fate: &Fate, now: Time, frame: &[u8]) {
         if !fate.dropped {
             let due = now.plus_millis(fate.delayed.unwrap_or(0).into());
             let due = self.waiting.back().map_or(due, |(before, _)| due.max(*before));
@@ -183,21 +238,15 @@ impl FaultyLine {
             }
             self.waiting.push_back((due, bytes));
         }
-        Passage::Held(fate)
     }
 
-    /// What arrives next, as far as it does by `now`; its length.
-    pub(super) fn arrive(&mut self, now: Time, buffer: &mut FrameBuffer) -> Option<usize> {
+    /// What arrives next, as far as it does by `now`.
+    pub(super) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
         let (due, _) = self.waiting.front()?;
         if *due > now {
             return None;
         }
-        let (_, bytes) = self.waiting.pop_front()?;
-        let len = bytes.len().min(MAX_FRAME_LEN);
-        for (slot, byte) in buffer.iter_mut().zip(bytes) {
-            *slot = byte;
-        }
-        Some(len)
+        self.waiting.pop_front().map(|(_, bytes)| bytes)
     }
 
     /// When something arrives next.
@@ -244,16 +293,22 @@ mod tests {
     use super::*;
 
     const FRAME: [u8; 10] = [0xAA, 0xAA, 0xAA, 0x22, 0x02, 0, 0, 0, 0x12, 0x34];
-    const SOME: LineFaults =
-        LineFaults { drop: 0.1, delay: 0.2, delay_ms: 7, corrupt: 0.3, truncate: 0.1, duplicate: 0.05 };
+    const SOME: LineFaults = LineFaults {
+        direction: Direction::Both,
+        drop: 0.1,
+        delay: 0.2,
+        delay_ms: 7,
+        corrupt: 0.3,
+        truncate: 0.1,
+        duplicate: 0.05,
+    };
 
     fn fates(faults: LineFaults, seed: u64, connection: u64, count: usize) -> Vec<Fate> {
         let mut line = FaultyLine::new(seed, connection);
-        let mut buffer = [0; MAX_FRAME_LEN];
         (0..count)
             .map(|_| {
                 let passage = line.pass(&faults, Time::ZERO, &FRAME);
-                while line.arrive(Time::from_millis(60_000), &mut buffer).is_some() {}
+                while line.arrive(Time::from_millis(60_000)).is_some() {}
                 match passage {
                     Passage::Through => Fate::default(),
                     Passage::Held(fate) => fate,
@@ -263,8 +318,7 @@ mod tests {
     }
 
     fn arrivals(line: &mut FaultyLine, now: Time) -> Vec<Vec<u8>> {
-        let mut buffer = [0; MAX_FRAME_LEN];
-        std::iter::from_fn(|| line.arrive(now, &mut buffer).map(|len| buffer[..len].to_vec())).collect()
+        std::iter::from_fn(|| line.arrive(now)).collect()
     }
 
     #[test]

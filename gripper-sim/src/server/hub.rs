@@ -2,6 +2,7 @@
 
 use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Passage};
 use super::log::Log;
+use super::request_line::RequestLine;
 use crate::axis::Part;
 use crate::config::Config;
 use crate::faults::Fault;
@@ -33,7 +34,8 @@ pub(super) struct Hub {
     seed: u64,
     connections: Cell<u64>,
     line_faults: Cell<LineFaults>,
-    line_counts: Cell<LineCounts>,
+    request_counts: Cell<LineCounts>,
+    reply_counts: Cell<LineCounts>,
     faults: RefCell<Vec<Fault>>,
 }
 
@@ -52,7 +54,8 @@ pub(super) struct Report {
     /// Those that have been injected.
     pub(super) faults: Vec<Fault>,
     pub(super) line_faults: LineFaults,
-    pub(super) line_counts: LineCounts,
+    pub(super) request_counts: LineCounts,
+    pub(super) reply_counts: LineCounts,
     pub(super) clients: Vec<(Arc<str>, PortCounters)>,
 }
 
@@ -68,7 +71,8 @@ impl Hub {
             seed,
             connections: Cell::new(0),
             line_faults: Cell::default(),
-            line_counts: Cell::default(),
+            request_counts: Cell::default(),
+            reply_counts: Cell::default(),
             faults: RefCell::default(),
         }
     }
@@ -107,7 +111,8 @@ impl Hub {
             log.connect(id, kind, Arc::clone(&name), &self.config);
         }
         let line = RefCell::new(FaultyLine::new(self.seed, number));
-        Some(Client { hub: Rc::clone(self), id, number, name, frames, line })
+        let requests = RefCell::new(RequestLine::new(kind, self.seed, number));
+        Some(Client { hub: Rc::clone(self), id, number, name, frames, line, requests })
     }
 
     /// What the gripper was made with.
@@ -128,7 +133,8 @@ impl Hub {
             state,
             faults: self.faults.borrow().clone(),
             line_faults: self.line_faults.get(),
-            line_counts: self.line_counts.get(),
+            request_counts: self.request_counts.get(),
+            reply_counts: self.reply_counts.get(),
             clients: clients.values().filter_map(counters).collect(),
         }
     }
@@ -200,6 +206,7 @@ pub(super) struct Client {
     name: Arc<str>,
     frames: Rc<Notify>,
     line: RefCell<FaultyLine>,
+    requests: RefCell<RequestLine>,
 }
 
 impl Client {
@@ -207,6 +214,43 @@ impl Client {
         if let Some(log) = &mut *self.hub.log.borrow_mut() {
             log.received(self.id, self.hub.now(), bytes);
         }
+        let Self { hub, requests, .. } = self;
+        let faults = hub.line_faults.get().of_requests();
+        let mut requests = requests.borrow_mut();
+        if faults.are_none() && requests.is_empty() {
+            return self.hear(bytes);
+        }
+        let now = hub.now();
+        let mut counts = hub.request_counts.get();
+        requests.take(&faults, now, bytes, |fate| {
+            counts.count(fate);
+            if !fate.is_harmless()
+                && let Some(log) = &mut *hub.log.borrow_mut()
+            {
+                log.note(now, &self.name, format_args!("-> line fault: {fate}"));
+            }
+        });
+        hub.request_counts.set(counts);
+    }
+
+    /// Ready when something may reach the gripper over a line that is bad.
+    pub(super) async fn request_waits(&self) {
+        let arrival = self.requests.borrow().next_arrival();
+        match arrival {
+            Some(at) => self.hub.reached(at).await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Gives the gripper the next request that reaches it over a line that is bad.
+    pub(super) fn arrive(&self) {
+        let arrived = self.requests.borrow_mut().arrive(self.hub.now());
+        if let Some(bytes) = arrived {
+            self.hear(&bytes);
+        }
+    }
+
+    fn hear(&self, bytes: &[u8]) {
         self.hub.with_gripper(|gripper, now| gripper.receive(self.id, now, bytes));
         self.hub.rescheduled.notify_one();
     }
@@ -220,6 +264,11 @@ impl Client {
     /// Whether there is room for answers: a line that is slow holds a bounded number of frames.
     pub(super) fn has_room(&self) -> bool {
         self.line.borrow().has_room()
+    }
+
+    /// Whether there is room for requests, too.
+    pub(super) fn takes_more(&self) -> bool {
+        self.has_room() && self.requests.borrow().has_room()
     }
 
     /// The next frame for this client, as it arrives.
@@ -246,7 +295,7 @@ impl Client {
     fn next_frame(&self, buffer: &mut FrameBuffer) -> Option<usize> {
         let Self { hub, line, .. } = self;
         let mut line = line.borrow_mut();
-        let faults = hub.line_faults.get();
+        let faults = hub.line_faults.get().of_replies();
         while line.has_room() {
             let mut gripper = hub.gripper.borrow_mut();
             let Some(frame) = gripper.transmit(self.id, buffer) else { break };
@@ -256,9 +305,9 @@ impl Client {
                 Passage::Through => Fate::default(),
                 Passage::Held(fate) => fate,
             };
-            let mut counts = hub.line_counts.get();
+            let mut counts = hub.reply_counts.get();
             counts.count(&fate);
-            hub.line_counts.set(counts);
+            hub.reply_counts.set(counts);
             if let Some(log) = &mut *hub.log.borrow_mut() {
                 log.sent(now, self.id, &self.name, frame);
                 if !fate.is_harmless() {
@@ -269,7 +318,10 @@ impl Client {
                 return Some(frame.len());
             }
         }
-        line.arrive(hub.now(), buffer)
+        let arrived = line.arrive(hub.now())?;
+        let place = buffer.get_mut(..arrived.len())?;
+        place.copy_from_slice(&arrived);
+        Some(place.len())
     }
 }
 

@@ -1,5 +1,6 @@
 //! The log: a line for each frame, with time, direction, line, hex and meaning.
 
+use super::log_writer::LogWriter;
 use crate::config::Config;
 use crate::deframer::Deframer;
 use crate::port::{PortId, PortKind, Protocol};
@@ -8,7 +9,7 @@ use anyhow::{Context, Result};
 use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 use wsg_protocol::frame::PREAMBLE_LEN;
@@ -50,8 +51,8 @@ enum Requests {
     Registers(Box<Receiver>),
 }
 
-/// `None` after writing failed.
-struct Output(Option<Box<dyn Write + Send>>);
+/// Gives lines their form.
+struct Output(LogWriter);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Direction {
@@ -69,10 +70,11 @@ impl Direction {
 }
 
 impl Log {
-    /// A log that is written here.
+    /// A log that is written here, from a thread of its own: whoever takes the lines slowly does not hold up the
+    /// gripper. What finds no room is left out, and how much that was is said.
     #[must_use]
     pub fn to(output: impl Write + Send + 'static) -> Self {
-        Self { output: Output(Some(Box::new(output))), clients: HashMap::new() }
+        Self { output: Output(LogWriter::new(output)), clients: HashMap::new() }
     }
 
     /// A log on standard output.
@@ -88,7 +90,7 @@ impl Log {
     pub fn to_file(path: &Path) -> Result<Self> {
         let file =
             File::create(path).with_context(|| format!("the log {} cannot be written", path.display()))?;
-        Ok(Self::to(BufWriter::new(file)))
+        Ok(Self::to(file))
     }
 
     pub(super) fn connect(&mut self, id: PortId, kind: PortKind, name: Arc<str>, config: &Config) {
@@ -104,7 +106,6 @@ impl Log {
 
     pub(super) fn disconnect(&mut self, id: PortId) {
         self.clients.remove(&id);
-        self.output.flush();
     }
 
     pub(super) fn received(&mut self, id: PortId, now: Time, bytes: &[u8]) {
@@ -244,20 +245,9 @@ impl Output {
         self.write(format_args!("{now} {line} -> {why}: {id} with {size} bytes of payload\n"));
     }
 
-    /// A log that cannot be written is given up with one message; the gripper goes on.
+    /// One line, with its end.
     fn write(&mut self, text: std::fmt::Arguments<'_>) {
-        let Some(output) = &mut self.0 else { return };
-        if let Err(error) = output.write_fmt(text) {
-            eprintln!("wsg-sim: the log ends here: {error}");
-            self.0 = None;
-        }
-    }
-
-    fn flush(&mut self) {
-        if let Some(output) = &mut self.0 {
-            // A failure shows at the next line.
-            let _ = output.flush();
-        }
+        self.0.write(text.to_string());
     }
 }
 
@@ -268,12 +258,6 @@ fn hex(bytes: &[u8]) -> String {
         let _ = write!(hex, "{byte:02X} ");
     }
     hex
-}
-
-impl Drop for Log {
-    fn drop(&mut self) {
-        self.output.flush();
-    }
 }
 
 impl std::fmt::Debug for Log {

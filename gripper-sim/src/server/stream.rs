@@ -30,6 +30,7 @@ pub(super) async fn serve(
     mut writer: impl AsyncWrite + Unpin,
     pace: Pace,
 ) -> io::Result<()> {
+    let at_all_times = pace == Pace::OfTheLine;
     let mut chunk = [0; CHUNK_LEN];
     let mut buffer = [0; MAX_FRAME_LEN];
     // What is left of the frame being written: from where to where in `buffer`.
@@ -47,11 +48,13 @@ pub(super) async fn serve(
                 0 => return Err(io::ErrorKind::WriteZero.into()),
                 count => left.start += count,
             },
-            read = reader.read(&mut chunk), if (is_idle && client.has_room()) || pace == Pace::OfTheLine => match read? {
+            read = reader.read(&mut chunk), if (is_idle && client.takes_more()) || at_all_times => match read? {
                 0 => return Ok(()),
                 count => client.receive(chunk.get(..count).unwrap_or(&[])),
             },
             () = client.frame_waits(), if is_idle => {}
+            // One at a time, so that its answers find room.
+            () = client.request_waits(), if (is_idle && client.has_room()) || at_all_times => client.arrive(),
         }
         // One frame, or one run of bytes, is a turn: clients without end leave the others theirs.
         yield_now().await;

@@ -44,6 +44,7 @@ pub(super) async fn serve(
                 Err(error) => return Err(error).context("UDP receives no more"),
             },
             () = client.frame_waits() => {}
+            () = client.request_waits() => client.arrive(),
         }
     }
 }

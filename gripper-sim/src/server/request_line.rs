@@ -1,0 +1,245 @@
+//! The line from one client to the gripper while it is bad: what comes is cut into frames, and each has its fate.
+//!
+//! Frames are cut by their lengths alone, so a request that is wrong by itself passes as wrong as it is. Knows no sockets
+//! and no clock.
+
+use super::faulty_line::{Fate, FaultyLine, LineFaults};
+use crate::port::{PortKind, Protocol};
+use crate::time::Time;
+use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
+use wsg_protocol::modbus::tcp;
+
+/// How long the rest of a frame is waited for. Then what came of it passes as it is.
+const REST_WAIT_MS: u64 = 20;
+/// The longest line of the text protocol that is taken for one.
+const MAX_LINE_LEN: usize = 512;
+
+/// The line from one client.
+#[derive(Debug)]
+pub(super) struct RequestLine {
+    kind: PortKind,
+    /// What came of a frame.
+    held: Vec<u8>,
+    /// Until when its rest is waited for.
+    due: Option<Time>,
+    line: FaultyLine,
+}
+
+/// What the bytes at hand begin with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Cut {
+    /// A whole frame of this length.
+    Frame(usize),
+    /// So many bytes that belong to none.
+    Other(usize),
+    /// A part of a frame.
+    Part,
+}
+
+impl RequestLine {
+    /// The line of the connection with this number.
+    pub(super) const fn new(kind: PortKind, seed: u64, connection: u64) -> Self {
+        // Other chances than those of the replies.
+        let line = FaultyLine::new(seed, !connection);
+        Self { kind, held: Vec::new(), due: None, line }
+    }
+
+    /// Whether nothing is on its way, so that the line may be left out.
+    pub(super) fn is_empty(&self) -> bool {
+        self.held.is_empty() && self.line.next_arrival().is_none()
+    }
+
+    /// Whether the line takes more of a client that can be made to wait.
+    pub(super) fn has_room(&self) -> bool {
+        self.line.has_room()
+    }
+
+    /// Takes what the client sent; tells the fate of each frame. What finds no room is lost.
+    pub(super) fn take(&mut self, faults: &LineFaults, now: Time, bytes: &[u8], mut tell: impl FnMut(&Fate)) {
+        if self.kind.is_datagram() {
+            return self.pass(faults, now, bytes, &mut tell);
+        }
+        let mut all = std::mem::take(&mut self.held);
+        all.extend_from_slice(bytes);
+        let mut rest = &all[..];
+        while !rest.is_empty() {
+            match cut(self.kind.protocol(), rest) {
+                Cut::Frame(len) => {
+                    let (frame, behind) = rest.split_at(len);
+                    self.pass(faults, now, frame, &mut tell);
+                    rest = behind;
+                }
+                Cut::Other(len) => {
+                    let (other, behind) = rest.split_at(len);
+                    self.let_by(now, other);
+                    rest = behind;
+                }
+                // A line that is whole again waits for nothing.
+                Cut::Part if faults.are_none() => {
+                    self.let_by(now, rest);
+                    rest = &[];
+                }
+                Cut::Part => break,
+            }
+        }
+        self.held = rest.to_vec();
+        self.due = (!rest.is_empty()).then(|| now.plus_millis(REST_WAIT_MS));
+    }
+
+    /// What reaches the gripper next, as far as it does by `now`.
+    pub(super) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
+        if self.due.is_some_and(|due| due <= now) {
+            self.due = None;
+            let part = std::mem::take(&mut self.held);
+            self.let_by(now, &part);
+        }
+        self.line.arrive(now)
+    }
+
+    /// When something reaches the gripper next.
+    pub(super) fn next_arrival(&self) -> Option<Time> {
+        [self.line.next_arrival(), self.due].into_iter().flatten().min()
+    }
+
+    /// Takes what is no frame, and has no fate.
+    fn let_by(&mut self, now: Time, bytes: &[u8]) {
+        if !self.line.is_full() {
+            self.line.hold(&Fate::default(), now, bytes);
+        }
+    }
+
+    fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8], tell: &mut impl FnMut(&Fate)) {
+        let drawn = self.line.fate(faults, frame.len());
+        let fate = if self.line.is_full() { Fate { dropped: true, ..Fate::default() } } else { drawn };
+        self.line.hold(&fate, now, frame);
+        tell(&fate);
+    }
+}
+
+/// What these bytes, of which there is one at least, begin with.
+fn cut(protocol: Protocol, bytes: &[u8]) -> Cut {
+    let len = match protocol {
+        Protocol::Binary => {
+            let preamble = bytes.iter().take(PREAMBLE_LEN).take_while(|byte| **byte == PREAMBLE_BYTE).count();
+            let begun = preamble == bytes.len().min(PREAMBLE_LEN);
+            let len = match *bytes {
+                [_, _, _, _, low, high, ..] => OVERHEAD + usize::from(u16::from_le_bytes([low, high])),
+                _ if begun => return Cut::Part,
+                _ => 0,
+            };
+            if !begun || len > MAX_MESSAGE_LEN {
+                // Up to where the next frame may begin.
+                let behind = bytes.iter().skip(preamble.max(1));
+                let noise = behind.take_while(|byte| **byte != PREAMBLE_BYTE).count();
+                return Cut::Other(preamble.max(1) + noise);
+            }
+            len
+        }
+        Protocol::Text => match bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r')) {
+            // The second half of CR LF, or an empty line.
+            Some(0) => return Cut::Other(1),
+            Some(end) => end + 1,
+            None if bytes.len() > MAX_LINE_LEN => return Cut::Other(bytes.len()),
+            None => return Cut::Part,
+        },
+        Protocol::Modbus => {
+            let [_, _, _, _, high, low, ..] = *bytes else { return Cut::Part };
+            let len = tcp::HEADER_LEN - 1 + usize::from(u16::from_be_bytes([high, low]));
+            if !(tcp::HEADER_LEN + 1..=tcp::MAX_FRAME_LEN).contains(&len) {
+                return Cut::Other(bytes.len());
+            }
+            len
+        }
+    };
+    if len <= bytes.len() { Cut::Frame(len) } else { Cut::Part }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STOP: [u8; 8] = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0xD3, 0x5A];
+    const READ: [u8; 12] = [0, 1, 0, 0, 0, 6, 1, 3, 0, 0, 0, 1];
+    const LATE: LineFaults = LineFaults { delay: 1.0, delay_ms: 10, ..LineFaults::NONE };
+
+    fn arrivals(line: &mut RequestLine, now: Time) -> Vec<Vec<u8>> {
+        std::iter::from_fn(|| line.arrive(now)).collect()
+    }
+
+    /// What arrives, in pieces, of bytes that are all delayed.
+    fn pieces(kind: PortKind, bytes: &[u8]) -> (Vec<Vec<u8>>, usize) {
+        let mut line = RequestLine::new(kind, 1, 0);
+        let mut frames = 0;
+        line.take(&LATE, Time::ZERO, bytes, |_| frames += 1);
+        (arrivals(&mut line, Time::from_millis(10)), frames)
+    }
+
+    #[test]
+    fn frames_are_cut_by_their_lengths_and_what_is_none_passes() {
+        let noisy = [&[0x01, 0xAA, 0x02][..], &STOP, &STOP, &[0xAA]].concat();
+        let (arrived, frames) = pieces(PortKind::Tcp, &noisy);
+        assert_eq!(frames, 2);
+        assert_eq!(
+            arrived.concat(),
+            noisy[..noisy.len() - 1],
+            "in order, and the last byte may begin a frame"
+        );
+        assert_eq!(pieces(PortKind::ModbusTcp, &READ.repeat(3)), (vec![READ.to_vec(); 3], 3));
+        let lines = b"POS?\r\nSPEED?\nhalf";
+        assert_eq!(
+            pieces(PortKind::GclTcp, lines),
+            (vec![b"POS?\r".to_vec(), b"\n".to_vec(), b"SPEED?\n".to_vec()], 2)
+        );
+        assert_eq!(pieces(PortKind::Udp, &STOP.repeat(2)), (vec![STOP.repeat(2)], 1), "a datagram is one");
+    }
+
+    #[test]
+    fn lengths_that_no_frame_has_pass() {
+        for (kind, bytes) in [
+            (PortKind::Tcp, vec![0xAA, 0xAA, 0xAA, 0x22, 0xFF, 0xFF, 1, 2]),
+            (PortKind::ModbusTcp, vec![0, 1, 0, 0, 0, 1, 9]),
+            (PortKind::GclTcp, vec![b'x'; MAX_LINE_LEN + 1]),
+        ] {
+            let (arrived, frames) = pieces(kind, &bytes);
+            assert_eq!((arrived.concat(), frames), (bytes, 0), "{kind}");
+        }
+    }
+
+    #[test]
+    fn every_cut_of_the_stream_gives_the_same_frames() {
+        let stream = [&STOP[..], &[7, 7], &STOP].concat();
+        for at in 0..stream.len() {
+            let mut line = RequestLine::new(PortKind::Serial, 1, 0);
+            let mut frames = 0;
+            for piece in [&stream[..at], &stream[at..]] {
+                line.take(&LATE, Time::ZERO, piece, |_| frames += 1);
+            }
+            assert_eq!(frames, 2, "{at}");
+            assert_eq!(arrivals(&mut line, Time::from_millis(10)).concat(), stream, "{at}");
+        }
+    }
+
+    #[test]
+    fn part_of_a_frame_passes_after_a_while_or_when_the_line_is_whole_again() {
+        let mut line = RequestLine::new(PortKind::Tcp, 1, 0);
+        line.take(&LATE, Time::ZERO, &STOP[..5], |_| panic!("no frame"));
+        assert_eq!(line.next_arrival(), Some(Time::from_millis(REST_WAIT_MS)));
+        assert_eq!(arrivals(&mut line, Time::from_millis(REST_WAIT_MS)), [&STOP[..5]]);
+        assert!(line.is_empty());
+        line.take(&LATE, Time::ZERO, &STOP[..5], |_| panic!("no frame"));
+        line.take(&LineFaults::NONE, Time::ZERO, &STOP[5..7], |_| panic!("no frame"));
+        assert_eq!(arrivals(&mut line, Time::ZERO), [&STOP[..7]]);
+        assert!(line.is_empty());
+    }
+
+    #[test]
+    fn flood_on_a_line_without_flow_control_is_bounded() {
+        let mut line = RequestLine::new(PortKind::Udp, 1, 0);
+        let mut lost = 0;
+        for _ in 0..10_000 {
+            line.take(&LATE, Time::ZERO, &STOP, |fate| lost += u32::from(fate.dropped));
+        }
+        let arrived = arrivals(&mut line, Time::from_millis(10)).len();
+        assert!(arrived < 1_000 && arrived + lost as usize == 10_000, "{arrived} and {lost}");
+    }
+}

@@ -1,0 +1,175 @@
+//! Random images from one or two masters, parts, faults, connections and pauses: whatever comes, these rules of the
+//! fieldbus manual hold at the gripper.
+
+use proptest::prelude::*;
+use wsg_protocol::fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
+use wsg_protocol::{Status, SystemFlags};
+use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
+
+#[derive(Clone, Copy, Debug)]
+enum Op {
+    /// Changes the image and writes it.
+    Write {
+        flags: CommandFlags,
+        parameters: Option<(i16, u16, i16)>,
+    },
+    /// The two jog flags alone.
+    Jog(u8),
+    SetPart(Option<f32>),
+    SetFault(Fault, bool),
+    Wait {
+        millis: u16,
+    },
+    /// The master goes, and another one comes.
+    Reconnect,
+}
+
+fn op() -> impl Strategy<Value = Op> {
+    let flags = prop_oneof![
+        6 => (0u8..6).prop_map(|bit| CommandFlags::from_bits_retain(1 << bit)),
+        2 => any::<u8>().prop_map(CommandFlags::from_bits_retain),
+        4 => Just(CommandFlags::empty()),
+    ];
+    let parameters = (
+        prop_oneof![Just(20_00i16), Just(60_00), Just(0), any::<i16>()],
+        prop_oneof![6 => Just(100_00u16), 1 => Just(0), 1 => any::<u16>()],
+        prop_oneof![6 => Just(40_00i16), 1 => any::<i16>()],
+    );
+    let faults = prop_oneof![Just(Fault::AxisBlocked), Just(Fault::MotorCurrent)];
+    prop_oneof![
+        10 => (flags, proptest::option::weighted(0.3, parameters))
+            .prop_map(|(flags, parameters)| Op::Write { flags, parameters }),
+        3 => (0u8..4).prop_map(Op::Jog),
+        2 => proptest::option::of(5f32..70.0).prop_map(Op::SetPart),
+        1 => (faults, any::<bool>()).prop_map(|(fault, on)| Op::SetFault(fault, on)),
+        8 => (0u16..1_500).prop_map(|millis| Op::Wait { millis }),
+        1 => Just(Op::Reconnect),
+    ]
+}
+
+struct Trial {
+    gripper: VirtualGripper,
+    port: PortId,
+    image: OutputImage,
+    now: Time,
+}
+
+impl Trial {
+    fn new() -> Self {
+        let mut gripper = VirtualGripper::new(Config::default());
+        let port = gripper.connect(PortKind::ModbusTcp).unwrap();
+        let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
+        let mut trial = Self { gripper, port, image, now: Time::ZERO };
+        // So that most lists get anywhere.
+        trial.write();
+        trial.image.flags = CommandFlags::HOMING;
+        trial.write();
+        trial.wait(4_000);
+        trial
+    }
+
+    fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
+        let header = [0, 1, 0, 0, 0, pdu.len() as u8 + 1, 1];
+        self.gripper.receive(self.port, self.now, &[&header, pdu].concat());
+        let mut buffer = [0; MAX_FRAME_LEN];
+        self.gripper.transmit(self.port, &mut buffer).expect("every request is answered")[7..].to_vec()
+    }
+
+    fn write(&mut self) {
+        self.ask(&[&[16, 0, 0, 0, 4, 8][..], &self.image.to_bytes()].concat());
+    }
+
+    fn read(&mut self) -> InputImage {
+        InputImage::from_bytes(self.ask(&[4, 0, 0, 0, 6])[2..].try_into().unwrap())
+    }
+
+    fn wait(&mut self, millis: u64) {
+        self.now = self.now.plus_millis(millis);
+        self.gripper.advance(self.now);
+    }
+
+    fn moves(&self) -> bool {
+        let state = self.gripper.state();
+        state.gripper.is_motion() || state.flags.contains(SystemFlags::MOVING)
+    }
+
+    fn step(&mut self, op: Op) {
+        let before = (self.moves(), self.image);
+        match op {
+            Op::Write { flags, parameters } => {
+                let jog = CommandFlags::JOG_PLUS | CommandFlags::JOG_MINUS;
+                self.image.flags = flags.difference(jog) | self.image.flags.intersection(jog);
+                if let Some((width, speed, force_limit)) = parameters {
+                    self.image = OutputImage { width, speed, force_limit, ..self.image };
+                }
+                self.write();
+            }
+            Op::Jog(both) => {
+                self.image.flags = CommandFlags::from_bits_retain(self.image.flags.bits() & 0x3F | both << 6);
+                self.write();
+            }
+            Op::SetPart(width) => self.gripper.set_part(width.and_then(Part::of_width), self.now),
+            Op::SetFault(fault, on) => self.gripper.set_fault(fault, on, self.now),
+            Op::Wait { millis } => self.wait(millis.into()),
+            Op::Reconnect => {
+                self.gripper.disconnect(self.port, self.now);
+                self.port = self.gripper.connect(PortKind::ModbusTcp).unwrap();
+            }
+        }
+        self.check(op, before);
+    }
+
+    fn check(&mut self, op: Op, (moved, image): (bool, OutputImage)) {
+        let shown = self.read();
+        let flags = self.image.flags;
+        let rising = flags.difference(image.flags);
+        assert_eq!(shown.state.bits().count_ones(), 1, "{shown:?}");
+        // Nothing moves unasked: what begins to move does so at a write, on an edge or on a jog.
+        if self.moves() && !moved {
+            let asked = CommandFlags::from_bits_retain(0x0F);
+            let jogs = flags.bits() >> 6 == 1 || flags.bits() >> 6 == 2;
+            assert!(matches!(op, Op::Write { .. } | Op::Jog(_)), "{op:?} {shown:?}");
+            assert!(rising.intersects(asked) || jogs, "{op:?} {shown:?}");
+        }
+        if flags.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP) {
+            assert!(!self.moves(), "{op:?} {shown:?}");
+        }
+        // A jog is a motion of this controller alone, so with both flags, or none, there is none.
+        if shown.state == GripperFlags::RELEASING && matches!(op, Op::Jog(0 | 3)) && !moved {
+            panic!("{op:?} {shown:?}");
+        }
+        let fast_stopped = shown.system.contains(SystemFlags::FAST_STOP);
+        if flags.contains(CommandFlags::FASTSTOP) || shown.system.contains(SystemFlags::CURR_FAULT) {
+            assert!(fast_stopped, "{op:?} {shown:?}");
+        }
+        if fast_stopped {
+            assert_eq!((shown.state, self.moves()), (GripperFlags::IDLE, false), "{op:?}");
+        }
+        if moved && image.parameters_differ(&self.image) && image.flags.bits() >> 6 == 0 {
+            assert!(fast_stopped, "a parameter changed while the fingers moved: {op:?} {shown:?}");
+        }
+        if shown.status == Status::CmdPending {
+            assert!(self.moves(), "{op:?} {shown:?}");
+        }
+        if shown.state == GripperFlags::HOLDING {
+            assert!(self.gripper.state().force > 0.0);
+        }
+        let force_limit = self.gripper.state().force_limit;
+        assert!((5.0..=80.0).contains(&force_limit), "{force_limit} N");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 150, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn whatever_masters_write_the_rules_hold(ops in proptest::collection::vec(op(), 1..80)) {
+        let mut trial = Trial::new();
+        for op in ops {
+            trial.step(op);
+        }
+        // Every motion ends.
+        trial.wait(60_000);
+        prop_assert!(!trial.moves());
+    }
+}
