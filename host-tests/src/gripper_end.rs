@@ -11,6 +11,7 @@ use anyhow::{Context, Result};
 use wsg_protocol::{Event, FrameParser, frame::MAX_MESSAGE_LEN};
 use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
 
+use crate::faulty_link::FaultyWay;
 use crate::trace::{Entry, Trace};
 
 /// The longest time between two looks at the clock: what a part or a fault sets off shows at most this late.
@@ -39,6 +40,8 @@ struct World {
     line: UnixStream,
     is_cut: bool,
     tampering: Option<Tampering>,
+    /// The way to the gripper and the way to the bridge.
+    ways: Option<(FaultyWay, FaultyWay)>,
     /// Finds frames in what the bridge sends, for the trace only.
     seen: FrameParser<MAX_MESSAGE_LEN>,
     traced_width: f32,
@@ -61,6 +64,7 @@ impl GripperEnd {
             line,
             is_cut: false,
             tampering: None,
+            ways: None,
             seen: FrameParser::new(),
             traced_width: f32::NAN,
             config,
@@ -117,6 +121,12 @@ impl GripperEnd {
     /// Lets `tampering` have every frame that the gripper sends from now on; `None`: they arrive as they are.
     pub fn tamper(&self, tampering: Option<Tampering>) {
         self.world().tampering = tampering;
+    }
+
+    /// Puts faulty ways between bridge and gripper, to it and from it, and gives those back that were there; `None`: what is
+    /// sent arrives. What is still on the old ways is lost.
+    pub fn disturb(&self, ways: Option<(FaultyWay, FaultyWay)>) -> Option<(FaultyWay, FaultyWay)> {
+        std::mem::replace(&mut self.world().ways, ways)
     }
 
     /// Sends bytes to the bridge that the gripper never sent.
@@ -179,7 +189,15 @@ impl World {
         let now = self.now();
         let bytes = if self.is_cut { &[] } else { bytes };
         self.note_frames(bytes);
-        self.gripper.receive(self.port, now, bytes);
+        let bytes = match &mut self.ways {
+            Some((way, _)) => {
+                let now_ms = millis(now);
+                way.pass(now_ms, bytes);
+                way.arrive(now_ms)
+            }
+            None => bytes.to_vec(),
+        };
+        self.gripper.receive(self.port, now, &bytes);
         self.gripper.advance(now);
         let mut buffer = [0; MAX_FRAME_LEN];
         while let Some(frame) = self.gripper.transmit(self.port, &mut buffer) {
@@ -195,13 +213,23 @@ impl World {
                 self.send(&frame);
             }
         }
+        self.send(&[]);
         self.note_travel();
     }
 
+    /// Sends bytes to the bridge, and what is late and arrives now.
     fn send(&mut self, bytes: &[u8]) {
-        if !self.is_cut {
+        let now_ms = millis(self.now());
+        let arrived = match &mut self.ways {
+            Some((_, way)) => {
+                way.pass(now_ms, bytes);
+                &way.arrive(now_ms)
+            }
+            None => bytes,
+        };
+        if !self.is_cut && !arrived.is_empty() {
             // A board that was switched off reads nothing: the reading side notices and ends.
-            let _ = self.line.write_all(bytes);
+            let _ = self.line.write_all(arrived);
         }
     }
 
@@ -233,6 +261,11 @@ impl World {
             self.trace.add(Entry::Fingers(state.width));
         }
     }
+}
+
+/// Of a clock of 32 bits that starts again from 0.
+fn millis(time: Time) -> u32 {
+    (time.as_micros() / 1_000) as u32
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -4,6 +4,8 @@
 //! |---|---|
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
+//! | [`chance`] | numbers that look random, the same ones for the same seed |
+//! | [`faulty_link`] | a line on which bytes go wrong, round any byte link |
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
 //! | [`masters`] | Modbus masters that nobody here wrote |
@@ -16,8 +18,10 @@
 
 pub mod bench;
 pub mod can_bench;
+pub mod chance;
 #[cfg(unix)]
 pub mod emulator;
+pub mod faulty_link;
 pub mod fuzz_bodies;
 #[cfg(unix)]
 pub mod gripper_end;

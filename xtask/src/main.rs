@@ -21,6 +21,7 @@ mod process;
 mod public_functions;
 mod setup;
 mod size;
+mod soak;
 mod stack;
 mod test;
 mod tool;
@@ -61,6 +62,8 @@ Commands
                      baseline [--update: write it anew]; throughput on this machine
   modbus             instructions of a Modbus request for eight registers, counted in the emulator
   fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz
+  soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;
+                     a quarter of an hour [--commands N] [--seed N]
   mutants [FILE...]  changes of the protocol crate, or of these files of it, that no test notices;
                      takes hours for all; cargo-mutants
   miri               the bridge's host tests under Miri; nightly Rust

@@ -10,7 +10,7 @@ use crate::{
     probe::Probes,
     rest,
     setup::{self, ThumbToolchain},
-    size, stack, test, undefined_behaviour,
+    size, soak, stack, test, undefined_behaviour,
     workspace::Workspace,
 };
 
@@ -53,6 +53,11 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         "fuzz" => {
             let seconds = seconds(arguments)?;
             fuzz::run(&Workspace::from_env()?, seconds)
+        }
+        "soak" => {
+            let extent = soak::Extent::from(arguments)?;
+            let built = Built::new()?;
+            soak::run(&built.workspace, &built.image, &extent)
         }
         "mutants" => {
             let files: Vec<_> = rest(arguments)?.iter().map(|it| it.to_string_lossy().into_owned()).collect();

@@ -1,5 +1,7 @@
 //! Inputs for the run on stable Rust: the same ones every time.
 
+use crate::chance::Chance;
+
 /// What the binary protocol is made of.
 pub(super) const BINARY: &[&[u8]] = &[
     &[0xAA, 0xAA, 0xAA],
@@ -65,7 +67,7 @@ const LONGEST: usize = 96;
 /// The input of this number, made of chance and of these pieces.
 #[must_use]
 pub fn generated(number: u32, pieces: &[&[u8]]) -> Vec<u8> {
-    let mut random = Random(u64::from(number).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+    let mut random = Chance::new(u64::from(number) << 32);
     let length = random.below(LONGEST as u64 + 1) as usize;
     // Inputs of pure chance, and of pieces: the mixture changes from one to the next.
     let chance = random.below(5);
@@ -79,16 +81,4 @@ pub fn generated(number: u32, pieces: &[&[u8]]) -> Vec<u8> {
     }
     bytes.truncate(length);
     bytes
-}
-
-/// xorshift64* (Vigna, "An experimental exploration of Marsaglia's xorshift generators").
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, bound: u64) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 33) % bound
-    }
 }

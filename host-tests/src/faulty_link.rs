@@ -1,0 +1,381 @@
+//! A line on which bytes go wrong: middleware round any byte link, for the tests of whoever uses a gripper.
+//!
+//! [`FaultyWay`] is one direction: bytes and the time in, what arrives out. It knows no clock and no I/O. What goes wrong is
+//! drawn by a seed, or written down byte by byte, so every run can be repeated. [`FaultyLink`] wraps a transport in two of
+//! them.
+//!
+//! `wsg-sim` has faults of its own for its servers: those hit whole frames, these hit bytes, wherever they lie.
+//!
+//! ```
+//! use host_tests::faulty_link::{Fault, FaultyWay, Rates};
+//!
+//! // The third byte is lost; five bits in a million are wrong besides.
+//! let mut way = FaultyWay::new(Rates { flip: 5e-6, ..Rates::NONE }, 1).with(2, Fault::Drop);
+//! way.pass(0, b"ABCD");
+//! assert_eq!(way.arrive(0), b"ABD");
+//! assert_eq!(way.counts().dropped, 1);
+//! ```
+
+use std::collections::{BTreeMap, VecDeque};
+
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+
+use crate::chance::Chance;
+
+/// How often each fault hits a byte, from 0 (never) to 1 (always).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rates {
+    /// It is lost.
+    pub drop: f64,
+    /// One bit of it is wrong.
+    pub flip: f64,
+    /// It comes twice.
+    pub duplicate: f64,
+    /// Another byte comes before it.
+    pub insert: f64,
+    /// It is lost, and all that were sent with it behind it.
+    pub truncate: f64,
+    /// It comes late, and all that are sent behind it wait for it.
+    pub delay: f64,
+    /// How late, in milliseconds.
+    pub delay_ms: u32,
+}
+
+impl Rates {
+    /// A perfect line.
+    pub const NONE: Self =
+        Self { drop: 0.0, flip: 0.0, duplicate: 0.0, insert: 0.0, truncate: 0.0, delay: 0.0, delay_ms: 0 };
+
+    /// A line on which `rate` of all bytes go wrong, as many of them lost as changed, doubled and preceded by another.
+    #[must_use]
+    pub const fn of_bytes(rate: f64) -> Self {
+        let each = rate / 4.0;
+        Self { drop: each, flip: each, duplicate: each, insert: each, ..Self::NONE }
+    }
+}
+
+/// What happens to a byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// It is lost.
+    Drop,
+    /// These bits of it are wrong.
+    Flip(u8),
+    /// It comes twice.
+    Duplicate,
+    /// This one comes before it.
+    Insert(u8),
+    /// It is lost, and all that were sent with it behind it.
+    Truncate,
+    /// It comes so many milliseconds late, and all that are sent behind it wait for it.
+    Delay(u32),
+}
+
+/// What was passed, and how often each fault hit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Bytes that were passed.
+    pub bytes: u64,
+    /// [`Fault::Drop`].
+    pub dropped: u64,
+    /// [`Fault::Flip`].
+    pub flipped: u64,
+    /// [`Fault::Duplicate`].
+    pub duplicated: u64,
+    /// [`Fault::Insert`].
+    pub inserted: u64,
+    /// [`Fault::Truncate`], each counted once, however much was lost.
+    pub truncated: u64,
+    /// [`Fault::Delay`].
+    pub delayed: u64,
+}
+
+impl Counts {
+    /// How often any fault hit.
+    #[must_use]
+    pub const fn faults(&self) -> u64 {
+        self.dropped + self.flipped + self.duplicated + self.inserted + self.truncated + self.delayed
+    }
+}
+
+/// One direction of a line.
+#[derive(Clone, Debug)]
+pub struct FaultyWay {
+    rates: Rates,
+    chance: Chance,
+    /// What happens to single bytes, counted from 0, whatever the rates.
+    script: BTreeMap<u64, Fault>,
+    counts: Counts,
+    /// What is on its way, and when it is there.
+    waiting: VecDeque<(u32, u8)>,
+}
+
+impl FaultyWay {
+    /// A direction on which faults hit at these rates; the same ones for the same seed and the same bytes.
+    #[must_use]
+    pub const fn new(rates: Rates, seed: u64) -> Self {
+        Self {
+            rates,
+            chance: Chance::new(seed),
+            script: BTreeMap::new(),
+            counts: Counts {
+                bytes: 0,
+                dropped: 0,
+                flipped: 0,
+                duplicated: 0,
+                inserted: 0,
+                truncated: 0,
+                delayed: 0,
+            },
+            waiting: VecDeque::new(),
+        }
+    }
+
+    /// A direction without faults.
+    #[must_use]
+    pub const fn perfect() -> Self {
+        Self::new(Rates::NONE, 0)
+    }
+
+    /// The same, where this fault hits the byte of this number, counted from 0.
+    #[must_use]
+    pub fn with(mut self, number: u64, fault: Fault) -> Self {
+        self.hit(number, fault);
+        self
+    }
+
+    /// Lets this fault hit the byte of this number, counted from 0: [`Counts::bytes`] is the number of the next.
+    pub fn hit(&mut self, number: u64, fault: Fault) {
+        self.script.insert(number, fault);
+    }
+
+    /// What has happened so far.
+    #[must_use]
+    pub const fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// Takes bytes that are sent together at this moment, in milliseconds of any clock that only goes forward.
+    pub fn pass(&mut self, now_ms: u32, bytes: &[u8]) {
+        let first = self.counts.bytes;
+        self.counts.bytes += bytes.len() as u64;
+        for (number, &byte) in (first..).zip(bytes) {
+            // Every chance is drawn whether it counts or not: a script changes nothing else.
+            let drawn = self.draw();
+            match self.script.remove(&number).or(drawn) {
+                None => self.send(now_ms, byte),
+                Some(Fault::Drop) => self.counts.dropped += 1,
+                Some(Fault::Flip(bits)) => {
+                    self.counts.flipped += 1;
+                    self.send(now_ms, byte ^ bits);
+                }
+                Some(Fault::Duplicate) => {
+                    self.counts.duplicated += 1;
+                    self.send(now_ms, byte);
+                    self.send(now_ms, byte);
+                }
+                Some(Fault::Insert(other)) => {
+                    self.counts.inserted += 1;
+                    self.send(now_ms, other);
+                    self.send(now_ms, byte);
+                }
+                Some(Fault::Truncate) => {
+                    self.counts.truncated += 1;
+                    return;
+                }
+                Some(Fault::Delay(ms)) => {
+                    self.counts.delayed += 1;
+                    self.send(now_ms.wrapping_add(ms), byte);
+                }
+            }
+        }
+    }
+
+    /// What has arrived by this moment and was not asked for yet, in the order in which it was sent.
+    pub fn arrive(&mut self, now_ms: u32) -> Vec<u8> {
+        let is_there = |due: &u32| now_ms.wrapping_sub(*due) <= u32::MAX / 2;
+        let count = self.waiting.iter().take_while(|(due, _)| is_there(due)).count();
+        self.waiting.drain(..count).map(|(_, byte)| byte).collect()
+    }
+
+    fn draw(&mut self) -> Option<Fault> {
+        let Rates { drop, flip, duplicate, insert, truncate, delay, delay_ms } = self.rates;
+        let value = self.chance.number();
+        let faults = [
+            (drop, Fault::Drop),
+            (flip, Fault::Flip(1 << (value % 8))),
+            (duplicate, Fault::Duplicate),
+            (insert, Fault::Insert((value >> 8) as u8)),
+            (truncate, Fault::Truncate),
+            (delay, Fault::Delay(delay_ms)),
+        ];
+        let hit = faults.map(|(rate, fault)| self.chance.hits(rate).then_some(fault));
+        hit.into_iter().flatten().next()
+    }
+
+    /// Nothing overtakes what was sent before it.
+    fn send(&mut self, due: u32, byte: u8) {
+        let due = match self.waiting.back() {
+            Some((before, _)) if before.wrapping_sub(due) <= u32::MAX / 2 => *before,
+            _ => due,
+        };
+        self.waiting.push_back((due, byte));
+    }
+}
+
+/// A transport with a faulty line behind it, for whatever speaks `embedded_io`. `clock` tells milliseconds.
+///
+/// Ask [`read_ready`](ReadReady::read_ready) before reading: what is late arrives while that is asked.
+#[derive(Debug)]
+pub struct FaultyLink<L, C> {
+    link: L,
+    clock: C,
+    /// What is written.
+    pub outgoing: FaultyWay,
+    /// What is read.
+    pub incoming: FaultyWay,
+    /// Arrived at this end, not read yet.
+    arrived: VecDeque<u8>,
+    /// Arrived at the other end, not taken by the transport yet.
+    to_write: Vec<u8>,
+}
+
+impl<L, C> FaultyLink<L, C> {
+    /// This transport, with these ways out and in.
+    pub const fn new(link: L, clock: C, outgoing: FaultyWay, incoming: FaultyWay) -> Self {
+        Self { link, clock, outgoing, incoming, arrived: VecDeque::new(), to_write: Vec::new() }
+    }
+
+    /// The transport.
+    pub const fn inner(&mut self) -> &mut L {
+        &mut self.link
+    }
+
+    /// The transport, without what is still on its way.
+    pub fn into_inner(self) -> L {
+        self.link
+    }
+}
+
+impl<L: ErrorType, C> ErrorType for FaultyLink<L, C> {
+    type Error = L::Error;
+}
+
+impl<L: Write, C: FnMut() -> u32> FaultyLink<L, C> {
+    /// Hands what has arrived over to the transport.
+    fn push(&mut self) -> Result<(), L::Error> {
+        let now_ms = (self.clock)();
+        self.to_write.extend(self.outgoing.arrive(now_ms));
+        while !self.to_write.is_empty() {
+            let taken = self.link.write(&self.to_write)?;
+            self.to_write.drain(..taken);
+            if taken == 0 {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<L: Read + ReadReady + Write, C: FnMut() -> u32> ReadReady for FaultyLink<L, C> {
+    fn read_ready(&mut self) -> Result<bool, L::Error> {
+        self.push()?;
+        let mut chunk = [0; 64];
+        while self.link.read_ready()? {
+            let count = self.link.read(&mut chunk)?;
+            if count == 0 {
+                break;
+            }
+            let now_ms = (self.clock)();
+            self.incoming.pass(now_ms, &chunk[..count]);
+        }
+        let now_ms = (self.clock)();
+        self.arrived.extend(self.incoming.arrive(now_ms));
+        Ok(!self.arrived.is_empty())
+    }
+}
+
+impl<L: Read + ReadReady + Write, C: FnMut() -> u32> Read for FaultyLink<L, C> {
+    /// Waits for bytes by asking [`read_ready`](ReadReady::read_ready) again and again.
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, L::Error> {
+        while !buffer.is_empty() && !self.read_ready()? {}
+        let count = buffer.len().min(self.arrived.len());
+        for (slot, byte) in buffer.iter_mut().zip(self.arrived.drain(..count)) {
+            *slot = byte;
+        }
+        Ok(count)
+    }
+}
+
+impl<L: Write, C: FnMut() -> u32> Write for FaultyLink<L, C> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, L::Error> {
+        let now_ms = (self.clock)();
+        self.outgoing.pass(now_ms, bytes);
+        self.push()?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> Result<(), L::Error> {
+        self.push()?;
+        self.link.flush()
+    }
+}
+
+impl<L: WriteReady, C> WriteReady for FaultyLink<L, C> {
+    fn write_ready(&mut self) -> Result<bool, L::Error> {
+        self.link.write_ready()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn after(fault: Fault) -> Vec<u8> {
+        let mut way = FaultyWay::perfect().with(2, fault);
+        way.pass(0, b"ABCDE");
+        way.pass(0, b"FG");
+        way.arrive(0)
+    }
+
+    #[test]
+    fn each_fault_does_what_it_is_called() {
+        assert_eq!(after(Fault::Drop), b"ABDEFG");
+        assert_eq!(after(Fault::Flip(0x20)), b"ABcDEFG");
+        assert_eq!(after(Fault::Duplicate), b"ABCCDEFG");
+        assert_eq!(after(Fault::Insert(b'x')), b"ABxCDEFG");
+        assert_eq!(after(Fault::Truncate), b"ABFG");
+        assert_eq!(after(Fault::Delay(5)), b"AB");
+    }
+
+    #[test]
+    fn what_is_late_holds_up_what_was_sent_behind_it() {
+        let mut way = FaultyWay::perfect().with(1, Fault::Delay(50));
+        way.pass(u32::MAX - 9, b"AB");
+        way.pass(u32::MAX, b"C");
+        assert_eq!(way.arrive(u32::MAX), b"A");
+        assert_eq!(way.arrive(39), b"");
+        assert_eq!(way.arrive(40), b"BC");
+        way.pass(41, b"D");
+        assert_eq!(way.arrive(41), b"D");
+    }
+
+    #[test]
+    fn faults_hit_as_often_as_their_rates_say_and_the_same_bytes_again() {
+        let run = |seed| {
+            let mut way = FaultyWay::new(Rates { truncate: 0.001, ..Rates::of_bytes(0.04) }, seed);
+            for ms in 0..1_000 {
+                way.pass(ms, &[0x55; 100]);
+            }
+            (way.arrive(1_000), way.counts())
+        };
+        let (bytes, counts) = run(1);
+        for count in [counts.dropped, counts.flipped, counts.duplicated, counts.inserted] {
+            assert!(count.abs_diff(1_000) < 120, "{counts:?}");
+        }
+        assert!((60..140).contains(&counts.truncated), "{counts:?}");
+        assert_eq!((counts.bytes, counts.delayed), (100_000, 0));
+        assert_eq!(run(1), (bytes.clone(), counts));
+        assert_ne!(run(2).0, bytes);
+    }
+}

@@ -1,0 +1,166 @@
+//! The image in the emulator, a virtual gripper, and a faulty line between them: `cargo xtask soak`.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use host_tests::faulty_link::{Counts, FaultyWay, Rates};
+use host_tests::rig::{PATIENCE, Rig, names};
+use host_tests::trace::{Entry, Trace};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::{CommandId, GripperState, Kind};
+use wsg_sim::{Config, Part, State};
+
+/// What a run of the tests does; `cargo xtask soak` says more in this variable.
+const COMMANDS: usize = 200;
+const COMMANDS_VARIABLE: &str = "WSG_SOAK_COMMANDS";
+const SEED_VARIABLE: &str = "WSG_SOAK_SEED";
+
+const BYTE_ERRORS: f64 = 1e-4;
+/// In the short run more go wrong, or there would be nothing to see.
+const BYTE_ERRORS_SHORT: f64 = 1e-3;
+
+/// A wire, the command that its edge asks for, and how the gripper is when it was done.
+type Job = (Inputs, CommandId, fn(&State) -> bool);
+
+const MOVE: Job = (Inputs::MOVE, CommandId::PrePosition, |state| (state.width - 80.0).abs() < 0.1);
+const GRIP: Job = (Inputs::GRIP, CommandId::GripPart, |state| state.gripper == GripperState::Holding);
+const RELEASE: Job = (Inputs::RELEASE, CommandId::ReleasePart, |state| (state.width - 40.0).abs() < 0.1);
+
+/// The recipe that opens wide, for MOVE.
+const WIDE: u8 = 1;
+
+/// What the PLC was told.
+#[derive(Debug, Default)]
+struct Told {
+    done: usize,
+    trouble: usize,
+    not_taken: usize,
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn soak_on_a_faulty_line_loses_nothing_and_does_nothing_twice() {
+    let number = |name: &str| std::env::var(name).ok().map(|value| value.parse().expect("a number"));
+    let asked: Option<u64> = number(COMMANDS_VARIABLE);
+    let commands = asked.map_or(COMMANDS, |commands| commands as usize);
+    let rate = if asked.is_some() { BYTE_ERRORS } else { BYTE_ERRORS_SHORT };
+    let seed = number(SEED_VARIABLE).unwrap_or(1);
+
+    let (told, counts, seconds) = soak(commands, rate, seed).unwrap();
+
+    println!(
+        "soak: {commands} commands at {rate:e} wrong bytes, seed {seed}, in {seconds} s: {} done, {} with trouble shown, \
+         {} not taken and said so; {} of {} bytes went wrong; none twice, none without an edge, none lost unreported",
+        told.done,
+        told.trouble,
+        told.not_taken,
+        counts.iter().map(Counts::faults).sum::<u64>(),
+        counts.iter().map(|way| way.bytes).sum::<u64>(),
+    );
+    assert_eq!(told.done + told.trouble + told.not_taken, commands);
+    assert!(counts.iter().all(|way| way.faults() > 0), "{counts:?}");
+    assert!(told.done > commands / 2, "{told:?}");
+}
+
+fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64)> {
+    let start = Instant::now();
+    let elf = std::env::var_os("WSG_FIRMWARE_ELF").context("WSG_FIRMWARE_ELF names the firmware image")?;
+    let config = Config { part: Part::of_width(20.0), time_scale: 20.0, ..Config::default() };
+    let rig = Rig::power_up(elf.as_ref(), config, Trace::new(vec![]))?;
+    rig.release_fast_stop()?;
+    rig.command(Inputs::HOME)?;
+    rig.catch_up()?;
+    let mark = rig.trace().mark();
+    let rates = Rates::of_bytes(rate);
+    rig.gripper().disturb(Some((FaultyWay::new(rates, seed), FaultyWay::new(rates, !seed))));
+
+    let mut told = Told::default();
+    let mut rest = rig.gripper().state().width;
+    for number in 0..commands {
+        let before = rig.gripper().state();
+        if (before.width - rest).abs() > 0.02 {
+            bail!("before command {number} the fingers moved from {rest} mm to {} mm", before.width);
+        }
+        // As the wires tell: a part that is held is released, whatever went wrong before.
+        let outputs = rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::READY));
+        let is_holding = outputs.context("not READY")?.contains(Outputs::HOLDING);
+        let job = match (is_holding, number % 2) {
+            (true, _) => RELEASE,
+            (false, 0) => MOVE,
+            (false, _) => GRIP,
+        };
+        command(&rig, job, &mut told).with_context(|| format!("command {number}, {:?}", job.0))?;
+        rest = settle(&rig).with_context(|| format!("after command {number}, {:?}", job.0))?;
+    }
+    let ways = rig.gripper().disturb(None).context("the ways were put there")?;
+    rig.catch_up()?;
+    once_for_each_edge(&rig.trace().since(mark))?;
+    Ok((told, [ways.0.counts(), ways.1.counts()], start.elapsed().as_secs()))
+}
+
+/// Gives a command as a PLC does, and holds what it is told to what the gripper did.
+fn command(rig: &Rig, (wire, _, is_done): Job, told: &mut Told) -> Result<()> {
+    rig.select_recipe(if wire == Inputs::MOVE { WIDE } else { 0 })?;
+    rig.set(wire, true)?;
+    // A link that is lost at this very moment: the edge is refused, which shows as well.
+    let shown = |outputs: Outputs| outputs.contains(Outputs::BUSY) || !outputs.contains(Outputs::LINK_OK);
+    let taken = rig.await_outputs(PATIENCE, shown).context("neither taken nor refused")?;
+    rig.set(wire, false)?;
+    if !taken.contains(Outputs::BUSY) {
+        told.not_taken += 1;
+        return Ok(());
+    }
+    let end = rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::BUSY))?;
+    if end.intersects(Outputs::ERROR | Outputs::PART_FAULT) || !end.contains(Outputs::LINK_OK) {
+        told.trouble += 1;
+        return Ok(());
+    }
+    let state = rig.gripper().state();
+    if !is_done(&state) {
+        bail!("{} is shown, but the gripper is {state:?}", names(end));
+    }
+    told.done += 1;
+    Ok(())
+}
+
+/// Waits until the fingers stand; their width then.
+fn settle(rig: &Rig) -> Result<f32> {
+    let bound = Instant::now() + PATIENCE;
+    loop {
+        rig.pass(5)?;
+        let state = rig.gripper().state();
+        if state.speed == 0.0 {
+            return Ok(state.width);
+        }
+        if Instant::now() > bound {
+            bail!("the fingers travel for ever: {state:?}");
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Holds every motion that has left the bridge to the edges: one at the most for each, behind it.
+fn once_for_each_edge(entries: &[Entry]) -> Result<()> {
+    let mut asked: Option<CommandId> = None;
+    for entry in entries {
+        match entry {
+            Entry::Plc(before, after) => {
+                let rising = after.difference(*before);
+                if let Some((_, id, _)) =
+                    [MOVE, GRIP, RELEASE].iter().find(|(wire, ..)| rising.contains(*wire))
+                {
+                    asked = Some(*id);
+                }
+            }
+            Entry::ToGripper(frame) => {
+                let id = CommandId::from_code(frame[3]);
+                if id.kind() == Kind::Motion && asked.take() != Some(id) {
+                    bail!("{id} has left without an edge, or twice");
+                }
+            }
+            Entry::Note(note) => bail!("{note}"),
+            _ => {}
+        }
+    }
+    Ok(())
+}

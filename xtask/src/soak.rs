@@ -1,0 +1,58 @@
+//! The image in the emulator on a line where bytes go wrong, for many commands: a test of host-tests, run for longer.
+
+use anyhow::{Context, Result};
+use lexopt::{Arg, Parser, ValueExt};
+
+use crate::{
+    firmware::{IMAGE_VARIABLE, Image},
+    process,
+    workspace::Workspace,
+};
+
+/// How long a run is.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Extent {
+    commands: u64,
+    seed: u64,
+}
+
+impl Extent {
+    /// `--commands N` and `--seed N`.
+    pub(crate) fn from(mut arguments: Parser) -> Result<Self> {
+        let mut extent = Self { commands: 10_000, seed: 1 };
+        while let Some(argument) = arguments.next()? {
+            match argument {
+                Arg::Long("commands") => extent.commands = arguments.value()?.parse()?,
+                Arg::Long("seed") => extent.seed = arguments.value()?.parse()?,
+                other => return Err(other.unexpected()).context("see `cargo xtask help`"),
+            }
+        }
+        Ok(extent)
+    }
+}
+
+/// Runs the test; its last line says what became of the commands.
+pub(crate) fn run(workspace: &Workspace, image: &Image, extent: &Extent) -> Result<()> {
+    let mut cargo = workspace.cargo();
+    cargo.args(["test", "-q", "-p", "host-tests", "--test", "faults", "soak_on_a_faulty_line"]);
+    cargo.args(["--", "--include-ignored", "--nocapture"]);
+    cargo.env(IMAGE_VARIABLE, &image.path);
+    cargo.env("WSG_SOAK_COMMANDS", extent.commands.to_string());
+    cargo.env("WSG_SOAK_SEED", extent.seed.to_string());
+    process::run(&mut cargo)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ten_thousand_commands_are_given_if_nothing_else_is_said() {
+        let of = |arguments: &[&str]| Extent::from(Parser::from_args(arguments));
+
+        assert_eq!(of(&[]).unwrap(), Extent { commands: 10_000, seed: 1 });
+        let some = of(&["--commands", "300", "--seed", "7"]).unwrap();
+        assert_eq!(some, Extent { commands: 300, seed: 7 });
+        assert!(of(&["--hours", "1"]).is_err());
+    }
+}
