@@ -15,6 +15,7 @@ mod round_trip;
 #[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/clock.rs"]
 #[expect(dead_code, reason = "the bench runs at the clock of reset")]
 mod clock;
+#[allow(unexpected_cfgs, reason = "features of the firmware, which this crate does not have")]
 #[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/pins.rs"]
 mod pins;
 #[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/uart.rs"]
