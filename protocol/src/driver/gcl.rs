@@ -38,6 +38,9 @@ const LONGEST_NEEDED: usize = "@SYSFLAGS=[]".len() + 2 * 32;
 /// | `announce_disconnect` | `BYE` |
 /// | [`timeouts`](session::Config::timeouts), [`verify_settings`](session::Config::verify_settings) | without effect |
 ///
+/// Which way `RELEASE` goes is the gripper's: away from the part of its last grip. The driver knows its own grips, not those
+/// of other clients; without one it takes the fingers to have closed.
+///
 /// [`Error::NotInGcl`], and nothing is sent: `move_to` and `move_by` with [`OnBlock::Clamp`](super::OnBlock::Clamp),
 /// `statistics` with a reset, `limits`, acceleration, soft limits, overdrive, `set_tag`, `set_finger_power`, `loop_back`,
 /// and `raw` with anything that GCL has not.
