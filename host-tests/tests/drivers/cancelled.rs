@@ -2,7 +2,7 @@
 //! another's.
 
 use wsg_protocol::driver::{Grip, OnBlock};
-use wsg_protocol::{GripperState, HomingDirection};
+use wsg_protocol::{GripperState, HomingDirection, SystemFlags};
 use wsg_sim::{Config, Part};
 
 use crate::client::{Asynch, Calls, Client, Error, Frames, Lines, Speech};
@@ -46,6 +46,43 @@ fn motion_that_had_not_left_does_not_leave_any_more() {
         bench.world(|world| world.room = usize::MAX);
         assert_eq!(client.state(), Ok(GripperState::Idle));
         client.bench.pass(2_000);
+        assert!(client.width().unwrap() > 109.0);
+    }
+    check::<Frames>();
+    check::<Lines>();
+}
+
+#[test]
+fn motion_that_waited_behind_another_message_does_not_leave_any_more() {
+    fn check<S: Speech>() {
+        let mut client = Asynch::<S>::homed(Config::default());
+        let Asynch { bench, gripper } = &mut client;
+        // What the session asks by itself is stuck half way.
+        bench.world(|world| world.room = 3);
+        bench.run_for(300, async { while gripper.next_update(1_000).await.is_ok() {} });
+        assert_eq!(bench.world(|world| world.room), 0);
+        assert!(bench.run_for(50, gripper.move_to(10.0, 400.0, OnBlock::Stop)).is_none());
+        bench.world(|world| world.room = usize::MAX);
+        assert_eq!(client.state(), Ok(GripperState::Idle));
+        client.bench.pass(2_000);
+        assert!(client.width().unwrap() > 109.0);
+    }
+    check::<Frames>();
+    check::<Lines>();
+}
+
+#[test]
+fn motion_that_waited_behind_a_stop_does_not_leave_after_it() {
+    fn check<S: Speech>() {
+        let mut client = Asynch::<S>::homed(Config::default());
+        let Asynch { bench, gripper } = &mut client;
+        bench.world(|world| world.room = 0);
+        assert!(bench.run_for(10, gripper.stop()).is_none());
+        assert!(bench.run_for(10, gripper.move_to(10.0, 400.0, OnBlock::Stop)).is_none());
+        bench.world(|world| world.room = usize::MAX);
+        assert!(client.system_state().unwrap().contains(SystemFlags::AXIS_STOPPED));
+        client.bench.pass(2_000);
+        assert_eq!(client.state(), Ok(GripperState::Idle));
         assert!(client.width().unwrap() > 109.0);
     }
     check::<Frames>();

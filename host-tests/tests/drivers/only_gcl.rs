@@ -142,6 +142,17 @@ fn line_that_comes_in_pieces_is_waited_for() {
 }
 
 #[test]
+fn half_a_line_of_a_connection_that_broke_spoils_nothing() {
+    let mut client = homed(20.0);
+    client.bench().inject(b"@PO");
+    client.next_update(0).unwrap();
+    client.take_new_line();
+    client.connect().unwrap();
+    let counters = client.counters();
+    assert_eq!((counters.session.refused, counters.session.repeated), (0, 0), "{counters:?}");
+}
+
+#[test]
 fn end_over_datagrams_cannot_be_announced() {
     let mut client = Blocking::<Lines>::at(Bench::new(PortKind::GclUdp, Config::default()));
     client.connect().unwrap();

@@ -140,7 +140,7 @@ impl<const RX: usize> Link for Gcl<RX> {
     }
 
     fn is_busy(&self) -> bool {
-        self.session.is_busy() || self.own_answer.is_some()
+        self.session.is_busy()
     }
 
     fn owes_fast_stop(&self) -> bool {
