@@ -120,20 +120,23 @@ fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P
     actor.set_force_limit(35.0).unwrap();
     watcher.set_force_limit(35.0).unwrap();
 
-    // While the fingers move, for a second, the same state, and widths of one and the same way.
+    // While the fingers move, for four seconds, the same state, and widths of one and the same way.
     actor.move_to(100.0, 400.0, OnBlock::Stop).unwrap();
-    let motion = actor.begin_move_to(60.0, 10.0, OnBlock::Stop).unwrap();
+    let motion = actor.begin_move_to(30.0, 5.0, OnBlock::Stop).unwrap();
+    assert_eq!(watcher.state().unwrap(), GripperState::Positioning);
     let mut widths = vec![];
-    while actor.poll(&motion).unwrap().is_none() {
+    for _ in 0..10 {
         widths.push(actor.width().unwrap());
         widths.push(watcher.width().unwrap());
-        if widths.len() == 2 {
-            assert_eq!(watcher.state().unwrap(), GripperState::Positioning);
-            let refused = watcher.grip(20.0, 100.0).unwrap_err();
-            assert!(matches!(refused, Error::Refused(Status::AlreadyRunning)), "{refused:?}");
-        }
     }
-    assert!(widths.len() > 4 && widths.is_sorted_by(|one, other| one >= other), "{widths:?}");
+    assert!(widths.is_sorted_by(|one, other| one >= other) && widths[0] > widths[19], "{widths:?}");
+    let refused = watcher.grip(20.0, 100.0).unwrap_err();
+    assert!(matches!(refused, Error::Refused(Status::AlreadyRunning)), "{refused:?}");
+    // The one stops what the other has begun.
+    watcher.stop().unwrap();
+    assert!(matches!(actor.wait(&motion), Err(Error::Aborted)));
+    assert!(seen_by_both(actor, watcher).flags.contains(SystemFlags::AXIS_STOPPED));
+    actor.move_to(60.0, 400.0, OnBlock::Stop).unwrap();
     assert_eq!(seen_by_both(actor, watcher).width, 60.0);
 
     // A part is held.
@@ -145,7 +148,7 @@ fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P
     assert_eq!(seen_by_both(actor, watcher).state, GripperState::Idle);
 
     // FAST STOP of the one ends the motion of the other, and either acknowledges it.
-    let motion = watcher.begin_move_to(100.0, 10.0, OnBlock::Stop).unwrap();
+    let motion = watcher.begin_move_to(100.0, 5.0, OnBlock::Stop).unwrap();
     actor.fast_stop().unwrap();
     assert!(matches!(watcher.wait(&motion), Err(Error::Aborted)));
     let locked = seen_by_both(actor, watcher);

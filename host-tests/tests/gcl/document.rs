@@ -128,6 +128,7 @@ fn tests_that_the_document_names_exist() {
         "host-tests/tests/gcl/manual.rs",
         "host-tests/tests/gcl/hostile.rs",
         "host-tests/tests/gcl/round_trip.rs",
+        "protocol/src/gcl/decimal_tests.rs",
         "protocol/src/gcl/line_tests.rs",
         "protocol/src/gcl/number_tests.rs",
         "protocol/src/gcl/session_tests.rs",
