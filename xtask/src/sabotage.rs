@@ -27,7 +27,7 @@ struct Sabotage {
 
 const PARSER: &str = "protocol/src/frame/parser.rs";
 const TRACK: &str = "protocol/src/session/track.rs";
-const REPEAT: &str = "let repeat = request.is_repeatable() && self.sent < attempts;";
+const REPEAT: &str = "let repeat = is_repeatable && self.sent < attempts;";
 const CONTROLLER: &str = "protocol/src/fieldbus/controller.rs";
 const EDGES: &str = "image.flags.difference(previous.flags)";
 
@@ -35,7 +35,7 @@ const fn smoke(filter: &'static str) -> [&'static str; 7] {
     ["test", "-q", "-p", "host-tests", "--test", "fuzz_smoke", filter]
 }
 
-const ALL: [Sabotage; 16] = [
+const ALL: [Sabotage; 17] = [
     Sabotage {
         gate: "panics",
         what: "an `unwrap` in the parser",
@@ -68,7 +68,7 @@ const ALL: [Sabotage; 16] = [
         what: "16 KiB of text in the firmware",
         file: TRACK,
         line: REPEAT,
-        instead: "core::hint::black_box(&[0x5A_u8; 16 * 1024]);\n        let repeat = request.is_repeatable() && self.sent < attempts;",
+        instead: "core::hint::black_box(&[0x5A_u8; 16 * 1024]);\n        let repeat = is_repeatable && self.sent < attempts;",
         command: &["xtask", "size"],
         says: "past the limit: firmware image, flash",
     },
@@ -86,7 +86,7 @@ const ALL: [Sabotage; 16] = [
         what: "1600 bytes deeper",
         file: TRACK,
         line: REPEAT,
-        instead: "core::hint::black_box([0_u8; 1600]);\n        let repeat = request.is_repeatable() && self.sent < attempts;",
+        instead: "core::hint::black_box([0_u8; 1600]);\n        let repeat = is_repeatable && self.sent < attempts;",
         command: &["xtask", "stack"],
         says: "past the limit: worst-case stack, walked, worst-case stack, painted in the emulator",
     },
@@ -161,6 +161,15 @@ const ALL: [Sabotage; 16] = [
         instead: "if len == 0 {",
         command: &smoke("modbus"),
         says: "modbus_60_000_cases",
+    },
+    Sabotage {
+        gate: "fuzz, CAN",
+        what: "a dropped check: any checksum is right",
+        file: "protocol/src/can/reassembler.rs",
+        line: "checksum::push_slice(checksum::START, covered).to_le_bytes() != *received",
+        instead: "checksum::push_slice(checksum::START, covered).to_le_bytes() == [1, 2]",
+        command: &smoke("can"),
+        says: "can_60_000_cases",
     },
     Sabotage {
         gate: "faults, driver",
