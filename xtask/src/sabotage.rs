@@ -83,10 +83,10 @@ const ALL: [Sabotage; 17] = [
     },
     Sabotage {
         gate: "stack",
-        what: "1600 bytes deeper",
+        what: "2000 bytes deeper",
         file: TRACK,
         line: REPEAT,
-        instead: "core::hint::black_box([0_u8; 1600]);\n        let repeat = is_repeatable && self.sent < attempts;",
+        instead: "core::hint::black_box([0_u8; 2000]);\n        let repeat = is_repeatable && self.sent < attempts;",
         command: &["xtask", "stack"],
         says: "past the limit: worst-case stack, walked, worst-case stack, painted in the emulator",
     },
