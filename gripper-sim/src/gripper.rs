@@ -129,6 +129,10 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// [`transmit`](Self::transmit) every few hundred bytes.
     pub fn receive(&mut self, id: PortId, now: Time, bytes: &[u8]) {
         self.advance(now);
+        if bytes.is_empty() {
+            // Silence: the time that half a frame is waited for goes on.
+            return;
+        }
         let request = Request { port: id, now: self.now };
         let mut rest = bytes;
         loop {

@@ -8,12 +8,14 @@
 //! | [`controller`] | a command only after the edge that asks for it |
 //! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
 //! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
+//! | [`can`] | the reassembler finds what a reader of the whole recording finds |
 //! | [`bridge`] | no motion without an edge, whatever the line and the wires do |
 //!
 //! cargo-fuzz runs them (`cargo xtask fuzz`, targets in `host-tests/fuzz`); the test `fuzz_smoke` runs them on stable Rust
 //! over the committed seeds and over [`generated`] inputs.
 
 mod bridge;
+mod can;
 mod controller;
 mod frames;
 mod gcl;
@@ -24,6 +26,7 @@ mod session;
 mod typed;
 
 pub use bridge::bridge;
+pub use can::can;
 pub use controller::controller;
 pub use frames::frames;
 pub use gcl::gcl;
@@ -44,12 +47,13 @@ pub struct Body {
 }
 
 /// Every body.
-pub const ALL: [Body; 7] = [
+pub const ALL: [Body; 8] = [
     Body { name: "frames", run: frames, pieces: generate::BINARY },
     Body { name: "typed", run: typed, pieces: generate::BINARY },
     Body { name: "session", run: session, pieces: generate::BINARY },
     Body { name: "controller", run: controller, pieces: generate::BINARY },
     Body { name: "bridge", run: bridge, pieces: generate::BINARY },
     Body { name: "gcl", run: gcl, pieces: generate::TEXT },
+    Body { name: "can", run: can, pieces: generate::BINARY },
     Body { name: "modbus", run: modbus, pieces: generate::BINARY },
 ];

@@ -69,6 +69,11 @@ fn bridge_60_000_cases() {
 }
 
 #[test]
+fn can_60_000_cases() {
+    smoke("can");
+}
+
+#[test]
 fn gcl_60_000_cases() {
     smoke("gcl");
 }

@@ -204,7 +204,7 @@ fn silence_is_noticed_within_a_second_and_a_gripper_that_comes_back_is_found() {
     let mut desk = Desk::connected();
     desk.pass(1_000);
     assert_eq!(desk.notices, ["Disconnected"]);
-    let asked = desk.pass(2_000);
+    let asked = desk.pass(3_000);
     assert!(asked.iter().all(|command| *command == Command::GetSystemInfo), "{asked:?}");
     assert!(asked.len() >= 3);
     desk.connect();
@@ -488,7 +488,7 @@ fn finger_supply_may_be_switched_on_beside_a_motion() {
 fn time_out_is_told_in_advance() {
     let mut desk = Desk::connected();
     let mut checked = 0;
-    for step in 0..2_000 {
+    for step in 0..4_000 {
         if step == 100 {
             desk.session.request(GRIP).unwrap();
         }

@@ -2,7 +2,7 @@
 
 use std::{fs, path::PathBuf, process::Command};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
 use crate::{
     process,
@@ -16,7 +16,7 @@ const LLVM_TOOLS: Tool = Tool {
     install: &["rustup", "component", "add", "--toolchain", "nightly", "llvm-tools"],
 };
 
-/// Prints the coverage of each file, and of all together.
+/// Prints the coverage of each file, and of all together: that of the tests, without the examples in the docs.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let what_for = "the coverage of wsg-protocol";
     NIGHTLY.require(workspace, what_for)?;
@@ -25,10 +25,15 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let profiles = folder.join("profiles");
     // Profiles of an earlier run would be counted in.
     let _ = fs::remove_dir_all(&profiles);
-    let mut cargo = tool::nightly_cargo(workspace, &["test", "-p", "wsg-protocol", "--lib", "--tests"]);
-    cargo.env("CARGO_TARGET_DIR", &folder).env("RUSTFLAGS", "-Cinstrument-coverage");
-    cargo.env("LLVM_PROFILE_FILE", profiles.join("%p-%m.profraw"));
-    process::run(&mut cargo)?;
+    let tests = |more: &[&str]| {
+        let mut cargo = tool::nightly_cargo(workspace, &["test", "-p", "wsg-protocol", "--lib", "--tests"]);
+        cargo.args(more).env("CARGO_TARGET_DIR", &folder).env("RUSTFLAGS", "-Cinstrument-coverage");
+        cargo.env("LLVM_PROFILE_FILE", profiles.join("%p-%m.profraw"));
+        cargo
+    };
+    let programs = programs_in(&process::output(&mut tests(&["--no-run", "--message-format", "json"]))?);
+    ensure!(!programs.is_empty(), "cargo names no test programs");
+    process::run(&mut tests(&[]))?;
 
     let bin = llvm_bin(workspace)?;
     let merged = folder.join("merged.profdata");
@@ -36,9 +41,9 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     profdata.args(["merge", "-sparse", "-o"]).arg(&merged).args(files_with(&profiles, "profraw")?);
     process::run(&mut profdata)?;
     let mut report = Command::new(bin.join("llvm-cov"));
-    report.args(["report", "--ignore-filename-regex", r"_tests\.rs|/tests/|\.cargo|rustc|gripper-sim"]);
+    report.args(["report", "--ignore-filename-regex", r"tests\.rs|/tests/|\.cargo|rustc|gripper-sim"]);
     report.arg("--instr-profile").arg(&merged);
-    for program in test_programs(&folder)? {
+    for program in programs {
         report.arg("--object").arg(program);
     }
     process::run(&mut report)
@@ -51,21 +56,28 @@ fn llvm_bin(workspace: &Workspace) -> Result<PathBuf> {
     Ok(PathBuf::from(libdir.trim()).join("../bin"))
 }
 
-/// Test programs have a hash in their name and no extension.
-fn test_programs(folder: &std::path::Path) -> Result<Vec<PathBuf>> {
-    let deps = folder.join("debug/deps");
-    let all = fs::read_dir(&deps).with_context(|| format!("cannot read {}", deps.display()))?;
-    let is_program = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        path.extension().is_none()
-            && path.is_file()
-            && (name.starts_with("wsg_protocol-") || name.starts_with("decisions-"))
-    };
-    Ok(all.flatten().map(|entry| entry.path()).filter(is_program).collect())
+/// The programs that cargo says it has made: others of earlier runs may lie beside them.
+fn programs_in(messages: &str) -> Vec<PathBuf> {
+    let paths = messages.split("\"executable\":\"").skip(1);
+    paths.filter_map(|rest| rest.split_once('"')).map(|(path, _)| PathBuf::from(path)).collect()
 }
 
 fn files_with(folder: &std::path::Path, extension: &str) -> Result<Vec<PathBuf>> {
     let all = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     let has_it = |path: &PathBuf| path.extension().is_some_and(|it| it == extension);
     Ok(all.flatten().map(|entry| entry.path()).filter(has_it).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn programs_are_those_that_cargo_names() {
+        let messages = "{\"reason\":\"compiler-artifact\",\"executable\":\"/t/deps/a-1\",\"fresh\":true}\n\
+                        {\"reason\":\"compiler-artifact\",\"executable\":null,\"fresh\":true}\n\
+                        {\"executable\":\"/t/deps/b-2\"}\n";
+
+        assert_eq!(programs_in(messages), [PathBuf::from("/t/deps/a-1"), PathBuf::from("/t/deps/b-2")]);
+    }
 }

@@ -12,10 +12,10 @@ use crate::{
     probe::Probes,
     process, size,
     stack::{self},
+    workspace::Workspace,
 };
 
 const DOCUMENT: &str = "docs/figures.md";
-const BEGIN: &str = "<!-- generated: figures -->";
 const END: &str = "<!-- end -->";
 
 /// Measures everything that `docs/figures.md` tells, writes it, and has the README take it over; gives the gates.
@@ -28,12 +28,7 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     gates.extend(bench::counted(probes, false)?);
     gates.push(bench::throughput(probes.workspace)?);
 
-    let path = probes.workspace.root.join(DOCUMENT);
-    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;
-    let text = with_part(&text, &table(&gates))
-        .with_context(|| format!("{DOCUMENT} has no `{BEGIN}` and `{END}`"))?;
-    fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
-
+    write_part(probes.workspace, "figures", &table(&gates))?;
     let mut readme = probes.workspace.cargo();
     readme.env("WSG_UPDATE_DOCS", "1").args([
         "test",
@@ -47,6 +42,14 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     process::run(&mut readme)?;
     println!("{DOCUMENT} and README.md are written");
     Ok(gates)
+}
+
+/// Writes what stands between `<!-- generated: NAME -->` and the next end in the document.
+pub(crate) fn write_part(workspace: &Workspace, name: &str, part: &str) -> Result<()> {
+    let path = workspace.root.join(DOCUMENT);
+    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;
+    let text = with_part(&text, name, part).with_context(|| format!("{DOCUMENT} has no part `{name}`"))?;
+    fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))
 }
 
 fn table(gates: &[Gate]) -> String {
@@ -64,10 +67,11 @@ fn table(gates: &[Gate]) -> String {
     text
 }
 
-fn with_part(text: &str, part: &str) -> Option<String> {
-    let (before, rest) = text.split_once(BEGIN)?;
+fn with_part(text: &str, name: &str, part: &str) -> Option<String> {
+    let begin = format!("<!-- generated: {name} -->");
+    let (before, rest) = text.split_once(&begin)?;
     let (_, after) = rest.split_once(END)?;
-    Some(format!("{before}{BEGIN}\n{part}{END}{after}"))
+    Some(format!("{before}{begin}\n{part}{END}{after}"))
 }
 
 #[cfg(test)]
@@ -76,14 +80,14 @@ mod tests {
 
     #[test]
     fn the_generated_part_is_replaced_and_nothing_else() {
-        let text = format!("# Figures\n\n{BEGIN}\nold\n{END}\n\nText.\n");
+        let text = "# Figures\n\n<!-- generated: figures -->\nold\n<!-- end -->\n\nText.\n";
         let gates = [Gate::bytes("flash", 90, 100), Gate::bytes("RAM", 120, 100).standing_at(130.0)];
 
-        let written = with_part(&text, &table(&gates)).unwrap();
+        let written = with_part(text, "figures", &table(&gates)).unwrap();
 
         assert!(written.starts_with("# Figures\n") && written.ends_with("<!-- end -->\n\nText.\n"));
         assert!(written.contains("| flash | 90 B | 100 B |\n| RAM | 120 B | 100 B, **missed** |\n"));
         assert!(!written.contains("old"));
-        assert_eq!(with_part("no part", ""), None);
+        assert_eq!(with_part("no part", "figures", ""), None);
     }
 }

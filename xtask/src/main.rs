@@ -19,6 +19,7 @@ mod panics;
 mod probe;
 mod process;
 mod public_functions;
+mod sabotage;
 mod setup;
 mod size;
 mod soak;
@@ -65,9 +66,11 @@ Commands
   soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;
                      a quarter of an hour [--commands N] [--seed N]
   mutants [FILE...]  changes of the protocol crate, or of these files of it, that no test notices;
-                     takes hours for all; cargo-mutants
+                     takes hours for all [--shard K/N: every N-th, a sample]; cargo-mutants
   miri               the bridge's host tests under Miri; nightly Rust
   coverage           lines of the protocol crate that its tests reach; nightly Rust
+  sabotage [GATE]    change a line in a copy of the tree and see the gate fail, for each gate;
+                     a quarter of an hour
   figures            measure all that docs/figures.md tells, and write it and the README's table
   flash              write the image to a board with probe-rs and start it
                      [--features X] as for build

@@ -8,14 +8,14 @@ use crate::{
     firmware::{self, Image},
     fuzz, gate, mutants, no_more, panics,
     probe::Probes,
-    rest,
+    sabotage,
     setup::{self, ThumbToolchain},
     size, soak, stack, test, undefined_behaviour,
     workspace::Workspace,
 };
 
 /// Runs the command of this name.
-pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
+pub(crate) fn run(command: &str, mut arguments: Parser) -> Result<()> {
     match command {
         "size" => {
             no_more(arguments)?;
@@ -59,10 +59,16 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             let built = Built::new()?;
             soak::run(&built.workspace, &built.image, &extent)
         }
-        "mutants" => {
-            let files: Vec<_> = rest(arguments)?.iter().map(|it| it.to_string_lossy().into_owned()).collect();
-            mutants::run(&Workspace::from_env()?, &files)
+        "sabotage" => {
+            let gate = arguments.next()?.map(|argument| match argument {
+                Arg::Value(gate) => Ok(gate.string()?),
+                other => Err(other.unexpected()).context("see `cargo xtask help`"),
+            });
+            let gate = gate.transpose()?;
+            no_more(arguments)?;
+            sabotage::run(&Workspace::from_env()?, gate.as_deref())
         }
+        "mutants" => mutants::run(&Workspace::from_env()?, &mutants_extent(arguments)?),
         "miri" => {
             no_more(arguments)?;
             undefined_behaviour::run(&Workspace::from_env()?)
@@ -93,6 +99,19 @@ impl Built {
     fn probes(&self) -> Probes<'_> {
         Probes { workspace: &self.workspace, toolchain: &self.toolchain }
     }
+}
+
+/// Files, and `--shard K/N`.
+fn mutants_extent(mut arguments: Parser) -> Result<mutants::Extent> {
+    let mut extent = mutants::Extent::default();
+    while let Some(argument) = arguments.next()? {
+        match argument {
+            Arg::Long("shard") => extent.shard = Some(arguments.value()?.string()?),
+            Arg::Value(file) => extent.files.push(file.string()?),
+            other => return Err(other.unexpected()).context("see `cargo xtask help`"),
+        }
+    }
+    Ok(extent)
 }
 
 /// `--seconds N`.

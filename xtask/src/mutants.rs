@@ -23,8 +23,15 @@ const ALL_CAUGHT_IN: [&str; 3] = ["protocol/src/checksum.rs", "protocol/src/fram
 /// How many must be caught of all, in percent.
 const CAUGHT_PERCENT: usize = 95;
 
-/// The file that the feature `small-table` changes.
+/// The file that the feature `small-table` changes, and the options that leave only what it changes there.
 const OF_SMALL_TABLE: &str = "protocol/src/checksum.rs";
+const SMALL_TABLE: [&str; 4] = ["--features", "small-table", "--re", "lookup::|chunk::"];
+
+/// The text protocol, whose grammar is held by the test `gcl` of host-tests.
+const OF_GCL: &str = "protocol/src/gcl";
+const GCL_FILES: [&str; 2] = ["protocol/src/gcl.rs", "protocol/src/gcl/**"];
+const GCL_TESTS: [&str; 7] =
+    ["--test-package", "wsg-protocol", "--test-package", "host-tests", "--", "--lib", "--test=gcl"];
 
 /// What became of the mutants, each a line of cargo-mutants.
 #[derive(Debug, Default, PartialEq)]
@@ -33,30 +40,57 @@ struct Outcome {
     survived: BTreeSet<String>,
 }
 
-/// Makes the mutants of the crate, or of these files of it, and holds the survivors to the accepted ones.
-pub(crate) fn run(workspace: &Workspace, files: &[String]) -> Result<()> {
+/// Which mutants to make.
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Extent {
+    /// Files of the crate; none for all.
+    pub(crate) files: Vec<String>,
+    /// `K/N`: every N-th, from the K-th on: a sample of them all.
+    pub(crate) shard: Option<String>,
+}
+
+impl Extent {
+    fn is_whole(&self) -> bool {
+        self.files.is_empty()
+    }
+}
+
+/// Makes the mutants, and holds the survivors to the accepted ones.
+pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     let accepted = accepted(&read(&workspace.root.join(ACCEPTED))?)?;
     CARGO_MUTANTS.require(workspace, "the mutants of wsg-protocol")?;
-    let mut outcome = make(workspace, "all", files, &[])?;
-    if files.is_empty() || files.iter().any(|file| file == OF_SMALL_TABLE) {
-        // What is only there with the feature is noticed only with it; what either run notices is noticed.
-        let with =
-            make(workspace, "small-table", &[OF_SMALL_TABLE.to_owned()], &["--features", "small-table"])?;
-        outcome = outcome.or_in(&with);
+    let options = match &extent.shard {
+        Some(shard) => vec!["--sharding", "round-robin", "--shard", shard.as_str()],
+        None => vec![],
+    };
+    let (of_gcl, others): (Vec<&str>, Vec<&str>) =
+        extent.files.iter().map(String::as_str).partition(|file| file.starts_with(OF_GCL));
+    let mut outcome = Outcome::default();
+    if extent.is_whole() || !others.is_empty() {
+        let without = GCL_FILES.map(|file| ["--exclude", file]).concat();
+        outcome.join(make(workspace, "all", &others, &[&options, &without[..]].concat())?);
     }
-    judge(&outcome, &accepted, files.is_empty())
+    if extent.is_whole() || !of_gcl.is_empty() {
+        let files = if extent.is_whole() { &GCL_FILES[..] } else { &of_gcl };
+        outcome.join(make(workspace, "gcl", files, &[&options, &GCL_TESTS[..]].concat())?);
+    }
+    if extent.is_whole() || others.iter().any(|file| file.contains(OF_SMALL_TABLE)) {
+        // What is only there with the feature is noticed only with it; what either run notices is noticed.
+        outcome.join(make(workspace, "small-table", &[OF_SMALL_TABLE], &SMALL_TABLE)?);
+    }
+    judge(&outcome, &accepted, extent.is_whole())
 }
 
 /// One run of cargo-mutants.
-fn make(workspace: &Workspace, name: &str, files: &[String], options: &[&str]) -> Result<Outcome> {
+fn make(workspace: &Workspace, name: &str, files: &[&str], options: &[&str]) -> Result<Outcome> {
     let output = workspace.target_dir.join("mutants").join(name);
     fs::create_dir_all(&output).with_context(|| format!("cannot make {}", output.display()))?;
     let mut mutants =
         tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle", "-j1"]);
-    mutants.arg("--output").arg(&output).args(["--timeout", "40", "--colors", "never"]).args(options);
+    mutants.arg("--output").arg(&output).args(["--timeout", "40", "--colors", "never"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
-    // The doctests take most of the time and notice what the other tests notice.
-    mutants.args(["--", "--lib", "--tests"]);
+    // What the tests are made of is no part of the crate.
+    mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(options);
     let status = process::run_for_status(&mut mutants)?;
     // 2: mutants survived; 3: some ran out of time, which counts as noticed.
     ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants itself failed ({status})");
@@ -74,11 +108,11 @@ fn outcome(folder: &Path) -> Result<Outcome> {
 }
 
 impl Outcome {
-    /// With what another run has caught.
-    fn or_in(mut self, other: &Self) -> Self {
-        self.survived.retain(|mutant| !other.caught.contains(mutant));
-        self.caught.extend(other.caught.iter().cloned());
-        self
+    /// With another run: what either has caught is caught.
+    fn join(&mut self, other: Self) {
+        self.caught.extend(other.caught);
+        self.survived.extend(other.survived);
+        self.survived.retain(|mutant| !self.caught.contains(mutant));
     }
 }
 
@@ -144,11 +178,13 @@ mod tests {
 
     #[test]
     fn what_either_run_catches_is_caught() {
-        let first = Outcome { caught: ["a".into()].into(), survived: ["b".into(), "c".into()].into() };
+        let mut both = Outcome { caught: ["a".into()].into(), survived: ["b".into(), "c".into()].into() };
         let second = Outcome { caught: ["b".into()].into(), survived: ["a".into(), "c".into()].into() };
 
-        let both = Outcome { caught: ["a".into(), "b".into()].into(), survived: ["c".into()].into() };
-        assert_eq!(first.or_in(&second), both);
+        both.join(second);
+
+        let expected = Outcome { caught: ["a".into(), "b".into()].into(), survived: ["c".into()].into() };
+        assert_eq!(both, expected);
     }
 
     #[test]

@@ -21,6 +21,7 @@ pub fn typed(data: &[u8]) {
         Ok(command) => {
             assert_eq!(command.id().code(), id);
             assert_eq!(command.check(), Ok(()), "what decodes may be sent");
+            all_finite(&command);
             same(&without_padding(&frame, 0), command);
         }
         Err(refusal) => {
@@ -31,8 +32,17 @@ pub fn typed(data: &[u8]) {
     if let Ok(reply) = Reply::decode(&frame) {
         assert_eq!(reply.id().code(), id);
         assert_eq!(reply.value().is_some(), reply.status().code() == 0, "values come with E_SUCCESS alone");
+        all_finite(&reply);
         same(&without_padding(&frame, STATUS_LEN), reply);
     }
+}
+
+/// No number of it is infinite or none. (As it shows, so that this does not rest on the check that it is about. A tag is the
+/// one text that a person may have written.)
+fn all_finite(value: &impl std::fmt::Debug) {
+    let shown = format!("{value:?}");
+    let has = |word: &str| shown.split(|c: char| !c.is_alphanumeric()).any(|it| it == word);
+    assert!(shown.contains("Tag") || !(has("NaN") || has("inf")), "{shown}");
 }
 
 /// NUL characters behind a device tag are no part of it, and are not sent again.

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use host_tests::faulty_link::{Counts, FaultyWay, Rates};
-use host_tests::rig::{PATIENCE, Rig, names};
+use host_tests::rig::{Rig, names};
 use host_tests::trace::{Entry, Trace};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, GripperState, Kind};
@@ -28,6 +28,9 @@ const RELEASE: Job = (Inputs::RELEASE, CommandId::ReleasePart, |state| (state.wi
 
 /// The recipe that opens wide, for MOVE.
 const WIDE: u8 = 1;
+
+/// How long anything may take: a lost link is back in seconds, but a busy machine may lose it several times.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 /// What the PLC was told.
 #[derive(Debug, Default)]

@@ -13,7 +13,8 @@ pub struct Config {
     pub attempts: u8,
     /// How long after one of the subscribed values was asked for the next one is.
     pub refresh_ms: u32,
-    /// How long to wait before connecting is tried again.
+    /// How long to wait before connecting is tried again. A gripper that took a damaged frame for the head of a long one
+    /// hears nothing until it gives that up, which it does in silence alone: wait for longer than it does.
     pub reconnect_ms: u32,
     /// How long a motion may take.
     pub motion_timeout_ms: u32,
@@ -65,7 +66,7 @@ impl Config {
         reply_timeout_ms: 200,
         attempts: 3,
         refresh_ms: 250,
-        reconnect_ms: 250,
+        reconnect_ms: 600,
         motion_timeout_ms: 60_000,
         result_grace_ms: 1_000,
         update_period_ms: AutoUpdate::MIN_PERIOD_MS,

@@ -9,6 +9,7 @@
 mod counting;
 mod edge;
 mod frames;
+mod modbus;
 mod round_trip;
 
 // The drivers of the board that is flashed, so that what is counted is what runs there.
@@ -34,6 +35,7 @@ fn main() -> ! {
         counter.check();
         frames::count(&counter);
         round_trip::count(&counter);
+        modbus::count(&counter);
         edge::count(&counter);
         debug::exit(debug::EXIT_SUCCESS);
     }

@@ -1,0 +1,138 @@
+//! Messages over CAN frames against a naive reader, and the same frames as SLCAN lines.
+
+use embedded_can::{Frame as _, StandardId};
+use wsg_protocol::can::slcan::{self, Line};
+use wsg_protocol::can::{ClassicFrame, FULL, HALF_MESSAGE_MS, Reassembler, Segments};
+use wsg_protocol::{Event, FrameEncoder, Instant, checksum};
+
+use super::input::Input;
+
+/// CAN frames of the longest message that the reassembler takes: few, so that messages are too long often.
+const LIMIT: usize = 5;
+
+const OURS: Option<StandardId> = StandardId::new(0x21);
+const FOREIGN: Option<StandardId> = StandardId::new(0x20);
+
+/// What is compared: events by value.
+#[derive(Clone, Debug, PartialEq)]
+enum Seen {
+    Message(u8, Vec<u8>),
+    BadChecksum(u8, u16),
+    Oversize(u8, u16),
+}
+
+impl From<Event<'_>> for Seen {
+    fn from(event: Event<'_>) -> Self {
+        match event {
+            Event::Frame(frame) => Self::Message(frame.id, frame.payload.to_vec()),
+            Event::BadChecksum { id, size } => Self::BadChecksum(id, size),
+            Event::Oversize { id, size } => Self::Oversize(id, size),
+        }
+    }
+}
+
+/// Each op is a byte that says what, and bytes that say how: a message and what becomes of its frames, or any frame.
+pub fn can(data: &[u8]) {
+    let mut input = Input::new(data);
+    let mut recording: Vec<Vec<u8>> = Vec::new();
+    while !input.is_empty() {
+        let op = input.byte();
+        let count = usize::from(input.byte());
+        if op & 1 == 0 {
+            recording.push(input.bytes(count % FULL + 1).to_vec());
+            continue;
+        }
+        let message: Vec<u8> = FrameEncoder::new(input.byte(), input.bytes(count % 48)).collect();
+        let segments = Segments::new(message.iter().copied());
+        let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
+        assert_eq!(frames.concat(), message, "nothing is added and nothing left out");
+        let at = usize::from(op >> 4) % frames.len();
+        match op >> 1 & 7 {
+            0 => drop(frames.remove(at)),
+            1 => frames.insert(at, frames[at].clone()),
+            2 => frames[at].truncate(3),
+            3 => frames[at][0] ^= 0x10,
+            _ => {}
+        }
+        recording.extend(frames);
+    }
+    recording.retain(|frame| !frame.is_empty());
+    reassembled(&recording);
+    lines(&recording);
+    // Whatever comes from a serial adapter is no more than noise.
+    let mut decoder = slcan::Decoder::new();
+    for byte in data {
+        let _ = decoder.push::<ClassicFrame>(*byte);
+    }
+}
+
+/// The reassembler finds what a reader of the whole recording finds; frames for others in between change nothing.
+fn reassembled(recording: &[Vec<u8>]) {
+    let (Some(ours), Some(foreign)) = (OURS, FOREIGN) else { unreachable!("both have 11 bits") };
+    let mut reassembler = Reassembler::<LIMIT>::new(ours, HALF_MESSAGE_MS);
+    let mut seen: Vec<Seen> = Vec::new();
+    let now = Instant::from_millis(0);
+    for data in recording {
+        for id in [foreign, ours] {
+            let Some(frame) = ClassicFrame::new(id, data) else { unreachable!("a frame has up to 8 bytes") };
+            reassembler.receive(now, &frame, |event| seen.push(event.into()));
+        }
+    }
+    if let Some(at) = reassembler.poll_timeout() {
+        reassembler.handle_timeout(at, |event| seen.push(event.into()));
+    }
+    assert_eq!(reassembler.poll_timeout(), None, "nothing is held after silence");
+    let (expected, dropped) = read_all(recording);
+    assert_eq!(seen, expected);
+    let counters = reassembler.counters();
+    assert_eq!((usize::from(counters.dropped), usize::from(counters.foreign)), (dropped, recording.len()));
+}
+
+/// What a reader finds that has the whole recording: a message at the first frame, or one frame further. Gives the frames
+/// dropped as well.
+fn read_all(recording: &[Vec<u8>]) -> (Vec<Seen>, usize) {
+    let (mut seen, mut dropped, mut at) = (Vec::new(), 0, 0);
+    while let Some(rest) = recording.get(at..).filter(|rest| !rest.is_empty()) {
+        let (found, frames) = found_at(rest);
+        seen.extend(found);
+        dropped += usize::from(frames == 0);
+        at += frames.max(1);
+    }
+    (seen, dropped)
+}
+
+/// What is found at the first of these, and how many frames it has used up as a message.
+fn found_at(rest: &[Vec<u8>]) -> (Option<Seen>, usize) {
+    let first = &rest[0];
+    if first.len() != FULL || !first.starts_with(&[0xAA; 3]) {
+        return (None, 0);
+    }
+    let (id, size) = (first[3], u16::from_le_bytes([first[4], first[5]]));
+    let length = usize::from(size) + 8;
+    let frames = length.div_ceil(FULL);
+    if frames > LIMIT {
+        return (Some(Seen::Oversize(id, size)), 0);
+    }
+    let cut = |frame: usize| if frame + 1 == frames { length - frame * FULL } else { FULL };
+    if rest.len() < frames || (0..frames).any(|frame| rest[frame].len() != cut(frame)) {
+        return (None, 0);
+    }
+    let bytes = rest[..frames].concat();
+    let (covered, received) = bytes.split_at(length - 2);
+    if checksum::of(covered).to_le_bytes() != received {
+        return (Some(Seen::BadChecksum(id, size)), 0);
+    }
+    (Some(Seen::Message(id, covered[6..].to_vec())), frames)
+}
+
+/// A frame's line is read back as the frame.
+fn lines(recording: &[Vec<u8>]) {
+    let Some(id) = OURS else { unreachable!("it has 11 bits") };
+    let mut decoder = slcan::Decoder::new();
+    for frame in recording.iter().filter_map(|data| ClassicFrame::new(id, data)) {
+        let line = slcan::encode(&frame);
+        let read: Vec<Line<ClassicFrame>> =
+            line.as_bytes().iter().filter_map(|&byte| decoder.push(byte)).collect();
+        assert_eq!(read, [Line::Frame(frame)]);
+    }
+}
