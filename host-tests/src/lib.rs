@@ -11,6 +11,7 @@
 //! | [`masters`] | Modbus masters that nobody here wrote |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`rig`] | board, gripper and PLC together |
+//! | [`terminal`] | a pseudo terminal in front of the board's bus |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
 //!
 //! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
@@ -32,4 +33,6 @@ pub mod modbus_master;
 pub mod qtest;
 #[cfg(unix)]
 pub mod rig;
+#[cfg(unix)]
+pub mod terminal;
 pub mod trace;

@@ -17,6 +17,9 @@ pub(crate) const PACKAGE: &str = "wsg-bridge-fw";
 /// The environment variable that tells the emulator tests which image to boot.
 pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 
+/// The environment variables that change what the image is built with: an image for another bus has another name.
+const BUS_VARIABLES: [&str; 3] = ["WSG_BUS_RATE", "WSG_BUS_FORMAT", "WSG_BUS_UNIT"];
+
 const PROFILE: &str = "firmware";
 
 /// A board that the firmware runs on.
@@ -47,7 +50,8 @@ pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, features:
     cargo.args(selection(features));
     process::run(&mut cargo)?;
     let built = toolchain.output_dir(workspace, PROFILE).join(BOARD.name);
-    keep(&built, &workspace.target_dir.join("firmware").join(file_name(features)))
+    let bus: Vec<String> = BUS_VARIABLES.iter().filter_map(|name| std::env::var(name).ok()).collect();
+    keep(&built, &workspace.target_dir.join("firmware").join(file_name(&[features, &bus].concat())))
 }
 
 /// Cargo's arguments that choose the firmware's binary and profile.

@@ -83,6 +83,9 @@ Environment
                      for the target instead
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
   WSG_MODBUS_PYTHON  set by test for those with Modbus masters: the Python that has them
+  WSG_BUS_RATE, WSG_BUS_FORMAT, WSG_BUS_UNIT
+                     the image's bus: 1200 to 230400 bit/s (19200), 8E1, 8N1 or 8N2 (8E1), and
+                     unit 1 to 247 (1); an image for another bus has a name of its own
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
 
 set-up asks before it acts: on a machine that has everything it runs nothing.

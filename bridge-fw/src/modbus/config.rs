@@ -24,6 +24,17 @@ impl Format {
         }
     }
 
+    /// The one that is written so.
+    #[must_use]
+    pub const fn from_name(name: &str) -> Option<Self> {
+        match name.as_bytes() {
+            b"8E1" => Some(Self::Even1),
+            b"8N1" => Some(Self::None1),
+            b"8N2" => Some(Self::None2),
+            _ => None,
+        }
+    }
+
     /// As it is written: `8E1`.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -71,9 +82,64 @@ impl BusConfig {
         swap_bytes: false,
     };
 
+    /// What the firmware is built with: [`DEFAULT`](Self::DEFAULT), but for the environment variables `WSG_BUS_RATE`
+    /// (bit/s), `WSG_BUS_FORMAT` (`8E1`, `8N1`, `8N2`) and `WSG_BUS_UNIT` (1 to 247) of the build.
+    pub const BUILT: Self = {
+        let mut config = Self::DEFAULT;
+        if let Some(rate) = option_env!("WSG_BUS_RATE") {
+            config.baud = number(rate);
+        }
+        if let Some(name) = option_env!("WSG_BUS_FORMAT") {
+            let format = Format::from_name(name);
+            assert!(format.is_some(), "WSG_BUS_FORMAT must be 8E1, 8N1 or 8N2");
+            if let Some(format) = format {
+                config.format = format;
+            }
+        }
+        if let Some(unit) = option_env!("WSG_BUS_UNIT") {
+            let unit = number(unit);
+            assert!(unit >= 1 && unit <= 247, "WSG_BUS_UNIT must be 1 to 247");
+            config.unit = unit as u8;
+        }
+        config
+    };
+
     /// The silences of this rate and format.
     #[must_use]
     pub const fn timing(&self) -> Timing {
         Timing::of(self.baud, self.format.bits())
+    }
+}
+
+/// The number that these digits are.
+const fn number(digits: &str) -> u32 {
+    let number = u32::from_str_radix(digits, 10);
+    assert!(number.is_ok(), "WSG_BUS_RATE and WSG_BUS_UNIT must be numbers");
+    match number {
+        Ok(number) => number,
+        Err(_) => 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn formats_have_the_names_that_they_are_found_by() {
+        for format in [Format::Even1, Format::None1, Format::None2] {
+            assert_eq!(Format::from_name(format.name()), Some(format));
+        }
+        assert_eq!(Format::from_name("7E1"), None);
+    }
+
+    #[test]
+    fn slowest_and_fastest_rate_have_the_silences_of_the_specification() {
+        let timing = |baud, format| BusConfig { baud, format, ..BusConfig::DEFAULT }.timing();
+        // 11 bits at 1200 bit/s are 9 167 us.
+        let slow = timing(1_200, Format::Even1);
+        assert_eq!((slow.t1_5_us, slow.t3_5_us), (13_750, 32_084));
+        let fast = timing(230_400, Format::None1);
+        assert_eq!((fast.t1_5_us, fast.t3_5_us), (750, 1_750));
     }
 }

@@ -4,8 +4,6 @@
 //! A pseudo terminal refuses parity, so they are told 8N1; the emulated line knows neither rate nor parity.
 #![cfg(unix)]
 
-mod terminal;
-
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -14,8 +12,8 @@ use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
 use host_tests::modbus_master::Master;
 use host_tests::rig::motions;
+use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
-use terminal::Terminal;
 use tokio_modbus::ExceptionCode;
 use tokio_modbus::client::{Context, rtu};
 use tokio_modbus::prelude::{Reader, Slave, Writer};
@@ -44,7 +42,7 @@ fn plant() -> Plant {
     while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
         assert!(Instant::now() < bound, "the gripper does not answer");
     }
-    Plant { _board: board, gripper, trace, terminal: Terminal::to(master.into_line().unwrap()) }
+    Plant { _board: board, gripper, trace, terminal: Terminal::to(master.into_line().unwrap()).unwrap() }
 }
 
 /// Homing, a grip and a release left the bridge, once each, and the fingers are where they belong.

@@ -8,22 +8,24 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::rcc::vals::Lpuart1sel;
 use stm32_metapac::usart::vals::{M0, Ps, Stop};
-use stm32_metapac::{Interrupt, LPUART1, RCC, interrupt};
-use wsg_bridge_fw::Config;
+use stm32_metapac::{Interrupt, LPUART1, PWR, RCC, interrupt};
+use wsg_bridge_fw::boards::b_l475e_iot01a::BusClock;
 use wsg_bridge_fw::byte_queue::ByteQueue;
 use wsg_bridge_fw::modbus::{BusConfig, BusPort, Format};
 use wsg_protocol::modbus::rtu::{Character, MAX_FRAME_LEN};
 
 use crate::tick;
 
-const BUS: BusConfig = Config::DEFAULT.bus;
+const BUS: BusConfig = crate::CONFIG.bus;
 
-/// HSI16, which runs for the PLL anyway: the 80 MHz of the bus clock are too fast below 19 532 bit/s.
-const CLOCK_HZ: u32 = 16_000_000;
-/// BRR holds 256 times the ratio of clock and rate, between these bounds (RM0351, 41.4.5).
-const DIVIDER: u64 = (256 * CLOCK_HZ as u64 + BUS.baud as u64 / 2) / BUS.baud as u64;
-const _: () = assert!(DIVIDER >= 0x300 && DIVIDER <= 0xF_FFFF, "this board's bus takes 4800 to 230400 bit/s");
-const _: () = assert!(BUS.baud <= 230_400);
+const _: () = assert!(
+    BusClock::for_rate(BUS.baud).is_some(),
+    "the bus of this board takes 1200 to 230400 bit/s (WSG_BUS_RATE)"
+);
+const CLOCK: (BusClock, u32) = match BusClock::for_rate(BUS.baud) {
+    Some(clock) => clock,
+    None => (BusClock::Hsi16, 0),
+};
 
 /// The time of a character, rounded up.
 const CHARACTER_US: u32 = (BUS.format.bits() * 1_000_000).div_ceil(BUS.baud);
@@ -58,11 +60,18 @@ pub(crate) struct Bus(());
 
 /// Starts the bus. The clock runs, the pins are set up.
 pub(crate) fn start() -> Bus {
-    RCC.ccipr().modify(|w| w.set_lpuart1sel(Lpuart1sel::HSI));
+    match CLOCK.0 {
+        // It runs for the PLL anyway. (The 80 MHz of the bus clock are too fast below 19 532 bit/s.)
+        BusClock::Hsi16 => RCC.ccipr().modify(|w| w.set_lpuart1sel(Lpuart1sel::HSI)),
+        BusClock::Lse => {
+            start_lse();
+            RCC.ccipr().modify(|w| w.set_lpuart1sel(Lpuart1sel::LSE));
+        }
+    }
     RCC.apb1enr2().modify(|w| w.set_lpuart1en(true));
     let _ = RCC.apb1enr2().read();
 
-    LPUART1.brr().write(|w| w.0 = DIVIDER as u32);
+    LPUART1.brr().write(|w| w.0 = CLOCK.1);
     LPUART1.cr2().write(|w| {
         w.set_stop(if matches!(BUS.format, Format::None2) { Stop::STOP2 } else { Stop::STOP1 });
     });
@@ -85,6 +94,17 @@ pub(crate) fn start() -> Bus {
     // atomics with the rest.
     unsafe { NVIC::unmask(Interrupt::LPUART1) };
     Bus(())
+}
+
+/// Switches the crystal of 32.768 kHz on. It takes up to 2 s to swing; until then the bus is deaf, and nobody waits.
+fn start_lse() {
+    RCC.apb1enr1().modify(|w| w.set_pwren(true));
+    let _ = RCC.apb1enr1().read();
+    // The register is in the backup domain, which is write-protected after a reset.
+    PWR.cr1().modify(|w| w.set_dbp(true));
+    // The protection is lifted within some cycles; an emulator without PWR never says so.
+    let _ = (0..16).any(|_| PWR.cr1().read().dbp());
+    RCC.bdcr().modify(|w| w.set_lseon(true));
 }
 
 impl BusPort for Bus {

@@ -34,12 +34,15 @@ use core::panic::PanicInfo;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use wsg_bridge_fw::io::{InputPort, OutputPort};
-use wsg_bridge_fw::{Bridge, Config};
+use wsg_bridge_fw::{Bridge, BusConfig, Config};
+
+/// What this image is built with.
+const CONFIG: Config = Config { bus: BusConfig::BUILT, ..Config::DEFAULT };
 
 #[entry]
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
-    static mut BRIDGE: Bridge = Bridge::new(Config::DEFAULT);
+    static mut BRIDGE: Bridge = Bridge::new(CONFIG);
     #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
     static mut CAN: can::Can = can::Can::new();
 
