@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
+//! | [`mod@example`] | where cargo puts an example |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
 //! | [`masters`] | Modbus masters that nobody here wrote |
 //! | [`rig`] | board, gripper and PLC together |
@@ -15,6 +16,7 @@
 pub mod bench;
 #[cfg(unix)]
 pub mod emulator;
+pub mod example;
 #[cfg(unix)]
 pub mod gripper_end;
 pub mod masters;
