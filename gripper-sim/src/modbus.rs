@@ -28,20 +28,21 @@ pub(crate) struct Line {
     /// The way to the next frame is lost: what waits is sent, and the connection is closed.
     pub(crate) lost: bool,
     queue: Deque<u8, QUEUE_LEN>,
-    foreign: u16,
+    /// Bytes of frames of other protocols.
+    dropped: u16,
     replies_lost: u32,
 }
 
 impl Client {
     pub(crate) const fn new(id: PortId) -> Self {
-        let line = Line { id, lost: false, queue: Deque::new(), foreign: 0, replies_lost: 0 };
+        let line = Line { id, lost: false, queue: Deque::new(), dropped: 0, replies_lost: 0 };
         Self { receiver: Receiver::new(), line }
     }
 
     pub(crate) fn counters(&self) -> PortCounters {
-        let Line { lost, foreign, replies_lost, .. } = self.line;
+        let Line { lost, dropped, replies_lost, .. } = self.line;
         PortCounters {
-            parser: Counters { dropped: foreign, bad_checksum: 0, oversize: lost.into() },
+            parser: Counters { dropped, bad_checksum: 0, oversize: lost.into() },
             updates_lost: 0,
             replies_lost,
         }
@@ -57,7 +58,7 @@ pub(crate) fn hear(device: &Device, fieldbus: &mut Fieldbus, line: &mut Line, ev
             let answer = request.answer(&mut frame, |pdu, place| fieldbus.serve(device, id, pdu, place));
             line.send(answer);
         }
-        Event::Foreign => line.foreign = line.foreign.saturating_add(1),
+        Event::Foreign { len } => line.dropped = line.dropped.saturating_add(len),
         Event::Lost => line.lost = true,
     }
 }

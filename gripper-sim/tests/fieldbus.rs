@@ -623,6 +623,6 @@ fn stream_without_a_way_to_its_next_frame_is_over() {
     assert_eq!(plc.gripper.transmit(plc.port, &mut buffer), None);
     assert!(plc.gripper.is_lost(plc.port));
     let counters = plc.gripper.counters(plc.port).unwrap().parser;
-    assert_eq!((counters.dropped, counters.oversize), (1, 1));
+    assert_eq!((counters.dropped, counters.oversize), (12, 1));
     plc.assert_stands();
 }

@@ -365,7 +365,7 @@ fn log_shows_frames_with_their_function_and_exception() {
         " <- 00 01 00 00 00 05 FF 03 02 00 00  FC 3 ReadHoldingRegisters",
         " -> 00 02 00 00 00 06 FF 03 00 04 00 01  FC 3 ReadHoldingRegisters",
         " <- 00 02 00 00 00 03 FF 83 02  FC 3 ReadHoldingRegisters, exception 2",
-        " -> a frame of another protocol",
+        " -> 8 bytes of another protocol",
         " -> a length that no frame has",
     ]) {
         assert!(line.contains(" s modbus 127.0.0.1:") && line.ends_with(end), "{log}");

@@ -7,6 +7,7 @@
 //! | [`chance`] | numbers that look random, the same ones for the same seed |
 //! | [`faulty_link`] | a line on which bytes go wrong, round any byte link |
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
+//! | [`mod@example`] | where cargo puts an example |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
 //! | [`masters`] | Modbus masters that nobody here wrote |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
@@ -22,6 +23,7 @@ pub mod can_bench;
 pub mod chance;
 #[cfg(unix)]
 pub mod emulator;
+pub mod example;
 pub mod faulty_link;
 pub mod fuzz_bodies;
 #[cfg(unix)]

@@ -5,9 +5,9 @@
 //! The tests with `mbpoll`, `pymodbus` and `modbus_tk` in their names need those programs; `cargo xtask test` runs them
 //! where it finds or can install them, and says NOT CHECKED otherwise.
 
+use host_tests::example;
 use host_tests::masters::{mbpoll, python, said};
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::process::{Command, Output};
 use std::time::Duration;
 use tokio::time::timeout;
@@ -224,20 +224,12 @@ fn tokio_modbus_reads_writes_and_grips() {
     });
 }
 
-/// Where cargo puts an example, beside this test.
-fn example(name: &str) -> PathBuf {
-    let test = std::env::current_exe().unwrap();
-    let path = test.parent().unwrap().parent().unwrap().join("examples").join(name);
-    assert!(path.exists(), "{} is not built: run the tests of the whole package", path.display());
-    path
-}
-
 #[test]
 fn gripping_cycle_example_runs_over_tcp_and_counts() {
     let (served, address) = gripper();
     let run = |to: &str| {
         let arguments = ["--tcp", to, "--cycles", "2"];
-        Command::new(example("gripping_cycle")).args(arguments).output().unwrap()
+        Command::new(example::path("gripping_cycle")).args(arguments).output().unwrap()
     };
     let output = run(&address.to_string());
     assert!(output.status.success(), "{}", said(&output));

@@ -221,7 +221,9 @@ impl Output {
                 });
                 self.modbus(now, Direction::ToGripper, line, whole);
             }
-            tcp::Event::Foreign => self.write(format_args!("{now} {line} -> a frame of another protocol\n")),
+            tcp::Event::Foreign { len } => {
+                self.write(format_args!("{now} {line} -> {len} bytes of another protocol\n"));
+            }
             tcp::Event::Lost => self.write(format_args!("{now} {line} -> a length that no frame has\n")),
         }
     }

@@ -81,7 +81,10 @@ pub enum Event<'a> {
     /// A request.
     Request(Request<'a>),
     /// A frame of another protocol, which was discarded.
-    Foreign,
+    Foreign {
+        /// Its bytes, header included.
+        len: u16,
+    },
     /// A length that no frame has: nothing more is taken from this stream.
     Lost,
 }
@@ -160,7 +163,11 @@ impl Receiver {
             return Step::Nothing;
         }
         self.len = 0;
-        if u16::from_be_bytes([p1, p0]) == MODBUS { Step::Request { length } } else { Step::Foreign }
+        if u16::from_be_bytes([p1, p0]) == MODBUS {
+            Step::Request { length }
+        } else {
+            Step::Foreign { length }
+        }
     }
 
     fn event(&self, step: Step) -> Option<Event<'_>> {
@@ -172,7 +179,9 @@ impl Receiver {
                 unit: *unit,
                 pdu: pdu.get(..usize::from(length).saturating_sub(1))?,
             })),
-            Step::Foreign => Some(Event::Foreign),
+            Step::Foreign { length } => {
+                Some(Event::Foreign { len: length.saturating_add(LENGTH_END as u16) })
+            }
             Step::Lost => Some(Event::Lost),
         }
     }
@@ -189,7 +198,7 @@ impl Default for Receiver {
 enum Step {
     Nothing,
     Request { length: u16 },
-    Foreign,
+    Foreign { length: u16 },
     Lost,
 }
 

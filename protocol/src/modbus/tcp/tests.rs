@@ -9,14 +9,14 @@ use std::vec::Vec;
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Seen {
     Request(u16, u8, Vec<u8>),
-    Foreign,
+    Foreign(u16),
     Lost,
 }
 
 fn seen(event: Event<'_>) -> Seen {
     match event {
         Event::Request(Request { transaction, unit, pdu }) => Seen::Request(transaction, unit, pdu.to_vec()),
-        Event::Foreign => Seen::Foreign,
+        Event::Foreign { len } => Seen::Foreign(len),
         Event::Lost => Seen::Lost,
     }
 }
@@ -58,7 +58,7 @@ fn frames_one_behind_the_other_are_all_found_in_order() {
 #[test]
 fn frame_of_another_protocol_is_discarded_and_the_next_one_is_found() {
     let stream = [frame(1, 0x0100, 1, &[6, 0, 0, 1, 0x20]), frame(2, 0, 1, &[7])].concat();
-    assert_eq!(whole(&stream), [Seen::Foreign, Seen::Request(2, 1, vec![7])]);
+    assert_eq!(whole(&stream), [Seen::Foreign(12), Seen::Request(2, 1, vec![7])]);
 }
 
 #[test]
@@ -135,7 +135,7 @@ proptest! {
             let transaction = u16::from(rest[0]) << 8 | u16::from(rest[1]);
             expected.push(match rest[2..4] {
                 [0, 0] => Seen::Request(transaction, rest[6], rest[7..LENGTH_END + length].to_vec()),
-                _ => Seen::Foreign,
+                _ => Seen::Foreign((LENGTH_END + length) as u16),
             });
             rest = &rest[LENGTH_END + length..];
         }
