@@ -21,6 +21,7 @@
 pub mod bench;
 pub mod can_bench;
 pub mod chance;
+pub mod can_hub;
 #[cfg(unix)]
 pub mod emulator;
 pub mod example;

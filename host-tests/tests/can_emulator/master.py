@@ -1,0 +1,124 @@
+"""A CANopen master that nobody here wrote: NMT, PDOs of a grip cycle, SDO, EMCY, loss of its heartbeat.
+
+Arguments: the terminal of an SLCAN adapter, the EDS file.
+"""
+
+import sys
+import time
+
+import canopen
+
+NODE, MASTER = 0x10, 0x7F
+MOVE, GRIP, RELEASE, HOMING, STOP_ACK, FASTSTOP = (1 << bit for bit in range(6))
+IDLE, HOLDING, POSITIONING = 1 << 0, 1 << 4, 1 << 6
+REFERENCED, MOVING, FAST_STOP = 1 << 0, 1 << 1, 1 << 12
+SUCCESS, PENDING = 0, 26
+PATIENCE = 60
+
+
+def wait(what, reached):
+    bound = time.monotonic() + PATIENCE
+    while not reached():
+        assert time.monotonic() < bound, f"{what} does not come: {dict(seen)}"
+        time.sleep(0.002)
+
+
+network = canopen.Network()
+network.connect(interface="slcan", channel=sys.argv[1], bitrate=500_000, sleep_after_open=0)
+node = network.add_node(NODE, sys.argv[2])
+seen = {}
+emergencies = []
+node.emcy.add_callback(lambda error: emergencies.append((error.code, error.register)))
+
+beat = network.send_periodic(0x700 + MASTER, [5], 0.1)
+node.nmt.wait_for_heartbeat(PATIENCE)
+assert node.nmt.state == "PRE-OPERATIONAL", node.nmt.state
+
+# SDO, before operation: the PDO parameters as the device has them are those of the EDS file.
+node.rpdo.read()
+node.tpdo.read()
+assert node.rpdo[1].cob_id == 0x200 + NODE and node.tpdo[1].cob_id == 0x180 + NODE
+assert [variable.length for variable in node.rpdo[1]] == [8, 8, 16, 16, 16]
+
+recipe = node.sdo["Settings"]["RECIPE2_WIDTH"]
+assert recipe.raw == 1000, recipe.raw
+recipe.raw = 1234
+assert recipe.raw == 1234, recipe.raw
+try:
+    node.sdo["Settings"]["BUS_REACTION"].raw = 9
+    raise AssertionError("a reaction 9 is taken")
+except canopen.SdoAbortedError as error:
+    assert error.code == 0x06090030, hex(error.code)
+try:
+    node.sdo["Output image"]["CMDFLAGS"].raw = MOVE
+    raise AssertionError("a command by SDO is taken")
+except canopen.SdoAbortedError as error:
+    assert error.code == 0x06010002, hex(error.code)
+
+
+def take(pdo):
+    for variable in pdo:
+        seen[variable.name.split(".")[-1] + ("_2" if pdo.cob_id >= 0x280 else "")] = variable.raw
+
+
+for number in (1, 2):
+    node.tpdo[number].add_callback(take)
+node.nmt.state = "OPERATIONAL"
+node.nmt.wait_for_heartbeat(PATIENCE)
+wait("the first state", lambda: "SYSSTATE" in seen)
+
+
+def write(flags):
+    output = node.rpdo[1]
+    for name, value in [("CMDFLAGS", flags), ("IF", 0), ("WIDTH", 2000), ("SPEED", 5000), ("FORCELIMIT", 4000)]:
+        output["Output image." + name].raw = value
+    output.transmit()
+
+
+def command(flag, state):
+    """A command to its end."""
+    write(0)
+    write(flag)
+    wait("the end of a command", lambda: seen["Status Code"] != PENDING and seen["GSTATE"] == state)
+    assert seen["Status Code"] == SUCCESS, seen
+    write(0)
+
+
+write(0)
+# The wire was low at power-up.
+wait("FAST STOP", lambda: seen["SYSSTATE"] & FAST_STOP)
+# Its EMCY came before anybody listened.
+assert node.sdo["Error register"].raw == 0x81
+write(STOP_ACK)
+wait("the end of FAST STOP", lambda: not seen["SYSSTATE"] & FAST_STOP)
+wait("EMCY of its end", lambda: (0x0000, 0x00) in emergencies)
+write(HOMING)
+wait("REFERENCED", lambda: seen["SYSSTATE"] & REFERENCED and seen["GSTATE"] == IDLE)
+command(GRIP, HOLDING)
+wait("width and force", lambda: 1900 <= seen.get("WIDTH_2", 0) <= 2000 and seen["Gripping Force_2"] >= 3900)
+command(RELEASE, IDLE)
+assert node.sdo["Input image"]["SYSSTATE"].raw & REFERENCED
+
+# FAST STOP by the master.
+emergencies.clear()
+write(FASTSTOP)
+wait("EMCY of the master's FAST STOP", lambda: (0xFF01, 0x81) in emergencies)
+assert node.sdo["Error register"].raw == 0x81
+write(0)
+write(STOP_ACK)
+wait("its end", lambda: not seen["SYSSTATE"] & FAST_STOP)
+write(0)
+
+# The master falls silent: pre-operational, and told why.
+beat.stop()
+wait("EMCY of the silence", lambda: (0x8130, 0x11) in emergencies)
+node.nmt.wait_for_heartbeat(PATIENCE)
+assert node.nmt.state == "PRE-OPERATIONAL", node.nmt.state
+assert node.sdo["Reports"]["BUS_TIMEOUTS"].raw == 1
+
+# Reset: announced by a boot-up, and the recipe is as delivered.
+node.nmt.state = "RESET"
+node.nmt.wait_for_bootup(PATIENCE)
+assert node.sdo["Settings"]["RECIPE2_WIDTH"].raw == 1000
+network.disconnect()
+print("passed")
