@@ -20,8 +20,8 @@
 
 pub mod bench;
 pub mod can_bench;
-pub mod chance;
 pub mod can_hub;
+pub mod chance;
 #[cfg(unix)]
 pub mod emulator;
 pub mod example;

@@ -1,8 +1,8 @@
 //! Modbus masters that nobody here wrote, for tests: `mbpoll` (Debian), and `pymodbus`, `minimalmodbus`, `modbus-tk`
-//! (PyPI, versions in `requirements.txt`).
+//! (PyPI, versions in `requirements.txt`); and from there `canopen`, a master of CANopen.
 //!
 //! `cargo xtask test` installs them, and leaves out the tests of those that it cannot have, by the name: a test that
-//! needs one has `mbpoll`, `pymodbus`, `minimalmodbus` or `modbus_tk` in its own. Run without it, such a test fails.
+//! needs one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk` or `canopen` in its own. Run without it, such a test fails.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};

@@ -608,7 +608,7 @@ fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
 }
 
 #[test]
-fn gripper_and_canopen_share_a_bus_by_default_and_some_identifiers_are_told_to_collide() {
+fn gripper_and_node_share_a_bus_by_default_and_some_identifiers_are_told_to_collide() {
     assert!(NODE.is_valid() && !NodeConfig::collides_with(Identifiers::DEFAULT));
     let collides = |n| NodeConfig::collides_with(Identifiers::from_base(n).unwrap());
     let (free, taken): (Vec<u16>, Vec<u16>) = (0..=0x7FE).partition(|&n| !collides(n));

@@ -22,6 +22,22 @@ const BUS_VARIABLES: [&str; 3] = ["WSG_BUS_RATE", "WSG_BUS_FORMAT", "WSG_BUS_UNI
 
 const PROFILE: &str = "firmware";
 
+/// What can be on CAN, and the variable that tells the emulator tests which image has it there. Such an image is flashed
+/// as it is, and tested with [`OVER_SLCAN`], because no emulator has CAN.
+pub(crate) const CAN: [(&str, &str); 3] = [
+    ("can-gripper", "WSG_FIRMWARE_ELF_CAN_GRIPPER"),
+    ("can-plc", "WSG_FIRMWARE_ELF_CAN_PLC"),
+    ("can-gripper,can-plc", "WSG_FIRMWARE_ELF_CAN_BOTH"),
+];
+
+/// The feature that puts CAN on a serial line.
+pub(crate) const OVER_SLCAN: &str = "can-over-slcan";
+
+/// The features of a list with commas.
+pub(crate) fn features(list: &str) -> Vec<String> {
+    list.split(',').map(str::to_owned).collect()
+}
+
 /// A board that the firmware runs on.
 pub(crate) struct Board {
     /// The binary's name, and the image's.

@@ -44,7 +44,7 @@ cargo xtask <command>
 
 Commands
   setup              install what build, demo and test need: the thumb target's Rust, QEMU, and
-                     the Modbus masters of the tests (mbpoll, and a Python environment)
+                     the masters of the tests (mbpoll, and a Python environment)
   build              build the firmware image, print its path and SHA-256
                      [--features X]: more features; the image then has a name of its own
   demo [ARGS]        boot the image in QEMU between a PLC and a virtual gripper;
@@ -82,6 +82,8 @@ Environment
                      target that it installed is not used, and Debian's Rust packages build
                      for the target instead
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
+  WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH
+                     the same for the images with CAN
   WSG_MODBUS_PYTHON  set by test for those with Modbus masters: the Python that has them
   WSG_BUS_RATE, WSG_BUS_FORMAT, WSG_BUS_UNIT
                      the image's bus: 1200 to 230400 bit/s (19200), 8E1, 8N1 or 8N2 (8E1), and

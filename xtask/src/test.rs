@@ -27,7 +27,12 @@ pub(crate) fn run(
     filter: &[OsString],
 ) -> Result<()> {
     let masters = setup::masters(workspace)?;
-    let checks = Checks { workspace, toolchain, image, masters: &masters };
+    let mut can_images = Vec::new();
+    for (list, variable) in firmware::CAN {
+        let features = [firmware::features(list), vec![firmware::OVER_SLCAN.to_owned()]].concat();
+        can_images.push((variable, firmware::build(workspace, toolchain, &features)?));
+    }
+    let checks = Checks { workspace, toolchain, image, can_images, masters: &masters };
     let mut record = Record::default();
     for master in masters.missing() {
         record.not_checked(&format!("tests with {master} (it is not installed)"));
@@ -46,6 +51,8 @@ struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain,
     image: &'a Image,
+    /// Those with CAN over SLCAN, by the variables that name them.
+    can_images: Vec<(&'static str, Image)>,
     masters: &'a Masters,
 }
 
@@ -70,7 +77,12 @@ impl Checks<'_> {
             record.not_checked("clippy, host (no clippy)");
         }
         if Component::Clippy.provide_for_thumb(workspace, toolchain) {
-            record.check("clippy, firmware", || process::run(&mut self.firmware_clippy()))?;
+            record.check("clippy, firmware", || {
+                process::run(&mut self.firmware_clippy(&[]))?;
+                firmware::CAN.iter().try_for_each(|(list, _)| {
+                    process::run(&mut self.firmware_clippy(&firmware::features(list)))
+                })
+            })?;
             record.check("clippy, probes", || process::run(&mut self.probes_clippy()))?;
         } else {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
@@ -99,12 +111,25 @@ impl Checks<'_> {
         record.check("stack, painted", || gate::check(&[stack::painted(workspace, image)?]))?;
         record.check("instructions", || gate::check(&bench::counted(&probes, false)?))?;
         record.check("instructions of a Modbus request", || modbus_speed::check(workspace, toolchain))?;
-        record.check("panic paths", || panics::check(&probes))
+        record.check("panic paths", || panics::check(&probes))?;
+        record.check("size with CAN", || {
+            firmware::CAN.iter().try_for_each(|(list, _)| {
+                println!("{list}");
+                let image = firmware::build(workspace, toolchain, &firmware::features(list))?;
+                gate::check(&size::of_can_image(&image)?)
+            })
+        })?;
+        record.check("no panic with CAN over SLCAN", || {
+            firmware::CAN.iter().try_for_each(|(list, _)| {
+                let features = format!("{list},{},prove-panic-free", firmware::OVER_SLCAN);
+                firmware::build(workspace, toolchain, &firmware::features(&features)).map(drop)
+            })
+        })
     }
 
-    fn firmware_clippy(&self) -> Command {
+    fn firmware_clippy(&self, features: &[String]) -> Command {
         let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
-        clippy.args(firmware::selection(&[])).args(["--", "-D", "warnings"]);
+        clippy.args(firmware::selection(features)).args(["--", "-D", "warnings"]);
         clippy
     }
 
@@ -137,6 +162,9 @@ impl Checks<'_> {
             "--",
             "--include-ignored",
         ]);
+        for (variable, image) in &self.can_images {
+            tests.env(variable, &image.path);
+        }
         for master in self.masters.missing() {
             tests.args(["--skip", master]);
         }

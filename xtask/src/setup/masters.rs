@@ -1,4 +1,4 @@
-//! Modbus masters that nobody here wrote: `mbpoll` from Debian, the others from PyPI in a virtual environment of their
+//! Masters of Modbus and CANopen that nobody here wrote: `mbpoll` from Debian, the others from PyPI in a virtual environment of their
 //! own. Only `test` asks for them. What cannot be had is no failure: `test` leaves its tests out, and says so.
 
 use std::{
@@ -20,6 +20,9 @@ pub(crate) const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
 
 /// Packages and versions, one `name==version --hash=..` a line.
 const REQUIREMENTS: &str = "host-tests/requirements.txt";
+
+/// Packages that masters need, and no test by itself.
+const NO_MASTERS: [&str; 5] = ["pyserial", "python-can", "packaging", "typing-extensions", "wrapt"];
 
 /// The masters on this machine.
 pub(crate) struct Masters {
@@ -50,9 +53,9 @@ pub(crate) fn provide(workspace: &Workspace) -> Result<Masters> {
     }
     let mut missing = Vec::new();
     if !lacking(&python, &requirements).is_empty() {
-        // All of them: they need `pyserial`, which is no master.
-        let names = requirements.iter().map(|(name, _)| name.replace('-', "_"));
-        missing.extend(names.filter(|name| name != "pyserial"));
+        // All of them: they share what is no master.
+        let masters = requirements.iter().filter(|(name, _)| !NO_MASTERS.contains(name));
+        missing.extend(masters.map(|(name, _)| name.replace('-', "_")));
     }
     if !has_mbpoll() {
         missing.push("mbpoll".to_owned());
