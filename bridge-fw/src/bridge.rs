@@ -2,11 +2,11 @@
 
 use crate::arbiter::{Arbiter, Commander};
 #[cfg(feature = "can")]
-use crate::can::{Node, Served};
+use crate::can::{BusReport, Node, Served};
 use crate::digital_io::{DigitalIo, is_moving};
 use crate::io::{Inputs, Outputs};
 use crate::log;
-use crate::modbus::{BusConfig, BusPort, ModbusSide, NoBus, Settings, Subjects};
+use crate::modbus::{BusConfig, BusPort, CAN_REPORTS, ModbusSide, NoBus, Settings, Subjects};
 use crate::recipe::{RECIPE_COUNT, RECIPES, Recipe};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
@@ -88,6 +88,8 @@ pub struct Bridge {
     was_connected: bool,
     /// The way to the gripper is known to be gone, as a bus is after bus-off.
     link_is_lost: bool,
+    /// What is reported about CAN.
+    can: [u16; CAN_REPORTS],
     /// The frame that is being sent.
     sending: Option<FrameEncoder<Command<'static>>>,
 }
@@ -109,6 +111,7 @@ impl Bridge {
             arbiter: Arbiter::new(),
             was_connected: false,
             link_is_lost: false,
+            can: [0; CAN_REPORTS],
             sending: None,
             settings,
         }
@@ -168,6 +171,12 @@ impl Bridge {
             }
         }
         self.link_is_lost = is_lost;
+    }
+
+    /// Takes what is known of the CAN bus, for the registers that report it.
+    #[cfg(feature = "can")]
+    pub const fn set_can_report(&mut self, report: &BusReport) {
+        self.can = report.registers();
     }
 
     /// The image that the PLC reads.
@@ -261,6 +270,7 @@ impl Bridge {
                 commander: self.arbiter.commander(),
                 bus: self.bus.counters(),
                 timeouts: self.bus_timeouts,
+                can: self.can,
             };
             let was_heard = self.bus.is_heard();
             let settings = &mut self.settings;
@@ -316,6 +326,7 @@ impl Bridge {
                 commander: self.arbiter.commander(),
                 bus: self.bus.counters(),
                 timeouts: self.bus_timeouts,
+                can: self.can,
             };
             match node.serve(now, moving, &subjects, &mut self.settings) {
                 Some(Served::Image(image)) => {

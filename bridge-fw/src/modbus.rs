@@ -15,6 +15,6 @@ pub use report::{FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report};
 pub use settings::{FIRST_SETTING, SETTINGS, Setting};
 pub use side::IDENTIFICATION;
 
-pub(crate) use report::Subjects;
+pub(crate) use report::{CAN_REPORTS, Subjects};
 pub(crate) use settings::Settings;
 pub(crate) use side::ModbusSide;

@@ -49,6 +49,11 @@ impl Double {
         state.recoveries_in_vain = recoveries_in_vain;
     }
 
+    /// Sees the bus like this from now on.
+    pub fn set_health(&self, health: Health) {
+        self.0.borrow_mut().health = health;
+    }
+
     /// How often it was told to come back.
     #[must_use]
     pub fn recoveries(&self) -> u32 {
@@ -394,12 +399,14 @@ impl CanBench {
         bus.listen(now, link, node);
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
-        node.set_report(BusReport {
+        let report = BusReport {
             state: bus.state(),
             health: bus.health(),
             counters: bus.counters(),
             link: link.counters(),
-        });
+        };
+        node.set_report(report);
+        bridge.set_can_report(&report);
         self.outputs = bridge.poll_with_can(self.now_ms, *inputs, link, node);
         bus.talk(now, link, node);
     }

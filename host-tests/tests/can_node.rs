@@ -5,10 +5,10 @@ use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sd
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::CanBench;
 use wsg_bridge_fw::can::{
-    DataType, FAULTS, NmtState, NodeConfig, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
+    DataType, FAULTS, Health, NmtState, NodeConfig, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::modbus::{FIRST_REPORT, REPORTS, SETTINGS};
+use wsg_bridge_fw::modbus::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
 use wsg_protocol::can::{ClassicFrame, Identifiers};
 use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::{CommandId, Status, SystemFlags};
@@ -425,6 +425,26 @@ fn bus_off_is_told_when_it_is_over() {
     let codes: Vec<u16> = master.emergencies().into_iter().map(|(code, _)| code).collect();
     assert!(codes.contains(&0x8140), "{codes:04X?}");
     assert_eq!(master.read_u16(0x2002, 4), 1);
+    assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_BUS_OFFS")), 1);
+    assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_STATE")), 0, "it is back");
+}
+
+#[test]
+fn error_counters_are_shown_as_the_controller_has_them() {
+    let mut master = Master::homed(None, 10.0);
+    master.bench.double().set_health(Health {
+        is_off: false,
+        is_passive: true,
+        transmit_errors: 130,
+        receive_errors: 9,
+    });
+    master.pass(5);
+    for (name, value) in [("CAN_STATE", 0x80), ("CAN_TEC", 130), ("CAN_REC", 9)] {
+        assert_eq!(master.read_u16(REPORTS_INDEX, report(name)), value, "{name}");
+    }
+    for (sub, value) in [(1, 0x80), (2, 130), (3, 9)] {
+        assert_eq!(master.upload(0x2002, sub, Theirs::Unsigned8), Ok(Value::Unsigned8(value)));
+    }
 }
 
 #[test]
@@ -509,7 +529,7 @@ fn every_object_is_read_with_the_size_of_its_type_and_every_other_is_refused() {
     for sub in 1..=REPORTS.len() as u8 {
         master.read_u16(REPORTS_INDEX, sub);
     }
-    assert_eq!(master.read_u16(REPORTS_INDEX, report("MAP_VERSION")), 1, "report {FIRST_REPORT}");
+    assert_eq!(master.read_u16(REPORTS_INDEX, report("MAP_VERSION")), MAP_VERSION, "report {FIRST_REPORT}");
     let mut subindices: Vec<(u16, u8)> = OBJECTS.iter().map(|object| (object.index, object.sub)).collect();
     let count = subindices.len();
     subindices.sort_unstable();

@@ -335,7 +335,7 @@ fn reports_name_versions_and_the_gripper() {
     let mut bench = Bench::ready();
     let reports = bench.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
     let of = |name: &str| reports[usize::from(report(name) - FIRST_REPORT)];
-    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (1, 0x0001));
+    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (2, 0x0001));
     assert_eq!((of("GRIPPER_TYPE"), of("GRIPPER_LINK")), (1, 2));
     assert_eq!((of("BUS_RATE"), of("BUS_FORMAT")), (192, 0));
     assert_eq!(of("SERVER_MESSAGES"), 1, "before this request");

@@ -10,7 +10,7 @@ use wsg_protocol::session::Session;
 pub const FIRST_REPORT: u16 = 100;
 
 /// The version of the register map: the last register or meaning that was added or changed.
-pub const MAP_VERSION: u16 = 1;
+pub const MAP_VERSION: u16 = 2;
 
 /// An input register that reports on the bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +50,12 @@ enum Subject {
     Busy,
     Overruns,
     BusTimeouts,
+    CanState,
+    CanTransmitErrors,
+    CanReceiveErrors,
+    CanBusOffs,
+    CanOverruns,
+    CanDropped,
 }
 
 const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> Report {
@@ -57,7 +63,7 @@ const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> 
 }
 
 /// The reports, from [`FIRST_REPORT`] on. Counters stop at 65 535.
-pub const REPORTS: [Report; 26] = [
+pub const REPORTS: [Report; 32] = [
     report("MAP_VERSION", Subject::MapVersion, "version of this register map"),
     report(
         "BRIDGE_VERSION",
@@ -96,6 +102,20 @@ pub const REPORTS: [Report; 26] = [
     report("SERVER_BUSY", Subject::Busy, "exceptions 06 (FC 8, 11h)"),
     report("BUS_OVERRUNS", Subject::Overruns, "frames with a damaged or lost character (FC 8, 12h)"),
     report("BUS_TIMEOUTS", Subject::BusTimeouts, "how often the PLC that commanded was silent for too long"),
+    report(
+        "CAN_STATE",
+        Subject::CanState,
+        "CAN: 0 on the bus, 1 bus-off, 2 recovering, 3 given up; plus 128: error passive. Without CAN all of these are 0",
+    ),
+    report("CAN_TEC", Subject::CanTransmitErrors, "CAN: transmit error counter"),
+    report("CAN_REC", Subject::CanReceiveErrors, "CAN: receive error counter"),
+    report("CAN_BUS_OFFS", Subject::CanBusOffs, "CAN: how often the controller went bus-off"),
+    report("CAN_OVERRUNS", Subject::CanOverruns, "CAN: frames for which the controller had no room"),
+    report(
+        "CAN_DROPPED",
+        Subject::CanDropped,
+        "CAN: frames of the gripper that belonged to no intact message",
+    ),
 ];
 
 /// The subjects alone, so that the words of the table stay out of the image.
@@ -134,7 +154,12 @@ pub(crate) struct Subjects<'a> {
     pub(crate) commander: Commander,
     pub(crate) bus: rtu::Counters,
     pub(crate) timeouts: u16,
+    /// The reports about CAN, in their order.
+    pub(crate) can: [u16; CAN_REPORTS],
 }
+
+/// How many reports are about CAN.
+pub(crate) const CAN_REPORTS: usize = 6;
 
 impl Subjects<'_> {
     /// Whether the gripper answers.
@@ -181,6 +206,15 @@ impl Subjects<'_> {
             Subject::Busy => self.bus.busy,
             Subject::Overruns => self.bus.overruns,
             Subject::BusTimeouts => self.timeouts,
+            Subject::CanState
+            | Subject::CanTransmitErrors
+            | Subject::CanReceiveErrors
+            | Subject::CanBusOffs
+            | Subject::CanOverruns
+            | Subject::CanDropped => {
+                let place = (subject as usize).wrapping_sub(Subject::CanState as usize);
+                self.can.get(place).copied().unwrap_or(0)
+            }
         })
     }
 }

@@ -10,9 +10,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::frame::OVERHEAD;
-use crate::{
-    Command, CommandId, Event, FrameEncoder, Instant, Kind, PrePositionFlags, Reply, Status, checksum,
-};
+use crate::{Command, CommandId, Event, FrameEncoder, Instant, Kind, Reply, Status, checksum};
 
 mod bus;
 mod fates;

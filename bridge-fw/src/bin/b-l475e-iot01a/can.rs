@@ -10,9 +10,9 @@ use wsg_bridge_fw::Bridge;
 use wsg_bridge_fw::can::GripperLink;
 #[cfg(not(all(feature = "can-gripper", feature = "can-plc")))]
 use wsg_bridge_fw::can::Nobody;
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::can::{BusOffPolicy, BusReport, CanBus};
 #[cfg(feature = "can-plc")]
-use wsg_bridge_fw::can::{BusReport, Node, NodeConfig};
+use wsg_bridge_fw::can::{Node, NodeConfig};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::Instant;
 #[cfg(feature = "can-gripper")]
@@ -64,6 +64,8 @@ impl Can {
         bus.listen(now, link, nobody);
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
+        let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
+        bridge.set_can_report(&BusReport { state, health, counters, link: link.counters() });
         let outputs = bridge.poll_with_bus(now_ms, inputs, link, plc_bus);
         bus.talk(now, link, nobody);
         controller::rearm(bus.controller());
@@ -83,7 +85,9 @@ impl Can {
         let Self { bus, node, nobody } = self;
         bus.listen(now, nobody, node);
         let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
-        node.set_report(BusReport { state, health, counters, link: Default::default() });
+        let report = BusReport { state, health, counters, link: Default::default() };
+        node.set_report(report);
+        bridge.set_can_report(&report);
         let outputs = bridge.poll_with_can(now_ms, inputs, gripper_line, node);
         bus.talk(now, nobody, node);
         controller::rearm(bus.controller());
@@ -99,7 +103,9 @@ impl Can {
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
         let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
-        node.set_report(BusReport { state, health, counters, link: link.counters() });
+        let report = BusReport { state, health, counters, link: link.counters() };
+        node.set_report(report);
+        bridge.set_can_report(&report);
         let outputs = bridge.poll_with_can(now_ms, inputs, link, node);
         bus.talk(now, link, node);
         controller::rearm(bus.controller());

@@ -2,7 +2,7 @@
 
 use super::super::{BusState, Health, LinkCounters, bus::BusCounters};
 use super::NodeConfig;
-use crate::modbus::{REPORTS, SETTINGS};
+use crate::modbus::{CAN_REPORTS, REPORTS, SETTINGS};
 
 /// The type of an object (CiA 301, table 44).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -332,6 +332,20 @@ impl BusReport {
             broken: 0,
         },
     };
+
+    /// As registers, in the order of the reports about CAN.
+    pub(crate) const fn registers(&self) -> [u16; CAN_REPORTS] {
+        let Self { state, health, counters, link } = self;
+        let passive = if health.is_passive { 0x80 } else { 0 };
+        [
+            *state as u16 | passive,
+            health.transmit_errors as u16,
+            health.receive_errors as u16,
+            counters.bus_offs,
+            counters.overruns,
+            link.frames.dropped,
+        ]
+    }
 
     pub(super) fn number(&self, subject: Subject) -> u32 {
         let Self { state, health, counters, link } = self;
