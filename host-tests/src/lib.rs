@@ -3,13 +3,15 @@
 //! | module | holds |
 //! |---|---|
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
+//! | [`can_bench`] | the same on a CAN bus, with a controller that goes bus-off on command |
+//! | [`can_hub`] | a CAN bus of SLCAN lines: the emulated board, a gripper, a master |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`chance`] | numbers that look random, the same ones for the same seed |
 //! | [`faulty_link`] | a line on which bytes go wrong, round any byte link |
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
 //! | [`mod@example`] | where cargo puts an example |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
-//! | [`masters`] | Modbus masters that nobody here wrote |
+//! | [`masters`] | masters of Modbus and CANopen that nobody here wrote |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
@@ -20,6 +22,7 @@
 
 pub mod bench;
 pub mod can_bench;
+#[cfg(unix)]
 pub mod can_hub;
 pub mod chance;
 #[cfg(unix)]

@@ -2,9 +2,6 @@
 //! that nobody here wrote.
 #![cfg(unix)]
 
-#[path = "../modbus_masters/terminal.rs"]
-mod terminal;
-
 use std::path::PathBuf;
 
 use host_tests::can_hub::CanHub;
@@ -12,8 +9,8 @@ use host_tests::emulator::Emulator;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
 use host_tests::rig::{MOTION_PATIENCE, PATIENCE, motions};
+use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
-use terminal::Terminal;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::{Config, Part};
@@ -97,7 +94,7 @@ fn run_master(elf: &str, gripper_on_bus: bool) {
     // The gripper confirms the FAST STOP of power-up.
     board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-    let terminal = Terminal::to(hub.master);
+    let terminal = Terminal::to(hub.master).unwrap();
     let eds = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/wsg-bridge.eds");
     let output = masters::python(include_str!("master.py"), &[&terminal.path, eds]);
     assert!(output.status.success() && said(&output).contains("passed"), "{}", said(&output));

@@ -1,0 +1,263 @@
+//! docs/can.md says what the tables in the code say, and what a bus has to carry.
+//!
+//! Parts that are made from the code stand between `<!-- generated: NAME -->` and `<!-- end -->`. Here they are compared;
+//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs` writes them anew.
+
+use std::fs;
+use std::path::PathBuf;
+
+use wsg_bridge_fw::can::{
+    BusOffPolicy, DataType, FAULTS, INPUT_INDEX, NodeConfig, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX,
+    SETTINGS_INDEX,
+};
+use wsg_bridge_fw::modbus::{REPORTS, SETTINGS};
+use wsg_protocol::can::{HALF_MESSAGE_MS, Identifiers, Segments};
+use wsg_protocol::{
+    AutoUpdate, Command, CommandId, FrameEncoder, GripperState, Payload, Reply, Status, SystemFlags, Value,
+};
+
+const NODE: NodeConfig = NodeConfig::DEFAULT;
+
+fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {
+    let line = |cells: [String; N]| format!("| {} |\n", cells.join(" | "));
+    let mut text = line(head.map(str::to_owned));
+    text.push_str(&format!("|{}\n", "---|".repeat(N)));
+    text.extend(rows.into_iter().map(line));
+    text
+}
+
+fn identifiers() -> String {
+    let pair = Identifiers::DEFAULT.controller();
+    let node = u16::from(NODE.node);
+    let row = |id: u16, what: &str, from: &str| [format!("{id:03X}h"), what.to_owned(), from.to_owned()];
+    table(
+        ["identifier", "what", "from"],
+        [
+            row(0, "NMT", "master"),
+            row(0x080 | node, "EMCY", "bridge"),
+            row(pair.transmit.as_raw(), "messages to the gripper", "bridge"),
+            row(pair.receive.as_raw(), "messages of the gripper", "gripper"),
+            row(0x180 | node, "TPDO1: GSTATE, OF, SYSSTATE, Status Code", "bridge"),
+            row(0x200 | node, "RPDO1: the output image", "master"),
+            row(0x280 | node, "TPDO2: WIDTH, Gripping Force", "bridge"),
+            row(0x580 | node, "SDO answers", "bridge"),
+            row(0x600 | node, "SDO requests", "master"),
+            row(0x700 | node, "heartbeat, boot-up", "bridge"),
+            row(0x700 | u16::from(NODE.master), "heartbeat of the master", "master"),
+        ],
+    )
+}
+
+/// The mapping of each PDO, from the dictionary.
+fn pdos() -> String {
+    let fields = |index: u16, order: &[u8]| {
+        let mut at = 0;
+        let mut rows = Vec::new();
+        for &sub in order {
+            let object = OBJECTS.iter().find(|object| (object.index, object.sub) == (index, sub)).unwrap();
+            let len = object.kind.len();
+            let bytes = if len == 1 { at.to_string() } else { format!("{at} to {}", at + len - 1) };
+            let kind = match object.kind {
+                DataType::U8 => "UNSIGNED8",
+                DataType::U16 => "UNSIGNED16",
+                DataType::U32 => "UNSIGNED32",
+                DataType::I16 => "INTEGER16",
+            };
+            rows.push((bytes, object.name, kind, format!("{index:04X}h, {sub}")));
+            at += len;
+        }
+        rows
+    };
+    let pdos = [
+        ("RPDO1", fields(OUTPUT_INDEX, &[1, 2, 3, 4, 5])),
+        ("TPDO1", fields(INPUT_INDEX, &[1, 2, 3, 6])),
+        ("TPDO2", fields(INPUT_INDEX, &[4, 5])),
+    ];
+    let rows = pdos.into_iter().flat_map(|(pdo, rows)| {
+        rows.into_iter().map(move |(bytes, name, kind, object)| {
+            [pdo.to_owned(), bytes, name.to_owned(), kind.to_owned(), object]
+        })
+    });
+    table(["PDO", "bytes", "field", "type", "object"], rows)
+}
+
+fn times() -> String {
+    let policy = BusOffPolicy::DEFAULT;
+    let ms = |ms: u32| format!("{ms} ms");
+    table(
+        ["what", "as delivered", "where it is set"],
+        [
+            ["heartbeat of the bridge".into(), ms(NODE.heartbeat_ms.into()), "1017h".into()],
+            ["TPDO1: at the soonest, at the latest".into(), pdo_times(0), "1800h, 3 and 5".into()],
+            ["TPDO2: at the soonest, at the latest".into(), pdo_times(1), "1801h, 3 and 5".into()],
+            [
+                "silence of the master".into(),
+                ms(wsg_bridge_fw::Config::DEFAULT.bus.timeout_ms.into()),
+                "1016h, or BUS_TIMEOUT".into(),
+            ],
+            ["half a message of the gripper".into(), ms(HALF_MESSAGE_MS), "`HALF_MESSAGE_MS`".into()],
+            ["bus-off: delay before coming back".into(), ms(policy.delay_ms), "`BusOffPolicy`".into()],
+            ["bus-off: failures until given up".into(), policy.limit.to_string(), "`BusOffPolicy`".into()],
+            [
+                "bus-off: stable time that forgets failures".into(),
+                ms(policy.stable_ms),
+                "`BusOffPolicy`".into(),
+            ],
+        ],
+    )
+}
+
+fn pdo_times(number: usize) -> String {
+    format!("{} ms, {} ms", f64::from(NODE.inhibit[number]) / 10.0, NODE.event_ms[number])
+}
+
+fn faults() -> String {
+    let row = |fault: &wsg_bridge_fw::can::Fault| {
+        [format!("{:04X}h", fault.code), format!("{:02X}h", fault.register | 1), fault.meaning.to_owned()]
+    };
+    table(["code", "error register", "fault"], FAULTS.iter().map(row))
+}
+
+fn objects() -> String {
+    let mut indices: Vec<u16> = OBJECTS.iter().map(|object| object.index).collect();
+    indices.dedup();
+    let row = |index: u16| {
+        let entries: Vec<_> = OBJECTS.iter().filter(|object| object.index == index).collect();
+        let name = if entries[0].record.is_empty() { entries[0].name } else { entries[0].record };
+        let writable: Vec<String> =
+            entries.iter().filter(|object| object.writable).map(|object| object.sub.to_string()).collect();
+        let access =
+            if writable.is_empty() { "ro".to_owned() } else { format!("rw: {}", writable.join(", ")) };
+        [format!("{index:04X}h"), name.to_owned(), access]
+    };
+    let registers = [
+        [format!("{SETTINGS_INDEX:04X}h"), format!("settings, {}", SETTINGS.len()), "rw: all".to_owned()],
+        [format!("{REPORTS_INDEX:04X}h"), format!("reports, {}", REPORTS.len()), "ro".to_owned()],
+    ];
+    table(["index", "object", "access, by subindex"], indices.into_iter().map(row).chain(registers))
+}
+
+/// Bits of a data frame with an 11-bit identifier, stuffed as unluckily as can be, and the pause behind it: 34 bits and
+/// the data can be stuffed, one bit in four after the first.
+fn worst_bits(len: usize) -> usize {
+    47 + 8 * len + (34 + 8 * len - 1) / 4
+}
+
+/// Bits of a message over CAN, at the worst.
+fn message_bits<P: Payload>(id: u8, payload: P) -> usize {
+    Segments::new(FrameEncoder::new(id, payload)).map(|segment| worst_bits(segment.data().len())).sum()
+}
+
+/// Bits a second of all that goes on while the fingers move, as delivered: twenty TPDOs would be few, so as often as the
+/// inhibit times allow.
+fn load() -> Vec<(String, usize, bool, bool)> {
+    let per_second = |period_ms: usize| 1_000 / period_ms;
+    let update = usize::from(AutoUpdate::MIN_PERIOD_MS);
+    let state = message_bits(0x40, Reply::success(Value::GetSystemState(SystemFlags::empty())))
+        + message_bits(0x41, Reply::success(Value::GetGripperState(GripperState::Idle)));
+    let measured = message_bits(0x43, Reply::success(Value::GetOpeningWidth(0.0)))
+        + message_bits(0x45, Reply::success(Value::GetForce(0.0)));
+    let refresh = usize::try_from(wsg_protocol::session::Config::DEFAULT.refresh_ms).unwrap();
+    let asked = AutoUpdate::on_change(AutoUpdate::MIN_PERIOD_MS);
+    let subscription = message_bits(0x40, Command::GetSystemState { update: asked });
+    let grip = Command::GripPart { width: 0.0, speed: 0.0 };
+    let motion = message_bits(0x32, Command::SetForceLimit { force: 0.0 })
+        + message_bits(0x32, Reply::status_only(CommandId::SetForceLimit, Status::Success))
+        + message_bits(0x25, grip)
+        + 2 * message_bits(0x25, Reply::status_only(CommandId::GripPart, Status::CmdPending));
+    let pdo = |number: usize, len: usize| worst_bits(len) * 10_000 / usize::from(NODE.inhibit[number]);
+    // What, bits a second, whether the gripper's, whether at rest too.
+    vec![
+        ("gripper: state and system state, every 10 ms".into(), state * per_second(update), true, false),
+        ("gripper: width and force, every 10 ms".into(), measured * per_second(update), true, false),
+        (
+            "gripper: a subscription renewed".into(),
+            subscription * per_second(refresh) + state * per_second(refresh),
+            true,
+            true,
+        ),
+        ("gripper: a Grip Part a second, force limit before it".into(), motion, true, false),
+        (format!("PLC: TPDO1, every {} ms", NODE.inhibit[0] / 10), pdo(0, 8), false, false),
+        (format!("PLC: TPDO2, every {} ms", NODE.inhibit[1] / 10), pdo(1, 4), false, false),
+        (
+            "PLC: TPDO1 and TPDO2 at rest".into(),
+            2 * worst_bits(8) * per_second(NODE.event_ms[0].into()),
+            false,
+            true,
+        ),
+        ("PLC: RPDO1, every 10 ms".into(), worst_bits(8) * per_second(10), false, true),
+        (
+            "PLC: two heartbeats".into(),
+            worst_bits(1) * (per_second(NODE.heartbeat_ms.into()) + per_second(200)),
+            false,
+            true,
+        ),
+    ]
+}
+
+const RATES: [usize; 4] = [125_000, 250_000, 500_000, 1_000_000];
+
+fn percent(bits: usize, rate: usize) -> String {
+    format!("{:.1} %", bits as f64 * 100.0 / rate as f64)
+}
+
+fn bus_load() -> String {
+    let load = load();
+    let sum = |which: fn(&(String, usize, bool, bool)) -> bool| -> usize {
+        load.iter().filter(|row| which(row)).map(|row| row.1).sum()
+    };
+    let mut rows: Vec<(String, usize)> = load.iter().map(|row| (row.0.clone(), row.1)).collect();
+    rows.push(("**gripper alone, while it grips**".into(), sum(|row| row.2)));
+    rows.push(("**PLC alone, while it grips**".into(), sum(|row| !row.2)));
+    rows.push(("**both, while it grips**".into(), sum(|_| true)));
+    rows.push(("**both, at rest**".into(), sum(|row| row.3)));
+    let row = |(what, bits): (String, usize)| {
+        let [a, b, c, d] = RATES.map(|rate| percent(bits, rate));
+        [what, bits.to_string(), a, b, c, d]
+    };
+    table(["what", "bit/s", "125 kbit/s", "250", "500", "1000"], rows.into_iter().map(row))
+}
+
+#[test]
+fn worst_frames_are_as_long_as_the_literature_says() {
+    // 8 data bytes: 111 bits without stuffing and 24 stuff bits, the pause of 3 included.
+    assert_eq!((worst_bits(0), worst_bits(8)), (55, 135));
+}
+
+#[test]
+fn everything_at_once_fits_at_500_kbit_s() {
+    let sum: usize = load().iter().map(|row| row.1).sum();
+    assert!(sum * 100 / 500_000 < 70, "{sum} bit/s");
+}
+
+#[test]
+fn tables_in_the_document_are_those_of_the_code() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/can.md");
+    let mut text = fs::read_to_string(&path).unwrap();
+    let update = std::env::var_os("WSG_UPDATE_DOCS").is_some_and(|value| value == "1");
+    for (name, made) in [
+        ("identifiers", identifiers()),
+        ("pdos", pdos()),
+        ("times", times()),
+        ("faults", faults()),
+        ("objects", objects()),
+        ("load", bus_load()),
+    ] {
+        let begin = format!("<!-- generated: {name} -->\n");
+        let from =
+            text.find(&begin).unwrap_or_else(|| panic!("docs/can.md has no part {name}")) + begin.len();
+        let to = from + text[from..].find("<!-- end -->").expect("each part has an end");
+        if update {
+            text.replace_range(from..to, &made);
+        } else {
+            assert_eq!(
+                &text[from..to],
+                made,
+                "docs/can.md, part \"{name}\": WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs"
+            );
+        }
+    }
+    if update {
+        fs::write(&path, text).unwrap();
+    }
+}
