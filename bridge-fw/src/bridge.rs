@@ -158,6 +158,12 @@ impl Bridge {
         self.wires.outputs(now, &gripper, self.session.is_connected())
     }
 
+    /// Whether the gripper answers.
+    #[must_use]
+    pub const fn is_connected(&self) -> bool {
+        self.session.is_connected()
+    }
+
     /// Says whether the way to the gripper is known to be gone (bus-off), before a poll. As long as it is, the PLC sees
     /// ERROR and E_IO_ERROR, and no LINK_OK.
     ///

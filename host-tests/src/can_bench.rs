@@ -39,6 +39,8 @@ struct DoubleState {
     aborts: u32,
     overrun: bool,
     refuses: bool,
+    /// Nobody acknowledges: frames stay in the mailboxes.
+    unheard: bool,
 }
 
 impl Double {
@@ -76,10 +78,15 @@ impl Double {
         self.0.borrow_mut().refuses = refuses;
     }
 
+    /// Nobody is on the bus who acknowledges frames, or somebody is again.
+    pub fn set_unheard(&self, unheard: bool) {
+        self.0.borrow_mut().unheard = unheard;
+    }
+
     /// The frame that wins on the bus.
     pub fn take_winner(&self) -> Option<ClassicFrame> {
         let mut state = self.0.borrow_mut();
-        if state.health.is_off {
+        if state.health.is_off || state.unheard {
             return None;
         }
         let winner = (0..state.mailboxes.len()).min_by_key(|&at| priority(&state.mailboxes[at]))?;
@@ -393,6 +400,7 @@ impl CanBench {
             link.expire(now);
             bridge.set_link_lost(bus.is_lost());
             self.outputs = bridge.poll(self.now_ms, *inputs, link);
+            link.set_connected(bridge.is_connected());
             bus.talk(now, link, &mut Nobody);
             return;
         };
@@ -408,6 +416,7 @@ impl CanBench {
         node.set_report(report);
         bridge.set_can_report(&report);
         self.outputs = bridge.poll_with_can(self.now_ms, *inputs, link, node);
+        link.set_connected(bridge.is_connected());
         bus.talk(now, link, node);
     }
 

@@ -141,7 +141,11 @@ fn message_cut_by_bus_off_is_not_continued_after_it() {
         assert_eq!(bench.take_motions(), []);
         assert!(bench.outputs().contains(Outputs::ERROR), "its outcome is not known: {:?}", bench.outputs());
         assert_eq!(bench.broken(), 1, "the one that was cut");
-        assert_eq!(bench.double().aborts(), 2, "when the bus goes and when it is back");
+        assert_eq!(
+            bench.double().aborts(),
+            3,
+            "when the bus goes, the connection with it, and when it is back"
+        );
         assert_eq!(
             bench.link().counters().broken,
             u16::from(wire == Inputs::MOVE),
@@ -219,6 +223,46 @@ fn limit_of_zero_never_gives_up() {
     bench.double().go_off(400);
     bench.pass(401 * (POLICY.delay_ms + POLICY.recovery_ms));
     assert!(bench.until(3_000, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+}
+
+#[test]
+fn motion_that_nobody_acknowledged_does_not_leave_when_somebody_comes() {
+    for wire in [Inputs::GRIP, Inputs::MOVE] {
+        let mut bench = homed();
+        bench.take_sent();
+        // The gripper's plug is pulled: frames stay in the controller's mailboxes.
+        bench.double().set_unheard(true);
+        bench.to_bridge = Some(Box::new(|_| vec![]));
+        bench.set(wire, true);
+        bench.pass(20);
+        bench.set(wire, false);
+        assert!(bench.until(2_000, |outputs| !outputs.contains(Outputs::LINK_OK)), "{:?}", bench.outputs());
+        bench.pass(60_000);
+        bench.double().set_unheard(false);
+        bench.to_bridge = None;
+        assert!(bench.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", bench.outputs());
+        bench.pass(3_000);
+        assert_eq!(bench.take_motions(), []);
+        assert!(bench.outputs().contains(Outputs::ERROR), "its outcome is not known: {:?}", bench.outputs());
+    }
+}
+
+#[test]
+fn message_that_the_bus_does_not_take_is_withdrawn_before_its_time() {
+    // Frames come in, but none goes out, as with nobody but a listener on the bus.
+    let mut bench = homed();
+    bench.take_sent();
+    bench.double().set_unheard(true);
+    bench.set(Inputs::GRIP, true);
+    bench.pass(20);
+    bench.set(Inputs::GRIP, false);
+    bench.pass(1_000);
+    assert!(bench.double().aborts() > 0 && bench.link().counters().broken > 0);
+    bench.double().set_unheard(false);
+    bench.pass(3_000);
+    assert_eq!(bench.take_motions(), []);
+    assert!(bench.outputs().contains(Outputs::ERROR | Outputs::LINK_OK), "{:?}", bench.outputs());
+    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
 }
 
 #[test]

@@ -33,6 +33,12 @@ pub trait Participant<F> {
 
     /// The bus is lost, or there again. What was to be said before is not said after.
     fn bus_changed(&mut self, is_on: bool);
+
+    /// Whether what the controller was given and has not sent must not leave any more; says so once. A frame that nobody
+    /// acknowledges waits there for ever, and leaves when somebody comes.
+    fn withdraws(&mut self) -> bool {
+        false
+    }
 }
 
 /// Nobody.
@@ -176,6 +182,13 @@ impl<C: CanController> CanBus<C> {
         first: &mut impl Participant<C::Frame>,
         second: &mut impl Participant<C::Frame>,
     ) {
+        let withdrawn = [first.withdraws(), second.withdraws()];
+        if withdrawn.contains(&true) {
+            // The controller forgets the other's frames as well; it is told.
+            self.forget();
+            first.lost();
+            second.lost();
+        }
         if self.is_lost() {
             return;
         }

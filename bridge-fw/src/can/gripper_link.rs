@@ -23,6 +23,10 @@ const REQUEST_FRAMES: usize = (Command::MAX_FIXED_LEN + OVERHEAD).div_ceil(FULL)
 const RECEIVED_MAX: usize = 256;
 const _: () = assert!(RECEIVED_MAX >= REPLY_FRAMES * FULL + 20 * FULL);
 
+/// How long frames wait for the controller to take one, in milliseconds, before they and what it holds are given up. Less
+/// than the time in which a session expects an answer, and more than a bus at 125 kbit/s needs for 90 frames of others.
+const STUCK_MS: u32 = 100;
+
 /// What the link could not use so far; each count stops at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounters {
@@ -45,7 +49,12 @@ pub struct GripperLink {
     received: Deque<u8, RECEIVED_MAX>,
     segmenter: Segmenter,
     to_send: Deque<Segment, REQUEST_FRAMES>,
+    /// Since when frames wait and none was taken, looked at once a turn.
+    stuck_since: Option<Instant>,
     is_on: bool,
+    is_connected: bool,
+    /// What left this link before the connection was lost must not leave the controller.
+    withdraws: bool,
     /// The message that is being written lost its beginning; whoever writes it is to be told.
     is_broken: bool,
     overflows: u16,
@@ -67,7 +76,10 @@ impl GripperLink {
             received: Deque::new(),
             segmenter: Segmenter::new(),
             to_send: Deque::new(),
+            stuck_since: None,
             is_on: true,
+            is_connected: false,
+            withdraws: false,
             is_broken: false,
             overflows: 0,
             broken: 0,
@@ -80,8 +92,27 @@ impl GripperLink {
         LinkCounters { frames: self.reassembler.counters(), overflows: self.overflows, broken: self.broken }
     }
 
-    /// Gives up half a message of the gripper whose rest did not come.
+    /// Says whether the gripper answers, behind each turn of the bridge. When it does no more, nothing that was said to
+    /// it leaves any more: without anybody on the bus who acknowledges them, frames wait in the controller, and would
+    /// leave when the gripper comes back.
+    pub fn set_connected(&mut self, is_connected: bool) {
+        if self.is_connected && !is_connected {
+            self.abandon();
+            self.withdraws = true;
+        }
+        self.is_connected = is_connected;
+    }
+
+    /// Lets time pass: gives up half a message of the gripper whose rest did not come, and messages to it that the bus
+    /// does not take, because nobody is there who acknowledges them. Whoever sent them is waiting for answers, and has to
+    /// notice that there are none.
     pub fn expire(&mut self, now: Instant) {
+        if self.to_send.is_empty() {
+            self.stuck_since = None;
+        } else if now.since(*self.stuck_since.get_or_insert(now)) >= STUCK_MS {
+            self.abandon();
+            self.withdraws = true;
+        }
         let Self { reassembler, received, overflows, .. } = self;
         reassembler.handle_timeout(now, |event| keep(received, overflows, event));
     }
@@ -96,6 +127,7 @@ impl GripperLink {
         }
         self.segmenter.reset();
         self.to_send.clear();
+        self.stuck_since = None;
     }
 }
 
@@ -120,6 +152,7 @@ impl<F: Frame> Participant<F> for GripperLink {
     }
 
     fn say(&mut self, _: Instant) -> Option<F> {
+        self.stuck_since = None;
         self.to_send.pop_front()?.frame(self.endpoint.transmit)
     }
 
@@ -129,6 +162,10 @@ impl<F: Frame> Participant<F> for GripperLink {
 
     fn lost(&mut self) {
         self.abandon();
+    }
+
+    fn withdraws(&mut self) -> bool {
+        core::mem::take(&mut self.withdraws)
     }
 
     fn bus_changed(&mut self, is_on: bool) {

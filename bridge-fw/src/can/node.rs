@@ -533,7 +533,11 @@ impl<F: Frame> Participant<F> for Node {
         matches!(id, Id::Standard(id) if id.as_raw() & 0x7F == u16::from(self.config.node))
     }
 
-    fn lost(&mut self) {}
+    fn lost(&mut self) {
+        // What is cyclic comes again at once. A client of SDO asks again by itself.
+        self.tpdos = [Tpdo::DUE; 2];
+        self.beat_at = None;
+    }
 
     fn bus_changed(&mut self, is_on: bool) {
         self.response = None;

@@ -67,6 +67,7 @@ impl Can {
         let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
         bridge.set_can_report(&BusReport { state, health, counters, link: link.counters() });
         let outputs = bridge.poll_with_bus(now_ms, inputs, link, plc_bus);
+        link.set_connected(bridge.is_connected());
         bus.talk(now, link, nobody);
         controller::rearm(bus.controller());
         outputs
@@ -107,6 +108,7 @@ impl Can {
         node.set_report(report);
         bridge.set_can_report(&report);
         let outputs = bridge.poll_with_can(now_ms, inputs, link, node);
+        link.set_connected(bridge.is_connected());
         bus.talk(now, link, node);
         controller::rearm(bus.controller());
         outputs
