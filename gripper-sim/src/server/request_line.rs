@@ -9,8 +9,9 @@ use crate::time::Time;
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
 use wsg_protocol::modbus::tcp;
 
-/// How long the rest of a frame is waited for. Then what came of it passes as it is.
-const REST_WAIT_MS: u64 = 20;
+/// How long the rest of a frame is waited for while nothing else is on its way. Then what came of it passes as it is. Long,
+/// so that a busy machine does not decide what is a frame.
+const REST_WAIT_MS: u64 = 1_000;
 /// The longest line of the text protocol that is taken for one.
 const MAX_LINE_LEN: usize = 512;
 
@@ -88,17 +89,21 @@ impl RequestLine {
 
     /// What reaches the gripper next, as far as it does by `now`.
     pub(super) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
-        if self.due.is_some_and(|due| due <= now) {
-            self.due = None;
-            let part = std::mem::take(&mut self.held);
-            self.let_by(now, &part);
+        if let Some(bytes) = self.line.arrive(now) {
+            // As long as the line was full, the rest could not come.
+            self.due = self.due.map(|_| now.plus_millis(REST_WAIT_MS));
+            return Some(bytes);
         }
-        self.line.arrive(now)
+        if self.line.next_arrival().is_some() || self.due.is_none_or(|due| due > now) {
+            return None;
+        }
+        self.due = None;
+        Some(std::mem::take(&mut self.held))
     }
 
     /// When something reaches the gripper next.
     pub(super) fn next_arrival(&self) -> Option<Time> {
-        [self.line.next_arrival(), self.due].into_iter().flatten().min()
+        self.line.next_arrival().or(self.due)
     }
 
     /// Takes what is no frame, and has no fate.
