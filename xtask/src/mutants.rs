@@ -87,7 +87,9 @@ fn make(workspace: &Workspace, name: &str, files: &[&str], options: &[&str]) -> 
     fs::create_dir_all(&output).with_context(|| format!("cannot make {}", output.display()))?;
     let mut mutants =
         tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle", "-j1"]);
-    mutants.arg("--output").arg(&output).args(["--timeout", "40", "--colors", "never"]);
+    mutants.arg("--output").arg(&output).args(["--colors", "never"]);
+    // Four times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
+    mutants.args(["--timeout-multiplier", "4", "--minimum-test-timeout", "40"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
     // What the tests are made of is no part of the crate.
     mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(options);
