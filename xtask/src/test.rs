@@ -150,6 +150,9 @@ impl Checks<'_> {
 
     /// The examples in the docs are a check of their own: `--include-ignored` would run those marked `ignore`.
     fn tests(&self, filter: &[OsString]) -> Result<()> {
+        // Tests run them; `cargo test --examples` builds their tests alone.
+        let mut examples = self.workspace.cargo();
+        process::run(examples.args(["build", "-p", "host-tests", "--examples"]))?;
         let mut tests = self.workspace.cargo();
         tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, &self.masters.python);
         tests.args([

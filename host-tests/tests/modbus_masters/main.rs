@@ -158,3 +158,16 @@ async fn tokio_command(client: &mut Context, image: &[u16; 4]) -> (u16, u16) {
         }
     }
 }
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn gripping_cycle_example_runs_over_rtu_and_counts() {
+    let plant = plant();
+    let arguments = ["--rtu", &plant.terminal.path, "--cycles", "2"];
+    let program = host_tests::example::path("gripping_cycle");
+    let output = std::process::Command::new(program).args(arguments).output().unwrap();
+    let said = said(&output);
+    assert!(output.status.success(), "{said}");
+    let counted = "2 parts held, 0 not found, 0 lost; 1 homings, 0 errors\n";
+    assert!(said.starts_with("2 cycles in ") && said.contains(counted), "{said}");
+}
