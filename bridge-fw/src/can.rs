@@ -1,14 +1,15 @@
 //! CAN: the gripper on a bus instead of a serial line, and a PLC on a bus instead of wires. By the feature `can`.
 //!
 //! [`CanBus`] owns the controller, shares it between those who are on the bus ([`Participant`]), and leaves and joins the
-//! bus when the controller goes bus-off. [`GripperLink`] is one of them: to the bridge it is a line like any other. [`Node`] is the
-//! other: the PLC's side, by CANopen. The
-//! board gives the controller, behind [`CanController`]. Where there is none, [`SlcanPort`] is one over a serial line.
+//! bus when the controller goes bus-off. [`GripperLink`] is one of them: to the bridge it is a line like any other. [`Node`]
+//! is the other: the PLC's side, by CANopen. The board gives the controller, behind [`CanController`]. Where there is none,
+//! [`SlcanPort`] is one over a serial line.
 //!
 //! The mapping of messages to frames is `wsg_protocol::can`'s.
 
 mod bus;
 mod bus_off;
+mod config;
 mod controller;
 mod gripper_link;
 mod node;
@@ -16,6 +17,7 @@ mod slcan_port;
 
 pub use bus::{BusCounters, CanBus, Nobody, Participant};
 pub use bus_off::{BusOffPolicy, BusState};
+pub use config::CanConfig;
 pub use controller::{CanController, Health};
 pub use gripper_link::{GripperLink, LinkCounters};
 pub use node::{

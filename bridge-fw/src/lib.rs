@@ -22,6 +22,7 @@ extern crate std;
 mod arbiter;
 pub mod boards;
 mod bridge;
+mod built;
 pub mod byte_queue;
 #[cfg(feature = "can")]
 pub mod can;

@@ -18,7 +18,15 @@ pub(crate) const PACKAGE: &str = "wsg-bridge-fw";
 pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 
 /// The environment variables that change what the image is built with: an image for another bus has another name.
-const BUS_VARIABLES: [&str; 3] = ["WSG_BUS_RATE", "WSG_BUS_FORMAT", "WSG_BUS_UNIT"];
+const BUS_VARIABLES: [&str; 7] = [
+    "WSG_BUS_RATE",
+    "WSG_BUS_FORMAT",
+    "WSG_BUS_UNIT",
+    "WSG_CAN_RATE",
+    "WSG_CAN_ID",
+    "WSG_CAN_NODE",
+    "WSG_CAN_MASTER",
+];
 
 const PROFILE: &str = "firmware";
 
@@ -66,7 +74,8 @@ pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, features:
     cargo.args(selection(features));
     process::run(&mut cargo)?;
     let built = toolchain.output_dir(workspace, PROFILE).join(BOARD.name);
-    let bus: Vec<String> = BUS_VARIABLES.iter().filter_map(|name| std::env::var(name).ok()).collect();
+    let bus: Vec<String> =
+        BUS_VARIABLES.iter().filter_map(|name| Some(setting(name, &std::env::var(name).ok()?))).collect();
     keep(&built, &workspace.target_dir.join("firmware").join(file_name(&[features, &bus].concat())))
 }
 
@@ -81,6 +90,11 @@ pub(crate) fn selection_for(features: &[String], profile: &str) -> Vec<String> {
     ["-p", PACKAGE, "--bin", BOARD.name, "--features", &features, "--profile", profile]
         .map(str::to_owned)
         .to_vec()
+}
+
+/// A variable of the build and its value, as a part of the image's name.
+fn setting(variable: &str, value: &str) -> String {
+    format!("{}={value}", variable.trim_start_matches("WSG_").to_lowercase())
 }
 
 /// An image with more features is another image: it must not take the place of the one that is tested.
@@ -118,6 +132,12 @@ mod tests {
             file_name(&["defmt".into(), "heapless/defmt".into()]),
             "b-l475e-iot01a+defmt+heapless-defmt.elf"
         );
+    }
+
+    #[test]
+    fn images_for_other_buses_have_names_that_tell_them_apart() {
+        assert_eq!(file_name(&[setting("WSG_BUS_UNIT", "5")]), "b-l475e-iot01a+bus_unit=5.elf");
+        assert_ne!(setting("WSG_BUS_UNIT", "5"), setting("WSG_CAN_NODE", "5"));
     }
 
     #[test]

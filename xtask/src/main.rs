@@ -88,6 +88,9 @@ Environment
   WSG_BUS_RATE, WSG_BUS_FORMAT, WSG_BUS_UNIT
                      the image's bus: 1200 to 230400 bit/s (19200), 8E1, 8N1 or 8N2 (8E1), and
                      unit 1 to 247 (1); an image for another bus has a name of its own
+  WSG_CAN_RATE, WSG_CAN_ID, WSG_CAN_NODE, WSG_CAN_MASTER
+                     the same for an image with CAN: 125, 250, 500 or 1000 kbit/s (500), what the
+                     gripper listens to (0x120), node-IDs of the bridge (16) and its master (127)
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
 
 set-up asks before it acts: on a machine that has everything it runs nothing.

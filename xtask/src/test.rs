@@ -88,7 +88,7 @@ impl Checks<'_> {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
         }
         let mut arguments = Vec::new();
-        if !process::exists("nc") {
+        if !setup::netcat() {
             record.not_checked("GCL by hand with nc (no nc; Debian's package: netcat-openbsd)");
             arguments.extend(["--skip", "conversation_by_hand_with_nc"].map(OsString::from));
         }

@@ -1,5 +1,6 @@
 //! What is fixed about the bus when the bridge starts: rate and format, and what the settings begin with.
 
+use crate::built::number;
 use wsg_protocol::fieldbus::SilenceReaction;
 use wsg_protocol::modbus::rtu::Timing;
 
@@ -108,16 +109,6 @@ impl BusConfig {
     #[must_use]
     pub const fn timing(&self) -> Timing {
         Timing::of(self.baud, self.format.bits())
-    }
-}
-
-/// The number that these digits are.
-const fn number(digits: &str) -> u32 {
-    let number = u32::from_str_radix(digits, 10);
-    assert!(number.is_ok(), "WSG_BUS_RATE and WSG_BUS_UNIT must be numbers");
-    match number {
-        Ok(number) => number,
-        Err(_) => 0,
     }
 }
 

@@ -82,6 +82,17 @@ fn how_to_install(wanted: &[apt::Packages], rustup_would_do: bool) -> String {
     text
 }
 
+/// Finds `nc`, which a person types GCL into, or installs it where that may be; says whether it is there.
+pub(crate) fn netcat() -> bool {
+    if !process::exists("nc") && obstacle_to_installing().is_none() {
+        let package = apt::Packages { names: vec!["netcat-openbsd"], release: None, source: None };
+        if let Err(error) = apt::install(&[package]) {
+            eprintln!("{error:#}: going on without");
+        }
+    }
+    process::exists("nc")
+}
+
 /// Why packages may not be installed here; `None` where they may.
 fn obstacle_to_installing() -> Option<&'static str> {
     if installing_is_forbidden() {

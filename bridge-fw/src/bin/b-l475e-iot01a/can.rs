@@ -10,16 +10,11 @@ use wsg_bridge_fw::Bridge;
 use wsg_bridge_fw::can::GripperLink;
 #[cfg(not(all(feature = "can-gripper", feature = "can-plc")))]
 use wsg_bridge_fw::can::Nobody;
-use wsg_bridge_fw::can::{BusOffPolicy, BusReport, CanBus};
 #[cfg(feature = "can-plc")]
-use wsg_bridge_fw::can::{Node, NodeConfig};
+use wsg_bridge_fw::can::Node;
+use wsg_bridge_fw::can::{BusOffPolicy, BusReport, CanBus, CanConfig};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::Instant;
-#[cfg(feature = "can-gripper")]
-use wsg_protocol::can::Identifiers;
-
-#[cfg(feature = "can-plc")]
-const _: () = assert!(NodeConfig::DEFAULT.is_valid());
 
 /// The bus and who is on it.
 pub(crate) struct Can {
@@ -37,9 +32,9 @@ impl Can {
         Self {
             bus: CanBus::new(controller::new(), BusOffPolicy::DEFAULT),
             #[cfg(feature = "can-gripper")]
-            link: GripperLink::new(Identifiers::DEFAULT),
+            link: GripperLink::new(CanConfig::BUILT.gripper),
             #[cfg(feature = "can-plc")]
-            node: Node::new(NodeConfig::DEFAULT),
+            node: Node::new(CanConfig::BUILT.node),
             #[cfg(not(all(feature = "can-gripper", feature = "can-plc")))]
             nobody: Nobody,
         }

@@ -7,13 +7,12 @@ use bxcan::filter::Mask32;
 use bxcan::{FilterOwner, Instance, Interrupts, Mailbox, OverrunError, RegisterBlock, StandardId};
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::{CAN1, Interrupt, RCC, interrupt};
-use wsg_bridge_fw::can::{CanController, Health, NodeConfig};
-use wsg_protocol::can::Identifiers;
+use wsg_bridge_fw::can::{CanConfig, CanController, Health};
 
 use crate::clock::HCLK_HZ;
 
-/// The rate: 125, 250, 500 or 1000 kbit/s.
-const BIT_RATE: u32 = 500_000;
+const CONFIG: CanConfig = CanConfig::BUILT;
+const BIT_RATE: u32 = 1_000 * CONFIG.kbit_rate;
 
 /// Quanta of a bit: one to synchronise, 13 before and 2 behind the sample point, which so is at 87.5 %.
 const BEFORE_SAMPLE: u32 = 13;
@@ -24,7 +23,10 @@ const _: () = assert!((1 + BEFORE_SAMPLE) * 1_000 / QUANTA == 875);
 const JUMP: u32 = 2;
 const PRESCALER: u32 = HCLK_HZ / (BIT_RATE * QUANTA);
 const _: () = assert!(PRESCALER * BIT_RATE * QUANTA == HCLK_HZ, "the clock does not divide to this rate");
-const _: () = assert!(matches!(BIT_RATE, 125_000 | 250_000 | 500_000 | 1_000_000));
+const _: () = assert!(
+    matches!(CONFIG.kbit_rate, 125 | 250 | 500 | 1_000),
+    "CAN on this board takes 125, 250, 500 or 1000 kbit/s (WSG_CAN_RATE)"
+);
 /// BTR: each field holds one less than it means.
 const BIT_TIMING: u32 =
     (JUMP - 1) << 24 | (BEHIND_SAMPLE - 1) << 20 | (BEFORE_SAMPLE - 1) << 16 | (PRESCALER - 1);
@@ -71,10 +73,10 @@ pub(crate) fn start(controller: &mut Controller) {
             Some(Mask32::frames_with_std_id(StandardId::new(id)?, StandardId::new(mask)?))
         };
         let wanted = [
-            exact(Identifiers::DEFAULT.controller().receive.as_raw()),
+            exact(CONFIG.gripper.controller().receive.as_raw()),
             // NMT; what is for this node; heartbeats.
             exact(0),
-            masked(NodeConfig::DEFAULT.node.into(), 0x07F),
+            masked(CONFIG.node.node.into(), 0x07F),
             masked(0x700, 0x780),
         ];
         for (bank, filter) in wanted.into_iter().enumerate() {

@@ -37,16 +37,14 @@ impl NodeConfig {
     #[must_use]
     pub fn collides_with(gripper: Identifiers) -> bool {
         let pair = gripper.controller();
-        [pair.transmit.as_raw(), pair.receive.as_raw()].iter().any(|&id| match id {
-            // NMT, SYNC and EMCY, TIME; PDOs; SDOs; heartbeats; LSS.
-            0
-            | 0x080..=0x100
-            | 0x181..=0x57F
-            | 0x581..=0x5FF
-            | 0x601..=0x67F
-            | 0x701..=0x77F
-            | 0x7E4..=0x7E5 => true,
-            _ => false,
-        })
+        [pair.transmit.as_raw(), pair.receive.as_raw()].into_iter().any(Self::is_canopens)
+    }
+
+    /// Whether CANopen uses this identifier: NMT, SYNC and EMCY, TIME; PDOs; SDOs; heartbeats; LSS.
+    pub(crate) const fn is_canopens(id: u16) -> bool {
+        matches!(
+            id,
+            0 | 0x080..=0x100 | 0x181..=0x57F | 0x581..=0x5FF | 0x601..=0x67F | 0x701..=0x77F | 0x7E4..=0x7E5
+        )
     }
 }
