@@ -6,6 +6,7 @@
 use bxcan::filter::Mask32;
 use bxcan::{FilterOwner, Instance, Interrupts, Mailbox, OverrunError, RegisterBlock, StandardId};
 use cortex_m::peripheral::NVIC;
+use embedded_can::ErrorKind;
 use stm32_metapac::{CAN1, Interrupt, RCC, interrupt};
 use wsg_bridge_fw::can::{CanConfig, CanController, Health};
 
@@ -115,18 +116,50 @@ pub(crate) fn has_received() -> bool {
     CAN1.rfr(0).read().fmp() != 0
 }
 
+/// Bytes of data in a frame. Its length field goes up to 15, which a node may send and which also means 8 (ISO 11898-1);
+/// `bxcan` takes it at its word, and panics when the data is looked at.
+const MAX_DATA_LEN: u8 = 8;
+
+/// A frame that came and is not handed over.
+#[derive(Debug)]
+pub(crate) enum Lost {
+    /// It found no room.
+    Overrun,
+    /// It announces more than [`MAX_DATA_LEN`] bytes, which nobody on this bus should.
+    TooLong,
+}
+
+impl From<OverrunError> for Lost {
+    fn from(_: OverrunError) -> Self {
+        Self::Overrun
+    }
+}
+
+impl embedded_can::Error for Lost {
+    fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Overrun => ErrorKind::Overrun,
+            Self::TooLong => ErrorKind::Other,
+        }
+    }
+}
+
 impl embedded_can::nb::Can for Controller {
     type Frame = bxcan::Frame;
-    type Error = OverrunError;
+    type Error = Lost;
 
-    fn transmit(&mut self, frame: &bxcan::Frame) -> nb::Result<Option<bxcan::Frame>, OverrunError> {
+    fn transmit(&mut self, frame: &bxcan::Frame) -> nb::Result<Option<bxcan::Frame>, Lost> {
         let can = self.can.as_mut().ok_or(nb::Error::WouldBlock)?;
-        embedded_can::nb::Can::transmit(can, frame)
+        embedded_can::nb::Can::transmit(can, frame).map_err(|error| error.map(Lost::from))
     }
 
-    fn receive(&mut self) -> nb::Result<bxcan::Frame, OverrunError> {
+    fn receive(&mut self) -> nb::Result<bxcan::Frame, Lost> {
         let can = self.can.as_mut().ok_or(nb::Error::WouldBlock)?;
-        embedded_can::nb::Can::receive(can)
+        if has_received() && CAN1.rx(0).rdtr().read().dlc() > MAX_DATA_LEN {
+            CAN1.rfr(0).write(|w| w.set_rfom(true));
+            return Err(nb::Error::Other(Lost::TooLong));
+        }
+        embedded_can::nb::Can::receive(can).map_err(|error| error.map(Lost::from))
     }
 }
 
