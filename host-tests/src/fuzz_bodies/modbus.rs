@@ -154,7 +154,10 @@ impl Model {
             };
             let event = self.server.push(character, silence_us, &mut self.served).map(Outcome::from);
             if at == 0 {
-                self.settle(event);
+                if self.settle(event) {
+                    // The one before had it.
+                    assert!(self.server.push(character, silence_us, &mut self.served).is_none());
+                }
             } else {
                 assert_eq!(event, None, "inside a frame");
             }
@@ -170,13 +173,13 @@ impl Model {
         assert!(self.server.silence(u32::MAX, &mut self.served).is_none(), "once");
     }
 
-    /// Holds what became of the frame that was sent to what must.
-    fn settle(&mut self, event: Option<Outcome>) {
+    /// Holds what became of the frame that was sent to what must. Says whether there is another server since.
+    fn settle(&mut self, event: Option<Outcome>) -> bool {
         let frame = std::mem::take(&mut self.frame);
         let void = std::mem::take(&mut self.void);
         if frame.is_empty() {
             assert_eq!(event, None, "nothing was sent");
-            return;
+            return false;
         }
         let event = event.expect("a silence ends a frame");
         if let Outcome::Answer(answer) = &event {
@@ -192,9 +195,11 @@ impl Model {
         }
         assert_eq!(self.served, self.expected, "after {frame:02X?}");
         // What FC 8 does is the library's own test; here nothing is to stay silent.
-        if self.server.is_listen_only() {
+        let is_listen_only = self.server.is_listen_only();
+        if is_listen_only {
             self.server = Server::new(self.config, TIMING);
         }
+        is_listen_only
     }
 
     fn outcome(&mut self, frame: &[u8], void: bool) -> Outcome {
