@@ -187,7 +187,11 @@ impl Bridge {
 
     /// The image that the PLC reads.
     fn shown(&self) -> InputImage {
-        let mut image = self.controller.input(self.session.known());
+        self.as_shown(self.controller.input(self.session.known()))
+    }
+
+    /// The gripper's image as the PLC reads it.
+    const fn as_shown(&self, mut image: InputImage) -> InputImage {
         if self.link_is_lost {
             image.state = GripperFlags::ERROR;
             image.status = Status::IoError;
@@ -267,7 +271,7 @@ impl Bridge {
         for _ in 0..MAX_SERVED_PER_POLL {
             let gripper = self.controller.input(self.session.known());
             let moving = is_moving(&gripper);
-            let shown = self.shown();
+            let shown = self.as_shown(gripper);
             let subjects = Subjects {
                 config: &self.bus_config,
                 session: &self.session,
