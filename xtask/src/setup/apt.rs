@@ -22,6 +22,13 @@ pub(crate) struct Packages {
     pub(crate) source: Option<SourceFile>,
 }
 
+impl Packages {
+    /// A package of the release that the machine runs.
+    pub(super) fn of(name: &'static str) -> Self {
+        Self { names: vec![name], release: None, source: None }
+    }
+}
+
 /// A file of our own under `/etc/apt/sources.list.d`.
 pub(crate) struct SourceFile {
     path: PathBuf,

@@ -1,11 +1,11 @@
 //! The formatter and the linter: parts of a tool chain that a machine may lack, and that only `test` asks for.
 
-use std::{path::Path, process::Command};
+use std::path::Path;
 
 use super::{
     ThumbToolchain,
     apt::{self, Packages},
-    installing_is_forbidden, obstacle_to_installing, rust_target,
+    obstacle_to_installing, report, rust_target,
 };
 use crate::{process, workspace::Workspace};
 
@@ -48,17 +48,14 @@ impl Component {
     fn add(self, workspace: &Workspace) {
         if workspace.cargo_is(rust_target::DEBIAN_CARGO) {
             self.install_debian_package();
-        } else if !installing_is_forbidden() && rust_target::rustup_may_be_called() {
-            let mut rustup = Command::new("rustup");
-            rustup.current_dir(&workspace.root).args(["component", "add", self.rustup_name()]);
-            report(process::run(&mut rustup));
+        } else {
+            rust_target::rustup(workspace, &["component", "add", self.rustup_name()]);
         }
     }
 
     fn install_debian_package(self) {
         if obstacle_to_installing().is_none() {
-            let package = Packages { names: vec![self.debian_package()], release: None, source: None };
-            report(apt::install(&[package]));
+            report(apt::install(&[Packages::of(self.debian_package())]));
         }
     }
 
@@ -88,12 +85,5 @@ impl Component {
             Self::Rustfmt => "/usr/bin/cargo-fmt",
             Self::Clippy => rust_target::DEBIAN_CLIPPY,
         })
-    }
-}
-
-/// A component that can not be had is no failure here: `test` says what it therefore could not check.
-fn report(outcome: anyhow::Result<()>) {
-    if let Err(error) = outcome {
-        eprintln!("{error:#}");
     }
 }

@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 
 use super::{
     apt::{self, Packages},
-    installing_is_forbidden, obstacle_to_installing,
+    find_or_install, installing_is_forbidden, obstacle_to_installing, report,
 };
 use crate::{process, workspace::Workspace};
 
@@ -45,9 +45,7 @@ pub(crate) fn provide(workspace: &Workspace) -> Result<Masters> {
     let requirements = requirements(&list);
     let environment = workspace.target_dir.join("modbus-masters");
     let python = environment.join("bin/python");
-    if !has_mbpoll() && obstacle_to_installing().is_none() {
-        report(apt::install(&[package("mbpoll")]));
-    }
+    let has_mbpoll = find_or_install("mbpoll", "mbpoll");
     if !lacking(&python, &requirements).is_empty() && !installing_is_forbidden() {
         report(fill(workspace, &environment));
     }
@@ -57,7 +55,7 @@ pub(crate) fn provide(workspace: &Workspace) -> Result<Masters> {
         let masters = requirements.iter().filter(|(name, _)| !NO_MASTERS.contains(name));
         missing.extend(masters.map(|(name, _)| name.replace('-', "_")));
     }
-    if !has_mbpoll() {
+    if !has_mbpoll {
         missing.push("mbpoll".to_owned());
     }
     Ok(Masters { python, missing })
@@ -72,7 +70,7 @@ fn fill(workspace: &Workspace, environment: &Path) -> Result<()> {
     if make("python3").is_err() {
         // Debian keeps `venv` in a package of its own.
         anyhow::ensure!(obstacle_to_installing().is_none(), "there is no python3 that makes an environment");
-        apt::install(&[package("python3-venv")])?;
+        apt::install(&[Packages::of("python3-venv")])?;
         make("/usr/bin/python3")?;
     }
     let mut pip = Command::new(environment.join("bin/python"));
@@ -98,21 +96,6 @@ fn lacking<'a>(python: &Path, requirements: &[(&'a str, &str)]) -> Vec<&'a str> 
         })
     };
     requirements.iter().filter(|(name, version)| !has(name, version)).map(|(name, _)| *name).collect()
-}
-
-fn has_mbpoll() -> bool {
-    // It prints its version and ends with an error.
-    Command::new("mbpoll").arg("-V").output().is_ok()
-}
-
-fn package(name: &'static str) -> Packages {
-    Packages { names: vec![name], release: None, source: None }
-}
-
-fn report(outcome: Result<()>) {
-    if let Err(error) = outcome {
-        eprintln!("{error:#}");
-    }
 }
 
 #[cfg(test)]

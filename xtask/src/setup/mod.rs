@@ -12,6 +12,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
+use apt::Packages;
 pub(crate) use component::Component;
 pub(crate) use masters::{Masters, PYTHON_VARIABLE, provide as masters};
 pub(crate) use rust_target::{MINIMUM_RUST, ThumbToolchain, has_target, rustup};
@@ -84,13 +85,22 @@ fn how_to_install(wanted: &[apt::Packages], rustup_would_do: bool) -> String {
 
 /// Finds `nc`, which a person types GCL into, or installs it where that may be; says whether it is there.
 pub(crate) fn netcat() -> bool {
-    if !process::exists("nc") && obstacle_to_installing().is_none() {
-        let package = apt::Packages { names: vec!["netcat-openbsd"], release: None, source: None };
-        if let Err(error) = apt::install(&[package]) {
-            eprintln!("{error:#}: going on without");
-        }
+    find_or_install("nc", "netcat-openbsd")
+}
+
+/// Finds a program, or installs Debian's package of it where that may be; says whether it is there.
+fn find_or_install(program: &str, package: &'static str) -> bool {
+    if !process::exists(program) && obstacle_to_installing().is_none() {
+        report(apt::install(&[Packages::of(package)]));
     }
-    process::exists("nc")
+    process::exists(program)
+}
+
+/// Tells of a failure without which the rest goes on.
+fn report(outcome: Result<()>) {
+    if let Err(error) = outcome {
+        eprintln!("{error:#}: going on without");
+    }
 }
 
 /// Why packages may not be installed here; `None` where they may.
