@@ -22,6 +22,9 @@ const BYTE_PATH_LIMIT: f64 = 32.0;
 const BULK_PATH_LIMIT: f64 = 10.0;
 const BULK_PAYLOAD: &str = "bulk-path/64";
 
+/// Instructions for a MODBUS request for eight registers and its answer, at opt-level 3.
+const MODBUS_LIMIT: f64 = 600.0;
+
 /// From the turn of the main loop in which an edge counts to the first byte, in the firmware as it is flashed.
 const EDGE: &str = "edge-to-first-byte";
 const EDGE_LIMIT_US: f64 = 50.0;
@@ -126,6 +129,12 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
             each(&format!("O3/{BULK_PAYLOAD}"))?,
             BULK_PATH_LIMIT,
             Unit::InstructionsPerByte,
+        ),
+        Gate::new(
+            "instructions of a MODBUS request for 8 registers",
+            each("O3/modbus-8-registers")?,
+            MODBUS_LIMIT,
+            Unit::Instructions,
         ),
         Gate::new("PLC edge to first byte, debounced", cycles / CORE_MHZ, EDGE_LIMIT_US, Unit::Microseconds)
             .standing_at(EDGE_STANDS_AT_US),
@@ -236,16 +245,18 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_byte_path_and_a_slow_edge_are_past_their_limits() {
+    fn a_slow_byte_path_a_slow_request_and_a_slow_edge_are_past_their_limits() {
         let counts = parse(
-            "O3/byte-path/2 330 10\nO3/byte-path/64 100 72\nO3/bulk-path/64 700 72\nOs/edge-to-first-byte 4000 1",
+            "O3/byte-path/2 330 10\nO3/byte-path/64 100 72\nO3/bulk-path/64 700 72\n\
+             O3/modbus-8-registers 601 1\nOs/edge-to-first-byte 4000 1",
         );
         let gates = gates(&counts.unwrap()).unwrap();
 
         let failed = crate::gate::check(&gates).unwrap_err().to_string();
         assert_eq!(
             failed,
-            "past the limit: instructions per byte, byte by byte, PLC edge to first byte, debounced"
+            "past the limit: instructions per byte, byte by byte, instructions of a MODBUS request for 8 registers, \
+             PLC edge to first byte, debounced"
         );
     }
 }

@@ -11,6 +11,8 @@ pub(crate) enum Unit {
     Bytes,
     /// Instructions for a byte on the line.
     InstructionsPerByte,
+    /// Instructions.
+    Instructions,
     /// Microseconds.
     Microseconds,
     /// 10⁹ bytes a second: more is better.
@@ -95,6 +97,7 @@ impl Unit {
         match self {
             Self::Bytes => format!("{value:.0} B"),
             Self::InstructionsPerByte => format!("{value:.1}"),
+            Self::Instructions => format!("{value:.0}"),
             Self::Microseconds => format!("{value:.1} µs"),
             Self::GigabytesPerSecond => format!("{value:.2} GB/s"),
         }

@@ -13,7 +13,6 @@ mod fuzz;
 mod gate;
 mod matrix;
 mod measure;
-mod modbus_speed;
 mod mutants;
 mod panics;
 mod probe;
@@ -61,7 +60,6 @@ Commands
   panics             firmware and protocol link only if no panic can be reached
   bench              instructions on a Cortex-M4, counted in the emulator and held to a committed
                      baseline [--update: write it anew]; throughput on this machine
-  modbus             instructions of a Modbus request for eight registers, counted in the emulator
   fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz
   soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;
                      a quarter of an hour [--commands N] [--seed N]
@@ -147,12 +145,6 @@ fn run() -> Result<ExitCode> {
         "matrix" => {
             no_more(arguments)?;
             matrix::run(&Workspace::from_env()?)?;
-        }
-        "modbus" => {
-            no_more(arguments)?;
-            let workspace = Workspace::from_env()?;
-            let toolchain = setup::thumb_and_qemu(&workspace)?;
-            modbus_speed::check(&workspace, &toolchain)?;
         }
         "flash" => {
             let features = features(arguments)?;

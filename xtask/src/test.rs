@@ -9,7 +9,7 @@ use crate::{
     firmware::{self, IMAGE_VARIABLE, Image},
     gate,
     matrix::{self, Extent},
-    modbus_speed, panics,
+    panics,
     probe::Probes,
     process,
     setup::{self, Component, Masters, PYTHON_VARIABLE, ThumbToolchain},
@@ -110,7 +110,6 @@ impl Checks<'_> {
         record.check("stack, walked", || gate::check(&[stack::walked(workspace, toolchain, image)?]))?;
         record.check("stack, painted", || gate::check(&[stack::painted(workspace, image)?]))?;
         record.check("instructions", || gate::check(&bench::counted(&probes, false)?))?;
-        record.check("instructions of a Modbus request", || modbus_speed::check(workspace, toolchain))?;
         record.check("panic paths", || panics::check(&probes))?;
         record.check("size with CAN", || {
             firmware::CAN.iter().try_for_each(|(list, _)| {

@@ -3,51 +3,13 @@
 #![no_main]
 
 use cortex_m_rt::entry;
+use wsg_probes::gripper::Gripper;
 use wsg_probes::{bytes, keep, opaque};
 use wsg_protocol::fieldbus::InputImage;
 use wsg_protocol::modbus::rtu::{Character, Config, Mode, Receiver, Server, Timing, crc};
 use wsg_protocol::modbus::{
-    Bits, Device, Exception, Function, INPUT_REGISTERS, Identification, Images, MAX_PDU_LEN, Words, serve,
-    tcp,
+    Bits, Exception, Function, INPUT_REGISTERS, Images, MAX_PDU_LEN, Words, serve, tcp,
 };
-
-/// The two images and nothing else.
-struct Gripper(Images);
-
-impl Device for Gripper {
-    fn coil(&self, address: u16) -> Result<bool, Exception> {
-        self.0.coil(address)
-    }
-
-    fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
-        self.0.discrete_input(address)
-    }
-
-    fn holding_register(&self, address: u16) -> Result<u16, Exception> {
-        self.0.holding_register(address)
-    }
-
-    fn input_register(&self, address: u16) -> Result<u16, Exception> {
-        self.0.input_register(address)
-    }
-
-    fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
-        self.0.write_coils(first, values)
-    }
-
-    fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
-        self.0.write_registers(first, values)
-    }
-
-    fn identification(&self) -> Identification {
-        Identification {
-            vendor_name: opaque("V"),
-            product_code: opaque("P"),
-            revision: opaque("R"),
-            regular: opaque(None),
-        }
-    }
-}
 
 const CONFIG: Config = Config { unit: 1, mode: Mode::Strict, broadcast: true };
 const TIMING: Timing = Timing::of(19_200, 11);
