@@ -63,22 +63,31 @@ impl Arbiter {
         self.commander
     }
 
-    /// Takes what the wires ask for. Gives the images for the controller, in order: before a command wire's edge, one
+    /// Takes what the wires ask for. Hands the images on to the controller, in order: before a command wire's edge, one
     /// in which the bus has let go.
-    pub(crate) fn take_wires(&mut self, image: OutputImage, moving: bool) -> [Option<OutputImage>; 2] {
-        let before = self.wires.replace(image);
+    pub(crate) fn take_wires(
+        &mut self,
+        image: &OutputImage,
+        moving: bool,
+        mut to_controller: impl FnMut(&OutputImage),
+    ) {
+        let before = self.wires.replace(*image);
         let rising =
             before.map_or(MOTIONS, |before| image.flags.difference(before.flags)).intersection(MOTIONS);
         let effective = self.bus_flags();
         if image.flags.intersects(MOTIONS) {
             self.masked |= self.bus.flags.intersection(MOVERS);
         }
-        let let_go = before.filter(|_| effective != self.bus_flags()).map(|before| self.merged(before.flags));
+        if let Some(before) = before
+            && effective != self.bus_flags()
+        {
+            to_controller(&self.merged(before.flags));
+        }
         if !rising.is_empty() && image.flags.intersects(MOTIONS) && !moving {
             self.commander = Commander::Wires;
-            self.parameters = image;
+            self.parameters = *image;
         }
-        [let_go, Some(self.merged(image.flags))]
+        to_controller(&self.merged(image.flags));
     }
 
     /// Takes an image that the bus wrote. Gives the one for the controller, if the wires have settled.
@@ -123,6 +132,7 @@ impl Arbiter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::vec::Vec;
 
     const MOVE: CommandFlags = CommandFlags::MOVE;
     const GRIP: CommandFlags = CommandFlags::GRIP;
@@ -134,9 +144,22 @@ mod tests {
     /// Wires that are low, and a bus that has written zeros once.
     fn idle() -> Arbiter {
         let mut arbiter = Arbiter::new();
-        arbiter.take_wires(image(CommandFlags::empty(), 1), false);
+        take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
         arbiter.take_bus(image(CommandFlags::empty(), 2), false);
         arbiter
+    }
+
+    /// What the controller is given for these wires: the image in which the bus lets go, and the last one.
+    fn take_wires(
+        arbiter: &mut Arbiter,
+        image: OutputImage,
+        moving: bool,
+    ) -> (Option<OutputImage>, OutputImage) {
+        let mut given = Vec::new();
+        arbiter.take_wires(&image, moving, |image| given.push(*image));
+        let last = given.pop().unwrap();
+        assert!(given.len() <= 1);
+        (given.pop(), last)
     }
 
     fn flags(merged: Option<OutputImage>) -> CommandFlags {
@@ -154,17 +177,17 @@ mod tests {
     fn wire_commands_with_its_own_parameters() {
         let mut arbiter = idle();
         arbiter.take_bus(image(CommandFlags::empty(), 3), false);
-        assert_eq!(arbiter.take_wires(image(GRIP, 7), false), [None, Some(image(GRIP, 7))]);
+        assert_eq!(take_wires(&mut arbiter, image(GRIP, 7), false), (None, image(GRIP, 7)));
         assert_eq!(arbiter.commander(), Commander::Wires);
     }
 
     #[test]
     fn edge_of_the_bus_while_a_command_wire_is_high_is_lost() {
         let mut arbiter = idle();
-        arbiter.take_wires(image(GRIP, 7), false);
+        take_wires(&mut arbiter, image(GRIP, 7), false);
         assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), GRIP);
-        let [_, merged] = arbiter.take_wires(image(CommandFlags::empty(), 7), false);
-        assert_eq!(flags(merged), CommandFlags::empty(), "MOVE is still 1, and still lost");
+        let (_, merged) = take_wires(&mut arbiter, image(CommandFlags::empty(), 7), false);
+        assert_eq!(merged.flags, CommandFlags::empty(), "MOVE is still 1, and still lost");
         arbiter.take_bus(image(CommandFlags::empty(), 3), false);
         assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), MOVE);
     }
@@ -173,32 +196,32 @@ mod tests {
     fn wire_gives_an_edge_although_the_bus_has_the_same_flag_set() {
         let mut arbiter = idle();
         arbiter.take_bus(image(MOVE, 3), false);
-        let [let_go, merged] = arbiter.take_wires(image(MOVE, 7), false);
+        let (let_go, merged) = take_wires(&mut arbiter, image(MOVE, 7), false);
         assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)), "the bus lets go first");
-        assert_eq!(merged, Some(image(MOVE, 7)));
+        assert_eq!(merged, image(MOVE, 7));
     }
 
     #[test]
     fn jog_of_the_bus_ends_when_a_command_wire_rises() {
         let mut arbiter = idle();
         arbiter.take_bus(image(CommandFlags::JOG_PLUS, 3), false);
-        let [let_go, merged] = arbiter.take_wires(image(GRIP, 7), true);
+        let (let_go, merged) = take_wires(&mut arbiter, image(GRIP, 7), true);
         assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)));
-        assert_eq!(merged, Some(image(GRIP, 3)), "and the parameters do not change while the fingers move");
-        let [_, merged] = arbiter.take_wires(image(CommandFlags::empty(), 7), false);
-        assert_eq!(flags(merged), CommandFlags::empty(), "it does not go on");
+        assert_eq!(merged, image(GRIP, 3), "and the parameters do not change while the fingers move");
+        let (_, merged) = take_wires(&mut arbiter, image(CommandFlags::empty(), 7), false);
+        assert_eq!(merged.flags, CommandFlags::empty(), "it does not go on");
     }
 
     #[test]
     fn stop_and_fast_stop_of_either_side_count_always() {
         for flag in [CommandFlags::STOP_ACK, CommandFlags::FASTSTOP] {
             let mut arbiter = idle();
-            arbiter.take_wires(image(GRIP, 7), false);
+            take_wires(&mut arbiter, image(GRIP, 7), false);
             assert_eq!(flags(arbiter.take_bus(image(flag, 2), true)), GRIP | flag);
             let mut arbiter = idle();
             arbiter.take_bus(image(MOVE, 2), false);
-            let [_, merged] = arbiter.take_wires(image(flag, 7), true);
-            assert_eq!(flags(merged), MOVE | flag);
+            let (_, merged) = take_wires(&mut arbiter, image(flag, 7), true);
+            assert_eq!(merged.flags, MOVE | flag);
         }
     }
 
@@ -210,7 +233,7 @@ mod tests {
                 arbiter.lose_bus();
             } else {
                 arbiter = Arbiter::new();
-                arbiter.take_wires(image(CommandFlags::empty(), 1), false);
+                take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
             }
             assert_eq!(flags(arbiter.take_bus(image(CommandFlags::all(), 3), false)), CommandFlags::FASTSTOP);
             assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), CommandFlags::empty(), "never 0");
@@ -222,7 +245,7 @@ mod tests {
     #[test]
     fn motion_that_rises_beside_a_stop_flag_which_does_not_count_does_not_count_either() {
         let mut arbiter = Arbiter::new();
-        arbiter.take_wires(image(CommandFlags::empty(), 1), false);
+        take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
         arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), false);
         let merged = arbiter.take_bus(image(CommandFlags::STOP_ACK | MOVE, 3), false);
         assert_eq!(flags(merged), CommandFlags::empty());
@@ -238,8 +261,8 @@ mod tests {
     #[test]
     fn parameters_of_the_bus_change_nothing_while_the_wires_move_the_fingers() {
         let mut arbiter = idle();
-        arbiter.take_wires(image(GRIP, 7), false);
-        arbiter.take_wires(image(CommandFlags::empty(), 7), true);
+        take_wires(&mut arbiter, image(GRIP, 7), false);
+        take_wires(&mut arbiter, image(CommandFlags::empty(), 7), true);
         assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), true).unwrap().width, 7);
         let second = arbiter.take_bus(image(MOVE, 3), true).unwrap();
         assert_eq!((second.flags, second.width), (MOVE, 7), "the controller refuses it");
@@ -262,7 +285,7 @@ mod tests {
         let mut arbiter = Arbiter::new();
         assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), false), None);
         assert_eq!(arbiter.take_bus(image(CommandFlags::FASTSTOP, 3), false), None);
-        let [_, merged] = arbiter.take_wires(image(CommandFlags::empty(), 1), false);
-        assert_eq!(flags(merged), CommandFlags::FASTSTOP, "but what the bus wrote is not forgotten");
+        let (_, merged) = take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
+        assert_eq!(merged.flags, CommandFlags::FASTSTOP, "but what the bus wrote is not forgotten");
     }
 }

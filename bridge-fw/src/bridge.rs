@@ -3,7 +3,7 @@
 use crate::arbiter::{Arbiter, Commander};
 #[cfg(feature = "can")]
 use crate::can::{BusReport, Node, Served};
-use crate::digital_io::{DigitalIo, is_moving};
+use crate::digital_io::DigitalIo;
 use crate::io::{Inputs, Outputs};
 use crate::log;
 use crate::modbus::{BusConfig, BusPort, CAN_REPORTS, ModbusSide, NoBus, Settings, Subjects};
@@ -187,11 +187,7 @@ impl Bridge {
 
     /// The image that the PLC reads.
     fn shown(&self) -> InputImage {
-        self.as_shown(self.controller.input(self.session.known()))
-    }
-
-    /// The gripper's image as the PLC reads it.
-    const fn as_shown(&self, mut image: InputImage) -> InputImage {
+        let mut image = self.controller.input(self.session.known());
         if self.link_is_lost {
             image.state = GripperFlags::ERROR;
             image.status = Status::IoError;
@@ -219,8 +215,8 @@ impl Bridge {
 
     fn receive<L: Read + ReadReady>(&mut self, now: Instant, link: &mut L) {
         let mut received = 0;
-        let mut chunk = [0; 32];
         while received < MAX_RECEIVED_PER_POLL && link.read_ready().unwrap_or(false) {
+            let mut chunk = [0; 32];
             let Ok(count @ 1..) = link.read(&mut chunk) else { break };
             received += count;
             self.received_at = now;
@@ -258,20 +254,18 @@ impl Bridge {
     fn take_wires(&mut self, now: Instant, inputs: Inputs) {
         let known = self.session.known();
         let unit = known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
-        let gripper = self.controller.input(known);
-        if let Some(image) = self.wires.update(now, inputs, &gripper, unit) {
-            for image in self.arbiter.take_wires(image, is_moving(&gripper)).into_iter().flatten() {
-                self.controller.set_output(&image, known);
-            }
+        let moving = self.controller.is_moving(known);
+        if let Some(image) = self.wires.update(now, inputs, moving, unit) {
+            self.arbiter.take_wires(image, moving, |image| self.controller.set_output(image, known));
         }
     }
 
     /// Serves what the bus has brought. Each request's image reaches the controller by itself, so that no edge is lost.
     fn take_bus(&mut self, now: Instant, port: &mut impl BusPort) {
         for _ in 0..MAX_SERVED_PER_POLL {
-            let gripper = self.controller.input(self.session.known());
-            let moving = is_moving(&gripper);
-            let shown = self.as_shown(gripper);
+            let Some(heard) = self.bus.listen(port) else { break };
+            let moving = self.controller.is_moving(self.session.known());
+            let shown = self.shown();
             let subjects = Subjects {
                 config: &self.bus_config,
                 session: &self.session,
@@ -284,7 +278,7 @@ impl Bridge {
             };
             let was_heard = self.bus.is_heard();
             let settings = &mut self.settings;
-            let Some(served) = self.bus.serve(now, port, &shown, moving, &subjects, settings) else {
+            let Some(served) = self.bus.serve(now, heard, port, &shown, moving, &subjects, settings) else {
                 break;
             };
             if !was_heard {
@@ -327,7 +321,7 @@ impl Bridge {
     #[cfg(feature = "can")]
     fn take_node(&mut self, now: Instant, node: &mut Node) {
         for _ in 0..Node::MAX_SERVED_PER_TURN {
-            let moving = is_moving(&self.controller.input(self.session.known()));
+            let moving = self.controller.is_moving(self.session.known());
             let subjects = Subjects {
                 config: &self.bus_config,
                 session: &self.session,

@@ -21,8 +21,10 @@ const _: () = assert!(GROUPS[0].union(GROUPS[1]).union(GROUPS[2]).bits() == Inpu
 #[derive(Debug)]
 pub struct Debounce {
     period_ms: u32,
-    /// The last reading, and since when each group shows it; none before the first.
-    read: Option<(Inputs, [Instant; GROUPS.len()])>,
+    /// The last reading; none before the first.
+    read: Option<Inputs>,
+    /// Since when each group shows it.
+    since: [Instant; GROUPS.len()],
     /// The groups that have settled at least once, and the levels they settled at.
     settled: Inputs,
     levels: Inputs,
@@ -32,7 +34,13 @@ impl Debounce {
     /// Levels count once they have not changed for `period_ms` milliseconds.
     #[must_use]
     pub const fn new(period_ms: u32) -> Self {
-        Self { period_ms, read: None, settled: Inputs::empty(), levels: Inputs::empty() }
+        Self {
+            period_ms,
+            read: None,
+            since: [Instant::from_millis(0); GROUPS.len()],
+            settled: Inputs::empty(),
+            levels: Inputs::empty(),
+        }
     }
 
     /// Changes the time, from the next reading on.
@@ -42,9 +50,9 @@ impl Debounce {
 
     /// Takes a reading, and gives the levels that count; `None` until every wire has settled once after power-up.
     pub fn update(&mut self, now: Instant, reading: Inputs) -> Option<Inputs> {
-        let (before, mut since) = self.read.unwrap_or((reading, [now; GROUPS.len()]));
-        let changed = before.symmetric_difference(reading);
-        for (group, since) in GROUPS.iter().zip(&mut since) {
+        let before = self.read.replace(reading);
+        let changed = before.map_or(Inputs::all(), |before| before.symmetric_difference(reading));
+        for (group, since) in GROUPS.iter().zip(&mut self.since) {
             if changed.intersects(*group) {
                 *since = now;
             } else if now.since(*since) >= self.period_ms {
@@ -52,7 +60,6 @@ impl Debounce {
                 self.settled |= *group;
             }
         }
-        self.read = Some((reading, since));
         self.settled.is_all().then_some(self.levels)
     }
 

@@ -64,15 +64,15 @@ impl DigitalIo {
 
     /// Takes a reading of the wires; the output image when it has changed.
     ///
-    /// The recipe is taken when its command rises and not while the gripper moves: parameters that change during a
-    /// motion would be a FAST STOP (fieldbus, table 1).
+    /// The recipe is taken when its command rises and the gripper is not `moving`: parameters that change during a motion
+    /// would be a FAST STOP (fieldbus, table 1).
     pub fn update(
         &mut self,
         now: Instant,
         reading: Inputs,
-        gripper: &InputImage,
+        moving: bool,
         unit: ForceUnit,
-    ) -> Option<OutputImage> {
+    ) -> Option<&OutputImage> {
         let Some(levels) = self.debounce.update(now, reading) else { return self.early_fast_stop() };
         let before = self.levels.replace(levels);
         if before == Some(levels) {
@@ -85,23 +85,23 @@ impl DigitalIo {
         flags.set(CommandFlags::FASTSTOP, !levels.contains(Inputs::FAST_STOP_OK));
         let rising = flags.difference(self.image.flags);
         self.image.flags = flags;
-        if !is_moving(gripper) {
+        if !moving {
             self.take_recipe(rising, levels, unit);
         }
-        Some(self.image)
+        Some(&self.image)
     }
 
     /// FAST STOP before all wires have settled after power-up: it must not wait for a command wire that chatters.
     ///
     /// All other flags are shown set, which FASTSTOP overrules, so that none of them rises when the wires settle.
-    fn early_fast_stop(&mut self) -> Option<OutputImage> {
+    fn early_fast_stop(&mut self) -> Option<&OutputImage> {
         let wanted = self.debounce.is_settled_low(Inputs::FAST_STOP_OK);
         if !wanted || self.image.flags.contains(CommandFlags::FASTSTOP) {
             return None;
         }
         self.image.flags =
             COMMANDS.iter().fold(CommandFlags::FASTSTOP, |flags, (_, flag)| flags.union(*flag));
-        Some(self.image)
+        Some(&self.image)
     }
 
     /// The wires to the PLC for what the gripper shows.
@@ -154,8 +154,8 @@ impl DigitalIo {
     }
 }
 
-/// Whether a motion is carried out, or the fingers move for another reason.
-pub(crate) fn is_moving(gripper: &InputImage) -> bool {
+/// Whether a motion is shown to be carried out, or the fingers to move for another reason.
+fn is_moving(gripper: &InputImage) -> bool {
     gripper.state.intersects(MOTION_STATES) || gripper.system.contains(SystemFlags::MOVING)
 }
 

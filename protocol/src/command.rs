@@ -122,6 +122,8 @@ macro_rules! define_commands {
         /// ```
         #[derive(Clone, Copy, Debug, PartialEq)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        // A tag of one byte would leave eleven behind it, which are copied by a call and byte by byte.
+        #[repr(u32)]
         pub enum Command<'a> {
             $(
                 $(#[$doc])*

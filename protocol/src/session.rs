@@ -238,9 +238,10 @@ impl Session {
     ///
     /// # Errors
     /// [`RequestError`]; then the command is not sent, now or later.
-    pub fn request(&mut self, command: Command<'static>) -> Result<(), RequestError> {
+    pub fn request(&mut self, mut command: Command<'static>) -> Result<(), RequestError> {
         command.check().map_err(RequestError::Invalid)?;
-        self.enqueue(Request::Own(self.subscriptions.kept_by(command)))
+        self.subscriptions.keep(&mut command);
+        self.enqueue(Request::Own(command))
     }
 
     /// As [`request`](Self::request), for a command that the caller keeps, because it borrows its payload: only the id

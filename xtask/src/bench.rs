@@ -34,8 +34,6 @@ const CORE_MHZ: f64 = 80.0;
 /// exceptions are 72 more.
 const CYCLES_PER_INSTRUCTION: f64 = 2.0;
 const EXCEPTION_CYCLES: f64 = 72.0;
-/// Not reached under that assumption: see docs/figures.md.
-const EDGE_STANDS_AT_US: f64 = 80.0;
 
 const THROUGHPUT_LIMIT: f64 = 1.0;
 
@@ -136,8 +134,7 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
             MODBUS_LIMIT,
             Unit::Instructions,
         ),
-        Gate::new("PLC edge to first byte, debounced", cycles / CORE_MHZ, EDGE_LIMIT_US, Unit::Microseconds)
-            .standing_at(EDGE_STANDS_AT_US),
+        Gate::new("PLC edge to first byte, debounced", cycles / CORE_MHZ, EDGE_LIMIT_US, Unit::Microseconds),
     ])
 }
 

@@ -5,7 +5,7 @@ use super::report::{FIRST_REPORT, Link, Subjects};
 use super::settings::{FIRST_SETTING, Settings};
 use wsg_protocol::Instant;
 use wsg_protocol::fieldbus::{InputImage, OutputImage};
-use wsg_protocol::modbus::rtu::{self, Event, Server};
+use wsg_protocol::modbus::rtu::{self, Character, Event, Server};
 use wsg_protocol::modbus::{Bits, Device, Exception, Identification, Images, Words};
 
 /// What the bridge calls itself (FC 43/14).
@@ -23,6 +23,15 @@ pub(crate) struct Served {
     pub(crate) image: Option<OutputImage>,
     /// It wrote to the settings.
     pub(crate) configured: bool,
+}
+
+/// What the line has brought.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Heard {
+    /// A character, and the silence before it in microseconds.
+    Character(Character, u32),
+    /// No character for so long, in microseconds.
+    Silence(u32),
 }
 
 /// The bus's side of a bridge.
@@ -58,10 +67,21 @@ impl ModbusSide {
         self.images.set_swap_bytes(settings.swap_bytes());
     }
 
+    /// What the line has brought; none when there is nothing to serve, which is nearly always.
+    pub(crate) fn listen(&self, port: &mut impl BusPort) -> Option<Heard> {
+        match port.receive() {
+            Some((character, silence_us)) => Some(Heard::Character(character, silence_us)),
+            None if self.server.is_idle() => None,
+            None => Some(Heard::Silence(port.silence_us())),
+        }
+    }
+
     /// Takes what the line brought up to the next request, and answers it; none when nothing more has come.
+    #[expect(clippy::too_many_arguments, reason = "what a request may show or change, each of another owner")]
     pub(crate) fn serve(
         &mut self,
         now: Instant,
+        heard: Heard,
         port: &mut impl BusPort,
         gripper: &InputImage,
         moving: bool,
@@ -69,21 +89,24 @@ impl ModbusSide {
         settings: &mut Settings,
     ) -> Option<Served> {
         self.images.set_input(gripper);
+        let mut heard = heard;
         loop {
             let Self { server, images, .. } = self;
             let mut device =
                 BridgeDevice { images, moving, subjects, settings: &mut *settings, configured: false };
-            let received = port.receive();
-            let event = match received {
-                Some((character, silence_us)) => server.push(character, silence_us, &mut device),
-                None => server.silence(port.silence_us(), &mut device),
+            let event = match heard {
+                Heard::Character(character, silence_us) => server.push(character, silence_us, &mut device),
+                Heard::Silence(silence_us) => server.silence(silence_us, &mut device),
             };
             let configured = device.configured;
             match event {
                 Some(Event::Answer(answer)) => port.send(answer),
                 Some(Event::Served) => {}
-                None if received.is_none() => return None,
-                Some(Event::Passed | Event::Damaged(_)) | None => continue,
+                None if matches!(heard, Heard::Silence(_)) => return None,
+                Some(Event::Passed | Event::Damaged(_)) | None => {
+                    heard = self.listen(port)?;
+                    continue;
+                }
             }
             self.heard_at = Some(now);
             return Some(Served { image: self.images.take_written(), configured });

@@ -270,7 +270,10 @@ impl Controller {
         self.fast_stop != FastStop::Clear || has_flag(known, SystemFlags::FAST_STOP)
     }
 
-    fn is_moving(&self, known: &Known) -> bool {
+    /// Whether a motion is carried out, or the fingers move for another reason: what is refused or ends in a FAST STOP
+    /// then.
+    #[must_use]
+    pub fn is_moving(&self, known: &Known) -> bool {
         // A result overtakes the report of the state that it ends.
         let state = self.settled.or(known.state);
         self.motion.is_some()

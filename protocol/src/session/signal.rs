@@ -143,11 +143,12 @@ impl Subscriptions {
         }
     }
 
-    /// The command, changed so that it does not end the subscription, as to ask once would (command set, 3.4.1).
-    pub(super) fn kept_by(&self, command: Command<'static>) -> Command<'static> {
-        match Signal::asked_by(&command) {
-            Some((signal, update)) if update == AutoUpdate::once() => signal.request(self.update(signal)),
-            _ => command,
+    /// Changes the command so that it does not end the subscription, as to ask once would (command set, 3.4.1).
+    pub(super) fn keep(&self, command: &mut Command<'static>) {
+        if let Some((signal, _)) =
+            Signal::asked_by(command).filter(|(_, update)| *update == AutoUpdate::once())
+        {
+            *command = signal.request(self.update(signal));
         }
     }
 }

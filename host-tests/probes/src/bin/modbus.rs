@@ -51,7 +51,7 @@ fn line(server: &mut Server, gripper: &mut Gripper) {
     server.configure(opaque(CONFIG));
     keep(&server.push(opaque(Character::Byte(0)), opaque(0), gripper));
     keep(&server.silence(opaque(0), gripper));
-    keep(&(server.counters(), server.is_listen_only()));
+    keep(&(server.counters(), server.is_listen_only(), server.is_idle()));
 }
 
 #[inline(never)]
@@ -60,6 +60,7 @@ fn receiver(receiver: &mut Receiver) {
     receiver.configure(opaque(1), opaque(Mode::Strict));
     keep(&receiver.push(opaque(Character::Damaged), opaque(0)));
     keep(&receiver.silence(opaque(0)));
+    keep(&receiver.is_idle());
     receiver.reset();
     keep(&crc(bytes()));
 }

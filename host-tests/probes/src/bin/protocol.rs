@@ -185,6 +185,7 @@ fn connection(parser: &mut FrameParser<64>, session: &mut Session, controller: &
     controller.silence(opaque(SilenceReaction::Stop), session.known());
     controller.set_user_outputs(opaque(0));
     keep(&controller.user_inputs());
+    keep(&controller.is_moving(session.known()));
     keep(&controller.input(session.known()));
     keep(&session.poll_transmit(now));
     keep(&session.poll_timeout());

@@ -142,6 +142,12 @@ impl Receiver {
         if self.len > 0 && self.is_over(silence_us) { Some(self.give()) } else { None }
     }
 
+    /// Whether nothing is held, so that no silence can end it.
+    #[must_use]
+    pub const fn is_idle(&self) -> bool {
+        matches!(self.len, 0 | GIVEN) && self.carried.is_none()
+    }
+
     /// Forgets what was received, for a caller who has changed the line.
     pub const fn reset(&mut self) {
         self.len = 0;

@@ -107,6 +107,12 @@ impl Server {
         self.line.listen_only
     }
 
+    /// Whether no frame has begun, so that [`silence`](Self::silence) has nothing to tell.
+    #[must_use]
+    pub const fn is_idle(&self) -> bool {
+        self.receiver.is_idle()
+    }
+
     /// Takes a character and the silence before it, in microseconds: see [`Receiver`].
     pub fn push<D: Device + ?Sized>(
         &mut self,

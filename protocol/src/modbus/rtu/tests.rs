@@ -257,6 +257,35 @@ fn broadcast_writes_are_carried_out_and_get_no_answer() {
 }
 
 #[test]
+fn server_is_idle_while_no_silence_can_end_anything() {
+    let mut bus = Bus::new(STRICT);
+    let request = frame(UNIT, &[4, 0, 0, 0, 1]);
+    assert!(bus.server.is_idle());
+    for byte in &request {
+        bus.send_after(0, &[*byte]);
+        assert!(!bus.server.is_idle());
+    }
+    bus.silence(TIMING.t3_5_us);
+    assert!(bus.server.is_idle());
+    assert_eq!(bus.answers.len(), 1);
+
+    // A frame that is ended by the first character of the next leaves that one to be ended.
+    bus.send(&request);
+    bus.send(&request);
+    assert_eq!(bus.answers.len(), 2);
+    assert!(!bus.server.is_idle());
+    bus.silence(TIMING.t3_5_us);
+    assert!(bus.server.is_idle());
+    bus.send(&request);
+    bus.send(&request[..1]);
+    assert!(!bus.server.is_idle(), "one character is carried over");
+    bus.silence(TIMING.t3_5_us);
+    assert!(bus.server.is_idle());
+    bus.silence(u32::MAX);
+    assert_eq!((bus.answers.len(), &bus.others[..]), (4, &["length"][..]));
+}
+
+#[test]
 fn broadcast_is_passed_over_where_it_is_switched_off() {
     let mut bus = Bus::new(Config { broadcast: false, ..STRICT });
     bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
