@@ -52,6 +52,8 @@ impl Device for Registers {
 }
 
 /// Counts requests of the gripper, and one for eight registers, which has a limit.
+// Apart from the others, whose registers would be its own.
+#[inline(never)]
 pub(crate) fn count(counter: &Counter) {
     let mut gripper = Gripper(Images::new(false));
     for (name, request) in REQUESTS {

@@ -10,6 +10,8 @@ use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
 use crate::counting::Counter;
 
 /// Counts from the request to the notice of its answer: queue, frame, answer, all but the bytes' way.
+// Apart from the others, whose registers would be its own.
+#[inline(never)]
 pub(crate) fn count(counter: &Counter) {
     let mut session = Session::new(Config::DEFAULT);
     let mut parser = FrameParser::<64>::new();
