@@ -11,8 +11,10 @@ use wsg_bridge_fw::can::{
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config};
 use wsg_protocol::can::{ClassicFrame, Endpoint, Identifiers, Reassembler, Segments};
-use wsg_protocol::{CommandId, Event, Instant, Kind};
+use wsg_protocol::{CommandId, Event, Instant};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
+
+use crate::wires::Wires;
 
 /// Frames that a bus at 500 kbit/s carries in a millisecond.
 const FRAMES_PER_MS: usize = 4;
@@ -234,12 +236,7 @@ impl CanBench {
     #[must_use]
     pub fn homed(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
         let mut bench = Self::new(config, policy);
-        bench.set(Inputs::FAST_STOP_OK, true);
-        bench.pass(200);
-        bench.pulse(Inputs::STOP_ACK);
-        assert!(bench.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", bench.outputs);
-        bench.command(Inputs::HOME);
-        assert!(bench.outputs.contains(Outputs::REFERENCED | Outputs::READY), "{:?}", bench.outputs);
+        bench.get_homed();
         bench
     }
 
@@ -300,96 +297,11 @@ impl CanBench {
         self.now_ms
     }
 
-    /// The wires to the PLC.
-    #[must_use]
-    pub fn outputs(&self) -> Outputs {
-        self.outputs
-    }
-
-    /// The commands that the gripper was sent since this was last asked.
-    pub fn take_sent(&mut self) -> Vec<CommandId> {
-        std::mem::take(&mut self.sent)
-    }
-
-    /// The motion commands among those.
-    pub fn take_motions(&mut self) -> Vec<CommandId> {
-        self.take_sent().into_iter().filter(|id| id.kind() == Kind::Motion).collect()
-    }
-
     /// Messages of the bridge that were broken when they left it.
     #[must_use]
     pub fn broken(&self) -> u16 {
         let counters = self.seen.counters();
         counters.miscut + counters.bad_checksum + counters.oversize + counters.expired
-    }
-
-    /// Sets wires of the PLC.
-    pub fn set(&mut self, wires: Inputs, high: bool) {
-        self.inputs.set(wires, high);
-    }
-
-    /// Lets time pass.
-    pub fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            self.step();
-        }
-    }
-
-    /// Raises wires for 5 ms and lowers them for as long.
-    pub fn pulse(&mut self, wires: Inputs) {
-        self.set(wires, true);
-        self.pass(5);
-        self.set(wires, false);
-        self.pass(5);
-    }
-
-    /// Lets time pass until the outputs are as wanted, `bound_ms` at the most; whether they are.
-    pub fn until(&mut self, bound_ms: u32, wanted: impl Fn(Outputs) -> bool) -> bool {
-        (0..bound_ms).any(|_| {
-            self.step();
-            wanted(self.outputs)
-        })
-    }
-
-    /// Gives a motion command and waits for its end; the outputs then.
-    ///
-    /// # Panics
-    /// When it is not taken, or does not end within a minute.
-    pub fn command(&mut self, wire: Inputs) -> Outputs {
-        self.set(wire, true);
-        let taken = self.until(1_000, |outputs| outputs.contains(Outputs::BUSY));
-        assert!(taken, "{wire:?} is not taken: {:?}, sent {:?}", self.outputs, self.sent);
-        self.set(wire, false);
-        assert!(self.until(60_000, |outputs| !outputs.contains(Outputs::BUSY)), "{wire:?} does not end");
-        self.outputs
-    }
-
-    /// One millisecond.
-    fn step(&mut self) {
-        self.now_ms += 1;
-        let now = Instant::from_millis(self.now_ms);
-        self.turn(now);
-        let time = Time::from_millis(self.now_ms.into());
-        for _ in 0..FRAMES_PER_MS {
-            if let Some(frame) = self.double.take_winner() {
-                self.to_plc.push((self.now_ms, frame));
-                self.reach_gripper(now, time, frame);
-            } else if let Some(frame) = self.from_plc.pop_front() {
-                self.double.bring(frame);
-            } else if let Some(frame) = self.from_gripper.pop_front() {
-                let frames = disturbed(&mut self.to_bridge, frame);
-                frames.into_iter().for_each(|frame| self.double.bring(frame));
-            }
-            // A frame that left makes an interrupt, and that a turn of the main loop.
-            self.turn(now);
-        }
-        self.gripper.advance(time);
-        let mut buffer = [0; MAX_FRAME_LEN];
-        while let Some(message) = self.gripper.transmit(self.port, &mut buffer) {
-            let segments = Segments::new(message.iter().copied());
-            self.from_gripper
-                .extend(segments.filter_map(|segment| segment.frame::<ClassicFrame>(self.endpoint.transmit)));
-        }
     }
 
     /// One turn of the main loop.
@@ -431,6 +343,47 @@ impl CanBench {
             if frame.id() == Id::Standard(self.endpoint.receive) {
                 self.gripper.receive(self.port, time, frame.data());
             }
+        }
+    }
+}
+
+impl Wires for CanBench {
+    fn inputs(&mut self) -> &mut Inputs {
+        &mut self.inputs
+    }
+
+    fn outputs(&self) -> Outputs {
+        self.outputs
+    }
+
+    fn take_sent(&mut self) -> Vec<CommandId> {
+        std::mem::take(&mut self.sent)
+    }
+
+    fn step(&mut self) {
+        self.now_ms += 1;
+        let now = Instant::from_millis(self.now_ms);
+        self.turn(now);
+        let time = Time::from_millis(self.now_ms.into());
+        for _ in 0..FRAMES_PER_MS {
+            if let Some(frame) = self.double.take_winner() {
+                self.to_plc.push((self.now_ms, frame));
+                self.reach_gripper(now, time, frame);
+            } else if let Some(frame) = self.from_plc.pop_front() {
+                self.double.bring(frame);
+            } else if let Some(frame) = self.from_gripper.pop_front() {
+                let frames = disturbed(&mut self.to_bridge, frame);
+                frames.into_iter().for_each(|frame| self.double.bring(frame));
+            }
+            // A frame that left makes an interrupt, and that a turn of the main loop.
+            self.turn(now);
+        }
+        self.gripper.advance(time);
+        let mut buffer = [0; MAX_FRAME_LEN];
+        while let Some(message) = self.gripper.transmit(self.port, &mut buffer) {
+            let segments = Segments::new(message.iter().copied());
+            self.from_gripper
+                .extend(segments.filter_map(|segment| segment.frame::<ClassicFrame>(self.endpoint.transmit)));
         }
     }
 }

@@ -14,8 +14,10 @@
 //! | [`masters`] | masters of Modbus and CANopen that nobody here wrote |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`rig`] | board, gripper and PLC together |
+//! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
+//! | [`wires`] | what a PLC does with the wires of a bench |
 //!
 //! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
 //! is empty.
@@ -39,6 +41,8 @@ pub mod modbus_master;
 pub mod qtest;
 #[cfg(unix)]
 pub mod rig;
+pub mod serial_gripper;
 #[cfg(unix)]
 pub mod terminal;
 pub mod trace;
+pub mod wires;

@@ -1,6 +1,7 @@
 //! The bridge library and the virtual gripper in virtual time: what a PLC sees, and what must never happen.
 
 use host_tests::bench::Bench;
+use host_tests::wires::Wires;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, FrameEncoder, Kind, Reply, Status};
@@ -190,7 +191,7 @@ fn fast_stop_ends_a_motion_within_milliseconds() {
 #[test]
 fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
     let mut bench = Bench::new(quick());
-    bench.to_bridge = Some(Box::new(Vec::clear));
+    bench.far.to_bridge = Some(Box::new(Vec::clear));
     bench.set(Inputs::FAST_STOP_OK, true);
     for _ in 0..20 {
         for wire in [Inputs::STOP_ACK, Inputs::HOME, Inputs::GRIP] {
@@ -206,15 +207,15 @@ fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
 fn command_while_the_line_is_cut_is_not_carried_out_when_it_is_mended() {
     let mut bench = Bench::homed(quick());
     bench.take_sent();
-    bench.to_bridge = Some(Box::new(Vec::clear));
-    bench.to_gripper = Some(Box::new(Vec::clear));
+    bench.far.to_bridge = Some(Box::new(Vec::clear));
+    bench.far.to_gripper = Some(Box::new(Vec::clear));
     assert!(
         bench.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)),
         "the cut shows within a second"
     );
     bench.pulse(Inputs::MOVE);
-    bench.to_bridge = None;
-    bench.to_gripper = None;
+    bench.far.to_bridge = None;
+    bench.far.to_gripper = None;
     assert!(bench.until(1_000, |outputs| outputs.contains(Outputs::LINK_OK)));
     bench.pass(1_000);
     assert_eq!(bench.take_motions(), []);
@@ -226,9 +227,9 @@ fn line_cut_during_a_motion_says_that_the_outcome_is_not_known() {
     bench.set(Inputs::MOVE, true);
     bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
     bench.set(Inputs::MOVE, false);
-    bench.to_bridge = Some(Box::new(Vec::clear));
+    bench.far.to_bridge = Some(Box::new(Vec::clear));
     assert!(bench.until(1_000, |outputs| outputs == Outputs::ERROR), "{:?}", bench.outputs());
-    bench.to_bridge = None;
+    bench.far.to_bridge = None;
     assert!(bench.until(5_000, |outputs| outputs.contains(Outputs::READY)));
     assert!(bench.outputs().contains(Outputs::ERROR), "still not known");
     bench.set(Inputs::RECIPE0, true);
@@ -242,7 +243,7 @@ fn result_with_a_wrong_checksum_is_noticed_and_recovered_from() {
     // The second answer to Pre-position (21h, E_SUCCESS) arrives damaged, once.
     let result = frame(Reply::status_only(CommandId::PrePosition, Status::Success));
     let mut done = false;
-    bench.to_bridge = Some(Box::new(move |bytes| {
+    bench.far.to_bridge = Some(Box::new(move |bytes| {
         if let Some(at) = bytes.windows(result.len()).position(|window| window == result).filter(|_| !done) {
             bytes[at + 6] ^= 0x10;
             done = true;
@@ -264,7 +265,7 @@ fn answers_to_nothing_ever_asked_change_nothing() {
     bench.take_sent();
     for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
         for status in [Status::Success, Status::CmdPending, Status::CmdFailed] {
-            bench.inject(&frame(Reply::status_only(*id, status)));
+            bench.far.inject(&frame(Reply::status_only(*id, status)));
         }
     }
     bench.pass(300);
@@ -343,7 +344,7 @@ proptest! {
         bench.take_sent();
         for happening in happenings {
             match happening {
-                Happening::Bytes(bytes) => bench.inject(&bytes),
+                Happening::Bytes(bytes) => bench.far.inject(&bytes),
                 Happening::Wire(wire, high) => bench.set(OTHERS[wire], high),
                 Happening::Spike(wire) => {
                     bench.set(COMMANDS[wire], true);
@@ -351,8 +352,8 @@ proptest! {
                     bench.set(COMMANDS[wire], false);
                     bench.pass(1);
                 }
-                Happening::Cut(true) => bench.to_bridge = Some(Box::new(Vec::clear)),
-                Happening::Cut(false) => bench.to_bridge = None,
+                Happening::Cut(true) => bench.far.to_bridge = Some(Box::new(Vec::clear)),
+                Happening::Cut(false) => bench.far.to_bridge = None,
                 Happening::Fault(on) => {
                     let now = bench.now();
                     bench.gripper().set_fault(Fault::SupplyOutOfRange, on, now);
@@ -367,7 +368,7 @@ proptest! {
     #[test]
     fn after_any_noise_the_bridge_works_again(noise in proptest::collection::vec(prop_oneof![Just(0xAAu8), any::<u8>()], 0..200)) {
         let mut bench = Bench::homed(with_part(20.0));
-        bench.inject(&noise);
+        bench.far.inject(&noise);
         bench.pass(2_000);
         if !bench.outputs().contains(Outputs::READY) {
             // Noise can hold a right report by chance, of a FAST STOP for example; the next regular question corrects it.

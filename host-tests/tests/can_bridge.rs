@@ -2,6 +2,7 @@
 
 use embedded_can::{ExtendedId, Frame, StandardId};
 use host_tests::can_bench::CanBench;
+use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{BusOffPolicy, BusState};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;

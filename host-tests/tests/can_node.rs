@@ -4,6 +4,7 @@ use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::CanBench;
+use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{
     DataType, FAULTS, Health, NmtState, NodeConfig, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };

@@ -2,6 +2,7 @@
 
 mod modbus_bench;
 
+use host_tests::wires::Wires;
 use modbus_bench::*;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -53,7 +54,7 @@ fn no_part_and_a_lost_part_show_in_gstate() {
     let mut bench = Bench::homed(with_part());
     bench.command(GRIP, 20_00, 50_00, 40_00);
     let now = bench.now();
-    bench.gripper.set_part(None, now);
+    bench.gripper().set_part(None, now);
     bench.pass(100);
     assert_eq!(bench.state(), PART_LOST);
 }
@@ -96,17 +97,17 @@ fn jog_moves_while_its_coil_is_set() {
     assert_eq!(bench.ask(&[5, 0, 6, 0xFF, 0]), [5, 0, 6, 0xFF, 0]);
     bench.pass(100);
     assert_eq!(bench.state(), RELEASING);
-    let from = bench.gripper.state().width;
+    let from = bench.gripper().state().width;
     bench.write(2, &[40_00]);
     bench.pass(100);
     assert_eq!(bench.state(), RELEASING, "it follows the dial");
     assert_eq!(bench.ask(&[5, 0, 6, 0, 0]), [5, 0, 6, 0, 0]);
     bench.pass(100);
     assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
-    let stands = bench.gripper.state().width;
+    let stands = bench.gripper().state().width;
     assert!(stands > from && stands < 109.0, "{stands}");
     bench.pass(500);
-    assert_eq!(bench.gripper.state().width, stands);
+    assert_eq!(bench.gripper().state().width, stands);
 }
 
 #[test]
@@ -119,11 +120,11 @@ fn silent_master_ends_a_jog_even_where_silence_is_to_be_ignored() {
     bench.take_sent();
     bench.pass(1_100);
     assert!(bench.take_sent().contains(&CommandId::Stop));
-    let stands = bench.gripper.state().width;
+    let stands = bench.gripper().state().width;
     // The PLC is back, its button still pressed.
     bench.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
     bench.pass(200);
-    assert_eq!(bench.gripper.state().width, stands);
+    assert_eq!(bench.gripper().state().width, stands);
 }
 
 #[test]
@@ -209,7 +210,7 @@ fn fast_stop_of_the_bus_stops_a_motion_of_the_wires() {
     bench.pulse(Inputs::MOVE);
     bench.write(0, &[u16::from(FASTSTOP) << 8, 0, 0, 0]);
     bench.pass(20);
-    assert!(bench.outputs.contains(Outputs::ERROR) && bench.bit(28));
+    assert!(bench.outputs().contains(Outputs::ERROR) && bench.bit(28));
     bench.pulse(Inputs::STOP_ACK);
     assert!(bench.bit(28), "the bus's FASTSTOP is still 1");
 }
@@ -231,7 +232,7 @@ fn wires_command_while_one_of_them_is_high_and_the_bus_does_after_that() {
     bench.command(MOVE, 30_00, 50_00, 40_00);
     assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
     assert_eq!(bench.bridge().commander(), Commander::Bus);
-    assert!((bench.gripper.state().width - 30.0).abs() < 0.05);
+    assert!((bench.gripper().state().width - 30.0).abs() < 0.05);
 }
 
 #[test]
@@ -242,7 +243,7 @@ fn parameters_on_the_bus_do_not_disturb_a_motion_of_the_wires() {
     bench.write(0, &[0, 12_34, 100_00, 20_00]);
     bench.pass(3_000);
     assert!(!bench.bit(28), "no FAST STOP");
-    assert!((bench.gripper.state().width - 20.0).abs() < 0.05, "{}", bench.gripper.state().width);
+    assert!((bench.gripper().state().width - 20.0).abs() < 0.05, "{}", bench.gripper().state().width);
 }
 
 #[test]
@@ -260,17 +261,17 @@ fn second_motion_is_refused_and_the_first_still_ends() {
 #[test]
 fn gripper_that_never_answered_is_0a_and_one_that_fell_silent_is_0b() {
     let mut bench = Bench::new(Config::DEFAULT, quick());
-    bench.cut = true;
+    bench.set_cut(true);
     bench.pass(500);
     assert_eq!(bench.input(0, 6), Err(0x0A));
     assert_eq!(bench.ask(&[2, 0, 0, 0, 1]), [0x82, 0x0A]);
     assert_eq!(bench.input(6, 1), Err(2), "there is no register 6 in any case");
     assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![0]));
-    bench.cut = false;
+    bench.set_cut(false);
     bench.pass(1_000);
     assert!(bench.input(0, 6).is_ok());
     assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![2]));
-    bench.cut = true;
+    bench.set_cut(true);
     bench.pass(2_000);
     assert_eq!(bench.input(0, 6), Err(0x0B));
     assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![1]));
@@ -278,7 +279,7 @@ fn gripper_that_never_answered_is_0a_and_one_that_fell_silent_is_0b() {
     // What is written meanwhile is not done when the gripper is back.
     bench.write(0, &[u16::from(HOMING) << 8, 0, 0, 0]);
     bench.take_motions();
-    bench.cut = false;
+    bench.set_cut(false);
     bench.pass(2_000);
     assert!(bench.input(0, 6).is_ok());
     assert_eq!(bench.take_motions(), []);
@@ -294,7 +295,7 @@ fn settings_read_as_built_and_take_effect_when_written() {
     bench.write(recipe, &[33_00]);
     bench.pulse(Inputs::MOVE);
     bench.pass(3_000);
-    assert!((bench.gripper.state().width - 33.0).abs() < 0.05, "{}", bench.gripper.state().width);
+    assert!((bench.gripper().state().width - 33.0).abs() < 0.05, "{}", bench.gripper().state().width);
 
     bench.write(setting("DEBOUNCE"), &[20]);
     bench.take_motions();

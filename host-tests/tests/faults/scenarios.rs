@@ -8,6 +8,7 @@ use std::rc::Rc;
 
 use host_tests::bench::{Bench, Disturbance};
 use host_tests::faulty_link::{Fault, FaultyWay};
+use host_tests::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, GripperState};
 use wsg_sim::{Config, Part};
@@ -101,9 +102,9 @@ fn scenario(place: Place, fault: Fault, offset: u64, expected: Shown) {
     let armed = Rc::new(RefCell::new(false));
     let disturbance = Some(hit(place, fault, offset, Rc::clone(&armed)));
     if place.is_to_gripper() {
-        bench.to_gripper = disturbance;
+        bench.far.to_gripper = disturbance;
     } else {
-        bench.to_bridge = disturbance;
+        bench.far.to_bridge = disturbance;
     }
     bench.take_sent();
     let before = bench.gripper().state();

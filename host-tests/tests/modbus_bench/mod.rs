@@ -2,64 +2,17 @@
 #![allow(dead_code, reason = "each test uses its part")]
 
 use std::collections::VecDeque;
-use std::convert::Infallible;
 
-use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use host_tests::serial_gripper::SerialGripper;
+use host_tests::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusPort, Config};
+use wsg_protocol::CommandId;
 use wsg_protocol::modbus::rtu::{Character, crc};
-use wsg_protocol::{CommandId, Event, FrameParser, Kind, frame::MAX_MESSAGE_LEN};
-use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
+use wsg_sim::{Time, VirtualGripper};
 
 /// The bridge's unit as delivered.
 pub(crate) const UNIT: u8 = 1;
-
-/// The gripper's line; as many bytes a millisecond as 115 200 bit/s carry.
-#[derive(Default)]
-struct Line {
-    to_bridge: VecDeque<u8>,
-    from_bridge: Vec<u8>,
-}
-
-const BYTES_PER_MS: usize = 12;
-
-impl ErrorType for Line {
-    type Error = Infallible;
-}
-
-impl ReadReady for Line {
-    fn read_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(!self.to_bridge.is_empty())
-    }
-}
-
-impl Read for Line {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
-        let count = buffer.len().min(self.to_bridge.len());
-        for (slot, byte) in buffer.iter_mut().zip(self.to_bridge.drain(..count)) {
-            *slot = byte;
-        }
-        Ok(count)
-    }
-}
-
-impl WriteReady for Line {
-    fn write_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(self.from_bridge.len() < BYTES_PER_MS)
-    }
-}
-
-impl Write for Line {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        let taken = bytes.len().min(BYTES_PER_MS - self.from_bridge.len().min(BYTES_PER_MS));
-        self.from_bridge.extend_from_slice(&bytes[..taken]);
-        Ok(taken)
-    }
-
-    fn flush(&mut self) -> Result<(), Infallible> {
-        Ok(())
-    }
-}
 
 /// The bus.
 #[derive(Default)]
@@ -86,36 +39,24 @@ impl BusPort for Bus {
 /// Everything on the bench.
 pub(crate) struct Bench {
     bridge: Bridge,
-    pub(crate) gripper: VirtualGripper<1>,
-    port: PortId,
-    line: Line,
-    /// The line from gripper to bridge is cut.
-    pub(crate) cut: bool,
+    /// The gripper and its line.
+    far: SerialGripper,
     bus: Bus,
     now_ms: u32,
     inputs: Inputs,
-    pub(crate) outputs: Outputs,
-    seen: FrameParser<MAX_MESSAGE_LEN>,
-    sent: Vec<CommandId>,
+    outputs: Outputs,
 }
 
 impl Bench {
     /// A bench whose wires are low, but the one of FAST STOP.
     pub(crate) fn new(config: Config, gripper: wsg_sim::Config) -> Self {
-        let mut gripper = VirtualGripper::with_ports(gripper);
-        let port = gripper.connect(PortKind::Serial).unwrap();
         Self {
             bridge: Bridge::new(config),
-            gripper,
-            port,
-            line: Line::default(),
-            cut: false,
+            far: SerialGripper::new(gripper),
             bus: Bus { silence_us: 1_000_000, ..Bus::default() },
             now_ms: 0,
             inputs: Inputs::FAST_STOP_OK,
             outputs: Outputs::empty(),
-            seen: FrameParser::new(),
-            sent: vec![],
         }
     }
 
@@ -148,31 +89,13 @@ impl Bench {
         &self.bridge
     }
 
-    pub(crate) fn set(&mut self, wires: Inputs, high: bool) {
-        self.inputs.set(wires, high);
+    pub(crate) fn gripper(&mut self) -> &mut VirtualGripper<1> {
+        &mut self.far.gripper
     }
 
-    pub(crate) fn pulse(&mut self, wires: Inputs) {
-        self.set(wires, true);
-        self.pass(5);
-        self.set(wires, false);
-        self.pass(5);
-    }
-
-    /// The motion commands that left the bridge since this was last asked.
-    pub(crate) fn take_motions(&mut self) -> Vec<CommandId> {
-        std::mem::take(&mut self.sent).into_iter().filter(|id| id.kind() == Kind::Motion).collect()
-    }
-
-    /// Every command since then.
-    pub(crate) fn take_sent(&mut self) -> Vec<CommandId> {
-        std::mem::take(&mut self.sent)
-    }
-
-    pub(crate) fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            self.step();
-        }
+    /// Cuts the line from gripper to bridge, or mends it.
+    pub(crate) fn set_cut(&mut self, cut: bool) {
+        self.far.to_bridge = if cut { Some(Box::new(Vec::clear)) } else { None };
     }
 
     /// Puts bytes on the bus, one right behind the other.
@@ -278,31 +201,27 @@ impl Bench {
         }
         panic!("the command does not end");
     }
+}
+
+impl Wires for Bench {
+    fn inputs(&mut self) -> &mut Inputs {
+        &mut self.inputs
+    }
+
+    fn outputs(&self) -> Outputs {
+        self.outputs
+    }
+
+    fn take_sent(&mut self) -> Vec<CommandId> {
+        self.far.take_sent()
+    }
 
     fn step(&mut self) {
         self.now_ms += 1;
         self.bus.silence_us = self.bus.silence_us.saturating_add(1_000);
-        self.outputs = self.bridge.poll_with_bus(self.now_ms, self.inputs, &mut self.line, &mut self.bus);
-        let bytes = std::mem::take(&mut self.line.from_bridge);
-        let mut rest = &bytes[..];
-        loop {
-            let (taken, event) = self.seen.push_slice(rest);
-            rest = &rest[taken..];
-            match event {
-                Some(Event::Frame(frame)) => self.sent.push(CommandId::from_code(frame.id)),
-                Some(broken) => panic!("the bridge sent a broken frame: {broken:?}"),
-                None => break,
-            }
-        }
-        let now = self.now();
-        self.gripper.receive(self.port, now, &bytes);
-        self.gripper.advance(now);
-        let mut buffer = [0; MAX_FRAME_LEN];
-        while let Some(frame) = self.gripper.transmit(self.port, &mut buffer) {
-            if !self.cut {
-                self.line.to_bridge.extend(frame);
-            }
-        }
+        let Self { bridge, far, bus, inputs, now_ms, .. } = self;
+        self.outputs = bridge.poll_with_bus(*now_ms, *inputs, &mut far.line, bus);
+        self.far.advance(self.now());
     }
 }
 
