@@ -21,6 +21,8 @@ mod can;
 mod can1;
 mod clock;
 mod log;
+#[cfg(any(not(feature = "can-gripper"), feature = "can-over-slcan"))]
+mod not_ready;
 mod pins;
 #[cfg(all(feature = "can-over-slcan", any(feature = "can-gripper", feature = "can-plc")))]
 mod slcan_uart;

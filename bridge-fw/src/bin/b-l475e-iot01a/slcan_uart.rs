@@ -3,12 +3,13 @@
 //! On the board the UART's pins are not set up: nothing is connected there.
 
 use cortex_m::peripheral::NVIC;
-use embedded_io::{Error, ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use stm32_metapac::{Interrupt, RCC, UART5, interrupt};
 use wsg_bridge_fw::byte_queue::ByteQueue;
 use wsg_bridge_fw::can::SlcanPort;
 
 use crate::clock::HCLK_HZ;
+use crate::not_ready::{NotReady, moved};
 
 const BAUD: u32 = 115_200;
 const DIVIDER: u32 = (HCLK_HZ + BAUD / 2) / BAUD;
@@ -25,9 +26,6 @@ pub(crate) type Controller = SlcanPort<Line>;
 
 /// The bridge's end of the line. There is one value of it, in the controller.
 pub(crate) struct Line(());
-
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct NotReady;
 
 pub(crate) const fn new() -> Controller {
     SlcanPort::new(Line(()))
@@ -73,7 +71,7 @@ impl Read for Line {
         if was_full && count > 0 {
             NVIC::pend(Interrupt::UART5);
         }
-        if count == 0 && !buf.is_empty() { Err(NotReady) } else { Ok(count) }
+        moved(count, buf)
     }
 }
 
@@ -88,25 +86,11 @@ impl Write for Line {
         let taken = buf.iter().map_while(|&byte| TO_SEND.push(byte).ok()).count();
         // The handler alone switches interrupts, so main loop and handler never change the same register.
         NVIC::pend(Interrupt::UART5);
-        if taken == 0 && !buf.is_empty() { Err(NotReady) } else { Ok(taken) }
+        moved(taken, buf)
     }
 
     fn flush(&mut self) -> Result<(), NotReady> {
         if TO_SEND.is_empty() { Ok(()) } else { Err(NotReady) }
-    }
-}
-
-impl core::fmt::Display for NotReady {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str("the line is not ready")
-    }
-}
-
-impl core::error::Error for NotReady {}
-
-impl Error for NotReady {
-    fn kind(&self) -> ErrorKind {
-        ErrorKind::Other
     }
 }
 

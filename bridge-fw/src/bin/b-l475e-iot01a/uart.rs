@@ -3,13 +3,14 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use cortex_m::peripheral::NVIC;
-use embedded_io::{Error, ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use stm32_metapac::{Interrupt, RCC, UART4, interrupt};
 use wsg_bridge_fw::byte_queue::ByteQueue;
 use wsg_protocol::Command;
 use wsg_protocol::frame::OVERHEAD;
 
 use crate::clock::HCLK_HZ;
+use crate::not_ready::{NotReady, moved};
 
 const BAUD: u32 = 115_200;
 const DIVIDER: u32 = (HCLK_HZ + BAUD / 2) / BAUD;
@@ -51,10 +52,6 @@ pub(crate) struct Lost {
 /// in [`LOST`] and left to the frames' checksums; reception goes on.
 pub(crate) struct GripperLine(());
 
-/// No byte has come, there is no room for another, or not all have left.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct NotReady;
-
 /// Starts the line. The clock runs at [`HCLK_HZ`], the pins are set up.
 pub(crate) fn start() -> GripperLine {
     RCC.apb1enr1().modify(|w| w.set_uart4en(true));
@@ -91,7 +88,7 @@ impl ReadReady for GripperLine {
 
 impl Read for GripperLine {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, NotReady> {
-        transfer(buf.iter_mut().map_while(|place| RECEIVED.pop().map(|byte| *place = byte)).count(), buf)
+        moved(buf.iter_mut().map_while(|place| RECEIVED.pop().map(|byte| *place = byte)).count(), buf)
     }
 }
 
@@ -107,30 +104,11 @@ impl Write for GripperLine {
         // The handler alone switches the transmit interrupt, so main loop and handler never change
         // the same register.
         NVIC::pend(Interrupt::UART4);
-        transfer(taken, buf)
+        moved(taken, buf)
     }
 
     fn flush(&mut self) -> Result<(), NotReady> {
         if TO_SEND.is_empty() && UART4.isr().read().tc() { Ok(()) } else { Err(NotReady) }
-    }
-}
-
-/// The result of moving `count` bytes between a queue and a caller's buffer.
-fn transfer(count: usize, buf: &[u8]) -> Result<usize, NotReady> {
-    if count == 0 && !buf.is_empty() { Err(NotReady) } else { Ok(count) }
-}
-
-impl core::fmt::Display for NotReady {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str("the line is not ready")
-    }
-}
-
-impl core::error::Error for NotReady {}
-
-impl Error for NotReady {
-    fn kind(&self) -> ErrorKind {
-        ErrorKind::Other
     }
 }
 

@@ -12,8 +12,9 @@ use wsg_protocol::frame::PREAMBLE_LEN;
 use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
 
 use crate::counting::{self, Counter, Moment};
+use crate::not_ready::NotReady;
 use crate::pins::{self, Pins};
-use crate::uart::{self, GripperLine, NotReady};
+use crate::uart::{self, GripperLine};
 
 /// The board's line, which the virtual gripper listens in on and answers to.
 struct Line {

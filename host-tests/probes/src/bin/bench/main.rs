@@ -16,6 +16,8 @@ mod round_trip;
 #[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/clock.rs"]
 #[expect(dead_code, reason = "the bench runs at the clock of reset")]
 mod clock;
+#[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/not_ready.rs"]
+mod not_ready;
 #[allow(unexpected_cfgs, reason = "features of the firmware, which this crate does not have")]
 #[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/pins.rs"]
 mod pins;

@@ -1,0 +1,26 @@
+//! The answer of a line that would have to wait.
+
+use embedded_io::{Error, ErrorKind};
+
+/// No byte has come, there is no room for another, or not all have left.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct NotReady;
+
+/// The result of moving `count` bytes between a queue and a caller's buffer.
+pub(crate) fn moved(count: usize, buf: &[u8]) -> Result<usize, NotReady> {
+    if count == 0 && !buf.is_empty() { Err(NotReady) } else { Ok(count) }
+}
+
+impl core::fmt::Display for NotReady {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the line is not ready")
+    }
+}
+
+impl core::error::Error for NotReady {}
+
+impl Error for NotReady {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Other
+    }
+}
