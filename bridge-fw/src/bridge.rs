@@ -381,6 +381,10 @@ impl Bridge {
             let sending = match &mut self.sending {
                 Some(sending) => sending,
                 empty => {
+                    // The session keeps what has not begun: there a FAST STOP overtakes it, and no time-out runs for it.
+                    if !link.write_ready().unwrap_or(false) {
+                        return;
+                    }
                     let Some(command) = self.session.poll_transmit(now) else { return };
                     log::sent(&command);
                     empty.insert(FrameEncoder::new(command.id().code(), command))

@@ -9,23 +9,29 @@
 //! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
 //! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
 //! | [`can`] | the reassembler finds what a reader of the whole recording finds |
-//! | [`bridge`] | no motion without an edge, whatever the line and the wires do |
+//! | [`bridge`] | no motion without an edge, whatever the line, the wires and the Modbus bus do |
+//! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
 //!
 //! cargo-fuzz runs them (`cargo xtask fuzz`, targets in `host-tests/fuzz`); the test `fuzz_smoke` runs them on stable Rust
 //! over the committed seeds and over [`generated`] inputs.
 
+mod asked;
 mod bridge;
+mod bridge_can;
 mod can;
 mod controller;
 mod frames;
 mod gcl;
 mod generate;
+mod gripper;
 mod input;
 mod modbus;
+mod rtu_line;
 mod session;
 mod typed;
 
 pub use bridge::bridge;
+pub use bridge_can::bridge_can;
 pub use can::can;
 pub use controller::controller;
 pub use frames::frames;
@@ -47,12 +53,13 @@ pub struct Body {
 }
 
 /// Every body.
-pub const ALL: [Body; 8] = [
+pub const ALL: [Body; 9] = [
     Body { name: "frames", run: frames, pieces: generate::BINARY },
     Body { name: "typed", run: typed, pieces: generate::BINARY },
     Body { name: "session", run: session, pieces: generate::BINARY },
     Body { name: "controller", run: controller, pieces: generate::BINARY },
-    Body { name: "bridge", run: bridge, pieces: generate::BINARY },
+    Body { name: "bridge", run: bridge, pieces: generate::BRIDGE },
+    Body { name: "bridge_can", run: bridge_can, pieces: generate::BRIDGE_CAN },
     Body { name: "gcl", run: gcl, pieces: generate::TEXT },
     Body { name: "can", run: can, pieces: generate::BINARY },
     Body { name: "modbus", run: modbus, pieces: generate::BINARY },

@@ -186,6 +186,37 @@ fn fast_stop_asked_for_while_the_bus_is_off_is_the_first_thing_after_it() {
 }
 
 #[test]
+fn fast_stop_that_waited_for_the_bus_leaves_with_its_first_frames() {
+    let mut bench = homed();
+    bench.double().go_off(0);
+    bench.pass(10);
+    bench.set(Inputs::FAST_STOP_OK, false);
+    bench.take_sent();
+    while bench.bus().state() != BusState::On {
+        bench.pass(1);
+    }
+    bench.pass(2);
+    assert_eq!(bench.take_sent().first(), Some(&CommandId::FastStop));
+}
+
+#[test]
+fn fast_stop_that_bus_off_caught_in_the_controller_leaves_with_the_first_frames_after_it() {
+    let mut bench = homed();
+    bench.double().set_unheard(true);
+    bench.set(Inputs::FAST_STOP_OK, false);
+    bench.pass(5);
+    bench.double().go_off(0);
+    bench.double().set_unheard(false);
+    bench.take_sent();
+    bench.pass(1);
+    while bench.bus().state() != BusState::On {
+        bench.pass(1);
+    }
+    bench.pass(2);
+    assert_eq!(bench.take_sent().first(), Some(&CommandId::FastStop));
+}
+
+#[test]
 fn bus_off_again_and_again_is_given_up() {
     let policy = BusOffPolicy { limit: 3, ..POLICY };
     let mut bench = CanBench::homed(with_part(20.0), policy);

@@ -69,6 +69,11 @@ fn bridge_60_000_cases() {
 }
 
 #[test]
+fn bridge_can_60_000_cases() {
+    smoke("bridge_can");
+}
+
+#[test]
 fn can_60_000_cases() {
     smoke("can");
 }

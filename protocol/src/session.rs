@@ -334,8 +334,10 @@ impl Session {
     }
 
     /// Gives up the connection, for a caller who knows that it is gone: the next [`tick`](Self::tick)s tell what became
-    /// of what was open, and a new connection is tried after that.
+    /// of what was open, and a new connection is tried after that. A FAST STOP that is not confirmed goes out again at once:
+    /// what was sent may not have arrived.
     pub fn disconnect(&mut self) {
+        self.urgent.send_again(CommandId::FastStop);
         if self.link == Link::Up {
             self.link = Link::Closing;
         } else if self.link != Link::Closing {

@@ -805,6 +805,22 @@ fn connection_that_the_caller_knows_is_gone_is_given_up_at_once() {
 }
 
 #[test]
+fn stop_of_a_connection_that_the_caller_gives_up_is_sent_again_only_if_it_is_a_fast_stop_that_is_not_confirmed()
+ {
+    for (command, again) in [(Command::FastStop, true), (Command::Stop, false)] {
+        let mut desk = Desk::connected();
+        desk.session.request(command).unwrap();
+        assert_eq!(desk.sent(), [command]);
+        assert_eq!(desk.sent(), []);
+        desk.session.disconnect();
+        assert_eq!(desk.sent().contains(&command), again);
+        desk.status(command.id(), Status::Success);
+        desk.session.disconnect();
+        assert!(!desk.sent().contains(&command));
+    }
+}
+
+#[test]
 fn fast_stop_that_is_owed_while_the_line_is_down_does_not_make_the_caller_spin() {
     let mut desk = Desk::with(Config { reconnect_ms: 50, ..Config::DEFAULT });
     desk.connect();

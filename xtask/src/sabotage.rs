@@ -31,11 +31,11 @@ const REPEAT: &str = "let repeat = is_repeatable && self.sent < attempts;";
 const CONTROLLER: &str = "protocol/src/fieldbus/controller.rs";
 const EDGES: &str = "image.flags.difference(previous.flags)";
 
-const fn smoke(filter: &'static str) -> [&'static str; 7] {
-    ["test", "-q", "-p", "host-tests", "--test", "fuzz_smoke", filter]
+const fn smoke(test: &'static str) -> [&'static str; 9] {
+    ["test", "-q", "-p", "host-tests", "--test", "fuzz_smoke", test, "--", "--exact"]
 }
 
-const ALL: [Sabotage; 17] = [
+const ALL: [Sabotage; 21] = [
     Sabotage {
         gate: "panics",
         what: "an `unwrap` in the parser",
@@ -105,7 +105,7 @@ const ALL: [Sabotage; 17] = [
         file: PARSER,
         line: "let accepted = received == self.checksum_or_next",
         instead: "let accepted = received != 0x1234",
-        command: &smoke("frames"),
+        command: &smoke("frames_60_000_cases"),
         says: "frames_60_000_cases",
     },
     Sabotage {
@@ -114,7 +114,7 @@ const ALL: [Sabotage; 17] = [
         file: TRACK,
         line: REPEAT,
         instead: "let repeat = self.sent < attempts;",
-        command: &smoke("session"),
+        command: &smoke("session_60_000_cases"),
         says: "session_60_000_cases",
     },
     Sabotage {
@@ -123,7 +123,7 @@ const ALL: [Sabotage; 17] = [
         file: CONTROLLER,
         line: EDGES,
         instead: "image.flags",
-        command: &smoke("controller"),
+        command: &smoke("controller_60_000_cases"),
         says: "controller_60_000_cases",
     },
     Sabotage {
@@ -132,8 +132,44 @@ const ALL: [Sabotage; 17] = [
         file: CONTROLLER,
         line: EDGES,
         instead: "image.flags",
-        command: &smoke("bridge"),
+        command: &smoke("bridge_60_000_cases"),
         says: "bridge_60_000_cases",
+    },
+    Sabotage {
+        gate: "fuzz, bridge",
+        what: "wires and bus both command",
+        file: "bridge-fw/src/arbiter.rs",
+        line: "if wires.flags.intersects(MOTIONS) || stopped {",
+        instead: "if stopped {",
+        command: &smoke("bridge_60_000_cases"),
+        says: "without an edge",
+    },
+    Sabotage {
+        gate: "fuzz, bridge",
+        what: "a dropped check: any checksum on the bus is right",
+        file: "protocol/src/modbus/rtu/receiver.rs",
+        line: "frame.len() > CRC_LEN && crc(frame) == 0",
+        instead: "frame.len() > CRC_LEN && crc(frame) != 0x1234",
+        command: &smoke("bridge_60_000_cases"),
+        says: "an answer to no request for this unit",
+    },
+    Sabotage {
+        gate: "fuzz, bridge on CAN",
+        what: "what waits for the link is not overtaken by FAST STOP",
+        file: "bridge-fw/src/bridge.rs",
+        line: "                    if !link.write_ready().unwrap_or(false) {\n                        return;\n                    }\n                    let Some",
+        instead: "                    let Some",
+        command: &smoke("bridge_can_60_000_cases"),
+        says: "FAST STOP does not leave",
+    },
+    Sabotage {
+        gate: "fuzz, bridge on CAN",
+        what: "the bus goes, and the controller keeps what it was given",
+        file: "bridge-fw/src/can/bus.rs",
+        line: "    fn forget(&mut self) {\n        self.controller.abort();",
+        instead: "    fn forget(&mut self) {",
+        command: &smoke("bridge_can_60_000_cases"),
+        says: "bridge_can_60_000_cases",
     },
     Sabotage {
         gate: "fuzz, typed",
@@ -141,7 +177,7 @@ const ALL: [Sabotage; 17] = [
         file: "protocol/src/field.rs",
         line: "value.is_finite()",
         instead: "true",
-        command: &smoke("typed"),
+        command: &smoke("typed_60_000_cases"),
         says: "typed_60_000_cases",
     },
     Sabotage {
@@ -150,7 +186,7 @@ const ALL: [Sabotage; 17] = [
         file: "protocol/src/gcl/line.rs",
         line: "            if skipping {\n                self.reset();\n            }\n",
         instead: "",
-        command: &smoke("gcl"),
+        command: &smoke("gcl_60_000_cases"),
         says: "gcl_60_000_cases",
     },
     Sabotage {
@@ -159,7 +195,7 @@ const ALL: [Sabotage; 17] = [
         file: "protocol/src/modbus/rtu/server.rs",
         line: "if broadcast || len == 0 {",
         instead: "if len == 0 {",
-        command: &smoke("modbus"),
+        command: &smoke("modbus_60_000_cases"),
         says: "modbus_60_000_cases",
     },
     Sabotage {
@@ -168,7 +204,7 @@ const ALL: [Sabotage; 17] = [
         file: "protocol/src/can/reassembler.rs",
         line: "checksum::push_slice(checksum::START, covered).to_le_bytes() != *received",
         instead: "checksum::push_slice(checksum::START, covered).to_le_bytes() == [1, 2]",
-        command: &smoke("can"),
+        command: &smoke("can_60_000_cases"),
         says: "can_60_000_cases",
     },
     Sabotage {

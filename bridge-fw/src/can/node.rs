@@ -167,7 +167,9 @@ impl Node {
             Some(Event::Image(image)) => return Some(Served::Image(image)),
             Some(Event::Left) => return Some(Served::Left { silent: false }),
             Some(Event::Reset { whole }) => {
-                if whole {
+                // Everything else that came in this turn is forgotten, but not that the node as a whole was to be reset.
+                let whole_follows = |event: &Event| matches!(event, Event::Reset { whole: true });
+                if whole || self.events.iter().any(whole_follows) {
                     *settings = initial.clone();
                 }
                 *self =

@@ -1,28 +1,59 @@
-//! The whole bridge: any bytes on its line, any wires.
+//! The whole bridge between wires, a Modbus bus and the gripper's line: any bytes on both lines, any wires.
+//!
+//! What must hold, whatever comes:
+//! - each command that leaves was [`Asked`] for, by an edge of its own of a wire or of an image that an intact request wrote
+//!   while the bus commanded; and FAST STOP leaves at once;
+//! - no frame with a wrong checksum leaves, on either line;
+//! - each answer on the bus has its request, intact and for the bridge's unit ([`Overheard`]); what is damaged, or for
+//!   another, does nothing.
+//!
+//! A case ends where that cannot be followed from outside: behind Force Listen Only Mode, a broadcast to the settings, and
+//! when broadcasts count on a line that is not strict.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::convert::Infallible;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::io::Inputs;
-use wsg_bridge_fw::{Bridge, Config};
-use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Kind, Reply, Status};
+use wsg_bridge_fw::{Bridge, BusConfig, Config};
+use wsg_protocol::fieldbus::CommandFlags;
+use wsg_protocol::modbus::rtu::Character;
+use wsg_protocol::{CommandId, FrameParser, Status};
 
+use super::asked::Asked;
 use super::frames::repair_checksums;
+use super::gripper;
 use super::input::Input;
+use super::modbus::sealed;
+use super::rtu_line::{BROADCAST, Done, Overheard, RtuLine, TIMING};
 
-/// The wires that ask for motions, and the commands that may leave for them.
-const MOTIONS: [(Inputs, CommandId); 4] = [
-    (Inputs::GRIP, CommandId::GripPart),
-    (Inputs::RELEASE, CommandId::ReleasePart),
-    (Inputs::MOVE, CommandId::PrePosition),
-    (Inputs::HOME, CommandId::Homing),
+pub(super) const MOTION_WIRES: [Inputs; 4] = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
+
+/// Flags that a PLC writes: one motion, a jog, a stop, several at once.
+pub(super) const FLAGS: [CommandFlags; 12] = [
+    CommandFlags::empty(),
+    CommandFlags::MOVE,
+    CommandFlags::GRIP,
+    CommandFlags::RELEASE,
+    CommandFlags::HOMING,
+    CommandFlags::STOP_ACK,
+    CommandFlags::FASTSTOP,
+    CommandFlags::JOG_PLUS,
+    CommandFlags::JOG_MINUS,
+    CommandFlags::MOVE.union(CommandFlags::GRIP),
+    CommandFlags::GRIP.union(CommandFlags::STOP_ACK),
+    CommandFlags::all(),
 ];
 
-/// How long the wire of FAST STOP must be low before no motion may leave: debouncing, a turn, and a frame on its way.
-const FAST_STOP_MS: u32 = 5;
+/// WIDTH, SPEED and FORCELIMIT: two that a gripper takes, and one that it does not.
+pub(super) const PARAMETERS: [[u16; 3]; 3] =
+    [[20_00, 50_00, 40_00], [50_00, 100_00, 40_00], [20_00, 1, 40_00]];
 
-/// The line: what comes to the bridge, what it sends.
+/// Silences before a character: none, and around the two that matter.
+const SILENCES: [u32; 6] =
+    [0, TIMING.t1_5_us, TIMING.t1_5_us + 1, TIMING.t3_5_us - 1, TIMING.t3_5_us, 60_000];
+
+/// The gripper's line: what comes to the bridge, what it sends.
 #[derive(Default)]
 struct Line {
     to_bridge: VecDeque<u8>,
@@ -32,37 +63,35 @@ struct Line {
 struct Model {
     bridge: Bridge,
     line: Line,
+    bus: RtuLine,
     /// Finds frames in what the bridge sends.
     sent: FrameParser<64>,
     now_ms: u32,
     wires: Inputs,
-    low_since_ms: u32,
-    /// Edges of each motion's wire that no command has left for.
-    edges: BTreeMap<u8, u32>,
+    asked: Asked,
+    overheard: Overheard,
+    /// When the PLC on the bus was heard last; none when it was not, or fell silent.
+    heard_ms: Option<u32>,
+    /// What comes cannot be followed.
+    is_over: bool,
     /// The gripper answers as a real one would that succeeds in everything.
     answers: bool,
 }
 
-/// Each op is a byte that says what, and bytes that say how: wires, time, bytes on the line, a gripper that answers.
+/// The first byte says whether the bridge is ready (bit 0) and whether the bus is strict and has broadcasts (bit 1). Then each
+/// op is a byte that says what, and bytes that say how: wires, time, bytes on either line, a gripper that answers, a PLC that
+/// writes.
 pub fn bridge(data: &[u8]) {
     let mut input = Input::new(data);
-    let mut model = Model {
-        bridge: Bridge::new(Config::DEFAULT),
-        line: Line::default(),
-        sent: FrameParser::new(),
-        now_ms: 0,
-        wires: Inputs::empty(),
-        low_since_ms: 0,
-        edges: BTreeMap::new(),
-        answers: false,
-    };
-    if input.byte() & 1 != 0 {
+    let choice = input.byte();
+    let mut model = Model::new(choice & 2 != 0);
+    if choice & 1 != 0 {
         model.get_ready();
     }
-    while !input.is_empty() {
-        match input.byte() % 8 {
-            0 | 1 => model.set(Inputs::from_bits_retain(input.byte())),
-            2 => model.set(input.pick(&MOTIONS).0 | Inputs::FAST_STOP_OK),
+    while !input.is_empty() && !model.is_over {
+        match input.byte() % 16 {
+            0 | 1 => model.wires = Inputs::from_bits_retain(input.byte()),
+            2 => model.wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
             3 => {
                 let count = usize::from(input.byte() % 40);
                 model.line.to_bridge.extend(input.bytes(count));
@@ -80,10 +109,54 @@ pub fn bridge(data: &[u8]) {
                     Status::CmdFailed,
                     Status::AccessDenied,
                 ]);
-                model.reply(Reply::status_only(input.pick(CommandId::ALL), status));
+                model.line.to_bridge.extend(gripper::status(input.pick(CommandId::ALL), status));
             }
             6 => model.answers = input.byte() & 1 != 0,
-            _ => model.pass(u32::from(input.byte() % 32)),
+            7 => model.pass(u32::from(input.byte() % 32)),
+            8 => {
+                let count = usize::from(input.byte() % 24);
+                for _ in 0..count {
+                    let character =
+                        if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
+                    model.bus.bring(character, input.pick(&SILENCES));
+                }
+            }
+            9 => {
+                let unit = input.pick(&[model.overheard.unit(), BROADCAST, 5]);
+                let count = usize::from(input.byte() % 24);
+                let frame = [&[unit], input.bytes(count)].concat();
+                model.send(&sealed(&frame), &mut input);
+            }
+            10 => {
+                let frame = model.image_frame(input.pick(&FLAGS), input.pick(&PARAMETERS));
+                model.send(&frame, &mut input);
+            }
+            11 => {
+                let unit = input.pick(&[model.overheard.unit(), BROADCAST]);
+                let value = u16::from(input.byte()).to_be_bytes();
+                let setting = 100 + input.byte() % 26;
+                model.send(&sealed(&[&[unit, 6, 0, setting], &value[..]].concat()), &mut input);
+            }
+            12 => {
+                let unit = input.pick(&[model.overheard.unit(), BROADCAST]);
+                let (coil, value) = (input.byte() % 66, input.pick(&[0, 0xFF, 1]));
+                model.send(&sealed(&[unit, 5, 0, coil, value, 0]), &mut input);
+            }
+            13 => {
+                let [and, or] = [input.pick(&FLAGS).bits(), input.pick(&FLAGS).bits()];
+                let frame = [model.overheard.unit(), 22, 0, 0, and, 0xFF, or, 0];
+                model.send(&sealed(&frame), &mut input);
+            }
+            14 => {
+                // An edge as a PLC gives it.
+                let parameters = input.pick(&PARAMETERS);
+                for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
+                    let frame = model.image_frame(flags, parameters);
+                    model.bring(&frame, None, None);
+                    model.pass(4);
+                }
+            }
+            _ => model.pass(u32::from(input.byte())),
         }
         model.pass(1);
     }
@@ -91,80 +164,117 @@ pub fn bridge(data: &[u8]) {
 }
 
 impl Model {
-    /// What most of the interesting states lie behind: connected, FAST STOP acknowledged.
+    fn new(strict_with_broadcasts: bool) -> Self {
+        let mut config = Config::DEFAULT;
+        if strict_with_broadcasts {
+            config.bus = BusConfig { broadcast: true, patience_ms: 0, ..config.bus };
+        }
+        Self {
+            bridge: Bridge::new(config),
+            line: Line::default(),
+            bus: RtuLine::default(),
+            sent: FrameParser::new(),
+            now_ms: 0,
+            wires: Inputs::empty(),
+            asked: Asked::new(config.debounce_ms),
+            overheard: Overheard::new(&config.bus, config.debounce_ms),
+            heard_ms: None,
+            is_over: false,
+            answers: false,
+        }
+    }
+
+    /// What most of the interesting states lie behind: connected, FAST STOP acknowledged, a bus that has written zeros.
     fn get_ready(&mut self) {
         self.answers = true;
-        self.set(Inputs::FAST_STOP_OK);
+        self.wires = Inputs::FAST_STOP_OK;
         self.pass(12);
-        self.set(Inputs::FAST_STOP_OK | Inputs::STOP_ACK);
+        self.wires = Inputs::FAST_STOP_OK | Inputs::STOP_ACK;
+        let zeros = self.image_frame(CommandFlags::empty(), PARAMETERS[0]);
+        self.bring(&zeros, None, None);
         self.pass(4);
-        self.set(Inputs::FAST_STOP_OK);
+        self.wires = Inputs::FAST_STOP_OK;
         self.pass(4);
     }
 
-    fn set(&mut self, wires: Inputs) {
-        for (wire, id) in MOTIONS {
-            if wires.difference(self.wires).contains(wire) {
-                *self.edges.entry(id.code()).or_default() += 1;
-            }
+    /// A write of registers 0 to 3.
+    fn image_frame(&self, flags: CommandFlags, parameters: [u16; 3]) -> Vec<u8> {
+        let head = [self.overheard.unit(), 16, 0, 0, 0, 4, 8, flags.bits(), 0];
+        sealed(&[&head[..], &parameters.map(u16::to_be_bytes).concat()].concat())
+    }
+
+    /// Puts a frame on the bus, now and then with a wrong bit, a damaged character or a pause in it.
+    fn send(&mut self, frame: &[u8], input: &mut Input<'_>) {
+        let mut frame = frame.to_vec();
+        let trouble = input.byte();
+        let at = usize::from(input.byte()) % frame.len();
+        match trouble % 16 {
+            0 => frame[at] ^= 1 << (trouble >> 5),
+            1 => frame.truncate(at),
+            _ => {}
         }
-        if self.wires.contains(Inputs::FAST_STOP_OK) && !wires.contains(Inputs::FAST_STOP_OK) {
-            self.low_since_ms = self.now_ms;
+        let pause = (trouble % 16 == 2).then(|| (at, input.pick(&SILENCES)));
+        self.bring(&frame, (trouble % 16 == 3).then_some(at), pause);
+        if trouble & 0x80 == 0 {
+            // The silence that ends it; else the next frame does.
+            self.pass(3);
         }
-        self.wires = wires;
+    }
+
+    fn bring(&mut self, frame: &[u8], damaged_at: Option<usize>, pause: Option<(usize, u32)>) {
+        for (at, byte) in frame.iter().enumerate() {
+            let character = if damaged_at == Some(at) { Character::Damaged } else { Character::Byte(*byte) };
+            let silence_us = match pause {
+                Some((pause_at, silence_us)) if pause_at == at => silence_us,
+                _ if at == 0 => self.bus.silence_us().max(TIMING.t3_5_us),
+                _ => 0,
+            };
+            self.bus.bring(character, silence_us);
+        }
     }
 
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
-            self.now_ms += 1;
-            self.bridge.poll(self.now_ms, self.wires, &mut self.line);
-            let sent = std::mem::take(&mut self.line.from_bridge);
-            self.look_at(&sent);
-        }
-    }
-
-    fn look_at(&mut self, mut sent: &[u8]) {
-        loop {
-            let (taken, event) = self.sent.push_slice(sent);
-            sent = &sent[taken..];
-            let id = match event {
-                None => return,
-                Some(Event::Frame(frame)) => CommandId::from_code(frame.id),
-                Some(broken) => panic!("the bridge sends a broken frame: {broken:?}"),
-            };
-            if id.kind() == Kind::Motion {
-                let edges = self.edges.entry(id.code()).or_default();
-                *edges = edges.checked_sub(1).unwrap_or_else(|| panic!("{id} without an edge"));
-                let low = !self.wires.contains(Inputs::FAST_STOP_OK);
-                assert!(!low || self.now_ms - self.low_since_ms < FAST_STOP_MS, "{id} during FAST STOP");
-            }
-            if self.answers {
-                self.answer(id);
-            }
-        }
-    }
-
-    fn answer(&mut self, id: CommandId) {
-        let payload: &[u8] = match id {
-            CommandId::GetSystemInfo => &[0, 0, 1, 2, 0x20, 0x31, 1, 0, 0, 0],
-            CommandId::GetSystemState => &[0, 0, 1, 0, 0, 0],
-            CommandId::GetGripperState => &[0, 0, 0],
-            CommandId::GetSystemLimits => {
-                let limits = [110.0_f32, 5.0, 420.0, 100.0, 5000.0, 5.0, 80.0, 120.0];
-                let payload = [[0, 0].as_slice(), &limits.map(f32::to_le_bytes).concat()].concat();
-                self.line.to_bridge.extend(FrameEncoder::new(id.code(), &payload[..]));
+            if self.is_over {
                 return;
             }
-            _ => &[0, 0],
-        };
-        if id.kind() == Kind::Motion {
-            self.reply(Reply::status_only(id, Status::CmdPending));
+            self.turn();
         }
-        self.line.to_bridge.extend(FrameEncoder::new(id.code(), payload));
     }
 
-    fn reply(&mut self, reply: Reply<'_>) {
-        self.line.to_bridge.extend(FrameEncoder::new(reply.id().code(), reply));
+    /// One turn of the main loop, a millisecond after the one before.
+    fn turn(&mut self) {
+        self.now_ms += 1;
+        self.bus.pass_ms();
+        let Self { bridge, line, bus, .. } = self;
+        bridge.poll_with_bus(self.now_ms, self.wires, line, bus);
+        self.asked.read_wires(self.now_ms, self.wires);
+        for event in self.bus.take_events() {
+            match self.overheard.take(event) {
+                None => continue,
+                Some(Done::Heard) => {}
+                Some(Done::Image(image)) => self.asked.take_image(image),
+                Some(Done::Unknown) => self.is_over = true,
+            }
+            self.heard_ms = Some(self.now_ms);
+        }
+        if self.is_over {
+            return;
+        }
+        self.asked.debounce_ms = self.overheard.debounce_ms();
+        let timeout_ms = self.overheard.timeout_ms();
+        if timeout_ms > 0 && self.heard_ms.is_some_and(|heard_ms| self.now_ms - heard_ms >= timeout_ms) {
+            self.heard_ms = None;
+            self.asked.lose_bus();
+        }
+        let sent = std::mem::take(&mut self.line.from_bridge);
+        for message in gripper::messages(&mut self.sent, &sent) {
+            self.asked.leaves(message.id);
+            if self.answers {
+                self.line.to_bridge.extend(gripper::answers(message.id).concat());
+            }
+        }
+        self.asked.end_turn(self.bridge.is_connected(), Some(0));
     }
 }
 

@@ -127,7 +127,7 @@ fn request(input: &mut Input<'_>) -> Vec<u8> {
 }
 
 /// The polynomial of the specification, bit by bit.
-fn checksum(bytes: &[u8]) -> [u8; 2] {
+pub(super) fn checksum(bytes: &[u8]) -> [u8; 2] {
     let mut value = 0xFFFF_u16;
     for byte in bytes {
         value ^= u16::from(*byte);
@@ -138,7 +138,7 @@ fn checksum(bytes: &[u8]) -> [u8; 2] {
     value.to_le_bytes()
 }
 
-fn sealed(frame: &[u8]) -> Vec<u8> {
+pub(super) fn sealed(frame: &[u8]) -> Vec<u8> {
     [frame, &checksum(frame)].concat()
 }
 

@@ -129,6 +129,13 @@ impl Track {
         Some(command)
     }
 
+    /// Has it sent again without a wait, if it is this.
+    pub(super) fn send_again(&mut self, id: CommandId) {
+        if self.awaits(id) {
+            self.deadline = None;
+        }
+    }
+
     /// Whether its answer should have come by now.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
         self.deadline.is_some_and(|deadline| now.has_reached(deadline))

@@ -1,0 +1,259 @@
+//! What a PLC has asked for: the rules of docs/wiring.md ("What the inputs do") and docs/registers.md ("Who commands"), and
+//! whether a command that leaves the bridge was asked for by them.
+//!
+//! - An edge lets one command out. What else was asked for until then has come to nothing: one motion at a time.
+//! - A wire counts once it has not changed for the debounce time: command and recipe wires together, STOP_ACK and
+//!   FAST_STOP_OK by themselves; none before all have. The levels that they have then, and the first image of a bus, give no
+//!   edge.
+//! - A flag of the bus counts from its edge on, as long as it is 1 and the bus is heard. The edge of a motion or a jog is none
+//!   while a command wire is high, or beside STOP/ACK; a command wire that rises ends what counts of them.
+//! - Several motions at once are one: MOVE before GRIP before RELEASE before HOMING.
+//! - STOP/ACK undoes what was asked for before it, FAST STOP as well. Behind a FAST STOP no motion leaves before an
+//!   acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection was lost is void.
+
+use wsg_bridge_fw::io::Inputs;
+use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+use wsg_protocol::{CommandId, Kind};
+
+const COMMAND_WIRES: [(Inputs, CommandFlags); 4] = [
+    (Inputs::MOVE, CommandFlags::MOVE),
+    (Inputs::GRIP, CommandFlags::GRIP),
+    (Inputs::RELEASE, CommandFlags::RELEASE),
+    (Inputs::HOME, CommandFlags::HOMING),
+];
+
+/// The motion flags, the one that counts first before the others, and their commands.
+const MOTIONS: [(CommandFlags, CommandId); 4] = [
+    (CommandFlags::MOVE, CommandId::PrePosition),
+    (CommandFlags::GRIP, CommandId::GripPart),
+    (CommandFlags::RELEASE, CommandId::ReleasePart),
+    (CommandFlags::HOMING, CommandId::Homing),
+];
+
+const COMMANDS: CommandFlags =
+    CommandFlags::MOVE.union(CommandFlags::GRIP).union(CommandFlags::RELEASE).union(CommandFlags::HOMING);
+const JOG: CommandFlags = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
+
+/// Nothing leaves this long after its edge: in milliseconds.
+const LATE_MS: u32 = 1_000;
+
+/// How long a FAST STOP that was sent may be unanswered, in milliseconds: another that is asked for in the meantime is the
+/// same one.
+const FAST_STOP_MS: u32 = 200;
+
+/// What was asked for, and what has come of it.
+pub(super) struct Asked {
+    now_ms: u32,
+    pub(super) debounce_ms: u32,
+    /// Wires that settle together: the last reading, since when, and whether that is long enough to count.
+    groups: [Group; 3],
+    /// The flags of the wires as they count; none before all have settled.
+    wires: Option<CommandFlags>,
+    /// What the bus wrote last; none: what it writes next is its first.
+    image: Option<OutputImage>,
+    /// Its flags that count.
+    bus: CommandFlags,
+    /// Both sides' flags, as they stood last; none before the wires have settled.
+    flags: Option<CommandFlags>,
+    /// The commands that may leave, and the moments of their edges.
+    may_leave: Vec<(CommandId, u32)>,
+    /// What a jog goes by, and whether a Pre-position may leave for it.
+    jog: (Option<(CommandFlags, u16, i16)>, bool),
+    /// A FAST STOP awaits its acknowledgement.
+    stopped: bool,
+    /// Since when a FAST STOP has to leave.
+    fast_stop_due: Option<u32>,
+    /// When one left, that was not acknowledged since.
+    fast_stop_left: Option<u32>,
+}
+
+#[derive(Clone, Copy)]
+struct Group {
+    wires: Inputs,
+    read: Option<(Inputs, u32)>,
+    counts: Option<Inputs>,
+}
+
+impl Asked {
+    /// Nothing, by a PLC whose wires are debounced for so long.
+    pub(super) fn new(debounce_ms: u32) -> Self {
+        let command_group = Inputs::all().difference(Inputs::STOP_ACK | Inputs::FAST_STOP_OK);
+        let group = |wires| Group { wires, read: None, counts: None };
+        Self {
+            now_ms: 0,
+            debounce_ms,
+            groups: [command_group, Inputs::STOP_ACK, Inputs::FAST_STOP_OK].map(group),
+            wires: None,
+            image: None,
+            bus: CommandFlags::empty(),
+            flags: None,
+            may_leave: Vec::new(),
+            jog: (None, false),
+            stopped: false,
+            fast_stop_due: None,
+            fast_stop_left: None,
+        }
+    }
+
+    /// The wires are read.
+    pub(super) fn read_wires(&mut self, now_ms: u32, reading: Inputs) {
+        self.now_ms = now_ms;
+        for group in &mut self.groups {
+            group.read(now_ms, reading, self.debounce_ms);
+        }
+        if self.groups[2].counts == Some(Inputs::empty()) && self.wires.is_none() && !self.stopped {
+            // It does not wait for the others.
+            self.fast_stop();
+        }
+        let [Some(commands), Some(stop), Some(fast_stop)] = self.groups.map(|group| group.counts) else {
+            return;
+        };
+        let mut wires = CommandFlags::empty();
+        for (wire, flag) in COMMAND_WIRES {
+            wires.set(flag, commands.contains(wire));
+        }
+        wires.set(CommandFlags::STOP_ACK, !stop.is_empty());
+        wires.set(CommandFlags::FASTSTOP, fast_stop.is_empty());
+        if wires.intersects(COMMANDS) {
+            self.bus -= COMMANDS | JOG;
+            self.take(self.wires);
+        }
+        self.wires = Some(wires);
+        self.take(self.wires);
+    }
+
+    /// The bus has written an image.
+    pub(super) fn take_image(&mut self, image: OutputImage) {
+        let Some(before) = self.image.replace(image) else {
+            self.bus = image.flags & CommandFlags::FASTSTOP;
+            return self.take(self.wires);
+        };
+        let mut rising = image.flags - before.flags;
+        if self.wires.unwrap_or_default().intersects(COMMANDS) || image.flags.contains(CommandFlags::STOP_ACK)
+        {
+            rising -= COMMANDS | JOG;
+        }
+        self.bus = (self.bus & image.flags) | rising;
+        self.take(self.wires);
+    }
+
+    /// Nobody commands over the bus any more.
+    pub(super) fn lose_bus(&mut self) {
+        self.image = None;
+        self.bus &= CommandFlags::FASTSTOP;
+        self.take(self.wires);
+    }
+
+    /// A command leaves the bridge.
+    pub(super) fn leaves(&mut self, id: CommandId) {
+        match id.kind() {
+            Kind::Motion => {
+                assert!(!self.stopped, "{id} behind a FAST STOP that is not acknowledged");
+                let jogs = id == CommandId::PrePosition && self.jog.1;
+                assert!(self.has_edge(id) || jogs, "{id} without an edge");
+                self.may_leave.clear();
+                self.jog.1 = false;
+            }
+            Kind::Acknowledge => {
+                assert!(self.has_edge(id), "an acknowledgement without STOP/ACK");
+                self.may_leave.retain(|(other, _)| *other != id);
+                self.stopped = false;
+                self.fast_stop_left = None;
+            }
+            Kind::Stop if id == CommandId::FastStop => {
+                self.undo();
+                self.stopped = true;
+                self.fast_stop_due = None;
+                self.fast_stop_left = Some(self.now_ms);
+            }
+            Kind::Stop | Kind::Query => {}
+            kind => {
+                assert_eq!(id, CommandId::SetForceLimit, "{id} is no command of a PLC, but {kind:?}");
+            }
+        }
+    }
+
+    /// The turn is over. Says whether the gripper is connected, and how long a FAST STOP may wait for what is before it, in
+    /// milliseconds; none: nothing can reach the gripper.
+    pub(super) fn end_turn(&mut self, connected: bool, patience_ms: Option<u32>) {
+        if !connected {
+            self.undo();
+        }
+        if let Some(due_ms) = &mut self.fast_stop_due {
+            match patience_ms {
+                None => *due_ms = self.now_ms,
+                Some(patience_ms) => {
+                    assert!(self.now_ms - *due_ms <= patience_ms, "FAST STOP does not leave")
+                }
+            }
+        }
+    }
+
+    fn has_edge(&self, id: CommandId) -> bool {
+        self.may_leave.iter().any(|(other, at)| *other == id && self.now_ms - at < LATE_MS)
+    }
+
+    /// Takes both sides' flags as they stand now.
+    fn take(&mut self, wires: Option<CommandFlags>) {
+        let Some(flags) = wires.map(|wires| wires | self.bus) else { return };
+        let before = self.flags.replace(flags);
+        let rising = before.map_or(CommandFlags::empty(), |before| flags - before);
+        if rising.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP) {
+            self.bus -= JOG;
+        }
+        if flags.contains(CommandFlags::FASTSTOP) {
+            let is_first = before.is_none() && !self.stopped;
+            if is_first || rising.contains(CommandFlags::FASTSTOP) {
+                self.fast_stop();
+            }
+        } else if rising.contains(CommandFlags::STOP_ACK) {
+            self.undo();
+            self.may_leave.push((CommandId::Acknowledge, self.now_ms));
+        } else if !flags.contains(CommandFlags::STOP_ACK)
+            && let Some((_, id)) = MOTIONS.iter().find(|(flag, _)| rising.contains(*flag))
+        {
+            self.may_leave.push((*id, self.now_ms));
+        }
+        self.follow_jog(flags & (self.bus | !JOG), before.is_none());
+    }
+
+    /// A jog goes by its flags, SPEED and FORCELIMIT, and what changes of them asks for another command.
+    fn follow_jog(&mut self, flags: CommandFlags, is_first: bool) {
+        let stops = flags.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP);
+        let image = self.image.filter(|_| flags.intersects(JOG) && !stops);
+        let goes_by = image.map(|image| (flags & JOG, image.speed, image.force_limit));
+        if goes_by != self.jog.0 {
+            self.jog = (goes_by, goes_by.is_some() && !is_first);
+        }
+    }
+
+    fn fast_stop(&mut self) {
+        self.undo();
+        self.stopped = true;
+        let is_on_its_way = |left_ms: u32| self.now_ms - left_ms <= FAST_STOP_MS;
+        if !self.fast_stop_left.is_some_and(is_on_its_way) {
+            self.fast_stop_due = self.fast_stop_due.or(Some(self.now_ms));
+        }
+    }
+
+    /// What was asked for comes to nothing.
+    fn undo(&mut self) {
+        self.may_leave.clear();
+        self.jog.1 = false;
+    }
+}
+
+impl Group {
+    fn read(&mut self, now_ms: u32, reading: Inputs, debounce_ms: u32) {
+        let reading = reading & self.wires;
+        let (before, since_ms) = self.read.unwrap_or((reading, now_ms));
+        if reading != before {
+            self.read = Some((reading, now_ms));
+            return;
+        }
+        self.read = Some((reading, since_ms));
+        if now_ms - since_ms >= debounce_ms {
+            self.counts = Some(reading);
+        }
+    }
+}

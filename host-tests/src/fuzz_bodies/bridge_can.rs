@@ -1,0 +1,639 @@
+//! The whole bridge on a CAN bus, the gripper and a PLC on it, beside wires: any frames, any trouble of the bus.
+//!
+//! What must hold, whatever comes:
+//! - each command that the bridge says to the gripper was [`Asked`] for, by an edge of its own of a wire or of an RPDO of eight
+//!   bytes to an operational device; FAST STOP is said as soon as the message before it is with the bus;
+//! - the device is in the state that CANopen's NMT and the silence of the master make of it, and nobody commands when it is
+//!   not operational ([`Device`]); remote frames, 29-bit identifiers and other lengths do nothing;
+//! - of what was said to the gripper each message leaves once at the most, whole, in order; none that was said before the bus
+//!   or the connection was lost.
+//!
+//! A case ends where it shows in no answer whether a setting was taken by SDO.
+
+use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use wsg_bridge_fw::can::{
+    BusOffPolicy, BusReport, CanBus, CanController as _, GripperLink, Health, NmtState, Node, NodeConfig,
+    Participant, SETTINGS_INDEX,
+};
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::{Bridge, BusConfig, Config};
+use wsg_protocol::can::{ClassicFrame, Identifiers, Reassembler, Segments};
+use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Instant, Kind, Status};
+
+use super::asked::Asked;
+use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS};
+use super::gripper::{self, Message};
+use super::input::Input;
+use crate::can_bench::Double;
+
+const NODE: u16 = NodeConfig::DEFAULT.node as u16;
+const NMT: u16 = 0;
+const RPDO: u16 = 0x200 | NODE;
+const SDO_REQUEST: u16 = 0x600 | NODE;
+const SDO_ANSWER: u16 = 0x580 | NODE;
+const HEARTBEAT: u16 = 0x700;
+const TO_GRIPPER: u16 = 0x120;
+const FROM_GRIPPER: u16 = 0x121;
+
+const IDS: [u16; 10] = [
+    NMT,
+    RPDO,
+    SDO_REQUEST,
+    HEARTBEAT | NodeConfig::DEFAULT.master as u16,
+    HEARTBEAT | NODE,
+    TO_GRIPPER,
+    FROM_GRIPPER,
+    SDO_ANSWER,
+    RPDO + 1,
+    0x080,
+];
+
+const NMT_COMMANDS: [u8; 6] = [0x01, 0x02, 0x80, 0x81, 0x82, 0x00];
+
+/// Objects that a master writes: settings, the time of its heartbeat, and some that change nothing of what is followed.
+const OBJECTS: [(u16, u8); 8] = [
+    (SETTINGS_INDEX, TIMEOUT_SUB),
+    (SETTINGS_INDEX, TIMEOUT_SUB + 1),
+    (SETTINGS_INDEX, DEBOUNCE_SUB),
+    MASTER,
+    (0x1017, 0),
+    (0x1800, 3),
+    (0x2000, 1),
+    (0x2101, 1),
+];
+/// BUS_TIMEOUT and DEBOUNCE among the settings.
+const TIMEOUT_SUB: u8 = 2;
+const DEBOUNCE_SUB: u8 = 7;
+const MASTER: (u16, u8) = (0x1016, 1);
+
+/// Frames that are brought without a turn in between, at the most: fewer than are taken in one.
+const BURST: usize = 8;
+
+/// The device as CANopen has it.
+struct Device {
+    state: NmtState,
+    master: u16,
+    heard_ms: Option<u32>,
+    has_heartbeat: bool,
+    timeout_ms: u32,
+    debounce_ms: u32,
+    /// What it heard in this turn: images, that nobody commands any more, a reset.
+    heard: Vec<Heard>,
+    /// The SDO request that it answers.
+    request: Option<[u8; 8]>,
+}
+
+enum Heard {
+    Image(OutputImage),
+    Left,
+    Reset { whole: bool },
+}
+
+struct Model {
+    bridge: Bridge,
+    bus: CanBus<Double>,
+    double: Double,
+    link: GripperLink,
+    node: Node,
+    /// Finds messages in what the bridge says to the gripper.
+    said_to_gripper: FrameParser<64>,
+    /// Those that have not left, with the moment that they were said.
+    said: Vec<(Message, u32)>,
+    /// Finds messages in what leaves.
+    left: Reassembler<8>,
+    /// The controller was told to forget frames, or refused some.
+    is_troubled: bool,
+    /// Nobody acknowledges.
+    is_unheard: bool,
+    /// The controller refuses frames.
+    refuses: bool,
+    /// Of the frames brought since the last turn: the first is lost.
+    overrun: bool,
+    brought: Vec<ClassicFrame>,
+    now_ms: u32,
+    wires: Inputs,
+    asked: Asked,
+    device: Device,
+    is_over: bool,
+    answers: bool,
+}
+
+/// The first byte says whether the bridge is ready (bit 0). Then each op is a byte that says what, and bytes that say how:
+/// wires, time, frames, a gripper that answers, a PLC that commands, trouble. Without bit 7 a millisecond passes behind it.
+pub fn bridge_can(data: &[u8]) {
+    let mut input = Input::new(data);
+    let mut model = Model::new();
+    if input.byte() & 1 != 0 {
+        model.get_ready();
+    }
+    while !input.is_empty() && !model.is_over {
+        let op = input.byte();
+        match op % 16 {
+            0 | 1 => model.wires = Inputs::from_bits_retain(input.byte()),
+            2 => model.wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
+            3 => {
+                let (kind, any) = (input.byte(), u16::from_le_bytes(input.array()));
+                let id = if kind & 0x80 == 0 { input.pick(&IDS) } else { any };
+                let count = usize::from(kind % 9);
+                let frame = match kind >> 4 & 3 {
+                    0 => ClassicFrame::new_remote(standard(id), count),
+                    1 => ClassicFrame::new(extended(id), input.bytes(count)),
+                    _ => ClassicFrame::new(standard(id), input.bytes(count)),
+                };
+                model.bring(frame);
+            }
+            4 => model.bring_rpdo(input.pick(&FLAGS), input.pick(&PARAMETERS)),
+            5 => {
+                // An edge as a PLC gives it.
+                let parameters = input.pick(&PARAMETERS);
+                model.bring_rpdo(CommandFlags::empty(), parameters);
+                model.bring_rpdo(input.pick(&FLAGS), parameters);
+            }
+            6 => model.answers = input.byte() & 1 != 0,
+            7 => model.pass(u32::from(input.byte() % 32)),
+            8 => {
+                let data = [input.pick(&NMT_COMMANDS), input.pick(&[NODE as u8, 0, 5])];
+                model.bring_data(NMT, &data);
+            }
+            9 => {
+                let id = HEARTBEAT | input.pick(&[model.device.master, 5]);
+                model.bring_data(id, &[input.pick(&[5, 0, 127])]);
+            }
+            10 => {
+                let (index, sub) = input.pick(&OBJECTS);
+                let ([low, high], value) = (index.to_le_bytes(), input.byte());
+                let specifier = input.pick(&[0x2B, 0x22, 0x23, 0x40, 0x2F, 0x80, 0x00]);
+                let master = if (index, sub) == MASTER { input.pick(&[0x7F, 5, 0]) } else { 0 };
+                model.bring_data(SDO_REQUEST, &[specifier, low, high, sub, value, 0, master, 0]);
+            }
+            11 => {
+                let status = input.pick(&[
+                    Status::Success,
+                    Status::CmdPending,
+                    Status::CmdFailed,
+                    Status::AccessDenied,
+                ]);
+                model.bring_message(&gripper::status(input.pick(CommandId::ALL), status), None);
+            }
+            12 => {
+                let (id, count, what) = (input.byte(), usize::from(input.byte() % 24), input.byte());
+                let message: Vec<u8> = FrameEncoder::new(id, input.bytes(count)).collect();
+                model.bring_message(&message, Some(what));
+            }
+            13 => model.trouble(&mut input),
+            14 => {
+                let flags = input.pick(&FLAGS).bits();
+                let count = usize::from(input.byte() % 9);
+                model.bring_data(RPDO, &[flags, 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F][..count]);
+            }
+            _ => model.pass(u32::from(input.byte())),
+        }
+        if op & 0x80 == 0 || model.brought.len() >= BURST {
+            model.pass(1);
+        }
+    }
+    model.pass(10);
+}
+
+fn standard(id: u16) -> StandardId {
+    StandardId::new(id % 0x800).unwrap_or(StandardId::ZERO)
+}
+
+/// The identifier with 29 bits that wins and loses like that with 11, or that has the same number.
+fn extended(id: u16) -> ExtendedId {
+    let raw = if id & 0x800 == 0 { u32::from(id) } else { u32::from(id & 0x7FF) << 18 };
+    ExtendedId::new(raw).unwrap_or(ExtendedId::ZERO)
+}
+
+impl Device {
+    fn new() -> Self {
+        Self {
+            state: NmtState::Initialising,
+            master: NodeConfig::DEFAULT.master.into(),
+            heard_ms: None,
+            has_heartbeat: false,
+            timeout_ms: BusConfig::DEFAULT.timeout_ms.into(),
+            debounce_ms: Config::DEFAULT.debounce_ms,
+            heard: Vec::new(),
+            request: None,
+        }
+    }
+
+    fn hear(&mut self, now_ms: u32, frame: &ClassicFrame) {
+        let Id::Standard(id) = frame.id() else { return };
+        if frame.is_remote_frame() {
+            return;
+        }
+        let operational = self.state == NmtState::Operational;
+        match (id.as_raw(), frame.data()) {
+            (NMT, &[command, whom]) if u16::from(whom) == NODE || whom == 0 => self.command(command),
+            (RPDO, &[flags, user, w0, w1, s0, s1, f0, f1]) if operational => {
+                if !self.has_heartbeat {
+                    self.heard_ms = Some(now_ms);
+                }
+                self.heard.push(Heard::Image(OutputImage {
+                    flags: CommandFlags::from_bits_retain(flags),
+                    user,
+                    width: i16::from_le_bytes([w0, w1]),
+                    speed: u16::from_le_bytes([s0, s1]),
+                    force_limit: i16::from_le_bytes([f0, f1]),
+                }));
+            }
+            (SDO_REQUEST, data) if operational || self.state == NmtState::PreOperational => {
+                self.request = data.try_into().ok().or(self.request);
+            }
+            (id, &[0]) if id == HEARTBEAT | self.master => {
+                // It has restarted.
+                if self.heard_ms.is_some() && operational {
+                    self.enter(NmtState::PreOperational);
+                }
+                self.forget_master();
+            }
+            (id, &[_]) if id == HEARTBEAT | self.master => {
+                (self.heard_ms, self.has_heartbeat) = (Some(now_ms), true);
+            }
+            _ => {}
+        }
+    }
+
+    fn command(&mut self, command: u8) {
+        let state = match command {
+            0x01 => NmtState::Operational,
+            0x02 => NmtState::Stopped,
+            0x80 => NmtState::PreOperational,
+            0x81 | 0x82 => {
+                self.enter(NmtState::Initialising);
+                self.heard.push(Heard::Reset { whole: command == 0x81 });
+                return;
+            }
+            _ => return,
+        };
+        if self.state != NmtState::Initialising {
+            self.enter(state);
+        }
+    }
+
+    fn enter(&mut self, state: NmtState) {
+        if self.state == NmtState::Operational && state != NmtState::Operational {
+            self.heard.push(Heard::Left);
+        }
+        self.state = state;
+    }
+
+    fn forget_master(&mut self) {
+        (self.heard_ms, self.has_heartbeat) = (None, false);
+    }
+
+    /// What comes of an SDO request, by what the device said; whether that can be told.
+    fn configure(&mut self, said: &[ClassicFrame]) -> bool {
+        let Some([specifier, low, high, sub, a, b, c, _]) = self.request.take() else { return true };
+        let object = (u16::from_le_bytes([low, high]), sub);
+        let is_followed =
+            object == MASTER || object.0 == SETTINGS_INDEX && matches!(object.1, TIMEOUT_SUB | DEBOUNCE_SUB);
+        if specifier >> 5 != 1 || !is_followed {
+            return true;
+        }
+        let answer = said.iter().rev().find(|frame| frame.id() == Id::Standard(standard(SDO_ANSWER)));
+        match answer.map(|frame| frame.data()) {
+            Some(&[0x60, x, y, z, ..]) if [x, y, z] == [low, high, sub] => {
+                let value = u16::from_le_bytes([a, b]).into();
+                match object {
+                    (SETTINGS_INDEX, DEBOUNCE_SUB) => self.debounce_ms = value,
+                    MASTER => {
+                        (self.timeout_ms, self.master) = (value, c.into());
+                        self.forget_master();
+                    }
+                    _ => self.timeout_ms = value,
+                }
+                true
+            }
+            Some(&[0x80, x, y, z, ..]) => [x, y, z] == [low, high, sub],
+            _ => false,
+        }
+    }
+}
+
+impl Model {
+    fn new() -> Self {
+        let double = Double::default();
+        Self {
+            bridge: Bridge::new(Config::DEFAULT),
+            bus: CanBus::new(double.clone(), BusOffPolicy::DEFAULT),
+            double,
+            link: GripperLink::new(Identifiers::DEFAULT),
+            node: Node::new(NodeConfig::DEFAULT),
+            said_to_gripper: FrameParser::new(),
+            said: Vec::new(),
+            left: Reassembler::new(standard(TO_GRIPPER), u32::MAX / 2),
+            is_troubled: false,
+            is_unheard: false,
+            refuses: false,
+            overrun: false,
+            brought: Vec::new(),
+            now_ms: 0,
+            wires: Inputs::empty(),
+            asked: Asked::new(Config::DEFAULT.debounce_ms),
+            device: Device::new(),
+            is_over: false,
+            answers: false,
+        }
+    }
+
+    /// What most of the interesting states lie behind: connected, FAST STOP acknowledged, operational, an RPDO of zeros.
+    fn get_ready(&mut self) {
+        self.answers = true;
+        self.wires = Inputs::FAST_STOP_OK;
+        self.pass(30);
+        self.wires = Inputs::FAST_STOP_OK | Inputs::STOP_ACK;
+        self.bring_data(NMT, &[0x01, NODE as u8]);
+        self.pass(8);
+        self.bring_rpdo(CommandFlags::empty(), PARAMETERS[0]);
+        self.wires = Inputs::FAST_STOP_OK;
+        self.pass(4);
+    }
+
+    fn bring(&mut self, frame: Option<ClassicFrame>) {
+        let Some(frame) = frame else { return };
+        if self.brought.len() >= BURST {
+            self.pass(1);
+        }
+        if self.double.health().is_off {
+            return;
+        }
+        self.double.bring(frame);
+        self.brought.push(frame);
+    }
+
+    fn bring_data(&mut self, id: u16, data: &[u8]) {
+        self.bring(ClassicFrame::new(standard(id), data));
+    }
+
+    fn bring_rpdo(&mut self, flags: CommandFlags, parameters: [u16; 3]) {
+        let parameters = parameters.map(u16::to_le_bytes).concat();
+        self.bring_data(RPDO, &[&[flags.bits(), 0], &parameters[..]].concat());
+    }
+
+    /// A message of the gripper; of what becomes of its frames, this.
+    fn bring_message(&mut self, message: &[u8], what: Option<u8>) {
+        let segments = Segments::new(message.iter().copied());
+        let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
+        let at = usize::from(what.unwrap_or(0) >> 4) % frames.len();
+        match what.map(|what| what % 8) {
+            Some(0) => drop(frames.remove(at)),
+            Some(1) => frames.insert(at, frames[at].clone()),
+            Some(2) => frames[at].truncate(3),
+            Some(3) => frames[at][0] ^= 0x10,
+            _ => {}
+        }
+        for frame in frames {
+            self.bring_data(FROM_GRIPPER, &frame);
+        }
+    }
+
+    fn trouble(&mut self, input: &mut Input<'_>) {
+        match input.byte() % 8 {
+            0 => self.double.go_off(u32::from(input.byte() % 3)),
+            1 => {
+                self.double.overrun();
+                self.overrun = true;
+            }
+            2 | 3 => {
+                self.is_unheard = input.byte() & 1 != 0;
+                self.double.set_unheard(self.is_unheard);
+            }
+            4 => {
+                self.refuses = input.byte() & 1 != 0;
+                self.double.refuse(self.refuses);
+                self.is_troubled = true;
+            }
+            5 => {
+                let health =
+                    Health { is_passive: true, transmit_errors: input.byte(), ..self.double.health() };
+                self.double.set_health(health);
+            }
+            6 => self.bus.retry(Instant::from_millis(self.now_ms)),
+            _ => {
+                self.double.set_health(Health::default());
+                self.double.set_unheard(false);
+                self.double.refuse(false);
+                (self.is_unheard, self.refuses) = (false, false);
+            }
+        }
+    }
+
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            if self.is_over {
+                return;
+            }
+            self.turn();
+        }
+    }
+
+    /// One turn of the main loop, a millisecond after the one before, and what leaves behind it.
+    fn turn(&mut self) {
+        self.now_ms += 1;
+        let now = Instant::from_millis(self.now_ms);
+        let lost = usize::from(self.overrun && !self.brought.is_empty());
+        self.overrun &= self.brought.is_empty();
+        for frame in self.brought.drain(..).skip(lost) {
+            self.device.hear(self.now_ms, &frame);
+        }
+        let aborts = self.double.aborts();
+        let Self { bus, link, bridge, node, .. } = self;
+        bus.listen(now, link, node);
+        link.expire(now);
+        bridge.set_link_lost(bus.is_lost());
+        let report = BusReport {
+            state: bus.state(),
+            health: bus.health(),
+            counters: bus.counters(),
+            link: link.counters(),
+        };
+        node.set_report(report);
+        bridge.set_can_report(&report);
+        self.forget_if(aborts);
+
+        let Self { link, bridge, node, .. } = self;
+        let mut sent = vec![];
+        bridge.poll_with_can(self.now_ms, self.wires, &mut Tap { link, sent: &mut sent }, node);
+        let messages = gripper::messages(&mut self.said_to_gripper, &sent);
+        self.said.extend(messages.iter().cloned().map(|message| (message, self.now_ms)));
+
+        let (aborts, connected) = (self.double.aborts(), self.bridge.is_connected());
+        let Self { bus, link, node, .. } = self;
+        let mut said = vec![];
+        link.set_connected(connected);
+        bus.talk(now, link, &mut Ear { node, said: &mut said });
+        self.forget_if(aborts);
+
+        self.follow(&said);
+        if self.is_over {
+            return;
+        }
+        for message in messages {
+            self.asked.leaves(message.id);
+        }
+        let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
+        self.asked.end_turn(connected, if cut_off { None } else { Some(FAST_STOP_MS) });
+        self.leave();
+    }
+
+    /// What the device makes of what it heard, and of the time.
+    fn follow(&mut self, said: &[ClassicFrame]) {
+        let Self { asked, device, .. } = self;
+        asked.read_wires(self.now_ms, self.wires);
+        let mut reset = false;
+        for heard in std::mem::take(&mut device.heard) {
+            match heard {
+                Heard::Image(image) => asked.take_image(image),
+                Heard::Left => asked.lose_bus(),
+                Heard::Reset { whole } => {
+                    reset = true;
+                    if whole {
+                        let new = Device::new();
+                        (device.timeout_ms, device.debounce_ms) = (new.timeout_ms, new.debounce_ms);
+                    }
+                }
+            }
+        }
+        if reset {
+            device.forget_master();
+            device.master = NodeConfig::DEFAULT.master.into();
+            device.request = None;
+        }
+        self.is_over = !device.configure(said);
+        let is_silent = |heard_ms| device.timeout_ms > 0 && self.now_ms - heard_ms >= device.timeout_ms;
+        if device.heard_ms.is_some_and(is_silent) {
+            device.forget_master();
+            if device.state == NmtState::Operational {
+                device.state = NmtState::PreOperational;
+                asked.lose_bus();
+            }
+        }
+        if device.state == NmtState::Initialising && self.node.state() == NmtState::PreOperational {
+            // It has announced itself.
+            device.state = NmtState::PreOperational;
+        }
+        if !self.is_over {
+            assert_eq!(self.node.state(), device.state);
+        }
+        asked.debounce_ms = device.debounce_ms;
+    }
+
+    /// The controller has been told to forget what it had to send.
+    fn forget_if(&mut self, aborts_before: u32) {
+        if self.double.aborts() != aborts_before {
+            self.said.clear();
+            self.left.reset();
+            self.is_troubled = true;
+        }
+    }
+
+    /// What the bus takes in a millisecond; the gripper answers.
+    fn leave(&mut self) {
+        let mut left = vec![];
+        for _ in 0..FRAMES_PER_MS {
+            let Some(frame) = self.double.take_winner() else { break };
+            let is_troubled = self.is_troubled;
+            self.left.receive(Instant::from_millis(self.now_ms), &frame, |event| match event {
+                Event::Frame(message) => left.push(Message::from(message)),
+                broken => assert!(is_troubled, "a broken message leaves: {broken:?}"),
+            });
+        }
+        for message in left {
+            let place = self.said.iter().position(|(said, _)| *said == message);
+            let place = place.expect("a message leaves once, and not when what was said is void");
+            assert!(place == 0 || self.is_troubled, "messages leave in order");
+            let (_, said_ms) = self.said.drain(..=place).next_back().unwrap_or((message.clone(), 0));
+            let late = message.id.kind() == Kind::Motion && self.now_ms - said_ms > LATE_MS;
+            assert!(!late, "{} leaves {} ms after it was said", message.id, self.now_ms - said_ms);
+            if self.answers {
+                for answer in gripper::answers(message.id) {
+                    self.bring_message(&answer, None);
+                }
+            }
+        }
+    }
+}
+
+/// Frames that the bus takes in a millisecond.
+const FRAMES_PER_MS: usize = 4;
+
+/// How long a FAST STOP may wait for the message before it, in milliseconds.
+const FAST_STOP_MS: u32 = 5;
+
+/// How long a message may wait for the bus, in milliseconds.
+const LATE_MS: u32 = 1_000;
+
+/// The gripper's link, and what the bridge says to it.
+struct Tap<'a> {
+    link: &'a mut GripperLink,
+    sent: &'a mut Vec<u8>,
+}
+
+impl ErrorType for Tap<'_> {
+    type Error = <GripperLink as ErrorType>::Error;
+}
+
+impl ReadReady for Tap<'_> {
+    fn read_ready(&mut self) -> Result<bool, Self::Error> {
+        self.link.read_ready()
+    }
+}
+
+impl Read for Tap<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
+        self.link.read(buffer)
+    }
+}
+
+impl WriteReady for Tap<'_> {
+    fn write_ready(&mut self) -> Result<bool, Self::Error> {
+        self.link.write_ready()
+    }
+}
+
+impl Write for Tap<'_> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
+        let count = self.link.write(bytes)?;
+        self.sent.extend_from_slice(&bytes[..count]);
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> Result<(), Self::Error> {
+        self.link.flush()
+    }
+}
+
+/// The device, and what it says.
+struct Ear<'a> {
+    node: &'a mut Node,
+    said: &'a mut Vec<ClassicFrame>,
+}
+
+impl Participant<ClassicFrame> for Ear<'_> {
+    fn hear(&mut self, now: Instant, frame: &ClassicFrame) {
+        self.node.hear(now, frame);
+    }
+
+    fn say(&mut self, now: Instant) -> Option<ClassicFrame> {
+        let frame = self.node.say(now);
+        self.said.extend(frame);
+        frame
+    }
+
+    fn sends(&self, id: Id) -> bool {
+        Participant::<ClassicFrame>::sends(self.node, id)
+    }
+
+    fn lost(&mut self) {
+        Participant::<ClassicFrame>::lost(self.node);
+    }
+
+    fn bus_changed(&mut self, is_on: bool) {
+        Participant::<ClassicFrame>::bus_changed(self.node, is_on);
+    }
+}
