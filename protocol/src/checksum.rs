@@ -66,7 +66,8 @@ mod lookup {
 
 #[cfg(feature = "small-table")]
 mod lookup {
-    const fn every(step: u8) -> [u16; 16] {
+    /// The first 16 entries: what four bits come to.
+    static TABLE: [u16; 16] = {
         let mut table = [0; 16];
         let mut index = 0usize;
         while index < 16 {
@@ -75,22 +76,20 @@ mod lookup {
                 reason = "the loop ends at the table's length, at compile time"
             )]
             {
-                table[index] = super::entry((index as u8).wrapping_mul(step));
+                table[index] = super::entry(index as u8);
             }
             index = index.wrapping_add(1);
         }
         table
-    }
-
-    static LOW: [u16; 16] = every(1);
-    static HIGH: [u16; 16] = every(16);
+    };
 
     #[expect(
         clippy::indexing_slicing,
         reason = "four bits always index 16 entries: no check is left in the code"
     )]
     pub(super) fn table(index: u8) -> u16 {
-        LOW[(index & 0x0F) as usize] ^ HIGH[(index >> 4) as usize]
+        let high = TABLE[(index >> 4) as usize];
+        (high << 4) ^ TABLE[((high >> 12) as u8 ^ (index & 0x0F)) as usize]
     }
 }
 
@@ -102,7 +101,8 @@ pub const fn update(value: u16, byte: u8) -> u16 {
 
 /// Takes one byte into the running value.
 #[must_use]
-#[inline]
+#[cfg_attr(feature = "small-table", inline(never))]
+#[cfg_attr(not(feature = "small-table"), inline)]
 pub fn push(value: u16, byte: u8) -> u16 {
     lookup::table((value as u8) ^ byte) ^ (value >> 8)
 }
