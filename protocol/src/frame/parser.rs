@@ -12,7 +12,7 @@ const HEAD_LEN: usize = 3;
 /// Bytes behind the payload: the checksum.
 const TAIL_LEN: usize = 2;
 
-/// Whether slices are taken in bulk. With `small-table`, which is there to save flash, they are taken byte by byte.
+/// Whether slices are taken in bulk; else byte by byte. The feature `small-table` is for programs that save flash.
 const IN_BULK: bool = cfg!(not(feature = "small-table"));
 
 /// What the parser found.
@@ -219,8 +219,8 @@ impl<const N: usize> FrameParser<N> {
         self.receive_after(found, byte)
     }
 
-    /// Scans the bytes that wait, up to the next event or to their end, by receiving them once more: none comes to lie
-    /// behind where it was. What the event leaves waits on.
+    /// Scans the bytes that wait, up to the next event or to their end, by receiving them once more. Each comes to lie
+    /// where it was or nearer the front; those behind the event wait on.
     fn drain(&mut self) -> Option<Found> {
         if !self.is_draining() {
             return None;
@@ -237,7 +237,8 @@ impl<const N: usize> FrameParser<N> {
         found
     }
 
-    /// One byte into the state machine, or behind those that wait if an event has been found.
+    /// One byte into the state machine; behind an event, one more that waits. There is room: to find an event, a drain
+    /// has used up at least one byte.
     fn receive_after(&mut self, found: Option<Found>, byte: u8) -> Option<Found> {
         if found.is_none() {
             return self.receive(byte);
@@ -305,7 +306,7 @@ impl<const N: usize> FrameParser<N> {
         }
     }
 
-    /// Ends the frame being received. What comes behind it before the next call waits.
+    /// Ends the frame being received. If more bytes are held, they wait from behind it on.
     fn settle(&mut self, found: Found) -> Found {
         let count = match found {
             Found::Frame => {
@@ -330,7 +331,8 @@ impl<const N: usize> FrameParser<N> {
         self.flags |= DRAINING;
     }
 
-    /// The event to hand out, with its view of the payload.
+    /// The event to hand out, with its view of the payload. What it is about lies at the front of the store.
+    // Not inlined: five functions give events, and none of them is in a hurry once there is one.
     #[inline(never)]
     fn event(&self, found: Found) -> Option<Event<'_>> {
         let [id, low, high] = self.store.head;
