@@ -40,6 +40,7 @@ pub struct FrameEncoder<P> {
     payload: P,
     /// Index of the next byte of the frame.
     next: u32,
+    /// Of the bytes before; behind the payload, what is left of it to send.
     checksum: u16,
     id: u8,
 }
@@ -53,12 +54,15 @@ pub struct BufferTooSmall {
 }
 
 /// Index of the first payload byte in a frame.
-const PAYLOAD_AT: u32 = 6;
+const PAYLOAD_AT: usize = 6;
+
+/// Bytes behind the payload.
+const CHECKSUM_LEN: usize = OVERHEAD - PAYLOAD_AT;
 
 impl<P: Payload> FrameEncoder<P> {
     /// The encoder of the frame with this id and payload.
     pub const fn new(id: u8, payload: P) -> Self {
-        Self { payload, next: 0, checksum: checksum::AFTER_PREAMBLE, id }
+        Self { payload, next: 0, checksum: checksum::START, id }
     }
 
     /// Bytes of the whole frame.
@@ -114,27 +118,26 @@ impl<P: Payload> Iterator for FrameEncoder<P> {
     fn next(&mut self) -> Option<u8> {
         let len = self.payload.len();
         let [size_low, size_high, ..] = len.to_le_bytes();
-        let at = self.next;
-        let byte = match at {
-            0..3 => PREAMBLE_BYTE,
-            3 => self.id,
-            4 => size_low,
-            5 => size_high,
-            _ => {
-                let index = at.wrapping_sub(PAYLOAD_AT) as usize;
-                match index.checked_sub(len) {
-                    None => self.payload.byte(index),
-                    Some(0) => self.checksum as u8,
-                    Some(1) => (self.checksum >> 8) as u8,
-                    Some(_) => return None,
-                }
-            }
-        };
-        // The preamble is in the start value; the checksum is not in itself.
-        if at as usize >= PREAMBLE_LEN && (at as usize) < len.saturating_add(PAYLOAD_AT as usize) {
+        let end = len.wrapping_add(PAYLOAD_AT);
+        let at = self.next as usize;
+        let byte = if at < end {
+            let byte = match at {
+                0..PREAMBLE_LEN => PREAMBLE_BYTE,
+                3 => self.id,
+                4 => size_low,
+                5 => size_high,
+                _ => self.payload.byte(at.wrapping_sub(PAYLOAD_AT)),
+            };
             self.checksum = checksum::push(self.checksum, byte);
-        }
-        self.next = at.wrapping_add(1);
+            byte
+        } else if at < end.wrapping_add(CHECKSUM_LEN) {
+            let low = self.checksum as u8;
+            self.checksum >>= 8;
+            low
+        } else {
+            return None;
+        };
+        self.next = self.next.wrapping_add(1);
         Some(byte)
     }
 

@@ -12,6 +12,9 @@ const HEAD_LEN: usize = 3;
 /// Bytes behind the payload: the checksum.
 const TAIL_LEN: usize = 2;
 
+/// Whether slices are taken in bulk; else byte by byte. The feature `small-table` is for programs that save flash.
+const IN_BULK: bool = cfg!(not(feature = "small-table"));
+
 /// What the parser found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -100,15 +103,10 @@ enum Found {
 }
 
 impl<const N: usize> FrameParser<N> {
-    /// The most bytes that are ever held.
-    const CAPACITY: usize = {
-        assert!(N <= 65_530, "the size field counts to 65 535, and header and checksum are held as well");
-        N.wrapping_add(HEAD_LEN).wrapping_add(TAIL_LEN)
-    };
-
     /// A parser that holds nothing.
     #[must_use]
     pub const fn new() -> Self {
+        const { assert!(N <= 65_530, "the size field counts to 65 535, and header and checksum are held as well") };
         Self {
             held: 0,
             checksum_or_next: 0,
@@ -153,7 +151,9 @@ impl<const N: usize> FrameParser<N> {
         let mut rest = bytes;
         let mut found = self.drain();
         while found.is_none() {
-            rest = self.take_run(rest);
+            if IN_BULK {
+                rest = self.take_run(rest);
+            }
             let Some((&byte, behind)) = rest.split_first() else { break };
             rest = behind;
             found = self.step(byte);
@@ -177,10 +177,7 @@ impl<const N: usize> FrameParser<N> {
             }
             match self.preamble_seen() {
                 0 => return None,
-                IN_FRAME => {
-                    let held = self.held as usize;
-                    self.give_up_frame(held, held);
-                }
+                IN_FRAME => self.give_up_frame(),
                 seen => {
                     self.drop_bytes(seen.into());
                     self.set_preamble_seen(0);
@@ -206,7 +203,7 @@ impl<const N: usize> FrameParser<N> {
     /// One byte into the state machine, behind those that wait to be scanned; up to the next event.
     fn step(&mut self, byte: u8) -> Option<Found> {
         match self.flags & (DRAINING | PREAMBLE_MASK) {
-            IN_FRAME => self.step_and_settle(byte),
+            IN_FRAME => self.step_in_frame(byte),
             seen @ 0..IN_FRAME => {
                 self.look_for_preamble(seen, byte);
                 None
@@ -218,40 +215,12 @@ impl<const N: usize> FrameParser<N> {
     /// The same while bytes wait.
     #[cold]
     fn step_behind(&mut self, byte: u8) -> Option<Found> {
-        let found = self.drain_before(byte);
-        if found.is_some() {
-            return found;
-        }
-        match self.preamble_seen() {
-            IN_FRAME => self.step_and_settle(byte),
-            seen => {
-                self.look_for_preamble(seen, byte);
-                None
-            }
-        }
+        let found = self.drain();
+        self.receive_after(found, byte)
     }
 
-    fn step_and_settle(&mut self, byte: u8) -> Option<Found> {
-        let found = self.step_in_frame(byte)?;
-        let held = self.held as usize;
-        self.settle(found, held, held);
-        Some(found)
-    }
-
-    /// The next event about the bytes that wait. If there is one, `byte` is taken as well.
-    fn drain_before(&mut self, byte: u8) -> Option<Found> {
-        let found = self.drain()?;
-        if self.is_draining() {
-            self.append(byte);
-        } else {
-            // The last byte that waited ended a frame.
-            self.look_for_preamble(0, byte);
-        }
-        Some(found)
-    }
-
-    /// Scans the bytes that wait, up to the next event or to their end, by receiving them once more: what is received
-    /// lies at the front of the store, what waits further back.
+    /// Scans the bytes that wait, up to the next event or to their end, by receiving them once more. Each comes to lie
+    /// where it was or nearer the front; those behind the event wait on.
     fn drain(&mut self) -> Option<Found> {
         if !self.is_draining() {
             return None;
@@ -259,21 +228,36 @@ impl<const N: usize> FrameParser<N> {
         self.flags &= !DRAINING;
         let end = self.held as usize;
         let mut next = self.checksum_or_next as usize;
+        let mut found = None;
         self.held = 0;
         while next < end {
-            let byte = self.store.get(next);
+            found = self.receive_after(found, self.store.get(next));
             next = next.wrapping_add(1);
-            match self.preamble_seen() {
-                IN_FRAME => {
-                    if let Some(found) = self.step_in_frame(byte) {
-                        self.settle(found, next, end);
-                        return Some(found);
-                    }
-                }
-                seen => self.look_for_preamble(seen, byte),
+        }
+        found
+    }
+
+    /// One byte into the state machine; behind an event, one more that waits. There is room: to find an event, a drain
+    /// has used up at least one byte.
+    fn receive_after(&mut self, found: Option<Found>, byte: u8) -> Option<Found> {
+        if found.is_none() {
+            return self.receive(byte);
+        }
+        self.store.put(self.held as usize, byte);
+        self.held = self.held.wrapping_add(1);
+        self.flags |= DRAINING;
+        found
+    }
+
+    /// One byte into the state machine, while none waits.
+    fn receive(&mut self, byte: u8) -> Option<Found> {
+        match self.preamble_seen() {
+            IN_FRAME => self.step_in_frame(byte),
+            seen => {
+                self.look_for_preamble(seen, byte);
+                None
             }
         }
-        None
     }
 
     /// One byte behind a preamble.
@@ -288,7 +272,7 @@ impl<const N: usize> FrameParser<N> {
         } else if let Some(slot) = self.store.head.get_mut(at) {
             *slot = byte;
             if at == HEAD_LEN - 1 && self.store.size() > N {
-                return Some(Found::Oversize);
+                return Some(self.settle(Found::Oversize));
             }
         } else {
             return self.end(at, byte);
@@ -307,7 +291,7 @@ impl<const N: usize> FrameParser<N> {
         // lead to 0 from any value, so comparing lets through a quarter of the corruptions that looking for 0 would.
         let received = u16::from_le_bytes([self.store.get(at.wrapping_sub(1)), byte]);
         let accepted = received == self.checksum_or_next || self.flags & IGNORE_CHECKSUM != 0;
-        Some(if accepted { Found::Frame } else { Found::BadChecksum })
+        Some(self.settle(if accepted { Found::Frame } else { Found::BadChecksum }))
     }
 
     /// One byte outside a frame.
@@ -322,74 +306,42 @@ impl<const N: usize> FrameParser<N> {
         }
     }
 
-    /// Ends the frame being received; the bytes from `next` to `end` wait to be scanned.
-    fn settle(&mut self, found: Found, next: usize, end: usize) {
+    /// Ends the frame being received. If more bytes are held, they wait from behind it on.
+    fn settle(&mut self, found: Found) -> Found {
         let count = match found {
             Found::Frame => {
                 self.set_preamble_seen(0);
-                self.wait(next, end);
-                return;
+                self.checksum_or_next = self.held;
+                return found;
             }
             Found::BadChecksum => &mut self.counters.bad_checksum,
             Found::Oversize => &mut self.counters.oversize,
         };
         *count = count.saturating_add(1);
-        self.give_up_frame(next, end);
+        self.give_up_frame();
+        found
     }
 
-    /// The frame being received is none: its first byte is dropped, and all others wait to be scanned before those from
-    /// `next` to `end`, beginning with the two preamble bytes that are left.
-    fn give_up_frame(&mut self, next: usize, end: usize) {
+    /// The frame being received is none: its first byte is dropped, and all others wait to be scanned, beginning with
+    /// the two preamble bytes that are left.
+    fn give_up_frame(&mut self) {
         self.drop_bytes(1);
         self.set_preamble_seen(2);
-        let held = self.held as usize;
-        let start = next.wrapping_sub(held);
-        for at in (0..held).rev() {
-            self.store.put(start.wrapping_add(at), self.store.get(at));
-        }
-        self.wait(start, end);
+        self.checksum_or_next = 0;
+        self.flags |= DRAINING;
     }
 
-    /// Marks the held bytes from `next` to `end` to be scanned, if there are any.
-    fn wait(&mut self, next: usize, end: usize) {
-        if next != end {
-            self.flags |= DRAINING;
-        }
-        self.checksum_or_next = next as u16;
-        self.held = end as u16;
-    }
-
-    /// Puts a byte behind those that wait to be scanned.
-    fn append(&mut self, byte: u8) {
-        let mut end = self.held as usize;
-        if end == Self::CAPACITY {
-            // The event that is being told has used up at least one byte, so there is room for one. A payload that is
-            // being told ends more than one byte before what waits.
-            let next = self.checksum_or_next as usize;
-            for at in next..end {
-                self.store.put(at.wrapping_sub(1), self.store.get(at));
-            }
-            self.checksum_or_next = next.wrapping_sub(1) as u16;
-            end = end.wrapping_sub(1);
-        }
-        self.store.put(end, byte);
-        self.held = end.wrapping_add(1) as u16;
-    }
-
-    /// The event to hand out, with its view of the payload.
+    /// The event to hand out, with its view of the payload. What it is about lies at the front of the store.
+    // Not inlined: five functions give events, and none of them is in a hurry once there is one.
+    #[inline(never)]
     fn event(&self, found: Found) -> Option<Event<'_>> {
-        if found == Found::Frame {
-            let [id, ..] = self.store.head;
-            return Some(Event::Frame(Frame { id, payload: self.store.body.get(..self.store.size())? }));
-        }
-        // It has been given up, and is the first that waits to be scanned.
-        let at = self.checksum_or_next as usize;
-        let id = self.store.get(at);
-        let low = self.store.get(at.wrapping_add(1));
-        let high = self.store.get(at.wrapping_add(2));
+        let [id, low, high] = self.store.head;
         let size = u16::from_le_bytes([low, high]);
-        let oversize = found == Found::Oversize;
-        Some(if oversize { Event::Oversize { id, size } } else { Event::BadChecksum { id, size } })
+        Some(match found {
+            Found::Frame => Event::Frame(Frame { id, payload: self.store.body.get(..size as usize)? }),
+            Found::BadChecksum => Event::BadChecksum { id, size },
+            Found::Oversize => Event::Oversize { id, size },
+        })
     }
 
     const fn is_draining(&self) -> bool {
