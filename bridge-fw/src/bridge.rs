@@ -376,32 +376,23 @@ impl Bridge {
         }
     }
 
+    /// One byte at a time: a byte is taken from the frame, and a frame from the session, only when the line has room for
+    /// it. There a FAST STOP overtakes it, and no time-out runs for it.
     fn transmit<L: Write + WriteReady>(&mut self, now: Instant, link: &mut L) {
-        loop {
+        while link.write_ready().unwrap_or(false) {
             let sending = match &mut self.sending {
                 Some(sending) => sending,
                 empty => {
-                    // The session keeps what has not begun: there a FAST STOP overtakes it, and no time-out runs for it.
-                    if !link.write_ready().unwrap_or(false) {
-                        return;
-                    }
                     let Some(command) = self.session.poll_transmit(now) else { return };
                     log::sent(&command);
                     empty.insert(FrameEncoder::new(command.id().code(), command))
                 }
             };
-            // One byte at a time: a byte is taken from the frame only when the line has room for it.
-            while sending.len() > 0 {
-                if !link.write_ready().unwrap_or(false) {
-                    return;
-                }
-                let Some(byte) = sending.next() else { break };
-                if !matches!(link.write(&[byte]), Ok(1)) {
-                    // The rest of this frame would make no sense to the gripper; the session misses the answer.
-                    break;
-                }
+            let is_sent = sending.next().is_some_and(|byte| matches!(link.write(&[byte]), Ok(1)));
+            if !is_sent {
+                // It has ended; or the rest of it would make no sense to the gripper, and the session misses the answer.
+                self.sending = None;
             }
-            self.sending = None;
         }
     }
 }
