@@ -3,6 +3,7 @@
 
 use std::{
     fs,
+    hash::{DefaultHasher, Hash, Hasher},
     path::{Path, PathBuf},
     process::Stdio,
 };
@@ -229,8 +230,8 @@ const ALL: [Sabotage; 21] = [
 
 /// Runs them all, those of this gate alone if one is named, and writes the table.
 pub(crate) fn run(workspace: &Workspace, gate: Option<&str>) -> Result<()> {
-    let folder = workspace.target_dir.join("sabotage");
-    let tree = folder.join("tree");
+    let tree = place_of_copy(workspace);
+    let build = workspace.target_dir.join("sabotage");
     copy_of(workspace, &tree)?;
     let chosen: Vec<&Sabotage> = ALL.iter().filter(|it| gate.is_none_or(|gate| it.gate == gate)).collect();
     ensure!(!chosen.is_empty(), "no gate of this name; docs/figures.md lists them");
@@ -238,7 +239,7 @@ pub(crate) fn run(workspace: &Workspace, gate: Option<&str>) -> Result<()> {
         let file = tree.join(sabotage.file);
         let intact = read(&file)?;
         write(&file, &sabotage.change(&intact)?)?;
-        let said = fails(workspace, &tree, &folder.join("build"), sabotage.command);
+        let said = fails(workspace, &tree, &build, sabotage.command);
         write(&file, &intact)?;
         let said = said.with_context(|| format!("{}: {}", sabotage.gate, sabotage.what))?;
         if !said.contains(sabotage.says) {
@@ -293,6 +294,14 @@ fn fails(workspace: &Workspace, tree: &Path, target_dir: &Path, arguments: &[&st
 }
 
 /// A copy of what git knows or would take up, so that no change ever touches the tree that people work in.
+/// Outside the workspace, whose `.cargo` would add its linker flags to those of the copy; the same one in each run, so
+/// that cargo need not build it anew.
+fn place_of_copy(workspace: &Workspace) -> PathBuf {
+    let mut hasher = DefaultHasher::new();
+    workspace.root.hash(&mut hasher);
+    std::env::temp_dir().join(format!("wsg-sabotage-{:016x}", hasher.finish()))
+}
+
 fn copy_of(workspace: &Workspace, tree: &Path) -> Result<()> {
     let mut git =
         tool::plain(workspace, &["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]);
