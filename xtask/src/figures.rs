@@ -8,7 +8,7 @@ use crate::{
     bench,
     firmware::Image,
     gate::Gate,
-    panics,
+    mutants, panics,
     probe::Probes,
     process, size,
     stack::{self},
@@ -28,7 +28,8 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     gates.extend(bench::counted(probes, false)?);
     gates.push(bench::throughput(probes.workspace)?);
 
-    write_part(probes.workspace, "figures", &table(&gates))?;
+    let table = table(&gates) + &mutants::rows(&probes.workspace.root)?;
+    write_part(probes.workspace, "figures", &table)?;
     let mut readme = probes.workspace.cargo();
     readme.env("WSG_UPDATE_DOCS", "1").args([
         "test",

@@ -1,5 +1,7 @@
 //! Mutants of the protocol crate: which changes of the code no test notices.
 
+mod record;
+
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
@@ -13,6 +15,9 @@ use crate::{
     tool::{self, CARGO_MUTANTS},
     workspace::Workspace,
 };
+use record::{Record, Sources};
+
+pub(crate) use record::rows;
 
 /// Survivors that are accepted, a name and a reason each.
 const ACCEPTED: &str = "xtask/mutants-accepted.txt";
@@ -60,6 +65,8 @@ pub(crate) struct Extent {
     pub(crate) files: Vec<String>,
     /// `K/N`: every N-th, from the K-th on: a sample of them all.
     pub(crate) shard: Option<String>,
+    /// How many at a time; one if not given.
+    pub(crate) jobs: Option<usize>,
 }
 
 impl Extent {
@@ -72,10 +79,13 @@ impl Extent {
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     let accepted = accepted(&read(&workspace.root.join(ACCEPTED))?)?;
     CARGO_MUTANTS.require(workspace, "the mutants of wsg-protocol")?;
-    let options = match &extent.shard {
-        Some(shard) => vec!["--sharding", "round-robin", "--shard", shard.as_str()],
-        None => vec![],
-    };
+    // Before it takes hours in which somebody edits.
+    let sources = Sources::read(&workspace.root)?;
+    let jobs = extent.jobs.unwrap_or(1).to_string();
+    let mut options = vec!["--jobs", jobs.as_str()];
+    if let Some(shard) = &extent.shard {
+        options.extend(["--sharding", "round-robin", "--shard", shard]);
+    }
     let (of_gcl, others): (Vec<&str>, Vec<&str>) =
         extent.files.iter().map(String::as_str).partition(|file| file.starts_with(OF_GCL));
     let mut outcome = Outcome::default();
@@ -89,8 +99,14 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     }
     if extent.is_whole() || others.iter().any(|file| file.contains(OF_SMALL_TABLE)) {
         // What is only there with the feature is noticed only with it; what either run notices is noticed.
-        outcome.join(make(workspace, "small-table", &[OF_SMALL_TABLE], &SMALL_TABLE)?);
+        let options = [&options[..2], &SMALL_TABLE[..]].concat();
+        outcome.join(make(workspace, "small-table", &[OF_SMALL_TABLE], &options)?);
     }
+    let mut record = Record::read(&workspace.root)?;
+    let run_over = |file: &str| extent.is_whole() || extent.files.iter().any(|named| named == file);
+    record.take(&outcome, &accepted, extent.shard.as_deref(), &sources, run_over);
+    record.write(&workspace.root)?;
+    println!("{} is written; `cargo xtask figures` takes it over", record::DOCUMENT);
     judge(&outcome, &accepted, extent.is_whole())
 }
 
@@ -98,8 +114,7 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
 fn make(workspace: &Workspace, name: &str, files: &[&str], options: &[&str]) -> Result<Outcome> {
     let output = workspace.target_dir.join("mutants").join(name);
     fs::create_dir_all(&output).with_context(|| format!("cannot make {}", output.display()))?;
-    let mut mutants =
-        tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle", "-j1"]);
+    let mut mutants = tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle"]);
     mutants.args(["--profile", "mutants"]).envs(ENVIRONMENT);
     mutants.arg("--output").arg(&output).args(["--colors", "never"]);
     // Ten times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
