@@ -814,3 +814,158 @@ fn fast_stop_that_is_owed_while_the_line_is_down_does_not_make_the_caller_spin()
         assert!(desk.session.poll_timeout().is_none_or(|due| !desk.now.has_reached(due)));
     }
 }
+
+#[test]
+fn connection_that_is_given_up_while_it_begins_is_tried_again_at_once() {
+    let mut desk = Desk::new();
+    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+    desk.answer(CommandId::GetSystemInfo);
+    assert_eq!(desk.sent(), [Command::GetSystemLimits]);
+    desk.session.disconnect();
+    assert_eq!(desk.session.known(), &Known::NOTHING);
+    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+    assert_eq!(desk.notices, [""; 0], "there was none to lose");
+}
+
+#[test]
+fn connection_that_is_given_up_twice_still_tells_what_was_open() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.session.disconnect();
+    desk.session.disconnect();
+    desk.sent();
+    assert_eq!(desk.notices, ["Unanswered(GripPart)", "Disconnected"]);
+}
+
+#[test]
+fn time_out_that_is_told_lies_ahead_whether_the_gripper_answers_or_not() {
+    let mut desk = Desk::connected();
+    for step in 0..4_000 {
+        for command in desk.pass(1) {
+            if step < 2_000 {
+                desk.answer(command.id());
+            }
+        }
+        desk.sent();
+        assert!(desk.session.poll_timeout().is_some_and(|due| !desk.now.has_reached(due)), "{step}");
+    }
+}
+
+#[test]
+fn motion_that_is_next_to_be_sent_is_withdrawn() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.session.tick(desk.now), None);
+    desk.session.withdraw();
+    assert_eq!(desk.sent(), []);
+    assert!(!desk.session.is_busy());
+}
+
+#[test]
+fn query_is_not_taken_back() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::GetTemperature).unwrap();
+    desk.sent();
+    assert!(!desk.session.take_back(CommandId::GetTemperature));
+    assert!(desk.session.is_busy());
+}
+
+#[test]
+fn supply_that_is_being_switched_on_is_not_switched_again() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::Finger1Power { enabled: true }).unwrap();
+    desk.sent();
+    desk.status(CommandId::Finger1Power, Status::CmdPending);
+    let again = desk.session.request(Command::Finger1Power { enabled: false });
+    assert_eq!(again, Err(RequestError::MotionRunning));
+    assert_eq!(desk.session.request(Command::Finger2Power { enabled: true }), Ok(()), "the other one may be");
+}
+
+#[test]
+fn request_behind_a_stop_waits_until_the_stop_is_answered() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::Stop).unwrap();
+    assert_eq!(desk.sent(), [Command::Stop]);
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.sent(), []);
+    desk.status(CommandId::Stop, Status::Success);
+    assert_eq!(desk.sent(), [GRIP]);
+}
+
+#[test]
+fn nothing_is_reported_before_the_connection_stands() {
+    let mut desk = Desk::new();
+    desk.sent();
+    desk.answer(CommandId::GetGripperState);
+    assert_eq!(desk.notices, [""; 0]);
+    assert_eq!(desk.session.counters().unasked, 1);
+}
+
+#[test]
+fn setting_may_be_off_by_a_thousandth_and_no_more() {
+    for (read, status) in [(3_002.0, Status::Success), (2_998.0, Status::Success), (3_004.0, MISMATCH)] {
+        let mut desk = verifying();
+        desk.session.request(Command::SetAcceleration { acceleration: 3_000.0 }).unwrap();
+        desk.sent();
+        desk.status(CommandId::SetAcceleration, Status::Success);
+        desk.sent();
+        desk.reply(Reply::success(Value::GetAcceleration(read)));
+        assert_eq!(desk.notices, [answered(CommandId::SetAcceleration, status)], "{read}");
+    }
+}
+
+#[test]
+fn either_soft_limit_that_is_another_one_is_a_mismatch() {
+    let limits = crate::SoftLimits { minus: 10.0, plus: 90.0 };
+    for (minus, plus, status) in
+        [(10.0, 90.0, Status::Success), (10.0, 80.0, MISMATCH), (20.0, 90.0, MISMATCH)]
+    {
+        let mut desk = verifying();
+        desk.session.request(Command::SetSoftLimits { limits }).unwrap();
+        desk.sent();
+        desk.status(CommandId::SetSoftLimits, Status::Success);
+        desk.sent();
+        desk.reply(Reply::success(Value::GetSoftLimits(crate::SoftLimits { minus, plus })));
+        assert_eq!(desk.notices, [answered(CommandId::SetSoftLimits, status)], "{minus} {plus}");
+    }
+}
+
+#[test]
+fn to_ask_once_ends_no_subscription_of_any_signal() {
+    let mut desk = Desk::connected();
+    let (update, once) = (AutoUpdate::on_change(70), AutoUpdate::once());
+    for (ask, kept) in [
+        (Command::GetSystemState { update: once }, Command::GetSystemState { update }),
+        (Command::GetGripperState { update: once }, Command::GetGripperState { update }),
+        (Command::GetOpeningWidth { update: once }, Command::GetOpeningWidth { update }),
+        (Command::GetSpeed { update: once }, Command::GetSpeed { update }),
+        (Command::GetForce { update: once }, Command::GetForce { update }),
+    ] {
+        desk.session.subscribe(Signal::of(ask.id()).unwrap(), update);
+        desk.session.request(ask).unwrap();
+        assert_eq!(desk.sent(), [kept, kept], "for the caller, and to have it changed");
+        for _ in 0..2 {
+            match kept.id() {
+                CommandId::GetOpeningWidth => desk.reply(Reply::success(Value::GetOpeningWidth(0.0))),
+                CommandId::GetSpeed => desk.reply(Reply::success(Value::GetSpeed(0.0))),
+                CommandId::GetForce => desk.reply(Reply::success(Value::GetForce(0.0))),
+                id => desk.answer(id),
+            }
+        }
+        assert_eq!(desk.sent(), [], "it is confirmed");
+    }
+}
+
+#[test]
+fn subscriptions_that_change_together_are_each_asked_for_once() {
+    let mut desk = Desk::connected();
+    let update = AutoUpdate::every(50);
+    desk.session.subscribe(Signal::Width, update);
+    desk.session.subscribe(Signal::Force, update);
+    assert_eq!(desk.sent(), [Command::GetOpeningWidth { update }]);
+    desk.reply(Reply::success(Value::GetOpeningWidth(0.0)));
+    assert_eq!(desk.sent(), [Command::GetForce { update }]);
+    desk.reply(Reply::success(Value::GetForce(0.0)));
+    assert_eq!(desk.sent(), []);
+}
