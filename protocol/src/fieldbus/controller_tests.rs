@@ -456,6 +456,18 @@ fn motion_whose_outcome_is_not_known_shows_error_and_e_timeout() {
 }
 
 #[test]
+fn motion_that_is_given_up_with_the_connection_is_no_fast_stop() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.known = Known::NOTHING;
+    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart), &plc.known);
+    plc.disconnect();
+    assert_eq!(plc.commands(), []);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
+}
+
+#[test]
 fn part_that_is_held_shows_even_if_the_result_of_the_grip_was_lost() {
     let mut plc = Plc::ready();
     plc.grip();
