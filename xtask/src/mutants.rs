@@ -34,7 +34,8 @@ const SMALL_TABLE: [&str; 6] = ["--features", "small-table", "--re", "lookup::|c
 
 /// The crate's own tests. Those of its documents and examples notice nothing more, and linking them takes the time again.
 /// Those of decimal fractions notice what is changed in GCL, which has a run of its own, and take as long as all others.
-const OWN_TESTS: [&str; 5] = ["--", "--lib", "--", "--skip", "gcl::decimal"];
+const OWN_TESTS: [&str; 2] = ["--", "--lib"];
+const WITHOUT_DECIMAL: [&str; 3] = ["--", "--skip", "gcl::decimal"];
 
 /// The tests as they are in `cargo xtask test`, with as many cases; but the same in each run, and a case that fails is
 /// neither made smaller nor kept for the next mutant.
@@ -45,11 +46,14 @@ const ENVIRONMENT: [(&str, &str); 4] = [
     ("CARGO_INCREMENTAL", "1"),
 ];
 
-/// The text protocol, whose grammar is held by the test `gcl` of host-tests.
-const OF_GCL: &str = "protocol/src/gcl";
-const GCL_FILES: [&str; 2] = ["protocol/src/gcl.rs", "protocol/src/gcl/**"];
-const GCL_TESTS: [&str; 7] =
-    ["--test-package", "wsg-protocol", "--test-package", "host-tests", "--", "--lib", "--test=gcl"];
+/// The text protocol and the drivers over it, whose grammar and behaviour are held by tests of host-tests as well.
+const GCL_FILES: [&str; 4] = [
+    "protocol/src/gcl.rs",
+    "protocol/src/gcl/**",
+    "protocol/src/driver/gcl.rs",
+    "protocol/src/driver/gcl/**",
+];
+const GCL_TESTS: [&str; 5] = ["--test-package", "host-tests", "--", "--test=gcl", "--test=drivers"];
 
 /// What became of the mutants, each a line of cargo-mutants.
 #[derive(Debug, Default, PartialEq)]
@@ -87,15 +91,28 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
         options.extend(["--sharding", "round-robin", "--shard", shard]);
     }
     let (of_gcl, others): (Vec<&str>, Vec<&str>) =
-        extent.files.iter().map(String::as_str).partition(|file| file.starts_with(OF_GCL));
+        extent.files.iter().map(String::as_str).partition(|file| is_of_gcl(file));
     let mut outcome = Outcome::default();
     if extent.is_whole() || !others.is_empty() {
         let without = GCL_FILES.map(|file| ["--exclude", file]).concat();
-        outcome.join(make(workspace, "all", &others, &[&options, &without[..], &OWN_TESTS[..]].concat())?);
+        let options = [&options, &without[..], &OWN_TESTS, &WITHOUT_DECIMAL].concat();
+        outcome.join(make(workspace, "all", &others, &options)?);
     }
     if extent.is_whole() || !of_gcl.is_empty() {
         let files = if extent.is_whole() { &GCL_FILES[..] } else { &of_gcl };
-        outcome.join(make(workspace, "gcl", files, &[&options, &GCL_TESTS[..]].concat())?);
+        let first = make(workspace, "gcl", files, &[&options, &OWN_TESTS[..]].concat())?;
+        if !first.survived.is_empty() {
+            // Building these tests takes several times as long: only for what is left.
+            let left: Vec<String> = first.survived.iter().map(|mutant| exactly(mutant)).collect();
+            let left = left.iter().flat_map(|mutant| ["--re", mutant]);
+            let options: Vec<&str> = options[..2].iter().copied().chain(left).chain(GCL_TESTS).collect();
+            let mut second = make(workspace, "gcl-host-tests", files, &options)?;
+            // cargo-mutants makes more than that: fields that are left out it makes whatever the expression.
+            second.caught.retain(|mutant| first.survived.contains(mutant));
+            second.survived.retain(|mutant| first.survived.contains(mutant));
+            outcome.join(second);
+        }
+        outcome.join(first);
     }
     if extent.is_whole() || others.iter().any(|file| file.contains(OF_SMALL_TABLE)) {
         // What is only there with the feature is noticed only with it; what either run notices is noticed.
@@ -108,6 +125,25 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     record.write(&workspace.root)?;
     println!("{} is written; `cargo xtask figures` takes it over", record::DOCUMENT);
     judge(&outcome, &accepted, extent.is_whole())
+}
+
+fn is_of_gcl(file: &str) -> bool {
+    GCL_FILES.iter().any(|pattern| match pattern.strip_suffix("**") {
+        Some(folder) => file.starts_with(folder),
+        None => file == *pattern,
+    })
+}
+
+/// The regular expression of this mutant alone.
+fn exactly(mutant: &str) -> String {
+    let mut expression = "^".to_owned();
+    for c in mutant.chars() {
+        if r"\.+*?()|[]{}^$#&-~".contains(c) {
+            expression.push('\\');
+        }
+        expression.push(c);
+    }
+    expression + "$"
 }
 
 /// One run of cargo-mutants.
@@ -239,6 +275,26 @@ mod tests {
 
         assert!(judge(&survived(&names[..5]), &BTreeMap::new(), true).is_ok());
         assert!(judge(&survived(&names), &BTreeMap::new(), true).is_err());
+    }
+
+    #[test]
+    fn only_the_text_protocol_and_the_drivers_over_it_are_of_gcl() {
+        for file in ["protocol/src/gcl.rs", "protocol/src/gcl/session/track.rs", "protocol/src/driver/gcl.rs"]
+        {
+            assert!(is_of_gcl(file), "{file}");
+        }
+        for file in ["protocol/src/driver.rs", "protocol/src/driver/motion.rs", "protocol/src/session.rs"] {
+            assert!(!is_of_gcl(file), "{file}");
+        }
+    }
+
+    #[test]
+    fn every_character_of_a_mutant_stands_for_itself() {
+        let mutant = "protocol/src/gcl/x.rs:7:1: replace | with ^ in Line<N>::of -> &[u8]";
+        assert_eq!(
+            exactly(mutant),
+            r"^protocol/src/gcl/x\.rs:7:1: replace \| with \^ in Line<N>::of \-> \&\[u8\]$"
+        );
     }
 
     #[test]
