@@ -55,6 +55,9 @@ const GCL_FILES: [&str; 4] = [
 ];
 const GCL_TESTS: [&str; 5] = ["--test-package", "host-tests", "--", "--test=gcl", "--test=drivers"];
 
+/// Why a survivor is accepted, by its name.
+type Accepted = BTreeMap<String, String>;
+
 /// What became of the mutants, each a line of cargo-mutants.
 #[derive(Debug, Default, PartialEq)]
 struct Outcome {
@@ -69,6 +72,8 @@ pub(crate) struct Extent {
     pub(crate) files: Vec<String>,
     /// `K/N`: every N-th, from the K-th on: a sample of them all.
     pub(crate) shard: Option<String>,
+    /// Only what has survived before.
+    pub(crate) again: bool,
     /// How many at a time; one if not given.
     pub(crate) jobs: Option<usize>,
 }
@@ -81,50 +86,73 @@ impl Extent {
 
 /// Makes the mutants, and holds the survivors to the accepted ones.
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
-    let accepted = accepted(&read(&workspace.root.join(ACCEPTED))?)?;
+    let accepted = read_accepted(&workspace.root)?;
     CARGO_MUTANTS.require(workspace, "the mutants of wsg-protocol")?;
     // Before it takes hours in which somebody edits.
     let sources = Sources::read(&workspace.root)?;
+    let run_over = |file: &str| extent.is_whole() || extent.files.iter().any(|named| named == file);
     let jobs = extent.jobs.unwrap_or(1).to_string();
-    let mut options = vec!["--jobs", jobs.as_str()];
-    if let Some(shard) = &extent.shard {
-        options.extend(["--sharding", "round-robin", "--shard", shard]);
+    let outcome = if extent.again {
+        let left = Record::read(&workspace.root)?.survived(&accepted, &sources, run_over);
+        ensure!(!left.is_empty(), "no survivor is known of these files as they are now");
+        let files: BTreeSet<&str> = left.iter().map(|mutant| record::file_of(mutant)).collect();
+        let mut outcome = find(workspace, &jobs, &Vec::from_iter(files), &these(&left))?;
+        outcome.only(&left);
+        outcome
+    } else {
+        let sample = match &extent.shard {
+            Some(shard) => ["--sharding", "round-robin", "--shard", shard].map(str::to_owned).to_vec(),
+            None => vec![],
+        };
+        find(workspace, &jobs, &extent.files.iter().map(String::as_str).collect::<Vec<_>>(), &sample)?
+    };
+    let mut record = Record::read(&workspace.root)?;
+    if extent.again {
+        record.catch(&outcome.caught);
+    } else {
+        record.take(&outcome, extent.shard.as_deref(), &sources, run_over);
     }
-    let (of_gcl, others): (Vec<&str>, Vec<&str>) =
-        extent.files.iter().map(String::as_str).partition(|file| is_of_gcl(file));
+    record.write(&workspace.root, &accepted)?;
+    println!("{} is written; `cargo xtask figures` takes it over", record::DOCUMENT);
+    judge(&outcome, &accepted, extent.is_whole() && !extent.again)
+}
+
+/// Makes the mutants of these files (none: of all) that the options leave.
+fn find(workspace: &Workspace, jobs: &str, files: &[&str], options: &[String]) -> Result<Outcome> {
+    let is_whole = files.is_empty();
+    let options: Vec<&str> = ["--jobs", jobs].into_iter().chain(options.iter().map(String::as_str)).collect();
+    let (of_gcl, others): (Vec<&str>, Vec<&str>) = files.iter().partition(|file| is_of_gcl(file));
     let mut outcome = Outcome::default();
-    if extent.is_whole() || !others.is_empty() {
+    if is_whole || !others.is_empty() {
         let without = GCL_FILES.map(|file| ["--exclude", file]).concat();
         let options = [&options, &without[..], &OWN_TESTS, &WITHOUT_DECIMAL].concat();
         outcome.join(make(workspace, "all", &others, &options)?);
     }
-    if extent.is_whole() || !of_gcl.is_empty() {
-        let files = if extent.is_whole() { &GCL_FILES[..] } else { &of_gcl };
+    if is_whole || !of_gcl.is_empty() {
+        let files = if is_whole { &GCL_FILES[..] } else { &of_gcl };
         let first = make(workspace, "gcl", files, &[&options, &OWN_TESTS[..]].concat())?;
         if !first.survived.is_empty() {
             // Building these tests takes several times as long: only for what is left.
-            let left: Vec<String> = first.survived.iter().map(|mutant| exactly(mutant)).collect();
-            let left = left.iter().flat_map(|mutant| ["--re", mutant]);
-            let options: Vec<&str> = options[..2].iter().copied().chain(left).chain(GCL_TESTS).collect();
+            let left = these(&first.survived);
+            let left = left.iter().map(String::as_str);
+            let options: Vec<&str> = ["--jobs", jobs].into_iter().chain(left).chain(GCL_TESTS).collect();
             let mut second = make(workspace, "gcl-host-tests", files, &options)?;
-            // cargo-mutants makes more than that: fields that are left out it makes whatever the expression.
-            second.caught.retain(|mutant| first.survived.contains(mutant));
-            second.survived.retain(|mutant| first.survived.contains(mutant));
+            second.only(&first.survived);
             outcome.join(second);
         }
         outcome.join(first);
     }
-    if extent.is_whole() || others.iter().any(|file| file.contains(OF_SMALL_TABLE)) {
+    if is_whole || others.iter().any(|file| file.contains(OF_SMALL_TABLE)) {
         // What is only there with the feature is noticed only with it; what either run notices is noticed.
-        let options = [&options[..2], &SMALL_TABLE[..]].concat();
+        let options = [&["--jobs", jobs], &SMALL_TABLE[..]].concat();
         outcome.join(make(workspace, "small-table", &[OF_SMALL_TABLE], &options)?);
     }
-    let mut record = Record::read(&workspace.root)?;
-    let run_over = |file: &str| extent.is_whole() || extent.files.iter().any(|named| named == file);
-    record.take(&outcome, &accepted, extent.shard.as_deref(), &sources, run_over);
-    record.write(&workspace.root)?;
-    println!("{} is written; `cargo xtask figures` takes it over", record::DOCUMENT);
-    judge(&outcome, &accepted, extent.is_whole())
+    Ok(outcome)
+}
+
+/// Options that leave these mutants.
+fn these(mutants: &BTreeSet<String>) -> Vec<String> {
+    mutants.iter().flat_map(|mutant| ["--re".to_owned(), exactly(mutant)]).collect()
 }
 
 fn is_of_gcl(file: &str) -> bool {
@@ -175,6 +203,12 @@ fn outcome(folder: &Path) -> Result<Outcome> {
 }
 
 impl Outcome {
+    /// Of these mutants: cargo-mutants makes more than it is asked for, where a field is left out of a struct.
+    fn only(&mut self, these: &BTreeSet<String>) {
+        self.caught.retain(|mutant| these.contains(mutant));
+        self.survived.retain(|mutant| these.contains(mutant));
+    }
+
     /// With another run: what either has caught is caught.
     fn join(&mut self, other: Self) {
         self.caught.extend(other.caught);
@@ -192,8 +226,12 @@ fn name_of(line: &str) -> String {
     }
 }
 
+fn read_accepted(root: &Path) -> Result<Accepted> {
+    accepted(&read(&root.join(ACCEPTED))?)
+}
+
 /// Lines of a mutant's name, ` -- ` and the reason.
-fn accepted(text: &str) -> Result<BTreeMap<String, String>> {
+fn accepted(text: &str) -> Result<Accepted> {
     let lines = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
     lines
         .map(|line| {
@@ -204,7 +242,7 @@ fn accepted(text: &str) -> Result<BTreeMap<String, String>> {
         .collect()
 }
 
-fn judge(outcome: &Outcome, accepted: &BTreeMap<String, String>, is_whole: bool) -> Result<()> {
+fn judge(outcome: &Outcome, accepted: &Accepted, is_whole: bool) -> Result<()> {
     let mut open = Vec::new();
     for mutant in &outcome.survived {
         let name = name_of(mutant);

@@ -1,18 +1,22 @@
 //! docs/mutants.txt: what was found in each file, kept from run to run, and the rows of the figures that follow from it.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     fs, io,
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use sha2::{Digest, Sha256};
 
-use super::{ALL_CAUGHT_IN, CAUGHT_PERCENT, Outcome, name_of};
+use super::{ALL_CAUGHT_IN, Accepted, CAUGHT_PERCENT, Outcome, name_of};
 
 /// Where it is kept.
 pub(crate) const DOCUMENT: &str = "docs/mutants.txt";
+
+const WHOLE: &str = "whole";
+const ACCEPTED: &str = "accepted";
+const SURVIVED: &str = "survived";
 
 /// Where the changed files are.
 const SOURCES: &str = "protocol/src";
@@ -21,17 +25,18 @@ const HEAD: &str = "\
 # Mutants of wsg-protocol, file by file. `cargo xtask mutants` writes a line for each file that it was run over.
 # source: the first digits of the file's SHA-256 when it was; another one now means that the line is older than the file.
 # extent: `whole`, or K/N for every N-th mutant from the K-th on.
-# accepted: not caught, with the reason in xtask/mutants-accepted.txt. survived: not caught, and nobody has said why.
+# accepted: not caught, with the reason in xtask/mutants-accepted.txt. survived: not caught, and nobody has said why. Both
+# by name below the file; `cargo xtask mutants --again` tries what has survived once more.
 
 #   made caught accepted survived extent source   file
 ";
 
 /// What was found in one file.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Line {
+struct Line {
     caught: usize,
-    accepted: usize,
-    survived: usize,
+    /// Not caught: mutants as cargo-mutants names them.
+    left: BTreeSet<String>,
     /// `None` for all mutants of the file.
     sample: Option<String>,
     source: String,
@@ -47,7 +52,11 @@ pub(super) struct Sources(BTreeMap<String, String>);
 
 impl Line {
     fn made(&self) -> usize {
-        self.caught + self.accepted + self.survived
+        self.caught + self.left.len()
+    }
+
+    fn accepted(&self, accepted: &Accepted) -> usize {
+        self.left.iter().filter(|mutant| accepted.contains_key(&name_of(mutant))).count()
     }
 }
 
@@ -85,38 +94,51 @@ impl Record {
     }
 
     fn parse(text: &str) -> Result<Self> {
-        let lines = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
-        let line = |line: &str| {
-            let [_, caught, accepted, survived, extent, source, file] =
-                line.split_whitespace().collect::<Vec<_>>().try_into().ok()?;
-            let line = Line {
-                caught: str::parse(caught).ok()?,
-                accepted: str::parse(accepted).ok()?,
-                survived: str::parse(survived).ok()?,
-                sample: (extent != "whole").then(|| extent.to_owned()),
-                source: source.to_owned(),
-            };
-            Some((file.to_owned(), line))
-        };
-        lines
-            .map(|it| line(it).with_context(|| format!("not a line of {DOCUMENT}: {it}")))
-            .collect::<Result<_>>()
-            .map(Self)
+        let mut record = Self::default();
+        let mut last: Option<&str> = None;
+        for line in text.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
+            let not_a_line = || format!("not a line of {DOCUMENT}: {line}");
+            if let Some((ACCEPTED | SURVIVED, mutant)) = line.trim_start().split_once(' ') {
+                let left = last.and_then(|file| record.0.get_mut(file));
+                left.with_context(not_a_line)?.left.insert(mutant.to_owned());
+                continue;
+            }
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let [_, caught, _, _, extent, source, file] = words[..] else { bail!(not_a_line()) };
+            record.0.insert(
+                file.to_owned(),
+                Line {
+                    caught: caught.parse().with_context(not_a_line)?,
+                    left: BTreeSet::new(),
+                    sample: (extent != WHOLE).then(|| extent.to_owned()),
+                    source: source.to_owned(),
+                },
+            );
+            last = Some(file);
+        }
+        Ok(record)
     }
 
     /// Writes it where it is kept.
-    pub(super) fn write(&self, root: &Path) -> Result<()> {
-        fs::write(root.join(DOCUMENT), self.text()).with_context(|| format!("cannot write {DOCUMENT}"))
+    pub(super) fn write(&self, root: &Path, accepted: &Accepted) -> Result<()> {
+        fs::write(root.join(DOCUMENT), self.text(accepted))
+            .with_context(|| format!("cannot write {DOCUMENT}"))
     }
 
-    fn text(&self) -> String {
+    fn text(&self, accepted: &Accepted) -> String {
         let mut text = HEAD.to_owned();
         for (file, line) in &self.0 {
-            let (made, extent) = (line.made(), line.sample.as_deref().unwrap_or("whole"));
-            let Line { caught, accepted, survived, source, .. } = line;
+            let Line { caught, left, sample, source } = line;
+            let (made, extent) = (line.made(), sample.as_deref().unwrap_or(WHOLE));
+            let settled = line.accepted(accepted);
+            let open = left.len() - settled;
             text.push_str(&format!(
-                "{made:>8} {caught:>6} {accepted:>8} {survived:>8} {extent:>6} {source} {file}\n"
+                "{made:>8} {caught:>6} {settled:>8} {open:>8} {extent:>6} {source} {file}\n"
             ));
+            for mutant in left {
+                let word = if accepted.contains_key(&name_of(mutant)) { ACCEPTED } else { SURVIVED };
+                text.push_str(&format!("         {word} {mutant}\n"));
+            }
         }
         text
     }
@@ -125,49 +147,67 @@ impl Record {
     pub(super) fn take(
         &mut self,
         outcome: &Outcome,
-        accepted: &BTreeMap<String, String>,
         sample: Option<&str>,
         sources: &Sources,
         run_over: impl Fn(&str) -> bool,
     ) {
-        let file_of = |mutant: &str| mutant.split(':').next().unwrap_or(mutant).to_owned();
-        let mut found: BTreeMap<String, Line> = BTreeMap::new();
-        for (file, source) in &sources.0 {
-            if run_over(file) {
-                found.entry(file.clone()).or_default().source.clone_from(source);
-            }
+        let mut found: BTreeMap<&str, Line> = BTreeMap::new();
+        for file in sources.0.keys().filter(|file| run_over(file)) {
+            found.entry(file).or_default();
         }
         for mutant in &outcome.caught {
             found.entry(file_of(mutant)).or_default().caught += 1;
         }
         for mutant in &outcome.survived {
-            let line = found.entry(file_of(mutant)).or_default();
-            let count =
-                if accepted.contains_key(&name_of(mutant)) { &mut line.accepted } else { &mut line.survived };
-            *count += 1;
+            found.entry(file_of(mutant)).or_default().left.insert(mutant.clone());
         }
         for (file, mut line) in found {
-            line.source = sources.0.get(&file).cloned().unwrap_or_else(|| "-".to_owned());
+            let Some(source) = sources.0.get(file) else { continue };
+            line.source.clone_from(source);
             line.sample = sample.map(str::to_owned);
-            let kept = self.0.get(&file);
-            let says_more = kept.is_some_and(|kept| kept.sample.is_none() && kept.source == line.source);
+            let says_more =
+                self.0.get(file).is_some_and(|kept| kept.sample.is_none() && kept.source == *source);
             if line.sample.is_none() || !says_more {
-                self.0.insert(file, line);
+                self.0.insert(file.to_owned(), line);
             }
         }
         self.0.retain(|file, _| sources.0.contains_key(file));
     }
 
+    /// What has survived in the files that are still the same and that `run_over` chooses.
+    pub(super) fn survived(
+        &self,
+        accepted: &Accepted,
+        sources: &Sources,
+        run_over: impl Fn(&str) -> bool,
+    ) -> BTreeSet<String> {
+        let same = self.0.iter().filter(|(file, line)| sources.0.get(*file) == Some(&line.source));
+        same.filter(|(file, _)| run_over(file))
+            .flat_map(|(_, line)| &line.left)
+            .filter(|mutant| !accepted.contains_key(&name_of(mutant)))
+            .cloned()
+            .collect()
+    }
+
+    /// Of what has survived, this is caught now.
+    pub(super) fn catch(&mut self, caught: &BTreeSet<String>) {
+        for line in self.0.values_mut() {
+            let before = line.left.len();
+            line.left.retain(|mutant| !caught.contains(mutant));
+            line.caught += before - line.left.len();
+        }
+    }
+
     /// Rows of the figures' table: what, measured, limit.
-    fn rows(&self, sources: &Sources) -> String {
+    fn rows(&self, sources: &Sources, accepted: &Accepted) -> String {
         let must = |file: &str| ALL_CAUGHT_IN.iter().any(|place| file.starts_with(place));
         let row = |what: &str, limit: usize, chosen: &dyn Fn(&str) -> bool| {
             let lines = || self.0.iter().filter(|(file, _)| chosen(file)).map(|(_, line)| line);
             let made: usize = lines().map(Line::made).sum();
-            let accepted: usize = lines().map(|line| line.accepted).sum();
             let caught: usize = lines().map(|line| line.caught).sum();
-            let settled = caught + accepted;
-            let mut text = format!("{caught} of {made}, {accepted} more accepted");
+            let more: usize = lines().map(|line| line.accepted(accepted)).sum();
+            let settled = caught + more;
+            let mut text = format!("{caught} of {made}, {more} more accepted");
             let mut remark = |count: usize, what: &str| {
                 if count > 0 {
                     text.push_str(&format!("; {count} {} {what}", if count == 1 { "file" } else { "files" }));
@@ -192,7 +232,11 @@ impl Record {
 
 /// Rows of the figures' table that follow from what is kept.
 pub(crate) fn rows(root: &Path) -> Result<String> {
-    Ok(Record::read(root)?.rows(&Sources::read(root)?))
+    Ok(Record::read(root)?.rows(&Sources::read(root)?, &super::read_accepted(root)?))
+}
+
+pub(super) fn file_of(mutant: &str) -> &str {
+    mutant.split(':').next().unwrap_or(mutant)
 }
 
 #[cfg(test)]
@@ -214,7 +258,7 @@ mod tests {
         lines.map(|line| format!("{file}:{line}:1: replace {line}")).collect()
     }
 
-    fn accepting(mutant: &str) -> BTreeMap<String, String> {
+    fn accepting(mutant: &str) -> Accepted {
         [(name_of(mutant), "both do the same".to_owned())].into()
     }
 
@@ -223,50 +267,62 @@ mod tests {
         let sources = sources(&[(CAN, "aa"), (SESSION, "bb")]);
         let (can, session) = (mutants(CAN, 0..3), mutants(SESSION, 0..4));
         let mut record = Record::default();
-        record.take(&outcome(&can[..2], &can[2..]), &BTreeMap::new(), None, &sources, |file| file == CAN);
+        record.take(&outcome(&can[..2], &can[2..]), None, &sources, |file| file == CAN);
 
-        record.take(
-            &outcome(&session[1..], &session[..1]),
-            &accepting(&session[0]),
-            None,
-            &sources,
-            |file| file == SESSION,
-        );
+        record.take(&outcome(&session[1..], &session[..1]), None, &sources, |file| file == SESSION);
 
+        let accepted = accepting(&session[0]);
         assert_eq!(
-            record.text().strip_prefix(HEAD).unwrap(),
+            record.text(&accepted).strip_prefix(HEAD).unwrap(),
             "       3      2        0        1  whole aa protocol/src/can.rs\n\
-             \u{20}      4      3        1        0  whole bb protocol/src/session.rs\n"
+             \u{20}        survived protocol/src/can.rs:2:1: replace 2\n\
+             \u{20}      4      3        1        0  whole bb protocol/src/session.rs\n\
+             \u{20}        accepted protocol/src/session.rs:0:1: replace 0\n"
         );
-        assert_eq!(Record::parse(&record.text()).unwrap(), record);
+        assert_eq!(Record::parse(&record.text(&accepted)).unwrap(), record);
+        assert!(Record::parse("       3      2        0        1  whole aa").is_err());
     }
 
     #[test]
     fn a_sample_does_not_take_the_place_of_a_whole_run_over_the_same_source() {
         let can = mutants(CAN, 0..4);
-        let whole = outcome(&can, &[]);
-        let sample = outcome(&can[..1], &[]);
-        let none = BTreeMap::new();
+        let (whole, sample) = (outcome(&can, &[]), outcome(&can[..1], &[]));
         let mut record = Record::default();
-        record.take(&whole, &none, None, &sources(&[(CAN, "aa")]), |_| true);
+        record.take(&whole, None, &sources(&[(CAN, "aa")]), |_| true);
 
-        record.take(&sample, &none, Some("0/4"), &sources(&[(CAN, "aa")]), |_| true);
+        record.take(&sample, Some("0/4"), &sources(&[(CAN, "aa")]), |_| true);
         assert_eq!(record.0[CAN].made(), 4);
 
-        record.take(&sample, &none, Some("0/4"), &sources(&[(CAN, "cc")]), |_| true);
+        record.take(&sample, Some("0/4"), &sources(&[(CAN, "cc")]), |_| true);
         assert_eq!((record.0[CAN].made(), record.0[CAN].sample.as_deref()), (1, Some("0/4")));
     }
 
     #[test]
     fn a_file_that_is_gone_has_no_line_and_one_without_mutants_has() {
         let mut record = Record::default();
-        let none = BTreeMap::new();
-        record.take(&outcome(&mutants(CAN, 0..1), &[]), &none, None, &sources(&[(CAN, "aa")]), |_| true);
+        record.take(&outcome(&mutants(CAN, 0..1), &[]), None, &sources(&[(CAN, "aa")]), |_| true);
 
-        record.take(&outcome(&[], &[]), &none, None, &sources(&[(SESSION, "bb")]), |_| true);
+        record.take(&outcome(&[], &[]), None, &sources(&[(SESSION, "bb")]), |_| true);
 
         assert_eq!(record.0.keys().collect::<Vec<_>>(), [SESSION]);
         assert_eq!(record.0[SESSION].made(), 0);
+    }
+
+    #[test]
+    fn what_has_survived_is_tried_again_where_the_file_is_the_same_and_nobody_accepts_it() {
+        let (can, session) = (mutants(CAN, 0..4), mutants(SESSION, 0..2));
+        let mut record = Record::default();
+        let before = sources(&[(CAN, "aa"), (SESSION, "bb")]);
+        record.take(&outcome(&session[..1], &session[1..]), None, &before, |file| file == SESSION);
+        record.take(&outcome(&can[..1], &can[1..]), None, &before, |file| file == CAN);
+
+        let now = sources(&[(CAN, "aa"), (SESSION, "cc")]);
+        let again = record.survived(&accepting(&can[3]), &now, |_| true);
+        assert_eq!(again.iter().collect::<Vec<_>>(), [&can[1], &can[2]]);
+        assert!(record.survived(&Accepted::new(), &now, |file| file == SESSION).is_empty());
+
+        record.catch(&[can[1].clone()].into());
+        assert_eq!((record.0[CAN].caught, record.0[CAN].made(), record.0[SESSION].caught), (2, 4, 1));
     }
 
     #[test]
@@ -274,14 +330,13 @@ mod tests {
         let (can, session) = (mutants(CAN, 0..10), mutants(SESSION, 0..90));
         let before = sources(&[(CAN, "aa"), (SESSION, "bb")]);
         let mut record = Record::default();
-        let none = BTreeMap::new();
-        record.take(&outcome(&can[1..], &can[..1]), &none, None, &before, |file| file == CAN);
-        record.take(&outcome(&session, &[]), &none, Some("1/2"), &before, |file| file == SESSION);
+        record.take(&outcome(&can[1..], &can[..1]), None, &before, |file| file == CAN);
+        record.take(&outcome(&session, &[]), Some("1/2"), &before, |file| file == SESSION);
 
-        let rows = record.rows(&sources(&[(CAN, "cc"), (SESSION, "bb"), ("protocol/src/time.rs", "dd")]));
+        let now = sources(&[(CAN, "cc"), (SESSION, "bb"), ("protocol/src/time.rs", "dd")]);
 
         assert_eq!(
-            rows,
+            record.rows(&now, &Accepted::new()),
             "| mutants caught in checksum, frame and CAN | 9 of 10, 0 more accepted; 1 file changed since | \
              100 %, **missed** |\n\
              | mutants caught, protocol crate | 99 of 100, 0 more accepted; 1 file only by a sample; 1 file \
@@ -294,9 +349,9 @@ mod tests {
         let can = mutants(CAN, 0..2);
         let mut record = Record::default();
         let now = sources(&[(CAN, "aa")]);
-        record.take(&outcome(&can[1..], &can[..1]), &accepting(&can[0]), None, &now, |_| true);
+        record.take(&outcome(&can[1..], &can[..1]), None, &now, |_| true);
 
-        assert!(record.rows(&now).starts_with(
+        assert!(record.rows(&now, &accepting(&can[0])).starts_with(
             "| mutants caught in checksum, frame and CAN | 1 of 2, 1 more accepted | 100 % |\n"
         ));
     }
