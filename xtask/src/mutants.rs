@@ -181,8 +181,8 @@ fn make(workspace: &Workspace, name: &str, files: &[&str], options: &[&str]) -> 
     let mut mutants = tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle"]);
     mutants.args(["--profile", "mutants"]).envs(ENVIRONMENT);
     mutants.arg("--output").arg(&output).args(["--colors", "never"]);
-    // Ten times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
-    mutants.args(["--timeout-multiplier", "10", "--minimum-test-timeout", "20"]);
+    // Many times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
+    mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
     // What the tests are made of is no part of the crate.
     mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(options);

@@ -102,6 +102,7 @@ impl Plc {
         let mut commands = vec![];
         while let Some(command) = self.controller.poll_command() {
             commands.push(command);
+            assert!(commands.len() < 10, "commands without end: {commands:?}");
         }
         commands
     }

@@ -14,6 +14,9 @@ use std::rc::Rc;
 use std::vec;
 use std::vec::Vec;
 
+/// Near the end of the clock's range, so that every script also shows that it may wrap.
+const BEGIN: Instant = Instant::from_millis(u32::MAX - 300);
+
 /// Bytes that arrive together, so many milliseconds after the request.
 pub(super) type Segment = (u32, Vec<u8>);
 
@@ -77,8 +80,7 @@ pub(super) fn status(id: CommandId, status: Status) -> Vec<u8> {
 impl Desk {
     pub(super) fn new() -> Self {
         Self(Rc::new(RefCell::new(World {
-            // Near the end of the clock's range, so that every script also shows that it may wrap.
-            now: Instant::from_millis(u32::MAX - 300),
+            now: BEGIN,
             parser: FrameParser::new(),
             coming: VecDeque::new(),
             scripted: vec![],
@@ -253,6 +255,7 @@ impl World {
         let count = bytes.len().min(self.room);
         self.room -= count;
         self.writes.push(count);
+        assert!(self.writes.len() < 10_000, "messages without end");
         if self.holds_back {
             self.held_back.extend(&bytes[..count]);
         } else {
@@ -276,6 +279,9 @@ impl embedded_io::ReadReady for Desk {
         let is_due = self.world(|world| world.is_due());
         if !is_due {
             self.pass(1);
+            self.world(|world| {
+                assert!(world.now.since(BEGIN) < 600_000, "a call comes to an end within ten minutes")
+            });
         }
         Ok(is_due)
     }
