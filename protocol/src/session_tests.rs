@@ -332,6 +332,18 @@ fn fast_stop_goes_first_and_is_repeated_until_it_is_confirmed() {
 }
 
 #[test]
+fn stop_behind_a_fast_stop_that_is_not_confirmed_is_refused_and_not_sent_later() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(desk.session.request(Command::Stop), Err(RequestError::FastStopRunning));
+    assert_eq!(desk.sent(), [Command::FastStop]);
+    assert_eq!(desk.session.request(Command::Stop), Err(RequestError::FastStopRunning));
+    desk.status(CommandId::FastStop, Status::Success);
+    assert_eq!(desk.sent(), []);
+    assert_eq!(desk.session.request(Command::Stop), Ok(()), "it is confirmed");
+}
+
+#[test]
 fn fast_stop_is_the_first_thing_that_a_gripper_hears() {
     let mut desk = Desk::new();
     desk.session.request(Command::FastStop).unwrap();
