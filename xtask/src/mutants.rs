@@ -11,7 +11,7 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::{
-    process,
+    figures, process,
     tool::{self, CARGO_MUTANTS},
     workspace::Workspace,
 };
@@ -113,7 +113,8 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
         record.take(&outcome, extent.shard.as_deref(), &sources, run_over);
     }
     record.write(&workspace.root, &accepted)?;
-    println!("{} is written; `cargo xtask figures` takes it over", record::DOCUMENT);
+    figures::write_mutants(workspace)?;
+    println!("{}, docs/figures.md and README.md are written", record::DOCUMENT);
     judge(&outcome, &accepted, extent.is_whole() && !extent.again)
 }
 
