@@ -987,3 +987,37 @@ fn subscriptions_that_change_together_are_each_asked_for_once() {
     desk.reply(Reply::success(Value::GetForce(0.0)));
     assert_eq!(desk.sent(), []);
 }
+
+#[test]
+fn request_that_is_answered_once_is_not_answered_by_pending() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::GetTemperature).unwrap();
+    desk.sent();
+    desk.status(CommandId::GetTemperature, Status::CmdPending);
+    assert_eq!(desk.notices, [""; 0]);
+    assert_eq!(desk.session.counters().unasked, 1);
+    desk.reply(Reply::success(Value::GetTemperature(crate::Temperature(250))));
+    assert_eq!(desk.noticed("Answered(Reply { id: GetTemperature, status: Success"), 1);
+}
+
+#[test]
+fn everything_that_the_gripper_tells_of_itself_is_known() {
+    let mut desk = Desk::connected();
+    desk.reply(Reply::success(Value::GetSystemState(SystemFlags::MOVING)));
+    assert!(desk.session.known().is_moving(), "by its flags");
+    desk.reply(Reply::success(Value::GetSystemState(SystemFlags::REFERENCED)));
+    assert!(!desk.session.known().is_moving());
+    desk.reply(Reply::success(Value::GetGripperState(GripperState::Releasing)));
+    assert!(desk.session.known().is_moving(), "by its state");
+    desk.reply(Reply::success(Value::GetOpeningWidth(12.5)));
+    desk.reply(Reply::success(Value::GetForce(3.5)));
+    let known = Known {
+        info: Some(INFO),
+        limits: Some(LIMITS),
+        flags: Some(SystemFlags::REFERENCED),
+        state: Some(GripperState::Releasing),
+        width: Some(12.5),
+        force: Some(3.5),
+    };
+    assert_eq!(desk.session.known(), &known);
+}
