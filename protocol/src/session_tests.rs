@@ -976,6 +976,14 @@ fn to_ask_once_ends_no_subscription_of_any_signal() {
 }
 
 #[test]
+fn update_that_is_asked_for_is_sent_as_it_is() {
+    let mut desk = Desk::connected();
+    let ask = Command::GetGripperState { update: AutoUpdate::every(70) };
+    desk.session.request(ask).unwrap();
+    assert_eq!(desk.sent(), [ask]);
+}
+
+#[test]
 fn subscriptions_that_change_together_are_each_asked_for_once() {
     let mut desk = Desk::connected();
     let update = AutoUpdate::every(50);
