@@ -431,6 +431,21 @@ fn late_result_of_an_earlier_motion_is_not_taken_for_that_of_a_new_one() {
 }
 
 #[test]
+fn answer_that_comes_before_its_request_has_left_is_not_taken_for_its_answer() {
+    for (command, status) in [(Command::TareForceSensor, Status::Success), (GRIP, Status::AccessDenied)] {
+        let mut desk = Desk::connected();
+        desk.session.request(command).unwrap();
+        assert_eq!(desk.session.tick(desk.now), None);
+        desk.status(command.id(), status);
+        assert_eq!(desk.notices, [""; 0]);
+        assert_eq!(desk.session.counters().unasked, 1);
+        assert_eq!(desk.sent(), [command]);
+        desk.status(command.id(), status);
+        assert_eq!(desk.noticed("Answered"), 1);
+    }
+}
+
+#[test]
 fn unasked_and_forbidden_frames_are_counted_and_change_nothing() {
     let mut desk = Desk::connected();
     desk.status(CommandId::Homing, Status::Success);
