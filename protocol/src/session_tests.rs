@@ -277,6 +277,17 @@ fn stop_overtakes_what_waits_and_ends_the_motion() {
 }
 
 #[test]
+fn stop_that_is_not_answered_is_told_before_the_connection_counts_as_lost_and_does_not_leave_after_it() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::Stop).unwrap();
+    let sent = desk.pass(2_000);
+    assert_eq!(sent.iter().filter(|command| **command == Command::Stop).count(), 3);
+    assert_eq!(desk.notices, ["Unanswered(Stop)", "Disconnected"]);
+    desk.connect();
+    assert!(!desk.pass(300).contains(&Command::Stop));
+}
+
+#[test]
 fn stop_without_a_connection_is_sent_at_once_and_never_later() {
     let mut desk = Desk::connected();
     desk.pass(1_000);
