@@ -53,7 +53,11 @@ const GCL_FILES: [&str; 4] = [
     "protocol/src/driver/gcl.rs",
     "protocol/src/driver/gcl/**",
 ];
-const GCL_TESTS: [&str; 5] = ["--test-package", "host-tests", "--", "--test=gcl", "--test=drivers"];
+const GCL_TESTS: [&str; 2] = ["--test=gcl", "--test=drivers"];
+
+/// How they are run. cargo-mutants would look for them in the changed package when it tries the unchanged one.
+const IN_HOST_TESTS: [&str; 7] =
+    ["--baseline", "skip", "--timeout", "120", "--test-package", "host-tests", "--"];
 
 /// Why a survivor is accepted, by its name.
 type Accepted = BTreeMap<String, String>;
@@ -133,10 +137,14 @@ fn find(workspace: &Workspace, jobs: &str, files: &[&str], options: &[String]) -
         let files = if is_whole { &GCL_FILES[..] } else { &of_gcl };
         let first = make(workspace, "gcl", files, &[&options, &OWN_TESTS[..]].concat())?;
         if !first.survived.is_empty() {
-            // Building these tests takes several times as long: only for what is left.
+            // Building these tests takes several times as long: only for what is left. First with nothing changed.
+            let mut unchanged = workspace.cargo();
+            unchanged.args(["test", "--quiet", "--profile", "mutants", "-p", "host-tests"]);
+            process::run(unchanged.args(GCL_TESTS).envs(ENVIRONMENT))?;
             let left = these(&first.survived);
             let left = left.iter().map(String::as_str);
-            let options: Vec<&str> = ["--jobs", jobs].into_iter().chain(left).chain(GCL_TESTS).collect();
+            let options: Vec<&str> =
+                ["--jobs", jobs].into_iter().chain(left).chain(IN_HOST_TESTS).chain(GCL_TESTS).collect();
             let mut second = make(workspace, "gcl-host-tests", files, &options)?;
             second.only(&first.survived);
             outcome.join(second);
@@ -182,8 +190,10 @@ fn make(workspace: &Workspace, name: &str, files: &[&str], options: &[&str]) -> 
     let mut mutants = tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle"]);
     mutants.args(["--profile", "mutants"]).envs(ENVIRONMENT);
     mutants.arg("--output").arg(&output).args(["--colors", "never"]);
-    // Many times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
-    mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
+    if !options.contains(&"--timeout") {
+        // Many times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
+        mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
+    }
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
     // What the tests are made of is no part of the crate.
     mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(options);
