@@ -204,7 +204,10 @@ fn commands_read_as_a_person_would_write_them() {
             Command::GetSystemState { update: AutoUpdate::on_change(10) },
             "40h Get System State on change, 10 ms apart",
         ),
+        (Command::GetForce { update: AutoUpdate::every(20) }, "45h Get Force every 20 ms"),
+        (Command::GetSpeed { update: AutoUpdate::once() }, "44h Get Speed once"),
         (Command::OverdriveMode { enabled: true }, "37h Overdrive Mode on"),
+        (Command::SetDeviceTag { tag: DeviceTag::new("cell 4").unwrap() }, "51h Set Device Tag \"cell 4\""),
         (Command::Unknown { id: 0xB0, payload: &[1, 2] }, "B0h unknown command 2 bytes"),
     ] {
         assert_eq!(command.to_string(), text);

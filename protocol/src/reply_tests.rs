@@ -137,10 +137,42 @@ fn replies_read_as_a_person_would_write_them() {
             "40h Get System State E_SUCCESS REFERENCED | MOVING",
         ),
         (
+            Reply::success(Value::GetSystemInfo(SystemInfo {
+                device: DeviceType::Wsg50,
+                hardware_revision: 2,
+                firmware: FirmwareVersion::new(4, 1, 2, 0),
+                serial_number: 7,
+            })),
+            "50h Get System Information E_SUCCESS WSG 50, revision 2, firmware 4.1.2, serial number 7",
+        ),
+        (
+            Reply::success(Value::GetGrippingStatistics(GrippingStatistics {
+                total: 9,
+                no_part: 2,
+                part_lost: 1,
+            })),
+            "42h Get Gripping Statistics E_SUCCESS 9 grips, 2 without part, 1 lost",
+        ),
+        (Reply::success(Value::GetTemperature(Temperature(-5))), "46h Get Temperature E_SUCCESS -0.5 °C"),
+        (
+            Reply::success(Value::GetFinger1Info(FingerInfo { finger: FingerType::Fmf, data_len: 4 })),
+            "60h Get Finger 1 Info E_SUCCESS WSG-FMF, 4 bytes of data",
+        ),
+        (
             Reply::status_only(CommandId::Unknown(0x90), Status::CmdUnknown),
             "90h unknown command E_CMD_UNKNOWN",
         ),
     ] {
         assert_eq!(reply.to_string(), text);
     }
+}
+
+#[test]
+fn version_is_told_in_its_parts() {
+    let version = FirmwareVersion::new(1, 2, 3, 4);
+    assert_eq!(version.bits(), 0x1234);
+    assert_eq!(version.parts(), (1, 2, 3, 4));
+    assert_eq!(version.to_string(), "1.2.3-rc4");
+    assert_eq!(FirmwareVersion::from_bits(0xFEDC).parts(), (15, 14, 13, 12));
+    assert_eq!(FirmwareVersion::new(4, 0, 0, 0).to_string(), "4.0.0");
 }

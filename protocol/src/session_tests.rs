@@ -78,10 +78,12 @@ impl Desk {
     fn sent(&mut self) -> Vec<Command<'static>> {
         while let Some(notice) = self.session.tick(self.now) {
             self.notices.push(std::format!("{notice:?}"));
+            assert!(self.notices.len() < 10_000, "notices without end");
         }
         let mut sent = vec![];
         while let Some(command) = self.session.poll_transmit(self.now) {
             sent.push(command);
+            assert!(sent.len() < 100, "commands without end: {sent:?}");
         }
         sent
     }
@@ -129,12 +131,13 @@ impl Desk {
 fn connecting_asks_for_device_and_limits_and_subscribes() {
     let mut desk = Desk::new();
     let mut asked = vec![];
-    while !desk.session.is_connected() {
+    for _ in 0..4 {
         for command in desk.sent() {
             asked.push(command);
             desk.answer(command.id());
         }
     }
+    assert!(desk.session.is_connected());
     let update = AutoUpdate::on_change(10);
     let expected = [
         Command::GetSystemInfo,
@@ -274,6 +277,17 @@ fn stop_overtakes_what_waits_and_ends_the_motion() {
 }
 
 #[test]
+fn stop_that_is_not_answered_is_told_before_the_connection_counts_as_lost_and_does_not_leave_after_it() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::Stop).unwrap();
+    let sent = desk.pass(2_000);
+    assert_eq!(sent.iter().filter(|command| **command == Command::Stop).count(), 3);
+    assert_eq!(desk.notices, ["Unanswered(Stop)", "Disconnected"]);
+    desk.connect();
+    assert!(!desk.pass(300).contains(&Command::Stop));
+}
+
+#[test]
 fn stop_without_a_connection_is_sent_at_once_and_never_later() {
     let mut desk = Desk::connected();
     desk.pass(1_000);
@@ -326,6 +340,18 @@ fn fast_stop_goes_first_and_is_repeated_until_it_is_confirmed() {
     assert!(!desk.session.owes_fast_stop());
     desk.connect();
     assert!(!desk.pass(100).contains(&Command::FastStop), "and it is not sent again");
+}
+
+#[test]
+fn stop_behind_a_fast_stop_that_is_not_confirmed_is_refused_and_not_sent_later() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(desk.session.request(Command::Stop), Err(RequestError::FastStopRunning));
+    assert_eq!(desk.sent(), [Command::FastStop]);
+    assert_eq!(desk.session.request(Command::Stop), Err(RequestError::FastStopRunning));
+    desk.status(CommandId::FastStop, Status::Success);
+    assert_eq!(desk.sent(), []);
+    assert_eq!(desk.session.request(Command::Stop), Ok(()), "it is confirmed");
 }
 
 #[test]
@@ -413,6 +439,21 @@ fn late_result_of_an_earlier_motion_is_not_taken_for_that_of_a_new_one() {
     desk.status(CommandId::GripPart, Status::CmdPending);
     desk.status(CommandId::GripPart, Status::CmdFailed);
     assert_eq!(desk.noticed("Answered(Reply { id: GripPart, status: CmdFailed"), 1);
+}
+
+#[test]
+fn answer_that_comes_before_its_request_has_left_is_not_taken_for_its_answer() {
+    for (command, status) in [(Command::TareForceSensor, Status::Success), (GRIP, Status::AccessDenied)] {
+        let mut desk = Desk::connected();
+        desk.session.request(command).unwrap();
+        assert_eq!(desk.session.tick(desk.now), None);
+        desk.status(command.id(), status);
+        assert_eq!(desk.notices, [""; 0]);
+        assert_eq!(desk.session.counters().unasked, 1);
+        assert_eq!(desk.sent(), [command]);
+        desk.status(command.id(), status);
+        assert_eq!(desk.noticed("Answered"), 1);
+    }
 }
 
 #[test]
@@ -669,7 +710,10 @@ fn subscription_is_asked_for_at_once_and_again_after_a_reconnect() {
     assert_eq!(desk.noticed("Disconnected"), 1);
 
     let mut asked = vec![];
-    while !desk.session.is_connected() {
+    for _ in 0..2_000 {
+        if desk.session.is_connected() {
+            break;
+        }
         for command in desk.pass(1) {
             asked.push(command);
             match command.id() {
@@ -829,4 +873,201 @@ fn fast_stop_that_is_owed_while_the_line_is_down_does_not_make_the_caller_spin()
         desk.pass(1);
         assert!(desk.session.poll_timeout().is_none_or(|due| !desk.now.has_reached(due)));
     }
+}
+
+#[test]
+fn connection_that_is_given_up_while_it_begins_is_tried_again_at_once() {
+    let mut desk = Desk::new();
+    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+    desk.answer(CommandId::GetSystemInfo);
+    assert_eq!(desk.sent(), [Command::GetSystemLimits]);
+    desk.session.disconnect();
+    assert_eq!(desk.session.known(), &Known::NOTHING);
+    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+    assert_eq!(desk.notices, [""; 0], "there was none to lose");
+}
+
+#[test]
+fn connection_that_is_given_up_twice_still_tells_what_was_open() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.sent();
+    desk.session.disconnect();
+    desk.session.disconnect();
+    desk.sent();
+    assert_eq!(desk.notices, ["Unanswered(GripPart)", "Disconnected"]);
+}
+
+#[test]
+fn time_out_that_is_told_lies_ahead_whether_the_gripper_answers_or_not() {
+    let mut desk = Desk::connected();
+    for step in 0..4_000 {
+        for command in desk.pass(1) {
+            if step < 2_000 {
+                desk.answer(command.id());
+            }
+        }
+        desk.sent();
+        assert!(desk.session.poll_timeout().is_some_and(|due| !desk.now.has_reached(due)), "{step}");
+    }
+}
+
+#[test]
+fn motion_that_is_next_to_be_sent_is_withdrawn() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.session.tick(desk.now), None);
+    desk.session.withdraw();
+    assert_eq!(desk.sent(), []);
+    assert!(!desk.session.is_busy());
+}
+
+#[test]
+fn query_is_not_taken_back() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::GetTemperature).unwrap();
+    desk.sent();
+    assert!(!desk.session.take_back(CommandId::GetTemperature));
+    assert!(desk.session.is_busy());
+}
+
+#[test]
+fn supply_that_is_being_switched_on_is_not_switched_again() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::Finger1Power { enabled: true }).unwrap();
+    desk.sent();
+    desk.status(CommandId::Finger1Power, Status::CmdPending);
+    let again = desk.session.request(Command::Finger1Power { enabled: false });
+    assert_eq!(again, Err(RequestError::MotionRunning));
+    assert_eq!(desk.session.request(Command::Finger2Power { enabled: true }), Ok(()), "the other one may be");
+}
+
+#[test]
+fn request_behind_a_stop_waits_until_the_stop_is_answered() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::Stop).unwrap();
+    assert_eq!(desk.sent(), [Command::Stop]);
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.sent(), []);
+    desk.status(CommandId::Stop, Status::Success);
+    assert_eq!(desk.sent(), [GRIP]);
+}
+
+#[test]
+fn nothing_is_reported_before_the_connection_stands() {
+    let mut desk = Desk::new();
+    desk.sent();
+    desk.answer(CommandId::GetGripperState);
+    assert_eq!(desk.notices, [""; 0]);
+    assert_eq!(desk.session.counters().unasked, 1);
+}
+
+#[test]
+fn setting_may_be_off_by_a_thousandth_and_no_more() {
+    for (read, status) in [(3_002.0, Status::Success), (2_998.0, Status::Success), (3_004.0, MISMATCH)] {
+        let mut desk = verifying();
+        desk.session.request(Command::SetAcceleration { acceleration: 3_000.0 }).unwrap();
+        desk.sent();
+        desk.status(CommandId::SetAcceleration, Status::Success);
+        desk.sent();
+        desk.reply(Reply::success(Value::GetAcceleration(read)));
+        assert_eq!(desk.notices, [answered(CommandId::SetAcceleration, status)], "{read}");
+    }
+}
+
+#[test]
+fn either_soft_limit_that_is_another_one_is_a_mismatch() {
+    let limits = crate::SoftLimits { minus: 10.0, plus: 90.0 };
+    for (minus, plus, status) in
+        [(10.0, 90.0, Status::Success), (10.0, 80.0, MISMATCH), (20.0, 90.0, MISMATCH)]
+    {
+        let mut desk = verifying();
+        desk.session.request(Command::SetSoftLimits { limits }).unwrap();
+        desk.sent();
+        desk.status(CommandId::SetSoftLimits, Status::Success);
+        desk.sent();
+        desk.reply(Reply::success(Value::GetSoftLimits(crate::SoftLimits { minus, plus })));
+        assert_eq!(desk.notices, [answered(CommandId::SetSoftLimits, status)], "{minus} {plus}");
+    }
+}
+
+#[test]
+fn to_ask_once_ends_no_subscription_of_any_signal() {
+    let mut desk = Desk::connected();
+    let (update, once) = (AutoUpdate::on_change(70), AutoUpdate::once());
+    for (ask, kept) in [
+        (Command::GetSystemState { update: once }, Command::GetSystemState { update }),
+        (Command::GetGripperState { update: once }, Command::GetGripperState { update }),
+        (Command::GetOpeningWidth { update: once }, Command::GetOpeningWidth { update }),
+        (Command::GetSpeed { update: once }, Command::GetSpeed { update }),
+        (Command::GetForce { update: once }, Command::GetForce { update }),
+    ] {
+        desk.session.subscribe(Signal::of(ask.id()).unwrap(), update);
+        desk.session.request(ask).unwrap();
+        assert_eq!(desk.sent(), [kept, kept], "for the caller, and to have it changed");
+        for _ in 0..2 {
+            match kept.id() {
+                CommandId::GetOpeningWidth => desk.reply(Reply::success(Value::GetOpeningWidth(0.0))),
+                CommandId::GetSpeed => desk.reply(Reply::success(Value::GetSpeed(0.0))),
+                CommandId::GetForce => desk.reply(Reply::success(Value::GetForce(0.0))),
+                id => desk.answer(id),
+            }
+        }
+        assert_eq!(desk.sent(), [], "it is confirmed");
+    }
+}
+
+#[test]
+fn update_that_is_asked_for_is_sent_as_it_is() {
+    let mut desk = Desk::connected();
+    let ask = Command::GetGripperState { update: AutoUpdate::every(70) };
+    desk.session.request(ask).unwrap();
+    assert_eq!(desk.sent(), [ask]);
+}
+
+#[test]
+fn subscriptions_that_change_together_are_each_asked_for_once() {
+    let mut desk = Desk::connected();
+    let update = AutoUpdate::every(50);
+    desk.session.subscribe(Signal::Width, update);
+    desk.session.subscribe(Signal::Force, update);
+    assert_eq!(desk.sent(), [Command::GetOpeningWidth { update }]);
+    desk.reply(Reply::success(Value::GetOpeningWidth(0.0)));
+    assert_eq!(desk.sent(), [Command::GetForce { update }]);
+    desk.reply(Reply::success(Value::GetForce(0.0)));
+    assert_eq!(desk.sent(), []);
+}
+
+#[test]
+fn request_that_is_answered_once_is_not_answered_by_pending() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::GetTemperature).unwrap();
+    desk.sent();
+    desk.status(CommandId::GetTemperature, Status::CmdPending);
+    assert_eq!(desk.notices, [""; 0]);
+    assert_eq!(desk.session.counters().unasked, 1);
+    desk.reply(Reply::success(Value::GetTemperature(crate::Temperature(250))));
+    assert_eq!(desk.noticed("Answered(Reply { id: GetTemperature, status: Success"), 1);
+}
+
+#[test]
+fn everything_that_the_gripper_tells_of_itself_is_known() {
+    let mut desk = Desk::connected();
+    desk.reply(Reply::success(Value::GetSystemState(SystemFlags::MOVING)));
+    assert!(desk.session.known().is_moving(), "by its flags");
+    desk.reply(Reply::success(Value::GetSystemState(SystemFlags::REFERENCED)));
+    assert!(!desk.session.known().is_moving());
+    desk.reply(Reply::success(Value::GetGripperState(GripperState::Releasing)));
+    assert!(desk.session.known().is_moving(), "by its state");
+    desk.reply(Reply::success(Value::GetOpeningWidth(12.5)));
+    desk.reply(Reply::success(Value::GetForce(3.5)));
+    let known = Known {
+        info: Some(INFO),
+        limits: Some(LIMITS),
+        flags: Some(SystemFlags::REFERENCED),
+        state: Some(GripperState::Releasing),
+        width: Some(12.5),
+        force: Some(3.5),
+    };
+    assert_eq!(desk.session.known(), &known);
 }

@@ -63,3 +63,25 @@ impl Instant {
         Duration::from_millis(later.since(self) as u64)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn moments_are_compared_by_their_distance_wherever_the_clock_wraps() {
+        for begin in [0, 5, u32::MAX - 2, 1 << 31] {
+            let before = Instant::from_millis(begin);
+            for distance in [1, 1_000, (1 << 31) - 1] {
+                let after = before.plus(distance);
+                assert_eq!(after.as_millis(), begin.wrapping_add(distance));
+                assert!(after.has_reached(before) && !before.has_reached(after));
+                assert_eq!((after.since(before), before.since(after)), (distance, 0));
+                assert_eq!((before.earlier_of(after), after.earlier_of(before)), (before, before));
+                assert_eq!(before.until(after), Duration::from_millis(distance.into()));
+                assert_eq!(after.until(before), Duration::ZERO);
+            }
+            assert!(before.has_reached(before));
+        }
+    }
+}

@@ -8,7 +8,7 @@ use crate::{
     bench,
     firmware::Image,
     gate::Gate,
-    panics,
+    mutants, panics,
     probe::Probes,
     process, size,
     stack::{self},
@@ -16,6 +16,7 @@ use crate::{
 };
 
 const DOCUMENT: &str = "docs/figures.md";
+const README: &str = "README.md";
 const END: &str = "<!-- end -->";
 
 /// Measures everything that `docs/figures.md` tells, writes it, and has the README take it over; gives the gates.
@@ -28,7 +29,8 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     gates.extend(bench::counted(probes, false)?);
     gates.push(bench::throughput(probes.workspace)?);
 
-    write_part(probes.workspace, "figures", &table(&gates))?;
+    let table = table(&gates) + &mutants::rows(&probes.workspace.root)?;
+    write_part(probes.workspace, "figures", &table)?;
     let mut readme = probes.workspace.cargo();
     readme.env("WSG_UPDATE_DOCS", "1").args([
         "test",
@@ -42,6 +44,18 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     process::run(&mut readme)?;
     println!("{DOCUMENT} and README.md are written");
     Ok(gates)
+}
+
+/// Writes the rows on mutants anew, which follow from what is kept of their runs, into the document and the README.
+pub(crate) fn write_mutants(workspace: &Workspace) -> Result<()> {
+    let rows = mutants::rows(&workspace.root)?;
+    for document in [DOCUMENT, README] {
+        let path = workspace.root.join(document);
+        let text = fs::read_to_string(&path).with_context(|| format!("cannot read {document}"))?;
+        let text = with_rows(&text, &rows).with_context(|| format!("{document} has no part `figures`"))?;
+        fs::write(&path, text).with_context(|| format!("cannot write {document}"))?;
+    }
+    Ok(())
 }
 
 /// Writes what stands between `<!-- generated: NAME -->` and the next end in the document.
@@ -74,6 +88,20 @@ fn with_part(text: &str, name: &str, part: &str) -> Option<String> {
     Some(format!("{before}{begin}\n{part}{END}{after}"))
 }
 
+/// The figures with these rows in place of those that begin as they do, or behind the others.
+fn with_rows(text: &str, rows: &str) -> Option<String> {
+    let (_, rest) = text.split_once("<!-- generated: figures -->\n")?;
+    let (part, _) = rest.split_once(END)?;
+    let first_cell = |row: &str| row.split('|').nth(1).map(str::to_owned);
+    let new: Vec<_> = rows.lines().map(first_cell).collect();
+    let mut table = String::new();
+    for row in part.lines().filter(|row| !new.contains(&first_cell(row))).chain(rows.lines()) {
+        table.push_str(row);
+        table.push('\n');
+    }
+    with_part(text, "figures", &table)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -89,5 +117,17 @@ mod tests {
         assert!(written.contains("| flash | 90 B | 100 B |\n| RAM | 120 B | 100 B, **missed** |\n"));
         assert!(!written.contains("old"));
         assert_eq!(with_part("no part", "figures", ""), None);
+    }
+
+    #[test]
+    fn rows_take_the_place_of_their_likes_and_the_others_stay() {
+        let text = "A\n<!-- generated: figures -->\n| what | measured |\n|---|---|\n| RAM | 80 B |\n<!-- end -->\nB\n";
+
+        let first = with_rows(text, "| mutants | 7 of 8 |\n").unwrap();
+        let second = with_rows(&first, "| mutants | 8 of 8 |\n").unwrap();
+
+        assert_eq!(first, text.replace("80 B |\n", "80 B |\n| mutants | 7 of 8 |\n"));
+        assert_eq!(second, first.replace("7 of 8", "8 of 8"));
+        assert_eq!(with_rows("no part", ""), None);
     }
 }

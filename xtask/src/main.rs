@@ -64,7 +64,9 @@ Commands
   soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;
                      a quarter of an hour [--commands N] [--seed N]
   mutants [FILE...]  changes of the protocol crate, or of these files of it, that no test notices;
-                     takes hours for all [--shard K/N: every N-th, a sample]; cargo-mutants
+                     takes hours for all [--jobs N: at a time, 1] [--shard K/N: every N-th, a
+                     sample] [--again: those that survived]; writes docs/mutants.txt;
+                     cargo-mutants
   miri               the bridge's host tests under Miri; nightly Rust
   coverage           lines of the protocol crate that its tests reach; nightly Rust
   sabotage [GATE]    change a line in a copy of the tree and see the gate fail, for each gate;

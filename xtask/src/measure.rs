@@ -101,12 +101,14 @@ impl Built {
     }
 }
 
-/// Files, and `--shard K/N`.
+/// Files, `--again`, `--shard K/N` and `--jobs N`.
 fn mutants_extent(mut arguments: Parser) -> Result<mutants::Extent> {
     let mut extent = mutants::Extent::default();
     while let Some(argument) = arguments.next()? {
         match argument {
             Arg::Long("shard") => extent.shard = Some(arguments.value()?.string()?),
+            Arg::Long("again") => extent.again = true,
+            Arg::Long("jobs") => extent.jobs = Some(arguments.value()?.parse()?),
             Arg::Value(file) => extent.files.push(file.string()?),
             other => return Err(other.unexpected()).context("see `cargo xtask help`"),
         }

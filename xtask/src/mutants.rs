@@ -1,5 +1,7 @@
 //! Mutants of the protocol crate: which changes of the code no test notices.
 
+mod record;
+
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
@@ -9,10 +11,13 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::{
-    process,
+    figures, process,
     tool::{self, CARGO_MUTANTS},
     workspace::Workspace,
 };
+use record::{Record, Sources};
+
+pub(crate) use record::rows;
 
 /// Survivors that are accepted, a name and a reason each.
 const ACCEPTED: &str = "xtask/mutants-accepted.txt";
@@ -25,13 +30,37 @@ const CAUGHT_PERCENT: usize = 95;
 
 /// The file that the feature `small-table` changes, and the options that leave only what it changes there.
 const OF_SMALL_TABLE: &str = "protocol/src/checksum.rs";
-const SMALL_TABLE: [&str; 4] = ["--features", "small-table", "--re", "lookup::|chunk::"];
+const SMALL_TABLE: [&str; 6] = ["--features", "small-table", "--re", "lookup::|chunk::", "--", "--lib"];
 
-/// The text protocol, whose grammar is held by the test `gcl` of host-tests.
-const OF_GCL: &str = "protocol/src/gcl";
-const GCL_FILES: [&str; 2] = ["protocol/src/gcl.rs", "protocol/src/gcl/**"];
-const GCL_TESTS: [&str; 7] =
-    ["--test-package", "wsg-protocol", "--test-package", "host-tests", "--", "--lib", "--test=gcl"];
+/// The crate's own tests. Those of its documents and examples notice nothing more, and linking them takes the time again.
+/// Those of decimal fractions notice what is changed in GCL, which has a run of its own, and take as long as all others.
+const OWN_TESTS: [&str; 2] = ["--", "--lib"];
+const WITHOUT_DECIMAL: [&str; 3] = ["--", "--skip", "gcl::decimal"];
+
+/// The tests as they are in `cargo xtask test`, with as many cases; but the same in each run, and a case that fails is
+/// neither made smaller nor kept for the next mutant.
+const ENVIRONMENT: [(&str, &str); 4] = [
+    ("PROPTEST_RNG_SEED", "1"),
+    ("PROPTEST_MAX_SHRINK_ITERS", "0"),
+    ("PROPTEST_DISABLE_FAILURE_PERSISTENCE", "true"),
+    ("CARGO_INCREMENTAL", "1"),
+];
+
+/// The text protocol and the drivers over it, whose grammar and behaviour are held by tests of host-tests as well.
+const GCL_FILES: [&str; 4] = [
+    "protocol/src/gcl.rs",
+    "protocol/src/gcl/**",
+    "protocol/src/driver/gcl.rs",
+    "protocol/src/driver/gcl/**",
+];
+const GCL_TESTS: [&str; 2] = ["--test=gcl", "--test=drivers"];
+
+/// How they are run. cargo-mutants would look for them in the changed package when it tries the unchanged one.
+const IN_HOST_TESTS: [&str; 7] =
+    ["--baseline", "skip", "--timeout", "120", "--test-package", "host-tests", "--"];
+
+/// Why a survivor is accepted, by its name.
+type Accepted = BTreeMap<String, String>;
 
 /// What became of the mutants, each a line of cargo-mutants.
 #[derive(Debug, Default, PartialEq)]
@@ -47,6 +76,10 @@ pub(crate) struct Extent {
     pub(crate) files: Vec<String>,
     /// `K/N`: every N-th, from the K-th on: a sample of them all.
     pub(crate) shard: Option<String>,
+    /// Only what has survived before.
+    pub(crate) again: bool,
+    /// How many at a time; one if not given.
+    pub(crate) jobs: Option<usize>,
 }
 
 impl Extent {
@@ -57,39 +90,110 @@ impl Extent {
 
 /// Makes the mutants, and holds the survivors to the accepted ones.
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
-    let accepted = accepted(&read(&workspace.root.join(ACCEPTED))?)?;
+    let accepted = read_accepted(&workspace.root)?;
     CARGO_MUTANTS.require(workspace, "the mutants of wsg-protocol")?;
-    let options = match &extent.shard {
-        Some(shard) => vec!["--sharding", "round-robin", "--shard", shard.as_str()],
-        None => vec![],
+    // Before it takes hours in which somebody edits.
+    let sources = Sources::read(&workspace.root)?;
+    let run_over = |file: &str| extent.is_whole() || extent.files.iter().any(|named| named == file);
+    let jobs = extent.jobs.unwrap_or(1).to_string();
+    let outcome = if extent.again {
+        let left = Record::read(&workspace.root)?.survived(&accepted, &sources, run_over);
+        ensure!(!left.is_empty(), "no survivor is known of these files as they are now");
+        let files: BTreeSet<&str> = left.iter().map(|mutant| record::file_of(mutant)).collect();
+        let mut outcome = find(workspace, &jobs, &Vec::from_iter(files), &these(&left))?;
+        outcome.only(&left);
+        outcome
+    } else {
+        let sample = match &extent.shard {
+            Some(shard) => ["--sharding", "round-robin", "--shard", shard].map(str::to_owned).to_vec(),
+            None => vec![],
+        };
+        find(workspace, &jobs, &extent.files.iter().map(String::as_str).collect::<Vec<_>>(), &sample)?
     };
-    let (of_gcl, others): (Vec<&str>, Vec<&str>) =
-        extent.files.iter().map(String::as_str).partition(|file| file.starts_with(OF_GCL));
+    let mut record = Record::read(&workspace.root)?;
+    if extent.again {
+        record.catch(&outcome.caught);
+    } else {
+        record.take(&outcome, extent.shard.as_deref(), &sources, run_over);
+    }
+    record.write(&workspace.root, &accepted)?;
+    figures::write_mutants(workspace)?;
+    println!("{}, docs/figures.md and README.md are written", record::DOCUMENT);
+    judge(&outcome, &accepted, extent.is_whole() && !extent.again)
+}
+
+/// Makes the mutants of these files (none: of all) that the options leave.
+fn find(workspace: &Workspace, jobs: &str, files: &[&str], options: &[String]) -> Result<Outcome> {
+    let is_whole = files.is_empty();
+    let options: Vec<&str> = ["--jobs", jobs].into_iter().chain(options.iter().map(String::as_str)).collect();
+    let (of_gcl, others): (Vec<&str>, Vec<&str>) = files.iter().partition(|file| is_of_gcl(file));
     let mut outcome = Outcome::default();
-    if extent.is_whole() || !others.is_empty() {
+    if is_whole || !others.is_empty() {
         let without = GCL_FILES.map(|file| ["--exclude", file]).concat();
-        outcome.join(make(workspace, "all", &others, &[&options, &without[..]].concat())?);
+        let options = [&options, &without[..], &OWN_TESTS, &WITHOUT_DECIMAL].concat();
+        outcome.join(make(workspace, "all", &others, &options)?);
     }
-    if extent.is_whole() || !of_gcl.is_empty() {
-        let files = if extent.is_whole() { &GCL_FILES[..] } else { &of_gcl };
-        outcome.join(make(workspace, "gcl", files, &[&options, &GCL_TESTS[..]].concat())?);
+    if is_whole || !of_gcl.is_empty() {
+        let files = if is_whole { &GCL_FILES[..] } else { &of_gcl };
+        let first = make(workspace, "gcl", files, &[&options, &OWN_TESTS[..]].concat())?;
+        if !first.survived.is_empty() {
+            // Building these tests takes several times as long: only for what is left. First with nothing changed.
+            let mut unchanged = workspace.cargo();
+            unchanged.args(["test", "--quiet", "--profile", "mutants", "-p", "host-tests"]);
+            process::run(unchanged.args(GCL_TESTS).envs(ENVIRONMENT))?;
+            let left = these(&first.survived);
+            let left = left.iter().map(String::as_str);
+            let options: Vec<&str> =
+                ["--jobs", jobs].into_iter().chain(left).chain(IN_HOST_TESTS).chain(GCL_TESTS).collect();
+            let mut second = make(workspace, "gcl-host-tests", files, &options)?;
+            second.only(&first.survived);
+            outcome.join(second);
+        }
+        outcome.join(first);
     }
-    if extent.is_whole() || others.iter().any(|file| file.contains(OF_SMALL_TABLE)) {
+    if is_whole || others.iter().any(|file| file.contains(OF_SMALL_TABLE)) {
         // What is only there with the feature is noticed only with it; what either run notices is noticed.
-        outcome.join(make(workspace, "small-table", &[OF_SMALL_TABLE], &SMALL_TABLE)?);
+        let options = [&["--jobs", jobs], &SMALL_TABLE[..]].concat();
+        outcome.join(make(workspace, "small-table", &[OF_SMALL_TABLE], &options)?);
     }
-    judge(&outcome, &accepted, extent.is_whole())
+    Ok(outcome)
+}
+
+/// Options that leave these mutants.
+fn these(mutants: &BTreeSet<String>) -> Vec<String> {
+    mutants.iter().flat_map(|mutant| ["--re".to_owned(), exactly(mutant)]).collect()
+}
+
+fn is_of_gcl(file: &str) -> bool {
+    GCL_FILES.iter().any(|pattern| match pattern.strip_suffix("**") {
+        Some(folder) => file.starts_with(folder),
+        None => file == *pattern,
+    })
+}
+
+/// The regular expression of this mutant alone.
+fn exactly(mutant: &str) -> String {
+    let mut expression = "^".to_owned();
+    for c in mutant.chars() {
+        if r"\.+*?()|[]{}^$#&-~".contains(c) {
+            expression.push('\\');
+        }
+        expression.push(c);
+    }
+    expression + "$"
 }
 
 /// One run of cargo-mutants.
 fn make(workspace: &Workspace, name: &str, files: &[&str], options: &[&str]) -> Result<Outcome> {
     let output = workspace.target_dir.join("mutants").join(name);
     fs::create_dir_all(&output).with_context(|| format!("cannot make {}", output.display()))?;
-    let mut mutants =
-        tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle", "-j1"]);
+    let mut mutants = tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle"]);
+    mutants.args(["--profile", "mutants"]).envs(ENVIRONMENT);
     mutants.arg("--output").arg(&output).args(["--colors", "never"]);
-    // Four times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
-    mutants.args(["--timeout-multiplier", "4", "--minimum-test-timeout", "40"]);
+    if !options.contains(&"--timeout") {
+        // Many times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
+        mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
+    }
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
     // What the tests are made of is no part of the crate.
     mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(options);
@@ -110,6 +214,12 @@ fn outcome(folder: &Path) -> Result<Outcome> {
 }
 
 impl Outcome {
+    /// Of these mutants: cargo-mutants makes more than it is asked for, where a field is left out of a struct.
+    fn only(&mut self, these: &BTreeSet<String>) {
+        self.caught.retain(|mutant| these.contains(mutant));
+        self.survived.retain(|mutant| these.contains(mutant));
+    }
+
     /// With another run: what either has caught is caught.
     fn join(&mut self, other: Self) {
         self.caught.extend(other.caught);
@@ -127,8 +237,12 @@ fn name_of(line: &str) -> String {
     }
 }
 
+fn read_accepted(root: &Path) -> Result<Accepted> {
+    accepted(&read(&root.join(ACCEPTED))?)
+}
+
 /// Lines of a mutant's name, ` -- ` and the reason.
-fn accepted(text: &str) -> Result<BTreeMap<String, String>> {
+fn accepted(text: &str) -> Result<Accepted> {
     let lines = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
     lines
         .map(|line| {
@@ -139,7 +253,7 @@ fn accepted(text: &str) -> Result<BTreeMap<String, String>> {
         .collect()
 }
 
-fn judge(outcome: &Outcome, accepted: &BTreeMap<String, String>, is_whole: bool) -> Result<()> {
+fn judge(outcome: &Outcome, accepted: &Accepted, is_whole: bool) -> Result<()> {
     let mut open = Vec::new();
     for mutant in &outcome.survived {
         let name = name_of(mutant);
@@ -210,6 +324,26 @@ mod tests {
 
         assert!(judge(&survived(&names[..5]), &BTreeMap::new(), true).is_ok());
         assert!(judge(&survived(&names), &BTreeMap::new(), true).is_err());
+    }
+
+    #[test]
+    fn only_the_text_protocol_and_the_drivers_over_it_are_of_gcl() {
+        for file in ["protocol/src/gcl.rs", "protocol/src/gcl/session/track.rs", "protocol/src/driver/gcl.rs"]
+        {
+            assert!(is_of_gcl(file), "{file}");
+        }
+        for file in ["protocol/src/driver.rs", "protocol/src/driver/motion.rs", "protocol/src/session.rs"] {
+            assert!(!is_of_gcl(file), "{file}");
+        }
+    }
+
+    #[test]
+    fn every_character_of_a_mutant_stands_for_itself() {
+        let mutant = "protocol/src/gcl/x.rs:7:1: replace | with ^ in Line<N>::of -> &[u8]";
+        assert_eq!(
+            exactly(mutant),
+            r"^protocol/src/gcl/x\.rs:7:1: replace \| with \^ in Line<N>::of \-> \&\[u8\]$"
+        );
     }
 
     #[test]

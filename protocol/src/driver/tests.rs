@@ -3,10 +3,11 @@
 mod cancelled;
 mod desk;
 mod framing;
+mod waking;
 
 use super::*;
 use crate::session::Signal;
-use crate::{AutoUpdate, CommandId, HomingDirection, Refusal, Reply, Status};
+use crate::{AutoUpdate, CommandId, GripperState, HomingDirection, Refusal, Reply, Status, SystemFlags};
 use desk::{Desk, Noise, Segment, Watch, frame, status};
 use std::vec;
 use std::vec::Vec;
@@ -255,9 +256,10 @@ fn updates_are_kept_and_subscribed_to_again_after_a_reconnect() {
     assert_eq!(gripper.next_update(0), Ok(Some(Update::Width(41.0))), "what came meanwhile");
 
     desk.world(|world| world.silent = true);
-    while gripper.is_connected() {
+    for _ in 0..20 {
         gripper.next_update(100).unwrap();
     }
+    assert!(!gripper.is_connected());
     desk.world(|world| world.silent = false);
     gripper.connect().unwrap();
     assert_eq!(desk.world(|world| world.width_update.take()), subscription);
@@ -338,4 +340,91 @@ fn finger_supply_takes_its_time() {
     desk.script(id, vec![(1, status(id, Status::CmdPending))]);
     assert_eq!(gripper.set_finger_power(Finger::One, true), Err(Error::Unanswered));
     assert!(gripper.is_connected());
+}
+
+#[test]
+fn confirmation_of_a_fast_stop_that_was_lost_is_waited_for_while_it_is_sent_again() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    desk.script(CommandId::FastStop, vec![]);
+    assert_eq!(gripper.fast_stop(), Ok(()));
+    assert_eq!(desk.heard(CommandId::FastStop), 2);
+    assert!(!gripper.owes_fast_stop());
+}
+
+#[test]
+fn every_kind_of_update_comes_through() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    for signal in [Signal::Width, Signal::Speed, Signal::Force] {
+        gripper.subscribe(signal, AutoUpdate::every(10));
+    }
+    while gripper.next_update(50).unwrap().is_some() {}
+    for (value, update) in [
+        (Value::GetSystemState(SystemFlags::FAST_STOP), Update::SystemState(SystemFlags::FAST_STOP)),
+        (Value::GetGripperState(GripperState::Holding), Update::GripperState(GripperState::Holding)),
+        (Value::GetOpeningWidth(41.0), Update::Width(41.0)),
+        (Value::GetSpeed(7.0), Update::Speed(7.0)),
+        (Value::GetForce(3.0), Update::Force(3.0)),
+    ] {
+        desk.inject(&frame(Reply::success(value)));
+        assert_eq!(gripper.next_update(0), Ok(Some(update)));
+    }
+}
+
+#[test]
+fn transport_that_holds_bytes_back_until_it_is_flushed_is_flushed() {
+    let desk = Desk::new();
+    desk.world(|world| world.holds_back = true);
+    let mut gripper = connected(&desk);
+    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
+    let mut other = connected_async(&desk);
+    assert_eq!(desk.run(other.grip(20.0, 50.0)), Ok(Grip::Held));
+
+    desk.world(|world| world.width_update = None);
+    other.subscribe(Signal::Width, AutoUpdate::every(10));
+    desk.run(other.next_update(0)).unwrap();
+    assert!(desk.world(|world| world.width_update.is_some()), "all of it within one call that does not wait");
+}
+
+#[test]
+fn motion_that_has_begun_tells_which_it_is() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    assert_eq!(grip.id(), CommandId::GripPart);
+    assert_eq!(std::format!("{grip:?}"), "Pending(GripPart)");
+}
+
+#[test]
+fn closure_is_a_clock() {
+    let mut clock = || crate::Instant::from_millis(7);
+    assert_eq!(Clock::now(&mut clock), crate::Instant::from_millis(7));
+}
+
+#[test]
+fn every_error_says_who_can_do_something_about_it_and_what_it_is() {
+    let refused = Status::AccessDenied;
+    for (error, culprit, text) in [
+        (Error::NotConnected, Culprit::Caller, "no connection"),
+        (Error::MotionRunning, Culprit::Caller, "motion is running"),
+        (Error::FastStopRunning, Culprit::Caller, "FAST STOP"),
+        (Error::Invalid(Refusal::NotFinite), Culprit::Caller, "invalid parameter: "),
+        (Error::Superseded, Culprit::Caller, "another motion"),
+        (Error::NotInGcl, Culprit::Caller, "GCL"),
+        (Error::NoForceLimit, Culprit::Caller, "force limit"),
+        (Error::TooLong { needed: 18 }, Culprit::Capacity, "18 bytes"),
+        (Error::Refused(refused), Culprit::Peer, "refused: "),
+        (Error::Blocked, Culprit::Peer, "blocked"),
+        (Error::Aborted, Culprit::Peer, "aborted"),
+        (Error::Failed(Status::Timeout), Culprit::Peer, "failed: "),
+        (Error::Mismatch, Culprit::Peer, "read back"),
+        (Error::Unanswered, Culprit::Peer, "no answer"),
+        (Error::Transport(Noise), Culprit::Transport, "transport: noise"),
+        (Error::Closed, Culprit::Transport, "closed"),
+    ] {
+        assert_eq!(error.culprit(), culprit, "{error:?}");
+        let said = std::format!("{error}");
+        assert!(said.contains(text), "{said}");
+    }
 }

@@ -102,6 +102,7 @@ impl Plc {
         let mut commands = vec![];
         while let Some(command) = self.controller.poll_command() {
             commands.push(command);
+            assert!(commands.len() < 10, "commands without end: {commands:?}");
         }
         commands
     }
@@ -132,6 +133,54 @@ fn grip_is_not_sent_when_the_force_limit_was_not_taken() {
     assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), []);
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::CmdFormatError));
+}
+
+#[test]
+fn only_the_answer_to_its_own_force_limit_lets_a_grip_begin() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
+    assert_eq!(plc.answer(CommandId::TareForceSensor, Status::Success), [], "of somebody else");
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [], "it has begun");
+    assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
+
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [], "it needs none");
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), []);
+    assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::CmdPending), "and goes on");
+}
+
+#[test]
+fn command_of_somebody_else_that_comes_to_nothing_leaves_a_motion_and_its_status_alone() {
+    for (flag, id) in [
+        (CommandFlags::MOVE, CommandId::SetForceLimit),
+        (CommandFlags::MOVE, CommandId::TareForceSensor),
+        (CommandFlags::GRIP, CommandId::TareForceSensor),
+    ] {
+        let mut plc = Plc::ready();
+        plc.raise(flag);
+        let before = plc.shows();
+        plc.controller.handle(&Notice::Unanswered(id), &plc.known);
+        plc.controller.handle(&Notice::Withdrawn(id), &plc.known);
+        assert_eq!(plc.shows(), before, "{flag:?} {id}");
+    }
+}
+
+#[test]
+fn stop_and_acknowledgement_that_are_not_answered_show_e_timeout() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    plc.controller.handle(&Notice::Unanswered(CommandId::TareForceSensor), &plc.known);
+    assert_eq!(plc.shows().1, Status::CmdPending, "of somebody else");
+    plc.controller.handle(&Notice::Unanswered(CommandId::Stop), &plc.known);
+    assert_eq!(plc.shows().1, Status::Timeout);
+
+    let mut plc = Plc::ready();
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    plc.controller.handle(&Notice::Unanswered(CommandId::Acknowledge), &plc.known);
+    assert_eq!(plc.shows().1, Status::Timeout);
 }
 
 #[test]
@@ -453,6 +502,18 @@ fn motion_whose_outcome_is_not_known_shows_error_and_e_timeout() {
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
     plc.connect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout), "still not known after the reconnect");
+}
+
+#[test]
+fn motion_that_is_given_up_with_the_connection_is_no_fast_stop() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.known = Known::NOTHING;
+    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart), &plc.known);
+    plc.disconnect();
+    assert_eq!(plc.commands(), []);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
 }
 
 #[test]

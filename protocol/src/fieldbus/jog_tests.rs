@@ -126,6 +126,41 @@ fn jog_waits_for_both_answers_before_it_goes_on() {
 }
 
 #[test]
+fn jog_that_is_stopped_twice_still_waits_for_the_answer_of_its_motion() {
+    let mut plc = Plc::jogging();
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    assert_eq!(plc.answer(CommandId::Stop, Status::Success), []);
+    assert_eq!(plc.shows().0, GripperFlags::RELEASING, "its motion is not answered");
+    assert_eq!(plc.lower(CommandFlags::STOP_ACK), []);
+    assert_eq!(plc.raise(CommandFlags::JOG_MINUS), [], "so the next does not begin yet");
+    assert_eq!(plc.answer(CommandId::PrePosition, Status::CmdAborted), [FORCE]);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [MINUS]);
+}
+
+#[test]
+fn stop_of_a_jog_that_succeeds_is_no_fast_stop_although_the_report_of_the_state_is_older() {
+    let mut plc = Plc::jogging();
+    plc.report(GripperState::Positioning);
+    plc.lower(CommandFlags::JOG_PLUS);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::AXIS_STOPPED);
+    assert_eq!(plc.answer(CommandId::Stop, Status::Success), []);
+    assert_eq!(plc.answer(CommandId::PrePosition, Status::CmdAborted), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn stop_of_a_jog_that_fails_while_the_fingers_stand_is_no_fast_stop() {
+    let mut plc = Plc::jogging();
+    plc.lower(CommandFlags::JOG_PLUS);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.answer(CommandId::Stop, Status::CmdFailed), []);
+    assert_eq!(plc.shows().1, Status::CmdFailed);
+    assert!(!plc.is_fast_stopped());
+}
+
+#[test]
 fn width_that_changes_during_a_jog_is_a_fast_stop() {
     let mut plc = Plc::jogging();
     assert_eq!(plc.write(|image| image.width += 1), [Command::FastStop]);

@@ -468,3 +468,24 @@ fn every_function_at_every_length_is_answered_as_the_specification_says() {
     let served: Vec<u8> = (0..=255).filter(|code| answered[usize::from(*code)] > 0).collect();
     assert_eq!(served, [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43]);
 }
+
+#[test]
+fn images_have_as_many_bits_as_their_bytes_and_the_next_address_is_none() {
+    assert_eq!((Images::COILS, Images::DISCRETE_INPUTS), (64, 96));
+    let images = Images::new(false);
+    for last in [images.coil(Images::COILS - 1), images.discrete_input(Images::DISCRETE_INPUTS - 1)] {
+        assert_eq!(last, Ok(false));
+    }
+    for next in [images.coil(Images::COILS), images.discrete_input(Images::DISCRETE_INPUTS)] {
+        assert_eq!(next, Err(Exception::IllegalDataAddress));
+    }
+}
+
+#[test]
+fn values_of_a_write_are_empty_when_there_are_none() {
+    assert!(Bits::new(&[0xFF], 0).is_empty());
+    assert!(!Bits::new(&[0xFF], 3).is_empty());
+    assert_eq!(Bits::new(&[0xFF], 3).len(), 3);
+    assert!(Words::new(&[]).is_empty());
+    assert!(!Words::new(&[0, 1]).is_empty());
+}

@@ -101,6 +101,22 @@ fn adapter_answers_its_host_and_no_answer_gets_one() {
     }
 }
 
+#[test]
+fn channel_is_open_from_its_command_to_the_one_that_closes_it() {
+    let mut adapter = Adapter::new();
+    let opens = |adapter: &mut Adapter, line: &[u8]| {
+        for line in lines(line) {
+            adapter.answer(&line);
+        }
+        adapter.is_open()
+    };
+    assert!(!adapter.is_open());
+    assert!(!opens(&mut adapter, b"S6\r"));
+    assert!(opens(&mut adapter, b"O\r"));
+    assert!(opens(&mut adapter, b"t1200\r"));
+    assert!(!opens(&mut adapter, b"C\r"));
+}
+
 proptest! {
     #[test]
     fn every_frame_is_read_as_it_was_written(

@@ -14,6 +14,9 @@ use std::rc::Rc;
 use std::vec;
 use std::vec::Vec;
 
+/// Near the end of the clock's range, so that every script also shows that it may wrap.
+const BEGIN: Instant = Instant::from_millis(u32::MAX - 300);
+
 /// Bytes that arrive together, so many milliseconds after the request.
 pub(super) type Segment = (u32, Vec<u8>);
 
@@ -46,6 +49,11 @@ pub(super) struct World {
     pub(super) heard: Vec<(u8, Vec<u8>)>,
     /// Bytes of each write.
     pub(super) writes: Vec<usize>,
+    /// Bytes that were written leave at the flush.
+    pub(super) holds_back: bool,
+    held_back: Vec<u8>,
+    /// When the future that was polled last wants to be polled again.
+    wakes_at: Option<Instant>,
     /// Bytes that the transport takes before it is full.
     pub(super) room: usize,
     /// The gripper is off.
@@ -72,13 +80,15 @@ pub(super) fn status(id: CommandId, status: Status) -> Vec<u8> {
 impl Desk {
     pub(super) fn new() -> Self {
         Self(Rc::new(RefCell::new(World {
-            // Near the end of the clock's range, so that every script also shows that it may wrap.
-            now: Instant::from_millis(u32::MAX - 300),
+            now: BEGIN,
             parser: FrameParser::new(),
             coming: VecDeque::new(),
             scripted: vec![],
             heard: vec![],
             writes: vec![],
+            holds_back: false,
+            held_back: vec![],
+            wakes_at: None,
             room: usize::MAX,
             silent: false,
             closed: false,
@@ -118,6 +128,24 @@ impl Desk {
     /// Runs a future to its end in virtual time.
     pub(super) fn run<T>(&self, future: impl Future<Output = T>) -> T {
         self.run_for(600_000, future).expect("it comes to an end within ten minutes")
+    }
+
+    /// Runs a future to its end as an executor does: it is polled again when bytes have come, or when the moment is there
+    /// that it waits for.
+    pub(super) fn run_woken<T>(&self, future: impl Future<Output = T>) -> T {
+        let mut future = pin!(future);
+        let mut context = Context::from_waker(Waker::noop());
+        for _ in 0..1_000 {
+            self.world(|world| world.wakes_at = None);
+            if let Poll::Ready(value) = future.as_mut().poll(&mut context) {
+                return value;
+            }
+            self.world(|world| {
+                let coming = world.coming.iter().map(|(at, _)| *at).chain(world.wakes_at);
+                world.now = coming.reduce(Instant::earlier_of).expect("something wakes it again");
+            });
+        }
+        panic!("it is woken and woken again");
     }
 
     /// Polls a future once a millisecond, so many times at the most, and drops it.
@@ -227,8 +255,18 @@ impl World {
         let count = bytes.len().min(self.room);
         self.room -= count;
         self.writes.push(count);
-        self.take(&bytes[..count]);
+        assert!(self.writes.len() < 10_000, "messages without end");
+        if self.holds_back {
+            self.held_back.extend(&bytes[..count]);
+        } else {
+            self.take(&bytes[..count]);
+        }
         count
+    }
+
+    fn flush(&mut self) {
+        let held_back = core::mem::take(&mut self.held_back);
+        self.take(&held_back);
     }
 }
 
@@ -241,6 +279,9 @@ impl embedded_io::ReadReady for Desk {
         let is_due = self.world(|world| world.is_due());
         if !is_due {
             self.pass(1);
+            self.world(|world| {
+                assert!(world.now.since(BEGIN) < 600_000, "a call comes to an end within ten minutes")
+            });
         }
         Ok(is_due)
     }
@@ -258,6 +299,7 @@ impl embedded_io::Write for Desk {
     }
 
     fn flush(&mut self) -> Result<(), Noise> {
+        self.world(World::flush);
         Ok(())
     }
 }
@@ -284,6 +326,7 @@ impl embedded_io_async::Write for Desk {
     }
 
     async fn flush(&mut self) -> Result<(), Noise> {
+        self.world(World::flush);
         Ok(())
     }
 }
@@ -300,7 +343,13 @@ impl Clock for Watch {
 impl Timer for Watch {
     async fn wait_until(&mut self, moment: Instant) {
         core::future::poll_fn(|_| {
-            if self.0.world(|world| world.now).has_reached(moment) { Poll::Ready(()) } else { Poll::Pending }
+            self.0.world(|world| {
+                if world.now.has_reached(moment) {
+                    return Poll::Ready(());
+                }
+                world.wakes_at = Some(world.wakes_at.map_or(moment, |at| at.earlier_of(moment)));
+                Poll::Pending
+            })
         })
         .await;
     }

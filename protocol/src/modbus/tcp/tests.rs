@@ -142,3 +142,15 @@ proptest! {
         prop_assert_eq!(bytewise, expected);
     }
 }
+
+#[test]
+fn stream_is_lost_from_the_length_that_no_frame_has_on() {
+    let mut receiver = Receiver::new();
+    assert!(!receiver.is_lost());
+    receiver.push_slice(&frame(1, 0, 1, &[3, 0, 0, 0, 1]));
+    assert!(!receiver.is_lost(), "a frame is none");
+    assert_eq!(receiver.push_slice(&[0, 2, 0, 0, 0xFF, 0xFF]).1, Some(Event::Lost));
+    assert!(receiver.is_lost());
+    receiver.push_slice(&frame(3, 0, 1, &[3, 0, 0, 0, 1]));
+    assert!(receiver.is_lost(), "for good");
+}

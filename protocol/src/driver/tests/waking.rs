@@ -1,0 +1,48 @@
+//! A future that is polled only when something is due: it asks to be woken in time, and not for nothing.
+
+use super::*;
+
+fn asleep(desk: &Desk) -> Asynch {
+    Asynch::new(desk.clone(), Watch(desk.clone()))
+}
+
+#[test]
+fn motion_is_carried_to_its_end() {
+    let desk = Desk::new();
+    let mut gripper = asleep(&desk);
+    assert_eq!(desk.run_woken(gripper.connect()), Ok(()));
+    assert_eq!(desk.run_woken(gripper.grip(20.0, 50.0)), Ok(Grip::Held));
+    assert_eq!(desk.run_woken(gripper.width()), Ok(42.5));
+}
+
+#[test]
+fn gripper_that_is_off_is_given_up_in_time() {
+    let desk = Desk::new();
+    desk.world(|world| world.silent = true);
+    let begun = desk.world(|world| world.now);
+    let mut gripper = asleep(&desk);
+    assert_eq!(desk.run_woken(gripper.connect()), Err(Error::NotConnected));
+    assert_eq!(desk.world(|world| world.now).since(begun), Config::DEFAULT.connect_timeout_ms);
+}
+
+#[test]
+fn gripper_that_falls_silent_is_noticed() {
+    let desk = Desk::new();
+    let mut gripper = asleep(&desk);
+    desk.run_woken(gripper.connect()).unwrap();
+    desk.world(|world| world.silent = true);
+    let begun = desk.world(|world| world.now);
+    assert_eq!(desk.run_woken(gripper.grip(20.0, 50.0)), Err(Error::Unanswered));
+    assert_eq!(desk.world(|world| world.now).since(begun), Config::DEFAULT.session.reply_timeout_ms);
+}
+
+#[test]
+fn half_a_frame_is_given_up_after_its_time() {
+    let desk = Desk::new();
+    let mut gripper = asleep(&desk);
+    desk.run_woken(gripper.connect()).unwrap();
+    while desk.run_woken(gripper.next_update(0)).unwrap().is_some() {}
+    desk.inject(&[0xAA, 0xAA, 0xAA, 0x43, 0xFF]);
+    assert_eq!(desk.run_woken(gripper.next_update(30)), Ok(None));
+    assert_eq!(gripper.counters().line.dropped, 5);
+}
