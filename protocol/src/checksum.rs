@@ -36,23 +36,23 @@ const fn entry(index: u8) -> u16 {
     value
 }
 
+/// The first entries of the table, as many as are asked for.
+const fn entries<const N: usize>() -> [u16; N] {
+    let mut table = [0; N];
+    let mut index = 0usize;
+    while index < N {
+        #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
+        {
+            table[index] = entry(index as u8);
+        }
+        index = index.wrapping_add(1);
+    }
+    table
+}
+
 #[cfg(not(feature = "small-table"))]
 mod lookup {
-    static TABLE: [u16; 256] = {
-        let mut table = [0; 256];
-        let mut index = 0usize;
-        while index < 256 {
-            #[expect(
-                clippy::indexing_slicing,
-                reason = "the loop ends at the table's length, at compile time"
-            )]
-            {
-                table[index] = super::entry(index as u8);
-            }
-            index = index.wrapping_add(1);
-        }
-        table
-    };
+    static TABLE: [u16; 256] = super::entries();
 
     #[expect(
         clippy::indexing_slicing,
@@ -66,21 +66,7 @@ mod lookup {
 #[cfg(feature = "small-table")]
 mod lookup {
     /// The first 16 entries: what four bits come to.
-    static TABLE: [u16; 16] = {
-        let mut table = [0; 16];
-        let mut index = 0usize;
-        while index < 16 {
-            #[expect(
-                clippy::indexing_slicing,
-                reason = "the loop ends at the table's length, at compile time"
-            )]
-            {
-                table[index] = super::entry(index as u8);
-            }
-            index = index.wrapping_add(1);
-        }
-        table
-    };
+    static TABLE: [u16; 16] = super::entries();
 
     #[expect(
         clippy::indexing_slicing,
