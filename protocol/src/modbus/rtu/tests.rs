@@ -286,6 +286,22 @@ fn server_is_idle_while_no_silence_can_end_anything() {
 }
 
 #[test]
+fn receiver_that_is_reset_has_forgotten_what_it_held() {
+    let mut receiver = Receiver::new(UNIT, Mode::Strict, TIMING);
+    let pdu: &[u8] = &[3, 0, 0, 0, 1];
+    receiver.push(Character::Byte(UNIT), 0);
+    receiver.push(Character::Damaged, 0);
+
+    receiver.reset();
+
+    assert!(receiver.is_idle());
+    for byte in frame(UNIT, pdu) {
+        assert_eq!(receiver.push(Character::Byte(byte), 0), None);
+    }
+    assert_eq!(receiver.silence(TIMING.t3_5_us), Some(Received::Frame { unit: UNIT, pdu }));
+}
+
+#[test]
 fn broadcast_is_passed_over_where_it_is_switched_off() {
     let mut bus = Bus::new(Config { broadcast: false, ..STRICT });
     bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
