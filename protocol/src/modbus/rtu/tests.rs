@@ -87,6 +87,18 @@ fn is_read_answer(answer: &[u8]) -> bool {
 }
 
 #[test]
+fn silences_are_those_of_the_rate_up_to_19_200_bit_s_and_fixed_above() {
+    for (baud, bits, t1_5_us, t3_5_us) in [
+        (9_600, 10, 1_563, 3_646),
+        (19_200, 11, 860, 2_006),
+        (19_201, 11, 750, 1_750),
+        (230_400, 10, 750, 1_750),
+    ] {
+        assert_eq!(Timing::of(baud, bits), Timing { t1_5_us, t3_5_us }, "{baud} bit/s");
+    }
+}
+
+#[test]
 fn request_is_answered_once_the_line_was_silent_for_3_5_characters() {
     for config in [STRICT, TOLERANT] {
         let mut bus = Bus::new(config);
