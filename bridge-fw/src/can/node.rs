@@ -165,13 +165,16 @@ impl Node {
             Some(Event::Image(image)) => return Some(Served::Image(image)),
             Some(Event::Left) => return Some(Served::Left { silent: false }),
             Some(Event::Reset { whole }) => {
-                // Everything else that came in this turn is forgotten, but not that the node as a whole was to be reset.
-                let whole_follows = |event: &Event| matches!(event, Event::Reset { whole: true });
-                if whole || self.events.iter().any(whole_follows) {
+                if whole {
                     *settings = initial.clone();
                 }
-                *self =
-                    Self { initial: self.initial.clone(), report: self.report, ..Self::new(self.initial.0) };
+                // Behind a reset nothing but another counts before the device has announced itself: that stays.
+                *self = Self {
+                    initial: self.initial.clone(),
+                    events: core::mem::take(&mut self.events),
+                    report: self.report,
+                    ..Self::new(self.initial.0)
+                };
                 return Some(Served::Configured);
             }
             None => {}
