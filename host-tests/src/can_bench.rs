@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use embedded_can::{Frame, Id};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, BusReport, CanBus, CanController, GripperLink, Health, Nobody, Node, NodeConfig,
+    BusOffPolicy, CanBus, CanController, GripperLink, Health, Nobody, Node, NodeConfig,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config};
@@ -319,12 +319,7 @@ impl CanBench {
         bus.listen(now, link, node);
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
-        let report = BusReport {
-            state: bus.state(),
-            health: bus.health(),
-            counters: bus.counters(),
-            link: link.counters(),
-        };
+        let report = bus.report(link.counters());
         node.set_report(report);
         bridge.set_can_report(&report);
         self.outputs = bridge.poll_with_can(self.now_ms, *inputs, link, node);

@@ -4,7 +4,7 @@ use embedded_can::{Frame, Id};
 use wsg_protocol::Instant;
 
 use super::bus_off::{BusOff, Step};
-use super::{BusOffPolicy, BusState, CanController, Health};
+use super::{BusOffPolicy, BusReport, BusState, CanController, Health, LinkCounters};
 
 /// Frames taken from the controller in one turn, at the most: at 1 Mbit/s a millisecond brings 9 of 8 bytes, or 21 empty
 /// ones.
@@ -125,6 +125,12 @@ impl<C: CanController> CanBus<C> {
     /// What has been met so far.
     pub const fn counters(&self) -> BusCounters {
         self.counters
+    }
+
+    /// What is known of the bus and of the gripper's link on it, for those who report it; a link that is not on this bus has
+    /// met nothing.
+    pub const fn report(&self, link: LinkCounters) -> BusReport {
+        BusReport { state: self.state(), health: self.health(), counters: self.counters, link }
     }
 
     /// The controller, for its board.

@@ -13,8 +13,8 @@
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, BusReport, CanBus, CanController as _, GripperLink, Health, NmtState, Node, NodeConfig,
-    Participant, SETTINGS_INDEX,
+    BusOffPolicy, CanBus, CanController as _, GripperLink, Health, NmtState, Node, NodeConfig, Participant,
+    SETTINGS_INDEX,
 };
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
@@ -446,12 +446,7 @@ impl Model {
         bus.listen(now, link, node);
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
-        let report = BusReport {
-            state: bus.state(),
-            health: bus.health(),
-            counters: bus.counters(),
-            link: link.counters(),
-        };
+        let report = bus.report(link.counters());
         node.set_report(report);
         bridge.set_can_report(&report);
         self.forget_if(aborts);

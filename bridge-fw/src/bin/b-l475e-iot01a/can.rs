@@ -8,11 +8,13 @@ use crate::slcan_uart as controller;
 use wsg_bridge_fw::Bridge;
 #[cfg(feature = "can-gripper")]
 use wsg_bridge_fw::can::GripperLink;
+#[cfg(all(feature = "can-plc", not(feature = "can-gripper")))]
+use wsg_bridge_fw::can::LinkCounters;
 #[cfg(not(all(feature = "can-gripper", feature = "can-plc")))]
 use wsg_bridge_fw::can::Nobody;
 #[cfg(feature = "can-plc")]
 use wsg_bridge_fw::can::Node;
-use wsg_bridge_fw::can::{BusOffPolicy, BusReport, CanBus, CanConfig};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::Instant;
 
@@ -59,8 +61,7 @@ impl Can {
         bus.listen(now, link, nobody);
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
-        let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
-        bridge.set_can_report(&BusReport { state, health, counters, link: link.counters() });
+        bridge.set_can_report(&bus.report(link.counters()));
         let outputs = bridge.poll_with_bus(now_ms, inputs, link, plc_bus);
         link.set_connected(bridge.is_connected());
         bus.talk(now, link, nobody);
@@ -80,8 +81,7 @@ impl Can {
         let now = Instant::from_millis(now_ms);
         let Self { bus, node, nobody } = self;
         bus.listen(now, nobody, node);
-        let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
-        let report = BusReport { state, health, counters, link: Default::default() };
+        let report = bus.report(LinkCounters::default());
         node.set_report(report);
         bridge.set_can_report(&report);
         let outputs = bridge.poll_with_can(now_ms, inputs, gripper_line, node);
@@ -98,8 +98,7 @@ impl Can {
         bus.listen(now, link, node);
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
-        let (state, health, counters) = (bus.state(), bus.health(), bus.counters());
-        let report = BusReport { state, health, counters, link: link.counters() };
+        let report = bus.report(link.counters());
         node.set_report(report);
         bridge.set_can_report(&report);
         let outputs = bridge.poll_with_can(now_ms, inputs, link, node);
