@@ -14,10 +14,30 @@ const BYTES_PER_MS: usize = 12;
 pub type Disturbance = Box<dyn FnMut(&mut Vec<u8>)>;
 
 /// The bridge's end of the line.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct SerialLine {
     to_bridge: VecDeque<u8>,
     from_bridge: Vec<u8>,
+    /// What it takes until that is fetched.
+    room: usize,
+}
+
+impl SerialLine {
+    /// A line that takes so many bytes until they are fetched.
+    #[must_use]
+    pub fn with_room(room: usize) -> Self {
+        Self { to_bridge: VecDeque::new(), from_bridge: Vec::new(), room }
+    }
+
+    /// Brings bytes to the bridge.
+    pub fn bring(&mut self, bytes: &[u8]) {
+        self.to_bridge.extend(bytes);
+    }
+
+    /// What the bridge has sent since this was last asked.
+    pub fn take_sent(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.from_bridge)
+    }
 }
 
 impl ErrorType for SerialLine {
@@ -42,14 +62,13 @@ impl Read for SerialLine {
 
 impl WriteReady for SerialLine {
     fn write_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(self.from_bridge.len() < BYTES_PER_MS)
+        Ok(self.from_bridge.len() < self.room)
     }
 }
 
 impl Write for SerialLine {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        let room = BYTES_PER_MS - self.from_bridge.len().min(BYTES_PER_MS);
-        let taken = bytes.len().min(room);
+        let taken = bytes.len().min(self.room.saturating_sub(self.from_bridge.len()));
         self.from_bridge.extend_from_slice(&bytes[..taken]);
         Ok(taken)
     }
@@ -83,7 +102,7 @@ impl SerialGripper {
         Self {
             gripper,
             port,
-            line: SerialLine::default(),
+            line: SerialLine::with_room(BYTES_PER_MS),
             seen: FrameParser::new(),
             sent: Vec::new(),
             to_gripper: None,
@@ -99,7 +118,7 @@ impl SerialGripper {
 
     /// Sends bytes to the bridge that the gripper never sent.
     pub fn inject(&mut self, bytes: &[u8]) {
-        self.line.to_bridge.extend(bytes);
+        self.line.bring(bytes);
     }
 
     /// The commands that the bridge has sent since this was last asked.
@@ -112,7 +131,7 @@ impl SerialGripper {
     /// # Panics
     /// When the bridge has sent a broken frame.
     pub fn advance(&mut self, now: Time) {
-        let mut bytes = std::mem::take(&mut self.line.from_bridge);
+        let mut bytes = self.line.take_sent();
         self.note_frames(&bytes);
         if let Some(disturb) = &mut self.to_gripper {
             disturb(&mut bytes);
@@ -127,7 +146,7 @@ impl SerialGripper {
         if let Some(disturb) = &mut self.to_bridge {
             disturb(&mut bytes);
         }
-        self.line.to_bridge.extend(bytes);
+        self.line.bring(&bytes);
     }
 
     fn note_frames(&mut self, bytes: &[u8]) {

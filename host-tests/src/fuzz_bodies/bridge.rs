@@ -10,10 +10,6 @@
 //! A case ends where that cannot be followed from outside: behind Force Listen Only Mode, a broadcast to the settings, and
 //! when broadcasts count on a line that is not strict.
 
-use std::collections::VecDeque;
-use std::convert::Infallible;
-
-use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_protocol::fieldbus::CommandFlags;
@@ -26,6 +22,7 @@ use super::gripper;
 use super::input::Input;
 use super::modbus::sealed;
 use super::rtu_line::{BROADCAST, Done, Overheard, RtuLine, TIMING};
+use crate::serial_gripper::SerialLine;
 
 pub(super) const MOTION_WIRES: [Inputs; 4] = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
 
@@ -53,16 +50,10 @@ pub(super) const PARAMETERS: [[u16; 3]; 3] =
 const SILENCES: [u32; 6] =
     [0, TIMING.t1_5_us, TIMING.t1_5_us + 1, TIMING.t3_5_us - 1, TIMING.t3_5_us, 60_000];
 
-/// The gripper's line: what comes to the bridge, what it sends.
-#[derive(Default)]
-struct Line {
-    to_bridge: VecDeque<u8>,
-    from_bridge: Vec<u8>,
-}
-
 struct Model {
     bridge: Bridge,
-    line: Line,
+    /// The gripper's, as fast as need be.
+    line: SerialLine,
     bus: RtuLine,
     /// Finds frames in what the bridge sends.
     sent: FrameParser<64>,
@@ -94,13 +85,13 @@ pub fn bridge(data: &[u8]) {
             2 => model.wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
             3 => {
                 let count = usize::from(input.byte() % 40);
-                model.line.to_bridge.extend(input.bytes(count));
+                model.line.bring(input.bytes(count));
             }
             4 => {
                 let count = usize::from(input.byte() % 40);
                 let mut bytes = input.bytes(count).to_vec();
                 repair_checksums(&mut bytes);
-                model.line.to_bridge.extend(bytes);
+                model.line.bring(&bytes);
             }
             5 => {
                 let status = input.pick(&[
@@ -109,7 +100,7 @@ pub fn bridge(data: &[u8]) {
                     Status::CmdFailed,
                     Status::AccessDenied,
                 ]);
-                model.line.to_bridge.extend(gripper::status(input.pick(CommandId::ALL), status));
+                model.line.bring(&gripper::status(input.pick(CommandId::ALL), status));
             }
             6 => model.answers = input.byte() & 1 != 0,
             7 => model.pass(u32::from(input.byte() % 32)),
@@ -171,7 +162,7 @@ impl Model {
         }
         Self {
             bridge: Bridge::new(config),
-            line: Line::default(),
+            line: SerialLine::with_room(usize::MAX),
             bus: RtuLine::default(),
             sent: FrameParser::new(),
             now_ms: 0,
@@ -267,50 +258,13 @@ impl Model {
             self.heard_ms = None;
             self.asked.lose_bus();
         }
-        let sent = std::mem::take(&mut self.line.from_bridge);
+        let sent = self.line.take_sent();
         for message in gripper::messages(&mut self.sent, &sent) {
             self.asked.leaves(message.id);
             if self.answers {
-                self.line.to_bridge.extend(gripper::answers(message.id).concat());
+                self.line.bring(&gripper::answers(message.id).concat());
             }
         }
         self.asked.end_turn(self.bridge.is_connected(), Some(0));
-    }
-}
-
-impl ErrorType for Line {
-    type Error = Infallible;
-}
-
-impl ReadReady for Line {
-    fn read_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(!self.to_bridge.is_empty())
-    }
-}
-
-impl Read for Line {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
-        let count = buffer.len().min(self.to_bridge.len());
-        for (slot, byte) in buffer.iter_mut().zip(self.to_bridge.drain(..count)) {
-            *slot = byte;
-        }
-        Ok(count)
-    }
-}
-
-impl WriteReady for Line {
-    fn write_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(true)
-    }
-}
-
-impl Write for Line {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        self.from_bridge.extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> Result<(), Infallible> {
-        Ok(())
     }
 }
