@@ -376,8 +376,8 @@ impl Bridge {
         }
     }
 
-    /// One byte at a time: a byte is taken from the frame, and a frame from the session, only when the line has room for
-    /// it. There a FAST STOP overtakes it, and no time-out runs for it.
+    /// One byte at a time: a byte is taken from the frame, and a command from the session, only when the line has room. A
+    /// command that waits in the session can be overtaken by FAST STOP, and no time-out runs for it.
     fn transmit<L: Write + WriteReady>(&mut self, now: Instant, link: &mut L) {
         while link.write_ready().unwrap_or(false) {
             let sending = match &mut self.sending {

@@ -81,7 +81,7 @@ impl ModbusSide {
     pub(crate) fn serve(
         &mut self,
         now: Instant,
-        heard: Heard,
+        mut heard: Heard,
         port: &mut impl BusPort,
         gripper: &InputImage,
         moving: bool,
@@ -89,7 +89,6 @@ impl ModbusSide {
         settings: &mut Settings,
     ) -> Option<Served> {
         self.images.set_input(gripper);
-        let mut heard = heard;
         loop {
             let Self { server, images, .. } = self;
             let mut device =
