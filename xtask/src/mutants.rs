@@ -33,8 +33,10 @@ const OF_SMALL_TABLE: &str = "protocol/src/checksum.rs";
 const SMALL_TABLE: [&str; 6] = ["--features", "small-table", "--re", "lookup::|chunk::", "--", "--lib"];
 
 /// The crate's own tests. Those of its documents and examples notice nothing more, and linking them takes the time again.
-/// Those of decimal fractions notice what is changed in GCL, which has a run of its own, and take as long as all others.
-const OWN_TESTS: [&str; 2] = ["--", "--lib"];
+const TESTS: [&str; 4] = ["--", "--lib", "--test=drivers", "--test=gcl"];
+
+/// The reader of decimal fractions, whose tests take as long as all others and notice nothing elsewhere.
+const DECIMAL: &str = "protocol/src/gcl/decimal.rs";
 const WITHOUT_DECIMAL: [&str; 3] = ["--", "--skip", "gcl::decimal"];
 
 /// The tests as they are in `cargo xtask test`, with as many cases; but the same in each run, and a case that fails is
@@ -45,19 +47,6 @@ const ENVIRONMENT: [(&str, &str); 4] = [
     ("PROPTEST_DISABLE_FAILURE_PERSISTENCE", "true"),
     ("CARGO_INCREMENTAL", "1"),
 ];
-
-/// The text protocol and the drivers over it, whose grammar and behaviour are held by tests of host-tests as well.
-const GCL_FILES: [&str; 4] = [
-    "protocol/src/gcl.rs",
-    "protocol/src/gcl/**",
-    "protocol/src/driver/gcl.rs",
-    "protocol/src/driver/gcl/**",
-];
-const GCL_TESTS: [&str; 2] = ["--test=gcl", "--test=drivers"];
-
-/// How they are run. cargo-mutants would look for them in the changed package when it tries the unchanged one.
-const IN_HOST_TESTS: [&str; 7] =
-    ["--baseline", "skip", "--timeout", "120", "--test-package", "host-tests", "--"];
 
 /// Why a survivor is accepted, by its name.
 type Accepted = BTreeMap<String, String>;
@@ -126,30 +115,14 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
 fn find(workspace: &Workspace, jobs: &str, files: &[&str], options: &[String]) -> Result<Outcome> {
     let is_whole = files.is_empty();
     let options: Vec<&str> = ["--jobs", jobs].into_iter().chain(options.iter().map(String::as_str)).collect();
-    let (of_gcl, others): (Vec<&str>, Vec<&str>) = files.iter().partition(|file| is_of_gcl(file));
+    let (decimal, others): (Vec<&str>, Vec<&str>) = files.iter().partition(|file| **file == DECIMAL);
     let mut outcome = Outcome::default();
     if is_whole || !others.is_empty() {
-        let without = GCL_FILES.map(|file| ["--exclude", file]).concat();
-        let options = [&options, &without[..], &OWN_TESTS, &WITHOUT_DECIMAL].concat();
+        let options = [&options, &["--exclude", DECIMAL][..], &TESTS, &WITHOUT_DECIMAL].concat();
         outcome.join(make(workspace, "all", &others, &options)?);
     }
-    if is_whole || !of_gcl.is_empty() {
-        let files = if is_whole { &GCL_FILES[..] } else { &of_gcl };
-        let first = make(workspace, "gcl", files, &[&options, &OWN_TESTS[..]].concat())?;
-        if !first.survived.is_empty() {
-            // Building these tests takes several times as long: only for what is left. First with nothing changed.
-            let mut unchanged = workspace.cargo();
-            unchanged.args(["test", "--quiet", "--profile", "mutants", "-p", "host-tests"]);
-            process::run(unchanged.args(GCL_TESTS).envs(ENVIRONMENT))?;
-            let left = these(&first.survived);
-            let left = left.iter().map(String::as_str);
-            let options: Vec<&str> =
-                ["--jobs", jobs].into_iter().chain(left).chain(IN_HOST_TESTS).chain(GCL_TESTS).collect();
-            let mut second = make(workspace, "gcl-host-tests", files, &options)?;
-            second.only(&first.survived);
-            outcome.join(second);
-        }
-        outcome.join(first);
+    if is_whole || !decimal.is_empty() {
+        outcome.join(make(workspace, "decimal", &[DECIMAL], &[&options, &TESTS[..]].concat())?);
     }
     if is_whole || others.iter().any(|file| file.contains(OF_SMALL_TABLE)) {
         // What is only there with the feature is noticed only with it; what either run notices is noticed.
@@ -162,13 +135,6 @@ fn find(workspace: &Workspace, jobs: &str, files: &[&str], options: &[String]) -
 /// Options that leave these mutants.
 fn these(mutants: &BTreeSet<String>) -> Vec<String> {
     mutants.iter().flat_map(|mutant| ["--re".to_owned(), exactly(mutant)]).collect()
-}
-
-fn is_of_gcl(file: &str) -> bool {
-    GCL_FILES.iter().any(|pattern| match pattern.strip_suffix("**") {
-        Some(folder) => file.starts_with(folder),
-        None => file == *pattern,
-    })
 }
 
 /// The regular expression of this mutant alone.
@@ -190,10 +156,8 @@ fn make(workspace: &Workspace, name: &str, files: &[&str], options: &[&str]) -> 
     let mut mutants = tool::plain(workspace, &["cargo", "mutants", "-p", "wsg-protocol", "--no-shuffle"]);
     mutants.args(["--profile", "mutants"]).envs(ENVIRONMENT);
     mutants.arg("--output").arg(&output).args(["--colors", "never"]);
-    if !options.contains(&"--timeout") {
-        // Many times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
-        mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
-    }
+    // Many times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
+    mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
     // What the tests are made of is no part of the crate.
     mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(options);
@@ -324,17 +288,6 @@ mod tests {
 
         assert!(judge(&survived(&names[..5]), &BTreeMap::new(), true).is_ok());
         assert!(judge(&survived(&names), &BTreeMap::new(), true).is_err());
-    }
-
-    #[test]
-    fn only_the_text_protocol_and_the_drivers_over_it_are_of_gcl() {
-        for file in ["protocol/src/gcl.rs", "protocol/src/gcl/session/track.rs", "protocol/src/driver/gcl.rs"]
-        {
-            assert!(is_of_gcl(file), "{file}");
-        }
-        for file in ["protocol/src/driver.rs", "protocol/src/driver/motion.rs", "protocol/src/session.rs"] {
-            assert!(!is_of_gcl(file), "{file}");
-        }
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! docs/gcl.md, executed: its grammar, its table, its conversations, the tests that it names.
 
 use crate::grammar::Grammar;
-use crate::hostile::mutated;
-use crate::strategies::{answer, numbers, request, texts};
+use crate::strategies::{answer, mutated, numbers, request, texts};
 use proptest::prelude::*;
 use std::fs;
 use std::path::Path;
@@ -122,12 +121,12 @@ fn conversations_are_made_of_requests_and_their_answers() {
 #[test]
 fn tests_that_the_document_names_exist() {
     let sources = [
-        "host-tests/tests/drivers/only_gcl.rs",
-        "host-tests/tests/drivers/same.rs",
+        "protocol/tests/drivers/only_gcl.rs",
+        "protocol/tests/drivers/same.rs",
         "host-tests/tests/gcl/by_hand.rs",
-        "host-tests/tests/gcl/manual.rs",
-        "host-tests/tests/gcl/hostile.rs",
-        "host-tests/tests/gcl/round_trip.rs",
+        "protocol/tests/gcl/manual.rs",
+        "protocol/tests/gcl/hostile.rs",
+        "protocol/tests/gcl/round_trip.rs",
         "protocol/src/gcl/decimal_tests.rs",
         "protocol/src/gcl/line_tests.rs",
         "protocol/src/gcl/number_tests.rs",

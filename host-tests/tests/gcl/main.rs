@@ -1,10 +1,8 @@
-//! The Gripper Control Language (GCL): the manual's lines, every value both ways, and lines that are none.
+//! docs/gcl.md: what it says of the Gripper Control Language (GCL) holds, and its conversation can be typed. The language
+//! itself is tested in the protocol crate.
 
 mod by_hand;
 mod document;
 mod grammar;
-mod hostile;
-mod manual;
-mod round_trip;
-mod split;
+#[path = "../../../protocol/tests/gcl/strategies.rs"]
 mod strategies;

@@ -1,4 +1,4 @@
-//! Any request, any answer.
+//! Any request, any answer, and lines that are nearly one.
 
 use proptest::prelude::*;
 use wsg_protocol::gcl::{
@@ -194,4 +194,25 @@ pub(crate) fn answer<'a>(texts: &'a Texts, kind: u8, numbers: Numbers) -> Answer
             other => Answer::Value(other),
         },
     }
+}
+
+/// The line with some of its bytes changed, left out, doubled or put in.
+pub(crate) fn mutated(line: String) -> impl Strategy<Value = Vec<u8>> {
+    let byte = prop_oneof![any::<u8>(), proptest::sample::select(b"()[],=?\"@ .-+0123456789eE".to_vec())];
+    proptest::collection::vec((any::<proptest::sample::Index>(), 0..4u8, byte), 0..4).prop_map(
+        move |changes| {
+            let mut line = line.clone().into_bytes();
+            for (at, change, byte) in changes {
+                let at = at.index(line.len() + 1);
+                match (change, line.get(at).copied()) {
+                    (0, Some(_)) => line[at] = byte,
+                    (1, Some(_)) => drop(line.remove(at)),
+                    (2, Some(old)) => line.insert(at, old),
+                    _ => line.insert(at, byte),
+                }
+            }
+            line.retain(|byte| !matches!(byte, b'\n' | b'\r'));
+            line
+        },
+    )
 }

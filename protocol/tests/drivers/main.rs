@@ -6,4 +6,3 @@ mod cancelled;
 mod client;
 mod only_gcl;
 mod same;
-mod sockets;

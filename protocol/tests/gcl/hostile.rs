@@ -1,6 +1,6 @@
 //! Lines that are no GCL, and nearly GCL: each is understood exactly, or refused with a reason.
 
-use crate::strategies::{answer, numbers, request, texts};
+use crate::strategies::{answer, mutated, numbers, request, texts};
 use proptest::prelude::*;
 use wsg_protocol::Status;
 use wsg_protocol::gcl::{Answer, Mistake, Named, Refused, Request};
@@ -67,27 +67,6 @@ fn understood_exactly_or_refused(line: &[u8]) -> Result<(), TestCaseError> {
         prop_assert_eq!(Answer::parse(written.as_bytes()), Ok(answer), "{}", written);
     }
     Ok(())
-}
-
-/// The line with some of its bytes changed, left out, doubled or put in.
-pub(crate) fn mutated(line: String) -> impl Strategy<Value = Vec<u8>> {
-    let byte = prop_oneof![any::<u8>(), proptest::sample::select(b"()[],=?\"@ .-+0123456789eE".to_vec())];
-    proptest::collection::vec((any::<proptest::sample::Index>(), 0..4u8, byte), 0..4).prop_map(
-        move |changes| {
-            let mut line = line.clone().into_bytes();
-            for (at, change, byte) in changes {
-                let at = at.index(line.len() + 1);
-                match (change, line.get(at).copied()) {
-                    (0, Some(_)) => line[at] = byte,
-                    (1, Some(_)) => drop(line.remove(at)),
-                    (2, Some(old)) => line.insert(at, old),
-                    _ => line.insert(at, byte),
-                }
-            }
-            line.retain(|byte| !matches!(byte, b'\n' | b'\r'));
-            line
-        },
-    )
 }
 
 proptest! {
