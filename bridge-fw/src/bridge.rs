@@ -92,6 +92,9 @@ pub struct Bridge {
     can: [u16; CAN_REPORTS],
     /// The frame that is being sent.
     sending: Option<FrameEncoder<Command<'static>>>,
+    /// The connection was given up in this turn. Nothing more leaves in it: first the link must let go of what it was given
+    /// before (a FAST STOP would go with that).
+    gave_up: bool,
 }
 
 impl Bridge {
@@ -113,6 +116,7 @@ impl Bridge {
             link_is_lost: false,
             can: [0; CAN_REPORTS],
             sending: None,
+            gave_up: false,
             settings,
         }
     }
@@ -153,7 +157,9 @@ impl Bridge {
     fn end_turn<L: Write + WriteReady>(&mut self, now: Instant, link: &mut L) -> Outputs {
         self.forward_commands();
         self.tick(now);
-        self.transmit(now, link);
+        if !core::mem::take(&mut self.gave_up) {
+            self.transmit(now, link);
+        }
         let gripper = self.shown();
         self.wires.outputs(now, &gripper, self.session.is_connected())
     }
@@ -246,6 +252,7 @@ impl Bridge {
             if noticed == Notice::Disconnected {
                 // What has not left by now must not leave when the line comes back.
                 self.sending = None;
+                self.gave_up = true;
             }
             notice(&mut self.controller, &self.session, Some(noticed));
         }

@@ -217,6 +217,30 @@ fn fast_stop_that_bus_off_caught_in_the_controller_leaves_with_the_first_frames_
 }
 
 #[test]
+fn fast_stop_leaves_at_once_in_whatever_turn_the_connection_is_given_up() {
+    /// A gripper that hears everything and answers nothing any more.
+    fn falling_silent() -> CanBench {
+        let mut bench = homed();
+        bench.to_bridge = Some(Box::new(|_| vec![]));
+        bench
+    }
+    let mut bench = falling_silent();
+    let mut given_up = 0;
+    while bench.outputs().contains(Outputs::LINK_OK) {
+        bench.pass(1);
+        given_up += 1;
+    }
+    for asked in given_up - 10..given_up + 5 {
+        let mut bench = falling_silent();
+        bench.pass(asked);
+        bench.take_sent();
+        bench.set(Inputs::FAST_STOP_OK, false);
+        bench.pass(wsg_bridge_fw::Config::DEFAULT.debounce_ms + 5);
+        assert!(bench.take_sent().contains(&CommandId::FastStop), "{asked} of {given_up} ms");
+    }
+}
+
+#[test]
 fn bus_off_again_and_again_is_given_up() {
     let policy = BusOffPolicy { limit: 3, ..POLICY };
     let mut bench = CanBench::homed(with_part(20.0), policy);

@@ -2,6 +2,7 @@
 
 mod hostile;
 mod manual;
+mod names;
 mod round_trip;
 mod split;
 mod strategies;
