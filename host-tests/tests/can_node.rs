@@ -3,17 +3,20 @@
 use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
 use embedded_can::{Frame, Id, StandardId};
-use host_tests::can_bench::CanBench;
+use host_tests::can_bench::{CanBench, Double};
+use host_tests::serial_gripper::SerialGripper;
 use host_tests::wires::Wires;
+use wsg_bridge_fw::Bridge;
 use wsg_bridge_fw::can::{
-    DataType, FAULTS, Health, NmtState, NodeConfig, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
+    BusOffPolicy, CanBus, DataType, FAULTS, Health, NmtState, Nobody, Node, NodeConfig, OBJECTS,
+    REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::modbus::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
 use wsg_protocol::can::{ClassicFrame, Identifiers};
 use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
-use wsg_protocol::{CommandId, Status, SystemFlags};
-use wsg_sim::{Config, Part};
+use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
+use wsg_sim::{Config, Part, Time};
 
 const NODE: NodeConfig = NodeConfig::DEFAULT;
 /// BUS_TIMEOUT as delivered.
@@ -428,6 +431,69 @@ fn bus_off_is_told_when_it_is_over() {
     assert_eq!(master.read_u16(0x2002, 4), 1);
     assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_BUS_OFFS")), 1);
     assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_STATE")), 0, "it is back");
+}
+
+#[test]
+fn bus_off_ends_operation_until_the_master_starts_it_again() {
+    let mut master = Master::homed(None, 10.0);
+    master.bench.double().go_off(0);
+    master.pass(2);
+    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
+    master.pass(2_000);
+    assert_eq!(master.take(0x700).last().map(|(_, state)| state.clone()), Some(vec![0x7F]));
+    master.command(Cmd::MOVE);
+    master.pass(100);
+    assert_eq!(master.take_motions(), []);
+    master.nmt(NmtCommand::StartRemoteNode);
+    master.command(Cmd::empty());
+    master.command(Cmd::STOP_ACK);
+    master.command(Cmd::MOVE);
+    master.pass(100);
+    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+}
+
+#[test]
+fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
+    for (flags, is_commander) in [(Cmd::MOVE, true), (Cmd::JOG_MINUS, true), (Cmd::empty(), false)] {
+        let mut far = SerialGripper::new(Config::default());
+        let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
+        let double = Double::default();
+        let mut bus = CanBus::new(double.clone(), BusOffPolicy::DEFAULT);
+        let mut node = Node::new(NODE);
+        let (mut now_ms, mut wires) = (0, Inputs::FAST_STOP_OK);
+        let mut pass = |ms: u32, wires: Inputs, frames: &[(u16, &[u8])]| {
+            for (id, data) in frames {
+                double.bring(ClassicFrame::new(StandardId::new(*id).unwrap(), data).unwrap());
+            }
+            for _ in 0..ms {
+                now_ms += 1;
+                let now = Instant::from_millis(now_ms);
+                bus.listen(now, &mut Nobody, &mut node);
+                bridge.poll_with_can(now_ms, wires, &mut far.line, &mut node);
+                bus.talk(now, &mut Nobody, &mut node);
+                while double.take_winner().is_some() {}
+                far.advance(Time::from_millis(now_ms.into()));
+            }
+            far.take_sent()
+        };
+        pass(200, wires, &[]);
+        wires |= Inputs::STOP_ACK;
+        pass(10, wires, &[(0, &[1, NODE.node])]);
+        wires -= Inputs::STOP_ACK;
+        wires |= Inputs::HOME;
+        pass(10, wires, &[]);
+        wires -= Inputs::HOME;
+        pass(20_000, wires, &[]);
+
+        let rpdo = 0x200 | u16::from(NODE.node);
+        let image = [flags.bits(), 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F];
+        pass(5, wires, &[(rpdo, &[0; 8])]);
+        let sent = pass(50, wires, &[(rpdo, &image)]);
+        assert_eq!(sent.contains(&CommandId::PrePosition), is_commander, "{flags:?}: {sent:?}");
+        double.go_off(0);
+        let sent = pass(10, wires, &[]);
+        assert_eq!(sent.contains(&CommandId::Stop), is_commander, "{flags:?}: {sent:?}");
+    }
 }
 
 #[test]

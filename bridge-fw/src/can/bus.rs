@@ -151,14 +151,9 @@ impl<C: CanController> CanBus<C> {
         second: &mut impl Participant<C::Frame>,
     ) {
         self.health = self.controller.health();
-        match self.bus_off.update(now, self.health.is_off) {
-            Step::Nothing => {}
-            Step::Leave => {
-                add(&mut self.counters.bus_offs);
-                self.forget();
-                first.bus_changed(false);
-                second.bus_changed(false);
-            }
+        let step = self.bus_off.update(now, self.health.is_off);
+        match step {
+            Step::Nothing | Step::Leave => {}
             Step::Recover => self.controller.recover(),
             Step::Join => {
                 // What the controller was given before must not leave now, whatever it did with it meanwhile.
@@ -167,6 +162,22 @@ impl<C: CanController> CanBus<C> {
                 second.bus_changed(true);
             }
         }
+        self.hear(now, first, second);
+        if step == Step::Leave {
+            // What had come before was true, and may be a FAST STOP.
+            add(&mut self.counters.bus_offs);
+            self.forget();
+            first.bus_changed(false);
+            second.bus_changed(false);
+        }
+    }
+
+    fn hear(
+        &mut self,
+        now: Instant,
+        first: &mut impl Participant<C::Frame>,
+        second: &mut impl Participant<C::Frame>,
+    ) {
         for _ in 0..MAX_RECEIVED_PER_POLL {
             match self.controller.receive() {
                 Ok(frame) => {

@@ -245,6 +245,15 @@ impl Node {
         }
     }
 
+    /// Leaves operation by itself, and waits for a master that starts it again.
+    fn fall_back(&mut self) {
+        self.leave();
+        if self.state == NmtState::Operational {
+            self.state = NmtState::PreOperational;
+        }
+        self.forget_master();
+    }
+
     fn push(&mut self, event: Event) {
         if self.events.push_back(event).is_ok() {
             return;
@@ -280,14 +289,8 @@ impl Node {
     fn take_heartbeat(&mut self, now: Instant, data: &[u8]) {
         match data {
             // A boot-up: a master that restarts does not know what it has commanded.
-            [0] => {
-                let was_heard = self.heard_at.is_some();
-                self.forget_master();
-                if was_heard && self.state == NmtState::Operational {
-                    self.leave();
-                    self.state = NmtState::PreOperational;
-                }
-            }
+            [0] if self.heard_at.is_some() => self.fall_back(),
+            [0] => {}
             [_] => (self.heard_at, self.has_heartbeat) = (Some(now), true),
             _ => {}
         }
@@ -418,6 +421,9 @@ impl<F: Frame> Participant<F> for Node {
             self.emergency.happened(Cause::BusOff);
             self.tpdos = [Tpdo::DUE; 2];
             self.beat_at = None;
+        } else {
+            // What CiA 301 has a device do unless its master asks for something else (1029h). Nobody could stop it any more.
+            self.fall_back();
         }
     }
 }

@@ -282,6 +282,15 @@ impl Device {
         self.state = state;
     }
 
+    /// The bus is gone, and with it who commands.
+    fn lose_bus(&mut self) {
+        if self.state == NmtState::Operational {
+            self.enter(NmtState::PreOperational);
+        }
+        self.forget_master();
+        self.request = None;
+    }
+
     fn forget_master(&mut self) {
         (self.heard_ms, self.has_heartbeat) = (None, false);
     }
@@ -441,9 +450,13 @@ impl Model {
         for frame in self.brought.drain(..).skip(lost) {
             self.device.hear(self.now_ms, &frame);
         }
+        let was_lost = self.bus.is_lost();
         let aborts = self.double.aborts();
         let Self { bus, link, bridge, node, .. } = self;
         bus.listen(now, link, node);
+        if bus.is_lost() && !was_lost {
+            self.device.lose_bus();
+        }
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
         let report = bus.report(link.counters());
