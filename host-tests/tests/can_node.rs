@@ -396,6 +396,22 @@ fn reset_of_the_node_brings_settings_back_and_that_of_communication_does_not() {
 }
 
 #[test]
+fn two_resets_in_one_turn_are_both_carried_out() {
+    let recipe = setting("RECIPE2_WIDTH");
+    for specifiers in [[0x81, 0x82], [0x82, 0x81]] {
+        let mut master = Master::new(Config::default());
+        master.pass(500);
+        master.download(SETTINGS_INDEX, recipe, Value::Unsigned16(1_234)).unwrap();
+        for specifier in specifiers {
+            let frame = ClassicFrame::new(StandardId::ZERO, &[specifier, NODE.node]).unwrap();
+            master.bench.double().bring(frame);
+        }
+        master.pass(5);
+        assert_eq!(master.read_u16(SETTINGS_INDEX, recipe), 1_000, "{specifiers:02X?}");
+    }
+}
+
+#[test]
 fn fast_stop_is_told_and_so_is_its_end() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
