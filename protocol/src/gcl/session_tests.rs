@@ -320,6 +320,16 @@ fn silence_is_noticed_within_a_second_and_a_gripper_that_comes_back_is_found() {
 }
 
 #[test]
+fn lost_connection_is_tried_again_after_its_time_and_not_before() {
+    let mut desk = Desk::connected();
+    while desk.happened() != ["Disconnected"] {
+        desk.pass(1);
+    }
+    assert_eq!(desk.pass(Config::DEFAULT.reconnect_ms - 1), []);
+    assert_eq!(desk.pass(2), [Request::Verbose(false)]);
+}
+
+#[test]
 fn nothing_asked_for_before_a_disconnect_leaves_after_it() {
     let mut desk = Desk::connected();
     desk.session.request(Request::Tag).unwrap();
@@ -390,7 +400,8 @@ fn fast_stop_is_owed_over_a_reconnect_and_is_the_first_thing_a_gripper_hears() {
     let silent = desk.pass(3_000);
     assert!(silent.iter().filter(|request| **request == Request::Faststop).count() > 5);
     assert_eq!(desk.happened(), ["Disconnected"]);
-    assert!(desk.pass(300).iter().all(|request| *request == Request::Faststop));
+    let silent = desk.pass(2 * Config::DEFAULT.reconnect_ms);
+    assert!(silent.len() > 1 && silent.iter().all(|request| *request == Request::Faststop), "{silent:?}");
     desk.hear("ACK FASTSTOP");
     desk.connect();
     assert_eq!(desk.happened(), ["Answered ACK FASTSTOP", "Connected"]);
@@ -458,6 +469,36 @@ fn late_result_is_not_taken_for_that_of_the_next_motion() {
     desk.hear("ACK GRIP");
     desk.hear("ERR GRIP 18");
     assert_eq!(desk.happened(), ["Pending GRIP", "Answered ERR GRIP 18"]);
+}
+
+#[test]
+fn refusal_behind_a_lost_result_is_that_of_the_new_request() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    desk.lines(0);
+    desk.hear("ACK GRIP");
+    desk.hear("GRIPSTATE=4");
+    desk.pass_answered(1_300);
+    desk.session.request(GRIP).unwrap();
+    desk.lines(0);
+    desk.hear("ERR GRIP 3");
+    // How a motion ends may be how another request is refused.
+    desk.session.request(Request::Pwt(Setting::Set(1.0))).unwrap();
+    desk.lines(0);
+    desk.hear("ERR PWT 18");
+    assert_eq!(
+        desk.happened(),
+        ["Pending GRIP", "Unanswered GRIP", "Answered ERR GRIP 3", "Answered ERR PWT 18"]
+    );
+}
+
+#[test]
+fn states_are_asked_for_again_and_again_and_reported() {
+    let mut desk = Desk::connected();
+    desk.pass_answered(2_000);
+    let reported = |text: &str| desk.notices.iter().filter(|notice| notice.starts_with(text)).count();
+    assert!(reported("Reported GRIPSTATE=0") >= 2, "{:?}", desk.notices);
+    assert!(reported("Reported SYSFLAGS=[1,0") >= 2, "{:?}", desk.notices);
 }
 
 #[test]
@@ -536,6 +577,19 @@ fn bye_ends_the_conversation_until_there_is_a_new_connection() {
 }
 
 #[test]
+fn fast_stop_that_a_farewell_overtook_waits_for_the_next_connection() {
+    let mut desk = Desk::connected();
+    desk.session.request(Request::Bye).unwrap();
+    assert_eq!(desk.lines(0), ["BYE()"]);
+    desk.session.request(Request::Faststop).unwrap();
+    assert_eq!(desk.lines(0), ["FASTSTOP()"]);
+    desk.hear("ACK BYE");
+    assert_eq!(desk.pass(5_000), []);
+    desk.session.disconnect();
+    assert_eq!(desk.pass(1), [Request::Faststop]);
+}
+
+#[test]
 fn unasked_lines_and_what_is_no_answer_are_counted_and_change_nothing() {
     let mut desk = Desk::connected();
     for line in
@@ -571,20 +625,26 @@ fn more_requests_than_fit_are_refused() {
 
 #[test]
 fn tick_at_the_announced_times_does_all_that_a_tick_at_each_millisecond_does() {
-    let script = |by_announcement: bool| {
+    let script = |request: Request, by_announcement: bool| {
         let mut desk = Desk::connected();
         let end = desk.now.plus(4_000);
-        desk.session.request(Request::Tag).unwrap();
+        desk.session.request(request).unwrap();
         let mut lines: Vec<String> = desk.sent().iter().map(ToString::to_string).collect();
         while !desk.now.has_reached(end) {
             let next = desk.now.plus(1);
             desk.now = match desk.session.poll_timeout() {
-                Some(at) if by_announcement && at.has_reached(next) => at.earlier_of(end),
-                _ => next,
+                _ if !by_announcement => next,
+                Some(at) => {
+                    assert!(at.has_reached(next), "{request}: a tick that was due already");
+                    at.earlier_of(end)
+                }
+                None => end,
             };
             lines.extend(desk.sent().iter().map(ToString::to_string));
         }
         (lines, desk.happened())
     };
-    assert_eq!(script(true), script(false));
+    for request in [Request::Tag, Request::Faststop] {
+        assert_eq!(script(request, true), script(request, false), "{request}");
+    }
 }
