@@ -1,11 +1,12 @@
-//! The whole bridge on a CAN bus, the gripper and a PLC on it, beside wires: any frames, any trouble of the bus.
+//! The whole bridge on a CAN bus with a PLC on it, beside wires, the gripper on the bus as well or on RS-232: any frames, any
+//! trouble of the bus.
 //!
 //! What must hold, whatever comes:
 //! - each command that the bridge says to the gripper was [`Asked`] for, by an edge of its own of a wire or of an RPDO of eight
-//!   bytes to an operational device; FAST STOP is said as soon as the message before it is with the bus;
+//!   bytes to an operational device; FAST STOP is said as soon as the message before it is with the bus, on RS-232 at once;
 //! - the device is in the state that CANopen's NMT and the silence of the master make of it, and nobody commands when it is
 //!   not operational ([`Device`]); remote frames, 29-bit identifiers and other lengths do nothing;
-//! - of what was said to the gripper each message leaves once at the most, whole, in order; none that was said before the bus
+//! - of what was said to a gripper on the bus each message leaves once at the most, whole, in order; none that was said before the bus
 //!   or the connection was lost.
 //!
 //! A case ends where it shows in no answer whether a setting was taken by SDO.
@@ -13,8 +14,8 @@
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanController as _, GripperLink, Health, NmtState, Node, NodeConfig, Participant,
-    SETTINGS_INDEX,
+    BusOffPolicy, CanBus, CanController as _, GripperLink, Health, LinkCounters, NmtState, Nobody, Node,
+    NodeConfig, Participant, SETTINGS_INDEX,
 };
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
@@ -27,6 +28,7 @@ use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS};
 use super::gripper::{self, Message};
 use super::input::Input;
 use crate::can_bench::Double;
+use crate::serial_gripper::SerialLine;
 
 const NODE: u16 = NodeConfig::DEFAULT.node as u16;
 const NMT: u16 = 0;
@@ -95,7 +97,10 @@ struct Model {
     bridge: Bridge,
     bus: CanBus<Double>,
     double: Double,
+    /// The gripper's, where it is on the bus.
     link: GripperLink,
+    /// The gripper's, where it is not; as fast as need be.
+    line: Option<SerialLine>,
     node: Node,
     /// Finds messages in what the bridge says to the gripper.
     said_to_gripper: FrameParser<64>,
@@ -120,12 +125,14 @@ struct Model {
     answers: bool,
 }
 
-/// The first byte says whether the bridge is ready (bit 0). Then each op is a byte that says what, and bytes that say how:
-/// wires, time, frames, a gripper that answers, a PLC that commands, trouble. Without bit 7 a millisecond passes behind it.
+/// The first byte says whether the bridge is ready (bit 0) and whether the gripper is on RS-232 (bit 1). Then each op is a byte
+/// that says what, and bytes that say how: wires, time, frames, a gripper that answers, a PLC that commands, trouble. Without
+/// bit 7 a millisecond passes behind it.
 pub fn bridge_can(data: &[u8]) {
     let mut input = Input::new(data);
-    let mut model = Model::new();
-    if input.byte() & 1 != 0 {
+    let choice = input.byte();
+    let mut model = Model::new(choice & 2 != 0);
+    if choice & 1 != 0 {
         model.get_ready();
     }
     while !input.is_empty() && !model.is_over {
@@ -325,13 +332,14 @@ impl Device {
 }
 
 impl Model {
-    fn new() -> Self {
+    fn new(gripper_on_rs_232: bool) -> Self {
         let double = Double::default();
         Self {
             bridge: Bridge::new(Config::DEFAULT),
             bus: CanBus::new(double.clone(), BusOffPolicy::DEFAULT),
             double,
             link: GripperLink::new(Identifiers::DEFAULT),
+            line: gripper_on_rs_232.then(|| SerialLine::with_room(usize::MAX)),
             node: Node::new(NodeConfig::DEFAULT),
             said_to_gripper: FrameParser::new(),
             said: Vec::new(),
@@ -384,8 +392,20 @@ impl Model {
         self.bring_data(RPDO, &[&[flags.bits(), 0], &parameters[..]].concat());
     }
 
-    /// A message of the gripper; of what becomes of its frames, this.
+    /// A message of the gripper; of what becomes of its frames, or of its bytes, this.
     fn bring_message(&mut self, message: &[u8], what: Option<u8>) {
+        if let Some(line) = &mut self.line {
+            let mut bytes = message.to_vec();
+            let at = usize::from(what.unwrap_or(0) >> 4) % bytes.len();
+            match what.map(|what| what % 8) {
+                Some(0) => drop(bytes.remove(at)),
+                Some(1) => bytes.insert(at, bytes[at]),
+                Some(2) => bytes.truncate(at),
+                Some(3) => bytes[at] ^= 0x10,
+                _ => {}
+            }
+            return line.bring(&bytes);
+        }
         let segments = Segments::new(message.iter().copied());
         let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
         let at = usize::from(what.unwrap_or(0) >> 4) % frames.len();
@@ -444,18 +464,38 @@ impl Model {
     /// One turn of the main loop, a millisecond after the one before, and what leaves behind it.
     fn turn(&mut self) {
         self.now_ms += 1;
-        let now = Instant::from_millis(self.now_ms);
         let lost = usize::from(self.overrun && !self.brought.is_empty());
         self.overrun &= self.brought.is_empty();
         for frame in self.brought.drain(..).skip(lost) {
             self.device.hear(self.now_ms, &frame);
         }
         let was_lost = self.bus.is_lost();
+        let messages =
+            if self.line.is_some() { self.turn_on_rs_232(was_lost) } else { self.turn_on_can(was_lost) };
+        if self.is_over {
+            return;
+        }
+        for message in messages {
+            self.asked.leaves(message.id);
+        }
+        let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
+        let patience_ms = match self.line {
+            Some(_) => Some(0),
+            None if cut_off => None,
+            None => Some(FAST_STOP_MS),
+        };
+        self.asked.end_turn(self.bridge.is_connected(), patience_ms);
+        self.leave();
+    }
+
+    /// What the bridge says to a gripper on the bus, and what comes of the rest of the turn.
+    fn turn_on_can(&mut self, was_lost: bool) -> Vec<Message> {
+        let now = Instant::from_millis(self.now_ms);
         let aborts = self.double.aborts();
-        let Self { bus, link, bridge, node, .. } = self;
+        let Self { bus, link, bridge, node, device, .. } = self;
         bus.listen(now, link, node);
         if bus.is_lost() && !was_lost {
-            self.device.lose_bus();
+            device.lose_bus();
         }
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
@@ -476,17 +516,30 @@ impl Model {
         link.set_connected(connected);
         bus.talk(now, link, &mut Ear { node, said: &mut said });
         self.forget_if(aborts);
-
         self.follow(&said);
-        if self.is_over {
-            return;
+        messages
+    }
+
+    /// The same with a gripper on RS-232, which has answered.
+    fn turn_on_rs_232(&mut self, was_lost: bool) -> Vec<Message> {
+        let now = Instant::from_millis(self.now_ms);
+        let Self { bus, bridge, node, device, line: Some(line), .. } = self else { return vec![] };
+        bus.listen(now, &mut Nobody, node);
+        if bus.is_lost() && !was_lost {
+            device.lose_bus();
         }
-        for message in messages {
-            self.asked.leaves(message.id);
+        let report = bus.report(LinkCounters::default());
+        node.set_report(report);
+        bridge.set_can_report(&report);
+        bridge.poll_with_can(self.now_ms, self.wires, line, node);
+        let mut said = vec![];
+        bus.talk(now, &mut Nobody, &mut Ear { node, said: &mut said });
+        let messages = gripper::messages(&mut self.said_to_gripper, &line.take_sent());
+        if self.answers {
+            messages.iter().for_each(|message| line.bring(&gripper::answers(message.id).concat()));
         }
-        let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
-        self.asked.end_turn(connected, if cut_off { None } else { Some(FAST_STOP_MS) });
-        self.leave();
+        self.follow(&said);
+        messages
     }
 
     /// What the device makes of what it heard, and of the time.

@@ -63,8 +63,9 @@ pub(super) const BRIDGE: &[&[u8]] = &[
 
 /// The same of the body `bridge_can`.
 pub(super) const BRIDGE_CAN: &[&[u8]] = &[
-    // Ready, and not.
+    // Ready, and not; the gripper on RS-232.
     &[0x01],
+    &[0x03],
     &[0x00],
     // Wires: FAST_STOP_OK alone, none, STOP_ACK, a motion, time to settle.
     &[0x00, 0x20, 0x07, 0x04],
