@@ -8,7 +8,7 @@
 //! - A flag of the bus counts from its edge on, as long as it is 1 and the bus is heard. The edge of a motion or a jog is none
 //!   while a command wire is high, or beside STOP/ACK; a command wire that rises ends what counts of them.
 //! - Several motions at once are one: MOVE before GRIP before RELEASE before HOMING.
-//! - STOP/ACK undoes what was asked for before it, FAST STOP as well. Behind a FAST STOP no motion leaves before an
+//! - STOP/ACK undoes what was asked for before it and beside it, FAST STOP as well. Behind a FAST STOP no motion leaves before an
 //!   acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection was lost is void.
 
 use wsg_bridge_fw::io::Inputs;
@@ -198,7 +198,7 @@ impl Asked {
         let Some(flags) = wires.map(|wires| wires | self.bus) else { return };
         let before = self.flags.replace(flags);
         let rising = before.map_or(CommandFlags::empty(), |before| flags - before);
-        if rising.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP) {
+        if flags.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP) {
             self.bus -= JOG;
         }
         if flags.contains(CommandFlags::FASTSTOP) {

@@ -2,7 +2,7 @@
 //!
 //! What must hold, whatever comes:
 //! - each command that leaves was [`Asked`] for, by an edge of its own of a wire or of an image that an intact request wrote
-//!   while the bus commanded; and FAST STOP leaves at once;
+//!   while the bus commanded; and FAST STOP leaves at once, or behind the frame that is being sent;
 //! - no frame with a wrong checksum leaves, on either line;
 //! - each answer on the bus has its request, intact and for the bridge's unit ([`Overheard`]); what is damaged, or for
 //!   another, does nothing.
@@ -10,6 +10,9 @@
 //! A case ends where that cannot be followed from outside: behind Force Listen Only Mode, a broadcast to the settings, and
 //! when broadcasts count on a line that is not strict.
 
+use std::convert::Infallible;
+
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_protocol::fieldbus::CommandFlags;
@@ -18,7 +21,7 @@ use wsg_protocol::{CommandId, FrameParser, Status};
 
 use super::asked::Asked;
 use super::frames::repair_checksums;
-use super::gripper;
+use super::gripper::{self, Message};
 use super::input::Input;
 use super::modbus::sealed;
 use super::rtu_line::{BROADCAST, Done, Overheard, RtuLine, TIMING};
@@ -52,11 +55,8 @@ const SILENCES: [u32; 6] =
 
 struct Model {
     bridge: Bridge,
-    /// The gripper's, as fast as need be.
-    line: SerialLine,
+    line: GripperLine,
     bus: RtuLine,
-    /// Finds frames in what the bridge sends.
-    sent: FrameParser<64>,
     now_ms: u32,
     wires: Inputs,
     asked: Asked,
@@ -69,13 +69,13 @@ struct Model {
     answers: bool,
 }
 
-/// The first byte says whether the bridge is ready (bit 0) and whether the bus is strict and has broadcasts (bit 1). Then each
-/// op is a byte that says what, and bytes that say how: wires, time, bytes on either line, a gripper that answers, a PLC that
-/// writes.
+/// The first byte says whether the bridge is ready (bit 0), whether the bus is strict and has broadcasts (bit 1), and whether the
+/// gripper's line takes no more than it would at 115 200 bit/s (bit 2). Then each op is a byte that says what, and bytes that
+/// say how: wires, time, bytes on either line, a gripper that answers, a PLC that writes.
 pub fn bridge(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
-    let mut model = Model::new(choice & 2 != 0);
+    let mut model = Model::new(choice & 2 != 0, choice & 4 != 0);
     if choice & 1 != 0 {
         model.get_ready();
     }
@@ -155,16 +155,15 @@ pub fn bridge(data: &[u8]) {
 }
 
 impl Model {
-    fn new(strict_with_broadcasts: bool) -> Self {
+    fn new(strict_with_broadcasts: bool, slow: bool) -> Self {
         let mut config = Config::DEFAULT;
         if strict_with_broadcasts {
             config.bus = BusConfig { broadcast: true, patience_ms: 0, ..config.bus };
         }
         Self {
             bridge: Bridge::new(config),
-            line: SerialLine::with_room(usize::MAX),
+            line: GripperLine::new(if slow { BYTES_PER_MS } else { usize::MAX }),
             bus: RtuLine::default(),
-            sent: FrameParser::new(),
             now_ms: 0,
             wires: Inputs::empty(),
             asked: Asked::new(config.debounce_ms),
@@ -238,6 +237,8 @@ impl Model {
         self.now_ms += 1;
         self.bus.pass_ms();
         let Self { bridge, line, bus, .. } = self;
+        let was_connected = bridge.is_connected();
+        line.left = line.per_ms;
         bridge.poll_with_bus(self.now_ms, self.wires, line, bus);
         self.asked.read_wires(self.now_ms, self.wires);
         for event in self.bus.take_events() {
@@ -258,13 +259,120 @@ impl Model {
             self.heard_ms = None;
             self.asked.lose_bus();
         }
-        let sent = self.line.take_sent();
-        for message in gripper::messages(&mut self.sent, &sent) {
-            self.asked.leaves(message.id);
+        let connected = self.bridge.is_connected();
+        if was_connected && !connected {
+            self.line.cut();
+        }
+        for id in self.line.begun.drain(..) {
+            self.asked.leaves(id);
+        }
+        for message in self.line.take_whole() {
             if self.answers {
                 self.line.bring(&gripper::answers(message.id).concat());
             }
         }
-        self.asked.end_turn(self.bridge.is_connected(), Some(0));
+        let is_slow = self.line.per_ms == BYTES_PER_MS;
+        self.asked.end_turn(connected, Some(if is_slow { SLOW_FAST_STOP_MS } else { 0 }));
+    }
+}
+
+/// What a line at 115 200 bit/s takes in a millisecond.
+const BYTES_PER_MS: usize = 12;
+
+/// How long a FAST STOP may wait there for the frame before it, in milliseconds.
+const SLOW_FAST_STOP_MS: u32 = 2;
+
+/// Bytes of a frame up to its id, and up to its payload.
+const UP_TO_ID: usize = 4;
+const HEAD: usize = 6;
+
+/// The gripper's line. It takes no frame in a millisecond in which it would not take the id as well: what leaves is known when
+/// it begins to leave.
+struct GripperLine {
+    line: SerialLine,
+    per_ms: usize,
+    /// What it takes in this millisecond.
+    left: usize,
+    /// The frame that is being sent.
+    frame: Vec<u8>,
+    /// The ids of the frames that began in this millisecond.
+    begun: Vec<CommandId>,
+    /// Whole frames.
+    whole: Vec<u8>,
+    /// Finds messages in them.
+    parser: FrameParser<64>,
+}
+
+impl GripperLine {
+    fn new(per_ms: usize) -> Self {
+        Self {
+            line: SerialLine::with_room(usize::MAX),
+            per_ms,
+            left: 0,
+            frame: Vec::new(),
+            begun: Vec::new(),
+            whole: Vec::new(),
+            parser: FrameParser::new(),
+        }
+    }
+
+    fn bring(&mut self, bytes: &[u8]) {
+        self.line.bring(bytes);
+    }
+
+    fn take_whole(&mut self) -> Vec<Message> {
+        gripper::messages(&mut self.parser, &std::mem::take(&mut self.whole))
+    }
+
+    /// The rest of the frame that is being sent will not come.
+    fn cut(&mut self) {
+        self.frame.clear();
+    }
+
+    fn take(&mut self, byte: u8) {
+        self.left -= 1;
+        self.frame.push(byte);
+        if self.frame.len() == UP_TO_ID {
+            self.begun.push(CommandId::from_code(byte));
+        }
+        if let [_, _, _, _, low, high, ..] = self.frame[..]
+            && self.frame.len() == HEAD + usize::from(u16::from_le_bytes([low, high])) + 2
+        {
+            self.whole.append(&mut self.frame);
+        }
+    }
+}
+
+impl ErrorType for GripperLine {
+    type Error = Infallible;
+}
+
+impl ReadReady for GripperLine {
+    fn read_ready(&mut self) -> Result<bool, Infallible> {
+        self.line.read_ready()
+    }
+}
+
+impl Read for GripperLine {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        self.line.read(buffer)
+    }
+}
+
+impl WriteReady for GripperLine {
+    fn write_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(self.left >= if self.frame.is_empty() { UP_TO_ID } else { 1 })
+    }
+}
+
+impl Write for GripperLine {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        let count = bytes.len().min(self.left);
+        bytes[..count].iter().for_each(|byte| self.take(*byte));
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
     }
 }

@@ -25,6 +25,8 @@ const LIMITS: SystemLimits = SystemLimits {
     overdrive_force: 120.0,
 };
 
+const JOG: CommandFlags = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
+
 struct Model {
     controller: Controller,
     known: Known,
@@ -35,6 +37,8 @@ struct Model {
     prepared: Option<CommandId>,
     /// STOP/ACK has risen since the last command for it.
     stop_risen: bool,
+    /// Both JOG flags were 0, and neither STOP/ACK nor FASTSTOP 1 since.
+    jog_counts: bool,
 }
 
 /// Each op is a byte that says what, and bytes that say how: an image, what the gripper reports, an outcome.
@@ -47,6 +51,7 @@ pub fn controller(data: &[u8]) {
         wanted: None,
         prepared: None,
         stop_risen: false,
+        jog_counts: false,
     };
     while !input.is_empty() {
         match input.byte() % 8 {
@@ -111,6 +116,12 @@ impl Model {
             self.wanted = Some(*id);
         }
 
+        if !flags.intersects(JOG) {
+            self.jog_counts = true;
+        } else if locked {
+            self.jog_counts = false;
+        }
+
         self.controller.set_output(&image, &self.known);
 
         if fast_stop_due {
@@ -162,11 +173,9 @@ impl Model {
         }
     }
 
-    /// A JOG flag is set, and nothing that overrules it.
+    /// A JOG flag is set, and counts.
     fn jogs(&self) -> bool {
-        let flags = self.image.map_or(CommandFlags::empty(), |image| image.flags);
-        flags.intersects(CommandFlags::JOG_PLUS | CommandFlags::JOG_MINUS)
-            && !flags.contains(CommandFlags::FASTSTOP)
+        self.jog_counts && self.image.is_some_and(|image| image.flags.intersects(JOG))
     }
 
     /// The input image shows one state at the most, and can always be read back.

@@ -20,9 +20,10 @@ pub(super) const BINARY: &[&[u8]] = &[
 
 /// What PLC, gripper and time do to the whole bridge: ops of the body `bridge`.
 pub(super) const BRIDGE: &[&[u8]] = &[
-    // Ready, and not; a strict bus with broadcasts.
+    // Ready, and not; a strict bus with broadcasts; a slow line.
     &[0x01],
     &[0x03],
+    &[0x05],
     &[0x00],
     // Wires: FAST_STOP_OK alone, none, STOP_ACK, a motion, time to settle.
     &[0x00, 0x20, 0x07, 0x04],

@@ -298,7 +298,6 @@ impl Controller {
         } else if self.is_fast_stopped(known) {
             self.send_alone(Command::ACKNOWLEDGE);
         } else {
-            self.jog.disarm(self.image.as_ref());
             let failed = self.failed || known.state == Some(GripperState::Error);
             self.stop();
             if failed {

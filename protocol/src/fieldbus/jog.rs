@@ -25,11 +25,8 @@ pub(super) struct Drive {
 }
 
 impl Drive {
-    /// What this image asks for; both flags, STOP/ACK and FASTSTOP ask for a stop.
+    /// What this image asks for; both flags ask for a stop.
     fn asked_by(image: &OutputImage) -> Option<Self> {
-        if image.flags.intersects(CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP)) {
-            return None;
-        }
         let direction = match image.flags.intersection(JOG) {
             CommandFlags::JOG_PLUS => Direction::Plus,
             CommandFlags::JOG_MINUS => Direction::Minus,
@@ -51,7 +48,8 @@ pub(super) enum Stage {
 }
 
 /// The flags as levels: a jog that has ended by itself, was refused or overruled begins again only after both flags
-/// were 0. The same goes for flags that are 1 in the first image.
+/// were 0. The same goes for flags that are 1 in the first image, or beside STOP/ACK or FASTSTOP: to let go of these, or to
+/// acknowledge, moves nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Jog {
     pub(super) stage: Stage,
@@ -69,7 +67,8 @@ impl Jog {
 
     /// Takes a look at an image.
     pub(super) fn see(&mut self, image: &OutputImage) {
-        self.armed |= !image.flags.intersects(JOG);
+        let overruled = image.flags.intersects(CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP));
+        self.armed = !image.flags.intersects(JOG) || (self.armed && !overruled);
     }
 
     /// Lets what the flags ask for now no longer count.

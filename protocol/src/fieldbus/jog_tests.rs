@@ -228,6 +228,35 @@ fn jog_that_stop_or_fast_stop_ended_waits_until_its_flag_was_0() {
 }
 
 #[test]
+fn jog_flag_that_rises_beside_stop_or_fast_stop_starts_nothing_when_that_goes() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    plc.answer(CommandId::Stop, Status::Success);
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.lower(CommandFlags::STOP_ACK), [], "JOG+ is still 1");
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
+
+    // Before the acknowledgement of a FAST STOP, with it, and behind it.
+    for at in 0..3 {
+        let mut plc = Plc::ready();
+        let jog_if = |now: bool| if now { CommandFlags::JOG_MINUS } else { CommandFlags::empty() };
+        assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+        plc.answer(CommandId::FastStop, Status::Success);
+        plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        assert_eq!(plc.raise(jog_if(at == 0)), []);
+        assert_eq!(plc.lower(CommandFlags::FASTSTOP), []);
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK | jog_if(at == 1)), [Command::ACKNOWLEDGE]);
+        plc.answer(CommandId::Acknowledge, Status::Success);
+        plc.report_flags(SystemFlags::REFERENCED);
+        assert_eq!(plc.raise(jog_if(at == 2)), []);
+        assert_eq!(plc.lower(CommandFlags::STOP_ACK), [], "{at}: JOG- is still 1");
+        assert_eq!(plc.lower(CommandFlags::JOG_MINUS), []);
+        assert_eq!(plc.raise(CommandFlags::JOG_MINUS), [FORCE]);
+    }
+}
+
+#[test]
 fn jog_is_refused_without_a_connection_in_fast_stop_and_while_a_part_is_held() {
     let mut plc = Plc::ready();
     plc.disconnect();
