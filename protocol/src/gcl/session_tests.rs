@@ -522,6 +522,44 @@ fn updates_are_reported_once_subscribed_to() {
 }
 
 #[test]
+fn each_subscription_that_changes_is_told_to_the_gripper_once() {
+    let mut desk = Desk::connected();
+    for signal in [Signal::Temp, Signal::Force] {
+        desk.session.subscribe(Autosend::every(signal, 50));
+    }
+    let mut told = vec![];
+    for _ in 0..100 {
+        for request in desk.pass(1) {
+            told.extend(matches!(request, Request::Autosend(_)).then(|| request.to_string()));
+            desk.answer(request);
+        }
+    }
+    assert_eq!(told, ["AUTOSEND(\"FORCE\",50)", "AUTOSEND(\"TEMP\",50)"]);
+}
+
+#[test]
+fn what_a_gripper_says_is_known() {
+    let mut desk = Desk::connected();
+    for line in ["POS=20.5", "SPEED=1.5", "FORCE=2.5", "TEMP=35.5", "PWT=3.5", "CLT=4.5", "TAG=\"x\""] {
+        desk.hear(line);
+    }
+    let known = desk.session.known();
+    assert_eq!((known.width, known.speed, known.force), (Some(20.5), Some(1.5), Some(2.5)));
+    assert_eq!(known.temperature, Some(35.5));
+    assert_eq!((known.part_width_tolerance, known.clamping_travel), (Some(3.5), Some(4.5)));
+}
+
+#[test]
+fn answer_that_comes_before_its_request_was_sent_is_none() {
+    let mut desk = Desk::connected();
+    desk.session.request(Request::Tag).unwrap();
+    while desk.session.tick(desk.now).is_some() {}
+    desk.hear("TAG=\"left\"");
+    assert_eq!(desk.happened(), Vec::<String>::new());
+    assert_eq!(desk.lines(0), ["TAG?"]);
+}
+
+#[test]
 fn subscriptions_are_made_again_after_a_reconnect() {
     let mut desk = Desk::with(Config { width: true, interval_ms: 1, ..Config::DEFAULT });
     desk.connect();
