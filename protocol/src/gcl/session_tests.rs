@@ -287,6 +287,25 @@ fn motion_without_an_answer_is_never_sent_again() {
 }
 
 #[test]
+fn only_the_request_that_was_given_once_and_last_is_taken_back() {
+    let mut desk = Desk::connected();
+    let request = Request::Pwt(Setting::Set(1.0));
+    desk.session.request(request).unwrap();
+    assert!(!desk.session.take_back(CommandName::Pwt), "it was not given yet");
+    assert_eq!(desk.lines(0), ["PWT=1.0"]);
+    assert!(!desk.session.take_back(CommandName::Clt));
+    assert!(desk.session.is_busy());
+    assert!(desk.session.take_back(CommandName::Pwt));
+    assert!(!desk.session.is_busy());
+    assert_eq!(desk.lines(1_000), Vec::<String>::new());
+
+    desk.session.request(request).unwrap();
+    assert_eq!(desk.lines(Config::DEFAULT.reply_timeout_ms + 1), ["PWT=1.0", "PWT=1.0"]);
+    assert!(!desk.session.take_back(CommandName::Pwt), "the first may have left");
+    assert_eq!(desk.happened(), Vec::<String>::new());
+}
+
+#[test]
 fn fsack_and_bye_are_never_sent_again() {
     for (request, line) in [(Request::Fsack, "FSACK()"), (Request::Bye, "BYE()")] {
         let mut desk = Desk::connected();
@@ -369,6 +388,18 @@ fn stop_without_a_connection_is_sent_once_and_never_later() {
     assert_eq!(desk.sent()[0], Request::Stop);
     desk.pass(300);
     assert_eq!(desk.happened(), ["Unanswered STOP"]);
+    desk.connect();
+    assert_eq!(desk.lines(1_000), Vec::<String>::new());
+}
+
+#[test]
+fn stop_that_is_open_when_the_connection_goes_is_told_and_never_sent_again() {
+    let mut desk = Desk::connected();
+    desk.session.request(Request::Stop).unwrap();
+    assert_eq!(desk.lines(0), ["STOP()"]);
+    desk.session.disconnect();
+    desk.pass(1);
+    assert_eq!(desk.happened(), ["Unanswered STOP", "Disconnected"]);
     desk.connect();
     assert_eq!(desk.lines(1_000), Vec::<String>::new());
 }
