@@ -8,7 +8,7 @@
 //! - A flag of the bus counts from its edge on, as long as it is 1 and the bus is heard. The edge of a motion or a jog is none
 //!   while a command wire is high, or beside STOP/ACK; a command wire that rises ends what counts of them.
 //! - Several motions at once are one: MOVE before GRIP before RELEASE before HOMING.
-//! - STOP/ACK undoes what was asked for before it and beside it, FAST STOP as well. Behind a FAST STOP no motion leaves before an
+//! - STOP/ACK undoes the motions that were asked for before it and beside it, FAST STOP everything. Behind a FAST STOP no motion leaves before an
 //!   acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection was lost is void.
 
 use wsg_bridge_fw::io::Inputs;
@@ -155,8 +155,10 @@ impl Asked {
                 self.jog.1 = false;
             }
             Kind::Acknowledge => {
-                assert!(self.has_edge(id), "an acknowledgement without STOP/ACK");
-                self.may_leave.retain(|(other, _)| *other != id);
+                let edge =
+                    self.may_leave.iter().position(|(other, at)| *other == id && self.now_ms - at < LATE_MS);
+                let edge = edge.expect("an acknowledgement without STOP/ACK");
+                self.may_leave.remove(edge);
                 self.stopped = false;
                 self.fast_stop_left = None;
             }
@@ -179,14 +181,15 @@ impl Asked {
         if !connected {
             self.undo();
         }
-        if let Some(due_ms) = &mut self.fast_stop_due {
-            match patience_ms {
-                None => *due_ms = self.now_ms,
-                Some(patience_ms) => {
-                    assert!(self.now_ms - *due_ms <= patience_ms, "FAST STOP does not leave")
-                }
+        let Some(patience_ms) = patience_ms else {
+            // What is on its way stays there, and what is due stays due.
+            for moment in [&mut self.fast_stop_due, &mut self.fast_stop_left].into_iter().flatten() {
+                *moment = self.now_ms;
             }
-        }
+            return;
+        };
+        let is_late = self.fast_stop_due.is_some_and(|due_ms| self.now_ms - due_ms > patience_ms);
+        assert!(!is_late, "FAST STOP does not leave");
     }
 
     fn has_edge(&self, id: CommandId) -> bool {
@@ -207,7 +210,8 @@ impl Asked {
                 self.fast_stop();
             }
         } else if rising.contains(CommandFlags::STOP_ACK) {
-            self.undo();
+            self.may_leave.retain(|(other, _)| *other == CommandId::Acknowledge);
+            self.jog.1 = false;
             self.may_leave.push((CommandId::Acknowledge, self.now_ms));
         } else if !flags.contains(CommandFlags::STOP_ACK)
             && let Some((_, id)) = MOTIONS.iter().find(|(flag, _)| rising.contains(*flag))

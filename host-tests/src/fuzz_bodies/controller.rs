@@ -25,6 +25,14 @@ const LIMITS: SystemLimits = SystemLimits {
     overdrive_force: 120.0,
 };
 
+/// No motion is sent behind a FAST STOP before an acknowledgement behind that has succeeded.
+#[derive(PartialEq)]
+enum Lock {
+    Open,
+    FastStopped,
+    Acknowledged,
+}
+
 const JOG: CommandFlags = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
 
 struct Model {
@@ -37,6 +45,7 @@ struct Model {
     prepared: Option<CommandId>,
     /// STOP/ACK has risen since the last command for it.
     stop_risen: bool,
+    lock: Lock,
     /// Both JOG flags were 0, and neither STOP/ACK nor FASTSTOP 1 since.
     jog_counts: bool,
 }
@@ -51,6 +60,7 @@ pub fn controller(data: &[u8]) {
         wanted: None,
         prepared: None,
         stop_risen: false,
+        lock: Lock::Open,
         jog_counts: false,
     };
     while !input.is_empty() {
@@ -125,6 +135,7 @@ impl Model {
         self.controller.set_output(&image, &self.known);
 
         if fast_stop_due {
+            self.lock = Lock::FastStopped;
             assert_eq!(self.controller.poll_command(), Some(Command::FastStop), "before anything else");
             self.prepared = None;
         }
@@ -133,6 +144,12 @@ impl Model {
     }
 
     fn notice(&mut self, notice: &Notice<'_>) {
+        if self.lock == Lock::Acknowledged
+            && let Notice::Answered(reply) = notice
+            && (reply.id(), reply.status()) == (CommandId::Acknowledge, Status::Success)
+        {
+            self.lock = Lock::Open;
+        }
         self.controller.handle(notice, &self.known);
         self.fetch();
         self.shown();
@@ -161,13 +178,22 @@ impl Model {
                     self.wanted = wanted.filter(|wanted| *wanted != id);
                     let flags = self.image.map_or(CommandFlags::empty(), |image| image.flags);
                     assert!(!flags.contains(CommandFlags::FASTSTOP), "a motion during FASTSTOP");
+                    assert!(self.lock == Lock::Open, "a motion behind FAST STOP");
                 }
                 Kind::Acknowledge => {
                     assert!(std::mem::take(&mut self.stop_risen), "an acknowledgement without STOP/ACK");
                     self.prepared = None;
+                    if self.lock == Lock::FastStopped {
+                        self.lock = Lock::Acknowledged;
+                    }
                 }
                 // It ends whatever is being prepared.
-                Kind::Stop => self.prepared = None,
+                Kind::Stop => {
+                    self.prepared = None;
+                    if id == CommandId::FastStop {
+                        self.lock = Lock::FastStopped;
+                    }
+                }
                 kind => panic!("{id} is no command of a PLC, but {kind:?}"),
             }
         }

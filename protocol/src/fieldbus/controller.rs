@@ -80,6 +80,8 @@ enum FastStop {
     Asked,
     /// Confirmed; awaits STOP/ACK.
     Latched,
+    /// The same, and an acknowledgement was sent since.
+    Acknowledged,
 }
 
 /// What becomes of the fingers when the PLC that commands them falls silent.
@@ -190,7 +192,8 @@ impl Controller {
                 self.connected = false;
                 self.settled = None;
                 self.jog.disarm(self.image.as_ref());
-                if self.fast_stop == FastStop::Latched || self.jog.is_on() {
+                let is_confirmed = matches!(self.fast_stop, FastStop::Latched | FastStop::Acknowledged);
+                if is_confirmed || self.jog.is_on() {
                     // The gripper may be restarted and forget it: it shall be the first thing that it hears.
                     self.fast_stop();
                 }
@@ -296,6 +299,9 @@ impl Controller {
         } else if !self.connected {
             self.show(Status::IoError);
         } else if self.is_fast_stopped(known) {
+            if self.fast_stop == FastStop::Latched {
+                self.fast_stop = FastStop::Acknowledged;
+            }
             self.send_alone(Command::ACKNOWLEDGE);
         } else {
             let failed = self.failed || known.state == Some(GripperState::Error);
@@ -421,8 +427,8 @@ impl Controller {
         match (id, status, self.fast_stop) {
             (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
             (CommandId::FastStop, Status::Success, _) => self.fast_stop = FastStop::Latched,
-            // A FAST STOP that was asked for in the meantime stays.
-            (CommandId::Acknowledge, Status::Success, FastStop::Latched | FastStop::Clear) => {
+            // A FAST STOP that was asked for in the meantime stays, in whatever order the two are answered.
+            (CommandId::Acknowledge, Status::Success, FastStop::Acknowledged | FastStop::Clear) => {
                 self.fast_stop = FastStop::Clear;
                 self.settled = implied_state(id, status);
             }

@@ -370,6 +370,46 @@ fn fast_stop_that_the_gripper_has_not_confirmed_cannot_be_acknowledged() {
 }
 
 #[test]
+fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
+    for answers in
+        [[CommandId::FastStop, CommandId::Acknowledge], [CommandId::Acknowledge, CommandId::FastStop]]
+    {
+        let mut plc = Plc::ready();
+        plc.raise(CommandFlags::FASTSTOP);
+        plc.answer(CommandId::FastStop, Status::Success);
+        plc.lower(CommandFlags::FASTSTOP);
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+        plc.lower(CommandFlags::STOP_ACK);
+        assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+        for id in answers {
+            plc.answer(id, Status::Success);
+        }
+        plc.lower(CommandFlags::FASTSTOP);
+        assert_eq!(plc.raise(CommandFlags::MOVE), [], "{answers:?}");
+        assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+        plc.lower(CommandFlags::MOVE);
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+        plc.answer(CommandId::Acknowledge, Status::Success);
+        plc.lower(CommandFlags::STOP_ACK);
+        assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
+    }
+}
+
+#[test]
+fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_acknowledged_again() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.answer(CommandId::FastStop, Status::Success);
+    plc.lower(CommandFlags::FASTSTOP);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    plc.controller.handle(&Notice::Unanswered(CommandId::Acknowledge), &plc.known);
+    plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    plc.disconnect();
+    assert_eq!(plc.commands(), [Command::FastStop], "whether it was acknowledged is not known");
+}
+
+#[test]
 fn fast_stop_is_given_again_to_a_gripper_that_comes_back() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
