@@ -13,7 +13,10 @@
 //! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
 //!
 //! cargo-fuzz runs them (`cargo xtask fuzz`, targets in `host-tests/fuzz`); the test `fuzz_smoke` runs them on stable Rust
-//! over the committed seeds and over [`generated`] inputs.
+//! over the committed seeds and over [`generated`] inputs, `cargo xtask fuzz --inputs N` over more of these.
+
+use std::ops::Range;
+use std::thread;
 
 mod asked;
 mod bridge;
@@ -50,6 +53,52 @@ pub struct Body {
     pub run: fn(&[u8]),
     /// What [`generated`] inputs for it are made of.
     pub pieces: &'static [&'static [u8]],
+}
+
+/// How many [`generated`] inputs the test `fuzz_smoke` takes, from number 0 on.
+pub const SMOKE_INPUTS: u32 = 60_000;
+
+/// Inputs are shared out among threads: half of them each, odd and even.
+const THREADS: usize = 2;
+
+impl Body {
+    /// The body of this name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        ALL.into_iter().find(|body| body.name == name)
+    }
+
+    /// Runs it over the [`generated`] inputs of these numbers.
+    ///
+    /// # Panics
+    /// Where something does not hold; behind what the body says of it stands the input.
+    pub fn run_generated(&self, numbers: Range<u32>) {
+        thread::scope(|threads| {
+            for first in 0..THREADS {
+                let numbers = numbers.clone().skip(first).step_by(THREADS);
+                threads.spawn(move || {
+                    for number in numbers {
+                        let case = Case { input: generated(number, self.pieces), number };
+                        (self.run)(&case.input);
+                    }
+                });
+            }
+        });
+    }
+}
+
+/// Says which input it was, when a body panics.
+struct Case {
+    input: Vec<u8>,
+    number: u32,
+}
+
+impl Drop for Case {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            eprintln!("input {}: {:02X?}", self.number, self.input);
+        }
+    }
 }
 
 /// Every body.

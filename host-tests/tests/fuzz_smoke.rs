@@ -2,45 +2,11 @@
 
 use std::fs;
 use std::path::Path;
-use std::thread;
 
 use host_tests::fuzz_bodies::{self, Body};
 
-const CASES: u32 = 60_000;
-
-/// Inputs are shared out among threads: half of them each, odd and even.
-const THREADS: u32 = 2;
-
 fn smoke(name: &str) {
-    let body = find(name);
-    thread::scope(|threads| {
-        for first in 0..THREADS {
-            threads.spawn(move || {
-                for number in (first..CASES).step_by(THREADS as usize) {
-                    let case = Case { input: fuzz_bodies::generated(number, body.pieces), number };
-                    (body.run)(&case.input);
-                }
-            });
-        }
-    });
-}
-
-/// Says which input it was, when a body panics.
-struct Case {
-    input: Vec<u8>,
-    number: u32,
-}
-
-impl Drop for Case {
-    fn drop(&mut self) {
-        if thread::panicking() {
-            eprintln!("input {}: {:02X?}", self.number, self.input);
-        }
-    }
-}
-
-fn find(name: &str) -> Body {
-    fuzz_bodies::ALL.into_iter().find(|body| body.name == name).expect("a body of this name")
+    Body::named(name).expect("a body of this name").run_generated(0..fuzz_bodies::SMOKE_INPUTS);
 }
 
 #[test]

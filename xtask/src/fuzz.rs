@@ -1,4 +1,4 @@
-//! The fuzz targets of host-tests/fuzz, one after the other.
+//! The fuzz targets of host-tests/fuzz, one after the other; and their bodies over generated inputs, without cargo-fuzz.
 
 use std::{fs, path::Path};
 
@@ -13,13 +13,37 @@ use crate::{
 /// How long each target runs when nothing else is said.
 pub(crate) const SECONDS: u32 = 60;
 
+/// How much is fuzzed.
+pub(crate) enum Extent {
+    /// Each target for so many seconds.
+    Seconds(u32),
+    /// Each body over so many generated inputs.
+    Inputs(u32),
+}
+
 const FOLDER: &str = "host-tests/fuzz";
 
 /// No input may take longer: a body is bounded, so this is a hang.
 const HANG_SECONDS: u32 = 10;
 
+pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
+    match extent {
+        Extent::Seconds(seconds) => run_targets(workspace, *seconds),
+        Extent::Inputs(count) => run_inputs(workspace, *count),
+    }
+}
+
+/// Runs each body over so many generated inputs, on stable Rust. Nothing watches what they reach, but without a sanitizer
+/// they are some hundred times as many in the same time.
+fn run_inputs(workspace: &Workspace, count: u32) -> Result<()> {
+    let mut inputs = workspace.cargo();
+    // The profile of the mutants: optimised, with all checks.
+    inputs.args(["run", "--quiet", "--profile", "mutants", "-p", "host-tests", "--example", "inputs", "--"]);
+    process::run(inputs.arg(count.to_string())).context("the input stands behind what the body says")
+}
+
 /// Runs each target for so long, from its committed seeds and from what earlier runs have found.
-pub(crate) fn run(workspace: &Workspace, seconds: u32) -> Result<()> {
+fn run_targets(workspace: &Workspace, seconds: u32) -> Result<()> {
     let targets = targets(&workspace.root.join(FOLDER).join("fuzz_targets"))?;
     let what_for = format!("the fuzz targets {}", targets.join(", "));
     NIGHTLY.require(workspace, &what_for)?;

@@ -60,7 +60,8 @@ Commands
   panics             firmware and protocol link only if no panic can be reached
   bench              instructions on a Cortex-M4, counted in the emulator and held to a committed
                      baseline [--update: write it anew]; throughput on this machine
-  fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz
+  fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz.
+                     --inputs N: their bodies over so many generated inputs each, on stable Rust
   soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;
                      a quarter of an hour [--commands N] [--seed N]
   mutants [FILE...]  changes of the protocol crate, or of these files of it, that no test notices;

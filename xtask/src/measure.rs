@@ -51,8 +51,8 @@ pub(crate) fn run(command: &str, mut arguments: Parser) -> Result<()> {
             undefined_behaviour::run(&workspace)
         }
         "fuzz" => {
-            let seconds = seconds(arguments)?;
-            fuzz::run(&Workspace::from_env()?, seconds)
+            let extent = fuzz_extent(arguments)?;
+            fuzz::run(&Workspace::from_env()?, &extent)
         }
         "soak" => {
             let extent = soak::Extent::from(arguments)?;
@@ -116,16 +116,17 @@ fn mutants_extent(mut arguments: Parser) -> Result<mutants::Extent> {
     Ok(extent)
 }
 
-/// `--seconds N`.
-fn seconds(mut arguments: Parser) -> Result<u32> {
-    let mut seconds = fuzz::SECONDS;
+/// `--seconds N` or `--inputs N`.
+fn fuzz_extent(mut arguments: Parser) -> Result<fuzz::Extent> {
+    let mut extent = fuzz::Extent::Seconds(fuzz::SECONDS);
     while let Some(argument) = arguments.next()? {
-        match argument {
-            Arg::Long("seconds") => seconds = arguments.value()?.parse()?,
+        extent = match argument {
+            Arg::Long("seconds") => fuzz::Extent::Seconds(arguments.value()?.parse()?),
+            Arg::Long("inputs") => fuzz::Extent::Inputs(arguments.value()?.parse()?),
             other => return Err(other.unexpected()).context("see `cargo xtask help`"),
-        }
+        };
     }
-    Ok(seconds)
+    Ok(extent)
 }
 
 /// Whether the only argument that may be there, is.
