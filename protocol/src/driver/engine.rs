@@ -139,9 +139,6 @@ impl<P: Protocol> Engine<P> {
         if self.outbox.is_untouched() && self.link.take_back() {
             self.outbox = Outbox::EMPTY;
         }
-        if !self.link.is_busy() {
-            self.motion.withdraw();
-        }
     }
 
     /// Asks for a motion; `width` is the current one if the protocol wants it.
@@ -169,7 +166,8 @@ impl<P: Protocol> Engine<P> {
             link.give_up_half(now, &mut |notice| note(motion, updates, updates_lost, awaited, notice));
         }
         while let Some(notice) = link.tick(now) {
-            if notice == Notice::Disconnected && outbox.is_untouched() {
+            if notice == Notice::Disconnected {
+                // What has not left by now must not leave when the line takes bytes again. The gripper skips half a message.
                 *outbox = Outbox::EMPTY;
             }
             note(motion, updates, updates_lost, awaited, &notice);

@@ -128,13 +128,6 @@ impl Motion {
         }
     }
 
-    /// It was taken back before it left.
-    pub(super) fn withdraw(&mut self) {
-        if self.stage == Stage::Asked {
-            self.stage = Stage::NotBegun(Verdict::Withdrawn);
-        }
-    }
-
     /// Whether it is known that it has begun, or that it has not.
     pub(super) const fn is_decided(&self) -> bool {
         !matches!(self.stage, Stage::Asked)

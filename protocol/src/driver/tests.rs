@@ -179,6 +179,15 @@ fn setting_is_read_back_and_clamping_is_no_mismatch() {
 }
 
 #[test]
+fn status_that_stands_for_a_mismatch_is_one_with_a_setting_alone() {
+    let desk = Desk::new();
+    let mut gripper = connected(&desk);
+    let id = CommandId::GetOpeningWidth;
+    desk.script(id, vec![(1, status(id, crate::session::MISMATCH))]);
+    assert_eq!(gripper.width(), Err(Error::Refused(crate::session::MISMATCH)));
+}
+
+#[test]
 fn number_that_is_none_is_refused_before_it_is_sent() {
     let desk = Desk::new();
     let mut gripper = connected(&desk);

@@ -223,7 +223,7 @@ impl<'s, 'a> Parameters<'s, 'a> {
         match self.input.peek() {
             Some(b')') => self.input.expect(b')'),
             // Only where a parameter could begin is what stands here one.
-            Some(b',') if self.taken => Err(Mistake::TooMany),
+            Some(b',') => Err(Mistake::TooMany),
             Some(_) if !self.taken => Err(Mistake::TooMany),
             _ => Err(Mistake::Form),
         }

@@ -142,3 +142,19 @@ fn motion_whose_call_was_given_up_goes_on_and_can_be_waited_for() {
     check::<Frames>();
     check::<Lines>();
 }
+
+#[test]
+fn line_that_takes_nothing_holds_nobody_up() {
+    fn check<S: Speech>() {
+        let mut client = Asynch::<S>::homed(Config::default());
+        let Asynch { bench, gripper } = &mut client;
+        bench.run(async { while let Ok(Some(_)) = gripper.next_update(0).await {} });
+        bench.world(|world| (world.room, world.mute) = (0, true));
+        assert!(bench.run_for(10, gripper.stop()).is_none());
+        let before = bench.millis();
+        assert_eq!(bench.run(gripper.next_update(50)), Ok(None));
+        assert!(bench.millis() - before < 60, "a STOP that cannot leave is in nobody's way");
+    }
+    check::<Frames>();
+    check::<Lines>();
+}

@@ -60,6 +60,7 @@ for_all! {
     fn fingers_tell_what_they_are;
     fn message_is_one_write;
     fn nothing_is_sent_without_a_connection;
+    fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_bytes_again;
 }
 
 fn with_part(width: f32) -> Config {
@@ -421,4 +422,20 @@ fn nothing_is_sent_without_a_connection<C: Client>() {
     client.connect().unwrap();
     bench.pass(2_000);
     assert_near(client.width().unwrap(), 110.0);
+}
+
+fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_bytes_again<C: Client>() {
+    // Nothing of it had left, or a part.
+    for room in [0, 3, 5] {
+        let mut client = C::homed(Config::default());
+        client.bench().world(|world| world.room = room);
+        assert!(client.move_to(10.0, 400.0, OnBlock::Stop).is_err());
+        client.bench().pass(1_000);
+        let _ = client.next_update(0);
+        assert!(!client.is_connected(), "{room}");
+        client.bench().world(|world| world.room = usize::MAX);
+        client.connect().unwrap();
+        client.bench().pass(2_000);
+        assert_near(client.width().unwrap(), 110.0);
+    }
 }

@@ -2,8 +2,12 @@
 
 use crate::strategies::{answer, mutated, numbers, request, texts};
 use proptest::prelude::*;
+use std::collections::BTreeSet;
 use wsg_protocol::Status;
-use wsg_protocol::gcl::{Answer, Mistake, Named, Refused, Request};
+use wsg_protocol::gcl::Mistake::{
+    self, Form, Index, NoName, Range, Text, TooFew, TooLong, TooMany, UnknownName, Value,
+};
+use wsg_protocol::gcl::{Answer, Named, Refused, Request};
 
 /// The words of a line: numbers by their value, all else by its letters.
 #[derive(Debug, PartialEq)]
@@ -102,7 +106,6 @@ proptest! {
 
 #[test]
 fn what_is_not_gcl_is_answered_with_its_name_and_the_right_code() {
-    use Mistake::{Form, Index, NoName, Range, TooFew, TooMany, UnknownName, Value};
     for (line, mistake, answer) in [
         ("dance(3)", UnknownName, "ERR DANCE 14"),
         ("hello", UnknownName, "ERR HELLO 14"),
@@ -129,6 +132,8 @@ fn what_is_not_gcl_is_answered_with_its_name_and_the_right_code() {
         ("move(nan)", Form, "ERR MOVE 15"),
         ("move(1e99)", Range, "ERR MOVE 28"),
         ("move(1,2,3)", TooMany, "ERR MOVE 12"),
+        ("move(50,5 6)", Form, "ERR MOVE 15"),
+        ("stop(,)", TooMany, "ERR STOP 12"),
         ("grip(1,2,3,4)", TooMany, "ERR GRIP 12"),
         ("pos", Form, "ERR POS 15"),
         ("pos()", Form, "ERR POS 15"),
@@ -166,6 +171,16 @@ fn what_is_not_gcl_is_answered_with_its_name_and_the_right_code() {
 fn line_too_long_is_answered_by_the_name_that_it_began_with() {
     assert_eq!(Refused::too_long(b"  grip(0000").answer(false).to_string(), "ERR GRIP 27");
     assert_eq!(Refused::too_long(b"((((").answer(false).to_string(), "ERR ? 27");
+}
+
+#[test]
+fn refusal_says_what_was_wrong_with_which_request() {
+    let refused = Request::parse(b"move()").unwrap_err();
+    let told = refused.to_string();
+    assert!(told.contains("MOVE") && told.contains(&Mistake::TooFew.to_string()), "{told}");
+    let all = [NoName, UnknownName, Form, TooFew, TooMany, Range, Value, Index, TooLong, Text];
+    let texts: BTreeSet<String> = all.iter().map(ToString::to_string).collect();
+    assert!(texts.len() == all.len() && !texts.contains(""), "{texts:?}");
 }
 
 #[test]

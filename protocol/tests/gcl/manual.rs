@@ -66,6 +66,8 @@ fn motion_commands_of_chapter_2_2() {
     for name in [CommandName::Home, CommandName::Move, CommandName::Grip, CommandName::Release] {
         answer(&format!("ACK {name}"), Answer::Ack(name));
         answer(&format!("FIN {name}"), Answer::Fin(name));
+        assert_eq!(Answer::Ack(name).status(), Status::CmdPending);
+        assert_eq!(Answer::Fin(name).status(), Status::Success);
     }
     request("PWT?", Request::Pwt(Setting::Ask), "PWT?");
     request("PWT=2.5", Request::Pwt(Setting::Set(2.5)), "PWT=2.5");
@@ -204,6 +206,7 @@ fn stops_of_chapter_3_2() {
     {
         request(line, command, line);
         answer(&format!("ACK {}", command.name()), Answer::Ack(command.name()));
+        assert_eq!(Answer::Ack(command.name()).status(), Status::Success, "all is done");
     }
     // The manual calls code 19 E_AXIS_STOPPED here; its own table says E_CMD_ABORTED.
     answer("ERR MOVE 19", Answer::failed(CommandName::Move, Status::CmdAborted));

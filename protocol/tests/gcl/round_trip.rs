@@ -96,6 +96,12 @@ fn what_the_other_side_would_refuse_is_not_written() {
     }
     let ack = Answer::Ack(wsg_protocol::gcl::CommandName::Pos);
     assert_eq!(ack.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Form)));
+    let fin = Answer::Fin(wsg_protocol::gcl::CommandName::Stop);
+    assert_eq!(fin.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Form)));
     let update = Answer::Update(Value::Sn(1));
     assert_eq!(update.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Value)));
+    for value in [f32::NAN, f32::NEG_INFINITY] {
+        let answer = Answer::Value(Value::Pos(value));
+        assert_eq!(answer.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Range)));
+    }
 }

@@ -158,3 +158,17 @@ fn dropped_motion_and_a_new_one_are_not_mixed_up() {
     let grip = |width| desk::payload(&Command::GripPart { width, speed: 50.0 });
     assert_eq!(widths, [grip(20.0), grip(30.0)]);
 }
+
+#[test]
+fn frame_that_an_error_of_the_transport_cut_off_is_not_sent_to_its_end() {
+    let desk = Desk::new();
+    let mut gripper = connected_async(&desk);
+    desk.world(|world| world.room = 7);
+    assert_eq!(desk.run_for(5, gripper.grip(20.0, 50.0)), None);
+    desk.world(|world| (world.room, world.refuses) = (usize::MAX, true));
+    assert_eq!(desk.run(gripper.width()), Err(Error::Transport(Noise)));
+    assert_eq!(desk.run(gripper.width()), Err(Error::NotConnected), "the motion has no answer");
+    desk.run(gripper.connect()).unwrap();
+    assert_eq!(desk.run(gripper.width()), Ok(42.5));
+    assert_eq!((desk.heard(CommandId::GripPart), desk.world(|world| world.stray())), (0, 0));
+}

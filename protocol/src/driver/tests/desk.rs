@@ -60,6 +60,8 @@ pub(super) struct World {
     pub(super) silent: bool,
     pub(super) closed: bool,
     pub(super) noise: bool,
+    /// The next write fails; what was written before is forgotten.
+    pub(super) refuses: bool,
     pub(super) force_limit: f32,
     /// The last subscription to the width.
     pub(super) width_update: Option<Vec<u8>>,
@@ -93,6 +95,7 @@ impl Desk {
             silent: false,
             closed: false,
             noise: false,
+            refuses: false,
             force_limit: 80.0,
             width_update: None,
         })))
@@ -225,6 +228,11 @@ impl World {
     }
 
     /// What was on its way to the driver is lost.
+    /// Bytes that the gripper heard outside a frame.
+    pub(super) fn stray(&self) -> u16 {
+        self.parser.counters().dropped
+    }
+
     pub(super) fn drop_what_comes(&mut self) {
         self.coming.clear();
     }
@@ -251,7 +259,12 @@ impl World {
         Ok(count)
     }
 
-    fn write(&mut self, bytes: &[u8]) -> usize {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
+        if core::mem::take(&mut self.refuses) {
+            // Behind it the other end hears from the beginning.
+            self.parser = FrameParser::new();
+            return Err(Noise);
+        }
         let count = bytes.len().min(self.room);
         self.room -= count;
         self.writes.push(count);
@@ -261,7 +274,7 @@ impl World {
         } else {
             self.take(&bytes[..count]);
         }
-        count
+        Ok(count)
     }
 
     fn flush(&mut self) {
@@ -295,7 +308,7 @@ impl embedded_io::Read for Desk {
 
 impl embedded_io::Write for Desk {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
-        Ok(self.world(|world| world.write(bytes)))
+        self.world(|world| world.write(bytes))
     }
 
     fn flush(&mut self) -> Result<(), Noise> {
@@ -316,11 +329,7 @@ impl embedded_io_async::Read for Desk {
 impl embedded_io_async::Write for Desk {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
         core::future::poll_fn(|_| {
-            self.world(
-                |world| {
-                    if world.room == 0 { Poll::Pending } else { Poll::Ready(Ok(world.write(bytes))) }
-                },
-            )
+            self.world(|world| if world.room == 0 { Poll::Pending } else { Poll::Ready(world.write(bytes)) })
         })
         .await
     }
