@@ -406,6 +406,23 @@ fn motion_that_has_begun_tells_which_it_is() {
 }
 
 #[test]
+fn notice_about_another_request_says_nothing_of_this_one() {
+    use crate::session::Notice;
+    use motion::Verdict;
+    let (this, other) = (CommandId::Homing, CommandId::GripPart);
+    let success = |id| Notice::Answered(Reply::status_only(id, Status::Success));
+    for (about, verdict) in [
+        (success as fn(CommandId) -> Notice<'static>, Verdict::Answered(Status::Success)),
+        (Notice::Unanswered, Verdict::Unanswered),
+        (Notice::Withdrawn, Verdict::Withdrawn),
+    ] {
+        assert_eq!(Verdict::of(&about(this), this), Some(verdict));
+        assert_eq!(Verdict::of(&about(other), this), None);
+    }
+    assert_eq!(Verdict::of(&Notice::Pending(this), this), None, "it is not the last word");
+}
+
+#[test]
 fn closure_is_a_clock() {
     let mut clock = || crate::Instant::from_millis(7);
     assert_eq!(Clock::now(&mut clock), crate::Instant::from_millis(7));

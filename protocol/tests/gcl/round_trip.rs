@@ -3,7 +3,8 @@
 use crate::strategies::{answer, number, numbers, request, texts};
 use proptest::prelude::*;
 use wsg_protocol::gcl::{
-    Answer, Autosend, Filter, LineError, Mistake, Move, Request, Select, Signal, Tare, Value,
+    Answer, Autosend, Filter, Grip, LineError, Mistake, Move, Release, Request, Select, Setting, Signal,
+    Tare, Value,
 };
 
 proptest! {
@@ -66,7 +67,7 @@ proptest! {
 #[test]
 fn longest_request_has_the_announced_length_at_most() {
     let longest = -1.234_567_9e-38;
-    let grip = wsg_protocol::gcl::Grip::PartAtSpeed { force: longest, width: longest, speed: longest };
+    let grip = Grip::PartAtSpeed { force: longest, width: longest, speed: longest };
     let length = Request::Grip(grip).to_string().len();
     assert!((140..=Request::MAX_LEN).contains(&length), "{length}");
 }
@@ -77,6 +78,9 @@ fn what_the_other_side_would_refuse_is_not_written() {
     for (request, mistake) in [
         (Request::Move(Move { width: f32::NAN, speed: None }), Mistake::Range),
         (Request::Move(Move { width: 1.0, speed: Some(f32::INFINITY) }), Mistake::Range),
+        (Request::Grip(Grip::Force { force: f32::NAN }), Mistake::Range),
+        (Request::Release(Release::ByAtSpeed { distance: 1.0, speed: f32::INFINITY }), Mistake::Range),
+        (Request::Clt(Setting::Set(f32::NAN)), Mistake::Range),
         (Request::Sysflags(Select::One(32)), Mistake::Index),
         (Request::Fdata(Select::One(2)), Mistake::Index),
         (Request::Tare(Tare::Finger(2)), Mistake::Index),
