@@ -1,7 +1,7 @@
 //! What a PLC has asked for: the rules of docs/wiring.md ("What the inputs do") and docs/registers.md ("Who commands"), and
 //! whether a command that leaves the bridge was asked for by them.
 //!
-//! - An edge lets one command out. What else was asked for until then has come to nothing: one motion at a time.
+//! - An edge lets one command out, with the parameters of its side: of the recipe, or of the image. What else was asked for until then has come to nothing: one motion at a time.
 //! - A wire counts once it has not changed for the debounce time: command and recipe wires together, STOP_ACK and
 //!   FAST_STOP_OK by themselves; none before all have. The levels that they have then, and the first image of a bus, give no
 //!   edge.
@@ -12,8 +12,11 @@
 //!   acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection was lost is void.
 
 use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::{RECIPE_COUNT, RECIPES, Recipe};
 use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
-use wsg_protocol::{CommandId, Kind};
+use wsg_protocol::{Command, CommandId, Kind, PrePositionFlags};
+
+use super::gripper::{LEAST_SPEED, STROKE};
 
 const COMMAND_WIRES: [(Inputs, CommandFlags); 4] = [
     (Inputs::MOVE, CommandFlags::MOVE),
@@ -41,10 +44,19 @@ const LATE_MS: u32 = 1_000;
 /// same one.
 const FAST_STOP_MS: u32 = 200;
 
+/// A command that may leave.
+struct Edge {
+    id: CommandId,
+    at_ms: u32,
+    /// Width, speed and force limit of a motion, in hundredths.
+    goes_by: [i32; 3],
+}
+
 /// What was asked for, and what has come of it.
 pub(super) struct Asked {
     now_ms: u32,
     pub(super) debounce_ms: u32,
+    pub(super) recipes: [Recipe; RECIPE_COUNT],
     /// Wires that settle together: the last reading, since when, and whether that is long enough to count.
     groups: [Group; 3],
     /// The flags of the wires as they count; none before all have settled.
@@ -55,8 +67,9 @@ pub(super) struct Asked {
     bus: CommandFlags,
     /// Both sides' flags, as they stood last; none before the wires have settled.
     flags: Option<CommandFlags>,
-    /// The commands that may leave, and the moments of their edges.
-    may_leave: Vec<(CommandId, u32)>,
+    may_leave: Vec<Edge>,
+    /// Force limits that were asked for, in hundredths, and when.
+    forces: Vec<(i32, u32)>,
     /// What a jog goes by, and whether a Pre-position may leave for it.
     jog: (Option<(CommandFlags, u16, i16)>, bool),
     /// A FAST STOP awaits its acknowledgement.
@@ -82,12 +95,14 @@ impl Asked {
         Self {
             now_ms: 0,
             debounce_ms,
+            recipes: RECIPES,
             groups: [command_group, Inputs::STOP_ACK, Inputs::FAST_STOP_OK].map(group),
             wires: None,
             image: None,
             bus: CommandFlags::empty(),
             flags: None,
             may_leave: Vec::new(),
+            forces: Vec::new(),
             jog: (None, false),
             stopped: false,
             fast_stop_due: None,
@@ -116,17 +131,17 @@ impl Asked {
         wires.set(CommandFlags::FASTSTOP, fast_stop.is_empty());
         if wires.intersects(COMMANDS) {
             self.bus -= COMMANDS | JOG;
-            self.take(self.wires);
+            self.take(self.wires, true);
         }
         self.wires = Some(wires);
-        self.take(self.wires);
+        self.take(self.wires, true);
     }
 
     /// The bus has written an image.
     pub(super) fn take_image(&mut self, image: OutputImage) {
         let Some(before) = self.image.replace(image) else {
             self.bus = image.flags & CommandFlags::FASTSTOP;
-            return self.take(self.wires);
+            return self.take(self.wires, false);
         };
         let mut rising = image.flags - before.flags;
         if self.wires.unwrap_or_default().intersects(COMMANDS) || image.flags.contains(CommandFlags::STOP_ACK)
@@ -134,29 +149,29 @@ impl Asked {
             rising -= COMMANDS | JOG;
         }
         self.bus = (self.bus & image.flags) | rising;
-        self.take(self.wires);
+        self.take(self.wires, false);
     }
 
     /// Nobody commands over the bus any more.
     pub(super) fn lose_bus(&mut self) {
         self.image = None;
         self.bus &= CommandFlags::FASTSTOP;
-        self.take(self.wires);
+        self.take(self.wires, false);
     }
 
-    /// A command leaves the bridge.
-    pub(super) fn leaves(&mut self, id: CommandId) {
+    /// A command leaves the bridge; none where it only begins to, so that no more than the id is known.
+    pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>) {
         match id.kind() {
             Kind::Motion => {
                 assert!(!self.stopped, "{id} behind a FAST STOP that is not acknowledged");
-                let jogs = id == CommandId::PrePosition && self.jog.1;
-                assert!(self.has_edge(id) || jogs, "{id} without an edge");
+                let has_edge = self.may_leave.iter().any(|edge| self.lets_out(edge, id, command));
+                let jogs = id == CommandId::PrePosition && self.jogs_by(command);
+                assert!(has_edge || jogs, "{id} without an edge, {command:?}");
                 self.may_leave.clear();
                 self.jog.1 = false;
             }
             Kind::Acknowledge => {
-                let edge =
-                    self.may_leave.iter().position(|(other, at)| *other == id && self.now_ms - at < LATE_MS);
+                let edge = self.may_leave.iter().position(|edge| self.lets_out(edge, id, None));
                 let edge = edge.expect("an acknowledgement without STOP/ACK");
                 self.may_leave.remove(edge);
                 self.stopped = false;
@@ -171,6 +186,12 @@ impl Asked {
             Kind::Stop | Kind::Query => {}
             kind => {
                 assert_eq!(id, CommandId::SetForceLimit, "{id} is no command of a PLC, but {kind:?}");
+                if let Some(Command::SetForceLimit { force }) = command {
+                    let is_recent = |(asked, at_ms): &(i32, u32)| {
+                        *asked == hundredths(*force) && self.now_ms - at_ms < LATE_MS
+                    };
+                    assert!(self.forces.iter().any(is_recent), "{force} N, which nobody asked for");
+                }
             }
         }
     }
@@ -192,12 +213,45 @@ impl Asked {
         assert!(!is_late, "FAST STOP does not leave");
     }
 
-    fn has_edge(&self, id: CommandId) -> bool {
-        self.may_leave.iter().any(|(other, at)| *other == id && self.now_ms - at < LATE_MS)
+    fn lets_out(&self, edge: &Edge, id: CommandId, command: Option<&Command<'_>>) -> bool {
+        let [width, speed, _] = edge.goes_by;
+        let goes_by = |w: f32, s: f32| (hundredths(w), hundredths(s)) == (width, speed);
+        let is_so = match command {
+            None => true,
+            Some(Command::PrePosition { flags, width, speed }) => {
+                *flags == PrePositionFlags::STOP_ON_BLOCK && goes_by(*width, *speed)
+            }
+            Some(Command::GripPart { width, speed } | Command::ReleasePart { width, speed }) => {
+                goes_by(*width, *speed)
+            }
+            Some(other) => other.id() == CommandId::Homing,
+        };
+        edge.id == id && is_so && self.now_ms - edge.at_ms < LATE_MS
     }
 
-    /// Takes both sides' flags as they stand now.
-    fn take(&mut self, wires: Option<CommandFlags>) {
+    fn jogs_by(&self, command: Option<&Command<'_>>) -> bool {
+        let (Some((flags, speed, _)), true) = self.jog else { return false };
+        let Some(Command::PrePosition { flags: how, width, speed: goes }) = command else { return true };
+        let end = if flags == CommandFlags::JOG_PLUS { STROKE } else { 0.0 };
+        let asked = if speed == 0 { hundredths(LEAST_SPEED) } else { speed.into() };
+        *how == PrePositionFlags::STOP_ON_BLOCK && *width == end && hundredths(*goes) == asked
+    }
+
+    /// What an edge of this command goes by: of a wire, or else of the bus.
+    fn parameters(&self, id: CommandId, of_wire: bool) -> [i32; 3] {
+        if !of_wire {
+            let image = self.image.unwrap_or_default();
+            return [image.width.into(), image.speed.into(), image.force_limit.into()];
+        }
+        let levels = self.groups[0].counts.unwrap_or(Inputs::empty());
+        let bit = |wire| usize::from(levels.contains(wire));
+        let recipe = self.recipes[bit(Inputs::RECIPE0) + 2 * bit(Inputs::RECIPE1)];
+        let width = if id == CommandId::ReleasePart { recipe.release_width } else { recipe.width };
+        [width.into(), recipe.speed.into(), recipe.force.into()]
+    }
+
+    /// Takes both sides' flags as they stand now, behind a change of the wires, or else of the bus.
+    fn take(&mut self, wires: Option<CommandFlags>, of_wire: bool) {
         let Some(flags) = wires.map(|wires| wires | self.bus) else { return };
         let before = self.flags.replace(flags);
         let rising = before.map_or(CommandFlags::empty(), |before| flags - before);
@@ -210,13 +264,15 @@ impl Asked {
                 self.fast_stop();
             }
         } else if rising.contains(CommandFlags::STOP_ACK) {
-            self.may_leave.retain(|(other, _)| *other == CommandId::Acknowledge);
+            self.may_leave.retain(|edge| edge.id == CommandId::Acknowledge);
             self.jog.1 = false;
-            self.may_leave.push((CommandId::Acknowledge, self.now_ms));
+            self.may_leave.push(Edge { id: CommandId::Acknowledge, at_ms: self.now_ms, goes_by: [0; 3] });
         } else if !flags.contains(CommandFlags::STOP_ACK)
             && let Some((_, id)) = MOTIONS.iter().find(|(flag, _)| rising.contains(*flag))
         {
-            self.may_leave.push((*id, self.now_ms));
+            let goes_by = self.parameters(*id, of_wire);
+            self.forces.push((goes_by[2], self.now_ms));
+            self.may_leave.push(Edge { id: *id, at_ms: self.now_ms, goes_by });
         }
         self.follow_jog(flags & (self.bus | !JOG), before.is_none());
     }
@@ -227,6 +283,7 @@ impl Asked {
         let image = self.image.filter(|_| flags.intersects(JOG) && !stops);
         let goes_by = image.map(|image| (flags & JOG, image.speed, image.force_limit));
         if goes_by != self.jog.0 {
+            self.forces.extend(goes_by.map(|(_, _, force_limit)| (force_limit.into(), self.now_ms)));
             self.jog = (goes_by, goes_by.is_some() && !is_first);
         }
     }
@@ -260,4 +317,8 @@ impl Group {
             self.counts = Some(reading);
         }
     }
+}
+
+fn hundredths(value: f32) -> i32 {
+    (value * 100.0).round() as i32
 }

@@ -254,6 +254,7 @@ impl Model {
             return;
         }
         self.asked.debounce_ms = self.overheard.debounce_ms();
+        self.asked.recipes = self.overheard.recipes();
         let timeout_ms = self.overheard.timeout_ms();
         if timeout_ms > 0 && self.heard_ms.is_some_and(|heard_ms| self.now_ms - heard_ms >= timeout_ms) {
             self.heard_ms = None;
@@ -263,15 +264,18 @@ impl Model {
         if was_connected && !connected {
             self.line.cut();
         }
-        for id in self.line.begun.drain(..) {
-            self.asked.leaves(id);
+        let is_slow = self.line.per_ms == BYTES_PER_MS;
+        for id in self.line.begun.drain(..).filter(|_| is_slow) {
+            self.asked.leaves(id, None);
         }
         for message in self.line.take_whole() {
+            if !is_slow {
+                self.asked.leaves(message.id, Some(&message.command()));
+            }
             if self.answers {
                 self.line.bring(&gripper::answers(message.id).concat());
             }
         }
-        let is_slow = self.line.per_ms == BYTES_PER_MS;
         self.asked.end_turn(connected, Some(if is_slow { SLOW_FAST_STOP_MS } else { 0 }));
     }
 }

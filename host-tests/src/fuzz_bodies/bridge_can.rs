@@ -309,7 +309,8 @@ impl Device {
         let is_followed =
             object == MASTER || object.0 == SETTINGS_INDEX && matches!(object.1, TIMEOUT_SUB | DEBOUNCE_SUB);
         if specifier >> 5 != 1 || !is_followed {
-            return true;
+            // Of the other settings, those of the wires are not followed.
+            return specifier >> 5 != 1 || object.0 != SETTINGS_INDEX;
         }
         let answer = said.iter().rev().find(|frame| frame.id() == Id::Standard(standard(SDO_ANSWER)));
         match answer.map(|frame| frame.data()) {
@@ -476,7 +477,7 @@ impl Model {
             return;
         }
         for message in messages {
-            self.asked.leaves(message.id);
+            self.asked.leaves(message.id, Some(&message.command()));
         }
         let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
         let patience_ms = match self.line {

@@ -1,12 +1,20 @@
 //! The gripper's end, for the bodies of the whole bridge: what the bridge says to it, and one that succeeds in everything.
 
-use wsg_protocol::{CommandId, Event, Frame, FrameEncoder, FrameParser, Kind, Reply, Status};
+use wsg_protocol::{Command, CommandId, Event, Frame, FrameEncoder, FrameParser, Kind, Reply, Status};
 
 /// A message by value.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Message {
     pub(super) id: CommandId,
     payload: Vec<u8>,
+}
+
+impl Message {
+    /// What it asks for.
+    pub(super) fn command(&self) -> Command<'_> {
+        let frame = Frame { id: self.id.code(), payload: &self.payload };
+        Command::decode(&frame).expect("the bridge says what is allowed")
+    }
 }
 
 impl From<Frame<'_>> for Message {
@@ -29,9 +37,13 @@ pub(super) fn messages(parser: &mut FrameParser<64>, mut said: &[u8]) -> Vec<Mes
     }
 }
 
+/// The opening width of the gripper at the end of its stroke in mm, and its least speed in mm/s.
+pub(super) const STROKE: f32 = 110.0;
+pub(super) const LEAST_SPEED: f32 = 5.0;
+
 /// What the gripper answers to a request with this id, message by message.
 pub(super) fn answers(id: CommandId) -> Vec<Vec<u8>> {
-    let limits = [110.0_f32, 5.0, 420.0, 100.0, 5000.0, 5.0, 80.0, 120.0];
+    let limits = [STROKE, LEAST_SPEED, 420.0, 100.0, 5000.0, 5.0, 80.0, 120.0];
     let value = match id {
         CommandId::GetSystemInfo => vec![1, 2, 0x20, 0x31, 1, 0, 0, 0],
         CommandId::GetSystemState => vec![1, 0, 0, 0],

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use wsg_bridge_fw::{BusConfig, BusPort};
+use wsg_bridge_fw::{BusConfig, BusPort, RECIPE_COUNT, RECIPES, Recipe};
 use wsg_protocol::fieldbus::OutputImage;
 use wsg_protocol::modbus::rtu::{Character, Timing};
 
@@ -23,6 +23,7 @@ const BUS_PATIENCE: usize = 103;
 const BROADCASTS: usize = 104;
 const SWAP_BYTES: usize = 105;
 const DEBOUNCE: usize = 106;
+const FIRST_RECIPE: usize = 109;
 
 /// Force Listen Only Mode, behind which a unit says nothing and does nothing.
 const LISTEN_ONLY: [u8; 5] = [8, 0, 4, 0, 0];
@@ -122,6 +123,10 @@ impl Overheard {
         for (register, value) in built {
             settings[register - SETTINGS.start] = value;
         }
+        for (place, recipe) in settings[FIRST_RECIPE - SETTINGS.start..].chunks_exact_mut(4).zip(RECIPES) {
+            let Recipe { width, speed, force, release_width } = recipe;
+            place.copy_from_slice(&[width as u16, speed, force as u16, release_width as u16]);
+        }
         Self { image: [0; OutputImage::LEN], settings, ended: Vec::new(), current: None }
     }
 
@@ -135,6 +140,14 @@ impl Overheard {
 
     pub(super) fn debounce_ms(&self) -> u32 {
         self.setting(DEBOUNCE).into()
+    }
+
+    pub(super) fn recipes(&self) -> [Recipe; RECIPE_COUNT] {
+        std::array::from_fn(|number| {
+            let [width, speed, force, release] =
+                std::array::from_fn(|n| self.setting(FIRST_RECIPE + 4 * number + n));
+            Recipe { width: width as i16, speed, force: force as i16, release_width: release as i16 }
+        })
     }
 
     fn setting(&self, register: usize) -> u16 {
