@@ -227,3 +227,26 @@ fn longest_fixed_request_is_as_long_as_stated() {
         .max();
     assert_eq!(longest, Some(Command::MAX_FIXED_LEN));
 }
+
+#[test]
+fn status_of_either_answer_may_come_and_no_other() {
+    let id = CommandId::Homing;
+    assert!(id.immediate_statuses().contains(&Status::CmdPending));
+    assert!(!id.immediate_statuses().contains(&Status::AxisBlocked));
+    assert!(id.may_answer(Status::CmdPending), "first");
+    assert!(id.may_answer(Status::AxisBlocked), "second");
+    assert!(!id.may_answer(Status::ChecksumError));
+}
+
+#[test]
+fn each_refusal_says_something_else() {
+    use Refusal::{
+        AckKey, Character, NotFinite, ReservedBits, TagTooLong, TooLong, TooShort, UndefinedValue,
+    };
+    let all = [TooShort, TooLong, UndefinedValue, ReservedBits, NotFinite, AckKey, TagTooLong, Character];
+    let mut texts: Vec<String> = all.iter().map(ToString::to_string).collect();
+    texts.sort();
+    texts.dedup();
+    assert_eq!(texts.len(), all.len());
+    assert!(!texts.contains(&String::new()));
+}

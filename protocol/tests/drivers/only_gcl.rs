@@ -77,6 +77,27 @@ fn release_is_a_distance_from_the_width_that_was_asked_for_before() {
 }
 
 #[test]
+fn release_by_nothing_and_grip_at_the_width_that_is_are_no_step_the_other_way() {
+    let mut client = homed(20.0);
+    let bench = client.bench();
+    client.grip(20.0, 100.0).unwrap();
+    let held = client.width().unwrap();
+    sent(&bench);
+    let _ = client.release(held, 100.0);
+    assert_eq!(sent(&bench), ["POS?", "RELEASE(0.0,100.0)"]);
+
+    let mut client = Blocking::<Lines>::homed(Config::default());
+    let bench = client.bench();
+    client.move_to(50.0, 200.0, OnBlock::Stop).unwrap();
+    let width = client.width().unwrap();
+    let _ = client.grip(width, 100.0);
+    let now = client.width().unwrap();
+    sent(&bench);
+    let _ = client.release(width + 10.0, 100.0);
+    assert_eq!(sent(&bench), ["POS?".to_owned(), format!("RELEASE({:?},100.0)", width + 10.0 - now)]);
+}
+
+#[test]
 fn release_towards_the_part_is_refused_and_not_sent() {
     let mut client = homed(20.0);
     let bench = client.bench();

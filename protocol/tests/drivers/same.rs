@@ -393,6 +393,19 @@ fn fingers_tell_what_they_are<C: Client>() {
     client.grip(20.0, 100.0).unwrap();
     assert_eq!(client.finger_data(Finger::One), Ok(20.0_f32.to_le_bytes().to_vec()));
     assert_eq!(client.finger_data(Finger::Two), Err(Error::Refused(Status::NotAvailable)));
+    for finger in [Finger::One, Finger::Two] {
+        for question in 0..3 {
+            client.bench().world(|world| world.mute = true);
+            let unanswered = match question {
+                0 => client.finger_info(finger).map(drop),
+                1 => client.finger_flags(finger).map(drop),
+                _ => client.finger_data(finger).map(drop),
+            };
+            assert_eq!(unanswered, Err(Error::Unanswered), "{finger:?} {question}");
+            client.bench().world(|world| world.mute = false);
+            client.connect().unwrap();
+        }
+    }
     assert_eq!(client.tare(), Err(Error::Refused(Status::AccessDenied)));
 }
 
