@@ -172,3 +172,29 @@ fn frame_that_an_error_of_the_transport_cut_off_is_not_sent_to_its_end() {
     assert_eq!(desk.run(gripper.width()), Ok(42.5));
     assert_eq!((desk.heard(CommandId::GripPart), desk.world(|world| world.stray())), (0, 0));
 }
+
+#[test]
+fn frame_that_is_half_sent_when_a_motion_is_given_up_is_sent_to_its_end() {
+    /// A motion that has begun and never ends, and for how long it is waited for.
+    fn endless(desk: &Desk) -> (Asynch, Pending<Grip>) {
+        let mut gripper = connected_async(desk);
+        desk.script(CommandId::GripPart, vec![(1, status(CommandId::GripPart, Status::CmdPending))]);
+        let grip = desk.run(gripper.begin_grip(20.0, 50.0)).unwrap();
+        (gripper, grip)
+    }
+    let desk = Desk::new();
+    let (mut gripper, grip) = endless(&desk);
+    let begun = desk.world(|world| world.now);
+    assert_eq!(desk.run(gripper.wait(&grip)), Err(Error::Unanswered));
+    let given_up_ms = desk.world(|world| world.now.since(begun));
+
+    let desk = Desk::new();
+    let (mut gripper, grip) = endless(&desk);
+    assert_eq!(desk.run_for(given_up_ms - 3, gripper.wait(&grip)), None);
+    desk.world(|world| world.room = 3);
+    assert_eq!(desk.run_for(8, gripper.width()), None);
+    desk.world(|world| world.room = usize::MAX);
+    assert_eq!(desk.run(gripper.wait(&grip)), Err(Error::Unanswered));
+    assert_eq!(desk.run(gripper.width()), Ok(42.5));
+    assert_eq!((gripper.counters().session.disconnects, desk.world(|world| world.stray())), (0, 0));
+}
