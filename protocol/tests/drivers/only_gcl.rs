@@ -1,5 +1,8 @@
 //! Where the drivers over GCL differ from those over the binary protocol.
 
+use std::future::poll_fn;
+use std::pin::pin;
+
 use wsg_protocol::driver::{Culprit, Finger, Grip, OnBlock};
 use wsg_protocol::{HomingDirection, SoftLimits, Status};
 use wsg_sim::{Config, Part, PortKind};
@@ -146,6 +149,49 @@ fn tolerance_and_clamping_travel_are_asked_for_and_set() {
     assert_eq!(bench.run(gripper.part_width_tolerance()), Ok(1.5));
     assert_eq!(bench.run(gripper.set_clamping_travel(0.5)), Ok(0.5));
     assert_eq!(bench.run(gripper.clamping_travel()), Ok(0.5));
+}
+
+/// The outcome of a call that is answered by these bytes, once what it asks has left.
+fn told<T>(bench: &Bench, call: impl Future<Output = T>, answer: &[u8]) -> T {
+    bench.world(|world| world.mute = true);
+    let mut call = pin!(call);
+    let mut is_asked = false;
+    bench.run(poll_fn(|context| {
+        let polled = call.as_mut().poll(context);
+        if polled.is_pending() && !std::mem::replace(&mut is_asked, true) {
+            bench.inject(answer);
+        }
+        polled
+    }))
+}
+
+#[test]
+fn end_of_a_motion_behind_the_answer_to_a_setting_is_not_that_of_the_setting() {
+    let mut client = Asynch::<Lines>::homed(Config::default());
+    let motion = client.begin_move_to(10.0, 20.0, OnBlock::Stop).unwrap();
+    let Asynch { bench, gripper } = &mut client;
+    assert_eq!(told(bench, gripper.part_width_tolerance(), b"PWT=2.5\nERR MOVE 19\n"), Ok(2.5));
+    assert_eq!(bench.run(gripper.wait(&motion)), Err(Error::Aborted));
+}
+
+#[test]
+fn setting_that_waited_behind_a_question_is_withdrawn_with_the_connection() {
+    let mut client = Asynch::<Lines>::homed(Config::default());
+    let Asynch { bench, gripper } = &mut client;
+    bench.world(|world| world.mute = true);
+    assert!(bench.run_for(5, gripper.width()).is_none());
+    assert_eq!(bench.run(gripper.part_width_tolerance()), Err(Error::NotConnected));
+}
+
+#[test]
+fn lines_that_are_too_long_and_bytes_of_none_are_counted() {
+    let mut client = homed(20.0);
+    client.bench().inject(&[b'x'; 300]);
+    client.bench().inject(b"\n");
+    client.next_update(0).unwrap();
+    let line = client.counters().line;
+    assert_eq!((line.oversize, line.bad_checksum), (1, 0));
+    assert!(line.dropped > 0, "{line:?}");
 }
 
 #[test]

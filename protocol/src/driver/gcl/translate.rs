@@ -313,3 +313,7 @@ pub(super) const fn autosend(signal: Signal, update: AutoUpdate) -> Autosend {
         Autosend::every(signal, interval_ms)
     }
 }
+
+#[cfg(test)]
+#[path = "translate_tests.rs"]
+mod tests;

@@ -152,6 +152,29 @@ fn tolerant_mode_waits_for_the_rest_of_a_request_for_this_unit() {
 }
 
 #[test]
+fn tolerant_mode_waits_for_the_rest_of_a_function_that_it_does_not_know() {
+    let request = frame(UNIT, &[0x41]);
+    for cut in 1..request.len() {
+        let mut bus = Bus::new(TOLERANT);
+        bus.send(&request[..cut]);
+        bus.silence(PATIENCE_US - 1);
+        bus.send_after(PATIENCE_US - 1, &request[cut..]);
+        bus.silence(TIMING.t3_5_us);
+        assert_eq!(bus.answers, [frame(UNIT, &[0xC1, 1])], "cut at {cut}");
+    }
+}
+
+#[test]
+fn two_bytes_are_no_frame_although_their_checksum_is_right() {
+    for config in [STRICT, TOLERANT] {
+        let mut bus = Bus::new(config);
+        bus.send(&[0xFF, 0xFF]);
+        bus.silence(PATIENCE_US);
+        assert_eq!((bus.answers.len(), &bus.others[..]), (0, &["length"][..]));
+    }
+}
+
+#[test]
 fn tolerant_mode_does_not_glue_a_broken_frame_for_another_unit_to_ours() {
     let mut bus = Bus::new(TOLERANT);
     bus.send(&frame(UNIT + 1, &READ)[..5]);
