@@ -2,11 +2,11 @@
 
 use wsg_protocol::gcl::{
     Answer, Autosend, CommandName, FingerReading, Grip, LineEvent, LineReader, Move, Named, Release, Request,
-    Select, Selected, Setting, Signal, Tare, Text, Value,
+    Select, Selected, Setting, Signal, Tare, Text, Value, Vector,
 };
 use wsg_protocol::{
-    DeviceTag, DeviceType, FingerFlags, FirmwareVersion, GripperState, GrippingStatistics, HomingDirection,
-    Status, SystemFlags,
+    DeviceTag, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState, GrippingStatistics,
+    HomingDirection, Status, SystemFlags,
 };
 
 /// `typed` is understood as `request`, which is written as `written`.
@@ -234,6 +234,10 @@ fn fingers_of_chapter_3_4() {
         other => panic!("{other:?}"),
     };
     value("FDATA[1]=[[0,12],[3,4]]", Value::Fdata(Selected::One(1, tactile)));
+    let vector = Vector::new("[0,12],[3, -0.5e1]").unwrap();
+    assert_eq!(vector.as_str(), "[0,12],[3, -0.5e1]");
+    assert_eq!(vector.numbers().collect::<Vec<_>>(), [0.0, 12.0, 3.0, -5.0]);
+    assert_eq!(Vector::EMPTY.numbers().count(), 0);
     let both = [FingerReading::Number(12.5), tactile];
     value("FDATA=[12.5,[[0,12],[3,4]]]", Value::Fdata(Selected::All(both)));
 
@@ -241,6 +245,15 @@ fn fingers_of_chapter_3_4() {
     request("FTYPE[1]?", Request::Ftype(Select::One(1)), "FTYPE[1]?");
     value("FTYPE=[\"WSG-FMF\",\"\"]", Value::Ftype(Selected::All([text("WSG-FMF"), text("")])));
     value("FTYPE[0]=\"WSG-DSA\"", Value::Ftype(Selected::One(0, text("WSG-DSA"))));
+    for (name, finger) in [
+        ("WSG-FMF", FingerType::Fmf),
+        ("WSG-DSA", FingerType::Dsa),
+        ("WSG-LONG", FingerType::Generic),
+        ("FM", FingerType::Generic),
+        ("", FingerType::Generic),
+    ] {
+        assert_eq!((text(name).finger_type(), text(name).as_str()), (finger, name));
+    }
 
     request("FFLAGS?", Request::Fflags(Select::All), "FFLAGS?");
     request("FFLAGS[0]?", Request::Fflags(Select::One(0)), "FFLAGS[0]?");

@@ -3,8 +3,8 @@
 use crate::strategies::{answer, number, numbers, request, texts};
 use proptest::prelude::*;
 use wsg_protocol::gcl::{
-    Answer, Autosend, Filter, Grip, LineError, Mistake, Move, Release, Request, Select, Setting, Signal,
-    Tare, Value,
+    Answer, Autosend, Filter, FingerReading, Grip, LineError, Mistake, Move, Release, Request, Select,
+    Selected, Setting, Signal, Tare, Value,
 };
 
 proptest! {
@@ -105,7 +105,11 @@ fn what_the_other_side_would_refuse_is_not_written() {
     let update = Answer::Update(Value::Sn(1));
     assert_eq!(update.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Value)));
     for value in [f32::NAN, f32::NEG_INFINITY] {
-        let answer = Answer::Value(Value::Pos(value));
-        assert_eq!(answer.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Range)));
+        for answer in [Value::Pos(value), Value::Fdata(Selected::One(0, FingerReading::Number(value)))] {
+            let refused = Answer::Value(answer).write_line_into(&mut buffer);
+            assert_eq!(refused, Err(LineError::Invalid(Mistake::Range)), "{answer}");
+        }
     }
+    let third = Answer::Value(Value::Fdata(Selected::One(2, FingerReading::Number(1.0))));
+    assert_eq!(third.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Index)));
 }
