@@ -175,11 +175,11 @@ fn end_of_a_motion_behind_the_answer_to_a_setting_is_not_that_of_the_setting() {
 }
 
 #[test]
-fn setting_that_waited_behind_a_question_is_withdrawn_with_the_connection() {
+fn setting_that_waited_behind_a_stop_is_withdrawn_with_the_connection() {
     let mut client = Asynch::<Lines>::homed(Config::default());
     let Asynch { bench, gripper } = &mut client;
     bench.world(|world| world.mute = true);
-    assert!(bench.run_for(5, gripper.width()).is_none());
+    assert!(bench.run_for(5, gripper.stop()).is_none());
     assert_eq!(bench.run(gripper.part_width_tolerance()), Err(Error::NotConnected));
 }
 
