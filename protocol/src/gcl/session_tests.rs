@@ -694,8 +694,9 @@ fn more_requests_than_fit_are_refused() {
 
 #[test]
 fn tick_at_the_announced_times_does_all_that_a_tick_at_each_millisecond_does() {
-    let script = |request: Request, by_announcement: bool| {
-        let mut desk = Desk::connected();
+    let script = |request: Request, reply_timeout_ms: u32, by_announcement: bool| {
+        let mut desk = Desk::with(Config { reply_timeout_ms, ..Config::DEFAULT });
+        desk.connect();
         let end = desk.now.plus(4_000);
         desk.session.request(request).unwrap();
         let mut lines: Vec<String> = desk.sent().iter().map(ToString::to_string).collect();
@@ -714,6 +715,10 @@ fn tick_at_the_announced_times_does_all_that_a_tick_at_each_millisecond_does() {
         (lines, desk.happened())
     };
     for request in [Request::Tag, Request::Faststop] {
-        assert_eq!(script(request, true), script(request, false), "{request}");
+        // Less than the time between two tries to connect, and more.
+        for timeout_ms in [200, 600] {
+            let at_each_millisecond = script(request, timeout_ms, false);
+            assert_eq!(script(request, timeout_ms, true), at_each_millisecond, "{request} {timeout_ms}");
+        }
     }
 }
