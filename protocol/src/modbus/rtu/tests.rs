@@ -152,15 +152,20 @@ fn tolerant_mode_waits_for_the_rest_of_a_request_for_this_unit() {
 }
 
 #[test]
-fn tolerant_mode_waits_for_the_rest_of_a_function_that_it_does_not_know() {
-    let request = frame(UNIT, &[0x41]);
-    for cut in 1..request.len() {
-        let mut bus = Bus::new(TOLERANT);
-        bus.send(&request[..cut]);
-        bus.silence(PATIENCE_US - 1);
-        bus.send_after(PATIENCE_US - 1, &request[cut..]);
-        bus.silence(TIMING.t3_5_us);
-        assert_eq!(bus.answers, [frame(UNIT, &[0xC1, 1])], "cut at {cut}");
+fn tolerant_mode_waits_for_the_rest_of_every_function_known_or_not() {
+    // Device identification is the shortest that is known, MASK WRITE the longest of a fixed length.
+    for pdu in [&[0x41][..], &[43, 14, 1, 0], &READ, &[22, 0, 0, 0xFF, 0xFF, 0, 0]] {
+        let answer = Bus::new(TOLERANT).ask(UNIT, pdu);
+        assert!(answer.len() > 4, "{pdu:?}");
+        let request = frame(UNIT, pdu);
+        for cut in 1..request.len() {
+            let mut bus = Bus::new(TOLERANT);
+            bus.send(&request[..cut]);
+            bus.silence(PATIENCE_US - 1);
+            bus.send_after(PATIENCE_US - 1, &request[cut..]);
+            bus.silence(TIMING.t3_5_us);
+            assert_eq!(bus.answers, [answer.clone()], "{pdu:?} cut at {cut}");
+        }
     }
 }
 
