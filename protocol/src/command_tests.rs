@@ -250,3 +250,10 @@ fn each_refusal_says_something_else() {
     assert_eq!(texts.len(), all.len());
     assert!(!texts.contains(&String::new()));
 }
+
+#[test]
+fn every_status_but_pending_is_the_last_word() {
+    for status in Status::ALL {
+        assert_eq!(status.is_final(), *status != Status::CmdPending, "{status}");
+    }
+}
