@@ -506,6 +506,10 @@ fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
         pass(5, wires, &[(rpdo, &[0; 8])]);
         let sent = pass(50, wires, &[(rpdo, &image)]);
         assert_eq!(sent.contains(&CommandId::PrePosition), is_commander, "{flags:?}: {sent:?}");
+        // Behind as much as a turn takes.
+        for _ in 0..24 {
+            double.bring(ClassicFrame::new(StandardId::new(rpdo).unwrap(), &image).unwrap());
+        }
         double.go_off(0);
         let sent = pass(10, wires, &[]);
         assert_eq!(sent.contains(&CommandId::Stop), is_commander, "{flags:?}: {sent:?}");

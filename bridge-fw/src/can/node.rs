@@ -58,7 +58,7 @@ pub enum NmtState {
 #[derive(Clone, Copy, Debug)]
 enum Event {
     Image(OutputImage),
-    /// The master took the bridge out of operation, or restarted.
+    /// The master took the bridge out of operation, or restarted; or the bus is gone.
     Left,
     /// Reset communication, or the node as a whole.
     Reset {
@@ -92,13 +92,16 @@ impl Tpdo {
     const DUE: Self = Self { sent: [0; 8], sent_at: None };
 }
 
+/// What can happen in one turn: each frame is one thing at the most, and then the bus may go.
+const EVENTS_MAX: usize = MAX_RECEIVED_PER_POLL + 1;
+
 /// The bridge on a CANopen bus.
 #[derive(Debug)]
 pub struct Node {
     config: NodeConfig,
     initial: (NodeConfig, Option<Settings>),
     state: NmtState,
-    events: Deque<Event, MAX_RECEIVED_PER_POLL>,
+    events: Deque<Event, EVENTS_MAX>,
     output: OutputImage,
     shown: InputImage,
     request: Option<[u8; 8]>,
@@ -117,7 +120,7 @@ pub struct Node {
 
 impl Node {
     /// What can come in one turn, and an SDO request and a time-out.
-    pub(crate) const MAX_SERVED_PER_TURN: usize = MAX_RECEIVED_PER_POLL + 2;
+    pub(crate) const MAX_SERVED_PER_TURN: usize = EVENTS_MAX + 2;
 
     /// A device that has not announced itself.
     #[must_use]
