@@ -14,6 +14,7 @@ mod controller;
 mod gripper_link;
 mod node;
 mod slcan_port;
+mod turn;
 
 pub use bus::{BusCounters, CanBus, Nobody, Participant};
 pub use bus_off::{BusOffPolicy, BusState};
@@ -25,5 +26,6 @@ pub use node::{
     Object, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };
 pub use slcan_port::SlcanPort;
+pub use turn::turn_with_gripper;
 
 pub(crate) use node::Served;

@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use embedded_can::{Frame, Id};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanController, GripperLink, Health, Nobody, Node, NodeConfig,
+    BusOffPolicy, CanBus, CanController, GripperLink, Health, Nobody, Node, NodeConfig, turn_with_gripper,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config};
@@ -306,25 +306,16 @@ impl CanBench {
 
     /// One turn of the main loop.
     fn turn(&mut self, now: Instant) {
-        let Self { bus, link, bridge, inputs, .. } = self;
-        let Some(node) = &mut self.node else {
-            bus.listen(now, link, &mut Nobody);
-            link.expire(now);
-            bridge.set_link_lost(bus.is_lost());
-            self.outputs = bridge.poll(self.now_ms, *inputs, link);
-            link.set_connected(bridge.is_connected());
-            bus.talk(now, link, &mut Nobody);
-            return;
+        let Self { bus, link, bridge, node, now_ms, inputs, .. } = self;
+        self.outputs = match node {
+            None => turn_with_gripper(now, bridge, bus, link, &mut Nobody, |bridge, link, _, _| {
+                bridge.poll(*now_ms, *inputs, link)
+            }),
+            Some(node) => turn_with_gripper(now, bridge, bus, link, node, |bridge, link, node, report| {
+                node.set_report(*report);
+                bridge.poll_with_can(*now_ms, *inputs, link, node)
+            }),
         };
-        bus.listen(now, link, node);
-        link.expire(now);
-        bridge.set_link_lost(bus.is_lost());
-        let report = bus.report(link.counters());
-        node.set_report(report);
-        bridge.set_can_report(&report);
-        self.outputs = bridge.poll_with_can(self.now_ms, *inputs, link, node);
-        link.set_connected(bridge.is_connected());
-        bus.talk(now, link, node);
     }
 
     fn reach_gripper(&mut self, now: Instant, time: Time, frame: ClassicFrame) {

@@ -8,7 +8,7 @@ use wsg_protocol::{CommandId, Event, FrameParser, Kind, frame::MAX_MESSAGE_LEN};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 
 /// How many bytes a line at 115 200 bit/s, 8N1, carries in a millisecond.
-const BYTES_PER_MS: usize = 12;
+pub const BYTES_PER_MS: usize = 12;
 
 /// What becomes of bytes on their way; called once a millisecond for each direction.
 pub type Disturbance = Box<dyn FnMut(&mut Vec<u8>)>;

@@ -1,15 +1,17 @@
 //! What a PLC has asked for: the rules of docs/wiring.md ("What the inputs do") and docs/registers.md ("Who commands"), and
 //! whether a command that leaves the bridge was asked for by them.
 //!
-//! - An edge lets one command out, with the parameters of its side: of the recipe, or of the image. What else was asked for until then has come to nothing: one motion at a time.
+//! - An edge lets one command out, with the parameters of its side: of the recipe, or of the image. What else was asked for
+//!   until then has come to nothing: one motion at a time.
 //! - A wire counts once it has not changed for the debounce time: command and recipe wires together, STOP_ACK and
 //!   FAST_STOP_OK by themselves; none before all have. The levels that they have then, and the first image of a bus, give no
 //!   edge.
 //! - A flag of the bus counts from its edge on, as long as it is 1 and the bus is heard. The edge of a motion or a jog is none
 //!   while a command wire is high, or beside STOP/ACK; a command wire that rises ends what counts of them.
 //! - Several motions at once are one: MOVE before GRIP before RELEASE before HOMING.
-//! - STOP/ACK undoes the motions that were asked for before it and beside it, FAST STOP everything. Behind a FAST STOP no motion leaves before an
-//!   acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection was lost is void.
+//! - STOP/ACK undoes the motions that were asked for before it and beside it, FAST STOP everything. Behind a FAST STOP no
+//!   motion leaves before an acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection
+//!   was lost is void.
 
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{RECIPE_COUNT, RECIPES, Recipe};

@@ -16,6 +16,7 @@ use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_protocol::fieldbus::CommandFlags;
+use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::modbus::rtu::Character;
 use wsg_protocol::{CommandId, FrameParser, Status};
 
@@ -25,7 +26,7 @@ use super::gripper::{self, Message};
 use super::input::Input;
 use super::modbus::sealed;
 use super::rtu_line::{BROADCAST, Done, Overheard, RtuLine, TIMING};
-use crate::serial_gripper::SerialLine;
+use crate::serial_gripper::{BYTES_PER_MS, SerialLine};
 
 pub(super) const MOTION_WIRES: [Inputs; 4] = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
 
@@ -280,15 +281,11 @@ impl Model {
     }
 }
 
-/// What a line at 115 200 bit/s takes in a millisecond.
-const BYTES_PER_MS: usize = 12;
-
 /// How long a FAST STOP may wait there for the frame before it, in milliseconds.
 const SLOW_FAST_STOP_MS: u32 = 2;
 
-/// Bytes of a frame up to its id, and up to its payload.
+/// Bytes of a frame up to its id.
 const UP_TO_ID: usize = 4;
-const HEAD: usize = 6;
 
 /// The gripper's line. It takes no frame in a millisecond in which it would not take the id as well: what leaves is known when
 /// it begins to leave.
@@ -340,7 +337,7 @@ impl GripperLine {
             self.begun.push(CommandId::from_code(byte));
         }
         if let [_, _, _, _, low, high, ..] = self.frame[..]
-            && self.frame.len() == HEAD + usize::from(u16::from_le_bytes([low, high])) + 2
+            && self.frame.len() == OVERHEAD + usize::from(u16::from_le_bytes([low, high]))
         {
             self.whole.append(&mut self.frame);
         }

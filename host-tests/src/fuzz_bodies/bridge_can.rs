@@ -117,6 +117,8 @@ struct Model {
     /// Of the frames brought since the last turn: the first is lost.
     overrun: bool,
     brought: Vec<ClassicFrame>,
+    /// The bus was lost in the turn before.
+    was_lost: bool,
     now_ms: u32,
     wires: Inputs,
     asked: Asked,
@@ -350,6 +352,7 @@ impl Model {
             refuses: false,
             overrun: false,
             brought: Vec::new(),
+            was_lost: false,
             now_ms: 0,
             wires: Inputs::empty(),
             asked: Asked::new(Config::DEFAULT.debounce_ms),
@@ -470,9 +473,7 @@ impl Model {
         for frame in self.brought.drain(..).skip(lost) {
             self.device.hear(self.now_ms, &frame);
         }
-        let was_lost = self.bus.is_lost();
-        let messages =
-            if self.line.is_some() { self.turn_on_rs_232(was_lost) } else { self.turn_on_can(was_lost) };
+        let messages = if self.line.is_some() { self.turn_on_rs_232() } else { self.turn_on_can() };
         if self.is_over {
             return;
         }
@@ -490,14 +491,11 @@ impl Model {
     }
 
     /// What the bridge says to a gripper on the bus, and what comes of the rest of the turn.
-    fn turn_on_can(&mut self, was_lost: bool) -> Vec<Message> {
+    fn turn_on_can(&mut self) -> Vec<Message> {
         let now = Instant::from_millis(self.now_ms);
         let aborts = self.double.aborts();
-        let Self { bus, link, bridge, node, device, .. } = self;
+        let Self { bus, link, bridge, node, .. } = self;
         bus.listen(now, link, node);
-        if bus.is_lost() && !was_lost {
-            device.lose_bus();
-        }
         link.expire(now);
         bridge.set_link_lost(bus.is_lost());
         let report = bus.report(link.counters());
@@ -522,13 +520,10 @@ impl Model {
     }
 
     /// The same with a gripper on RS-232, which has answered.
-    fn turn_on_rs_232(&mut self, was_lost: bool) -> Vec<Message> {
+    fn turn_on_rs_232(&mut self) -> Vec<Message> {
         let now = Instant::from_millis(self.now_ms);
-        let Self { bus, bridge, node, device, line: Some(line), .. } = self else { return vec![] };
+        let Self { bus, bridge, node, line: Some(line), .. } = self else { return vec![] };
         bus.listen(now, &mut Nobody, node);
-        if bus.is_lost() && !was_lost {
-            device.lose_bus();
-        }
         let report = bus.report(LinkCounters::default());
         node.set_report(report);
         bridge.set_can_report(&report);
@@ -546,6 +541,10 @@ impl Model {
     /// What the device makes of what it heard, and of the time.
     fn follow(&mut self, said: &[ClassicFrame]) {
         let Self { asked, device, .. } = self;
+        let was_lost = std::mem::replace(&mut self.was_lost, self.bus.is_lost());
+        if self.was_lost && !was_lost {
+            device.lose_bus();
+        }
         asked.read_wires(self.now_ms, self.wires);
         let mut reset = false;
         for heard in std::mem::take(&mut device.heard) {

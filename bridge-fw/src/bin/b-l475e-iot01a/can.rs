@@ -6,8 +6,6 @@ use crate::can1 as controller;
 use crate::slcan_uart as controller;
 
 use wsg_bridge_fw::Bridge;
-#[cfg(feature = "can-gripper")]
-use wsg_bridge_fw::can::GripperLink;
 #[cfg(all(feature = "can-plc", not(feature = "can-gripper")))]
 use wsg_bridge_fw::can::LinkCounters;
 #[cfg(not(all(feature = "can-gripper", feature = "can-plc")))]
@@ -15,6 +13,8 @@ use wsg_bridge_fw::can::Nobody;
 #[cfg(feature = "can-plc")]
 use wsg_bridge_fw::can::Node;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
+#[cfg(feature = "can-gripper")]
+use wsg_bridge_fw::can::{GripperLink, turn_with_gripper};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::Instant;
 
@@ -58,13 +58,9 @@ impl Can {
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
         let Self { bus, link, nobody } = self;
-        bus.listen(now, link, nobody);
-        link.expire(now);
-        bridge.set_link_lost(bus.is_lost());
-        bridge.set_can_report(&bus.report(link.counters()));
-        let outputs = bridge.poll_with_bus(now_ms, inputs, link, plc_bus);
-        link.set_connected(bridge.is_connected());
-        bus.talk(now, link, nobody);
+        let outputs = turn_with_gripper(now, bridge, bus, link, nobody, |bridge, link, _, _| {
+            bridge.poll_with_bus(now_ms, inputs, link, plc_bus)
+        });
         controller::rearm(bus.controller());
         outputs
     }
@@ -95,15 +91,10 @@ impl Can {
     pub(crate) fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs) -> Outputs {
         let now = Instant::from_millis(now_ms);
         let Self { bus, link, node } = self;
-        bus.listen(now, link, node);
-        link.expire(now);
-        bridge.set_link_lost(bus.is_lost());
-        let report = bus.report(link.counters());
-        node.set_report(report);
-        bridge.set_can_report(&report);
-        let outputs = bridge.poll_with_can(now_ms, inputs, link, node);
-        link.set_connected(bridge.is_connected());
-        bus.talk(now, link, node);
+        let outputs = turn_with_gripper(now, bridge, bus, link, node, |bridge, link, node, report| {
+            node.set_report(*report);
+            bridge.poll_with_can(now_ms, inputs, link, node)
+        });
         controller::rearm(bus.controller());
         outputs
     }
