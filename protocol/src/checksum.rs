@@ -4,8 +4,9 @@
 //! update, `c = T[(c ^ b) & FFh] ^ (c >> 8)`, start FFFFh, low byte sent first. No set of CRC parameters yields
 //! these values, so the table is our own. It is computed at compile time.
 //!
-//! The table is linear in its index, so `T[b] = T[b & F0h] ^ T[b & 0Fh]`, and `T[b & F0h]` is made of two of the first 16 entries as well; the feature `small-table` uses that to
-//! keep 32 bytes instead of 512, for a few more instructions per byte.
+//! The table is linear in its index, so `T[b] = T[b & F0h] ^ T[b & 0Fh]`, and `T[b & F0h]` is made of two of the first 16
+//! entries as well; the feature `small-table` uses that to keep 32 bytes instead of 512, for a few more instructions per
+//! byte.
 //!
 //! ```
 //! use wsg_protocol::checksum;

@@ -222,8 +222,8 @@ impl<'s, 'a> Parameters<'s, 'a> {
     pub(super) fn close(self) -> Result<(), Mistake> {
         match self.input.peek() {
             Some(b')') => self.input.expect(b')'),
-            // Only where a parameter could begin is what stands here one.
             Some(b',') => Err(Mistake::TooMany),
+            // Only where a parameter could begin is what stands here one.
             Some(_) if !self.taken => Err(Mistake::TooMany),
             _ => Err(Mistake::Form),
         }
