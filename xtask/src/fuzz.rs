@@ -26,6 +26,7 @@ const FOLDER: &str = "host-tests/fuzz";
 /// No input may take longer: a body is bounded, so this is a hang.
 const HANG_SECONDS: u32 = 10;
 
+/// Fuzzes as much as is asked for.
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     match extent {
         Extent::Seconds(seconds) => run_targets(workspace, *seconds),

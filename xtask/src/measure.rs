@@ -1,6 +1,6 @@
 //! The commands that measure or prove: figures with their limits, and what takes long.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use lexopt::{Arg, Parser, ValueExt};
 
 use crate::{
@@ -118,15 +118,16 @@ fn mutants_extent(mut arguments: Parser) -> Result<mutants::Extent> {
 
 /// `--seconds N` or `--inputs N`.
 fn fuzz_extent(mut arguments: Parser) -> Result<fuzz::Extent> {
-    let mut extent = fuzz::Extent::Seconds(fuzz::SECONDS);
+    let mut extent = None;
     while let Some(argument) = arguments.next()? {
-        extent = match argument {
+        let given = match argument {
             Arg::Long("seconds") => fuzz::Extent::Seconds(arguments.value()?.parse()?),
             Arg::Long("inputs") => fuzz::Extent::Inputs(arguments.value()?.parse()?),
             other => return Err(other.unexpected()).context("see `cargo xtask help`"),
         };
+        ensure!(extent.replace(given).is_none(), "one of --seconds and --inputs, and once");
     }
-    Ok(extent)
+    Ok(extent.unwrap_or(fuzz::Extent::Seconds(fuzz::SECONDS)))
 }
 
 /// Whether the only argument that may be there, is.

@@ -118,8 +118,13 @@ fn find(workspace: &Workspace, jobs: &str, files: &[&str], options: &[String]) -
     let (decimal, others): (Vec<&str>, Vec<&str>) = files.iter().partition(|file| **file == DECIMAL);
     let mut outcome = Outcome::default();
     if is_whole || !others.is_empty() {
-        let options = [&options, &["--exclude", DECIMAL][..], &TESTS, &WITHOUT_DECIMAL].concat();
-        outcome.join(make(workspace, "all", &others, &options)?);
+        // A pattern may mean that file as well: then it stays, with its tests.
+        let (without, skipped): (&[&str], &[&str]) = if others.iter().any(|file| file.contains('*')) {
+            (&[], &[])
+        } else {
+            (&["--exclude", DECIMAL], &WITHOUT_DECIMAL)
+        };
+        outcome.join(make(workspace, "all", &others, &[&options, without, &TESTS, skipped].concat())?);
     }
     if is_whole || !decimal.is_empty() {
         outcome.join(make(workspace, "decimal", &[DECIMAL], &[&options, &TESTS[..]].concat())?);

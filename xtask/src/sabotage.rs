@@ -293,7 +293,6 @@ fn fails(workspace: &Workspace, tree: &Path, target_dir: &Path, arguments: &[&st
     Ok(said)
 }
 
-/// A copy of what git knows or would take up, so that no change ever touches the tree that people work in.
 /// Outside the workspace, whose `.cargo` would add its linker flags to those of the copy; the same one in each run, so
 /// that cargo need not build it anew.
 fn place_of_copy(workspace: &Workspace) -> PathBuf {
@@ -302,6 +301,7 @@ fn place_of_copy(workspace: &Workspace) -> PathBuf {
     std::env::temp_dir().join(format!("wsg-sabotage-{:016x}", hasher.finish()))
 }
 
+/// A copy of what git knows or would take up, so that no change ever touches the tree that people work in.
 fn copy_of(workspace: &Workspace, tree: &Path) -> Result<()> {
     let mut git =
         tool::plain(workspace, &["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]);
