@@ -11,8 +11,10 @@ use crate::recipe::{RECIPE_COUNT, RECIPES, Recipe};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
 use wsg_protocol::modbus::rtu;
-use wsg_protocol::session::{self, Notice, Session, Signal};
-use wsg_protocol::{AutoUpdate, Command, DeviceTag, FrameEncoder, FrameParser, Instant, Status, frame};
+use wsg_protocol::session::{self, Notice, Session, Signal, Timeout};
+use wsg_protocol::{
+    AutoUpdate, Command, CommandId, DeviceTag, FrameEncoder, FrameParser, Instant, Status, frame,
+};
 
 /// The longest reply that a bridge asks for: a device tag behind its status code. Everything longer is not for it.
 pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
@@ -46,6 +48,18 @@ pub struct Config {
     pub bus: BusConfig,
 }
 
+/// Towards the gripper: settings are read back, because a force limit that a damaged frame changed would hurt; and a Stop
+/// that is not answered soon becomes a FAST STOP while there is time for one.
+const SESSION: session::Config = session::Config {
+    verify_settings: true,
+    timeouts: &[Timeout { id: CommandId::Stop, reply_ms: STOP_ANSWER_MS, result_ms: STOP_ANSWER_MS }],
+    ..session::Config::DEFAULT
+};
+
+/// How long a gripper may take to answer a Stop, in milliseconds, before the fingers count as not stopped. A burst of FAST
+/// STOPs behind it takes 90 ms, and both together may take 250 ms.
+const STOP_ANSWER_MS: u32 = 100;
+
 impl Config {
     /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, time-outs for a serial line, and a bus at
     /// 19 200 bit/s.
@@ -54,7 +68,7 @@ impl Config {
         min_busy_ms: 50,
         half_frame_ms: 20,
         recipes: &RECIPES,
-        session: session::Config::DEFAULT,
+        session: SESSION,
         bus: BusConfig::DEFAULT,
     };
 }
@@ -151,6 +165,7 @@ impl Bridge {
         self.expire_half_frame(now);
         self.tick(now);
         self.was_connected |= self.session.is_connected();
+        self.controller.get_acquainted(self.session.known());
         self.take_wires(now, inputs);
     }
 
@@ -250,8 +265,8 @@ impl Bridge {
     fn tick(&mut self, now: Instant) {
         while let Some(noticed) = self.session.tick(now) {
             if noticed == Notice::Disconnected {
-                // What has not left by now must not leave when the line comes back.
-                self.sending = None;
+                // What has not left by now must not leave when the line comes back; but for a FAST STOP, which is owed.
+                self.sending = self.sending.take().filter(|frame| frame.id() == CommandId::FastStop.code());
                 self.gave_up = true;
             }
             notice(&mut self.controller, &self.session, Some(noticed));
@@ -261,9 +276,17 @@ impl Bridge {
     fn take_wires(&mut self, now: Instant, inputs: Inputs) {
         let known = self.session.known();
         let unit = known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
-        let moving = self.controller.is_moving(known);
-        if let Some(image) = self.wires.update(now, inputs, moving, unit) {
-            self.arbiter.take_wires(image, moving, |image| self.controller.set_output(image, known));
+        let is_ready = self.wires.is_ready();
+        // Of a command that is refused, the parameters do not count.
+        let keeps_parameters = !is_ready || self.controller.is_moving(known);
+        if let Some(image) = self.wires.update(now, inputs, unit) {
+            self.arbiter.take_wires(image, keeps_parameters, |image| {
+                if is_ready {
+                    self.controller.set_output(image, known);
+                } else {
+                    self.controller.set_output_refusing_motions(image, known);
+                }
+            });
         }
     }
 

@@ -1,4 +1,8 @@
 //! From bouncing wires to levels that can be trusted.
+//!
+//! FAST STOP is quick to fall and slow to rise: one low reading counts at once, whatever the debounce time is, and the wire
+//! counts as high again only after it was high without a break. A contact that bounces, a wire that is about to break and
+//! noise all err towards stopping.
 
 use crate::io::Inputs;
 use wsg_protocol::Instant;
@@ -14,6 +18,10 @@ const COMMAND_GROUP: Inputs = Inputs::GRIP
 
 /// The groups, each with its own time: what stops the fingers must not wait for a command wire that chatters.
 const GROUPS: [Inputs; 3] = [COMMAND_GROUP, Inputs::STOP_ACK, Inputs::FAST_STOP_OK];
+
+/// How long FAST_STOP_OK must be high at least before it counts as high, in milliseconds: a wire that is low once in so long
+/// is low.
+const LEAST_RELEASE_MS: u32 = 5;
 
 const _: () = assert!(GROUPS[0].union(GROUPS[1]).union(GROUPS[2]).bits() == Inputs::all().bits());
 
@@ -31,7 +39,7 @@ pub struct Debounce {
 }
 
 impl Debounce {
-    /// Levels count once they have not changed for `period_ms` milliseconds.
+    /// Levels count once they have not changed for `period_ms` milliseconds; a low FAST_STOP_OK counts at once.
     #[must_use]
     pub const fn new(period_ms: u32) -> Self {
         Self {
@@ -53,9 +61,15 @@ impl Debounce {
         let before = self.read.replace(reading);
         let changed = before.map_or(Inputs::all(), |before| before.symmetric_difference(reading));
         for (group, since) in GROUPS.iter().zip(&mut self.since) {
-            if changed.intersects(*group) {
+            let is_fast_stop = *group == Inputs::FAST_STOP_OK;
+            let period_ms = if is_fast_stop { self.period_ms.max(LEAST_RELEASE_MS) } else { self.period_ms };
+            if is_fast_stop && !reading.intersects(*group) {
                 *since = now;
-            } else if now.since(*since) >= self.period_ms {
+                self.levels = self.levels.difference(*group);
+                self.settled |= *group;
+            } else if changed.intersects(*group) {
+                *since = now;
+            } else if now.since(*since) >= period_ms {
                 self.levels = self.levels.difference(*group).union(reading.intersection(*group));
                 self.settled |= *group;
             }
@@ -81,9 +95,48 @@ mod tests {
     #[test]
     fn nothing_counts_before_every_wire_has_settled() {
         let mut debounce = Debounce::new(2);
-        assert_eq!(debounce.update(at(0), Inputs::FAST_STOP_OK), None);
-        assert_eq!(debounce.update(at(1), Inputs::FAST_STOP_OK), None);
-        assert_eq!(debounce.update(at(2), Inputs::FAST_STOP_OK), Some(Inputs::FAST_STOP_OK));
+        for ms in 0..5 {
+            assert_eq!(debounce.update(at(ms), Inputs::FAST_STOP_OK), None, "{ms} ms");
+        }
+        assert_eq!(debounce.update(at(5), Inputs::FAST_STOP_OK), Some(Inputs::FAST_STOP_OK));
+    }
+
+    #[test]
+    fn one_low_reading_of_fast_stop_counts_at_once_whatever_the_debounce_time_is() {
+        for period_ms in [0, 2, 1_000] {
+            let mut debounce = settled(period_ms);
+            assert_eq!(debounce.update(at(2_000), Inputs::empty()), Some(Inputs::empty()), "{period_ms} ms");
+        }
+    }
+
+    #[test]
+    fn fast_stop_wire_that_is_high_4_of_every_5_ms_stays_low() {
+        let mut debounce = settled(2);
+        for ms in 2_000..2_100 {
+            let wire = if ms % 5 == 0 { Inputs::empty() } else { Inputs::FAST_STOP_OK };
+            assert_eq!(debounce.update(at(ms), wire), Some(Inputs::empty()), "{ms} ms");
+        }
+    }
+
+    #[test]
+    fn fast_stop_wire_counts_as_high_after_the_debounce_time_and_5_ms_at_least() {
+        for (period_ms, release_ms) in [(0, 5), (2, 5), (5, 5), (6, 6), (100, 100)] {
+            let mut debounce = settled(period_ms);
+            debounce.update(at(2_000), Inputs::empty());
+            let high_at = (2_001..3_000).find(|ms| {
+                debounce.update(at(*ms), Inputs::FAST_STOP_OK) == Some(Inputs::FAST_STOP_OK)
+            });
+            assert_eq!(high_at, Some(2_001 + release_ms), "{period_ms} ms");
+        }
+    }
+
+    /// Wires that are low but FAST_STOP_OK, for long enough to count.
+    fn settled(period_ms: u32) -> Debounce {
+        let mut debounce = Debounce::new(period_ms);
+        for ms in 0..=1_001 {
+            debounce.update(at(ms), Inputs::FAST_STOP_OK);
+        }
+        debounce
     }
 
     #[test]
@@ -129,8 +182,8 @@ mod tests {
     #[test]
     fn clock_may_wrap() {
         let mut debounce = Debounce::new(2);
-        assert_eq!(debounce.update(at(u32::MAX), Inputs::all()), None);
-        assert_eq!(debounce.update(at(0), Inputs::all()), None);
-        assert_eq!(debounce.update(at(1), Inputs::all()), Some(Inputs::all()));
+        assert_eq!(debounce.update(at(u32::MAX - 1), Inputs::all()), None);
+        assert_eq!(debounce.update(at(2), Inputs::all()), None);
+        assert_eq!(debounce.update(at(3), Inputs::all()), Some(Inputs::all()));
     }
 }

@@ -20,12 +20,6 @@ const COMMANDS: [(Inputs, CommandFlags); 5] = [
 const MOTION_STATES: GripperFlags =
     GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
-/// System flags that keep the gripper from taking a motion command.
-const LOCKING_FAULTS: SystemFlags = SystemFlags::FAST_STOP
-    .union(SystemFlags::TEMP_FAULT)
-    .union(SystemFlags::POWER_FAULT)
-    .union(SystemFlags::CURR_FAULT);
-
 /// The wires between a PLC and the register images.
 #[derive(Debug)]
 pub struct DigitalIo {
@@ -37,6 +31,8 @@ pub struct DigitalIo {
     min_busy_ms: u32,
     /// Since when BUSY is high.
     busy_since: Option<Instant>,
+    /// What the PLC is shown.
+    shown: Outputs,
 }
 
 impl DigitalIo {
@@ -50,7 +46,13 @@ impl DigitalIo {
             image: OutputImage::ZERO,
             min_busy_ms,
             busy_since: None,
+            shown: Outputs::empty(),
         }
+    }
+
+    /// Whether the PLC is shown READY: the edge of a command wire is refused while it is not.
+    pub(crate) const fn is_ready(&self) -> bool {
+        self.shown.contains(Outputs::READY)
     }
 
     /// Takes over settings, from the next reading on.
@@ -64,15 +66,9 @@ impl DigitalIo {
 
     /// Takes a reading of the wires; the output image when it has changed.
     ///
-    /// The recipe is taken when its command rises and the gripper is not `moving`: parameters that change during a motion
-    /// would be a FAST STOP (fieldbus, table 1).
-    pub fn update(
-        &mut self,
-        now: Instant,
-        reading: Inputs,
-        moving: bool,
-        unit: ForceUnit,
-    ) -> Option<&OutputImage> {
+    /// The recipe is taken when its command rises while READY is shown, so never during a motion: there a parameter that
+    /// changes is a FAST STOP (fieldbus, table 1).
+    pub fn update(&mut self, now: Instant, reading: Inputs, unit: ForceUnit) -> Option<&OutputImage> {
         let Some(levels) = self.debounce.update(now, reading) else { return self.early_fast_stop() };
         let before = self.levels.replace(levels);
         if before == Some(levels) {
@@ -85,7 +81,7 @@ impl DigitalIo {
         flags.set(CommandFlags::FASTSTOP, !levels.contains(Inputs::FAST_STOP_OK));
         let rising = flags.difference(self.image.flags);
         self.image.flags = flags;
-        if !moving {
+        if self.is_ready() {
             self.take_recipe(rising, levels, unit);
         }
         Some(&self.image)
@@ -106,11 +102,16 @@ impl DigitalIo {
 
     /// The wires to the PLC for what the gripper shows.
     pub fn outputs(&mut self, now: Instant, gripper: &InputImage, connected: bool) -> Outputs {
+        self.shown = self.levels_for(now, gripper, connected);
+        self.shown
+    }
+
+    fn levels_for(&mut self, now: Instant, gripper: &InputImage, connected: bool) -> Outputs {
         let busy = self.is_busy(now, gripper, connected);
         let has = |state: GripperFlags| gripper.state.intersects(state);
         let levels = self.levels.unwrap_or_default();
         let released = levels.contains(Inputs::FAST_STOP_OK) && !levels.contains(Inputs::STOP_ACK);
-        let locked = gripper.system.intersects(LOCKING_FAULTS);
+        let locked = gripper.system.intersects(SystemFlags::LOCKS);
         let mut outputs = Outputs::empty();
         outputs.set(Outputs::ERROR, is_error(gripper));
         if !connected {
@@ -166,5 +167,5 @@ fn is_error(gripper: &InputImage) -> bool {
     let failed = !matches!(gripper.status, Status::Success | Status::CmdPending) && !no_part;
     failed
         || gripper.state.contains(GripperFlags::ERROR)
-        || gripper.system.intersects(LOCKING_FAULTS | SystemFlags::FINGER_FAULT)
+        || gripper.system.intersects(SystemFlags::LOCKS | SystemFlags::FINGER_FAULT)
 }

@@ -13,9 +13,12 @@
 //!   but the gripper reports that it stands still, the result is given up.
 //! - **Lost answers**: what may be repeated is ([`CommandId::is_repeatable`]); a motion or an acknowledgement never
 //!   is. What it does not know it says: [`Notice::Unanswered`].
-//! - **Stop**: overtakes what waits; without a connection it is sent once, at once, and never later.
-//! - **FAST STOP**: goes out before anything else, is repeated until the gripper confirms it, over a reconnect as well,
-//!   and is never acknowledged by the session itself.
+//! - **Stop**: overtakes what waits; without a connection it is sent once, at once, and never later. One that is not
+//!   answered in time is reported ([`Notice::Late`]) and repeated.
+//! - **FAST STOP**: goes out before anything else and is repeated until the gripper confirms it, over a reconnect as well,
+//!   in bursts and pauses ([`FastStopPattern`]) that reach a gripper which mistook a damaged frame for the head of a long
+//!   one. Nothing else is sent meanwhile. The session never acknowledges it.
+//! - **Acknowledge**: overtakes what waits, like Stop: no motion that was requested before it is sent after it.
 //! - **Settings** are read back when [`Config::verify_settings`] is set: what is not what was set is [`MISMATCH`].
 //! - **Updates**: what is subscribed to by [`Config`] or [`Session::subscribe`] is subscribed to again after a reconnect.
 //! - **Silence**: the connection is given up, all knowledge of the gripper with it, and what was waiting to be sent is
@@ -34,12 +37,13 @@
 //! ```
 
 mod config;
+mod fast_stop;
 mod known;
 mod read_back;
 mod signal;
 mod track;
 
-pub use config::{Config, Timeout};
+pub use config::{Config, FastStopPattern, Timeout};
 pub use known::Known;
 pub use signal::Signal;
 
@@ -49,6 +53,7 @@ use crate::frame::Event;
 use crate::reply::{Reply, Value};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
+use fast_stop::FastStop;
 use heapless::Deque;
 use signal::Subscriptions;
 use track::{Expired, Request, Track};
@@ -68,6 +73,8 @@ pub enum Notice<'a> {
     Answered(Reply<'a>),
     /// A request was sent, and its outcome is not known.
     Unanswered(CommandId),
+    /// A Stop was not answered in time and is sent again: the fingers may still move.
+    Late(CommandId),
     /// A request was not sent, and will not be.
     Withdrawn(CommandId),
     /// The gripper reported a value.
@@ -116,12 +123,15 @@ pub const MISMATCH: Status = Status::WriteError;
 /// How many requests may wait to be sent.
 pub const QUEUE_LEN: usize = 4;
 
+/// Room for an acknowledgement behind a full queue, which it withdraws.
+const QUEUE_CAPACITY: usize = QUEUE_LEN + 1;
+
 /// Where the connection stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Link {
     /// No answer; the next attempt begins at the given time, or at once.
     Down { retry_at: Option<Instant> },
-    /// The commands of [`SETUP`] are being answered, this one now.
+    /// The commands of [`Session::setup`] are being answered, this one now.
     Connecting { step: u8 },
     /// All of them are.
     Up,
@@ -146,8 +156,10 @@ const RUNNING_LEN: usize = 3;
 pub struct Session {
     config: Config,
     link: Link,
-    /// Stop or FAST STOP: goes before anything else.
-    urgent: Track,
+    /// Goes before anything else.
+    fast_stop: FastStop,
+    /// Goes before anything but a FAST STOP.
+    stop: Track,
     /// The request whose first answer is awaited.
     request: Track,
     /// The session's own: a step of connecting, or a value asked for again.
@@ -155,11 +167,16 @@ pub struct Session {
     /// The setting that is being read back: `request` is the query.
     reading_back: Option<Command<'static>>,
     /// Requests that wait for the one before to be answered.
-    queue: Deque<Request, QUEUE_LEN>,
-    /// Something waits that a Stop has overtaken.
-    overtaken: bool,
-    /// A Stop without a connection was not answered.
-    stop_unanswered: bool,
+    queue: Deque<Request, QUEUE_CAPACITY>,
+    /// What a Stop, FAST STOP or Acknowledge has overtaken.
+    overtaken: Overtaken,
+    /// A request that was sent more than once, and until when another answer to it may still come: a request with the same
+    /// id would take that for its own.
+    doubled: Option<(CommandId, Instant)>,
+    /// What the next tick reports of a Stop: not answered in time, or not at all.
+    stop_report: Option<Notice<'static>>,
+    /// A request that was overtaken and not answered.
+    dropped: Option<CommandId>,
     running: [Option<Running>; RUNNING_LEN],
     /// When the next value is asked for again, and which.
     refresh_at: Instant,
@@ -169,8 +186,17 @@ pub struct Session {
     counters: Counters,
 }
 
-/// Of the steps of connecting, the first that subscribes: those from here on are asked for again and again.
-const FIRST_SUBSCRIPTION: u8 = 2;
+/// The requests that will be withdrawn because something more urgent overtook them.
+#[derive(Clone, Copy, Debug, Default)]
+struct Overtaken {
+    /// The one in [`Session::request`], if it is not sent yet.
+    request: bool,
+    /// So many at the front of the queue.
+    queued: usize,
+}
+
+/// Steps of connecting that ask for the two states, before anything else: a gripper that moves must be noticed at once.
+const STATE_STEPS: u8 = 2;
 
 impl Session {
     /// A session that is not connected, and begins to connect at once.
@@ -179,16 +205,19 @@ impl Session {
         Self {
             config,
             link: Link::Down { retry_at: None },
-            urgent: Track::new(),
+            fast_stop: FastStop::new(config.fast_stop),
+            stop: Track::new(),
             request: Track::new(),
             refresh: Track::new(),
             reading_back: None,
             queue: Deque::new(),
-            overtaken: false,
-            stop_unanswered: false,
+            overtaken: Overtaken { request: false, queued: 0 },
+            doubled: None,
+            stop_report: None,
+            dropped: None,
             running: [None; RUNNING_LEN],
             refresh_at: Instant::from_millis(0),
-            refresh_step: FIRST_SUBSCRIPTION,
+            refresh_step: 0,
             subscriptions: Subscriptions::new(&config),
             known: Known::NOTHING,
             counters: Counters { unasked: 0, refused: 0, repeated: 0, disconnects: 0 },
@@ -233,7 +262,7 @@ impl Session {
 
     /// Asks for a command to be sent. Its outcome comes as a [`Notice`].
     ///
-    /// Stop and FAST STOP overtake what waits: it is withdrawn. To ask once for a value that is subscribed to does not
+    /// Stop, FAST STOP and Acknowledge overtake what waits: it is withdrawn. To ask once for a value that is subscribed to does not
     /// end the subscription.
     ///
     /// # Errors
@@ -275,16 +304,20 @@ impl Session {
         let id = request.id();
         if id == CommandId::FastStop {
             // Owed until the gripper confirms it, connected or not.
-            self.urgent.open(request);
-            self.overtaken = true;
+            let stop_failed = self.stop.was_late();
+            self.stop.close();
+            self.fast_stop.open(stop_failed);
+            self.overtake();
             return Ok(());
         }
         let fast_stop_runs = self.owes_fast_stop();
         if id == CommandId::Stop && !fast_stop_runs {
             // The gripper may hear although it is not heard. But it is now or never: a Stop that arrives after a
             // reconnect would drop the part that is held then.
-            self.urgent.open(request);
-            self.overtaken = true;
+            if !self.stop.awaits(id) {
+                self.stop.open(request);
+            }
+            self.overtake();
             return Ok(());
         }
         if !self.is_connected() {
@@ -293,11 +326,26 @@ impl Session {
         match id.kind() {
             Kind::Stop => Err(RequestError::FastStopRunning),
             Kind::Acknowledge | Kind::Motion if fast_stop_runs => Err(RequestError::FastStopRunning),
+            Kind::Acknowledge => {
+                self.overtake();
+                self.queue.push_back(request).map_err(|_| RequestError::QueueFull)
+            }
             Kind::Motion if self.motion_is_open() => Err(RequestError::MotionRunning),
             _ if self.running.iter().flatten().any(|running| running.id == id) => {
                 Err(RequestError::MotionRunning)
             }
+            _ if self.queue.len() >= QUEUE_LEN => Err(RequestError::QueueFull),
             _ => self.queue.push_back(request).map_err(|_| RequestError::QueueFull),
+        }
+    }
+
+    /// Marks everything that was requested so far and is not sent: the next ticks withdraw it. What is sent is not sent
+    /// again.
+    fn overtake(&mut self) {
+        self.overtaken = Overtaken { request: true, queued: self.queue.len() };
+        // What was set is read back all the same.
+        if self.reading_back.is_none() {
+            self.request.forbid_repeat();
         }
     }
 
@@ -305,6 +353,7 @@ impl Session {
     /// tells of them. What was lent and sent is not sent again. Stop and FAST STOP stay.
     pub fn withdraw(&mut self) {
         self.queue.clear();
+        self.overtaken = Overtaken::default();
         if self.reading_back.is_none() && self.request.withdraw_unsent().is_none() {
             self.request.orphan();
         }
@@ -337,7 +386,7 @@ impl Session {
     /// of what was open, and a new connection is tried after that. A FAST STOP that is not confirmed goes out again at once:
     /// what was sent may not have arrived.
     pub fn disconnect(&mut self) {
-        self.urgent.send_again(CommandId::FastStop);
+        self.fast_stop.send_again();
         if self.link == Link::Up {
             self.link = Link::Closing;
         } else if self.link != Link::Closing {
@@ -375,8 +424,11 @@ impl Session {
         if self.link == Link::Closing {
             return Some(self.close_one(now));
         }
-        if core::mem::take(&mut self.stop_unanswered) {
-            return Some(Notice::Unanswered(CommandId::Stop));
+        if let Some(report) = self.stop_report.take() {
+            return Some(report);
+        }
+        if let Some(id) = self.dropped.take() {
+            return Some(Notice::Unanswered(id));
         }
         if let Some(overtaken) = self.withdraw_overtaken() {
             return Some(Notice::Withdrawn(overtaken));
@@ -399,7 +451,11 @@ impl Session {
         if self.link == Link::Closing {
             return None; // The caller has not taken all notices yet: what is open belongs to a lost connection.
         }
-        for track in [&mut self.urgent, &mut self.request, &mut self.refresh] {
+        if !self.fast_stop.is_idle() {
+            // Nothing else: its pauses must be silent, or a gripper that waits for the rest of a frame waits on.
+            return self.fast_stop.send(now).then_some(Command::FastStop);
+        }
+        for track in [&mut self.stop, &mut self.request, &mut self.refresh] {
             if let Some(command) = track.send(now, &self.config, lent) {
                 return Some(command);
             }
@@ -410,10 +466,17 @@ impl Session {
     /// When [`tick`](Self::tick) must be called at the latest, if nothing else happens.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let tracks = [self.urgent.deadline(), self.request.deadline(), self.refresh.deadline()];
+        let tracks = [
+            self.fast_stop.deadline(),
+            self.fast_stop_deadline().filter(|_| self.is_connected()),
+            self.stop.deadline(),
+            self.request.deadline(),
+            self.refresh.deadline(),
+            self.doubled.filter(|_| !self.queue.is_empty() && self.request.is_idle()).map(|(_, until)| until),
+        ];
         let link = match self.link {
             // A FAST STOP that is owed comes first; its own time-out runs then.
-            Link::Down { retry_at } if self.urgent.is_idle() => retry_at,
+            Link::Down { retry_at } if !self.is_urgent() => retry_at,
             Link::Up if self.refresh.is_idle() => Some(self.refresh_at),
             _ => None,
         };
@@ -423,16 +486,24 @@ impl Session {
 
     /// Whether a FAST STOP was asked for and is not confirmed yet.
     #[must_use]
-    pub fn owes_fast_stop(&self) -> bool {
-        self.urgent.awaits(CommandId::FastStop)
+    pub const fn owes_fast_stop(&self) -> bool {
+        !self.fast_stop.is_idle()
     }
 
-    /// The commands of connecting, in order: what device, what limits, then the subscriptions.
+    /// Whether a Stop or FAST STOP is on its way.
+    const fn is_urgent(&self) -> bool {
+        !self.fast_stop.is_idle() || !self.stop.is_idle()
+    }
+
+    /// The commands of connecting, in order: the two states, what device, what limits, then the other subscriptions.
     fn setup(&self, step: u8) -> Option<Command<'static>> {
+        const INFO: u8 = STATE_STEPS;
+        const LIMITS: u8 = INFO + 1;
         match step {
-            0 => Some(Command::GetSystemInfo),
-            1 => Some(Command::GetSystemLimits),
-            _ => self.subscriptions.nth(step.saturating_sub(FIRST_SUBSCRIPTION)),
+            0..STATE_STEPS => self.subscriptions.nth(step),
+            INFO => Some(Command::GetSystemInfo),
+            LIMITS => Some(Command::GetSystemLimits),
+            _ => self.subscriptions.nth(step.saturating_sub(LIMITS - INFO + 1)),
         }
     }
 
@@ -447,12 +518,17 @@ impl Session {
         if let Some(value) = reply.value() {
             self.learn(now, &value);
         }
-        if self.urgent.awaits_answer(id) && status.is_final() {
-            // A FAST STOP is only done when the gripper says so.
-            if id == CommandId::FastStop && status != Status::Success {
-                return Routed::Unasked;
+        let answers_fast_stop = id == CommandId::FastStop && self.fast_stop.was_sent();
+        // A FAST STOP is only done when the gripper says so.
+        if answers_fast_stop && status != Status::Success {
+            return Routed::Unasked;
+        }
+        if answers_fast_stop || (self.stop.awaits_answer(id) && status.is_final()) {
+            if answers_fast_stop {
+                self.fast_stop.close();
+            } else {
+                self.stop.close();
             }
-            self.urgent.close();
             if matches!(self.link, Link::Down { .. }) {
                 self.link = Link::Down { retry_at: None };
             }
@@ -504,6 +580,7 @@ impl Session {
     /// The request is answered; a setting may have to be read back first.
     fn finish_request<'a>(&mut self, reply: &Reply<'a>) -> Routed<'a> {
         let command = self.request.own();
+        self.doubled = self.request.doubled().or(self.doubled);
         self.request.close();
         if let Some(setting) = self.reading_back.take() {
             let agrees = reply.value().is_some_and(|value| read_back::agrees(&setting, &value, &self.known));
@@ -537,7 +614,7 @@ impl Session {
                     Routed::Taken
                 } else {
                     self.link = Link::Up;
-                    self.refresh_step = FIRST_SUBSCRIPTION;
+                    self.refresh_step = 0;
                     Routed::Noticed(Notice::Connected)
                 }
             }
@@ -559,14 +636,27 @@ impl Session {
 
     /// What is done about answers that did not come.
     fn expire_tracks(&mut self, now: Instant) {
-        let attempts = if self.is_connected() { self.config.attempts } else { 1 };
-        if !self.is_connected() && self.urgent.awaits(CommandId::Stop) && self.urgent.is_overdue(now) {
-            self.urgent.close();
-            self.stop_unanswered = true;
+        self.fast_stop.expire(now);
+        self.doubled = self.doubled.filter(|(_, until)| !now.has_reached(*until));
+        if self.link == Link::Up && self.fast_stop_deadline().is_some_and(|at| now.has_reached(at)) {
+            self.link = Link::Closing;
         }
-        for track in [&mut self.urgent, &mut self.request, &mut self.refresh] {
-            match track.expire(now, attempts) {
-                Expired::No => {}
+        let attempts = if self.is_connected() { self.config.attempts } else { 1 };
+        if !self.is_connected() && self.stop.is_overdue(now) {
+            self.stop.close();
+            self.stop_report = Some(Notice::Unanswered(CommandId::Stop));
+        }
+        let stop = self.stop.expire(now, attempts);
+        if stop == Expired::Repeated {
+            self.stop_report = Some(Notice::Late(CommandId::Stop));
+        }
+        let request = self.request.expire(now, attempts);
+        if request == Expired::Overtaken {
+            self.dropped = self.request.abandon();
+        }
+        for expired in [stop, request, self.refresh.expire(now, attempts)] {
+            match expired {
+                Expired::No | Expired::Overtaken => {}
                 Expired::Repeated => count(&mut self.counters.repeated),
                 Expired::GivenUp => match self.link {
                     // Another track may have been given up at the same moment.
@@ -578,9 +668,19 @@ impl Session {
                 },
             }
         }
+        if !self.fast_stop.is_idle() {
+            self.request.hold(now, &self.config);
+            self.refresh.hold(now, &self.config);
+        }
         if matches!(self.link, Link::Down { .. }) {
             self.refresh.close();
         }
+    }
+
+    /// When the connection counts as lost because a FAST STOP is not confirmed.
+    fn fast_stop_deadline(&self) -> Option<Instant> {
+        let patience_ms = self.config.reply_timeout_ms.saturating_mul(self.config.attempts.into());
+        self.fast_stop.begun().map(|begun| begun.plus(patience_ms))
     }
 
     /// Gives up the connection, one open thing after the other.
@@ -594,27 +694,31 @@ impl Session {
         if let Some(id) = self.request.abandon() {
             return Notice::Unanswered(setting.unwrap_or(id));
         }
-        if let Some(id) = self.urgent.abandon_unless(CommandId::FastStop) {
+        if let Some(id) = self.stop.abandon() {
             return Notice::Unanswered(id);
         }
         if let Some(request) = self.queue.pop_front() {
             return Notice::Withdrawn(request.id());
         }
+        self.stop_report = None;
+        self.doubled = None;
+        self.overtaken = Overtaken::default();
         count(&mut self.counters.disconnects);
         self.link = Link::Down { retry_at: Some(now.plus(self.config.reconnect_ms)) };
         Notice::Disconnected
     }
 
-    /// Takes back what waits behind a Stop or FAST STOP.
+    /// Withdraws what a Stop, FAST STOP or Acknowledge has overtaken, one request after the other.
     fn withdraw_overtaken(&mut self) -> Option<CommandId> {
-        if !self.overtaken {
-            return None;
+        if core::mem::take(&mut self.overtaken.request)
+            // What was set is read back all the same.
+            && self.reading_back.is_none()
+            && let Some(unsent) = self.request.withdraw_unsent()
+        {
+            return Some(unsent);
         }
-        // What was set is read back all the same.
-        let unsent = if self.reading_back.is_none() { self.request.withdraw_unsent() } else { None };
-        let id = unsent.or_else(|| self.queue.pop_front().map(|request| request.id()));
-        self.overtaken = id.is_some();
-        id
+        self.overtaken.queued = self.overtaken.queued.checked_sub(1)?;
+        self.queue.pop_front().map(|request| request.id())
     }
 
     /// Gives up a running command whose result does not come.
@@ -641,8 +745,9 @@ impl Session {
     /// Opens what is due: the next request, the next step of connecting, the next value to ask for again.
     fn advance(&mut self, now: Instant) {
         if self.is_connected()
-            && self.urgent.is_idle()
+            && !self.is_urgent()
             && self.request.is_idle()
+            && !self.may_take_a_doubled_answer()
             && let Some(request) = self.queue.pop_front()
         {
             self.request.open(request);
@@ -659,7 +764,7 @@ impl Session {
         match self.link {
             // A FAST STOP that is owed is the first thing that a gripper hears.
             Link::Down { retry_at } => {
-                if self.urgent.is_idle() && retry_at.is_none_or(|at| now.has_reached(at)) {
+                if !self.is_urgent() && retry_at.is_none_or(|at| now.has_reached(at)) {
                     self.link = Link::Connecting { step: 0 };
                     self.open_refresh(0);
                 }
@@ -667,12 +772,20 @@ impl Session {
             Link::Connecting { step } => self.open_refresh(step),
             Link::Up if now.has_reached(self.refresh_at) => {
                 let step = self.refresh_step;
-                self.open_refresh(step);
+                if let Some(command) = self.subscriptions.nth(step) {
+                    self.refresh.open(Request::Own(command));
+                }
                 let next = step.saturating_add(1);
-                self.refresh_step = if self.setup(next).is_some() { next } else { FIRST_SUBSCRIPTION };
+                self.refresh_step = if self.subscriptions.nth(next).is_some() { next } else { 0 };
             }
             Link::Up | Link::Closing => {}
         }
+    }
+
+    /// Whether the next request in the queue could be answered by the second answer to an earlier one of the same id.
+    fn may_take_a_doubled_answer(&self) -> bool {
+        let next = self.queue.front().map(Request::id);
+        self.doubled.is_some_and(|(id, _)| next == Some(id))
     }
 
     fn open_refresh(&mut self, step: u8) {

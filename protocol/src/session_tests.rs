@@ -10,6 +10,8 @@ use std::vec::Vec;
 
 const GRIP: Command<'static> = Command::GripPart { width: 20.0, speed: 50.0 };
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Default };
+/// What connecting begins with.
+const STATE: Command<'static> = Command::GetSystemState { update: AutoUpdate::on_change(10) };
 
 pub(crate) const INFO: SystemInfo = SystemInfo {
     device: DeviceType::Wsg50,
@@ -83,7 +85,7 @@ impl Desk {
         let mut sent = vec![];
         while let Some(command) = self.session.poll_transmit(self.now) {
             sent.push(command);
-            assert!(sent.len() < 100, "commands without end: {sent:?}");
+            assert!(sent.len() < 200, "commands without end: {sent:?}");
         }
         sent
     }
@@ -128,7 +130,7 @@ impl Desk {
 }
 
 #[test]
-fn connecting_asks_for_device_and_limits_and_subscribes() {
+fn connecting_subscribes_to_the_states_first_and_asks_for_device_and_limits() {
     let mut desk = Desk::new();
     let mut asked = vec![];
     for _ in 0..4 {
@@ -140,10 +142,10 @@ fn connecting_asks_for_device_and_limits_and_subscribes() {
     assert!(desk.session.is_connected());
     let update = AutoUpdate::on_change(10);
     let expected = [
-        Command::GetSystemInfo,
-        Command::GetSystemLimits,
         Command::GetSystemState { update },
         Command::GetGripperState { update },
+        Command::GetSystemInfo,
+        Command::GetSystemLimits,
     ];
     assert_eq!(asked, expected);
     assert_eq!(desk.notices, ["Connected"]);
@@ -208,7 +210,7 @@ fn silence_is_noticed_within_a_second_and_a_gripper_that_comes_back_is_found() {
     desk.pass(1_000);
     assert_eq!(desk.notices, ["Disconnected"]);
     let asked = desk.pass(3_000);
-    assert!(asked.iter().all(|command| *command == Command::GetSystemInfo), "{asked:?}");
+    assert!(asked.iter().all(|command| *command == STATE), "{asked:?}");
     assert!(asked.len() >= 3);
     desk.connect();
     assert_eq!(desk.notices, ["Disconnected", "Connected"]);
@@ -282,7 +284,7 @@ fn stop_that_is_not_answered_is_told_before_the_connection_counts_as_lost_and_do
     desk.session.request(Command::Stop).unwrap();
     let sent = desk.pass(2_000);
     assert_eq!(sent.iter().filter(|command| **command == Command::Stop).count(), 3);
-    assert_eq!(desk.notices, ["Unanswered(Stop)", "Disconnected"]);
+    assert_eq!(desk.notices, ["Late(Stop)", "Late(Stop)", "Unanswered(Stop)", "Disconnected"]);
     desk.connect();
     assert!(!desk.pass(300).contains(&Command::Stop));
 }
@@ -309,7 +311,7 @@ fn stop_without_a_connection_that_is_answered_brings_the_connection_back() {
     desk.sent();
     desk.status(CommandId::Stop, Status::Success);
     assert_eq!(desk.noticed("Answered(Reply { id: Stop, status: Success"), 1);
-    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+    assert_eq!(desk.sent(), [STATE]);
 }
 
 #[test]
@@ -361,7 +363,7 @@ fn fast_stop_is_the_first_thing_that_a_gripper_hears() {
     assert_eq!(desk.sent(), [Command::FastStop]);
     assert_eq!(desk.session.request(Command::ACKNOWLEDGE), Err(RequestError::NotConnected));
     desk.status(CommandId::FastStop, Status::Success);
-    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+    assert_eq!(desk.sent(), [STATE]);
 }
 
 #[test]
@@ -745,10 +747,10 @@ fn each_signal_has_a_period_of_its_own() {
     }
     let update = AutoUpdate::on_change;
     let expected = [
-        Command::GetSystemInfo,
-        Command::GetSystemLimits,
         Command::GetSystemState { update: update(20) },
         Command::GetGripperState { update: update(30) },
+        Command::GetSystemInfo,
+        Command::GetSystemLimits,
         Command::GetOpeningWidth { update: update(40) },
         Command::GetSpeed { update: update(50) },
         Command::GetForce { update: update(10) },
@@ -878,12 +880,12 @@ fn fast_stop_that_is_owed_while_the_line_is_down_does_not_make_the_caller_spin()
 #[test]
 fn connection_that_is_given_up_while_it_begins_is_tried_again_at_once() {
     let mut desk = Desk::new();
-    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
-    desk.answer(CommandId::GetSystemInfo);
-    assert_eq!(desk.sent(), [Command::GetSystemLimits]);
+    assert_eq!(desk.sent(), [STATE]);
+    desk.answer(CommandId::GetSystemState);
+    assert_eq!(desk.sent(), [Command::GetGripperState { update: AutoUpdate::on_change(10) }]);
     desk.session.disconnect();
     assert_eq!(desk.session.known(), &Known::NOTHING);
-    assert_eq!(desk.sent(), [Command::GetSystemInfo]);
+    assert_eq!(desk.sent(), [STATE]);
     assert_eq!(desk.notices, [""; 0], "there was none to lose");
 }
 
@@ -1070,4 +1072,138 @@ fn everything_that_the_gripper_tells_of_itself_is_known() {
         force: Some(3.5),
     };
     assert_eq!(desk.session.known(), &known);
+}
+
+/// The times at which a FAST STOP that is never answered leaves, in milliseconds since it was requested, each once.
+fn fast_stop_times(desk: &mut Desk, ms: u32) -> Vec<(u32, usize)> {
+    let mut times = vec![];
+    for at in 0..ms {
+        let sent = desk.sent();
+        assert!(sent.iter().all(|command| *command == Command::FastStop), "{at} ms: {sent:?}");
+        if !sent.is_empty() {
+            times.push((at, sent.len()));
+        }
+        desk.now = desk.now.plus(1);
+    }
+    times
+}
+
+#[test]
+fn fast_stop_that_is_not_answered_goes_out_in_bursts_with_silence_between_them() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(fast_stop_times(&mut desk, 1_900), [(0, 1), (30, 130), (630, 130), (1_230, 130), (1_830, 130)]);
+    assert_eq!(desk.noticed("Disconnected"), 1, "and nothing else left before or behind that");
+}
+
+#[test]
+fn burst_of_fast_stops_is_longer_than_the_longest_message_and_one_of_them() {
+    let burst = usize::from(FastStopPattern::DEFAULT.burst_frames) * crate::frame::OVERHEAD;
+    assert!(burst >= crate::frame::MAX_MESSAGE_LEN + crate::frame::OVERHEAD);
+}
+
+#[test]
+fn burst_of_fast_stops_ends_with_its_confirmation_and_what_waited_goes_on() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::FastStop).unwrap();
+    desk.sent();
+    desk.session.request(Command::GetTemperature).unwrap();
+    desk.now = desk.now.plus(30);
+    assert_eq!(desk.session.tick(desk.now), None);
+    for _ in 0..5 {
+        assert_eq!(desk.session.poll_transmit(desk.now), Some(Command::FastStop));
+    }
+    desk.status(CommandId::FastStop, Status::Success);
+    assert_eq!(desk.sent(), [Command::GetTemperature]);
+}
+
+#[test]
+fn fast_stop_behind_a_stop_without_an_answer_begins_with_a_burst() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::Stop).unwrap();
+    assert_eq!(desk.pass(200), [Command::Stop, Command::Stop]);
+    assert_eq!(desk.notices, ["Late(Stop)"]);
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(desk.sent().len(), 130);
+}
+
+#[test]
+fn line_that_is_held_for_a_fast_stop_counts_as_lost_no_later_than_without_it() {
+    for fast_stop_at in [0, 100, 300, 500, 700] {
+        let mut desk = Desk::connected();
+        desk.pass(fast_stop_at);
+        desk.session.request(Command::FastStop).unwrap();
+        desk.pass(900 - fast_stop_at);
+        assert_eq!(desk.noticed("Disconnected"), 1, "FAST STOP after {fast_stop_at} ms of silence");
+    }
+}
+
+#[test]
+fn acknowledgement_withdraws_what_was_requested_before_it() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::GetTemperature).unwrap();
+    assert_eq!(desk.sent(), [Command::GetTemperature]);
+    let force = Command::SetForceLimit { force: 40.0 };
+    for waiting in [GRIP, force, force, force] {
+        desk.session.request(waiting).unwrap();
+    }
+    assert_eq!(desk.session.request(force), Err(RequestError::QueueFull));
+    assert_eq!(desk.session.request(Command::ACKNOWLEDGE), Ok(()), "it makes room");
+    desk.session.request(HOMING).unwrap_err();
+    desk.reply(Reply::success(Value::GetTemperature(crate::Temperature(250))));
+    assert_eq!(desk.sent(), [Command::ACKNOWLEDGE]);
+    assert_eq!((desk.noticed("Withdrawn(GripPart)"), desk.noticed("Withdrawn(SetForceLimit)")), (1, 3));
+    desk.session.request(HOMING).unwrap();
+    assert_eq!(desk.sent(), [], "behind the answer");
+    desk.status(CommandId::Acknowledge, Status::Success);
+    assert_eq!(desk.sent(), [HOMING], "what was requested later is sent");
+}
+
+#[test]
+fn motion_that_is_next_to_be_sent_is_withdrawn_by_an_acknowledgement() {
+    let mut desk = Desk::connected();
+    desk.session.request(GRIP).unwrap();
+    assert_eq!(desk.session.tick(desk.now), None);
+    desk.session.request(Command::ACKNOWLEDGE).unwrap();
+    assert_eq!(desk.sent(), [Command::ACKNOWLEDGE]);
+    assert_eq!(desk.notices, ["Withdrawn(GripPart)"]);
+}
+
+#[test]
+fn setting_that_was_overtaken_is_not_sent_again_and_its_outcome_is_told() {
+    for overtakes in [Command::Stop, Command::FastStop, Command::ACKNOWLEDGE] {
+        let mut desk = Desk::connected();
+        let force = Command::SetForceLimit { force: 40.0 };
+        desk.session.request(force).unwrap();
+        assert_eq!(desk.sent(), [force]);
+        desk.session.request(overtakes).unwrap();
+        let mut sent = vec![];
+        for _ in 0..600 {
+            for command in desk.pass(1) {
+                if command != overtakes || overtakes != Command::ACKNOWLEDGE {
+                    desk.answer(command.id());
+                }
+                sent.push(command);
+            }
+        }
+        assert!(!sent.contains(&force), "{overtakes:?}");
+        assert_eq!(desk.noticed("Unanswered(SetForceLimit)"), 1, "{overtakes:?}");
+    }
+}
+
+#[test]
+fn request_waits_until_no_second_answer_to_an_earlier_one_of_its_id_can_come() {
+    let mut desk = Desk::connected();
+    let [first, second] = [40.0, 10.0].map(|force| Command::SetForceLimit { force });
+    desk.session.request(first).unwrap();
+    assert_eq!(desk.pass(200), [first, first], "the answer to the first is late");
+    desk.status(CommandId::SetForceLimit, Status::Success);
+    desk.session.request(second).unwrap();
+    assert_eq!(desk.pass(10), []);
+    desk.status(CommandId::SetForceLimit, Status::Success);
+    assert_eq!(desk.noticed("Answered(Reply { id: SetForceLimit"), 1, "the second answer is nobody's");
+    let sent = desk.pass(200);
+    assert_eq!(sent.iter().filter(|command| command.id() == CommandId::SetForceLimit).count(), 1);
+    desk.status(CommandId::SetForceLimit, Status::RangeError);
+    assert_eq!(desk.noticed("Answered(Reply { id: SetForceLimit, status: RangeError"), 1);
 }

@@ -5,11 +5,12 @@ mod jogging;
 
 use super::image::to_register;
 use super::jog::{Jog, Stage};
+use jogging::stands;
 use super::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use crate::command::{Command, CommandId};
 use crate::reply::{Reply, Value};
 use crate::session::{Known, Notice, RequestError};
-use crate::types::{GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits};
+use crate::types::{AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits};
 use heapless::Deque;
 
 /// The flags that begin a motion on their rising edge.
@@ -31,7 +32,12 @@ const OUTGOING_LEN: usize = 2;
 ///   edge is lost.
 /// - WIDTH, SPEED or FORCELIMIT changed while the fingers move: FAST STOP. So is SPEED or FORCELIMIT outside the
 ///   limits with MOVE, GRIP or RELEASE; HOMING has no parameters.
-/// - A FAST STOP is left only by a rising edge of STOP/ACK while FASTSTOP is 0, and once the gripper has confirmed it.
+/// - A FAST STOP is left only by a rising edge of STOP/ACK while FASTSTOP is 0, and once the gripper has confirmed it: by
+///   E_SUCCESS, and by system flags that show it behind that. A gripper whose flags do not show it is sent another one.
+/// - STOP/ACK withdraws every motion that was asked for before it.
+/// - A Stop that is not answered in time, while the fingers are not known to stand, becomes a FAST STOP.
+/// - GRIP leaves only behind the answer to its own force limit. Let the session read settings back
+///   ([`Config::verify_settings`](crate::session::Config::verify_settings)).
 /// - MOVE is refused while a part is held: RELEASE is the way to open then (fieldbus, 6.1).
 /// - MOVE stops on a block: fingers that clamp and later snap to the target would move unasked.
 /// - Without a connection a motion is refused, never kept for later.
@@ -52,7 +58,13 @@ pub struct Controller {
     /// The last image; none before the first.
     image: Option<OutputImage>,
     connected: bool,
+    /// The gripper's flags have been seen once since power-up, and it was connected.
+    is_acquainted: bool,
     fast_stop: FastStop,
+    /// An acknowledgement is not answered yet: it may still undo a FAST STOP that was sent before it.
+    acknowledging: bool,
+    /// Set Force Limit commands without an outcome so far.
+    force_limits_open: u8,
     /// The motion whose result is awaited.
     motion: Option<Motion>,
     /// The command whose outcome the status register shows.
@@ -76,8 +88,10 @@ pub struct Controller {
 enum FastStop {
     /// None, or acknowledged.
     Clear,
-    /// Asked for; the gripper has not confirmed it.
+    /// Asked for; the gripper has not answered.
     Asked,
+    /// Answered; its system flags do not show it yet.
+    Answered,
     /// Confirmed; awaits STOP/ACK.
     Latched,
     /// The same, and an acknowledgement was sent since.
@@ -114,7 +128,10 @@ impl Controller {
         Self {
             image: None,
             connected: false,
+            is_acquainted: false,
             fast_stop: FastStop::Clear,
+            acknowledging: false,
+            force_limits_open: 0,
             motion: None,
             shown: None,
             status: Status::Success,
@@ -129,6 +146,16 @@ impl Controller {
 
     /// Takes an image that the PLC wrote, complete and at once.
     pub fn set_output(&mut self, image: &OutputImage, known: &Known) {
+        self.take_output(image, known, true);
+    }
+
+    /// As [`set_output`](Self::set_output), for a PLC that has been told not to give commands now: a motion whose flag rises
+    /// is refused even if the gripper would take it.
+    pub fn set_output_refusing_motions(&mut self, image: &OutputImage, known: &Known) {
+        self.take_output(image, known, false);
+    }
+
+    fn take_output(&mut self, image: &OutputImage, known: &Known, may_begin: bool) {
         let previous = self.image.replace(*image);
         let rising =
             previous.map_or(CommandFlags::empty(), |previous| image.flags.difference(previous.flags));
@@ -149,7 +176,7 @@ impl Controller {
             self.stop_or_acknowledge(known);
         } else {
             if !image.flags.contains(CommandFlags::STOP_ACK) {
-                self.begin_lowest(rising.intersection(MOTIONS), image, known);
+                self.begin_lowest(rising.intersection(MOTIONS), image, known, may_begin);
             }
             self.follow_jog(known);
         }
@@ -183,33 +210,97 @@ impl Controller {
         self.user_outputs = flags;
     }
 
+    /// Looks at what is known while the first connection after power-up is made. A gripper that moves then moves for a
+    /// command of before a reset, which nobody can end any more: it is stopped, and the PLC sees E_CMD_ABORTED. A part that
+    /// is held stays held. Call it whenever something new may be known; later calls do nothing.
+    pub fn get_acquainted(&mut self, known: &Known) {
+        if self.is_acquainted {
+            return;
+        }
+        self.is_acquainted = self.connected;
+        if known.is_moving() && !self.is_fast_stopped(known) {
+            self.is_acquainted = true;
+            self.stop();
+            self.failed = true;
+            self.show(Status::CmdAborted);
+        }
+    }
+
     /// Takes what the session noticed, with what it knows since.
     pub fn handle(&mut self, notice: &Notice<'_>, known: &Known) {
+        self.note_outcome(notice);
         match notice {
-            Notice::Connected => self.connected = true,
+            Notice::Connected => {
+                self.connected = true;
+                // They were asked for behind a FAST STOP that was answered before.
+                if let Some(flags) = known.flags {
+                    self.supervise_fast_stop(flags);
+                }
+            }
             Notice::Disconnected => {
                 self.show_held_back(known);
                 self.connected = false;
                 self.settled = None;
                 self.jog.disarm(self.image.as_ref());
-                let is_confirmed = matches!(self.fast_stop, FastStop::Latched | FastStop::Acknowledged);
-                if is_confirmed || self.jog.is_on() {
+                let is_sent = !matches!(self.fast_stop, FastStop::Clear | FastStop::Asked);
+                if is_sent || self.jog.is_on() {
                     // The gripper may be restarted and forget it: it shall be the first thing that it hears.
                     self.fast_stop();
                 }
             }
             Notice::Answered(reply) => self.answered(reply, known),
+            Notice::Late(CommandId::Stop) | Notice::Unanswered(CommandId::Stop) if !stands(known) => {
+                self.fast_stop();
+            }
             Notice::Unanswered(id) if self.jog_may_move(*id, known) => self.fast_stop(),
             Notice::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, known),
             Notice::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, known),
             Notice::Reported(Value::GetGripperState(_)) => self.settled = None,
-            Notice::Reported(Value::GetSystemState(_)) => self.show_held_back(known),
-            Notice::Pending(_) | Notice::Reported(_) => {}
+            Notice::Reported(Value::GetSystemState(flags)) => {
+                self.supervise_fast_stop(*flags);
+                self.show_held_back(known);
+            }
+            Notice::Pending(_) | Notice::Reported(_) | Notice::Late(_) => {}
+        }
+    }
+
+    /// Keeps count of what is open at the gripper.
+    fn note_outcome(&mut self, notice: &Notice<'_>) {
+        let id = match notice {
+            Notice::Answered(reply) => reply.id(),
+            Notice::Unanswered(id) | Notice::Withdrawn(id) => *id,
+            Notice::Disconnected => {
+                self.acknowledging = false;
+                self.force_limits_open = 0;
+                return;
+            }
+            _ => return,
+        };
+        match id {
+            CommandId::Acknowledge => self.acknowledging = false,
+            CommandId::SetForceLimit => self.force_limits_open = self.force_limits_open.saturating_sub(1),
+            _ => {}
+        }
+    }
+
+    /// Compares the gripper's system flags with the FAST STOP that it has answered.
+    fn supervise_fast_stop(&mut self, flags: SystemFlags) {
+        if self.fast_stop != FastStop::Answered {
+            return;
+        }
+        if !flags.contains(SystemFlags::FAST_STOP) {
+            // The answer was to an earlier one.
+            return self.fast_stop();
+        }
+        self.fast_stop = FastStop::Latched;
+        if self.shown == Some(CommandId::FastStop) {
+            self.status = Status::Success;
         }
     }
 
     /// Takes back a command that the session did not take.
     pub fn refused(&mut self, id: CommandId, error: RequestError) {
+        self.note_outcome(&Notice::Withdrawn(id));
         let status = match error {
             RequestError::NotConnected => Status::IoError,
             RequestError::MotionRunning => Status::AlreadyRunning,
@@ -293,7 +384,7 @@ impl Controller {
     }
 
     fn stop_or_acknowledge(&mut self, known: &Known) {
-        if self.fast_stop == FastStop::Asked {
+        if matches!(self.fast_stop, FastStop::Asked | FastStop::Answered) {
             // The gripper has not heard of it yet: an acknowledgement now would be undone by the FAST STOP behind it.
             self.show(Status::AccessDenied);
         } else if !self.connected {
@@ -302,12 +393,14 @@ impl Controller {
             if self.fast_stop == FastStop::Latched {
                 self.fast_stop = FastStop::Acknowledged;
             }
+            self.acknowledging = true;
             self.send_alone(Command::ACKNOWLEDGE);
         } else {
             let failed = self.failed || known.state == Some(GripperState::Error);
             self.stop();
             if failed {
                 // A Stop leaves the state as it is; Acknowledge is the way to IDLE (command set, 3.2.5 and appendix C).
+                self.acknowledging = true;
                 self.send(Command::ACKNOWLEDGE);
             }
         }
@@ -320,13 +413,16 @@ impl Controller {
         self.motion = None;
         self.held_back = None;
         self.failed = false;
+        // It will have no outcome: the session has not been given it.
+        let unsent = self.outgoing.iter().filter(|command| command.id() == CommandId::SetForceLimit).count();
+        self.force_limits_open = self.force_limits_open.saturating_sub(unsent as u8);
         self.outgoing.clear();
         self.send(command);
         self.shown = Some(command.id());
         self.status = Status::CmdPending;
     }
 
-    fn begin_lowest(&mut self, rising: CommandFlags, image: &OutputImage, known: &Known) {
+    fn begin_lowest(&mut self, rising: CommandFlags, image: &OutputImage, known: &Known, may_begin: bool) {
         let Some(lowest) = rising.lowest() else { return };
         if !self.jog.is_on() {
             // JOG has the highest bits of all.
@@ -339,6 +435,12 @@ impl Controller {
         } else if self.is_moving(known) {
             // The running motion's result will replace this.
             self.status = Status::AlreadyRunning;
+        } else if !may_begin {
+            self.show(if has_flag(known, SystemFlags::LOCKS) {
+                Status::AccessDenied
+            } else {
+                Status::AlreadyRunning
+            });
         } else if lowest == CommandFlags::MOVE && self.state(known) == GripperFlags::HOLDING {
             self.show(Status::AccessDenied);
         } else if lowest != CommandFlags::HOMING
@@ -366,6 +468,9 @@ impl Controller {
 
     /// Sends a motion, its force limit first if it has one.
     fn begin_motion(&mut self, command: Command<'static>, force: Option<f32>) {
+        if force.is_some() {
+            self.force_limits_open = self.force_limits_open.saturating_add(1);
+        }
         self.send(force.map_or(command, |force| Command::SetForceLimit { force }));
         self.motion = Some(Motion { command, prepares: force.is_some() });
         self.shown = Some(command.id());
@@ -388,8 +493,14 @@ impl Controller {
 
     fn answered(&mut self, reply: &Reply<'_>, known: &Known) {
         let (id, status) = (reply.id(), reply.status());
+        if let Some(Value::GetSystemState(flags)) = reply.value() {
+            self.supervise_fast_stop(flags);
+            return self.show_held_back(known);
+        }
         if let Some(motion) = self.motion.filter(|motion| motion.prepares && id == CommandId::SetForceLimit) {
-            if status == Status::Success {
+            if self.force_limits_open > 0 {
+                // The answer to an earlier one, whose motion was dropped.
+            } else if status == Status::Success {
                 self.motion = Some(Motion { prepares: false, ..motion });
                 self.send(motion.command);
             } else {
@@ -426,7 +537,7 @@ impl Controller {
         }
         match (id, status, self.fast_stop) {
             (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
-            (CommandId::FastStop, Status::Success, _) => self.fast_stop = FastStop::Latched,
+            (CommandId::FastStop, Status::Success, FastStop::Asked) => return self.fast_stop_answered(),
             // A FAST STOP that was asked for in the meantime stays, in whatever order the two are answered.
             (CommandId::Acknowledge, Status::Success, FastStop::Acknowledged | FastStop::Clear) => {
                 self.fast_stop = FastStop::Clear;
@@ -440,8 +551,22 @@ impl Controller {
         self.jog_stopped(id, status, known);
     }
 
+    /// The gripper has answered a FAST STOP: maybe an earlier one. Its flags tell.
+    fn fast_stop_answered(&mut self) {
+        if self.acknowledging {
+            // An acknowledgement on its way may be carried out behind what was answered.
+            return self.send(Command::FastStop);
+        }
+        self.fast_stop = FastStop::Answered;
+        self.send(Command::GetSystemState { update: AutoUpdate::once() });
+    }
+
     /// A command that was not carried out, or of which that is not known.
     fn came_to_nothing(&mut self, id: CommandId, status: Status, known: &Known) {
+        let of_earlier_motion = id == CommandId::SetForceLimit && self.force_limits_open > 0;
+        if of_earlier_motion {
+            return;
+        }
         let of_motion = self.motion.is_some_and(|motion| {
             id == motion.command.id() || (motion.prepares && id == CommandId::SetForceLimit)
         });
@@ -481,8 +606,8 @@ fn force_unit(known: &Known) -> ForceUnit {
 
 // Asked in many places: once in the image.
 #[inline(never)]
-fn has_flag(known: &Known, flag: SystemFlags) -> bool {
-    known.flags.is_some_and(|flags| flags.contains(flag))
+fn has_flag(known: &Known, any_of: SystemFlags) -> bool {
+    known.flags.is_some_and(|flags| flags.intersects(any_of))
 }
 
 /// Whether a speed in mm/s and a force in N are inside the gripper's limits; unknown limits allow nothing.

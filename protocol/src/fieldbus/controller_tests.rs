@@ -26,6 +26,7 @@ const MOVE: Command<'static> =
     Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width: 20.0, speed: 50.0 };
 const FORCE: Command<'static> = Command::SetForceLimit { force: 40.0 };
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Default };
+const FLAGS: Command<'static> = Command::GetSystemState { update: AutoUpdate::once() };
 
 struct Plc {
     controller: Controller,
@@ -48,6 +49,10 @@ impl Plc {
     }
 
     fn connect(&mut self) {
+        self.connect_with(SystemFlags::REFERENCED);
+    }
+
+    fn connect_with(&mut self, flags: SystemFlags) {
         self.known = Known {
             info: Some(SystemInfo {
                 device: DeviceType::Wsg50,
@@ -56,7 +61,7 @@ impl Plc {
                 serial_number: 1,
             }),
             limits: Some(LIMITS),
-            flags: Some(SystemFlags::REFERENCED),
+            flags: Some(flags),
             state: Some(GripperState::Idle),
             width: Some(50.0),
             force: Some(0.0),
@@ -91,6 +96,25 @@ impl Plc {
     fn report(&mut self, state: GripperState) {
         self.known.state = Some(state);
         self.controller.handle(&Notice::Reported(Value::GetGripperState(state)), &self.known);
+    }
+
+    /// The gripper answers a FAST STOP, and the question for its flags behind it.
+    fn confirm_fast_stop(&mut self) {
+        assert_eq!(self.answer(CommandId::FastStop, Status::Success), [FLAGS]);
+        self.answer_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    }
+
+    /// The gripper carries out an acknowledgement.
+    fn acknowledged(&mut self) {
+        self.known.flags = Some(SystemFlags::REFERENCED);
+        self.answer(CommandId::Acknowledge, Status::Success);
+    }
+
+    fn answer_flags(&mut self, flags: SystemFlags) -> Vec<Command<'static>> {
+        self.known.flags = Some(flags);
+        let reply = Reply::success(Value::GetSystemState(flags));
+        self.controller.handle(&Notice::Answered(reply), &self.known);
+        self.commands()
     }
 
     fn report_flags(&mut self, flags: SystemFlags) {
@@ -319,8 +343,7 @@ fn fast_stop_shows_idle_and_the_flag_and_is_left_by_an_acknowledgement_only() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
-    plc.answer(CommandId::FastStop, Status::Success);
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.confirm_fast_stop();
     plc.report(GripperState::Error);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
     assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
@@ -346,7 +369,7 @@ fn fast_stop_at_power_up_locks_motion_until_it_is_acknowledged() {
     let mut plc = Plc { controller: Controller::new(), known: Known::NOTHING, image: PARAMETERS };
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop], "the level counts, without an edge");
     plc.connect();
-    plc.answer(CommandId::FastStop, Status::Success);
+    plc.confirm_fast_stop();
     for flag in MOTIONS.iter() {
         assert_eq!(plc.raise(flag), []);
         plc.lower(flag);
@@ -364,8 +387,32 @@ fn fast_stop_that_the_gripper_has_not_confirmed_cannot_be_acknowledged() {
     plc.lower(CommandFlags::FASTSTOP);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), []);
     assert_eq!(plc.shows().1, Status::AccessDenied);
-    plc.answer(CommandId::FastStop, Status::Success);
+    assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
     plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [], "its flags do not show it yet");
+    plc.answer_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+}
+
+#[test]
+fn fast_stop_that_the_flags_of_the_gripper_do_not_show_is_given_again() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+    assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
+    assert_eq!(plc.answer_flags(SystemFlags::REFERENCED | SystemFlags::MOVING), [Command::FastStop]);
+    plc.confirm_fast_stop();
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn fast_stop_that_was_answered_without_a_connection_is_confirmed_by_the_flags_of_connecting() {
+    let mut plc = Plc { controller: Controller::new(), known: Known::NOTHING, image: PARAMETERS };
+    plc.raise(CommandFlags::FASTSTOP);
+    assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
+    plc.controller.refused(CommandId::GetSystemState, RequestError::NotConnected);
+    plc.connect_with(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.lower(CommandFlags::FASTSTOP);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
 }
 
@@ -376,7 +423,7 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
     {
         let mut plc = Plc::ready();
         plc.raise(CommandFlags::FASTSTOP);
-        plc.answer(CommandId::FastStop, Status::Success);
+        plc.confirm_fast_stop();
         plc.lower(CommandFlags::FASTSTOP);
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
         plc.lower(CommandFlags::STOP_ACK);
@@ -384,12 +431,17 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
         for id in answers {
             plc.answer(id, Status::Success);
         }
+        if answers[0] == CommandId::FastStop {
+            // The acknowledgement may have undone the one that was answered first: it was given again.
+            assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
+        }
+        plc.answer_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
         plc.lower(CommandFlags::FASTSTOP);
         assert_eq!(plc.raise(CommandFlags::MOVE), [], "{answers:?}");
         assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
         plc.lower(CommandFlags::MOVE);
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
-        plc.answer(CommandId::Acknowledge, Status::Success);
+        plc.acknowledged();
         plc.lower(CommandFlags::STOP_ACK);
         assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
     }
@@ -399,7 +451,7 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
 fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_acknowledged_again() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
-    plc.answer(CommandId::FastStop, Status::Success);
+    plc.confirm_fast_stop();
     plc.lower(CommandFlags::FASTSTOP);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
     plc.controller.handle(&Notice::Unanswered(CommandId::Acknowledge), &plc.known);
@@ -413,7 +465,7 @@ fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_ack
 fn fast_stop_is_given_again_to_a_gripper_that_comes_back() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
-    plc.answer(CommandId::FastStop, Status::Success);
+    plc.confirm_fast_stop();
     plc.disconnect();
     assert_eq!(plc.commands(), [Command::FastStop], "the session keeps it until the gripper answers");
     plc.connect();
@@ -631,3 +683,108 @@ fn fast_stop_wins_over_a_success_that_is_held_back() {
 
 #[path = "jog_tests.rs"]
 mod jog;
+
+#[test]
+fn grip_leaves_only_behind_the_answer_to_its_own_force_limit() {
+    for refused in [true, false] {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
+        assert_eq!(plc.write(|image| image.flags = CommandFlags::STOP_ACK), [Command::Stop]);
+        plc.answer(CommandId::Stop, Status::Success);
+        plc.write(|image| (image.flags, image.force_limit) = (CommandFlags::empty(), 10_00));
+        assert_eq!(plc.raise(CommandFlags::GRIP), [Command::SetForceLimit { force: 10.0 }]);
+        assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [], "40 N: the earlier one");
+        if refused {
+            assert_eq!(plc.answer(CommandId::SetForceLimit, Status::RangeError), []);
+            assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::RangeError));
+        } else {
+            assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
+        }
+    }
+}
+
+#[test]
+fn earlier_force_limit_that_is_withdrawn_does_not_end_a_later_grip() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::GRIP);
+    plc.write(|image| image.flags = CommandFlags::STOP_ACK);
+    plc.write(|image| image.flags = CommandFlags::empty());
+    assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
+    plc.controller.handle(&Notice::Withdrawn(CommandId::SetForceLimit), &plc.known);
+    assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
+}
+
+#[test]
+fn force_limit_that_was_never_handed_over_is_not_waited_for() {
+    let mut plc = Plc::ready();
+    plc.image.flags |= CommandFlags::GRIP;
+    plc.controller.set_output(&plc.image, &plc.known);
+    assert_eq!(plc.write(|image| image.flags = CommandFlags::STOP_ACK), [Command::Stop], "in the same turn");
+    plc.write(|image| image.flags = CommandFlags::empty());
+    plc.grip();
+}
+
+#[test]
+fn stop_that_is_late_becomes_a_fast_stop_unless_the_fingers_stand() {
+    for (flags, becomes) in [
+        (SystemFlags::REFERENCED | SystemFlags::MOVING, vec![Command::FastStop]),
+        (SystemFlags::REFERENCED, vec![]),
+    ] {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+        plc.report_flags(flags);
+        plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+        assert_eq!(plc.commands(), becomes);
+    }
+}
+
+/// A controller after a reset, and what it knows of the gripper before it is connected.
+fn after_a_reset(flags: SystemFlags, state: GripperState) -> Plc {
+    let mut plc = Plc::with_first_image(PARAMETERS);
+    plc.known = Known { flags: Some(flags), state: Some(state), ..Known::NOTHING };
+    plc.controller.get_acquainted(&plc.known);
+    plc
+}
+
+#[test]
+fn gripper_that_moves_at_the_first_contact_is_stopped_and_error_says_so() {
+    let mut plc = after_a_reset(SystemFlags::REFERENCED | SystemFlags::MOVING, GripperState::Positioning);
+    assert_eq!(plc.commands(), [Command::Stop]);
+    plc.controller.get_acquainted(&plc.known);
+    assert_eq!(plc.commands(), [], "once");
+    plc.answer(CommandId::Stop, Status::Success);
+    plc.connect();
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::CmdAborted));
+    assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE], "it is no lock");
+}
+
+#[test]
+fn gripper_that_holds_a_part_at_the_first_contact_keeps_it() {
+    let mut plc = after_a_reset(SystemFlags::REFERENCED, GripperState::Holding);
+    assert_eq!(plc.commands(), []);
+    plc.connect();
+    plc.controller.get_acquainted(&plc.known);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.controller.get_acquainted(&plc.known);
+    assert_eq!(plc.commands(), [], "what moves later moves for another reason");
+}
+
+#[test]
+fn motion_is_refused_while_the_plc_is_told_not_to_give_commands() {
+    let mut plc = Plc::ready();
+    for (flags, status) in [
+        (SystemFlags::REFERENCED, Status::AlreadyRunning),
+        (SystemFlags::REFERENCED | SystemFlags::TEMP_FAULT, Status::AccessDenied),
+    ] {
+        plc.report_flags(flags);
+        plc.image.flags = CommandFlags::MOVE;
+        plc.controller.set_output_refusing_motions(&plc.image, &plc.known);
+        assert_eq!(plc.commands(), []);
+        assert_eq!(plc.shows().1, status);
+        assert_eq!(plc.lower(CommandFlags::MOVE), []);
+    }
+    plc.image.flags = CommandFlags::STOP_ACK;
+    plc.controller.set_output_refusing_motions(&plc.image, &plc.known);
+    assert_eq!(plc.commands(), [Command::Stop], "only motions");
+}

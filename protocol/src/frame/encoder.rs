@@ -65,6 +65,12 @@ impl<P: Payload> FrameEncoder<P> {
         Self { payload, next: 0, checksum: checksum::START, id }
     }
 
+    /// The id of the frame.
+    #[must_use]
+    pub const fn id(&self) -> u8 {
+        self.id
+    }
+
     /// Bytes of the whole frame.
     pub fn frame_len(&self) -> usize {
         self.payload.len().saturating_add(OVERHEAD)

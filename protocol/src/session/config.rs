@@ -1,6 +1,7 @@
 //! What can be set about a session: time-outs, subscriptions, read-back.
 
 use crate::command::CommandId;
+use crate::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use crate::types::AutoUpdate;
 
 /// Time-outs and subscriptions. All times in milliseconds.
@@ -32,6 +33,8 @@ pub struct Config {
     /// Whether Set Acceleration, Set Force Limit and Set Soft Limits are read back, because the checksum is weak. Such a
     /// request counts as answered only then, and another value than the one that was set as [`MISMATCH`](super::MISMATCH).
     pub verify_settings: bool,
+    /// How a FAST STOP is repeated until the gripper confirms it.
+    pub fast_stop: FastStopPattern,
     /// The commands with time-outs of their own, in place of `reply_timeout_ms` and `motion_timeout_ms`.
     pub timeouts: &'static [Timeout],
 }
@@ -57,6 +60,42 @@ pub struct Timeout {
     pub result_ms: u32,
 }
 
+/// How a FAST STOP is repeated until the gripper confirms it: one frame, then bursts with silent pauses between them.
+///
+/// A damaged length field makes a gripper wait for the rest of a frame that does not exist. A burst that is longer than any
+/// message ends that wait; so does a pause that is longer than the gripper's frame time-out, which the manual does not state.
+///
+/// ```
+/// use wsg_protocol::session::FastStopPattern;
+///
+/// // At 115 200 bit/s a burst takes 90 ms.
+/// let bytes = 8 * FastStopPattern::DEFAULT.burst_frames;
+/// assert!(bytes >= 1_024 + 2 * 8);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct FastStopPattern {
+    /// How long the answer to the first frame may take before the first burst, in milliseconds.
+    pub answer_ms: u32,
+    /// Frames in a burst, 8 bytes each.
+    pub burst_frames: u16,
+    /// Silence after a burst, in milliseconds.
+    pub pause_ms: u32,
+}
+
+impl FastStopPattern {
+    /// A burst after 30 ms that is longer than the longest message (1 024 bytes) and one more FAST STOP; a pause longer than
+    /// a frame time-out of half a second.
+    pub const DEFAULT: Self = Self {
+        answer_ms: 30,
+        burst_frames: (MAX_MESSAGE_LEN / FAST_STOP_LEN + 2) as u16,
+        pause_ms: 600,
+    };
+}
+
+/// Bytes of a FAST STOP: it has no payload.
+const FAST_STOP_LEN: usize = OVERHEAD;
+
 impl Config {
     /// For a serial line at 115 200 bit/s: silence is noticed in under a second. System state and gripper state only.
     ///
@@ -74,6 +113,7 @@ impl Config {
         speed: false,
         force: false,
         verify_settings: false,
+        fast_stop: FastStopPattern::DEFAULT,
         timeouts: &[
             Timeout { id: CommandId::Finger1Power, reply_ms: 200, result_ms: 2_000 },
             Timeout { id: CommandId::Finger2Power, reply_ms: 200, result_ms: 2_000 },

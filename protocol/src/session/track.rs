@@ -49,6 +49,8 @@ pub(super) struct Track {
     deadline: Option<Instant>,
     /// How often it was sent.
     sent: u8,
+    /// It is not sent again.
+    only_once: bool,
 }
 
 /// What a time-out came to.
@@ -60,20 +62,18 @@ pub(super) enum Expired {
     Repeated,
     /// It was sent often enough, or may not be sent again. It stays open for [`Track::abandon`].
     GivenUp,
+    /// Something more urgent was requested since, so it is not sent again. It stays open for [`Track::abandon`].
+    Overtaken,
 }
 
 impl Track {
     pub(super) const fn new() -> Self {
-        Self { request: None, deadline: None, sent: 0 }
+        Self { request: None, deadline: None, sent: 0, only_once: false }
     }
 
     /// Opens the track for this request, in place of the one before.
     pub(super) fn open(&mut self, request: Request) {
-        // A FAST STOP that is asked for again is the same one: the answer to the first serves.
-        if self.awaits(request.id()) {
-            return;
-        }
-        *self = Self { request: Some(request), deadline: None, sent: 0 };
+        *self = Self { request: Some(request), ..Self::new() };
     }
 
     pub(super) const fn close(&mut self) {
@@ -129,11 +129,30 @@ impl Track {
         Some(command)
     }
 
-    /// Has it sent again without a wait, if it is this.
-    pub(super) fn send_again(&mut self, id: CommandId) {
-        if self.awaits(id) {
-            self.deadline = None;
+    /// Counts a repetition that is due as sent, and does not send it: something else has the line to itself.
+    pub(super) fn hold(&mut self, now: Instant, config: &Config) {
+        if self.deadline.is_none()
+            && self.sent > 0
+            && let Some(request) = &self.request
+        {
+            self.deadline = Some(now.plus(config.reply_timeout(request.id())));
+            self.sent = self.sent.saturating_add(1);
         }
+    }
+
+    /// From now on the request is not sent again. One that is not sent yet stays as it is.
+    pub(super) const fn forbid_repeat(&mut self) {
+        self.only_once = true;
+    }
+
+    /// Whether its answer did not come in time at least once.
+    pub(super) const fn was_late(&self) -> bool {
+        self.request.is_some() && (self.sent > 1 || (self.sent == 1 && self.deadline.is_none()))
+    }
+
+    /// Its id if it was sent more than once, and until when an answer to the last time may come.
+    pub(super) fn doubled(&self) -> Option<(CommandId, Instant)> {
+        if self.sent > 1 { self.id().zip(self.deadline) } else { None }
     }
 
     /// Whether its answer should have come by now.
@@ -141,7 +160,7 @@ impl Track {
         self.deadline.is_some_and(|deadline| now.has_reached(deadline))
     }
 
-    /// Lets time pass; a request that may be repeated is, up to `attempts` times in all, a FAST STOP without end.
+    /// Lets time pass; a request that may be repeated is, up to `attempts` times in all.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
         let Some(request) = self.request.as_ref().filter(|_| self.is_overdue(now)) else {
             return Expired::No;
@@ -151,11 +170,15 @@ impl Track {
             self.close();
             return Expired::No;
         }
-        let repeat = is_repeatable && self.sent < attempts;
-        if repeat || request.id() == CommandId::FastStop {
-            self.deadline = None;
+        if is_repeatable && self.only_once {
+            return Expired::Overtaken;
         }
-        if repeat { Expired::Repeated } else { Expired::GivenUp }
+        if is_repeatable && self.sent < attempts {
+            self.deadline = None;
+            Expired::Repeated
+        } else {
+            Expired::GivenUp
+        }
     }
 
     /// Closes it and says what it was open for.
@@ -163,11 +186,6 @@ impl Track {
         let id = self.id();
         self.close();
         id
-    }
-
-    /// Closes it and says what it was open for, unless that has this id.
-    pub(super) fn abandon_unless(&mut self, id: CommandId) -> Option<CommandId> {
-        if self.awaits(id) { None } else { self.abandon() }
     }
 
     /// Closes it and says what it was open for, if that was never sent.

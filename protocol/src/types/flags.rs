@@ -83,6 +83,12 @@ bitflags! {
     }
 }
 
+impl SystemFlags {
+    /// The flags that keep a gripper from taking a motion command.
+    pub const LOCKS: Self =
+        Self::FAST_STOP.union(Self::TEMP_FAULT).union(Self::POWER_FAULT).union(Self::CURR_FAULT);
+}
+
 /// Requests: a reserved bit is refused. Replies: it is kept, for later firmware.
 macro_rules! bit_field {
     ($type:ident, $len:literal, $bits:ty, strict) => {

@@ -93,7 +93,7 @@ impl Controller {
 }
 
 /// Whether the gripper reports that its fingers stand.
-fn stands(known: &Known) -> bool {
+pub(super) fn stands(known: &Known) -> bool {
     known.flags.is_some() && !known.is_moving()
 }
 
