@@ -32,7 +32,7 @@ pub enum Commander {
 }
 
 /// Both sides, and what comes of them.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Arbiter {
     /// What the wires ask for; none before they have settled.
     wires: Option<OutputImage>,

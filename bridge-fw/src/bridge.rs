@@ -85,7 +85,7 @@ pub struct Counters {
 /// One bridge between the wires of a PLC, or its bus, and one gripper.
 ///
 /// Board-free: [`poll`](Self::poll) it in the main loop, at least once a millisecond.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Bridge {
     settings: Settings,
     parser: FrameParser<MAX_REPLY_LEN>,

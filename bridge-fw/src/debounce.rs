@@ -26,7 +26,7 @@ const LEAST_RELEASE_MS: u32 = 5;
 const _: () = assert!(GROUPS[0].union(GROUPS[1]).union(GROUPS[2]).bits() == Inputs::all().bits());
 
 /// Takes the levels as they are read, and gives those that have not changed for a time.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Debounce {
     period_ms: u32,
     /// The last reading; none before the first.
@@ -123,9 +123,8 @@ mod tests {
         for (period_ms, release_ms) in [(0, 5), (2, 5), (5, 5), (6, 6), (100, 100)] {
             let mut debounce = settled(period_ms);
             debounce.update(at(2_000), Inputs::empty());
-            let high_at = (2_001..3_000).find(|ms| {
-                debounce.update(at(*ms), Inputs::FAST_STOP_OK) == Some(Inputs::FAST_STOP_OK)
-            });
+            let high_at = (2_001..3_000)
+                .find(|ms| debounce.update(at(*ms), Inputs::FAST_STOP_OK) == Some(Inputs::FAST_STOP_OK));
             assert_eq!(high_at, Some(2_001 + release_ms), "{period_ms} ms");
         }
     }

@@ -21,7 +21,7 @@ const MOTION_STATES: GripperFlags =
     GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
 /// The wires between a PLC and the register images.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct DigitalIo {
     debounce: Debounce,
     recipes: [Recipe; RECIPE_COUNT],

@@ -496,6 +496,7 @@ fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
         wires |= Inputs::STOP_ACK;
         pass(10, wires, &[(0, &[1, NODE.node])]);
         wires -= Inputs::STOP_ACK;
+        pass(10, wires, &[]);
         wires |= Inputs::HOME;
         pass(10, wires, &[]);
         wires -= Inputs::HOME;

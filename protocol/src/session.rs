@@ -26,12 +26,14 @@
 //!
 //! ```
 //! use wsg_protocol::session::{Config, Notice, Session};
-//! use wsg_protocol::{Command, Instant};
+//! use wsg_protocol::{Command, CommandId, Instant};
 //!
 //! let mut session = Session::new(Config::DEFAULT);
 //! let now = Instant::from_millis(0);
 //! assert_eq!(session.tick(now), None);
-//! assert_eq!(session.poll_transmit(now), Some(Command::GetSystemInfo));
+//! // First of all it asks whether the fingers move.
+//! let first = session.poll_transmit(now).map(|command| command.id());
+//! assert_eq!(first, Some(CommandId::GetSystemState));
 //! // Not connected yet, so a motion is refused, not kept.
 //! assert!(session.request(Command::GripPart { width: 20.0, speed: 50.0 }).is_err());
 //! ```
@@ -152,7 +154,7 @@ struct Running {
 const RUNNING_LEN: usize = 3;
 
 /// The controller's side of a connection.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Session {
     config: Config,
     link: Link,
@@ -687,6 +689,9 @@ impl Session {
     fn close_one(&mut self, now: Instant) -> Notice<'static> {
         self.known = Known::NOTHING;
         self.refresh.close();
+        if let Some(id) = self.dropped.take() {
+            return Notice::Unanswered(id);
+        }
         if let Some(running) = self.running.iter_mut().find_map(Option::take) {
             return Notice::Unanswered(running.id);
         }

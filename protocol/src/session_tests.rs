@@ -1092,7 +1092,10 @@ fn fast_stop_times(desk: &mut Desk, ms: u32) -> Vec<(u32, usize)> {
 fn fast_stop_that_is_not_answered_goes_out_in_bursts_with_silence_between_them() {
     let mut desk = Desk::connected();
     desk.session.request(Command::FastStop).unwrap();
-    assert_eq!(fast_stop_times(&mut desk, 1_900), [(0, 1), (30, 130), (630, 130), (1_230, 130), (1_830, 130)]);
+    assert_eq!(
+        fast_stop_times(&mut desk, 1_900),
+        [(0, 1), (30, 130), (630, 130), (1_230, 130), (1_830, 130)]
+    );
     assert_eq!(desk.noticed("Disconnected"), 1, "and nothing else left before or behind that");
 }
 

@@ -194,6 +194,11 @@ impl Model {
                         self.lock = Lock::FastStopped;
                     }
                 }
+                // Whether the gripper shows the FAST STOP that it has answered.
+                Kind::Query => {
+                    assert_eq!(id, CommandId::GetSystemState);
+                    assert!(self.lock == Lock::FastStopped, "a question that nobody has");
+                }
                 kind => panic!("{id} is no command of a PLC, but {kind:?}"),
             }
         }

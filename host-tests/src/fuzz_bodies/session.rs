@@ -1,6 +1,6 @@
 //! The session against a small model: what was asked for, what of it has left, what has come to an end.
 
-use wsg_protocol::session::{Config, Notice, Session};
+use wsg_protocol::session::{Config, FastStopPattern, Notice, Session};
 use wsg_protocol::{
     Command, CommandId, Event, Frame, HomingDirection, Instant, Kind, PrePositionFlags, Reply, Status,
 };
@@ -35,6 +35,9 @@ struct Accepted {
     id: CommandId,
     sent: bool,
 }
+
+/// The most that a session has to say at one moment: a burst of FAST STOPs, and what waited behind it.
+const MOST_COMMANDS: usize = 16 + FastStopPattern::DEFAULT.burst_frames as usize;
 
 struct Model {
     session: Session,
@@ -117,7 +120,7 @@ impl Model {
         while let Some(command) = self.session.poll_transmit(now) {
             self.sent(command.id());
             commands += 1;
-            assert!(commands < 16, "the commands come to an end");
+            assert!(commands <= MOST_COMMANDS, "the commands come to an end");
         }
     }
 

@@ -5,13 +5,15 @@ mod jogging;
 
 use super::image::to_register;
 use super::jog::{Jog, Stage};
-use jogging::stands;
 use super::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use crate::command::{Command, CommandId};
 use crate::reply::{Reply, Value};
 use crate::session::{Known, Notice, RequestError};
-use crate::types::{AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits};
+use crate::types::{
+    AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
+};
 use heapless::Deque;
+use jogging::stands;
 
 /// The flags that begin a motion on their rising edge.
 const MOTIONS: CommandFlags =

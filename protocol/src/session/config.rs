@@ -86,11 +86,8 @@ pub struct FastStopPattern {
 impl FastStopPattern {
     /// A burst after 30 ms that is longer than the longest message (1 024 bytes) and one more FAST STOP; a pause longer than
     /// a frame time-out of half a second.
-    pub const DEFAULT: Self = Self {
-        answer_ms: 30,
-        burst_frames: (MAX_MESSAGE_LEN / FAST_STOP_LEN + 2) as u16,
-        pause_ms: 600,
-    };
+    pub const DEFAULT: Self =
+        Self { answer_ms: 30, burst_frames: (MAX_MESSAGE_LEN / FAST_STOP_LEN + 2) as u16, pause_ms: 600 };
 }
 
 /// Bytes of a FAST STOP: it has no payload.

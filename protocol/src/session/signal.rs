@@ -70,7 +70,7 @@ impl Signal {
 }
 
 /// What is subscribed to, and how.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Subscriptions {
     updates: [AutoUpdate; Signal::ALL.len()],
     /// Those that were changed while connected and that the gripper has not confirmed; one bit each.

@@ -41,7 +41,7 @@ impl Request {
 }
 
 /// A request on its way.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Track {
     /// None while the track is idle.
     request: Option<Request>,

@@ -1,0 +1,49 @@
+//! How long the gripper takes to stop while bytes on its line are lost, changed, doubled or added: a row for each set of
+//! cases, and a failure where one takes longer than its limit. Every millisecond and every byte:
+//!
+//! ```sh
+//! cargo run --release -p host-tests --example fast_stop
+//! ```
+//!
+//! `--every-fault` changes each byte to every other one, which takes forty times as long; `--stride N` tries every N-th.
+
+use std::process::ExitCode;
+
+use host_tests::fault_sweep::Sweep;
+
+fn main() -> ExitCode {
+    let (mut stride, mut every_fault) = (1, false);
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--every-fault" => every_fault = true,
+            "--stride" => match arguments.next().and_then(|value| value.parse().ok()) {
+                Some(value @ 1..) => stride = value,
+                _ => return refuse("--stride wants a number from 1"),
+            },
+            other => return refuse(&format!("{other}: expected --stride N or --every-fault")),
+        }
+    }
+    let mut is_held = true;
+    for sweep in Sweep::all(stride, every_fault) {
+        let times = sweep.run();
+        let Some((worst_ms, case)) = times.worst() else { continue };
+        println!(
+            "{}: {} cases, median {} ms, worst {worst_ms} ms of {} ms",
+            sweep.name,
+            times.cases(),
+            times.median_ms(),
+            sweep.limit_ms
+        );
+        if *worst_ms > sweep.limit_ms {
+            is_held = false;
+            println!("  does not stop in time: {case:?}");
+        }
+    }
+    if is_held { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn refuse(why: &str) -> ExitCode {
+    eprintln!("fast_stop: {why}");
+    ExitCode::FAILURE
+}
