@@ -136,6 +136,14 @@ impl GripperEnd {
         world.send(bytes);
     }
 
+    /// Lets the gripper receive bytes that the bridge never sent.
+    pub fn mislead(&self, bytes: &[u8]) {
+        let mut world = self.world();
+        let now = world.now();
+        let World { gripper, port, .. } = &mut *world;
+        gripper.receive(*port, now, bytes);
+    }
+
     fn world(&self) -> MutexGuard<'_, World> {
         lock(&self.shared.world)
     }

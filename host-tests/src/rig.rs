@@ -21,9 +21,9 @@ pub const PATIENCE: Duration = Duration::from_secs(10);
 /// How long a motion may take, at the real gripper's speed.
 pub const MOTION_PATIENCE: Duration = Duration::from_secs(60);
 
-/// How long a wire is held so that the bridge counts it, in the board's milliseconds: 2 ms of debouncing, and the turn
-/// of the main loop before and after.
-const HOLD_MS: u32 = 5;
+/// How long a wire is held so that the bridge counts it, in the board's milliseconds: 2 ms of debouncing, 5 ms until
+/// FAST_STOP_OK counts as high, and the turn of the main loop before and after.
+const HOLD_MS: u32 = 8;
 
 /// The bench.
 #[derive(Debug)]

@@ -4,9 +4,10 @@
 use std::path::PathBuf;
 
 use host_tests::rig::{PATIENCE, Rig, motions, names};
-use host_tests::trace::{Entry, Sequences, Trace};
+use host_tests::trace::{Entry, Sequences, Trace, frame_id};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
+use wsg_protocol::session::FastStopPattern;
+use wsg_protocol::{CommandId, FrameEncoder, Reply, Status, SystemFlags};
 use wsg_sim::{Config, Part};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
@@ -284,4 +285,33 @@ fn restarted_gripper_shows_that_homing_is_due() {
     assert!(!outputs.contains(Outputs::HOLDING), "{}", names(outputs));
     rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::READY | Outputs::LINK_OK).unwrap();
     assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
+}
+
+/// The image's queues and interrupts keep a burst together: what `fault_sweep` shows of the library in virtual time.
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist() {
+    let is_fast_stop =
+        |entry: &&Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes) == Some(0x23));
+    for high_byte_of_the_size in 1..=3 {
+        // It does not give up by itself, however slow this machine is.
+        let rig = homed(Config { frame_timeout_ms: 60_000, ..Config::default() });
+        rig.begin(Inputs::MOVE).unwrap();
+        rig.catch_up().unwrap();
+        let mark = rig.trace().mark();
+        rig.gripper().mislead(&[0xAA, 0xAA, 0xAA, 0x40, 0x03, high_byte_of_the_size]);
+        rig.set(Inputs::FAST_STOP_OK, false).unwrap();
+        let answered =
+            |entry: &Entry| matches!(entry, Entry::FromGripper(bytes) if frame_id(bytes) == Some(0x23));
+        assert!(rig.trace().wait(mark, PATIENCE, answered), "FAST STOP is not heard");
+        let state = rig.gripper().state();
+        assert!(state.flags.contains(SystemFlags::FAST_STOP) && state.speed == 0.0, "{state:?}");
+        let entries = rig.trace().since(mark);
+        let until = entries.iter().position(answered).unwrap();
+        let sent = entries[..until].iter().filter(is_fast_stop).count();
+        let burst = usize::from(FastStopPattern::DEFAULT.burst_frames);
+        assert!((2..=1 + burst).contains(&sent), "the first burst is enough: {sent}");
+        rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::ERROR)).unwrap();
+        rig.release_fast_stop().unwrap();
+    }
 }
