@@ -5,8 +5,9 @@ use crate::arbiter::{Arbiter, Commander};
 use crate::can::{BusReport, Node, Served};
 use crate::digital_io::DigitalIo;
 use crate::io::{Inputs, Outputs};
+use crate::liveness::{Liveness, Looked};
 use crate::log;
-use crate::modbus::{BusConfig, BusPort, CAN_REPORTS, ModbusSide, NoBus, Settings, Subjects};
+use crate::modbus::{BusConfig, BusPort, CAN_REPORTS, ModbusSide, NoBus, ResetCause, Settings, Subjects};
 use crate::recipe::{RECIPE_COUNT, RECIPES, Recipe};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
@@ -104,6 +105,9 @@ pub struct Bridge {
     link_is_lost: bool,
     /// What is reported about CAN.
     can: [u16; CAN_REPORTS],
+    /// Why the MCU was reset last.
+    reset_cause: ResetCause,
+    liveness: Liveness,
     /// The frame that is being sent.
     sending: Option<FrameEncoder<Command<'static>>>,
     /// The connection was given up in this turn. Nothing more leaves in it: first the link must let go of what it was given
@@ -129,6 +133,8 @@ impl Bridge {
             was_connected: false,
             link_is_lost: false,
             can: [0; CAN_REPORTS],
+            reset_cause: ResetCause::Unknown,
+            liveness: Liveness::new(),
             sending: None,
             gave_up: false,
             settings,
@@ -176,6 +182,7 @@ impl Bridge {
             self.transmit(now, link);
         }
         let gripper = self.shown();
+        self.liveness.look(Looked::OUTPUTS);
         self.wires.outputs(now, &gripper, self.session.is_connected())
     }
 
@@ -198,6 +205,24 @@ impl Bridge {
             }
         }
         self.link_is_lost = is_lost;
+    }
+
+    /// Whether the watchdog may be fed: since this was true last, time has passed, and wires, line, bus and outputs were
+    /// looked at. Ask once a turn, and feed the watchdog for no other reason.
+    ///
+    /// ```
+    /// use wsg_bridge_fw::{Bridge, Config};
+    ///
+    /// let mut bridge = Bridge::new(Config::DEFAULT);
+    /// assert!(!bridge.may_feed_watchdog(1), "no turn was made");
+    /// ```
+    pub fn may_feed_watchdog(&mut self, now_ms: u32) -> bool {
+        self.liveness.take(Instant::from_millis(now_ms))
+    }
+
+    /// Takes why the MCU was reset, for the register that reports it.
+    pub const fn set_reset_cause(&mut self, cause: ResetCause) {
+        self.reset_cause = cause;
     }
 
     /// Takes what is known of the CAN bus, for the registers that report it.
@@ -236,6 +261,9 @@ impl Bridge {
 
     fn receive<L: Read + ReadReady>(&mut self, now: Instant, link: &mut L) {
         let mut received = 0;
+        if link.read_ready().is_ok() {
+            self.liveness.look(Looked::LINE);
+        }
         while received < MAX_RECEIVED_PER_POLL && link.read_ready().unwrap_or(false) {
             let mut chunk = [0; 32];
             let Ok(count @ 1..) = link.read(&mut chunk) else { break };
@@ -274,6 +302,7 @@ impl Bridge {
     }
 
     fn take_wires(&mut self, now: Instant, inputs: Inputs) {
+        self.liveness.look(Looked::WIRES);
         let known = self.session.known();
         let unit = known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
         let is_ready = self.wires.is_ready();
@@ -305,6 +334,7 @@ impl Bridge {
                 bus: self.bus.counters(),
                 timeouts: self.bus_timeouts,
                 can: self.can,
+                reset_cause: self.reset_cause,
             };
             let was_heard = self.bus.is_heard();
             let settings = &mut self.settings;
@@ -324,6 +354,7 @@ impl Bridge {
                 self.controller.set_output(&image, self.session.known());
             }
         }
+        self.liveness.look(Looked::BUS);
         if self.bus.has_fallen_silent(now, self.settings.timeout_ms()) {
             self.lose_bus(true);
         }
@@ -350,6 +381,7 @@ impl Bridge {
     /// Serves what the node has heard, one thing after the other.
     #[cfg(feature = "can")]
     fn take_node(&mut self, now: Instant, node: &mut Node) {
+        self.liveness.look(Looked::BUS);
         for _ in 0..Node::MAX_SERVED_PER_TURN {
             let moving = self.controller.is_moving(self.session.known());
             let subjects = Subjects {
@@ -361,6 +393,7 @@ impl Bridge {
                 bus: self.bus.counters(),
                 timeouts: self.bus_timeouts,
                 can: self.can,
+                reset_cause: self.reset_cause,
             };
             match node.serve(now, moving, &subjects, &mut self.settings) {
                 Some(Served::Image(image)) => {

@@ -11,7 +11,7 @@ mod side;
 
 pub use config::{BusConfig, Format};
 pub use port::{BusPort, NoBus};
-pub use report::{FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report};
+pub use report::{FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
 pub use settings::{FIRST_SETTING, SETTINGS, Setting};
 pub use side::IDENTIFICATION;
 

@@ -19,6 +19,8 @@ pub struct Bench {
     /// The gripper and its line.
     pub far: SerialGripper,
     now_ms: u32,
+    /// The bridge's clock stands still.
+    is_frozen: bool,
     inputs: Inputs,
     outputs: Outputs,
 }
@@ -31,6 +33,7 @@ impl Bench {
             bridge: Bridge::new(Config::DEFAULT),
             far: SerialGripper::new(config),
             now_ms: 0,
+            is_frozen: false,
             inputs: Inputs::empty(),
             outputs: Outputs::empty(),
         }
@@ -69,6 +72,16 @@ impl Bench {
         self.bridge.counters()
     }
 
+    /// Resets the bridge: it has forgotten everything.
+    pub fn restart_bridge(&mut self) {
+        self.bridge = Bridge::new(Config::DEFAULT);
+    }
+
+    /// Lets the bridge's clock stand still from now on.
+    pub const fn freeze(&mut self) {
+        self.is_frozen = true;
+    }
+
     /// Switches the gripper off and on again: it has forgotten everything, and its clock starts anew.
     pub fn restart_gripper(&mut self, config: wsg_sim::Config) {
         self.far.restart(config, self.now());
@@ -89,7 +102,7 @@ impl Wires for Bench {
     }
 
     fn step(&mut self) {
-        self.now_ms += 1;
+        self.now_ms += u32::from(!self.is_frozen);
         self.outputs = self.bridge.poll(self.now_ms, self.inputs, &mut self.far.line);
         self.far.advance(self.now());
     }

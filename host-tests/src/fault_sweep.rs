@@ -489,15 +489,19 @@ impl Sweep {
     pub fn all(stride: usize, every_fault: bool) -> [Self; 5] {
         let sweep = |name, limit_ms, run| Self { name, limit_ms, stride, every_fault, run };
         [
-            sweep("FAST STOP wire, any one damaged byte of a grip cycle", 250, |sweep: &Sweep| {
-                sweep.one_fault(Scene::GripCycle)
-            }),
-            sweep("FAST STOP wire, one damaged byte long before", 250, Sweep::one_old_fault),
-            sweep("jog over Modbus ended by its flag, any one damaged byte", 250, |sweep: &Sweep| {
-                sweep.one_fault(Scene::Jog)
-            }),
-            sweep("FAST STOP wire, two damaged bytes", 1_500, Sweep::two_faults),
-            sweep("FAST STOP wire in noise, from the end of the noise", 1_000, Sweep::noise),
+            sweep(
+                "any one byte is lost, changed, doubled or added, at any time of a grip cycle",
+                250,
+                |sweep: &Sweep| sweep.one_fault(Scene::GripCycle),
+            ),
+            sweep("the same, up to two seconds before", 250, Sweep::one_old_fault),
+            sweep(
+                "the same, for the end of a jog over Modbus until the fingers stand",
+                250,
+                |sweep: &Sweep| sweep.one_fault(Scene::Jog),
+            ),
+            sweep("any two bytes are", 1_500, Sweep::two_faults),
+            sweep("noise, however strong: counted from its end", 1_000, Sweep::noise),
         ]
     }
 

@@ -1,10 +1,12 @@
 //! The bridge library and the virtual gripper in virtual time: what a PLC sees, and what must never happen.
 
 use host_tests::bench::Bench;
+use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
 use host_tests::wires::Wires;
 use proptest::prelude::*;
+use wsg_bridge_fw::Bridge;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{CommandId, FrameEncoder, Kind, Reply, Status};
+use wsg_protocol::{CommandId, FrameEncoder, Kind, Reply, Status, SystemFlags};
 use wsg_sim::{Config, Fault, Part};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
@@ -375,6 +377,166 @@ proptest! {
             bench.pass(2_000);
         }
         prop_assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    }
+}
+
+/// A line that only brings errors.
+struct DeadLine;
+
+impl embedded_io::ErrorType for DeadLine {
+    type Error = embedded_io::ErrorKind;
+}
+
+impl embedded_io::ReadReady for DeadLine {
+    fn read_ready(&mut self) -> Result<bool, Self::Error> {
+        Err(embedded_io::ErrorKind::Other)
+    }
+}
+
+impl embedded_io::Read for DeadLine {
+    fn read(&mut self, _: &mut [u8]) -> Result<usize, Self::Error> {
+        Err(embedded_io::ErrorKind::Other)
+    }
+}
+
+impl embedded_io::WriteReady for DeadLine {
+    fn write_ready(&mut self) -> Result<bool, Self::Error> {
+        Err(embedded_io::ErrorKind::Other)
+    }
+}
+
+impl embedded_io::Write for DeadLine {
+    fn write(&mut self, _: &[u8]) -> Result<usize, Self::Error> {
+        Err(embedded_io::ErrorKind::Other)
+    }
+
+    fn flush(&mut self) -> Result<(), Self::Error> {
+        Err(embedded_io::ErrorKind::Other)
+    }
+}
+
+#[test]
+fn watchdog_is_fed_once_for_each_turn_in_which_time_has_passed() {
+    let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
+    let mut line = SerialLine::with_room(BYTES_PER_MS);
+    for now_ms in 1..100 {
+        bridge.poll(now_ms, Inputs::empty(), &mut line);
+        assert!(bridge.may_feed_watchdog(now_ms));
+        assert!(!bridge.may_feed_watchdog(now_ms + 1), "no turn");
+    }
+    for _ in 0..1_000 {
+        bridge.poll(99, Inputs::empty(), &mut line);
+        assert!(!bridge.may_feed_watchdog(99), "time stands still");
+    }
+}
+
+#[test]
+fn watchdog_is_not_fed_while_the_line_cannot_be_looked_at() {
+    let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
+    for now_ms in 1..100 {
+        bridge.poll(now_ms, Inputs::FAST_STOP_OK, &mut DeadLine);
+        assert!(!bridge.may_feed_watchdog(now_ms));
+    }
+}
+
+#[test]
+fn fast_stop_leaves_although_the_clock_stands_still() {
+    let mut bench = Bench::homed(quick());
+    bench.take_sent();
+    bench.set(Inputs::FAST_STOP_OK, false);
+    bench.freeze();
+    bench.pass(3);
+    assert_eq!(bench.take_sent().first(), Some(&CommandId::FastStop));
+}
+
+#[test]
+fn fast_stop_wire_that_is_low_2_of_every_3_ms_or_1_of_5_stops_the_gripper() {
+    for (period, low) in [(3, 2), (5, 1)] {
+        let mut bench = Bench::homed(quick());
+        bench.set(Inputs::MOVE, true);
+        assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+        for ms in 0..50 {
+            bench.set(Inputs::FAST_STOP_OK, ms % period >= low);
+            bench.pass(1);
+        }
+        assert!(bench.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{low} of {period} ms");
+    }
+}
+
+#[test]
+fn edge_of_a_command_wire_while_ready_is_low_is_refused_also_while_busy_lasts_on() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.command(Inputs::MOVE);
+    bench.take_sent();
+    // The fingers are there already: BUSY for 50 ms all the same.
+    bench.set(Inputs::MOVE, true);
+    assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+    bench.pass(20);
+    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+    assert!(
+        bench.outputs().contains(Outputs::BUSY)
+            && !bench.gripper().state().flags.contains(SystemFlags::MOVING)
+    );
+    bench.set(Inputs::RELEASE, true);
+    bench.pass(100);
+    assert_eq!(bench.take_motions(), []);
+    assert!(bench.outputs().contains(Outputs::ERROR), "{:?}", bench.outputs());
+    bench.set(Inputs::MOVE | Inputs::RELEASE, false);
+    bench.pass(10);
+    assert_eq!(bench.command(Inputs::RELEASE), IDLE, "it is no lock");
+}
+
+#[test]
+fn bridge_that_is_reset_while_the_fingers_move_stops_them_and_shows_error() {
+    for time_scale in [1.0, 10.0] {
+        let mut bench = Bench::homed(Config { time_scale, ..Config::default() });
+        bench.set(Inputs::MOVE, true);
+        assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+        bench.pass(20);
+        bench.set(Inputs::MOVE, false);
+        bench.restart_bridge();
+        bench.take_sent();
+        bench.pass(30);
+        let sent = bench.take_sent();
+        assert_eq!(sent.iter().find(|id| id.kind() != Kind::Query), Some(&CommandId::Stop), "{sent:?}");
+        assert!(!bench.gripper().state().flags.contains(SystemFlags::MOVING));
+        let stands = bench.gripper().state().width;
+        assert!(bench.until(500, |outputs| outputs.contains(Outputs::LINK_OK)));
+        bench.pass(100);
+        assert!(bench.outputs().contains(Outputs::ERROR), "{:?}", bench.outputs());
+        assert_eq!(bench.gripper().state().width, stands);
+        assert_eq!(bench.command(Inputs::MOVE), IDLE);
+    }
+}
+
+#[test]
+fn bridge_that_is_reset_while_a_part_is_held_keeps_it() {
+    let mut bench = Bench::homed(with_part(20.0));
+    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    bench.restart_bridge();
+    bench.take_sent();
+    assert!(bench.until(500, |outputs| outputs == IDLE | Outputs::HOLDING), "{:?}", bench.outputs());
+    assert!(bench.take_sent().iter().all(|id| id.kind() == Kind::Query));
+}
+
+#[test]
+fn force_limit_of_a_motion_that_was_dropped_is_not_sent_again() {
+    for drops in [Inputs::STOP_ACK, Inputs::FAST_STOP_OK] {
+        let mut bench = Bench::homed(with_part(20.0));
+        bench.take_sent();
+        bench.far.to_gripper = Some(Box::new(Vec::clear));
+        bench.set(Inputs::GRIP, true);
+        bench.pass(10);
+        bench.set(drops, drops == Inputs::STOP_ACK);
+        bench.pass(50);
+        bench.far.to_gripper = None;
+        bench.pass(1_000);
+        let sent = bench.take_sent();
+        assert_eq!(
+            sent.iter().filter(|id| **id == CommandId::SetForceLimit).count(),
+            1,
+            "{drops:?}: {sent:?}"
+        );
     }
 }
 

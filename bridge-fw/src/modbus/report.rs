@@ -10,7 +10,7 @@ use wsg_protocol::session::Session;
 pub const FIRST_REPORT: u16 = 100;
 
 /// The version of the register map: the last register or meaning that was added or changed.
-pub const MAP_VERSION: u16 = 2;
+pub const MAP_VERSION: u16 = 3;
 
 /// An input register that reports on the bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,6 +56,7 @@ enum Subject {
     CanBusOffs,
     CanOverruns,
     CanDropped,
+    ResetCause,
 }
 
 const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> Report {
@@ -63,7 +64,7 @@ const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> 
 }
 
 /// The reports, from [`FIRST_REPORT`] on. Counters stop at 65 535.
-pub const REPORTS: [Report; 32] = [
+pub const REPORTS: [Report; 33] = [
     report("MAP_VERSION", Subject::MapVersion, "version of this register map"),
     report(
         "BRIDGE_VERSION",
@@ -116,6 +117,11 @@ pub const REPORTS: [Report; 32] = [
         Subject::CanDropped,
         "CAN: frames of the gripper that belonged to no intact message",
     ),
+    report(
+        "RESET_CAUSE",
+        Subject::ResetCause,
+        "why the bridge started: 0 unknown, 1 power-on or brown-out, 2 reset pin, 3 watchdog, 4 fault or panic of the firmware",
+    ),
 ];
 
 /// The subjects alone, so that the words of the table stay out of the image.
@@ -144,6 +150,22 @@ pub enum Link {
     Up,
 }
 
+/// Why the MCU was reset.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ResetCause {
+    /// The board does not say.
+    #[default]
+    Unknown,
+    /// Power-on, or a supply that was too low.
+    PowerOn,
+    /// The reset pin.
+    Pin,
+    /// The watchdog: the main loop did not come round, or not all of it.
+    Watchdog,
+    /// The firmware itself: a fault or a panic.
+    Firmware,
+}
+
 /// What the reports are about, at the moment of a request.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Subjects<'a> {
@@ -156,6 +178,7 @@ pub(crate) struct Subjects<'a> {
     pub(crate) timeouts: u16,
     /// The reports about CAN, in their order.
     pub(crate) can: [u16; CAN_REPORTS],
+    pub(crate) reset_cause: ResetCause,
 }
 
 /// How many reports are about CAN.
@@ -215,6 +238,7 @@ impl Subjects<'_> {
                 let place = (subject as usize).wrapping_sub(Subject::CanState as usize);
                 self.can.get(place).copied().unwrap_or(0)
             }
+            Subject::ResetCause => self.reset_cause as u16,
         })
     }
 }

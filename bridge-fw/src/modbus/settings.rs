@@ -78,7 +78,12 @@ pub const SETTINGS: [Setting; Place::Recipes as usize + RECIPE_COUNT * RECIPE_LE
         ),
         setting("BROADCAST", "", (0, 1), "1: broadcast writes count"),
         setting("SWAP_BYTES", "", (0, 1), "1: the bytes of the numbers in registers 0 to 5 change places"),
-        setting("DEBOUNCE", "ms", (0, 1_000), "how long a wire must keep its level"),
+        setting(
+            "DEBOUNCE",
+            "ms",
+            (0, 1_000),
+            "how long a wire must keep its level; a low FAST_STOP_OK counts at once, whatever is set here",
+        ),
         setting("MIN_BUSY", "ms", (0, 10_000), "how long the wire BUSY is high at the least"),
         setting(
             "HALF_FRAME",

@@ -1,6 +1,7 @@
 //! The wiring, recipes and times in README.md and docs/wiring.md.
 
 use crate::document::{hold, table};
+use host_tests::fault_sweep::Sweep;
 use wsg_bridge_fw::boards::b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Config, RECIPES};
@@ -82,6 +83,10 @@ fn times() -> String {
         ("a wire must keep its level", ms(debounce_ms)),
         ("`BUSY` is high for at least, unless an error ends it,", ms(min_busy_ms)),
         ("the first answer to a request may take", ms(session.reply_timeout_ms)),
+        ("the answer to a Stop may take, before it becomes a FAST STOP,", ms(session.timeouts[0].reply_ms)),
+        ("the answer to a FAST STOP may take, before a burst of them,", ms(session.fast_stop.answer_ms)),
+        ("FAST STOPs in a burst", session.fast_stop.burst_frames.to_string()),
+        ("silence behind a burst", ms(session.fast_stop.pause_ms)),
         ("times a repeatable request is sent before the link counts as lost", session.attempts.to_string()),
         ("the gripper's states are asked for again every", ms(session.refresh_ms)),
         ("a lost link is tried again every", ms(session.reconnect_ms)),
@@ -90,6 +95,11 @@ fn times() -> String {
         ("half a frame is given up after", ms(half_frame_ms)),
     ];
     table(["what", "how long, how often"], rows.map(|(what, value)| [what.to_owned(), value]))
+}
+
+fn fast_stop() -> String {
+    let rows = Sweep::all(1, false).map(|sweep| [sweep.name.to_owned(), format!("{} ms", sweep.limit_ms)]);
+    table(["when", "at most"], rows)
 }
 
 #[test]
@@ -104,6 +114,11 @@ fn recipes_in_the_documents_are_those_of_the_firmware() {
     let recipes = recipes();
     hold("README.md", "recipes", &recipes);
     hold("docs/wiring.md", "recipes", &recipes);
+}
+
+#[test]
+fn promises_about_fast_stop_are_those_that_the_sweep_holds() {
+    hold("docs/wiring.md", "fast-stop", &fast_stop());
 }
 
 #[test]

@@ -19,7 +19,7 @@ mod defmt_log {
     #[cfg(not(feature = "can-gripper"))]
     use core::sync::atomic::{AtomicU32, Ordering};
 
-    use stm32_metapac::RCC;
+    use wsg_bridge_fw::ResetCause;
 
     #[cfg(not(feature = "can-gripper"))]
     use crate::uart;
@@ -27,19 +27,16 @@ mod defmt_log {
 
     defmt::timestamp!("{=u32:ms}", tick::now_ms());
 
-    /// Says why the MCU was reset, and clears the cause for the next time.
-    pub(crate) fn boot() {
-        let cause = RCC.csr().read();
-        RCC.csr().modify(|w| w.set_rmvf(true));
-        // A reset also pulls the reset pin, and power-on is also a brown-out: the rarer cause first.
-        if cause.iwdgrstf() {
-            defmt::error!("boot: reset by the watchdog, the main loop did not come round");
-        } else if cause.sftrstf() {
-            defmt::error!("boot: reset by the firmware, a fault or a panic");
-        } else if cause.borrstf() {
-            defmt::info!("boot: power on");
-        } else {
-            defmt::info!("boot: reset pin");
+    /// Says why the MCU was reset.
+    pub(crate) fn boot(cause: ResetCause) {
+        match cause {
+            ResetCause::Watchdog => {
+                defmt::error!("boot: reset by the watchdog, the main loop did not come round")
+            }
+            ResetCause::Firmware => defmt::error!("boot: reset by the firmware, a fault or a panic"),
+            ResetCause::PowerOn => defmt::info!("boot: power on"),
+            ResetCause::Pin => defmt::info!("boot: reset pin"),
+            ResetCause::Unknown => defmt::info!("boot: for an unknown reason"),
         }
     }
 
@@ -79,7 +76,9 @@ mod defmt_log {
 
 #[cfg(not(feature = "defmt"))]
 mod no_log {
-    pub(crate) fn boot() {}
+    use wsg_bridge_fw::ResetCause;
+
+    pub(crate) fn boot(_: ResetCause) {}
     pub(crate) fn no_clock() {}
     pub(crate) fn running() {}
     pub(crate) fn line_errors() {}

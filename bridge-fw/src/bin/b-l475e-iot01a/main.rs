@@ -24,6 +24,7 @@ mod log;
 #[cfg(any(not(feature = "can-gripper"), feature = "can-over-slcan"))]
 mod not_ready;
 mod pins;
+mod reset;
 #[cfg(all(feature = "can-over-slcan", any(feature = "can-gripper", feature = "can-plc")))]
 mod slcan_uart;
 mod tick;
@@ -51,7 +52,9 @@ fn main() -> ! {
     // Outputs first: they show "not ready" through everything that may go wrong below.
     let mut pins = pins::init();
     let Some(core) = cortex_m::Peripherals::take() else { SCB::sys_reset() };
-    log::boot();
+    let reset_cause = reset::take_cause();
+    BRIDGE.set_reset_cause(reset_cause);
+    log::boot(reset_cause);
     let watchdog = watchdog::start();
     if clock::start().is_err() {
         log::no_clock();
@@ -82,7 +85,9 @@ fn main() -> ! {
         #[cfg(all(feature = "can-gripper", feature = "can-plc"))]
         let outputs = CAN.turn(BRIDGE, now_ms, inputs);
         pins.write(outputs);
-        watchdog.feed();
+        if BRIDGE.may_feed_watchdog(now_ms) {
+            watchdog.feed();
+        }
         log::line_errors();
         sleep_unless(|| tick::now_ms() != now_ms || has_received());
     }
