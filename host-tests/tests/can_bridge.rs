@@ -1,12 +1,12 @@
 //! The gripper on CAN, in virtual time: a grip cycle, lost and doubled frames, bus-off and the way back.
 
 use embedded_can::{ExtendedId, Frame, StandardId};
-use host_tests::can_bench::CanBench;
+use host_tests::can_bench::{CanBench, Disturbance};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{BusOffPolicy, BusState};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::CommandId;
 use wsg_protocol::can::{ClassicFrame, Identifiers};
+use wsg_protocol::{CommandId, SystemFlags};
 use wsg_sim::{Config, Part};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
@@ -334,4 +334,73 @@ fn overruns_and_refusals_of_the_controller_are_counted_and_got_over() {
     let counters = bench.bus().counters();
     assert_eq!(counters.overruns, 1);
     assert!(counters.refused > 0);
+}
+
+/// What happens to one frame.
+#[derive(Clone, Copy, Debug)]
+enum FrameFault {
+    Lost,
+    Doubled,
+    /// Somebody else sends the head of a long message with the same identifier before it.
+    Misled,
+}
+
+/// Lets the fault hit the frame of this number, counted from now.
+fn hit(fault: FrameFault, number: usize) -> Disturbance {
+    let mut count = 0;
+    Box::new(move |frame: ClassicFrame| {
+        count += 1;
+        match fault {
+            _ if count != number + 1 => vec![frame],
+            FrameFault::Lost => vec![],
+            FrameFault::Doubled => vec![frame, frame],
+            FrameFault::Misled => {
+                let head = [0xAA, 0xAA, 0xAA, 0x40, 0x03, 0x03, 0, 0];
+                vec![ClassicFrame::new(frame.id(), &head).unwrap(), frame]
+            }
+        }
+    })
+}
+
+#[test]
+fn fast_stop_over_can_is_heard_in_250_ms_whatever_frame_is_lost_doubled_or_foreign() {
+    const FRAMES: usize = 12;
+    let mut bench = CanBench::homed(Config { time_scale: 10.0, ..Config::default() }, BusOffPolicy::DEFAULT);
+    let mut worst = 0;
+    let mut case = 0;
+    for fault in [FrameFault::Lost, FrameFault::Doubled, FrameFault::Misled] {
+        for to_gripper in [true, false] {
+            for number in 0..FRAMES {
+                for low_after in [0, 1, 2, 3, 5, 8, 20] {
+                    case += 1;
+                    bench.set(Inputs::RECIPE0, case % 2 == 0);
+                    bench.set(Inputs::GRIP, true);
+                    let disturbance = Some(hit(fault, number));
+                    if to_gripper {
+                        bench.to_gripper = disturbance;
+                    } else {
+                        bench.to_bridge = disturbance;
+                    }
+                    bench.pass(low_after);
+                    bench.set(Inputs::FAST_STOP_OK, false);
+                    let stopped = (1..=1_000).find(|_| {
+                        bench.pass(1);
+                        bench.gripper().state().flags.contains(SystemFlags::FAST_STOP)
+                    });
+                    let ms = stopped.unwrap_or(1_001);
+                    worst = worst.max(ms);
+                    assert!(
+                        ms <= 250,
+                        "{fault:?} of frame {number}, to the gripper: {to_gripper}, {low_after} ms: {ms} ms"
+                    );
+                    (bench.to_gripper, bench.to_bridge) = (None, None);
+                    bench.set(Inputs::GRIP, false);
+                    bench.set(Inputs::FAST_STOP_OK, true);
+                    bench.pass(1_500);
+                    bench.get_ready();
+                }
+            }
+        }
+    }
+    assert!(worst > 30, "some cases need a burst: {worst} ms");
 }
