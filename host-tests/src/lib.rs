@@ -18,6 +18,7 @@
 //! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
+//! | [`uninterrupted`] | reads and writes that a signal cannot fail |
 //! | [`wires`] | what a PLC does with the wires of a bench |
 //!
 //! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
@@ -47,4 +48,5 @@ pub mod serial_gripper;
 #[cfg(unix)]
 pub mod terminal;
 pub mod trace;
+pub mod uninterrupted;
 pub mod wires;

@@ -2,8 +2,9 @@
 
 use crate::figures::{Durations, Verdict};
 use crate::sim::{Setup, Sim, ask, frame};
+use crate::uninterrupted;
 use anyhow::{Result, anyhow};
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Write};
 use std::net::{TcpStream, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -90,7 +91,7 @@ fn flood(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     while !ended.load(Ordering::Relaxed) {
         let mut all_full = true;
         for stream in &mut streams {
-            match stream.write(&requests) {
+            match uninterrupted::write(&mut *stream, &requests) {
                 Ok(_) => all_full = false,
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                 Err(error) => return Err(error.into()),
@@ -118,7 +119,7 @@ fn flood_udp(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     let request = frame(Command::GetSystemLimits);
     while !ended.load(Ordering::Relaxed) {
         // What the system has no room for is lost.
-        let _ = socket.send_to(&request, sim.udp);
+        let _ = uninterrupted::send_to(&socket, &request, sim.udp);
     }
     Ok(())
 }
@@ -129,7 +130,7 @@ fn come_and_go(sim: &Sim, ended: &AtomicBool) -> Result<()> {
         let mut stream = sim.connect()?;
         stream.write_all(&frame(Command::Stop))?;
         // One too many is closed at once; then there is nothing to read.
-        let _ = stream.read(&mut [0; 64]);
+        let _ = uninterrupted::read(&stream, &mut [0; 64]);
         thread::sleep(Duration::from_millis(1));
     }
     Ok(())

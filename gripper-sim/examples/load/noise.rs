@@ -1,6 +1,7 @@
 //! Random bytes on every port, with checksums evaluated and without: it must not fail, and must still answer.
 
 use crate::sim::{PATIENCE, Random, Setup, Sim, frame};
+use crate::uninterrupted;
 use anyhow::{Context, Result, anyhow, ensure};
 use std::fs::OpenOptions;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -66,8 +67,8 @@ fn disturb(sim: &Sim, setup: Setup<'_>, seed: u64, lasting: Duration) -> Result<
         Box::new(move |run| say_and_leave(modbus, run)),
         Box::new(move |run| say_and_leave(control, run)),
         // What the system has no room for is lost.
-        Box::new(move |run| socket.send_to(run, udp).map_or(Ok(()), |_| Ok(()))),
-        Box::new(move |run| gcl_socket.send_to(run, gcl_udp).map_or(Ok(()), |_| Ok(()))),
+        Box::new(move |run| uninterrupted::send_to(&socket, run, udp).map_or(Ok(()), |_| Ok(()))),
+        Box::new(move |run| uninterrupted::send_to(&gcl_socket, run, gcl_udp).map_or(Ok(()), |_| Ok(()))),
         Box::new(move |run| Ok(serial.write_all(run)?)),
     ];
     thread::scope(|scope| {
@@ -131,7 +132,7 @@ fn say_and_leave(to: SocketAddr, run: &[u8]) -> Result<()> {
     stream.set_write_timeout(Some(PATIENCE))?;
     // It may be closed for what was said.
     let _ = stream.write_all(run);
-    let _ = stream.read(&mut [0; 4_096]);
+    let _ = uninterrupted::read(&stream, &mut [0; 4_096]);
     Ok(())
 }
 
@@ -166,9 +167,9 @@ fn answers_udp(sim: &Sim, remote: &UdpSocket) -> Result<()> {
     let start = Instant::now();
     let mut datagram = [0; 2_048];
     while start.elapsed() < PATIENCE {
-        remote.send_to(&question()?, sim.udp)?;
+        uninterrupted::send_to(remote, &question()?, sim.udp)?;
         // Answers to the noise come first.
-        while let Ok(len) = remote.recv(&mut datagram) {
+        while let Ok((len, _)) = uninterrupted::recv_from(remote, &mut datagram) {
             if contains(&datagram[..len], SOUGHT) {
                 return Ok(());
             }
@@ -209,8 +210,8 @@ fn answers_gcl_udp(sim: &Sim) -> Result<()> {
     let start = Instant::now();
     let mut datagram = [0; 2_048];
     while start.elapsed() < PATIENCE {
-        socket.send_to(b"DEVTYPE?\n", sim.gcl_udp)?;
-        if let Ok(len) = socket.recv(&mut datagram) {
+        uninterrupted::send_to(&socket, b"DEVTYPE?\n", sim.gcl_udp)?;
+        if let Ok((len, _)) = uninterrupted::recv_from(&socket, &mut datagram) {
             ensure!(
                 datagram[..len].starts_with(b"DEVTYPE="),
                 "the answer is another: {:02X?}",
@@ -229,7 +230,7 @@ fn answers_serial(sim: &Sim, setup: Setup<'_>) -> Result<()> {
     let (bytes, incoming) = mpsc::channel();
     thread::spawn(move || {
         let mut buffer = [0; 4_096];
-        while let Ok(len @ 1..) = reader.read(&mut buffer) {
+        while let Ok(len @ 1..) = uninterrupted::read(&mut reader, &mut buffer) {
             if bytes.send(buffer[..len].to_vec()).is_err() {
                 break;
             }

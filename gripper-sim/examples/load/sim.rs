@@ -1,5 +1,6 @@
 //! The gripper in a process of its own, and clients of it.
 
+use crate::uninterrupted;
 use anyhow::{Context, Result, ensure};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -125,6 +126,12 @@ impl Sim {
         Ok(ticks.iter().sum::<f64>() / CLOCK_TICKS)
     }
 
+    /// How long its threads had work and no processor so far, in seconds.
+    pub(crate) fn waited_s(&self) -> Result<f64> {
+        let tasks = std::fs::read_dir(format!("/proc/{}/task", self.process.id()))?;
+        tasks.map(|task| waited_s(&task?.path())).sum()
+    }
+
     /// Memory in use, in KiB.
     pub(crate) fn rss_kib(&self) -> Result<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.id()))?;
@@ -150,6 +157,19 @@ impl Drop for Sim {
     }
 }
 
+/// How long this thread had work and no processor so far, in seconds.
+pub(crate) fn own_wait_s() -> Result<f64> {
+    waited_s("/proc/thread-self".as_ref())
+}
+
+/// The same of the thread with this directory. A kernel that does not count it (without `CONFIG_SCHED_INFO`) has a 0 there,
+/// or no file.
+fn waited_s(thread: &Path) -> Result<f64> {
+    let Ok(schedstat) = std::fs::read_to_string(thread.join("schedstat")) else { return Ok(0.0) };
+    let nanos: f64 = schedstat.split_whitespace().nth(1).context("the kernel's format")?.parse()?;
+    Ok(nanos / 1e9)
+}
+
 pub(crate) fn frame(command: Command<'_>) -> Vec<u8> {
     FrameEncoder::new(command.id().code(), command).collect()
 }
@@ -161,7 +181,7 @@ pub(crate) fn ask(stream: &mut (impl Read + Write), command: Command<'_>, answer
     let mut seen = 0;
     let mut buffer = [0; 1_024];
     while seen < answers {
-        let len = stream.read(&mut buffer)?;
+        let len = uninterrupted::read(&mut *stream, &mut buffer)?;
         ensure!(len > 0, "the gripper closed the connection");
         for byte in &buffer[..len] {
             let is_answer = |event| matches!(event, Event::Frame(frame) if frame.id == command.id().code());
