@@ -106,7 +106,10 @@ mod interface {
                     sent?;
                     waiting.pop_front();
                 }
-                received = socket.read_frame() => receive(client, identifiers, &received?),
+                received = socket.read_frame() => match received {
+                    Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                    received => receive(client, identifiers, &received?),
+                },
                 () = client.frame_waits(), if next.is_none() => {}
             }
         }
@@ -118,6 +121,7 @@ mod interface {
         loop {
             match socket.write_frame(frame).await {
                 Err(error) if error.raw_os_error() == Some(ENOBUFS) => sleep(RETRY).await,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 result => return result,
             }
         }

@@ -2,8 +2,9 @@
 
 use super::can;
 use super::hub::Client;
+use super::stream;
 use std::io;
-use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::task::yield_now;
 use wsg_protocol::can::slcan::{Adapter, Decoder, Line, encode};
 use wsg_protocol::can::{ClassicFrame, Identifiers};
@@ -50,11 +51,11 @@ pub(super) async fn serve(
             }
         }
         tokio::select! {
-            written = writer.write(&waiting), if !waiting.is_empty() => match written? {
+            written = stream::write(&mut writer, &waiting), if !waiting.is_empty() => match written? {
                 0 => return Err(io::ErrorKind::WriteZero.into()),
                 count => drop(waiting.drain(..count)),
             },
-            read = reader.read(&mut chunk) => match read? {
+            read = stream::read(&mut reader, &mut chunk) => match read? {
                 0 => return Ok(()),
                 count => {
                     for &byte in chunk.iter().take(count) {

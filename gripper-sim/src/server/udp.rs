@@ -12,6 +12,11 @@ use tokio::task::yield_now;
 /// The longest datagram there is.
 const DATAGRAM_LEN: usize = 65_535;
 
+/// A signal, or what the system tells about an earlier datagram that found nobody.
+const fn is_of_the_past(error: ErrorKind) -> bool {
+    matches!(error, ErrorKind::Interrupted | ErrorKind::ConnectionRefused | ErrorKind::ConnectionReset)
+}
+
 /// `remote_port`: where answers go; `None`: to the port that asked. `kind` says which protocol is spoken.
 pub(super) async fn serve(
     hub: Rc<Hub>,
@@ -39,8 +44,7 @@ pub(super) async fn serve(
                     // A client that sends without end gets no more than its turn.
                     yield_now().await;
                 }
-                // The system tells about an earlier datagram that found nobody.
-                Err(error) if matches!(error.kind(), ErrorKind::ConnectionRefused | ErrorKind::ConnectionReset) => {}
+                Err(error) if is_of_the_past(error.kind()) => {}
                 Err(error) => return Err(error).context("UDP receives no more"),
             },
             () = client.frame_waits() => {}
