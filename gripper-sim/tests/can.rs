@@ -3,7 +3,8 @@
 
 mod common;
 
-use common::grip;
+use common::program::Program;
+use common::{grip, uninterrupted};
 use embedded_can::{Frame, Id, StandardId};
 use rustix::fs::{Mode, OFlags};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
@@ -11,7 +12,7 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::process::{Command as Process, Stdio};
+use std::process::Command as Process;
 use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
@@ -22,7 +23,7 @@ use wsg_sim::server::{CanBus, CanLine, Lines, SerialLine, ServerThread};
 use wsg_sim::{Config, Part};
 
 /// The longest that anything may take here.
-const BOUND: Duration = Duration::from_secs(10);
+const BOUND: Duration = Duration::from_secs(60);
 /// So that motions take no time to speak of.
 const QUICK: f32 = 100.0;
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
@@ -58,7 +59,7 @@ impl<S: Write> Controller<S> {
             let mut decoder = Decoder::new();
             let mut chunk = [0; 64];
             // Ends with the line, or with the test.
-            while let Ok(count @ 1..) = reader.read(&mut chunk) {
+            while let Ok(count @ 1..) = uninterrupted::read(&mut reader, &mut chunk) {
                 for &byte in &chunk[..count] {
                     if decoder.push(byte).is_some_and(|line| sender.send(line).is_err()) {
                         return;
@@ -249,16 +250,9 @@ fn slcan_behind_a_device_the_gripper_is_the_host_and_opens_the_channel() {
     drop(served);
 }
 
-/// `wsg-sim` with these arguments, ended when dropped.
-fn run(arguments: &[&str]) -> Process {
-    let mut process = Process::new(env!("CARGO_BIN_EXE_wsg-sim"));
-    process.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    process
-}
-
 #[test]
 fn interface_that_does_not_exist_is_named_in_one_line() {
-    let ended = run(&["--can", "nocan0"]).output().unwrap();
+    let ended = Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(["--can", "nocan0"]).output().unwrap();
     let error = String::from_utf8(ended.stderr).unwrap();
     assert_eq!(ended.status.code(), Some(1));
     assert!(error.starts_with("wsg-sim: the CAN interface nocan0 cannot be opened"), "{error}");
@@ -267,21 +261,11 @@ fn interface_that_does_not_exist_is_named_in_one_line() {
 
 #[test]
 fn program_says_where_the_slcan_line_is() {
-    let mut child = run(&["--slcan", "pty", "--can-id", "0x345"]).spawn().unwrap();
-    let mut announced = String::new();
-    let mut stdout = child.stdout.take().unwrap();
-    let mut byte = [0];
-    while announced.lines().filter(|line| line.starts_with("can ")).count() == 0 || !announced.ends_with('\n')
-    {
-        assert_eq!(stdout.read(&mut byte).unwrap(), 1, "ended after {announced:?}");
-        announced.push(byte[0].into());
-    }
-    let path = announced.lines().find_map(|line| line.strip_prefix("can ")).unwrap();
-    let terminal = open_terminal(Path::new(path));
+    let mut program = Program::start(&["--slcan", "pty", "--can-id", "0x345"]);
+    assert_eq!(program.line(), "model wsg50-110");
+    let terminal = open_terminal(Path::new(&program.place_of("can")));
     let mut controller = Controller::new(terminal.try_clone().unwrap(), terminal);
     controller.open();
     controller.send(Command::GetTemperature);
     assert_eq!(controller.recv().0, 0x46);
-    child.kill().unwrap();
-    child.wait().unwrap();
 }

@@ -1,15 +1,18 @@
 //! The text protocol over real sockets, and the binary. Every wait is bounded by a time-out of the socket.
 #![cfg(feature = "std")]
 
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{SocketAddr, TcpStream, UdpSocket};
-use std::process::{Command as Process, Stdio};
+mod common;
+
+use common::program::Program;
+use common::uninterrupted;
+use std::io::Write;
+use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
 use std::time::Duration;
 use wsg_sim::server::{Lines, Log, ServerThread};
 use wsg_sim::{Config, Part};
 
 /// The longest that anything may take here.
-const BOUND: Duration = Duration::from_secs(10);
+const BOUND: Duration = Duration::from_secs(60);
 
 fn any_port() -> Option<SocketAddr> {
     "127.0.0.1:0".parse().ok()
@@ -17,8 +20,9 @@ fn any_port() -> Option<SocketAddr> {
 
 /// So that motions take no time to speak of.
 const QUICK: f32 = 100.0;
-/// So that a motion's end does not come before its begin has been read, on a machine that has other things to do.
-const READABLE: f32 = 4.0;
+/// So that a motion takes more than a second: its end does not come before its begin has been read, on a machine that has
+/// other things to do.
+const READABLE: f32 = 0.5;
 
 fn serve(config: Config, log: Option<Log>) -> ServerThread {
     serve_at(QUICK, config, log)
@@ -47,7 +51,7 @@ impl Client {
     /// The one line that one read gives.
     fn recv(&mut self) -> String {
         let mut buffer = [0; 1_024];
-        let len = self.0.read(&mut buffer).expect("an answer in time");
+        let len = uninterrupted::read(&self.0, &mut buffer).expect("an answer in time");
         let text = str::from_utf8(&buffer[..len]).unwrap();
         let line = text.strip_suffix('\n').expect("a read gives a whole line");
         assert!(!line.contains('\n'), "one read gives one line: {text:?}");
@@ -73,7 +77,7 @@ fn ack_and_fin_are_separate_segments() {
     assert_eq!(client.run("home()"), "FIN HOME");
     assert_eq!(client.run("grip(40, 20)"), "FIN GRIP");
     assert_eq!(client.ask("gripstate?"), "GRIPSTATE=4");
-    assert_eq!(client.run("release(5)"), "FIN RELEASE");
+    assert_eq!(client.run("release(30, 40)"), "FIN RELEASE");
     assert_eq!(client.ask("bye()"), "ACK BYE");
 }
 
@@ -84,19 +88,16 @@ fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
     let mut first = Client::new(address);
     let mut watcher = Client::new(address);
     assert_eq!(first.ask("bye()"), "ACK BYE");
-    drop(first);
-    std::thread::sleep(Duration::from_millis(100));
+    // The server's end of the connection closes after ours: then it has noticed.
+    first.0.shutdown(Shutdown::Write).unwrap();
+    assert_eq!(uninterrupted::read(&first.0, &mut [0]).unwrap(), 0);
     assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=0");
-    drop(Client::new(address));
-    for _ in 0..100 {
-        if watcher.ask("sysflags[12]?") == "SYSFLAGS[12]=1" {
-            assert_eq!(watcher.ask("fsack()"), "ACK FSACK");
-            assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=0");
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    panic!("no FAST STOP");
+    let second = Client::new(address);
+    second.0.shutdown(Shutdown::Write).unwrap();
+    assert_eq!(uninterrupted::read(&second.0, &mut [0]).unwrap(), 0);
+    assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=1");
+    assert_eq!(watcher.ask("fsack()"), "ACK FSACK");
+    assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=0");
 }
 
 #[test]
@@ -107,8 +108,8 @@ fn datagrams_are_answered_to_the_port_that_asked() {
     let mut buffer = [0; 1_024];
     // With the end of the line and without it.
     for line in ["devtype?\r\n", "devtype?"] {
-        socket.send_to(line.as_bytes(), served.gcl_udp_address().unwrap()).unwrap();
-        let (len, from) = socket.recv_from(&mut buffer).unwrap();
+        uninterrupted::send_to(&socket, line.as_bytes(), served.gcl_udp_address().unwrap()).unwrap();
+        let (len, from) = uninterrupted::recv_from(&socket, &mut buffer).expect("an answer in time");
         assert_eq!(&buffer[..len], b"DEVTYPE=\"WSG 50-110\"\n");
         assert_eq!(Some(from), served.gcl_udp_address());
     }
@@ -133,20 +134,13 @@ fn log_shows_lines_as_they_are() {
 
 #[test]
 fn program_serves_the_text_protocol_and_says_where() {
-    let mut program = Process::new(env!("CARGO_BIN_EXE_wsg-sim"))
-        .args(["--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0", "--time-scale", "4"])
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut said = BufReader::new(program.stdout.take().unwrap()).lines().map(Result::unwrap);
-    assert_eq!(said.next().unwrap(), "model wsg50-110");
-    let gcl = said.next().unwrap();
-    let address: SocketAddr = gcl.strip_prefix("gcl ").expect("where GCL is served").parse().unwrap();
-    assert!(said.next().unwrap().starts_with("gcl-udp "));
+    let arguments = ["--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0", "--time-scale", "0.5"];
+    let mut program = Program::start(&arguments);
+    assert_eq!(program.line(), "model wsg50-110");
+    let address = program.place_of("gcl").parse().unwrap();
+    program.place_of("gcl-udp").parse::<SocketAddr>().unwrap();
     // As the manual's chapter 1.4 types it.
     let mut client = Client::new(address);
     assert_eq!(client.run("HOME()\r"), "FIN HOME");
     assert_eq!(client.ask("BYE()\r"), "ACK BYE");
-    program.kill().unwrap();
-    program.wait().unwrap();
 }

@@ -5,18 +5,17 @@
 
 mod common;
 
-use common::parse;
+use common::program::Program;
+use common::{parse, uninterrupted};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::process::{Command as Process, Stdio};
-use std::thread;
 use std::time::{Duration, Instant};
 use wsg_protocol::{Command, FrameEncoder};
 use wsg_sim::server::{Lines, Log, ServerThread};
 use wsg_sim::{Config, Part};
 
 /// The longest that anything may take here.
-const BOUND: Duration = Duration::from_secs(10);
+const BOUND: Duration = Duration::from_secs(60);
 
 const GSTATE: [u8; 5] = [4, 0, 0, 0, 1];
 const IDLE: u8 = 0x01;
@@ -99,7 +98,7 @@ impl Master {
         let end = Instant::now() + BOUND;
         loop {
             match self.status() {
-                26 if Instant::now() < end => thread::sleep(Duration::from_millis(1)),
+                26 if Instant::now() < end => {}
                 status => return status,
             }
         }
@@ -225,16 +224,23 @@ fn length_that_no_frame_has_closes_the_connection_once_all_before_it_is_answered
 #[test]
 fn masters_that_never_read_or_stop_in_mid_frame_leave_the_others_alone() {
     let served = serve(Lines::default());
-    let mut deaf = vec![];
-    for _ in 0..20 {
-        let mut master = Master::of(&served);
-        master.stream.set_write_timeout(Some(Duration::from_millis(50))).unwrap();
-        let requests = frame(1, 1, &[43, 14, 1, 0]).repeat(500);
-        // Until the gripper takes no more of it.
-        while let Ok(count) = master.stream.write(&requests) {
-            assert!(count > 0);
+    let request = frame(1, 1, &[43, 14, 1, 0]);
+    let requests = request.repeat(500);
+    let mut deaf: Vec<Master> = (0..5).map(|_| Master::of(&served)).collect();
+    let mut master = Master::of(&served);
+    for deaf in &deaf {
+        deaf.stream.set_nonblocking(true).unwrap();
+        let (mut written, mut stuck) = (0, 0);
+        // Until the gripper takes no more of it, however often it has its turn.
+        while stuck < 20 {
+            match uninterrupted::write(&deaf.stream, &requests[written % request.len()..]) {
+                Ok(count) => (written, stuck) = (written + count, 0),
+                Err(error) if error.kind() == ErrorKind::WouldBlock => stuck += 1,
+                Err(error) => panic!("{error}"),
+            }
+            assert_eq!(master.gstate(), IDLE);
         }
-        deaf.push(master);
+        deaf.stream.set_nonblocking(false).unwrap();
     }
     let halves: Vec<Master> = (0..20)
         .map(|n| {
@@ -244,7 +250,6 @@ fn masters_that_never_read_or_stop_in_mid_frame_leave_the_others_alone() {
         })
         .collect();
     let begin = Instant::now();
-    let mut master = Master::of(&served);
     for _ in 0..200 {
         assert_eq!(master.gstate(), IDLE);
     }
@@ -308,7 +313,7 @@ fn binary_text_and_modbus_clients_see_one_gripper() {
     let mut answers = |command: Command<'_>| {
         binary.write_all(&FrameEncoder::new(command.id().code(), command).collect::<Vec<u8>>()).unwrap();
         let mut buffer = [0; 256];
-        let len = binary.read(&mut buffer).unwrap();
+        let len = uninterrupted::read(&binary, &mut buffer).unwrap();
         parse(&buffer[..len]).remove(0).1
     };
     const STATE: Command<'static> = Command::GetGripperState { update: wsg_protocol::AutoUpdate::once() };
@@ -374,22 +379,15 @@ fn log_shows_frames_with_their_function_and_exception() {
 
 #[test]
 fn program_serves_modbus_and_says_where() {
-    let mut program = Process::new(env!("CARGO_BIN_EXE_wsg-sim"))
-        .args(["--modbus", "127.0.0.1:0", "--modbus-swap-bytes", "--time-scale", "100"])
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut said = BufReader::new(program.stdout.take().unwrap()).lines().map(Result::unwrap);
-    assert_eq!(said.next().unwrap(), "model wsg50-110");
-    let modbus = said.next().unwrap();
-    let address = modbus.strip_prefix("modbus ").expect("where Modbus is served").parse().unwrap();
-    let mut master = Master::new(address);
+    let arguments = ["--modbus", "127.0.0.1:0", "--modbus-swap-bytes", "--time-scale", "100"];
+    let mut program = Program::start(&arguments);
+    assert_eq!(program.line(), "model wsg50-110");
+    let mut master = Master::new(program.place_of("modbus").parse().unwrap());
     master.ask(&[6, 0, 0, 0, 0]);
     master.ask(&[6, 0, 0, 0x08, 0]);
+    let start = Instant::now();
     while master.ask(&[4, 0, 5, 0, 1]) != [4, 2, 0, 0] {
-        thread::sleep(Duration::from_millis(1));
+        assert!(start.elapsed() < BOUND, "homing does not end");
     }
     assert_eq!(master.ask(&[4, 0, 3, 0, 1]), [4, 2, 0xF8, 0x2A], "110.00 mm, low byte first");
-    program.kill().unwrap();
-    program.wait().unwrap();
 }

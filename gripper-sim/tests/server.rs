@@ -2,12 +2,13 @@
 
 mod common;
 
-use common::{grip, parse};
-use std::io::{self, BufRead, BufReader, Read, Write};
+use common::program::Program;
+use common::{grip, parse, uninterrupted};
+use std::io::{self, Read, Write};
 use std::net::{TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
-use std::process::{Command as Process, Stdio};
+use std::process::Command as Process;
 use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -16,9 +17,12 @@ use wsg_sim::server::{Lines, Log, SerialLine, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
 /// The longest that anything may take here.
-const BOUND: Duration = Duration::from_secs(10);
+const BOUND: Duration = Duration::from_secs(60);
 /// So that motions take no time to speak of.
 const QUICK: f32 = 100.0;
+/// So that a motion takes more than a second: its end does not come before its begin has been read, on a machine that has
+/// other things to do.
+const READABLE: f32 = 0.5;
 
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
@@ -58,7 +62,7 @@ impl<S: Read + Write> Client<S> {
 
     fn recv_payload(&mut self) -> (u8, Vec<u8>) {
         let mut buffer = [0; 4 * MAX_FRAME_LEN];
-        let len = self.0.read(&mut buffer).expect("an answer in time");
+        let len = uninterrupted::read(&mut self.0, &mut buffer).expect("an answer in time");
         let frames = parse(&buffer[..len]);
         assert_eq!(frames.len(), 1, "one read gives one frame: {:02X?}", &buffer[..len]);
         assert_eq!(frames[0].1.len() + 8, len, "and nothing else");
@@ -96,8 +100,7 @@ fn scratch(name: &str) -> PathBuf {
 #[test]
 fn tcp_pending_and_result_are_separate_segments() {
     let part = Part::of_width(20.0);
-    // Slow enough for the two answers to be read one by one.
-    let served = serve_tcp(Config { time_scale: 2.0, part, ..Config::default() });
+    let served = serve_tcp(Config { time_scale: READABLE, part, ..Config::default() });
     let mut client = connect(&served);
     assert_eq!(client.ask(Command::ACKNOWLEDGE), Status::Success);
     assert_eq!(client.run(HOMING), Status::Success);
@@ -138,7 +141,7 @@ fn tcp_announced_close_latches_nothing() {
     assert_eq!(client.ask(Command::Stop), Status::AccessDenied);
     // The server's end of the connection closes after ours: then it has noticed.
     client.0.shutdown(std::net::Shutdown::Write).unwrap();
-    assert_eq!(client.0.read(&mut [0; 1]).unwrap(), 0);
+    assert_eq!(uninterrupted::read(&client.0, &mut [0]).unwrap(), 0);
     assert!(!watcher.flags().contains(SystemFlags::FAST_STOP));
 }
 
@@ -152,7 +155,7 @@ fn tcp_client_that_floods_and_never_reads_leaves_the_others_alone() {
     let mut client = connect(&served);
     let start = Instant::now();
     while stuck < 20 {
-        match (&flood.0).write(&requests) {
+        match uninterrupted::write(&flood.0, &requests) {
             Ok(_) => {}
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => stuck += 1,
             Err(error) => panic!("{error}"),
@@ -186,14 +189,14 @@ fn tcp_connection_too_many_is_closed_and_a_place_that_gets_free_is_given_again()
     for client in &mut clients {
         assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
     }
-    assert_eq!(connect(&served).0.read(&mut [0; 1]).unwrap(), 0);
+    assert_eq!(uninterrupted::read(connect(&served).0, &mut [0]).unwrap(), 0);
     drop(clients.pop());
     let start = Instant::now();
     loop {
         let mut next = connect(&served);
         next.send(Command::GetForceLimit);
         // It may come before the place is free; then it is closed, too.
-        if matches!(next.0.read(&mut [0; MAX_FRAME_LEN]), Ok(1..)) {
+        if matches!(uninterrupted::read(&next.0, &mut [0; MAX_FRAME_LEN]), Ok(1..)) {
             break;
         }
         assert!(start.elapsed() < BOUND, "the place is never free");
@@ -236,7 +239,7 @@ fn random_bytes_on_every_port_leave_it_answering() {
             let _ = TcpStream::connect(served.control_address().unwrap()).unwrap().write_all(&noise());
             let _ = UnixStream::connect(served.serial_path().unwrap()).unwrap().write_all(&noise());
             for datagram in noise().chunks(700) {
-                udp.send_to(datagram, served.udp_address().unwrap()).unwrap();
+                uninterrupted::send_to(&udp, datagram, served.udp_address().unwrap()).unwrap();
             }
         }
         assert_eq!(connect(&served).ask(Command::GetForceLimit), Status::Success);
@@ -263,7 +266,7 @@ fn tcp_pipelined_requests_are_all_answered_in_order() {
     let mut buffer = [0; 4_096];
     let expected = 500 * (42 + 10);
     while bytes.len() < expected {
-        let len = client.0.read(&mut buffer).expect("all answers in time");
+        let len = uninterrupted::read(&client.0, &mut buffer).expect("all answers in time");
         bytes.extend_from_slice(&buffer[..len]);
     }
     let ids: Vec<u8> = parse(&bytes).into_iter().map(|(id, _)| id).collect();
@@ -298,9 +301,9 @@ fn udp_answers_go_to_the_fixed_remote_port_whatever_port_asked() {
     let mut buffer = [0; 2_048];
     for (command, answers) in [(Command::GetForceLimit, 1), (HOMING, 2), (Command::DisconnectAnnouncement, 1)]
     {
-        sender.send_to(&frame(command), served.udp_address().unwrap()).unwrap();
+        uninterrupted::send_to(&sender, &frame(command), served.udp_address().unwrap()).unwrap();
         for _ in 0..answers {
-            let len = listener.recv(&mut buffer).expect("an answer in time");
+            let (len, _) = uninterrupted::recv_from(&listener, &mut buffer).expect("an answer in time");
             let frames = parse(&buffer[..len]);
             assert_eq!(frames.len(), 1, "one frame in a datagram");
             assert_eq!(frames[0].0, command.id().code());
@@ -312,7 +315,7 @@ fn udp_answers_go_to_the_fixed_remote_port_whatever_port_asked() {
 fn unix_socket_is_a_serial_line() {
     let path = scratch("line");
     let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
-    let config = Config { time_scale: 2.0, ..Config::default() };
+    let config = Config { time_scale: READABLE, ..Config::default() };
     let served = serve(config, lines);
     let stream = UnixStream::connect(served.serial_path().unwrap()).unwrap();
     stream.set_read_timeout(Some(BOUND)).unwrap();
@@ -413,20 +416,13 @@ fn binary_refuses_what_cannot_be_served_in_one_line() {
 
 #[test]
 fn binary_serves_until_it_is_interrupted() {
-    let mut process = Process::new(env!("CARGO_BIN_EXE_wsg-sim"))
-        .args(["--tcp", "127.0.0.1:0", "--model", "wsg32", "--time-scale", "50"])
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(process.stdout.take().unwrap()).lines().map(Result::unwrap);
-    assert_eq!(lines.next().as_deref(), Some("model wsg32"));
-    let address = lines.next().unwrap().strip_prefix("tcp ").unwrap().parse().unwrap();
+    let mut program = Program::start(&["--tcp", "127.0.0.1:0", "--model", "wsg32", "--time-scale", "50"]);
+    assert_eq!(program.line(), "model wsg32");
+    let address = program.place_of("tcp").parse().unwrap();
     let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
     stream.set_read_timeout(Some(BOUND)).unwrap();
     assert_eq!(Client(&stream).ask(Command::GetSystemInfo), Status::Success);
-    let killed = Process::new("kill").args(["-INT", &process.id().to_string()]).status().unwrap();
-    assert!(killed.success());
-    assert!(process.wait().unwrap().success());
+    assert!(program.interrupt().success());
 }
 
 #[test]
@@ -440,7 +436,7 @@ fn log_file_shows_a_frame_while_its_client_is_still_there() {
     let shown = || std::fs::read_to_string(&path).unwrap().contains("22h Stop E_SUCCESS\n");
     while !shown() {
         assert!(start.elapsed() < BOUND, "the frame is not shown");
-        thread::sleep(Duration::from_millis(1));
+        assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
     }
     std::fs::remove_file(&path).unwrap();
 }

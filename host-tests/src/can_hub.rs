@@ -3,7 +3,7 @@
 //! What one says all others hear, in the order in which it comes. The board is on a line without answers; whoever is on
 //! the masters' line is the host of an adapter.
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::sync::mpsc::{self, Sender};
 use std::thread;
@@ -12,6 +12,8 @@ use anyhow::{Context, Result};
 use embedded_can::{Frame, Id};
 use wsg_protocol::can::slcan::{Adapter, Decoder, Line, encode};
 use wsg_protocol::can::{ClassicFrame, Identifiers, Segmenter};
+
+use crate::uninterrupted;
 
 /// Who is on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,10 +65,10 @@ impl CanHub {
     }
 }
 
-fn listen(station: Station, mut line: UnixStream, sender: Sender<Said>) -> Result<()> {
+fn listen(station: Station, line: UnixStream, sender: Sender<Said>) -> Result<()> {
     let run = move || {
         let mut chunk = [0; 256];
-        while let Ok(count @ 1..) = line.read(&mut chunk) {
+        while let Ok(count @ 1..) = uninterrupted::read(&line, &mut chunk) {
             if sender.send((station, chunk[..count].to_vec())).is_err() {
                 return;
             }

@@ -1,6 +1,6 @@
 //! The gripper's end of the line: a virtual gripper in real time, and a line that can be cut and disturbed.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,6 +13,7 @@ use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time,
 
 use crate::faulty_link::FaultyWay;
 use crate::trace::{Entry, Trace};
+use crate::uninterrupted;
 
 /// The longest time between two looks at the clock: what a part or a fault sets off shows at most this late.
 const LOOK_AROUND: Duration = Duration::from_millis(5);
@@ -73,7 +74,7 @@ impl GripperEnd {
         };
         let shared = Arc::new(Shared { world: Mutex::new(world), over: AtomicBool::new(false) });
         let serving = Arc::clone(&shared);
-        let thread = thread::Builder::new().name("gripper".into()).spawn(move || serve(&serving, reader))?;
+        let thread = thread::Builder::new().name("gripper".into()).spawn(move || serve(&serving, &reader))?;
         Ok(Self { shared, thread: Some(thread) })
     }
 
@@ -166,16 +167,13 @@ fn switch_on(config: Config) -> Result<(VirtualGripper<1>, PortId)> {
 }
 
 /// Passes bytes and time to the gripper until this end is dropped or the other one hangs up.
-fn serve(shared: &Shared, mut line: UnixStream) {
+fn serve(shared: &Shared, line: &UnixStream) {
     let mut chunk = [0; 256];
     while !shared.over.load(Ordering::Relaxed) {
         let wait = lock(&shared.world).until_next_wake().clamp(Duration::from_micros(100), LOOK_AROUND);
-        let received = line.set_read_timeout(Some(wait)).and_then(|()| line.read(&mut chunk));
-        let bytes = match received {
-            Ok(0) => return,
-            Ok(count) => chunk.get(..count).unwrap_or(&[]),
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => &[],
-            Err(_) => return,
+        let bytes = match uninterrupted::read_within(line, &mut chunk, wait) {
+            Ok(Some(0)) | Err(_) => return,
+            Ok(count) => chunk.get(..count.unwrap_or(0)).unwrap_or(&[]),
         };
         lock(&shared.world).turn(bytes);
     }

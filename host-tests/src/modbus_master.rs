@@ -3,12 +3,14 @@
 //! It knows what the MODBUS specifications say of requests and answers, and nothing of the server's code but the
 //! checksum, which a test holds to the `crc` crate and to other masters.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use wsg_protocol::modbus::rtu::crc;
+
+use crate::uninterrupted;
 
 /// How long an answer may take: the emulator runs as fast as its host lets it.
 const PATIENCE: Duration = Duration::from_millis(1_000);
@@ -32,12 +34,9 @@ pub struct Master {
 
 impl Master {
     /// A master on this line.
-    ///
-    /// # Errors
-    /// When the line takes no time-out.
-    pub fn new(line: UnixStream, unit: u8) -> Result<Self> {
-        line.set_read_timeout(Some(PAUSE))?;
-        Ok(Self { line, unit, retries: 0 })
+    #[must_use]
+    pub const fn new(line: UnixStream, unit: u8) -> Self {
+        Self { line, unit, retries: 0 }
     }
 
     /// Hands the line back, without a time-out.
@@ -128,11 +127,9 @@ impl Master {
 
     fn receive(&mut self) -> Result<Vec<u8>> {
         let mut chunk = [0; 256];
-        match self.line.read(&mut chunk) {
-            Ok(0) => bail!("the board went off"),
-            Ok(count) => Ok(chunk[..count].to_vec()),
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => Ok(vec![]),
-            Err(error) => Err(error.into()),
+        match uninterrupted::read_within(&self.line, &mut chunk, PAUSE)? {
+            Some(0) => bail!("the board went off"),
+            count => Ok(chunk[..count.unwrap_or(0)].to_vec()),
         }
     }
 }

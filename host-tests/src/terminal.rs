@@ -3,7 +3,7 @@
 //! It refuses parity: masters must be told 8N1 or 8N2. The emulated line knows neither rate nor parity.
 
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::thread;
@@ -25,7 +25,7 @@ impl Terminal {
     ///
     /// # Errors
     /// When the system gives none.
-    pub fn to(line: UnixStream) -> Result<Self> {
+    pub fn to(mut line: UnixStream) -> Result<Self> {
         let master: OwnedFd = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
         grantpt(&master)?;
         unlockpt(&master)?;
@@ -38,20 +38,11 @@ impl Terminal {
         let mut raw = tcgetattr(&other_end)?;
         raw.make_raw();
         tcsetattr(&other_end, OptionalActions::Now, &raw)?;
-        let (from_masters, from_board) = (File::from(master), line.try_clone()?);
-        let to_masters = from_masters.try_clone()?;
-        thread::spawn(move || pump(from_masters, line));
-        thread::spawn(move || pump(from_board, to_masters));
+        let (mut from_masters, mut from_board) = (File::from(master), line.try_clone()?);
+        let mut to_masters = from_masters.try_clone()?;
+        // Each until an end is gone.
+        thread::spawn(move || io::copy(&mut from_masters, &mut line));
+        thread::spawn(move || io::copy(&mut from_board, &mut to_masters));
         Ok(Self { path, _other_end: other_end })
-    }
-}
-
-/// Copies until an end is gone.
-fn pump(mut from: impl Read, mut to: impl Write) {
-    let mut chunk = [0; 256];
-    while let Ok(count @ 1..) = from.read(&mut chunk) {
-        if to.write_all(&chunk[..count]).is_err() {
-            return;
-        }
     }
 }

@@ -6,6 +6,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
+use host_tests::uninterrupted;
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
 use wsg_protocol::driver::{self, Clock, Error, Grip, OnBlock, Protocol};
 use wsg_protocol::{GripperState, HomingDirection, Status, SystemFlags, session};
@@ -13,7 +14,7 @@ use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
 
 /// The longest that anything may take here.
-const BOUND: Duration = Duration::from_secs(10);
+const BOUND: Duration = Duration::from_secs(60);
 
 /// A loaded machine may let the server wait for longer than a gripper ever would.
 const PATIENT: driver::Config = driver::Config {
@@ -44,7 +45,7 @@ impl ErrorType for Tcp {
 
 impl ReadReady for Tcp {
     fn read_ready(&mut self) -> io::Result<bool> {
-        match self.0.peek(&mut [0]) {
+        match uninterrupted::peek(&self.0, &mut [0]) {
             Ok(_) => Ok(true),
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => Ok(false),
             Err(error) => Err(error),
@@ -54,13 +55,13 @@ impl ReadReady for Tcp {
 
 impl Read for Tcp {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        io::Read::read(&mut self.0, buffer)
+        uninterrupted::read(&self.0, buffer)
     }
 }
 
 impl Write for Tcp {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        io::Write::write(&mut self.0, bytes)
+        uninterrupted::write(&self.0, bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {

@@ -31,7 +31,7 @@ impl Plant {
         board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
         let trace = Trace::new(vec![]);
         let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
-        let master = Master::new(board.take_modbus_line().unwrap(), UNIT).unwrap();
+        let master = Master::new(board.take_modbus_line().unwrap(), UNIT);
         let mut plant = Self { _board: board, gripper, trace, master };
         let bound = Instant::now() + Duration::from_secs(20);
         while plant.ask(&[4, 0, 0, 0, 6])[0] != 4 {

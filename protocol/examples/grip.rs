@@ -36,16 +36,22 @@ impl ErrorType for Tcp {
 }
 
 impl ReadReady for Tcp {
+    #[expect(clippy::disallowed_methods, reason = "a signal is taken for silence, and the driver asks again")]
     fn read_ready(&mut self) -> io::Result<bool> {
+        use ErrorKind::{Interrupted, TimedOut, WouldBlock};
         match self.0.peek(&mut [0]) {
             Ok(_) => Ok(true),
-            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => Ok(false),
+            Err(error) if matches!(error.kind(), WouldBlock | TimedOut | Interrupted) => Ok(false),
             Err(error) => Err(error),
         }
     }
 }
 
 impl Read for Tcp {
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "the driver reads what is there: no wait, so no signal ends it"
+    )]
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         io::Read::read(&mut self.0, buffer)
     }
@@ -53,7 +59,7 @@ impl Read for Tcp {
 
 impl Write for Tcp {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        io::Write::write(&mut self.0, bytes)
+        io::Write::write_all(&mut self.0, bytes).map(|()| bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {

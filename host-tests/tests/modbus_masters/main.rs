@@ -37,7 +37,7 @@ fn plant() -> Plant {
     let trace = Trace::new(vec![]);
     let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
     let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
-    let mut master = Master::new(board.take_modbus_line().unwrap(), 1).unwrap();
+    let mut master = Master::new(board.take_modbus_line().unwrap(), 1);
     let bound = Instant::now() + Duration::from_secs(20);
     while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
         assert!(Instant::now() < bound, "the gripper does not answer");
