@@ -1,10 +1,6 @@
 //! No panic can be reached: firmware and protocol link with a panic handler that calls what nobody defines.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    process::{Command, Stdio},
-};
+use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail, ensure};
 
@@ -17,14 +13,9 @@ use crate::{
 /// What the panic handler calls.
 const UNDEFINED: &str = "a_panic_can_be_reached";
 
-/// The programs that call every public function of the protocol crate: name, features, what they stand for.
-const PROGRAMS: [(&str, &str, &str); 5] = [
-    ("protocol", "on-target", "protocol, every public function of the binary protocol and the fieldbus"),
-    ("gcl", "on-target", "protocol's module gcl, every public function"),
-    ("modbus", "modbus", "protocol's module modbus, every public function"),
-    ("can", "can", "protocol's module can, every public function"),
-    ("driver", "drivers", "protocol's blocking driver over both protocols, every public function"),
-];
+/// The program that holds every public function of the protocol crate.
+const FUNCTIONS: &str = "functions";
+const FEATURES: &str = "every-function,on-target";
 
 /// Whether a panic can be reached in a program.
 #[derive(Debug, PartialEq)]
@@ -37,13 +28,11 @@ enum Outcome {
 
 /// Checks firmware and protocol at both opt-levels, and the check itself on a program that panics.
 pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
-    let functions = public_functions::of_folder(&probes.workspace.root.join("protocol/src"))?;
-    let called = PROGRAMS.map(|(name, _, _)| read(&source_of(probes, name)));
-    let called = called.into_iter().collect::<Result<String>>()?;
-    let missing = public_functions::missing_in(&functions, &called);
+    let functions = public_functions::of_crate(probes.workspace)?;
+    let missing = public_functions::missing(&functions, &public_functions::of_probe(probes.workspace)?);
     ensure!(
         missing.is_empty(),
-        "public functions that no program of host-tests/probes calls, so nobody knows whether they can panic: {}",
+        "public functions that host-tests/probes/src/bin/functions does not name, so nobody knows whether they can panic: {}",
         missing.join(", ")
     );
     for profile in Profile::ALL {
@@ -53,16 +42,15 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
             control == Outcome::Panics,
             "the program that panics links at {level}: this check checks nothing"
         );
-        for (name, features, what) in PROGRAMS {
-            hold(what, level, &mut probes.cargo("build", name, features, profile))?;
-        }
+        let what = "protocol, every public function";
+        hold(what, level, &mut probes.cargo("build", FUNCTIONS, FEATURES, profile))?;
         hold("firmware", level, &mut firmware_build(probes, profile))?;
     }
     println!(
         "panic paths: 0 in the firmware and in {} public functions of the protocol, at opt-level s and 3 (not \
          proved: text for persons, Display and Debug, which is core::fmt's; and the async driver's futures: one that is \
          polled after its end panics, by the language's rule)",
-        functions.len()
+        functions.values().sum::<usize>()
     );
     Ok(())
 }
@@ -94,14 +82,6 @@ fn outcome(build: &mut Command) -> Result<Outcome> {
         return Ok(Outcome::Panics);
     }
     bail!("the build fails for another reason than a panic:\n{said}");
-}
-
-fn source_of(probes: &Probes<'_>, name: &str) -> PathBuf {
-    probes.workspace.root.join(format!("host-tests/probes/src/bin/{name}.rs"))
-}
-
-fn read(path: &Path) -> Result<String> {
-    fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }
 
 #[cfg(test)]

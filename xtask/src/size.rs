@@ -63,14 +63,14 @@ fn within(image: &Image, flash_limit: u64) -> Result<Vec<Gate>> {
 pub(crate) fn of_protocol(probes: &Probes<'_>) -> Result<Vec<Gate>> {
     let empty = probes.footprint("empty", "on-target")?;
     let frame = probes.footprint("frame", "on-target")?.over(empty);
-    let protocol = probes.footprint("protocol", "on-target")?.over(empty);
+    let protocol = probes.footprint("functions", "protocol,on-target")?.over(empty);
     let text = probes.footprint("text", "text")?.over(empty);
-    let gcl = probes.footprint("gcl", "on-target")?.over(empty);
-    let modbus = probes.footprint("modbus", "modbus")?.over(empty);
-    let driver = probes.footprint("driver", "drivers")?.over(empty);
+    let gcl = probes.footprint("functions", "gcl,on-target")?.over(empty);
+    let modbus = probes.footprint("functions", "modbus,on-target")?.over(empty);
+    let driver = probes.footprint("functions", "drivers,on-target")?.over(empty);
     let small_empty = probes.footprint("empty", "on-target,small-table")?;
     let small_frame = probes.footprint("frame", "on-target,small-table")?.over(small_empty);
-    println!("  the blocking driver, every method, with all it needs: {} B", driver.flash);
+    println!("  the drivers, every method of both protocols, with all they need: {} B", driver.flash);
     println!("  text for persons (Display of commands and replies, core::fmt): {} B", text.flash);
     Ok(vec![
         Gate::bytes("parser and encoder, flash with table", frame.flash, FRAME_LIMIT)

@@ -139,7 +139,7 @@ impl Checks<'_> {
             "wsg-probes",
             "--bins",
             "--features",
-            "bench,drivers,modbus",
+            "bench,every-function",
             "--profile",
             "firmware",
         ]);

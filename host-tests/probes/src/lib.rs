@@ -4,7 +4,7 @@
 //! beside the program `empty`. It links only if no panic can be reached in it (`cargo xtask panics`).
 #![no_std]
 
-#[cfg(any(feature = "bench", feature = "modbus"))]
+#[cfg(feature = "modbus")]
 pub mod gripper;
 #[cfg(feature = "on-target")]
 mod on_target;

@@ -1,0 +1,106 @@
+//! Both drivers, over both protocols. Of the async one only what does not wait: a future that is polled after its end panics.
+
+use core::convert::Infallible;
+use core::hint::black_box;
+
+use wsg_protocol::driver::{Binary, Clock, Error, Gcl, Grip, MotionResult, Pending, Timer, asynch, blocking};
+use wsg_protocol::gcl::session::RequestError as GclRequestError;
+use wsg_protocol::session::RequestError;
+use wsg_protocol::{Instant, Refusal};
+
+use crate::transport::Line;
+use crate::{function, functions};
+
+/// Any clock.
+struct Time;
+
+impl Clock for Time {
+    fn now(&mut self) -> Instant {
+        Instant::from_millis(black_box(0))
+    }
+}
+
+impl Timer for Time {
+    async fn wait_until(&mut self, moment: Instant) {
+        black_box(moment);
+    }
+}
+
+impl embedded_io_async::Read for Line {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        embedded_io::Read::read(self, buffer)
+    }
+}
+
+impl embedded_io_async::Write for Line {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        embedded_io::Write::write(self, bytes)
+    }
+
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+pub(crate) fn every_function() {
+    blocking();
+    asynch();
+}
+
+/// The methods that wait in neither driver.
+macro_rules! without_waiting {
+    ($($gripper:ty),+) => {
+        functions! { $(
+            $gripper: is_connected, known, motion, owes_fast_stop, counters, subscribe, replace_io, into_io;
+        )+ }
+    };
+}
+
+/// The methods that wait.
+macro_rules! waiting {
+    ($($gripper:ty),+) => {
+        functions! { $(
+            $gripper: connect, announce_disconnect, next_update, loop_back, raw;
+            $gripper: home, move_to, move_by, grip, release, stop, fast_stop, acknowledge;
+            $gripper: begin_home, begin_move_to, begin_move_by, begin_grip, begin_release;
+            $gripper: acceleration, set_acceleration, force_limit, set_force_limit, soft_limits, set_soft_limits;
+            $gripper: clear_soft_limits, set_overdrive, tare, tag, set_tag;
+            $gripper: system_state, state, statistics, width, speed, force, temperature, system_info, limits;
+            $gripper: finger_info, finger_flags, set_finger_power, finger_data;
+        )+ }
+        $(
+            function!(<$gripper>::poll::<Grip>);
+            function!(<$gripper>::wait::<Grip>);
+            function!(<$gripper>::poll::<()>);
+            function!(<$gripper>::wait::<()>);
+        )+
+    };
+}
+
+fn blocking() {
+    type OverBinary = blocking::GripperOver<Line, Time, Binary>;
+    type OverGcl = blocking::GripperOver<Line, Time, Gcl>;
+    without_waiting!(OverBinary, OverGcl);
+    waiting!(OverBinary, OverGcl);
+    functions! {
+        OverBinary: new, with_config;
+        OverGcl: new, with_config;
+        OverGcl: clamping_travel, set_clamping_travel, part_width_tolerance, set_part_width_tolerance;
+        Error<Infallible>: culprit;
+        Pending<()>: id, clone;
+        Grip: from_status;
+    }
+    function!(<Error<Infallible> as From<RequestError>>::from);
+    function!(<Error<Infallible> as From<Refusal>>::from);
+    function!(<Error<Infallible> as From<GclRequestError>>::from);
+}
+
+fn asynch() {
+    type OverBinary = asynch::GripperOver<Line, Time, Binary>;
+    type OverGcl = asynch::GripperOver<Line, Time, Gcl>;
+    without_waiting!(OverBinary, OverGcl);
+    functions! {
+        OverBinary: new, with_config;
+        OverGcl: new, with_config;
+    }
+}
