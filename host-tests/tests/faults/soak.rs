@@ -17,7 +17,10 @@ const SEED_VARIABLE: &str = "WSG_SOAK_SEED";
 
 const BYTE_ERRORS: f64 = 1e-4;
 /// In the short run more go wrong, or there would be nothing to see.
-const BYTE_ERRORS_SHORT: f64 = 1e-3;
+const BYTE_ERRORS_SHORT: f64 = 5e-4;
+
+/// How many of the commands must be done for all that, in percent: carried out, and the result shown.
+const DONE_PERCENT: usize = 95;
 
 /// A wire, the command that its edge asks for, and how the gripper is when it was done.
 type Job = (Inputs, CommandId, fn(&State) -> bool);
@@ -62,7 +65,7 @@ fn soak_on_a_faulty_line_loses_nothing_and_does_nothing_twice() {
     );
     assert_eq!(told.done + told.trouble + told.not_taken, commands);
     assert!(counts.iter().all(|way| way.faults() > 0), "{counts:?}");
-    assert!(told.done > commands / 2, "{told:?}");
+    assert!(told.done * 100 >= commands * DONE_PERCENT, "less than {DONE_PERCENT} % done: {told:?}");
 }
 
 fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64)> {
@@ -119,7 +122,8 @@ fn command(rig: &Rig, (wire, _, is_done): Job, told: &mut Told) -> Result<()> {
         return Ok(());
     }
     let state = rig.gripper().state();
-    if !is_done(&state) {
+    let is_shown = end.contains(Outputs::HOLDING) == (wire == Inputs::GRIP);
+    if !is_shown || !is_done(&state) {
         bail!("{} is shown, but the gripper is {state:?}", names(end));
     }
     told.done += 1;
