@@ -37,6 +37,10 @@ const CYCLES_PER_INSTRUCTION: f64 = 2.0;
 const EXCEPTION_CYCLES: f64 = 72.0;
 
 const THROUGHPUT_LIMIT: f64 = 1.0;
+/// Beside a plain loop over the table, in the same run.
+const SPEED_UP_LIMIT: f64 = 2.5;
+/// How often throughput is measured on a machine that is too busy to reach the limits.
+const ATTEMPTS: usize = 5;
 
 /// A count: instructions, and for how many bytes or turns.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,8 +51,15 @@ struct Count {
 
 type Counts = BTreeMap<String, Count>;
 
-/// Counts in the emulator, holds the counts to the baseline (or writes it anew), and gives the gates.
-pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Vec<Gate>> {
+/// What was counted.
+pub(crate) struct Counted {
+    pub(crate) gates: Vec<Gate>,
+    /// Why the counts were not held to the baseline, if they were not.
+    pub(crate) not_compared: Option<String>,
+}
+
+/// Counts in the emulator, and holds the counts to the baseline (or writes it anew).
+pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Counted> {
     let mut counts = Counts::new();
     for profile in Profile::ALL {
         let elf = probes.build("bench", "bench", profile)?;
@@ -65,34 +76,44 @@ pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Vec<Gate>> {
         let each = count.instructions as f64 / count.of as f64;
         println!("  {name:<28} {:>7} instructions, {each:.1} each", count.instructions);
     }
-    hold(probes, &counts, update)?;
-    gates(&counts)
+    Ok(Counted { not_compared: hold(probes, &counts, update)?, gates: gates(&counts)? })
 }
 
-/// Throughput on this machine. How fast it is depends on the machine: only the figure in bulk has a limit.
-pub(crate) fn throughput(workspace: &Workspace) -> Result<Gate> {
-    let mut cargo = workspace.cargo();
-    cargo.args([
-        "run",
-        "-q",
-        "--release",
-        "-p",
-        "wsg-probes",
-        "--features",
-        "throughput",
-        "--bin",
-        "throughput",
-    ]);
-    let said = process::output(&mut cargo)?;
-    let mut bulk = None;
-    for (name, figure) in said.lines().filter_map(|line| line.split_once(' ')) {
-        println!("  {name:<28} {figure:>7} GB/s");
-        if name == "bulk-path" {
-            bulk = figure.parse().ok();
+/// Throughput in bulk on this machine, and how many times that of the plain loop it is, which hangs on the machine less. What
+/// else the machine does only makes a run slower: of several the best counts.
+pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
+    let mut best = BTreeMap::new();
+    let mut gates = throughput_gates(&best);
+    for _ in 0..ATTEMPTS {
+        let mut cargo = workspace.cargo();
+        cargo.args(["run", "-q", "--release", "-p", "wsg-probes", "--features", "throughput"]);
+        for line in process::output(cargo.args(["--bin", "throughput"]))?.lines() {
+            println!("  {line} GB/s");
+            let (name, figure) = line.split_once(' ').context("a name and a figure")?;
+            let figure: f64 = figure.parse().with_context(|| format!("`{line}` is no figure"))?;
+            let known = best.entry(name.to_owned()).or_insert(figure);
+            *known = known.max(figure);
+        }
+        gates = throughput_gates(&best);
+        if gates.iter().all(Gate::holds) {
+            break;
         }
     }
-    let bulk = bulk.context("the program throughput told no figure")?;
-    Ok(Gate::new("host throughput in bulk, 64 B payloads", bulk, THROUGHPUT_LIMIT, Unit::GigabytesPerSecond))
+    Ok(gates)
+}
+
+fn throughput_gates(best: &BTreeMap<String, f64>) -> [Gate; 2] {
+    let of = |name: &str| best.get(name).copied().unwrap_or(f64::NAN);
+    let bulk = of("bulk-path");
+    [
+        Gate::new("host throughput in bulk, 64 B payloads", bulk, THROUGHPUT_LIMIT, Unit::GigabytesPerSecond),
+        Gate::new(
+            "the same beside a plain table loop",
+            bulk / of("table-loop"),
+            SPEED_UP_LIMIT,
+            Unit::TimesAsFast,
+        ),
+    ]
 }
 
 fn qemu(elf: &std::path::Path) -> Command {
@@ -151,30 +172,29 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
     ])
 }
 
-/// Compares with the baseline, if it was counted with this compiler.
-fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<()> {
+/// Compares with the baseline, if it was counted with this compiler; else says why not.
+fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<Option<String>> {
     let path: PathBuf = probes.workspace.root.join(BASELINE);
     let compiler = compiler(probes)?;
     if update {
         fs::write(&path, baseline_text(&compiler, counts))
             .with_context(|| format!("cannot write {BASELINE}"))?;
         println!("  {BASELINE} is written");
-        return Ok(());
+        return Ok(None);
     }
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {BASELINE}"))?;
     let counted_with = text.lines().next().unwrap_or_default().trim_start_matches("# ");
     if counted_with != compiler {
-        println!(
-            "  NOT COMPARED with {BASELINE}: it is of {counted_with}, this is {compiler}; the limits hold"
-        );
-        return Ok(());
+        let why = format!("NOT COMPARED with {BASELINE}: it is of {counted_with}, this is {compiler}");
+        println!("  {why}; the limits hold");
+        return Ok(Some(why));
     }
     let worse = worse_than(&parse(&text)?, counts);
     if !worse.is_empty() {
         bail!("slower than {BASELINE} by more than {TOLERANCE} %: {}", worse.join(", "));
     }
     println!("  within {TOLERANCE} % of {BASELINE} (`cargo xtask bench --update` writes it anew)");
-    Ok(())
+    Ok(None)
 }
 
 fn compiler(probes: &Probes<'_>) -> Result<String> {
@@ -252,6 +272,19 @@ mod tests {
         let counts = parse(BASELINE).unwrap();
         assert_eq!(baseline_text("rustc 1.95.0", &counts), BASELINE);
         assert!(parse("nonsense").is_err());
+    }
+
+    #[test]
+    fn throughput_that_was_not_measured_or_is_too_low_is_past_its_limit() {
+        let holds = |figures: &[(&str, f64)]| {
+            let best = figures.iter().map(|(name, figure)| ((*name).to_owned(), *figure)).collect();
+            throughput_gates(&best).map(|gate| gate.holds())
+        };
+
+        assert_eq!(holds(&[]), [false, false]);
+        assert_eq!(holds(&[("bulk-path", 1.0), ("table-loop", 0.4)]), [true, true]);
+        assert_eq!(holds(&[("bulk-path", 0.9), ("table-loop", 0.3)]), [false, true]);
+        assert_eq!(holds(&[("bulk-path", 1.2), ("table-loop", 0.5)]), [true, false]);
     }
 
     #[test]

@@ -26,8 +26,8 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     gates.extend(size::of_protocol(probes)?);
     gates.push(stack::walked(probes.workspace, probes.toolchain, image)?);
     gates.push(stack::painted(probes.workspace, image)?);
-    gates.extend(bench::counted(probes, false)?);
-    gates.push(bench::throughput(probes.workspace)?);
+    gates.extend(bench::counted(probes, false)?.gates);
+    gates.extend(bench::throughput(probes.workspace)?);
 
     let table = table(&gates) + &mutants::rows(&probes.workspace.root)?;
     write_part(probes.workspace, "figures", &table)?;

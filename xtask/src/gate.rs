@@ -17,6 +17,8 @@ pub(crate) enum Unit {
     Microseconds,
     /// 10⁹ bytes a second: more is better.
     GigabytesPerSecond,
+    /// How many times as fast as something else: more is better.
+    TimesAsFast,
 }
 
 /// A measured figure and its limit.
@@ -26,7 +28,7 @@ pub(crate) struct Gate {
     pub(crate) what: String,
     /// The figure.
     pub(crate) measured: f64,
-    /// How far it may go, or with GB/s how far it must.
+    /// How far it may go, or how far it must where more is better.
     pub(crate) limit: f64,
     /// A limit that is not reached yet is held where it stands: this far, and no further.
     pub(crate) stands_at: Option<f64>,
@@ -79,7 +81,7 @@ impl Gate {
 
     fn verdict(&self) -> Verdict {
         let within = |bound: f64| match self.unit {
-            Unit::GigabytesPerSecond => self.measured >= bound,
+            Unit::GigabytesPerSecond | Unit::TimesAsFast => self.measured >= bound,
             _ => self.measured <= bound,
         };
         if within(self.limit) {
@@ -100,6 +102,7 @@ impl Unit {
             Self::Instructions => format!("{value:.0}"),
             Self::Microseconds => format!("{value:.1} µs"),
             Self::GigabytesPerSecond => format!("{value:.2} GB/s"),
+            Self::TimesAsFast => format!("{value:.1} times"),
         }
     }
 }

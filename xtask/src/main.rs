@@ -49,10 +49,11 @@ Commands
   demo [ARGS]        boot the image in QEMU between a PLC and a virtual gripper;
                      ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
   test [FILTER]      every check of the workspace, the emulator tests included;
-                     with FILTER only the tests whose names match it
+                     with FILTER only the tests whose names match it; --strict before it: fails where
+                     something could not be checked or compared, which is else only said
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
-  ci                 test, then the stack and Miri: what runs on each change
+  ci                 test --strict, then Miri: what runs on each change
   size               flash and static RAM of the image, and of the protocol beside an empty
                      program, against their limits
   stack              the firmware's worst-case stack, by a walk over its calls and by a painted
@@ -143,7 +144,10 @@ fn run() -> Result<ExitCode> {
             let toolchain = setup::thumb_and_qemu(&workspace)?;
             let image = firmware::build(&workspace, &toolchain, &[])?;
             print_image(&image);
-            test::run(&workspace, &toolchain, &image, &rest(arguments)?)?;
+            let mut filter = rest(arguments)?;
+            let is_strict = filter.first().is_some_and(|first| first == "--strict");
+            filter.drain(..usize::from(is_strict));
+            test::run(&workspace, &toolchain, &image, &filter, is_strict)?;
         }
         "matrix" => {
             no_more(arguments)?;

@@ -35,8 +35,8 @@ pub(crate) fn run(command: &str, mut arguments: Parser) -> Result<()> {
         "bench" => {
             let update = flag(arguments, "update")?;
             let built = Built::new()?;
-            let mut gates = bench::counted(&built.probes(), update)?;
-            gates.push(bench::throughput(&built.workspace)?);
+            let mut gates = bench::counted(&built.probes(), update)?.gates;
+            gates.extend(bench::throughput(&built.workspace)?);
             gate::check(&gates)
         }
         "figures" => {
@@ -47,7 +47,7 @@ pub(crate) fn run(command: &str, mut arguments: Parser) -> Result<()> {
         "ci" => {
             no_more(arguments)?;
             let Built { workspace, toolchain, image } = Built::new()?;
-            test::run(&workspace, &toolchain, &image, &[])?;
+            test::run(&workspace, &toolchain, &image, &[], true)?;
             undefined_behaviour::run(&workspace)
         }
         "fuzz" => {

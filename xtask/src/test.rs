@@ -2,7 +2,7 @@
 
 use std::{ffi::OsString, process::Command};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
 use crate::{
     bench,
@@ -19,12 +19,14 @@ use crate::{
 
 const TESTS: &str = "tests, emulator included";
 
-/// Runs all checks; with `filter` only the tests that it names.
+/// Runs all checks; with `filter` only the tests that it names. What could not be checked or compared is told at the end, and
+/// fails a strict run.
 pub(crate) fn run(
     workspace: &Workspace,
     toolchain: &ThumbToolchain,
     image: &Image,
     filter: &[OsString],
+    is_strict: bool,
 ) -> Result<()> {
     let masters = setup::masters(workspace)?;
     let mut can_images = Vec::new();
@@ -37,14 +39,14 @@ pub(crate) fn run(
     for master in masters.missing() {
         record.not_checked(&format!("tests with {master} (it is not installed)"));
     }
-    if !filter.is_empty() {
-        record.check(TESTS, || checks.tests(filter))?;
-        println!("test: only the tests that match {filter:?} ran; without arguments every check runs");
-        return Ok(());
-    }
-    let outcome = checks.run_all(&mut record);
+    let outcome = if filter.is_empty() {
+        checks.run_all(&mut record)
+    } else {
+        println!("test: only the tests that match {filter:?} run; without arguments every check runs");
+        record.check(TESTS, || checks.tests(filter))
+    };
     println!("{}", record.summary(outcome.is_err()));
-    outcome
+    outcome.and_then(|()| record.verdict(is_strict))
 }
 
 struct Checks<'a> {
@@ -109,7 +111,18 @@ impl Checks<'_> {
             .check("size", || gate::check(&[size::of_image(image)?, size::of_protocol(&probes)?].concat()))?;
         record.check("stack, walked", || gate::check(&[stack::walked(workspace, toolchain, image)?]))?;
         record.check("stack, painted", || gate::check(&[stack::painted(workspace, image)?]))?;
-        record.check("instructions", || gate::check(&bench::counted(&probes, false)?))?;
+        let mut not_compared = None;
+        record.check("instructions", || {
+            let counted = bench::counted(&probes, false)?;
+            not_compared = counted.not_compared;
+            gate::check(&counted.gates)
+        })?;
+        not_compared.iter().for_each(|why| record.not_checked(&format!("instructions, {why}")));
+        record.check("host throughput", || {
+            // How many bytes a second it is depends on the machine.
+            let [_, beside_a_loop] = bench::throughput(workspace)?;
+            gate::check(&[beside_a_loop])
+        })?;
         record.check("panic paths", || panics::check(&probes))?;
         record.check("size with CAN", || {
             firmware::CAN.iter().try_for_each(|(list, _)| {
@@ -208,6 +221,15 @@ impl Record {
         }
         text
     }
+
+    /// Fails a strict run in which something was not checked.
+    fn verdict(&self, is_strict: bool) -> Result<()> {
+        ensure!(
+            !is_strict || self.not_checked.is_empty(),
+            "every check that ran has passed, but --strict allows no NOT CHECKED"
+        );
+        Ok(())
+    }
 }
 
 #[cfg(test)]
@@ -226,5 +248,16 @@ mod tests {
         let expected = "test: 1 passed (size), then one FAILED; what comes after it did not run; \
                         1 NOT CHECKED (format (no rustfmt))";
         assert_eq!(record.summary(failed), expected);
+    }
+
+    #[test]
+    fn what_was_not_checked_fails_a_strict_run_alone() {
+        let mut record = Record::default();
+        assert!(record.verdict(true).is_ok());
+
+        record.not_checked("instructions, NOT COMPARED with the baseline");
+
+        assert!(record.verdict(false).is_ok());
+        assert!(record.verdict(true).is_err());
     }
 }
