@@ -1,5 +1,5 @@
-//! How long the gripper takes to stop while bytes on its line are lost, changed, doubled or added: a row for each set of
-//! cases, and a failure where one takes longer than its limit. Every millisecond and every byte:
+//! How long the gripper takes to stop while bytes on its line are lost, changed, doubled or added: a row of a table for each
+//! set of cases, and a failure where one takes longer than its limit. Every millisecond and every byte:
 //!
 //! ```sh
 //! cargo run --release -p host-tests --example fast_stop
@@ -25,11 +25,12 @@ fn main() -> ExitCode {
         }
     }
     let mut is_held = true;
+    println!("| when | cases | median | worst | limit |\n|---|---|---|---|---|");
     for sweep in Sweep::all(stride, every_fault) {
         let times = sweep.run();
         let Some((worst_ms, case)) = times.worst() else { continue };
         println!(
-            "{}: {} cases, median {} ms, worst {worst_ms} ms of {} ms",
+            "| {} | {} | {} ms | {worst_ms} ms | {} ms |",
             sweep.name,
             times.cases(),
             times.median_ms(),
@@ -37,7 +38,7 @@ fn main() -> ExitCode {
         );
         if *worst_ms > sweep.limit_ms {
             is_held = false;
-            println!("  does not stop in time: {case:?}");
+            eprintln!("fast_stop: does not stop in time: {case:?}");
         }
     }
     if is_held { ExitCode::SUCCESS } else { ExitCode::FAILURE }

@@ -5,7 +5,7 @@ use std::fs;
 use anyhow::{Context, Result};
 
 use crate::{
-    bench,
+    bench, fast_stop,
     firmware::Image,
     gate::Gate,
     mutants, panics,
@@ -31,6 +31,7 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
 
     let table = table(&gates) + &mutants::rows(&probes.workspace.root)?;
     write_part(probes.workspace, "figures", &table)?;
+    write_part(probes.workspace, "fast-stop", &fast_stop::run(probes.workspace)?)?;
     let mut readme = probes.workspace.cargo();
     readme.env("WSG_UPDATE_DOCS", "1").args([
         "test",

@@ -6,6 +6,7 @@ mod bench;
 mod coverage;
 mod demo;
 mod elf;
+mod fast_stop;
 mod figures;
 mod firmware;
 mod flash;
@@ -61,6 +62,8 @@ Commands
   panics             firmware and protocol link only if no panic can be reached
   bench              instructions on a Cortex-M4, counted in the emulator and held to a committed
                      baseline [--update: write it anew]; throughput on this machine
+  fast-stop          how long the gripper takes to stop with every byte around it damaged in turn, in
+                     virtual time, against the limits of docs/wiring.md; some two minutes
   fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz.
                      --inputs N: their bodies over so many generated inputs each, on stable Rust
   soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;

@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use lexopt::{Arg, Parser, ValueExt};
 
 use crate::{
-    bench, coverage, figures,
+    bench, coverage, fast_stop, figures,
     firmware::{self, Image},
     fuzz, gate, mutants, no_more, panics,
     probe::Probes,
@@ -48,7 +48,12 @@ pub(crate) fn run(command: &str, mut arguments: Parser) -> Result<()> {
             no_more(arguments)?;
             let Built { workspace, toolchain, image } = Built::new()?;
             test::run(&workspace, &toolchain, &image, &[], true)?;
+            fast_stop::run(&workspace)?;
             undefined_behaviour::run(&workspace)
+        }
+        "fast-stop" => {
+            no_more(arguments)?;
+            fast_stop::run(&Workspace::from_env()?).map(drop)
         }
         "fuzz" => {
             let extent = fuzz_extent(arguments)?;
