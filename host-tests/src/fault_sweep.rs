@@ -281,6 +281,7 @@ impl Rig {
         match scene {
             Scene::GripCycle => self.inputs -= Inputs::FAST_STOP_OK,
             Scene::Jog => self.write(0),
+            Scene::Silence => self.flags = None,
         }
     }
 
@@ -298,6 +299,8 @@ pub enum Scene {
     GripCycle,
     /// A jog over Modbus, ended by its flag: until the fingers stand.
     Jog,
+    /// A jog over Modbus whose master falls silent: until the fingers stand.
+    Silence,
 }
 
 /// The undisturbed course of a scene, millisecond by millisecond.
@@ -320,7 +323,7 @@ impl Course {
                 rig.command(Inputs::GRIP, &mut keep);
                 rig.command(Inputs::RELEASE, &mut keep);
             }
-            Scene::Jog => {
+            Scene::Jog | Scene::Silence => {
                 // At its own speed: 1.8 s to the end of the stroke, where it would end by itself.
                 let mut rig = Rig::homed(1.0, frame_timeout_ms);
                 rig.command(Inputs::MOVE, &mut |_| {});
@@ -410,7 +413,7 @@ impl Course {
     fn is_stopped(&self, rig: &Rig) -> bool {
         match self.scene {
             Scene::GripCycle => rig.gripper.state().flags.contains(SystemFlags::FAST_STOP),
-            Scene::Jog => !rig.is_moving(),
+            Scene::Jog | Scene::Silence => !rig.is_moving(),
         }
     }
 }
@@ -486,7 +489,7 @@ pub struct Sweep {
 impl Sweep {
     /// Every set of cases, with this stride.
     #[must_use]
-    pub fn all(stride: usize, every_fault: bool) -> [Self; 5] {
+    pub fn all(stride: usize, every_fault: bool) -> [Self; 6] {
         let sweep = |name, limit_ms, run| Self { name, limit_ms, stride, every_fault, run };
         [
             sweep(
@@ -499,6 +502,11 @@ impl Sweep {
                 "the same, for the end of a jog over Modbus until the fingers stand",
                 250,
                 |sweep: &Sweep| sweep.one_fault(Scene::Jog),
+            ),
+            sweep(
+                "the same, for a jog whose master falls silent, BUS_TIMEOUT of 1 s included",
+                1_270,
+                |sweep: &Sweep| sweep.one_fault(Scene::Silence),
             ),
             sweep("any two bytes are", 1_500, Sweep::two_faults),
             sweep("noise, however strong: counted from its end", 1_000, Sweep::noise),
@@ -518,14 +526,17 @@ impl Sweep {
     /// Bytes from a while before the request to the end of the first answers to it.
     fn one_fault(&self, scene: Scene) -> Times {
         const BEFORE: usize = 40;
-        const BEHIND: usize = 60;
+        // The answer to a silence comes a second later.
+        let behind = if scene == Scene::Silence { 160 } else { 60 };
         let mut times = Times::default();
         for frame_timeout_ms in FRAME_TIMEOUTS_MS {
             let course = Course::play(scene, frame_timeout_ms);
-            for stop_at in (0..course.duration_ms()).step_by(self.stride) {
+            // A second takes its time.
+            let stride = if scene == Scene::Silence { self.stride * 10 } else { self.stride };
+            for stop_at in (0..course.duration_ms()).step_by(stride) {
                 for way in [Way::Out, Way::Back] {
                     let next = course.bytes_until(way, stop_at);
-                    for byte in next.saturating_sub(BEFORE)..next + BEHIND {
+                    for byte in next.saturating_sub(BEFORE)..next + behind {
                         for fault in self.faults() {
                             let case = Case { stop_at, damage: vec![(way, byte, fault)] };
                             times.take(&course, case, self.limit_ms);
