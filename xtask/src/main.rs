@@ -19,7 +19,6 @@ mod panics;
 mod probe;
 mod process;
 mod public_functions;
-mod sabotage;
 mod setup;
 mod size;
 mod soak;
@@ -68,14 +67,11 @@ Commands
                      --inputs N: their bodies over so many generated inputs each, on stable Rust
   soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;
                      a quarter of an hour [--commands N] [--seed N]
-  mutants [FILE...]  changes of the protocol crate, or of these files of it, that no test notices;
-                     takes hours for all [--jobs N: at a time, 1] [--shard K/N: every N-th, a
-                     sample] [--again: those that survived]; writes docs/mutants.txt;
-                     cargo-mutants
+  mutants [FILE...]  changes of the protocol crate and of the bridge's library, or of these files of them, that
+                     no test notices; takes hours for all [--jobs N: at a time, 1] [--shard K/N: every N-th,
+                     a sample] [--again: but those that the run before has caught]; cargo-mutants
   miri               the bridge's host tests under Miri; nightly Rust
   coverage           lines of the protocol crate that its tests reach; nightly Rust
-  sabotage [GATE]    change a line in a copy of the tree and see the gate fail, for each gate;
-                     a quarter of an hour
   figures            measure all that docs/figures.md tells, and write it and the README's table
   flash              write the image to a board with probe-rs and start it
                      [--features X] as for build

@@ -8,14 +8,13 @@ use crate::{
     firmware::{self, Image},
     fuzz, gate, mutants, no_more, panics,
     probe::Probes,
-    sabotage,
     setup::{self, ThumbToolchain},
     size, soak, stack, test, undefined_behaviour,
     workspace::Workspace,
 };
 
 /// Runs the command of this name.
-pub(crate) fn run(command: &str, mut arguments: Parser) -> Result<()> {
+pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
     match command {
         "size" => {
             no_more(arguments)?;
@@ -63,15 +62,6 @@ pub(crate) fn run(command: &str, mut arguments: Parser) -> Result<()> {
             let extent = soak::Extent::from(arguments)?;
             let built = Built::new()?;
             soak::run(&built.workspace, &built.image, &extent)
-        }
-        "sabotage" => {
-            let gate = arguments.next()?.map(|argument| match argument {
-                Arg::Value(gate) => Ok(gate.string()?),
-                other => Err(other.unexpected()).context("see `cargo xtask help`"),
-            });
-            let gate = gate.transpose()?;
-            no_more(arguments)?;
-            sabotage::run(&Workspace::from_env()?, gate.as_deref())
         }
         "mutants" => mutants::run(&Workspace::from_env()?, &mutants_extent(arguments)?),
         "miri" => {
