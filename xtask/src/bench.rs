@@ -85,8 +85,8 @@ pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
     let mut best = BTreeMap::new();
     let mut gates = throughput_gates(&best);
     for _ in 0..ATTEMPTS {
-        let mut cargo = workspace.cargo();
-        cargo.args(["run", "-q", "--release", "-p", "wsg-probes", "--features", "throughput"]);
+        let mut cargo = workspace.cargo("run");
+        cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "throughput"]);
         for line in process::output(cargo.args(["--bin", "throughput"]))?.lines() {
             println!("  {line} GB/s");
             let (name, figure) = line.split_once(' ').context("a name and a figure")?;

@@ -26,7 +26,8 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     // Profiles of an earlier run would be counted in.
     let _ = fs::remove_dir_all(&profiles);
     let tests = |more: &[&str]| {
-        let mut cargo = tool::nightly_cargo(workspace, &["test", "-p", "wsg-protocol", "--lib", "--tests"]);
+        let mut cargo =
+            tool::nightly_cargo(workspace, &["test", "--locked", "-p", "wsg-protocol", "--lib", "--tests"]);
         cargo.args(more).env("CARGO_TARGET_DIR", &folder).env("RUSTFLAGS", "-Cinstrument-coverage");
         cargo.env("LLVM_PROFILE_FILE", profiles.join("%p-%m.profraw"));
         cargo

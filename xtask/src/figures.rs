@@ -24,9 +24,8 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     let text = with_part(&text, "figures", &table(&gates))?;
     let text = with_part(&text, "fast-stop", &fast_stop::run(probes.workspace)?)?;
     fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
-    let mut readme = probes.workspace.cargo();
+    let mut readme = probes.workspace.cargo("test");
     readme.env("WSG_UPDATE_DOCS", "1").args([
-        "test",
         "-q",
         "-p",
         "host-tests",

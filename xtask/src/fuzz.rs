@@ -37,9 +37,9 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
 /// Runs each body over so many generated inputs, on stable Rust. Nothing watches what they reach, but without a sanitizer
 /// they are some hundred times as many in the same time.
 fn run_inputs(workspace: &Workspace, count: u32) -> Result<()> {
-    let mut inputs = workspace.cargo();
+    let mut inputs = workspace.cargo("run");
     // The profile of the mutants: optimised, with all checks.
-    inputs.args(["run", "--quiet", "--profile", "mutants", "-p", "host-tests", "--example", "inputs", "--"]);
+    inputs.args(["--quiet", "--profile", "mutants", "-p", "host-tests", "--example", "inputs", "--"]);
     process::run(inputs.arg(count.to_string())).context("the input stands behind what the body says")
 }
 
@@ -50,6 +50,12 @@ fn run_targets(workspace: &Workspace, seconds: u32) -> Result<()> {
     NIGHTLY.require(workspace, &what_for)?;
     CARGO_FUZZ.require(workspace, &what_for)?;
     let work = workspace.target_dir.join("fuzz");
+    // cargo-fuzz does not know `--locked`: this fails in its place.
+    let manifest = format!("{FOLDER}/Cargo.toml");
+    process::run(&mut tool::nightly_cargo(
+        workspace,
+        &["fetch", "--quiet", "--locked", "--manifest-path", &manifest],
+    ))?;
     for target in &targets {
         let (corpus, artifacts) = (work.join("corpus").join(target), work.join("artifacts").join(target));
         for folder in [&corpus, &artifacts] {

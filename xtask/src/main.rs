@@ -5,6 +5,7 @@
 mod bench;
 mod coverage;
 mod demo;
+mod dependencies;
 mod elf;
 mod fast_stop;
 mod figures;
@@ -53,7 +54,8 @@ Commands
                      something could not be checked or compared, which is else only said
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
-  ci                 test --strict, then Miri: what runs on each change
+  ci                 deny, test --strict, then Miri: what runs on each change
+  deny               licences, bans and sources of all dependencies against deny.toml; cargo-deny
   size               flash and static RAM of the image, and of the protocol beside an empty
                      program, against their limits
   stack              the firmware's worst-case stack, by a walk over its calls and by a painted

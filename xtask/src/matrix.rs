@@ -55,15 +55,13 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
             continue;
         }
         for features in &combinations {
-            let mut check = workspace.cargo();
-            check.args(["check", "--quiet", "-p", PACKAGE, "--no-default-features", "--target", target]);
+            let mut check = workspace.cargo("check");
+            check.args(["--quiet", "-p", PACKAGE, "--no-default-features", "--target", target]);
             process::run(check.args(["--features", features]))?;
             outcome.passed += 1;
         }
-        let mut example = workspace.cargo();
-        process::run(
-            example.args(["build", "--quiet", "-p", PACKAGE, "--target", target]).args(BOARD_EXAMPLE),
-        )?;
+        let mut example = workspace.cargo("build");
+        process::run(example.args(["--quiet", "-p", PACKAGE, "--target", target]).args(BOARD_EXAMPLE))?;
         outcome.passed += 1;
     }
 
@@ -80,8 +78,8 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
         outcome.not_checked.push(format!("Rust {oldest} (rustup could not bring it)"));
     }
 
-    let mut package = workspace.cargo();
-    process::run(package.args(["package", "--quiet", "--allow-dirty", "-p", PACKAGE]))?;
+    let mut package = workspace.cargo("package");
+    process::run(package.args(["--quiet", "--allow-dirty", "-p", PACKAGE]))?;
     outcome.passed += 1;
     Ok(outcome)
 }
@@ -90,7 +88,7 @@ fn check_with(workspace: &Workspace, toolchain: &str, extent: Extent) -> Command
     let mut check = Command::new("rustup");
     // Apart from the active tool chain's, so that neither makes the other build again.
     check.current_dir(&workspace.root).env("CARGO_TARGET_DIR", workspace.target_dir.join("oldest-rust"));
-    check.args(["run", toolchain, "cargo", "check", "--quiet"]);
+    check.args(["run", toolchain, "cargo", "check", "--locked", "--quiet"]);
     match extent {
         Extent::Whole => check.args(["--workspace", "--all-targets"]),
         Extent::Quick => check.args(["-p", PACKAGE, "--all-features"]),

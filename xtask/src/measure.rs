@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use lexopt::{Arg, Parser, ValueExt};
 
 use crate::{
-    bench, coverage, fast_stop, figures,
+    bench, coverage, dependencies, fast_stop, figures,
     firmware::{self, Image},
     fuzz, gate, mutants, no_more, panics,
     probe::Probes,
@@ -46,6 +46,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         "ci" => {
             no_more(arguments)?;
             let Built { workspace, toolchain, image } = Built::new()?;
+            dependencies::check(&workspace)?;
             test::run(&workspace, &toolchain, &image, &[], true)?;
             fast_stop::run(&workspace)?;
             undefined_behaviour::run(&workspace)
@@ -53,6 +54,10 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         "fast-stop" => {
             no_more(arguments)?;
             fast_stop::run(&Workspace::from_env()?).map(drop)
+        }
+        "deny" => {
+            no_more(arguments)?;
+            dependencies::check(&Workspace::from_env()?)
         }
         "fuzz" => {
             let extent = fuzz_extent(arguments)?;

@@ -15,8 +15,8 @@ pub(crate) type Functions = BTreeMap<String, usize>;
 /// Those of the crate, with all its features.
 pub(crate) fn of_crate(workspace: &Workspace) -> Result<Functions> {
     let target_dir = workspace.target_dir.join("functions");
-    let mut rustdoc = workspace.cargo();
-    rustdoc.args(["rustdoc", "--quiet", "--locked", "-p", "wsg-protocol", "--lib", "--all-features"]);
+    let mut rustdoc = workspace.cargo("rustdoc");
+    rustdoc.args(["--quiet", "-p", "wsg-protocol", "--lib", "--all-features"]);
     rustdoc.arg("--target-dir").arg(&target_dir).args(["--", "-Z", "unstable-options"]);
     rustdoc.args(["--output-format", "json", "--document-hidden-items"]);
     // rustdoc's JSON is not stable: another compiler may give another form, which is then said and not passed over.
@@ -30,8 +30,8 @@ pub(crate) fn of_crate(workspace: &Workspace) -> Result<Functions> {
 
 /// Those that the probe names.
 pub(crate) fn of_probe(workspace: &Workspace) -> Result<Functions> {
-    let mut probe = workspace.cargo();
-    probe.args(["run", "--quiet", "--locked", "-p", "wsg-probes"]);
+    let mut probe = workspace.cargo("run");
+    probe.args(["--quiet", "-p", "wsg-probes"]);
     probe.args(["--features", "every-function", "--bin", "functions"]);
     Ok(counted(process::output(&mut probe)?.lines().map(path_of)))
 }

@@ -61,20 +61,20 @@ struct Checks<'a> {
 impl Checks<'_> {
     fn run_all(&self, record: &mut Record) -> Result<()> {
         let Self { workspace, toolchain, image, .. } = self;
-        let cargo = |arguments: &[&str]| {
-            let mut cargo = workspace.cargo();
+        let cargo = |subcommand: &str, arguments: &[&str]| {
+            let mut cargo = workspace.cargo(subcommand);
             cargo.args(arguments);
             cargo
         };
 
         if Component::Rustfmt.provide(workspace) {
-            record.check("format", || process::run(&mut cargo(&["fmt", "--all", "--", "--check"])))?;
+            record.check("format", || process::run(&mut cargo("fmt", &["--all", "--", "--check"])))?;
         } else {
             record.not_checked("format (no rustfmt)");
         }
         if Component::Clippy.provide(workspace) {
-            let arguments = ["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"];
-            record.check("clippy, host", || process::run(&mut cargo(&arguments)))?;
+            let arguments = ["--workspace", "--all-targets", "--", "-D", "warnings"];
+            record.check("clippy, host", || process::run(&mut cargo("clippy", &arguments)))?;
         } else {
             record.not_checked("clippy, host (no clippy)");
         }
@@ -102,9 +102,9 @@ impl Checks<'_> {
         })?;
         not_built.iter().for_each(|what| record.not_checked(what));
         record
-            .check("examples in the docs", || process::run(&mut cargo(&["test", "--workspace", "--doc"])))?;
+            .check("examples in the docs", || process::run(&mut cargo("test", &["--workspace", "--doc"])))?;
         record.check("docs", || {
-            process::run(cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
+            process::run(cargo("doc", &["--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
         })?;
         let probes = Probes { workspace, toolchain };
         record
@@ -163,20 +163,11 @@ impl Checks<'_> {
     /// The examples in the docs are a check of their own: `--include-ignored` would run those marked `ignore`.
     fn tests(&self, filter: &[OsString]) -> Result<()> {
         // Tests run them; `cargo test --examples` builds their tests alone.
-        let mut examples = self.workspace.cargo();
-        process::run(examples.args(["build", "-p", "host-tests", "--examples"]))?;
-        let mut tests = self.workspace.cargo();
+        let mut examples = self.workspace.cargo("build");
+        process::run(examples.args(["-p", "host-tests", "--examples"]))?;
+        let mut tests = self.workspace.cargo("test");
         tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, &self.masters.python);
-        tests.args([
-            "test",
-            "--workspace",
-            "--lib",
-            "--bins",
-            "--tests",
-            "--examples",
-            "--",
-            "--include-ignored",
-        ]);
+        tests.args(["--workspace", "--lib", "--bins", "--tests", "--examples", "--", "--include-ignored"]);
         for (variable, image) in &self.can_images {
             tests.env(variable, &image.path);
         }

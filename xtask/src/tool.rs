@@ -31,6 +31,13 @@ pub(crate) const CARGO_MUTANTS: Tool = Tool {
     install: &["cargo", "install", "cargo-mutants", "--locked"],
 };
 
+/// cargo-deny.
+pub(crate) const CARGO_DENY: Tool = Tool {
+    name: "cargo-deny",
+    probe: &["cargo", "deny", "--version"],
+    install: &["cargo", "install", "cargo-deny", "--locked"],
+};
+
 /// The nightly tool chain.
 pub(crate) const NIGHTLY: Tool = Tool {
     name: "nightly Rust",

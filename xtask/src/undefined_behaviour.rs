@@ -13,7 +13,8 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let what_for = "the bridge's host tests under Miri";
     NIGHTLY.require(workspace, what_for)?;
     MIRI.require(workspace, what_for)?;
-    let mut miri = tool::nightly_cargo(workspace, &["miri", "test", "-p", firmware::PACKAGE, "--lib"]);
+    let mut miri =
+        tool::nightly_cargo(workspace, &["miri", "test", "--locked", "-p", firmware::PACKAGE, "--lib"]);
     miri.env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
     // Property tests write what failed to files, which Miri keeps them from; their cases are few here, for time.
     miri.env("MIRIFLAGS", "-Zmiri-disable-isolation").env("PROPTEST_CASES", "4");

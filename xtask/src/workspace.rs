@@ -38,17 +38,21 @@ impl Workspace {
         Self { root: env::temp_dir(), target_dir: env::temp_dir(), cargo: "cargo".into() }
     }
 
-    /// The cargo that was called (the same tool chain), run in the root.
-    pub(crate) fn cargo(&self) -> Command {
-        let mut command = self.cargo_in_current_dir();
+    /// `cargo <subcommand>` of the cargo that was called (the same tool chain), run in the root.
+    pub(crate) fn cargo(&self, subcommand: &str) -> Command {
+        let mut command = self.cargo_in_current_dir(subcommand);
         command.current_dir(&self.root);
         command
     }
 
     /// The same, run where the user is: for a program whose arguments may name files.
-    pub(crate) fn cargo_in_current_dir(&self) -> Command {
+    pub(crate) fn cargo_in_current_dir(&self, subcommand: &str) -> Command {
         let mut command = Command::new(&self.cargo);
-        command.env("CARGO_TARGET_DIR", &self.target_dir);
+        command.env("CARGO_TARGET_DIR", &self.target_dir).arg(subcommand);
+        // What is built is what Cargo.lock says, or nothing. The formatter builds nothing and does not know the option.
+        if subcommand != "fmt" {
+            command.arg("--locked");
+        }
         command
     }
 

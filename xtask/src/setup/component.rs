@@ -42,7 +42,7 @@ impl Component {
     }
 
     fn is_available(self, workspace: &Workspace) -> bool {
-        process::answer(workspace.cargo().args([self.subcommand(), "--version"])).is_some()
+        process::answer(workspace.cargo(self.subcommand()).arg("--version")).is_some()
     }
 
     fn add(self, workspace: &Workspace) {

@@ -96,11 +96,7 @@ impl ThumbToolchain {
     /// `cargo <subcommand>` for the target, with every option that the tool chain needs.
     pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str) -> Command {
         let mut command = match self {
-            Self::Active => {
-                let mut command = workspace.cargo();
-                command.arg(subcommand);
-                command
-            }
+            Self::Active => workspace.cargo(subcommand),
             Self::Debian { linker } => debian_cargo(workspace, subcommand, linker),
         };
         command.args(["--target", TRIPLE, "--config", &remap_config(workspace)]);
@@ -126,7 +122,7 @@ fn debian_cargo(workspace: &Workspace, subcommand: &str, linker: &Path) -> Comma
     // cargo would look for `cargo-clippy` in its home first, where rustup's shim is.
     let program = if subcommand == "clippy" { DEBIAN_CLIPPY } else { DEBIAN_CARGO };
     let mut command = Command::new(program);
-    command.current_dir(&workspace.root).args([subcommand, "-Z", "build-std=core"]);
+    command.current_dir(&workspace.root).args([subcommand, "--locked", "-Z", "build-std=core"]);
     command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
     command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker);
     command.env("CARGO_TARGET_DIR", debian_target_dir(workspace));

@@ -7,18 +7,8 @@ use crate::{firmware::Image, gate::Gate, process, workspace::Workspace};
 
 /// The deepest that the stack of this image was seen.
 pub(crate) fn of_image(workspace: &Workspace, image: &Image) -> Result<Gate> {
-    let mut cargo = workspace.cargo();
-    cargo.args([
-        "run",
-        "-q",
-        "-p",
-        "wsg-probes",
-        "--features",
-        "painted-stack",
-        "--bin",
-        "painted-stack",
-        "--",
-    ]);
+    let mut cargo = workspace.cargo("run");
+    cargo.args(["-q", "-p", "wsg-probes", "--features", "painted-stack", "--bin", "painted-stack", "--"]);
     cargo.arg(&image.path);
     let said = process::output(&mut cargo)?;
     let bytes = said.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
