@@ -13,6 +13,7 @@
 //! | [`mod@example`] | where cargo puts an example |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
 //! | [`masters`] | masters of Modbus and CANopen that nobody here wrote |
+//! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
@@ -38,6 +39,7 @@ pub mod fuzz_bodies;
 #[cfg(unix)]
 pub mod gripper_end;
 pub mod masters;
+pub mod modbus_bench;
 #[cfg(unix)]
 pub mod modbus_master;
 #[cfg(unix)]

@@ -3,12 +3,10 @@
 //! Parts that are made from the code stand between `<!-- generated: NAME -->` and `<!-- end -->`. Here they are
 //! compared; `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test modbus_docs` writes them anew.
 
-mod modbus_bench;
-
 use std::fs;
 use std::path::PathBuf;
 
-use modbus_bench::Bench;
+use host_tests::modbus_bench::Bench;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::modbus::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_protocol::SystemFlags;

@@ -735,6 +735,6 @@ fn eds_file_is_that_of_the_tables() {
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         kept == made,
-        "docs/wsg-bridge.eds: write it anew with WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_node"
+        "docs/wsg-bridge.eds: write it anew with WSG_UPDATE_DOCS=1 cargo test -p wsg-bridge-fw --test canopen"
     );
 }

@@ -1,10 +1,9 @@
 //! Bridge and virtual gripper in virtual time, with a Modbus master and wires that a test plays.
-#![allow(dead_code, reason = "each test uses its part")]
 
 use std::collections::VecDeque;
 
-use host_tests::serial_gripper::SerialGripper;
-use host_tests::wires::Wires;
+use crate::serial_gripper::SerialGripper;
+use crate::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusPort, Config};
 use wsg_protocol::CommandId;
@@ -12,7 +11,7 @@ use wsg_protocol::modbus::rtu::{Character, crc};
 use wsg_sim::{Time, VirtualGripper};
 
 /// The bridge's unit as delivered.
-pub(crate) const UNIT: u8 = 1;
+pub const UNIT: u8 = 1;
 
 /// The bus.
 #[derive(Default)]
@@ -37,7 +36,7 @@ impl BusPort for Bus {
 }
 
 /// Everything on the bench.
-pub(crate) struct Bench {
+pub struct Bench {
     bridge: Bridge,
     /// The gripper and its line.
     far: SerialGripper,
@@ -49,7 +48,7 @@ pub(crate) struct Bench {
 
 impl Bench {
     /// A bench whose wires are low, but the one of FAST STOP.
-    pub(crate) fn new(config: Config, gripper: wsg_sim::Config) -> Self {
+    pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
         Self {
             bridge: Bridge::new(config),
             far: SerialGripper::new(gripper),
@@ -61,11 +60,12 @@ impl Bench {
     }
 
     /// A bench whose gripper answers, with a bus that has written zeros.
-    pub(crate) fn ready() -> Self {
+    pub fn ready() -> Self {
         Self::ready_with(Config::DEFAULT, quick())
     }
 
-    pub(crate) fn ready_with(config: Config, gripper: wsg_sim::Config) -> Self {
+    /// As [`ready`](Self::ready), with these settings of bridge and gripper.
+    pub fn ready_with(config: Config, gripper: wsg_sim::Config) -> Self {
         let mut bench = Self::new(config, gripper);
         bench.pass(200);
         bench.write(0, &[0, 0, 0, 0]);
@@ -73,7 +73,7 @@ impl Bench {
     }
 
     /// A bench whose fingers are referenced, by the bus.
-    pub(crate) fn homed(gripper: wsg_sim::Config) -> Self {
+    pub fn homed(gripper: wsg_sim::Config) -> Self {
         let mut bench = Self::ready_with(Config::DEFAULT, gripper);
         bench.command(HOMING, 0, 0, 0);
         assert_eq!(bench.state(), IDLE);
@@ -81,39 +81,42 @@ impl Bench {
         bench
     }
 
-    pub(crate) fn now(&self) -> Time {
+    /// The moment, on the gripper's clock.
+    pub fn now(&self) -> Time {
         Time::from_millis(self.now_ms.into())
     }
 
-    pub(crate) fn bridge(&self) -> &Bridge {
+    /// The bridge.
+    pub fn bridge(&self) -> &Bridge {
         &self.bridge
     }
 
-    pub(crate) fn gripper(&mut self) -> &mut VirtualGripper<1> {
+    /// The gripper.
+    pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
         &mut self.far.gripper
     }
 
     /// Cuts the line from gripper to bridge, or mends it.
-    pub(crate) fn set_cut(&mut self, cut: bool) {
+    pub fn set_cut(&mut self, cut: bool) {
         self.far.to_bridge = if cut { Some(Box::new(Vec::clear)) } else { None };
     }
 
     /// Puts bytes on the bus, one right behind the other.
-    pub(crate) fn send_raw(&mut self, bytes: &[u8]) {
+    pub fn send_raw(&mut self, bytes: &[u8]) {
         for byte in bytes {
             self.bus.waiting.push_back((Character::Byte(*byte), std::mem::take(&mut self.bus.silence_us)));
         }
     }
 
     /// A request's frame, checksum included.
-    pub(crate) fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
+    pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
         let mut frame = [&[unit], pdu].concat();
         frame.extend(crc(&frame).to_le_bytes());
         frame
     }
 
     /// Sends a request, and waits for what the bridge answers in 20 ms: the PDU, checked.
-    pub(crate) fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
+    pub fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
         // Half a frame can have a right checksum by chance, and is answered by an exception.
         self.bus.answers.clear();
         self.send_raw(&Self::frame(UNIT, pdu));
@@ -130,17 +133,18 @@ impl Bench {
         vec![]
     }
 
-    pub(crate) fn answers(&mut self) -> usize {
+    /// Takes the answers that came since this was last asked; how many.
+    pub fn answers(&mut self) -> usize {
         std::mem::take(&mut self.bus.answers).len()
     }
 
     /// FC 16.
-    pub(crate) fn write(&mut self, first: u16, values: &[u16]) {
+    pub fn write(&mut self, first: u16, values: &[u16]) {
         assert_eq!(self.try_write(first, values), None);
     }
 
     /// FC 16; the exception.
-    pub(crate) fn try_write(&mut self, first: u16, values: &[u16]) -> Option<u8> {
+    pub fn try_write(&mut self, first: u16, values: &[u16]) -> Option<u8> {
         let [a1, a0] = first.to_be_bytes();
         let count = values.len() as u8;
         let mut pdu = vec![16, a1, a0, 0, count, 2 * count];
@@ -164,33 +168,35 @@ impl Bench {
         Ok(answer[2..].chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect())
     }
 
-    pub(crate) fn holding(&mut self, first: u16, count: u8) -> Result<Vec<u16>, u8> {
+    /// Reads holding registers; an exception code when they are refused.
+    pub fn holding(&mut self, first: u16, count: u8) -> Result<Vec<u16>, u8> {
         self.registers(3, first, count)
     }
 
-    pub(crate) fn input(&mut self, first: u16, count: u8) -> Result<Vec<u16>, u8> {
+    /// Reads input registers; an exception code when they are refused.
+    pub fn input(&mut self, first: u16, count: u8) -> Result<Vec<u16>, u8> {
         self.registers(4, first, count)
     }
 
     /// GSTATE.
-    pub(crate) fn state(&mut self) -> u8 {
+    pub fn state(&mut self) -> u8 {
         (self.input(0, 1).unwrap()[0] >> 8) as u8
     }
 
     /// The status register.
-    pub(crate) fn status(&mut self) -> u16 {
+    pub fn status(&mut self) -> u16 {
         self.input(5, 1).unwrap()[0]
     }
 
     /// A discrete input.
-    pub(crate) fn bit(&mut self, address: u16) -> bool {
+    pub fn bit(&mut self, address: u16) -> bool {
         let [a1, a0] = address.to_be_bytes();
         self.ask(&[2, a1, a0, 0, 1]) == [2, 1, 1]
     }
 
     /// Gives a command as a PLC does: parameters and flag in one write, wait for the status, flag back, wait for the
     /// end.
-    pub(crate) fn command(&mut self, flags: u8, width: u16, speed: u16, force: u16) {
+    pub fn command(&mut self, flags: u8, width: u16, speed: u16, force: u16) {
         self.write(0, &[u16::from(flags) << 8, width, speed, force]);
         self.write(0, &[0, width, speed, force]);
         for _ in 0..20_000 {
@@ -226,27 +232,37 @@ impl Wires for Bench {
 }
 
 /// A gripper whose fingers travel ten times as fast.
-pub(crate) fn quick() -> wsg_sim::Config {
+pub fn quick() -> wsg_sim::Config {
     wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
 }
 
-/// CMDFLAGS.
-pub(crate) const MOVE: u8 = 1 << 0;
-pub(crate) const GRIP: u8 = 1 << 1;
-pub(crate) const RELEASE: u8 = 1 << 2;
-pub(crate) const HOMING: u8 = 1 << 3;
-pub(crate) const STOP_ACK: u8 = 1 << 4;
-pub(crate) const FASTSTOP: u8 = 1 << 5;
-pub(crate) const JOG_PLUS: u8 = 1 << 6;
+macro_rules! named {
+    ($what:literal: $($name:ident: $type:ty = $value:expr;)*) => {
+        $(#[doc = concat!($what, ": ", stringify!($name), ".")]
+        pub const $name: $type = $value;)*
+    };
+}
 
-/// GSTATE.
-pub(crate) const IDLE: u8 = 1 << 0;
-pub(crate) const NO_PART: u8 = 1 << 2;
-pub(crate) const PART_LOST: u8 = 1 << 3;
-pub(crate) const HOLDING: u8 = 1 << 4;
-pub(crate) const RELEASING: u8 = 1 << 5;
+named! { "CMDFLAGS, byte 0":
+    MOVE: u8 = 1 << 0;
+    GRIP: u8 = 1 << 1;
+    RELEASE: u8 = 1 << 2;
+    HOMING: u8 = 1 << 3;
+    STOP_ACK: u8 = 1 << 4;
+    FASTSTOP: u8 = 1 << 5;
+    JOG_PLUS: u8 = 1 << 6;
+}
 
-/// E_CMD_PENDING and others.
-pub(crate) const SUCCESS: u16 = 0;
-pub(crate) const ALREADY_RUNNING: u16 = 4;
-pub(crate) const PENDING: u16 = 26;
+named! { "GSTATE, byte 0":
+    IDLE: u8 = 1 << 0;
+    NO_PART: u8 = 1 << 2;
+    PART_LOST: u8 = 1 << 3;
+    HOLDING: u8 = 1 << 4;
+    RELEASING: u8 = 1 << 5;
+}
+
+named! { "Status code":
+    SUCCESS: u16 = 0;
+    ALREADY_RUNNING: u16 = 4;
+    PENDING: u16 = 26;
+}

@@ -1,9 +1,7 @@
 //! The bridge over Modbus RTU in virtual time: what a PLC on the bus sees, who commands, and what must never happen.
 
-mod modbus_bench;
-
+use host_tests::modbus_bench::*;
 use host_tests::wires::Wires;
-use modbus_bench::*;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::modbus::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
@@ -336,7 +334,7 @@ fn reports_name_versions_and_the_gripper() {
     let mut bench = Bench::ready();
     let reports = bench.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
     let of = |name: &str| reports[usize::from(report(name) - FIRST_REPORT)];
-    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (2, 0x0001));
+    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (3, 0x0001));
     assert_eq!((of("GRIPPER_TYPE"), of("GRIPPER_LINK")), (1, 2));
     assert_eq!((of("BUS_RATE"), of("BUS_FORMAT")), (192, 0));
     assert_eq!(of("SERVER_MESSAGES"), 1, "before this request");
