@@ -183,7 +183,8 @@ impl Bridge {
         }
         let gripper = self.shown();
         self.liveness.look(Looked::OUTPUTS);
-        self.wires.outputs(now, &gripper, self.session.is_connected())
+        let moving = self.controller.is_moving(self.session.known());
+        self.wires.outputs(now, &gripper, self.session.is_connected(), moving)
     }
 
     /// Whether the gripper answers.

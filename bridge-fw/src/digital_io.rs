@@ -100,9 +100,12 @@ impl DigitalIo {
         Some(&self.image)
     }
 
-    /// The wires to the PLC for what the gripper shows.
-    pub fn outputs(&mut self, now: Instant, gripper: &InputImage, connected: bool) -> Outputs {
+    /// The wires to the PLC for what the gripper shows. `moving`: a command would be refused because the fingers move.
+    pub fn outputs(&mut self, now: Instant, gripper: &InputImage, connected: bool, moving: bool) -> Outputs {
         self.shown = self.levels_for(now, gripper, connected);
+        if moving {
+            self.shown -= Outputs::READY;
+        }
         self.shown
     }
 

@@ -348,6 +348,9 @@ impl Session {
         // What was set is read back all the same.
         if self.reading_back.is_none() {
             self.request.forbid_repeat();
+            if self.request.is_due_again() {
+                self.dropped = self.request.abandon();
+            }
         }
     }
 

@@ -1210,3 +1210,16 @@ fn request_waits_until_no_second_answer_to_an_earlier_one_of_its_id_can_come() {
     desk.status(CommandId::SetForceLimit, Status::RangeError);
     assert_eq!(desk.noticed("Answered(Reply { id: SetForceLimit, status: RangeError"), 1);
 }
+
+#[test]
+fn setting_whose_repetition_was_due_when_it_was_overtaken_is_not_sent_again() {
+    let mut desk = Desk::connected();
+    let force = Command::SetForceLimit { force: 40.0 };
+    desk.session.request(force).unwrap();
+    assert_eq!(desk.sent(), [force]);
+    desk.now = desk.now.plus(200);
+    assert_eq!(desk.session.tick(desk.now), None, "the repetition is due");
+    desk.session.request(Command::Stop).unwrap();
+    assert_eq!(desk.sent(), [Command::Stop]);
+    assert_eq!(desk.notices, ["Unanswered(SetForceLimit)"]);
+}

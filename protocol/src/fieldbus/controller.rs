@@ -63,8 +63,10 @@ pub struct Controller {
     /// The gripper's flags have been seen once since power-up, and it was connected.
     is_acquainted: bool,
     fast_stop: FastStop,
-    /// An acknowledgement is not answered yet: it may still undo a FAST STOP that was sent before it.
+    /// An acknowledgement is not answered yet: what is answered before that may be an earlier FAST STOP, which it undoes.
     acknowledging: bool,
+    /// A FAST STOP was answered meanwhile, and is given again behind the acknowledgement.
+    fast_stop_again: bool,
     /// Set Force Limit commands without an outcome so far.
     force_limits_open: u8,
     /// The motion whose result is awaited.
@@ -133,6 +135,7 @@ impl Controller {
             is_acquainted: false,
             fast_stop: FastStop::Clear,
             acknowledging: false,
+            fast_stop_again: false,
             force_limits_open: 0,
             motion: None,
             shown: None,
@@ -244,8 +247,12 @@ impl Controller {
                 self.connected = false;
                 self.settled = None;
                 self.jog.disarm(self.image.as_ref());
-                let is_sent = !matches!(self.fast_stop, FastStop::Clear | FastStop::Asked);
-                if is_sent || self.jog.is_on() {
+                let is_answered = match self.fast_stop {
+                    FastStop::Clear => false,
+                    FastStop::Asked => self.fast_stop_again,
+                    FastStop::Answered | FastStop::Latched | FastStop::Acknowledged => true,
+                };
+                if is_answered || self.jog.is_on() {
                     // The gripper may be restarted and forget it: it shall be the first thing that it hears.
                     self.fast_stop();
                 }
@@ -279,7 +286,12 @@ impl Controller {
             _ => return,
         };
         match id {
-            CommandId::Acknowledge => self.acknowledging = false,
+            CommandId::Acknowledge => {
+                self.acknowledging = false;
+                if core::mem::take(&mut self.fast_stop_again) {
+                    self.send(Command::FastStop);
+                }
+            }
             CommandId::SetForceLimit => self.force_limits_open = self.force_limits_open.saturating_sub(1),
             _ => {}
         }
@@ -380,6 +392,7 @@ impl Controller {
 
     fn fast_stop(&mut self) {
         self.fast_stop = FastStop::Asked;
+        self.fast_stop_again = false;
         self.jog.stage = Stage::Off;
         self.jog.disarm(self.image.as_ref());
         self.send_alone(Command::FastStop);
@@ -499,10 +512,11 @@ impl Controller {
             self.supervise_fast_stop(flags);
             return self.show_held_back(known);
         }
+        if self.is_of_earlier_motion(id) {
+            return;
+        }
         if let Some(motion) = self.motion.filter(|motion| motion.prepares && id == CommandId::SetForceLimit) {
-            if self.force_limits_open > 0 {
-                // The answer to an earlier one, whose motion was dropped.
-            } else if status == Status::Success {
+            if status == Status::Success {
                 self.motion = Some(Motion { prepares: false, ..motion });
                 self.send(motion.command);
             } else {
@@ -510,13 +524,24 @@ impl Controller {
             }
             return;
         }
-        let ends_motion =
-            id == CommandId::Stop || self.motion.is_some_and(|motion| id == motion.command.id());
+        let ends_motion = id == CommandId::Stop || self.is_result_of_motion(id);
         if ends_motion && implied_state(id, status).is_some() && has_flag(known, SystemFlags::MOVING) {
             self.held_back = Some((id, status));
         } else {
             self.show_outcome(id, status, known);
         }
+    }
+
+    /// Whether this is the result of the motion.
+    fn is_result_of_motion(&self, id: CommandId) -> bool {
+        self.motion.is_some_and(|motion| !motion.prepares && id == motion.command.id())
+    }
+
+    /// Whether this is the outcome of something earlier: of a motion like the one that is not sent yet, or of a force limit
+    /// whose motion was dropped.
+    fn is_of_earlier_motion(&self, id: CommandId) -> bool {
+        let prepares = |motion: Motion| motion.prepares && id == motion.command.id();
+        self.motion.is_some_and(prepares) || (id == CommandId::SetForceLimit && self.force_limits_open > 0)
     }
 
     fn show_held_back(&mut self, known: &Known) {
@@ -527,7 +552,7 @@ impl Controller {
 
     /// The outcome of a command, for the PLC to see.
     fn show_outcome(&mut self, id: CommandId, status: Status, known: &Known) {
-        if self.motion.is_some_and(|motion| id == motion.command.id()) {
+        if self.is_result_of_motion(id) {
             if self.jog.is_on() {
                 return self.end_jog(status);
             }
@@ -556,8 +581,8 @@ impl Controller {
     /// The gripper has answered a FAST STOP: maybe an earlier one. Its flags tell.
     fn fast_stop_answered(&mut self) {
         if self.acknowledging {
-            // An acknowledgement on its way may be carried out behind what was answered.
-            return self.send(Command::FastStop);
+            self.fast_stop_again = true;
+            return;
         }
         self.fast_stop = FastStop::Answered;
         self.send(Command::GetSystemState { update: AutoUpdate::once() });
@@ -565,8 +590,7 @@ impl Controller {
 
     /// A command that was not carried out, or of which that is not known.
     fn came_to_nothing(&mut self, id: CommandId, status: Status, known: &Known) {
-        let of_earlier_motion = id == CommandId::SetForceLimit && self.force_limits_open > 0;
-        if of_earlier_motion {
+        if self.is_of_earlier_motion(id) {
             return;
         }
         let of_motion = self.motion.is_some_and(|motion| {

@@ -428,11 +428,10 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
         plc.lower(CommandFlags::STOP_ACK);
         assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
-        for id in answers {
-            plc.answer(id, Status::Success);
-        }
+        let [first, second] = answers.map(|id| plc.answer(id, Status::Success));
         if answers[0] == CommandId::FastStop {
-            // The acknowledgement may have undone the one that was answered first: it was given again.
+            // The acknowledgement may have undone the one that was answered: it is given again, and once.
+            assert_eq!((first, second), (vec![], vec![Command::FastStop]));
             assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
         }
         plc.answer_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
@@ -787,4 +786,26 @@ fn motion_is_refused_while_the_plc_is_told_not_to_give_commands() {
     plc.image.flags = CommandFlags::STOP_ACK;
     plc.controller.set_output_refusing_motions(&plc.image, &plc.known);
     assert_eq!(plc.commands(), [Command::Stop], "only motions");
+}
+
+#[test]
+fn fast_stop_that_is_to_be_given_again_behind_an_acknowledgement_outlives_a_disconnect() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.confirm_fast_stop();
+    plc.lower(CommandFlags::FASTSTOP);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+    assert_eq!(plc.answer(CommandId::FastStop, Status::Success), []);
+    plc.disconnect();
+    assert_eq!(plc.commands(), [Command::FastStop]);
+}
+
+#[test]
+fn result_of_an_earlier_motion_does_not_end_one_whose_force_limit_is_still_being_set() {
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
+    assert_eq!(plc.answer(CommandId::GripPart, Status::CmdAborted), []);
+    assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
 }

@@ -145,9 +145,14 @@ impl Track {
         self.only_once = true;
     }
 
+    /// Whether it is to be sent once more, now.
+    pub(super) const fn is_due_again(&self) -> bool {
+        self.request.is_some() && self.sent > 0 && self.deadline.is_none()
+    }
+
     /// Whether its answer did not come in time at least once.
     pub(super) const fn was_late(&self) -> bool {
-        self.request.is_some() && (self.sent > 1 || (self.sent == 1 && self.deadline.is_none()))
+        self.is_due_again() || (self.request.is_some() && self.sent > 1)
     }
 
     /// Its id if it was sent more than once, and until when an answer to the last time may come.
