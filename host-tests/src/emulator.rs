@@ -5,6 +5,8 @@
 //! the line that stands in for CAN (UART5) are sockets. Nothing
 //! here sleeps, and every wait has a bound. To reset the board drop the [`Emulator`] and start another.
 //!
+//! QEMU ends with the process that started it, however that ends.
+//!
 //! What QEMU's machine lacks, it cannot show: the independent watchdog, baud rates, line errors.
 
 mod output_port;
@@ -49,6 +51,7 @@ const SAID_MAX: usize = 4;
 #[derive(Debug)]
 pub struct Emulator {
     qemu: Child,
+    leash: Child,
     qtest: Mutex<Qtest>,
     inputs: Mutex<Inputs>,
     gripper_line: Option<UnixStream>,
@@ -126,14 +129,23 @@ impl Emulator {
         if let Some(log) = extras.semihosting {
             command.args(["-semihosting-config", "enable=on,target=native"]).stdout(log);
         }
+        let qtest = Qtest::new(qtest, PATIENCE)?;
         let mut qemu =
             command.spawn().with_context(|| format!("cannot run {QEMU}; `cargo xtask test` sets it up"))?;
         // It holds this side's copy of QEMU's socket, which would hide that QEMU hangs up.
         drop(command);
         let said_by_qemu = qemu.stderr.take();
+        let leash = match put_on_leash(&qemu) {
+            Ok(leash) => leash,
+            Err(error) => {
+                end(&mut qemu);
+                return Err(error).context("cannot run sh");
+            }
+        };
         let mut emulator = Self {
             qemu,
-            qtest: Mutex::new(Qtest::new(qtest, PATIENCE)?),
+            leash,
+            qtest: Mutex::new(qtest),
             inputs: Mutex::new(Inputs::empty()),
             gripper_line: None,
             modbus_line: None,
@@ -272,10 +284,30 @@ impl Emulator {
 
 impl Drop for Emulator {
     fn drop(&mut self) {
-        // An error means that QEMU has ended already, which is what is wanted.
-        let _ = self.qemu.kill();
-        let _ = self.qemu.wait();
+        // Before QEMU: until that is waited for, its number is nobody else's.
+        end(&mut self.leash);
+        end(&mut self.qemu);
     }
+}
+
+/// Starts a process that waits until this one has ended, however it ends, and ends QEMU then.
+///
+/// What the kernel has for that (`PR_SET_PDEATHSIG`) takes `unsafe`, and looks at the thread that started QEMU.
+fn put_on_leash(qemu: &Child) -> io::Result<Child> {
+    // Its input ends with this process, and only then: nothing is ever written. A Ctrl-C is for QEMU.
+    const WAIT_AND_KILL: &str = "trap '' HUP INT QUIT TERM; read -r _; kill -KILL \"$0\"";
+    Command::new("sh")
+        .args(["-c", WAIT_AND_KILL, &qemu.id().to_string()])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+}
+
+fn end(process: &mut Child) {
+    // An error means that it has ended already, which is what is wanted.
+    let _ = process.kill();
+    let _ = process.wait();
 }
 
 /// A socket in a directory of its own that QEMU connects to; both are gone when this is dropped.

@@ -2,11 +2,13 @@
 #![cfg(unix)]
 
 use std::io::Write;
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
+use std::process::Command;
 use std::time::Duration;
 
-use host_tests::emulator::Emulator;
+use host_tests::emulator::{Emulator, Extras};
 use host_tests::uninterrupted;
 use wsg_bridge_fw::boards::b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -94,6 +96,57 @@ fn the_board_outlives_noise_on_the_gripper_line() {
 
     board.set_inputs(Inputs::FAST_STOP_OK).unwrap();
     assert!(!board.outputs().intersects(Outputs::LINK_OK | Outputs::READY | Outputs::BUSY));
+}
+
+/// The variable that makes [`harness_that_waits_to_be_killed`] one.
+const HARNESS_VARIABLE: &str = "WSG_HARNESS_THAT_WAITS";
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn harness_that_is_killed_leaves_no_emulator() {
+    let (ours, output) = UnixStream::pair().unwrap();
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command
+        .args(["--exact", "harness_that_waits_to_be_killed", "--include-ignored", "--nocapture"])
+        .env(HARNESS_VARIABLE, "1")
+        .stdout(OwnedFd::from(output));
+    let mut harness = command.spawn().unwrap();
+    // It has a copy of the output.
+    drop(command);
+    let mut said = String::new();
+    while !said.contains("it runs") {
+        said += &next_said(&ours).expect("the harness comes up");
+    }
+
+    harness.kill().unwrap();
+    harness.wait().unwrap();
+
+    // The output ends when all who have it have ended: the harness, and its QEMU.
+    while next_said(&ours).is_some() {}
+}
+
+/// What comes next on the output of a harness, within a bound; `None`: its end.
+fn next_said(output: &UnixStream) -> Option<String> {
+    let mut chunk = [0; 256];
+    let count = uninterrupted::read_within(output, &mut chunk, Duration::from_secs(60)).unwrap();
+    let count = count.expect("neither more nor the end in time");
+    (count > 0).then(|| String::from_utf8_lossy(&chunk[..count]).into_owned())
+}
+
+#[test]
+#[ignore = "another test runs it in a process of its own"]
+fn harness_that_waits_to_be_killed() {
+    if std::env::var_os(HARNESS_VARIABLE).is_none() {
+        return;
+    }
+    // QEMU has the output as well, so it does not end before QEMU does.
+    let output = std::io::stdout().as_fd().try_clone_to_owned().unwrap();
+    let extras = Extras { semihosting: Some(output.into()), ..Extras::default() };
+    let _board = Emulator::start_with(&image(), extras).unwrap();
+    println!("it runs");
+    loop {
+        std::thread::park();
+    }
 }
 
 #[test]
