@@ -34,7 +34,7 @@ use crate::qtest::Qtest;
 const QEMU: &str = "qemu-system-arm";
 
 /// QEMU starts in tens of milliseconds and answers in less; this is for a host that is very busy.
-const PATIENCE: Duration = Duration::from_secs(20);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The sockets' names, each in a directory of its own.
 const GRIPPER_LINE: &str = "uart4";

@@ -28,15 +28,26 @@ pub type Disturbance<'a> = &'a mut dyn FnMut(u8) -> u8;
 pub struct Master {
     line: UnixStream,
     unit: u8,
-    /// Requests that were sent again.
-    pub retries: u32,
+    /// Attempts without an intact answer.
+    pub failed: Failed,
+}
+
+/// Attempts without an intact answer, by what happened on the line.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Failed {
+    /// A byte was damaged.
+    pub damaged: u32,
+    /// No byte was damaged, neither in this attempt nor in the one before: the host was too busy to run the board.
+    pub undamaged: u32,
+    /// No byte was damaged, but one was in the attempt before.
+    pub after_damage: u32,
 }
 
 impl Master {
     /// A master on this line.
     #[must_use]
     pub const fn new(line: UnixStream, unit: u8) -> Self {
-        Self { line, unit, retries: 0 }
+        Self { line, unit, failed: Failed { damaged: 0, undamaged: 0, after_damage: 0 } }
     }
 
     /// Hands the line back, without a time-out.
@@ -69,13 +80,26 @@ impl Master {
     /// # Errors
     /// When no intact answer comes.
     pub fn ask_over(&mut self, pdu: &[u8], disturb: Disturbance<'_>) -> Result<Vec<u8>> {
-        for attempt in 0..ATTEMPTS {
-            self.retries += u32::from(attempt > 0);
-            let frame: Vec<u8> = Self::frame(self.unit, pdu).into_iter().map(&mut *disturb).collect();
+        let mut was_damaged = false;
+        for _ in 0..ATTEMPTS {
+            let mut is_damaged = false;
+            let mut disturb = |byte| {
+                let arrives = disturb(byte);
+                is_damaged |= arrives != byte;
+                arrives
+            };
+            let frame: Vec<u8> = Self::frame(self.unit, pdu).into_iter().map(&mut disturb).collect();
             self.send(&frame)?;
-            if let Some(answer) = self.answer(disturb)? {
+            if let Some(answer) = self.answer(&mut disturb)? {
                 return Ok(answer);
             }
+            let failed = match (is_damaged, was_damaged) {
+                (true, _) => &mut self.failed.damaged,
+                (false, true) => &mut self.failed.after_damage,
+                (false, false) => &mut self.failed.undamaged,
+            };
+            *failed += 1;
+            was_damaged = is_damaged;
         }
         bail!("no intact answer to {pdu:02X?} in {ATTEMPTS} attempts")
     }

@@ -16,10 +16,10 @@ use crate::gripper_end::GripperEnd;
 use crate::trace::{Entry, Trace, frame_id};
 
 /// How long anything may take that is not a motion: connecting, a reconnect, an acknowledgement.
-pub const PATIENCE: Duration = Duration::from_secs(10);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// How long a motion may take, at the real gripper's speed.
-pub const MOTION_PATIENCE: Duration = Duration::from_secs(60);
+pub const MOTION_PATIENCE: Duration = Duration::from_secs(120);
 
 /// How long a wire is held so that the bridge counts it, in the board's milliseconds: 2 ms of debouncing, 5 ms until
 /// FAST_STOP_OK counts as high, and the turn of the main loop before and after.

@@ -153,6 +153,18 @@ pub struct Sequences {
 const ID_AT: usize = 3;
 
 impl Sequences {
+    /// The edges of each of the bridge's wires, one wire after the other. Which of two wires changes first only the time
+    /// decides where each follows a report of its own: REFERENCED one value, BUSY and READY the other.
+    #[must_use]
+    pub fn output_edges(&self) -> Vec<(Outputs, bool)> {
+        let edges = |wire: Outputs| {
+            let changes =
+                self.outputs.iter().filter(move |(before, after)| (*before ^ *after).contains(wire));
+            changes.map(move |(_, after)| (wire, after.contains(wire)))
+        };
+        Outputs::all().iter().flat_map(edges).collect()
+    }
+
     /// The sequences of a recording from the entry `mark` on. What was reported before is known: repeating it is no
     /// news.
     #[must_use]
@@ -288,6 +300,19 @@ mod tests {
         assert_eq!(sequences.gripper_states, [state(0), state(6), state(0)].map(|entry| entry.to_string()));
         let later = Sequences::of(&entries, 3);
         assert_eq!(later.gripper_states, [state(6), state(0)].map(|entry| entry.to_string()));
+    }
+
+    #[test]
+    fn edges_of_a_wire_are_the_same_whichever_wire_changes_first() {
+        let of = |outputs: &[(Outputs, Outputs)]| {
+            let outputs = outputs.to_vec();
+            Sequences { outputs, ..Sequences::default() }.output_edges()
+        };
+        let (busy, both) = (Outputs::BUSY, Outputs::BUSY | Outputs::REFERENCED);
+        let at_once = of(&[(Outputs::empty(), busy), (busy, Outputs::REFERENCED)]);
+        let one_by_one = of(&[(Outputs::empty(), busy), (busy, both), (both, Outputs::REFERENCED)]);
+        assert_eq!(at_once, [(busy, true), (busy, false), (Outputs::REFERENCED, true)]);
+        assert_eq!(at_once, one_by_one);
     }
 
     #[test]

@@ -19,11 +19,11 @@ const BOUND: Duration = Duration::from_secs(60);
 /// A loaded machine may let the server wait for longer than a gripper ever would.
 const PATIENT: driver::Config = driver::Config {
     session: session::Config {
-        reply_timeout_ms: 3_000,
-        result_grace_ms: 10_000,
+        reply_timeout_ms: 20_000,
+        result_grace_ms: 20_000,
         ..driver::Config::DEFAULT.session
     },
-    connect_timeout_ms: 10_000,
+    connect_timeout_ms: 20_000,
     ..driver::Config::DEFAULT
 };
 
@@ -121,7 +121,7 @@ fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P
     actor.set_force_limit(35.0).unwrap();
     watcher.set_force_limit(35.0).unwrap();
 
-    // While the fingers move, for four seconds, the same state, and widths of one and the same way.
+    // While the fingers move, for fourteen seconds if nobody stops them, the same state, and widths of one and the same way.
     actor.move_to(100.0, 400.0, OnBlock::Stop).unwrap();
     let motion = actor.begin_move_to(30.0, 5.0, OnBlock::Stop).unwrap();
     assert_eq!(watcher.state().unwrap(), GripperState::Positioning);
@@ -169,7 +169,6 @@ fn clients_of_both_protocols_at_the_same_time_see_the_same_gripper() {
         part: Part::of_width(20.0),
         serial_number: 4_711,
         tag: wsg_sim::Tag::new("shared").unwrap(),
-        time_scale: 4.0,
         ..Config::default()
     };
     let lines = Lines { tcp: any(), gcl: any(), ..Lines::default() };

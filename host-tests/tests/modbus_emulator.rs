@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use host_tests::emulator::Emulator;
 use host_tests::gripper_end::GripperEnd;
-use host_tests::modbus_master::Master;
+use host_tests::modbus_master::{Failed, Master};
 use host_tests::rig::motions;
 use host_tests::trace::{Entry, Trace, frame_id};
 use wsg_bridge_fw::io::Inputs;
@@ -16,7 +16,7 @@ use wsg_sim::{Config, Part};
 const UNIT: u8 = 1;
 
 struct Plant {
-    _board: Emulator,
+    board: Emulator,
     gripper: GripperEnd,
     trace: Trace,
     master: Master,
@@ -32,8 +32,8 @@ impl Plant {
         let trace = Trace::new(vec![]);
         let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
         let master = Master::new(board.take_modbus_line().unwrap(), UNIT);
-        let mut plant = Self { _board: board, gripper, trace, master };
-        let bound = Instant::now() + Duration::from_secs(20);
+        let mut plant = Self { board, gripper, trace, master };
+        let bound = Instant::now() + Duration::from_secs(60);
         while plant.ask(&[4, 0, 0, 0, 6])[0] != 4 {
             assert!(Instant::now() < bound, "the gripper does not answer");
         }
@@ -170,19 +170,20 @@ fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_maste
     let mut plant = Plant::start(Config::default());
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(plant.command(MOVE, [20_00, 300_00, 40_00]), (IDLE, 0));
-    let jog_plus = [1 << 14, 20_00, 20_00, 40_00];
+    let jog_plus = [1 << 14, 20_00, 5_00, 40_00];
     plant.write(&jog_plus);
     plant.wait("a jog that moves", |input| input[0] >> 8 == RELEASING && input[3] > 21_00);
-    plant.write(&[0, 20_00, 20_00, 40_00]);
+    plant.write(&[0, 20_00, 5_00, 40_00]);
     plant.wait("the jog to end", |input| input[0] >> 8 == IDLE);
     let stands = plant.gripper.state().width;
     assert!(stands > 20.5 && stands < 100.0, "{stands}");
 
     let mark = plant.trace.mark();
     plant.write(&jog_plus);
-    // Nobody says that the button is still held: the bridge stops by itself.
+    // Nobody says that the button is still held: the bridge stops by itself, in its own time. On a busy host that of the
+    // gripper may run ahead of it, so the fingers take long enough.
     let is_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(frame) if frame_id(frame) == Some(CommandId::Stop.code()));
-    assert!(plant.trace.wait(mark, Duration::from_secs(20), is_stop), "no Stop");
+    assert!(plant.trace.wait(mark, Duration::from_secs(60), is_stop), "no Stop");
     let input = plant.wait("the fingers to stand", |input| input[0] >> 8 == IDLE);
     assert!(input[3] < 100_00, "{input:?}");
 }
@@ -212,11 +213,13 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
         assert_eq!(plant.ask(&read), value, "after {bytes:02X?}");
     }
     assert_eq!(motions(&plant.trace.since(0)), []);
-    // Pauses inside a request are forgiven, for a PC behind a USB adapter.
+    // Pauses inside a request are forgiven, for a PC behind a USB adapter: 5 ms and the rest of one.
+    const PAUSE_MS: u32 = 6;
     let frame = Master::frame(UNIT, &read);
     let mut in_two_pieces = |cut: usize| {
         plant.master.send(&frame[..cut]).unwrap();
-        std::thread::sleep(Duration::from_millis(5));
+        let start = plant.board.now_ms().unwrap();
+        while plant.board.now_ms().unwrap().wrapping_sub(start) < PAUSE_MS {}
         plant.master.send(&frame[cut..]).unwrap();
         plant.master.answer(&mut |byte| byte).unwrap()
     };
@@ -247,7 +250,7 @@ fn ten_thousand_requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_s
         damaged += 1;
         byte ^ (1 << (state >> 29))
     };
-    let before = plant.master.retries;
+    plant.master.failed = Failed::default();
     for number in 0..REQUESTS / 2 {
         let [high, low] = (number as u16).to_be_bytes();
         let written = plant.master.ask_over(&[16, 0, 1, 0, 1, 2, high, low], &mut disturb).unwrap();
@@ -255,11 +258,11 @@ fn ten_thousand_requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_s
         let read = plant.master.ask_over(&[3, 0, 1, 0, 1], &mut disturb).unwrap();
         assert_eq!(read, [3, 2, high, low], "pair {number}");
     }
-    let retries = plant.master.retries - before;
-    println!("{REQUESTS} requests, {damaged} damaged bytes, {retries} retries");
-    assert!(damaged > 0 && retries > 0, "the disturbance does something");
+    let failed = plant.master.failed;
+    println!("{REQUESTS} requests, {damaged} damaged bytes, {failed:?}");
+    assert!(damaged > 0 && failed.damaged > 0, "the disturbance does something");
     // A damaged byte costs one request at the most. A host that is very busy may pause inside a frame for longer than
-    // the bridge has patience.
-    assert!(retries <= damaged + 3, "{retries} retries for {damaged} damaged bytes");
+    // the bridge has patience, and that may fall together with a damage, but not twice.
+    assert!(failed.after_damage <= 1, "{damaged} damaged bytes: {failed:?}");
     assert_eq!(motions(&plant.trace.since(0)), []);
 }

@@ -3,6 +3,7 @@
 #![cfg(unix)]
 
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use host_tests::can_hub::CanHub;
 use host_tests::emulator::Emulator;
@@ -14,6 +15,9 @@ use host_tests::trace::Trace;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::{Config, Part};
+
+/// How long an acknowledgement takes on a host that is not busy.
+const ACKNOWLEDGED_WITHIN: Duration = Duration::from_millis(500);
 
 const READY: Outputs = Outputs::READY.union(Outputs::LINK_OK);
 
@@ -47,9 +51,10 @@ fn make_ready(board: &Emulator) {
     board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
     // The FAST STOP of power-up has to be confirmed before it can be acknowledged.
-    for _ in 0..20 {
+    let bound = Instant::now() + PATIENCE;
+    while Instant::now() < bound {
         pulse(board, Inputs::STOP_ACK);
-        if board.wait_outputs(PATIENCE / 20, |outputs| outputs == READY).is_ok() {
+        if board.wait_outputs(ACKNOWLEDGED_WITHIN, |outputs| outputs == READY).is_ok() {
             return;
         }
     }

@@ -26,6 +26,7 @@ def wait(what, reached):
 network = canopen.Network()
 network.connect(interface="slcan", channel=sys.argv[1], bitrate=500_000, sleep_after_open=0)
 node = network.add_node(NODE, sys.argv[2])
+node.sdo.RESPONSE_TIMEOUT = PATIENCE
 seen = {}
 emergencies = []
 node.emcy.add_callback(lambda error: emergencies.append((error.code, error.register)))
@@ -39,6 +40,10 @@ node.rpdo.read()
 node.tpdo.read()
 assert node.rpdo[1].cob_id == 0x200 + NODE and node.tpdo[1].cob_id == 0x180 + NODE
 assert [variable.length for variable in node.rpdo[1]] == [8, 8, 16, 16, 16]
+
+# A busy host may send the heartbeat late.
+SILENCE_MS = 10_000
+node.sdo["Consumer heartbeat time"][1].raw = MASTER << 16 | SILENCE_MS
 
 recipe = node.sdo["Settings"]["RECIPE2_WIDTH"]
 assert recipe.raw == 1000, recipe.raw

@@ -33,7 +33,7 @@ const RELEASE: Job = (Inputs::RELEASE, CommandId::ReleasePart, |state| (state.wi
 const WIDE: u8 = 1;
 
 /// How long anything may take: a lost link is back in seconds, but a busy machine may lose it several times.
-const PATIENCE: Duration = Duration::from_secs(30);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// What the PLC was told.
 #[derive(Debug, Default)]
@@ -142,7 +142,6 @@ fn settle(rig: &Rig) -> Result<f32> {
         if Instant::now() > bound {
             bail!("the fingers travel for ever: {state:?}");
         }
-        std::thread::sleep(Duration::from_millis(1));
     }
 }
 

@@ -14,7 +14,7 @@ use wsg_sim::{Config, Part};
 use crate::document::blocks;
 
 /// The longest that anything may take here.
-const BOUND: Duration = Duration::from_secs(10);
+const BOUND: Duration = Duration::from_secs(60);
 
 /// What the document starts: `wsg-sim --gcl ... --part 20`, but for the time that the fingers take.
 fn serve() -> ServerThread {

@@ -3,7 +3,7 @@
 
 import time
 
-def wait(done, seconds=30):
+def wait(done, seconds=60):
     end = time.time() + seconds
     while time.time() < end:
         image = inputs(0, 6)
@@ -24,9 +24,7 @@ assert (image[0] >> 8, image[5]) == (1, 0), image    # IDLE, E_SUCCESS
 assert image[1] & 0x0100, image                      # REFERENCED
 image = command(1 << 1, 2000, 5000, 4000)            # GRIP
 assert (image[0] >> 8, image[5]) == (1 << 4, 0), image
-time.sleep(0.1)
-image = inputs(0, 6)
-assert abs(image[3] - 2000) < 60 and abs(image[4] - 4000) < 200, image
+image = wait(lambda image: abs(image[3] - 2000) < 60 and abs(image[4] - 4000) < 200)
 assert read(0, 4) == [0, 2000, 5000, 4000], read(0, 4)
 write(0, [0, 4000, 5000, 4000])
 coil(2, True)                                        # RELEASE

@@ -3,7 +3,7 @@ import sys
 import minimalmodbus
 client = minimalmodbus.Instrument(sys.argv[1], 1)
 client.serial.baudrate = 19200
-client.serial.timeout = 0.5
+client.serial.timeout = 5
 
 def again(call):
     for attempt in range(5):

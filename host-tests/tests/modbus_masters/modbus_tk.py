@@ -4,8 +4,8 @@ import serial
 import modbus_tk.defines as fc
 from modbus_tk.exceptions import ModbusError, ModbusInvalidResponseError
 from modbus_tk.modbus_rtu import RtuMaster
-client = RtuMaster(serial.Serial(sys.argv[1], baudrate=19200, parity="N", timeout=0.5))
-client.set_timeout(0.5)
+client = RtuMaster(serial.Serial(sys.argv[1], baudrate=19200, parity="N", timeout=5))
+client.set_timeout(5)
 
 def again(*arguments, **more):
     for attempt in range(5):
