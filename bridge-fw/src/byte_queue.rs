@@ -3,7 +3,14 @@
 //! `heapless::spsc` is not used for this: its two halves have to be put into statics by `unsafe`,
 //! and its division by a length known only at run time is a way to panic.
 
-use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
+#[cfg(all(loom, test))]
+mod model;
+
+use core::sync::atomic::Ordering;
+#[cfg(not(all(loom, test)))]
+use core::sync::atomic::{AtomicU8 as Place, AtomicUsize};
+#[cfg(all(loom, test))]
+use model::{AtomicUsize, Place};
 
 /// A queue of up to `N` bytes, `N` a power of two, from one producer to one consumer.
 ///
@@ -22,7 +29,7 @@ use core::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 /// ```
 #[derive(Debug)]
 pub struct ByteQueue<const N: usize> {
-    bytes: [AtomicU8; N],
+    bytes: [Place; N],
     /// Bytes ever pushed, wrapping; written by the producer alone.
     pushed: AtomicUsize,
     /// Bytes ever popped, wrapping; written by the consumer alone.
@@ -35,14 +42,11 @@ pub struct Full;
 
 impl<const N: usize> ByteQueue<N> {
     /// An empty queue.
+    #[cfg(not(all(loom, test)))]
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(N.is_power_of_two()) };
-        Self {
-            bytes: [const { AtomicU8::new(0) }; N],
-            pushed: AtomicUsize::new(0),
-            popped: AtomicUsize::new(0),
-        }
+        Self { bytes: [const { Place::new(0) }; N], pushed: AtomicUsize::new(0), popped: AtomicUsize::new(0) }
     }
 
     /// Puts a byte at the end of the queue. For the producer.
@@ -102,7 +106,7 @@ impl<const N: usize> Default for ByteQueue<N> {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, not(loom)))]
 mod tests {
     extern crate std;
 
