@@ -13,6 +13,7 @@ mod firmware;
 mod flash;
 mod fuzz;
 mod gate;
+mod interleavings;
 mod matrix;
 mod measure;
 mod mutants;
@@ -54,7 +55,7 @@ Commands
                      something could not be checked or compared, which is else only said
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
-  ci                 deny, test --strict, then Miri: what runs on each change
+  ci                 deny, test --strict, then loom and Miri: what runs on each change
   deny               licences, bans and sources of all dependencies against deny.toml; cargo-deny
   size               flash and static RAM of the image, and of the protocol beside an empty
                      program, against their limits
@@ -72,6 +73,7 @@ Commands
   mutants [FILE...]  changes of the protocol crate and of the bridge's library, or of these files of them, that
                      no test notices; takes hours for all [--jobs N: at a time, 1] [--shard K/N: every N-th,
                      a sample] [--again: but those that the run before has caught]; cargo-mutants
+  loom               the queue of the interrupts under every order of events
   miri               the bridge's host tests under Miri; nightly Rust
   coverage           lines of the protocol crate that its tests reach; nightly Rust
   figures            measure all that docs/figures.md tells, and write it and the README's table

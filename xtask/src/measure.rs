@@ -6,7 +6,7 @@ use lexopt::{Arg, Parser, ValueExt};
 use crate::{
     bench, coverage, dependencies, fast_stop, figures,
     firmware::{self, Image},
-    fuzz, gate, mutants, no_more, panics,
+    fuzz, gate, interleavings, mutants, no_more, panics,
     probe::Probes,
     setup::{self, ThumbToolchain},
     size, soak, stack, test, undefined_behaviour,
@@ -49,6 +49,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             dependencies::check(&workspace)?;
             test::run(&workspace, &toolchain, &image, &[], true)?;
             fast_stop::run(&workspace)?;
+            interleavings::run(&workspace)?;
             undefined_behaviour::run(&workspace)
         }
         "fast-stop" => {
@@ -69,6 +70,10 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             soak::run(&built.workspace, &built.image, &extent)
         }
         "mutants" => mutants::run(&Workspace::from_env()?, &mutants_extent(arguments)?),
+        "loom" => {
+            no_more(arguments)?;
+            interleavings::run(&Workspace::from_env()?)
+        }
         "miri" => {
             no_more(arguments)?;
             undefined_behaviour::run(&Workspace::from_env()?)

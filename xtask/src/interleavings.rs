@@ -1,0 +1,18 @@
+//! The queue between interrupts and main loop, under every order of events that the memory model allows: `loom`.
+
+use anyhow::{Result, ensure};
+
+use crate::{firmware, process, workspace::Workspace};
+
+/// Runs the models.
+pub(crate) fn run(workspace: &Workspace) -> Result<()> {
+    let mut models = workspace.cargo("test");
+    models.args(["--release", "-p", firmware::PACKAGE, "--lib", "byte_queue::model"]);
+    // Everything is built anew with that flag: in a folder of its own, so that nothing else is.
+    models.env("RUSTFLAGS", "--cfg loom").env("CARGO_TARGET_DIR", workspace.target_dir.join("loom"));
+    let said = process::output(&mut models)?;
+    print!("{said}");
+    ensure!(!said.contains("running 0 tests"), "there are no models");
+    println!("loom: every byte arrives once and in order, whatever the order of events");
+    Ok(())
+}
