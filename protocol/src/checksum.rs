@@ -120,12 +120,18 @@ pub(crate) fn push_copied(value: u16, source: &[u8], target: &mut [u8]) -> u16 {
     value
 }
 
+// Tests hold both ways to take a chunk, whatever the processor they run on.
+#[cfg(any(feature = "small-table", not(target_pointer_width = "64")))]
+use chunk_of_4 as chunk;
+#[cfg(not(any(feature = "small-table", not(target_pointer_width = "64"))))]
+use chunk_of_8 as chunk;
+
 /// Takes several bytes into the running value.
 ///
 /// [`push`] is linear, so the value and all the bytes lie in one word, which a byte leaves with each step: nothing is
 /// read or combined byte by byte but the table.
-#[cfg(any(feature = "small-table", not(target_pointer_width = "64")))]
-mod chunk {
+#[cfg(any(test, feature = "small-table", not(target_pointer_width = "64")))]
+mod chunk_of_4 {
     use super::lookup;
 
     pub(super) const LEN: usize = 4;
@@ -140,8 +146,8 @@ mod chunk {
 
 /// The same where flash is no matter: a table for each byte of the word, 4 KiB in all, so that no look-up waits for the
 /// one before.
-#[cfg(not(any(feature = "small-table", not(target_pointer_width = "64"))))]
-mod chunk {
+#[cfg(any(test, not(any(feature = "small-table", not(target_pointer_width = "64")))))]
+mod chunk_of_8 {
     pub(super) const LEN: usize = 8;
 
     /// What a byte comes to that so many others follow.
@@ -228,6 +234,24 @@ mod tests {
                 assert_eq!(push_copied(value, slice, &mut copy[..length]), by_byte, "{length} bytes");
                 assert!(copy[..length] == *slice && copy[length..].iter().all(|&byte| byte == 0xEE));
             }
+        }
+    }
+
+    /// Both chunks that come next, against their bytes.
+    #[track_caller]
+    fn assert_chunks_agree(value: u16, bytes: [u8; chunk_of_8::LEN]) {
+        let by_byte = |bytes: &[u8]| bytes.iter().fold(value, |value, &byte| update(value, byte));
+        let [a, b, c, d, ..] = bytes;
+        assert_eq!(chunk_of_4::push(value, [a, b, c, d]), by_byte(&[a, b, c, d]), "{value:04X} {bytes:02X?}");
+        assert_eq!(chunk_of_8::push(value, bytes), by_byte(&bytes), "{value:04X} {bytes:02X?}");
+    }
+
+    #[test]
+    fn chunks_of_either_length_are_taken_in_like_their_bytes() {
+        for n in 0..1_000u128 {
+            // Any bits do that are the same at every run: multiples of the golden ratio.
+            let bits = n.wrapping_mul(0x9E37_79B9_7F4A_7C15_F39C_C060_5CED_C835);
+            assert_chunks_agree((bits >> 112) as u16, (bits as u64).to_le_bytes());
         }
     }
 
