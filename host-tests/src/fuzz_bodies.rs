@@ -9,7 +9,7 @@
 //! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
 //! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
 //! | [`can`] | the reassembler finds what a reader of the whole recording finds |
-//! | [`bridge`] | no motion without an edge, whatever the line, the wires and the Modbus bus do |
+//! | [`bridge`] | no motion without an edge, FAST STOP in time, and true outputs, whatever gripper, line, wires and Modbus bus do |
 //! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
 //!
 //! cargo-fuzz runs them (`cargo xtask fuzz`, targets in `host-tests/fuzz`); the test `fuzz_smoke` runs them on stable Rust
@@ -29,8 +29,12 @@ mod generate;
 mod gripper;
 mod input;
 mod modbus;
+mod oracle;
+mod outputs;
 mod rtu_line;
 mod session;
+mod stops;
+mod told;
 mod typed;
 
 pub use bridge::bridge;

@@ -4,11 +4,13 @@
 //! - An edge lets one command out, with the parameters of its side: of the recipe, or of the image. What else was asked for
 //!   until then has come to nothing: one motion at a time.
 //! - A wire counts once it has not changed for the debounce time: command and recipe wires together, STOP_ACK and
-//!   FAST_STOP_OK by themselves; none before all have. The levels that they have then, and the first image of a bus, give no
-//!   edge.
+//!   FAST_STOP_OK by themselves; none before all have. But a low FAST_STOP_OK counts at once, and a high one after 5 ms at the
+//!   least. The levels that the wires have then, and the first image of a bus, give no edge. Nor does a command wire while
+//!   READY is low.
 //! - A flag of the bus counts from its edge on, as long as it is 1 and the bus is heard. The edge of a motion or a jog is none
 //!   while a command wire is high, or beside STOP/ACK; a command wire that rises ends what counts of them.
 //! - Several motions at once are one: MOVE before GRIP before RELEASE before HOMING.
+//! - A force limit leaves for its motion, and not after that came to nothing.
 //! - STOP/ACK undoes the motions that were asked for before it and beside it, FAST STOP everything. Behind a FAST STOP no
 //!   motion leaves before an acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection
 //!   was lost is void.
@@ -42,9 +44,8 @@ const JOG: CommandFlags = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
 /// Nothing leaves this long after its edge: in milliseconds.
 const LATE_MS: u32 = 1_000;
 
-/// How long a FAST STOP that was sent may be unanswered, in milliseconds: another that is asked for in the meantime is the
-/// same one.
-const FAST_STOP_MS: u32 = 200;
+/// How long FAST_STOP_OK must be high at least before it counts as high.
+const LEAST_RELEASE_MS: u32 = 5;
 
 /// A command that may leave.
 struct Edge {
@@ -70,16 +71,22 @@ pub(super) struct Asked {
     /// Both sides' flags, as they stood last; none before the wires have settled.
     flags: Option<CommandFlags>,
     may_leave: Vec<Edge>,
-    /// Force limits that were asked for, in hundredths, and when.
-    forces: Vec<(i32, u32)>,
+    /// Force limits that were asked for, in hundredths, when, and whether for a jog.
+    forces: Vec<(i32, u32, bool)>,
     /// What a jog goes by, and whether a Pre-position may leave for it.
     jog: (Option<(CommandFlags, u16, i16)>, bool),
-    /// A FAST STOP awaits its acknowledgement.
-    stopped: bool,
-    /// Since when a FAST STOP has to leave.
-    fast_stop_due: Option<u32>,
-    /// When one left, that was not acknowledged since.
-    fast_stop_left: Option<u32>,
+    /// The bridge shows READY.
+    pub(super) is_ready: bool,
+    /// In this turn the edge of a command wire came while it did not.
+    pub(super) is_refused: bool,
+    /// In this turn FAST STOP or STOP/ACK was asked for, or what a jog goes by that runs was taken away or changed.
+    pub(super) asks_fast_stop: bool,
+    pub(super) asks_stop: bool,
+    pub(super) ends_jog: bool,
+    /// A Pre-position left for a jog, and was neither answered nor stopped.
+    pub(super) jogs: bool,
+    /// Since when a FAST STOP awaits its acknowledgement.
+    pub(super) stopped_ms: Option<u32>,
 }
 
 #[derive(Clone, Copy)]
@@ -106,19 +113,30 @@ impl Asked {
             may_leave: Vec::new(),
             forces: Vec::new(),
             jog: (None, false),
-            stopped: false,
-            fast_stop_due: None,
-            fast_stop_left: None,
+            is_ready: false,
+            is_refused: false,
+            asks_fast_stop: false,
+            asks_stop: false,
+            ends_jog: false,
+            jogs: false,
+            stopped_ms: None,
         }
+    }
+
+    /// Whether the wires have settled, FAST_STOP_OK high and STOP_ACK low.
+    pub(super) fn is_released(&self) -> bool {
+        self.wires.is_some_and(|wires| !wires.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP))
     }
 
     /// The wires are read.
     pub(super) fn read_wires(&mut self, now_ms: u32, reading: Inputs) {
         self.now_ms = now_ms;
+        (self.is_refused, self.asks_fast_stop, self.asks_stop, self.ends_jog) = (false, false, false, false);
         for group in &mut self.groups {
             group.read(now_ms, reading, self.debounce_ms);
         }
-        if self.groups[2].counts == Some(Inputs::empty()) && self.wires.is_none() && !self.stopped {
+        if self.groups[2].counts == Some(Inputs::empty()) && self.wires.is_none() && self.stopped_ms.is_none()
+        {
             // It does not wait for the others.
             self.fast_stop();
         }
@@ -156,19 +174,29 @@ impl Asked {
 
     /// Nobody commands over the bus any more.
     pub(super) fn lose_bus(&mut self) {
+        // What it began may be stopped, which says more than that.
+        self.is_refused = false;
         self.image = None;
         self.bus &= CommandFlags::FASTSTOP;
         self.take(self.wires, false);
     }
 
-    /// A command leaves the bridge; none where it only begins to, so that no more than the id is known.
-    pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>) {
+    /// A command leaves the bridge; none where it only begins to, so that no more than the id is known. The force limit of
+    /// the gripper in hundredths, if that is known.
+    pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>, force_limit: Option<i32>) {
         match id.kind() {
             Kind::Motion => {
-                assert!(!self.stopped, "{id} behind a FAST STOP that is not acknowledged");
-                let has_edge = self.may_leave.iter().any(|edge| self.lets_out(edge, id, command));
-                let jogs = id == CommandId::PrePosition && self.jogs_by(command);
-                assert!(has_edge || jogs, "{id} without an edge, {command:?}");
+                assert!(self.stopped_ms.is_none(), "{id} behind a FAST STOP that is not acknowledged");
+                let is_limited_to = |force| force_limit.is_none_or(|limit| limit == force);
+                let has_edge = self.may_leave.iter().any(|edge| {
+                    let is_limited = id != CommandId::GripPart || is_limited_to(edge.goes_by[2]);
+                    is_limited && self.lets_out(edge, id, command)
+                });
+                let jogs = id == CommandId::PrePosition
+                    && self.jog.0.is_some_and(|(.., force)| is_limited_to(force.into()))
+                    && self.jogs_by(command);
+                assert!(has_edge || jogs, "{id} without an edge, {command:?}, limited to {force_limit:?}");
+                self.jogs = !has_edge;
                 self.may_leave.clear();
                 self.jog.1 = false;
             }
@@ -176,20 +204,20 @@ impl Asked {
                 let edge = self.may_leave.iter().position(|edge| self.lets_out(edge, id, None));
                 let edge = edge.expect("an acknowledgement without STOP/ACK");
                 self.may_leave.remove(edge);
-                self.stopped = false;
-                self.fast_stop_left = None;
+                self.stopped_ms = None;
             }
-            Kind::Stop if id == CommandId::FastStop => {
-                self.undo();
-                self.stopped = true;
-                self.fast_stop_due = None;
-                self.fast_stop_left = Some(self.now_ms);
+            Kind::Stop => {
+                self.jogs = false;
+                if id == CommandId::FastStop {
+                    self.undo();
+                    self.stopped_ms = self.stopped_ms.or(Some(self.now_ms));
+                }
             }
-            Kind::Stop | Kind::Query => {}
+            Kind::Query => {}
             kind => {
                 assert_eq!(id, CommandId::SetForceLimit, "{id} is no command of a PLC, but {kind:?}");
                 if let Some(Command::SetForceLimit { force }) = command {
-                    let is_recent = |(asked, at_ms): &(i32, u32)| {
+                    let is_recent = |(asked, at_ms, _): &(i32, u32, bool)| {
                         *asked == hundredths(*force) && self.now_ms - at_ms < LATE_MS
                     };
                     assert!(self.forces.iter().any(is_recent), "{force} N, which nobody asked for");
@@ -198,21 +226,10 @@ impl Asked {
         }
     }
 
-    /// The turn is over. Says whether the gripper is connected, and how long a FAST STOP may wait for what is before it, in
-    /// milliseconds; none: nothing can reach the gripper.
-    pub(super) fn end_turn(&mut self, connected: bool, patience_ms: Option<u32>) {
-        if !connected {
-            self.undo();
-        }
-        let Some(patience_ms) = patience_ms else {
-            // What is on its way stays there, and what is due stays due.
-            for moment in [&mut self.fast_stop_due, &mut self.fast_stop_left].into_iter().flatten() {
-                *moment = self.now_ms;
-            }
-            return;
-        };
-        let is_late = self.fast_stop_due.is_some_and(|due_ms| self.now_ms - due_ms > patience_ms);
-        assert!(!is_late, "FAST STOP does not leave");
+    /// The connection to the gripper is lost, or there is none.
+    pub(super) fn lose_gripper(&mut self) {
+        self.undo();
+        self.jogs = false;
     }
 
     fn lets_out(&self, edge: &Edge, id: CommandId, command: Option<&Command<'_>>) -> bool {
@@ -261,20 +278,25 @@ impl Asked {
             self.bus -= JOG;
         }
         if flags.contains(CommandFlags::FASTSTOP) {
-            let is_first = before.is_none() && !self.stopped;
+            let is_first = before.is_none() && self.stopped_ms.is_none();
             if is_first || rising.contains(CommandFlags::FASTSTOP) {
                 self.fast_stop();
             }
         } else if rising.contains(CommandFlags::STOP_ACK) {
+            (self.is_refused, self.asks_stop) = (false, true);
             self.may_leave.retain(|edge| edge.id == CommandId::Acknowledge);
+            self.forces.clear();
             self.jog.1 = false;
             self.may_leave.push(Edge { id: CommandId::Acknowledge, at_ms: self.now_ms, goes_by: [0; 3] });
         } else if !flags.contains(CommandFlags::STOP_ACK)
             && let Some((_, id)) = MOTIONS.iter().find(|(flag, _)| rising.contains(*flag))
         {
-            let goes_by = self.parameters(*id, of_wire);
-            self.forces.push((goes_by[2], self.now_ms));
-            self.may_leave.push(Edge { id: *id, at_ms: self.now_ms, goes_by });
+            self.is_refused = of_wire && !self.is_ready;
+            if !self.is_refused {
+                let goes_by = self.parameters(*id, of_wire);
+                self.forces.push((goes_by[2], self.now_ms, false));
+                self.may_leave.push(Edge { id: *id, at_ms: self.now_ms, goes_by });
+            }
         }
         self.follow_jog(flags & (self.bus | !JOG), before.is_none());
     }
@@ -285,37 +307,37 @@ impl Asked {
         let image = self.image.filter(|_| flags.intersects(JOG) && !stops);
         let goes_by = image.map(|image| (flags & JOG, image.speed, image.force_limit));
         if goes_by != self.jog.0 {
-            self.forces.extend(goes_by.map(|(_, _, force_limit)| (force_limit.into(), self.now_ms)));
+            self.ends_jog |= self.jogs;
+            self.forces.retain(|(.., of_jog)| !of_jog);
+            self.forces.extend(goes_by.map(|(_, _, force_limit)| (force_limit.into(), self.now_ms, true)));
             self.jog = (goes_by, goes_by.is_some() && !is_first);
         }
     }
 
     fn fast_stop(&mut self) {
         self.undo();
-        self.stopped = true;
-        let is_on_its_way = |left_ms: u32| self.now_ms - left_ms <= FAST_STOP_MS;
-        if !self.fast_stop_left.is_some_and(is_on_its_way) {
-            self.fast_stop_due = self.fast_stop_due.or(Some(self.now_ms));
-        }
+        self.asks_fast_stop = true;
+        self.stopped_ms = self.stopped_ms.or(Some(self.now_ms));
     }
 
     /// What was asked for comes to nothing.
     fn undo(&mut self) {
         self.may_leave.clear();
+        self.forces.clear();
         self.jog.1 = false;
     }
 }
 
 impl Group {
     fn read(&mut self, now_ms: u32, reading: Inputs, debounce_ms: u32) {
+        let is_fast_stop = self.wires == Inputs::FAST_STOP_OK;
+        let period_ms = if is_fast_stop { debounce_ms.max(LEAST_RELEASE_MS) } else { debounce_ms };
         let reading = reading & self.wires;
         let (before, since_ms) = self.read.unwrap_or((reading, now_ms));
-        if reading != before {
-            self.read = Some((reading, now_ms));
-            return;
-        }
+        let since_ms = if reading == before { since_ms } else { now_ms };
         self.read = Some((reading, since_ms));
-        if now_ms - since_ms >= debounce_ms {
+        let has_settled = reading == before && now_ms - since_ms >= period_ms;
+        if has_settled || is_fast_stop && reading.is_empty() {
             self.counts = Some(reading);
         }
     }

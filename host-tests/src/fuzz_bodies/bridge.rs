@@ -1,8 +1,9 @@
 //! The whole bridge between wires, a Modbus bus and the gripper's line: any bytes on both lines, any wires.
 //!
 //! What must hold, whatever comes:
-//! - each command that leaves was [`Asked`] for, by an edge of its own of a wire or of an image that an intact request wrote
-//!   while the bus commanded; and FAST STOP leaves at once, or behind the frame that is being sent;
+//! - the [`Oracle`]'s rules: a command leaves only for an edge of a wire, or of an image that an intact request wrote while the
+//!   bus commanded; a FAST STOP leaves at once, or behind the frame that is being sent; the outputs are true;
+//! - the watchdog may be fed;
 //! - no frame with a wrong checksum leaves, on either line;
 //! - each answer on the bus has its request, intact and for the bridge's unit ([`Overheard`]); what is damaged, or for
 //!   another, does nothing.
@@ -13,18 +14,18 @@
 use std::convert::Infallible;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
-use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_protocol::fieldbus::CommandFlags;
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::modbus::rtu::Character;
 use wsg_protocol::{CommandId, FrameParser, Status};
 
-use super::asked::Asked;
 use super::frames::repair_checksums;
-use super::gripper::{self, Message};
+use super::gripper::{self, Gripper, Message};
 use super::input::Input;
 use super::modbus::sealed;
+use super::oracle::Oracle;
 use super::rtu_line::{BROADCAST, Done, Overheard, RtuLine, TIMING};
 use crate::serial_gripper::{BYTES_PER_MS, SerialLine};
 
@@ -60,23 +61,26 @@ struct Model {
     bus: RtuLine,
     now_ms: u32,
     wires: Inputs,
-    asked: Asked,
     overheard: Overheard,
     /// When the PLC on the bus was heard last; none when it was not, or fell silent.
     heard_ms: Option<u32>,
     /// What comes cannot be followed.
     is_over: bool,
-    /// The gripper answers as a real one would that succeeds in everything.
-    answers: bool,
+    gripper: Gripper,
+    oracle: Oracle,
 }
 
-/// The first byte says whether the bridge is ready (bit 0), whether the bus is strict and has broadcasts (bit 1), and whether the
-/// gripper's line takes no more than it would at 115 200 bit/s (bit 2). Then each op is a byte that says what, and bytes that
-/// say how: wires, time, bytes on either line, a gripper that answers, a PLC that writes.
+/// The first byte says whether the bridge is ready (bit 0), whether the bus is strict and has broadcasts (bit 1), whether the
+/// gripper's line takes no more than it would at 115 200 bit/s (bit 2), and whether the fingers move at power-up (bit 4). Then
+/// each op is a byte that says what, and bytes that say how: wires, time, bytes on either line, how the gripper answers, a PLC
+/// that writes.
 pub fn bridge(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
     let mut model = Model::new(choice & 2 != 0, choice & 4 != 0);
+    if choice & 16 != 0 {
+        model.gripper.run();
+    }
     if choice & 1 != 0 {
         model.get_ready();
     }
@@ -86,13 +90,13 @@ pub fn bridge(data: &[u8]) {
             2 => model.wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
             3 => {
                 let count = usize::from(input.byte() % 40);
-                model.line.bring(input.bytes(count));
+                model.bring_to_bridge(input.bytes(count));
             }
             4 => {
                 let count = usize::from(input.byte() % 40);
                 let mut bytes = input.bytes(count).to_vec();
                 repair_checksums(&mut bytes);
-                model.line.bring(&bytes);
+                model.bring_to_bridge(&bytes);
             }
             5 => {
                 let status = input.pick(&[
@@ -101,9 +105,9 @@ pub fn bridge(data: &[u8]) {
                     Status::CmdFailed,
                     Status::AccessDenied,
                 ]);
-                model.line.bring(&gripper::status(input.pick(CommandId::ALL), status));
+                model.bring_to_bridge(&gripper::status(input.pick(CommandId::ALL), status));
             }
-            6 => model.answers = input.byte() & 1 != 0,
+            6 => model.gripper.change(model.now_ms, &mut input),
             7 => model.pass(u32::from(input.byte() % 32)),
             8 => {
                 let count = usize::from(input.byte() % 24);
@@ -167,17 +171,17 @@ impl Model {
             bus: RtuLine::default(),
             now_ms: 0,
             wires: Inputs::empty(),
-            asked: Asked::new(config.debounce_ms),
-            overheard: Overheard::new(&config.bus, config.debounce_ms),
+            overheard: Overheard::new(&config),
             heard_ms: None,
             is_over: false,
-            answers: false,
+            gripper: Gripper::new(),
+            oracle: Oracle::new(&config),
         }
     }
 
     /// What most of the interesting states lie behind: connected, FAST STOP acknowledged, a bus that has written zeros.
     fn get_ready(&mut self) {
-        self.answers = true;
+        self.gripper.answer();
         self.wires = Inputs::FAST_STOP_OK;
         self.pass(12);
         self.wires = Inputs::FAST_STOP_OK | Inputs::STOP_ACK;
@@ -186,6 +190,13 @@ impl Model {
         self.pass(4);
         self.wires = Inputs::FAST_STOP_OK;
         self.pass(4);
+        assert_eq!(self.oracle.shown.outputs, READY);
+    }
+
+    /// Something that the gripper did not say.
+    fn bring_to_bridge(&mut self, bytes: &[u8]) {
+        self.gripper.forge(self.now_ms, bytes);
+        self.line.bring(bytes);
     }
 
     /// A write of registers 0 to 3.
@@ -240,13 +251,15 @@ impl Model {
         let Self { bridge, line, bus, .. } = self;
         let was_connected = bridge.is_connected();
         line.left = line.per_ms;
-        bridge.poll_with_bus(self.now_ms, self.wires, line, bus);
-        self.asked.read_wires(self.now_ms, self.wires);
+        let outputs = bridge.poll_with_bus(self.now_ms, self.wires, line, bus);
+        assert!(bridge.may_feed_watchdog(self.now_ms));
+        let oracle = &mut self.oracle;
+        oracle.begin_turn(self.now_ms, &std::mem::take(&mut line.heard), self.wires);
         for event in self.bus.take_events() {
             match self.overheard.take(event) {
                 None => continue,
                 Some(Done::Heard) => {}
-                Some(Done::Image(image)) => self.asked.take_image(image),
+                Some(Done::Image(image)) => oracle.asked.take_image(image),
                 Some(Done::Unknown) => self.is_over = true,
             }
             self.heard_ms = Some(self.now_ms);
@@ -254,35 +267,43 @@ impl Model {
         if self.is_over {
             return;
         }
-        self.asked.debounce_ms = self.overheard.debounce_ms();
-        self.asked.recipes = self.overheard.recipes();
+        oracle.told.frame_timeout_ms = self.overheard.frame_timeout_ms();
+        oracle.shown.min_busy_ms = self.overheard.min_busy_ms();
+        oracle.asked.debounce_ms = self.overheard.debounce_ms();
+        oracle.asked.recipes = self.overheard.recipes();
         let timeout_ms = self.overheard.timeout_ms();
         if timeout_ms > 0 && self.heard_ms.is_some_and(|heard_ms| self.now_ms - heard_ms >= timeout_ms) {
             self.heard_ms = None;
-            self.asked.lose_bus();
+            oracle.asked.lose_bus();
         }
         let connected = self.bridge.is_connected();
         if was_connected && !connected {
             self.line.cut();
         }
         let is_slow = self.line.per_ms == BYTES_PER_MS;
+        let patience_ms = Some(if is_slow { SLOW_PATIENCE_MS } else { 1 });
+        oracle.begin_leaving(patience_ms);
         for id in self.line.begun.drain(..).filter(|_| is_slow) {
-            self.asked.leaves(id, None);
+            oracle.leaves(id, None, &self.gripper);
         }
         for message in self.line.take_whole() {
             if !is_slow {
-                self.asked.leaves(message.id, Some(&message.command()));
+                oracle.leaves(message.id, Some(&message.command()), &self.gripper);
             }
-            if self.answers {
-                self.line.bring(&gripper::answers(message.id).concat());
-            }
+            self.gripper.hear(self.now_ms, &message);
         }
-        self.asked.end_turn(connected, Some(if is_slow { SLOW_FAST_STOP_MS } else { 0 }));
+        oracle.end_turn(outputs, &self.gripper);
+        for answer in self.gripper.speak(self.now_ms) {
+            self.line.bring(&answer);
+        }
     }
 }
 
+/// What a bridge shows whose gripper takes commands.
+pub(super) const READY: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
+
 /// How long a FAST STOP may wait there for the frame before it, in milliseconds.
-const SLOW_FAST_STOP_MS: u32 = 2;
+const SLOW_PATIENCE_MS: u32 = 2;
 
 /// Bytes of a frame up to its id.
 const UP_TO_ID: usize = 4;
@@ -296,6 +317,8 @@ struct GripperLine {
     left: usize,
     /// The frame that is being sent.
     frame: Vec<u8>,
+    /// What the bridge read in this millisecond.
+    heard: Vec<u8>,
     /// The ids of the frames that began in this millisecond.
     begun: Vec<CommandId>,
     /// Whole frames.
@@ -311,6 +334,7 @@ impl GripperLine {
             per_ms,
             left: 0,
             frame: Vec::new(),
+            heard: Vec::new(),
             begun: Vec::new(),
             whole: Vec::new(),
             parser: FrameParser::new(),
@@ -325,9 +349,11 @@ impl GripperLine {
         gripper::messages(&mut self.parser, &std::mem::take(&mut self.whole))
     }
 
-    /// The rest of the frame that is being sent will not come.
+    /// The rest of the frame that is being sent will not come, unless it is a FAST STOP.
     fn cut(&mut self) {
-        self.frame.clear();
+        if self.frame.get(UP_TO_ID - 1) != Some(&CommandId::FastStop.code()) {
+            self.frame.clear();
+        }
     }
 
     fn take(&mut self, byte: u8) {
@@ -356,7 +382,9 @@ impl ReadReady for GripperLine {
 
 impl Read for GripperLine {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
-        self.line.read(buffer)
+        let count = self.line.read(buffer)?;
+        self.heard.extend_from_slice(&buffer[..count]);
+        Ok(count)
     }
 }
 

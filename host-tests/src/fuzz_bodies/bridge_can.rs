@@ -2,8 +2,9 @@
 //! trouble of the bus.
 //!
 //! What must hold, whatever comes:
-//! - each command that the bridge says to the gripper was [`Asked`] for, by an edge of its own of a wire or of an RPDO of eight
-//!   bytes to an operational device; FAST STOP is said as soon as the message before it is with the bus, on RS-232 at once;
+//! - the [`Oracle`]'s rules: a command is said to the gripper only for an edge of a wire, or of an RPDO of eight bytes to an
+//!   operational device; a FAST STOP as soon as the message before it is with the bus, on RS-232 at once; the outputs are true;
+//! - the watchdog may be fed;
 //! - the device is in the state that CANopen's NMT and the silence of the master make of it, and nobody commands when it is
 //!   not operational ([`Device`]); remote frames, 29-bit identifiers and other lengths do nothing;
 //! - of what was said to a gripper on the bus each message leaves once at the most, whole, in order; none that was said before the bus
@@ -17,16 +18,16 @@ use wsg_bridge_fw::can::{
     BusOffPolicy, CanBus, CanController as _, GripperLink, Health, LinkCounters, NmtState, Nobody, Node,
     NodeConfig, Participant, SETTINGS_INDEX,
 };
-use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_protocol::can::{ClassicFrame, Identifiers, Reassembler, Segments};
 use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Instant, Kind, Status};
 
-use super::asked::Asked;
-use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS};
-use super::gripper::{self, Message};
+use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS, READY};
+use super::gripper::{self, Gripper, Message, PREAMBLE};
 use super::input::Input;
+use super::oracle::Oracle;
 use crate::can_bench::Double;
 use crate::serial_gripper::SerialLine;
 
@@ -121,19 +122,22 @@ struct Model {
     was_lost: bool,
     now_ms: u32,
     wires: Inputs,
-    asked: Asked,
     device: Device,
     is_over: bool,
-    answers: bool,
+    gripper: Gripper,
+    oracle: Oracle,
 }
 
-/// The first byte says whether the bridge is ready (bit 0) and whether the gripper is on RS-232 (bit 1). Then each op is a byte
-/// that says what, and bytes that say how: wires, time, frames, a gripper that answers, a PLC that commands, trouble. Without
-/// bit 7 a millisecond passes behind it.
+/// The first byte says whether the bridge is ready (bit 0), whether the gripper is on RS-232 (bit 1), and whether the fingers move
+/// at power-up (bit 4). Then each op is a byte that says what, and bytes that say how: wires, time, frames, how the gripper
+/// answers, a PLC that commands, trouble. Without bit 7 a millisecond passes behind it.
 pub fn bridge_can(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
     let mut model = Model::new(choice & 2 != 0);
+    if choice & 16 != 0 {
+        model.gripper.run();
+    }
     if choice & 1 != 0 {
         model.get_ready();
     }
@@ -151,6 +155,9 @@ pub fn bridge_can(data: &[u8]) {
                     1 => ClassicFrame::new(extended(id), input.bytes(count)),
                     _ => ClassicFrame::new(standard(id), input.bytes(count)),
                 };
+                if id % 0x800 == FROM_GRIPPER {
+                    model.gripper.forge(model.now_ms, &PREAMBLE);
+                }
                 model.bring(frame);
             }
             4 => model.bring_rpdo(input.pick(&FLAGS), input.pick(&PARAMETERS)),
@@ -160,7 +167,7 @@ pub fn bridge_can(data: &[u8]) {
                 model.bring_rpdo(CommandFlags::empty(), parameters);
                 model.bring_rpdo(input.pick(&FLAGS), parameters);
             }
-            6 => model.answers = input.byte() & 1 != 0,
+            6 => model.gripper.change(model.now_ms, &mut input),
             7 => model.pass(u32::from(input.byte() % 32)),
             8 => {
                 let data = [input.pick(&NMT_COMMANDS), input.pick(&[NODE as u8, 0, 5])];
@@ -184,11 +191,14 @@ pub fn bridge_can(data: &[u8]) {
                     Status::CmdFailed,
                     Status::AccessDenied,
                 ]);
-                model.bring_message(&gripper::status(input.pick(CommandId::ALL), status), None);
+                let message = gripper::status(input.pick(CommandId::ALL), status);
+                model.gripper.forge(model.now_ms, &message);
+                model.bring_message(&message, None);
             }
             12 => {
                 let (id, count, what) = (input.byte(), usize::from(input.byte() % 24), input.byte());
                 let message: Vec<u8> = FrameEncoder::new(id, input.bytes(count)).collect();
+                model.gripper.forge(model.now_ms, &message);
                 model.bring_message(&message, Some(what));
             }
             13 => model.trouble(&mut input),
@@ -355,16 +365,16 @@ impl Model {
             was_lost: false,
             now_ms: 0,
             wires: Inputs::empty(),
-            asked: Asked::new(Config::DEFAULT.debounce_ms),
             device: Device::new(),
             is_over: false,
-            answers: false,
+            gripper: Gripper::new(),
+            oracle: Oracle::new(&Config::DEFAULT),
         }
     }
 
     /// What most of the interesting states lie behind: connected, FAST STOP acknowledged, operational, an RPDO of zeros.
     fn get_ready(&mut self) {
-        self.answers = true;
+        self.gripper.answer();
         self.wires = Inputs::FAST_STOP_OK;
         self.pass(30);
         self.wires = Inputs::FAST_STOP_OK | Inputs::STOP_ACK;
@@ -373,6 +383,7 @@ impl Model {
         self.bring_rpdo(CommandFlags::empty(), PARAMETERS[0]);
         self.wires = Inputs::FAST_STOP_OK;
         self.pass(4);
+        assert_eq!(self.oracle.shown.outputs, READY);
     }
 
     fn bring(&mut self, frame: Option<ClassicFrame>) {
@@ -426,6 +437,7 @@ impl Model {
     }
 
     fn trouble(&mut self, input: &mut Input<'_>) {
+        self.gripper.fault(self.now_ms);
         match input.byte() % 8 {
             0 => self.double.go_off(u32::from(input.byte() % 3)),
             1 => {
@@ -473,25 +485,36 @@ impl Model {
         for frame in self.brought.drain(..).skip(lost) {
             self.device.hear(self.now_ms, &frame);
         }
-        let messages = if self.line.is_some() { self.turn_on_rs_232() } else { self.turn_on_can() };
+        let turn = if self.line.is_some() { self.turn_on_rs_232() } else { self.turn_on_can() };
+        assert!(self.bridge.may_feed_watchdog(self.now_ms));
         if self.is_over {
             return;
         }
-        for message in messages {
-            self.asked.leaves(message.id, Some(&message.command()));
-        }
         let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
         let patience_ms = match self.line {
-            Some(_) => Some(0),
+            Some(_) => Some(1),
             None if cut_off => None,
             None => Some(FAST_STOP_MS),
         };
-        self.asked.end_turn(self.bridge.is_connected(), patience_ms);
+        if patience_ms.is_none() {
+            self.gripper.fault(self.now_ms);
+        }
+        self.oracle.begin_leaving(patience_ms);
+        for message in &turn.messages {
+            self.oracle.leaves(message.id, Some(&message.command()), &self.gripper);
+            if self.line.is_some() {
+                self.gripper.hear(self.now_ms, message);
+            }
+        }
+        self.oracle.end_turn(turn.outputs, &self.gripper);
         self.leave();
+        for answer in self.gripper.speak(self.now_ms) {
+            self.bring_message(&answer, None);
+        }
     }
 
     /// What the bridge says to a gripper on the bus, and what comes of the rest of the turn.
-    fn turn_on_can(&mut self) -> Vec<Message> {
+    fn turn_on_can(&mut self) -> Turn {
         let now = Instant::from_millis(self.now_ms);
         let aborts = self.double.aborts();
         let Self { bus, link, bridge, node, .. } = self;
@@ -504,8 +527,9 @@ impl Model {
         self.forget_if(aborts);
 
         let Self { link, bridge, node, .. } = self;
-        let mut sent = vec![];
-        bridge.poll_with_can(self.now_ms, self.wires, &mut Tap { link, sent: &mut sent }, node);
+        let (mut heard, mut sent) = (vec![], vec![]);
+        let mut tap = Tap { link, heard: &mut heard, sent: &mut sent };
+        let outputs = bridge.poll_with_can(self.now_ms, self.wires, &mut tap, node);
         let messages = gripper::messages(&mut self.said_to_gripper, &sent);
         self.said.extend(messages.iter().cloned().map(|message| (message, self.now_ms)));
 
@@ -515,37 +539,37 @@ impl Model {
         link.set_connected(connected);
         bus.talk(now, link, &mut Ear { node, said: &mut said });
         self.forget_if(aborts);
-        self.follow(&said);
-        messages
+        self.follow(&heard, &said);
+        Turn { outputs, messages }
     }
 
-    /// The same with a gripper on RS-232, which has answered.
-    fn turn_on_rs_232(&mut self) -> Vec<Message> {
+    /// The same with a gripper on RS-232.
+    fn turn_on_rs_232(&mut self) -> Turn {
         let now = Instant::from_millis(self.now_ms);
-        let Self { bus, bridge, node, line: Some(line), .. } = self else { return vec![] };
+        let Self { bus, bridge, node, line, .. } = self;
+        let line = line.as_mut().expect("the gripper is on RS-232");
         bus.listen(now, &mut Nobody, node);
         let report = bus.report(LinkCounters::default());
         node.set_report(report);
         bridge.set_can_report(&report);
-        bridge.poll_with_can(self.now_ms, self.wires, line, node);
+        let (mut heard, mut sent) = (vec![], vec![]);
+        let mut tap = Tap { link: line, heard: &mut heard, sent: &mut sent };
+        let outputs = bridge.poll_with_can(self.now_ms, self.wires, &mut tap, node);
+        let messages = gripper::messages(&mut self.said_to_gripper, &sent);
         let mut said = vec![];
         bus.talk(now, &mut Nobody, &mut Ear { node, said: &mut said });
-        let messages = gripper::messages(&mut self.said_to_gripper, &line.take_sent());
-        if self.answers {
-            messages.iter().for_each(|message| line.bring(&gripper::answers(message.id).concat()));
-        }
-        self.follow(&said);
-        messages
+        self.follow(&heard, &said);
+        Turn { outputs, messages }
     }
 
     /// What the device makes of what it heard, and of the time.
-    fn follow(&mut self, said: &[ClassicFrame]) {
-        let Self { asked, device, .. } = self;
+    fn follow(&mut self, heard: &[u8], said: &[ClassicFrame]) {
+        self.oracle.begin_turn(self.now_ms, heard, self.wires);
+        let Self { oracle: Oracle { asked, .. }, device, .. } = self;
         let was_lost = std::mem::replace(&mut self.was_lost, self.bus.is_lost());
         if self.was_lost && !was_lost {
             device.lose_bus();
         }
-        asked.read_wires(self.now_ms, self.wires);
         let mut reset = false;
         for heard in std::mem::take(&mut device.heard) {
             match heard {
@@ -611,11 +635,7 @@ impl Model {
             let (_, said_ms) = self.said.drain(..=place).next_back().unwrap_or((message.clone(), 0));
             let late = message.id.kind() == Kind::Motion && self.now_ms - said_ms > LATE_MS;
             assert!(!late, "{} leaves {} ms after it was said", message.id, self.now_ms - said_ms);
-            if self.answers {
-                for answer in gripper::answers(message.id) {
-                    self.bring_message(&answer, None);
-                }
-            }
+            self.gripper.hear(self.now_ms, &message);
         }
     }
 }
@@ -629,35 +649,44 @@ const FAST_STOP_MS: u32 = 5;
 /// How long a message may wait for the bus, in milliseconds.
 const LATE_MS: u32 = 1_000;
 
-/// The gripper's link, and what the bridge says to it.
-struct Tap<'a> {
-    link: &'a mut GripperLink,
+/// What the bridge shows at the end of a turn, and what it says to the gripper.
+struct Turn {
+    outputs: Outputs,
+    messages: Vec<Message>,
+}
+
+/// The gripper's link, and what the bridge reads of it and writes to it.
+struct Tap<'a, L> {
+    link: &'a mut L,
+    heard: &'a mut Vec<u8>,
     sent: &'a mut Vec<u8>,
 }
 
-impl ErrorType for Tap<'_> {
-    type Error = <GripperLink as ErrorType>::Error;
+impl<L: ErrorType> ErrorType for Tap<'_, L> {
+    type Error = L::Error;
 }
 
-impl ReadReady for Tap<'_> {
+impl<L: ReadReady> ReadReady for Tap<'_, L> {
     fn read_ready(&mut self) -> Result<bool, Self::Error> {
         self.link.read_ready()
     }
 }
 
-impl Read for Tap<'_> {
+impl<L: Read> Read for Tap<'_, L> {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
-        self.link.read(buffer)
+        let count = self.link.read(buffer)?;
+        self.heard.extend_from_slice(&buffer[..count]);
+        Ok(count)
     }
 }
 
-impl WriteReady for Tap<'_> {
+impl<L: WriteReady> WriteReady for Tap<'_, L> {
     fn write_ready(&mut self) -> Result<bool, Self::Error> {
         self.link.write_ready()
     }
 }
 
-impl Write for Tap<'_> {
+impl<L: Write> Write for Tap<'_, L> {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
         let count = self.link.write(bytes)?;
         self.sent.extend_from_slice(&bytes[..count]);

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use wsg_bridge_fw::{BusConfig, BusPort, RECIPE_COUNT, RECIPES, Recipe};
+use wsg_bridge_fw::{BusPort, Config, RECIPE_COUNT, RECIPES, Recipe};
 use wsg_protocol::fieldbus::OutputImage;
 use wsg_protocol::modbus::rtu::{Character, Timing};
 
@@ -23,6 +23,8 @@ const BUS_PATIENCE: usize = 103;
 const BROADCASTS: usize = 104;
 const SWAP_BYTES: usize = 105;
 const DEBOUNCE: usize = 106;
+const MIN_BUSY: usize = 107;
+const HALF_FRAME: usize = 108;
 const FIRST_RECIPE: usize = 109;
 
 /// Force Listen Only Mode, behind which a unit says nothing and does nothing.
@@ -110,15 +112,17 @@ pub(super) struct Overheard {
 
 impl Overheard {
     /// A bridge that was built so.
-    pub(super) fn new(config: &BusConfig, debounce_ms: u32) -> Self {
+    pub(super) fn new(config: &Config) -> Self {
         let mut settings = [0; SETTINGS.end - SETTINGS.start];
         let built = [
-            (UNIT, config.unit.into()),
-            (BUS_TIMEOUT, config.timeout_ms),
-            (BUS_PATIENCE, config.patience_ms),
-            (BROADCASTS, config.broadcast.into()),
-            (SWAP_BYTES, config.swap_bytes.into()),
-            (DEBOUNCE, debounce_ms as u16),
+            (UNIT, config.bus.unit.into()),
+            (BUS_TIMEOUT, config.bus.timeout_ms),
+            (BUS_PATIENCE, config.bus.patience_ms),
+            (BROADCASTS, config.bus.broadcast.into()),
+            (SWAP_BYTES, config.bus.swap_bytes.into()),
+            (DEBOUNCE, config.debounce_ms as u16),
+            (MIN_BUSY, config.min_busy_ms as u16),
+            (HALF_FRAME, config.half_frame_ms as u16),
         ];
         for (register, value) in built {
             settings[register - SETTINGS.start] = value;
@@ -140,6 +144,14 @@ impl Overheard {
 
     pub(super) fn debounce_ms(&self) -> u32 {
         self.setting(DEBOUNCE).into()
+    }
+
+    pub(super) fn min_busy_ms(&self) -> u32 {
+        self.setting(MIN_BUSY).into()
+    }
+
+    pub(super) fn frame_timeout_ms(&self) -> u32 {
+        self.setting(HALF_FRAME).into()
     }
 
     pub(super) fn recipes(&self) -> [Recipe; RECIPE_COUNT] {

@@ -1,0 +1,79 @@
+//! What must hold of the whole bridge in every turn, whatever its PLC and its gripper do: one oracle for the bodies `bridge` and
+//! `bridge_can`, which tell it what goes in and what comes out.
+
+use wsg_bridge_fw::Config;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::{Command, CommandId, Kind};
+
+use super::asked::Asked;
+use super::gripper::Gripper;
+use super::outputs::Shown;
+use super::stops::Stops;
+use super::told::Told;
+
+/// The rules, each set with what it goes by.
+pub(super) struct Oracle {
+    pub(super) asked: Asked,
+    pub(super) told: Told,
+    pub(super) shown: Shown,
+    stops: Stops,
+    now_ms: u32,
+    /// How long a frame may wait for the one before it, in milliseconds; none: nothing can reach the gripper.
+    patience_ms: Option<u32>,
+}
+
+impl Oracle {
+    /// At power-up of a bridge that was built so.
+    pub(super) fn new(config: &Config) -> Self {
+        Self {
+            asked: Asked::new(config.debounce_ms),
+            told: Told::new(config.half_frame_ms),
+            shown: Shown::new(config.min_busy_ms),
+            stops: Stops::new(),
+            now_ms: 0,
+            patience_ms: None,
+        }
+    }
+
+    /// A turn begins. The bridge reads this of the gripper, and these wires.
+    pub(super) fn begin_turn(&mut self, now_ms: u32, heard: &[u8], wires: Inputs) {
+        self.now_ms = now_ms;
+        self.told.read(now_ms, heard);
+        if self.told.is_answered(CommandId::PrePosition) {
+            self.asked.jogs = false;
+        }
+        self.asked.read_wires(now_ms, wires);
+    }
+
+    /// All that comes in in this turn is told; what leaves comes next.
+    pub(super) fn begin_leaving(&mut self, patience_ms: Option<u32>) {
+        self.patience_ms = patience_ms;
+        self.stops.begin_turn(self.now_ms, &self.told, &self.asked);
+    }
+
+    /// A command leaves for the gripper; none where no more of it than its id is known yet.
+    pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>, gripper: &Gripper) {
+        self.asked.leaves(id, command, gripper.force_limit());
+        self.stops.leaves(self.now_ms, id, &self.told, self.patience_ms);
+        if matches!(id.kind(), Kind::Motion | Kind::Stop) {
+            self.told.grip = None;
+        }
+    }
+
+    /// The turn is over, and the bridge shows this.
+    pub(super) fn end_turn(&mut self, outputs: Outputs, gripper: &Gripper) {
+        let is_connected = outputs.contains(Outputs::LINK_OK);
+        if !is_connected {
+            self.asked.lose_gripper();
+        }
+        if self.shown.outputs.contains(Outputs::LINK_OK) && !is_connected {
+            self.told.forget();
+        }
+        self.shown.show(self.now_ms, outputs, &self.told, &self.asked);
+        self.asked.is_ready = outputs.contains(Outputs::READY);
+        self.stops.end_turn(self.now_ms, outputs, &self.told, self.patience_ms);
+        if let Some(since_ms) = self.asked.stopped_ms {
+            assert!(gripper.has_stopped(self.now_ms, since_ms), "FAST STOP has not reached the gripper");
+        }
+    }
+}

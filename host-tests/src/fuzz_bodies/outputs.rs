@@ -1,0 +1,68 @@
+//! What the wires to the PLC may say: the rules of docs/wiring.md ("What the outputs say"), from what the gripper has told the
+//! bridge and what the PLC has asked for.
+
+use wsg_bridge_fw::io::Outputs;
+use wsg_protocol::{GripperState, Status, SystemFlags};
+
+use super::asked::Asked;
+use super::told::Told;
+
+/// How long after the last intact frame of the gripper LINK_OK may be high, in milliseconds.
+const SILENCE_MS: u32 = 1_000;
+
+/// The output wires as they were shown last.
+pub(super) struct Shown {
+    /// How long BUSY is high at the least, in milliseconds.
+    pub(super) min_busy_ms: u32,
+    pub(super) outputs: Outputs,
+    busy_since: u32,
+}
+
+impl Shown {
+    /// All wires are low.
+    pub(super) const fn new(min_busy_ms: u32) -> Self {
+        Self { min_busy_ms, outputs: Outputs::empty(), busy_since: 0 }
+    }
+
+    /// The bridge shows this at the end of a turn.
+    pub(super) fn show(&mut self, now_ms: u32, outputs: Outputs, told: &Told, asked: &Asked) {
+        let before = std::mem::replace(&mut self.outputs, outputs);
+        let has = |wires| outputs.intersects(wires);
+        let error = has(Outputs::ERROR);
+        if !has(Outputs::LINK_OK) {
+            assert!(Outputs::ERROR.contains(outputs), "{outputs:?}");
+            assert!(error || asked.stopped_ms.is_none(), "FAST STOP without ERROR");
+            return;
+        }
+        let (Some(flags), Some(state)) = (told.flags, told.state) else {
+            panic!("LINK_OK without the states")
+        };
+        let what = || format!("{outputs:?}, {flags:?}, {state:?}, {:?}", told.grip);
+        assert!(now_ms - told.heard_ms <= SILENCE_MS, "silence: {}", what());
+
+        let locked = asked.stopped_ms.is_some() || flags.intersects(SystemFlags::LOCKS);
+        let is_at_fault = locked || asked.is_refused || flags.contains(SystemFlags::FINGER_FAULT);
+        assert!(error || !is_at_fault, "{}", what());
+
+        let (ready, busy) = (has(Outputs::READY), has(Outputs::BUSY));
+        let may_be_ready = asked.is_released() && !locked && !busy;
+        assert!(ready == may_be_ready || error && !ready, "{}", what());
+        assert!(busy || !flags.contains(SystemFlags::MOVING), "{}", what());
+        if busy && !before.contains(Outputs::BUSY) {
+            self.busy_since = now_ms;
+        }
+        let ends = before.contains(Outputs::BUSY) && !busy && !error;
+        assert!(!ends || now_ms - self.busy_since >= self.min_busy_ms, "{}", what());
+
+        let (holding, fault) = (has(Outputs::HOLDING), has(Outputs::PART_FAULT));
+        assert!(!(holding && (busy || fault)), "{}", what());
+        assert!(
+            !holding || state == GripperState::Holding || told.grip == Some(Status::Success),
+            "{}",
+            what()
+        );
+        let is_gone = matches!(state, GripperState::NoPart | GripperState::PartLost);
+        assert!(!fault || is_gone || told.grip == Some(Status::CmdFailed), "{}", what());
+        assert_eq!(has(Outputs::REFERENCED), flags.contains(SystemFlags::REFERENCED), "{}", what());
+    }
+}

@@ -1,0 +1,186 @@
+//! What must leave, and when, whatever else goes on: a FAST STOP that was asked for, until the gripper answers it; a FAST STOP
+//! for a Stop that is not answered; a Stop for a gripper that moves when it is met first.
+
+use wsg_bridge_fw::io::Outputs;
+use wsg_protocol::session::FastStopPattern;
+use wsg_protocol::{CommandId, SystemFlags};
+
+use super::asked::Asked;
+use super::told::Told;
+
+const PATTERN: FastStopPattern = FastStopPattern::DEFAULT;
+
+/// How long a Stop may be unanswered while the fingers are not known to stand, in milliseconds.
+const STOP_MS: u32 = 100;
+
+/// Where a FAST STOP stands.
+#[derive(Clone, Copy)]
+enum FastStop {
+    /// It is answered, or there is none.
+    Answered,
+    /// It must leave; since when.
+    Due(u32),
+    /// Left once, and when.
+    Once(u32),
+    /// So many have left of a burst, the last one then.
+    Burst(u16, u32),
+    /// A burst has ended.
+    Pause(u32),
+    /// It is not known what became of the last ones.
+    Unknown,
+}
+
+/// What is owed to the gripper.
+pub(super) struct Stops {
+    fast_stop: FastStop,
+    /// Since when a Stop must leave; and when one left that is not answered.
+    stop_due_ms: Option<u32>,
+    stop_ms: Option<u32>,
+    /// An acknowledgement left, and is not answered: until then STOP/ACK is no Stop.
+    acknowledges: bool,
+    /// The fingers move, and nobody commands them; since when.
+    runaway_ms: Option<u32>,
+    /// The gripper was connected, or was stopped when it was met first.
+    is_acquainted: bool,
+}
+
+impl Stops {
+    pub(super) const fn new() -> Self {
+        Self {
+            fast_stop: FastStop::Answered,
+            stop_due_ms: None,
+            stop_ms: None,
+            acknowledges: false,
+            runaway_ms: None,
+            is_acquainted: false,
+        }
+    }
+
+    /// What was read and asked for in this turn, before anything leaves.
+    pub(super) fn begin_turn(&mut self, now_ms: u32, told: &Told, asked: &Asked) {
+        let was_sent = !matches!(self.fast_stop, FastStop::Answered | FastStop::Due(_));
+        if was_sent && told.is_answered(CommandId::FastStop) {
+            self.fast_stop = FastStop::Answered;
+        }
+        if asked.asks_fast_stop && matches!(self.fast_stop, FastStop::Answered) {
+            self.fast_stop = FastStop::Due(now_ms);
+        }
+        if told.is_answered(CommandId::Stop) {
+            self.stop_ms = None;
+        }
+        self.acknowledges &= !told.is_answered(CommandId::Acknowledge);
+        let is_stopped = asked.stopped_ms.is_some()
+            || told.flags.is_some_and(|flags| flags.contains(SystemFlags::FAST_STOP));
+        let must_stop = asked.asks_stop || asked.ends_jog && !told.stands();
+        if must_stop && !is_stopped && !self.acknowledges && self.stop_ms.is_none() {
+            self.stop_due_ms = Some(now_ms);
+        }
+        if !self.is_acquainted && told.moves() && !is_stopped {
+            self.is_acquainted = true;
+            self.runaway_ms = Some(now_ms);
+        }
+    }
+
+    /// A command leaves the bridge, so late at the most as `patience_ms`, if that is known.
+    pub(super) fn leaves(&mut self, now_ms: u32, id: CommandId, told: &Told, patience_ms: Option<u32>) {
+        let is_query_of_state = matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
+        let is_stop = matches!(id, CommandId::Stop | CommandId::FastStop);
+        let knows_states = told.flags.is_some() && told.state.is_some();
+        assert!(knows_states || is_query_of_state || is_stop, "{id} before the states are known");
+        if is_stop {
+            (self.runaway_ms, self.stop_due_ms) = (None, None);
+        }
+        self.acknowledges |= id == CommandId::Acknowledge;
+        if id == CommandId::FastStop {
+            self.stop_ms = None;
+            return self.fast_stop = self.fast_stop.leaves(now_ms, patience_ms);
+        }
+        let is_alone = matches!(self.fast_stop, FastStop::Answered | FastStop::Unknown);
+        assert!(is_alone, "{id} before the answer to a FAST STOP");
+        if id == CommandId::Stop {
+            assert!(self.stop_ms.is_none() || told.stands(), "Stop again, while the fingers move");
+            self.stop_ms = Some(now_ms);
+        }
+    }
+
+    /// The turn is over.
+    pub(super) fn end_turn(&mut self, now_ms: u32, outputs: Outputs, told: &Told, patience_ms: Option<u32>) {
+        if outputs.contains(Outputs::LINK_OK) {
+            self.is_acquainted = true;
+        } else {
+            (self.stop_due_ms, self.acknowledges) = (None, false);
+        }
+        let Some(patience_ms) = patience_ms else {
+            // Nothing can reach the gripper. What is due stays due.
+            for moment in
+                [&mut self.stop_due_ms, &mut self.stop_ms, &mut self.runaway_ms].into_iter().flatten()
+            {
+                *moment = now_ms;
+            }
+            self.fast_stop = match self.fast_stop {
+                FastStop::Due(_) => FastStop::Due(now_ms),
+                FastStop::Answered => FastStop::Answered,
+                _ => FastStop::Unknown,
+            };
+            return;
+        };
+        let latest_ms = match self.fast_stop {
+            FastStop::Answered | FastStop::Unknown => now_ms,
+            FastStop::Due(since_ms) => since_ms,
+            FastStop::Once(left_ms) => left_ms + PATTERN.answer_ms,
+            FastStop::Burst(_, left_ms) => left_ms,
+            FastStop::Pause(since_ms) => since_ms + PATTERN.pause_ms,
+        };
+        assert!(now_ms <= latest_ms + patience_ms, "FAST STOP does not leave");
+        assert!(
+            self.stop_due_ms.is_none_or(|since_ms| now_ms <= since_ms + patience_ms),
+            "Stop does not leave"
+        );
+        if let Some(since_ms) = self.runaway_ms {
+            assert!(outputs.contains(Outputs::ERROR), "the fingers move without ERROR");
+            assert!(now_ms <= since_ms + patience_ms, "no Stop for fingers that move at power-up");
+        }
+        if let Some(left_ms) = self.stop_ms
+            && now_ms >= left_ms + STOP_MS
+        {
+            if told.stands() {
+                self.stop_ms = None;
+            } else {
+                assert!(
+                    now_ms <= left_ms + STOP_MS + patience_ms,
+                    "no FAST STOP behind a Stop without an answer"
+                );
+            }
+        }
+    }
+}
+
+impl FastStop {
+    /// One leaves.
+    fn leaves(self, now_ms: u32, patience_ms: Option<u32>) -> Self {
+        let silence_of = |left_ms: u32| now_ms - left_ms;
+        let patience_ms = patience_ms.unwrap_or(u32::MAX);
+        match self {
+            Self::Answered | Self::Due(_) => Self::Once(now_ms),
+            // Behind a Stop without an answer a burst is first.
+            Self::Once(left_ms) if silence_of(left_ms) <= patience_ms => Self::Burst(2, now_ms),
+            Self::Once(left_ms) => {
+                assert!(
+                    silence_of(left_ms) >= PATTERN.answer_ms,
+                    "FAST STOP again before its answer can come"
+                );
+                Self::Burst(1, now_ms)
+            }
+            Self::Burst(count, _) if count + 1 == PATTERN.burst_frames => Self::Pause(now_ms),
+            Self::Burst(count, _) => Self::Burst(count + 1, now_ms),
+            Self::Pause(since_ms) => {
+                assert!(
+                    silence_of(since_ms) >= PATTERN.pause_ms,
+                    "a pause of a FAST STOP that is not silent"
+                );
+                Self::Burst(1, now_ms)
+            }
+            Self::Unknown => Self::Unknown,
+        }
+    }
+}
