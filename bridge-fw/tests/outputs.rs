@@ -1,0 +1,139 @@
+//! What the wires to the PLC show, held to the table of docs/wiring.md: cases that need a particular gripper, flag or moment.
+
+use host_tests::bench::Bench;
+use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
+use host_tests::wires::Wires;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Bridge, Config, DigitalIo, RECIPES};
+use wsg_protocol::fieldbus::{ForceUnit, InputImage};
+use wsg_protocol::{Instant, SystemFlags};
+use wsg_sim::{Fault, Model, Part};
+
+const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
+
+fn quick() -> wsg_sim::Config {
+    wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
+}
+
+/// What is shown for these wires, and these flags of a gripper that stands.
+fn shown_for(inputs: Inputs, system: SystemFlags) -> Outputs {
+    let mut wires = DigitalIo::new(0, 0, RECIPES);
+    for ms in 0..10 {
+        wires.update(Instant::from_millis(ms), inputs, ForceUnit::default());
+    }
+    let image = InputImage { system, ..InputImage::from_bytes([0; InputImage::LEN]) };
+    wires.outputs(Instant::from_millis(10), &image, true, false)
+}
+
+#[test]
+fn each_flag_that_locks_the_gripper_shows_error_and_not_ready_and_no_other_does() {
+    let locks =
+        [SystemFlags::FAST_STOP, SystemFlags::TEMP_FAULT, SystemFlags::POWER_FAULT, SystemFlags::CURR_FAULT];
+    for flag in SystemFlags::all().iter().filter(|flag| *flag != SystemFlags::MOVING) {
+        let shown = shown_for(Inputs::FAST_STOP_OK, flag);
+        let is_lock = locks.contains(&flag);
+        assert_eq!(shown.contains(Outputs::READY), !is_lock, "{flag:?}");
+        let is_error = is_lock || flag == SystemFlags::FINGER_FAULT;
+        assert_eq!(shown.contains(Outputs::ERROR), is_error, "{flag:?}");
+    }
+}
+
+#[test]
+fn ready_needs_a_high_fast_stop_wire_and_a_low_stop_ack() {
+    let ready = Outputs::READY | Outputs::LINK_OK;
+    for (inputs, shown) in [
+        (Inputs::FAST_STOP_OK, ready),
+        (Inputs::FAST_STOP_OK | Inputs::STOP_ACK, Outputs::LINK_OK),
+        (Inputs::empty(), Outputs::LINK_OK),
+        (Inputs::STOP_ACK, Outputs::LINK_OK),
+        (Inputs::all() - Inputs::STOP_ACK, ready),
+    ] {
+        assert_eq!(shown_for(inputs, SystemFlags::empty()), shown, "{inputs:?}");
+    }
+}
+
+#[test]
+fn fault_that_lasts_keeps_ready_low_however_often_it_is_acknowledged() {
+    for fault in [Fault::OverTemperature, Fault::SupplyOutOfRange, Fault::MotorCurrent] {
+        let mut bench = Bench::homed(quick());
+        let now = bench.now();
+        bench.gripper().set_fault(fault, true, now);
+        assert!(bench.until(100, |outputs| !outputs.contains(Outputs::READY)), "{fault:?}");
+        for _ in 0..3 {
+            bench.pulse(Inputs::STOP_ACK);
+            let shown = |outputs: Outputs| {
+                outputs.contains(Outputs::READY) || !outputs.contains(Outputs::ERROR | Outputs::LINK_OK)
+            };
+            assert!(!bench.until(200, shown), "{fault:?}: {:?}", bench.outputs());
+        }
+        let now = bench.now();
+        bench.gripper().set_fault(fault, false, now);
+        bench.pulse(Inputs::STOP_ACK);
+        assert!(bench.until(200, |outputs| outputs == IDLE), "{fault:?}: {:?}", bench.outputs());
+    }
+}
+
+#[test]
+fn ready_is_low_as_long_as_stop_ack_is_high() {
+    let mut bench = Bench::homed(quick());
+    bench.set(Inputs::STOP_ACK, true);
+    assert!(bench.until(5, |outputs| !outputs.contains(Outputs::READY)));
+    assert!(!bench.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", bench.outputs());
+    bench.set(Inputs::STOP_ACK, false);
+    assert!(bench.until(5, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+}
+
+#[test]
+fn recipe_grips_a_wsg_70_with_the_force_that_it_says() {
+    // Those whose force is within a WSG 70's limits.
+    for number in [0, 3] {
+        let recipe = RECIPES[number];
+        let width = f32::from(recipe.width) / 100.0;
+        let config = wsg_sim::Config { model: Model::Wsg70, part: Part::of_width(width), ..quick() };
+        let mut bench = Bench::homed(config);
+        bench.set(Inputs::RECIPE0, number & 1 != 0);
+        bench.set(Inputs::RECIPE1, number & 2 != 0);
+        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING, "recipe {number}");
+        let force = f32::from(recipe.force) / 100.0;
+        let state = bench.gripper().state();
+        assert_eq!((state.force_limit, state.force), (force, force), "recipe {number}");
+    }
+}
+
+/// The beginning of an answer that is never finished: preamble, id, and a length within what the bridge takes.
+const HALF_FRAME: [u8; 7] = [0xAA, 0xAA, 0xAA, 0x41, 60, 0, 0];
+
+#[test]
+fn half_a_frame_is_given_up_20_ms_after_its_last_byte() {
+    let mut bridge = Bridge::new(Config::DEFAULT);
+    let mut line = SerialLine::with_room(BYTES_PER_MS);
+    let mut dropped_at = |ms: u32, brought: &[u8]| {
+        line.bring(brought);
+        bridge.poll(ms, Inputs::empty(), &mut line);
+        bridge.counters().line.dropped
+    };
+    let (begun, rest) = HALF_FRAME.split_at(4);
+    assert_eq!(dropped_at(1_000, begun), 0);
+    assert_eq!(dropped_at(1_015, rest), 0);
+    for ms in 1_016..1_035 {
+        assert_eq!(dropped_at(ms, &[]), 0, "after {} ms", ms - 1_015);
+    }
+    assert_eq!(usize::from(dropped_at(1_035, &[])), HALF_FRAME.len());
+}
+
+#[test]
+fn half_a_frame_does_not_swallow_what_the_gripper_tells_later() {
+    let mut bench = Bench::homed(wsg_sim::Config { part: Part::of_width(20.0), ..quick() });
+    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    // Until the line has fallen silent for longer than the bridge waits for the rest of a frame.
+    let mut silent_ms = 0;
+    while silent_ms < 3 {
+        silent_ms = if bench.take_sent().is_empty() { silent_ms + 1 } else { 0 };
+        bench.step();
+    }
+    bench.far.inject(&HALF_FRAME);
+    bench.pass(21);
+    let now = bench.now();
+    bench.gripper().set_part(None, now);
+    assert!(bench.until(15, |outputs| outputs.contains(Outputs::PART_FAULT)), "{:?}", bench.outputs());
+}
