@@ -262,10 +262,12 @@ impl Bridge {
 
     fn receive<L: Read + ReadReady>(&mut self, now: Instant, link: &mut L) {
         let mut received = 0;
-        if link.read_ready().is_ok() {
+        while received < MAX_RECEIVED_PER_POLL {
+            let Ok(is_ready) = link.read_ready() else { break };
             self.liveness.look(Looked::LINE);
-        }
-        while received < MAX_RECEIVED_PER_POLL && link.read_ready().unwrap_or(false) {
+            if !is_ready {
+                break;
+            }
             let mut chunk = [0; 32];
             let Ok(count @ 1..) = link.read(&mut chunk) else { break };
             received += count;
@@ -307,9 +309,9 @@ impl Bridge {
         let known = self.session.known();
         let unit = known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
         let is_ready = self.wires.is_ready();
-        // Of a command that is refused, the parameters do not count.
-        let keeps_parameters = !is_ready || self.controller.is_moving(known);
         if let Some(image) = self.wires.update(now, inputs, unit) {
+            // Of a command that is refused, the parameters do not count.
+            let keeps_parameters = !is_ready || self.controller.is_moving(known);
             self.arbiter.take_wires(image, keeps_parameters, |image| {
                 if is_ready {
                     self.controller.set_output(image, known);

@@ -17,13 +17,16 @@ const COMMAND_GROUP: Inputs = Inputs::GRIP
     .union(Inputs::RECIPE1);
 
 /// The groups, each with its own time: what stops the fingers must not wait for a command wire that chatters.
-const GROUPS: [Inputs; 3] = [COMMAND_GROUP, Inputs::STOP_ACK, Inputs::FAST_STOP_OK];
+const GROUPS: [Inputs; 2] = [COMMAND_GROUP, Inputs::STOP_ACK];
 
 /// How long FAST_STOP_OK must be high at least before it counts as high, in milliseconds: a wire that is low once in so long
 /// is low.
 const LEAST_RELEASE_MS: u32 = 5;
 
-const _: () = assert!(GROUPS[0].union(GROUPS[1]).union(GROUPS[2]).bits() == Inputs::all().bits());
+const _: () = assert!(
+    GROUPS[0].union(GROUPS[1]).union(Inputs::FAST_STOP_OK).bits() == Inputs::all().bits(),
+    "every wire belongs somewhere"
+);
 
 /// Takes the levels as they are read, and gives those that have not changed for a time.
 #[derive(Clone, Debug)]
@@ -33,6 +36,8 @@ pub struct Debounce {
     read: Option<Inputs>,
     /// Since when each group shows it.
     since: [Instant; GROUPS.len()],
+    /// Since when FAST_STOP_OK is read as high.
+    high_since: Instant,
     /// The groups that have settled at least once, and the levels they settled at.
     settled: Inputs,
     levels: Inputs,
@@ -46,6 +51,7 @@ impl Debounce {
             period_ms,
             read: None,
             since: [Instant::from_millis(0); GROUPS.len()],
+            high_since: Instant::from_millis(0),
             settled: Inputs::empty(),
             levels: Inputs::empty(),
         }
@@ -61,20 +67,30 @@ impl Debounce {
         let before = self.read.replace(reading);
         let changed = before.map_or(Inputs::all(), |before| before.symmetric_difference(reading));
         for (group, since) in GROUPS.iter().zip(&mut self.since) {
-            let is_fast_stop = *group == Inputs::FAST_STOP_OK;
-            let period_ms = if is_fast_stop { self.period_ms.max(LEAST_RELEASE_MS) } else { self.period_ms };
-            if is_fast_stop && !reading.intersects(*group) {
+            if changed.intersects(*group) {
                 *since = now;
-                self.levels = self.levels.difference(*group);
-                self.settled |= *group;
-            } else if changed.intersects(*group) {
-                *since = now;
-            } else if now.since(*since) >= period_ms {
+            } else if now.since(*since) >= self.period_ms {
                 self.levels = self.levels.difference(*group).union(reading.intersection(*group));
                 self.settled |= *group;
             }
         }
+        self.update_fast_stop(now, reading, changed);
         self.settled.is_all().then_some(self.levels)
+    }
+
+    fn update_fast_stop(&mut self, now: Instant, reading: Inputs, changed: Inputs) {
+        const WIRE: Inputs = Inputs::FAST_STOP_OK;
+        if !reading.contains(WIRE) {
+            self.levels -= WIRE;
+            self.settled |= WIRE;
+        } else if changed.contains(WIRE) {
+            self.high_since = now;
+        } else if !self.levels.contains(WIRE)
+            && now.since(self.high_since) >= self.period_ms.max(LEAST_RELEASE_MS)
+        {
+            self.levels |= WIRE;
+            self.settled |= WIRE;
+        }
     }
 
     /// Whether this wire has settled low, whatever the others do.

@@ -176,7 +176,7 @@ pub struct Session {
     /// id would take that for its own.
     doubled: Option<(CommandId, Instant)>,
     /// What the next tick reports of a Stop: not answered in time, or not at all.
-    stop_report: Option<Notice<'static>>,
+    stop_report: Option<StopReport>,
     /// A request that was overtaken and not answered.
     dropped: Option<CommandId>,
     running: [Option<Running>; RUNNING_LEN],
@@ -195,6 +195,15 @@ struct Overtaken {
     request: bool,
     /// So many at the front of the queue.
     queued: usize,
+}
+
+/// What there is to tell about a Stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum StopReport {
+    /// Not answered in time, and sent again.
+    Late,
+    /// Not answered, and not sent again.
+    Unanswered,
 }
 
 /// Steps of connecting that ask for the two states, before anything else: a gripper that moves must be noticed at once.
@@ -430,7 +439,10 @@ impl Session {
             return Some(self.close_one(now));
         }
         if let Some(report) = self.stop_report.take() {
-            return Some(report);
+            return Some(match report {
+                StopReport::Late => Notice::Late(CommandId::Stop),
+                StopReport::Unanswered => Notice::Unanswered(CommandId::Stop),
+            });
         }
         if let Some(id) = self.dropped.take() {
             return Some(Notice::Unanswered(id));
@@ -641,27 +653,29 @@ impl Session {
 
     /// What is done about answers that did not come.
     fn expire_tracks(&mut self, now: Instant) {
-        self.fast_stop.expire(now);
-        self.doubled = self.doubled.filter(|(_, until)| !now.has_reached(*until));
-        if self.link == Link::Up && self.fast_stop_deadline().is_some_and(|at| now.has_reached(at)) {
-            self.link = Link::Closing;
+        if self.doubled.is_some_and(|(_, until)| now.has_reached(until)) {
+            self.doubled = None;
+        }
+        if !self.fast_stop.is_idle() {
+            self.fast_stop.expire(now);
+            if self.link == Link::Up && self.fast_stop_deadline().is_some_and(|at| now.has_reached(at)) {
+                self.link = Link::Closing;
+            }
         }
         let attempts = if self.is_connected() { self.config.attempts } else { 1 };
         if !self.is_connected() && self.stop.is_overdue(now) {
             self.stop.close();
-            self.stop_report = Some(Notice::Unanswered(CommandId::Stop));
+            self.stop_report = Some(StopReport::Unanswered);
         }
         let stop = self.stop.expire(now, attempts);
         if stop == Expired::Repeated {
-            self.stop_report = Some(Notice::Late(CommandId::Stop));
+            self.stop_report = Some(StopReport::Late);
         }
-        let request = self.request.expire(now, attempts);
-        if request == Expired::Overtaken {
-            self.dropped = self.request.abandon();
-        }
-        for expired in [stop, request, self.refresh.expire(now, attempts)] {
+        for expired in [stop, self.request.expire(now, attempts), self.refresh.expire(now, attempts)] {
             match expired {
-                Expired::No | Expired::Overtaken => {}
+                Expired::No => {}
+                // Only a caller's request can be overtaken.
+                Expired::Overtaken => self.dropped = self.request.abandon(),
                 Expired::Repeated => count(&mut self.counters.repeated),
                 Expired::GivenUp => match self.link {
                     // Another track may have been given up at the same moment.
@@ -718,6 +732,9 @@ impl Session {
 
     /// Withdraws what a Stop, FAST STOP or Acknowledge has overtaken, one request after the other.
     fn withdraw_overtaken(&mut self) -> Option<CommandId> {
+        if !self.overtaken.request && self.overtaken.queued == 0 {
+            return None;
+        }
         if core::mem::take(&mut self.overtaken.request)
             // What was set is read back all the same.
             && self.reading_back.is_none()
@@ -792,8 +809,7 @@ impl Session {
 
     /// Whether the next request in the queue could be answered by the second answer to an earlier one of the same id.
     fn may_take_a_doubled_answer(&self) -> bool {
-        let next = self.queue.front().map(Request::id);
-        self.doubled.is_some_and(|(id, _)| next == Some(id))
+        self.doubled.is_some_and(|(id, _)| self.queue.front().map(Request::id) == Some(id))
     }
 
     fn open_refresh(&mut self, step: u8) {

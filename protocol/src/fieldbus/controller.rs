@@ -218,10 +218,16 @@ impl Controller {
     /// Looks at what is known while the first connection after power-up is made. A gripper that moves then moves for a
     /// command of before a reset, which nobody can end any more: it is stopped, and the PLC sees E_CMD_ABORTED. A part that
     /// is held stays held. Call it whenever something new may be known; later calls do nothing.
+    // Nearly always there is nothing to do.
+    #[inline(always)]
     pub fn get_acquainted(&mut self, known: &Known) {
-        if self.is_acquainted {
-            return;
+        if !self.is_acquainted {
+            self.make_acquaintance(known);
         }
+    }
+
+    #[inline(never)]
+    fn make_acquaintance(&mut self, known: &Known) {
         self.is_acquainted = self.connected;
         if known.is_moving() && !self.is_fast_stopped(known) {
             self.is_acquainted = true;

@@ -109,13 +109,13 @@ fn count_one(counter: &Counter, pins: &mut Pins, line: &mut Line, wire: Inputs, 
         let outputs = bridge.poll(ms, levels | (read & Inputs::empty()), line);
         pins.write(outputs);
         if let Some(sent) = line.first_byte.get()
-            && ms > EDGE_MS
+            && ms >= EDGE_MS
             && line.sent.get(PREAMBLE_LEN) == Some(&command.code())
         {
             line.sent.clear();
             return begun.instructions_to(sent);
         }
-        assert!(ms != EDGE_MS || outputs.contains(Outputs::READY), "READY before the edge");
+        assert!(ms != EDGE_MS - 1 || outputs.contains(Outputs::READY), "READY before the edge");
 
         let time = Time::from_millis(ms.into());
         gripper.receive(port, time, &line.sent);

@@ -30,7 +30,7 @@ fn frames() {
     functions! {
         FrameParser<64>: new, ignoring_checksums, push, push_slice, poll, expire, reset, counters, is_mid_frame;
         FrameParser<64>: default;
-        FrameEncoder<&[u8]>: new, frame_len, write_into, next, size_hint, len;
+        FrameEncoder<&[u8]>: new, id, frame_len, write_into, next, size_hint, len;
         FrameEncoder<Command<'_>>: new, next;
         FrameEncoder<Reply<'_>>: new, next;
         &[u8]: byte, is_empty;
@@ -76,7 +76,7 @@ fn session() {
 fn fieldbus() {
     functions! {
         Controller: new, default, handle, set_output, poll_command, refused, silence, input, is_moving;
-        Controller: set_user_outputs, user_inputs;
+        Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions;
         Diagnosis: is_due, to_bytes;
         CommandFlags: lowest;
         ForceUnit: of, per_newton;
