@@ -307,7 +307,7 @@ impl Bridge {
     fn take_wires(&mut self, now: Instant, inputs: Inputs) {
         self.liveness.look(Looked::WIRES);
         let known = self.session.known();
-        let unit = known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
+        let unit = || known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
         let is_ready = self.wires.is_ready();
         if let Some(image) = self.wires.update(now, inputs, unit) {
             // Of a command that is refused, the parameters do not count.

@@ -68,7 +68,12 @@ impl DigitalIo {
     ///
     /// The recipe is taken when its command rises while READY is shown, so never during a motion: there a parameter that
     /// changes is a FAST STOP (fieldbus, table 1).
-    pub fn update(&mut self, now: Instant, reading: Inputs, unit: ForceUnit) -> Option<&OutputImage> {
+    pub fn update(
+        &mut self,
+        now: Instant,
+        reading: Inputs,
+        unit: impl FnOnce() -> ForceUnit,
+    ) -> Option<&OutputImage> {
         let Some(levels) = self.debounce.update(now, reading) else { return self.early_fast_stop() };
         let before = self.levels.replace(levels);
         if before == Some(levels) {
@@ -142,7 +147,7 @@ impl DigitalIo {
         shown
     }
 
-    fn take_recipe(&mut self, rising: CommandFlags, levels: Inputs, unit: ForceUnit) {
+    fn take_recipe(&mut self, rising: CommandFlags, levels: Inputs, unit: impl FnOnce() -> ForceUnit) {
         let with_recipe = CommandFlags::MOVE | CommandFlags::GRIP | CommandFlags::RELEASE;
         // As the controller does: of several the lowest bit counts.
         let Some(command) = rising.intersection(with_recipe).lowest() else { return };
@@ -151,7 +156,7 @@ impl DigitalIo {
         let Some(recipe) = self.recipes.get(number) else { return };
         self.image.width = if command == CommandFlags::RELEASE { recipe.release_width } else { recipe.width };
         self.image.speed = recipe.speed;
-        self.image.force_limit = match unit {
+        self.image.force_limit = match unit() {
             ForceUnit::Hundredth => recipe.force,
             ForceUnit::Tenth => recipe.force / 10,
         };

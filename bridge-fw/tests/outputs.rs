@@ -19,7 +19,7 @@ fn quick() -> wsg_sim::Config {
 fn shown_for(inputs: Inputs, system: SystemFlags) -> Outputs {
     let mut wires = DigitalIo::new(0, 0, RECIPES);
     for ms in 0..10 {
-        wires.update(Instant::from_millis(ms), inputs, ForceUnit::default());
+        wires.update(Instant::from_millis(ms), inputs, ForceUnit::default);
     }
     let image = InputImage { system, ..InputImage::from_bytes([0; InputImage::LEN]) };
     wires.outputs(Instant::from_millis(10), &image, true, false)
