@@ -20,7 +20,7 @@ const MOTIONS: CommandFlags =
 const MOVERS: CommandFlags = MOTIONS.union(CommandFlags::JOG_PLUS).union(CommandFlags::JOG_MINUS);
 
 /// Whose motion command was the last.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Commander {
     /// Nobody's yet.
     #[default]
@@ -32,7 +32,7 @@ pub enum Commander {
 }
 
 /// Both sides, and what comes of them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(crate) struct Arbiter {
     /// What the wires ask for; none before they have settled.
     wires: Option<OutputImage>,

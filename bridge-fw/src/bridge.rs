@@ -86,7 +86,7 @@ pub struct Counters {
 /// One bridge between the wires of a PLC, or its bus, and one gripper.
 ///
 /// Board-free: [`poll`](Self::poll) it in the main loop, at least once a millisecond.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub struct Bridge {
     settings: Settings,
     parser: FrameParser<MAX_REPLY_LEN>,
@@ -183,14 +183,20 @@ impl Bridge {
         }
         let gripper = self.shown();
         self.liveness.look(Looked::OUTPUTS);
-        let moving = self.controller.is_moving(self.session.known());
-        self.wires.outputs(now, &gripper, self.session.is_connected(), moving)
+        let ignores_motions = self.controller.ignores_motions(self.session.known());
+        self.wires.outputs(now, &gripper, self.session.is_connected(), ignores_motions)
     }
 
     /// Whether the gripper answers.
     #[must_use]
     pub const fn is_connected(&self) -> bool {
         self.session.is_connected()
+    }
+
+    /// The connection to the gripper, to look at.
+    #[must_use]
+    pub const fn session(&self) -> &Session {
+        &self.session
     }
 
     /// Says whether the way to the gripper is known to be gone (bus-off), before a poll. As long as it is, the PLC sees

@@ -29,7 +29,7 @@ const _: () = assert!(
 );
 
 /// Takes the levels as they are read, and gives those that have not changed for a time.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub struct Debounce {
     period_ms: u32,
     /// The last reading; none before the first.

@@ -21,7 +21,7 @@ const MOTION_STATES: GripperFlags =
     GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
 /// The wires between a PLC and the register images.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub struct DigitalIo {
     debounce: Debounce,
     recipes: [Recipe; RECIPE_COUNT],
@@ -105,10 +105,17 @@ impl DigitalIo {
         Some(&self.image)
     }
 
-    /// The wires to the PLC for what the gripper shows. `moving`: a command would be refused because the fingers move.
-    pub fn outputs(&mut self, now: Instant, gripper: &InputImage, connected: bool, moving: bool) -> Outputs {
+    /// The wires to the PLC for what the gripper shows. `ignores_motions`: an edge of a command wire would come to
+    /// nothing, because the fingers move or either side holds STOP/ACK or FASTSTOP.
+    pub fn outputs(
+        &mut self,
+        now: Instant,
+        gripper: &InputImage,
+        connected: bool,
+        ignores_motions: bool,
+    ) -> Outputs {
         self.shown = self.levels_for(now, gripper, connected);
-        if moving {
+        if ignores_motions {
             self.shown -= Outputs::READY;
         }
         self.shown

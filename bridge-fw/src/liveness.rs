@@ -5,7 +5,7 @@ use wsg_protocol::Instant;
 
 bitflags! {
     /// What a turn has to look at.
-    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
     pub(crate) struct Looked: u8 {
         /// The wires from the PLC.
         const WIRES = 1 << 0;
@@ -19,7 +19,7 @@ bitflags! {
 }
 
 /// What was looked at since the watchdog was fed last, and when that was.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(crate) struct Liveness {
     looked: Looked,
     fed_at: Option<Instant>,

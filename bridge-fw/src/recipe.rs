@@ -3,7 +3,7 @@
 /// Parameters of the motion commands, chosen by the wires RECIPE0 and RECIPE1.
 ///
 /// The units are those of the fieldbus registers, so no value has to be rounded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Recipe {
     /// Opening width that GRIP and MOVE go to, in 1/100 mm.
     pub width: i16,

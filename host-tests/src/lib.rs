@@ -7,6 +7,7 @@
 //! | [`can_hub`] | a CAN bus of SLCAN lines: the emulated board, a gripper, a master |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`chance`] | numbers that look random, the same ones for the same seed |
+//! | [`mod@explore`] | every order of events, on the bridge as it is flashed |
 //! | [`fault_sweep`] | every fault of a bit or a byte around a FAST STOP, and how long the gripper takes to stop |
 //! | [`faulty_link`] | a line on which bytes go wrong, round any byte link |
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
@@ -33,6 +34,7 @@ pub mod chance;
 #[cfg(unix)]
 pub mod emulator;
 pub mod example;
+pub mod explore;
 pub mod fault_sweep;
 pub mod faulty_link;
 pub mod fuzz_bodies;

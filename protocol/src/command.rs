@@ -1,5 +1,7 @@
 //! Requests: every command of the manual's chapter 3, to be sent and to be understood.
 
+use core::hash::{Hash, Hasher};
+
 use crate::field::{Field, Refusal};
 use crate::frame::{Frame, Payload};
 use crate::table::for_each_command;
@@ -175,6 +177,16 @@ macro_rules! define_commands {
                     Self::Unknown { .. } => {}
                 }
                 Ok(())
+            }
+        }
+
+        /// By id and payload.
+        impl Hash for Command<'_> {
+            fn hash<H: Hasher>(&self, state: &mut H) {
+                state.write_u8(self.id().code());
+                for index in 0..Payload::len(self) {
+                    state.write_u8(Payload::byte(self, index));
+                }
             }
         }
 

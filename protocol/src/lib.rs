@@ -78,6 +78,7 @@ pub mod frame;
 pub mod gcl;
 #[cfg(feature = "modbus")]
 pub mod modbus;
+mod queue;
 pub mod reply;
 pub mod session;
 mod table;

@@ -52,11 +52,12 @@ pub use signal::Signal;
 use crate::command::{Command, CommandId, Kind};
 use crate::field::Refusal;
 use crate::frame::Event;
+use crate::queue::Queue;
 use crate::reply::{Reply, Value};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
+use core::hash::{Hash, Hasher};
 use fast_stop::FastStop;
-use heapless::Deque;
 use signal::Subscriptions;
 use track::{Expired, Request, Track};
 
@@ -81,6 +82,20 @@ pub enum Notice<'a> {
     Withdrawn(CommandId),
     /// The gripper reported a value.
     Reported(Value<'a>),
+}
+
+/// By kind and command, without the values.
+impl Hash for Notice<'_> {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        core::mem::discriminant(self).hash(state);
+        let id = match self {
+            Self::Connected | Self::Disconnected => None,
+            Self::Pending(id) | Self::Unanswered(id) | Self::Late(id) | Self::Withdrawn(id) => Some(*id),
+            Self::Answered(reply) => Some(reply.id()),
+            Self::Reported(value) => Some(value.id()),
+        };
+        id.hash(state);
+    }
 }
 
 /// Why a request was not taken. Nothing of it will be sent.
@@ -115,6 +130,11 @@ pub struct Counters {
     pub disconnects: u16,
 }
 
+/// Adds nothing: sessions that differ in their counts alone behave alike.
+impl Hash for Counters {
+    fn hash<H: Hasher>(&self, _: &mut H) {}
+}
+
 /// The status of a setting that the gripper confirmed but did not take over: read back, it shows another value, or none
 /// ([`Config::verify_settings`]).
 ///
@@ -129,7 +149,7 @@ pub const QUEUE_LEN: usize = 4;
 const QUEUE_CAPACITY: usize = QUEUE_LEN + 1;
 
 /// Where the connection stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Link {
     /// No answer; the next attempt begins at the given time, or at once.
     Down { retry_at: Option<Instant> },
@@ -142,7 +162,7 @@ enum Link {
 }
 
 /// A command that has begun (E_CMD_PENDING) and whose result is awaited.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Hash)]
 struct Running {
     id: CommandId,
     begun: Instant,
@@ -154,7 +174,7 @@ struct Running {
 const RUNNING_LEN: usize = 3;
 
 /// The controller's side of a connection.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub struct Session {
     config: Config,
     link: Link,
@@ -169,7 +189,7 @@ pub struct Session {
     /// The setting that is being read back: `request` is the query.
     reading_back: Option<Command<'static>>,
     /// Requests that wait for the one before to be answered.
-    queue: Deque<Request, QUEUE_CAPACITY>,
+    queue: Queue<Request, QUEUE_CAPACITY>,
     /// What a Stop, FAST STOP or Acknowledge has overtaken.
     overtaken: Overtaken,
     /// A request that was sent more than once, and until when another answer to it may still come: a request with the same
@@ -189,7 +209,7 @@ pub struct Session {
 }
 
 /// The requests that will be withdrawn because something more urgent overtook them.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Hash)]
 struct Overtaken {
     /// The one in [`Session::request`], if it is not sent yet.
     request: bool,
@@ -198,7 +218,7 @@ struct Overtaken {
 }
 
 /// What there is to tell about a Stop.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum StopReport {
     /// Not answered in time, and sent again.
     Late,
@@ -221,7 +241,7 @@ impl Session {
             request: Track::new(),
             refresh: Track::new(),
             reading_back: None,
-            queue: Deque::new(),
+            queue: Queue::new(),
             overtaken: Overtaken { request: false, queued: 0 },
             doubled: None,
             stop_report: None,

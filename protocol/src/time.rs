@@ -1,5 +1,6 @@
 //! The caller's clock: milliseconds that may wrap.
 
+use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
 /// A moment on the caller's millisecond clock.
@@ -18,6 +19,14 @@ use core::time::Duration;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Instant(u32);
+
+/// Hashes as an `i32`, as nothing else in this crate does: a [`Hasher`] that compares states of different ages can tell
+/// moments from other numbers and take them relative to its own "now".
+impl Hash for Instant {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        state.write_i32(self.0.cast_signed());
+    }
+}
 
 impl Instant {
     /// The moment at which the clock shows `millis`.

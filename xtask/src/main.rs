@@ -7,6 +7,7 @@ mod coverage;
 mod demo;
 mod dependencies;
 mod elf;
+mod explore;
 mod fast_stop;
 mod figures;
 mod firmware;
@@ -55,7 +56,8 @@ Commands
                      something could not be checked or compared, which is else only said
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
-  ci                 deny, test --strict, then loom and Miri: what runs on each change
+  ci                 deny, test --strict, then fast-stop, explore, loom and Miri: what runs on each
+                     change
   deny               licences, bans and sources of all dependencies against deny.toml; cargo-deny
   size               flash and static RAM of the image, and of the protocol beside an empty
                      program, against their limits
@@ -66,6 +68,8 @@ Commands
                      baseline [--update: write it anew]; throughput on this machine
   fast-stop          how long the gripper takes to stop with every byte around it damaged in turn, in
                      virtual time, against the limits of docs/wiring.md; some two minutes
+  explore            every order of events on the bridge, until 10^8 states were met; some ten
+                     minutes on two cores [--states N]
   fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz.
                      --inputs N: their bodies over so many generated inputs each, on stable Rust
   soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;

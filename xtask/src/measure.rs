@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use lexopt::{Arg, Parser, ValueExt};
 
 use crate::{
-    bench, coverage, dependencies, fast_stop, figures,
+    bench, coverage, dependencies, explore, fast_stop, figures,
     firmware::{self, Image},
     fuzz, gate, interleavings, mutants, no_more, panics,
     probe::Probes,
@@ -49,6 +49,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             dependencies::check(&workspace)?;
             test::run(&workspace, &toolchain, &image, &[], true)?;
             fast_stop::run(&workspace)?;
+            explore::run(&workspace, explore::STATES)?;
             interleavings::run(&workspace)?;
             undefined_behaviour::run(&workspace)
         }
@@ -60,6 +61,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             no_more(arguments)?;
             dependencies::check(&Workspace::from_env()?)
         }
+        "explore" => explore::run(&Workspace::from_env()?, explore::states(arguments)?),
         "fuzz" => {
             let extent = fuzz_extent(arguments)?;
             fuzz::run(&Workspace::from_env()?, &extent)

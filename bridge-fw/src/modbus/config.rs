@@ -5,7 +5,7 @@ use wsg_protocol::fieldbus::SilenceReaction;
 use wsg_protocol::modbus::rtu::Timing;
 
 /// The bits of a character besides the eight of data (MODBUS over serial line, 2.5.1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Format {
     /// Even parity, one stop bit: the specification's default.
     Even1,
@@ -49,7 +49,7 @@ impl Format {
 
 /// The bus at power-up. What can be changed while it runs has a register ([`SETTINGS`](super::SETTINGS)); rate and
 /// format need a start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct BusConfig {
     /// The rate in bit/s. Which ones a board can do, its board file says.
     pub baud: u32,

@@ -151,7 +151,7 @@ pub enum Link {
 }
 
 /// Why the MCU was reset.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ResetCause {
     /// The board does not say.
     #[default]

@@ -125,7 +125,7 @@ const RANGES: [(u16, u16); SETTINGS.len()] = {
 };
 
 /// The values of [`SETTINGS`]: always inside their ranges.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(crate) struct Settings {
     values: [u16; SETTINGS.len()],
 }

@@ -35,7 +35,7 @@ pub(crate) enum Heard {
 }
 
 /// The bus's side of a bridge.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(crate) struct ModbusSide {
     server: Server,
     images: Images,

@@ -7,12 +7,12 @@ use super::image::to_register;
 use super::jog::{Jog, Stage};
 use super::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use crate::command::{Command, CommandId};
+use crate::queue::Queue;
 use crate::reply::{Reply, Value};
 use crate::session::{Known, Notice, RequestError};
 use crate::types::{
     AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
 };
-use heapless::Deque;
 use jogging::stands;
 
 /// The flags that begin a motion on their rising edge.
@@ -55,7 +55,7 @@ const OUTGOING_LEN: usize = 2;
 /// - When the connection goes while the fingers may be moving, a FAST STOP is the first thing that the gripper hears
 ///   when it comes back: nobody could stop them in the meantime.
 /// - With soft limits set the gripper refuses the end of the stroke (E_RANGE_ERROR), and so the jog.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub struct Controller {
     /// The last image; none before the first.
     image: Option<OutputImage>,
@@ -84,11 +84,11 @@ pub struct Controller {
     jog: Jog,
     /// OF, for the input image.
     user_outputs: u8,
-    outgoing: Deque<Command<'static>, OUTGOING_LEN>,
+    outgoing: Queue<Command<'static>, OUTGOING_LEN>,
 }
 
 /// The controller's own memory of a FAST STOP, beside the gripper's flag.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum FastStop {
     /// None, or acknowledged.
     Clear,
@@ -105,7 +105,7 @@ enum FastStop {
 /// What becomes of the fingers when the PLC that commands them falls silent.
 ///
 /// A jog ends in any case: nobody holds its button any more.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SilenceReaction {
     /// What runs goes on.
@@ -118,7 +118,7 @@ pub enum SilenceReaction {
 }
 
 /// A motion on its way.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Hash)]
 struct Motion {
     command: Command<'static>,
     /// The force limit is being set first.
@@ -145,7 +145,7 @@ impl Controller {
             held_back: None,
             jog: Jog::new(),
             user_outputs: 0,
-            outgoing: Deque::new(),
+            outgoing: Queue::new(),
         }
     }
 
@@ -394,6 +394,13 @@ impl Controller {
             || self.jog.is_on()
             || has_flag(known, SystemFlags::MOVING)
             || state.is_some_and(GripperState::is_motion)
+    }
+
+    /// Whether a motion flag that rises now comes to nothing: the fingers move, or STOP/ACK or FASTSTOP is 1.
+    #[must_use]
+    pub fn ignores_motions(&self, known: &Known) -> bool {
+        let held = CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP);
+        self.is_moving(known) || self.image.is_some_and(|image| image.flags.intersects(held))
     }
 
     fn fast_stop(&mut self) {

@@ -809,3 +809,16 @@ fn result_of_an_earlier_motion_does_not_end_one_whose_force_limit_is_still_being
     assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
 }
+
+#[test]
+fn motions_are_ignored_while_stop_or_fast_stop_is_set_and_while_the_fingers_move() {
+    let mut plc = Plc::ready();
+    assert!(!plc.controller.ignores_motions(&plc.known));
+    for flag in [CommandFlags::STOP_ACK, CommandFlags::FASTSTOP] {
+        plc.raise(flag);
+        assert!(plc.controller.ignores_motions(&plc.known), "{flag:?}");
+        plc.lower(flag);
+    }
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    assert!(plc.controller.ignores_motions(&plc.known));
+}

@@ -5,7 +5,7 @@ use bitflags::bitflags;
 
 bitflags! {
     /// CMDFLAGS, byte 0 of the output image. A rising edge gives the command; JOG acts on level.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct CommandFlags: u8 {
         /// Bit 0: pre-position the fingers (WIDTH, SPEED).
         const MOVE = 1 << 0;
@@ -134,7 +134,7 @@ impl ForceUnit {
 /// assert_eq!(image.to_bytes(), [0x01, 0x20, 0x04, 0xC4, 0, 0, 0, 0]);
 /// assert_eq!(OutputImage::from_bytes(image.to_bytes()), image);
 /// ```
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct OutputImage {
     /// Byte 0, CMDFLAGS.

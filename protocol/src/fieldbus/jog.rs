@@ -6,7 +6,7 @@ use super::{CommandFlags, OutputImage};
 const JOG: CommandFlags = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
 
 /// Which way the fingers go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Direction {
     /// They open.
     Plus,
@@ -15,7 +15,7 @@ pub(super) enum Direction {
 }
 
 /// A jog as the flags and the dial ask for it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Drive {
     pub(super) direction: Direction,
     /// SPEED as in the register; 0 stands for the least speed.
@@ -37,7 +37,7 @@ impl Drive {
 }
 
 /// Where the jog stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Stage {
     /// There is none.
     Off,
@@ -50,7 +50,7 @@ pub(super) enum Stage {
 /// The flags as levels: a jog that has ended by itself, was refused or overruled begins again only after both flags
 /// were 0. The same goes for flags that are 1 in the first image, or beside STOP/ACK or FASTSTOP: to let go of these, or to
 /// acknowledge, moves nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Jog {
     pub(super) stage: Stage,
     armed: bool,

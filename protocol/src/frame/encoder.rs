@@ -35,7 +35,7 @@ impl Payload for &[u8] {
 /// let bytes: Vec<u8> = FrameEncoder::new(0x01, &[0x12, 0x34][..]).collect();
 /// assert_eq!(bytes, [0xAA, 0xAA, 0xAA, 0x01, 0x02, 0x00, 0x12, 0x34, 0x6D, 0x66]);
 /// ```
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Hash)]
 pub struct FrameEncoder<P> {
     payload: P,
     /// Index of the next byte of the frame.

@@ -1,5 +1,7 @@
 //! The two images as tables of coils and registers (fieldbus, chapter 4; its byte order as NOTES of the project say).
 
+use core::hash::{Hash, Hasher};
+
 use super::device::bit;
 use super::register::{INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 use super::{Bits, Exception, Words};
@@ -36,6 +38,14 @@ pub struct Images {
     output: [u8; OutputImage::LEN],
     input: [u8; InputImage::LEN],
     written: bool,
+}
+
+/// Not by the input image, which is set anew before each request.
+impl Hash for Images {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let Self { swap_bytes, output, input: _, written } = self;
+        (swap_bytes, output, written).hash(state);
+    }
 }
 
 impl Images {

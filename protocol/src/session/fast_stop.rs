@@ -9,7 +9,7 @@ use super::FastStopPattern;
 use crate::time::Instant;
 
 /// A FAST STOP, or none.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(super) struct FastStop {
     pattern: FastStopPattern,
     phase: Phase,
@@ -19,7 +19,7 @@ pub(super) struct FastStop {
     begun: Option<Instant>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Phase {
     /// There is none.
     Idle,

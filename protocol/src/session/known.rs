@@ -1,5 +1,7 @@
 //! What the session knows of the gripper.
 
+use core::hash::{Hash, Hasher};
+
 use crate::reply::Value;
 use crate::types::{GripperState, SystemFlags, SystemInfo, SystemLimits};
 
@@ -19,6 +21,13 @@ pub struct Known {
     pub width: Option<f32>,
     /// Gripping force in N, summed over both fingers.
     pub force: Option<f32>,
+}
+
+impl Hash for Known {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let Self { info, limits, flags, state: gripper, width, force } = self;
+        (info, limits, flags, gripper, width.map(f32::to_bits), force.map(f32::to_bits)).hash(state);
+    }
 }
 
 impl Known {

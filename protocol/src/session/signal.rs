@@ -5,7 +5,7 @@ use crate::command::{Command, CommandId};
 use crate::types::{AutoUpdate, UpdateFlags};
 
 /// A value that can be subscribed to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Signal {
     /// The system state flags (40h). The session always asks for them.
@@ -70,7 +70,7 @@ impl Signal {
 }
 
 /// What is subscribed to, and how.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(super) struct Subscriptions {
     updates: [AutoUpdate; Signal::ALL.len()],
     /// Those that were changed while connected and that the gripper has not confirmed; one bit each.

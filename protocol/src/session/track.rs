@@ -5,7 +5,7 @@ use crate::command::{Command, CommandId};
 use crate::time::Instant;
 
 /// A request, as long as it is not answered.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Hash)]
 pub(super) enum Request {
     /// The session has it.
     Own(Command<'static>),
@@ -41,7 +41,7 @@ impl Request {
 }
 
 /// A request on its way.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Hash)]
 pub(super) struct Track {
     /// None while the track is idle.
     request: Option<Request>,
@@ -77,8 +77,7 @@ impl Track {
     }
 
     pub(super) const fn close(&mut self) {
-        self.request = None;
-        self.deadline = None;
+        *self = Self::new();
     }
 
     pub(super) const fn is_idle(&self) -> bool {

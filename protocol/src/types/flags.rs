@@ -5,7 +5,7 @@ use bitflags::bitflags;
 
 bitflags! {
     /// The system state flags (command set, appendix B). Reserved bits are kept as they came.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct SystemFlags: u32 {
         /// D0: the fingers are referenced and motion commands are accepted.
         const REFERENCED = 1 << 0;
@@ -65,7 +65,7 @@ bitflags! {
     }
 
     /// The flags of Pre-position Fingers (command set, 3.2.2). Public drivers swap the two.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct PrePositionFlags: u8 {
         /// D0: the width is an offset to the current opening width.
         const RELATIVE = 1 << 0;
@@ -74,7 +74,7 @@ bitflags! {
     }
 
     /// The flags of the commands that can send updates of their own (command set, 3.4.1).
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct UpdateFlags: u8 {
         /// D0: updates are sent from now on; without it they end.
         const AUTOMATIC = 1 << 0;

@@ -1,11 +1,13 @@
 //! What a gripper tells about itself: device, limits, statistics, fingers.
 
+use core::hash::{Hash, Hasher};
+
 use crate::field::{finite, fixed_field};
 
 macro_rules! open_byte_enum {
     ($(#[$doc:meta])* $type:ident { $($code:literal $name:ident $text:literal;)* }) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum $type {
             $(#[doc = concat!($text, " (", $code, ").")] $name,)*
@@ -67,7 +69,7 @@ open_byte_enum! {
 }
 
 /// The firmware version: three numbers, and a release candidate's number or 0 (command set, 3.5.1).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FirmwareVersion(u16);
 
@@ -113,7 +115,7 @@ impl core::fmt::Display for FirmwareVersion {
 }
 
 /// Device type, revision, version, serial number (command set, 3.5.1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SystemInfo {
     /// The product.
@@ -174,6 +176,12 @@ macro_rules! float_fields {
                 )*
                 let _ = separator;
                 Ok(())
+            }
+        }
+
+        impl Hash for $type {
+            fn hash<H: Hasher>(&self, state: &mut H) {
+                $(self.$name.to_bits().hash(state);)*
             }
         }
 

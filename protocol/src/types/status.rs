@@ -5,7 +5,7 @@ use crate::field::fixed_field;
 macro_rules! statuses {
     ($($code:literal $name:ident $symbol:literal $meaning:literal;)*) => {
         /// The status code that opens every reply (command set, appendix A).
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum Status {
             $(#[doc = concat!($symbol, " (", $code, "): ", $meaning, ".")] $name,)*

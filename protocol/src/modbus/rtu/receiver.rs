@@ -1,10 +1,12 @@
 //! From characters and silences to frames.
 
+use core::hash::{Hash, Hasher};
+
 use super::{CRC_LEN, MAX_FRAME_LEN, Timing, crc};
 use crate::modbus::Function;
 
 /// What the line brought.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Character {
     /// A byte.
@@ -14,7 +16,7 @@ pub enum Character {
 }
 
 /// How strictly silence is judged.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Mode {
     /// As the specification asks: more than T1.5 inside a frame voids it, T3.5 ends it.
@@ -29,7 +31,7 @@ pub enum Mode {
 }
 
 /// Why what was received is no frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Damage {
     /// Silence of more than T1.5 inside it.
@@ -87,6 +89,16 @@ pub struct Receiver {
     damage: Option<Damage>,
     /// The first character of the frame after the one that was given.
     carried: Option<Character>,
+}
+
+/// By what is held and not by what was.
+impl Hash for Receiver {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let Self { bytes: _, unit, mode, timing, len, damage, carried } = self;
+        let held = if *len == GIVEN { &[] } else { self.held() };
+        (unit, mode, timing, held, carried).hash(state);
+        damage.filter(|_| *len != GIVEN).hash(state);
+    }
 }
 
 /// Longer than anything that is received, so that one comparison says whether there is room.

@@ -1,5 +1,7 @@
 //! One unit on a serial line: frames in, responses out, and FC 8.
 
+use core::hash::{Hash, Hasher};
+
 use super::counters::count;
 use super::{CRC_LEN, Character, Counters, Damage, MAX_FRAME_LEN, Mode, Received, Receiver, Timing, crc};
 use crate::modbus::{Device, Exception, Function, MAX_PDU_LEN, serve_as};
@@ -11,7 +13,7 @@ pub const BROADCAST: u8 = 0;
 pub const UNITS: core::ops::RangeInclusive<u8> = 1..=247;
 
 /// What can be set about a server on a line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
     /// Its address, one of [`UNITS`].
@@ -68,6 +70,14 @@ pub struct Server {
     receiver: Receiver,
     line: Line,
     response: [u8; MAX_FRAME_LEN],
+}
+
+/// Neither by counts nor by the last response, which change nothing of what comes.
+impl Hash for Server {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let Self { config, receiver, line: Line { counters: _, listen_only }, response: _ } = self;
+        (config, receiver, listen_only).hash(state);
+    }
 }
 
 /// What FC 8 reads and changes.

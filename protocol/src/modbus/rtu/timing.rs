@@ -10,7 +10,7 @@
 /// // Fixed above 19 200 bit/s.
 /// assert_eq!(Timing::of(115_200, 10), Timing { t1_5_us: 750, t3_5_us: 1_750 });
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Timing {
     /// T1.5: longer than this between two characters of a frame breaks the frame.

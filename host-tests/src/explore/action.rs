@@ -1,0 +1,189 @@
+//! What can happen: on the wires, on the bus, on the gripper's line, to the gripper and to the bridge.
+
+use wsg_bridge_fw::io::Inputs;
+use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+
+use super::promises::Motion;
+
+/// One event. All but [`Wait`](Self::Wait) and [`FallSilent`](Self::FallSilent) take no time, so that events of one moment
+/// are tried in every order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Action {
+    /// A wire changes, and settles.
+    Toggle(Wire),
+    /// GRIP and STOP_ACK rise in the same reading.
+    GripAndStop,
+    /// MOVE rises and FAST_STOP_OK falls in the same reading.
+    MoveAndFastStop,
+    /// The PLC writes an image over the bus.
+    Write(Image),
+    /// The PLC stops asking over the bus until the bridge notices.
+    FallSilent,
+    /// The line delivers everything, and the answers to what the bridge sends on it, until both sides are silent.
+    AnswersAll,
+    /// The line delivers the next message.
+    Answer,
+    /// The line delivers the next message and keeps it for a second time.
+    AnswerTwice,
+    /// The line loses the next message.
+    AnswerLost,
+    /// The line loses the last byte of the next message.
+    AnswerCut,
+    /// The line delivers the next message in the same turn as the next event.
+    AnswerWithNext,
+    /// The gripper refuses the next motion or setting.
+    Refuse,
+    /// The line is cut, or repaired. What is on its way is lost.
+    ToggleLine,
+    /// The motion succeeds.
+    Finish,
+    /// The motion fails, or finds no part.
+    Fail,
+    /// The part slips away.
+    LosePart,
+    /// The gripper raises FAST STOP by itself, as at a soft limit.
+    GripperStopsFast,
+    /// The gripper is switched off and on.
+    RestartGripper,
+    /// The bridge is reset.
+    RestartBridge,
+    /// Time passes until the session's next deadline.
+    Wait,
+}
+
+/// A wire from the PLC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Wire {
+    Grip,
+    Move,
+    Release,
+    Home,
+    StopAck,
+    FastStopOk,
+    /// RECIPE1: low for recipe 0 with 40 N, high for recipe 2 with 10 N.
+    Recipe,
+}
+
+/// An output image: one flag, or none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Image {
+    Zero,
+    Move,
+    /// With 40 N.
+    Grip,
+    /// With 10 N.
+    GripGently,
+    JogPlus,
+    StopAck,
+    FastStop,
+}
+
+/// The actions beside a PLC with wires.
+pub(super) const WIRES: [Action; 24] = {
+    use Action::*;
+    [
+        Toggle(Wire::Grip),
+        Toggle(Wire::Move),
+        Toggle(Wire::Release),
+        Toggle(Wire::Home),
+        Toggle(Wire::StopAck),
+        Toggle(Wire::FastStopOk),
+        Toggle(Wire::Recipe),
+        GripAndStop,
+        MoveAndFastStop,
+        AnswersAll,
+        Answer,
+        AnswerTwice,
+        AnswerLost,
+        AnswerCut,
+        AnswerWithNext,
+        Refuse,
+        ToggleLine,
+        Finish,
+        Fail,
+        LosePart,
+        GripperStopsFast,
+        RestartGripper,
+        RestartBridge,
+        Wait,
+    ]
+};
+
+/// The actions beside a PLC with a bus and three wires.
+pub(super) const BUS: [Action; 26] = {
+    use Action::*;
+    [
+        Write(Image::Zero),
+        Write(Image::Move),
+        Write(Image::Grip),
+        Write(Image::GripGently),
+        Write(Image::JogPlus),
+        Write(Image::StopAck),
+        Write(Image::FastStop),
+        FallSilent,
+        Toggle(Wire::Grip),
+        Toggle(Wire::StopAck),
+        Toggle(Wire::FastStopOk),
+        AnswersAll,
+        Answer,
+        AnswerTwice,
+        AnswerLost,
+        AnswerCut,
+        AnswerWithNext,
+        Refuse,
+        ToggleLine,
+        Finish,
+        Fail,
+        LosePart,
+        GripperStopsFast,
+        RestartGripper,
+        RestartBridge,
+        Wait,
+    ]
+};
+
+impl Wire {
+    pub(super) const fn input(self) -> Inputs {
+        match self {
+            Self::Grip => Inputs::GRIP,
+            Self::Move => Inputs::MOVE,
+            Self::Release => Inputs::RELEASE,
+            Self::Home => Inputs::HOME,
+            Self::StopAck => Inputs::STOP_ACK,
+            Self::FastStopOk => Inputs::FAST_STOP_OK,
+            Self::Recipe => Inputs::RECIPE1,
+        }
+    }
+}
+
+impl Image {
+    pub(super) const ALL: [Self; 7] =
+        [Self::Zero, Self::Move, Self::Grip, Self::GripGently, Self::JogPlus, Self::StopAck, Self::FastStop];
+
+    pub(super) const fn flags(self) -> CommandFlags {
+        match self {
+            Self::Zero => CommandFlags::empty(),
+            Self::Move => CommandFlags::MOVE,
+            Self::Grip | Self::GripGently => CommandFlags::GRIP,
+            Self::JogPlus => CommandFlags::JOG_PLUS,
+            Self::StopAck => CommandFlags::STOP_ACK,
+            Self::FastStop => CommandFlags::FASTSTOP,
+        }
+    }
+
+    pub(super) const fn output(self) -> OutputImage {
+        let force_limit = if matches!(self, Self::GripGently) { 10_00 } else { 40_00 };
+        OutputImage { flags: self.flags(), user: 0, width: 30_00, speed: 50_00, force_limit }
+    }
+
+    /// The motion that its edge asks for.
+    pub(super) const fn motion(self) -> Option<Motion> {
+        match self {
+            Self::Move => Some(Motion::Move),
+            Self::Grip => Some(Motion::Grip),
+            Self::GripGently => Some(Motion::GripGently),
+            Self::JogPlus => Some(Motion::Jog),
+            Self::Zero | Self::StopAck | Self::FastStop => None,
+        }
+    }
+}

@@ -1,0 +1,488 @@
+//! Bridge, gripper, line and PLC: one state of the exploration, and what each action does to it.
+
+use std::fmt::Write as _;
+
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Bridge, BusConfig, Commander, Config};
+use wsg_protocol::{CommandId, GripperState, Instant, session};
+
+use super::action::{Action, Image};
+use super::gripper::{Answer, Answers, Gripper};
+use super::key::key;
+use super::ports::{Bus, Line, UNIT};
+use super::promises::{Kept, Motion, Promise, Promises, keep};
+use super::search::Model;
+
+const CONFIG: Config = Config {
+    // An edge takes no time, so that more orders of events lead to the same state.
+    debounce_ms: 0,
+    // Less than the time between two queries, so that a missing result is given up before the next one.
+    session: session::Config { result_grace_ms: 60, ..Config::DEFAULT.session },
+    bus: BusConfig { unit: UNIT, timeout_ms: BUS_TIMEOUT_MS as u16, ..Config::DEFAULT.bus },
+    ..Config::DEFAULT
+};
+
+/// After this silence the bridge gives up the PLC on the bus, in milliseconds.
+const BUS_TIMEOUT_MS: u32 = 100;
+/// How long FAST_STOP_OK must be high before it counts, in milliseconds.
+const FAST_STOP_RELEASE_MS: u32 = 5;
+/// Turns on the way to a deadline: a truncated frame is given up, BUSY has been high for its minimum. In milliseconds.
+const TURNS_MS: [u32; 2] = [21, 51];
+/// The longest wait, in milliseconds, and the one without a deadline.
+const LONGEST_WAIT_MS: u32 = 1_000;
+/// Question and answer follow each other this often without taking time: connecting takes seven rounds.
+const QUICK_ROUNDS: u32 = 20;
+/// A round takes this long on a line of 115 200 bit/s, in milliseconds.
+const ROUND_MS: u32 = 2;
+/// Question and answer end after this many rounds.
+const MOST_ROUNDS: u32 = QUICK_ROUNDS + 500;
+
+/// One state.
+#[derive(Clone, Debug)]
+pub(super) struct Plant {
+    actions: &'static [Action],
+    bridge: Bridge,
+    gripper: Gripper,
+    now_ms: u32,
+    wires: Inputs,
+    outputs: Outputs,
+    is_line_up: bool,
+    /// Messages on their way to the bridge.
+    answers: Answers,
+    /// A message that arrives in the last turn of the next action.
+    with_next: Option<Answer>,
+    /// The last image that the PLC wrote over the bus; none while it is silent.
+    image: Option<Image>,
+    promises: Promises,
+    /// A log, for a reader.
+    story: Option<String>,
+}
+
+/// Situations that an exploration should meet, by name.
+pub(super) const SIGHTS: [(&str, fn(&Plant) -> bool); 17] = [
+    ("READY", |plant| plant.outputs.contains(Outputs::READY)),
+    ("BUSY", |plant| plant.outputs.contains(Outputs::BUSY)),
+    ("HOLDING", |plant| plant.outputs.contains(Outputs::HOLDING)),
+    ("PART_FAULT", |plant| plant.outputs.contains(Outputs::PART_FAULT)),
+    ("ERROR", |plant| plant.outputs.contains(Outputs::ERROR)),
+    ("REFERENCED", |plant| plant.outputs.contains(Outputs::REFERENCED)),
+    ("LINK_OK", |plant| plant.outputs.contains(Outputs::LINK_OK)),
+    ("no LINK_OK", |plant| !plant.outputs.contains(Outputs::LINK_OK)),
+    ("a homing", |plant| plant.motion() == Some(CommandId::Homing)),
+    ("a move", |plant| plant.motion() == Some(CommandId::PrePosition) && !plant.promises.jogs()),
+    ("a grip", |plant| plant.motion() == Some(CommandId::GripPart)),
+    ("a release", |plant| plant.motion() == Some(CommandId::ReleasePart)),
+    ("a jog", |plant| plant.motion() == Some(CommandId::PrePosition) && plant.promises.jogs()),
+    ("a lost part", |plant| plant.gripper.state == GripperState::PartLost),
+    ("a latched FAST STOP", |plant| plant.gripper.fast_stop),
+    ("a FAST STOP that is not acknowledged", |plant| !plant.promises.is_open()),
+    ("a gripper that moves while the bridge does not know", |plant| {
+        plant.motion().is_some() && plant.outputs.contains(Outputs::READY)
+    }),
+];
+
+impl Plant {
+    /// Everything has just been switched on, and all wires are low.
+    pub(super) fn switched_on(actions: &'static [Action]) -> Self {
+        let mut plant = Self {
+            actions,
+            bridge: Bridge::new(CONFIG),
+            gripper: Gripper::SWITCHED_ON,
+            now_ms: 0,
+            wires: Inputs::empty(),
+            outputs: Outputs::empty(),
+            is_line_up: true,
+            answers: Answers::NONE,
+            with_next: None,
+            image: None,
+            promises: Promises::new(Instant::from_millis(0)),
+            story: None,
+        };
+        // A promise that breaks here breaks in the exploration as well, by `RestartBridge`.
+        let _ = plant.power_up();
+        plant
+    }
+
+    /// The state after these actions, whatever they break.
+    pub(super) fn after(&self, actions: &[Action]) -> Self {
+        let mut plant = self.clone();
+        for action in actions {
+            let _ = plant.take(*action);
+        }
+        plant
+    }
+
+    /// Tells what these of its actions do.
+    pub(super) fn tell(&self, actions: impl IntoIterator<Item = u32>) -> String {
+        let mut plant = Self { story: Some(String::new()), ..self.clone() };
+        for action in actions {
+            if let Err(promise) = plant.act(action) {
+                plant.say(|story| write!(story, "\n        broken: {promise:?}"));
+            }
+        }
+        plant.story.unwrap_or_default()
+    }
+
+    /// The wires to the PLC.
+    #[cfg(test)]
+    pub(super) const fn outputs(&self) -> Outputs {
+        self.outputs
+    }
+
+    /// The motion that the gripper carries out.
+    pub(super) const fn motion(&self) -> Option<CommandId> {
+        self.gripper.motion
+    }
+
+    const fn now(&self) -> Instant {
+        Instant::from_millis(self.now_ms)
+    }
+
+    fn say(&mut self, what: impl FnOnce(&mut String) -> std::fmt::Result) {
+        if let Some(story) = &mut self.story {
+            what(story).expect("a string takes all text");
+        }
+    }
+
+    fn take(&mut self, action: Action) -> Kept {
+        let ms = self.now_ms;
+        self.say(|story| write!(story, "\n{ms:6} ms {action:?}"));
+        match action {
+            Action::Toggle(wire) => self.change_wires(wire.input()),
+            Action::GripAndStop => self.change_wires(Inputs::GRIP | Inputs::STOP_ACK),
+            Action::MoveAndFastStop => self.change_wires(Inputs::MOVE | Inputs::FAST_STOP_OK),
+            Action::Write(image) => self.write(image),
+            Action::FallSilent => self.fall_silent(),
+            Action::AnswersAll => self.deliver_all(),
+            Action::Answer => {
+                let answer = self.answers.pop();
+                self.deliver(answer)
+            }
+            Action::AnswerTwice => {
+                let answer = self.answers.repeat();
+                self.deliver(answer)
+            }
+            Action::AnswerLost => {
+                self.answers.pop();
+                Ok(())
+            }
+            Action::AnswerCut => {
+                let mut bytes: Vec<u8> = self.answers.pop().into_iter().flat_map(Answer::bytes).collect();
+                bytes.pop();
+                self.turn(&bytes, Bus::SILENT)
+            }
+            Action::AnswerWithNext => {
+                self.with_next = self.answers.pop();
+                Ok(())
+            }
+            Action::Refuse => {
+                self.gripper.refuses = true;
+                Ok(())
+            }
+            Action::ToggleLine => {
+                self.is_line_up = !self.is_line_up;
+                self.answers = Answers::NONE;
+                self.with_next = None;
+                Ok(())
+            }
+            Action::Finish => self.change_gripper(|gripper, answers| gripper.finish(true, answers)),
+            Action::Fail => self.change_gripper(|gripper, answers| gripper.finish(false, answers)),
+            Action::LosePart => self.change_gripper(Gripper::lose_part),
+            Action::GripperStopsFast => self.change_gripper(Gripper::raise_fast_stop),
+            Action::RestartGripper => {
+                self.gripper = Gripper::SWITCHED_ON;
+                self.answers = Answers::NONE;
+                Ok(())
+            }
+            Action::RestartBridge => {
+                self.bridge = Bridge::new(CONFIG);
+                self.with_next = None;
+                self.image = None;
+                self.promises.reset(self.now());
+                self.power_up()
+            }
+            Action::Wait => self.wait(),
+        }
+    }
+
+    /// The first turns after power-up, until all wires count.
+    fn power_up(&mut self) -> Kept {
+        if self.wires.contains(Inputs::FAST_STOP_OK) {
+            self.turn(&[], Bus::SILENT)?;
+        } else {
+            self.ask_for_fast_stop(Bus::SILENT, &[])?;
+        }
+        self.settle(true)
+    }
+
+    /// Changes wires, and lets them settle.
+    fn change_wires(&mut self, changed: Inputs) -> Kept {
+        self.wires.toggle(changed);
+        let rising = self.wires & changed;
+        let before = self.outputs;
+        if (changed - rising).contains(Inputs::FAST_STOP_OK) {
+            self.ask_for_fast_stop(Bus::SILENT, &[])?;
+        } else {
+            self.turn(&[], Bus::SILENT)?;
+        }
+        let was_ready = (before & self.outputs).contains(Outputs::READY);
+        let was_open = self.promises.is_open();
+        let stops = rising.contains(Inputs::STOP_ACK);
+        if stops {
+            self.promises.stop();
+        }
+        let motion = self.motion_of(rising).filter(|_| !stops);
+        match motion {
+            Some(motion) if was_ready => self.promises.want(motion),
+            Some(_) => self.promises.refuse(),
+            None => {}
+        }
+        // A message in the same turn may change what is right.
+        let judged = motion.filter(|_| self.with_next.is_none());
+        self.settle(rising.contains(Inputs::FAST_STOP_OK))?;
+        if stops && was_open && self.bridge.is_connected() {
+            self.promises.expect_standstill(self.now(), &self.gripper);
+        }
+        judged.map_or(Ok(()), |motion| self.judge_command(motion, was_ready, before))
+    }
+
+    /// The command is taken, or refused so that the PLC sees it.
+    fn judge_command(&self, motion: Motion, was_ready: bool, before: Outputs) -> Kept {
+        let shows = |output| self.outputs.contains(output);
+        if was_ready {
+            // MOVE is refused while a part is held.
+            let is_refused = motion == Motion::Move && before.contains(Outputs::HOLDING);
+            return if is_refused {
+                keep(Promise::RefusedCommandShowsError, shows(Outputs::ERROR))
+            } else {
+                keep(Promise::ReadyCommandIsTaken, shows(Outputs::BUSY))
+            };
+        }
+        // A command beside STOP/ACK or FAST STOP is lost.
+        let is_lost = self.wires & (Inputs::STOP_ACK | Inputs::FAST_STOP_OK) != Inputs::FAST_STOP_OK
+            || self.image == Some(Image::StopAck);
+        keep(Promise::RefusedCommandShowsError, is_lost || shows(Outputs::ERROR))
+    }
+
+    /// Lets wires that have just changed settle.
+    fn settle(&mut self, fast_stop_ok_rises: bool) -> Kept {
+        self.now_ms += if fast_stop_ok_rises { FAST_STOP_RELEASE_MS } else { CONFIG.debounce_ms };
+        self.last_turn()?;
+        self.promises.settled(self.wires, self.outputs)
+    }
+
+    /// Takes the turn in which FAST STOP is asked for, and one more if it does not leave in that.
+    fn ask_for_fast_stop(&mut self, bus: Bus, incoming: &[u8]) -> Kept {
+        let is_due = self.promises.fast_stop(self.now());
+        self.turn(incoming, bus)?;
+        if is_due && !self.promises.has_fast_stop_left() {
+            self.now_ms += 1;
+            self.turn(&[], Bus::SILENT)?;
+            return keep(Promise::FastStopLeavesAtOnce, self.promises.has_fast_stop_left());
+        }
+        Ok(())
+    }
+
+    /// The motion that counts of those whose wires rise.
+    fn motion_of(&self, rising: Inputs) -> Option<Motion> {
+        if rising.contains(Inputs::MOVE) {
+            Some(Motion::Move)
+        } else if rising.contains(Inputs::GRIP) {
+            Some(if self.wires.contains(Inputs::RECIPE1) { Motion::GripGently } else { Motion::Grip })
+        } else if rising.contains(Inputs::RELEASE) {
+            Some(Motion::Release)
+        } else if rising.contains(Inputs::HOME) {
+            Some(Motion::Home)
+        } else {
+            None
+        }
+    }
+
+    fn write(&mut self, image: Image) -> Kept {
+        let bytes = self.bytes_with_next();
+        let now = self.now();
+        let before = self.image.replace(image);
+        if before == Some(Image::JogPlus) {
+            self.promises.end_jog(now, &self.gripper);
+        }
+        if image == Image::FastStop {
+            return self.ask_for_fast_stop(Bus::writing(image), &bytes);
+        }
+        // The first image gives no edge.
+        let rises = before.is_some_and(|before| before.flags() != image.flags());
+        let was_open = self.promises.is_open();
+        let stops = rises && image == Image::StopAck;
+        if stops {
+            self.promises.stop();
+        }
+        let commands = Inputs::GRIP | Inputs::MOVE | Inputs::RELEASE | Inputs::HOME;
+        let counts = rises && was_open && !self.wires.intersects(commands | Inputs::STOP_ACK);
+        if let Some(motion) = image.motion().filter(|_| counts) {
+            if self.outputs.contains(Outputs::READY) {
+                self.promises.want(motion);
+            } else {
+                self.promises.may_want(motion);
+            }
+        }
+        self.turn(&bytes, Bus::writing(image))?;
+        if stops && was_open && self.bridge.is_connected() {
+            self.promises.expect_standstill(now, &self.gripper);
+        }
+        Ok(())
+    }
+
+    fn fall_silent(&mut self) -> Kept {
+        let end = self.now_ms + BUS_TIMEOUT_MS;
+        while self.now_ms < end {
+            self.now_ms += self.ms_to_deadline().min(end - self.now_ms);
+            if self.now_ms == end {
+                let commanded = self.bridge.commander() == Commander::Bus && self.bridge.is_connected();
+                if self.image.take() == Some(Image::JogPlus) {
+                    self.promises.end_jog(self.now(), &self.gripper);
+                }
+                if commanded {
+                    self.promises.fall_silent(self.now(), &self.gripper);
+                }
+            }
+            self.turn(&[], Bus::SILENT)?;
+        }
+        Ok(())
+    }
+
+    fn wait(&mut self) -> Kept {
+        let begun = self.now_ms;
+        let ms = self.ms_to_deadline();
+        for early in TURNS_MS.into_iter().filter(|early| *early < ms) {
+            self.now_ms = begun + early;
+            self.turn(&[], self.polling())?;
+        }
+        self.now_ms = begun + ms;
+        self.last_turn()
+    }
+
+    fn ms_to_deadline(&self) -> u32 {
+        let deadline = self.bridge.session().poll_timeout();
+        deadline.map_or(LONGEST_WAIT_MS, |deadline| deadline.since(self.now())).clamp(1, LONGEST_WAIT_MS)
+    }
+
+    fn change_gripper(&mut self, change: impl FnOnce(&mut Gripper, &mut Answers)) -> Kept {
+        change(&mut self.gripper, &mut self.answers);
+        if !self.is_line_up {
+            self.answers = Answers::NONE;
+        }
+        Ok(())
+    }
+
+    fn deliver_all(&mut self) -> Kept {
+        for round in 0..MOST_ROUNDS {
+            if round >= QUICK_ROUNDS {
+                self.now_ms += ROUND_MS;
+            }
+            let mut bytes = Vec::new();
+            while let Some(answer) = self.answers.pop() {
+                bytes.extend(self.bytes_of(answer));
+            }
+            self.turn(&bytes, Bus::SILENT)?;
+            if self.answers.waiting().is_empty() {
+                return Ok(());
+            }
+        }
+        Err(Promise::ConversationEnds)
+    }
+
+    fn deliver(&mut self, answer: Option<Answer>) -> Kept {
+        let bytes: Vec<u8> = answer.into_iter().flat_map(|answer| self.bytes_of(answer)).collect();
+        self.turn(&bytes, Bus::SILENT)
+    }
+
+    fn bytes_with_next(&mut self) -> Vec<u8> {
+        self.with_next.take().into_iter().flat_map(|answer| self.bytes_of(answer)).collect()
+    }
+
+    /// A message that arrives intact in this turn.
+    fn bytes_of(&mut self, answer: Answer) -> impl Iterator<Item = u8> + use<> {
+        self.promises.hear(self.now(), &answer);
+        self.say(|story| write!(story, "\n        <- {} {}", answer.id, answer.status));
+        answer.bytes()
+    }
+
+    /// The last turn of an action.
+    fn last_turn(&mut self) -> Kept {
+        let bytes = self.bytes_with_next();
+        self.turn(&bytes, self.polling())
+    }
+
+    /// A PLC on the bus reads when it has nothing to write.
+    fn polling(&self) -> Bus {
+        if self.image.is_some() { Bus::reading() } else { Bus::SILENT }
+    }
+
+    /// One turn of the bridge's main loop.
+    fn turn(&mut self, incoming: &[u8], mut bus: Bus) -> Kept {
+        let now = self.now();
+        let mut line = Line::bringing(incoming);
+        self.promises.begin_turn();
+        self.outputs = self.bridge.poll_with_bus(self.now_ms, self.wires, &mut line, &mut bus);
+        for command in line.commands() {
+            self.say(|story| write!(story, "\n        -> {command}"));
+            self.promises.leave(now, &command, &self.gripper, self.is_line_up)?;
+            if self.is_line_up {
+                self.gripper.take(&command, &mut self.answers);
+            }
+        }
+        let outputs = self.outputs;
+        self.say(|story| write!(story, "\n           {outputs:?}"));
+        self.promises.end_turn(now, outputs, &self.gripper)
+    }
+}
+
+impl Model for Plant {
+    type Promise = Promise;
+
+    fn actions(&self) -> u32 {
+        let waiting = self.answers.waiting();
+        let mut possible = 0;
+        for (number, action) in self.actions.iter().enumerate() {
+            let is_possible = match action {
+                Action::Toggle(_)
+                | Action::ToggleLine
+                | Action::RestartGripper
+                | Action::RestartBridge
+                | Action::Wait => true,
+                Action::GripAndStop => !self.wires.intersects(Inputs::GRIP | Inputs::STOP_ACK),
+                Action::MoveAndFastStop => {
+                    self.wires & (Inputs::MOVE | Inputs::FAST_STOP_OK) == Inputs::FAST_STOP_OK
+                }
+                Action::Write(image) => self.image != Some(*image),
+                Action::FallSilent => self.image.is_some(),
+                Action::AnswersAll | Action::Answer | Action::AnswerLost | Action::AnswerCut => {
+                    !waiting.is_empty()
+                }
+                Action::AnswerTwice => waiting.first().is_some_and(|answer| !answer.is_repeated),
+                Action::AnswerWithNext => self.with_next.is_none() && !waiting.is_empty(),
+                Action::Refuse => {
+                    let Gripper { refuses, fast_stop, motion, .. } = self.gripper;
+                    !refuses && !fast_stop && motion.is_none()
+                }
+                Action::Finish | Action::Fail | Action::GripperStopsFast => self.motion().is_some(),
+                Action::LosePart => self.gripper.state == GripperState::Holding,
+            };
+            possible |= u32::from(is_possible) << number;
+        }
+        possible
+    }
+
+    fn act(&mut self, action: u32) -> Kept {
+        self.take(self.actions[action as usize])
+    }
+
+    fn key(&self) -> u64 {
+        let Self { actions: _, bridge, gripper, now_ms, wires, outputs, is_line_up, .. } = self;
+        let Self { answers, with_next, image, promises, story: _, .. } = self;
+        key(*now_ms, &(bridge, gripper, wires, outputs, is_line_up, answers, with_next, image, promises))
+    }
+
+    fn sights(&self) -> u64 {
+        SIGHTS.iter().enumerate().fold(0, |seen, (bit, (_, is_met))| seen | u64::from(is_met(self)) << bit)
+    }
+}

@@ -1,0 +1,94 @@
+//! The states that an exploration starts from: power-up, and each state that a bridge stays in.
+
+use super::action::{Action, Image, Wire};
+use super::plant::Plant;
+
+/// A state to start from.
+#[derive(Debug)]
+pub(super) struct Root {
+    pub(super) name: &'static str,
+    pub(super) plant: Plant,
+}
+
+/// Every root, for an exploration with these actions.
+pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
+    use Action::*;
+    let has_bus = actions.contains(&FallSilent);
+    let pulse = |plant: &Plant, wire| plant.after(&[Toggle(wire), AnswersAll, Toggle(wire)]);
+
+    let switched_on = Plant::switched_on(actions);
+    let connected = switched_on.after(&[AnswersAll, Toggle(Wire::FastStopOk)]);
+    let ready = pulse(&connected, Wire::StopAck);
+    let ready = if has_bus { ready.after(&[Write(Image::Zero), AnswersAll]) } else { ready };
+    let homing = pulse(&ready, Wire::Home);
+    // BUSY goes low while time passes.
+    let rest = [AnswersAll, Wait, AnswersAll];
+    let homed = homing.after(&[Finish]).after(&rest);
+    let moving = pulse(&homed, Wire::Move).after(&rest);
+    let preparing = homed.after(&[Toggle(Wire::Grip)]);
+    let gripping = preparing.after(&rest);
+    let holding = gripping.after(&[Finish, Toggle(Wire::Grip)]).after(&rest);
+    let fast_stop_asked = moving.after(&[Toggle(Wire::FastStopOk)]);
+    let fast_stop_unheard = moving.after(&[ToggleLine, Toggle(Wire::FastStopOk), Wait]);
+    let latched = fast_stop_asked.after(&[AnswersAll, Toggle(Wire::FastStopOk)]);
+    let acknowledged = latched.after(&[Toggle(Wire::StopAck)]);
+    let link_down = homed.after(&[ToggleLine, Wait, Wait, Wait, Wait]);
+    let mut roots = vec![
+        ("switched on", switched_on),
+        ("ready", ready),
+        ("homing", homing),
+        ("homed", homed.clone()),
+        ("moving", moving),
+        ("force limit sent", preparing),
+        ("gripping", gripping),
+        ("holding", holding),
+        ("FAST STOP asked for", fast_stop_asked),
+        ("FAST STOP unheard", fast_stop_unheard),
+        ("FAST STOP latched", latched),
+        ("acknowledgement sent", acknowledged),
+        ("link down", link_down),
+    ];
+    if has_bus {
+        roots.push(("jogging", homed.after(&[Write(Image::JogPlus), AnswersAll])));
+    }
+    roots.into_iter().map(|(name, plant)| Root { name, plant }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::action::{BUS, WIRES};
+    use super::*;
+    use wsg_bridge_fw::io::Outputs;
+    use wsg_protocol::CommandId;
+
+    const IDLE: Outputs = Outputs::READY.union(Outputs::LINK_OK).union(Outputs::REFERENCED);
+    const BUSY: Outputs = Outputs::BUSY.union(Outputs::LINK_OK).union(Outputs::REFERENCED);
+    const LOCKED: Outputs = Outputs::ERROR.union(Outputs::LINK_OK).union(Outputs::REFERENCED);
+
+    #[test]
+    fn roots_are_the_states_that_they_are_named_after() {
+        for actions in [&WIRES[..], &BUS[..]] {
+            for Root { name, plant } in roots(actions) {
+                let outputs = match name {
+                    "switched on" => Outputs::ERROR,
+                    "ready" => Outputs::READY | Outputs::LINK_OK,
+                    "homing" => Outputs::BUSY | Outputs::LINK_OK,
+                    "homed" => IDLE,
+                    "holding" => IDLE | Outputs::HOLDING,
+                    "moving" | "force limit sent" | "gripping" | "jogging" => BUSY,
+                    "link down" => Outputs::empty(),
+                    "FAST STOP asked for" | "FAST STOP unheard" => LOCKED | Outputs::BUSY,
+                    _ => LOCKED,
+                };
+                assert_eq!(plant.outputs(), outputs, "{name}");
+                let motion = match name {
+                    "homing" => Some(CommandId::Homing),
+                    "moving" | "jogging" | "FAST STOP unheard" => Some(CommandId::PrePosition),
+                    "gripping" => Some(CommandId::GripPart),
+                    _ => None,
+                };
+                assert_eq!(plant.motion(), motion, "{name}");
+            }
+        }
+    }
+}

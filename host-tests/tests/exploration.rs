@@ -1,0 +1,23 @@
+//! Every order of events, to a small depth: `cargo xtask explore` goes further.
+
+use host_tests::explore::{Bounds, Plc};
+
+/// Enough for all orders of four actions.
+const BOUNDS: Bounds = Bounds { depth: 4, states: u64::MAX };
+
+fn explore(plc: Plc) -> Vec<&'static str> {
+    let report = plc.explore(BOUNDS);
+    println!("{report}");
+    assert!(report.broken().is_empty(), "a promise is broken: see above");
+    report.unseen()
+}
+
+#[test]
+fn promises_hold_in_every_order_of_events_on_the_wires() {
+    assert_eq!(explore(Plc::Wires), ["a jog", "a gripper that moves while the bridge does not know"]);
+}
+
+#[test]
+fn promises_hold_in_every_order_of_events_on_the_bus() {
+    assert_eq!(explore(Plc::Bus), ["a release"]);
+}

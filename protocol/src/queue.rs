@@ -1,0 +1,37 @@
+//! A bounded queue that can be hashed, which `heapless::Deque` cannot.
+
+use core::hash::{Hash, Hasher};
+use core::ops::{Deref, DerefMut};
+
+use heapless::Deque;
+
+/// At most `N` items, first in, first out.
+#[derive(Clone, Debug)]
+pub(crate) struct Queue<T, const N: usize>(Deque<T, N>);
+
+impl<T, const N: usize> Queue<T, N> {
+    pub(crate) const fn new() -> Self {
+        Self(Deque::new())
+    }
+}
+
+impl<T, const N: usize> Deref for Queue<T, N> {
+    type Target = Deque<T, N>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl<T, const N: usize> DerefMut for Queue<T, N> {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.0
+    }
+}
+
+impl<T: Hash, const N: usize> Hash for Queue<T, N> {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.len().hash(state);
+        self.iter().for_each(|item| item.hash(state));
+    }
+}

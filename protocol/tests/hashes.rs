@@ -1,0 +1,165 @@
+//! What equal hashes say: two machines in this state do the same from now on. So what is still to come counts, and what has
+//! been counted or answered does not. The exhaustive exploration relies on it.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+use wsg_protocol::fieldbus::{CommandFlags, Controller, GripperFlags, InputImage, OutputImage};
+use wsg_protocol::modbus::rtu::{Character, Config, Mode, Receiver, Timing};
+use wsg_protocol::modbus::{Images, Words};
+use wsg_protocol::session::{self, Known, Session};
+use wsg_protocol::{
+    Command, CommandId, Event, Frame, FrameEncoder, FrameParser, Instant, Kind, Status, SystemFlags,
+    SystemLimits,
+};
+
+fn hash(state: &impl Hash) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    state.hash(&mut hasher);
+    hasher.finish()
+}
+
+/// Whether they all differ.
+fn differ<T: Hash>(states: &[T]) -> bool {
+    let mut hashes: Vec<_> = states.iter().map(hash).collect();
+    hashes.sort_unstable();
+    hashes.dedup();
+    hashes.len() == states.len()
+}
+
+#[test]
+fn commands_differ_by_id_and_by_each_parameter() {
+    assert!(differ(&[
+        Command::Stop,
+        Command::FastStop,
+        Command::GripPart { width: 20.0, speed: 50.0 },
+        Command::GripPart { width: 20.0, speed: 51.0 },
+        Command::GripPart { width: 21.0, speed: 50.0 },
+        Command::ReleasePart { width: 20.0, speed: 50.0 },
+    ]));
+}
+
+#[test]
+fn moments_differ() {
+    assert!(differ(&[0, 1, 1 << 31, u32::MAX].map(Instant::from_millis)));
+}
+
+#[test]
+fn known_values_differ_by_each() {
+    let nothing = Known::NOTHING;
+    let limits = SystemLimits {
+        stroke: 110.0,
+        min_speed: 5.0,
+        max_speed: 420.0,
+        min_acceleration: 100.0,
+        max_acceleration: 5_000.0,
+        min_force: 5.0,
+        nominal_force: 80.0,
+        overdrive_force: 120.0,
+    };
+    assert!(differ(&[
+        nothing,
+        Known { limits: Some(limits), ..nothing },
+        Known { limits: Some(SystemLimits { overdrive_force: 121.0, ..limits }), ..nothing },
+        Known { limits: Some(SystemLimits { stroke: 210.0, ..limits }), ..nothing },
+        Known { flags: Some(SystemFlags::empty()), ..nothing },
+        Known { flags: Some(SystemFlags::MOVING), ..nothing },
+        Known { width: Some(1.0), ..nothing },
+        Known { force: Some(1.0), ..nothing },
+    ]));
+}
+
+#[test]
+fn parsers_differ_by_what_they_hold_and_not_by_what_they_held() {
+    let frame: Vec<u8> = FrameEncoder::new(CommandId::GetForce.code(), &[1, 2, 3][..]).collect();
+    let after = |bytes: &[u8]| {
+        let mut parser = FrameParser::<64>::new();
+        for byte in bytes {
+            let _ = parser.push(*byte);
+        }
+        parser
+    };
+    let mut other = frame.clone();
+    other[7] ^= 1;
+    assert!(differ(&[
+        after(&[]),
+        after(&frame[..2]),
+        after(&frame[..7]),
+        after(&frame[..8]),
+        after(&other[..8])
+    ]));
+    assert!(differ(&[after(&[]), FrameParser::ignoring_checksums()]));
+    assert_eq!(hash(&after(&frame)), hash(&after(&[])));
+    assert_eq!(hash(&after(b"noise")), hash(&after(&[])), "counted, and no more");
+}
+
+#[test]
+fn receivers_differ_by_what_they_hold_and_not_by_what_they_held() {
+    let after = |bytes: &[u8]| {
+        let mut receiver = Receiver::new(1, Mode::Strict, Timing::of(19_200, 11));
+        for byte in bytes {
+            assert_eq!(receiver.push(Character::Byte(*byte), 0), None);
+        }
+        receiver
+    };
+    let mut damaged = after(&[1]);
+    assert_eq!(damaged.push(Character::Damaged, 0), None);
+    assert!(differ(&[after(&[]), after(&[1]), after(&[2]), after(&[1, 0]), damaged]));
+    let mut given = after(&[1, 3, 0, 0, 0, 1, 0x84, 0x0A]);
+    assert!(given.silence(10_000).is_some());
+    assert_eq!(hash(&given), hash(&after(&[])));
+    let config = Config { unit: 1, mode: Mode::Strict, broadcast: true };
+    let server = |config| wsg_protocol::modbus::rtu::Server::new(config, Timing::of(19_200, 11));
+    assert!(differ(&[server(config), server(Config { broadcast: false, ..config })]));
+}
+
+#[test]
+fn images_differ_by_what_is_written_and_not_by_what_is_shown() {
+    let nothing = Images::new(false);
+    let mut shown = nothing.clone();
+    shown.set_input(&InputImage {
+        state: GripperFlags::IDLE,
+        user: 0,
+        system: SystemFlags::empty(),
+        width: 1,
+        force: 1,
+        status: Status::Success,
+    });
+    assert_eq!(hash(&shown), hash(&nothing));
+    let mut written = nothing.clone();
+    written.write_registers(0, Words::new(&[1, 0])).unwrap();
+    let mut taken = written.clone();
+    assert!(taken.take_written().is_some());
+    assert!(differ(&[nothing, written, taken]));
+}
+
+#[test]
+fn sessions_differ_by_what_they_wait_for_and_not_by_their_counts() {
+    let now = Instant::from_millis(0);
+    let fresh = Session::new(session::Config::DEFAULT);
+    let mut unasked = fresh.clone();
+    let event = Event::Frame(Frame { id: CommandId::GetForce.code(), payload: &[0, 0, 0, 0, 0, 0] });
+    assert_eq!(unasked.handle(now, &event), None);
+    assert_ne!(unasked.counters(), fresh.counters());
+    assert!(unasked.known().force.is_some(), "it is learned all the same");
+    let mut refused = fresh.clone();
+    assert_eq!(refused.handle(now, &Event::Frame(Frame { id: 1, payload: &[] })), None);
+    assert_ne!(refused.counters(), fresh.counters());
+    assert_eq!(hash(&refused), hash(&fresh));
+
+    let mut stopped = fresh.clone();
+    assert_eq!(stopped.request(Command::FastStop), Ok(()));
+    let mut sent = stopped.clone();
+    assert_eq!(sent.tick(now), None);
+    assert_eq!(sent.poll_transmit(now).map(|command| command.id().kind()), Some(Kind::Stop));
+    assert!(differ(&[fresh, unasked, stopped, sent]));
+}
+
+#[test]
+fn controllers_differ_by_the_commands_that_wait() {
+    let mut waits = Controller::new();
+    let image = OutputImage { flags: CommandFlags::FASTSTOP, ..OutputImage::ZERO };
+    waits.set_output(&image, &Known::NOTHING);
+    let mut fetched = waits.clone();
+    assert_eq!(fetched.poll_command(), Some(Command::FastStop));
+    assert!(differ(&[Controller::new(), waits, fetched]));
+}
