@@ -3,21 +3,18 @@
 #![cfg(unix)]
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use host_tests::can_hub::CanHub;
 use host_tests::emulator::Emulator;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
-use host_tests::rig::{MOTION_PATIENCE, PATIENCE, motions};
+use host_tests::rig::{ACKNOWLEDGED_WITHIN, MOTION_PATIENCE, PATIENCE, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::{Config, Part};
-
-/// How long an acknowledgement takes on a host that is not busy.
-const ACKNOWLEDGED_WITHIN: Duration = Duration::from_millis(500);
 
 const READY: Outputs = Outputs::READY.union(Outputs::LINK_OK);
 
