@@ -58,8 +58,11 @@ pub(super) struct Plant {
     story: Option<String>,
 }
 
+/// What a plant can be seen to be in, and how to tell.
+type Sight = (&'static str, fn(&Plant) -> bool);
+
 /// Situations that an exploration should meet, by name.
-pub(super) const SIGHTS: [(&str, fn(&Plant) -> bool); 17] = [
+pub(super) const SIGHTS: [Sight; 17] = [
     ("READY", |plant| plant.outputs.contains(Outputs::READY)),
     ("BUSY", |plant| plant.outputs.contains(Outputs::BUSY)),
     ("HOLDING", |plant| plant.outputs.contains(Outputs::HOLDING)),
