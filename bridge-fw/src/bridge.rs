@@ -167,12 +167,11 @@ impl Bridge {
     }
 
     fn begin_turn<L: Read + ReadReady>(&mut self, now: Instant, inputs: Inputs, link: &mut L) {
-        self.receive(now, link);
-        self.expire_half_frame(now);
+        let has_heard = self.receive(now, link) | self.expire_half_frame(now);
         self.tick(now);
         self.was_connected |= self.session.is_connected();
         self.controller.get_acquainted(self.session.known());
-        self.take_wires(now, inputs);
+        self.take_wires(now, inputs, has_heard);
     }
 
     fn end_turn<L: Write + WriteReady>(&mut self, now: Instant, link: &mut L) -> Outputs {
@@ -266,7 +265,8 @@ impl Bridge {
         self.arbiter.commander()
     }
 
-    fn receive<L: Read + ReadReady>(&mut self, now: Instant, link: &mut L) {
+    /// Whether anything came.
+    fn receive<L: Read + ReadReady>(&mut self, now: Instant, link: &mut L) -> bool {
         let mut received = 0;
         while received < MAX_RECEIVED_PER_POLL {
             let Ok(is_ready) = link.read_ready() else { break };
@@ -287,16 +287,19 @@ impl Bridge {
                 notice(&mut self.controller, &self.session, noticed);
             }
         }
+        received > 0
     }
 
-    fn expire_half_frame(&mut self, now: Instant) {
+    /// Whether half a frame was given up, which may have held a whole one.
+    fn expire_half_frame(&mut self, now: Instant) -> bool {
         if !self.parser.is_mid_frame() || now.since(self.received_at) < self.settings.half_frame_ms() {
-            return;
+            return false;
         }
         while let Some(event) = self.parser.expire() {
             let noticed = self.session.handle(now, &event);
             notice(&mut self.controller, &self.session, noticed);
         }
+        true
     }
 
     fn tick(&mut self, now: Instant) {
@@ -310,14 +313,15 @@ impl Bridge {
         }
     }
 
-    fn take_wires(&mut self, now: Instant, inputs: Inputs) {
+    fn take_wires(&mut self, now: Instant, inputs: Inputs, has_heard: bool) {
         self.liveness.look(Looked::WIRES);
         let known = self.session.known();
         let unit = || known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
         let is_ready = self.wires.is_ready();
         if let Some(image) = self.wires.update(now, inputs, unit) {
-            // Of a command that is refused, the parameters do not count.
-            let keeps_parameters = !is_ready || self.controller.is_moving(known);
+            // Of a command that is refused, the parameters do not count. (READY was not shown to a PLC whose fingers move:
+            // only what came since can tell otherwise.)
+            let keeps_parameters = !is_ready || (has_heard && self.controller.is_moving(known));
             self.arbiter.take_wires(image, keeps_parameters, |image| {
                 if is_ready {
                     self.controller.set_output(image, known);
