@@ -48,7 +48,7 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
     }
     println!(
         "panic paths: 0 in the firmware and in {} public functions of the protocol, at opt-level s and 3 (not \
-         proved: text for persons, Display and Debug, which is core::fmt's; and the async driver's futures: one that is \
+         proved: text for persons, Display and Debug, which is core::fmt's; Hash, which only the host uses; and the async driver's futures: one that is \
          polled after its end panics, by the language's rule)",
         functions.values().sum::<usize>()
     );

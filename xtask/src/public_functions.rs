@@ -51,7 +51,8 @@ fn counted(paths: impl Iterator<Item = String>) -> Functions {
 }
 
 /// What is written in the crate and can be called: functions, methods, and methods of traits for its types. Left out: what is
-/// derived, comes with every type or is made by `bitflags`, async functions, and `Display`, `Debug` and `defmt::Format`.
+/// derived, comes with every type or is made by `bitflags`, async functions, `Display`, `Debug` and `defmt::Format`, and `Hash`,
+/// by which only the exploration on the host tells states apart.
 fn of_rustdoc(crate_docs: &Value) -> Functions {
     let items = &crate_docs["index"];
     let path_of = |id: &Value| {
@@ -62,9 +63,12 @@ fn of_rustdoc(crate_docs: &Value) -> Functions {
     let is_of_flags = |item: &&Value| item["inner"]["impl"]["trait"]["path"] == "Flags";
     let flags: Vec<&Value> = each().filter(is_of_flags).map(|item| &item["span"]).collect();
     let is_listed = |item: &Value| {
-        let is_text = item["name"] == "fmt" || item["name"] == "format";
+        let is_for_the_host = ["fmt", "format", "hash"].iter().any(|name| item["name"] == *name);
         let is_async = item["inner"]["function"]["header"]["is_async"] == true;
-        !item["inner"]["function"].is_null() && !is_text && !is_async && !flags.contains(&&item["span"])
+        !item["inner"]["function"].is_null()
+            && !is_for_the_host
+            && !is_async
+            && !flags.contains(&&item["span"])
     };
     let free = each().filter(|item| is_listed(item)).filter_map(|item| path_of(&item["id"]));
     let is_derived = |item: &Value| item["attrs"].to_string().contains("automatically_derived");
