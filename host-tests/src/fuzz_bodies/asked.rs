@@ -123,9 +123,10 @@ impl Asked {
         }
     }
 
-    /// Whether the wires have settled, FAST_STOP_OK high and STOP_ACK low.
+    /// Whether the wires have settled, and neither side holds STOP/ACK or FAST STOP.
     pub(super) fn is_released(&self) -> bool {
-        self.wires.is_some_and(|wires| !wires.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP))
+        let held = CommandFlags::STOP_ACK | CommandFlags::FASTSTOP;
+        self.wires.is_some_and(|wires| !(wires | self.bus).intersects(held))
     }
 
     /// The wires are read.
