@@ -182,7 +182,8 @@ impl Bridge {
         }
         let gripper = self.shown();
         self.liveness.look(Looked::OUTPUTS);
-        let ignores_motions = self.controller.ignores_motions(self.session.known());
+        let ignores_motions =
+            self.session.motion_is_open() || self.controller.ignores_motions(self.session.known());
         self.wires.outputs(now, &gripper, self.session.is_connected(), ignores_motions)
     }
 

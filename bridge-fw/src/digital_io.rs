@@ -106,7 +106,8 @@ impl DigitalIo {
     }
 
     /// The wires to the PLC for what the gripper shows. `ignores_motions`: an edge of a command wire would come to
-    /// nothing, because the fingers move or either side holds STOP/ACK or FASTSTOP.
+    /// nothing, because the fingers move, a motion that was stopped has not answered, or either side holds STOP/ACK or
+    /// FASTSTOP.
     pub fn outputs(
         &mut self,
         now: Instant,

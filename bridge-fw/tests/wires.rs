@@ -487,6 +487,20 @@ fn edge_of_a_command_wire_while_ready_is_low_is_refused_also_while_busy_lasts_on
 }
 
 #[test]
+fn ready_stays_low_until_the_motion_that_was_stopped_has_answered() {
+    let mut bench = Bench::homed(quick());
+    bench.far.to_bridge = Some(Box::new(Vec::clear));
+    for (wire, high) in [(Inputs::MOVE, true), (Inputs::STOP_ACK, true), (Inputs::STOP_ACK, false)] {
+        bench.set(wire, high);
+        bench.pass(5);
+    }
+    // It is refused, and ends BUSY.
+    bench.set(Inputs::GRIP, true);
+    bench.pass(5);
+    assert_eq!(bench.outputs(), Outputs::ERROR | Outputs::REFERENCED | Outputs::LINK_OK);
+}
+
+#[test]
 fn bridge_that_is_reset_while_the_fingers_move_stops_them_and_shows_error() {
     for time_scale in [1.0, 10.0] {
         let mut bench = Bench::homed(Config { time_scale, ..Config::default() });

@@ -544,8 +544,10 @@ impl Session {
         }
     }
 
-    /// Whether a motion runs or waits.
-    fn motion_is_open(&self) -> bool {
+    /// Whether a motion runs or waits, also one that was stopped but has not answered yet: another one is refused
+    /// ([`RequestError::MotionRunning`]).
+    #[must_use]
+    pub fn motion_is_open(&self) -> bool {
         self.motion().is_some() || self.queue.iter().any(|request| request.id().kind() == Kind::Motion)
     }
 

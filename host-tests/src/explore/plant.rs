@@ -170,7 +170,8 @@ impl Plant {
                 Ok(())
             }
             Action::AnswerCut => {
-                let mut bytes: Vec<u8> = self.answers.pop().into_iter().flat_map(Answer::bytes).collect();
+                let mut bytes = self.bytes_with_next();
+                bytes.extend(self.answers.pop().into_iter().flat_map(Answer::bytes));
                 bytes.pop();
                 self.turn(&bytes, Bus::SILENT)
             }
@@ -381,7 +382,7 @@ impl Plant {
             if round >= QUICK_ROUNDS {
                 self.now_ms += ROUND_MS;
             }
-            let mut bytes = Vec::new();
+            let mut bytes = self.bytes_with_next();
             while let Some(answer) = self.answers.pop() {
                 bytes.extend(self.bytes_of(answer));
             }
@@ -394,7 +395,8 @@ impl Plant {
     }
 
     fn deliver(&mut self, answer: Option<Answer>) -> Kept {
-        let bytes: Vec<u8> = answer.into_iter().flat_map(|answer| self.bytes_of(answer)).collect();
+        let mut bytes = self.bytes_with_next();
+        bytes.extend(answer.into_iter().flat_map(|answer| self.bytes_of(answer)));
         self.turn(&bytes, Bus::SILENT)
     }
 

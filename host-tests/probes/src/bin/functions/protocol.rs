@@ -67,7 +67,7 @@ fn session() {
     functions! {
         Session: new, handle, tick, request, request_lent, poll_transmit, poll_transmit_lent, poll_timeout;
         Session: take_back, withdraw, disconnect, subscribe, known, motion, counters;
-        Session: is_connected, is_busy, owes_fast_stop;
+        Session: is_connected, is_busy, motion_is_open, owes_fast_stop;
         Known: is_moving;
         Signal: id, of;
     }
