@@ -174,6 +174,14 @@ mod tests {
     }
 
     #[test]
+    fn user_flags_are_those_of_the_bus_whoever_commands() {
+        let mut arbiter = idle();
+        arbiter.take_bus(OutputImage { user: 0x20, ..image(CommandFlags::empty(), 3) }, false);
+        let (_, merged) = take_wires(&mut arbiter, image(GRIP, 7), false);
+        assert_eq!((merged.flags, merged.width, merged.user), (GRIP, 7, 0x20));
+    }
+
+    #[test]
     fn wire_commands_with_its_own_parameters() {
         let mut arbiter = idle();
         arbiter.take_bus(image(CommandFlags::empty(), 3), false);

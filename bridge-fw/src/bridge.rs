@@ -182,9 +182,9 @@ impl Bridge {
         }
         let gripper = self.shown();
         self.liveness.look(Looked::OUTPUTS);
-        let ignores_motions =
-            self.session.motion_is_open() || self.controller.ignores_motions(self.session.known());
-        self.wires.outputs(now, &gripper, self.session.is_connected(), ignores_motions)
+        let motion_is_open = self.session.motion_is_open();
+        let ignores_motions = motion_is_open || self.controller.ignores_motions(self.session.known());
+        self.wires.outputs(now, &gripper, self.session.is_connected(), motion_is_open, ignores_motions)
     }
 
     /// Whether the gripper answers.

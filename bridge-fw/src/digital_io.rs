@@ -105,25 +105,33 @@ impl DigitalIo {
         Some(&self.image)
     }
 
-    /// The wires to the PLC for what the gripper shows. `ignores_motions`: an edge of a command wire would come to
-    /// nothing, because the fingers move, a motion that was stopped has not answered, or either side holds STOP/ACK or
-    /// FASTSTOP.
+    /// The wires to the PLC for what the gripper shows.
+    ///
+    /// `motion_is_open`: a motion has not answered yet, be it that it was stopped. `ignores_motions`: an edge of a command wire
+    /// would come to nothing, for that reason, because the fingers move, or because either side holds STOP/ACK or FASTSTOP.
     pub fn outputs(
         &mut self,
         now: Instant,
         gripper: &InputImage,
         connected: bool,
+        motion_is_open: bool,
         ignores_motions: bool,
     ) -> Outputs {
-        self.shown = self.levels_for(now, gripper, connected);
+        self.shown = self.levels_for(now, gripper, connected, motion_is_open);
         if ignores_motions {
             self.shown -= Outputs::READY;
         }
         self.shown
     }
 
-    fn levels_for(&mut self, now: Instant, gripper: &InputImage, connected: bool) -> Outputs {
-        let busy = self.is_busy(now, gripper, connected);
+    fn levels_for(
+        &mut self,
+        now: Instant,
+        gripper: &InputImage,
+        connected: bool,
+        motion_is_open: bool,
+    ) -> Outputs {
+        let busy = self.is_busy(now, gripper, connected, motion_is_open);
         let has = |state: GripperFlags| gripper.state.intersects(state);
         let levels = self.levels.unwrap_or_default();
         let released = levels.contains(Inputs::FAST_STOP_OK) && !levels.contains(Inputs::STOP_ACK);
@@ -145,12 +153,13 @@ impl DigitalIo {
         outputs
     }
 
-    /// Whether a motion runs, or ran too short for a PLC to have seen it. An error shows at once, and stays to be seen.
-    fn is_busy(&mut self, now: Instant, gripper: &InputImage, connected: bool) -> bool {
+    /// Whether a motion runs, has not answered, or ran too short for a PLC to have seen it. An error shows at once, and stays
+    /// to be seen.
+    fn is_busy(&mut self, now: Instant, gripper: &InputImage, connected: bool, motion_is_open: bool) -> bool {
         let moving = is_moving(gripper);
         let since = self.busy_since.or(moving.then_some(now));
         let too_short = since.is_some_and(|since| now.since(since) < self.min_busy_ms);
-        let shown = connected && (moving || (too_short && !is_error(gripper)));
+        let shown = connected && (moving || ((motion_is_open || too_short) && !is_error(gripper)));
         self.busy_since = since.filter(|_| shown);
         shown
     }

@@ -5,7 +5,7 @@ use host_tests::wires::Wires;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::modbus::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
-use wsg_bridge_fw::{BusConfig, Commander, Config, RECIPES};
+use wsg_bridge_fw::{BusConfig, Commander, Config, RECIPES, ResetCause};
 use wsg_protocol::CommandId;
 use wsg_protocol::fieldbus::SilenceReaction;
 use wsg_sim::Part;
@@ -327,6 +327,14 @@ fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06(
     assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3), "what is wrong is wrong at any time");
     let counters = bench.input(report("SERVER_BUSY"), 1);
     assert_eq!(counters, Ok(vec![1]));
+}
+
+#[test]
+fn reset_cause_that_the_board_tells_is_a_report() {
+    let mut bench = Bench::ready();
+    assert_eq!(bench.input(report("RESET_CAUSE"), 1), Ok(vec![0]));
+    bench.bridge_mut().set_reset_cause(ResetCause::Watchdog);
+    assert_eq!(bench.input(report("RESET_CAUSE"), 1), Ok(vec![3]));
 }
 
 #[test]

@@ -22,7 +22,7 @@ fn shown_for(inputs: Inputs, system: SystemFlags) -> Outputs {
         wires.update(Instant::from_millis(ms), inputs, ForceUnit::default);
     }
     let image = InputImage { system, ..InputImage::from_bytes([0; InputImage::LEN]) };
-    wires.outputs(Instant::from_millis(10), &image, true, false)
+    wires.outputs(Instant::from_millis(10), &image, true, false, false)
 }
 
 #[test]

@@ -1,13 +1,13 @@
 //! The bridge library and the virtual gripper in virtual time: what a PLC sees, and what must never happen.
 
 use host_tests::bench::Bench;
-use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
+use host_tests::serial_gripper::{BYTES_PER_MS, SerialGripper, SerialLine};
 use host_tests::wires::Wires;
 use proptest::prelude::*;
-use wsg_bridge_fw::Bridge;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{CommandId, FrameEncoder, Kind, Reply, Status, SystemFlags};
-use wsg_sim::{Config, Fault, Part};
+use wsg_bridge_fw::{Bridge, Config as BridgeConfig};
+use wsg_protocol::{CommandId, DeviceTag, FrameEncoder, Kind, Reply, Status, SystemFlags, Value};
+use wsg_sim::{Config, Fault, Part, Time};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
 
@@ -487,6 +487,75 @@ fn edge_of_a_command_wire_while_ready_is_low_is_refused_also_while_busy_lasts_on
 }
 
 #[test]
+fn stop_that_is_not_answered_within_100_ms_becomes_a_fast_stop() {
+    let mut bench = Bench::homed(Config::default());
+    bench.set(Inputs::MOVE, true);
+    bench.pass(50);
+    bench.far.to_bridge = Some(Box::new(Vec::clear));
+    bench.set(Inputs::STOP_ACK, true);
+    bench.pass(5);
+    let sent = bench.take_sent();
+    assert!(sent.contains(&CommandId::Stop) && !sent.contains(&CommandId::FastStop), "{sent:?}");
+    bench.pass(110);
+    assert!(bench.take_sent().contains(&CommandId::FastStop));
+}
+
+#[test]
+fn force_limit_is_read_back_before_the_grip_leaves() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.take_sent();
+    bench.set(Inputs::GRIP, true);
+    bench.pass(20);
+    let sent = bench.take_sent();
+    let place = |id| sent.iter().position(|sent| *sent == id);
+    let [set, read, grip] =
+        [CommandId::SetForceLimit, CommandId::GetForceLimit, CommandId::GripPart].map(place);
+    assert!(set.is_some() && set < read && read < grip, "{sent:?}");
+}
+
+#[test]
+fn longest_reply_that_a_gripper_may_send_is_no_oversize() {
+    let mut bench = Bench::ready(quick());
+    let tag = [b'T'; DeviceTag::MAX_LEN];
+    let reply = [&Status::Success.code().to_le_bytes()[..], &tag].concat();
+    bench.far.inject(&FrameEncoder::new(CommandId::GetDeviceTag.code(), &reply[..]).collect::<Vec<u8>>());
+    bench.pass(10);
+    let counters = bench.counters();
+    assert_eq!((counters.line.oversize, counters.session.unasked), (0, 1));
+}
+
+#[test]
+fn edge_in_the_turn_in_which_the_gripper_is_heard_to_move_is_refused_with_its_parameters() {
+    let mut bench = Bench::homed(quick());
+    bench.set(Inputs::RECIPE0, true);
+    bench.pass(20);
+    let flags = bench.gripper().state().flags | SystemFlags::MOVING;
+    bench.take_sent();
+    bench.set(Inputs::MOVE, true);
+    // The wire counts in the third turn.
+    bench.pass(2);
+    assert!(bench.outputs().contains(Outputs::READY));
+    let report = Reply::success(Value::GetSystemState(flags));
+    bench.far.inject(&frame(report));
+    bench.pass(6);
+    let sent = bench.take_sent();
+    assert!(!sent.contains(&CommandId::FastStop) && !sent.contains(&CommandId::PrePosition), "{sent:?}");
+}
+
+#[test]
+fn link_that_is_known_to_be_lost_ends_the_connection_at_once() {
+    let mut far = SerialGripper::new(quick());
+    let mut bridge = Bridge::new(BridgeConfig::DEFAULT);
+    for ms in 1..500 {
+        bridge.poll(ms, Inputs::FAST_STOP_OK, &mut far.line);
+        far.advance(Time::from_millis(ms.into()));
+    }
+    assert!(bridge.is_connected());
+    bridge.set_link_lost(true);
+    assert!(!bridge.is_connected());
+}
+
+#[test]
 fn ready_stays_low_until_the_motion_that_was_stopped_has_answered() {
     let mut bench = Bench::homed(quick());
     bench.far.to_bridge = Some(Box::new(Vec::clear));
@@ -494,6 +563,8 @@ fn ready_stays_low_until_the_motion_that_was_stopped_has_answered() {
         bench.set(wire, high);
         bench.pass(5);
     }
+    bench.pass(60);
+    assert_eq!(bench.outputs(), Outputs::BUSY | Outputs::REFERENCED | Outputs::LINK_OK, "MIN_BUSY is over");
     // It is refused, and ends BUSY.
     bench.set(Inputs::GRIP, true);
     bench.pass(5);

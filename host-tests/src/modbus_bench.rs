@@ -91,6 +91,11 @@ impl Bench {
         &self.bridge
     }
 
+    /// The bridge, to tell it what its board knows.
+    pub fn bridge_mut(&mut self) -> &mut Bridge {
+        &mut self.bridge
+    }
+
     /// The gripper.
     pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
         &mut self.far.gripper

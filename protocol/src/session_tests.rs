@@ -132,6 +132,7 @@ impl Desk {
 #[test]
 fn connecting_subscribes_to_the_states_first_and_asks_for_device_and_limits() {
     let mut desk = Desk::new();
+    assert!(!desk.session.is_connected());
     let mut asked = vec![];
     for _ in 0..4 {
         for command in desk.sent() {

@@ -51,7 +51,7 @@ const PARTS: [Part; 4] = [
         package: "wsg-protocol",
         folder: "protocol/",
         options: &["--exclude-re", DECIMAL],
-        tests: &["--lib", "--test=drivers", "--test=gcl", "--", "--skip", "gcl::decimal"],
+        tests: &["--lib", "--test=drivers", "--test=gcl", "--test=hashes", "--", "--skip", "gcl::decimal"],
     },
     Part {
         name: "decimal",
