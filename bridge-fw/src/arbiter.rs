@@ -21,7 +21,7 @@ const MOVERS: CommandFlags = MOTIONS.union(CommandFlags::JOG_PLUS).union(Command
 
 /// Whose motion command was the last.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Commander {
+pub enum ControlSource {
     /// Nobody's yet.
     #[default]
     Nobody,
@@ -31,7 +31,7 @@ pub enum Commander {
     Bus,
 }
 
-/// Both sides, and what comes of them.
+/// Merges wire and bus commands.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Arbiter {
     /// What the wires ask for; none before they have settled.
@@ -42,7 +42,7 @@ pub(crate) struct Arbiter {
     bus_is_new: bool,
     /// Flags of the bus that do not count until they are written 0.
     masked: CommandFlags,
-    commander: Commander,
+    control_source: ControlSource,
     /// WIDTH, SPEED and FORCELIMIT that count; its flags mean nothing.
     parameters: OutputImage,
 }
@@ -54,13 +54,13 @@ impl Arbiter {
             bus: OutputImage::ZERO,
             bus_is_new: true,
             masked: CommandFlags::empty(),
-            commander: Commander::Nobody,
+            control_source: ControlSource::Nobody,
             parameters: OutputImage::ZERO,
         }
     }
 
-    pub(crate) const fn commander(&self) -> Commander {
-        self.commander
+    pub(crate) const fn control_source(&self) -> ControlSource {
+        self.control_source
     }
 
     /// Takes what the wires ask for. Hands the images on to the controller, in order: before a command wire's edge, one
@@ -84,7 +84,7 @@ impl Arbiter {
             to_controller(&self.merged(before.flags));
         }
         if !rising.is_empty() && image.flags.intersects(MOTIONS) && !moving {
-            self.commander = Commander::Wires;
+            self.control_source = ControlSource::Wires;
             self.parameters = *image;
         }
         to_controller(&self.merged(image.flags));
@@ -105,9 +105,9 @@ impl Arbiter {
         }
         let commands = self.bus_flags().intersects(rising.intersection(MOVERS));
         if commands && !moving {
-            self.commander = Commander::Bus;
+            self.control_source = ControlSource::Bus;
         }
-        if self.commander == Commander::Bus {
+        if self.control_source == ControlSource::Bus {
             self.parameters = image;
         }
         self.wires.map(|wires| self.merged(wires.flags))
@@ -170,7 +170,7 @@ mod tests {
     fn bus_commands_while_all_command_wires_are_low() {
         let mut arbiter = idle();
         assert_eq!(arbiter.take_bus(image(MOVE, 3), false), Some(image(MOVE, 3)));
-        assert_eq!(arbiter.commander(), Commander::Bus);
+        assert_eq!(arbiter.control_source(), ControlSource::Bus);
     }
 
     #[test]
@@ -186,7 +186,7 @@ mod tests {
         let mut arbiter = idle();
         arbiter.take_bus(image(CommandFlags::empty(), 3), false);
         assert_eq!(take_wires(&mut arbiter, image(GRIP, 7), false), (None, image(GRIP, 7)));
-        assert_eq!(arbiter.commander(), Commander::Wires);
+        assert_eq!(arbiter.control_source(), ControlSource::Wires);
     }
 
     #[test]
@@ -274,7 +274,7 @@ mod tests {
         assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), true).unwrap().width, 7);
         let second = arbiter.take_bus(image(MOVE, 3), true).unwrap();
         assert_eq!((second.flags, second.width), (MOVE, 7), "the controller refuses it");
-        assert_eq!(arbiter.commander(), Commander::Wires);
+        assert_eq!(arbiter.control_source(), ControlSource::Wires);
     }
 
     #[test]

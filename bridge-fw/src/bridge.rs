@@ -1,21 +1,18 @@
 //! The bridge: a PLC side, the register controller, the session, and the gripper's line.
 
-use crate::arbiter::{Arbiter, Commander};
+use crate::arbiter::{Arbiter, ControlSource};
 #[cfg(feature = "can")]
-use crate::can::{BusReport, Node, Served};
-use crate::digital_io::DigitalIo;
+use crate::can::BusReport;
 use crate::io::{Inputs, Outputs};
 use crate::liveness::{Liveness, Looked};
 use crate::log;
-use crate::modbus::{BusConfig, BusPort, CAN_REPORTS, ModbusSide, NoBus, ResetCause, Settings, Subjects};
-use crate::recipe::{RECIPE_COUNT, RECIPES, Recipe};
+use crate::plc::wires::Wires;
+use crate::plc::{BusConfig, Facts, PlcEvent, PlcSide, Shown, View};
+use crate::registers::{CAN_REPORTS, RECIPE_COUNT, RECIPES, Recipe, ResetCause, Settings};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
-use wsg_protocol::modbus::rtu;
+use wsg_protocol::fieldbus::Controller;
 use wsg_protocol::session::{self, Notice, Session, Signal, Timeout};
-use wsg_protocol::{
-    AutoUpdate, Command, CommandId, DeviceTag, FrameEncoder, FrameParser, Instant, Status, frame,
-};
+use wsg_protocol::{AutoUpdate, Command, CommandId, DeviceTag, FrameEncoder, FrameParser, Instant, frame};
 
 /// The longest reply that a bridge asks for: a device tag behind its status code. Everything longer is not for it.
 pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
@@ -23,9 +20,6 @@ pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
 /// Bytes taken from the line in one turn of the main loop, at the most: a line that never falls silent must not keep
 /// the wires waiting. One millisecond at 115 200 bit/s brings 12.
 const MAX_RECEIVED_PER_POLL: usize = 256;
-
-/// Requests of the bus served in one turn, at the most: the shortest takes longer to come than a turn.
-const MAX_SERVED_PER_POLL: usize = 4;
 
 /// The least time between two updates of width or force for the bus's registers: a report has 14 bytes, and the line
 /// carries 115 in that time.
@@ -93,20 +87,11 @@ pub struct Bridge {
     received_at: Instant,
     session: Session,
     controller: Controller,
-    wires: DigitalIo,
-    bus_config: BusConfig,
-    bus: ModbusSide,
-    /// How often a PLC on the bus was silent for too long.
-    bus_timeouts: u16,
+    wires: Wires,
     arbiter: Arbiter,
-    /// A gripper has answered since power-up.
-    was_connected: bool,
-    /// The way to the gripper is known to be gone, as a bus is after bus-off.
-    link_is_lost: bool,
-    /// What is reported about CAN.
-    can: [u16; CAN_REPORTS],
-    /// Why the MCU was reset last.
-    reset_cause: ResetCause,
+    facts: Facts,
+    /// Width and force are subscribed to, because a bus shows them. Wires alone have no use for them.
+    is_measured: bool,
     liveness: Liveness,
     /// The frame that is being sent.
     sending: Option<FrameEncoder<Command<'static>>>,
@@ -125,15 +110,17 @@ impl Bridge {
             received_at: Instant::from_millis(0),
             session: Session::new(config.session),
             controller: Controller::new(),
-            wires: DigitalIo::new(config.debounce_ms, config.min_busy_ms, *config.recipes),
-            bus_config: config.bus,
-            bus: ModbusSide::new(&config.bus, &settings),
-            bus_timeouts: 0,
+            wires: Wires::new(config.debounce_ms, config.min_busy_ms, *config.recipes),
             arbiter: Arbiter::new(),
-            was_connected: false,
-            link_is_lost: false,
-            can: [0; CAN_REPORTS],
-            reset_cause: ResetCause::Unknown,
+            facts: Facts {
+                bus_config: config.bus,
+                was_connected: false,
+                link_is_lost: false,
+                bus_timeouts: 0,
+                can: [0; CAN_REPORTS],
+                reset_cause: ResetCause::Unknown,
+            },
+            is_measured: false,
             liveness: Liveness::new(),
             sending: None,
             gave_up: false,
@@ -141,50 +128,40 @@ impl Bridge {
         }
     }
 
-    /// One turn: takes what the line and the wires brought, sends what is due, and gives the levels of the wires to the
-    /// PLC. Never waits: `link` is read only when it has bytes and written only when it has room.
-    pub fn poll<L: Read + ReadReady + Write + WriteReady>(
+    /// One turn: takes what the line, the wires and the bus brought, sends what is due, and returns the levels of the wires to
+    /// the PLC. Never waits: `link` is read only when it has bytes and written only when it has room.
+    ///
+    /// `bus` is the PLC side beside the wires, [`NoBus`](crate::plc::NoBus) if there is none.
+    pub fn poll<L: Read + ReadReady + Write + WriteReady, P: PlcSide>(
         &mut self,
         now_ms: u32,
         inputs: Inputs,
         link: &mut L,
-    ) -> Outputs {
-        self.poll_with_bus(now_ms, inputs, link, &mut NoBus)
-    }
-
-    /// As [`poll`](Self::poll), with a bus beside the wires.
-    pub fn poll_with_bus<L: Read + ReadReady + Write + WriteReady>(
-        &mut self,
-        now_ms: u32,
-        inputs: Inputs,
-        link: &mut L,
-        bus: &mut impl BusPort,
+        bus: &mut P,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
-        self.begin_turn(now, inputs, link);
-        self.take_bus(now, bus);
-        self.end_turn(now, link)
-    }
-
-    fn begin_turn<L: Read + ReadReady>(&mut self, now: Instant, inputs: Inputs, link: &mut L) {
         let has_heard = self.receive(now, link) | self.expire_half_frame(now);
         self.tick(now);
-        self.was_connected |= self.session.is_connected();
+        self.facts.was_connected |= self.session.is_connected();
         self.controller.get_acquainted(self.session.known());
         self.take_wires(now, inputs, has_heard);
-    }
-
-    fn end_turn<L: Write + WriteReady>(&mut self, now: Instant, link: &mut L) -> Outputs {
+        self.take_bus(now, bus);
         self.forward_commands();
         self.tick(now);
         if !core::mem::take(&mut self.gave_up) {
             self.transmit(now, link);
         }
-        let gripper = self.shown();
-        self.liveness.look(Looked::OUTPUTS);
         let motion_is_open = self.session.motion_is_open();
-        let ignores_motions = motion_is_open || self.controller.ignores_motions(self.session.known());
-        self.wires.outputs(now, &gripper, self.session.is_connected(), motion_is_open, ignores_motions)
+        let shown = Shown {
+            image: self.facts.image(&self.controller, &self.session),
+            link: self.facts.link(&self.session),
+            motion_is_open,
+            ignores_motions: motion_is_open || self.controller.ignores_motions(self.session.known()),
+        };
+        bus.show(now, &shown);
+        self.wires.read(inputs).show(now, &shown);
+        self.liveness.look(Looked::OUTPUTS);
+        self.wires.shown()
     }
 
     /// Whether the gripper answers.
@@ -207,11 +184,11 @@ impl Bridge {
     pub fn set_link_lost(&mut self, is_lost: bool) {
         if is_lost {
             self.sending = None;
-            if !self.link_is_lost {
+            if !self.facts.link_is_lost {
                 self.session.disconnect();
             }
         }
-        self.link_is_lost = is_lost;
+        self.facts.link_is_lost = is_lost;
     }
 
     /// Whether the watchdog may be fed: since this was true last, time has passed, and wires, line, bus and outputs were
@@ -229,23 +206,13 @@ impl Bridge {
 
     /// Takes why the MCU was reset, for the register that reports it.
     pub const fn set_reset_cause(&mut self, cause: ResetCause) {
-        self.reset_cause = cause;
+        self.facts.reset_cause = cause;
     }
 
     /// Takes what is known of the CAN bus, for the registers that report it.
     #[cfg(feature = "can")]
     pub const fn set_can_report(&mut self, report: &BusReport) {
-        self.can = report.registers();
-    }
-
-    /// The image that the PLC reads.
-    fn shown(&self) -> InputImage {
-        let mut image = self.controller.input(self.session.known());
-        if self.link_is_lost {
-            image.state = GripperFlags::ERROR;
-            image.status = Status::IoError;
-        }
-        image
+        self.facts.can = report.registers();
     }
 
     /// What has been met so far that could not be used.
@@ -254,16 +221,10 @@ impl Bridge {
         Counters { line: self.parser.counters(), session: self.session.counters() }
     }
 
-    /// What the bus has counted so far (FC 8).
+    /// Whose motion command was the last.
     #[must_use]
-    pub const fn bus_counters(&self) -> rtu::Counters {
-        self.bus.counters()
-    }
-
-    /// Who gave the last motion command.
-    #[must_use]
-    pub const fn commander(&self) -> Commander {
-        self.arbiter.commander()
+    pub const fn control_source(&self) -> ControlSource {
+        self.arbiter.control_source()
     }
 
     /// Whether anything came.
@@ -316,128 +277,59 @@ impl Bridge {
 
     fn take_wires(&mut self, now: Instant, inputs: Inputs, has_heard: bool) {
         self.liveness.look(Looked::WIRES);
-        let known = self.session.known();
-        let unit = || known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device));
         let is_ready = self.wires.is_ready();
-        if let Some(image) = self.wires.update(now, inputs, unit) {
-            // Of a command that is refused, the parameters do not count. (READY was not shown to a PLC whose fingers move:
-            // only what came since can tell otherwise.)
-            let keeps_parameters = !is_ready || (has_heard && self.controller.is_moving(known));
-            self.arbiter.take_wires(image, keeps_parameters, |image| {
-                if is_ready {
-                    self.controller.set_output(image, known);
-                } else {
-                    self.controller.set_output_refusing_motions(image, known);
-                }
-            });
-        }
+        let Self { wires, controller, session, parser, arbiter, facts, settings, .. } = self;
+        let mut view = View { controller, session, parser, arbiter, facts, settings };
+        let Some(PlcEvent::Output(image)) = wires.read(inputs).receive(now, &mut view) else { return };
+        let known = self.session.known();
+        // Of a command that is refused, the parameters do not count. (READY was not shown to a PLC whose fingers move:
+        // only what came since can tell otherwise.)
+        let keeps_parameters = !is_ready || (has_heard && self.controller.is_moving(known));
+        self.arbiter.take_wires(&image, keeps_parameters, |image| {
+            if is_ready {
+                self.controller.set_output(image, known);
+            } else {
+                self.controller.set_output_refusing_motions(image, known);
+            }
+        });
     }
 
-    /// Serves what the bus has brought. Each request's image reaches the controller by itself, so that no edge is lost.
-    fn take_bus(&mut self, now: Instant, port: &mut impl BusPort) {
-        for _ in 0..MAX_SERVED_PER_POLL {
-            let Some(heard) = self.bus.listen(port) else { break };
-            let moving = self.controller.is_moving(self.session.known());
-            let shown = self.shown();
-            let subjects = Subjects {
-                config: &self.bus_config,
-                session: &self.session,
-                was_connected: self.was_connected,
-                line: self.parser.counters(),
-                commander: self.arbiter.commander(),
-                bus: self.bus.counters(),
-                timeouts: self.bus_timeouts,
-                can: self.can,
-                reset_cause: self.reset_cause,
-            };
-            let was_heard = self.bus.is_heard();
-            let settings = &mut self.settings;
-            let Some(served) = self.bus.serve(now, heard, port, &shown, moving, &subjects, settings) else {
-                break;
-            };
-            if !was_heard {
-                self.subscribe_measured();
-            }
-            if served.configured {
-                self.bus.configure(&self.settings);
-                self.wires.configure(&self.settings);
-            }
-            if let Some(image) = served.image
-                && let Some(image) = self.arbiter.take_bus(image, moving)
-            {
-                self.controller.set_output(&image, self.session.known());
-            }
-        }
-        self.liveness.look(Looked::BUS);
-        if self.bus.has_fallen_silent(now, self.settings.timeout_ms()) {
-            self.lose_bus(true);
-        }
-    }
-
-    /// As [`poll`](Self::poll), with a PLC on CAN beside the wires.
-    #[cfg(feature = "can")]
-    pub fn poll_with_can<L: Read + ReadReady + Write + WriteReady>(
-        &mut self,
-        now_ms: u32,
-        inputs: Inputs,
-        link: &mut L,
-        node: &mut Node,
-    ) -> Outputs {
-        let now = Instant::from_millis(now_ms);
-        self.begin_turn(now, inputs, link);
-        self.take_node(now, node);
-        let outputs = self.end_turn(now, link);
-        let is_silent = self.was_connected && !self.session.is_connected();
-        node.show(&self.shown(), is_silent);
-        outputs
-    }
-
-    /// Serves what the node has heard, one thing after the other.
-    #[cfg(feature = "can")]
-    fn take_node(&mut self, now: Instant, node: &mut Node) {
-        self.liveness.look(Looked::BUS);
-        for _ in 0..Node::MAX_SERVED_PER_TURN {
-            let moving = self.controller.is_moving(self.session.known());
-            let subjects = Subjects {
-                config: &self.bus_config,
-                session: &self.session,
-                was_connected: self.was_connected,
-                line: self.parser.counters(),
-                commander: self.arbiter.commander(),
-                bus: self.bus.counters(),
-                timeouts: self.bus_timeouts,
-                can: self.can,
-                reset_cause: self.reset_cause,
-            };
-            match node.serve(now, moving, &subjects, &mut self.settings) {
-                Some(Served::Image(image)) => {
-                    self.subscribe_measured();
-                    if let Some(image) = self.arbiter.take_bus(image, moving) {
-                        self.controller.set_output(&image, self.session.known());
+    /// Serves what the bus has brought. Each image reaches the controller by itself, so that no edge is lost.
+    fn take_bus<P: PlcSide>(&mut self, now: Instant, bus: &mut P) {
+        for _ in 0..P::MAX_EVENTS_PER_TURN {
+            let Self { controller, session, parser, arbiter, facts, settings, .. } = self;
+            let mut view = View { controller, session, parser, arbiter, facts, settings };
+            let Some(event) = bus.receive(now, &mut view) else { break };
+            self.measure();
+            match event {
+                PlcEvent::Output(image) => {
+                    let known = self.session.known();
+                    if let Some(image) = self.arbiter.take_bus(image, self.controller.is_moving(known)) {
+                        self.controller.set_output(&image, known);
                     }
                 }
-                Some(Served::Configured) => {
-                    self.bus.configure(&self.settings);
-                    self.wires.configure(&self.settings);
-                }
-                Some(Served::Left { silent }) => self.lose_bus(silent),
-                None => return,
+                PlcEvent::Configured => self.wires.configure(&self.settings),
+                PlcEvent::Left { silent } => self.lose_bus(silent),
+                PlcEvent::Served => {}
             }
         }
+        self.liveness.look(Looked::BUS);
     }
 
-    /// Wires alone have no use for them.
-    fn subscribe_measured(&mut self) {
-        let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
-        self.session.subscribe(Signal::Width, update);
-        self.session.subscribe(Signal::Force, update);
+    /// Subscribes to what only a bus shows.
+    fn measure(&mut self) {
+        if !core::mem::replace(&mut self.is_measured, true) {
+            let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
+            self.session.subscribe(Signal::Width, update);
+            self.session.subscribe(Signal::Force, update);
+        }
     }
 
     /// `silent`: unexpectedly, which is counted.
     fn lose_bus(&mut self, silent: bool) {
         let known = self.session.known();
-        if self.arbiter.commander() == Commander::Bus {
-            self.bus_timeouts = self.bus_timeouts.saturating_add(silent.into());
+        if self.arbiter.control_source() == ControlSource::Bus {
+            self.facts.bus_timeouts = self.facts.bus_timeouts.saturating_add(silent.into());
             self.controller.silence(self.settings.reaction(), known);
         }
         if let Some(image) = self.arbiter.lose_bus() {

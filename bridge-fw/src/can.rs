@@ -27,5 +27,3 @@ pub use node::{
 };
 pub use slcan_port::SlcanPort;
 pub use turn::turn_with_gripper;
-
-pub(crate) use node::Served;

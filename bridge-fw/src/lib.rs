@@ -1,8 +1,8 @@
 //! A bridge between a PLC and a WSG gripper, without the board: everything that needs no register runs on the host as
 //! well.
 //!
-//! `wires -> DigitalIo -> fieldbus::Controller -> Session -> line`, and back. A PLC side produces the output image and
-//! consumes the input image of the fieldbus manual; Modbus RTU ([`modbus`]) is a second one beside the wires.
+//! `PLC side -> fieldbus::Controller -> Session -> line`, and back. A PLC side ([`plc::PlcSide`]) produces the output image
+//! and consumes the input image of the fieldbus manual: the wires, and beside them one bus at the most.
 //!
 //! Who commands, when both are connected:
 //! - FASTSTOP and STOP/ACK of either side always count; so does a FASTSTOP wire that is low. Without wires, that one must
@@ -26,17 +26,13 @@ mod built;
 pub mod byte_queue;
 #[cfg(feature = "can")]
 pub mod can;
-mod debounce;
-mod digital_io;
 pub mod io;
 mod liveness;
 mod log;
-pub mod modbus;
-mod recipe;
+pub mod plc;
+pub mod registers;
 
-pub use arbiter::Commander;
+pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Config, Counters, MAX_REPLY_LEN};
-pub use debounce::Debounce;
-pub use digital_io::DigitalIo;
-pub use modbus::{BusConfig, BusPort, ResetCause};
-pub use recipe::{RECIPE_COUNT, RECIPES, Recipe};
+pub use plc::{BusConfig, BusPort, NoBus};
+pub use registers::{RECIPE_COUNT, RECIPES, Recipe, ResetCause};

@@ -12,7 +12,7 @@ use wsg_bridge_fw::can::{
     REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::modbus::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
+use wsg_bridge_fw::registers::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
 use wsg_protocol::can::{ClassicFrame, Identifiers};
 use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
@@ -485,7 +485,7 @@ fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
                 now_ms += 1;
                 let now = Instant::from_millis(now_ms);
                 bus.listen(now, &mut Nobody, &mut node);
-                bridge.poll_with_can(now_ms, wires, &mut far.line, &mut node);
+                bridge.poll(now_ms, wires, &mut far.line, &mut node);
                 bus.talk(now, &mut Nobody, &mut node);
                 while double.take_winner().is_some() {}
                 far.advance(Time::from_millis(now_ms.into()));

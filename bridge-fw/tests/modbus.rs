@@ -4,8 +4,8 @@ use host_tests::modbus_bench::*;
 use host_tests::wires::Wires;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::modbus::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
-use wsg_bridge_fw::{BusConfig, Commander, Config, RECIPES, ResetCause};
+use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
+use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES, ResetCause};
 use wsg_protocol::CommandId;
 use wsg_protocol::fieldbus::SilenceReaction;
 use wsg_sim::Part;
@@ -225,11 +225,11 @@ fn wires_command_while_one_of_them_is_high_and_the_bus_does_after_that() {
     bench.set(Inputs::MOVE, false);
     bench.pass(50);
     assert_eq!(bench.take_motions(), [], "and what it asked for is not done later");
-    assert_eq!(bench.bridge().commander(), Commander::Wires);
+    assert_eq!(bench.bridge().control_source(), ControlSource::Wires);
     bench.write(0, &[0, 30_00, 50_00, 40_00]);
     bench.command(MOVE, 30_00, 50_00, 40_00);
     assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
-    assert_eq!(bench.bridge().commander(), Commander::Bus);
+    assert_eq!(bench.bridge().control_source(), ControlSource::Bus);
     assert!((bench.gripper().state().width - 30.0).abs() < 0.05);
 }
 

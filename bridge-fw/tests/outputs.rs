@@ -4,52 +4,13 @@ use host_tests::bench::Bench;
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config, DigitalIo, RECIPES};
-use wsg_protocol::fieldbus::{ForceUnit, InputImage};
-use wsg_protocol::{Instant, SystemFlags};
+use wsg_bridge_fw::{Bridge, Config, NoBus, RECIPES};
 use wsg_sim::{Fault, Model, Part};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
 
 fn quick() -> wsg_sim::Config {
     wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
-}
-
-/// What is shown for these wires, and these flags of a gripper that stands.
-fn shown_for(inputs: Inputs, system: SystemFlags) -> Outputs {
-    let mut wires = DigitalIo::new(0, 0, RECIPES);
-    for ms in 0..10 {
-        wires.update(Instant::from_millis(ms), inputs, ForceUnit::default);
-    }
-    let image = InputImage { system, ..InputImage::from_bytes([0; InputImage::LEN]) };
-    wires.outputs(Instant::from_millis(10), &image, true, false, false)
-}
-
-#[test]
-fn each_flag_that_locks_the_gripper_shows_error_and_not_ready_and_no_other_does() {
-    let locks =
-        [SystemFlags::FAST_STOP, SystemFlags::TEMP_FAULT, SystemFlags::POWER_FAULT, SystemFlags::CURR_FAULT];
-    for flag in SystemFlags::all().iter().filter(|flag| *flag != SystemFlags::MOVING) {
-        let shown = shown_for(Inputs::FAST_STOP_OK, flag);
-        let is_lock = locks.contains(&flag);
-        assert_eq!(shown.contains(Outputs::READY), !is_lock, "{flag:?}");
-        let is_error = is_lock || flag == SystemFlags::FINGER_FAULT;
-        assert_eq!(shown.contains(Outputs::ERROR), is_error, "{flag:?}");
-    }
-}
-
-#[test]
-fn ready_needs_a_high_fast_stop_wire_and_a_low_stop_ack() {
-    let ready = Outputs::READY | Outputs::LINK_OK;
-    for (inputs, shown) in [
-        (Inputs::FAST_STOP_OK, ready),
-        (Inputs::FAST_STOP_OK | Inputs::STOP_ACK, Outputs::LINK_OK),
-        (Inputs::empty(), Outputs::LINK_OK),
-        (Inputs::STOP_ACK, Outputs::LINK_OK),
-        (Inputs::all() - Inputs::STOP_ACK, ready),
-    ] {
-        assert_eq!(shown_for(inputs, SystemFlags::empty()), shown, "{inputs:?}");
-    }
 }
 
 #[test]
@@ -109,7 +70,7 @@ fn half_a_frame_is_given_up_20_ms_after_its_last_byte() {
     let mut line = SerialLine::with_room(BYTES_PER_MS);
     let mut dropped_at = |ms: u32, brought: &[u8]| {
         line.bring(brought);
-        bridge.poll(ms, Inputs::empty(), &mut line);
+        bridge.poll(ms, Inputs::empty(), &mut line, &mut NoBus);
         bridge.counters().line.dropped
     };
     let (begun, rest) = HALF_FRAME.split_at(4);

@@ -5,7 +5,7 @@ use host_tests::serial_gripper::{BYTES_PER_MS, SerialGripper, SerialLine};
 use host_tests::wires::Wires;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config as BridgeConfig};
+use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus};
 use wsg_protocol::{CommandId, DeviceTag, FrameEncoder, Kind, Reply, Status, SystemFlags, Value};
 use wsg_sim::{Config, Fault, Part, Time};
 
@@ -420,12 +420,12 @@ fn watchdog_is_fed_once_for_each_turn_in_which_time_has_passed() {
     let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
     let mut line = SerialLine::with_room(BYTES_PER_MS);
     for now_ms in 1..100 {
-        bridge.poll(now_ms, Inputs::empty(), &mut line);
+        bridge.poll(now_ms, Inputs::empty(), &mut line, &mut NoBus);
         assert!(bridge.may_feed_watchdog(now_ms));
         assert!(!bridge.may_feed_watchdog(now_ms + 1), "no turn");
     }
     for _ in 0..1_000 {
-        bridge.poll(99, Inputs::empty(), &mut line);
+        bridge.poll(99, Inputs::empty(), &mut line, &mut NoBus);
         assert!(!bridge.may_feed_watchdog(99), "time stands still");
     }
 }
@@ -434,7 +434,7 @@ fn watchdog_is_fed_once_for_each_turn_in_which_time_has_passed() {
 fn watchdog_is_not_fed_while_the_line_cannot_be_looked_at() {
     let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
     for now_ms in 1..100 {
-        bridge.poll(now_ms, Inputs::FAST_STOP_OK, &mut DeadLine);
+        bridge.poll(now_ms, Inputs::FAST_STOP_OK, &mut DeadLine, &mut NoBus);
         assert!(!bridge.may_feed_watchdog(now_ms));
     }
 }
@@ -547,7 +547,7 @@ fn link_that_is_known_to_be_lost_ends_the_connection_at_once() {
     let mut far = SerialGripper::new(quick());
     let mut bridge = Bridge::new(BridgeConfig::DEFAULT);
     for ms in 1..500 {
-        bridge.poll(ms, Inputs::FAST_STOP_OK, &mut far.line);
+        bridge.poll(ms, Inputs::FAST_STOP_OK, &mut far.line, &mut NoBus);
         far.advance(Time::from_millis(ms.into()));
     }
     assert!(bridge.is_connected());

@@ -4,7 +4,7 @@
 //! its queues) is tested in the emulator.
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config};
+use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_protocol::CommandId;
 use wsg_sim::{Time, VirtualGripper};
 
@@ -103,7 +103,7 @@ impl Wires for Bench {
 
     fn step(&mut self) {
         self.now_ms += u32::from(!self.is_frozen);
-        self.outputs = self.bridge.poll(self.now_ms, self.inputs, &mut self.far.line);
+        self.outputs = self.bridge.poll(self.now_ms, self.inputs, &mut self.far.line, &mut NoBus);
         self.far.advance(self.now());
     }
 }

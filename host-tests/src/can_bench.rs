@@ -9,7 +9,7 @@ use wsg_bridge_fw::can::{
     BusOffPolicy, CanBus, CanController, GripperLink, Health, Nobody, Node, NodeConfig, turn_with_gripper,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config};
+use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_protocol::can::{ClassicFrame, Endpoint, Identifiers, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
@@ -309,11 +309,11 @@ impl CanBench {
         let Self { bus, link, bridge, node, now_ms, inputs, .. } = self;
         self.outputs = match node {
             None => turn_with_gripper(now, bridge, bus, link, &mut Nobody, |bridge, link, _, _| {
-                bridge.poll(*now_ms, *inputs, link)
+                bridge.poll(*now_ms, *inputs, link, &mut NoBus)
             }),
             Some(node) => turn_with_gripper(now, bridge, bus, link, node, |bridge, link, node, report| {
                 node.set_report(*report);
-                bridge.poll_with_can(*now_ms, *inputs, link, node)
+                bridge.poll(*now_ms, *inputs, link, node)
             }),
         };
     }

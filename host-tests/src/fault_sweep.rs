@@ -11,6 +11,7 @@ use crate::chance::Chance;
 use crate::faulty_link::{Fault, FaultyWay, Rates};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusPort, Config};
 use wsg_protocol::SystemFlags;
 use wsg_protocol::modbus::rtu::{Character, crc};
@@ -166,6 +167,7 @@ const JOG_PLUS: u8 = 1 << 6;
 pub struct Rig {
     bridge: Bridge,
     line: Line,
+    modbus: Modbus,
     bus: Bus,
     gripper: VirtualGripper<1>,
     port: PortId,
@@ -190,6 +192,7 @@ impl Rig {
         Self {
             bridge: Bridge::new(Config::DEFAULT),
             line: Line { received: VecDeque::new(), out: Wire::new(), back: Wire::new() },
+            modbus: Modbus::new(&Config::DEFAULT),
             bus: Bus { waiting: VecDeque::new(), silence_us: 1_000_000 },
             gripper,
             port,
@@ -207,7 +210,8 @@ impl Rig {
             self.bus.write(flags);
         }
         let now = Time::from_millis(self.now_ms.into());
-        self.outputs = self.bridge.poll_with_bus(self.now_ms, self.inputs, &mut self.line, &mut self.bus);
+        self.outputs =
+            self.bridge.poll(self.now_ms, self.inputs, &mut self.line, &mut self.modbus.over(&mut self.bus));
         let arrived = self.line.out.carry();
         self.gripper.receive(self.port, now, &arrived);
         self.gripper.advance(now);

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use crate::serial_gripper::SerialGripper;
 use crate::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusPort, Config};
 use wsg_protocol::CommandId;
 use wsg_protocol::modbus::rtu::{Character, crc};
@@ -38,6 +39,7 @@ impl BusPort for Bus {
 /// Everything on the bench.
 pub struct Bench {
     bridge: Bridge,
+    modbus: Modbus,
     /// The gripper and its line.
     far: SerialGripper,
     bus: Bus,
@@ -51,6 +53,7 @@ impl Bench {
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
         Self {
             bridge: Bridge::new(config),
+            modbus: Modbus::new(&config),
             far: SerialGripper::new(gripper),
             bus: Bus { silence_us: 1_000_000, ..Bus::default() },
             now_ms: 0,
@@ -230,8 +233,8 @@ impl Wires for Bench {
     fn step(&mut self) {
         self.now_ms += 1;
         self.bus.silence_us = self.bus.silence_us.saturating_add(1_000);
-        let Self { bridge, far, bus, inputs, now_ms, .. } = self;
-        self.outputs = bridge.poll_with_bus(*now_ms, *inputs, &mut far.line, bus);
+        let Self { bridge, modbus, far, bus, inputs, now_ms, .. } = self;
+        self.outputs = bridge.poll(*now_ms, *inputs, &mut far.line, &mut modbus.over(bus));
         self.far.advance(self.now());
     }
 }

@@ -10,7 +10,7 @@ use wsg_bridge_fw::can::{
     BusOffPolicy, DataType, FAULTS, INPUT_INDEX, NodeConfig, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX,
     SETTINGS_INDEX,
 };
-use wsg_bridge_fw::modbus::{REPORTS, SETTINGS};
+use wsg_bridge_fw::registers::{REPORTS, SETTINGS};
 use wsg_protocol::can::{HALF_MESSAGE_MS, Identifiers, Segments};
 use wsg_protocol::{
     AutoUpdate, Command, CommandId, FrameEncoder, GripperState, Payload, Reply, Status, SystemFlags, Value,

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use host_tests::modbus_bench::Bench;
 use wsg_bridge_fw::Config;
-use wsg_bridge_fw::modbus::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
+use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_protocol::SystemFlags;
 use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
 use wsg_protocol::modbus::{Content, Function, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};

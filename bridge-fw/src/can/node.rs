@@ -9,7 +9,7 @@
 //! Numbers stand low byte first, as CANopen has them. State, flags and status are in one frame: a PLC sees the end of a
 //! motion, its result and the flags that belong to it together.
 //!
-//! What a master can read and write by SDO is in [`OBJECTS`], and in the tables of the settings and reports of `modbus`.
+//! What a master can read and write by SDO is in [`OBJECTS`], and in the tables of the settings and reports of `registers`.
 //! Only expedited transfer is served: no object has more than four bytes.
 //!
 //! A master is watched. Once its heartbeat was heard, the heartbeat has to go on; before that, its RPDO1. When neither
@@ -38,7 +38,8 @@ use wsg_protocol::{Instant, Status, SystemFlags};
 use self::emergency::{Cause, Causes, Emergency};
 use super::Participant;
 use super::bus::MAX_RECEIVED_PER_POLL;
-use crate::modbus::{Settings, Subjects};
+use crate::plc::{PlcEvent, PlcSide, Shown, View};
+use crate::registers::{Link, Settings};
 
 /// The state of the device (CiA 301, 7.3.2), by its code in the heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,20 +64,6 @@ enum Event {
     /// Reset communication, or the node as a whole.
     Reset {
         whole: bool,
-    },
-}
-
-/// What the bridge has to do.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Served {
-    /// The master wrote the output image.
-    Image(OutputImage),
-    /// The settings may have changed.
-    Configured,
-    /// Nobody commands over the bus any more.
-    Left {
-        /// Because the master is silent.
-        silent: bool,
     },
 }
 
@@ -119,9 +106,6 @@ pub struct Node {
 }
 
 impl Node {
-    /// What can come in one turn, and an SDO request and a time-out.
-    pub(crate) const MAX_SERVED_PER_TURN: usize = EVENTS_MAX + 2;
-
     /// A device that has not announced itself.
     #[must_use]
     pub const fn new(config: NodeConfig) -> Self {
@@ -153,59 +137,6 @@ impl Node {
     /// Takes what is known of the bus, for the counters that a master reads.
     pub const fn set_report(&mut self, report: BusReport) {
         self.report = report;
-    }
-
-    /// What the bridge has to do next; none when there is nothing.
-    pub(crate) fn serve(
-        &mut self,
-        now: Instant,
-        moving: bool,
-        subjects: &Subjects<'_>,
-        settings: &mut Settings,
-    ) -> Option<Served> {
-        let initial = self.initial.1.get_or_insert_with(|| settings.clone());
-        match self.events.pop_front() {
-            Some(Event::Image(image)) => return Some(Served::Image(image)),
-            Some(Event::Left) => return Some(Served::Left { silent: false }),
-            Some(Event::Reset { whole }) => {
-                if whole {
-                    *settings = initial.clone();
-                }
-                // Behind a reset nothing but another counts before the device has announced itself: that stays.
-                *self = Self {
-                    initial: self.initial.clone(),
-                    events: core::mem::take(&mut self.events),
-                    report: self.report,
-                    ..Self::new(self.initial.0)
-                };
-                return Some(Served::Configured);
-            }
-            None => {}
-        }
-        if let Some(request) = self.request.take() {
-            let configured = self.answer(&request, moving, subjects, settings);
-            if configured {
-                return Some(Served::Configured);
-            }
-        }
-        let timeout_ms = settings.timeout_ms();
-        let is_silent = timeout_ms > 0 && self.heard_at.is_some_and(|at| now.since(at) >= timeout_ms);
-        if !is_silent {
-            return None;
-        }
-        self.master_silent = true;
-        self.forget_master();
-        if self.state == NmtState::Operational {
-            self.state = NmtState::PreOperational;
-        }
-        Some(Served::Left { silent: true })
-    }
-
-    /// Takes what the PLC shall see.
-    pub(crate) fn show(&mut self, image: &InputImage, gripper_silent: bool) {
-        self.shown = *image;
-        let master_silent = self.master_silent;
-        self.emergency.see(&Causes { system: image.system, gripper_silent, master_silent });
     }
 
     fn forget_master(&mut self) {
@@ -349,6 +280,55 @@ impl Node {
         }
         *tpdo = Tpdo { sent: data, sent_at: Some(now) };
         Some((base, data, len))
+    }
+}
+
+impl PlcSide for Node {
+    /// What can come in one turn, and an SDO request and a time-out.
+    const MAX_EVENTS_PER_TURN: usize = EVENTS_MAX + 2;
+
+    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+        let initial = self.initial.1.get_or_insert_with(|| view.settings.clone());
+        match self.events.pop_front() {
+            Some(Event::Image(image)) => return Some(PlcEvent::Output(image)),
+            Some(Event::Left) => return Some(PlcEvent::Left { silent: false }),
+            Some(Event::Reset { whole }) => {
+                if whole {
+                    *view.settings = initial.clone();
+                }
+                // Behind a reset nothing but another counts before the device has announced itself: that stays.
+                *self = Self {
+                    initial: self.initial.clone(),
+                    events: core::mem::take(&mut self.events),
+                    report: self.report,
+                    ..Self::new(self.initial.0)
+                };
+                return Some(PlcEvent::Configured);
+            }
+            None => {}
+        }
+        if let Some(request) = self.request.take() {
+            let is_configured = self.answer(&request, view);
+            return Some(if is_configured { PlcEvent::Configured } else { PlcEvent::Served });
+        }
+        let timeout_ms = view.settings.timeout_ms();
+        let is_silent = timeout_ms > 0 && self.heard_at.is_some_and(|at| now.since(at) >= timeout_ms);
+        if !is_silent {
+            return None;
+        }
+        self.master_silent = true;
+        self.forget_master();
+        if self.state == NmtState::Operational {
+            self.state = NmtState::PreOperational;
+        }
+        Some(PlcEvent::Left { silent: true })
+    }
+
+    fn show(&mut self, _: Instant, shown: &Shown) {
+        self.shown = shown.image;
+        let gripper_silent = shown.link == Link::Silent;
+        let master_silent = self.master_silent;
+        self.emergency.see(&Causes { system: shown.image.system, gripper_silent, master_silent });
     }
 }
 

@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, BusConfig, Commander, Config};
+use wsg_bridge_fw::plc::Modbus;
+use wsg_bridge_fw::{Bridge, BusConfig, Config, ControlSource};
 use wsg_protocol::{CommandId, GripperState, Instant, session};
 
 use super::action::{Action, Image};
@@ -42,6 +43,7 @@ const MOST_ROUNDS: u32 = QUICK_ROUNDS + 500;
 pub(super) struct Plant {
     actions: &'static [Action],
     bridge: Bridge,
+    modbus: Modbus,
     gripper: Gripper,
     now_ms: u32,
     wires: Inputs,
@@ -90,6 +92,7 @@ impl Plant {
         let mut plant = Self {
             actions,
             bridge: Bridge::new(CONFIG),
+            modbus: Modbus::new(&CONFIG),
             gripper: Gripper::SWITCHED_ON,
             now_ms: 0,
             wires: Inputs::empty(),
@@ -200,6 +203,7 @@ impl Plant {
             }
             Action::RestartBridge => {
                 self.bridge = Bridge::new(CONFIG);
+                self.modbus = Modbus::new(&CONFIG);
                 self.with_next = None;
                 self.image = None;
                 self.promises.reset(self.now());
@@ -340,7 +344,8 @@ impl Plant {
         while self.now_ms < end {
             self.now_ms += self.ms_to_deadline().min(end - self.now_ms);
             if self.now_ms == end {
-                let commanded = self.bridge.commander() == Commander::Bus && self.bridge.is_connected();
+                let commanded =
+                    self.bridge.control_source() == ControlSource::Bus && self.bridge.is_connected();
                 if self.image.take() == Some(Image::JogPlus) {
                     self.promises.end_jog(self.now(), &self.gripper);
                 }
@@ -427,7 +432,7 @@ impl Plant {
         let now = self.now();
         let mut line = Line::bringing(incoming);
         self.promises.begin_turn();
-        self.outputs = self.bridge.poll_with_bus(self.now_ms, self.wires, &mut line, &mut bus);
+        self.outputs = self.bridge.poll(self.now_ms, self.wires, &mut line, &mut self.modbus.over(&mut bus));
         for command in line.commands() {
             self.say(|story| write!(story, "\n        -> {command}"));
             self.promises.leave(now, &command, &self.gripper, self.is_line_up)?;
@@ -482,9 +487,12 @@ impl Model for Plant {
     }
 
     fn key(&self) -> u64 {
-        let Self { actions: _, bridge, gripper, now_ms, wires, outputs, is_line_up, .. } = self;
+        let Self { actions: _, bridge, modbus, gripper, now_ms, wires, outputs, is_line_up, .. } = self;
         let Self { answers, with_next, image, promises, story: _, .. } = self;
-        key(*now_ms, &(bridge, gripper, wires, outputs, is_line_up, answers, with_next, image, promises))
+        key(
+            *now_ms,
+            &(bridge, modbus, gripper, wires, outputs, is_line_up, answers, with_next, image, promises),
+        )
     }
 
     fn sights(&self) -> u64 {

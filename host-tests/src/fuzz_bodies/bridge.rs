@@ -15,6 +15,7 @@ use std::convert::Infallible;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_protocol::fieldbus::CommandFlags;
 use wsg_protocol::frame::OVERHEAD;
@@ -57,6 +58,7 @@ const SILENCES: [u32; 6] =
 
 struct Model {
     bridge: Bridge,
+    modbus: Modbus,
     line: GripperLine,
     bus: RtuLine,
     now_ms: u32,
@@ -167,6 +169,7 @@ impl Model {
         }
         Self {
             bridge: Bridge::new(config),
+            modbus: Modbus::new(&config),
             line: GripperLine::new(if slow { BYTES_PER_MS } else { usize::MAX }),
             bus: RtuLine::default(),
             now_ms: 0,
@@ -248,10 +251,10 @@ impl Model {
     fn turn(&mut self) {
         self.now_ms += 1;
         self.bus.pass_ms();
-        let Self { bridge, line, bus, .. } = self;
+        let Self { bridge, modbus, line, bus, .. } = self;
         let was_connected = bridge.is_connected();
         line.left = line.per_ms;
-        let outputs = bridge.poll_with_bus(self.now_ms, self.wires, line, bus);
+        let outputs = bridge.poll(self.now_ms, self.wires, line, &mut modbus.over(bus));
         assert!(bridge.may_feed_watchdog(self.now_ms));
         let oracle = &mut self.oracle;
         oracle.begin_turn(self.now_ms, &std::mem::take(&mut line.heard), self.wires);

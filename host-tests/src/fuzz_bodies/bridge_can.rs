@@ -529,7 +529,7 @@ impl Model {
         let Self { link, bridge, node, .. } = self;
         let (mut heard, mut sent) = (vec![], vec![]);
         let mut tap = Tap { link, heard: &mut heard, sent: &mut sent };
-        let outputs = bridge.poll_with_can(self.now_ms, self.wires, &mut tap, node);
+        let outputs = bridge.poll(self.now_ms, self.wires, &mut tap, node);
         let messages = gripper::messages(&mut self.said_to_gripper, &sent);
         self.said.extend(messages.iter().cloned().map(|message| (message, self.now_ms)));
 
@@ -554,7 +554,7 @@ impl Model {
         bridge.set_can_report(&report);
         let (mut heard, mut sent) = (vec![], vec![]);
         let mut tap = Tap { link: line, heard: &mut heard, sent: &mut sent };
-        let outputs = bridge.poll_with_can(self.now_ms, self.wires, &mut tap, node);
+        let outputs = bridge.poll(self.now_ms, self.wires, &mut tap, node);
         let messages = gripper::messages(&mut self.said_to_gripper, &sent);
         let mut said = vec![];
         bus.talk(now, &mut Nobody, &mut Ear { node, said: &mut said });

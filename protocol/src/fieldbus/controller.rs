@@ -305,16 +305,18 @@ impl Controller {
 
     /// Compares the gripper's system flags with the FAST STOP that it has answered.
     fn supervise_fast_stop(&mut self, flags: SystemFlags) {
-        if self.fast_stop != FastStop::Answered {
-            return;
-        }
-        if !flags.contains(SystemFlags::FAST_STOP) {
+        match (self.fast_stop, flags.contains(SystemFlags::FAST_STOP)) {
             // The answer was to an earlier one.
-            return self.fast_stop();
-        }
-        self.fast_stop = FastStop::Latched;
-        if self.shown == Some(CommandId::FastStop) {
-            self.status = Status::Success;
+            (FastStop::Answered, false) => self.fast_stop(),
+            (FastStop::Answered, true) => {
+                self.fast_stop = FastStop::Latched;
+                if self.shown == Some(CommandId::FastStop) {
+                    self.status = Status::Success;
+                }
+            }
+            // It was acknowledged, and the answer that said so was lost or damaged.
+            (FastStop::Acknowledged, false) if !self.acknowledging => self.fast_stop = FastStop::Clear,
+            _ => {}
         }
     }
 

@@ -461,6 +461,24 @@ fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_ack
 }
 
 #[test]
+fn fast_stop_that_the_gripper_shows_no_more_behind_an_acknowledgement_is_left_whatever_its_answer_said() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.confirm_fast_stop();
+    plc.lower(CommandFlags::FASTSTOP);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP), "not answered yet");
+    plc.answer(CommandId::Acknowledge, Status::AccessDenied);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+}
+
+#[test]
 fn fast_stop_is_given_again_to_a_gripper_that_comes_back() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);

@@ -122,7 +122,7 @@ impl<'a> Words<'a> {
     }
 
     /// One after the other.
-    pub fn iter(self) -> impl Iterator<Item = u16> + 'a {
+    pub fn iter(self) -> impl Iterator<Item = u16> + Clone + 'a {
         self.bytes.as_chunks().0.iter().map(|pair| u16::from_be_bytes(*pair))
     }
 }

@@ -11,7 +11,7 @@ use stm32_metapac::usart::vals::{M0, Ps, Stop};
 use stm32_metapac::{Interrupt, LPUART1, PWR, RCC, interrupt};
 use wsg_bridge_fw::boards::b_l475e_iot01a::BusClock;
 use wsg_bridge_fw::byte_queue::ByteQueue;
-use wsg_bridge_fw::modbus::{BusConfig, BusPort, Format};
+use wsg_bridge_fw::plc::{BusConfig, BusPort, Format};
 use wsg_protocol::modbus::rtu::{Character, MAX_FRAME_LEN};
 
 use crate::tick;

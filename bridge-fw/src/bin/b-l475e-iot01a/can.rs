@@ -16,6 +16,8 @@ use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
 #[cfg(feature = "can-gripper")]
 use wsg_bridge_fw::can::{GripperLink, turn_with_gripper};
 use wsg_bridge_fw::io::{Inputs, Outputs};
+#[cfg(not(feature = "can-plc"))]
+use wsg_bridge_fw::plc::PlcSide;
 use wsg_protocol::Instant;
 
 /// The bus and who is on it.
@@ -54,12 +56,12 @@ impl Can {
         bridge: &mut Bridge,
         now_ms: u32,
         inputs: Inputs,
-        plc_bus: &mut crate::bus::Bus,
+        plc: &mut impl PlcSide,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
         let Self { bus, link, nobody } = self;
         let outputs = turn_with_gripper(now, bridge, bus, link, nobody, |bridge, link, _, _| {
-            bridge.poll_with_bus(now_ms, inputs, link, plc_bus)
+            bridge.poll(now_ms, inputs, link, plc)
         });
         controller::rearm(bus.controller());
         outputs
@@ -80,7 +82,7 @@ impl Can {
         let report = bus.report(LinkCounters::default());
         node.set_report(report);
         bridge.set_can_report(&report);
-        let outputs = bridge.poll_with_can(now_ms, inputs, gripper_line, node);
+        let outputs = bridge.poll(now_ms, inputs, gripper_line, node);
         bus.talk(now, nobody, node);
         controller::rearm(bus.controller());
         outputs
@@ -93,7 +95,7 @@ impl Can {
         let Self { bus, link, node } = self;
         let outputs = turn_with_gripper(now, bridge, bus, link, node, |bridge, link, node, report| {
             node.set_report(*report);
-            bridge.poll_with_can(now_ms, inputs, link, node)
+            bridge.poll(now_ms, inputs, link, node)
         });
         controller::rearm(bus.controller());
         outputs

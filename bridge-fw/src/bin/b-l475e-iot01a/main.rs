@@ -37,6 +37,8 @@ use core::panic::PanicInfo;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use wsg_bridge_fw::io::{InputPort, OutputPort};
+#[cfg(not(feature = "can-plc"))]
+use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 
 /// What this image is built with.
@@ -46,6 +48,8 @@ const CONFIG: Config = Config { bus: BusConfig::BUILT, ..Config::DEFAULT };
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
     static mut BRIDGE: Bridge = Bridge::new(CONFIG);
+    #[cfg(not(feature = "can-plc"))]
+    static mut MODBUS: Modbus = Modbus::new(&CONFIG);
     #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
     static mut CAN: can::Can = can::Can::new();
 
@@ -77,9 +81,9 @@ fn main() -> ! {
         let now_ms = tick::now_ms();
         let inputs = pins.read();
         #[cfg(not(any(feature = "can-gripper", feature = "can-plc")))]
-        let outputs = BRIDGE.poll_with_bus(now_ms, inputs, &mut gripper_line, &mut plc_bus);
+        let outputs = BRIDGE.poll(now_ms, inputs, &mut gripper_line, &mut MODBUS.over(&mut plc_bus));
         #[cfg(all(feature = "can-gripper", not(feature = "can-plc")))]
-        let outputs = CAN.turn(BRIDGE, now_ms, inputs, &mut plc_bus);
+        let outputs = CAN.turn(BRIDGE, now_ms, inputs, &mut MODBUS.over(&mut plc_bus));
         #[cfg(all(feature = "can-plc", not(feature = "can-gripper")))]
         let outputs = CAN.turn(BRIDGE, now_ms, inputs, &mut gripper_line);
         #[cfg(all(feature = "can-gripper", feature = "can-plc"))]

@@ -4,7 +4,7 @@ use core::fmt::{self, Write};
 
 use super::NodeConfig;
 use super::objects::{DataType, OBJECTS, Object, REPORTS_INDEX, SETTINGS_INDEX, Subject};
-use crate::modbus::{REPORTS, SETTINGS};
+use crate::registers::{REPORTS, SETTINGS};
 
 /// Objects that every device has (CiA 306: mandatory); those from 2000h on are the manufacturer's.
 const MANDATORY: [u16; 3] = [0x1000, 0x1001, 0x1018];

@@ -2,7 +2,7 @@
 
 use super::super::{BusState, Health, LinkCounters, bus::BusCounters};
 use super::NodeConfig;
-use crate::modbus::{CAN_REPORTS, REPORTS, SETTINGS};
+use crate::registers::{CAN_REPORTS, REPORTS, SETTINGS};
 
 /// The type of an object (CiA 301, table 44).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

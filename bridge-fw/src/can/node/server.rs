@@ -1,34 +1,27 @@
 //! The SDO server: what a master reads and writes of the device's objects (CiA 301, 7.2.4).
 
-use wsg_protocol::modbus::{Exception, Words};
+use wsg_protocol::modbus::rtu;
 
 use super::Node;
 use super::objects::{Subject, find, with_node};
 use super::sdo::{self, Abort, Request};
-use crate::modbus::{Settings, Subjects};
+use crate::plc::View;
+use crate::registers::{RegisterError, Settings};
 
 impl Node {
     /// Serves an SDO request; whether it changed a setting.
-    pub(super) fn answer(
-        &mut self,
-        request: &[u8; 8],
-        moving: bool,
-        subjects: &Subjects<'_>,
-        settings: &mut Settings,
-    ) -> bool {
+    pub(super) fn answer(&mut self, request: &[u8; 8], view: &mut View<'_>) -> bool {
         let (index, sub, request) = sdo::parse(request);
         let outcome = match request {
             Request::Aborted => return false,
             Request::Other => Err(Abort::CommandSpecifier),
-            Request::Read => self.read(index, sub, subjects, settings).map(|(len, value)| {
+            Request::Read => self.read(index, sub, view).map(|(len, value)| {
                 self.response = Some(sdo::read_response(index, sub, len, value));
                 false
             }),
-            Request::Write(len, value) => {
-                self.write(index, sub, len, value, moving, settings).inspect(|_| {
-                    self.response = Some(sdo::write_response(index, sub));
-                })
-            }
+            Request::Write(len, value) => self.write(index, sub, len, value, view).inspect(|_| {
+                self.response = Some(sdo::write_response(index, sub));
+            }),
         };
         outcome.unwrap_or_else(|abort| {
             self.response = Some(sdo::abort_response(index, sub, abort));
@@ -37,13 +30,7 @@ impl Node {
     }
 
     /// The bytes of an object, low byte first, and how many they are.
-    fn read(
-        &self,
-        index: u16,
-        sub: u8,
-        subjects: &Subjects<'_>,
-        settings: &Settings,
-    ) -> Result<(u8, u32), Abort> {
+    fn read(&self, index: u16, sub: u8, view: &View<'_>) -> Result<(u8, u32), Abort> {
         let found = find(index, sub)?;
         let Self { config, shown, .. } = self;
         let signed = |value: i16| u32::from(value.cast_unsigned());
@@ -51,7 +38,7 @@ impl Node {
             Subject::Fixed(value) => value,
             Subject::PlusNode(base) => with_node(base, config),
             Subject::ErrorRegister => self.emergency.register().into(),
-            Subject::Consumer => u32::from(config.master) << 16 | settings.timeout_ms(),
+            Subject::Consumer => u32::from(config.master) << 16 | view.settings.timeout_ms(),
             Subject::Heartbeat => config.heartbeat_ms.into(),
             Subject::Inhibit(number) => config.inhibit.get(usize::from(number)).copied().unwrap_or(0).into(),
             Subject::Event(number) => config.event_ms.get(usize::from(number)).copied().unwrap_or(0).into(),
@@ -68,8 +55,10 @@ impl Node {
             Subject::Width => signed(shown.width),
             Subject::Force => signed(shown.force),
             Subject::Status => shown.status.code().into(),
-            Subject::Setting(number) => settings.register(number).map_err(abort_of)?.into(),
-            Subject::Report(number) => subjects.register(number).map_err(abort_of)?.into(),
+            Subject::Setting(number) => view.setting(number).map_err(abort_of)?.into(),
+            Subject::Report(number) => {
+                view.report(number, rtu::Counters::default()).map_err(abort_of)?.into()
+            }
             subject => self.report.number(subject),
         };
         Ok((found.kind.len(), value))
@@ -82,8 +71,7 @@ impl Node {
         sub: u8,
         len: Option<u8>,
         value: u32,
-        moving: bool,
-        settings: &mut Settings,
+        view: &mut View<'_>,
     ) -> Result<bool, Abort> {
         let found = find(index, sub)?;
         if !found.writable {
@@ -96,11 +84,11 @@ impl Node {
         let [low, high, ..] = value.to_le_bytes();
         let number = u16::from_le_bytes([low, high]);
         match found.subject {
-            Subject::Setting(at) => return write_setting(settings, at, number, moving).map(|()| true),
+            Subject::Setting(at) => return write_setting(view, at, number).map(|()| true),
             Subject::Consumer => {
                 let (master, time) = (value >> 16, number);
                 let Ok(master @ 1..=127) = u8::try_from(master) else { return Err(Abort::Value) };
-                write_setting(settings, TIMEOUT_SETTING, time, moving)?;
+                write_setting(view, TIMEOUT_SETTING, time)?;
                 self.config.master = master;
                 self.forget_master();
             }
@@ -116,14 +104,8 @@ impl Node {
 /// BUS_TIMEOUT among the settings.
 const TIMEOUT_SETTING: u16 = Settings::TIMEOUT;
 
-fn write_setting(settings: &mut Settings, at: u16, number: u16, moving: bool) -> Result<(), Abort> {
-    let bytes = number.to_be_bytes();
-    // What exists and what it takes is said before that it is not the time.
-    settings.check(at, Words::new(&bytes)).map_err(abort_of)?;
-    if moving {
-        return Err(Abort::DeviceState);
-    }
-    settings.write(at, Words::new(&bytes)).map_err(abort_of)
+fn write_setting(view: &mut View<'_>, at: u16, number: u16) -> Result<(), Abort> {
+    view.write_settings(at, [number].into_iter()).map_err(abort_of)
 }
 
 fn set(values: &mut [u16; 2], at: u8, number: u16) {
@@ -132,10 +114,11 @@ fn set(values: &mut [u16; 2], at: u8, number: u16) {
     }
 }
 
-/// The abort that says what an exception says.
-fn abort_of(exception: Exception) -> Abort {
-    match exception {
-        Exception::IllegalDataAddress => Abort::NoSubindex,
-        _ => Abort::Value,
+/// The abort that says so.
+const fn abort_of(error: RegisterError) -> Abort {
+    match error {
+        RegisterError::Missing => Abort::NoSubindex,
+        RegisterError::Value => Abort::Value,
+        RegisterError::Moving => Abort::DeviceState,
     }
 }

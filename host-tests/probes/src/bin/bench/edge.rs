@@ -6,7 +6,7 @@ use cortex_m_semihosting::hprintln;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use heapless::{Deque, Vec};
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
-use wsg_bridge_fw::{Bridge, Config};
+use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_protocol::CommandId;
 use wsg_protocol::frame::PREAMBLE_LEN;
 use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
@@ -106,7 +106,7 @@ fn count_one(counter: &Counter, pins: &mut Pins, line: &mut Line, wire: Inputs, 
         let begun = counter.now();
         // What reading the pins costs is counted; the levels are the script's.
         let read = pins.read();
-        let outputs = bridge.poll(ms, levels | (read & Inputs::empty()), line);
+        let outputs = bridge.poll(ms, levels | (read & Inputs::empty()), line, &mut NoBus);
         pins.write(outputs);
         if let Some(sent) = line.first_byte.get()
             && ms >= EDGE_MS

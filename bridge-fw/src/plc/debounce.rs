@@ -30,7 +30,7 @@ const _: () = assert!(
 
 /// Takes the levels as they are read, and gives those that have not changed for a time.
 #[derive(Clone, Debug, Hash)]
-pub struct Debounce {
+pub(crate) struct Debounce {
     period_ms: u32,
     /// The last reading; none before the first.
     read: Option<Inputs>,
@@ -46,7 +46,7 @@ pub struct Debounce {
 impl Debounce {
     /// Levels count once they have not changed for `period_ms` milliseconds; a low FAST_STOP_OK counts at once.
     #[must_use]
-    pub const fn new(period_ms: u32) -> Self {
+    pub(crate) const fn new(period_ms: u32) -> Self {
         Self {
             period_ms,
             read: None,
@@ -63,7 +63,7 @@ impl Debounce {
     }
 
     /// Takes a reading, and gives the levels that count; `None` until every wire has settled once after power-up.
-    pub fn update(&mut self, now: Instant, reading: Inputs) -> Option<Inputs> {
+    pub(crate) fn update(&mut self, now: Instant, reading: Inputs) -> Option<Inputs> {
         let before = self.read.replace(reading);
         let changed = before.map_or(Inputs::all(), |before| before.symmetric_difference(reading));
         for (group, since) in GROUPS.iter().zip(&mut self.since) {
@@ -95,7 +95,7 @@ impl Debounce {
 
     /// Whether this wire has settled low, whatever the others do.
     #[must_use]
-    pub fn is_settled_low(&self, wire: Inputs) -> bool {
+    pub(crate) fn is_settled_low(&self, wire: Inputs) -> bool {
         self.settled.contains(wire) && !self.levels.intersects(wire)
     }
 }

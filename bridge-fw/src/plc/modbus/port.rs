@@ -15,19 +15,3 @@ pub trait BusPort {
     /// Sends a frame. Does not wait; while another is being sent, this one is dropped.
     fn send(&mut self, frame: &[u8]);
 }
-
-/// No bus.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct NoBus;
-
-impl BusPort for NoBus {
-    fn receive(&mut self) -> Option<(Character, u32)> {
-        None
-    }
-
-    fn silence_us(&mut self) -> u32 {
-        0
-    }
-
-    fn send(&mut self, _: &[u8]) {}
-}

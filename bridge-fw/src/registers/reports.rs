@@ -1,9 +1,10 @@
 //! Counters and versions as input registers.
 
-use super::BusConfig;
-use crate::arbiter::Commander;
+use super::RegisterError;
+use crate::arbiter::ControlSource;
+use crate::plc::BusConfig;
 use wsg_protocol::frame;
-use wsg_protocol::modbus::{Exception, rtu};
+use wsg_protocol::modbus::rtu;
 use wsg_protocol::session::Session;
 
 /// The address of the first of [`REPORTS`].
@@ -168,35 +169,26 @@ pub enum ResetCause {
 
 /// What the reports are about, at the moment of a request.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Subjects<'a> {
+pub(crate) struct ReportSource<'a> {
     pub(crate) config: &'a BusConfig,
     pub(crate) session: &'a Session,
-    pub(crate) was_connected: bool,
+    pub(crate) link: Link,
     pub(crate) line: frame::Counters,
-    pub(crate) commander: Commander,
+    pub(crate) control_source: ControlSource,
     pub(crate) bus: rtu::Counters,
     pub(crate) timeouts: u16,
     /// The reports about CAN, in their order.
-    pub(crate) can: [u16; CAN_REPORTS],
+    pub(crate) can: &'a [u16; CAN_REPORTS],
     pub(crate) reset_cause: ResetCause,
 }
 
 /// How many reports are about CAN.
 pub(crate) const CAN_REPORTS: usize = 6;
 
-impl Subjects<'_> {
-    /// Whether the gripper answers.
-    pub(crate) const fn link(&self) -> Link {
-        match (self.session.is_connected(), self.was_connected) {
-            (true, _) => Link::Up,
-            (false, true) => Link::Silent,
-            (false, false) => Link::Never,
-        }
-    }
-
+impl ReportSource<'_> {
     /// The register at this address, counted from [`FIRST_REPORT`].
-    pub(crate) fn register(&self, index: u16) -> Result<u16, Exception> {
-        let subject = *SUBJECTS.get(usize::from(index)).ok_or(Exception::IllegalDataAddress)?;
+    pub(crate) fn register(&self, index: u16) -> Result<u16, RegisterError> {
+        let subject = *SUBJECTS.get(usize::from(index)).ok_or(RegisterError::Missing)?;
         let gripper = self.session.known().info;
         let serial_number = gripper.map_or(0, |info| info.serial_number);
         let (line, session) = (self.line, self.session.counters());
@@ -210,8 +202,8 @@ impl Subjects<'_> {
             Subject::GripperFirmware => gripper.map_or(0, |info| info.firmware.bits()),
             Subject::SerialNumberHigh => (serial_number >> 16) as u16,
             Subject::SerialNumberLow => serial_number as u16,
-            Subject::GripperLink => self.link() as u16,
-            Subject::Commander => self.commander as u16,
+            Subject::GripperLink => self.link as u16,
+            Subject::Commander => self.control_source as u16,
             Subject::Rate => u16::try_from(self.config.baud / 100).unwrap_or(u16::MAX),
             Subject::Format => self.config.format as u16,
             Subject::LineDropped => line.dropped,

@@ -1,9 +1,8 @@
 //! Digital I/O as a PLC side: wires in, output image out; input image in, wires out.
 
-use crate::debounce::Debounce;
+use super::{Debounce, PlcEvent, PlcSide, Shown, View};
 use crate::io::{Inputs, Outputs};
-use crate::modbus::Settings;
-use crate::recipe::{RECIPE_COUNT, Recipe};
+use crate::registers::{Link, RECIPE_COUNT, Recipe, Settings};
 use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Instant, Status, SystemFlags};
 
@@ -22,7 +21,7 @@ const MOTION_STATES: GripperFlags =
 
 /// The wires between a PLC and the register images.
 #[derive(Clone, Debug, Hash)]
-pub struct DigitalIo {
+pub(crate) struct Wires {
     debounce: Debounce,
     recipes: [Recipe; RECIPE_COUNT],
     /// The wires as they count now; none before they have settled after power-up.
@@ -35,10 +34,10 @@ pub struct DigitalIo {
     shown: Outputs,
 }
 
-impl DigitalIo {
+impl Wires {
     /// Wires that are debounced for `debounce_ms` milliseconds, and a BUSY that lasts `min_busy_ms` at least.
     #[must_use]
-    pub const fn new(debounce_ms: u32, min_busy_ms: u32, recipes: [Recipe; RECIPE_COUNT]) -> Self {
+    pub(crate) const fn new(debounce_ms: u32, min_busy_ms: u32, recipes: [Recipe; RECIPE_COUNT]) -> Self {
         Self {
             debounce: Debounce::new(debounce_ms),
             recipes,
@@ -68,7 +67,7 @@ impl DigitalIo {
     ///
     /// The recipe is taken when its command rises while READY is shown, so never during a motion: there a parameter that
     /// changes is a FAST STOP (fieldbus, table 1).
-    pub fn update(
+    fn update(
         &mut self,
         now: Instant,
         reading: Inputs,
@@ -105,45 +104,31 @@ impl DigitalIo {
         Some(&self.image)
     }
 
-    /// The wires to the PLC for what the gripper shows.
-    ///
-    /// `motion_is_open`: a motion has not answered yet, be it that it was stopped. `ignores_motions`: an edge of a command wire
-    /// would come to nothing, for that reason, because the fingers move, or because either side holds STOP/ACK or FASTSTOP.
-    pub fn outputs(
-        &mut self,
-        now: Instant,
-        gripper: &InputImage,
-        connected: bool,
-        motion_is_open: bool,
-        ignores_motions: bool,
-    ) -> Outputs {
-        self.shown = self.levels_for(now, gripper, connected, motion_is_open);
-        if ignores_motions {
-            self.shown -= Outputs::READY;
-        }
+    /// These wires as they are read now: a PLC side for one turn.
+    pub(crate) const fn read(&mut self, reading: Inputs) -> WiresRead<'_> {
+        WiresRead { wires: self, reading }
+    }
+
+    /// The wires to the PLC.
+    pub(crate) const fn shown(&self) -> Outputs {
         self.shown
     }
 
-    fn levels_for(
-        &mut self,
-        now: Instant,
-        gripper: &InputImage,
-        connected: bool,
-        motion_is_open: bool,
-    ) -> Outputs {
-        let busy = self.is_busy(now, gripper, connected, motion_is_open);
+    fn levels_for(&mut self, now: Instant, shown: &Shown) -> Outputs {
+        let busy = self.is_busy(now, shown);
+        let gripper = &shown.image;
         let has = |state: GripperFlags| gripper.state.intersects(state);
         let levels = self.levels.unwrap_or_default();
         let released = levels.contains(Inputs::FAST_STOP_OK) && !levels.contains(Inputs::STOP_ACK);
         let locked = gripper.system.intersects(SystemFlags::LOCKS);
         let mut outputs = Outputs::empty();
         outputs.set(Outputs::ERROR, is_error(gripper));
-        if !connected {
+        if shown.link != Link::Up {
             // Nothing is known of the gripper, whatever it has told so far.
             return outputs;
         }
         outputs.set(Outputs::LINK_OK, true);
-        outputs.set(Outputs::READY, !busy && !locked && released);
+        outputs.set(Outputs::READY, !busy && !locked && released && !shown.ignores_motions);
         outputs.set(Outputs::BUSY, busy);
         // A result shows when BUSY goes, not before.
         outputs.set(Outputs::HOLDING, has(GripperFlags::HOLDING) && !busy);
@@ -155,13 +140,14 @@ impl DigitalIo {
 
     /// Whether a motion runs, has not answered, or ran too short for a PLC to have seen it. An error shows at once, and stays
     /// to be seen.
-    fn is_busy(&mut self, now: Instant, gripper: &InputImage, connected: bool, motion_is_open: bool) -> bool {
-        let moving = is_moving(gripper);
-        let since = self.busy_since.or(moving.then_some(now));
+    fn is_busy(&mut self, now: Instant, shown: &Shown) -> bool {
+        let gripper = &shown.image;
+        let runs = is_moving(gripper) || (shown.motion_is_open && !is_error(gripper));
+        let since = self.busy_since.or(runs.then_some(now));
         let too_short = since.is_some_and(|since| now.since(since) < self.min_busy_ms);
-        let shown = connected && (moving || ((motion_is_open || too_short) && !is_error(gripper)));
-        self.busy_since = since.filter(|_| shown);
-        shown
+        let busy = shown.link == Link::Up && (runs || (too_short && !is_error(gripper)));
+        self.busy_since = since.filter(|_| busy);
+        busy
     }
 
     fn take_recipe(&mut self, rising: CommandFlags, levels: Inputs, unit: impl FnOnce() -> ForceUnit) {
@@ -180,6 +166,26 @@ impl DigitalIo {
     }
 }
 
+/// [`Wires`] and their levels.
+#[derive(Debug)]
+pub(crate) struct WiresRead<'a> {
+    wires: &'a mut Wires,
+    reading: Inputs,
+}
+
+impl PlcSide for WiresRead<'_> {
+    const MAX_EVENTS_PER_TURN: usize = 1;
+
+    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+        let image = self.wires.update(now, self.reading, || view.force_unit())?;
+        Some(PlcEvent::Output(*image))
+    }
+
+    fn show(&mut self, now: Instant, shown: &Shown) {
+        self.wires.shown = self.wires.levels_for(now, shown);
+    }
+}
+
 /// Whether a motion is shown to be carried out, or the fingers to move for another reason.
 fn is_moving(gripper: &InputImage) -> bool {
     gripper.state.intersects(MOTION_STATES) || gripper.system.contains(SystemFlags::MOVING)
@@ -193,4 +199,52 @@ fn is_error(gripper: &InputImage) -> bool {
     failed
         || gripper.state.contains(GripperFlags::ERROR)
         || gripper.system.intersects(SystemFlags::LOCKS | SystemFlags::FINGER_FAULT)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::registers::RECIPES;
+
+    /// What is shown for these wires, and these flags of a gripper that stands.
+    fn shown_for(inputs: Inputs, system: SystemFlags) -> Outputs {
+        let mut wires = Wires::new(0, 0, RECIPES);
+        for ms in 0..10 {
+            wires.update(Instant::from_millis(ms), inputs, ForceUnit::default);
+        }
+        let image = InputImage { system, ..InputImage::from_bytes([0; InputImage::LEN]) };
+        let shown = Shown { image, link: Link::Up, motion_is_open: false, ignores_motions: false };
+        wires.levels_for(Instant::from_millis(10), &shown)
+    }
+
+    #[test]
+    fn each_flag_that_locks_the_gripper_shows_error_and_not_ready_and_no_other_does() {
+        let locks = [
+            SystemFlags::FAST_STOP,
+            SystemFlags::TEMP_FAULT,
+            SystemFlags::POWER_FAULT,
+            SystemFlags::CURR_FAULT,
+        ];
+        for flag in SystemFlags::all().iter().filter(|flag| *flag != SystemFlags::MOVING) {
+            let shown = shown_for(Inputs::FAST_STOP_OK, flag);
+            let is_lock = locks.contains(&flag);
+            assert_eq!(shown.contains(Outputs::READY), !is_lock, "{flag:?}");
+            let is_error = is_lock || flag == SystemFlags::FINGER_FAULT;
+            assert_eq!(shown.contains(Outputs::ERROR), is_error, "{flag:?}");
+        }
+    }
+
+    #[test]
+    fn ready_needs_a_high_fast_stop_wire_and_a_low_stop_ack() {
+        let ready = Outputs::READY | Outputs::LINK_OK;
+        for (inputs, shown) in [
+            (Inputs::FAST_STOP_OK, ready),
+            (Inputs::FAST_STOP_OK | Inputs::STOP_ACK, Outputs::LINK_OK),
+            (Inputs::empty(), Outputs::LINK_OK),
+            (Inputs::STOP_ACK, Outputs::LINK_OK),
+            (Inputs::all() - Inputs::STOP_ACK, ready),
+        ] {
+            assert_eq!(shown_for(inputs, SystemFlags::empty()), shown, "{inputs:?}");
+        }
+    }
 }

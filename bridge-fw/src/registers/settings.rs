@@ -1,10 +1,8 @@
 //! The configuration as holding registers. It lives in RAM: power-up brings back what the firmware was built with.
 
+use super::{RECIPE_COUNT, Recipe, RegisterError};
 use crate::bridge::Config;
-use crate::recipe::{RECIPE_COUNT, Recipe};
 use wsg_protocol::fieldbus::SilenceReaction;
-use wsg_protocol::modbus::rtu::{self, Mode};
-use wsg_protocol::modbus::{Exception, Words};
 
 /// A holding register that holds a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -181,25 +179,31 @@ impl Settings {
     }
 
     /// The register at this address, counted from [`FIRST_SETTING`].
-    pub(crate) fn register(&self, index: u16) -> Result<u16, Exception> {
-        self.values.get(usize::from(index)).copied().ok_or(Exception::IllegalDataAddress)
+    pub(crate) fn register(&self, index: u16) -> Result<u16, RegisterError> {
+        self.values.get(usize::from(index)).copied().ok_or(RegisterError::Missing)
     }
 
     /// Whether registers from this one on exist and take these values.
-    pub(crate) fn check(&self, first: u16, words: Words<'_>) -> Result<(), Exception> {
-        let first = usize::from(first);
-        let ranges =
-            RANGES.get(first..first.saturating_add(words.len())).ok_or(Exception::IllegalDataAddress)?;
-        let fits = |(word, (least, most)): (u16, &(u16, u16))| (*least..=*most).contains(&word);
-        if words.iter().zip(ranges).all(fits) { Ok(()) } else { Err(Exception::IllegalDataValue) }
+    pub(crate) fn check(&self, first: u16, values: impl Iterator<Item = u16>) -> Result<(), RegisterError> {
+        let mut ranges = RANGES.get(usize::from(first)..).unwrap_or_default().iter();
+        let mut fits = true;
+        for value in values {
+            let (least, most) = *ranges.next().ok_or(RegisterError::Missing)?;
+            fits &= (least..=most).contains(&value);
+        }
+        if fits { Ok(()) } else { Err(RegisterError::Value) }
     }
 
     /// Writes registers from this one on; all or, when one does not exist or does not take its value, none.
-    pub(crate) fn write(&mut self, first: u16, words: Words<'_>) -> Result<(), Exception> {
-        self.check(first, words)?;
-        let values = self.values.get_mut(usize::from(first)..).unwrap_or_default();
-        for (value, word) in values.iter_mut().zip(words.iter()) {
-            *value = word;
+    pub(crate) fn write(
+        &mut self,
+        first: u16,
+        values: impl Iterator<Item = u16> + Clone,
+    ) -> Result<(), RegisterError> {
+        self.check(first, values.clone())?;
+        let places = self.values.get_mut(usize::from(first)..).unwrap_or_default();
+        for (place, value) in places.iter_mut().zip(values) {
+            *place = value;
         }
         Ok(())
     }
@@ -248,17 +252,16 @@ impl Settings {
         })
     }
 
-    /// What the server on the line is configured with.
-    pub(crate) const fn server(&self) -> rtu::Config {
-        let mode = match self.value(Place::Patience) {
-            0 => Mode::Strict,
-            ms => Mode::Tolerant { patience_us: ms as u32 * 1_000 },
-        };
-        rtu::Config {
-            unit: self.value(Place::Unit) as u8,
-            mode,
-            broadcast: self.value(Place::Broadcast) != 0,
-        }
+    pub(crate) const fn unit(&self) -> u8 {
+        self.value(Place::Unit) as u8
+    }
+
+    pub(crate) const fn patience_ms(&self) -> u16 {
+        self.value(Place::Patience)
+    }
+
+    pub(crate) const fn broadcast(&self) -> bool {
+        self.value(Place::Broadcast) != 0
     }
 }
 
@@ -277,7 +280,7 @@ const fn saturate(value: u32) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recipe::RECIPES;
+    use crate::registers::RECIPES;
 
     #[test]
     fn settings_begin_as_the_configuration_says() {
@@ -288,8 +291,8 @@ mod tests {
         assert_eq!(settings.recipe(RECIPE_COUNT), None);
         assert_eq!(settings.reaction(), SilenceReaction::Stop);
         assert_eq!((settings.debounce_ms(), settings.min_busy_ms(), settings.half_frame_ms()), (2, 50, 20));
-        assert_eq!(settings.server().unit, 1);
-        assert_eq!(settings.register(SETTINGS.len() as u16), Err(Exception::IllegalDataAddress));
+        assert_eq!(settings.unit(), 1);
+        assert_eq!(settings.register(SETTINGS.len() as u16), Err(RegisterError::Missing));
     }
 
     #[test]
@@ -297,12 +300,12 @@ mod tests {
         for (index, setting) in SETTINGS.iter().enumerate() {
             let mut settings = Settings::new(&Config::DEFAULT);
             for value in [setting.least, setting.most] {
-                assert_eq!(settings.write(index as u16, Words::new(&value.to_be_bytes())), Ok(()));
+                assert_eq!(settings.write(index as u16, [value].into_iter()), Ok(()));
                 assert_eq!(settings.register(index as u16), Ok(value), "{}", setting.name);
             }
             for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
-                let refused = settings.write(index as u16, Words::new(&value.to_be_bytes()));
-                assert_eq!(refused, Err(Exception::IllegalDataValue), "{}", setting.name);
+                let refused = settings.write(index as u16, [value].into_iter());
+                assert_eq!(refused, Err(RegisterError::Value), "{}", setting.name);
             }
         }
     }
@@ -310,10 +313,10 @@ mod tests {
     #[test]
     fn write_with_one_wrong_value_changes_nothing() {
         let mut settings = Settings::new(&Config::DEFAULT);
-        let refused = settings.write(0, Words::new(&[0, 9, 0, 9, 0, 9]));
-        assert_eq!(refused, Err(Exception::IllegalDataValue), "there is no reaction 9");
+        let refused = settings.write(0, [9; 3].into_iter());
+        assert_eq!(refused, Err(RegisterError::Value), "there is no reaction 9");
         assert_eq!(settings.register(0), Ok(1));
-        let past_the_end = settings.write(SETTINGS.len() as u16 - 1, Words::new(&[0, 9, 0, 9]));
-        assert_eq!(past_the_end, Err(Exception::IllegalDataAddress));
+        let past_the_end = settings.write(SETTINGS.len() as u16 - 1, [9; 2].into_iter());
+        assert_eq!(past_the_end, Err(RegisterError::Missing));
     }
 }

@@ -1,0 +1,98 @@
+//! PLC sides: whatever a PLC commands the bridge by, behind one contract.
+//!
+//! The wires are always there; beside them one bus at the most: [`Modbus`], or CANopen (`can::Node`). Which of the two counts is
+//! decided in `arbiter`. A new bus is a new module here that implements [`PlcSide`].
+
+mod debounce;
+mod modbus;
+mod view;
+pub(crate) mod wires;
+
+pub use modbus::{BusConfig, BusPort, Format, IDENTIFICATION, Modbus, ModbusLine};
+pub use view::View;
+
+pub(crate) use debounce::Debounce;
+pub(crate) use view::Facts;
+
+use crate::registers::Link;
+use wsg_protocol::Instant;
+use wsg_protocol::fieldbus::{InputImage, OutputImage};
+
+/// One way in which a PLC commands the bridge: it turns what the PLC sends into events, and gives it what it reads.
+///
+/// In each of its turns the bridge calls [`receive`](Self::receive) until nothing more has come, and
+/// [`show`](Self::show) once at the end. Neither may wait.
+///
+/// ```
+/// use wsg_bridge_fw::plc::{PlcEvent, PlcSide, Shown, View};
+/// use wsg_protocol::Instant;
+/// use wsg_protocol::fieldbus::OutputImage;
+///
+/// /// A PLC that writes its image into shared memory.
+/// struct SharedMemory {
+///     written: Option<OutputImage>,
+///     status: u16,
+/// }
+///
+/// impl PlcSide for SharedMemory {
+///     fn receive(&mut self, _: Instant, _: &mut View<'_>) -> Option<PlcEvent> {
+///         self.written.take().map(PlcEvent::Output)
+///     }
+///
+///     fn show(&mut self, _: Instant, shown: &Shown) {
+///         self.status = shown.image.status.code();
+///     }
+/// }
+/// ```
+pub trait PlcSide {
+    /// Events taken in one turn, at the most: a PLC that never falls silent must not keep the rest waiting.
+    const MAX_EVENTS_PER_TURN: usize = 4;
+
+    /// Returns the next event, or `None` when nothing more has come. What the PLC asks meanwhile is answered from `view`.
+    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent>;
+
+    /// Gives the PLC what it reads from now on.
+    fn show(&mut self, now: Instant, shown: &Shown);
+}
+
+/// What the PLC did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlcEvent {
+    /// It wrote the output image, complete and at once.
+    Output(OutputImage),
+    /// It changed settings.
+    Configured,
+    /// It asked for something that changes nothing.
+    Served,
+    /// It does not command any more.
+    Left {
+        /// Unexpectedly, because it fell silent; this is counted in BUS_TIMEOUTS.
+        silent: bool,
+    },
+}
+
+/// What a PLC reads at the end of a turn.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown {
+    /// The input image of the fieldbus manual.
+    pub image: InputImage,
+    /// Whether the gripper answers.
+    pub link: Link,
+    /// A motion has not answered yet, be it that it was stopped.
+    pub motion_is_open: bool,
+    /// A motion command would come to nothing: for that reason, because the fingers move, or because either side holds
+    /// STOP/ACK or FASTSTOP.
+    pub ignores_motions: bool,
+}
+
+/// No bus beside the wires.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoBus;
+
+impl PlcSide for NoBus {
+    fn receive(&mut self, _: Instant, _: &mut View<'_>) -> Option<PlcEvent> {
+        None
+    }
+
+    fn show(&mut self, _: Instant, _: &Shown) {}
+}

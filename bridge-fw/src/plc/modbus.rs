@@ -1,0 +1,226 @@
+//! Modbus RTU as a PLC side: requests in, output images out; the input image and the registers of the bridge in answers.
+
+mod config;
+mod port;
+
+pub use config::{BusConfig, Format};
+pub use port::BusPort;
+
+use super::{PlcEvent, PlcSide, Shown, View};
+use crate::bridge::Config;
+use crate::registers::{FIRST_REPORT, FIRST_SETTING, Link, RegisterError, Settings};
+use wsg_protocol::Instant;
+use wsg_protocol::modbus::rtu::{self, Character, Event, Mode, Server};
+use wsg_protocol::modbus::{Bits, Device, Exception, Identification, Images, Words};
+
+/// What the bridge calls itself (FC 43/14).
+pub const IDENTIFICATION: Identification = Identification {
+    vendor_name: "wsg-bridge",
+    product_code: env!("CARGO_PKG_NAME"),
+    revision: concat!("V", env!("CARGO_PKG_VERSION")),
+    regular: None,
+};
+
+/// What the line has brought.
+#[derive(Clone, Copy, Debug)]
+enum RxEvent {
+    /// A character, and the silence before it in microseconds.
+    Character(Character, u32),
+    /// No character for so long, in microseconds.
+    Silence(u32),
+}
+
+/// The server of a Modbus line. The line itself stays outside: [`over`](Self::over) brings both together for a turn.
+#[derive(Clone, Debug, Hash)]
+pub struct Modbus {
+    server: Server,
+    images: Images,
+    /// When a request for this unit came last; none once that is too long ago.
+    heard_at: Option<Instant>,
+}
+
+impl Modbus {
+    /// A server that begins as the configuration says.
+    #[must_use]
+    pub const fn new(config: &Config) -> Self {
+        let settings = Settings::new(config);
+        Self {
+            server: Server::new(server_config(&settings), config.bus.timing()),
+            images: Images::new(settings.swap_bytes()),
+            heard_at: None,
+        }
+    }
+
+    /// Returns what the server has counted so far (FC 8).
+    #[must_use]
+    pub const fn counters(&self) -> rtu::Counters {
+        self.server.counters()
+    }
+
+    /// Serves this line: a PLC side for one turn.
+    pub const fn over<'a, P: BusPort>(&'a mut self, port: &'a mut P) -> ModbusLine<'a, P> {
+        ModbusLine { modbus: self, port }
+    }
+
+    /// Serves a request that `event` completes. `None` if it completes none.
+    fn serve(
+        &mut self,
+        now: Instant,
+        event: RxEvent,
+        counters: rtu::Counters,
+        port: &mut impl BusPort,
+        view: &mut View<'_>,
+    ) -> Option<PlcEvent> {
+        let Self { server, images, .. } = self;
+        let mut device = BridgeDevice { images, view, counters, configured: false };
+        let served = match event {
+            RxEvent::Character(character, silence_us) => server.push(character, silence_us, &mut device),
+            RxEvent::Silence(silence_us) => server.silence(silence_us, &mut device),
+        };
+        let configured = device.configured;
+        match served {
+            Some(Event::Answer(answer)) => port.send(answer),
+            Some(Event::Served) => {}
+            Some(Event::Passed | Event::Damaged(_)) | None => return None,
+        }
+        self.heard_at = Some(now);
+        if configured {
+            self.server.configure(server_config(view.settings));
+            self.images.set_swap_bytes(view.settings.swap_bytes());
+            return Some(PlcEvent::Configured);
+        }
+        Some(self.images.take_written().map_or(PlcEvent::Served, PlcEvent::Output))
+    }
+
+    /// Whether the PLC has been silent for so long, in milliseconds; says so once.
+    fn has_fallen_silent(&mut self, now: Instant, timeout_ms: u32) -> bool {
+        let silent =
+            timeout_ms > 0 && self.heard_at.is_some_and(|heard_at| now.since(heard_at) >= timeout_ms);
+        if silent {
+            self.heard_at = None;
+        }
+        silent
+    }
+}
+
+/// What the settings say of the server.
+const fn server_config(settings: &Settings) -> rtu::Config {
+    let mode = match settings.patience_ms() {
+        0 => Mode::Strict,
+        ms => Mode::Tolerant { patience_us: ms as u32 * 1_000 },
+    };
+    rtu::Config { unit: settings.unit(), mode, broadcast: settings.broadcast() }
+}
+
+/// A [`Modbus`] server and its line.
+#[derive(Debug)]
+pub struct ModbusLine<'a, P> {
+    modbus: &'a mut Modbus,
+    port: &'a mut P,
+}
+
+impl<P: BusPort> ModbusLine<'_, P> {
+    /// What the line has brought; none when there is nothing to serve, which is nearly always.
+    fn listen(&mut self) -> Option<RxEvent> {
+        match self.port.receive() {
+            Some((character, silence_us)) => Some(RxEvent::Character(character, silence_us)),
+            None if self.modbus.server.is_idle() => None,
+            None => Some(RxEvent::Silence(self.port.silence_us())),
+        }
+    }
+}
+
+impl<P: BusPort> PlcSide for ModbusLine<'_, P> {
+    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+        if let Some(mut event) = self.listen() {
+            self.modbus.images.set_input(&view.image());
+            let counters = self.modbus.counters();
+            loop {
+                if let Some(event) = self.modbus.serve(now, event, counters, self.port, view) {
+                    return Some(event);
+                }
+                if matches!(event, RxEvent::Silence(_)) {
+                    break;
+                }
+                let Some(next) = self.listen() else { break };
+                event = next;
+            }
+        }
+        let is_silent = self.modbus.has_fallen_silent(now, view.settings.timeout_ms());
+        is_silent.then_some(PlcEvent::Left { silent: true })
+    }
+
+    /// Each request is answered with what is known at its time.
+    fn show(&mut self, _: Instant, _: &Shown) {}
+}
+
+/// The bridge as a device, for one request.
+struct BridgeDevice<'a, 'b> {
+    images: &'a mut Images,
+    view: &'a mut View<'b>,
+    counters: rtu::Counters,
+    configured: bool,
+}
+
+impl BridgeDevice<'_, '_> {
+    /// The input image is the gripper's: without one there is nothing to show.
+    fn gripper_answers(&self) -> Result<(), Exception> {
+        match self.view.link() {
+            Link::Never => Err(Exception::GatewayPathUnavailable),
+            Link::Silent => Err(Exception::GatewayTargetDeviceFailedToRespond),
+            Link::Up => Ok(()),
+        }
+    }
+}
+
+/// The exception that says so.
+const fn exception(error: RegisterError) -> Exception {
+    match error {
+        RegisterError::Missing => Exception::IllegalDataAddress,
+        RegisterError::Value => Exception::IllegalDataValue,
+        RegisterError::Moving => Exception::ServerDeviceBusy,
+    }
+}
+
+impl Device for BridgeDevice<'_, '_> {
+    fn coil(&self, address: u16) -> Result<bool, Exception> {
+        self.images.coil(address)
+    }
+
+    fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
+        let value = self.images.discrete_input(address)?;
+        self.gripper_answers().map(|()| value)
+    }
+
+    fn holding_register(&self, address: u16) -> Result<u16, Exception> {
+        match address.checked_sub(FIRST_SETTING) {
+            None => self.images.holding_register(address),
+            Some(index) => self.view.setting(index).map_err(exception),
+        }
+    }
+
+    fn input_register(&self, address: u16) -> Result<u16, Exception> {
+        if let Some(index) = address.checked_sub(FIRST_REPORT) {
+            return self.view.report(index, self.counters).map_err(exception);
+        }
+        let value = self.images.input_register(address)?;
+        self.gripper_answers().map(|()| value)
+    }
+
+    fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
+        self.images.write_coils(first, values)
+    }
+
+    fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
+        let Some(index) = first.checked_sub(FIRST_SETTING) else {
+            return self.images.write_registers(first, values);
+        };
+        self.view.write_settings(index, values.iter()).map_err(exception)?;
+        self.configured = true;
+        Ok(())
+    }
+
+    fn identification(&self) -> Identification {
+        IDENTIFICATION
+    }
+}

@@ -1,0 +1,134 @@
+//! What a PLC side may look at and change while it serves its PLC.
+
+use crate::MAX_REPLY_LEN;
+use crate::arbiter::{Arbiter, ControlSource};
+use crate::plc::BusConfig;
+use crate::registers::{CAN_REPORTS, Link, RegisterError, ReportSource, ResetCause, Settings};
+use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
+use wsg_protocol::modbus::rtu;
+use wsg_protocol::session::Session;
+use wsg_protocol::{FrameParser, Status};
+
+/// What the bridge knows besides what its parts know.
+#[derive(Clone, Debug, Hash)]
+pub(crate) struct Facts {
+    pub(crate) bus_config: BusConfig,
+    /// A gripper has answered since power-up.
+    pub(crate) was_connected: bool,
+    /// The way to the gripper is known to be gone, as a bus is after bus-off.
+    pub(crate) link_is_lost: bool,
+    /// How often a PLC on the bus was silent for too long.
+    pub(crate) bus_timeouts: u16,
+    /// The reports about CAN, in their order.
+    pub(crate) can: [u16; CAN_REPORTS],
+    pub(crate) reset_cause: ResetCause,
+}
+
+impl Facts {
+    /// Whether the gripper answers.
+    pub(crate) const fn link(&self, session: &Session) -> Link {
+        match (session.is_connected(), self.was_connected) {
+            (true, _) => Link::Up,
+            (false, true) => Link::Silent,
+            (false, false) => Link::Never,
+        }
+    }
+
+    /// The image that a PLC reads.
+    pub(crate) fn image(&self, controller: &Controller, session: &Session) -> InputImage {
+        let mut image = controller.input(session.known());
+        if self.link_is_lost {
+            image.state = GripperFlags::ERROR;
+            image.status = Status::IoError;
+        }
+        image
+    }
+}
+
+/// The bridge as a [`PlcSide`](super::PlcSide) sees it: the images, and the registers (`docs/registers.md`).
+#[derive(Debug)]
+pub struct View<'a> {
+    pub(crate) controller: &'a Controller,
+    pub(crate) session: &'a Session,
+    pub(crate) parser: &'a FrameParser<MAX_REPLY_LEN>,
+    pub(crate) arbiter: &'a Arbiter,
+    pub(crate) facts: &'a Facts,
+    pub(crate) settings: &'a mut Settings,
+}
+
+impl View<'_> {
+    /// Returns the input image as it is now.
+    #[must_use]
+    pub fn image(&self) -> InputImage {
+        self.facts.image(self.controller, self.session)
+    }
+
+    /// Returns whether the gripper answers.
+    #[must_use]
+    pub const fn link(&self) -> Link {
+        self.facts.link(self.session)
+    }
+
+    /// Returns whether the fingers move, or a motion is under way.
+    #[must_use]
+    pub fn is_moving(&self) -> bool {
+        self.controller.is_moving(self.session.known())
+    }
+
+    /// Returns the unit of the gripper's force registers.
+    #[must_use]
+    pub fn force_unit(&self) -> ForceUnit {
+        self.session.known().info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device))
+    }
+
+    /// Returns the setting at `index`, counted from the first.
+    ///
+    /// # Errors
+    /// [`RegisterError::Missing`].
+    pub fn setting(&self, index: u16) -> Result<u16, RegisterError> {
+        self.settings.register(index)
+    }
+
+    /// Writes consecutive settings from `first` on, all or none. Return [`PlcEvent::Configured`](super::PlcEvent) then.
+    ///
+    /// # Errors
+    /// [`RegisterError::Missing`], [`RegisterError::Value`]; [`RegisterError::Moving`] if they would be taken while the fingers
+    /// stand.
+    pub fn write_settings(
+        &mut self,
+        first: u16,
+        values: impl Iterator<Item = u16> + Clone,
+    ) -> Result<(), RegisterError> {
+        // What exists and what it takes is said before that it is not the time.
+        self.settings.check(first, values.clone())?;
+        if self.is_moving() {
+            return Err(RegisterError::Moving);
+        }
+        self.settings.write(first, values)
+    }
+
+    /// Returns the report at `index`, counted from the first. `bus`: the side's own counters.
+    ///
+    /// # Errors
+    /// [`RegisterError::Missing`].
+    pub fn report(&self, index: u16, bus: rtu::Counters) -> Result<u16, RegisterError> {
+        ReportSource {
+            config: &self.facts.bus_config,
+            session: self.session,
+            link: self.link(),
+            line: self.parser.counters(),
+            control_source: self.control_source(),
+            bus,
+            timeouts: self.facts.bus_timeouts,
+            can: &self.facts.can,
+            reset_cause: self.facts.reset_cause,
+        }
+        .register(index)
+    }
+
+    /// Returns whose motion command was the last.
+    #[must_use]
+    pub const fn control_source(&self) -> ControlSource {
+        self.arbiter.control_source()
+    }
+}

@@ -1,0 +1,38 @@
+//! The registers of the bridge itself: settings and reports, whatever bus carries them.
+//!
+//! The tables here are the only ones: the PLC sides serve them, `docs/registers.md` and the EDS file are made from them.
+
+mod recipe;
+mod reports;
+mod settings;
+
+pub use recipe::{RECIPE_COUNT, RECIPES, Recipe};
+pub use reports::{FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
+pub use settings::{FIRST_SETTING, SETTINGS, Setting};
+
+pub(crate) use reports::{CAN_REPORTS, ReportSource};
+pub(crate) use settings::Settings;
+
+/// Why a register was not read or written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum RegisterError {
+    /// One of the registers does not exist.
+    Missing,
+    /// One of the values is out of its register's range.
+    Value,
+    /// Settings do not change while the fingers move.
+    Moving,
+}
+
+impl core::fmt::Display for RegisterError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Missing => "there is no such register",
+            Self::Value => "the value is out of the register's range",
+            Self::Moving => "settings do not change while the fingers move",
+        })
+    }
+}
+
+impl core::error::Error for RegisterError {}
