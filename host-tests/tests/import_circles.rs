@@ -15,7 +15,6 @@ const KNOWN: &[&str] = &[
     "bridge, can, digital_io, modbus",
     "bus, gripper_link, node",
     "can, serial, slcan",
-    "device, fieldbus, gcl, modbus, motion, port",
     "device, identification, pdu",
 ];
 
