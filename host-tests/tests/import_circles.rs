@@ -14,7 +14,6 @@ const KNOWN: &[&str] = &[
     "answer, form, mistake, name, number, parameters, request, scanner, signal, text, value, writer",
     "bridge, can, digital_io, modbus",
     "bus, gripper_link, node",
-    "can, serial, slcan",
     "device, identification, pdu",
 ];
 
