@@ -4,6 +4,7 @@ use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::{CanBench, Double};
+use host_tests::document::hold_file;
 use host_tests::serial_gripper::SerialGripper;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::Bridge;
@@ -726,15 +727,7 @@ fn gripper_and_node_share_a_bus_by_default_and_some_identifiers_are_told_to_coll
 
 #[test]
 fn eds_file_is_that_of_the_tables() {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/wsg-bridge.eds");
     let mut made = String::new();
     write_eds(&mut made, &NODE).unwrap();
-    if std::env::var_os("WSG_UPDATE_DOCS").is_some_and(|value| value == "1") {
-        std::fs::write(&path, &made).unwrap();
-    }
-    let kept = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(
-        kept == made,
-        "docs/wsg-bridge.eds: write it anew with WSG_UPDATE_DOCS=1 cargo test -p wsg-bridge-fw --test canopen"
-    );
+    hold_file("docs/wsg-bridge.eds", &made);
 }

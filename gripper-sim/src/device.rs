@@ -1,168 +1,140 @@
-//! The gripper without its connections: settings, states, flags, and what they are made of.
+//! The gripper without its clients: motions, sensor fingers, temperature and faults as one device.
 //!
-//! How motions start and end is in [`motion`](crate::motion), what the commands do in [`commands`](crate::commands).
+//! How motions start and end is in [`motion`](crate::motion), what the commands do in [`commands`].
 
-use crate::axis::{Axis, Direction, Part};
+mod commands;
+
+use crate::axis::Part;
 use crate::config::{Config, Tag};
 use crate::faults::Fault;
 use crate::finger::{FingerPort, Jaw};
-use crate::model::Parameters;
-use crate::motion::Motion;
-use crate::port::PortId;
+use crate::motion::{GripOrder, MotionControl};
+use crate::port::{Completion, PortId, Request};
 use crate::thermal::Thermal;
-use crate::time::Time;
+use crate::time::{Time, earlier};
 use crate::updates::Readings;
-use wsg_protocol::{CommandId, GripperState, GrippingStatistics, SoftLimits, Status, SystemFlags};
+use wsg_protocol::{
+    CommandId, GripperState, GrippingStatistics, Kind, Status, SystemFlags, SystemLimits, Temperature,
+};
 
-/// Microseconds from one step of the axis to the next.
-const STEP_MICROS: u64 = 1_000;
-/// The longest stretch of travel, in seconds, that is calculated at one go.
-const LONGEST_STRETCH_S: f64 = 0.001;
-/// How close in mm a width must be to a soft limit to count as at it.
-const AT_LIMIT: f64 = 1e-6;
 /// Time from switching a finger's supply on to its being ready (command set, 3.6.3).
 const FINGER_START_UP_MS: u64 = 500;
 /// How many fingers may be starting up at a time.
 const MAX_STARTING_FINGERS: usize = 8;
 
-/// The second answer to a command.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Completion {
-    pub(crate) port: PortId,
-    pub(crate) id: CommandId,
-    pub(crate) status: Status,
-}
-
-/// The gripper without its connections.
+/// The gripper without its clients.
 #[derive(Clone, Debug)]
 pub(crate) struct Device {
-    pub(crate) config: Config,
-    pub(crate) parameters: &'static Parameters,
-    pub(crate) axis: Axis,
-    /// How much wider the fingers really are than the gripper believes, in mm: 0 unless something other than an end
-    /// stop ended the last homing.
-    pub(crate) origin: f64,
-    pub(crate) referenced: bool,
-    pub(crate) state: GripperState,
-    pub(crate) motion: Option<Motion>,
-    /// Where the last grip went, as long as its outcome stands.
-    pub(crate) grip_direction: Option<Direction>,
-    pub(crate) acceleration: f32,
-    pub(crate) force_limit: f32,
-    pub(crate) overdrive: bool,
-    pub(crate) soft_limits: Option<SoftLimits>,
-    pub(crate) statistics: GrippingStatistics,
-    pub(crate) tag: Tag,
-    pub(crate) fingers: [FingerPort; 2],
-    pub(crate) thermal: Thermal,
-    pub(crate) fast_stop_latched: bool,
-    pub(crate) axis_stopped: bool,
-    pub(crate) target_reached: bool,
-    pub(crate) command_failure: bool,
-    supply_fault: bool,
-    motor_fault: bool,
-    /// The motion that ended last, to be answered.
-    pub(crate) ended_motion: Option<Completion>,
+    config: Config,
+    motion: MotionControl,
+    fingers: [FingerPort; 2],
     starting_fingers: heapless::Deque<(Time, PortId, CommandId), MAX_STARTING_FINGERS>,
     /// The data frame of a finger that is being answered with.
-    pub(crate) finger_data: [u8; 4],
-    /// Stretches of travel in one step, and the seconds of travel in each.
-    stretches: u32,
-    stretch_s: f64,
+    finger_data: [u8; 4],
+    thermal: Thermal,
+    supply_fault: bool,
+    motor_fault: bool,
+    command_failure: bool,
+    tag: Tag,
 }
 
 impl Device {
     pub(crate) fn new(config: Config) -> Self {
-        let parameters = config.model.parameters();
-        let scale =
-            f64::from(config.time_scale).clamp(Config::MIN_TIME_SCALE.into(), Config::MAX_TIME_SCALE.into());
-        let step_s = STEP_MICROS as f64 / 1e6 * scale;
-        let whole = (step_s / LONGEST_STRETCH_S) as u32;
-        let stretches = if step_s > f64::from(whole) * LONGEST_STRETCH_S { whole + 1 } else { whole };
-        let limits = &parameters.limits;
         Self {
-            axis: Axis::new(limits.stroke.into(), limits.max_speed.into(), config.part),
-            origin: 0.0,
-            referenced: false,
-            state: GripperState::Idle,
-            motion: None,
-            grip_direction: None,
-            acceleration: parameters.default_acceleration,
-            force_limit: parameters.default_force,
-            overdrive: false,
-            soft_limits: None,
-            statistics: GrippingStatistics::default(),
-            tag: config.tag,
+            motion: MotionControl::new(&config),
             fingers: config.fingers.map(FingerPort::new),
-            thermal: Thermal::new(),
-            fast_stop_latched: false,
-            axis_stopped: false,
-            target_reached: false,
-            command_failure: false,
-            supply_fault: false,
-            motor_fault: false,
-            ended_motion: None,
             starting_fingers: heapless::Deque::new(),
             finger_data: [0; 4],
-            stretches,
-            stretch_s: step_s / f64::from(stretches),
-            config: Config { time_scale: scale as f32, ..config },
-            parameters,
+            thermal: Thermal::new(),
+            supply_fault: false,
+            motor_fault: false,
+            command_failure: false,
+            tag: config.tag,
+            config,
         }
     }
 
-    /// The opening width that the gripper believes in, in mm.
-    pub(crate) fn width(&self) -> f64 {
-        self.axis.width() - self.origin
+    /// What was settled before switching on. The tag may have changed since: see [`tag`](Self::tag).
+    pub(crate) const fn config(&self) -> &Config {
+        &self.config
+    }
+
+    pub(crate) const fn limits(&self) -> &'static SystemLimits {
+        &self.config.model.parameters().limits
+    }
+
+    pub(crate) const fn tag(&self) -> &Tag {
+        &self.tag
+    }
+
+    pub(crate) const fn state(&self) -> GripperState {
+        self.motion.state()
+    }
+
+    /// The opening width as it really is, in mm.
+    pub(crate) const fn real_width(&self) -> f64 {
+        self.motion.real_width()
     }
 
     /// What Get Opening Width answers, in mm: 0 while the fingers are not referenced (command set, 3.4.4).
     pub(crate) fn reported_width(&self) -> f32 {
-        if self.referenced { self.width() as f32 } else { 0.0 }
+        if self.motion.is_referenced() { self.motion.width() as f32 } else { 0.0 }
+    }
+
+    /// The change of the opening width in mm/s.
+    pub(crate) const fn speed(&self) -> f64 {
+        self.motion.speed()
+    }
+
+    /// The force on the fingers as it really is, in N, summed over both.
+    pub(crate) fn real_force(&self) -> f64 {
+        self.motion.force()
     }
 
     /// What Get Force answers, in N: as the force sensors see it, if there are any.
     pub(crate) fn reported_force(&self) -> f32 {
-        let per_jaw = self.axis.force() / 2.0;
+        let per_jaw = self.force_per_jaw();
         let seen = |finger: &FingerPort| {
             if finger.measures_force() { finger.measured(per_jaw) } else { per_jaw }
         };
         self.fingers.iter().map(seen).sum::<f64>() as f32
     }
 
-    /// Whether a fault lasts that no acknowledgement can overcome.
-    pub(crate) fn has_lasting_fault(&self) -> bool {
-        self.supply_fault || self.motor_fault || self.thermal.has_fault()
+    /// The force limit that is set, in N, summed over both fingers.
+    pub(crate) const fn force_limit(&self) -> f32 {
+        self.motion.settings().force_limit()
     }
 
-    /// Whether a force sensor controls the force now.
-    pub(crate) fn controls_force(&self) -> bool {
-        self.state == GripperState::Holding && self.fingers.iter().any(FingerPort::measures_force)
+    /// The force in N that comes nearest to `force` among those that may be set now.
+    pub(crate) const fn possible_force(&self, force: f32) -> f32 {
+        self.motion.settings().possible_force(force)
+    }
+
+    pub(crate) fn temperature(&self) -> Temperature {
+        self.thermal.reading()
+    }
+
+    pub(crate) const fn statistics(&self) -> GrippingStatistics {
+        self.motion.statistics()
+    }
+
+    pub(crate) const fn part(&self) -> Option<Part> {
+        self.motion.part()
+    }
+
+    pub(crate) const fn finger(&self, jaw: Jaw) -> &FingerPort {
+        let [one, two] = &self.fingers;
+        match jaw {
+            Jaw::One => one,
+            Jaw::Two => two,
+        }
     }
 
     /// The system state flags (command set, appendix B).
     pub(crate) fn flags(&self) -> SystemFlags {
-        let blocked = self.axis.block().map(|block| block.direction);
-        let (below, above) = match self.soft_limits {
-            Some(limits) if self.referenced => (
-                self.width() <= f64::from(limits.minus) + AT_LIMIT,
-                self.width() >= f64::from(limits.plus) - AT_LIMIT,
-            ),
-            _ => (false, false),
-        };
-        let mut flags = SystemFlags::empty();
+        let mut flags = self.motion.flags();
         for (flag, is_set) in [
-            (SystemFlags::REFERENCED, self.referenced),
-            (SystemFlags::MOVING, self.axis.is_moving()),
-            (SystemFlags::BLOCKED_MINUS, blocked == Some(Direction::Minus)),
-            (SystemFlags::BLOCKED_PLUS, blocked == Some(Direction::Plus)),
-            (SystemFlags::SOFT_LIMIT_MINUS, below),
-            (SystemFlags::SOFT_LIMIT_PLUS, above),
-            (SystemFlags::AXIS_STOPPED, self.axis_stopped),
-            (SystemFlags::TARGET_POS_REACHED, self.target_reached),
-            (SystemFlags::OVERDRIVE_MODE, self.overdrive),
             (SystemFlags::FORCECNTL_MODE, self.controls_force()),
-            (SystemFlags::FAST_STOP, self.fast_stop_latched),
             (SystemFlags::TEMP_WARNING, self.thermal.has_warning()),
             (SystemFlags::TEMP_FAULT, self.thermal.has_fault()),
             (SystemFlags::POWER_FAULT, self.supply_fault),
@@ -179,54 +151,65 @@ impl Device {
     pub(crate) fn readings(&self) -> Readings {
         Readings {
             flags: self.flags(),
-            state: self.state,
+            state: self.state(),
             width: self.reported_width(),
-            speed: self.axis.speed() as f32,
+            speed: self.speed() as f32,
             force: self.reported_force(),
-            referenced: self.referenced,
-            temperature: self.thermal.reading(),
+            referenced: self.motion.is_referenced(),
+            temperature: self.temperature(),
         }
     }
 
-    pub(crate) fn finger(&mut self, jaw: Jaw) -> &mut FingerPort {
-        let [one, two] = &mut self.fingers;
-        match jaw {
-            Jaw::One => one,
-            Jaw::Two => two,
+    /// Keeps SF_CMD_FAILURE: a query that succeeds does not hide what went wrong before it.
+    pub(crate) fn note_result(&mut self, kind: Kind, status: Status) {
+        let failed = !matches!(status, Status::Success | Status::CmdPending);
+        if failed || kind != Kind::Query {
+            self.command_failure = failed;
         }
     }
 
-    /// The force on each jaw in N.
-    pub(crate) fn force_per_jaw(&self) -> f64 {
-        self.axis.force() / 2.0
+    /// GRIP of the text protocol.
+    pub(crate) fn grip_by(&mut self, request: Request, order: GripOrder) -> Status {
+        self.motion.start_grip_by(request, order)
+    }
+
+    /// RELEASE of the text protocol.
+    pub(crate) fn release_by(&mut self, request: Request, distance: f32, speed: f32) -> Status {
+        self.motion.start_release_by(request, distance, speed)
+    }
+
+    /// Ends a running motion and nothing else.
+    pub(crate) fn abort_motion(&mut self) {
+        self.motion.abort();
+    }
+
+    /// FAST STOP, or what a fault causes: a motion that it ends is answered with E_CMD_ABORTED.
+    pub(crate) fn fast_stop(&mut self) {
+        self.motion.fast_stop(Status::CmdAborted);
     }
 
     /// The part comes or goes.
     pub(crate) fn set_part(&mut self, part: Option<Part>) {
-        self.axis.set_part(part);
-        self.watch_part();
+        self.motion.set_part(part);
     }
 
     pub(crate) fn set_fault(&mut self, fault: Fault, on: bool) {
         match fault {
-            Fault::AxisBlocked => self.axis.set_jammed(on),
+            Fault::AxisBlocked => self.motion.set_jammed(on),
             Fault::OverTemperature => self.thermal.inject_over_temperature(on),
             Fault::SupplyOutOfRange => self.supply_fault = on,
             Fault::MotorCurrent => self.motor_fault = on,
-            Fault::FingerShortCircuit(jaw) => self.finger(jaw).set_short_circuit(on),
-            Fault::FingerCommunication(jaw) => self.finger(jaw).set_communication_fault(on),
+            Fault::FingerShortCircuit(jaw) => self.finger_mut(jaw).set_short_circuit(on),
+            Fault::FingerCommunication(jaw) => self.finger_mut(jaw).set_communication_fault(on),
         }
-        self.watch_part();
         self.stop_on_lasting_fault();
     }
 
     /// When something happens by itself, and whether a caller must be awake for it.
     pub(crate) fn next_event(&self, now: Time) -> NextEvent {
-        let step = self.needs_step().then(|| now.next_on_grid(STEP_MICROS));
-        let deadline = self.motion.map(|motion| motion.deadline);
         let finger = self.starting_fingers.front().map(|(at, ..)| *at);
         let thermal = self.thermal.next_step(now);
-        let awake = [step, deadline, finger].into_iter().flatten().min();
+        let awake = earlier(self.motion.next_due(now), finger);
         if self.thermal.may_cross_a_limit() {
             NextEvent { any: earlier(awake, thermal), awake: earlier(awake, thermal) }
         } else {
@@ -234,19 +217,9 @@ impl Device {
         }
     }
 
-    /// Whether a step of the axis changes anything; a motion to where the fingers are ends in one step.
-    fn needs_step(&self) -> bool {
-        self.axis.is_active() || (self.motion.is_some() && self.axis.has_arrived())
-    }
-
-    /// Lets happen what is due at `now`; `before` is the moment up to which everything has happened.
+    /// Processes what is due at `now`; `before` is the time up to which everything has happened.
     pub(crate) fn run_due(&mut self, before: Time, now: Time) {
-        if self.needs_step() && before.next_on_grid(STEP_MICROS) <= now {
-            self.step_axis();
-        }
-        if self.motion.is_some_and(|motion| motion.deadline <= now) {
-            self.time_out();
-        }
+        self.motion.run_due(before, now);
         self.note_load();
         if self.thermal.next_step(before).is_some_and(|at| at <= now) {
             self.thermal.step();
@@ -256,7 +229,7 @@ impl Device {
 
     /// The next second answer that is due at `now`. It counts as the last command's result.
     pub(crate) fn take_completion(&mut self, now: Time) -> Option<Completion> {
-        let completion = match self.ended_motion.take() {
+        let completion = match self.motion.take_completion() {
             Some(completion) => completion,
             None => {
                 let (at, port, id) = *self.starting_fingers.front()?;
@@ -271,38 +244,39 @@ impl Device {
         Some(completion)
     }
 
-    /// Whether there is room to remember one more finger that starts up.
-    pub(crate) fn may_start_finger(&self) -> bool {
-        !self.starting_fingers.is_full()
+    /// Tells the thermal model what the drive does.
+    pub(crate) fn note_load(&mut self) {
+        let relative = self.motion.force() / f64::from(self.limits().nominal_force);
+        self.thermal.load(relative, self.motion.is_moving());
     }
 
-    /// Remembers that a finger starts up, to be answered when it is ready. Ask
-    /// [`may_start_finger`](Self::may_start_finger) before.
-    pub(crate) fn answer_when_started(&mut self, port: PortId, id: CommandId, now: Time) {
-        // Refused only when full.
-        let _ = self.starting_fingers.push_back((now.plus_millis(FINGER_START_UP_MS), port, id));
-    }
-
-    fn step_axis(&mut self) {
-        for _ in 0..self.stretches {
-            let before = self.width();
-            self.axis.step(self.stretch_s);
-            self.follow_motion(before);
-            if !self.axis.is_active() {
-                break;
-            }
+    const fn finger_mut(&mut self, jaw: Jaw) -> &mut FingerPort {
+        let [one, two] = &mut self.fingers;
+        match jaw {
+            Jaw::One => one,
+            Jaw::Two => two,
         }
     }
 
-    /// Tells the thermal model what the drive does.
-    pub(crate) fn note_load(&mut self) {
-        let relative = self.axis.force() / f64::from(self.parameters.limits.nominal_force);
-        self.thermal.load(relative, self.axis.is_moving());
+    /// The force on each jaw in N.
+    fn force_per_jaw(&self) -> f64 {
+        self.motion.force() / 2.0
     }
 
+    /// Whether a force sensor controls the force now.
+    fn controls_force(&self) -> bool {
+        self.state() == GripperState::Holding && self.fingers.iter().any(FingerPort::measures_force)
+    }
+
+    /// Whether a fault lasts that no acknowledgement can overcome.
+    fn has_lasting_fault(&self) -> bool {
+        self.supply_fault || self.motor_fault || self.thermal.has_fault()
+    }
+
+    /// Keeps FAST STOP latched as long as a fault lasts, so that motions need to ask for nothing else.
     fn stop_on_lasting_fault(&mut self) {
-        if self.has_lasting_fault() && !self.fast_stop_latched {
-            self.fast_stop(Status::CmdAborted);
+        if self.has_lasting_fault() && !self.motion.is_fast_stopped() {
+            self.fast_stop();
         }
     }
 }
@@ -314,12 +288,4 @@ pub(crate) struct NextEvent {
     pub(crate) any: Option<Time>,
     /// Something that may show on a line.
     pub(crate) awake: Option<Time>,
-}
-
-/// The earlier of two moments, where there are any.
-pub(crate) fn earlier(one: Option<Time>, other: Option<Time>) -> Option<Time> {
-    match (one, other) {
-        (Some(one), Some(other)) => Some(one.min(other)),
-        (moment, None) | (None, moment) => moment,
-    }
 }

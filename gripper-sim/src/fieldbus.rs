@@ -5,9 +5,8 @@
 //! device at once, and what it is told is true at that moment. What was decided where the manual is silent stands in
 //! `docs/decisions.md`.
 
-use crate::device::{Completion, Device};
-use crate::motion::Request;
-use crate::port::PortId;
+use crate::device::Device;
+use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
 use wsg_protocol::fieldbus::{Controller, SilenceReaction};
 use wsg_protocol::modbus::{self, Bits, Exception, Identification, Images, MAX_PDU_LEN, Words};
@@ -38,7 +37,7 @@ impl Fieldbus {
         let mut controller = Controller::new();
         // There is no line between the two that could be cut.
         controller.handle(&Notice::Connected, &known(device));
-        let images = Images::new(device.config.modbus_swap_bytes);
+        let images = Images::new(device.config().modbus_swap_bytes);
         Self { images, controller, writer: None, in_use: false }
     }
 
@@ -83,7 +82,7 @@ impl Fieldbus {
         if !self.in_use {
             return false;
         }
-        let (flags, state) = (device.flags(), device.state);
+        let (flags, state) = (device.flags(), device.state());
         let known_now = known(device);
         self.controller.handle(&Notice::Reported(Value::GetSystemState(flags)), &known_now);
         self.controller.handle(&Notice::Reported(Value::GetGripperState(state)), &known_now);
@@ -108,9 +107,9 @@ impl Fieldbus {
 fn known(device: &Device) -> Known {
     Known {
         info: Some(device.info()),
-        limits: Some(device.parameters.limits),
+        limits: Some(*device.limits()),
         flags: Some(device.flags()),
-        state: Some(device.state),
+        state: Some(device.state()),
         width: Some(device.reported_width()),
         force: Some(device.reported_force()),
     }

@@ -1,19 +1,14 @@
 //! The virtual gripper: the device, its clients, and the order in which things happen.
 
 use crate::axis::Part;
-use crate::commands;
+use crate::client::Client;
 use crate::config::Config;
-use crate::device::{Device, earlier};
+use crate::device::{Device, NextEvent};
 use crate::faults::Fault;
 use crate::fieldbus::Fieldbus;
-use crate::gcl;
-use crate::modbus;
-use crate::motion::Request;
-use crate::port::{FrameBuffer, Framed, Port, PortCounters, PortId, PortKind};
-use crate::time::Time;
-use wsg_protocol::{
-    CommandId, Event, GripperState, GrippingStatistics, Reply, Status, SystemFlags, Temperature,
-};
+use crate::port::{FrameBuffer, PortCounters, PortId, PortKind};
+use crate::time::{Time, earlier};
+use wsg_protocol::{GripperState, GrippingStatistics, SystemFlags, Temperature};
 
 /// A gripper that up to `PORTS` clients talk to.
 ///
@@ -47,7 +42,7 @@ use wsg_protocol::{
 pub struct VirtualGripper<const PORTS: usize = DEFAULT_PORTS> {
     device: Device,
     fieldbus: Fieldbus,
-    ports: [Option<Port>; PORTS],
+    clients: [Option<Client>; PORTS],
     connections: u32,
     now: Time,
 }
@@ -95,15 +90,15 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     pub fn with_ports(config: Config) -> Self {
         let device = Device::new(config);
         let fieldbus = Fieldbus::new(&device);
-        Self { device, fieldbus, ports: [const { None }; PORTS], connections: 0, now: Time::ZERO }
+        Self { device, fieldbus, clients: [const { None }; PORTS], connections: 0, now: Time::ZERO }
     }
 
     /// Takes a client; `None` when there are as many as it can have.
     pub fn connect(&mut self, kind: PortKind) -> Option<PortId> {
-        let index = self.ports.iter().position(Option::is_none)?;
+        let index = self.clients.iter().position(Option::is_none)?;
         self.connections = self.connections.wrapping_add(1);
         let id = PortId { index: index as u16, generation: self.connections };
-        *self.ports.get_mut(index)? = Some(Port::new(id, kind, &self.device.config));
+        *self.clients.get_mut(index)? = Some(Client::new(id, kind, self.device.config()));
         Some(id)
     }
 
@@ -111,13 +106,13 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// unless that is configured off.
     pub fn disconnect(&mut self, id: PortId, now: Time) {
         self.advance(now);
-        let Some(port) = self.port_mut(id) else { return };
-        let is_error = port.is_missed();
-        if let Some(slot) = self.ports.get_mut(usize::from(id.index)) {
+        let Some(client) = self.client(id) else { return };
+        let is_error = client.is_missed();
+        if let Some(slot) = self.clients.get_mut(usize::from(id.index)) {
             *slot = None;
         }
-        if is_error && self.device.config.disconnect_error {
-            self.device.fast_stop(Status::CmdAborted);
+        if is_error && self.device.config().disconnect_error {
+            self.device.fast_stop();
         }
         self.fieldbus.leave(&self.device, id);
         self.settle();
@@ -133,70 +128,47 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             // Silence: the time that half a frame is waited for goes on.
             return;
         }
-        let request = Request { port: id, now: self.now };
         let mut rest = bytes;
         loop {
-            let Self { device, fieldbus, ports, .. } = self;
-            let (taken, happened) = match port_in(ports, id) {
-                Some(Port::Frames(Framed { deframer, line })) => {
-                    let (taken, event) = deframer.push_slice(rest);
-                    (taken, event.map(|event| take_event(device, line, request, event)))
-                }
-                Some(Port::Lines(gcl::Client { reader, line })) => {
-                    let (taken, event) = reader.push_slice(rest);
-                    (taken, event.map(|event| gcl::hear(device, line, request, event)))
-                }
-                Some(Port::Registers(modbus::Client { receiver, line })) => {
-                    let (taken, event) = receiver.push_slice(rest);
-                    (taken, event.map(|event| modbus::hear(device, fieldbus, line, event)))
-                }
-                None => return,
-            };
+            let Self { device, fieldbus, clients, now, .. } = self;
+            let Some(client) = client_in(clients, id) else { return };
+            let (taken, happened) = client.receive(device, fieldbus, *now, rest);
             rest = rest.get(taken..).unwrap_or(&[]);
-            match happened {
-                Some(()) => self.settle(),
-                None if rest.is_empty() => break,
-                None => {}
+            if happened {
+                self.settle();
+            } else if rest.is_empty() {
+                break;
             }
         }
-        let Self { device, ports, .. } = self;
-        match port_in(ports, id) {
-            Some(Port::Frames(Framed { deframer, line })) => {
-                deframer.pause(request.now, line.kind.is_datagram());
-                self.expire_half_frames();
-            }
-            Some(Port::Lines(gcl::Client { reader, line })) if line.kind.is_datagram() => {
-                if let Some(event) = reader.finish() {
-                    gcl::hear(device, line, request, event);
-                    self.settle();
-                }
-            }
-            Some(Port::Lines(_) | Port::Registers(_)) | None => {}
+        let Self { device, clients, now, .. } = self;
+        if client_in(clients, id).is_some_and(|client| client.pause(device, *now)) {
+            self.settle();
         }
+        self.expire_half_frames();
     }
 
     /// The next frame for the client, whole; `None` when there is none at this time.
     pub fn transmit<'a>(&mut self, id: PortId, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        self.port_mut(id)?.next_frame(buffer)
+        client_in(&mut self.clients, id)?.next_frame(buffer)
     }
 
     /// Whether [`transmit`](Self::transmit) has a frame for the client.
     #[must_use]
     pub fn has_frame(&self, id: PortId) -> bool {
-        self.port(id).is_some_and(|port| port.has_frame())
+        self.client(id).is_some_and(Client::has_frame)
     }
 
     /// Whether nothing more can be understood of what the client sends: its connection is to be closed once it has
     /// been sent what there is. Only Modbus/TCP has no way back.
     #[must_use]
     pub fn is_lost(&self, id: PortId) -> bool {
-        self.port(id).is_some_and(Port::is_lost)
+        self.client(id).is_some_and(Client::is_lost)
     }
 
     /// What went wrong on the client's line; `None` when it is gone.
     #[must_use]
     pub fn counters(&self, id: PortId) -> Option<PortCounters> {
-        self.port(id).map(Port::counters)
+        self.client(id).map(Client::counters)
     }
 
     /// Lets everything happen that is due up to `now`, each at its own time.
@@ -244,28 +216,28 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     pub fn state(&self) -> State {
         let device = &self.device;
         State {
-            width: device.axis.width() as f32,
+            width: device.real_width() as f32,
             reported_width: device.reported_width(),
-            speed: device.axis.speed() as f32,
-            force: device.axis.force() as f32,
-            force_limit: device.force_limit,
-            gripper: device.state,
+            speed: device.speed() as f32,
+            force: device.real_force() as f32,
+            force_limit: device.force_limit(),
+            gripper: device.state(),
             flags: device.flags(),
-            temperature: device.thermal.reading(),
-            statistics: device.statistics,
-            part: device.axis.part(),
+            temperature: device.temperature(),
+            statistics: device.statistics(),
+            part: device.part(),
         }
     }
 
     /// Sends what the last event led to: second answers, then updates.
     fn settle(&mut self) {
-        let Self { device, fieldbus, ports, now, .. } = self;
+        let Self { device, fieldbus, clients, now, .. } = self;
         loop {
             while let Some(done) = device.take_completion(*now) {
                 if done.port == PortId::FIELDBUS {
                     fieldbus.complete(device, done);
-                } else if let Some(port) = port_in(ports, done.port) {
-                    port.complete(done);
+                } else if let Some(client) = client_in(clients, done.port) {
+                    client.complete(done);
                 }
             }
             // A motion that the controller ends has an answer, too. It asks for a bounded number of commands at a time:
@@ -276,54 +248,36 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
         device.note_load();
         let readings = device.readings();
-        for port in ports.iter_mut().flatten() {
-            port.publish(*now, &readings);
+        for client in clients.iter_mut().flatten() {
+            client.publish(*now, &readings);
         }
     }
 
     /// Ends the wait for half frames whose time is over. What they held may hold whole frames.
     fn expire_half_frames(&mut self) {
-        let now = self.now;
         for index in 0..PORTS {
-            let Some(Some(port)) = self.ports.get_mut(index) else { continue };
-            let id = port.id();
             loop {
-                let Self { device, ports, .. } = self;
-                let Some(Port::Frames(Framed { deframer, line })) = port_in(ports, id) else { break };
-                match deframer.expire(now) {
-                    Some(event) => take_event(device, line, Request { port: id, now }, event),
-                    None => break,
+                let Self { device, clients, now, .. } = self;
+                let Some(Some(client)) = clients.get_mut(index) else { break };
+                if !client.expire(device, *now) {
+                    break;
                 }
                 self.settle();
             }
         }
     }
 
-    fn next_event(&self, pick: impl FnOnce(crate::device::NextEvent) -> Option<Time>) -> Option<Time> {
+    fn next_event(&self, pick: impl FnOnce(NextEvent) -> Option<Time>) -> Option<Time> {
         let device = pick(self.device.next_event(self.now));
-        let ports = self.ports.iter().flatten().filter_map(|port| port.next_due(self.now)).min();
-        earlier(device, ports)
+        let clients = self.clients.iter().flatten().filter_map(|client| client.next_due(self.now)).min();
+        earlier(device, clients)
     }
 
-    fn port(&self, id: PortId) -> Option<&Port> {
-        self.ports.get(usize::from(id.index))?.as_ref().filter(|port| port.id() == id)
-    }
-
-    fn port_mut(&mut self, id: PortId) -> Option<&mut Port> {
-        port_in(&mut self.ports, id)
+    fn client(&self, id: PortId) -> Option<&Client> {
+        self.clients.get(usize::from(id.index))?.as_ref().filter(|client| client.id() == id)
     }
 }
 
-fn port_in(ports: &mut [Option<Port>], id: PortId) -> Option<&mut Port> {
-    ports.get_mut(usize::from(id.index))?.as_mut().filter(|port| port.id() == id)
-}
-
-fn take_event(device: &mut Device, line: &mut crate::port::Line, request: Request, event: Event<'_>) {
-    match event {
-        Event::Frame(frame) => commands::answer(device, line, request, &frame),
-        Event::BadChecksum { id, .. } if device.config.answer_bad_checksum => {
-            line.reply(Reply::status_only(CommandId::from_code(id), Status::ChecksumError));
-        }
-        Event::BadChecksum { .. } | Event::Oversize { .. } => {}
-    }
+fn client_in(clients: &mut [Option<Client>], id: PortId) -> Option<&mut Client> {
+    clients.get_mut(usize::from(id.index))?.as_mut().filter(|client| client.id() == id)
 }

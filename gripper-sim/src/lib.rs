@@ -9,12 +9,17 @@
 //! | `model` | what is known about the models |
 //! | `config` | what can be set on the real one's web interface |
 //! | `axis`, `thermal`, `finger` | the physics |
-//! | `device`, `motion`, `commands` | the manual: states and flags; motions; commands |
-//! | `updates`, `port`, `deframer` | the manual's rules for connections, and what clients make of them |
+//! | `port` | what the device and its clients share |
+//! | `settings`, `motion` | the manual: what clients set for motions; how motions start and end |
+//! | `device` | the manual: states, flags and commands |
+//! | `updates`, `deframer`, `binary` | the binary protocol: its connections, and what clients make of the manual's rules |
 //! | `gcl` | the text protocol: its connections and requests |
 //! | `fieldbus`, `modbus` | the registers and their rules; Modbus/TCP, which carries them |
+//! | `client` | a client, whatever it speaks |
 //! | `gripper` | the contract with the caller |
 //! | `server` | TCP, UDP, serial lines (feature `std`) |
+//!
+//! No two of them import each other, directly or by way of others.
 //!
 //! It is a model, not a copy: the fingers stop dead on Stop, FAST STOP and contact, a part is an ideal spring, and the
 //! force is exact. What was decided where the manual is silent stands in `docs/models.md`.
@@ -22,7 +27,8 @@
 #![forbid(unsafe_code)]
 
 mod axis;
-mod commands;
+mod binary;
+mod client;
 mod config;
 mod deframer;
 mod device;
@@ -37,6 +43,7 @@ mod motion;
 mod port;
 #[cfg(feature = "std")]
 pub mod server;
+mod settings;
 mod thermal;
 mod time;
 mod updates;

@@ -17,16 +17,16 @@ const _: () = assert!(tcp::MAX_FRAME_LEN <= MAX_FRAME_LEN);
 /// A client.
 #[derive(Clone, Debug)]
 pub(crate) struct Client {
-    pub(crate) receiver: Receiver,
-    pub(crate) line: Line,
+    receiver: Receiver,
+    line: Line,
 }
 
 /// All of a client but what finds its frames.
 #[derive(Clone, Debug)]
-pub(crate) struct Line {
-    pub(crate) id: PortId,
+struct Line {
+    id: PortId,
     /// The way to the next frame is lost: what waits is sent, and the connection is closed.
-    pub(crate) lost: bool,
+    lost: bool,
     queue: Deque<u8, QUEUE_LEN>,
     /// Bytes of frames of other protocols.
     dropped: u16,
@@ -39,6 +39,15 @@ impl Client {
         Self { receiver: Receiver::new(), line }
     }
 
+    pub(crate) const fn id(&self) -> PortId {
+        self.line.id
+    }
+
+    /// Whether nothing more can be understood of what the client sends.
+    pub(crate) const fn is_lost(&self) -> bool {
+        self.line.lost
+    }
+
     pub(crate) fn counters(&self) -> PortCounters {
         let Line { lost, dropped, replies_lost, .. } = self.line;
         PortCounters {
@@ -47,36 +56,48 @@ impl Client {
             replies_lost,
         }
     }
-}
 
-/// Serves what a stream held.
-pub(crate) fn hear(device: &Device, fieldbus: &mut Fieldbus, line: &mut Line, event: Event<'_>) {
-    match event {
-        Event::Request(request) => {
-            let mut frame = [0; tcp::MAX_FRAME_LEN];
-            let id = line.id;
-            let answer = request.answer(&mut frame, |pdu, place| fieldbus.serve(device, id, pdu, place));
-            line.send(answer);
-        }
-        Event::Foreign { len } => line.dropped = line.dropped.saturating_add(len),
-        Event::Lost => line.lost = true,
+    /// Takes bytes up to the first event, or some of them, and serves the event; returns how many bytes it took and
+    /// whether there was an event.
+    pub(crate) fn receive(
+        &mut self,
+        device: &Device,
+        fieldbus: &mut Fieldbus,
+        bytes: &[u8],
+    ) -> (usize, bool) {
+        let (taken, event) = self.receiver.push_slice(bytes);
+        (taken, event.map(|event| self.line.handle(device, fieldbus, event)).is_some())
     }
-}
 
-impl Line {
     pub(crate) fn has_frame(&self) -> bool {
-        !self.queue.is_empty()
+        !self.line.queue.is_empty()
     }
 
     /// The oldest frame.
     pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        let mut bytes = self.queue.iter().skip(LENGTH_AT).copied();
+        let queue = &mut self.line.queue;
+        let mut bytes = queue.iter().skip(LENGTH_AT).copied();
         let length = u16::from_be_bytes([bytes.next()?, bytes.next()?]);
         let place = buffer.get_mut(..HEADER_LEN - 1 + usize::from(length))?;
         for slot in place.iter_mut() {
-            *slot = self.queue.pop_front()?;
+            *slot = queue.pop_front()?;
         }
         Some(place)
+    }
+}
+
+impl Line {
+    fn handle(&mut self, device: &Device, fieldbus: &mut Fieldbus, event: Event<'_>) {
+        match event {
+            Event::Request(request) => {
+                let mut frame = [0; tcp::MAX_FRAME_LEN];
+                let id = self.id;
+                let answer = request.answer(&mut frame, |pdu, place| fieldbus.serve(device, id, pdu, place));
+                self.send(answer);
+            }
+            Event::Foreign { len } => self.dropped = self.dropped.saturating_add(len),
+            Event::Lost => self.lost = true,
+        }
     }
 
     fn send(&mut self, frame: &[u8]) {

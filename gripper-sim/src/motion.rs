@@ -1,19 +1,22 @@
 //! Motions: how they start, what they are refused for, and how they end (command set, 3.2 and appendix C).
+//!
+//! Knows neither sensor fingers nor the temperature, and of clients only whom to answer.
 
 mod gcl;
+mod progress;
 
 pub(crate) use gcl::GripOrder;
 
-use crate::axis::{Block, Direction, Obstacle, Travel};
-use crate::device::{Completion, Device};
-use crate::port::PortId;
+use crate::axis::{Axis, Direction, Part, Travel};
+use crate::config::Config;
+use crate::model::Parameters;
+use crate::port::{Completion, PortId, Request};
+use crate::settings::Settings;
 use crate::time::Time;
-use wsg_protocol::{CommandId, GripperState, HomingDirection, PrePositionFlags, Status};
+use wsg_protocol::{
+    CommandId, GripperState, GrippingStatistics, HomingDirection, PrePositionFlags, Status, SystemFlags,
+};
 
-/// How far beyond a reference point the fingers back off while homing, in mm. Assumed.
-const BACK_OFF: f64 = 1.0;
-/// Speed of backing off, in mm/s. Assumed.
-const BACK_OFF_SPEED: f64 = 20.0;
 /// How much further than the stroke homing looks for the end stop, in mm.
 const BEYOND_THE_END: f64 = 10.0;
 /// Part of the nominal force with which a pre-position clamps on a block (command set, 3.2.2).
@@ -24,6 +27,8 @@ const TIME_OUT_FACTOR: f64 = 2.0;
 const TIME_OUT_MS: u64 = 1_000;
 /// A distance in mm that counts as none.
 const NOTHING: f64 = 1e-6;
+/// How close in mm a width must be to a soft limit to count as at it.
+const AT_LIMIT: f64 = 1e-6;
 
 /// A motion command that is being carried out.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +36,7 @@ pub(crate) struct Motion {
     id: CommandId,
     port: PortId,
     task: Task,
-    pub(crate) deadline: Time,
+    deadline: Time,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -76,21 +81,152 @@ enum EarlyBlock {
     AxisBlocked,
 }
 
-/// Who asked for a motion, and when.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Request {
-    pub(crate) port: PortId,
-    pub(crate) now: Time,
+/// The axis under the control of motion commands.
+#[derive(Clone, Debug)]
+pub(crate) struct MotionControl {
+    parameters: &'static Parameters,
+    homing_default: Direction,
+    /// How far a grip goes on from the nominal width, in mm, unless its request says so.
+    clamping_travel: f64,
+    /// How much before the nominal width a part may be met, in mm, unless the request says so.
+    part_width_tolerance: f64,
+    time_scale: f64,
+    settings: Settings,
+    axis: Axis,
+    /// How much wider the fingers really are than the gripper believes, in mm: 0 unless something other than an end
+    /// stop ended the last homing.
+    origin: f64,
+    referenced: bool,
+    state: GripperState,
+    motion: Option<Motion>,
+    /// The motion that ended last, to be answered.
+    ended: Option<Completion>,
+    /// Where the last grip went, as long as its outcome stands.
+    grip_direction: Option<Direction>,
+    statistics: GrippingStatistics,
+    fast_stop_latched: bool,
+    axis_stopped: bool,
+    target_reached: bool,
 }
 
-impl Device {
+impl MotionControl {
+    /// The fingers half open, at rest and not referenced.
+    pub(crate) fn new(config: &Config) -> Self {
+        let parameters = config.model.parameters();
+        let limits = &parameters.limits;
+        let time_scale = config.time_scale.clamp(Config::MIN_TIME_SCALE, Config::MAX_TIME_SCALE);
+        Self {
+            parameters,
+            homing_default: config.homing_default,
+            clamping_travel: config.clamping_travel.into(),
+            part_width_tolerance: config.part_width_tolerance.into(),
+            time_scale: time_scale.into(),
+            settings: Settings::new(parameters),
+            axis: Axis::new(limits.stroke.into(), limits.max_speed.into(), config.part),
+            origin: 0.0,
+            referenced: false,
+            state: GripperState::Idle,
+            motion: None,
+            ended: None,
+            grip_direction: None,
+            statistics: GrippingStatistics::default(),
+            fast_stop_latched: false,
+            axis_stopped: false,
+            target_reached: false,
+        }
+    }
+
+    pub(crate) const fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    pub(crate) const fn settings_mut(&mut self) -> &mut Settings {
+        &mut self.settings
+    }
+
+    pub(crate) const fn state(&self) -> GripperState {
+        self.state
+    }
+
+    pub(crate) const fn is_referenced(&self) -> bool {
+        self.referenced
+    }
+
+    pub(crate) const fn is_fast_stopped(&self) -> bool {
+        self.fast_stop_latched
+    }
+
+    pub(crate) const fn statistics(&self) -> GrippingStatistics {
+        self.statistics
+    }
+
+    pub(crate) fn reset_statistics(&mut self) {
+        self.statistics = GrippingStatistics::default();
+    }
+
+    /// The opening width that the gripper believes in, in mm.
+    pub(crate) fn width(&self) -> f64 {
+        self.axis.width() - self.origin
+    }
+
+    /// The opening width as it really is, in mm.
+    pub(crate) const fn real_width(&self) -> f64 {
+        self.axis.width()
+    }
+
+    /// The change of the opening width in mm/s.
+    pub(crate) const fn speed(&self) -> f64 {
+        self.axis.speed()
+    }
+
+    /// The force on the fingers in N, summed over both.
+    pub(crate) fn force(&self) -> f64 {
+        self.axis.force()
+    }
+
+    pub(crate) fn is_moving(&self) -> bool {
+        self.axis.is_moving()
+    }
+
+    pub(crate) const fn part(&self) -> Option<Part> {
+        self.axis.part()
+    }
+
+    /// The system state flags that tell of the axis and its motions (command set, appendix B).
+    pub(crate) fn flags(&self) -> SystemFlags {
+        let blocked = self.axis.block().map(|block| block.direction);
+        let (below, above) = match self.settings.soft_limits() {
+            Some(limits) if self.referenced => (
+                self.width() <= f64::from(limits.minus) + AT_LIMIT,
+                self.width() >= f64::from(limits.plus) - AT_LIMIT,
+            ),
+            _ => (false, false),
+        };
+        let mut flags = SystemFlags::empty();
+        for (flag, is_set) in [
+            (SystemFlags::REFERENCED, self.referenced),
+            (SystemFlags::MOVING, self.axis.is_moving()),
+            (SystemFlags::BLOCKED_MINUS, blocked == Some(Direction::Minus)),
+            (SystemFlags::BLOCKED_PLUS, blocked == Some(Direction::Plus)),
+            (SystemFlags::SOFT_LIMIT_MINUS, below),
+            (SystemFlags::SOFT_LIMIT_PLUS, above),
+            (SystemFlags::AXIS_STOPPED, self.axis_stopped),
+            (SystemFlags::TARGET_POS_REACHED, self.target_reached),
+            (SystemFlags::OVERDRIVE_MODE, self.settings.is_overdrive()),
+            (SystemFlags::FAST_STOP, self.fast_stop_latched),
+        ] {
+            flags.set(flag, is_set);
+        }
+        flags
+    }
+
     /// Homing (20h).
     pub(crate) fn start_homing(&mut self, request: Request, direction: HomingDirection) -> Status {
         if let Err(refused) = self.may_move() {
             return refused;
         }
         let direction = match direction {
-            HomingDirection::Default => self.config.homing_default,
+            HomingDirection::Default => self.homing_default,
             HomingDirection::Positive => Direction::Plus,
             HomingDirection::Negative => Direction::Minus,
         };
@@ -118,7 +254,7 @@ impl Device {
         }
         let stop_on_block = flags.contains(PrePositionFlags::STOP_ON_BLOCK);
         let force = if stop_on_block {
-            self.force_limit.into()
+            self.settings.force_limit().into()
         } else {
             f64::from(self.parameters.limits.nominal_force) * CLAMP_ON_BLOCK
         };
@@ -133,20 +269,20 @@ impl Device {
         if let Err(refused) = self.may_go_to(nominal) {
             return refused;
         }
-        let clamping_travel = f64::from(self.config.clamping_travel);
+        let clamping_travel = self.clamping_travel;
         let direction = match self.grip_direction {
             Some(direction) if self.lies_behind(direction, nominal) => return Status::RangeError,
             Some(direction) => direction,
             None => Direction::of(nominal - self.width()),
         };
         let end = self.clamping_end(direction, nominal, clamping_travel);
-        let travel = self.travel(end, speed, self.force_limit.into());
+        let travel = self.travel(end, speed, self.settings.force_limit().into());
         let task = Task::Grip(Grip {
             direction,
             nominal,
             end,
             met: false,
-            tolerance: self.config.part_width_tolerance.into(),
+            tolerance: self.part_width_tolerance,
             clamping_travel,
             early_block: EarlyBlock::NoPart,
         });
@@ -162,7 +298,7 @@ impl Device {
         if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
-        let travel = self.travel(target, speed, self.force_limit.into());
+        let travel = self.travel(target, speed, self.settings.force_limit().into());
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
 
@@ -186,11 +322,8 @@ impl Device {
         self.end_motion(status);
     }
 
-    /// Acknowledge (24h). A FAST STOP stays as long as its cause lasts (appendix B, D16).
+    /// Acknowledge (24h).
     pub(crate) fn acknowledge(&mut self) {
-        if self.has_lasting_fault() {
-            return;
-        }
         self.fast_stop_latched = false;
         if self.state == GripperState::Error {
             self.state = GripperState::Idle;
@@ -198,171 +331,12 @@ impl Device {
     }
 
     /// Ends a running motion and nothing else (Disconnect Announcement, command set 3.1.2).
-    pub(crate) fn abort_motion(&mut self) {
+    pub(crate) fn abort(&mut self) {
         if self.motion.is_some() {
             self.axis.halt();
             self.state = GripperState::Idle;
             self.grip_direction = None;
             self.end_motion(Status::CmdAborted);
-        }
-    }
-
-    /// A motion has lasted too long.
-    pub(crate) fn time_out(&mut self) {
-        self.fail(Status::Timeout);
-    }
-
-    /// Follows the motion after a step of the axis; `before` is the width before it.
-    pub(crate) fn follow_motion(&mut self, before: f64) {
-        if self.entered_restricted_area(before) {
-            return;
-        }
-        let Some(motion) = self.motion else {
-            self.watch_part();
-            return;
-        };
-        match motion.task {
-            Task::Homing(direction, phase) => self.follow_homing(direction, phase),
-            Task::PrePosition { stop_on_block } => match self.axis.block() {
-                Some(Block { obstacle: Obstacle::EndStop, .. }) => self.fail(Status::RangeError),
-                Some(_) if stop_on_block => {
-                    self.axis.switch_off();
-                    self.end_in(GripperState::Error, Status::AxisBlocked);
-                }
-                // The drive goes on pushing, and goes on to its target if the way becomes free.
-                Some(_) => self.end_in(GripperState::Error, Status::AxisBlocked),
-                None => self.succeed_on_arrival(),
-            },
-            Task::Grip(grip) => self.follow_grip(grip, motion),
-            // What blocks a release may give way; there is no answer for it but the time-out.
-            Task::Release => self.succeed_on_arrival(),
-        }
-    }
-
-    /// Notices that a held part is gone.
-    pub(crate) fn watch_part(&mut self) {
-        if self.state == GripperState::Holding && self.motion.is_none() && self.axis.block().is_none() {
-            self.axis.halt();
-            self.state = GripperState::PartLost;
-            self.statistics.part_lost = self.statistics.part_lost.saturating_add(1);
-        }
-    }
-
-    fn follow_homing(&mut self, direction: Direction, phase: HomingPhase) {
-        let reference = match direction {
-            Direction::Plus => self.stroke(),
-            Direction::Minus => 0.0,
-        };
-        let blocked = self.axis.block().is_some();
-        let arrived = self.axis.has_arrived();
-        match phase {
-            HomingPhase::Seek if blocked => {
-                self.origin = self.axis.width() - reference;
-                let away = reference - direction.sign() * BACK_OFF;
-                self.continue_homing(direction, HomingPhase::BackOff, away);
-            }
-            HomingPhase::BackOff if blocked => self.fail(Status::AxisBlocked),
-            HomingPhase::BackOff if arrived => {
-                self.continue_homing(direction, HomingPhase::Return, reference);
-            }
-            HomingPhase::Return if blocked || arrived => {
-                self.referenced = true;
-                self.succeed();
-            }
-            HomingPhase::Seek | HomingPhase::BackOff | HomingPhase::Return => {}
-        }
-    }
-
-    fn continue_homing(&mut self, direction: Direction, phase: HomingPhase, target: f64) {
-        self.drive(self.homing_travel(target, BACK_OFF_SPEED));
-        if let Some(motion) = &mut self.motion {
-            motion.task = Task::Homing(direction, phase);
-        }
-    }
-
-    fn follow_grip(&mut self, mut grip: Grip, motion: Motion) {
-        let width = self.width();
-        let sign = grip.direction.sign();
-        let past = |mark: f64| (width - mark) * sign >= -NOTHING;
-        if let Some(block) = self.axis.block() {
-            if past(grip.nominal - sign * grip.tolerance) {
-                self.state = GripperState::Holding;
-                self.end_motion(Status::Success);
-            } else if grip.early_block == EarlyBlock::AxisBlocked {
-                self.axis.switch_off();
-                self.end_in(GripperState::Error, Status::AxisBlocked);
-            } else if block.obstacle == Obstacle::Part {
-                self.find_no_part();
-            }
-            // A jammed axis shows no part at all: the fingers go on pushing until the time-out.
-            return;
-        }
-        if !grip.met && self.axis.penetration() > 0.0 {
-            grip.met = true;
-            let contact = width - sign * self.axis.penetration();
-            if (contact - grip.nominal) * sign < 0.0 {
-                grip.end = self.clamping_end(grip.direction, contact, grip.clamping_travel);
-                self.axis.retarget(grip.end + self.origin);
-            }
-            self.motion = Some(Motion { task: Task::Grip(grip), ..motion });
-        }
-        if past(grip.end) {
-            self.find_no_part();
-        }
-    }
-
-    fn find_no_part(&mut self) {
-        self.axis.halt();
-        self.statistics.no_part = self.statistics.no_part.saturating_add(1);
-        self.end_in(GripperState::NoPart, Status::CmdFailed);
-    }
-
-    /// FAST STOP when the last step took the fingers out of the soft limits, or further out.
-    fn entered_restricted_area(&mut self, before: f64) -> bool {
-        let is_homing = self.motion.is_some_and(|motion| matches!(motion.task, Task::Homing(..)));
-        let Some(limits) = self.soft_limits.filter(|_| self.referenced && !is_homing) else { return false };
-        let (width, speed) = (self.width(), self.axis.speed());
-        let (minus, plus) = (f64::from(limits.minus), f64::from(limits.plus));
-        let (limit, was_inside) = if width < minus - NOTHING && speed < 0.0 {
-            (minus, before >= minus - NOTHING)
-        } else if width > plus + NOTHING && speed > 0.0 {
-            (plus, before <= plus + NOTHING)
-        } else {
-            return false;
-        };
-        if was_inside {
-            self.axis.halt_at(limit + self.origin);
-        }
-        let is_pre_position = self.motion.is_some_and(|motion| motion.id == CommandId::PrePosition);
-        self.fast_stop(if is_pre_position { Status::RangeError } else { Status::CmdAborted });
-        true
-    }
-
-    fn succeed_on_arrival(&mut self) {
-        if self.axis.has_arrived() {
-            self.succeed();
-        }
-    }
-
-    fn succeed(&mut self) {
-        self.target_reached = true;
-        self.end_in(GripperState::Idle, Status::Success);
-    }
-
-    fn fail(&mut self, status: Status) {
-        self.axis.switch_off();
-        self.end_in(GripperState::Error, status);
-        self.grip_direction = None;
-    }
-
-    fn end_in(&mut self, state: GripperState, status: Status) {
-        self.state = state;
-        self.end_motion(status);
-    }
-
-    fn end_motion(&mut self, status: Status) {
-        if let Some(motion) = self.motion.take() {
-            self.ended_motion = Some(Completion { port: motion.port, id: motion.id, status });
         }
     }
 
@@ -395,13 +369,13 @@ impl Device {
     fn deadline(&self, now: Time, travel: &Travel) -> Time {
         let distance = (travel.target - self.width()).abs();
         let needed_s = distance / travel.speed + travel.speed / travel.acceleration;
-        let slowness = 1.0 / f64::from(self.config.time_scale.min(1.0));
+        let slowness = 1.0 / self.time_scale.min(1.0);
         let needed_ms = (needed_s * slowness * TIME_OUT_FACTOR * 1_000.0) as u64;
         now.plus_millis(TIME_OUT_MS + needed_ms)
     }
 
     fn may_move(&self) -> Result<(), Status> {
-        if self.fast_stop_latched || self.has_lasting_fault() {
+        if self.fast_stop_latched {
             Err(Status::AccessDenied)
         } else if self.motion.is_some() || self.axis.is_moving() {
             Err(Status::AlreadyRunning)
@@ -415,7 +389,7 @@ impl Device {
         if !self.referenced {
             return Err(Status::NotInitialized);
         }
-        let Some(limits) = self.soft_limits else { return Ok(()) };
+        let Some(limits) = self.settings.soft_limits() else { return Ok(()) };
         let here = self.width();
         let (minus, plus) = (f64::from(limits.minus), f64::from(limits.plus));
         // Whoever is outside may go towards the limits (command set, 3.3.5), all the way or a part of it.
@@ -425,14 +399,14 @@ impl Device {
 
     /// Whether a grip in this direction cannot get at `nominal` any more.
     fn lies_behind(&self, direction: Direction, nominal: f64) -> bool {
-        let end = self.clamping_end(direction, nominal, self.config.clamping_travel.into());
+        let end = self.clamping_end(direction, nominal, self.clamping_travel);
         (end - self.width()) * direction.sign() < -NOTHING
     }
 
     /// Where the clamping travel ends that begins at `from`; it stays clear of soft limits and end stops.
     fn clamping_end(&self, direction: Direction, from: f64, clamping_travel: f64) -> f64 {
         let end = from + direction.sign() * clamping_travel;
-        let (minus, plus) = match self.soft_limits {
+        let (minus, plus) = match self.settings.soft_limits() {
             Some(limits) => (f64::from(limits.minus).max(0.0), f64::from(limits.plus).min(self.stroke())),
             None => (0.0, self.stroke()),
         };
@@ -447,14 +421,19 @@ impl Device {
         Travel {
             target,
             speed: speed.clamp(limits.min_speed, limits.max_speed).into(),
-            acceleration: self.acceleration.into(),
+            acceleration: self.settings.acceleration().into(),
             force,
         }
     }
 
     fn homing_travel(&self, target: f64, speed: f64) -> Travel {
         let limits = &self.parameters.limits;
-        Travel { target, speed, acceleration: self.acceleration.into(), force: limits.min_force.into() }
+        Travel {
+            target,
+            speed,
+            acceleration: self.settings.acceleration().into(),
+            force: limits.min_force.into(),
+        }
     }
 
     fn stroke(&self) -> f64 {

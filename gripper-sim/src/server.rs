@@ -8,6 +8,7 @@ mod can;
 mod control;
 mod faulty_line;
 mod hub;
+mod lines;
 mod log;
 mod log_writer;
 mod request_line;
@@ -18,9 +19,8 @@ mod tcp;
 mod thread;
 mod udp;
 
-pub use can::{CanBus, CanLine};
+pub use lines::{CanBus, CanLine, Lines, SerialLine, UdpLine};
 pub use log::Log;
-pub use serial::SerialLine;
 pub use thread::ServerThread;
 
 use crate::config::Config;
@@ -35,39 +35,6 @@ use std::rc::Rc;
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::task::{JoinSet, LocalSet};
 use wsg_protocol::can::Identifiers;
-
-/// Where a gripper is served.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Lines {
-    /// TCP: the address to listen on. Port 0 lets the system choose.
-    pub tcp: Option<SocketAddr>,
-    /// UDP: the address to listen on.
-    pub udp: Option<UdpLine>,
-    /// A serial line.
-    pub serial: Option<SerialLine>,
-    /// A CAN bus.
-    pub can: Option<CanLine>,
-    /// The text protocol (GCL) over TCP: the address to listen on.
-    pub gcl: Option<SocketAddr>,
-    /// The text protocol (GCL) over UDP: the address to listen on. Answers go to the port that asked.
-    pub gcl_udp: Option<SocketAddr>,
-    /// Modbus/TCP: the address to listen on; port 502 on the real one.
-    pub modbus: Option<SocketAddr>,
-    /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
-    /// what a hand beside it can, so keep it on the loopback interface.
-    pub control: Option<SocketAddr>,
-    /// Decides which frames the faults hit that the control interface lets loose on the lines.
-    pub seed: u64,
-}
-
-/// A UDP address, and where answers go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct UdpLine {
-    /// The address to listen on; grippers in the field use port 1500.
-    pub address: SocketAddr,
-    /// The port that answers go to, whatever port the request came from; 1501 in the field.
-    pub remote_port: u16,
-}
 
 /// A gripper with all its lines open, ready to [`run`](Self::run).
 ///

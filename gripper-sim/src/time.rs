@@ -52,6 +52,14 @@ impl Time {
     }
 }
 
+/// Returns the earlier of two moments, if there are any.
+pub(crate) fn earlier(one: Option<Time>, other: Option<Time>) -> Option<Time> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.min(other)),
+        (moment, None) | (None, moment) => moment,
+    }
+}
+
 impl core::fmt::Display for Time {
     /// Seconds with microseconds: `12.345678 s`.
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {

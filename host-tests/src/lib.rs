@@ -5,6 +5,7 @@
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`can_bench`] | the same on a CAN bus, with a controller that goes bus-off on command |
 //! | [`can_hub`] | a CAN bus of SLCAN lines: the emulated board, a gripper, a master |
+//! | [`document`] | the documents as files, and the writer of what is generated in them |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`chance`] | numbers that look random, the same ones for the same seed |
 //! | [`mod@explore`] | every order of events, on the bridge as it is flashed |
@@ -31,6 +32,7 @@ pub mod can_bench;
 #[cfg(unix)]
 pub mod can_hub;
 pub mod chance;
+pub mod document;
 #[cfg(unix)]
 pub mod emulator;
 pub mod example;

@@ -1,11 +1,8 @@
 //! docs/can.md says what the tables in the code say, and what a bus has to carry.
 //!
-//! Parts that are made from the code stand between `<!-- generated: NAME -->` and `<!-- end -->`. Here they are compared;
-//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs` writes them anew.
+//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs` writes the generated parts anew.
 
-use std::fs;
-use std::path::PathBuf;
-
+use host_tests::document::{hold, table};
 use wsg_bridge_fw::can::{
     BusOffPolicy, DataType, FAULTS, INPUT_INDEX, NodeConfig, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX,
     SETTINGS_INDEX,
@@ -17,14 +14,6 @@ use wsg_protocol::{
 };
 
 const NODE: NodeConfig = NodeConfig::DEFAULT;
-
-fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {
-    let line = |cells: [String; N]| format!("| {} |\n", cells.join(" | "));
-    let mut text = line(head.map(str::to_owned));
-    text.push_str(&format!("|{}\n", "---|".repeat(N)));
-    text.extend(rows.into_iter().map(line));
-    text
-}
 
 fn identifiers() -> String {
     let pair = Identifiers::DEFAULT.controller();
@@ -232,9 +221,6 @@ fn everything_at_once_fits_at_500_kbit_s() {
 
 #[test]
 fn tables_in_the_document_are_those_of_the_code() {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/can.md");
-    let mut text = fs::read_to_string(&path).unwrap();
-    let update = std::env::var_os("WSG_UPDATE_DOCS").is_some_and(|value| value == "1");
     for (name, made) in [
         ("identifiers", identifiers()),
         ("pdos", pdos()),
@@ -243,21 +229,6 @@ fn tables_in_the_document_are_those_of_the_code() {
         ("objects", objects()),
         ("load", bus_load()),
     ] {
-        let begin = format!("<!-- generated: {name} -->\n");
-        let from =
-            text.find(&begin).unwrap_or_else(|| panic!("docs/can.md has no part {name}")) + begin.len();
-        let to = from + text[from..].find("<!-- end -->").expect("each part has an end");
-        if update {
-            text.replace_range(from..to, &made);
-        } else {
-            assert_eq!(
-                &text[from..to],
-                made,
-                "docs/can.md, part \"{name}\": WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs"
-            );
-        }
-    }
-    if update {
-        fs::write(&path, text).unwrap();
+        hold("docs/can.md", name, &made);
     }
 }

@@ -1,29 +1,14 @@
 //! docs/registers.md says what the tables in the code say.
 //!
-//! Parts that are made from the code stand between `<!-- generated: NAME -->` and `<!-- end -->`. Here they are
-//! compared; `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test modbus_docs` writes them anew.
+//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test modbus_docs` writes the generated parts anew.
 
-use std::fs;
-use std::path::PathBuf;
-
+use host_tests::document::{hold, table};
 use host_tests::modbus_bench::Bench;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_protocol::SystemFlags;
 use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
 use wsg_protocol::modbus::{Content, Function, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
-
-fn document() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/registers.md")
-}
-
-fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {
-    let line = |cells: [String; N]| format!("| {} |\n", cells.join(" | "));
-    let mut text = line(head.map(str::to_owned));
-    text.push_str(&format!("|{}\n", "---|".repeat(N)));
-    text.extend(rows.into_iter().map(line));
-    text
-}
 
 fn line() -> String {
     let bus = Config::DEFAULT.bus;
@@ -151,17 +136,9 @@ fn reports() -> String {
     )
 }
 
-/// Where the text of a part begins and ends.
-fn bounds(text: &str, name: &str) -> (usize, usize) {
-    let begin = format!("<!-- generated: {name} -->");
-    let from = text.find(&begin).unwrap_or_else(|| panic!("there is no `{begin}`")) + begin.len();
-    let to = text[from..].find("<!-- end -->").unwrap_or_else(|| panic!("`{begin}` has no end")) + from;
-    (from, to)
-}
-
 #[test]
 fn registers_in_the_document_are_those_of_the_code() {
-    let parts = [
+    for (name, wanted) in [
         ("line", line()),
         ("functions", functions()),
         ("output", registers(&OUTPUT_REGISTERS)),
@@ -170,22 +147,8 @@ fn registers_in_the_document_are_those_of_the_code() {
         ("discrete", discrete_inputs()),
         ("settings", settings()),
         ("reports", reports()),
-    ];
-    let mut text = fs::read_to_string(document()).unwrap();
-    if std::env::var_os("WSG_UPDATE_DOCS").is_some_and(|value| value == "1") {
-        for (name, wanted) in &parts {
-            let (from, to) = bounds(&text, name);
-            text = format!("{}\n{}\n{}", &text[..from], wanted.trim(), &text[to..]);
-        }
-        fs::write(document(), &text).unwrap();
-    }
-    for (name, wanted) in parts {
-        let (from, to) = bounds(&text, name);
-        assert!(
-            text[from..to].trim() == wanted.trim(),
-            "docs/registers.md, part \"{name}\", is out of date; `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test \
-             modbus_docs` writes it anew"
-        );
+    ] {
+        hold("docs/registers.md", name, &wanted);
     }
 }
 

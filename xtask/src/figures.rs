@@ -4,10 +4,11 @@ use std::fs;
 
 use anyhow::{Context, Result};
 
-use crate::{bench, fast_stop, firmware::Image, gate::Gate, panics, probe::Probes, process, size, stack};
+use crate::{
+    bench, document, fast_stop, firmware::Image, gate::Gate, panics, probe::Probes, process, size, stack,
+};
 
 const DOCUMENT: &str = "docs/figures.md";
-const END: &str = "<!-- end -->";
 
 /// Measures everything that `docs/figures.md` tells, writes it, and has the README take it over; gives the gates.
 pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
@@ -39,20 +40,17 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
 }
 
 fn table(gates: &[Gate]) -> String {
-    let mut text = "| what | measured | limit |\n|---|---|---|\n".to_owned();
-    for gate in gates {
-        text.push_str(&format!("| {} | {} | {} |\n", gate.what, gate.measured_text(), gate.limit_text()));
-    }
-    text.push_str("| panic paths, firmware and every public function of the protocol | 0 | 0 |\n");
-    text
+    let panic_paths = "panic paths, firmware and every public function of the protocol";
+    let rows = gates.iter().map(|gate| [gate.what.clone(), gate.measured_text(), gate.limit_text()]);
+    document::table(
+        ["what", "measured", "limit"],
+        rows.chain([[panic_paths.to_owned(), "0".to_owned(), "0".to_owned()]]),
+    )
 }
 
-/// The text with this in its generated part of this name.
+/// The text of docs/figures.md with this in its generated part of this name.
 fn with_part(text: &str, name: &str, part: &str) -> Result<String> {
-    let begin = format!("<!-- generated: {name} -->\n");
-    let parts = text.split_once(&begin).and_then(|(before, rest)| Some((before, rest.split_once(END)?.1)));
-    let (before, after) = parts.with_context(|| format!("{DOCUMENT} has no part `{name}`"))?;
-    Ok(format!("{before}{begin}{part}{END}{after}"))
+    document::with_part(text, name, part).with_context(|| format!("{DOCUMENT} has no part `{name}`"))
 }
 
 #[cfg(test)]

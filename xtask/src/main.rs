@@ -6,6 +6,9 @@ mod bench;
 mod coverage;
 mod demo;
 mod dependencies;
+#[path = "../../host-tests/src/document.rs"]
+#[allow(dead_code, unreachable_pub, reason = "it is a public module there")]
+mod document;
 mod elf;
 mod explore;
 mod fast_stop;

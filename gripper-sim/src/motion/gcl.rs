@@ -1,8 +1,8 @@
 //! GRIP and RELEASE of the text protocol, where they differ from Grip Part and Release Part (GCL, 2.2.3 and 2.2.4).
 
-use super::{BEYOND_THE_END, EarlyBlock, Grip, Request, Task};
+use super::{BEYOND_THE_END, EarlyBlock, Grip, MotionControl, Task};
 use crate::axis::Direction;
-use crate::device::Device;
+use crate::port::Request;
 use wsg_protocol::{CommandId, GripperState, Status};
 
 /// A GRIP with all that it leaves open filled in.
@@ -20,7 +20,7 @@ pub(crate) struct GripOrder {
     pub(crate) clamping_travel: f32,
 }
 
-impl Device {
+impl MotionControl {
     /// GRIP (GCL, 2.2.3). A block before the tolerance is an error of its own, and without a width any block is a part,
     /// that of the end stop too.
     pub(crate) fn start_grip_by(&mut self, request: Request, order: GripOrder) -> Status {
@@ -31,7 +31,7 @@ impl Device {
         if self.state == GripperState::Holding {
             return Status::AlreadyRunning;
         }
-        let least = self.soft_limits.map_or(0.0, |limits| f64::from(limits.minus).max(0.0));
+        let least = self.settings.soft_limits().map_or(0.0, |limits| f64::from(limits.minus).max(0.0));
         let nominal = order.width.map_or(least, |width| f64::from(width).clamp(0.0, self.stroke()));
         if let Err(refused) = self.may_go_to(nominal) {
             return refused;
@@ -44,7 +44,9 @@ impl Device {
                 (direction, order.tolerance.into(), end)
             }
             // Into the end stop, so that the drive pushes against it; but not over a soft limit.
-            None if self.soft_limits.is_none() => (Direction::Minus, f64::INFINITY, -BEYOND_THE_END),
+            None if self.settings.soft_limits().is_none() => {
+                (Direction::Minus, f64::INFINITY, -BEYOND_THE_END)
+            }
             None => (Direction::Minus, f64::INFINITY, least),
         };
         let travel = self.travel(end, order.speed, order.force.into());
@@ -77,7 +79,7 @@ impl Device {
         if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
-        let travel = self.travel(target, speed, self.force_limit.into());
+        let travel = self.travel(target, speed, self.settings.force_limit().into());
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
 }

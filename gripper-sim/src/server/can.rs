@@ -8,25 +8,6 @@ use std::path::Path;
 use std::rc::Rc;
 use wsg_protocol::can::{Identifiers, Segments};
 
-/// Where a gripper is on a CAN bus.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CanLine {
-    /// What leads to the bus.
-    pub bus: CanBus,
-    /// The gripper's two identifiers.
-    pub identifiers: Identifiers,
-}
-
-/// What leads to a CAN bus.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum CanBus {
-    /// A network interface of Linux SocketCAN, such as `can0`.
-    Interface(String),
-    /// A serial line that carries CAN frames by SLCAN. A pseudo terminal and a Unix socket are an adapter for whoever
-    /// opens them; behind a device an adapter is expected.
-    Slcan(super::SerialLine),
-}
-
 /// Gives the gripper the data of a frame of the bus, if it is for it: the bytes of messages, whose ends it finds itself.
 pub(super) fn receive<F: Frame>(client: &Client, identifiers: Identifiers, frame: &F) {
     if frame.id() == Id::Standard(identifiers.gripper().receive) && frame.is_data_frame() {

@@ -1,6 +1,7 @@
 //! Serial lines: a pseudo terminal, a Unix socket as an emulator's UART has it, or a real device.
 
 use super::hub::{Client, Hub};
+use super::lines::SerialLine;
 use super::slcan;
 use super::stream::{self, Pace};
 use crate::port::PortKind;
@@ -22,17 +23,6 @@ use wsg_protocol::can::Identifiers;
 
 /// Bits per second of the RS-232 interface, 8 data bits, no parity, one stop bit.
 const BIT_RATE: u32 = 115_200;
-
-/// A serial line that is to be served.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum SerialLine {
-    /// A pseudo terminal, made for the purpose.
-    Pty,
-    /// A Unix socket at this path, to which clients connect.
-    Unix(PathBuf),
-    /// A terminal device that exists, such as `/dev/ttyUSB0`; set to 115200 8N1.
-    Device(PathBuf),
-}
 
 /// A serial line that is open.
 #[derive(Debug)]

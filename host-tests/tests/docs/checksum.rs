@@ -4,8 +4,8 @@
 //! depends on the error and the frame's length alone. `cargo test -p host-tests --test docs checksum -- --nocapture`
 //! prints the tables.
 
-use crate::document::{hold, table};
 use crc::{Algorithm, Crc};
+use host_tests::document::{hold, table};
 use wsg_protocol::checksum::push;
 use wsg_protocol::frame::{OVERHEAD, PREAMBLE_LEN};
 use wsg_protocol::{

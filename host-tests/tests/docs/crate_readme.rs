@@ -1,6 +1,6 @@
 //! protocol/README.md: its example is the crate's, its tables are those of Cargo.toml.
 
-use crate::document::read;
+use host_tests::document::read;
 
 const DOCUMENT: &str = "protocol/README.md";
 

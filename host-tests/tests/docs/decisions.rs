@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use crate::document::{read, root};
+use host_tests::document::{read, root};
 
 const DOCUMENT: &str = "docs/decisions.md";
 

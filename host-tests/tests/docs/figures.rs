@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use crate::document::{hold, part, read};
+use host_tests::document::{hold, part, read};
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, SectionFlags, elf};
 

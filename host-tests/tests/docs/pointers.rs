@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::document::{read, root};
+use host_tests::document::{read, root};
 
 /// The documents that are held here.
 const DOCUMENTS: [&str; 6] = [
@@ -41,8 +41,7 @@ fn commands_of_xtask_are_those_that_its_help_lists() {
 
 #[test]
 fn environment_variables_are_known_to_the_code() {
-    let code =
-        [read("xtask/src/main.rs"), read("xtask/src/firmware.rs"), read("host-tests/tests/docs/document.rs")];
+    let code = [read("xtask/src/main.rs"), read("xtask/src/firmware.rs"), read("host-tests/src/document.rs")];
     for document in DOCUMENTS {
         let text = read(document);
         for rest in text.split("WSG_").skip(1) {

@@ -1,6 +1,6 @@
 //! The excerpt of the demonstration's trace in README.md: its bytes mean what it says they mean.
 
-use crate::document::read;
+use host_tests::document::read;
 use host_tests::trace::Entry;
 
 /// Where an entry begins in a line of the trace, behind the time.

@@ -1,6 +1,6 @@
 //! The wiring, recipes and times in README.md and docs/wiring.md.
 
-use crate::document::{hold, table};
+use host_tests::document::{hold, table};
 use host_tests::fault_sweep::Sweep;
 use wsg_bridge_fw::boards::b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS};
 use wsg_bridge_fw::io::{Inputs, Outputs};

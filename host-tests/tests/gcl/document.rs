@@ -2,9 +2,8 @@
 
 use crate::grammar::Grammar;
 use crate::strategies::{answer, mutated, numbers, request, texts};
+use host_tests::document::{hold, read};
 use proptest::prelude::*;
-use std::fs;
-use std::path::Path;
 use std::sync::LazyLock;
 use wsg_protocol::gcl::{Answer, CommandName, Mistake, Request};
 
@@ -16,31 +15,12 @@ static GRAMMAR: LazyLock<Grammar> = LazyLock::new(|| {
     grammar
 });
 
-fn read(path: &str) -> String {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    fs::read_to_string(root.join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
-}
-
 /// The blocks of code in this language.
 pub(crate) fn blocks(language: &str) -> Vec<String> {
     let text = read(DOCUMENT);
     let blocks = text.split("```").skip(1).step_by(2);
     let ours = blocks.filter_map(|block| block.strip_prefix(language)?.strip_prefix('\n'));
     ours.map(str::to_owned).collect()
-}
-
-/// Holds a generated part to `wanted`, or writes it.
-fn hold(name: &str, wanted: &str) {
-    let text = read(DOCUMENT);
-    let begin = format!("<!-- generated: {name} -->\n");
-    let from = text.find(&begin).unwrap_or_else(|| panic!("{DOCUMENT} has no {begin}")) + begin.len();
-    let to = from + text[from..].find("<!-- end -->").expect("the part has an end");
-    if std::env::var_os("WSG_UPDATE_DOCS").is_some_and(|value| value == "1") {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-        fs::write(root.join(DOCUMENT), format!("{}{wanted}{}", &text[..from], &text[to..])).unwrap();
-        return;
-    }
-    assert_eq!(&text[from..to], wanted, "{DOCUMENT}: write it anew with WSG_UPDATE_DOCS=1");
 }
 
 fn code(texts: impl IntoIterator<Item = String>) -> String {
@@ -60,7 +40,7 @@ fn generated_parts_are_those_of_the_table_and_of_the_mistakes() {
         };
         commands.push_str(&format!("| {requests} | {answers} | {} |\n", name.section()));
     }
-    hold("commands", &commands);
+    hold(DOCUMENT, "commands", &commands);
 
     let mut mistakes = String::from("| what is wrong | status code |\n|---|---|\n");
     for mistake in [
@@ -77,7 +57,7 @@ fn generated_parts_are_those_of_the_table_and_of_the_mistakes() {
         let status = mistake.status();
         mistakes.push_str(&format!("| {mistake} | {} {status} |\n", status.code()));
     }
-    hold("mistakes", &mistakes);
+    hold(DOCUMENT, "mistakes", &mistakes);
 }
 
 #[test]

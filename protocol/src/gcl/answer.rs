@@ -3,7 +3,7 @@
 use super::name::Named;
 use super::number::{read_integer, write_integer};
 use super::scanner::Scanner;
-use super::{CommandName, Description, LineError, Mistake, Signal, Value, write_line};
+use super::{CommandName, Description, LineError, Mistake, Value, write_line};
 use crate::types::Status;
 use core::fmt::{Formatter, Result as Written, Write};
 
@@ -81,7 +81,7 @@ impl<'a> Answer<'a> {
             };
             let value = Value::read(name, &mut input)?;
             match is_update {
-                true if Signal::is_carried_by(&value) => Self::Update(value),
+                true if value.is_of_an_update() => Self::Update(value),
                 true => return Err(Mistake::Value),
                 false => Self::Value(value),
             }
@@ -143,7 +143,7 @@ impl<'a> Answer<'a> {
             Self::Ack(name) if !name.is_acknowledged() => Err(Mistake::Form),
             Self::Fin(name) if !name.is_finished() => Err(Mistake::Form),
             Self::Ack(_) | Self::Fin(_) | Self::Err { .. } => Ok(()),
-            Self::Update(value) if !Signal::is_carried_by(value) => Err(Mistake::Value),
+            Self::Update(value) if !value.is_of_an_update() => Err(Mistake::Value),
             Self::Value(value) | Self::Update(value) => value.check(),
         }
     }

@@ -1,12 +1,10 @@
-//! The names of commands, and what the manual says of each.
+//! The names of commands, and what the manual says of each. The forms of their requests and values are in `request` and
+//! `value`.
 
 use super::Mistake;
-use super::form::{Ask, Call, Form};
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
-use super::{Autosend, Grip, Move, Release, Select, Setting, Tare, Value};
 use crate::command::Kind;
-use crate::types::HomingDirection;
 
 macro_rules! define_names {
     ($(
@@ -50,14 +48,6 @@ macro_rules! define_names {
                 }
             }
 
-            /// What may follow the name in a request, in the manual's notation.
-            #[must_use]
-            pub fn forms(self) -> &'static [&'static str] {
-                match self {
-                    $(Self::$name => $(<$unit as Form>::FORMS)? $(<$parameters as Form>::FORMS)?,)*
-                }
-            }
-
             /// Whether `ACK` answers it.
             #[must_use]
             pub const fn is_acknowledged(self) -> bool {
@@ -98,12 +88,6 @@ impl CommandName {
 
     pub(super) fn from_bytes(text: &[u8]) -> Option<Self> {
         Self::ALL.iter().copied().find(|name| name.text().as_bytes().eq_ignore_ascii_case(text))
-    }
-
-    /// What may follow the name in the answer, in the manual's notation; nothing for a command that is acknowledged.
-    #[must_use]
-    pub fn value_forms(self) -> &'static [&'static str] {
-        Value::forms(self)
     }
 
     /// Whether sending it a second time changes nothing, so that a lost answer may be asked for again.

@@ -4,8 +4,8 @@ use super::form::{Ask, Call, Form};
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
 use super::{
-    Autosend, CommandName, Grip, LineError, Mistake, Move, Named, Refused, Release, Select, Setting, Tare,
-    write_line,
+    Autosend, CommandName, Grip, LineError, Mistake, Move, Named, Refused, Release, Select, Setting, Signal,
+    Tare, write_line,
 };
 use crate::command::Kind;
 use crate::types::HomingDirection;
@@ -91,6 +91,16 @@ macro_rules! define_requests {
                 }
             }
         }
+
+        impl CommandName {
+            /// What may follow the name in a request, in the manual's notation.
+            #[must_use]
+            pub fn forms(self) -> &'static [&'static str] {
+                match self {
+                    $(Self::$name => $(<$unit as Form>::FORMS)? $(<$parameters as Form>::FORMS)?,)*
+                }
+            }
+        }
     };
     (@pattern $name:ident $binding:ident $unit:ident) => { Self::$name };
     (@pattern $name:ident $binding:ident) => { Self::$name($binding) };
@@ -143,6 +153,21 @@ impl Request {
         match self {
             Self::Pwt(Setting::Ask) | Self::Clt(Setting::Ask) => Kind::Query,
             other => other.name().kind(),
+        }
+    }
+}
+
+impl Signal {
+    /// The request that asks for it once.
+    #[must_use]
+    pub const fn query(self) -> Request {
+        match self {
+            Self::Pos => Request::Pos,
+            Self::Speed => Request::Speed,
+            Self::Force => Request::Force,
+            Self::Gripstate => Request::Gripstate,
+            Self::Sysflags => Request::Sysflags(Select::All),
+            Self::Temp => Request::Temp,
         }
     }
 }

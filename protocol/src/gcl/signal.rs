@@ -2,7 +2,7 @@
 
 use super::form::{Word, notation};
 use super::scanner::Scanner;
-use super::{CommandName, Mistake, Request, Select, Value};
+use super::{CommandName, Mistake};
 use core::fmt::{Result as Written, Write};
 
 /// A value that AUTOSEND has sent again and again.
@@ -41,19 +41,6 @@ impl Signal {
         }
     }
 
-    /// The request that asks for it once.
-    #[must_use]
-    pub const fn query(self) -> Request {
-        match self {
-            Self::Pos => Request::Pos,
-            Self::Speed => Request::Speed,
-            Self::Force => Request::Force,
-            Self::Gripstate => Request::Gripstate,
-            Self::Sysflags => Request::Sysflags(Select::All),
-            Self::Temp => Request::Temp,
-        }
-    }
-
     /// The one that this command asks for.
     #[must_use]
     pub fn of(name: CommandName) -> Option<Self> {
@@ -65,11 +52,6 @@ impl Signal {
     #[must_use]
     pub const fn is_measured(self) -> bool {
         !matches!(self, Self::Gripstate | Self::Sysflags)
-    }
-
-    /// Whether an update may carry this value: whole, and one that can be subscribed to.
-    pub(super) fn is_carried_by(value: &Value<'_>) -> bool {
-        Self::of(value.name()).is_some() && !matches!(value, Value::Sysflags(super::Selected::One(..)))
     }
 }
 

@@ -5,7 +5,7 @@ use super::number::{read_float, write_float};
 use super::parameters::{check_index, read_index, write_index};
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
-use super::{CommandName, Mistake, Text, decimal};
+use super::{CommandName, Mistake, Signal, Text, decimal};
 use crate::types::{DeviceTag, FingerFlags, GripperState, GrippingStatistics, SystemFlags};
 use core::fmt::{Formatter, Result as Written, Write};
 
@@ -45,8 +45,7 @@ macro_rules! define_values {
                 }
             }
 
-            /// What may stand after the name, in the manual's notation.
-            pub(super) fn forms(name: CommandName) -> &'static [&'static str] {
+            fn forms(name: CommandName) -> &'static [&'static str] {
                 match name {
                     $(CommandName::$name => <$value as Form<'a>>::FORMS,)*
                     _ => &[],
@@ -82,6 +81,21 @@ macro_rules! define_values {
 }
 
 for_each_gcl_command!(define_values);
+
+impl Value<'_> {
+    /// Whether an update may carry it: whole, and one that can be subscribed to.
+    pub(super) fn is_of_an_update(&self) -> bool {
+        Signal::of(self.name()).is_some() && !matches!(self, Self::Sysflags(Selected::One(..)))
+    }
+}
+
+impl CommandName {
+    /// What may follow the name in the answer, in the manual's notation; nothing for a command that is acknowledged.
+    #[must_use]
+    pub fn value_forms(self) -> &'static [&'static str] {
+        Value::forms(self)
+    }
+}
 
 impl core::fmt::Display for Value<'_> {
     /// Name and value: `POS=20.0`.

@@ -1,0 +1,242 @@
+//! A client that speaks the binary protocol: its frames in and out, and its subscriptions. The commands themselves are in
+//! `device`.
+
+use crate::config::Config;
+use crate::deframer::Deframer;
+use crate::device::Device;
+use crate::port::{Completion, FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
+use crate::time::{Time, earlier};
+use crate::updates::{Readings, Subscriptions};
+use wsg_protocol::frame::OVERHEAD;
+use wsg_protocol::{AutoUpdate, Command, CommandId, Event, Frame, FrameEncoder, Reply, Status};
+
+/// Bytes of frames that wait for a client to read them.
+const QUEUE_LEN: usize = 2_048;
+/// Updates leave this much room for answers.
+const RESERVED_FOR_REPLIES: usize = 512;
+/// Where the size stands in a frame.
+const SIZE_AT: usize = 4;
+
+const _: () = assert!(QUEUE_LEN >= RESERVED_FOR_REPLIES + MAX_FRAME_LEN);
+
+/// A client.
+#[derive(Clone, Debug)]
+pub(crate) struct Client {
+    deframer: Deframer,
+    line: Line,
+}
+
+/// All of a client but what finds its frames.
+#[derive(Clone, Debug)]
+struct Line {
+    id: PortId,
+    kind: PortKind,
+    subscriptions: Subscriptions,
+    /// Whether the client has announced its disconnection.
+    announced: bool,
+    /// Whether a frame with a wrong checksum is answered.
+    answer_bad_checksum: bool,
+    queue: FrameQueue,
+    updates_lost: u32,
+    replies_lost: u32,
+}
+
+impl Client {
+    pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
+        Self {
+            deframer: Deframer::new(config.check_checksum, config.frame_timeout_ms),
+            line: Line {
+                id,
+                kind,
+                subscriptions: Subscriptions::default(),
+                announced: false,
+                answer_bad_checksum: config.answer_bad_checksum,
+                queue: FrameQueue::new(),
+                updates_lost: 0,
+                replies_lost: 0,
+            },
+        }
+    }
+
+    pub(crate) const fn id(&self) -> PortId {
+        self.line.id
+    }
+
+    /// Whether it is an error that the client is gone.
+    pub(crate) const fn is_missed(&self) -> bool {
+        self.line.kind.is_connection() && !self.line.announced
+    }
+
+    pub(crate) const fn counters(&self) -> PortCounters {
+        PortCounters {
+            parser: self.deframer.counters(),
+            updates_lost: self.line.updates_lost,
+            replies_lost: self.line.replies_lost,
+        }
+    }
+
+    /// Takes bytes up to the first event, or some of them, and handles the event; returns how many bytes it took and
+    /// whether there was an event.
+    pub(crate) fn receive(&mut self, device: &mut Device, now: Time, bytes: &[u8]) -> (usize, bool) {
+        let (taken, event) = self.deframer.push_slice(bytes);
+        (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
+    }
+
+    /// Notes that no more bytes follow for now.
+    pub(crate) fn pause(&mut self, now: Time) {
+        self.deframer.pause(now, self.line.kind.is_datagram());
+    }
+
+    /// Ends the wait for the rest of a frame if its time is over, and handles an event in what it held; returns whether
+    /// there was one. Call until there is none.
+    pub(crate) fn expire(&mut self, device: &mut Device, now: Time) -> bool {
+        let event = self.deframer.expire(now);
+        event.map(|event| self.line.handle(device, now, event)).is_some()
+    }
+
+    pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
+        earlier(self.line.subscriptions.next_due(now), self.deframer.due())
+    }
+
+    /// Sends the second answer to a command.
+    pub(crate) fn complete(&mut self, done: Completion) {
+        self.line.reply(Reply::status_only(done.id, done.status));
+    }
+
+    /// Sends the updates that are due.
+    pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
+        let Line { subscriptions, queue, updates_lost, .. } = &mut self.line;
+        subscriptions.publish(now, readings, |value| {
+            let found_room = queue.push(Reply::success(value), QUEUE_LEN - RESERVED_FOR_REPLIES);
+            if !found_room {
+                *updates_lost = updates_lost.saturating_add(1);
+            }
+            found_room
+        });
+    }
+
+    pub(crate) const fn has_frame(&self) -> bool {
+        self.line.queue.len > 0
+    }
+
+    pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let len = self.line.queue.pop(buffer)?;
+        buffer.get(..len)
+    }
+}
+
+impl Line {
+    fn handle(&mut self, device: &mut Device, now: Time, event: Event<'_>) {
+        match event {
+            Event::Frame(frame) => self.answer(device, now, &frame),
+            Event::BadChecksum { id, .. } if self.answer_bad_checksum => {
+                self.reply(Reply::status_only(CommandId::from_code(id), Status::ChecksumError));
+            }
+            Event::BadChecksum { .. } | Event::Oversize { .. } => {}
+        }
+    }
+
+    /// Carries out the request in a frame and answers it.
+    fn answer(&mut self, device: &mut Device, now: Time, frame: &Frame<'_>) {
+        let id = CommandId::from_code(frame.id);
+        if self.announced {
+            return self.refuse(device, id, Status::AccessDenied);
+        }
+        // A FAST STOP is obeyed whatever comes with it.
+        let frame = if id == CommandId::FastStop { &Frame { id: frame.id, payload: &[] } } else { frame };
+        let command = match Command::decode(frame) {
+            Ok(command) => command,
+            Err(refusal) => return self.refuse(device, id, id.status_of(refusal)),
+        };
+        if command == Command::DisconnectAnnouncement {
+            return self.announce_disconnection(device);
+        }
+        let reply = device.execute(Request { port: self.id, now }, &command);
+        let status = reply.status();
+        self.reply(reply);
+        if let Some(update) = update_of(&command) {
+            self.subscriptions.request(id, update, now, device.readings());
+        }
+        device.note_result(id.kind(), status);
+    }
+
+    fn refuse(&mut self, device: &mut Device, id: CommandId, status: Status) {
+        self.reply(Reply::status_only(id, status));
+        device.note_result(id.kind(), status);
+    }
+
+    fn announce_disconnection(&mut self, device: &mut Device) {
+        let id = CommandId::DisconnectAnnouncement;
+        if self.kind != PortKind::Tcp {
+            return self.refuse(device, id, Status::NotAvailable);
+        }
+        self.announced = true;
+        self.subscriptions.clear();
+        self.reply(Reply::status_only(id, Status::Success));
+        device.note_result(id.kind(), Status::Success);
+        device.abort_motion();
+    }
+
+    fn reply(&mut self, reply: Reply<'_>) {
+        if !self.queue.push(reply, QUEUE_LEN) {
+            self.replies_lost = self.replies_lost.saturating_add(1);
+        }
+    }
+}
+
+const fn update_of(command: &Command<'_>) -> Option<AutoUpdate> {
+    match command {
+        Command::GetSystemState { update }
+        | Command::GetGripperState { update }
+        | Command::GetOpeningWidth { update }
+        | Command::GetSpeed { update }
+        | Command::GetForce { update } => Some(*update),
+        _ => None,
+    }
+}
+
+/// Frames in a ring of bytes. A frame tells its own length.
+#[derive(Clone, Debug)]
+struct FrameQueue {
+    bytes: [u8; QUEUE_LEN],
+    first: usize,
+    len: usize,
+}
+
+impl FrameQueue {
+    const fn new() -> Self {
+        Self { bytes: [0; QUEUE_LEN], first: 0, len: 0 }
+    }
+
+    /// Appends a frame unless the queue would hold more than `limit` bytes; whether it did.
+    fn push(&mut self, reply: Reply<'_>, limit: usize) -> bool {
+        let frame = FrameEncoder::new(reply.id().code(), reply);
+        if self.len + frame.frame_len() > limit {
+            return false;
+        }
+        for byte in frame {
+            self.bytes[(self.first + self.len) % QUEUE_LEN] = byte;
+            self.len += 1;
+        }
+        true
+    }
+
+    /// Takes the oldest frame; its length.
+    fn pop(&mut self, buffer: &mut FrameBuffer) -> Option<usize> {
+        if self.len == 0 {
+            return None;
+        }
+        let size = u16::from_le_bytes([self.byte(SIZE_AT), self.byte(SIZE_AT + 1)]);
+        let len = usize::from(size) + OVERHEAD;
+        for (at, slot) in buffer.iter_mut().enumerate().take(len) {
+            *slot = self.byte(at);
+        }
+        self.first = (self.first + len) % QUEUE_LEN;
+        self.len -= len;
+        Some(len)
+    }
+
+    fn byte(&self, at: usize) -> u8 {
+        self.bytes[(self.first + at) % QUEUE_LEN]
+    }
+}

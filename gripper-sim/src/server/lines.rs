@@ -1,0 +1,68 @@
+//! Where a gripper is served: addresses, serial lines and CAN buses, as its user names them.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use wsg_protocol::can::Identifiers;
+
+/// Where a gripper is served.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Lines {
+    /// TCP: the address to listen on. Port 0 lets the system choose.
+    pub tcp: Option<SocketAddr>,
+    /// UDP: the address to listen on.
+    pub udp: Option<UdpLine>,
+    /// A serial line.
+    pub serial: Option<SerialLine>,
+    /// A CAN bus.
+    pub can: Option<CanLine>,
+    /// The text protocol (GCL) over TCP: the address to listen on.
+    pub gcl: Option<SocketAddr>,
+    /// The text protocol (GCL) over UDP: the address to listen on. Answers go to the port that asked.
+    pub gcl_udp: Option<SocketAddr>,
+    /// Modbus/TCP: the address to listen on; port 502 on the real one.
+    pub modbus: Option<SocketAddr>,
+    /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
+    /// what a hand beside it can, so keep it on the loopback interface.
+    pub control: Option<SocketAddr>,
+    /// Decides which frames the faults hit that the control interface lets loose on the lines.
+    pub seed: u64,
+}
+
+/// A UDP address, and where answers go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UdpLine {
+    /// The address to listen on; grippers in the field use port 1500.
+    pub address: SocketAddr,
+    /// The port that answers go to, whatever port the request came from; 1501 in the field.
+    pub remote_port: u16,
+}
+
+/// A serial line that is to be served.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SerialLine {
+    /// A pseudo terminal, made for the purpose.
+    Pty,
+    /// A Unix socket at this path, to which clients connect.
+    Unix(PathBuf),
+    /// A terminal device that exists, such as `/dev/ttyUSB0`; set to 115200 8N1.
+    Device(PathBuf),
+}
+
+/// Where a gripper is on a CAN bus.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CanLine {
+    /// What leads to the bus.
+    pub bus: CanBus,
+    /// The gripper's two identifiers.
+    pub identifiers: Identifiers,
+}
+
+/// What leads to a CAN bus.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CanBus {
+    /// A network interface of Linux SocketCAN, such as `can0`.
+    Interface(String),
+    /// A serial line that carries CAN frames by SLCAN. A pseudo terminal and a Unix socket are an adapter for whoever
+    /// opens them; behind a device an adapter is expected.
+    Slcan(SerialLine),
+}

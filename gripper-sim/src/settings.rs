@@ -1,0 +1,80 @@
+//! What clients set for the motions to come (command set, 3.3).
+
+use crate::model::Parameters;
+use wsg_protocol::{SoftLimits, Status, SystemLimits};
+
+/// The motion settings, always within what the model can do.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Settings {
+    system_limits: SystemLimits,
+    acceleration: f32,
+    force_limit: f32,
+    overdrive: bool,
+    soft_limits: Option<SoftLimits>,
+}
+
+impl Settings {
+    /// Those after switching on.
+    pub(crate) const fn new(parameters: &Parameters) -> Self {
+        Self {
+            system_limits: parameters.limits,
+            acceleration: parameters.default_acceleration,
+            force_limit: parameters.default_force,
+            overdrive: false,
+            soft_limits: None,
+        }
+    }
+
+    /// The acceleration in mm/s².
+    pub(crate) const fn acceleration(&self) -> f32 {
+        self.acceleration
+    }
+
+    pub(crate) const fn set_acceleration(&mut self, acceleration: f32) {
+        let limits = &self.system_limits;
+        self.acceleration = acceleration.clamp(limits.min_acceleration, limits.max_acceleration);
+    }
+
+    /// The force limit in N, summed over both fingers.
+    pub(crate) const fn force_limit(&self) -> f32 {
+        self.force_limit
+    }
+
+    pub(crate) const fn set_force_limit(&mut self, force: f32) {
+        self.force_limit = self.possible_force(force);
+    }
+
+    /// The force in N that comes nearest to `force` among those that may be set now.
+    pub(crate) const fn possible_force(&self, force: f32) -> f32 {
+        force.clamp(self.system_limits.min_force, self.greatest_force())
+    }
+
+    pub(crate) const fn is_overdrive(&self) -> bool {
+        self.overdrive
+    }
+
+    pub(crate) const fn set_overdrive(&mut self, enabled: bool) {
+        self.overdrive = enabled;
+        self.force_limit = self.force_limit.min(self.greatest_force());
+    }
+
+    pub(crate) const fn soft_limits(&self) -> Option<SoftLimits> {
+        self.soft_limits
+    }
+
+    pub(crate) fn set_soft_limits(&mut self, limits: SoftLimits) -> Status {
+        if limits.minus > limits.plus {
+            return Status::CmdFormatError;
+        }
+        self.soft_limits = Some(limits);
+        Status::Success
+    }
+
+    pub(crate) const fn clear_soft_limits(&mut self) {
+        self.soft_limits = None;
+    }
+
+    const fn greatest_force(&self) -> f32 {
+        if self.overdrive { self.system_limits.overdrive_force } else { self.system_limits.nominal_force }
+    }
+}

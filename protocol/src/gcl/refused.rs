@@ -1,0 +1,44 @@
+//! What a gripper answers to a line that it does not understand.
+
+use super::{Answer, Description, Mistake, Named};
+
+/// A line that is no request, and what to call it in the answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Refused<'a> {
+    /// The name at the start of the line.
+    pub name: Named<'a>,
+    /// What is wrong.
+    pub mistake: Mistake,
+}
+
+impl<'a> Refused<'a> {
+    /// A line that is longer than the reader holds, from how it began.
+    ///
+    /// ```
+    /// use wsg_protocol::gcl::Refused;
+    ///
+    /// let refused = Refused::too_long(b"move(0.000000000000000000000000000000000");
+    /// assert_eq!(refused.answer(false).to_string(), "ERR MOVE 27");
+    /// ```
+    #[must_use]
+    pub fn too_long(start: &'a [u8]) -> Self {
+        Self { name: Named::at_start_of(start), mistake: Mistake::TooLong }
+    }
+
+    /// The gripper's answer to it (GCL, 1.3), with a text in verbose mode.
+    #[must_use]
+    pub const fn answer(&self, verbose: bool) -> Answer<'a> {
+        let status = self.mistake.status();
+        let description = if verbose { Some(Description::of(status)) } else { None };
+        Answer::Err { name: self.name, status, description }
+    }
+}
+
+impl core::fmt::Display for Refused<'_> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{}: {}", self.name, self.mistake)
+    }
+}
+
+impl core::error::Error for Refused<'_> {}
