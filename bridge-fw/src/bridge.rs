@@ -9,9 +9,9 @@ use crate::liveness::{Liveness, Looked};
 use crate::log;
 use crate::modbus::{BusConfig, BusPort, CAN_REPORTS, ModbusSide, NoBus, ResetCause, Settings, Subjects};
 use crate::recipe::{RECIPE_COUNT, RECIPES, Recipe};
+use bus_modbus::rtu;
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
-use wsg_protocol::modbus::rtu;
 use wsg_protocol::session::{self, Notice, Session, Signal, Timeout};
 use wsg_protocol::{
     AutoUpdate, Command, CommandId, DeviceTag, FrameEncoder, FrameParser, Instant, Status, frame,

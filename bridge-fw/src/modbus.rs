@@ -1,7 +1,7 @@
 //! Modbus RTU as a PLC side beside the wires: what it serves, and how it is set.
 //!
 //! The registers are documented in `docs/registers.md`, which is made from the tables here. Framing and functions are
-//! `wsg_protocol::modbus`'s; who commands is decided in `arbiter`.
+//! `bus_modbus`'s; who commands is decided in `arbiter`.
 
 mod config;
 mod port;

@@ -6,12 +6,14 @@
 use std::fs;
 use std::path::PathBuf;
 
+use bus_modbus::Function;
 use host_tests::modbus_bench::Bench;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::modbus::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_protocol::SystemFlags;
-use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
-use wsg_protocol::modbus::{Content, Function, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
+use wsg_protocol::fieldbus::{
+    CommandFlags, Content, GripperFlags, INPUT_REGISTERS, OUTPUT_REGISTERS, Register,
+};
 
 fn document() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../docs/registers.md")

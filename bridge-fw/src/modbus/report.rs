@@ -2,8 +2,8 @@
 
 use super::BusConfig;
 use crate::arbiter::Commander;
+use bus_modbus::{Exception, rtu};
 use wsg_protocol::frame;
-use wsg_protocol::modbus::{Exception, rtu};
 use wsg_protocol::session::Session;
 
 /// The address of the first of [`REPORTS`].

@@ -2,9 +2,9 @@
 
 use crate::bridge::Config;
 use crate::recipe::{RECIPE_COUNT, Recipe};
+use bus_modbus::rtu::{self, Mode};
+use bus_modbus::{Exception, Words};
 use wsg_protocol::fieldbus::SilenceReaction;
-use wsg_protocol::modbus::rtu::{self, Mode};
-use wsg_protocol::modbus::{Exception, Words};
 
 /// A holding register that holds a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,10 +3,10 @@
 use super::BusPort;
 use super::report::{FIRST_REPORT, Link, Subjects};
 use super::settings::{FIRST_SETTING, Settings};
+use bus_modbus::rtu::{self, Character, Event, Server};
+use bus_modbus::{Bits, Device, Exception, Identification, Words};
 use wsg_protocol::Instant;
-use wsg_protocol::fieldbus::{InputImage, OutputImage};
-use wsg_protocol::modbus::rtu::{self, Character, Event, Server};
-use wsg_protocol::modbus::{Bits, Device, Exception, Identification, Images, Words};
+use wsg_protocol::fieldbus::{Images, InputImage, OutputImage};
 
 /// What the bridge calls itself (FC 43/14).
 pub const IDENTIFICATION: Identification = Identification {

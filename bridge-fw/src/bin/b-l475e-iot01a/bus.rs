@@ -5,6 +5,7 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+use bus_modbus::rtu::{Character, MAX_FRAME_LEN};
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::rcc::vals::Lpuart1sel;
 use stm32_metapac::usart::vals::{M0, Ps, Stop};
@@ -12,7 +13,6 @@ use stm32_metapac::{Interrupt, LPUART1, PWR, RCC, interrupt};
 use wsg_bridge_fw::boards::b_l475e_iot01a::BusClock;
 use wsg_bridge_fw::byte_queue::ByteQueue;
 use wsg_bridge_fw::modbus::{BusConfig, BusPort, Format};
-use wsg_protocol::modbus::rtu::{Character, MAX_FRAME_LEN};
 
 use crate::tick;
 
