@@ -1,21 +1,17 @@
 //! The bridge: a PLC side, the register controller, the session, and the gripper's line.
 
 use crate::arbiter::{Arbiter, ControlSource};
-#[cfg(feature = "can")]
-use crate::can::BusReport;
+use crate::config::{Config, MAX_REPLY_LEN};
 use crate::io::{Inputs, Outputs};
 use crate::liveness::{Liveness, Looked};
 use crate::log;
 use crate::plc::wires::Wires;
-use crate::plc::{BusConfig, Facts, PlcEvent, PlcSide, Shown, View};
-use crate::registers::{CAN_REPORTS, RECIPE_COUNT, RECIPES, Recipe, ResetCause, Settings};
+use crate::plc::{Facts, PlcEvent, PlcSide, Shown, View};
+use crate::registers::{CanReports, ResetCause, Settings};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::Controller;
-use wsg_protocol::session::{self, Notice, Session, Signal, Timeout};
-use wsg_protocol::{AutoUpdate, Command, CommandId, DeviceTag, FrameEncoder, FrameParser, Instant, frame};
-
-/// The longest reply that a bridge asks for: a device tag behind its status code. Everything longer is not for it.
-pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
+use wsg_protocol::session::{self, Notice, Session, Signal};
+use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, frame};
 
 /// Bytes taken from the line in one turn of the main loop, at the most: a line that never falls silent must not keep
 /// the wires waiting. One millisecond at 115 200 bit/s brings 12.
@@ -24,49 +20,6 @@ const MAX_RECEIVED_PER_POLL: usize = 256;
 /// The least time between two updates of width or force for the bus's registers: a report has 14 bytes, and the line
 /// carries 115 in that time.
 const MEASURED_PERIOD_MS: u16 = AutoUpdate::MIN_PERIOD_MS;
-
-/// What can be set about a bridge.
-#[derive(Clone, Copy, Debug)]
-pub struct Config {
-    /// How long a wire must keep its level before it counts, in milliseconds.
-    pub debounce_ms: u32,
-    /// How long BUSY is high at least, in milliseconds: fingers that are at their goal already would show it for less than
-    /// a PLC's cycle.
-    pub min_busy_ms: u32,
-    /// After how long without a byte half a frame is given up, in milliseconds.
-    pub half_frame_ms: u32,
-    /// What the recipe wires choose from.
-    pub recipes: &'static [Recipe; RECIPE_COUNT],
-    /// Time-outs towards the gripper.
-    pub session: session::Config,
-    /// The bus: Modbus RTU.
-    pub bus: BusConfig,
-}
-
-/// Towards the gripper: settings are read back, because a force limit that a damaged frame changed would hurt; and a Stop
-/// that is not answered soon becomes a FAST STOP while there is time for one.
-const SESSION: session::Config = session::Config {
-    verify_settings: true,
-    timeouts: &[Timeout { id: CommandId::Stop, reply_ms: STOP_ANSWER_MS, result_ms: STOP_ANSWER_MS }],
-    ..session::Config::DEFAULT
-};
-
-/// How long a gripper may take to answer a Stop, in milliseconds, before the fingers count as not stopped. A burst of FAST
-/// STOPs behind it takes 90 ms, and both together may take 250 ms.
-const STOP_ANSWER_MS: u32 = 100;
-
-impl Config {
-    /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, time-outs for a serial line, and a bus at
-    /// 19 200 bit/s.
-    pub const DEFAULT: Self = Self {
-        debounce_ms: 2,
-        min_busy_ms: 50,
-        half_frame_ms: 20,
-        recipes: &RECIPES,
-        session: SESSION,
-        bus: BusConfig::DEFAULT,
-    };
-}
 
 /// What the bridge has met that it could not use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -117,7 +70,7 @@ impl Bridge {
                 was_connected: false,
                 link_is_lost: false,
                 bus_timeouts: 0,
-                can: [0; CAN_REPORTS],
+                can: CanReports::NONE,
                 reset_cause: ResetCause::Unknown,
             },
             is_measured: false,
@@ -210,9 +163,8 @@ impl Bridge {
     }
 
     /// Takes what is known of the CAN bus, for the registers that report it.
-    #[cfg(feature = "can")]
-    pub const fn set_can_report(&mut self, report: &BusReport) {
-        self.facts.can = report.registers();
+    pub const fn set_can_reports(&mut self, reports: CanReports) {
+        self.facts.can = reports;
     }
 
     /// What has been met so far that could not be used.

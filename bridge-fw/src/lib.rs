@@ -26,6 +26,7 @@ mod built;
 pub mod byte_queue;
 #[cfg(feature = "can")]
 pub mod can;
+mod config;
 pub mod io;
 mod liveness;
 mod log;
@@ -33,6 +34,7 @@ pub mod plc;
 pub mod registers;
 
 pub use arbiter::ControlSource;
-pub use bridge::{Bridge, Config, Counters, MAX_REPLY_LEN};
-pub use plc::{BusConfig, BusPort, NoBus};
-pub use registers::{RECIPE_COUNT, RECIPES, Recipe, ResetCause};
+pub use bridge::{Bridge, Counters};
+pub use config::{BusConfig, Config, Format, MAX_REPLY_LEN, RECIPE_COUNT, RECIPES, Recipe};
+pub use plc::{BusPort, NoBus};
+pub use registers::ResetCause;

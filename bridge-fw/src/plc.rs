@@ -8,7 +8,7 @@ mod modbus;
 mod view;
 pub(crate) mod wires;
 
-pub use modbus::{BusConfig, BusPort, Format, IDENTIFICATION, Modbus, ModbusLine};
+pub use modbus::{BusPort, IDENTIFICATION, Modbus, ModbusLine};
 pub use view::View;
 
 pub(crate) use debounce::Debounce;

@@ -2,15 +2,13 @@
 //!
 //! The tables here are the only ones: the PLC sides serve them, `docs/registers.md` and the EDS file are made from them.
 
-mod recipe;
 mod reports;
 mod settings;
 
-pub use recipe::{RECIPE_COUNT, RECIPES, Recipe};
-pub use reports::{FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
+pub use reports::{CanReports, FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
 pub use settings::{FIRST_SETTING, SETTINGS, Setting};
 
-pub(crate) use reports::{CAN_REPORTS, ReportSource};
+pub(crate) use reports::ReportSource;
 pub(crate) use settings::Settings;
 
 /// Why a register was not read or written.

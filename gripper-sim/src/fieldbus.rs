@@ -8,8 +8,8 @@
 use crate::device::Device;
 use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
-use wsg_protocol::fieldbus::{Controller, SilenceReaction};
-use wsg_protocol::modbus::{self, Bits, Exception, Identification, Images, MAX_PDU_LEN, Words};
+use bus_modbus::{Bits, Exception, Identification, MAX_PDU_LEN, Words};
+use wsg_protocol::fieldbus::{Controller, Images, SilenceReaction};
 use wsg_protocol::session::{Known, Notice};
 use wsg_protocol::{Reply, Status, Value};
 
@@ -52,7 +52,7 @@ impl Fieldbus {
     ) -> usize {
         let known = known(device);
         self.images.set_input(&self.controller.input(&known));
-        let len = modbus::serve(request, &mut Registers(&mut self.images), response);
+        let len = bus_modbus::serve(request, &mut Registers(&mut self.images), response);
         if let Some(image) = self.images.take_written() {
             self.controller.set_output(&image, &known);
             self.writer = Some(client);
@@ -118,7 +118,7 @@ fn known(device: &Device) -> Known {
 /// The images as a server sees them.
 struct Registers<'a>(&'a mut Images);
 
-impl modbus::Device for Registers<'_> {
+impl bus_modbus::Device for Registers<'_> {
     fn coil(&self, address: u16) -> Result<bool, Exception> {
         self.0.coil(address)
     }

@@ -3,9 +3,9 @@
 use crate::device::Device;
 use crate::fieldbus::Fieldbus;
 use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId};
+use bus_modbus::tcp::{self, Event, HEADER_LEN, Receiver};
 use heapless::Deque;
 use wsg_protocol::Counters;
-use wsg_protocol::modbus::tcp::{self, Event, HEADER_LEN, Receiver};
 
 /// Bytes of frames that wait for a client to read them: the answers to all requests that come at a time.
 const QUEUE_LEN: usize = 2_048;

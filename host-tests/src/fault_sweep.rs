@@ -9,12 +9,12 @@ use std::convert::Infallible;
 
 use crate::chance::Chance;
 use crate::faulty_link::{Fault, FaultyWay, Rates};
+use bus_modbus::rtu::{Character, crc};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusPort, Config};
 use wsg_protocol::SystemFlags;
-use wsg_protocol::modbus::rtu::{Character, crc};
 use wsg_sim::{MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
 /// Hundredths of a byte that the line carries in a millisecond: 10 bits a byte.

@@ -4,11 +4,11 @@ use std::collections::VecDeque;
 
 use crate::serial_gripper::SerialGripper;
 use crate::wires::Wires;
+use bus_modbus::rtu::{Character, crc};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusPort, Config};
 use wsg_protocol::CommandId;
-use wsg_protocol::modbus::rtu::{Character, crc};
 use wsg_sim::{Time, VirtualGripper};
 
 /// The bridge's unit as delivered.

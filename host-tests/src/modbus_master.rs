@@ -8,7 +8,7 @@ use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use wsg_protocol::modbus::rtu::crc;
+use bus_modbus::rtu::crc;
 
 use crate::uninterrupted;
 

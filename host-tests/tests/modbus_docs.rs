@@ -2,13 +2,15 @@
 //!
 //! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test modbus_docs` writes the generated parts anew.
 
+use bus_modbus::Function;
 use host_tests::document::{hold, table};
 use host_tests::modbus_bench::Bench;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_protocol::SystemFlags;
-use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
-use wsg_protocol::modbus::{Content, Function, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
+use wsg_protocol::fieldbus::{
+    CommandFlags, Content, GripperFlags, INPUT_REGISTERS, OUTPUT_REGISTERS, Register,
+};
 
 fn line() -> String {
     let bus = Config::DEFAULT.bus;

@@ -3,12 +3,12 @@
 //! Expectations come from the MODBUS application protocol specification (the tests beside the code), not from here: this
 //! only finds what nobody thought of. Both servers keep the same plain tables.
 
+use bus_modbus::rtu::crc;
+use bus_modbus::{Bits, Device, Exception, Identification, MAX_PDU_LEN, Words, serve};
 use proptest::prelude::*;
 use rmodbus::ModbusProto;
 use rmodbus::server::ModbusFrame;
 use rmodbus::server::storage::ModbusStorage;
-use wsg_protocol::modbus::rtu::crc;
-use wsg_protocol::modbus::{Bits, Device, Exception, Identification, MAX_PDU_LEN, Words, serve};
 
 const BITS: usize = 40;
 const REGISTERS: usize = 130;

@@ -3,12 +3,22 @@
 //! Every PLC side of a bridge, wires or a bus, writes the 8-byte [`OutputImage`] and reads the 12-byte [`InputImage`]
 //! (fieldbus, chapter 5). The [`Controller`] does what chapter 6 says between them. PROFIBUS masters also get a
 //! [`Diagnosis`] block.
+//!
+//! By the feature `modbus`, `Images` is both images as the coils and registers of a MODBUS server, for `bus_modbus`.
 
 mod controller;
 mod diagnosis;
 mod image;
 mod jog;
+#[cfg(feature = "modbus")]
+mod modbus;
+#[cfg(feature = "modbus")]
+mod registers;
 
 pub use controller::{Controller, SilenceReaction};
 pub use diagnosis::Diagnosis;
 pub use image::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
+#[cfg(feature = "modbus")]
+pub use modbus::Images;
+#[cfg(feature = "modbus")]
+pub use registers::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};

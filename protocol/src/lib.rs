@@ -12,8 +12,7 @@
 //! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
 //! | [`session`] | the controller's side of a connection | command set, 1.3 |
 //! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async` | command set, chapter 3 |
-//! | [`fieldbus`] | the register images and the controller behind them | fieldbus, chapters 5 and 6 |
-//! | `modbus` | a MODBUS server over the images, and RTU framing, by feature `modbus` | fieldbus, chapter 4 |
+//! | [`fieldbus`] | the register images and the controller behind them; by feature `modbus`, the images as a MODBUS server's tables | fieldbus, chapters 4 to 6 |
 //! | `can` | the messages over CAN frames, both directions, by feature `embedded-can` | command set, 1.1 |
 //! | [`gcl`] | the text protocol, both directions | GCL |
 //!
@@ -76,8 +75,6 @@ mod field;
 pub mod fieldbus;
 pub mod frame;
 pub mod gcl;
-#[cfg(feature = "modbus")]
-pub mod modbus;
 mod queue;
 pub mod reply;
 pub mod session;

@@ -3,9 +3,8 @@
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use wsg_protocol::fieldbus::{CommandFlags, Controller, GripperFlags, InputImage, OutputImage};
-use wsg_protocol::modbus::rtu::{Character, Config, Mode, Receiver, Timing};
-use wsg_protocol::modbus::{Images, Words};
+use bus_modbus::Words;
+use wsg_protocol::fieldbus::{CommandFlags, Controller, GripperFlags, Images, InputImage, OutputImage};
 use wsg_protocol::session::{self, Known, Session};
 use wsg_protocol::{
     Command, CommandId, Event, Frame, FrameEncoder, FrameParser, Instant, Kind, Status, SystemFlags,
@@ -90,26 +89,6 @@ fn parsers_differ_by_what_they_hold_and_not_by_what_they_held() {
     assert!(differ(&[after(&[]), FrameParser::ignoring_checksums()]));
     assert_eq!(hash(&after(&frame)), hash(&after(&[])));
     assert_eq!(hash(&after(b"noise")), hash(&after(&[])), "counted, and no more");
-}
-
-#[test]
-fn receivers_differ_by_what_they_hold_and_not_by_what_they_held() {
-    let after = |bytes: &[u8]| {
-        let mut receiver = Receiver::new(1, Mode::Strict, Timing::of(19_200, 11));
-        for byte in bytes {
-            assert_eq!(receiver.push(Character::Byte(*byte), 0), None);
-        }
-        receiver
-    };
-    let mut damaged = after(&[1]);
-    assert_eq!(damaged.push(Character::Damaged, 0), None);
-    assert!(differ(&[after(&[]), after(&[1]), after(&[2]), after(&[1, 0]), damaged]));
-    let mut given = after(&[1, 3, 0, 0, 0, 1, 0x84, 0x0A]);
-    assert!(given.silence(10_000).is_some());
-    assert_eq!(hash(&given), hash(&after(&[])));
-    let config = Config { unit: 1, mode: Mode::Strict, broadcast: true };
-    let server = |config| wsg_protocol::modbus::rtu::Server::new(config, Timing::of(19_200, 11));
-    assert!(differ(&[server(config), server(Config { broadcast: false, ..config })]));
 }
 
 #[test]

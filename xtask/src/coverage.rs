@@ -1,4 +1,4 @@
-//! Which lines of the protocol crate its tests reach.
+//! Which lines of the crates for boards their tests reach.
 
 use std::{fs, path::PathBuf, process::Command};
 
@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use crate::{
     process,
     tool::{self, NIGHTLY, Tool},
-    workspace::Workspace,
+    workspace::{TARGET_CRATES, Workspace},
 };
 
 const LLVM_TOOLS: Tool = Tool {
@@ -18,7 +18,7 @@ const LLVM_TOOLS: Tool = Tool {
 
 /// Prints the coverage of each file, and of all together: that of the tests, without the examples in the docs.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
-    let what_for = "the coverage of wsg-protocol";
+    let what_for = "the coverage of protocol and buses";
     NIGHTLY.require(workspace, what_for)?;
     LLVM_TOOLS.require(workspace, what_for)?;
     let folder = workspace.target_dir.join("coverage");
@@ -26,8 +26,8 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     // Profiles of an earlier run would be counted in.
     let _ = fs::remove_dir_all(&profiles);
     let tests = |more: &[&str]| {
-        let mut cargo =
-            tool::nightly_cargo(workspace, &["test", "--locked", "-p", "wsg-protocol", "--lib", "--tests"]);
+        let mut cargo = tool::nightly_cargo(workspace, &["test", "--locked", "--lib", "--tests"]);
+        cargo.args(TARGET_CRATES.into_iter().flat_map(|(package, _)| ["-p", package]));
         cargo.args(more).env("CARGO_TARGET_DIR", &folder).env("RUSTFLAGS", "-Cinstrument-coverage");
         cargo.env("LLVM_PROFILE_FILE", profiles.join("%p-%m.profraw"));
         cargo

@@ -66,7 +66,7 @@ Commands
                      program, against their limits
   stack              the firmware's worst-case stack, by a walk over its calls and by a painted
                      stack in the emulator
-  panics             firmware and protocol link only if no panic can be reached
+  panics             firmware, protocol and buses link only if no panic can be reached
   bench              instructions on a Cortex-M4, counted in the emulator and held to a committed
                      baseline [--update: write it anew]; throughput on this machine
   fast-stop          how long the gripper takes to stop with every byte around it damaged in turn, in
@@ -77,12 +77,12 @@ Commands
                      --inputs N: their bodies over so many generated inputs each, on stable Rust
   soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;
                      a quarter of an hour [--commands N] [--seed N]
-  mutants [FILE...]  changes of the protocol crate and of the bridge's library, or of these files of them, that
-                     no test notices; takes hours for all [--jobs N: at a time, 1] [--shard K/N: every N-th,
+  mutants [FILE...]  changes of protocol, buses and the bridge's library, or of these files of them, that no
+                     test notices; takes hours for all [--jobs N: at a time, 1] [--shard K/N: every N-th,
                      a sample] [--again: but those that the run before has caught]; cargo-mutants
   loom               the queue of the interrupts under every order of events
   miri               the bridge's host tests under Miri; nightly Rust
-  coverage           lines of the protocol crate that its tests reach; nightly Rust
+  coverage           lines of protocol and buses that their tests reach; nightly Rust
   figures            measure all that docs/figures.md tells, and write it and the README's table
   flash              write the image to a board with probe-rs and start it
                      [--features X] as for build

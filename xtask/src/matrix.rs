@@ -1,5 +1,5 @@
-//! The protocol crate where others will use it: every combination of its features on targets with and without atomics,
-//! on the oldest Rust that it declares, and as the package that would be published.
+//! The crates for other people's boards where they will be used: every combination of their features on targets with and
+//! without atomics, on the oldest Rust that they declare, and as the packages that would be published.
 
 use std::{fs, process::Command};
 
@@ -8,23 +8,22 @@ use anyhow::{Context, Result, bail};
 use crate::{
     process,
     setup::{self, MINIMUM_RUST},
-    workspace::Workspace,
+    workspace::{TARGET_CRATES, Workspace},
 };
-
-const PACKAGE: &str = "wsg-protocol";
 
 /// Without atomics that compare and swap; the board's; without any atomics.
 const TARGETS: [&str; 3] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf", "riscv32i-unknown-none-elf"];
 
 /// The example for a board: a library that needs a core and nothing else.
-const BOARD_EXAMPLE: [&str; 4] = ["--example", "no_std_board", "--features", "embedded-io"];
+const BOARD_EXAMPLE: [&str; 6] =
+    ["-p", "wsg-protocol", "--example", "no_std_board", "--features", "embedded-io"];
 
 /// How many of the combinations.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Extent {
     /// Every combination, and the whole workspace on the oldest Rust: minutes.
     Whole,
-    /// No feature, each alone, all together; the crate alone on the oldest Rust.
+    /// No feature, each alone, all together; the crates alone on the oldest Rust.
     Quick,
 }
 
@@ -46,22 +45,24 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
 
 /// Builds what `extent` says; fails at the first build that does.
 pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
-    let combinations = combinations(&features(&workspace.root.join("protocol/Cargo.toml"))?, extent);
     let mut outcome = Outcome { passed: 0, not_checked: Vec::new() };
 
     for target in TARGETS {
         if !setup::has_target(workspace, target) && !setup::rustup(workspace, &["target", "add", target]) {
-            outcome.not_checked.push(format!("protocol on {target} (rustup could not bring the target)"));
+            outcome.not_checked.push(format!("the crates on {target} (rustup could not bring the target)"));
             continue;
         }
-        for features in &combinations {
-            let mut check = workspace.cargo("check");
-            check.args(["--quiet", "-p", PACKAGE, "--no-default-features", "--target", target]);
-            process::run(check.args(["--features", features]))?;
-            outcome.passed += 1;
+        for (package, folder) in TARGET_CRATES {
+            let features = features(&workspace.root.join(folder).join("Cargo.toml"))?;
+            for features in combinations(&features, extent) {
+                let mut check = workspace.cargo("check");
+                check.args(["--quiet", "-p", package, "--no-default-features", "--target", target]);
+                process::run(check.args(["--features", &features]))?;
+                outcome.passed += 1;
+            }
         }
         let mut example = workspace.cargo("build");
-        process::run(example.args(["--quiet", "-p", PACKAGE, "--target", target]).args(BOARD_EXAMPLE))?;
+        process::run(example.args(["--quiet", "--target", target]).args(BOARD_EXAMPLE))?;
         outcome.passed += 1;
     }
 
@@ -79,7 +80,8 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
     }
 
     let mut package = workspace.cargo("package");
-    process::run(package.args(["--quiet", "--allow-dirty", "-p", PACKAGE]))?;
+    // In one call: a package is then verified against the others as they are here, not as a registry has them.
+    process::run(package.args(["--quiet", "--allow-dirty"]).args(packages()))?;
     outcome.passed += 1;
     Ok(outcome)
 }
@@ -91,9 +93,13 @@ fn check_with(workspace: &Workspace, toolchain: &str, extent: Extent) -> Command
     check.args(["run", toolchain, "cargo", "check", "--locked", "--quiet"]);
     match extent {
         Extent::Whole => check.args(["--workspace", "--all-targets"]),
-        Extent::Quick => check.args(["-p", PACKAGE, "--all-features"]),
+        Extent::Quick => check.args(packages()).arg("--all-features"),
     };
     check
+}
+
+fn packages() -> impl Iterator<Item = &'static str> {
+    TARGET_CRATES.into_iter().flat_map(|(package, _)| ["-p", package])
 }
 
 /// The features that the manifest declares, `default` aside.

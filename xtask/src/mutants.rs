@@ -1,4 +1,4 @@
-//! Mutants of the protocol crate and of the bridge's library: which changes of the code no test notices.
+//! Mutants of the protocol crate, of the buses and of the bridge's library: which changes of the code no test notices.
 
 mod accepted;
 
@@ -18,12 +18,13 @@ use crate::{
 use accepted::Accepted;
 
 /// Where no mutant may survive that is not accepted.
-const ALL_CAUGHT_IN: [&str; 6] = [
+const ALL_CAUGHT_IN: [&str; 7] = [
     "protocol/src/checksum.rs",
     "protocol/src/frame",
     "protocol/src/can",
     "protocol/src/fieldbus",
     "protocol/src/session",
+    "buses/",
     "bridge-fw/src/",
 ];
 
@@ -45,7 +46,7 @@ struct Part {
 /// The reader of decimal fractions is apart: its tests take as long as all others and notice nothing elsewhere.
 const DECIMAL: &str = "^protocol/src/gcl/decimal";
 
-const PARTS: [Part; 4] = [
+const PARTS: [Part; 5] = [
     Part {
         name: "protocol",
         package: "wsg-protocol",
@@ -68,6 +69,7 @@ const PARTS: [Part; 4] = [
         options: &["--features", "small-table", "--re", "^protocol/src/checksum.*(lookup|chunk)::"],
         tests: &["--lib"],
     },
+    Part { name: "modbus", package: "bus-modbus", folder: "buses/modbus/", options: &[], tests: &["--lib"] },
     // The board's registers are tested by the image in the emulator.
     Part {
         name: "bridge-fw",
@@ -116,7 +118,7 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     // Before it takes hours in which somebody edits.
     let sources = accepted::sources(&workspace.root)?;
     accepted.hold_to(&sources)?;
-    CARGO_MUTANTS.require(workspace, "the mutants of wsg-protocol and wsg-bridge-fw")?;
+    CARGO_MUTANTS.require(workspace, "the mutants of protocol, buses and bridge")?;
     let mut outcome = Outcome::default();
     for part in &PARTS {
         let files: Vec<&String> = extent.files.iter().filter(|file| file.starts_with(part.folder)).collect();
@@ -192,7 +194,7 @@ fn judge(outcome: &Outcome, accepted: &Accepted, sources: &Sources, is_whole: bo
     }
     let caught = outcome.caught.len();
     let made = caught + outcome.survived.len();
-    ensure!(made > 0, "no mutant was made: are these files of protocol/src or bridge-fw/src?");
+    ensure!(made > 0, "no mutant was made: are these files of protocol, buses or bridge-fw?");
     let settled = made - open.len();
     println!("mutants: {caught} of {made} caught, {} accepted, {} survived", settled - caught, open.len());
     if is_whole {
@@ -236,8 +238,8 @@ mod tests {
     }
 
     #[test]
-    fn none_may_survive_in_parser_session_and_bridge() {
-        for file in ["protocol/src/frame/parser.rs", "protocol/src/session.rs", "bridge-fw/src/bridge.rs"] {
+    fn none_may_survive_in_parser_buses_and_bridge() {
+        for file in ["protocol/src/frame/parser.rs", "buses/modbus/src/pdu.rs", "bridge-fw/src/bridge.rs"] {
             assert!(
                 !is_fine(&survived(&[&format!("{file}:12:5: replace + with - in push")]), false),
                 "{file}"

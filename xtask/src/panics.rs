@@ -1,4 +1,4 @@
-//! No panic can be reached: firmware and protocol link with a panic handler that calls what nobody defines.
+//! No panic can be reached: firmware, protocol and buses link with a panic handler that calls what nobody defines.
 
 use std::process::{Command, Stdio};
 
@@ -13,7 +13,7 @@ use crate::{
 /// What the panic handler calls.
 const UNDEFINED: &str = "a_panic_can_be_reached";
 
-/// The program that holds every public function of the protocol crate.
+/// The program that holds every public function of the crates for boards.
 const FUNCTIONS: &str = "functions";
 const FEATURES: &str = "every-function,on-target";
 
@@ -26,9 +26,9 @@ enum Outcome {
     Panics,
 }
 
-/// Checks firmware and protocol at both opt-levels, and the check itself on a program that panics.
+/// Checks firmware and crates at both opt-levels, and the check itself on a program that panics.
 pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
-    let functions = public_functions::of_crate(probes.workspace)?;
+    let functions = public_functions::of_crates(probes.workspace)?;
     let missing = public_functions::missing(&functions, &public_functions::of_probe(probes.workspace)?);
     ensure!(
         missing.is_empty(),
@@ -42,12 +42,12 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
             control == Outcome::Panics,
             "the program that panics links at {level}: this check checks nothing"
         );
-        let what = "protocol, every public function";
+        let what = "protocol and buses, every public function";
         hold(what, level, &mut probes.cargo("build", FUNCTIONS, FEATURES, profile))?;
         hold("firmware", level, &mut firmware_build(probes, profile))?;
     }
     println!(
-        "panic paths: 0 in the firmware and in {} public functions of the protocol, at opt-level s and 3 (not \
+        "panic paths: 0 in the firmware and in {} public functions of protocol and buses, at opt-level s and 3 (not \
          proved: text for persons, Display and Debug, which is core::fmt's; Hash, which only the host uses; and the async driver's futures: one that is \
          polled after its end panics, by the language's rule)",
         functions.values().sum::<usize>()

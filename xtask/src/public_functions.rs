@@ -1,4 +1,4 @@
-//! The public functions of the protocol crate, as rustdoc finds them, against those that the probe `functions` names. Both
+//! The public functions of the crates for boards, as rustdoc finds them, against those that the probe `functions` names. Both
 //! sides are the compiler's, so a function counts for its own type only, whatever others are called.
 
 use std::{collections::BTreeMap, fs};
@@ -6,25 +6,40 @@ use std::{collections::BTreeMap, fs};
 use anyhow::{Context, Result, ensure};
 use serde_json::Value;
 
-use crate::{process, workspace::Workspace};
+use crate::{
+    process,
+    workspace::{TARGET_CRATES, Workspace},
+};
 
 /// Functions by path, such as `wsg_protocol::frame::parser::FrameParser::push`, and how many there are of it: `new` may be
 /// there for two kinds of one generic type.
 pub(crate) type Functions = BTreeMap<String, usize>;
 
-/// Those of the crate, with all its features.
-pub(crate) fn of_crate(workspace: &Workspace) -> Result<Functions> {
+/// Those of all crates.
+pub(crate) fn of_crates(workspace: &Workspace) -> Result<Functions> {
+    let mut all = Functions::new();
+    for (package, _) in TARGET_CRATES {
+        all.extend(of_crate(workspace, package)?);
+    }
+    Ok(all)
+}
+
+/// Those of a crate, with all its features.
+fn of_crate(workspace: &Workspace, package: &str) -> Result<Functions> {
     let target_dir = workspace.target_dir.join("functions");
     let mut rustdoc = workspace.cargo("rustdoc");
-    rustdoc.args(["--quiet", "-p", "wsg-protocol", "--lib", "--all-features"]);
+    rustdoc.args(["--quiet", "-p", package, "--lib", "--all-features"]);
     rustdoc.arg("--target-dir").arg(&target_dir).args(["--", "-Z", "unstable-options"]);
     rustdoc.args(["--output-format", "json", "--document-hidden-items"]);
     // rustdoc's JSON is not stable: another compiler may give another form, which is then said and not passed over.
     process::run(rustdoc.env("RUSTC_BOOTSTRAP", "1"))?;
-    let path = target_dir.join("doc/wsg_protocol.json");
+    let path = target_dir.join(format!("doc/{}.json", package.replace('-', "_")));
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let functions = of_rustdoc(&serde_json::from_str(&text)?);
-    ensure!(!functions.is_empty(), "rustdoc's JSON has another form: no function is found in it");
+    ensure!(
+        !functions.is_empty(),
+        "rustdoc's JSON has another form: no function of {package} is found in it"
+    );
     Ok(functions)
 }
 
@@ -36,10 +51,10 @@ pub(crate) fn of_probe(workspace: &Workspace) -> Result<Functions> {
     Ok(counted(process::output(&mut probe)?.lines().map(path_of)))
 }
 
-/// Those of the crate that the probe lacks.
-pub(crate) fn missing(of_crate: &Functions, of_probe: &Functions) -> Vec<String> {
+/// Those of the crates that the probe lacks.
+pub(crate) fn missing(of_crates: &Functions, of_probe: &Functions) -> Vec<String> {
     let lacks = |(path, count): &(&String, &usize)| of_probe.get(*path).is_none_or(|there| there < *count);
-    of_crate.iter().filter(lacks).map(|(path, _)| path.clone()).collect()
+    of_crates.iter().filter(lacks).map(|(path, _)| path.clone()).collect()
 }
 
 fn counted(paths: impl Iterator<Item = String>) -> Functions {

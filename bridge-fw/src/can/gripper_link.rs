@@ -10,7 +10,7 @@ use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, Event, FrameEncoder, Instant};
 
 use super::Participant;
-use crate::MAX_REPLY_LEN;
+use crate::config::MAX_REPLY_LEN;
 
 /// CAN frames of the longest reply that a bridge asks for.
 const REPLY_FRAMES: usize = (MAX_REPLY_LEN + OVERHEAD).div_ceil(FULL);

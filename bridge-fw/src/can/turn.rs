@@ -21,7 +21,7 @@ pub fn turn_with_gripper<C: CanController, P: Participant<C::Frame>>(
     // Before the bridge's turn: what a bus that is lost carried must not be gone on with.
     bridge.set_link_lost(bus.is_lost());
     let report = bus.report(link.counters());
-    bridge.set_can_report(&report);
+    bridge.set_can_reports(report.registers());
     let outputs = poll(bridge, link, other, &report);
     // Before anything is said: what was said to a gripper that is lost must not leave.
     link.set_connected(bridge.is_connected());

@@ -1,17 +1,16 @@
 //! Modbus RTU as a PLC side: requests in, output images out; the input image and the registers of the bridge in answers.
 
-mod config;
 mod port;
 
-pub use config::{BusConfig, Format};
 pub use port::BusPort;
 
 use super::{PlcEvent, PlcSide, Shown, View};
-use crate::bridge::Config;
+use crate::config::Config;
 use crate::registers::{FIRST_REPORT, FIRST_SETTING, Link, RegisterError, Settings};
+use bus_modbus::rtu::{self, Character, Event, Mode, Server};
+use bus_modbus::{Bits, Device, Exception, Identification, Words};
 use wsg_protocol::Instant;
-use wsg_protocol::modbus::rtu::{self, Character, Event, Mode, Server};
-use wsg_protocol::modbus::{Bits, Device, Exception, Identification, Images, Words};
+use wsg_protocol::fieldbus::Images;
 
 /// What the bridge calls itself (FC 43/14).
 pub const IDENTIFICATION: Identification = Identification {

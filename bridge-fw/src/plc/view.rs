@@ -1,11 +1,10 @@
 //! What a PLC side may look at and change while it serves its PLC.
 
-use crate::MAX_REPLY_LEN;
 use crate::arbiter::{Arbiter, ControlSource};
-use crate::plc::BusConfig;
-use crate::registers::{CAN_REPORTS, Link, RegisterError, ReportSource, ResetCause, Settings};
+use crate::config::{BusConfig, MAX_REPLY_LEN};
+use crate::registers::{CanReports, Link, RegisterError, ReportSource, ResetCause, Settings};
+use bus_modbus::rtu;
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
-use wsg_protocol::modbus::rtu;
 use wsg_protocol::session::Session;
 use wsg_protocol::{FrameParser, Status};
 
@@ -19,8 +18,7 @@ pub(crate) struct Facts {
     pub(crate) link_is_lost: bool,
     /// How often a PLC on the bus was silent for too long.
     pub(crate) bus_timeouts: u16,
-    /// The reports about CAN, in their order.
-    pub(crate) can: [u16; CAN_REPORTS],
+    pub(crate) can: CanReports,
     pub(crate) reset_cause: ResetCause,
 }
 

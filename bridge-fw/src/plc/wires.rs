@@ -1,8 +1,9 @@
 //! Digital I/O as a PLC side: wires in, output image out; input image in, wires out.
 
 use super::{Debounce, PlcEvent, PlcSide, Shown, View};
+use crate::config::{RECIPE_COUNT, Recipe};
 use crate::io::{Inputs, Outputs};
-use crate::registers::{Link, RECIPE_COUNT, Recipe, Settings};
+use crate::registers::{Link, Settings};
 use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Instant, Status, SystemFlags};
 
@@ -204,7 +205,7 @@ fn is_error(gripper: &InputImage) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::registers::RECIPES;
+    use crate::config::RECIPES;
 
     /// What is shown for these wires, and these flags of a gripper that stands.
     fn shown_for(inputs: Inputs, system: SystemFlags) -> Outputs {

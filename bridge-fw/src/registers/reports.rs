@@ -2,9 +2,9 @@
 
 use super::RegisterError;
 use crate::arbiter::ControlSource;
-use crate::plc::BusConfig;
+use crate::config::BusConfig;
+use bus_modbus::rtu;
 use wsg_protocol::frame;
-use wsg_protocol::modbus::rtu;
 use wsg_protocol::session::Session;
 
 /// The address of the first of [`REPORTS`].
@@ -177,13 +177,18 @@ pub(crate) struct ReportSource<'a> {
     pub(crate) control_source: ControlSource,
     pub(crate) bus: rtu::Counters,
     pub(crate) timeouts: u16,
-    /// The reports about CAN, in their order.
-    pub(crate) can: &'a [u16; CAN_REPORTS],
+    pub(crate) can: &'a CanReports,
     pub(crate) reset_cause: ResetCause,
 }
 
-/// How many reports are about CAN.
-pub(crate) const CAN_REPORTS: usize = 6;
+/// What is reported about CAN: state, transmit and receive errors, bus-offs, overruns, dropped frames, as registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct CanReports(pub [u16; 6]);
+
+impl CanReports {
+    /// There is no CAN.
+    pub const NONE: Self = Self([0; 6]);
+}
 
 impl ReportSource<'_> {
     /// The register at this address, counted from [`FIRST_REPORT`].
@@ -228,7 +233,7 @@ impl ReportSource<'_> {
             | Subject::CanOverruns
             | Subject::CanDropped => {
                 let place = (subject as usize).wrapping_sub(Subject::CanState as usize);
-                self.can.get(place).copied().unwrap_or(0)
+                self.can.0.get(place).copied().unwrap_or(0)
             }
             Subject::ResetCause => self.reset_cause as u16,
         })

@@ -1,7 +1,7 @@
 //! The configuration as holding registers. It lives in RAM: power-up brings back what the firmware was built with.
 
-use super::{RECIPE_COUNT, Recipe, RegisterError};
-use crate::bridge::Config;
+use super::RegisterError;
+use crate::config::{Config, RECIPE_COUNT, Recipe};
 use wsg_protocol::fieldbus::SilenceReaction;
 
 /// A holding register that holds a setting.
@@ -280,7 +280,7 @@ const fn saturate(value: u32) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::registers::RECIPES;
+    use crate::config::RECIPES;
 
     #[test]
     fn settings_begin_as_the_configuration_says() {

@@ -6,6 +6,8 @@ use crate::deframer::Deframer;
 use crate::port::{PortId, PortKind, Protocol};
 use crate::time::Time;
 use anyhow::{Context, Result};
+use bus_modbus::Function;
+use bus_modbus::tcp::{self, HEADER_LEN, MAX_FRAME_LEN, Receiver};
 use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::fs::File;
@@ -13,8 +15,6 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 use wsg_protocol::frame::PREAMBLE_LEN;
-use wsg_protocol::modbus::Function;
-use wsg_protocol::modbus::tcp::{self, HEADER_LEN, MAX_FRAME_LEN, Receiver};
 use wsg_protocol::{Command, CommandId, Event, Frame, FrameEncoder, Reply};
 
 /// Where the payload begins in a frame.

@@ -6,8 +6,8 @@
 use super::faulty_line::{Fate, FaultyLine, LineFaults};
 use crate::port::{PortKind, Protocol};
 use crate::time::Time;
+use bus_modbus::tcp;
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
-use wsg_protocol::modbus::tcp;
 
 /// How long the rest of a frame is waited for while nothing else is on its way. Then what came of it passes as it is. Long,
 /// so that a busy machine does not decide what is a frame.

@@ -2,11 +2,11 @@
 
 use std::convert::Infallible;
 
+use bus_modbus::rtu::Character;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::BusPort;
 use wsg_protocol::Command;
 use wsg_protocol::frame::{Frame, OVERHEAD};
-use wsg_protocol::modbus::rtu::Character;
 
 use super::action::Image;
 
@@ -133,7 +133,7 @@ impl BusPort for Bus {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wsg_protocol::modbus::rtu;
+    use bus_modbus::rtu;
 
     #[test]
     fn requests_have_their_checksum() {

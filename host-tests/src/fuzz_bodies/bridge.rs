@@ -13,13 +13,13 @@
 
 use std::convert::Infallible;
 
+use bus_modbus::rtu::Character;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_protocol::fieldbus::CommandFlags;
 use wsg_protocol::frame::OVERHEAD;
-use wsg_protocol::modbus::rtu::Character;
 use wsg_protocol::{CommandId, FrameParser, Status};
 
 use super::frames::repair_checksums;

@@ -523,7 +523,7 @@ impl Model {
         bridge.set_link_lost(bus.is_lost());
         let report = bus.report(link.counters());
         node.set_report(report);
-        bridge.set_can_report(&report);
+        bridge.set_can_reports(report.registers());
         self.forget_if(aborts);
 
         let Self { link, bridge, node, .. } = self;
@@ -551,7 +551,7 @@ impl Model {
         bus.listen(now, &mut Nobody, node);
         let report = bus.report(LinkCounters::default());
         node.set_report(report);
-        bridge.set_can_report(&report);
+        bridge.set_can_reports(report.registers());
         let (mut heard, mut sent) = (vec![], vec![]);
         let mut tap = Tap { link: line, heard: &mut heard, sent: &mut sent };
         let outputs = bridge.poll(self.now_ms, self.wires, &mut tap, node);

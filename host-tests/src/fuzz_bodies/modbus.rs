@@ -1,7 +1,7 @@
 //! The MODBUS server on a serial line, against a small model of it: framing, addresses, checksum and the four tables.
 
-use wsg_protocol::modbus::rtu::{Character, Config, Event, Mode, Server, Timing};
-use wsg_protocol::modbus::{Bits, Device, Exception, Identification, Words};
+use bus_modbus::rtu::{Character, Config, Event, Mode, Server, Timing};
+use bus_modbus::{Bits, Device, Exception, Identification, Words};
 
 use super::input::Input;
 

@@ -6,9 +6,9 @@
 
 use std::collections::VecDeque;
 
+use bus_modbus::rtu::{Character, Timing};
 use wsg_bridge_fw::{BusPort, Config, RECIPE_COUNT, RECIPES, Recipe};
 use wsg_protocol::fieldbus::OutputImage;
-use wsg_protocol::modbus::rtu::{Character, Timing};
 
 use super::modbus::checksum;
 

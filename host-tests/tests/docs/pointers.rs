@@ -5,13 +5,14 @@ use std::path::Path;
 use host_tests::document::{read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 6] = [
+const DOCUMENTS: [&str; 7] = [
     "README.md",
     "CHANGELOG.md",
     "docs/wiring.md",
     "docs/protocol.md",
     "docs/decisions.md",
     "protocol/README.md",
+    "buses/modbus/README.md",
 ];
 
 #[test]

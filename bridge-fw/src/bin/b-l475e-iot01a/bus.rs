@@ -5,14 +5,14 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
+use bus_modbus::rtu::{Character, MAX_FRAME_LEN};
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::rcc::vals::Lpuart1sel;
 use stm32_metapac::usart::vals::{M0, Ps, Stop};
 use stm32_metapac::{Interrupt, LPUART1, PWR, RCC, interrupt};
 use wsg_bridge_fw::boards::b_l475e_iot01a::BusClock;
 use wsg_bridge_fw::byte_queue::ByteQueue;
-use wsg_bridge_fw::plc::{BusConfig, BusPort, Format};
-use wsg_protocol::modbus::rtu::{Character, MAX_FRAME_LEN};
+use wsg_bridge_fw::{BusConfig, BusPort, Format};
 
 use crate::tick;
 

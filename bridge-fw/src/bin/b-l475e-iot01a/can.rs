@@ -81,7 +81,7 @@ impl Can {
         bus.listen(now, nobody, node);
         let report = bus.report(LinkCounters::default());
         node.set_report(report);
-        bridge.set_can_report(&report);
+        bridge.set_can_reports(report.registers());
         let outputs = bridge.poll(now_ms, inputs, gripper_line, node);
         bus.talk(now, nobody, node);
         controller::rearm(bus.controller());

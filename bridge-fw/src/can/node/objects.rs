@@ -2,7 +2,7 @@
 
 use super::super::{BusState, Health, LinkCounters, bus::BusCounters};
 use super::NodeConfig;
-use crate::registers::{CAN_REPORTS, REPORTS, SETTINGS};
+use crate::registers::{CanReports, REPORTS, SETTINGS};
 
 /// The type of an object (CiA 301, table 44).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -333,18 +333,19 @@ impl BusReport {
         },
     };
 
-    /// As registers, in the order of the reports about CAN.
-    pub(crate) const fn registers(&self) -> [u16; CAN_REPORTS] {
+    /// Returns the reports about CAN.
+    #[must_use]
+    pub const fn registers(&self) -> CanReports {
         let Self { state, health, counters, link } = self;
         let passive = if health.is_passive { 0x80 } else { 0 };
-        [
+        CanReports([
             *state as u16 | passive,
             health.transmit_errors as u16,
             health.receive_errors as u16,
             counters.bus_offs,
             counters.overruns,
             link.frames.dropped,
-        ]
+        ])
     }
 
     pub(super) fn number(&self, subject: Subject) -> u32 {

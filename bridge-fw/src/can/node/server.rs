@@ -1,6 +1,6 @@
 //! The SDO server: what a master reads and writes of the device's objects (CiA 301, 7.2.4).
 
-use wsg_protocol::modbus::rtu;
+use bus_modbus::rtu;
 
 use super::Node;
 use super::objects::{Subject, find, with_node};

@@ -1,6 +1,6 @@
 //! The bus's line as a board hands it over.
 
-use wsg_protocol::modbus::rtu::Character;
+use bus_modbus::rtu::Character;
 
 /// A half-duplex line for Modbus RTU that measures its silences.
 ///

@@ -1,7 +1,7 @@
 //! What FC 8 tells of the line (MODBUS over serial line, appendix A; application protocol, 6.8).
 
 use super::Damage;
-use crate::modbus::Exception;
+use crate::Exception;
 
 /// The diagnostic counters; each stops at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

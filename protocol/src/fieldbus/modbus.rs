@@ -1,11 +1,13 @@
 //! The two images as tables of coils and registers (fieldbus, chapter 4; its byte order as NOTES of the project say).
+//!
+//! The MODBUS server itself is `bus_modbus`'s.
 
 use core::hash::{Hash, Hasher};
 
-use super::device::bit;
-use super::register::{INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
-use super::{Bits, Exception, Words};
-use crate::fieldbus::{InputImage, OutputImage};
+use bus_modbus::{Bits, Exception, Words};
+
+use super::registers::{INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
+use super::{InputImage, OutputImage};
 
 /// The output image as coils and holding registers, the input image as discrete inputs and input registers, all from
 /// address 0 on.
@@ -19,8 +21,8 @@ use crate::fieldbus::{InputImage, OutputImage};
 /// A write changes the image as a whole; [`take_written`](Self::take_written) hands it over once.
 ///
 /// ```
-/// use wsg_protocol::fieldbus::CommandFlags;
-/// use wsg_protocol::modbus::{Images, Words};
+/// use bus_modbus::Words;
+/// use wsg_protocol::fieldbus::{CommandFlags, Images};
 ///
 /// let mut images = Images::new(false);
 /// // The manual's example: MOVE and IF6 are register 0 = 288.
@@ -98,7 +100,7 @@ impl Images {
     /// # Errors
     /// [`Exception::IllegalDataAddress`] behind the last.
     pub fn coil(&self, address: u16) -> Result<bool, Exception> {
-        bit(&self.output, address.into()).ok_or(Exception::IllegalDataAddress)
+        bit(&self.output, address)
     }
 
     /// The discrete input at this address.
@@ -106,7 +108,7 @@ impl Images {
     /// # Errors
     /// [`Exception::IllegalDataAddress`] behind the last.
     pub fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
-        bit(&self.input, address.into()).ok_or(Exception::IllegalDataAddress)
+        bit(&self.input, address)
     }
 
     /// The holding register at this address.
@@ -158,6 +160,11 @@ impl Images {
         self.output = bytes;
         self.written = true;
     }
+}
+
+fn bit(bytes: &[u8], address: u16) -> Result<bool, Exception> {
+    let byte = bytes.get(usize::from(address / 8)).ok_or(Exception::IllegalDataAddress)?;
+    Ok(byte & (1 << (address % 8)) != 0)
 }
 
 fn word(bytes: &[u8], address: u16) -> Result<u16, Exception> {
@@ -243,5 +250,45 @@ mod tests {
         assert_eq!(images.write_coils(60, Bits::new(&[0xFF], 5)), Err(Exception::IllegalDataAddress));
         assert_eq!(images.take_written(), None);
         assert_eq!(images.output(), OutputImage::ZERO);
+    }
+
+    #[test]
+    fn coils_that_are_written_leave_their_neighbours() {
+        let mut images = Images::new(false);
+        images.write_registers(0, Words::new(&[0x02, 0xFF])).unwrap();
+        images.write_coils(1, Bits::new(&[0b0000_0010, 0b11], 10)).unwrap();
+        let image = images.take_written().unwrap();
+        assert_eq!((image.flags, image.user), (CommandFlags::RELEASE, 0xFE));
+        images.write_coils(13, Bits::new(&[0], 1)).unwrap();
+        assert_eq!(images.take_written().map(|image| image.user), Some(0xFE & !(1 << 5)));
+    }
+
+    #[test]
+    fn write_is_handed_over_once() {
+        let mut images = Images::new(false);
+        assert_eq!(images.take_written(), None);
+        images.write_registers(0, Words::new(&[0x02, 0, 0x07, 0xD0, 0x13, 0x88, 0x0F, 0xA0])).unwrap();
+        let image = OutputImage {
+            flags: CommandFlags::GRIP,
+            user: 0,
+            width: 20_00,
+            speed: 50_00,
+            force_limit: 40_00,
+        };
+        assert_eq!(images.take_written(), Some(image));
+        assert_eq!(images.take_written(), None);
+        assert_eq!(images.output(), image, "it stays to be read");
+    }
+
+    #[test]
+    fn images_have_as_many_bits_as_their_bytes_and_the_next_address_is_none() {
+        assert_eq!((Images::COILS, Images::DISCRETE_INPUTS), (64, 96));
+        let images = Images::new(false);
+        for last in [images.coil(Images::COILS - 1), images.discrete_input(Images::DISCRETE_INPUTS - 1)] {
+            assert_eq!(last, Ok(false));
+        }
+        for next in [images.coil(Images::COILS), images.discrete_input(Images::DISCRETE_INPUTS)] {
+            assert_eq!(next, Err(Exception::IllegalDataAddress));
+        }
     }
 }

@@ -3,7 +3,7 @@
 use core::hash::{Hash, Hasher};
 
 use super::{CRC_LEN, MAX_FRAME_LEN, Timing, crc};
-use crate::modbus::Function;
+use crate::Function;
 
 /// What the line brought.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -64,7 +64,7 @@ pub enum Received<'a> {
 /// character's time; [`Receiver::push`] gets that before each character, [`Receiver::silence`] while none comes.
 ///
 /// ```
-/// use wsg_protocol::modbus::rtu::{Character, Mode, Received, Receiver, Timing};
+/// use bus_modbus::rtu::{Character, Mode, Received, Receiver, Timing};
 ///
 /// let mut receiver = Receiver::new(17, Mode::Strict, Timing::of(19_200, 11));
 /// for byte in [0x11, 0x03, 0x00, 0x6B, 0x00, 0x03, 0x76, 0x87] {

@@ -3,7 +3,7 @@
 /// How long silence between characters may and must be, in microseconds.
 ///
 /// ```
-/// use wsg_protocol::modbus::rtu::Timing;
+/// use bus_modbus::rtu::Timing;
 ///
 /// // 1.5 and 3.5 characters of 11 bits.
 /// assert_eq!(Timing::of(9_600, 11), Timing { t1_5_us: 1_719, t3_5_us: 4_011 });

@@ -44,7 +44,7 @@ impl Request<'_> {
     /// that is 0 or more than there is room for.
     ///
     /// ```
-    /// use wsg_protocol::modbus::tcp::{MAX_FRAME_LEN, Request};
+    /// use bus_modbus::tcp::{MAX_FRAME_LEN, Request};
     ///
     /// let request = Request { transaction: 0x1501, unit: 0xFF, pdu: &[0x05] };
     /// let mut frame = [0; MAX_FRAME_LEN];
@@ -92,7 +92,7 @@ pub enum Event<'a> {
 /// Finds the frames in a stream. Its reset state is all zero.
 ///
 /// ```
-/// use wsg_protocol::modbus::tcp::{Event, Receiver, Request};
+/// use bus_modbus::tcp::{Event, Receiver, Request};
 ///
 /// let mut receiver = Receiver::new();
 /// // Read Input Registers, one from 0 on; and the beginning of another frame.
@@ -203,5 +203,4 @@ enum Step {
 }
 
 #[cfg(test)]
-#[path = "tcp/tests.rs"]
 mod tests;

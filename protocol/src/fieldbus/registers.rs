@@ -2,7 +2,7 @@
 //!
 //! The one table of them: what [`Images`](super::Images) serves and what the documents say comes from here.
 
-use crate::fieldbus::{InputImage, OutputImage};
+use super::{InputImage, OutputImage};
 
 /// What the two bytes of a register are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,7 +51,7 @@ const fn unsigned(name: &'static str, unit: &'static str) -> Register {
 /// The holding registers from 0 on: the output image (fieldbus, table 1).
 ///
 /// ```
-/// use wsg_protocol::modbus::OUTPUT_REGISTERS;
+/// use wsg_protocol::fieldbus::OUTPUT_REGISTERS;
 ///
 /// assert_eq!(OUTPUT_REGISTERS[2].name, "SPEED");
 /// ```
@@ -65,7 +65,7 @@ pub const OUTPUT_REGISTERS: [Register; OutputImage::LEN / 2] = [
 /// The input registers from 0 on: the input image (fieldbus, table 2).
 ///
 /// ```
-/// use wsg_protocol::modbus::INPUT_REGISTERS;
+/// use wsg_protocol::fieldbus::INPUT_REGISTERS;
 ///
 /// assert_eq!(INPUT_REGISTERS[5].name, "Status Code");
 /// ```

@@ -15,9 +15,9 @@ pub enum Exception {
     ServerDeviceFailure = 0x04,
     /// 06: not now; the same request may succeed later.
     ServerDeviceBusy = 0x06,
-    /// 0A: a gateway has no path to its target: here, no gripper has answered since power-up.
+    /// 0A: a gateway has no path to its target, as when the target has never answered.
     GatewayPathUnavailable = 0x0A,
-    /// 0B: a gateway's target does not respond: here, the gripper has fallen silent.
+    /// 0B: a gateway's target does not respond, as when it has fallen silent.
     GatewayTargetDeviceFailedToRespond = 0x0B,
 }
 
@@ -25,7 +25,7 @@ impl Exception {
     /// The byte that stands for it.
     ///
     /// ```
-    /// use wsg_protocol::modbus::Exception;
+    /// use bus_modbus::Exception;
     ///
     /// assert_eq!(Exception::GatewayPathUnavailable.code(), 10);
     /// ```

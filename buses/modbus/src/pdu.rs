@@ -63,7 +63,7 @@ impl Function {
     /// The function with this code.
     ///
     /// ```
-    /// use wsg_protocol::modbus::Function;
+    /// use bus_modbus::Function;
     ///
     /// assert_eq!(Function::from_code(0x17), Some(Function::ReadWriteMultipleRegisters));
     /// assert_eq!(Function::from_code(7), None);
@@ -94,32 +94,7 @@ impl Function {
 /// (03), then addresses (02), then what the device says. A request whose length is not what its function and counts ask
 /// for is 03, "implied length is incorrect".
 ///
-/// ```
-/// use wsg_protocol::modbus::{Images, MAX_PDU_LEN, serve};
-/// # use wsg_protocol::modbus::{Bits, Device, Exception, Identification, Words};
-/// # struct Gripper(Images);
-/// # impl Device for Gripper {
-/// #     fn coil(&self, address: u16) -> Result<bool, Exception> { self.0.coil(address) }
-/// #     fn discrete_input(&self, address: u16) -> Result<bool, Exception> { self.0.discrete_input(address) }
-/// #     fn holding_register(&self, address: u16) -> Result<u16, Exception> { self.0.holding_register(address) }
-/// #     fn input_register(&self, address: u16) -> Result<u16, Exception> { self.0.input_register(address) }
-/// #     fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> { self.0.write_coils(first, values) }
-/// #     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> { self.0.write_registers(first, values) }
-/// #     fn identification(&self) -> Identification { unimplemented!() }
-/// # }
-/// # let mut device = Gripper(Images::new(false));
-///
-/// let mut response = [0; MAX_PDU_LEN];
-/// // Write Single Register: register 0 = 288, the manual's example.
-/// let len = serve(&[0x06, 0x00, 0x00, 0x01, 0x20], &mut device, &mut response);
-/// assert_eq!(response[..len], [0x06, 0x00, 0x00, 0x01, 0x20]);
-/// // Read Coils 0 to 15.
-/// let len = serve(&[0x01, 0x00, 0x00, 0x00, 0x10], &mut device, &mut response);
-/// assert_eq!(response[..len], [0x01, 0x02, 0b0000_0001, 0b0010_0000]);
-/// // There is no holding register 4.
-/// let len = serve(&[0x03, 0x00, 0x04, 0x00, 0x01], &mut device, &mut response);
-/// assert_eq!(response[..len], [0x83, 0x02]);
-/// ```
+/// The [crate's documentation](crate) has an example.
 pub fn serve<D: Device + ?Sized>(request: &[u8], device: &mut D, response: &mut [u8; MAX_PDU_LEN]) -> usize {
     let Some((&code, data)) = request.split_first() else { return 0 };
     let (len, _) = serve_as(Function::from_code(code), code, data, device, response);

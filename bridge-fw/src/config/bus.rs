@@ -1,8 +1,8 @@
 //! What is fixed about the bus when the bridge starts: rate and format, and what the settings begin with.
 
 use crate::built::number;
+use bus_modbus::rtu::Timing;
 use wsg_protocol::fieldbus::SilenceReaction;
-use wsg_protocol::modbus::rtu::Timing;
 
 /// The bits of a character besides the eight of data (MODBUS over serial line, 2.5.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -47,7 +47,7 @@ impl Format {
     }
 }
 
-/// The bus at power-up. What can be changed while it runs has a register ([`SETTINGS`](super::SETTINGS)); rate and
+/// The bus at power-up. What can be changed while it runs has a register ([`SETTINGS`](crate::registers::SETTINGS)); rate and
 /// format need a start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct BusConfig {

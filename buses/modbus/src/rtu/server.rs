@@ -4,7 +4,7 @@ use core::hash::{Hash, Hasher};
 
 use super::counters::count;
 use super::{CRC_LEN, Character, Counters, Damage, MAX_FRAME_LEN, Mode, Received, Receiver, Timing, crc};
-use crate::modbus::{Device, Exception, Function, MAX_PDU_LEN, serve_as};
+use crate::{Device, Exception, Function, MAX_PDU_LEN, serve_as};
 
 /// The address of a broadcast.
 pub const BROADCAST: u8 = 0;
@@ -21,7 +21,7 @@ pub struct Config {
     /// How strictly silence is judged.
     pub mode: Mode,
     /// Whether writes to all units at once count. The specification asks for it; on a line with devices of other kinds
-    /// a register that is meant for them would be CMDFLAGS here.
+    /// a register that is meant for them would be written here too.
     pub broadcast: bool,
 }
 
@@ -41,19 +41,20 @@ pub enum Event<'a> {
 /// A MODBUS server on a serial line.
 ///
 /// ```
-/// # use wsg_protocol::modbus::{Bits, Device, Exception, Identification, Images, Words};
-/// # struct Gripper(Images);
-/// # impl Device for Gripper {
-/// #     fn coil(&self, address: u16) -> Result<bool, Exception> { self.0.coil(address) }
-/// #     fn discrete_input(&self, address: u16) -> Result<bool, Exception> { self.0.discrete_input(address) }
-/// #     fn holding_register(&self, address: u16) -> Result<u16, Exception> { self.0.holding_register(address) }
-/// #     fn input_register(&self, address: u16) -> Result<u16, Exception> { self.0.input_register(address) }
-/// #     fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> { self.0.write_coils(first, values) }
-/// #     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> { self.0.write_registers(first, values) }
+/// # use bus_modbus::{Bits, Device, Exception, Identification, Words};
+/// # const NONE: Exception = Exception::IllegalDataAddress;
+/// # struct Zero;
+/// # impl Device for Zero {
+/// #     fn coil(&self, _: u16) -> Result<bool, Exception> { Err(NONE) }
+/// #     fn discrete_input(&self, _: u16) -> Result<bool, Exception> { Err(NONE) }
+/// #     fn holding_register(&self, _: u16) -> Result<u16, Exception> { Ok(0) }
+/// #     fn input_register(&self, _: u16) -> Result<u16, Exception> { Err(NONE) }
+/// #     fn write_coils(&mut self, _: u16, _: Bits<'_>) -> Result<(), Exception> { Err(NONE) }
+/// #     fn write_registers(&mut self, _: u16, _: Words<'_>) -> Result<(), Exception> { Err(NONE) }
 /// #     fn identification(&self) -> Identification { unimplemented!() }
 /// # }
-/// # let mut device = Gripper(Images::new(false));
-/// use wsg_protocol::modbus::rtu::{Character, Config, Event, Mode, Server, Timing};
+/// # let mut device = Zero;
+/// use bus_modbus::rtu::{Character, Config, Event, Mode, Server, Timing};
 ///
 /// let config = Config { unit: 1, mode: Mode::Strict, broadcast: true };
 /// let mut server = Server::new(config, Timing::of(19_200, 11));

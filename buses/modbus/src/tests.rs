@@ -1,14 +1,58 @@
 //! Each function and each exception of the application protocol specification, byte by byte.
 
 use super::*;
-use crate::fieldbus::{CommandFlags, OutputImage};
 use std::vec;
 use std::vec::Vec;
 
-/// A device with the two images, a second block of registers that a test plans refusals for, and a name.
+/// Four holding registers that are 64 coils as well, six input registers that are 96 discrete inputs as well. Bit n is
+/// bit n mod 8 of byte n div 8, and a register is two bytes, the high one first.
+#[derive(Default)]
+pub(super) struct Tables {
+    output: [u8; 8],
+    input: [u8; 12],
+    written: bool,
+}
+
+impl Tables {
+    /// The holding registers as bytes, if a request has written to them since this was last asked.
+    pub(super) fn take_written(&mut self) -> Option<[u8; 8]> {
+        core::mem::take(&mut self.written).then_some(self.output)
+    }
+
+    fn bit(bytes: &[u8], address: u16) -> Result<bool, Exception> {
+        device::bit(bytes, address.into()).ok_or(Exception::IllegalDataAddress)
+    }
+
+    fn word(bytes: &[u8], address: u16) -> Result<u16, Exception> {
+        let pair = bytes.as_chunks().0.get(usize::from(address));
+        pair.map(|pair| u16::from_be_bytes(*pair)).ok_or(Exception::IllegalDataAddress)
+    }
+
+    fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
+        let mut bytes = self.output;
+        for (n, value) in (usize::from(first)..).zip(values.iter()) {
+            let byte = bytes.get_mut(n / 8).ok_or(Exception::IllegalDataAddress)?;
+            *byte = *byte & !(1 << (n % 8)) | u8::from(value) << (n % 8);
+        }
+        (self.output, self.written) = (bytes, true);
+        Ok(())
+    }
+
+    fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
+        let mut bytes = self.output;
+        for (n, value) in (usize::from(first)..).zip(values.iter()) {
+            let pair = bytes.as_chunks_mut().0.get_mut(n).ok_or(Exception::IllegalDataAddress)?;
+            *pair = value.to_be_bytes();
+        }
+        (self.output, self.written) = (bytes, true);
+        Ok(())
+    }
+}
+
+/// A device with those tables, more registers to read, writes that a test plans refusals for, and a name.
 pub(super) struct Plant {
-    pub(super) images: Images,
-    /// Holding register 100, whose writes are refused with this.
+    pub(super) tables: Tables,
+    /// What writes of registers are refused with.
     refusal: Option<Exception>,
     /// What writes reached the device.
     writes: Vec<(u16, usize)>,
@@ -17,7 +61,7 @@ pub(super) struct Plant {
 
 impl Plant {
     pub(super) fn new() -> Self {
-        Self { images: Images::new(false), refusal: None, writes: vec![], regular: true }
+        Self { tables: Tables::default(), refusal: None, writes: vec![], regular: true }
     }
 
     fn ask(&mut self, request: &[u8]) -> Vec<u8> {
@@ -29,26 +73,26 @@ impl Plant {
 
 impl Device for Plant {
     fn coil(&self, address: u16) -> Result<bool, Exception> {
-        self.images.coil(address)
+        Tables::bit(&self.tables.output, address)
     }
 
     fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
-        self.images.discrete_input(address)
+        Tables::bit(&self.tables.input, address)
     }
 
     fn holding_register(&self, address: u16) -> Result<u16, Exception> {
         // The last block there may be, to see what becomes of addresses behind 65 535.
-        if address >= 65_500 { Ok(address) } else { self.images.holding_register(address) }
+        if address >= 65_500 { Ok(address) } else { Tables::word(&self.tables.output, address) }
     }
 
     fn input_register(&self, address: u16) -> Result<u16, Exception> {
         // Registers enough for the longest answer.
-        if address >= 1_000 { Ok(address) } else { self.images.input_register(address) }
+        if address >= 1_000 { Ok(address) } else { Tables::word(&self.tables.input, address) }
     }
 
     fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
         self.writes.push((first, values.len().into()));
-        self.images.write_coils(first, values)
+        self.tables.write_coils(first, values)
     }
 
     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
@@ -56,7 +100,7 @@ impl Device for Plant {
         if let Some(refusal) = self.refusal {
             return Err(refusal);
         }
-        self.images.write_registers(first, values)
+        self.tables.write_registers(first, values)
     }
 
     fn identification(&self) -> Identification {
@@ -77,7 +121,7 @@ const ILLEGAL_VALUE: u8 = 3;
 fn refused(request: &[u8], exception: u8) {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(request), [request[0] | 0x80, exception], "{request:02X?}");
-    assert_eq!(plant.images.take_written(), None, "{request:02X?} is refused and changes nothing");
+    assert_eq!(plant.tables.take_written(), None, "{request:02X?} is refused and changes nothing");
 }
 
 #[test]
@@ -91,11 +135,9 @@ fn read_coils_packs_bits_from_the_lowest_and_fills_with_zeros() {
 }
 
 #[test]
-fn read_discrete_inputs_reads_the_input_image() {
+fn read_discrete_inputs_reads_the_table_of_inputs() {
     let mut plant = Plant::new();
-    let mut bytes = [0; 12];
-    (bytes[0], bytes[11]) = (0x01, 26);
-    plant.images.set_input(&crate::fieldbus::InputImage::from_bytes(bytes));
+    (plant.tables.input[0], plant.tables.input[11]) = (0x01, 26);
     assert_eq!(plant.ask(&[2, 0, 0, 0, 1]), [2, 1, 1]);
     assert_eq!(plant.ask(&[2, 0, 88, 0, 8]), [2, 1, 26]);
 }
@@ -157,9 +199,9 @@ fn addresses_do_not_wrap_at_65_535() {
 fn write_single_coil_knows_on_and_off_alone() {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(&[5, 0, 13, 0xFF, 0]), [5, 0, 13, 0xFF, 0]);
-    assert_eq!(plant.images.take_written().map(|image| image.user), Some(1 << 5));
+    assert_eq!(plant.tables.take_written(), Some([0, 1 << 5, 0, 0, 0, 0, 0, 0]));
     assert_eq!(plant.ask(&[5, 0, 13, 0, 0]), [5, 0, 13, 0, 0]);
-    assert_eq!(plant.images.take_written(), Some(OutputImage::ZERO));
+    assert_eq!(plant.tables.take_written(), Some([0; 8]));
     for value in [[0, 1], [0xFF, 1], [1, 0], [0xFF, 0xFF]] {
         refused(&[5, 0xFF, 0xFF, value[0], value[1]], ILLEGAL_VALUE);
     }
@@ -169,7 +211,7 @@ fn write_single_coil_knows_on_and_off_alone() {
 fn write_single_register_echoes() {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(&[6, 0, 0, 0x01, 0x20]), [6, 0, 0, 0x01, 0x20]);
-    assert_eq!(plant.images.output().flags, CommandFlags::MOVE);
+    assert_eq!(plant.tables.take_written(), Some([0x01, 0x20, 0, 0, 0, 0, 0, 0]));
 }
 
 #[test]
@@ -178,14 +220,12 @@ fn multiple_writes_reach_the_device_as_one() {
     let request = [16, 0, 0, 0, 4, 8, 0x02, 0, 0x07, 0xD0, 0x13, 0x88, 0x0F, 0xA0];
     assert_eq!(plant.ask(&request), [16, 0, 0, 0, 4]);
     assert_eq!(plant.writes, [(0, 4)]);
-    let image =
-        OutputImage { flags: CommandFlags::GRIP, user: 0, width: 20_00, speed: 50_00, force_limit: 40_00 };
-    assert_eq!(plant.images.take_written(), Some(image));
+    assert_eq!(plant.tables.take_written(), Some([0x02, 0, 0x07, 0xD0, 0x13, 0x88, 0x0F, 0xA0]));
 
     assert_eq!(plant.ask(&[15, 0, 1, 0, 10, 2, 0b0000_0010, 0b11]), [15, 0, 1, 0, 10]);
     assert_eq!(plant.writes, [(0, 4), (1, 10)]);
-    let written = plant.images.take_written().unwrap();
-    assert_eq!((written.flags, written.user), (CommandFlags::RELEASE, 0b110));
+    // Coils 1 to 10 were written; 2, 9 and 10 are on.
+    assert_eq!(plant.tables.take_written(), Some([0b100, 0b110, 0x07, 0xD0, 0x13, 0x88, 0x0F, 0xA0]));
 }
 
 #[test]
@@ -221,7 +261,7 @@ fn mask_write_register_combines_by_and_then_or() {
     plant.ask(&[6, 0, 1, 0, 0x12]);
     let request = [22, 0, 1, 0, 0xF2, 0, 0x25];
     assert_eq!(plant.ask(&request), request);
-    assert_eq!(plant.images.holding_register(1), Ok(0x17));
+    assert_eq!(plant.holding_register(1), Ok(0x17));
 }
 
 #[test]
@@ -467,18 +507,6 @@ fn every_function_at_every_length_is_answered_as_the_specification_says() {
     // Each function was answered with more than exceptions, or this test would show little.
     let served: Vec<u8> = (0..=255).filter(|code| answered[usize::from(*code)] > 0).collect();
     assert_eq!(served, [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43]);
-}
-
-#[test]
-fn images_have_as_many_bits_as_their_bytes_and_the_next_address_is_none() {
-    assert_eq!((Images::COILS, Images::DISCRETE_INPUTS), (64, 96));
-    let images = Images::new(false);
-    for last in [images.coil(Images::COILS - 1), images.discrete_input(Images::DISCRETE_INPUTS - 1)] {
-        assert_eq!(last, Ok(false));
-    }
-    for next in [images.coil(Images::COILS), images.discrete_input(Images::DISCRETE_INPUTS)] {
-        assert_eq!(next, Err(Exception::IllegalDataAddress));
-    }
 }
 
 #[test]

@@ -50,7 +50,7 @@ pub trait Device {
 /// Bits of a request: bit n is bit n mod 8 of byte n div 8.
 ///
 /// ```
-/// use wsg_protocol::modbus::Bits;
+/// use bus_modbus::Bits;
 ///
 /// let bits = Bits::new(&[0b1000_0001, 0b10], 10);
 /// assert_eq!(bits.iter().filter(|set| *set).count(), 3);
@@ -91,7 +91,7 @@ impl<'a> Bits<'a> {
 /// Registers of a request: each high byte first.
 ///
 /// ```
-/// use wsg_protocol::modbus::Words;
+/// use bus_modbus::Words;
 ///
 /// let words = Words::new(&[0x01, 0x20, 0x04, 0xC4]);
 /// assert!(words.iter().eq([0x0120, 1220]));

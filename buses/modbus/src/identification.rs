@@ -16,7 +16,7 @@ const CONFORMITY_REGULAR: u8 = 0x82;
 /// What a server says of itself. Printable ASCII; together below 240 bytes, or it takes more than one request.
 ///
 /// ```
-/// use wsg_protocol::modbus::Identification;
+/// use bus_modbus::Identification;
 ///
 /// let identification = Identification {
 ///     vendor_name: "a vendor",

@@ -1,8 +1,9 @@
 //! Frames and silences: what is a frame, who answers it, and what is counted.
 
 use super::*;
-use crate::modbus::tests::Plant;
-use crate::modbus::{Function, MAX_PDU_LEN};
+use crate::tests::Plant;
+use crate::{Function, MAX_PDU_LEN};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::vec;
 use std::vec::Vec;
 
@@ -147,7 +148,7 @@ fn tolerant_mode_waits_for_the_rest_of_a_request_for_this_unit() {
         bus.send_after(PATIENCE_US, &request[cut..]);
         bus.silence(PATIENCE_US);
         assert_eq!(bus.answers.len(), 0, "cut at {cut}");
-        assert!(bus.plant.images.take_written().is_none());
+        assert!(bus.plant.tables.take_written().is_none());
     }
 }
 
@@ -198,7 +199,7 @@ fn half_a_frame_is_none() {
             bus.send(&request[..len]);
             bus.silence(PATIENCE_US);
             assert_eq!(bus.answers.len(), 0);
-            assert!(bus.plant.images.take_written().is_none(), "{len} bytes");
+            assert!(bus.plant.tables.take_written().is_none(), "{len} bytes");
         }
     }
 }
@@ -213,7 +214,7 @@ fn frame_with_any_bit_wrong_is_dropped() {
         bus.send(&wrong);
         bus.silence(TIMING.t3_5_us);
         assert_eq!((bus.answers.len(), &bus.others[..]), (0, &["checksum"][..]), "bit {bit}");
-        assert!(bus.plant.images.take_written().is_none());
+        assert!(bus.plant.tables.take_written().is_none());
     }
 }
 
@@ -263,7 +264,7 @@ fn frames_without_silence_between_them_are_none() {
         bus.send(&[request.clone(), request].concat());
         bus.silence(TIMING.t3_5_us);
         assert_eq!(bus.others, ["checksum"]);
-        assert!(bus.plant.images.take_written().is_none());
+        assert!(bus.plant.tables.take_written().is_none());
     }
 }
 
@@ -287,12 +288,12 @@ fn broadcast_writes_are_carried_out_and_get_no_answer() {
     let mut bus = Bus::new(STRICT);
     bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
     assert_eq!(bus.others, ["served"]);
-    assert_eq!(bus.plant.images.take_written().map(|image| image.width), Some(7));
+    assert_eq!(bus.plant.tables.take_written().map(|bytes| bytes[2..4] == [0, 7]), Some(true));
     for pdu in [&READ[..], &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 9], &[8, 0, 4, 0, 0], &[43, 14, 1, 0], &[99]] {
         bus.ask(BROADCAST, pdu);
     }
     assert_eq!(bus.others, ["served", "passed", "passed", "passed", "passed", "passed"]);
-    assert!(bus.plant.images.take_written().is_none() && bus.answers.is_empty());
+    assert!(bus.plant.tables.take_written().is_none() && bus.answers.is_empty());
     assert!(!bus.server.is_listen_only());
 }
 
@@ -345,7 +346,7 @@ fn receiver_that_is_reset_has_forgotten_what_it_held() {
 fn broadcast_is_passed_over_where_it_is_switched_off() {
     let mut bus = Bus::new(Config { broadcast: false, ..STRICT });
     bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
-    assert!(bus.plant.images.take_written().is_none() && bus.answers.is_empty());
+    assert!(bus.plant.tables.take_written().is_none() && bus.answers.is_empty());
 }
 
 #[test]
@@ -400,7 +401,7 @@ fn server_that_listens_only_is_woken_by_a_restart_alone() {
     assert!(bus.server.is_listen_only());
     assert_eq!(bus.ask(UNIT, &[6, 0, 0, 0, 1]), []);
     assert_eq!(bus.diagnose(0, 0), []);
-    assert!(bus.plant.images.take_written().is_none());
+    assert!(bus.plant.tables.take_written().is_none());
     assert_eq!(bus.diagnose(1, 0), [], "no answer to this one either");
     assert!(!bus.server.is_listen_only());
     assert!(is_read_answer(&bus.ask(UNIT, &READ)));
@@ -482,4 +483,40 @@ fn diagnostics_at_every_length_are_answered_as_the_specification_says() {
             assert_eq!(answer.is_empty(), expected.is_empty());
         }
     }
+}
+
+fn hash(state: &impl Hash) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    state.hash(&mut hasher);
+    hasher.finish()
+}
+
+/// Whether they all differ.
+fn differ<T: Hash>(states: &[T]) -> bool {
+    let mut hashes: Vec<_> = states.iter().map(hash).collect();
+    hashes.sort_unstable();
+    hashes.dedup();
+    hashes.len() == states.len()
+}
+
+/// Two machines of equal hashes do the same from now on: what is still to come counts, what was counted or answered does
+/// not.
+#[test]
+fn receivers_differ_by_what_they_hold_and_not_by_what_they_held() {
+    let after = |bytes: &[u8]| {
+        let mut receiver = Receiver::new(1, Mode::Strict, Timing::of(19_200, 11));
+        for byte in bytes {
+            assert_eq!(receiver.push(Character::Byte(*byte), 0), None);
+        }
+        receiver
+    };
+    let mut damaged = after(&[1]);
+    assert_eq!(damaged.push(Character::Damaged, 0), None);
+    assert!(differ(&[after(&[]), after(&[1]), after(&[2]), after(&[1, 0]), damaged]));
+    let mut given = after(&[1, 3, 0, 0, 0, 1, 0x84, 0x0A]);
+    assert!(given.silence(10_000).is_some());
+    assert_eq!(hash(&given), hash(&after(&[])));
+    let config = Config { unit: 1, mode: Mode::Strict, broadcast: true };
+    let server = |config| Server::new(config, Timing::of(19_200, 11));
+    assert!(differ(&[server(config), server(Config { broadcast: false, ..config })]));
 }

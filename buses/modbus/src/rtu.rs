@@ -25,7 +25,7 @@ const CRC: crc::Crc<u16> = crc::Crc::<u16>::new(&crc::CRC_16_MODBUS);
 /// The checksum of a frame's address and PDU; it is sent low byte first.
 ///
 /// ```
-/// use wsg_protocol::modbus::rtu::crc;
+/// use bus_modbus::rtu::crc;
 ///
 /// // The specification's example: address 2, function 7.
 /// assert_eq!(crc(&[0x02, 0x07]).to_le_bytes(), [0x41, 0x12]);
@@ -38,5 +38,4 @@ pub fn crc(bytes: &[u8]) -> u16 {
 }
 
 #[cfg(test)]
-#[path = "rtu/tests.rs"]
 mod tests;

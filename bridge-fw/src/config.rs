@@ -1,0 +1,56 @@
+//! What is fixed about a bridge when it starts, and what its settings begin with. Everything else may import this.
+
+mod bus;
+mod recipe;
+
+pub use bus::{BusConfig, Format};
+pub use recipe::{RECIPE_COUNT, RECIPES, Recipe};
+
+use wsg_protocol::session::{self, Timeout};
+use wsg_protocol::{CommandId, DeviceTag};
+
+/// The longest reply that a bridge asks for: a device tag behind its status code. Everything longer is not for it.
+pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
+
+/// What can be set about a bridge.
+#[derive(Clone, Copy, Debug)]
+pub struct Config {
+    /// How long a wire must keep its level before it counts, in milliseconds.
+    pub debounce_ms: u32,
+    /// How long BUSY is high at least, in milliseconds: fingers that are at their goal already would show it for less than
+    /// a PLC's cycle.
+    pub min_busy_ms: u32,
+    /// After how long without a byte half a frame is given up, in milliseconds.
+    pub half_frame_ms: u32,
+    /// What the recipe wires choose from.
+    pub recipes: &'static [Recipe; RECIPE_COUNT],
+    /// Time-outs towards the gripper.
+    pub session: session::Config,
+    /// The bus: Modbus RTU.
+    pub bus: BusConfig,
+}
+
+/// Towards the gripper: settings are read back, because a force limit that a damaged frame changed would hurt; and a Stop
+/// that is not answered soon becomes a FAST STOP while there is time for one.
+const SESSION: session::Config = session::Config {
+    verify_settings: true,
+    timeouts: &[Timeout { id: CommandId::Stop, reply_ms: STOP_ANSWER_MS, result_ms: STOP_ANSWER_MS }],
+    ..session::Config::DEFAULT
+};
+
+/// How long a gripper may take to answer a Stop, in milliseconds, before the fingers count as not stopped. A burst of FAST
+/// STOPs behind it takes 90 ms, and both together may take 250 ms.
+const STOP_ANSWER_MS: u32 = 100;
+
+impl Config {
+    /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, time-outs for a serial line, and a bus at
+    /// 19 200 bit/s.
+    pub const DEFAULT: Self = Self {
+        debounce_ms: 2,
+        min_busy_ms: 50,
+        half_frame_ms: 20,
+        recipes: &RECIPES,
+        session: SESSION,
+        bus: BusConfig::DEFAULT,
+    };
+}
