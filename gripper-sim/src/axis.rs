@@ -304,7 +304,8 @@ impl Axis {
             Obstacle::EndStop => true,
             Obstacle::Jam => self.jammed,
             Obstacle::Part => match self.room() {
-                Some(room) => room <= NOTHING,
+                // A jammed axis has no room either way.
+                Some(room) => room <= NOTHING && self.penetration() > 0.0,
                 None => self.seated && self.part.is_some_and(|part| f64::from(part.width) >= self.width),
             },
         };

@@ -254,6 +254,16 @@ fn part_pulled_out_while_holding_is_lost() {
 }
 
 #[test]
+fn part_pulled_out_of_jammed_fingers_is_lost() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    rig.set_fault(Fault::AxisBlocked, true);
+    assert_eq!(rig.state(), GripperState::Holding);
+    rig.set_part(None);
+    assert_eq!((rig.state(), rig.force()), (GripperState::PartLost, 0.0));
+}
+
+#[test]
 fn release_opens_and_leaves_the_part_behind() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     rig.run(grip(20.0));
