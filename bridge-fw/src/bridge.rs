@@ -94,9 +94,10 @@ impl Bridge {
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
         let has_heard = self.receive(now, link) | self.expire_half_frame(now);
+        // Before what is known may be given up with the connection.
+        self.controller.get_acquainted(self.session.known());
         self.tick(now);
         self.facts.was_connected |= self.session.is_connected();
-        self.controller.get_acquainted(self.session.known());
         self.take_wires(now, inputs, has_heard);
         self.take_bus(now, bus);
         self.forward_commands();

@@ -6,14 +6,13 @@ mod jogging;
 use super::image::to_register;
 use super::jog::{Jog, Stage};
 use super::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
-use crate::command::{Command, CommandId};
+use crate::command::{Command, CommandId, Kind};
 use crate::queue::Queue;
 use crate::reply::{Reply, Value};
 use crate::session::{Known, Notice, RequestError};
 use crate::types::{
     AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
 };
-use jogging::stands;
 
 /// The flags that begin a motion on their rising edge.
 const MOTIONS: CommandFlags =
@@ -63,14 +62,16 @@ pub struct Controller {
     /// The gripper's flags have been seen once since power-up, and it was connected.
     is_acquainted: bool,
     fast_stop: FastStop,
-    /// An acknowledgement is not answered yet: what is answered before that may be an earlier FAST STOP, which it undoes.
-    acknowledging: bool,
+    /// Acknowledgements without an outcome so far: what is answered before that may be an earlier FAST STOP, which they undo.
+    acknowledgements_open: u8,
     /// A FAST STOP was answered meanwhile, and is given again behind the acknowledgement.
     fast_stop_again: bool,
     /// Set Force Limit commands without an outcome so far.
     force_limits_open: u8,
     /// The motion whose result is awaited.
     motion: Option<Motion>,
+    /// A motion that the gripper's reports say nothing of yet, be it stopped meanwhile.
+    unseen: Unseen,
     /// The command whose outcome the status register shows.
     shown: Option<CommandId>,
     status: Status,
@@ -100,6 +101,17 @@ enum FastStop {
     Latched,
     /// The same, and an acknowledgement was sent since.
     Acknowledged,
+}
+
+/// A motion that may have begun since the gripper told its states: that the fingers stood then says nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Unseen {
+    /// There is none.
+    No,
+    /// Given to the session; reports that come now may be older.
+    Given,
+    /// Begun, or not answered: the next report knows of it.
+    Begun,
 }
 
 /// What becomes of the fingers when the PLC that commands them falls silent.
@@ -134,10 +146,11 @@ impl Controller {
             connected: false,
             is_acquainted: false,
             fast_stop: FastStop::Clear,
-            acknowledging: false,
+            acknowledgements_open: 0,
             fast_stop_again: false,
             force_limits_open: 0,
             motion: None,
+            unseen: Unseen::No,
             shown: None,
             status: Status::Success,
             failed: false,
@@ -240,6 +253,7 @@ impl Controller {
     /// Takes what the session noticed, with what it knows since.
     pub fn handle(&mut self, notice: &Notice<'_>, known: &Known) {
         self.note_outcome(notice);
+        self.note_motion(notice);
         match notice {
             Notice::Connected => {
                 self.connected = true;
@@ -264,7 +278,7 @@ impl Controller {
                 }
             }
             Notice::Answered(reply) => self.answered(reply, known),
-            Notice::Late(CommandId::Stop) | Notice::Unanswered(CommandId::Stop) if !stands(known) => {
+            Notice::Late(CommandId::Stop) | Notice::Unanswered(CommandId::Stop) if !self.stands(known) => {
                 self.fast_stop();
             }
             Notice::Unanswered(id) if self.jog_may_move(*id, known) => self.fast_stop(),
@@ -285,7 +299,7 @@ impl Controller {
             Notice::Answered(reply) => reply.id(),
             Notice::Unanswered(id) | Notice::Withdrawn(id) => *id,
             Notice::Disconnected => {
-                self.acknowledging = false;
+                self.acknowledgements_open = 0;
                 self.force_limits_open = 0;
                 return;
             }
@@ -293,14 +307,36 @@ impl Controller {
         };
         match id {
             CommandId::Acknowledge => {
-                self.acknowledging = false;
-                if core::mem::take(&mut self.fast_stop_again) {
+                self.acknowledgements_open = self.acknowledgements_open.saturating_sub(1);
+                if self.acknowledgements_open == 0 && core::mem::take(&mut self.fast_stop_again) {
                     self.send(Command::FastStop);
                 }
             }
             CommandId::SetForceLimit => self.force_limits_open = self.force_limits_open.saturating_sub(1),
             _ => {}
         }
+    }
+
+    /// Keeps track of whether the reports know of the last motion.
+    fn note_motion(&mut self, notice: &Notice<'_>) {
+        let is_motion = |id: CommandId| id.kind() == Kind::Motion;
+        let tells_states = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
+        self.unseen = match notice {
+            Notice::Pending(id) if is_motion(*id) => Unseen::Begun,
+            Notice::Unanswered(id) if self.unseen == Unseen::Given && is_motion(*id) => Unseen::Begun,
+            Notice::Withdrawn(id) if is_motion(*id) => Unseen::No,
+            Notice::Answered(reply) if is_motion(reply.id()) => Unseen::No,
+            Notice::Answered(reply) if self.unseen == Unseen::Begun && tells_states(reply.id()) => Unseen::No,
+            Notice::Reported(value) if self.unseen == Unseen::Begun && tells_states(value.id()) => Unseen::No,
+            // Its states were asked for since.
+            Notice::Connected => Unseen::No,
+            _ => return,
+        };
+    }
+
+    /// Whether the gripper has reported that its fingers stand, and was given no motion since.
+    fn stands(&self, known: &Known) -> bool {
+        self.unseen == Unseen::No && known.flags.is_some() && !known.is_moving()
     }
 
     /// Compares the gripper's system flags with the FAST STOP that it has answered.
@@ -315,7 +351,9 @@ impl Controller {
                 }
             }
             // It was acknowledged, and the answer that said so was lost or damaged.
-            (FastStop::Acknowledged, false) if !self.acknowledging => self.fast_stop = FastStop::Clear,
+            (FastStop::Acknowledged, false) if self.acknowledgements_open == 0 => {
+                self.fast_stop = FastStop::Clear
+            }
             _ => {}
         }
     }
@@ -423,14 +461,12 @@ impl Controller {
             if self.fast_stop == FastStop::Latched {
                 self.fast_stop = FastStop::Acknowledged;
             }
-            self.acknowledging = true;
             self.send_alone(Command::ACKNOWLEDGE);
         } else {
             let failed = self.failed || known.state == Some(GripperState::Error);
             self.stop();
             if failed {
                 // A Stop leaves the state as it is; Acknowledge is the way to IDLE (command set, 3.2.5 and appendix C).
-                self.acknowledging = true;
                 self.send(Command::ACKNOWLEDGE);
             }
         }
@@ -443,10 +479,11 @@ impl Controller {
         self.motion = None;
         self.held_back = None;
         self.failed = false;
-        // It will have no outcome: the session has not been given it.
-        let unsent = self.outgoing.iter().filter(|command| command.id() == CommandId::SetForceLimit).count();
-        self.force_limits_open = self.force_limits_open.saturating_sub(unsent as u8);
-        self.outgoing.clear();
+        // These will have no outcome: the session has not been given them.
+        while let Some(unsent) = self.outgoing.pop_front() {
+            self.note_outcome(&Notice::Withdrawn(unsent.id()));
+            self.note_motion(&Notice::Withdrawn(unsent.id()));
+        }
         self.send(command);
         self.shown = Some(command.id());
         self.status = Status::CmdPending;
@@ -511,6 +548,11 @@ impl Controller {
 
     #[inline(never)]
     fn send(&mut self, command: Command<'static>) {
+        match command.id().kind() {
+            Kind::Motion => self.unseen = Unseen::Given,
+            Kind::Acknowledge => self.acknowledgements_open = self.acknowledgements_open.saturating_add(1),
+            _ => {}
+        }
         // There is room: a motion only begins when none runs, and all else clears the queue first.
         let _ = self.outgoing.push_back(command);
     }
@@ -595,7 +637,7 @@ impl Controller {
 
     /// The gripper has answered a FAST STOP: maybe an earlier one. Its flags tell.
     fn fast_stop_answered(&mut self) {
-        if self.acknowledging {
+        if self.acknowledgements_open > 0 {
             self.fast_stop_again = true;
             return;
         }

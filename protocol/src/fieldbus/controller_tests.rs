@@ -93,6 +93,11 @@ impl Plc {
         self.commands()
     }
 
+    /// The gripper begins a motion: E_CMD_PENDING.
+    fn begins(&mut self, id: CommandId) {
+        self.controller.handle(&Notice::Pending(id), &self.known);
+    }
+
     fn report(&mut self, state: GripperState) {
         self.known.state = Some(state);
         self.controller.handle(&Notice::Reported(Value::GetGripperState(state)), &self.known);
@@ -476,6 +481,48 @@ fn fast_stop_that_the_gripper_shows_no_more_behind_an_acknowledgement_is_left_wh
     assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+}
+
+#[test]
+fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_told_to_stand_behind_the_motion() {
+    let late = |plc: &mut Plc| {
+        plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+        plc.commands()
+    };
+    for begins in [false, true] {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
+        // On its way since before the motion.
+        plc.report_flags(SystemFlags::REFERENCED);
+        if begins {
+            plc.begins(CommandId::PrePosition);
+        }
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+        assert_eq!(late(&mut plc), [Command::FastStop], "it began: {begins}");
+    }
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.begins(CommandId::PrePosition);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(late(&mut plc), []);
+}
+
+#[test]
+fn acknowledgement_that_overtakes_another_keeps_the_fast_stop_until_both_are_answered() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.confirm_fast_stop();
+    plc.lower(CommandFlags::FASTSTOP);
+    for _ in 0..2 {
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+        plc.lower(CommandFlags::STOP_ACK);
+    }
+    plc.controller.handle(&Notice::Withdrawn(CommandId::Acknowledge), &plc.known);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    plc.answer(CommandId::Acknowledge, Status::Success);
+    assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
 }
 
 #[test]

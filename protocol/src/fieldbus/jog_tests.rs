@@ -15,6 +15,7 @@ impl Plc {
         let mut plc = Self::ready();
         assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
         assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [PLUS]);
+        plc.begins(CommandId::PrePosition);
         plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
         plc
     }

@@ -68,7 +68,7 @@ impl Controller {
     pub(super) fn jog_stopped(&mut self, id: CommandId, status: Status, known: &Known) {
         let Stage::Stops { mut stop_open, mut motion_open } = self.jog.stage else { return };
         match id {
-            CommandId::Stop if status != Status::Success && !stands(known) => return self.fast_stop(),
+            CommandId::Stop if status != Status::Success && !self.stands(known) => return self.fast_stop(),
             CommandId::Stop => stop_open = false,
             CommandId::PrePosition => motion_open = false,
             _ => return,
@@ -88,13 +88,8 @@ impl Controller {
             Stage::Runs(_) => id == CommandId::PrePosition,
             Stage::Stops { .. } => matches!(id, CommandId::PrePosition | CommandId::Stop),
         };
-        of_jog && !stands(known)
+        of_jog && !self.stands(known)
     }
-}
-
-/// Whether the gripper reports that its fingers stand.
-pub(super) fn stands(known: &Known) -> bool {
-    known.flags.is_some() && !known.is_moving()
 }
 
 /// The Pre-position that a jog is, and its force limit; `None` when they are outside the gripper's limits.
