@@ -4,13 +4,11 @@ use std::fs;
 
 use anyhow::{Context, Result};
 
-use crate::{
-    bench, document, fast_stop, firmware::Image, gate::Gate, panics, probe::Probes, process, size, stack,
-};
+use crate::{bench, document, fast_stop, firmware::Image, gate::Gate, panics, probe::Probes, size, stack};
 
 const DOCUMENT: &str = "docs/figures.md";
 
-/// Measures everything that `docs/figures.md` tells, writes it, and has the README take it over; gives the gates.
+/// Measures everything that `docs/figures.md` tells, and writes it; gives the gates.
 pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     panics::check(probes)?;
     let mut gates = size::of_image(image)?;
@@ -25,17 +23,7 @@ pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
     let text = with_part(&text, "figures", &table(&gates))?;
     let text = with_part(&text, "fast-stop", &fast_stop::run(probes.workspace)?)?;
     fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
-    let mut readme = probes.workspace.cargo("test");
-    readme.env("WSG_UPDATE_DOCS", "1").args([
-        "-q",
-        "-p",
-        "host-tests",
-        "--test",
-        "docs",
-        "figures_in_the_readme",
-    ]);
-    process::run(&mut readme)?;
-    println!("{DOCUMENT} and README.md are written");
+    println!("{DOCUMENT} is written");
     Ok(gates)
 }
 

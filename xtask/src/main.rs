@@ -83,7 +83,7 @@ Commands
   loom               the queue of the interrupts under every order of events
   miri               the bridge's host tests under Miri; nightly Rust
   coverage           lines of protocol and buses that their tests reach; nightly Rust
-  figures            measure all that docs/figures.md tells, and write it and the README's table
+  figures            measure all that docs/figures.md tells, and write it
   flash              write the image to a board with probe-rs and start it
                      [--features X] as for build
   help               this page

@@ -192,7 +192,11 @@ impl Gripper {
     /// answer after the other (bits 1 to 3), and its condition (bits 4 to 6); with bit 7 it begins to move, or loses its part.
     pub(super) fn change(&mut self, now_ms: u32, input: &mut Input<'_>) {
         let how = input.byte();
-        self.answers = how & 1 != 0;
+        let was_dead = !std::mem::replace(&mut self.answers, how & 1 != 0);
+        if was_dead && self.answers {
+            // It was no single fault: what it has missed meanwhile may be a whole burst of FAST STOPs.
+            self.faults = [Some(now_ms); 2];
+        }
         self.deliveries = input.bytes(usize::from(how >> 1 & 7)).to_vec();
         self.delivered = 0;
         let (flags, has_part) = CONDITIONS[usize::from(how >> 4 & 7)];
@@ -286,7 +290,8 @@ impl Gripper {
         (!self.is_forged).then_some((self.force_limit * 100.0).round() as i32)
     }
 
-    /// Whether the gripper has heard a FAST STOP since it was asked for, or may still have to wait for it.
+    /// Whether the gripper has heard a FAST STOP since it was asked for, or may still have to wait for it. One that is dead
+    /// cannot hear.
     pub(super) fn has_stopped(&self, now_ms: u32, asked_ms: u32) -> bool {
         let latest_ms = match self.faults {
             [Some(last_ms), Some(second_ms)] if second_ms + HEALTHY_MS > asked_ms => {
@@ -295,7 +300,7 @@ impl Gripper {
             _ => asked_ms + ONE_FAULT_MS,
         };
         let has_heard = self.fast_stop_ms.is_some_and(|heard_ms| heard_ms >= asked_ms);
-        has_heard || self.is_forged || now_ms <= latest_ms
+        has_heard || !self.answers || self.is_forged || now_ms <= latest_ms
     }
 
     fn hears(&mut self, now_ms: u32, message: &Message, delivery: Delivery) -> bool {

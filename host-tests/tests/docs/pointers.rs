@@ -5,9 +5,13 @@ use std::path::Path;
 use host_tests::document::{read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 8] = [
+const DOCUMENTS: [&str; 12] = [
     "README.md",
+    "ARCHITECTURE.md",
+    "CONTRIBUTING.md",
     "CHANGELOG.md",
+    "docs/commissioning.md",
+    "docs/demo.md",
     "docs/wiring.md",
     "docs/protocol.md",
     "docs/decisions.md",
@@ -55,12 +59,12 @@ fn environment_variables_are_known_to_the_code() {
 }
 
 #[test]
-fn layout_in_the_readme_names_every_part_of_the_workspace() {
-    let readme = read("README.md");
+fn map_in_the_architecture_names_every_part_of_the_workspace() {
+    let map = read("ARCHITECTURE.md");
     let manifest = read("Cargo.toml");
     let members = manifest.lines().find(|line| line.starts_with("members")).unwrap();
     for member in members.split('"').skip(1).step_by(2) {
-        assert!(readme.contains(&format!("| `{member}/`")), "README.md does not tell what {member} is");
+        assert!(map.contains(&format!("| `{member}/`")), "ARCHITECTURE.md does not tell what {member} is");
     }
 }
 

@@ -1,4 +1,4 @@
-//! The excerpt of the demonstration's trace in README.md: its bytes mean what it says they mean.
+//! The excerpt of the demonstration's trace in docs/demo.md: its bytes mean what it says they mean.
 
 use host_tests::document::read;
 use host_tests::trace::Entry;
@@ -15,9 +15,9 @@ fn bytes_at_end(line: &str) -> Vec<u8> {
 
 #[test]
 fn frames_of_the_excerpt_read_as_the_code_reads_them() {
-    let readme = read("README.md");
+    let document = read("docs/demo.md");
     let mut frames = 0;
-    for line in readme.lines() {
+    for line in document.lines() {
         let Some(entry) = line.get(ENTRY_AT..) else { continue };
         let wanted = match entry.get(..2) {
             Some("->") => Entry::ToGripper(bytes_at_end(line)),
@@ -27,18 +27,18 @@ fn frames_of_the_excerpt_read_as_the_code_reads_them() {
         frames += 1;
         assert_eq!(entry, wanted.to_string());
     }
-    assert!(frames >= 4, "README.md shows {frames} frames");
+    assert!(frames >= 4, "docs/demo.md shows {frames} frames");
 }
 
 #[test]
 fn step_of_the_excerpt_is_one_of_the_demonstration() {
-    let readme = read("README.md");
+    let document = read("docs/demo.md");
     let scenario = read("host-tests/src/bin/demo/scenario.rs");
-    let steps = readme.lines().filter_map(|line| line.strip_prefix("=== ")?.split_once(". "));
+    let steps = document.lines().filter_map(|line| line.strip_prefix("=== ")?.split_once(". "));
     let steps: Vec<&str> = steps.map(|(_, name)| name).collect();
     assert!(!steps.is_empty());
     let all = scenario.split("const STEPS: [Step; ").nth(1).and_then(|rest| rest.split(']').next()).unwrap();
-    assert!(readme.contains(&format!("`demo: {all} steps passed, 0 failed`")), "there are {all} steps");
+    assert!(document.contains(&format!("`demo: {all} steps passed, 0 failed`")), "there are {all} steps");
     for step in steps {
         assert!(scenario.contains(&format!("\"{step}\"")), "the demonstration has no step \"{step}\"");
     }

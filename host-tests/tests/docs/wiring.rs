@@ -1,4 +1,4 @@
-//! The wiring, recipes and times in README.md and docs/wiring.md.
+//! The wiring, recipes and times in docs/wiring.md.
 
 use host_tests::document::{hold, table};
 use host_tests::fault_sweep::Sweep;
@@ -104,16 +104,12 @@ fn fast_stop() -> String {
 
 #[test]
 fn wiring_in_the_documents_is_that_of_the_board_file() {
-    let wires = wires();
-    hold("README.md", "wires", &wires);
-    hold("docs/wiring.md", "wires", &wires);
+    hold("docs/wiring.md", "wires", &wires());
 }
 
 #[test]
 fn recipes_in_the_documents_are_those_of_the_firmware() {
-    let recipes = recipes();
-    hold("README.md", "recipes", &recipes);
-    hold("docs/wiring.md", "recipes", &recipes);
+    hold("docs/wiring.md", "recipes", &recipes());
 }
 
 #[test]
