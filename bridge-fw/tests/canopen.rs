@@ -1,5 +1,6 @@
 //! A PLC on CAN, in virtual time. The master's frames are made and read by `canopen-rs`, which nobody here wrote.
 
+use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
 use embedded_can::{Frame, Id, StandardId};
@@ -14,7 +15,7 @@ use wsg_bridge_fw::can::{
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
-use wsg_protocol::can::{ClassicFrame, Identifiers};
+use wsg_protocol::can::Identifiers;
 use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
 use wsg_sim::{Config, Part, Time};

@@ -1,11 +1,12 @@
 //! The gripper on CAN, in virtual time: a grip cycle, lost and doubled frames, bus-off and the way back.
 
+use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, StandardId};
 use host_tests::can_bench::{CanBench, Disturbance};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{BusOffPolicy, BusState};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::can::{ClassicFrame, Identifiers};
+use wsg_protocol::can::Identifiers;
 use wsg_protocol::{CommandId, SystemFlags};
 use wsg_sim::{Config, Part};
 

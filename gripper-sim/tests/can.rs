@@ -3,6 +3,7 @@
 
 mod common;
 
+use bus_slcan::{ClassicFrame, Decoder, Line, encode};
 use common::program::Program;
 use common::{grip, uninterrupted};
 use embedded_can::{Frame, Id, StandardId};
@@ -16,8 +17,7 @@ use std::process::Command as Process;
 use std::sync::mpsc::{self, Receiver};
 use std::thread;
 use std::time::Duration;
-use wsg_protocol::can::slcan::{Decoder, Line, encode};
-use wsg_protocol::can::{ClassicFrame, Identifiers, Reassembler, Segments};
+use wsg_protocol::can::{Identifiers, Reassembler, Segments};
 use wsg_protocol::{Command, Event, FrameEncoder, HomingDirection, Instant, LoopData, Status};
 use wsg_sim::server::{CanBus, CanLine, Lines, SerialLine, ServerThread};
 use wsg_sim::{Config, Part};

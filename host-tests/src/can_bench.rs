@@ -4,13 +4,14 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::rc::Rc;
 
+use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id};
 use wsg_bridge_fw::can::{
     BusOffPolicy, CanBus, CanController, GripperLink, Health, Nobody, Node, NodeConfig, turn_with_gripper,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
-use wsg_protocol::can::{ClassicFrame, Endpoint, Identifiers, Reassembler, Segments};
+use wsg_protocol::can::{Endpoint, Identifiers, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 

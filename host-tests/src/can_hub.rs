@@ -9,9 +9,9 @@ use std::sync::mpsc::{self, Sender};
 use std::thread;
 
 use anyhow::{Context, Result};
+use bus_slcan::{Adapter, ClassicFrame, Decoder, Line, encode};
 use embedded_can::{Frame, Id};
-use wsg_protocol::can::slcan::{Adapter, Decoder, Line, encode};
-use wsg_protocol::can::{ClassicFrame, Identifiers, Segmenter};
+use wsg_protocol::can::{Identifiers, Segmenter};
 
 use crate::uninterrupted;
 

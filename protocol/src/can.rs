@@ -20,17 +20,12 @@
 //! to. A message of one frame that is doubled comes twice, and nothing on the wire tells that from two messages; but
 //! only requests without parameters are that short, none of them moves fingers, and no reply is.
 //!
-//! [`slcan`] carries CAN frames over a serial line, where there is no CAN controller.
-//!
 //! Not here: a clock, a controller, bus-off. By the feature `embedded-can`.
 
-mod classic;
 mod identifiers;
 mod reassembler;
 mod segmenter;
-pub mod slcan;
 
-pub use classic::ClassicFrame;
 pub use identifiers::{Endpoint, Identifiers};
 pub use reassembler::{Counters, HALF_MESSAGE_MS, Reassembler};
 pub use segmenter::{Segment, Segmenter, Segments};

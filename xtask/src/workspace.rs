@@ -11,8 +11,8 @@ use anyhow::{Context, Result};
 
 /// The crates for other people's boards, by package and folder: built for each target, free of panics, published as packages.
 /// A crate stands behind those that it depends on.
-pub(crate) const TARGET_CRATES: [(&str, &str); 2] =
-    [("bus-modbus", "buses/modbus"), ("wsg-protocol", "protocol")];
+pub(crate) const TARGET_CRATES: [(&str, &str); 3] =
+    [("bus-modbus", "buses/modbus"), ("bus-slcan", "buses/slcan"), ("wsg-protocol", "protocol")];
 
 /// The workspace that `cargo xtask` was called in.
 pub(crate) struct Workspace {

@@ -1,8 +1,7 @@
 //! A CAN controller that is none: frames over a serial line, by SLCAN. For a board or an emulator without CAN.
 
+use bus_slcan::{ClassicFrame, Decoder, Encoded, Line, encode};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use wsg_protocol::can::ClassicFrame;
-use wsg_protocol::can::slcan::{Decoder, Encoded, Line, encode};
 
 use super::{CanController, Health};
 

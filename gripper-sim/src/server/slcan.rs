@@ -3,11 +3,11 @@
 use super::can;
 use super::hub::Client;
 use super::stream;
+use bus_slcan::{Adapter, ClassicFrame, Decoder, Line, encode};
 use std::io;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::task::yield_now;
-use wsg_protocol::can::slcan::{Adapter, Decoder, Line, encode};
-use wsg_protocol::can::{ClassicFrame, Identifiers};
+use wsg_protocol::can::Identifiers;
 
 /// Which side of the serial line the gripper is on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

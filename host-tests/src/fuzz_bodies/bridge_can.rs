@@ -12,6 +12,7 @@
 //!
 //! A case ends where it shows in no answer whether a setting was taken by SDO.
 
+use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::can::{
@@ -20,7 +21,7 @@ use wsg_bridge_fw::can::{
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
-use wsg_protocol::can::{ClassicFrame, Identifiers, Reassembler, Segments};
+use wsg_protocol::can::{Identifiers, Reassembler, Segments};
 use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Instant, Kind, Status};
 

@@ -1,8 +1,8 @@
 //! Messages over CAN frames against a naive reader, and the same frames as SLCAN lines.
 
+use bus_slcan::{self as slcan, ClassicFrame, Line};
 use embedded_can::{Frame as _, StandardId};
-use wsg_protocol::can::slcan::{self, Line};
-use wsg_protocol::can::{ClassicFrame, FULL, HALF_MESSAGE_MS, Reassembler, Segments};
+use wsg_protocol::can::{FULL, HALF_MESSAGE_MS, Reassembler, Segments};
 use wsg_protocol::{Event, FrameEncoder, Instant, checksum};
 
 use super::input::Input;

@@ -5,7 +5,7 @@ use std::path::Path;
 use host_tests::document::{read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 7] = [
+const DOCUMENTS: [&str; 8] = [
     "README.md",
     "CHANGELOG.md",
     "docs/wiring.md",
@@ -13,6 +13,7 @@ const DOCUMENTS: [&str; 7] = [
     "docs/decisions.md",
     "protocol/README.md",
     "buses/modbus/README.md",
+    "buses/slcan/README.md",
 ];
 
 #[test]

@@ -5,7 +5,7 @@ use core::iter;
 use std::vec;
 use std::vec::Vec;
 
-use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
+use embedded_can::{ExtendedId, Id, StandardId};
 use proptest::prelude::*;
 
 use super::*;
@@ -16,6 +16,5 @@ mod bus;
 mod fates;
 mod one_by_one;
 mod recording;
-mod slcan;
 
 use bus::{CanFrame, HALF_MS, Message, RECEIVED, Seen, Wire};

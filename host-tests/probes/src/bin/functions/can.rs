@@ -1,8 +1,8 @@
 //! Messages over CAN frames, and CAN frames over a serial line.
 
+use bus_slcan::{Adapter, ClassicFrame, Decoder, Encoded, encode};
 use embedded_can::{Frame as _, StandardId};
-use wsg_protocol::can::slcan::{Adapter, Decoder, Encoded, encode};
-use wsg_protocol::can::{ClassicFrame, Identifiers, MAX_FRAMES, Reassembler, Segment, Segmenter, Segments};
+use wsg_protocol::can::{Identifiers, MAX_FRAMES, Reassembler, Segment, Segmenter, Segments};
 use wsg_protocol::{Command, Event, FrameEncoder, Instant};
 
 use crate::{function, functions};

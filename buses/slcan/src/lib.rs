@@ -5,14 +5,58 @@
 //! CR. Both sides send frames in this form. The host also sends commands, which the adapter answers with CR or, when it
 //! refuses, BEL.
 //!
-//! `mini-slcan` would be a codec for the adapter's side. It has ways to panic, takes no host's side, and depends on a
-//! `defmt` of before 1.0, which Cargo does not link beside the one that is used here.
+//! [`encode`] and [`Decoder`] serve both sides, over any frame type of `embedded-can`; [`Adapter`] is what an adapter owes
+//! its host. [`ClassicFrame`] is a frame type for programs that have no CAN controller whose own type they could use.
 //!
 //! Not here: bit rates, which mean nothing where there is no bus, and time stamps, which are read over.
+//!
+//! `mini-slcan` is another codec for the adapter's side. It has ways to panic, takes no host's side, and depends on a
+//! `defmt` of before 1.0, which Cargo does not link beside a newer one.
+//!
+//! ```
+//! use bus_slcan::{ClassicFrame, Decoder, Line, encode};
+//! use embedded_can::{Frame, StandardId};
+//!
+//! let frame = ClassicFrame::new(StandardId::new(0x120).unwrap(), &[0xAB, 0xCD]).unwrap();
+//! let line = encode(&frame);
+//! assert_eq!(line.as_bytes(), b"t1202ABCD\r");
+//!
+//! let mut decoder = Decoder::new();
+//! let read = line.as_bytes().iter().find_map(|&byte| decoder.push(byte));
+//! assert_eq!(read, Some(Line::Frame(frame)));
+//! ```
+#![no_std]
+#![forbid(unsafe_code)]
+#![deny(missing_docs)]
+#![deny(
+    clippy::indexing_slicing,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::arithmetic_side_effects
+)]
+#![cfg_attr(
+    test,
+    allow(
+        clippy::indexing_slicing,
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::arithmetic_side_effects
+    )
+)]
+
+#[cfg(test)]
+extern crate std;
+
+mod classic;
+
+pub use classic::ClassicFrame;
 
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
 
-use super::FULL;
+/// Bytes of data in the longest frame.
+const FULL: usize = 8;
 
 /// Characters of the longest line, CR left out: a frame with 29 bits and eight bytes, and a time stamp.
 pub const MAX_LINE_LEN: usize = 1 + 8 + 1 + 2 * FULL + 4;
@@ -139,18 +183,7 @@ fn number(digits: &[u8]) -> Option<u32> {
 
 /// A frame as a line, its CR included.
 ///
-/// ```
-/// use embedded_can::{Frame, StandardId};
-/// use wsg_protocol::can::{ClassicFrame, slcan};
-///
-/// let frame = ClassicFrame::new(StandardId::new(0x120).unwrap(), &[0xAB, 0xCD]).unwrap();
-/// let line = slcan::encode(&frame);
-/// assert_eq!(line.as_bytes(), b"t1202ABCD\r");
-///
-/// let mut decoder = slcan::Decoder::new();
-/// let read = line.as_bytes().iter().find_map(|&byte| decoder.push(byte));
-/// assert_eq!(read, Some(slcan::Line::Frame(frame)));
-/// ```
+/// The [crate's documentation](crate) has an example.
 #[must_use]
 pub fn encode<F: Frame>(frame: &F) -> Encoded {
     let mut line = Encoded { bytes: [0; MAX_LINE_LEN + 1], len: 0 };
@@ -206,8 +239,7 @@ impl Encoded {
 /// What the adapter's side of a line owes its host: answers, and no frames while the channel is closed.
 ///
 /// ```
-/// use wsg_protocol::can::ClassicFrame;
-/// use wsg_protocol::can::slcan::{Adapter, Line};
+/// use bus_slcan::{Adapter, ClassicFrame, Line};
 ///
 /// let mut adapter = Adapter::new();
 /// assert_eq!(adapter.answer(&Line::<ClassicFrame>::Other(b'S')), b"\r");
@@ -264,3 +296,11 @@ impl Adapter {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
+
+/// The README's example is compiled with the others.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,7 +1,9 @@
 //! Lines as adapters and hosts send them.
 
 use super::*;
-use crate::can::slcan::{Adapter, Decoder, Line, MAX_LINE_LEN, encode};
+use proptest::prelude::*;
+use std::vec;
+use std::vec::Vec;
 
 fn lines(bytes: &[u8]) -> Vec<Line<ClassicFrame>> {
     let mut decoder = Decoder::new();

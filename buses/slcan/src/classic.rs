@@ -8,7 +8,7 @@ use super::FULL;
 ///
 /// ```
 /// use embedded_can::{Frame, StandardId};
-/// use wsg_protocol::can::ClassicFrame;
+/// use bus_slcan::ClassicFrame;
 ///
 /// let frame = ClassicFrame::new(StandardId::MAX, &[1, 2, 3]).unwrap();
 /// assert_eq!((frame.dlc(), frame.data()), (3, &[1, 2, 3][..]));
