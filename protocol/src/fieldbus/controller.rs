@@ -213,6 +213,8 @@ impl Controller {
             {
                 self.stop();
             }
+            // A motion that the gripper was not heard to end goes on behind a line that is cut: a Stop now would be lost.
+            SilenceReaction::Stop if !self.connected && self.unseen != Unseen::No => self.fast_stop(),
             SilenceReaction::Stop | SilenceReaction::Hold => self.follow_jog(known),
         }
     }
@@ -253,7 +255,7 @@ impl Controller {
     /// Takes what the session noticed, with what it knows since.
     pub fn handle(&mut self, notice: &Notice<'_>, known: &Known) {
         self.note_outcome(notice);
-        self.note_motion(notice);
+        self.note_motion(notice, known);
         match notice {
             Notice::Connected => {
                 self.connected = true;
@@ -318,12 +320,12 @@ impl Controller {
     }
 
     /// Keeps track of whether the reports know of the last motion.
-    fn note_motion(&mut self, notice: &Notice<'_>) {
+    fn note_motion(&mut self, notice: &Notice<'_>, known: &Known) {
         let is_motion = |id: CommandId| id.kind() == Kind::Motion;
         let tells_states = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
         self.unseen = match notice {
             Notice::Pending(id) if is_motion(*id) => Unseen::Begun,
-            Notice::Unanswered(id) if self.unseen == Unseen::Given && is_motion(*id) => Unseen::Begun,
+            Notice::Unanswered(id) if is_motion(*id) && !self.stands(known) => Unseen::Begun,
             Notice::Withdrawn(id) if is_motion(*id) => Unseen::No,
             Notice::Answered(reply) if is_motion(reply.id()) => Unseen::No,
             Notice::Answered(reply) if self.unseen == Unseen::Begun && tells_states(reply.id()) => Unseen::No,
@@ -361,6 +363,10 @@ impl Controller {
     /// Takes back a command that the session did not take.
     pub fn refused(&mut self, id: CommandId, error: RequestError) {
         self.note_outcome(&Notice::Withdrawn(id));
+        if self.unseen == Unseen::Given {
+            // An earlier one may be the reason.
+            self.unseen = Unseen::Begun;
+        }
         let status = match error {
             RequestError::NotConnected => Status::IoError,
             RequestError::MotionRunning => Status::AlreadyRunning,
@@ -482,7 +488,8 @@ impl Controller {
         // These will have no outcome: the session has not been given them.
         while let Some(unsent) = self.outgoing.pop_front() {
             self.note_outcome(&Notice::Withdrawn(unsent.id()));
-            self.note_motion(&Notice::Withdrawn(unsent.id()));
+            // What is known matters to what was sent.
+            self.note_motion(&Notice::Withdrawn(unsent.id()), &Known::NOTHING);
         }
         self.send(command);
         self.shown = Some(command.id());

@@ -425,3 +425,24 @@ fn user_flags_go_both_ways() {
     plc.controller.set_user_outputs(0b1000_0001);
     assert_eq!(plc.controller.input(&plc.known).to_bytes()[1], 0b1000_0001);
 }
+
+#[test]
+fn silence_of_the_plc_behind_a_cut_line_leaves_a_fast_stop_for_fingers_that_may_move() {
+    for ends in [false, true] {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(CommandFlags::MOVE).len(), 1);
+        plc.begins(CommandId::PrePosition);
+        plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+        if ends {
+            plc.answer(CommandId::PrePosition, Status::Success);
+            plc.known = Known::NOTHING;
+        } else {
+            plc.known = Known::NOTHING;
+            plc.controller.handle(&Notice::Unanswered(CommandId::PrePosition), &plc.known);
+        }
+        plc.disconnect();
+        plc.controller.silence(SilenceReaction::Stop, &plc.known);
+        let expected: &[Command<'_>] = if ends { &[] } else { &[Command::FastStop] };
+        assert_eq!(plc.commands(), expected, "the motion has ended: {ends}");
+    }
+}
