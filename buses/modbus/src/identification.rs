@@ -1,10 +1,4 @@
-//! Read Device Identification, FC 43 / MEI type 14 (specification, 6.21).
-
-use super::pdu::Reply;
-use super::{Device, Exception};
-
-/// The MODBUS encapsulated interface's type for it.
-pub(super) const MEI_TYPE: u8 = 0x0E;
+//! What a server says of itself (specification, 6.21).
 
 /// The first three objects are mandatory: the basic category.
 const BASIC_LEN: usize = 3;
@@ -40,7 +34,8 @@ pub struct Identification {
 }
 
 impl Identification {
-    fn object(&self, id: u8) -> Option<&'static str> {
+    /// The object with this number, if there is one.
+    pub(crate) fn object(&self, id: u8) -> Option<&'static str> {
         match id {
             0 => Some(self.vendor_name),
             1 => Some(self.product_code),
@@ -49,43 +44,8 @@ impl Identification {
         }
     }
 
-    const fn conformity(&self) -> u8 {
+    /// The conformity level.
+    pub(crate) const fn conformity(&self) -> u8 {
         if self.regular.is_some() { CONFORMITY_REGULAR } else { CONFORMITY_BASIC }
     }
-}
-
-/// Answers a request; `data` is what stands behind the MEI type.
-pub(super) fn read<D: Device + ?Sized>(
-    data: &[u8],
-    device: &D,
-    reply: &mut Reply<'_>,
-) -> Result<(), Exception> {
-    let &[code, object] = data else { return Err(Exception::IllegalDataValue) };
-    let identification = device.identification();
-    let (first, last) = match code {
-        // A level above its own is answered at its own, a stream from an object that is not there from the first on.
-        1 => (if object <= 2 { object } else { 0 }, 2),
-        2 | 3 => (if identification.object(object).is_some() { object } else { 0 }, u8::MAX),
-        4 if identification.object(object).is_some() => (object, object),
-        4 => return Err(Exception::IllegalDataAddress),
-        _ => return Err(Exception::IllegalDataValue),
-    };
-    reply.put(&[MEI_TYPE, code, identification.conformity()])?;
-    let more_at = reply.len();
-    reply.put(&[0, 0, 0])?;
-    let mut count = 0u8;
-    for id in first..=last {
-        let Some(text) = identification.object(id) else { break };
-        let value = text.as_bytes();
-        let Ok(len) = u8::try_from(value.len()) else { break };
-        if reply.room() < value.len().saturating_add(2) {
-            reply.set(more_at, &[0xFF, id]);
-            break;
-        }
-        reply.put(&[id, len])?;
-        reply.put(value)?;
-        count = count.saturating_add(1);
-    }
-    reply.set(more_at.saturating_add(2), &[count]);
-    Ok(())
 }

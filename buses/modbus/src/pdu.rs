@@ -1,6 +1,8 @@
 //! Requests and responses without addresses and checksums: the PDU (specification, chapter 4).
 
-use super::identification::{self, MEI_TYPE};
+mod identification;
+
+use self::identification::MEI_TYPE;
 use super::{Bits, Device, Exception, Words};
 
 /// Bytes of the longest PDU.
@@ -287,7 +289,7 @@ fn read_write_multiple_registers<D: Device + ?Sized>(
 }
 
 /// A response as it grows. No request that passes its checks makes it longer than a PDU.
-pub(super) struct Reply<'a> {
+struct Reply<'a> {
     bytes: &'a mut [u8; MAX_PDU_LEN],
     len: usize,
 }
@@ -299,17 +301,17 @@ impl<'a> Reply<'a> {
         reply
     }
 
-    pub(super) const fn len(&self) -> usize {
+    const fn len(&self) -> usize {
         self.len
     }
 
-    pub(super) const fn room(&self) -> usize {
+    const fn room(&self) -> usize {
         MAX_PDU_LEN.saturating_sub(self.len)
     }
 
     // Small requests are worth more than the last microsecond of an answer.
     #[inline(never)]
-    pub(super) fn put(&mut self, bytes: &[u8]) -> Result<(), Exception> {
+    fn put(&mut self, bytes: &[u8]) -> Result<(), Exception> {
         copy(self.extend(bytes.len())?, bytes);
         Ok(())
     }
@@ -336,7 +338,7 @@ impl<'a> Reply<'a> {
     }
 
     /// Overwrites what was put before.
-    pub(super) fn set(&mut self, at: usize, bytes: &[u8]) {
+    fn set(&mut self, at: usize, bytes: &[u8]) {
         copy(self.bytes.get_mut(at..).unwrap_or_default(), bytes);
     }
 
