@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000 --gcl 127.0.0.1:1001
-//! cargo run -p wsg-protocol --example grip --features embedded-io -- 127.0.0.1:1000
-//! cargo run -p wsg-protocol --example grip --features embedded-io -- --protocol gcl 127.0.0.1:1001
+//! cargo run -p wsg-protocol --example grip --features embedded-io,gcl -- 127.0.0.1:1000
+//! cargo run -p wsg-protocol --example grip --features embedded-io,gcl -- --protocol gcl 127.0.0.1:1001
 //! ```
 
 use std::io::{self, ErrorKind};

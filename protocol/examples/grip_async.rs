@@ -3,8 +3,8 @@
 //!
 //! ```text
 //! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000 --gcl 127.0.0.1:1001
-//! cargo run -p wsg-protocol --example grip_async --features embedded-io-async -- 127.0.0.1:1000
-//! cargo run -p wsg-protocol --example grip_async --features embedded-io-async -- --protocol gcl 127.0.0.1:1001
+//! cargo run -p wsg-protocol --example grip_async --features embedded-io-async,gcl -- 127.0.0.1:1000
+//! cargo run -p wsg-protocol --example grip_async --features embedded-io-async,gcl -- --protocol gcl 127.0.0.1:1001
 //! ```
 
 use std::io;

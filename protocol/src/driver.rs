@@ -8,15 +8,16 @@
 //! Both have the same methods, and both are thin: a [`Session`](crate::session::Session) decides what is sent and what an
 //! answer means, a [`FrameParser`](crate::FrameParser) finds the frames.
 //!
-//! Both speak either protocol: `Gripper` the [binary](Binary) one, `GclGripper` the text protocol, [GCL](Gcl). Methods,
+//! Both speak either protocol: `Gripper` the [binary](Binary) one, `GclGripper` the text protocol, GCL (feature
+//! `gcl`). Methods,
 //! results and errors are the same, so that a program changes the protocol where it says which gripper it means:
 //!
 //! ```
-//! # #[cfg(feature = "embedded-io")]
+//! # #[cfg(all(feature = "embedded-io", feature = "gcl"))]
 //! use wsg_protocol::driver::blocking::GclGripper as Gripper; // or: use wsg_protocol::driver::blocking::Gripper;
 //! ```
 //!
-//! What GCL cannot say is [`Error::NotInGcl`], before anything is sent; [`Gcl`] lists it. What the drivers add:
+//! What GCL cannot say is [`Error::NotInGcl`], before anything is sent; `Gcl` lists it. What the drivers add:
 //!
 //! - **Typed results.** [`Grip`] tells a part from none; [`Error`] tells whose fault it is.
 //! - **Two steps for a motion, if wanted.** `begin_grip` comes back with E_CMD_PENDING and a [`Pending`]; meanwhile
@@ -36,6 +37,7 @@ mod binary;
 pub mod blocking;
 mod engine;
 mod error;
+#[cfg(feature = "gcl")]
 mod gcl;
 mod link;
 mod methods;
@@ -43,6 +45,7 @@ mod motion;
 
 pub use binary::Binary;
 pub use error::{Culprit, Error};
+#[cfg(feature = "gcl")]
 pub use gcl::{GCL_LINE_LEN, Gcl};
 pub use link::Protocol;
 pub use motion::{MotionResult, Pending};

@@ -12,7 +12,7 @@
 //! | [`CommandName`] | the table of commands: sections, forms, kinds |
 //! | [`session`] | the controller's side of a connection |
 //!
-//! The grammar, and what was decided where the manual is silent, stand in `docs/gcl.md`.
+//! The grammar, and what was decided where the manual is silent, stand in `docs/gcl.md`. By the feature `gcl`.
 //!
 //! ```
 //! use wsg_protocol::gcl::{Answer, LineEvent, LineReader, Move, Request, Value};

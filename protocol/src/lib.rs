@@ -14,7 +14,7 @@
 //! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async` | command set, chapter 3 |
 //! | [`fieldbus`] | the register images and the controller behind them; by feature `modbus`, the images as a MODBUS server's tables | fieldbus, chapters 4 to 6 |
 //! | `can` | the messages over CAN frames, both directions, by feature `embedded-can` | command set, 1.1 |
-//! | [`gcl`] | the text protocol, both directions | GCL |
+//! | `gcl` | the text protocol, both directions, by feature `gcl` | GCL |
 //!
 //! A request becomes bytes, bytes become frames, frames become typed values:
 //!
@@ -74,6 +74,7 @@ pub mod driver;
 mod field;
 pub mod fieldbus;
 pub mod frame;
+#[cfg(feature = "gcl")]
 pub mod gcl;
 mod queue;
 pub mod reply;

@@ -1,14 +1,19 @@
 //! The async driver, over `embedded-io-async`.
 
+#[cfg(feature = "gcl")]
+mod gcl;
+
+#[cfg(feature = "gcl")]
+pub use gcl::GclGripper;
+
 use super::engine::{Awaited, Copied, Engine, Goal};
-use super::methods::{gcl_methods, methods};
+use super::methods::methods;
 use super::{
-    Binary, Config, Counters, Error, Finger, GCL_LINE_LEN, Gcl, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN,
-    MotionResult, OnBlock, Pending, Protocol, Timer, Update,
+    Binary, Config, Counters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult, OnBlock,
+    Pending, Protocol, Timer, Update,
 };
 use crate::command::{Command, CommandId};
 use crate::frame::Frame;
-use crate::gcl::{Request, Setting};
 use crate::reply::{Reply, Value};
 use crate::session::{Known, Signal};
 use crate::time::Instant;
@@ -56,23 +61,7 @@ const MAX_CHUNKS: usize = 64;
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
     GripperOver<IO, C, Binary<RX, TX>>;
 
-/// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
-///
-/// ```
-/// use embedded_io_async::{Read, Write};
-/// use wsg_protocol::driver::{Error, Grip, Timer, asynch::GclGripper as Gripper};
-///
-/// /// Takes a part of 20 mm; whether there was one.
-/// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
-///     let mut gripper = Gripper::new(io, timer);
-///     gripper.connect().await?;
-///     gripper.set_force_limit(40.0).await?;
-///     Ok(gripper.grip(20.0, 100.0).await? == Grip::Held)
-/// }
-/// ```
-pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
-
-/// A gripper that is spoken to by this protocol, [`Binary`] or [`Gcl`]; see [`Gripper`].
+/// A gripper that is spoken to by this protocol, [`Binary`] or `Gcl`; see [`Gripper`].
 #[derive(Debug)]
 pub struct GripperOver<IO, C, P: Protocol> {
     io: IO,
@@ -103,29 +92,6 @@ impl<IO, C, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>>
     }
 }
 
-impl<IO, C> GripperOver<IO, C, Gcl> {
-    /// A gripper that is not connected yet, with [`Config::DEFAULT`].
-    #[must_use]
-    pub const fn new(io: IO, timer: C) -> Self {
-        Self::with_config(io, timer, Config::DEFAULT)
-    }
-}
-
-impl<IO, C, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
-    /// As [`new`](GclGripper::new), with other settings and another buffer.
-    ///
-    /// ```
-    /// use wsg_protocol::driver::{Config, asynch::GclGripper};
-    /// # fn with<IO, C>(io: IO, timer: C) {
-    /// let gripper = GclGripper::<_, _, 128>::with_config(io, timer, Config::DEFAULT);
-    /// # }
-    /// ```
-    #[must_use]
-    pub const fn with_config(io: IO, timer: C, config: Config) -> Self {
-        Self { io, clock: timer, engine: Engine::new(Gcl::new(config.session), config) }
-    }
-}
-
 /// Which of two futures was ready.
 enum First<A, B> {
     One(A),
@@ -150,10 +116,6 @@ async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>) {
         Some(moment) => timer.wait_until(moment).await,
         None => pending().await,
     }
-}
-
-impl<IO: Read + Write, C: Timer, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
-    gcl_methods!([async] [.await]);
 }
 
 impl<IO: Read + Write, C: Timer, P: Protocol> GripperOver<IO, C, P> {

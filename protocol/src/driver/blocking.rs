@@ -1,14 +1,19 @@
 //! The blocking driver, over `embedded-io`.
 
+#[cfg(feature = "gcl")]
+mod gcl;
+
+#[cfg(feature = "gcl")]
+pub use gcl::GclGripper;
+
 use super::engine::{Awaited, Copied, Engine, Goal};
-use super::methods::{gcl_methods, methods};
+use super::methods::methods;
 use super::{
-    Binary, Clock, Config, Counters, Error, Finger, GCL_LINE_LEN, Gcl, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN,
-    MotionResult, OnBlock, Pending, Protocol, Update,
+    Binary, Clock, Config, Counters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult,
+    OnBlock, Pending, Protocol, Update,
 };
 use crate::command::{Command, CommandId};
 use crate::frame::Frame;
-use crate::gcl::{Request, Setting};
 use crate::reply::{Reply, Value};
 use crate::session::{Known, Signal};
 use crate::time::Instant;
@@ -49,25 +54,7 @@ const MAX_CHUNKS: usize = 64;
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
     GripperOver<IO, C, Binary<RX, TX>>;
 
-/// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
-///
-/// ```
-/// use embedded_io::{Read, ReadReady, Write};
-/// use wsg_protocol::HomingDirection;
-/// use wsg_protocol::driver::{Clock, Error, Grip, blocking::GclGripper as Gripper};
-///
-/// /// Takes a part of 20 mm; whether there was one.
-/// fn pick<IO: Read + ReadReady + Write>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
-///     let mut gripper = Gripper::new(io, clock);
-///     gripper.connect()?;
-///     gripper.home(HomingDirection::Default)?;
-///     gripper.set_force_limit(40.0)?;
-///     Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
-/// }
-/// ```
-pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
-
-/// A gripper that is spoken to by this protocol, [`Binary`] or [`Gcl`]; see [`Gripper`].
+/// A gripper that is spoken to by this protocol, [`Binary`] or `Gcl`; see [`Gripper`].
 #[derive(Debug)]
 pub struct GripperOver<IO, C, P: Protocol> {
     io: IO,
@@ -96,33 +83,6 @@ impl<IO, C, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>>
     pub const fn with_config(io: IO, clock: C, config: Config) -> Self {
         Self { io, clock, engine: Engine::new(Binary::new(config.session), config) }
     }
-}
-
-impl<IO, C> GripperOver<IO, C, Gcl> {
-    /// A gripper that is not connected yet, with [`Config::DEFAULT`].
-    #[must_use]
-    pub const fn new(io: IO, clock: C) -> Self {
-        Self::with_config(io, clock, Config::DEFAULT)
-    }
-}
-
-impl<IO, C, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
-    /// As [`new`](GclGripper::new), with other settings and another buffer.
-    ///
-    /// ```
-    /// use wsg_protocol::driver::{Config, blocking::GclGripper};
-    /// # fn with<IO, C>(io: IO, clock: C) {
-    /// let gripper = GclGripper::<_, _, 128>::with_config(io, clock, Config::DEFAULT);
-    /// # }
-    /// ```
-    #[must_use]
-    pub const fn with_config(io: IO, clock: C, config: Config) -> Self {
-        Self { io, clock, engine: Engine::new(Gcl::new(config.session), config) }
-    }
-}
-
-impl<IO: Read + ReadReady + Write, C: Clock, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
-    gcl_methods!([] []);
 }
 
 impl<IO: Read + ReadReady + Write, C: Clock, P: Protocol> GripperOver<IO, C, P> {

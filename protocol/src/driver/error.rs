@@ -19,7 +19,7 @@ pub enum Error<E> {
     Invalid(Refusal),
     /// The caller's: another motion was begun after this one, so its result is not kept any more.
     Superseded,
-    /// The caller's: the text protocol cannot say this; nothing was sent ([`Gcl`](super::Gcl) lists what it cannot say).
+    /// The caller's: the text protocol cannot say this; nothing was sent (`Gcl` lists what it cannot say).
     NotInGcl,
     /// The caller's: GCL states the force with each grip, and `set_force_limit` was not called yet; nothing was sent.
     NoForceLimit,

@@ -7,7 +7,7 @@ use crate::time::Instant;
 use crate::types::AutoUpdate;
 use crate::{frame, session};
 
-/// A protocol that a driver speaks: [`Binary`](super::Binary) or [`Gcl`](super::Gcl). No other type can be one.
+/// A protocol that a driver speaks: [`Binary`](super::Binary) or `Gcl`. No other type can be one.
 ///
 /// A program that is written for any of them takes it as a parameter:
 ///

@@ -670,6 +670,7 @@ macro_rules! methods {
 pub(super) use methods;
 
 /// The methods that only GCL has.
+#[cfg(feature = "gcl")]
 macro_rules! gcl_methods {
     ([$($async:tt)?] [$($await:tt)*]) => {
         /// How much before the nominal width of a grip a part may be met, in mm (PWT; GCL, 2.2.5).
@@ -714,4 +715,5 @@ macro_rules! gcl_methods {
         }
     };
 }
+#[cfg(feature = "gcl")]
 pub(super) use gcl_methods;

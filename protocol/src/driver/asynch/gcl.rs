@@ -1,0 +1,51 @@
+//! The async driver over the text protocol.
+
+use super::GripperOver;
+use crate::driver::engine::{Awaited, Engine, Goal};
+use crate::driver::methods::gcl_methods;
+use crate::driver::{Config, Error, GCL_LINE_LEN, Gcl, Timer};
+use crate::gcl::{Request, Setting};
+use embedded_io_async::{Read, Write};
+
+/// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
+///
+/// ```
+/// use embedded_io_async::{Read, Write};
+/// use wsg_protocol::driver::{Error, Grip, Timer, asynch::GclGripper as Gripper};
+///
+/// /// Takes a part of 20 mm; whether there was one.
+/// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
+///     let mut gripper = Gripper::new(io, timer);
+///     gripper.connect().await?;
+///     gripper.set_force_limit(40.0).await?;
+///     Ok(gripper.grip(20.0, 100.0).await? == Grip::Held)
+/// }
+/// ```
+pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
+
+impl<IO, C> GripperOver<IO, C, Gcl> {
+    /// A gripper that is not connected yet, with [`Config::DEFAULT`].
+    #[must_use]
+    pub const fn new(io: IO, timer: C) -> Self {
+        Self::with_config(io, timer, Config::DEFAULT)
+    }
+}
+
+impl<IO, C, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
+    /// As [`new`](GclGripper::new), with other settings and another buffer.
+    ///
+    /// ```
+    /// use wsg_protocol::driver::{Config, asynch::GclGripper};
+    /// # fn with<IO, C>(io: IO, timer: C) {
+    /// let gripper = GclGripper::<_, _, 128>::with_config(io, timer, Config::DEFAULT);
+    /// # }
+    /// ```
+    #[must_use]
+    pub const fn with_config(io: IO, timer: C, config: Config) -> Self {
+        Self { io, clock: timer, engine: Engine::new(Gcl::new(config.session), config) }
+    }
+}
+
+impl<IO: Read + Write, C: Timer, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
+    gcl_methods!([async] [.await]);
+}
