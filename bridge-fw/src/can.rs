@@ -13,17 +13,19 @@ mod config;
 mod controller;
 mod gripper_link;
 mod node;
+mod report;
 mod slcan_port;
 mod turn;
 
-pub use bus::{BusCounters, CanBus, Nobody, Participant};
+pub use bus::{CanBus, Nobody, Participant};
 pub use bus_off::{BusOffPolicy, BusState};
 pub use config::CanConfig;
 pub use controller::{CanController, Health};
-pub use gripper_link::{GripperLink, LinkCounters};
+pub use gripper_link::GripperLink;
 pub use node::{
-    BusReport, DataType, FAULTS, Fault, INPUT_INDEX, NmtState, Node, NodeConfig, OBJECTS, OUTPUT_INDEX,
-    Object, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
+    DEFAULT_NODE, DataType, FAULTS, Fault, INPUT_INDEX, Key, NmtState, Node, NodeConfig, OBJECTS,
+    OUTPUT_INDEX, Object, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
 };
+pub use report::{BusCounters, BusReport, LinkCounters};
 pub use slcan_port::SlcanPort;
 pub use turn::turn_with_gripper;

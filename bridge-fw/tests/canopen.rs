@@ -10,8 +10,8 @@ use host_tests::serial_gripper::SerialGripper;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::Bridge;
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, DataType, FAULTS, Health, NmtState, Nobody, Node, NodeConfig, OBJECTS,
-    REPORTS_INDEX, SETTINGS_INDEX, write_eds,
+    BusOffPolicy, CanBus, DEFAULT_NODE, DataType, FAULTS, Health, NmtState, Nobody, Node, NodeConfig,
+    OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
@@ -20,7 +20,7 @@ use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
 use wsg_sim::{Config, Part, Time};
 
-const NODE: NodeConfig = NodeConfig::DEFAULT;
+const NODE: NodeConfig = DEFAULT_NODE;
 /// BUS_TIMEOUT as delivered.
 const TIMEOUT_MS: u32 = 1_000;
 
@@ -719,8 +719,8 @@ fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
 
 #[test]
 fn gripper_and_node_share_a_bus_by_default_and_some_identifiers_are_told_to_collide() {
-    assert!(NODE.is_valid() && !NodeConfig::collides_with(Identifiers::DEFAULT));
-    let collides = |n| NodeConfig::collides_with(Identifiers::from_base(n).unwrap());
+    assert!(NODE.is_valid() && !collides_with_canopen(Identifiers::DEFAULT));
+    let collides = |n| collides_with_canopen(Identifiers::from_base(n).unwrap());
     let (free, taken): (Vec<u16>, Vec<u16>) = (0..=0x7FE).partition(|&n| !collides(n));
     assert!([0x001, 0x07E, 0x101, 0x17F, 0x681, 0x6FF].iter().all(|n| free.contains(n)), "{free:03X?}");
     assert!([0x000, 0x07F, 0x080, 0x100, 0x180, 0x210, 0x600, 0x700].iter().all(|n| taken.contains(n)));

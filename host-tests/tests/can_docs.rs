@@ -4,8 +4,8 @@
 
 use host_tests::document::{hold, table};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, DataType, FAULTS, INPUT_INDEX, NodeConfig, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX,
-    SETTINGS_INDEX,
+    BusOffPolicy, DEFAULT_NODE, DataType, FAULTS, INPUT_INDEX, NodeConfig, OBJECTS, OUTPUT_INDEX,
+    REPORTS_INDEX, SETTINGS_INDEX,
 };
 use wsg_bridge_fw::registers::{REPORTS, SETTINGS};
 use wsg_protocol::can::{HALF_MESSAGE_MS, Identifiers, Segments};
@@ -13,7 +13,7 @@ use wsg_protocol::{
     AutoUpdate, Command, CommandId, FrameEncoder, GripperState, Payload, Reply, Status, SystemFlags, Value,
 };
 
-const NODE: NodeConfig = NodeConfig::DEFAULT;
+const NODE: NodeConfig = DEFAULT_NODE;
 
 fn identifiers() -> String {
     let pair = Identifiers::DEFAULT.controller();

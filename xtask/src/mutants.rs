@@ -46,7 +46,7 @@ struct Part {
 /// The reader of decimal fractions is apart: its tests take as long as all others and notice nothing elsewhere.
 const DECIMAL: &str = "^protocol/src/gcl/decimal";
 
-const PARTS: [Part; 6] = [
+const PARTS: [Part; 7] = [
     Part {
         name: "protocol",
         package: "wsg-protocol",
@@ -71,6 +71,13 @@ const PARTS: [Part; 6] = [
     },
     Part { name: "modbus", package: "bus-modbus", folder: "buses/modbus/", options: &[], tests: &["--lib"] },
     Part { name: "slcan", package: "bus-slcan", folder: "buses/slcan/", options: &[], tests: &["--lib"] },
+    Part {
+        name: "canopen",
+        package: "bus-canopen",
+        folder: "buses/canopen/",
+        options: &[],
+        tests: &["--lib"],
+    },
     // The board's registers are tested by the image in the emulator.
     Part {
         name: "bridge-fw",

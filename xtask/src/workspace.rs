@@ -11,8 +11,12 @@ use anyhow::{Context, Result};
 
 /// The crates for other people's boards, by package and folder: built for each target, free of panics, published as packages.
 /// A crate stands behind those that it depends on.
-pub(crate) const TARGET_CRATES: [(&str, &str); 3] =
-    [("bus-modbus", "buses/modbus"), ("bus-slcan", "buses/slcan"), ("wsg-protocol", "protocol")];
+pub(crate) const TARGET_CRATES: [(&str, &str); 4] = [
+    ("bus-modbus", "buses/modbus"),
+    ("bus-slcan", "buses/slcan"),
+    ("bus-canopen", "buses/canopen"),
+    ("wsg-protocol", "protocol"),
+];
 
 /// The workspace that `cargo xtask` was called in.
 pub(crate) struct Workspace {

@@ -4,7 +4,7 @@ use embedded_can::{Frame, Id};
 use wsg_protocol::Instant;
 
 use super::bus_off::{BusOff, Step};
-use super::{BusOffPolicy, BusReport, BusState, CanController, Health, LinkCounters};
+use super::{BusCounters, BusOffPolicy, BusReport, BusState, CanController, Health, LinkCounters};
 
 /// Frames taken from the controller in one turn, at the most: at 1 Mbit/s a millisecond brings 9 of 8 bytes, or 21 empty
 /// ones.
@@ -59,17 +59,6 @@ impl<F> Participant<F> for Nobody {
     fn lost(&mut self) {}
 
     fn bus_changed(&mut self, _: bool) {}
-}
-
-/// What the bus has met so far; each count stops at 65 535.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BusCounters {
-    /// How often the controller went bus-off.
-    pub bus_offs: u16,
-    /// How often the controller had no room for a frame that it received.
-    pub overruns: u16,
-    /// Frames that the controller refused to send.
-    pub refused: u16,
 }
 
 /// A controller and its bus, for up to two participants. Board-free: in each turn of the main loop

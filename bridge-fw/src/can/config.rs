@@ -1,7 +1,8 @@
 //! What is fixed about CAN when the bridge starts: the bus's rate, and who the bridge is on it.
 
-use super::NodeConfig;
+use super::{DEFAULT_NODE, NodeConfig};
 use crate::built::number;
+use bus_canopen::is_reserved;
 use wsg_protocol::can::Identifiers;
 
 /// The CAN bus at power-up.
@@ -17,8 +18,7 @@ pub struct CanConfig {
 
 impl CanConfig {
     /// 500 kbit/s, the gripper on 120h and 121h, node 10h.
-    pub const DEFAULT: Self =
-        Self { kbit_rate: 500, gripper: Identifiers::DEFAULT, node: NodeConfig::DEFAULT };
+    pub const DEFAULT: Self = Self { kbit_rate: 500, gripper: Identifiers::DEFAULT, node: DEFAULT_NODE };
 
     /// What the firmware is built with: [`DEFAULT`](Self::DEFAULT), but for the environment variables `WSG_CAN_RATE`
     /// (kbit/s), `WSG_CAN_ID` (the identifier that the gripper listens to; it sends on the next one), `WSG_CAN_NODE` and
@@ -32,7 +32,7 @@ impl CanConfig {
             let id = number(id);
             assert!(id < 0x7FF, "WSG_CAN_ID must be 0 to 0x7FE");
             let id = id as u16;
-            let is_free = !NodeConfig::is_canopens(id) && !NodeConfig::is_canopens(id.saturating_add(1));
+            let is_free = !is_reserved(id) && !is_reserved(id.saturating_add(1));
             assert!(is_free, "WSG_CAN_ID and the next identifier must be none that CANopen uses");
             if let Some(pair) = Identifiers::from_base(id) {
                 config.gripper = pair;

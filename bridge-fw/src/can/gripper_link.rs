@@ -3,13 +3,11 @@
 use embedded_can::{Frame, Id};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use heapless::Deque;
-use wsg_protocol::can::{
-    self, Endpoint, FULL, HALF_MESSAGE_MS, Identifiers, Reassembler, Segment, Segmenter,
-};
+use wsg_protocol::can::{Endpoint, FULL, HALF_MESSAGE_MS, Identifiers, Reassembler, Segment, Segmenter};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, Event, FrameEncoder, Instant};
 
-use super::Participant;
+use super::{LinkCounters, Participant};
 use crate::config::MAX_REPLY_LEN;
 
 /// CAN frames of the longest reply that a bridge asks for.
@@ -26,17 +24,6 @@ const _: () = assert!(RECEIVED_MAX >= REPLY_FRAMES * FULL + 20 * FULL);
 /// How long frames wait for the controller to take one, in milliseconds, before they and what it holds are given up. Less
 /// than the time in which a session expects an answer, and more than a bus at 125 kbit/s needs for 90 frames of others.
 const STUCK_MS: u32 = 100;
-
-/// What the link could not use so far; each count stops at 65 535.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LinkCounters {
-    /// On the bus, below messages.
-    pub frames: can::Counters,
-    /// Messages for which there was no room, because the bridge did not read.
-    pub overflows: u16,
-    /// Messages to the gripper of which a part did not leave.
-    pub broken: u16,
-}
 
 /// The bridge's end of a gripper on CAN.
 ///

@@ -16,8 +16,8 @@ use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanController as _, GripperLink, Health, LinkCounters, NmtState, Nobody, Node,
-    NodeConfig, Participant, SETTINGS_INDEX,
+    BusOffPolicy, CanBus, CanController as _, DEFAULT_NODE, GripperLink, Health, LinkCounters, NmtState,
+    Nobody, Node, Participant, SETTINGS_INDEX,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
@@ -32,7 +32,7 @@ use super::oracle::Oracle;
 use crate::can_bench::Double;
 use crate::serial_gripper::SerialLine;
 
-const NODE: u16 = NodeConfig::DEFAULT.node as u16;
+const NODE: u16 = DEFAULT_NODE.node as u16;
 const NMT: u16 = 0;
 const RPDO: u16 = 0x200 | NODE;
 const SDO_REQUEST: u16 = 0x600 | NODE;
@@ -45,7 +45,7 @@ const IDS: [u16; 10] = [
     NMT,
     RPDO,
     SDO_REQUEST,
-    HEARTBEAT | NodeConfig::DEFAULT.master as u16,
+    HEARTBEAT | DEFAULT_NODE.master as u16,
     HEARTBEAT | NODE,
     TO_GRIPPER,
     FROM_GRIPPER,
@@ -231,7 +231,7 @@ impl Device {
     fn new() -> Self {
         Self {
             state: NmtState::Initialising,
-            master: NodeConfig::DEFAULT.master.into(),
+            master: DEFAULT_NODE.master.into(),
             heard_ms: None,
             has_heartbeat: false,
             timeout_ms: BusConfig::DEFAULT.timeout_ms.into(),
@@ -354,7 +354,7 @@ impl Model {
             double,
             link: GripperLink::new(Identifiers::DEFAULT),
             line: gripper_on_rs_232.then(|| SerialLine::with_room(usize::MAX)),
-            node: Node::new(NodeConfig::DEFAULT),
+            node: Node::new(DEFAULT_NODE),
             said_to_gripper: FrameParser::new(),
             said: Vec::new(),
             left: Reassembler::new(standard(TO_GRIPPER), u32::MAX / 2),
@@ -587,7 +587,7 @@ impl Model {
         }
         if reset {
             device.forget_master();
-            device.master = NodeConfig::DEFAULT.master.into();
+            device.master = DEFAULT_NODE.master.into();
             device.request = None;
         }
         self.is_over = !device.configure(said);

@@ -14,9 +14,16 @@ const NOT_BUILT: &str = "not built yet";
 /// The names of all tests in the sources of the workspace.
 fn tests() -> BTreeSet<String> {
     let mut names = BTreeSet::new();
-    for member in
-        ["protocol", "buses/modbus", "buses/slcan", "bridge-fw", "gripper-sim", "host-tests", "xtask"]
-    {
+    for member in [
+        "protocol",
+        "buses/modbus",
+        "buses/slcan",
+        "buses/canopen",
+        "bridge-fw",
+        "gripper-sim",
+        "host-tests",
+        "xtask",
+    ] {
         for folder in ["src", "tests"] {
             collect(&root().join(member).join(folder), &mut names);
         }

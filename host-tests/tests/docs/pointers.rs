@@ -5,7 +5,7 @@ use std::path::Path;
 use host_tests::document::{read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 12] = [
+const DOCUMENTS: [&str; 13] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
@@ -18,6 +18,7 @@ const DOCUMENTS: [&str; 12] = [
     "protocol/README.md",
     "buses/modbus/README.md",
     "buses/slcan/README.md",
+    "buses/canopen/README.md",
 ];
 
 #[test]

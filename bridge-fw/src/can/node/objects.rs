@@ -1,72 +1,18 @@
 //! The object dictionary: one table for the server, the EDS file and the documents.
 
-use super::super::{BusState, Health, LinkCounters, bus::BusCounters};
-use super::NodeConfig;
-use crate::registers::{CanReports, REPORTS, SETTINGS};
+use bus_canopen::{Abort, DataType, Dictionary, Entry, Source, entries, find};
+use bus_modbus::rtu;
 
-/// The type of an object (CiA 301, table 44).
+use crate::can::BusReport;
+use crate::plc::View;
+use crate::registers::{REPORTS, RegisterError, SETTINGS, Settings};
+
+/// A value that is the bridge's: one about the bus, a setting or a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DataType {
-    /// INTEGER16.
-    I16,
-    /// UNSIGNED8.
-    U8,
-    /// UNSIGNED16.
-    U16,
-    /// UNSIGNED32.
-    U32,
-}
+pub struct Key(Value);
 
-impl DataType {
-    /// Its bytes on the bus.
-    #[must_use]
-    pub const fn len(self) -> u8 {
-        match self {
-            Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::U32 => 4,
-        }
-    }
-
-    /// Its number in the dictionary.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        match self {
-            Self::I16 => 3,
-            Self::U8 => 5,
-            Self::U16 => 6,
-            Self::U32 => 7,
-        }
-    }
-
-    /// Whether there are no bytes: of none.
-    #[must_use]
-    pub const fn is_empty(self) -> bool {
-        false
-    }
-}
-
-/// What an object holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Subject {
-    /// A number that never changes.
-    Fixed(u32),
-    /// A number with the node-ID added.
-    PlusNode(u32),
-    ErrorRegister,
-    Consumer,
-    Heartbeat,
-    Inhibit(u8),
-    Event(u8),
-    /// Bytes of the output image, by their index.
-    Output(u8),
-    /// Fields of the input image.
-    State,
-    User,
-    System,
-    Width,
-    Force,
-    Status,
+enum Value {
     BusStatus,
     TransmitErrors,
     ReceiveErrors,
@@ -84,24 +30,7 @@ pub(super) enum Subject {
 }
 
 /// An object of the dictionary, or one of its entries.
-#[derive(Clone, Copy, Debug)]
-pub struct Object {
-    /// Its index.
-    pub index: u16,
-    /// Its subindex.
-    pub sub: u8,
-    /// Its type.
-    pub kind: DataType,
-    /// Whether a master may write it.
-    pub writable: bool,
-    /// Whether it can be part of a PDO.
-    pub mappable: bool,
-    /// Its name.
-    pub name: &'static str,
-    /// The name of the record that it is in; empty for an object without entries.
-    pub record: &'static str,
-    pub(super) subject: Subject,
-}
+pub type Object = bus_canopen::Object<Key>;
 
 /// The index of the record of the settings: entry n is holding register 99 + n of `docs/registers.md`.
 pub const SETTINGS_INDEX: u16 = 0x2100;
@@ -117,10 +46,14 @@ const NO_REMOTE: u32 = 1 << 30;
 
 const REVISION: u32 = 1 << 16;
 
+/// The name of the entry that says how many there are.
+pub(super) const COUNT: &str = "Number of entries";
+
 /// Objects 1000h to 2002h. The settings and reports behind them have tables of their own.
 pub const OBJECTS: [Object; 65] = {
     use DataType::{I16, U8, U16, U32};
-    use Subject as S;
+    use Source as S;
+    use Value as V;
     const RPDO: &str = "RPDO1 communication";
     const RPDO_MAP: &str = "RPDO1 mapping";
     const TPDO1: &str = "TPDO1 communication";
@@ -131,41 +64,62 @@ pub const OBJECTS: [Object; 65] = {
     const OUTPUT: &str = "Output image";
     const INPUT: &str = "Input image";
     const BUS: &str = "CAN";
-    const COUNT: &str = "Number of entries";
-    const fn map(index: u16, sub: u8, kind: DataType) -> Subject {
-        Subject::Fixed(((index as u32) << 16) | ((sub as u32) << 8) | (kind.len() as u32 * 8))
+    /// A field of RPDO1, by its first byte.
+    const fn received(at: u8) -> Source<Key> {
+        Source::Rpdo { number: 0, at }
+    }
+    /// A field of TPDO1.
+    const fn state(at: u8) -> Source<Key> {
+        Source::Tpdo { number: 0, at }
+    }
+    /// A field of TPDO2.
+    const fn measured(at: u8) -> Source<Key> {
+        Source::Tpdo { number: 1, at }
+    }
+    const fn own(value: Value) -> Source<Key> {
+        Source::Application(Key(value))
+    }
+    const fn map(index: u16, sub: u8, kind: DataType) -> Source<Key> {
+        Source::Fixed(((index as u32) << 16) | ((sub as u32) << 8) | (kind.len() as u32 * 8))
     }
     const fn ro(
         index: u16,
         sub: u8,
         kind: DataType,
-        subject: Subject,
+        source: Source<Key>,
         record: &'static str,
         name: &'static str,
     ) -> Object {
-        Object { index, sub, kind, writable: false, mappable: false, name, record, subject }
+        Object { index, sub, kind, writable: false, mappable: false, name, record, source }
     }
     const fn rw(
         index: u16,
         sub: u8,
         kind: DataType,
-        subject: Subject,
+        source: Source<Key>,
         record: &'static str,
         name: &'static str,
     ) -> Object {
-        Object { writable: true, ..ro(index, sub, kind, subject, record, name) }
+        Object { writable: true, ..ro(index, sub, kind, source, record, name) }
     }
-    const fn field(index: u16, sub: u8, kind: DataType, subject: Subject, name: &'static str) -> Object {
+    const fn field(index: u16, sub: u8, kind: DataType, source: Source<Key>, name: &'static str) -> Object {
         let record = if index == OUTPUT_INDEX { OUTPUT } else { INPUT };
-        Object { mappable: true, ..ro(index, sub, kind, subject, record, name) }
+        Object { mappable: true, ..ro(index, sub, kind, source, record, name) }
     }
     [
         ro(0x1000, 0, U32, S::Fixed(0), "", "Device type"),
         ro(0x1001, 0, U8, S::ErrorRegister, "", "Error register"),
         ro(0x1014, 0, U32, S::PlusNode(0x80), "", "COB-ID EMCY"),
         ro(0x1016, 0, U8, S::Fixed(1), "Consumer heartbeat time", COUNT),
-        rw(0x1016, 1, U32, S::Consumer, "Consumer heartbeat time", "Master (bits 16 to 22) and time in ms"),
-        rw(0x1017, 0, U16, S::Heartbeat, "", "Producer heartbeat time in ms"),
+        rw(
+            0x1016,
+            1,
+            U32,
+            S::ConsumerHeartbeat,
+            "Consumer heartbeat time",
+            "Master (bits 16 to 22) and time in ms",
+        ),
+        rw(0x1017, 0, U16, S::ProducerHeartbeat, "", "Producer heartbeat time in ms"),
         ro(0x1018, 0, U8, S::Fixed(4), IDENTITY, COUNT),
         ro(0x1018, 1, U32, S::Fixed(0), IDENTITY, "Vendor-ID (none assigned)"),
         ro(0x1018, 2, U32, S::Fixed(1), IDENTITY, "Product code"),
@@ -186,13 +140,13 @@ pub const OBJECTS: [Object; 65] = {
         ro(0x1800, 0, U8, S::Fixed(5), TPDO1, COUNT),
         ro(0x1800, 1, U32, S::PlusNode(0x180 | NO_REMOTE), TPDO1, "COB-ID"),
         ro(0x1800, 2, U8, S::Fixed(255), TPDO1, "Transmission type"),
-        rw(0x1800, 3, U16, S::Inhibit(0), TPDO1, "Inhibit time in 100 us"),
-        rw(0x1800, 5, U16, S::Event(0), TPDO1, "Event timer in ms"),
+        rw(0x1800, 3, U16, S::InhibitTime(0), TPDO1, "Inhibit time in 100 us"),
+        rw(0x1800, 5, U16, S::EventTimer(0), TPDO1, "Event timer in ms"),
         ro(0x1801, 0, U8, S::Fixed(5), TPDO2, COUNT),
         ro(0x1801, 1, U32, S::PlusNode(0x280 | NO_REMOTE), TPDO2, "COB-ID"),
         ro(0x1801, 2, U8, S::Fixed(255), TPDO2, "Transmission type"),
-        rw(0x1801, 3, U16, S::Inhibit(1), TPDO2, "Inhibit time in 100 us"),
-        rw(0x1801, 5, U16, S::Event(1), TPDO2, "Event timer in ms"),
+        rw(0x1801, 3, U16, S::InhibitTime(1), TPDO2, "Inhibit time in 100 us"),
+        rw(0x1801, 5, U16, S::EventTimer(1), TPDO2, "Event timer in ms"),
         ro(0x1A00, 0, U8, S::Fixed(4), TPDO1_MAP, COUNT),
         ro(0x1A00, 1, U32, map(INPUT_INDEX, 1, U8), TPDO1_MAP, "GSTATE"),
         ro(0x1A00, 2, U32, map(INPUT_INDEX, 2, U8), TPDO1_MAP, "OF"),
@@ -202,29 +156,29 @@ pub const OBJECTS: [Object; 65] = {
         ro(0x1A01, 1, U32, map(INPUT_INDEX, 4, I16), TPDO2_MAP, "WIDTH"),
         ro(0x1A01, 2, U32, map(INPUT_INDEX, 5, I16), TPDO2_MAP, "Gripping Force"),
         ro(OUTPUT_INDEX, 0, U8, S::Fixed(5), OUTPUT, COUNT),
-        field(OUTPUT_INDEX, 1, U8, S::Output(0), "CMDFLAGS"),
-        field(OUTPUT_INDEX, 2, U8, S::Output(1), "IF"),
-        field(OUTPUT_INDEX, 3, I16, S::Output(2), "WIDTH"),
-        field(OUTPUT_INDEX, 4, U16, S::Output(4), "SPEED"),
-        field(OUTPUT_INDEX, 5, I16, S::Output(6), "FORCELIMIT"),
+        field(OUTPUT_INDEX, 1, U8, received(0), "CMDFLAGS"),
+        field(OUTPUT_INDEX, 2, U8, received(1), "IF"),
+        field(OUTPUT_INDEX, 3, I16, received(2), "WIDTH"),
+        field(OUTPUT_INDEX, 4, U16, received(4), "SPEED"),
+        field(OUTPUT_INDEX, 5, I16, received(6), "FORCELIMIT"),
         ro(INPUT_INDEX, 0, U8, S::Fixed(6), INPUT, COUNT),
-        field(INPUT_INDEX, 1, U8, S::State, "GSTATE"),
-        field(INPUT_INDEX, 2, U8, S::User, "OF"),
-        field(INPUT_INDEX, 3, U32, S::System, "SYSSTATE"),
-        field(INPUT_INDEX, 4, I16, S::Width, "WIDTH"),
-        field(INPUT_INDEX, 5, I16, S::Force, "Gripping Force"),
-        field(INPUT_INDEX, 6, U16, S::Status, "Status Code"),
+        field(INPUT_INDEX, 1, U8, state(0), "GSTATE"),
+        field(INPUT_INDEX, 2, U8, state(1), "OF"),
+        field(INPUT_INDEX, 3, U32, state(2), "SYSSTATE"),
+        field(INPUT_INDEX, 4, I16, measured(0), "WIDTH"),
+        field(INPUT_INDEX, 5, I16, measured(2), "Gripping Force"),
+        field(INPUT_INDEX, 6, U16, state(6), "Status Code"),
         ro(0x2002, 0, U8, S::Fixed(10), BUS, COUNT),
-        ro(0x2002, 1, U8, S::BusStatus, BUS, "0 on, 1 off, 2 recovering, 3 given up; 80h: passive"),
-        ro(0x2002, 2, U8, S::TransmitErrors, BUS, "Transmit error counter"),
-        ro(0x2002, 3, U8, S::ReceiveErrors, BUS, "Receive error counter"),
-        ro(0x2002, 4, U16, S::BusOffs, BUS, "Times bus-off"),
-        ro(0x2002, 5, U16, S::Overruns, BUS, "Frames lost by the controller"),
-        ro(0x2002, 6, U16, S::Refused, BUS, "Frames refused by the controller"),
-        ro(0x2002, 7, U16, S::FramesDropped, BUS, "Gripper: frames of no intact message"),
-        ro(0x2002, 8, U16, S::FramesMiscut, BUS, "Gripper: messages cut wrongly"),
-        ro(0x2002, 9, U16, S::FramesExpired, BUS, "Gripper: half messages"),
-        ro(0x2002, 10, U16, S::LinkBroken, BUS, "To the gripper: messages that left in part"),
+        ro(0x2002, 1, U8, own(V::BusStatus), BUS, "0 on, 1 off, 2 recovering, 3 given up; 80h: passive"),
+        ro(0x2002, 2, U8, own(V::TransmitErrors), BUS, "Transmit error counter"),
+        ro(0x2002, 3, U8, own(V::ReceiveErrors), BUS, "Receive error counter"),
+        ro(0x2002, 4, U16, own(V::BusOffs), BUS, "Times bus-off"),
+        ro(0x2002, 5, U16, own(V::Overruns), BUS, "Frames lost by the controller"),
+        ro(0x2002, 6, U16, own(V::Refused), BUS, "Frames refused by the controller"),
+        ro(0x2002, 7, U16, own(V::FramesDropped), BUS, "Gripper: frames of no intact message"),
+        ro(0x2002, 8, U16, own(V::FramesMiscut), BUS, "Gripper: messages cut wrongly"),
+        ro(0x2002, 9, U16, own(V::FramesExpired), BUS, "Gripper: half messages"),
+        ro(0x2002, 10, U16, own(V::LinkBroken), BUS, "To the gripper: messages that left in part"),
     ]
 };
 
@@ -233,140 +187,99 @@ const SETTINGS_COUNT: u8 = SETTINGS.len() as u8;
 const REPORTS_COUNT: u8 = REPORTS.len() as u8;
 const _: () = assert!(SETTINGS.len() < 255 && REPORTS.len() < 255);
 
-/// The server's part of the table, so that the words stay out of the image.
-#[derive(Clone, Copy)]
-struct Place {
-    index: u16,
-    sub: u8,
-    kind: DataType,
-    writable: bool,
-    subject: Subject,
+/// The server's part of the table.
+const ENTRIES: [Entry<Key>; OBJECTS.len()] = entries(&OBJECTS);
+
+/// The setting with this subindex, from 1 on.
+pub(super) const fn setting(sub: u8) -> Source<Key> {
+    Source::Application(Key(Value::Setting((sub as u16).wrapping_sub(1))))
 }
 
-const PLACES: [Place; OBJECTS.len()] = {
-    let mut places =
-        [Place { index: 0, sub: 0, kind: DataType::U8, writable: false, subject: Subject::Fixed(0) };
-            OBJECTS.len()];
-    let mut at = 0;
-    while at < OBJECTS.len() {
-        #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
-        {
-            let Object { index, sub, kind, writable, subject, .. } = OBJECTS[at];
-            places[at] = Place { index, sub, kind, writable, subject };
-        }
-        at += 1;
-    }
-    places
-};
-
-/// Where an object was found.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Found {
-    pub(super) kind: DataType,
-    pub(super) writable: bool,
-    pub(super) subject: Subject,
+/// The report with this subindex, from 1 on.
+pub(super) const fn report(sub: u8) -> Source<Key> {
+    Source::Application(Key(Value::Report((sub as u16).wrapping_sub(1))))
 }
 
-/// Why there is none.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Missing {
-    Object,
-    Subindex,
+/// What a master reads and writes in one turn of the bridge.
+pub(super) struct Objects<'a, 'v> {
+    pub(super) view: &'a mut View<'v>,
+    pub(super) report: &'a BusReport,
 }
 
-/// Looks an object up.
-pub(super) fn find(index: u16, sub: u8) -> Result<Found, Missing> {
-    let record = |count: u8, writable: bool, subject: Subject| match sub {
-        0 => Ok(Found { kind: DataType::U8, writable: false, subject: Subject::Fixed(count.into()) }),
-        sub if sub <= count => Ok(Found { kind: DataType::U16, writable, subject }),
-        _ => Err(Missing::Subindex),
-    };
-    let number = u16::from(sub).wrapping_sub(1);
-    match index {
-        SETTINGS_INDEX => record(SETTINGS_COUNT, true, Subject::Setting(number)),
-        REPORTS_INDEX => record(REPORTS_COUNT, false, Subject::Report(number)),
-        _ => {
-            let mut missing = Missing::Object;
-            for place in &PLACES {
-                if place.index == index {
-                    missing = Missing::Subindex;
-                    if place.sub == sub {
-                        let Place { kind, writable, subject, .. } = *place;
-                        return Ok(Found { kind, writable, subject });
-                    }
-                }
+impl Dictionary for Objects<'_, '_> {
+    type Key = Key;
+
+    fn find(&self, index: u16, sub: u8) -> Result<Entry<Key>, Abort> {
+        let record = |count: u8, writable: bool, source: Source<Key>| match sub {
+            0 => {
+                let source = Source::Fixed(count.into());
+                Ok(Entry { index, sub, kind: DataType::U8, writable: false, source })
             }
-            Err(missing)
+            sub if sub <= count => Ok(Entry { index, sub, kind: DataType::U16, writable, source }),
+            _ => Err(Abort::NoSubindex),
+        };
+        match index {
+            SETTINGS_INDEX => record(SETTINGS_COUNT, true, setting(sub)),
+            REPORTS_INDEX => record(REPORTS_COUNT, false, report(sub)),
+            _ => find(&ENTRIES, index, sub),
         }
     }
-}
 
-/// What a node knows of its bus, for the counters.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct BusReport {
-    /// How the bridge stands to the bus.
-    pub state: BusState,
-    /// How the controller sees the bus.
-    pub health: Health,
-    /// What the bus has met.
-    pub counters: BusCounters,
-    /// What the gripper's link has met; nothing where it is not on this bus.
-    pub link: LinkCounters,
-}
-
-impl BusReport {
-    pub(super) const NOTHING: Self = Self {
-        state: BusState::On,
-        health: Health { is_off: false, is_passive: false, transmit_errors: 0, receive_errors: 0 },
-        counters: BusCounters { bus_offs: 0, overruns: 0, refused: 0 },
-        link: LinkCounters {
-            frames: wsg_protocol::can::Counters {
-                foreign: 0,
-                dropped: 0,
-                miscut: 0,
-                bad_checksum: 0,
-                oversize: 0,
-                expired: 0,
-            },
-            overflows: 0,
-            broken: 0,
-        },
-    };
-
-    /// Returns the reports about CAN.
-    #[must_use]
-    pub const fn registers(&self) -> CanReports {
-        let Self { state, health, counters, link } = self;
-        let passive = if health.is_passive { 0x80 } else { 0 };
-        CanReports([
-            *state as u16 | passive,
-            health.transmit_errors as u16,
-            health.receive_errors as u16,
-            counters.bus_offs,
-            counters.overruns,
-            link.frames.dropped,
-        ])
-    }
-
-    pub(super) fn number(&self, subject: Subject) -> u32 {
-        let Self { state, health, counters, link } = self;
-        match subject {
-            Subject::BusStatus => *state as u32 | if health.is_passive { 0x80 } else { 0 },
-            Subject::TransmitErrors => health.transmit_errors.into(),
-            Subject::ReceiveErrors => health.receive_errors.into(),
-            Subject::BusOffs => counters.bus_offs.into(),
-            Subject::Overruns => counters.overruns.into(),
-            Subject::Refused => counters.refused.into(),
-            Subject::FramesDropped => link.frames.dropped.into(),
-            Subject::FramesMiscut => link.frames.miscut.into(),
-            Subject::FramesExpired => link.frames.expired.into(),
-            Subject::LinkBroken => link.broken.into(),
-            _ => 0,
+    fn read(&self, Key(value): Key) -> Result<u32, Abort> {
+        match value {
+            Value::Setting(number) => self.view.setting(number).map(u32::from).map_err(abort_of),
+            Value::Report(number) => {
+                self.view.report(number, rtu::Counters::default()).map(u32::from).map_err(abort_of)
+            }
+            _ => Ok(bus_value(self.report, value)),
         }
     }
+
+    fn write(&mut self, Key(value): Key, number: u32) -> Result<(), Abort> {
+        match value {
+            Value::Setting(at) => self.write_setting(at, number as u16),
+            _ => Err(Abort::ReadOnly),
+        }
+    }
+
+    fn consumer_time_ms(&self) -> u16 {
+        self.view.settings.timeout_ms() as u16
+    }
+
+    fn set_consumer_time_ms(&mut self, time_ms: u16) -> Result<(), Abort> {
+        self.write_setting(Settings::TIMEOUT, time_ms)
+    }
 }
 
-/// The number that says which node a COB-ID belongs to.
-pub(super) const fn with_node(base: u32, config: &NodeConfig) -> u32 {
-    base | config.node as u32
+impl Objects<'_, '_> {
+    fn write_setting(&mut self, at: u16, number: u16) -> Result<(), Abort> {
+        self.view.write_settings(at, [number].into_iter()).map_err(abort_of)
+    }
+}
+
+/// The abort that says so.
+const fn abort_of(error: RegisterError) -> Abort {
+    match error {
+        RegisterError::Missing => Abort::NoSubindex,
+        RegisterError::Value => Abort::Value,
+        RegisterError::Moving => Abort::DeviceState,
+    }
+}
+
+/// What is known of the bus, by its object.
+fn bus_value(report: &BusReport, value: Value) -> u32 {
+    let BusReport { state, health, counters, link } = report;
+    match value {
+        Value::BusStatus => *state as u32 | if health.is_passive { 0x80 } else { 0 },
+        Value::TransmitErrors => health.transmit_errors.into(),
+        Value::ReceiveErrors => health.receive_errors.into(),
+        Value::BusOffs => counters.bus_offs.into(),
+        Value::Overruns => counters.overruns.into(),
+        Value::Refused => counters.refused.into(),
+        Value::FramesDropped => link.frames.dropped.into(),
+        Value::FramesMiscut => link.frames.miscut.into(),
+        Value::FramesExpired => link.frames.expired.into(),
+        Value::LinkBroken => link.broken.into(),
+        _ => 0,
+    }
 }

@@ -1,8 +1,8 @@
-//! Every public function of `wsg-protocol`, a module for each part of it.
+//! Every public function of `wsg-protocol` and of the buses, a module for each part of it.
 //!
 //! For the target it keeps the address of each function, so that each is there whole, for whatever arguments: it links only
 //! if none of them can panic (`cargo xtask panics`), and its size is theirs (`cargo xtask size`). For the host it prints the
-//! compiler's own name of each, and `cargo xtask panics` compares them with what rustdoc finds in the crate.
+//! compiler's own name of each, and `cargo xtask panics` compares them with what rustdoc finds in the crates.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 use core::any::type_name_of_val;
@@ -12,6 +12,8 @@ use wsg_probes as _;
 
 #[cfg(feature = "can")]
 mod can;
+#[cfg(feature = "can")]
+mod canopen;
 #[cfg(feature = "drivers")]
 mod drivers;
 #[cfg(feature = "gcl")]
@@ -32,6 +34,8 @@ fn every_function() {
     modbus::every_function();
     #[cfg(feature = "can")]
     can::every_function();
+    #[cfg(feature = "can")]
+    canopen::every_function();
     #[cfg(feature = "drivers")]
     drivers::every_function();
 }

@@ -1,34 +1,28 @@
 //! Expedited SDO: read and write of objects with up to four bytes (CiA 301, 7.2.4.3).
 
-use super::objects::Missing;
-
-/// Why a transfer was aborted: the code on the bus.
+/// Why a transfer was aborted: the code on the bus (CiA 301, table 22).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
-pub(super) enum Abort {
-    /// Segmented and block transfer are not served.
+pub enum Abort {
+    /// Client command specifier not valid: segmented and block transfer are not served.
     CommandSpecifier = 0x0504_0001,
+    /// Attempt to write a read-only object.
     ReadOnly = 0x0601_0002,
+    /// The object does not exist.
     NoObject = 0x0602_0000,
+    /// The length does not match.
     Length = 0x0607_0010,
+    /// The subindex does not exist.
     NoSubindex = 0x0609_0011,
+    /// The value is not allowed.
     Value = 0x0609_0030,
-    /// A setting while the fingers move.
+    /// Not in the present device state.
     DeviceState = 0x0800_0022,
-}
-
-impl From<Missing> for Abort {
-    fn from(missing: Missing) -> Self {
-        match missing {
-            Missing::Object => Self::NoObject,
-            Missing::Subindex => Self::NoSubindex,
-        }
-    }
 }
 
 /// What a client asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Request {
+pub(crate) enum Request {
     Read,
     /// A write of so many bytes; none said: as many as the object has.
     Write(Option<u8>, u32),
@@ -38,12 +32,12 @@ pub(super) enum Request {
 }
 
 /// An object's address, and what is to be done with it.
-pub(super) fn parse(data: &[u8; 8]) -> (u16, u8, Request) {
+pub(crate) fn parse(data: &[u8; 8]) -> (u16, u8, Request) {
     let [specifier, low, high, sub, a, b, c, d] = *data;
     let request = match specifier >> 5 {
         // Download: expedited, or refused.
         1 if specifier & 0b10 != 0 => {
-            let len = (specifier & 0b1 != 0).then_some(4 - (specifier >> 2 & 0b11));
+            let len = (specifier & 0b1 != 0).then_some(4u8.wrapping_sub(specifier >> 2 & 0b11));
             Request::Write(len, u32::from_le_bytes([a, b, c, d]))
         }
         2 => Request::Read,
@@ -53,16 +47,16 @@ pub(super) fn parse(data: &[u8; 8]) -> (u16, u8, Request) {
     (u16::from_le_bytes([low, high]), sub, request)
 }
 
-pub(super) fn read_response(index: u16, sub: u8, len: u8, value: u32) -> [u8; 8] {
+pub(crate) fn read_response(index: u16, sub: u8, len: u8, value: u32) -> [u8; 8] {
     let unused = 4u8.wrapping_sub(len) & 0b11;
     response(0b0100_0011 | unused << 2, index, sub, value)
 }
 
-pub(super) fn write_response(index: u16, sub: u8) -> [u8; 8] {
+pub(crate) fn write_response(index: u16, sub: u8) -> [u8; 8] {
     response(0b0110_0000, index, sub, 0)
 }
 
-pub(super) fn abort_response(index: u16, sub: u8, abort: Abort) -> [u8; 8] {
+pub(crate) fn abort_response(index: u16, sub: u8, abort: Abort) -> [u8; 8] {
     response(0b1000_0000, index, sub, abort as u32)
 }
 

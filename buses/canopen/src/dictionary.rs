@@ -1,0 +1,38 @@
+//! What the application gives to the SDO server.
+
+use crate::{Abort, Entry};
+
+/// The object dictionary of a device, and the values in it that are the application's.
+///
+/// The device itself serves every [`Source`](crate::Source) but `Application`.
+pub trait Dictionary {
+    /// Names a value of the application.
+    type Key: Copy;
+
+    /// Looks an entry up; [`find`](crate::find) does that in a table.
+    ///
+    /// # Errors
+    /// [`Abort::NoObject`], or [`Abort::NoSubindex`] where only the subindex does not exist.
+    fn find(&self, index: u16, sub: u8) -> Result<Entry<Self::Key>, Abort>;
+
+    /// The application's value behind an entry; of a number with a sign, the bits of its two's complement.
+    ///
+    /// # Errors
+    /// Why it cannot be read.
+    fn read(&self, key: Self::Key) -> Result<u32, Abort>;
+
+    /// Writes it. The value has the length of the entry's type, and the entry is writable.
+    ///
+    /// # Errors
+    /// Why it is refused; then nothing was written.
+    fn write(&mut self, key: Self::Key, value: u32) -> Result<(), Abort>;
+
+    /// Within which time the master must be heard again, in milliseconds; 0: it is not watched.
+    fn consumer_time_ms(&self) -> u16;
+
+    /// Changes it (1016h, 1).
+    ///
+    /// # Errors
+    /// Why it is refused; then nothing was changed.
+    fn set_consumer_time_ms(&mut self, time_ms: u16) -> Result<(), Abort>;
+}

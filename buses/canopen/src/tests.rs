@@ -1,0 +1,730 @@
+//! A master and a device, frame by frame, in virtual time.
+
+use super::*;
+use bus_slcan::ClassicFrame;
+use embedded_can::{ExtendedId, Frame, Id, StandardId};
+use std::string::ToString;
+use std::vec;
+use std::vec::Vec;
+
+const NODE: u16 = 0x10;
+const MASTER: u16 = 0x7F;
+const CONFIG: Config<2> =
+    Config { node: 0x10, master: 0x7F, heartbeat_ms: 500, inhibit: [20, 205], event_ms: [100, 0] };
+/// The greatest time without the master.
+const TIME_MS: u16 = 300;
+const STOP: u8 = 0x80;
+
+const GENERIC: u8 = 1;
+const COMMUNICATION: u8 = 1 << 4;
+const FAULTS: [Fault; 5] = [
+    Fault { code: 0xFF01, register: 1 << 7, cause: Cause::Application },
+    Fault { code: 0x8130, register: COMMUNICATION, cause: Cause::MasterSilent },
+    Fault { code: 0x8140, register: COMMUNICATION, cause: Cause::BusOff },
+    Fault { code: 0x8210, register: COMMUNICATION, cause: Cause::PdoLength },
+    Fault { code: 0x4210, register: 1 << 3, cause: Cause::Application },
+];
+static PROFILE: Profile<2, 2> = Profile {
+    rpdos: [Rpdo { len: 8, keep: [STOP, 0, 0, 0, 0, 0, 0, 0] }, Rpdo { len: 2, keep: [0; 8] }],
+    tpdos: [8, 4],
+    faults: &FAULTS,
+};
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Key {
+    Byte,
+    Word,
+    Locked,
+    Broken,
+}
+
+const fn object(index: u16, sub: u8, kind: DataType, writable: bool, source: Source<Key>) -> Object<Key> {
+    Object { index, sub, kind, writable, mappable: false, name: "", record: "", source }
+}
+
+const OBJECTS: [Object<Key>; 19] = {
+    use DataType::{I16, U8, U16, U32};
+    use Source as S;
+    [
+        object(0x1000, 0, U32, false, S::Fixed(0x0102_0304)),
+        object(0x1001, 0, U8, false, S::ErrorRegister),
+        object(0x1014, 0, U32, false, S::PlusNode(0x80)),
+        object(0x1016, 0, U8, false, S::Fixed(1)),
+        object(0x1016, 1, U32, true, S::ConsumerHeartbeat),
+        object(0x1017, 0, U16, true, S::ProducerHeartbeat),
+        object(0x1018, 3, U32, false, S::Fixed(1 << 16)),
+        object(0x1800, 3, U16, true, S::InhibitTime(0)),
+        object(0x1800, 5, U16, true, S::EventTimer(0)),
+        object(0x1801, 3, U16, true, S::InhibitTime(1)),
+        object(0x1801, 5, U16, true, S::EventTimer(1)),
+        object(0x2000, 1, U8, false, S::Rpdo { number: 0, at: 0 }),
+        object(0x2000, 2, I16, false, S::Rpdo { number: 0, at: 6 }),
+        object(0x2001, 1, U32, true, S::Tpdo { number: 0, at: 2 }),
+        object(0x2001, 2, U16, false, S::Tpdo { number: 1, at: 2 }),
+        object(0x2002, 1, U8, true, S::Application(Key::Byte)),
+        object(0x2002, 2, U16, true, S::Application(Key::Word)),
+        object(0x2002, 3, U16, true, S::Application(Key::Locked)),
+        object(0x2002, 4, U16, false, S::Application(Key::Broken)),
+    ]
+};
+const ENTRIES: [Entry<Key>; OBJECTS.len()] = entries(&OBJECTS);
+
+struct Application {
+    byte: u32,
+    word: u32,
+    time_ms: u16,
+}
+
+impl Dictionary for Application {
+    type Key = Key;
+
+    fn find(&self, index: u16, sub: u8) -> Result<Entry<Key>, Abort> {
+        find(&ENTRIES, index, sub)
+    }
+
+    fn read(&self, key: Key) -> Result<u32, Abort> {
+        match key {
+            Key::Byte => Ok(self.byte),
+            Key::Word => Ok(self.word),
+            Key::Locked => Ok(7),
+            Key::Broken => Err(Abort::DeviceState),
+        }
+    }
+
+    fn write(&mut self, key: Key, value: u32) -> Result<(), Abort> {
+        match key {
+            Key::Byte => self.byte = value,
+            Key::Word => self.word = value,
+            Key::Locked | Key::Broken => return Err(Abort::DeviceState),
+        }
+        Ok(())
+    }
+
+    fn consumer_time_ms(&self) -> u16 {
+        self.time_ms
+    }
+
+    fn set_consumer_time_ms(&mut self, time_ms: u16) -> Result<(), Abort> {
+        if time_ms > 10_000 {
+            return Err(Abort::Value);
+        }
+        self.time_ms = time_ms;
+        Ok(())
+    }
+}
+
+/// A device on a bus with its master.
+struct Bus {
+    device: Device<2, 2, 4>,
+    application: Application,
+    now_ms: u32,
+    events: Vec<Event>,
+    /// What the device sent: when, on which identifier and what.
+    sent: Vec<(u32, u16, Vec<u8>)>,
+}
+
+impl Bus {
+    fn new() -> Self {
+        let application = Application { byte: 0, word: 0, time_ms: TIME_MS };
+        // Close to where the clock wraps.
+        let now_ms = u32::MAX - 50;
+        Self { device: Device::new(&PROFILE, CONFIG), application, now_ms, events: vec![], sent: vec![] }
+    }
+
+    /// Announced and started.
+    fn operational() -> Self {
+        let mut bus = Self::new();
+        bus.turn();
+        bus.nmt(0x01);
+        assert_eq!(bus.device.state(), NmtState::Operational);
+        bus.events.clear();
+        bus.sent.clear();
+        bus
+    }
+
+    fn bring(&mut self, id: u16, data: &[u8]) {
+        let frame = ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
+        self.device.on_frame(self.now_ms, &frame);
+    }
+
+    fn turn(&mut self) {
+        while let Some(event) = self.device.poll_event(self.now_ms, &mut self.application) {
+            self.events.push(event);
+        }
+        self.transmit();
+    }
+
+    fn transmit(&mut self) {
+        while let Some(frame) = self.device.poll_transmit::<ClassicFrame>(self.now_ms) {
+            let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
+            assert!(self.device.sends(frame.id()));
+            self.sent.push((self.now_ms, id.as_raw(), frame.data().to_vec()));
+        }
+    }
+
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            self.now_ms = self.now_ms.wrapping_add(1);
+            self.turn();
+        }
+    }
+
+    fn nmt(&mut self, specifier: u8) {
+        self.bring(0x000, &[specifier, NODE as u8]);
+        self.turn();
+    }
+
+    /// What was sent on this identifier since this was last asked.
+    fn take(&mut self, base: u16) -> Vec<Vec<u8>> {
+        self.take_timed(base).into_iter().map(|(_, data)| data).collect()
+    }
+
+    fn take_timed(&mut self, base: u16) -> Vec<(u32, Vec<u8>)> {
+        let (found, rest) =
+            core::mem::take(&mut self.sent).into_iter().partition(|(_, id, _)| *id == base | NODE);
+        self.sent = rest;
+        let found: Vec<(u32, u16, Vec<u8>)> = found;
+        found.into_iter().map(|(at, _, data)| (at, data)).collect()
+    }
+
+    fn sdo(&mut self, request: [u8; 8]) -> Vec<Vec<u8>> {
+        self.bring(0x600 | NODE, &request);
+        self.turn();
+        self.take(0x580)
+    }
+
+    fn upload(&mut self, index: u16, sub: u8) -> Result<Vec<u8>, u32> {
+        let [low, high] = index.to_le_bytes();
+        let answers = self.sdo([0x40, low, high, sub, 0, 0, 0, 0]);
+        let [answer] = &answers[..] else { panic!("{answers:?}") };
+        assert_eq!(answer[1..4], [low, high, sub]);
+        match answer[0] {
+            0x80 => Err(u32::from_le_bytes(answer[4..].try_into().unwrap())),
+            specifier => {
+                let unused = usize::from(specifier >> 2 & 3);
+                assert_eq!(specifier & !0b1100, 0x43);
+                assert!(answer[8 - unused..].iter().all(|byte| *byte == 0));
+                Ok(answer[4..8 - unused].to_vec())
+            }
+        }
+    }
+
+    fn download(&mut self, index: u16, sub: u8, value: &[u8]) -> Result<(), u32> {
+        let specifier = 0x23 | (4 - value.len() as u8) << 2;
+        self.download_by(specifier, index, sub, value)
+    }
+
+    fn download_by(&mut self, specifier: u8, index: u16, sub: u8, value: &[u8]) -> Result<(), u32> {
+        let [low, high] = index.to_le_bytes();
+        let mut request = [specifier, low, high, sub, 0xEE, 0xEE, 0xEE, 0xEE];
+        request[4..4 + value.len()].copy_from_slice(value);
+        let answers = self.sdo(request);
+        let [answer] = &answers[..] else { panic!("{answers:?}") };
+        assert_eq!(answer[1..4], [low, high, sub]);
+        match answer[0] {
+            0x60 => {
+                assert_eq!(answer[4..], [0; 4]);
+                Ok(())
+            }
+            0x80 => Err(u32::from_le_bytes(answer[4..].try_into().unwrap())),
+            other => panic!("{other:02X}"),
+        }
+    }
+
+    fn show_faults(&mut self, present: u16) {
+        self.device.show_faults(present, [1, 2, 3, 4, 5]);
+        self.turn();
+    }
+}
+
+fn rpdo(number: u8, data: [u8; 8]) -> Event {
+    Event::Rpdo { number, data }
+}
+
+/// An SDO request that wrote nothing of the application's.
+const READ: Event = Event::Sdo { written: false };
+const LEFT: Event = Event::Left { master_silent: false };
+const SILENT: Event = Event::Left { master_silent: true };
+
+#[test]
+fn device_announces_itself_and_beats() {
+    let mut bus = Bus::new();
+    assert_eq!(bus.device.state(), NmtState::Initialising);
+    bus.turn();
+    assert_eq!(bus.device.state(), NmtState::PreOperational);
+    bus.pass(1_000);
+    let beats = bus.take_timed(0x700);
+    let data: Vec<&[u8]> = beats.iter().map(|(_, data)| &data[..]).collect();
+    assert_eq!(data, [&[0][..], &[127], &[127]]);
+    assert!(beats.windows(2).all(|two| two[1].0.wrapping_sub(two[0].0) == 500));
+    assert!(bus.sent.is_empty(), "and nothing else: {:?}", bus.sent);
+}
+
+#[test]
+fn nmt_leads_through_the_states() {
+    let mut bus = Bus::new();
+    bus.turn();
+    for (specifier, state) in [
+        (0x01, NmtState::Operational),
+        (0x02, NmtState::Stopped),
+        (0x80, NmtState::PreOperational),
+        (0x01, NmtState::Operational),
+        (0x80, NmtState::PreOperational),
+        (0x02, NmtState::Stopped),
+        (0x01, NmtState::Operational),
+        (0x33, NmtState::Operational),
+    ] {
+        bus.nmt(specifier);
+        assert_eq!(bus.device.state(), state, "{specifier:02X}h");
+    }
+    assert_eq!(bus.events, [LEFT, LEFT], "when operation ended, and then alone");
+}
+
+#[test]
+fn nmt_for_others_of_another_length_or_in_other_frames_changes_nothing() {
+    let mut bus = Bus::new();
+    bus.turn();
+    for data in [&[0x01, 0x11][..], &[0x01], &[], &[0x01, 0x10, 0]] {
+        bus.bring(0x000, data);
+    }
+    let extended = ClassicFrame::new(ExtendedId::ZERO, &[0x01, 0x10]).unwrap();
+    bus.device.on_frame(bus.now_ms, &extended);
+    let remote = ClassicFrame::new_remote(StandardId::ZERO, 2).unwrap();
+    bus.device.on_frame(bus.now_ms, &remote);
+    assert_eq!(bus.device.state(), NmtState::PreOperational);
+    bus.bring(0x000, &[0x01, 0]);
+    assert_eq!(bus.device.state(), NmtState::Operational, "to all nodes");
+}
+
+#[test]
+fn rpdos_of_the_right_length_are_events_in_operation_alone() {
+    let mut bus = Bus::new();
+    bus.turn();
+    bus.bring(0x210, &[1; 8]);
+    bus.turn();
+    assert_eq!(bus.events, []);
+    bus.nmt(0x01);
+    bus.bring(0x210, &[1, 2, 3, 4, 5, 6, 7, 8]);
+    bus.bring(0x310, &[9, 10]);
+    bus.bring(0x410, &[9, 10]);
+    bus.bring(0x211, &[9; 8]);
+    bus.bring(0x110, &[9; 8]);
+    bus.turn();
+    let expected = [rpdo(0, [1, 2, 3, 4, 5, 6, 7, 8]), rpdo(1, [9, 10, 0, 0, 0, 0, 0, 0])];
+    assert_eq!(bus.events, expected);
+    assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
+    for (id, data) in [(0x210, &[1; 7][..]), (0x310, &[1; 3])] {
+        bus.bring(id, data);
+        bus.turn();
+        assert_eq!(bus.events, expected, "not taken");
+        assert_eq!(bus.take(0x080), [[0x10, 0x82, 0, 0, 0, 0, 0, 0]], "but told, once");
+        bus.turn();
+        assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
+    }
+}
+
+#[test]
+fn events_without_room_are_lost_but_for_what_an_rpdo_has_to_keep() {
+    let mut bus = Bus::operational();
+    for byte in [1, 2, 3, STOP | 4, 5, 6] {
+        bus.bring(0x210, &[byte; 8]);
+    }
+    bus.bring(0x310, &[7; 2]);
+    bus.nmt(0x80);
+    let kept = [STOP | 6, 6, 6, 6, 6, 6, 6, 6];
+    assert_eq!(bus.events, [rpdo(0, [1; 8]), rpdo(0, [2; 8]), rpdo(0, [3; 8]), rpdo(0, kept)]);
+}
+
+#[test]
+fn tpdos_are_sent_on_change_not_sooner_than_their_inhibit_time_and_by_their_event_timer() {
+    let mut bus = Bus::new();
+    bus.turn();
+    bus.device.show_tpdo(0, [1; 8]);
+    bus.device.show_tpdo(1, [2; 8]);
+    bus.device.show_tpdo(2, [3; 8]);
+    bus.pass(300);
+    bus.sent.clear();
+    bus.nmt(0x01);
+    assert_eq!((bus.take(0x180), bus.take(0x280)), (vec![vec![1; 8]], vec![vec![2; 4]]), "at the start");
+    let start = bus.now_ms;
+    bus.pass(1);
+    for byte in 2..=22 {
+        bus.device.show_tpdo(0, [byte; 8]);
+        bus.device.show_tpdo(1, [byte; 8]);
+        bus.pass(1);
+    }
+    // The event timer of the first goes on from the last.
+    let moments = |sent: Vec<(u32, Vec<u8>)>| -> Vec<u32> {
+        sent.iter().map(|(at, _)| at.wrapping_sub(start)).collect()
+    };
+    assert_eq!(moments(bus.take_timed(0x180)), [2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22]);
+    // 20.5 ms are 21. What was shown before had not changed.
+    assert_eq!(moments(bus.take_timed(0x280)), [21]);
+    bus.pass(400);
+    assert_eq!(moments(bus.take_timed(0x180)), [122, 222, 322, 422]);
+    assert_eq!(moments(bus.take_timed(0x280)), [42], "the last change, and no timer");
+    bus.nmt(0x01);
+    assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new(), "started while it runs: nothing new");
+}
+
+#[test]
+fn every_tpdo_is_sent_again_when_frames_were_lost_and_so_is_the_heartbeat() {
+    let mut bus = Bus::operational();
+    bus.pass(10);
+    bus.sent.clear();
+    bus.device.frames_lost();
+    bus.turn();
+    assert_eq!((bus.take(0x180).len(), bus.take(0x280).len()), (1, 1));
+    assert_eq!(bus.take(0x700), [[5]]);
+}
+
+#[test]
+fn master_with_a_heartbeat_is_watched_by_it_alone() {
+    let mut bus = Bus::operational();
+    bus.pass(1_000);
+    assert_eq!(bus.device.state(), NmtState::Operational, "nothing was heard, nothing is missed");
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.pass(u32::from(TIME_MS) - 1);
+    bus.bring(0x210, &[0; 8]);
+    bus.bring(0x701, &[5]);
+    bus.bring(0x700 | MASTER, &[5, 5]);
+    bus.turn();
+    assert_eq!(bus.events, [rpdo(0, [0; 8])]);
+    bus.pass(1);
+    assert_eq!(bus.events.last(), Some(&SILENT));
+    assert_eq!(bus.device.state(), NmtState::PreOperational);
+    bus.pass(1_000);
+    assert_eq!(bus.events.len(), 2, "told once");
+}
+
+#[test]
+fn master_without_a_heartbeat_is_watched_by_its_rpdos() {
+    let mut bus = Bus::operational();
+    for _ in 0..5 {
+        bus.bring(0x310, &[0; 2]);
+        bus.pass(200);
+    }
+    assert!(!bus.events.contains(&SILENT));
+    bus.pass(100);
+    assert_eq!(bus.events.last(), Some(&SILENT));
+}
+
+#[test]
+fn time_of_0_watches_nobody() {
+    let mut bus = Bus::operational();
+    bus.application.time_ms = 0;
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.pass(100_000);
+    assert_eq!(bus.events, []);
+}
+
+#[test]
+fn silent_master_is_an_emergency_until_it_starts_the_device_again() {
+    let mut bus = Bus::operational();
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.pass(TIME_MS.into());
+    bus.show_faults(0);
+    assert_eq!(bus.take(0x080), [[0x30, 0x81, COMMUNICATION | GENERIC, 1, 2, 3, 4, 5]]);
+    bus.nmt(0x01);
+    bus.show_faults(0);
+    assert_eq!(bus.take(0x080), [[0, 0, 0, 1, 2, 3, 4, 5]]);
+}
+
+#[test]
+fn master_that_restarts_commands_no_more() {
+    let mut bus = Bus::operational();
+    bus.bring(0x700 | MASTER, &[0]);
+    bus.turn();
+    assert_eq!((&bus.events[..], bus.device.state()), (&[][..], NmtState::Operational), "nobody was heard");
+    bus.bring(0x210, &[0; 8]);
+    bus.bring(0x700 | MASTER, &[0]);
+    bus.turn();
+    assert_eq!(bus.events, [rpdo(0, [0; 8]), LEFT]);
+    assert_eq!(bus.device.state(), NmtState::PreOperational);
+    bus.pass(1_000);
+    assert_eq!(bus.events.len(), 2, "it is not watched any more");
+}
+
+#[test]
+fn resets_bring_the_device_back_to_power_up_and_say_how_far_they_go() {
+    for (specifier, application) in [(0x81, true), (0x82, false)] {
+        let mut bus = Bus::operational();
+        bus.device.show_tpdo(0, [1; 8]);
+        bus.bring(0x210, &[1; 8]);
+        bus.turn();
+        bus.download(0x1017, 0, &[100, 0]).unwrap();
+        bus.download(0x1016, 1, &[100, 0, 5, 0]).unwrap();
+        bus.events.clear();
+        bus.sent.clear();
+        bus.nmt(specifier);
+        assert_eq!(bus.events, [LEFT, Event::Reset { application }]);
+        assert_eq!(bus.take(0x700), [[0]], "it announces itself");
+        assert_eq!(bus.upload(0x1017, 0), Ok(vec![0xF4, 1]));
+        assert_eq!(bus.upload(0x1016, 1), Ok(vec![100, 0, 0x7F, 0]), "the application keeps its time");
+        assert_eq!(bus.upload(0x2000, 1), Ok(vec![0]));
+        assert_eq!(bus.upload(0x2001, 1), Ok(vec![0; 4]));
+    }
+}
+
+#[test]
+fn after_a_reset_nothing_but_another_counts_before_the_device_has_announced_itself() {
+    let mut bus = Bus::operational();
+    for specifier in [0x82, 0x01, 0x81] {
+        bus.bring(0x000, &[specifier, NODE as u8]);
+    }
+    bus.bring(0x210, &[1; 8]);
+    bus.turn();
+    let resets = [Event::Reset { application: false }, Event::Reset { application: true }];
+    assert_eq!(bus.events, [LEFT, resets[0], resets[1]]);
+    assert_eq!(bus.device.state(), NmtState::PreOperational);
+}
+
+#[test]
+fn lost_bus_ends_operation_and_is_told_when_it_is_over() {
+    let mut bus = Bus::operational();
+    bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.device.bus_lost();
+    bus.turn();
+    assert_eq!((&bus.events[..], bus.device.state()), (&[LEFT][..], NmtState::PreOperational));
+    assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new(), "nobody waits for that answer");
+    bus.sent.clear();
+    bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.device.bus_joined();
+    bus.turn();
+    assert_eq!(bus.sent.iter().map(|(_, id, _)| *id).collect::<Vec<_>>(), [0x090, 0x710]);
+    assert_eq!(bus.take(0x080), [[0x40, 0x81, 0, 0, 0, 0, 0, 0]]);
+    bus.pass(100);
+    assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new(), "once");
+}
+
+#[test]
+fn lost_bus_ends_no_operation_that_was_not_there() {
+    let mut bus = Bus::new();
+    bus.turn();
+    bus.nmt(0x02);
+    bus.device.bus_lost();
+    bus.turn();
+    assert_eq!((&bus.events[..], bus.device.state()), (&[][..], NmtState::Stopped));
+}
+
+#[test]
+fn faults_are_told_in_the_order_of_the_table_and_so_is_their_end() {
+    let mut bus = Bus::operational();
+    // Of the second and the third the application knows nothing.
+    bus.show_faults(0b11111);
+    assert_eq!(bus.upload(0x1001, 0), Ok(vec![1 << 7 | 1 << 3 | GENERIC]));
+    let both = 1 << 7 | 1 << 3 | GENERIC;
+    let told = bus.take(0x080);
+    assert_eq!(told, [[0x01, 0xFF, both, 1, 2, 3, 4, 5], [0x10, 0x42, both, 1, 2, 3, 4, 5]]);
+    bus.show_faults(0b11111);
+    assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new(), "once");
+    bus.show_faults(0b10000);
+    assert_eq!(bus.take(0x080), [[0, 0, 1 << 3 | GENERIC, 1, 2, 3, 4, 5]]);
+    bus.show_faults(0b00001);
+    let told = bus.take(0x080);
+    assert_eq!(
+        told,
+        [[0x01, 0xFF, 1 << 7 | GENERIC, 1, 2, 3, 4, 5], [0, 0, 1 << 7 | GENERIC, 1, 2, 3, 4, 5]]
+    );
+}
+
+#[test]
+fn stopped_device_tells_no_faults_before_it_is_started() {
+    let mut bus = Bus::operational();
+    bus.nmt(0x02);
+    bus.show_faults(1);
+    bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.pass(1_000);
+    assert!(bus.sent.iter().all(|(_, id, data)| *id == 0x710 && data == &[4]), "{:?}", bus.sent);
+    bus.sent.clear();
+    bus.nmt(0x80);
+    assert_eq!(bus.take(0x080).len(), 1);
+    assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new(), "a request of that time is not served");
+}
+
+#[test]
+fn emergency_leaves_before_an_answer_and_that_before_a_tpdo_and_that_before_the_heartbeat() {
+    let mut bus = Bus::operational();
+    bus.device.frames_lost();
+    bus.device.show_faults(1, [0; 5]);
+    bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.turn();
+    assert_eq!(
+        bus.sent.iter().map(|(_, id, _)| *id).collect::<Vec<_>>(),
+        [0x090, 0x590, 0x190, 0x290, 0x710]
+    );
+}
+
+#[test]
+fn objects_are_read_from_where_they_are() {
+    let mut bus = Bus::operational();
+    bus.bring(0x210, &[1, 2, 3, 4, 5, 6, 0xFE, 0xFF]);
+    bus.device.show_tpdo(0, [1, 2, 3, 4, 5, 6, 7, 8]);
+    bus.device.show_tpdo(1, [1, 2, 3, 4, 5, 6, 7, 8]);
+    (bus.application.byte, bus.application.word) = (0xAB, 0x1234);
+    bus.turn();
+    for (index, sub, value) in [
+        (0x1000, 0, &[4, 3, 2, 1][..]),
+        (0x1001, 0, &[0]),
+        (0x1014, 0, &[0x90, 0, 0, 0]),
+        (0x1016, 0, &[1]),
+        (0x1016, 1, &[0x2C, 1, 0x7F, 0]),
+        (0x1017, 0, &[0xF4, 1]),
+        (0x1800, 3, &[20, 0]),
+        (0x1800, 5, &[100, 0]),
+        (0x1801, 3, &[205, 0]),
+        (0x1801, 5, &[0, 0]),
+        (0x2000, 1, &[1]),
+        (0x2000, 2, &[0xFE, 0xFF]),
+        (0x2001, 1, &[3, 4, 5, 6]),
+        (0x2001, 2, &[3, 4]),
+        (0x2002, 1, &[0xAB]),
+        (0x2002, 2, &[0x34, 0x12]),
+    ] {
+        assert_eq!(bus.upload(index, sub), Ok(value.to_vec()), "{index:04X}h, {sub}");
+    }
+}
+
+#[test]
+fn objects_are_written_where_they_may_be() {
+    let mut bus = Bus::operational();
+    bus.download(0x2002, 1, &[0xCD]).unwrap();
+    bus.download(0x2002, 2, &[0x78, 0x56]).unwrap();
+    assert_eq!(
+        (bus.application.byte, bus.application.word),
+        (0xCD, 0x5678),
+        "and no byte behind their length"
+    );
+    // Without a length: as many bytes as the object has.
+    bus.download_by(0x22, 0x2002, 2, &[1, 2, 3, 4]).unwrap();
+    assert_eq!(bus.application.word, 0x0201);
+    assert_eq!(bus.events, [Event::Sdo { written: true }; 3]);
+    for (index, sub, value) in
+        [(0x1017, 0, 50u16), (0x1800, 3, 10), (0x1800, 5, 11), (0x1801, 3, 12), (0x1801, 5, 13)]
+    {
+        bus.download(index, sub, &value.to_le_bytes()).unwrap();
+        assert_eq!(bus.upload(index, sub), Ok(value.to_le_bytes().to_vec()), "{index:04X}h, {sub}");
+    }
+    assert_eq!(bus.events.len(), 3 + 2 * 5);
+    assert!(bus.events[3..].iter().all(|event| *event == READ), "those are the device's own");
+    bus.pass(1);
+    bus.sent.clear();
+    bus.pass(200);
+    assert_eq!(bus.take(0x700).len(), 4, "a heartbeat each 50 ms");
+}
+
+#[test]
+fn consumer_heartbeat_object_moves_the_master_and_its_time() {
+    let mut bus = Bus::operational();
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.download(0x1016, 1, &[100, 0, 5, 0]).unwrap();
+    bus.pass(1_000);
+    assert_eq!(bus.events, [READ], "the other is not watched");
+    bus.bring(0x705, &[5]);
+    bus.pass(100);
+    assert_eq!(bus.events, [READ, SILENT]);
+    for (value, abort) in
+        [([100, 0, 0, 0], 0x0609_0030), ([100, 0, 128, 0], 0x0609_0030), ([0xFF, 0xFF, 5, 0], 0x0609_0030)]
+    {
+        assert_eq!(bus.download(0x1016, 1, &value), Err(abort), "{value:?}");
+    }
+    assert_eq!(bus.upload(0x1016, 1), Ok(vec![100, 0, 5, 0]));
+}
+
+#[test]
+fn server_says_why_it_refuses() {
+    let mut bus = Bus::operational();
+    assert_eq!(bus.upload(0x3000, 0), Err(0x0602_0000));
+    assert_eq!(bus.upload(0x2002, 9), Err(0x0609_0011));
+    assert_eq!(bus.upload(0x2002, 4), Err(0x0800_0022));
+    assert_eq!(bus.download(0x3000, 0, &[0]), Err(0x0602_0000));
+    assert_eq!(bus.download(0x1000, 0, &[0; 4]), Err(0x0601_0002));
+    assert_eq!(bus.download(0x2002, 4, &[0; 2]), Err(0x0601_0002));
+    assert_eq!(
+        bus.download(0x2001, 1, &[0; 4]),
+        Err(0x0601_0002),
+        "a table that lets one write a PDO is wrong"
+    );
+    assert_eq!(bus.download(0x2002, 2, &[0]), Err(0x0607_0010));
+    assert_eq!(bus.download(0x2002, 3, &[0; 2]), Err(0x0800_0022));
+    for specifier in [0x21, 0x00, 0x60, 0xA0, 0xC0] {
+        assert_eq!(bus.download_by(specifier, 0x2002, 2, &[0; 2]), Err(0x0504_0001), "{specifier:02X}h");
+    }
+    assert!(bus.events.iter().all(|event| *event == READ), "nothing was written");
+}
+
+#[test]
+fn requests_that_are_cut_and_aborts_of_the_client_get_no_answer() {
+    let mut bus = Bus::operational();
+    bus.bring(0x610, &[0x40, 0, 0x10, 0, 0, 0, 0]);
+    bus.turn();
+    assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new());
+    assert_eq!(bus.sdo([0x80, 0, 0x10, 0, 0, 0, 0, 0]), Vec::<Vec<u8>>::new());
+    // Of two in one turn the later is answered, and one that is cut does not take its place.
+    bus.bring(0x610, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.bring(0x610, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]);
+    bus.bring(0x610, &[0x40]);
+    bus.turn();
+    assert_eq!(bus.take(0x580), [[0x4B, 0x17, 0x10, 0, 0xF4, 1, 0, 0]]);
+}
+
+#[test]
+fn identifiers_that_canopen_uses_are_reserved() {
+    for id in [0, 0x080, 0x0FF, 0x100, 0x181, 0x57F, 0x581, 0x5FF, 0x601, 0x67F, 0x701, 0x77F, 0x7E4, 0x7E5] {
+        assert!(is_reserved(id), "{id:03X}h");
+    }
+    for id in [1, 0x07F, 0x101, 0x180, 0x580, 0x600, 0x680, 0x700, 0x780, 0x7E3, 0x7E6, 0x7FF] {
+        assert!(!is_reserved(id), "{id:03X}h");
+    }
+    let bus = Bus::new();
+    let extended = Id::Extended(ExtendedId::new(NODE.into()).unwrap());
+    assert!(!bus.device.sends(StandardId::new(0x191).unwrap().into()) && !bus.device.sends(extended));
+}
+
+#[test]
+fn node_ids_are_1_to_127_and_differ() {
+    assert!(CONFIG.is_valid());
+    for (node, master) in [(1, 127), (127, 1)] {
+        assert!(Config { node, master, ..CONFIG }.is_valid(), "{node} {master}");
+    }
+    for (node, master) in [(0, 1), (1, 0), (128, 1), (1, 128), (5, 5)] {
+        assert!(!Config { node, master, ..CONFIG }.is_valid(), "{node} {master}");
+    }
+}
+
+#[test]
+fn types_have_the_lengths_and_numbers_of_the_standard() {
+    let told =
+        [DataType::I16, DataType::U8, DataType::U16, DataType::U32].map(|kind| (kind.len(), kind.code()));
+    assert_eq!(told, [(2, 3), (1, 5), (2, 6), (4, 7)]);
+}
+
+#[test]
+fn eds_file_is_that_of_the_table() {
+    let facts = EdsFacts {
+        file_name: "test.eds",
+        description: "Test",
+        time: "12:00AM",
+        date: "01-31-2026",
+        author: "a",
+        vendor: "v",
+        product: "p",
+        order_code: "o",
+        kbit_rates: &[125, 1000],
+    };
+    let named = |object: Object<Key>, record, name| Object { record, name, ..object };
+    let objects = [
+        named(OBJECTS[1], "", "Error register"),
+        named(OBJECTS[2], "", "COB-ID EMCY"),
+        named(OBJECTS[6], "Identity", "Revision number"),
+        named(OBJECTS[9], "TPDO2", "Inhibit time"),
+        named(OBJECTS[10], "TPDO2", "Event timer"),
+        Object { mappable: true, ..named(OBJECTS[15], "Values", "Byte") },
+        named(OBJECTS[16], "Values", "Word"),
+    ];
+    let entries = objects
+        .iter()
+        .map(|object| EdsEntry { object: *object, limits: (object.name == "Word").then_some((1, 1_000)) });
+    let made = Eds { facts, entries, config: CONFIG }.to_string();
+    assert_eq!(made, include_str!("tests/test.eds"));
+}
