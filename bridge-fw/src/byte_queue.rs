@@ -117,6 +117,7 @@ mod tests {
         let queue = ByteQueue::<4>::new();
         for byte in 0..4 {
             assert!(!queue.is_full());
+            assert_eq!(queue.room(), 4 - usize::from(byte));
             assert_eq!(queue.push(byte), Ok(()));
         }
         assert!(queue.is_full());

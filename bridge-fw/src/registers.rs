@@ -34,3 +34,18 @@ impl core::fmt::Display for RegisterError {
 }
 
 impl core::error::Error for RegisterError {}
+
+#[cfg(test)]
+mod tests {
+    use std::string::ToString;
+
+    use super::*;
+
+    #[test]
+    fn each_refusal_has_words_of_its_own() {
+        let words =
+            [RegisterError::Missing, RegisterError::Value, RegisterError::Moving].map(|it| it.to_string());
+        assert_eq!(words[0], "there is no such register");
+        assert!(words[1].contains("range") && words[2].contains("move"), "{words:?}");
+    }
+}

@@ -6,15 +6,15 @@ use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sd
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::{CanBench, Double};
 use host_tests::document::hold_file;
-use host_tests::serial_gripper::SerialGripper;
+use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use host_tests::wires::Wires;
-use wsg_bridge_fw::Bridge;
 use wsg_bridge_fw::can::{
     BusOffPolicy, CanBus, DEFAULT_NODE, DataType, FAULTS, Health, NmtState, Nobody, Node, NodeConfig,
-    OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
+    OBJECTS, Participant, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
+use wsg_bridge_fw::{Bridge, ControlSource};
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
@@ -429,6 +429,21 @@ fn fast_stop_is_told_and_so_is_its_end() {
 }
 
 #[test]
+fn each_fault_sets_the_bit_of_the_error_register_that_its_class_has() {
+    for fault in FAULTS {
+        // CiA 301, 7.2.7.1 and 7.5.2.2.
+        let bit = match (fault.code >> 12, fault.code) {
+            (0x2, _) => 1,
+            (0x3, _) => 2,
+            (0x4, _) => 3,
+            (0x8, _) | (_, 0xFF02) => 4,
+            _ => 7,
+        };
+        assert_eq!(fault.register, 1 << bit, "{}", fault.meaning);
+    }
+}
+
+#[test]
 fn silent_gripper_is_told() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
@@ -564,6 +579,9 @@ fn sdo_says_why_it_refuses() {
     assert_eq!(master.upload(0x1A05, 1, Theirs::Unsigned8), Err(0x0602_0000));
     assert_eq!(master.upload(SETTINGS_INDEX, SETTINGS.len() as u8 + 1, Theirs::Unsigned16), Err(0x0609_0011));
     assert_eq!(master.upload(0x1018, 5, Theirs::Unsigned32), Err(0x0609_0011));
+    let past_the_reports = REPORTS.len() as u8 + 1;
+    assert_eq!(master.download(REPORTS_INDEX, past_the_reports, Value::Unsigned16(1)), Err(0x0609_0011));
+    assert_eq!(master.download(REPORTS_INDEX, 1, Value::Unsigned16(1)), Err(0x0601_0002));
     // Segmented and block transfer.
     for specifier in [0x21, 0x60, 0xA0, 0xC2, 0xE0, 0x00] {
         let answer = master.transfer(&[specifier, 0x17, 0x10, 0, 0, 0, 0, 0]);
@@ -715,6 +733,58 @@ fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
     master.until(10_000, |master| master.state() == GripperFlags::HOLDING);
     assert_eq!(master.bench.broken(), 0);
     assert_eq!(master.bench.bus().counters().refused, 0);
+}
+
+#[test]
+fn its_own_frames_are_those_that_it_sends() {
+    let node = Node::new(NODE);
+    let sends = |id: u16| Participant::<ClassicFrame>::sends(&node, StandardId::new(id).unwrap().into());
+    let own = u16::from(NODE.node);
+    for base in [0x080, 0x180, 0x280, 0x580, 0x700] {
+        assert!(sends(base + own), "{base:#x}");
+    }
+    for foreign in [0, 0x120, 0x121, 0x181 + own] {
+        assert!(!sends(foreign), "{foreign:#x}");
+    }
+}
+
+#[test]
+fn frames_that_will_not_leave_are_sent_anew() {
+    let mut master = Master::homed(None, 10.0);
+    master.pass(200);
+    // The controller refuses one: without a change the next is due 100 ms after it.
+    master.bench.double().refuse(true);
+    let refused = (0..150).any(|_| {
+        master.pass(1);
+        master.bench.bus().counters().refused > 0
+    });
+    assert!(refused);
+    master.bench.double().refuse(false);
+    master.take(0x180);
+    master.pass(5);
+    assert!(!master.take(0x180).is_empty());
+}
+
+#[test]
+fn all_that_came_in_one_turn_is_served_in_it() {
+    let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
+    let mut node = Node::new(NODE);
+    let mut turn = |now_ms, frames: &[ClassicFrame]| {
+        for frame in frames {
+            node.hear(Instant::from_millis(now_ms), frame);
+        }
+        bridge.poll(now_ms, Inputs::empty(), &mut SerialLine::with_room(0), &mut node);
+        while Participant::<ClassicFrame>::say(&mut node, Instant::from_millis(now_ms)).is_some() {}
+        bridge.control_source()
+    };
+    let frame = |id, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
+    let rpdo = |flags: Cmd| frame(0x200 + u16::from(NODE.node), &[flags.bits(), 0, 0, 0, 0, 0, 0, 0]);
+    turn(1, &[]);
+    turn(2, &[frame(0, &[1, NODE.node]), rpdo(Cmd::empty())]);
+    // 24 are what the bus is asked for in a turn.
+    let mut burst = vec![rpdo(Cmd::empty()); 23];
+    burst.push(rpdo(Cmd::HOMING));
+    assert_eq!(turn(3, &burst), ControlSource::Bus);
 }
 
 #[test]

@@ -151,6 +151,45 @@ fn silent_master_holds_stops_or_fast_stops_its_motion() {
 }
 
 #[test]
+fn bus_timeout_of_0_waits_for_ever() {
+    let bus = BusConfig { timeout_ms: 0, ..BusConfig::DEFAULT };
+    let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+    bench.command(HOMING, 0, 0, 0);
+    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 5_00, 40_00]);
+    bench.take_sent();
+    bench.pass(5_000);
+    assert!(!bench.take_sent().iter().any(|id| matches!(id, CommandId::Stop | CommandId::FastStop)));
+    assert_eq!(bench.input(report("BUS_TIMEOUTS"), 1), Ok(vec![0]));
+}
+
+#[test]
+fn coils_read_as_they_were_written() {
+    let mut bench = Bench::ready();
+    assert_eq!(bench.ask(&[1, 0, 0, 0, 8]), [1, 1, 0]);
+    bench.write(0, &[u16::from(MOVE) << 8]);
+    let flags = bench.ask(&[1, 0, 0, 0, 16]);
+    assert_eq!(flags[2..].iter().map(|byte| byte.count_ones()).sum::<u32>(), 1, "{flags:?}");
+}
+
+#[test]
+fn pause_inside_a_request_may_last_as_long_as_the_setting_says() {
+    // A master on a host with a scheduler: half a request, a pause, the rest.
+    for (patience_ms, pause_us, is_answered) in [(50, 40_000, true), (50, 51_000, false), (2, 40_000, false)]
+    {
+        let bus = BusConfig { patience_ms, ..BusConfig::DEFAULT };
+        let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
+        bench.pass(100);
+        bench.answers();
+        let frame = Bench::frame(1, &[4, 0, 0, 0, 1]);
+        let (first, second) = frame.split_at(4);
+        bench.send_raw(first);
+        bench.send_after(pause_us, second);
+        bench.pass(100);
+        assert_eq!(bench.answers() == 1, is_answered, "{pause_us} us of {patience_ms} ms");
+    }
+}
+
+#[test]
 fn silent_master_that_only_read_stops_nobody() {
     let mut bench = Bench::ready();
     bench.input(0, 1).unwrap();
@@ -339,11 +378,13 @@ fn reset_cause_that_the_board_tells_is_a_report() {
 
 #[test]
 fn reports_name_versions_and_the_gripper() {
-    let mut bench = Bench::ready();
+    let gripper = wsg_sim::Config { serial_number: 0x0003_0002, ..quick() };
+    let mut bench = Bench::ready_with(Config::DEFAULT, gripper);
     let reports = bench.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
     let of = |name: &str| reports[usize::from(report(name) - FIRST_REPORT)];
     assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (3, 0x0001));
     assert_eq!((of("GRIPPER_TYPE"), of("GRIPPER_LINK")), (1, 2));
+    assert_eq!((of("SERIAL_HIGH"), of("SERIAL_LOW")), (3, 2));
     assert_eq!((of("BUS_RATE"), of("BUS_FORMAT")), (192, 0));
     assert_eq!(of("SERVER_MESSAGES"), 1, "before this request");
     assert_eq!(bench.input(FIRST_REPORT + REPORTS.len() as u16, 1), Err(2));

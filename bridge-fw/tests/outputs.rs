@@ -5,6 +5,7 @@ use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus, RECIPES};
+use wsg_protocol::CommandId;
 use wsg_sim::{Fault, Model, Part};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
@@ -97,4 +98,60 @@ fn half_a_frame_does_not_swallow_what_the_gripper_tells_later() {
     let now = bench.now();
     bench.gripper().set_part(None, now);
     assert!(bench.until(15, |outputs| outputs.contains(Outputs::PART_FAULT)), "{:?}", bench.outputs());
+}
+
+#[test]
+fn a_line_that_never_falls_silent_is_left_for_the_wires_after_256_bytes() {
+    let mut bridge = Bridge::new(Config::DEFAULT);
+    let mut line = SerialLine::with_room(BYTES_PER_MS);
+    line.bring(&[0x55; 1_000]);
+    for turn in 1..=3 {
+        bridge.poll(turn, Inputs::empty(), &mut line, &mut NoBus);
+        assert_eq!(u32::from(bridge.counters().line.dropped), 256 * turn);
+    }
+}
+
+#[test]
+fn a_recipe_counts_with_its_command_also_while_the_gripper_talks() {
+    let recipe = RECIPES[3];
+    let width = f32::from(recipe.width) / 100.0;
+    let mut bench = Bench::homed(wsg_sim::Config { part: Part::of_width(width), ..quick() });
+    *bench.inputs() |= Inputs::RECIPE0 | Inputs::RECIPE1 | Inputs::GRIP;
+    for _ in 0..10 {
+        bench.far.inject(&[0]);
+        bench.step();
+    }
+    bench.set(Inputs::GRIP, false);
+    assert!(bench.until(5_000, |outputs| outputs == IDLE | Outputs::HOLDING), "{:?}", bench.outputs());
+    assert_eq!(bench.gripper().state().force_limit, f32::from(recipe.force) / 100.0);
+}
+
+#[test]
+fn fast_stop_leaves_in_the_turn_that_reads_its_wire_low() {
+    let mut bench = Bench::homed(quick());
+    // Until the line is free.
+    bench.until(100, |_| false);
+    while !bench.take_sent().is_empty() {
+        bench.step();
+    }
+    bench.set(Inputs::FAST_STOP_OK, false);
+    bench.step();
+    assert_eq!(bench.take_sent(), [CommandId::FastStop]);
+}
+
+#[test]
+fn busy_shows_a_motion_without_a_way_for_50_ms() {
+    let mut bench = Bench::homed(quick());
+    bench.command(Inputs::MOVE);
+    bench.set(Inputs::MOVE, true);
+    let busy = |bench: &mut Bench| {
+        bench.step();
+        bench.outputs().contains(Outputs::BUSY)
+    };
+    assert!((0..20).any(|_| busy(&mut bench)));
+    let mut lasted_ms = 1;
+    while busy(&mut bench) {
+        lasted_ms += 1;
+    }
+    assert_eq!(lasted_ms, Config::DEFAULT.min_busy_ms);
 }

@@ -116,6 +116,12 @@ impl Bench {
         }
     }
 
+    /// Puts bytes on the bus that come so long after those before, in microseconds.
+    pub fn send_after(&mut self, pause_us: u32, bytes: &[u8]) {
+        self.bus.silence_us = pause_us;
+        self.send_raw(bytes);
+    }
+
     /// A request's frame, checksum included.
     pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
         let mut frame = [&[unit], pdu].concat();

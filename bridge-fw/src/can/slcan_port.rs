@@ -13,7 +13,6 @@ pub struct SlcanPort<L> {
     decoder: Decoder,
     /// What is being sent, and how much of it has left.
     sending: Option<(Encoded, usize)>,
-    malformed: u16,
 }
 
 /// A line was no frame.
@@ -29,12 +28,7 @@ impl embedded_can::Error for MalformedLine {
 impl<L> SlcanPort<L> {
     /// Frames over this line.
     pub const fn new(line: L) -> Self {
-        Self { line, decoder: Decoder::new(), sending: None, malformed: 0 }
-    }
-
-    /// Lines that were no frames and no commands; the count stops at 65 535.
-    pub const fn malformed(&self) -> u16 {
-        self.malformed
+        Self { line, decoder: Decoder::new(), sending: None }
     }
 }
 
@@ -78,10 +72,7 @@ impl<L: Read + ReadReady + Write + WriteReady> embedded_can::nb::Can for SlcanPo
             let [byte] = byte;
             match self.decoder.push(byte) {
                 Some(Line::Frame(frame)) => return Ok(frame),
-                Some(Line::Malformed) => {
-                    self.malformed = self.malformed.saturating_add(1);
-                    return Err(nb::Error::Other(MalformedLine));
-                }
+                Some(Line::Malformed) => return Err(nb::Error::Other(MalformedLine)),
                 Some(Line::Other(_) | Line::Done | Line::Refused) | None => {}
             }
         }

@@ -50,9 +50,8 @@ impl Modbus {
         }
     }
 
-    /// Returns what the server has counted so far (FC 8).
-    #[must_use]
-    pub const fn counters(&self) -> rtu::Counters {
+    /// What the server has counted so far (FC 8).
+    const fn counters(&self) -> rtu::Counters {
         self.server.counters()
     }
 

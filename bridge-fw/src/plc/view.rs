@@ -97,9 +97,9 @@ impl View<'_> {
         first: u16,
         values: impl Iterator<Item = u16> + Clone,
     ) -> Result<(), RegisterError> {
-        // What exists and what it takes is said before that it is not the time.
-        self.settings.check(first, values.clone())?;
         if self.is_moving() {
+            // What exists and what it takes is said before that it is not the time.
+            self.settings.check(first, values)?;
             return Err(RegisterError::Moving);
         }
         self.settings.write(first, values)

@@ -207,15 +207,45 @@ mod tests {
     use super::*;
     use crate::config::RECIPES;
 
+    const NOTHING: InputImage = InputImage::from_bytes([0; InputImage::LEN]);
+
     /// What is shown for these wires, and these flags of a gripper that stands.
     fn shown_for(inputs: Inputs, system: SystemFlags) -> Outputs {
+        shown_of(inputs, InputImage { system, ..NOTHING })
+    }
+
+    fn shown_of(inputs: Inputs, image: InputImage) -> Outputs {
         let mut wires = Wires::new(0, 0, RECIPES);
         for ms in 0..10 {
             wires.update(Instant::from_millis(ms), inputs, ForceUnit::default);
         }
-        let image = InputImage { system, ..InputImage::from_bytes([0; InputImage::LEN]) };
         let shown = Shown { image, link: Link::Up, motion_is_open: false, ignores_motions: false };
         wires.levels_for(Instant::from_millis(10), &shown)
+    }
+
+    #[test]
+    fn fingers_that_move_and_a_motion_that_is_carried_out_each_show_busy() {
+        let moving = InputImage { system: SystemFlags::MOVING, ..NOTHING };
+        for state in GripperFlags::all() {
+            let image = InputImage { state, ..NOTHING };
+            let is_busy = shown_of(Inputs::FAST_STOP_OK, image).contains(Outputs::BUSY);
+            assert_eq!(is_busy, MOTION_STATES.contains(state), "{state:?}");
+        }
+        assert!(shown_of(Inputs::FAST_STOP_OK, moving).contains(Outputs::BUSY));
+    }
+
+    #[test]
+    fn only_no_part_makes_a_failed_command_a_result() {
+        for (status, state, is_error) in [
+            (Status::CmdFailed, GripperFlags::NO_PART, false),
+            (Status::CmdFailed, GripperFlags::IDLE, true),
+            (Status::AccessDenied, GripperFlags::NO_PART, true),
+            (Status::Success, GripperFlags::NO_PART, false),
+            (Status::Success, GripperFlags::ERROR, true),
+        ] {
+            let shown = shown_of(Inputs::FAST_STOP_OK, InputImage { status, state, ..NOTHING });
+            assert_eq!(shown.contains(Outputs::ERROR), is_error, "{status:?} {state:?}");
+        }
     }
 
     #[test]

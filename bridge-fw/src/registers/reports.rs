@@ -200,9 +200,12 @@ impl ReportSource<'_> {
         Ok(match subject {
             Subject::MapVersion => MAP_VERSION,
             Subject::BridgeVersion => {
-                const { number(env!("CARGO_PKG_VERSION_MAJOR")) << 8 | number(env!("CARGO_PKG_VERSION_MINOR")) }
+                const {
+                    let [major, minor] = [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR")];
+                    u16::from_be_bytes([number(major), number(minor)])
+                }
             }
-            Subject::BridgePatch => const { number(env!("CARGO_PKG_VERSION_PATCH")) },
+            Subject::BridgePatch => const { number(env!("CARGO_PKG_VERSION_PATCH")) }.into(),
             Subject::GripperType => gripper.map_or(0, |info| info.device.code().into()),
             Subject::GripperFirmware => gripper.map_or(0, |info| info.firmware.bits()),
             Subject::SerialNumberHigh => (serial_number >> 16) as u16,
@@ -241,8 +244,8 @@ impl ReportSource<'_> {
 }
 
 /// The number that these digits are.
-const fn number(digits: &str) -> u16 {
-    match u16::from_str_radix(digits, 10) {
+const fn number(digits: &str) -> u8 {
+    match u8::from_str_radix(digits, 10) {
         Ok(number) => number,
         Err(_) => 0,
     }

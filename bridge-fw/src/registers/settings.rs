@@ -296,6 +296,17 @@ mod tests {
     }
 
     #[test]
+    fn what_the_configuration_has_out_of_range_becomes_the_nearest() {
+        let config =
+            Config { debounce_ms: 0x1_0005, half_frame_ms: 0, min_busy_ms: u32::MAX, ..Config::DEFAULT };
+        let settings = Settings::new(&config);
+        assert_eq!(
+            (settings.debounce_ms(), settings.half_frame_ms(), settings.min_busy_ms()),
+            (1_000, 1, 10_000)
+        );
+    }
+
+    #[test]
     fn every_setting_takes_its_range_and_nothing_else() {
         for (index, setting) in SETTINGS.iter().enumerate() {
             let mut settings = Settings::new(&Config::DEFAULT);

@@ -34,22 +34,31 @@ impl BusClock {
         if baud < RATES.0 || baud > RATES.1 {
             return None;
         }
-        // The divider of HSI16 has 20 bits, and is too long below 3907 bit/s.
+        // BRR has 20 bits: too few for HSI16 below 3907 bit/s.
         let clock = if baud < 4_800 { Self::Lse } else { Self::Hsi16 };
-        let divider = (256 * clock.hz() as u64 + baud as u64 / 2) / baud as u64;
-        if divider < DIVIDERS.0 || divider > DIVIDERS.1 { None } else { Some((clock, divider as u32)) }
+        Some((clock, (256 * clock.hz() + baud / 2) / baud))
     }
 }
 
 /// The slowest and the fastest rate, in bit/s.
 const RATES: (u32, u32) = (1_200, 230_400);
 
-/// What the register BRR takes.
-const DIVIDERS: (u64, u64) = (0x300, 0xF_FFFF);
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn dividers_are_rounded_to_the_nearest_and_fit_their_register() {
+        assert_eq!(BusClock::for_rate(9_600), Some((BusClock::Hsi16, 426_667)));
+        assert_eq!(BusClock::for_rate(19_200), Some((BusClock::Hsi16, 213_333)));
+        assert_eq!(BusClock::for_rate(4_799), Some((BusClock::Lse, 1_748)));
+        assert_eq!(BusClock::for_rate(4_800), Some((BusClock::Hsi16, 853_333)));
+        for baud in RATES.0..=RATES.1 {
+            let (_, divider) = BusClock::for_rate(baud).unwrap();
+            // RM0351, 41.8.4: values below 300h are forbidden.
+            assert!((0x300..=0xF_FFFF).contains(&divider), "{baud}");
+        }
+    }
 
     #[test]
     fn usual_rates_are_met_within_a_thousandth() {

@@ -283,3 +283,6 @@ fn bus_value(report: &BusReport, value: Value) -> u32 {
         _ => 0,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,244 @@
+//! The bus that two share, on a controller that notes what it is given: who goes first, what is given back, who is told of a loss.
+
+use std::collections::VecDeque;
+
+use bus_slcan::ClassicFrame;
+use embedded_can::{ExtendedId, Frame, Id, StandardId};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, Health, Nobody, Participant};
+use wsg_protocol::Instant;
+
+/// What the controller does with a frame that it is offered.
+#[derive(Clone, Copy, Debug)]
+enum Takes {
+    /// Takes it.
+    It,
+    /// Has no room for this identifier.
+    No,
+    /// Takes it, and gives back one that it had taken before.
+    Instead(ClassicFrame),
+    /// Refuses it.
+    Never,
+}
+
+/// A controller that does as it was told, and takes everything when that is used up.
+#[derive(Debug, Default)]
+struct Scripted {
+    answers: VecDeque<Takes>,
+    /// Identifiers for which there never is room.
+    full: Vec<Id>,
+    taken: Vec<Id>,
+}
+
+#[derive(Debug)]
+struct Refused;
+
+impl embedded_can::Error for Refused {
+    fn kind(&self) -> embedded_can::ErrorKind {
+        embedded_can::ErrorKind::Other
+    }
+}
+
+impl embedded_can::nb::Can for Scripted {
+    type Frame = ClassicFrame;
+    type Error = Refused;
+
+    fn transmit(&mut self, frame: &ClassicFrame) -> nb::Result<Option<ClassicFrame>, Refused> {
+        if self.full.contains(&frame.id()) {
+            return Err(nb::Error::WouldBlock);
+        }
+        let given_back = match self.answers.pop_front().unwrap_or(Takes::It) {
+            Takes::It => None,
+            Takes::No => return Err(nb::Error::WouldBlock),
+            Takes::Never => return Err(nb::Error::Other(Refused)),
+            Takes::Instead(earlier) => Some(earlier),
+        };
+        self.taken.push(frame.id());
+        Ok(given_back)
+    }
+
+    fn receive(&mut self) -> nb::Result<ClassicFrame, Refused> {
+        Err(nb::Error::WouldBlock)
+    }
+}
+
+impl CanController for Scripted {
+    fn health(&mut self) -> Health {
+        Health::default()
+    }
+
+    fn abort(&mut self) {}
+
+    fn recover(&mut self) {}
+}
+
+/// Somebody with frames to send, all of one identifier.
+#[derive(Debug)]
+struct Speaker {
+    id: Id,
+    left: usize,
+    losses: usize,
+}
+
+impl Speaker {
+    fn new(id: Id, left: usize) -> Self {
+        Self { id, left, losses: 0 }
+    }
+}
+
+impl Participant<ClassicFrame> for Speaker {
+    fn hear(&mut self, _: Instant, _: &ClassicFrame) {}
+
+    fn say(&mut self, _: Instant) -> Option<ClassicFrame> {
+        self.left = self.left.checked_sub(1)?;
+        Some(frame(self.id))
+    }
+
+    fn sends(&self, id: Id) -> bool {
+        id == self.id
+    }
+
+    fn lost(&mut self) {
+        self.losses += 1;
+    }
+
+    fn bus_changed(&mut self, _: bool) {}
+}
+
+fn standard(id: u16) -> Id {
+    StandardId::new(id).unwrap().into()
+}
+
+fn extended(id: u32) -> Id {
+    ExtendedId::new(id).unwrap().into()
+}
+
+fn frame(id: Id) -> ClassicFrame {
+    ClassicFrame::new(id, &[]).unwrap()
+}
+
+fn bus(controller: Scripted) -> CanBus<Scripted> {
+    CanBus::new(controller, BusOffPolicy::DEFAULT)
+}
+
+fn talk(
+    bus: &mut CanBus<Scripted>,
+    first: &mut impl Participant<ClassicFrame>,
+    second: &mut impl Participant<ClassicFrame>,
+) {
+    bus.talk(Instant::from_millis(1), first, second);
+}
+
+#[test]
+fn the_frame_that_would_win_on_the_bus_goes_first_whoever_sends_it() {
+    for (winner, other) in [
+        (standard(0x100), standard(0x101)),
+        (standard(0x100), standard(0x700)),
+        // An extended identifier begins with eleven bits that count as a standard one's.
+        (standard(0x100), extended(0x100 << 18)),
+        (standard(0), extended(0)),
+        (extended(0x0FF << 18 | 0x3_FFFF), standard(0x100)),
+        (extended(0x100 << 18), extended(0x100 << 18 | 1)),
+    ] {
+        for winner_is_first in [true, false] {
+            let (first, second) = if winner_is_first { (winner, other) } else { (other, winner) };
+            let mut bus = bus(Scripted::default());
+            talk(&mut bus, &mut Speaker::new(first, 1), &mut Speaker::new(second, 1));
+            assert_eq!(bus.controller().taken, [winner, other]);
+        }
+    }
+}
+
+#[test]
+fn all_frames_of_the_winner_go_before_any_of_the_other() {
+    let mut bus = bus(Scripted::default());
+    talk(&mut bus, &mut Speaker::new(standard(2), 2), &mut Speaker::new(standard(1), 2));
+    assert_eq!(bus.controller().taken, [1, 1, 2, 2].map(standard));
+}
+
+#[test]
+fn where_there_is_no_room_for_one_the_other_still_speaks() {
+    for (full, free) in [(1, 2), (2, 1)] {
+        let mut bus = bus(Scripted { full: vec![standard(full)], ..Scripted::default() });
+        let (mut first, mut second) = (Speaker::new(standard(1), 3), Speaker::new(standard(2), 3));
+        talk(&mut bus, &mut first, &mut second);
+        assert_eq!(bus.controller().taken, [free; 3].map(standard));
+        bus.controller().full.clear();
+        talk(&mut bus, &mut first, &mut second);
+        assert_eq!(bus.controller().taken[3..], [full; 3].map(standard), "none was lost");
+    }
+}
+
+#[test]
+fn eight_frames_leave_in_a_turn_at_the_most() {
+    let mut bus = bus(Scripted::default());
+    let mut first = Speaker::new(standard(1), 20);
+    talk(&mut bus, &mut first, &mut Nobody);
+    assert_eq!(bus.controller().taken.len(), 8);
+}
+
+#[test]
+fn a_frame_that_the_controller_gives_back_leaves_next_and_before_what_waited() {
+    for (giver, taker) in [(1u16, 2u16), (2, 1)] {
+        // `giver` had a frame in the controller, which `taker`'s takes the place of.
+        let mut bus = bus(Scripted::default());
+        let mut speakers = [Speaker::new(standard(1), 0), Speaker::new(standard(2), 0)];
+        speakers[usize::from(taker - 1)].left = 1;
+        bus.controller().answers.extend([Takes::Instead(frame(standard(giver))), Takes::No, Takes::No]);
+        let [first, second] = &mut speakers;
+        talk(&mut bus, first, second);
+        assert_eq!(bus.controller().taken, [standard(taker)]);
+        bus.controller().answers.clear();
+        talk(&mut bus, first, second);
+        assert_eq!(bus.controller().taken, [standard(taker), standard(giver)]);
+        assert_eq!((first.losses, second.losses, bus.counters().refused), (0, 0, 0));
+    }
+}
+
+#[test]
+fn what_a_given_back_frame_pushed_aside_is_not_lost() {
+    // The second's urgent frame takes the place of a frame of the first, whose next waits already.
+    let mut bus = bus(Scripted::default());
+    let (mut first, mut second) = (Speaker::new(standard(2), 1), Speaker::new(standard(1), 1));
+    bus.controller().answers.push_back(Takes::Instead(frame(standard(2))));
+    talk(&mut bus, &mut first, &mut second);
+    assert_eq!(bus.controller().taken, [1, 2, 2].map(standard));
+    assert_eq!((first.losses, second.losses, bus.counters().refused), (0, 0, 0));
+}
+
+#[test]
+fn where_a_given_back_frame_has_no_place_everybody_is_told() {
+    // Two frames of the first come back while a third waits: there are two places.
+    let mut bus = bus(Scripted::default());
+    let (mut first, mut second) = (Speaker::new(standard(2), 1), Speaker::new(standard(1), 2));
+    let earlier = Takes::Instead(frame(standard(2)));
+    bus.controller().answers.extend([earlier, earlier]);
+    talk(&mut bus, &mut first, &mut second);
+    assert_eq!((first.losses, second.losses, bus.counters().refused), (1, 1, 1));
+}
+
+#[test]
+fn a_frame_of_the_second_that_comes_back_is_not_taken_for_nobodys() {
+    let mut bus = bus(Scripted::default());
+    let mut second = Speaker::new(standard(1), 1);
+    bus.controller().answers.extend([Takes::Instead(frame(standard(1))), Takes::No]);
+    talk(&mut bus, &mut Nobody, &mut second);
+    // Nobody has no place of its own: given to it, the frame would leave all the same, but behind the second's next.
+    second.left = 1;
+    second.id = standard(3);
+    talk(&mut bus, &mut Nobody, &mut second);
+    assert_eq!(bus.controller().taken, [1, 1, 3].map(standard));
+}
+
+#[test]
+fn only_he_whose_frame_was_refused_is_told() {
+    for (refused, losses) in [(1, (1, 0)), (2, (0, 1))] {
+        let mut bus = bus(Scripted::default());
+        let (mut first, mut second) = (Speaker::new(standard(1), 0), Speaker::new(standard(2), 0));
+        let speaker = if refused == 1 { &mut first } else { &mut second };
+        speaker.left = 1;
+        bus.controller().answers.push_back(Takes::Never);
+        talk(&mut bus, &mut first, &mut second);
+        assert_eq!((first.losses, second.losses), losses);
+        assert_eq!(bus.counters().refused, 1);
+    }
+}

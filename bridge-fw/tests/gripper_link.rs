@@ -1,0 +1,209 @@
+//! The gripper's link on CAN by itself: what fits, what is given up, and what is said of it.
+
+use bus_slcan::ClassicFrame;
+use embedded_can::{Frame, Id, StandardId};
+use embedded_io::{Read, ReadReady, Write, WriteReady};
+use wsg_bridge_fw::can::{GripperLink, Participant};
+use wsg_protocol::can::{Identifiers, Segments};
+use wsg_protocol::frame::OVERHEAD;
+use wsg_protocol::{DeviceTag, FrameEncoder, Instant};
+
+const IDENTIFIERS: Identifiers = Identifiers::DEFAULT;
+const LATER: Instant = Instant::from_millis(1);
+
+fn link() -> GripperLink {
+    GripperLink::new(IDENTIFIERS)
+}
+
+/// A message with so many bytes of payload, as it is on a line.
+fn message(payload_len: usize) -> Vec<u8> {
+    let payload: Vec<u8> = (0..payload_len).map(|at| at as u8).collect();
+    FrameEncoder::new(0x51, &payload[..]).collect()
+}
+
+/// The gripper sends these bytes.
+fn hear(link: &mut GripperLink, bytes: &[u8]) {
+    for segment in Segments::new(bytes.iter().copied()) {
+        let frame: ClassicFrame = segment.frame(IDENTIFIERS.gripper().transmit).unwrap();
+        link.hear(LATER, &frame);
+    }
+}
+
+fn read_all(link: &mut GripperLink) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut buffer = [0; 7];
+    while link.read_ready().unwrap() {
+        let count = link.read(&mut buffer).unwrap();
+        bytes.extend(&buffer[..count]);
+    }
+    bytes
+}
+
+fn say(link: &mut GripperLink) -> Option<ClassicFrame> {
+    link.say(LATER)
+}
+
+/// Writes a message byte by byte, as the bridge does.
+fn write_all(link: &mut GripperLink, bytes: &[u8]) {
+    for byte in bytes {
+        assert!(link.write_ready().unwrap());
+        assert_eq!(link.write(&[*byte]).unwrap(), 1);
+    }
+}
+
+#[test]
+fn the_longest_reply_reaches_the_bridge_and_a_longer_one_does_not() {
+    let longest = message(DeviceTag::MAX_LEN + 2);
+    let mut link = link();
+    hear(&mut link, &longest);
+    assert_eq!(read_all(&mut link), longest);
+
+    hear(&mut link, &message(8 * longest.len()));
+    assert_eq!(read_all(&mut link), []);
+    assert_eq!(link.counters().frames.oversize, 1);
+}
+
+#[test]
+fn messages_that_fill_the_queue_to_its_end_are_kept_and_the_next_is_counted() {
+    // 32 of eight bytes are 256, which a bridge takes in a turn.
+    let message = message(0);
+    assert_eq!(message.len(), OVERHEAD);
+    let mut link = link();
+    assert!(!link.read_ready().unwrap());
+    let fit = 256 / message.len();
+    for _ in 0..fit {
+        hear(&mut link, &message);
+    }
+    assert_eq!(link.counters().overflows, 0);
+    hear(&mut link, &message);
+    assert_eq!(link.counters().overflows, 1);
+    assert_eq!(read_all(&mut link), message.repeat(fit));
+    assert!(link.read(&mut [0]).is_err() && link.read(&mut []).is_ok());
+
+    // Eight bytes of room are none for nine.
+    for _ in 1..fit {
+        hear(&mut link, &message);
+    }
+    let longer = self::message(1);
+    assert_eq!(256 - (fit - 1) * message.len() + 1, longer.len());
+    hear(&mut link, &longer);
+    assert_eq!(link.counters().overflows, 2);
+    assert_eq!(read_all(&mut link), message.repeat(fit - 1));
+}
+
+#[test]
+fn what_it_refuses_has_a_reason_in_words() {
+    let error = link().read(&mut [0]).unwrap_err();
+    assert_eq!(error.to_string(), "the gripper's link is not ready");
+}
+
+#[test]
+fn its_own_frames_are_those_to_the_gripper() {
+    let link = link();
+    let own = IDENTIFIERS.controller().transmit;
+    let sends = |id: StandardId| Participant::<ClassicFrame>::sends(&link, Id::Standard(id));
+    assert!(sends(own));
+    assert!(!sends(IDENTIFIERS.controller().receive));
+}
+
+#[test]
+fn a_message_leaves_in_order_and_one_at_a_time() {
+    let mut link = link();
+    let message = message(10);
+    assert!(link.write_ready().unwrap() && link.flush().is_ok());
+    write_all(&mut link, &message);
+    assert!(!link.write_ready().unwrap(), "the next waits until all frames are with the controller");
+    assert!(link.write(&[0]).is_err() && link.write(&[]).is_ok());
+    assert!(link.flush().is_err());
+    let frames: Vec<ClassicFrame> = core::iter::from_fn(|| say(&mut link)).collect();
+    let sent: Vec<u8> = frames.iter().flat_map(|frame| frame.data().to_vec()).collect();
+    let expected: Vec<u8> = Segments::new(message.iter().copied())
+        .filter_map(|segment| segment.frame::<ClassicFrame>(IDENTIFIERS.controller().transmit))
+        .flat_map(|frame| frame.data().to_vec())
+        .collect();
+    assert_eq!(sent, expected);
+    assert!(frames.iter().all(|frame| frame.id() == Id::Standard(IDENTIFIERS.controller().transmit)));
+    assert!(link.write_ready().unwrap() && link.flush().is_ok());
+    assert_eq!(link.counters().broken, 0);
+}
+
+#[test]
+fn a_message_of_which_a_frame_was_lost_is_given_up_and_its_writer_is_told() {
+    // Wholly written; half written; not begun.
+    for (written, is_broken, is_told) in [(18, true, false), (5, true, true), (0, false, false)] {
+        let mut link = link();
+        write_all(&mut link, &message(10)[..written]);
+        Participant::<ClassicFrame>::lost(&mut link);
+        assert!(say(&mut link).is_none(), "{written}");
+        assert_eq!(link.counters().broken, u16::from(is_broken), "{written}");
+        assert!(link.write_ready().unwrap(), "{written}");
+        assert_eq!(link.write(&[0xAA]).is_err(), is_told, "{written}");
+        if is_told {
+            // Told once: what comes then is a new message.
+            write_all(&mut link, &message(0));
+            assert!(say(&mut link).is_some());
+        }
+    }
+}
+
+#[test]
+fn nothing_is_taken_while_the_bus_is_lost_and_nothing_of_before_leaves_after_it() {
+    let mut link = link();
+    write_all(&mut link, &message(10));
+    Participant::<ClassicFrame>::bus_changed(&mut link, false);
+    assert!(!link.write_ready().unwrap() && link.write(&[0xAA]).is_err());
+    assert!(say(&mut link).is_none());
+    Participant::<ClassicFrame>::bus_changed(&mut link, true);
+    assert!(say(&mut link).is_none());
+    assert!(link.write_ready().unwrap());
+    assert_eq!(link.counters().broken, 1);
+}
+
+#[test]
+fn half_a_message_of_the_gripper_is_forgotten_with_the_bus_and_a_whole_one_kept() {
+    let whole = message(0);
+    let longer = message(10);
+    let mut link = link();
+    hear(&mut link, &whole);
+    let first = Segments::new(longer.iter().copied()).next().unwrap();
+    link.hear(LATER, &first.frame::<ClassicFrame>(IDENTIFIERS.gripper().transmit).unwrap());
+    Participant::<ClassicFrame>::bus_changed(&mut link, false);
+    Participant::<ClassicFrame>::bus_changed(&mut link, true);
+    hear(&mut link, &longer);
+    assert_eq!(read_all(&mut link), [whole, longer].concat());
+    assert_eq!(link.counters().frames.dropped, 1, "the frame of the half one");
+}
+
+#[test]
+fn frames_that_the_controller_does_not_take_for_100_ms_are_withdrawn_with_what_it_holds() {
+    let at = Instant::from_millis;
+    let mut link = link();
+    write_all(&mut link, &message(10));
+    link.expire(at(1));
+    link.expire(at(100));
+    assert!(!Participant::<ClassicFrame>::withdraws(&mut link));
+    // One is taken: the time begins anew.
+    assert!(say(&mut link).is_some());
+    link.expire(at(101));
+    link.expire(at(200));
+    assert!(!Participant::<ClassicFrame>::withdraws(&mut link));
+    link.expire(at(201));
+    assert!(Participant::<ClassicFrame>::withdraws(&mut link));
+    assert!(!Participant::<ClassicFrame>::withdraws(&mut link), "said once");
+    assert!(say(&mut link).is_none());
+    assert_eq!(link.counters().broken, 1);
+}
+
+#[test]
+fn what_was_said_to_a_gripper_that_is_lost_is_withdrawn() {
+    let mut link = link();
+    link.set_connected(false);
+    assert!(!Participant::<ClassicFrame>::withdraws(&mut link), "nothing was lost");
+    link.set_connected(true);
+    write_all(&mut link, &message(0));
+    link.set_connected(true);
+    assert!(!Participant::<ClassicFrame>::withdraws(&mut link));
+    link.set_connected(false);
+    assert!(Participant::<ClassicFrame>::withdraws(&mut link));
+    assert!(say(&mut link).is_none());
+}
