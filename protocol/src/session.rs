@@ -536,11 +536,13 @@ impl Session {
     fn setup(&self, step: u8) -> Option<Command<'static>> {
         const INFO: u8 = STATE_STEPS;
         const LIMITS: u8 = INFO + 1;
+        /// Steps that are no subscriptions.
+        const OF_THE_DEVICE: u8 = 2;
         match step {
             0..STATE_STEPS => self.subscriptions.nth(step),
             INFO => Some(Command::GetSystemInfo),
             LIMITS => Some(Command::GetSystemLimits),
-            _ => self.subscriptions.nth(step.saturating_sub(LIMITS - INFO + 1)),
+            _ => self.subscriptions.nth(step.saturating_sub(OF_THE_DEVICE)),
         }
     }
 

@@ -346,6 +346,20 @@ fn fast_stop_goes_first_and_is_repeated_until_it_is_confirmed() {
 }
 
 #[test]
+fn what_else_the_gripper_answers_does_not_confirm_a_fast_stop() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(desk.sent(), [Command::FastStop]);
+    for late in [CommandId::GetSystemState, CommandId::GetSystemInfo, CommandId::GetGripperState] {
+        desk.answer(late);
+        assert!(desk.session.owes_fast_stop(), "{late:?}");
+    }
+    desk.status(CommandId::Stop, Status::Success);
+    assert!(desk.session.owes_fast_stop());
+    assert!(desk.pass(250).contains(&Command::FastStop), "it is repeated");
+}
+
+#[test]
 fn stop_behind_a_fast_stop_that_is_not_confirmed_is_refused_and_not_sent_later() {
     let mut desk = Desk::connected();
     desk.session.request(Command::FastStop).unwrap();
@@ -1210,6 +1224,31 @@ fn request_waits_until_no_second_answer_to_an_earlier_one_of_its_id_can_come() {
     assert_eq!(sent.iter().filter(|command| command.id() == CommandId::SetForceLimit).count(), 1);
     desk.status(CommandId::SetForceLimit, Status::RangeError);
     assert_eq!(desk.noticed("Answered(Reply { id: SetForceLimit, status: RangeError"), 1);
+}
+
+#[test]
+fn end_of_the_wait_for_a_second_answer_is_told_where_a_request_waits_for_it_and_not_else() {
+    let force = Command::SetForceLimit { force: 40.0 };
+    let doubled = || {
+        let mut desk = Desk::connected();
+        desk.session.request(force).unwrap();
+        assert_eq!(desk.pass(200), [force, force]);
+        desk.status(CommandId::SetForceLimit, Status::Success);
+        desk
+    };
+    let mut waits = doubled();
+    waits.session.request(force).unwrap();
+    let mut due = None;
+    while !waits.pass(1).contains(&force) {
+        due = waits.session.poll_timeout();
+    }
+    assert_eq!(due, Some(waits.now), "told in advance");
+
+    let mut quiet = doubled();
+    while quiet.now.plus(1) != waits.now {
+        quiet.pass(1);
+    }
+    assert_ne!(quiet.session.poll_timeout(), Some(waits.now), "nobody waits");
 }
 
 #[test]

@@ -5,9 +5,9 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use bus_modbus::Words;
 use wsg_protocol::fieldbus::{CommandFlags, Controller, GripperFlags, Images, InputImage, OutputImage};
-use wsg_protocol::session::{self, Known, Session};
+use wsg_protocol::session::{self, Known, Notice, Session};
 use wsg_protocol::{
-    Command, CommandId, Event, Frame, FrameEncoder, FrameParser, Instant, Kind, Status, SystemFlags,
+    Command, CommandId, Event, Frame, FrameEncoder, FrameParser, Instant, Kind, Reply, Status, SystemFlags,
     SystemLimits,
 };
 
@@ -23,6 +23,25 @@ fn differ<T: Hash>(states: &[T]) -> bool {
     hashes.sort_unstable();
     hashes.dedup();
     hashes.len() == states.len()
+}
+
+#[test]
+fn notices_differ_by_kind_and_command_and_not_by_what_was_answered() {
+    let answered = |id, status| Notice::Answered(Reply::status_only(id, status));
+    assert!(differ(&[
+        Notice::Connected,
+        Notice::Disconnected,
+        Notice::Pending(CommandId::Homing),
+        Notice::Pending(CommandId::GripPart),
+        Notice::Unanswered(CommandId::Homing),
+        Notice::Late(CommandId::Homing),
+        Notice::Withdrawn(CommandId::Homing),
+        answered(CommandId::Homing, Status::Success),
+        answered(CommandId::Stop, Status::Success),
+    ]));
+    let [done, failed] =
+        [Status::Success, Status::CmdFailed].map(|status| answered(CommandId::Homing, status));
+    assert_eq!(hash(&done), hash(&failed));
 }
 
 #[test]

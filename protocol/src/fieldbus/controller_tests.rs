@@ -112,7 +112,7 @@ impl Plc {
     /// The gripper carries out an acknowledgement.
     fn acknowledged(&mut self) {
         self.known.flags = Some(SystemFlags::REFERENCED);
-        self.answer(CommandId::Acknowledge, Status::Success);
+        assert_eq!(self.answer(CommandId::Acknowledge, Status::Success), []);
     }
 
     fn answer_flags(&mut self, flags: SystemFlags) -> Vec<Command<'static>> {
@@ -506,6 +506,113 @@ fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_told_to_stand_b
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
     plc.report_flags(SystemFlags::REFERENCED);
     assert_eq!(late(&mut plc), []);
+}
+
+/// What tells whether the fingers stand behind a motion, and what does not: then a Stop that is late is a FAST STOP.
+#[test]
+fn only_a_report_from_behind_a_motion_tells_that_the_fingers_stand() {
+    const MOTION: CommandId = CommandId::PrePosition;
+    const STANDS: SystemFlags = SystemFlags::REFERENCED;
+    let flags = || Value::GetSystemState(STANDS);
+    let state = || Value::GetGripperState(GripperState::Idle);
+    let answered = |status| Notice::Answered(Reply::status_only(MOTION, status));
+    let force = CommandId::SetForceLimit;
+    let cases: Vec<(&str, Vec<Notice<'_>>, bool)> = vec![
+        ("given", vec![], true),
+        ("given, and reported", vec![Notice::Reported(flags())], true),
+        ("given, and asked for", vec![Notice::Answered(Reply::success(flags()))], true),
+        ("begun", vec![Notice::Pending(MOTION)], true),
+        ("begun, and reported", vec![Notice::Pending(MOTION), Notice::Reported(flags())], false),
+        ("begun, and its state reported", vec![Notice::Pending(MOTION), Notice::Reported(state())], false),
+        (
+            "begun, and asked for",
+            vec![Notice::Pending(MOTION), Notice::Answered(Reply::success(flags()))],
+            false,
+        ),
+        (
+            "begun, and its state asked for",
+            vec![Notice::Pending(MOTION), Notice::Answered(Reply::success(state()))],
+            false,
+        ),
+        (
+            "begun, and the width reported",
+            vec![Notice::Pending(MOTION), Notice::Reported(Value::GetOpeningWidth(20.0))],
+            true,
+        ),
+        (
+            "begun, and something else answered",
+            vec![Notice::Pending(MOTION), Notice::Answered(Reply::status_only(force, Status::Success))],
+            true,
+        ),
+        (
+            "begun, and something else withdrawn",
+            vec![Notice::Pending(MOTION), Notice::Withdrawn(force)],
+            true,
+        ),
+        ("answered", vec![answered(Status::CmdAborted)], false),
+        ("never sent", vec![Notice::Withdrawn(MOTION)], false),
+        (
+            "without an outcome, of fingers that stand",
+            vec![Notice::Pending(MOTION), Notice::Reported(flags()), Notice::Unanswered(MOTION)],
+            false,
+        ),
+        ("without an outcome, and not reported", vec![Notice::Unanswered(MOTION)], true),
+        ("connected anew", vec![Notice::Pending(MOTION), Notice::Disconnected, Notice::Connected], false),
+    ];
+    for (what, notices, is_fast_stop) in cases {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
+        plc.known.flags = Some(STANDS);
+        for notice in notices {
+            plc.controller.handle(&notice, &plc.known);
+        }
+        plc.commands();
+        plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+        assert_eq!(plc.commands() == [Command::FastStop], is_fast_stop, "{what}");
+    }
+}
+
+#[test]
+fn a_finger_supply_that_is_being_switched_is_no_motion() {
+    let mut plc = Plc::ready();
+    let supply = CommandId::Finger1Power;
+    plc.controller.handle(&Notice::Pending(supply), &plc.known);
+    plc.controller.handle(&Notice::Unanswered(supply), &plc.known);
+    plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+    assert_eq!(plc.commands(), []);
+}
+
+#[test]
+fn an_acknowledgement_of_before_a_disconnect_is_not_waited_for() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.confirm_fast_stop();
+    plc.lower(CommandFlags::FASTSTOP);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    plc.lower(CommandFlags::STOP_ACK);
+    plc.disconnect();
+    assert_eq!(plc.commands(), [Command::FastStop], "the gripper may have been restarted");
+    plc.connect();
+    plc.confirm_fast_stop();
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    plc.acknowledged();
+    assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn a_motion_that_the_session_refused_leaves_an_earlier_one_in_doubt_and_nothing_else() {
+    let late = |plc: &mut Plc| {
+        plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+        plc.commands()
+    };
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning);
+    assert_eq!(late(&mut plc), [Command::FastStop], "an earlier one may be the reason");
+
+    let mut plc = Plc::ready();
+    plc.controller.refused(CommandId::SetForceLimit, RequestError::QueueFull);
+    assert_eq!(late(&mut plc), [], "there is no motion");
 }
 
 #[test]
