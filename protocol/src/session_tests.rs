@@ -360,6 +360,25 @@ fn what_else_the_gripper_answers_does_not_confirm_a_fast_stop() {
 }
 
 #[test]
+fn answer_that_comes_before_its_fast_stop_has_left_does_not_confirm_it() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::FastStop).unwrap();
+    desk.sent();
+    desk.status(CommandId::FastStop, Status::Success);
+    assert!(!desk.session.owes_fast_stop());
+    // Doubled on the line; meanwhile another FAST STOP was asked for, and the line has no room for it yet.
+    desk.session.request(Command::FastStop).unwrap();
+    desk.status(CommandId::FastStop, Status::Success);
+    assert!(desk.session.owes_fast_stop());
+    assert_eq!(desk.sent(), [Command::FastStop]);
+    let unasked = desk.session.counters().unasked;
+    desk.status(CommandId::FastStop, Status::Success);
+    assert_eq!((desk.session.owes_fast_stop(), desk.session.counters().unasked), (false, unasked));
+    desk.status(CommandId::FastStop, Status::Success);
+    assert_eq!(desk.session.counters().unasked, unasked + 1, "nothing waits for it");
+}
+
+#[test]
 fn stop_behind_a_fast_stop_that_is_not_confirmed_is_refused_and_not_sent_later() {
     let mut desk = Desk::connected();
     desk.session.request(Command::FastStop).unwrap();
@@ -1143,6 +1162,31 @@ fn fast_stop_behind_a_stop_without_an_answer_begins_with_a_burst() {
     assert_eq!(desk.notices, ["Late(Stop)"]);
     desk.session.request(Command::FastStop).unwrap();
     assert_eq!(desk.sent().len(), 130);
+}
+
+#[test]
+fn fast_stop_behind_a_stop_that_may_still_be_answered_begins_with_one_frame() {
+    let mut desk = Desk::connected();
+    desk.session.request(Command::Stop).unwrap();
+    assert_eq!(desk.sent(), [Command::Stop]);
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(desk.sent(), [Command::FastStop]);
+}
+
+#[test]
+fn query_that_became_due_while_a_fast_stop_had_the_line_leaves_right_behind_it() {
+    let mut desk = Desk::connected();
+    let due = desk.session.poll_timeout().unwrap();
+    desk.session.request(Command::FastStop).unwrap();
+    assert_eq!(desk.sent(), [Command::FastStop]);
+    while !desk.now.has_reached(due.plus(5)) {
+        desk.now = desk.now.plus(1);
+        assert_eq!(desk.session.tick(desk.now), None);
+    }
+    desk.status(CommandId::FastStop, Status::Success);
+    let sent = desk.sent();
+    assert_eq!(sent.len(), 1, "{sent:?}");
+    assert!(sent.iter().all(|command| command.id().kind() == Kind::Query));
 }
 
 #[test]
