@@ -63,7 +63,7 @@ impl Bridge {
             received_at: Instant::from_millis(0),
             session: Session::new(config.session),
             controller: Controller::new(),
-            wires: Wires::new(config.debounce_ms, config.min_busy_ms, *config.recipes),
+            wires: Wires::new(config.debounce_ms, config.min_busy_ms, config.recipes),
             arbiter: Arbiter::new(),
             facts: Facts {
                 bus_config: config.bus,
@@ -79,6 +79,13 @@ impl Bridge {
             gave_up: false,
             settings,
         }
+    }
+
+    /// Takes another configuration, but for the time-outs towards the gripper. Before the first turn alone.
+    pub(crate) fn configure(&mut self, config: &Config) {
+        self.settings = Settings::new(config);
+        self.wires.configure(&self.settings);
+        self.facts.bus_config = config.bus;
     }
 
     /// One turn: takes what the line, the wires and the bus brought, sends what is due, and returns the levels of the wires to

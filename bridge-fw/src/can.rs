@@ -1,4 +1,4 @@
-//! CAN: the gripper on a bus instead of a serial line, and a PLC on a bus instead of wires. By the feature `can`.
+//! CAN: the gripper on a bus instead of a serial line, and a PLC on a bus instead of wires.
 //!
 //! [`CanBus`] owns the controller, shares it between those who are on the bus ([`Participant`]), and leaves and joins the
 //! bus when the controller goes bus-off. [`GripperLink`] is one of them: to the bridge it is a line like any other. [`Node`]
@@ -9,23 +9,20 @@
 
 mod bus;
 mod bus_off;
-mod config;
 mod controller;
 mod gripper_link;
 mod node;
 mod report;
 mod slcan_port;
-mod turn;
 
+pub use crate::config::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canopen};
 pub use bus::{CanBus, Nobody, Participant};
 pub use bus_off::{BusOffPolicy, BusState};
-pub use config::CanConfig;
 pub use controller::{CanController, Health};
 pub use gripper_link::GripperLink;
 pub use node::{
-    DEFAULT_NODE, DataType, FAULTS, Fault, INPUT_INDEX, Key, NmtState, Node, NodeConfig, OBJECTS,
-    OUTPUT_INDEX, Object, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
+    DataType, FAULTS, Fault, INPUT_INDEX, Key, NmtState, Node, OBJECTS, OUTPUT_INDEX, Object, REPORTS_INDEX,
+    SETTINGS_INDEX, write_eds,
 };
 pub use report::{BusCounters, BusReport, LinkCounters};
 pub use slcan_port::SlcanPort;
-pub use turn::turn_with_gripper;

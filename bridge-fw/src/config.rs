@@ -1,16 +1,40 @@
 //! What is fixed about a bridge when it starts, and what its settings begin with. Everything else may import this.
 
 mod bus;
+mod can;
 mod recipe;
 
 pub use bus::{BusConfig, Format};
+pub use can::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canopen};
 pub use recipe::{RECIPE_COUNT, RECIPES, Recipe};
+
+pub(crate) use can::TPDOS;
 
 use wsg_protocol::session::{self, Timeout};
 use wsg_protocol::{CommandId, DeviceTag};
 
 /// The longest reply that a bridge asks for: a device tag behind its status code. Everything longer is not for it.
 pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
+
+/// The line that the gripper is on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum GripperLine {
+    /// RS-232.
+    Serial,
+    /// CAN.
+    Can,
+}
+
+/// The bus of the PLC, beside the wires.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum PlcBus {
+    /// None.
+    Off,
+    /// Modbus RTU.
+    Modbus,
+    /// CANopen.
+    Canopen,
+}
 
 /// What can be set about a bridge.
 #[derive(Clone, Copy, Debug)]
@@ -23,11 +47,17 @@ pub struct Config {
     /// After how long without a byte half a frame is given up, in milliseconds.
     pub half_frame_ms: u32,
     /// What the recipe wires choose from.
-    pub recipes: &'static [Recipe; RECIPE_COUNT],
+    pub recipes: [Recipe; RECIPE_COUNT],
     /// Time-outs towards the gripper.
     pub session: session::Config,
-    /// The bus: Modbus RTU.
+    /// Where the gripper is.
+    pub gripper_line: GripperLine,
+    /// Which bus the PLC is on.
+    pub plc_bus: PlcBus,
+    /// That bus: Modbus RTU's line, and what every bus has.
     pub bus: BusConfig,
+    /// The CAN bus, for whoever is on it.
+    pub can: CanConfig,
 }
 
 /// Towards the gripper: settings are read back, because a force limit that a damaged frame changed would hurt; and a Stop
@@ -43,14 +73,17 @@ const SESSION: session::Config = session::Config {
 const STOP_ANSWER_MS: u32 = 100;
 
 impl Config {
-    /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, time-outs for a serial line, and a bus at
-    /// 19 200 bit/s.
+    /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, the gripper on RS-232, and the PLC on wires and
+    /// on Modbus RTU at 19 200 bit/s.
     pub const DEFAULT: Self = Self {
         debounce_ms: 2,
         min_busy_ms: 50,
         half_frame_ms: 20,
-        recipes: &RECIPES,
+        recipes: RECIPES,
         session: SESSION,
+        gripper_line: GripperLine::Serial,
+        plc_bus: PlcBus::Modbus,
         bus: BusConfig::DEFAULT,
+        can: CanConfig::DEFAULT,
     };
 }

@@ -22,9 +22,7 @@ extern crate std;
 mod arbiter;
 pub mod boards;
 mod bridge;
-mod built;
 pub mod byte_queue;
-#[cfg(feature = "can")]
 pub mod can;
 mod config;
 pub mod io;
@@ -32,9 +30,13 @@ mod liveness;
 mod log;
 pub mod plc;
 pub mod registers;
+mod station;
 
 pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Counters};
-pub use config::{BusConfig, Config, Format, MAX_REPLY_LEN, RECIPE_COUNT, RECIPES, Recipe};
+pub use config::{
+    BusConfig, Config, Format, GripperLine, MAX_REPLY_LEN, PlcBus, RECIPE_COUNT, RECIPES, Recipe,
+};
 pub use plc::{BusPort, NoBus};
 pub use registers::ResetCause;
+pub use station::Station;

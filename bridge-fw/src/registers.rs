@@ -2,9 +2,11 @@
 //!
 //! The tables here are the only ones: the PLC sides serve them, `docs/registers.md` and the EDS file are made from them.
 
+mod record;
 mod reports;
 mod settings;
 
+pub use record::{RECORD_LEN, Record, START_SETTINGS, WrongSetting, record_settings};
 pub use reports::{CanReports, FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
 pub use settings::{FIRST_SETTING, SETTINGS, Setting};
 

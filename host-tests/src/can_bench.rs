@@ -4,17 +4,19 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::rc::Rc;
 
+use bus_modbus::rtu::Character;
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanController, GripperLink, Health, Nobody, Node, NodeConfig, turn_with_gripper,
+    BusOffPolicy, CanBus, CanConfig, CanController, GripperLink, Health, Node, NodeConfig,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config, NoBus};
-use wsg_protocol::can::{Endpoint, Identifiers, Reassembler, Segments};
+use wsg_bridge_fw::{BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_protocol::can::{Endpoint, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 
+use crate::serial_gripper::SerialLine;
 use crate::wires::Wires;
 
 /// Frames that a bus at 500 kbit/s carries in a millisecond.
@@ -171,13 +173,25 @@ fn priority(frame: &ClassicFrame) -> u32 {
     }
 }
 
+/// A line for Modbus RTU that nobody uses.
+struct NoLine;
+
+impl BusPort for NoLine {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        None
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        0
+    }
+
+    fn send(&mut self, _: &[u8]) {}
+}
+
 /// Bridge and gripper on a bus, and a PLC on wires that a test plays.
 pub struct CanBench {
-    bridge: Bridge,
-    bus: CanBus<Double>,
+    station: Station<Double>,
     double: Double,
-    link: GripperLink,
-    node: Option<Node>,
     /// What a PLC on the bus hears, and what it says next.
     to_plc: Vec<(u32, ClassicFrame)>,
     from_plc: VecDeque<ClassicFrame>,
@@ -204,16 +218,19 @@ impl CanBench {
     /// Never: a new gripper takes a client.
     #[must_use]
     pub fn new(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
-        let identifiers = Identifiers::DEFAULT;
+        Self::with(config, policy, Config { plc_bus: PlcBus::Off, ..Config::DEFAULT })
+    }
+
+    fn with(config: wsg_sim::Config, policy: BusOffPolicy, bridge: Config) -> Self {
+        let identifiers = bridge.can.gripper;
         let mut gripper = VirtualGripper::with_ports(config);
         let port = gripper.connect(PortKind::Can).expect("a new gripper takes a client");
         let double = Double::default();
+        let mut station = Station::new(CanBus::new(double.clone(), policy));
+        station.start(&Config { gripper_line: GripperLine::Can, ..bridge }, ResetCause::Unknown);
         Self {
-            bridge: Bridge::new(Config::DEFAULT),
-            bus: CanBus::new(double.clone(), policy),
+            station,
             double,
-            link: GripperLink::new(identifiers),
-            node: None,
             to_plc: Vec::new(),
             from_plc: VecDeque::new(),
             gripper,
@@ -244,19 +261,17 @@ impl CanBench {
     /// A bench with a PLC on the bus, and wires that let it: FAST_STOP_OK high.
     #[must_use]
     pub fn with_node(config: wsg_sim::Config, node: NodeConfig) -> Self {
-        let mut bench = Self::new(config, BusOffPolicy::DEFAULT);
-        bench.node = Some(Node::new(node));
+        let can = CanConfig { node, ..CanConfig::DEFAULT };
+        let bridge = Config { plc_bus: PlcBus::Canopen, can, ..Config::DEFAULT };
+        let mut bench = Self::with(config, BusOffPolicy::DEFAULT, bridge);
         bench.set(Inputs::FAST_STOP_OK, true);
         bench
     }
 
-    /// The bridge as a device on the bus.
-    ///
-    /// # Panics
-    /// On a bench without one.
+    /// The bridge as a device on the bus; silent on a bench without a PLC there.
     #[must_use]
-    pub fn node(&self) -> &Node {
-        self.node.as_ref().expect("a bench with a node")
+    pub const fn node(&self) -> &Node {
+        self.station.node()
     }
 
     /// The PLC on the bus says this, after what it has said before.
@@ -278,13 +293,13 @@ impl CanBench {
     /// The bus, as the bridge sees it.
     #[must_use]
     pub fn bus(&mut self) -> &mut CanBus<Double> {
-        &mut self.bus
+        self.station.can()
     }
 
     /// The gripper's link.
     #[must_use]
     pub fn link(&self) -> &GripperLink {
-        &self.link
+        self.station.link()
     }
 
     /// The gripper.
@@ -306,17 +321,9 @@ impl CanBench {
     }
 
     /// One turn of the main loop.
-    fn turn(&mut self, now: Instant) {
-        let Self { bus, link, bridge, node, now_ms, inputs, .. } = self;
-        self.outputs = match node {
-            None => turn_with_gripper(now, bridge, bus, link, &mut Nobody, |bridge, link, _, _| {
-                bridge.poll(*now_ms, *inputs, link, &mut NoBus)
-            }),
-            Some(node) => turn_with_gripper(now, bridge, bus, link, node, |bridge, link, node, report| {
-                node.set_report(*report);
-                bridge.poll(*now_ms, *inputs, link, node)
-            }),
-        };
+    fn turn(&mut self) {
+        let Self { station, now_ms, inputs, .. } = self;
+        self.outputs = station.turn(*now_ms, *inputs, &mut SerialLine::with_room(0), &mut NoLine);
     }
 
     fn reach_gripper(&mut self, now: Instant, time: Time, frame: ClassicFrame) {
@@ -350,7 +357,7 @@ impl Wires for CanBench {
     fn step(&mut self) {
         self.now_ms += 1;
         let now = Instant::from_millis(self.now_ms);
-        self.turn(now);
+        self.turn();
         let time = Time::from_millis(self.now_ms.into());
         for _ in 0..FRAMES_PER_MS {
             if let Some(frame) = self.double.take_winner() {
@@ -363,7 +370,7 @@ impl Wires for CanBench {
                 frames.into_iter().for_each(|frame| self.double.bring(frame));
             }
             // A frame that left makes an interrupt, and that a turn of the main loop.
-            self.turn(now);
+            self.turn();
         }
         self.gripper.advance(time);
         let mut buffer = [0; MAX_FRAME_LEN];

@@ -6,7 +6,9 @@ use bus_modbus::Function;
 use host_tests::document::{hold, table};
 use host_tests::modbus_bench::Bench;
 use wsg_bridge_fw::Config;
-use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
+use wsg_bridge_fw::registers::{
+    FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS, START_SETTINGS, record_settings,
+};
 use wsg_protocol::SystemFlags;
 use wsg_protocol::fieldbus::{
     CommandFlags, Content, GripperFlags, INPUT_REGISTERS, OUTPUT_REGISTERS, Register,
@@ -129,6 +131,23 @@ fn settings() -> String {
     )
 }
 
+fn start_settings() -> String {
+    let delivered = Config::DEFAULT.record();
+    table(
+        ["name", "unit", "from", "to", "as delivered", "meaning"],
+        START_SETTINGS.iter().zip(delivered).map(|(setting, delivered)| {
+            [
+                format!("`{}`", setting.name),
+                setting.unit.into(),
+                setting.least.to_string(),
+                setting.most.to_string(),
+                delivered.to_string(),
+                setting.meaning.into(),
+            ]
+        }),
+    )
+}
+
 fn reports() -> String {
     table(
         ["register", "name", "meaning"],
@@ -148,6 +167,7 @@ fn registers_in_the_document_are_those_of_the_code() {
         ("input", registers(&INPUT_REGISTERS)),
         ("discrete", discrete_inputs()),
         ("settings", settings()),
+        ("start-settings", start_settings()),
         ("reports", reports()),
     ] {
         hold("docs/registers.md", name, &wanted);
@@ -156,8 +176,10 @@ fn registers_in_the_document_are_those_of_the_code() {
 
 #[test]
 fn names_of_registers_are_unique() {
-    let names: Vec<_> =
-        SETTINGS.iter().map(|setting| setting.name).chain(REPORTS.iter().map(|report| report.name)).collect();
+    let names: Vec<_> = record_settings()
+        .map(|setting| setting.name)
+        .chain(REPORTS.iter().map(|report| report.name))
+        .collect();
     for (n, name) in names.iter().enumerate() {
         assert!(!names[n + 1..].contains(name), "{name}");
     }

@@ -9,7 +9,12 @@ use std::{
 use anyhow::{Context, Result};
 use sha2::{Digest, Sha256};
 
-use crate::{process, setup::ThumbToolchain, workspace::Workspace};
+use crate::{
+    process,
+    settings::{self, Change},
+    setup::ThumbToolchain,
+    workspace::Workspace,
+};
 
 /// The package of the firmware.
 pub(crate) const PACKAGE: &str = "wsg-bridge-fw";
@@ -17,33 +22,26 @@ pub(crate) const PACKAGE: &str = "wsg-bridge-fw";
 /// The environment variable that tells the emulator tests which image to boot.
 pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 
-/// The environment variables that change what the image is built with: an image for another bus has another name.
-const BUS_VARIABLES: [&str; 7] = [
-    "WSG_BUS_RATE",
-    "WSG_BUS_FORMAT",
-    "WSG_BUS_UNIT",
-    "WSG_CAN_RATE",
-    "WSG_CAN_ID",
-    "WSG_CAN_NODE",
-    "WSG_CAN_MASTER",
-];
-
 const PROFILE: &str = "firmware";
 
-/// What can be on CAN, and the variable that tells the emulator tests which image has it there. Such an image is flashed
-/// as it is, and tested with [`OVER_SLCAN`], because no emulator has CAN.
-pub(crate) const CAN: [(&str, &str); 3] = [
-    ("can-gripper", "WSG_FIRMWARE_ELF_CAN_GRIPPER"),
-    ("can-plc", "WSG_FIRMWARE_ELF_CAN_PLC"),
-    ("can-gripper,can-plc", "WSG_FIRMWARE_ELF_CAN_BOTH"),
+/// Who can be on CAN, by settings, and the variable that tells the emulator tests which image has it so. What is flashed is
+/// tested with [`OVER_SLCAN`] then, because no emulator has CAN.
+pub(crate) const ON_CAN: [(&str, &[(&str, u16)]); 3] = [
+    ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1)]),
+    ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2)]),
+    ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2)]),
 ];
 
 /// The feature that puts CAN on a serial line.
 pub(crate) const OVER_SLCAN: &str = "can-over-slcan";
 
-/// The features of a list with commas.
-pub(crate) fn features(list: &str) -> Vec<String> {
-    list.split(',').map(str::to_owned).collect()
+/// What an image is made of besides the board's own; nothing in the one that is flashed as delivered.
+#[derive(Default)]
+pub(crate) struct Variant {
+    /// Features beside the board's.
+    pub(crate) features: Vec<String>,
+    /// Settings that differ from those as delivered.
+    pub(crate) settings: Vec<Change>,
 }
 
 /// A board that the firmware runs on.
@@ -68,15 +66,15 @@ pub(crate) struct Image {
     pub(crate) sha256: String,
 }
 
-/// Builds the default board's image, with `features` beside the board's own.
-pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, features: &[String]) -> Result<Image> {
+/// Builds the default board's image.
+pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, variant: &Variant) -> Result<Image> {
     let mut cargo = toolchain.cargo(workspace, "build");
-    cargo.args(selection(features));
+    cargo.args(selection(&variant.features));
     process::run(&mut cargo)?;
     let built = toolchain.output_dir(workspace, PROFILE).join(BOARD.name);
-    let bus: Vec<String> =
-        BUS_VARIABLES.iter().filter_map(|name| Some(setting(name, &std::env::var(name).ok()?))).collect();
-    keep(&built, &workspace.target_dir.join("firmware").join(file_name(&[features, &bus].concat())))
+    let mut elf = fs::read(&built).with_context(|| format!("cannot read the image {}", built.display()))?;
+    settings::apply(&mut elf, &variant.settings)?;
+    keep(&elf, &workspace.target_dir.join("firmware").join(file_name(variant)))
 }
 
 /// Cargo's arguments that choose the firmware's binary and profile.
@@ -92,32 +90,26 @@ pub(crate) fn selection_for(features: &[String], profile: &str) -> Vec<String> {
         .to_vec()
 }
 
-/// A variable of the build and its value, as a part of the image's name.
-fn setting(variable: &str, value: &str) -> String {
-    format!("{}={value}", variable.trim_start_matches("WSG_").to_lowercase())
-}
-
-/// An image with more features is another image: it must not take the place of the one that is tested.
-fn file_name(features: &[String]) -> String {
+/// Another image has another name: it must not take the place of the one that is tested.
+fn file_name(Variant { features, settings }: &Variant) -> String {
     let mut name = BOARD.name.to_owned();
-    for feature in features {
+    for part in features.iter().cloned().chain(settings.iter().map(Change::to_string)) {
         name.push('+');
-        name.push_str(&feature.replace('/', "-"));
+        name.push_str(&part.replace('/', "-"));
     }
     name + ".elf"
 }
 
-fn keep(built: &Path, kept: &Path) -> Result<Image> {
-    let bytes = fs::read(built).with_context(|| format!("cannot read the image {}", built.display()))?;
+fn keep(elf: &[u8], kept: &Path) -> Result<Image> {
     let write = || {
         fs::create_dir_all(kept.parent().unwrap_or(Path::new(".")))?;
         // Renamed into place: an emulator or a probe that reads the old image now must not see half of each.
         let fresh = kept.with_extension(format!("elf.{}", std::process::id()));
-        fs::write(&fresh, &bytes)?;
+        fs::write(&fresh, elf)?;
         fs::rename(&fresh, kept)
     };
     write().with_context(|| format!("cannot write the image {}", kept.display()))?;
-    let sha256 = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+    let sha256 = Sha256::digest(elf).iter().map(|byte| format!("{byte:02x}")).collect();
     Ok(Image { path: kept.to_owned(), sha256 })
 }
 
@@ -126,18 +118,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_image_with_more_features_has_a_name_of_its_own() {
-        assert_eq!(file_name(&[]), "b-l475e-iot01a.elf");
+    fn another_image_has_a_name_of_its_own() {
+        assert_eq!(file_name(&Variant::default()), "b-l475e-iot01a.elf");
+        let features = vec!["defmt".into(), "heapless/defmt".into()];
+        let settings = vec![Change::new("UNIT", 5).unwrap()];
         assert_eq!(
-            file_name(&["defmt".into(), "heapless/defmt".into()]),
-            "b-l475e-iot01a+defmt+heapless-defmt.elf"
+            file_name(&Variant { features, settings }),
+            "b-l475e-iot01a+defmt+heapless-defmt+UNIT=5.elf"
         );
-    }
-
-    #[test]
-    fn images_for_other_buses_have_names_that_tell_them_apart() {
-        assert_eq!(file_name(&[setting("WSG_BUS_UNIT", "5")]), "b-l475e-iot01a+bus_unit=5.elf");
-        assert_ne!(setting("WSG_BUS_UNIT", "5"), setting("WSG_CAN_NODE", "5"));
     }
 
     #[test]
@@ -149,10 +137,8 @@ mod tests {
     #[test]
     fn a_kept_image_is_the_built_one_and_is_named_by_its_hash() {
         let dir = std::env::temp_dir().join(format!("wsg-xtask-image-{}", std::process::id()));
-        fs::create_dir_all(&dir).unwrap();
-        fs::write(dir.join("built"), "abc").unwrap();
 
-        let image = keep(&dir.join("built"), &dir.join("firmware/kept.elf")).unwrap();
+        let image = keep(b"abc", &dir.join("firmware/kept.elf")).unwrap();
         let kept = fs::read(&image.path).unwrap();
 
         fs::remove_dir_all(&dir).unwrap();

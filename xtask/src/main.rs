@@ -25,6 +25,7 @@ mod panics;
 mod probe;
 mod process;
 mod public_functions;
+mod settings;
 mod setup;
 mod size;
 mod soak;
@@ -42,6 +43,8 @@ use std::{
 use anyhow::{Context, Result};
 use lexopt::{Arg, Parser, ValueExt};
 
+use firmware::Variant;
+use settings::Change;
 use workspace::Workspace;
 
 const HELP: &str = "\
@@ -51,7 +54,8 @@ Commands
   setup              install what build, demo and test need: the thumb target's Rust, QEMU, and
                      the masters of the tests (mbpoll, and a Python environment)
   build              build the firmware image, print its path and SHA-256
-                     [--features X]: more features; the image then has a name of its own
+                     [--set NAME=VALUE]: a setting that it is delivered with (docs/registers.md);
+                     [--features X]: more features. The image then has a name of its own
   demo [ARGS]        boot the image in QEMU between a PLC and a virtual gripper;
                      ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
   test [FILTER]      every check of the workspace, the emulator tests included;
@@ -85,7 +89,7 @@ Commands
   coverage           lines of protocol and buses that their tests reach; nightly Rust
   figures            measure all that docs/figures.md tells, and write it
   flash              write the image to a board with probe-rs and start it
-                     [--features X] as for build
+                     [--set NAME=VALUE] [--features X] as for build
   help               this page
 
 Environment
@@ -95,14 +99,8 @@ Environment
                      for the target instead
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
   WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH
-                     the same for the images with CAN
+                     the same for images whose settings put them on CAN
   WSG_MODBUS_PYTHON  set by test for those with Modbus masters: the Python that has them
-  WSG_BUS_RATE, WSG_BUS_FORMAT, WSG_BUS_UNIT
-                     the image's bus: 1200 to 230400 bit/s (19200), 8E1, 8N1 or 8N2 (8E1), and
-                     unit 1 to 247 (1); an image for another bus has a name of its own
-  WSG_CAN_RATE, WSG_CAN_ID, WSG_CAN_NODE, WSG_CAN_MASTER
-                     the same for an image with CAN: 125, 250, 500 or 1000 kbit/s (500), what the
-                     gripper listens to (0x120), node-IDs of the bridge (16) and its master (127)
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
 
 set-up asks before it acts: on a machine that has everything it runs nothing.
@@ -138,21 +136,21 @@ fn run() -> Result<ExitCode> {
             }
         }
         "build" => {
-            let features = features(arguments)?;
+            let variant = variant(arguments)?;
             let workspace = Workspace::from_env()?;
             let toolchain = setup::thumb(&workspace)?;
-            print_image(&firmware::build(&workspace, &toolchain, &features)?);
+            print_image(&firmware::build(&workspace, &toolchain, &variant)?);
         }
         "demo" => {
             let workspace = Workspace::from_env()?;
             let toolchain = setup::thumb_and_qemu(&workspace)?;
-            let image = firmware::build(&workspace, &toolchain, &[])?;
+            let image = firmware::build(&workspace, &toolchain, &Variant::default())?;
             return Ok(exit_code(demo::run(&workspace, &image, &rest(arguments)?)?));
         }
         "test" => {
             let workspace = Workspace::from_env()?;
             let toolchain = setup::thumb_and_qemu(&workspace)?;
-            let image = firmware::build(&workspace, &toolchain, &[])?;
+            let image = firmware::build(&workspace, &toolchain, &Variant::default())?;
             print_image(&image);
             let mut filter = rest(arguments)?;
             let is_strict = filter.first().is_some_and(|first| first == "--strict");
@@ -164,11 +162,11 @@ fn run() -> Result<ExitCode> {
             matrix::run(&Workspace::from_env()?)?;
         }
         "flash" => {
-            let features = features(arguments)?;
+            let variant = variant(arguments)?;
             flash::require_probe_rs()?;
             let workspace = Workspace::from_env()?;
             let toolchain = setup::thumb(&workspace)?;
-            let image = firmware::build(&workspace, &toolchain, &features)?;
+            let image = firmware::build(&workspace, &toolchain, &variant)?;
             print_image(&image);
             flash::run(&image)?;
         }
@@ -181,18 +179,22 @@ fn print_image(image: &firmware::Image) {
     println!("{}\nsha256 {}", image.path.display(), image.sha256);
 }
 
-fn features(mut arguments: Parser) -> Result<Vec<String>> {
-    let mut features = Vec::new();
+/// `--features X` and `--set NAME=VALUE`, each as often as wanted.
+fn variant(mut arguments: Parser) -> Result<Variant> {
+    let mut variant = Variant::default();
     while let Some(argument) = arguments.next()? {
         match argument {
             Arg::Long("features") => {
                 let list = arguments.value()?.string()?;
-                features.extend(list.split([',', ' ']).filter(|it| !it.is_empty()).map(str::to_owned));
+                variant
+                    .features
+                    .extend(list.split([',', ' ']).filter(|it| !it.is_empty()).map(str::to_owned));
             }
+            Arg::Long("set") => variant.settings.push(Change::parse(&arguments.value()?.string()?)?),
             other => return Err(other.unexpected()).context("see `cargo xtask help`"),
         }
     }
-    Ok(features)
+    Ok(variant)
 }
 
 fn no_more(mut arguments: Parser) -> Result<()> {

@@ -5,7 +5,7 @@ use lexopt::{Arg, Parser, ValueExt};
 
 use crate::{
     bench, coverage, dependencies, explore, fast_stop, figures,
-    firmware::{self, Image},
+    firmware::{self, Image, Variant},
     fuzz, gate, interleavings, mutants, no_more, panics,
     probe::Probes,
     setup::{self, ThumbToolchain},
@@ -99,7 +99,7 @@ impl Built {
     fn new() -> Result<Self> {
         let workspace = Workspace::from_env()?;
         let toolchain = setup::thumb_and_qemu(&workspace)?;
-        let image = firmware::build(&workspace, &toolchain, &[])?;
+        let image = firmware::build(&workspace, &toolchain, &Variant::default())?;
         Ok(Self { workspace, toolchain, image })
     }
 

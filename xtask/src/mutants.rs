@@ -94,14 +94,7 @@ const PARTS: [Part; 8] = [
         package: "wsg-bridge-fw",
         folder: "bridge-fw/",
         // The model of the queue's atomics is loom's.
-        options: &[
-            "--features",
-            "can",
-            "--exclude",
-            "bridge-fw/src/bin/**",
-            "--exclude",
-            "**/byte_queue/model.rs",
-        ],
+        options: &["--exclude", "bridge-fw/src/bin/**", "--exclude", "**/byte_queue/model.rs"],
         tests: &["--tests"],
     },
 ];

@@ -11,11 +11,8 @@ use crate::{
     probe::Probes,
 };
 
-const FLASH_LIMIT: u64 = 32 * 1024;
-const STATIC_RAM_LIMIT: u64 = 6 * 1024;
-
-/// With CAN there is more in an image, and more room on the chip than anybody needs: this says when it grew by mistake.
-const CAN_FLASH_LIMIT: u64 = 40 * 1024;
+const FLASH_LIMIT: u64 = 64 * 1024;
+const STATIC_RAM_LIMIT: u64 = 12 * 1024;
 
 /// Parser and encoder, with the table of 512 bytes and with that of 32.
 const FRAME_LIMIT: u64 = 1_900;
@@ -34,15 +31,6 @@ const PARSER_OVERHEAD_LIMIT: u64 = 16;
 
 /// The gates of the firmware image.
 pub(crate) fn of_image(image: &Image) -> Result<Vec<Gate>> {
-    within(image, FLASH_LIMIT)
-}
-
-/// The gates of an image with CAN.
-pub(crate) fn of_can_image(image: &Image) -> Result<Vec<Gate>> {
-    within(image, CAN_FLASH_LIMIT)
-}
-
-fn within(image: &Image, flash_limit: u64) -> Result<Vec<Gate>> {
     let what_failed = || format!("cannot read the sections of {}", image.path.display());
     let bytes = fs::read(&image.path).with_context(what_failed)?;
     let sections = elf::sections_of(&bytes).with_context(what_failed)?;
@@ -51,7 +39,7 @@ fn within(image: &Image, flash_limit: u64) -> Result<Vec<Gate>> {
     }
     let Footprint { flash, static_ram } = Footprint::of(&sections);
     Ok(vec![
-        Gate::bytes("firmware image, flash", flash, flash_limit),
+        Gate::bytes("firmware image, flash", flash, FLASH_LIMIT),
         Gate::bytes("firmware image, static RAM", static_ram, STATIC_RAM_LIMIT),
     ])
 }

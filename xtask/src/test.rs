@@ -6,12 +6,13 @@ use anyhow::{Context, Result, ensure};
 
 use crate::{
     bench,
-    firmware::{self, IMAGE_VARIABLE, Image},
+    firmware::{self, IMAGE_VARIABLE, Image, Variant},
     gate,
     matrix::{self, Extent},
     panics,
     probe::Probes,
     process,
+    settings::Change,
     setup::{self, Component, Masters, PYTHON_VARIABLE, ThumbToolchain},
     size, stack,
     workspace::Workspace,
@@ -30,9 +31,11 @@ pub(crate) fn run(
 ) -> Result<()> {
     let masters = setup::masters(workspace)?;
     let mut can_images = Vec::new();
-    for (list, variable) in firmware::CAN {
-        let features = [firmware::features(list), vec![firmware::OVER_SLCAN.to_owned()]].concat();
-        can_images.push((variable, firmware::build(workspace, toolchain, &features)?));
+    for (variable, settings) in firmware::ON_CAN {
+        let settings =
+            settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
+        let variant = Variant { features: vec![firmware::OVER_SLCAN.to_owned()], settings };
+        can_images.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
     let checks = Checks { workspace, toolchain, image, can_images, masters: &masters };
     let mut record = Record::default();
@@ -81,9 +84,7 @@ impl Checks<'_> {
         if Component::Clippy.provide_for_thumb(workspace, toolchain) {
             record.check("clippy, firmware", || {
                 process::run(&mut self.firmware_clippy(&[]))?;
-                firmware::CAN.iter().try_for_each(|(list, _)| {
-                    process::run(&mut self.firmware_clippy(&firmware::features(list)))
-                })
+                process::run(&mut self.firmware_clippy(&[firmware::OVER_SLCAN.to_owned()]))
             })?;
             record.check("clippy, probes", || process::run(&mut self.probes_clippy()))?;
         } else {
@@ -123,20 +124,7 @@ impl Checks<'_> {
             let [_, beside_a_loop] = bench::throughput(workspace)?;
             gate::check(&[beside_a_loop])
         })?;
-        record.check("panic paths", || panics::check(&probes))?;
-        record.check("size with CAN", || {
-            firmware::CAN.iter().try_for_each(|(list, _)| {
-                println!("{list}");
-                let image = firmware::build(workspace, toolchain, &firmware::features(list))?;
-                gate::check(&size::of_can_image(&image)?)
-            })
-        })?;
-        record.check("no panic with CAN over SLCAN", || {
-            firmware::CAN.iter().try_for_each(|(list, _)| {
-                let features = format!("{list},{},prove-panic-free", firmware::OVER_SLCAN);
-                firmware::build(workspace, toolchain, &firmware::features(&features)).map(drop)
-            })
-        })
+        record.check("panic paths", || panics::check(&probes))
     }
 
     fn firmware_clippy(&self, features: &[String]) -> Command {

@@ -14,13 +14,11 @@
 //!
 //! NMT, heartbeats, the SDO server and when a PDO or an emergency is due are `bus_canopen`'s.
 
-mod config;
 mod eds;
 mod emergency;
 mod objects;
 
 pub use bus_canopen::{DataType, NmtState};
-pub use config::{DEFAULT_NODE, NodeConfig, collides_with_canopen};
 pub use eds::write_eds;
 pub use emergency::{FAULTS, Fault};
 pub use objects::{INPUT_INDEX, Key, OBJECTS, OUTPUT_INDEX, Object, REPORTS_INDEX, SETTINGS_INDEX};
@@ -30,10 +28,10 @@ use embedded_can::{Frame, Id};
 use wsg_protocol::Instant;
 use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
 
-use self::config::TPDOS;
 use self::objects::Objects;
 use super::bus::MAX_RECEIVED_PER_POLL;
 use super::{BusReport, Participant};
+use crate::config::{NodeConfig, TPDOS};
 use crate::plc::{PlcEvent, PlcSide, Shown, View};
 use crate::registers::{Link, Settings};
 

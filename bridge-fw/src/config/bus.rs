@@ -1,6 +1,5 @@
 //! What is fixed about the bus when the bridge starts: rate and format, and what the settings begin with.
 
-use crate::built::number;
 use bus_modbus::rtu::Timing;
 use wsg_protocol::fieldbus::SilenceReaction;
 
@@ -81,28 +80,6 @@ impl BusConfig {
         patience_ms: 50,
         broadcast: false,
         swap_bytes: false,
-    };
-
-    /// What the firmware is built with: [`DEFAULT`](Self::DEFAULT), but for the environment variables `WSG_BUS_RATE`
-    /// (bit/s), `WSG_BUS_FORMAT` (`8E1`, `8N1`, `8N2`) and `WSG_BUS_UNIT` (1 to 247) of the build.
-    pub const BUILT: Self = {
-        let mut config = Self::DEFAULT;
-        if let Some(rate) = option_env!("WSG_BUS_RATE") {
-            config.baud = number(rate);
-        }
-        if let Some(name) = option_env!("WSG_BUS_FORMAT") {
-            let format = Format::from_name(name);
-            assert!(format.is_some(), "WSG_BUS_FORMAT must be 8E1, 8N1 or 8N2");
-            if let Some(format) = format {
-                config.format = format;
-            }
-        }
-        if let Some(unit) = option_env!("WSG_BUS_UNIT") {
-            let unit = number(unit);
-            assert!(unit >= 1 && unit <= 247, "WSG_BUS_UNIT must be 1 to 247");
-            config.unit = unit as u8;
-        }
-        config
     };
 
     /// The silences of this rate and format.

@@ -1,7 +1,7 @@
-//! The configuration as holding registers. It lives in RAM: power-up brings back what the firmware was built with.
+//! The configuration as holding registers. It lives in RAM: power-up brings back what the image was delivered with.
 
 use super::RegisterError;
-use crate::config::{Config, RECIPE_COUNT, Recipe};
+use crate::config::{BusConfig, Config, RECIPE_COUNT, Recipe};
 use wsg_protocol::fieldbus::SilenceReaction;
 
 /// A holding register that holds a setting.
@@ -40,7 +40,7 @@ enum Place {
 
 const RECIPE_LEN: usize = 4;
 
-const fn setting(
+pub(super) const fn setting(
     name: &'static str,
     unit: &'static str,
     (least, most): (u16, u16),
@@ -109,18 +109,21 @@ pub const SETTINGS: [Setting; Place::Recipes as usize + RECIPE_COUNT * RECIPE_LE
 };
 
 /// The ranges alone, so that the words of the table stay out of the image.
-const RANGES: [(u16, u16); SETTINGS.len()] = {
-    let mut ranges = [(0, 0); SETTINGS.len()];
+const RANGES: [(u16, u16); SETTINGS.len()] = ranges(&SETTINGS);
+
+/// The ranges of a table of settings.
+pub(super) const fn ranges<const N: usize>(table: &[Setting; N]) -> [(u16, u16); N] {
+    let mut ranges = [(0, 0); N];
     let mut at = 0;
-    while at < SETTINGS.len() {
+    while at < N {
         #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
         {
-            ranges[at] = (SETTINGS[at].least, SETTINGS[at].most);
+            ranges[at] = (table[at].least, table[at].most);
         }
         at += 1;
     }
     ranges
-};
+}
 
 /// The values of [`SETTINGS`]: always inside their ranges.
 #[derive(Clone, Debug, Hash)]
@@ -130,13 +133,12 @@ pub(crate) struct Settings {
 
 impl Settings {
     /// Where BUS_TIMEOUT stands, counted from [`FIRST_SETTING`].
-    #[cfg(feature = "can")]
     pub(crate) const TIMEOUT: u16 = Place::Timeout as u16;
 
     /// What the configuration says, each value brought into its range.
     pub(crate) const fn new(config: &Config) -> Self {
         let bus = &config.bus;
-        let [r0, r1, r2, r3] = config.recipes;
+        let [r0, r1, r2, r3] = &config.recipes;
         // In the order of `Place` and of the table.
         let mut values = [
             bus.unit as u16,
@@ -178,6 +180,19 @@ impl Settings {
         Self { values }
     }
 
+    /// These values, if each is in its range; else the place of the first that is not.
+    pub(super) fn from_values(values: [u16; SETTINGS.len()]) -> Result<Self, usize> {
+        match values.iter().zip(RANGES).position(|(value, (least, most))| !(least..=most).contains(value)) {
+            None => Ok(Self { values }),
+            Some(at) => Err(at),
+        }
+    }
+
+    /// All values, in the order of [`SETTINGS`].
+    pub(super) const fn values(&self) -> &[u16; SETTINGS.len()] {
+        &self.values
+    }
+
     /// The register at this address, counted from [`FIRST_SETTING`].
     pub(crate) fn register(&self, index: u16) -> Result<u16, RegisterError> {
         self.values.get(usize::from(index)).copied().ok_or(RegisterError::Missing)
@@ -211,6 +226,31 @@ impl Settings {
     const fn value(&self, place: Place) -> u16 {
         #[expect(clippy::indexing_slicing, reason = "every place is in the table")]
         self.values[place as usize]
+    }
+
+    /// The configuration that has these settings, and everything else from `rest`.
+    pub(super) fn config(&self, rest: Config) -> Config {
+        let bus = BusConfig {
+            unit: self.unit(),
+            timeout_ms: self.value(Place::Timeout),
+            reaction: self.reaction(),
+            patience_ms: self.patience_ms(),
+            broadcast: self.broadcast(),
+            swap_bytes: self.swap_bytes(),
+            ..rest.bus
+        };
+        let mut recipes = rest.recipes;
+        for (number, recipe) in recipes.iter_mut().enumerate() {
+            *recipe = self.recipe(number).unwrap_or(*recipe);
+        }
+        Config {
+            debounce_ms: self.debounce_ms(),
+            min_busy_ms: self.min_busy_ms(),
+            half_frame_ms: self.half_frame_ms(),
+            recipes,
+            bus,
+            ..rest
+        }
     }
 
     pub(crate) const fn swap_bytes(&self) -> bool {

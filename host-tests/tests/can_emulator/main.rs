@@ -1,5 +1,5 @@
-//! Images with CAN, over SLCAN in the emulator: the gripper on the bus, the PLC on the bus, and both; and a CANopen master
-//! that nobody here wrote.
+//! The image with CAN over SLCAN in the emulator, under three settings: the gripper on the bus, the PLC on the bus, and both;
+//! and a CANopen master that nobody here wrote.
 #![cfg(unix)]
 
 use std::path::PathBuf;
@@ -18,7 +18,7 @@ use wsg_sim::{Config, Part};
 
 const READY: Outputs = Outputs::READY.union(Outputs::LINK_OK);
 
-/// The image with these features beside the board's and `can-over-slcan`.
+/// The image that this variable names: with `can-over-slcan`, and settings that say who is on CAN.
 fn image(variable: &str) -> PathBuf {
     std::env::var_os(variable)
         .unwrap_or_else(|| panic!("{variable} names no firmware image: run `cargo xtask test`"))

@@ -14,9 +14,9 @@ const PART: &str = "figures";
 const TOLERANCE: u64 = 10;
 
 /// The rows that the image decides, and how the limit stands in xtask/src/size.rs.
-const FLASH: (&str, &str, &str) = ("firmware image, flash", "32 KiB", "FLASH_LIMIT: u64 = 32 * 1024");
+const FLASH: (&str, &str, &str) = ("firmware image, flash", "64 KiB", "FLASH_LIMIT: u64 = 64 * 1024");
 const STATIC_RAM: (&str, &str, &str) =
-    ("firmware image, static RAM", "6 KiB", "STATIC_RAM_LIMIT: u64 = 6 * 1024");
+    ("firmware image, static RAM", "12 KiB", "STATIC_RAM_LIMIT: u64 = 12 * 1024");
 
 /// Flash and static RAM of an image, in bytes, as `cargo xtask size` counts them.
 fn measure(image: &[u8]) -> (u64, u64) {

@@ -23,7 +23,7 @@ use crate::{
 
 pub(crate) use painted::of_image as painted;
 
-const LIMIT: u64 = 2 * 1024;
+const LIMIT: u64 = 3 * 1024;
 
 /// What an exception puts on the stack by itself: 8 registers, 18 of the floating point unit, and a word to align.
 const EXCEPTION_FRAME: u64 = 4 * (8 + 18 + 1);

@@ -16,20 +16,6 @@ use wsg_bridge_fw::{BusConfig, BusPort, Format};
 
 use crate::tick;
 
-const BUS: BusConfig = crate::CONFIG.bus;
-
-const _: () = assert!(
-    BusClock::for_rate(BUS.baud).is_some(),
-    "the bus of this board takes 1200 to 230400 bit/s (WSG_BUS_RATE)"
-);
-const CLOCK: (BusClock, u32) = match BusClock::for_rate(BUS.baud) {
-    Some(clock) => clock,
-    None => (BusClock::Hsi16, 0),
-};
-
-/// The time of a character, rounded up.
-const CHARACTER_US: u32 = (BUS.format.bits() * 1_000_000).div_ceil(BUS.baud);
-
 /// Steps in which silence is handed on, in microseconds; 15 bits hold 262 ms of it.
 const STEP_US: u32 = 8;
 const MAX_STEPS: u32 = 0x7FFF;
@@ -45,6 +31,8 @@ const _: () = assert!(TO_SEND_MAX >= MAX_FRAME_LEN);
 
 static RECEIVED: ByteQueue<RECEIVED_MAX> = ByteQueue::new();
 static TO_SEND: ByteQueue<TO_SEND_MAX> = ByteQueue::new();
+/// The time of a character, rounded up, in microseconds. Set by [`start`].
+static CHARACTER_US: AtomicU32 = AtomicU32::new(0);
 /// When the last character ended, in microseconds.
 static RECEIVED_AT: AtomicU32 = AtomicU32::new(0);
 /// A frame is being sent. Set by [`Bus::send`] while it is not, cleared by the handler.
@@ -55,12 +43,22 @@ static ECHOED: AtomicU32 = AtomicU32::new(0);
 /// The next character follows one that was lost. The handler's own.
 static LOST: AtomicBool = AtomicBool::new(false);
 
-/// The bridge's end of the bus. There is one value of it, made by [`start`].
+/// The bridge's end of the bus. There is one value of it; nothing comes and goes before [`start`].
 pub(crate) struct Bus(());
 
-/// Starts the bus. The clock runs, the pins are set up.
-pub(crate) fn start() -> Bus {
-    match CLOCK.0 {
+impl Bus {
+    pub(crate) const fn new() -> Self {
+        Self(())
+    }
+}
+
+/// Starts the bus. The clock runs, the pins are set up. At a rate that this board cannot do (settings hold none) it stays
+/// silent.
+pub(crate) fn start(config: &BusConfig) {
+    let Some((clock, divider)) = BusClock::for_rate(config.baud) else { return };
+    let character_us = (config.format.bits() * 1_000_000).div_ceil(config.baud.max(1));
+    CHARACTER_US.store(character_us, Ordering::Relaxed);
+    match clock {
         // It runs for the PLL anyway. (The 80 MHz of the bus clock are too fast below 19 532 bit/s.)
         BusClock::Hsi16 => RCC.ccipr().modify(|w| w.set_lpuart1sel(Lpuart1sel::HSI)),
         BusClock::Lse => {
@@ -71,12 +69,12 @@ pub(crate) fn start() -> Bus {
     RCC.apb1enr2().modify(|w| w.set_lpuart1en(true));
     let _ = RCC.apb1enr2().read();
 
-    LPUART1.brr().write(|w| w.0 = CLOCK.1);
+    LPUART1.brr().write(|w| w.0 = divider);
     LPUART1.cr2().write(|w| {
-        w.set_stop(if matches!(BUS.format, Format::None2) { Stop::STOP2 } else { Stop::STOP1 });
+        w.set_stop(if matches!(config.format, Format::None2) { Stop::STOP2 } else { Stop::STOP1 });
     });
     LPUART1.cr3().write(|w| w.set_dem(true));
-    let with_parity = matches!(BUS.format, Format::Even1);
+    let with_parity = matches!(config.format, Format::Even1);
     LPUART1.cr1().write(|w| {
         // The parity bit is the ninth.
         w.set_m0(if with_parity { M0::BIT9 } else { M0::BIT8 });
@@ -93,7 +91,6 @@ pub(crate) fn start() -> Bus {
     // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
     // atomics with the rest.
     unsafe { NVIC::unmask(Interrupt::LPUART1) };
-    Bus(())
 }
 
 /// Switches the crystal of 32.768 kHz on. It takes up to 2 s to swing; until then the bus is deaf, and nobody waits.
@@ -177,7 +174,8 @@ fn take(byte: u8, damaged: bool) {
         LOST.store(true, Ordering::Relaxed);
         return;
     }
-    let steps = (distance_us.saturating_sub(CHARACTER_US) / STEP_US).min(MAX_STEPS) as u16;
+    let steps =
+        (distance_us.saturating_sub(CHARACTER_US.load(Ordering::Relaxed)) / STEP_US).min(MAX_STEPS) as u16;
     let void = damaged || LOST.load(Ordering::Relaxed);
     LOST.store(false, Ordering::Relaxed);
     let [high, low] = if void { steps | DAMAGED } else { steps }.to_be_bytes();

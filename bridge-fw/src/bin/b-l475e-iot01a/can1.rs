@@ -12,9 +12,6 @@ use wsg_bridge_fw::can::{CanConfig, CanController, Health};
 
 use crate::clock::HCLK_HZ;
 
-const CONFIG: CanConfig = CanConfig::BUILT;
-const BIT_RATE: u32 = 1_000 * CONFIG.kbit_rate;
-
 /// Quanta of a bit: one to synchronise, 13 before and 2 behind the sample point, which so is at 87.5 %.
 const BEFORE_SAMPLE: u32 = 13;
 const BEHIND_SAMPLE: u32 = 2;
@@ -22,15 +19,17 @@ const QUANTA: u32 = 1 + BEFORE_SAMPLE + BEHIND_SAMPLE;
 const _: () = assert!((1 + BEFORE_SAMPLE) * 1_000 / QUANTA == 875);
 /// By how many quanta a bit may be made longer or shorter to stay in step.
 const JUMP: u32 = 2;
-const PRESCALER: u32 = HCLK_HZ / (BIT_RATE * QUANTA);
-const _: () = assert!(PRESCALER * BIT_RATE * QUANTA == HCLK_HZ, "the clock does not divide to this rate");
-const _: () = assert!(
-    matches!(CONFIG.kbit_rate, 125 | 250 | 500 | 1_000),
-    "CAN on this board takes 125, 250, 500 or 1000 kbit/s (WSG_CAN_RATE)"
-);
+
+/// What the clock is divided by for a rate of a thousand quanta a second; a bus of N kbit/s takes an N-th.
+const PRESCALER_AT_1_KBIT: u32 = HCLK_HZ / 1_000 / QUANTA;
+const _: () = assert!(PRESCALER_AT_1_KBIT * 1_000 * QUANTA == HCLK_HZ);
+const _: () = assert!(PRESCALER_AT_1_KBIT.is_multiple_of(1_000), "the clock divides to all four rates");
+
 /// BTR: each field holds one less than it means.
-const BIT_TIMING: u32 =
-    (JUMP - 1) << 24 | (BEHIND_SAMPLE - 1) << 20 | (BEFORE_SAMPLE - 1) << 16 | (PRESCALER - 1);
+fn bit_timing(config: &CanConfig) -> u32 {
+    let prescaler = PRESCALER_AT_1_KBIT / u32::from(config.kbit_rate).max(1);
+    (JUMP - 1) << 24 | (BEHIND_SAMPLE - 1) << 20 | (BEFORE_SAMPLE - 1) << 16 | prescaler.saturating_sub(1)
+}
 
 /// How often the peripheral's answer to a change of its mode is looked at. It takes a few cycles of the bus clock.
 const MAX_LOOKS: u32 = 10_000;
@@ -59,11 +58,11 @@ pub(crate) const fn new() -> Controller {
 }
 
 /// Starts the controller: only what the bridge may want passes its filters.
-pub(crate) fn start(controller: &mut Controller) {
+pub(crate) fn start(controller: &mut Controller, config: &CanConfig) {
     RCC.apb1enr1().modify(|w| w.set_can1en(true));
     let _ = RCC.apb1enr1().read();
     let mut can = bxcan::Can::builder(Registers(()))
-        .set_bit_timing(BIT_TIMING)
+        .set_bit_timing(bit_timing(config))
         .set_automatic_retransmit(true)
         .leave_disabled();
     {
@@ -74,10 +73,10 @@ pub(crate) fn start(controller: &mut Controller) {
             Some(Mask32::frames_with_std_id(StandardId::new(id)?, StandardId::new(mask)?))
         };
         let wanted = [
-            exact(CONFIG.gripper.controller().receive.as_raw()),
+            exact(config.gripper.controller().receive.as_raw()),
             // NMT; what is for this node; heartbeats.
             exact(0),
-            masked(CONFIG.node.node.into(), 0x07F),
+            masked(config.node.node.into(), 0x07F),
             masked(0x700, 0x780),
         ];
         for (bank, filter) in wanted.into_iter().enumerate() {

@@ -9,21 +9,18 @@ use defmt_rtt as _;
 use defmt_semihosting as _;
 
 #[cfg(feature = "defmt")]
-pub(crate) use defmt_log::{boot, line_errors, no_clock, running};
+pub(crate) use defmt_log::{boot, line_errors, no_clock, running, wrong_settings};
 
 #[cfg(not(feature = "defmt"))]
-pub(crate) use no_log::{boot, line_errors, no_clock, running};
+pub(crate) use no_log::{boot, line_errors, no_clock, running, wrong_settings};
 
 #[cfg(feature = "defmt")]
 mod defmt_log {
-    #[cfg(not(feature = "can-gripper"))]
     use core::sync::atomic::{AtomicU32, Ordering};
 
     use wsg_bridge_fw::ResetCause;
 
-    #[cfg(not(feature = "can-gripper"))]
-    use crate::uart;
-    use crate::{clock, tick};
+    use crate::{clock, tick, uart};
 
     defmt::timestamp!("{=u32:ms}", tick::now_ms());
 
@@ -44,16 +41,15 @@ mod defmt_log {
         defmt::error!("clock: PLL does not start, waiting for the watchdog");
     }
 
-    pub(crate) fn running() {
-        defmt::info!("clock: {=u32} Hz, watchdog and gripper line started", clock::HCLK_HZ);
+    pub(crate) fn wrong_settings() {
+        defmt::error!("settings: those of this image go beyond their ranges, waiting for the watchdog");
     }
 
-    /// There is no line.
-    #[cfg(feature = "can-gripper")]
-    pub(crate) fn line_errors() {}
+    pub(crate) fn running() {
+        defmt::info!("clock: {=u32} Hz, watchdog and lines started", clock::HCLK_HZ);
+    }
 
     /// Says so when bytes from the gripper have been lost since the last call.
-    #[cfg(not(feature = "can-gripper"))]
     pub(crate) fn line_errors() {
         static SAID: [AtomicU32; 3] = [const { AtomicU32::new(0) }; 3];
         let lost = [&uart::LOST.overrun, &uart::LOST.framing, &uart::LOST.queue_full]
@@ -80,6 +76,7 @@ mod no_log {
 
     pub(crate) fn boot(_: ResetCause) {}
     pub(crate) fn no_clock() {}
+    pub(crate) fn wrong_settings() {}
     pub(crate) fn running() {}
     pub(crate) fn line_errors() {}
 }

@@ -13,101 +13,93 @@
     clippy::panic
 )]
 
-#[cfg(not(feature = "can-plc"))]
 mod bus;
-#[cfg(any(feature = "can-gripper", feature = "can-plc"))]
-mod can;
-#[cfg(all(not(feature = "can-over-slcan"), any(feature = "can-gripper", feature = "can-plc")))]
+#[cfg(not(feature = "can-over-slcan"))]
 mod can1;
 mod clock;
 mod log;
-#[cfg(any(not(feature = "can-gripper"), feature = "can-over-slcan"))]
 mod not_ready;
 mod pins;
 mod reset;
-#[cfg(all(feature = "can-over-slcan", any(feature = "can-gripper", feature = "can-plc")))]
+mod settings;
+#[cfg(feature = "can-over-slcan")]
 mod slcan_uart;
 mod tick;
-#[cfg(not(feature = "can-gripper"))]
 mod uart;
 mod watchdog;
 
 use core::panic::PanicInfo;
 
+#[cfg(not(feature = "can-over-slcan"))]
+use can1 as can;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
+#[cfg(feature = "can-over-slcan")]
+use slcan_uart as can;
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::{InputPort, OutputPort};
-#[cfg(not(feature = "can-plc"))]
-use wsg_bridge_fw::plc::Modbus;
-use wsg_bridge_fw::{Bridge, BusConfig, Config};
-
-/// What this image is built with.
-const CONFIG: Config = Config { bus: BusConfig::BUILT, ..Config::DEFAULT };
+use wsg_bridge_fw::{Config, GripperLine, PlcBus, Station};
 
 #[entry]
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
-    static mut BRIDGE: Bridge = Bridge::new(CONFIG);
-    #[cfg(not(feature = "can-plc"))]
-    static mut MODBUS: Modbus = Modbus::new(&CONFIG);
-    #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
-    static mut CAN: can::Can = can::Can::new();
+    static mut STATION: Station<can::Controller> =
+        Station::new(CanBus::new(can::new(), BusOffPolicy::DEFAULT));
 
     // Outputs first: they show "not ready" through everything that may go wrong below.
     let mut pins = pins::init();
     let Some(core) = cortex_m::Peripherals::take() else { SCB::sys_reset() };
     let reset_cause = reset::take_cause();
-    BRIDGE.set_reset_cause(reset_cause);
     log::boot(reset_cause);
     let watchdog = watchdog::start();
     if clock::start().is_err() {
         log::no_clock();
-        // No PLL, no baud rate to talk to the gripper with: outputs stay low, and the watchdog, not
-        // fed from here, starts over.
-        loop {
-            cortex_m::asm::nop();
-        }
+        // No PLL, no baud rate to talk to the gripper with.
+        stay_not_ready();
     }
+    let Ok(config) = Config::from_record(&settings::read()) else {
+        log::wrong_settings();
+        // With other recipes than were asked for, no gripper should be moved.
+        stay_not_ready();
+    };
+    STATION.start(&config, reset_cause);
     tick::start(core.SYST);
-    #[cfg(not(feature = "can-gripper"))]
-    let mut gripper_line = uart::start();
-    #[cfg(not(feature = "can-plc"))]
-    let mut plc_bus = bus::start();
-    #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
-    CAN.start();
+    let mut gripper_line = uart::GripperLine::new();
+    if config.gripper_line == GripperLine::Serial {
+        uart::start();
+    }
+    let mut modbus_line = bus::Bus::new();
+    if config.plc_bus == PlcBus::Modbus {
+        bus::start(&config.bus);
+    }
+    if STATION.uses_can() {
+        can::start(STATION.can().controller(), &config.can);
+    }
     log::running();
 
     loop {
         let now_ms = tick::now_ms();
-        let inputs = pins.read();
-        #[cfg(not(any(feature = "can-gripper", feature = "can-plc")))]
-        let outputs = BRIDGE.poll(now_ms, inputs, &mut gripper_line, &mut MODBUS.over(&mut plc_bus));
-        #[cfg(all(feature = "can-gripper", not(feature = "can-plc")))]
-        let outputs = CAN.turn(BRIDGE, now_ms, inputs, &mut MODBUS.over(&mut plc_bus));
-        #[cfg(all(feature = "can-plc", not(feature = "can-gripper")))]
-        let outputs = CAN.turn(BRIDGE, now_ms, inputs, &mut gripper_line);
-        #[cfg(all(feature = "can-gripper", feature = "can-plc"))]
-        let outputs = CAN.turn(BRIDGE, now_ms, inputs);
+        let outputs = STATION.turn(now_ms, pins.read(), &mut gripper_line, &mut modbus_line);
         pins.write(outputs);
-        if BRIDGE.may_feed_watchdog(now_ms) {
+        if STATION.uses_can() {
+            can::rearm(STATION.can().controller());
+        }
+        if STATION.bridge().may_feed_watchdog(now_ms) {
             watchdog.feed();
         }
         log::line_errors();
-        sleep_unless(|| tick::now_ms() != now_ms || has_received());
+        let uses_can = STATION.uses_can();
+        sleep_unless(|| {
+            tick::now_ms() != now_ms || uart::has_received() || (uses_can && can::has_received())
+        });
     }
 }
 
-/// Whether something waits to be read.
-fn has_received() -> bool {
-    #[cfg(not(feature = "can-gripper"))]
-    if uart::has_received() {
-        return true;
+/// Outputs stay low, and the watchdog, not fed from here, starts over.
+fn stay_not_ready() -> ! {
+    loop {
+        cortex_m::asm::nop();
     }
-    #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
-    if can::has_received() {
-        return true;
-    }
-    false
 }
 
 /// Sleeps until the next interrupt, unless `there_is_work`.

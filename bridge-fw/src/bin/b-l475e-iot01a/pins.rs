@@ -17,9 +17,7 @@ const LPUART1_DE: u8 = 1;
 const AF_LPUART1: u32 = 8;
 
 /// Pins of CAN1 on port B: receiver, transmitter, and their function there.
-#[cfg(any(feature = "can-gripper", feature = "can-plc"))]
 const CAN1_PINS: [u8; 2] = [8, 9];
-#[cfg(any(feature = "can-gripper", feature = "can-plc"))]
 const AF_CAN1: u32 = 9;
 
 /// Values of a pin's field in MODER and PUPDR.
@@ -60,7 +58,6 @@ pub(crate) fn init() -> Pins {
     hand_over(Port::C, LPUART1_RX, AF_LPUART1, PULL_UP);
     // Low, which is no driver, also while nobody drives it.
     hand_over(Port::B, LPUART1_DE, AF_LPUART1, PULL_DOWN);
-    #[cfg(any(feature = "can-gripper", feature = "can-plc"))]
     for pin in CAN1_PINS {
         // Recessive is high.
         hand_over(Port::B, pin, AF_CAN1, PULL_UP);

@@ -6,7 +6,7 @@ use cortex_m::peripheral::NVIC;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use stm32_metapac::{Interrupt, RCC, UART5, interrupt};
 use wsg_bridge_fw::byte_queue::ByteQueue;
-use wsg_bridge_fw::can::SlcanPort;
+use wsg_bridge_fw::can::{CanConfig, SlcanPort};
 
 use crate::clock::HCLK_HZ;
 use crate::not_ready::{NotReady, moved};
@@ -31,8 +31,8 @@ pub(crate) const fn new() -> Controller {
     SlcanPort::new(Line(()))
 }
 
-/// Starts the line.
-pub(crate) fn start(_: &mut Controller) {
+/// Starts the line. The rate of a bus means nothing to it.
+pub(crate) fn start(_: &mut Controller, _: &CanConfig) {
     RCC.apb1enr1().modify(|w| w.set_uart5en(true));
     let _ = RCC.apb1enr1().read();
     UART5.brr().write(|w| w.0 = DIVIDER);

@@ -2,10 +2,8 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-#[cfg(not(feature = "can-plc"))]
-use cortex_m::peripheral::SCB;
-use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m::peripheral::{SCB, SYST};
 use cortex_m_rt::exception;
 
 use crate::clock::HCLK_HZ;
@@ -30,7 +28,6 @@ pub(crate) fn now_ms() -> u32 {
 }
 
 /// Microseconds since [`start`]; starts again from 0 after 71 minutes. Also for interrupt handlers.
-#[cfg(not(feature = "can-plc"))]
 pub(crate) fn now_us() -> u32 {
     cortex_m::interrupt::free(|_| {
         let left = SYST::get_current();

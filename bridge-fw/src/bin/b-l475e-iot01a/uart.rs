@@ -44,7 +44,7 @@ pub(crate) struct Lost {
     pub(crate) queue_full: AtomicU32,
 }
 
-/// The bridge's end of the line to the gripper. There is one value of it, made by [`start`].
+/// The bridge's end of the line to the gripper. There is one value of it; nothing comes and goes before [`start`].
 ///
 /// Nothing here waits. [`Read::read`], [`Write::write`] and [`Write::flush`] do what can be done at
 /// once, and are [`NotReady`] where they would have to wait; after [`ReadReady::read_ready`] or
@@ -52,8 +52,14 @@ pub(crate) struct Lost {
 /// in [`LOST`] and left to the frames' checksums; reception goes on.
 pub(crate) struct GripperLine(());
 
+impl GripperLine {
+    pub(crate) const fn new() -> Self {
+        Self(())
+    }
+}
+
 /// Starts the line. The clock runs at [`HCLK_HZ`], the pins are set up.
-pub(crate) fn start() -> GripperLine {
+pub(crate) fn start() {
     RCC.apb1enr1().modify(|w| w.set_uart4en(true));
     let _ = RCC.apb1enr1().read();
 
@@ -68,7 +74,6 @@ pub(crate) fn start() -> GripperLine {
     // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
     // atomics with the rest.
     unsafe { NVIC::unmask(Interrupt::UART4) };
-    GripperLine(())
 }
 
 /// Whether a byte waits to be read.

@@ -5,8 +5,8 @@ use core::iter;
 
 use bus_canopen::{DataType, Eds, EdsEntry, EdsFacts, Source};
 
-use super::NodeConfig;
 use super::objects::{COUNT, Key, OBJECTS, Object, REPORTS_INDEX, SETTINGS_INDEX, report, setting};
+use crate::config::NodeConfig;
 use crate::registers::{REPORTS, SETTINGS};
 
 const FACTS: EdsFacts<'_> = EdsFacts {

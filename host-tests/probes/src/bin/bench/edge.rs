@@ -83,8 +83,13 @@ const EDGES: [(&str, Inputs, CommandId); 6] = [
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
     let mut pins = pins::init();
-    let mut line =
-        Line { board: uart::start(), sent: Vec::new(), answers: Deque::new(), first_byte: Cell::new(None) };
+    uart::start();
+    let mut line = Line {
+        board: GripperLine::new(),
+        sent: Vec::new(),
+        answers: Deque::new(),
+        first_byte: Cell::new(None),
+    };
     for (name, wire, command) in EDGES {
         hprintln!("{} {} 1", name, count_one(counter, &mut pins, &mut line, wire, command));
     }

@@ -20,7 +20,7 @@ pub(crate) fn every_function() {
     function!(Messages::handle_timeout, fn(&mut Messages, Instant, Deliver));
     functions! {
         Messages: new, poll_timeout, counters, reset;
-        Identifiers: from_base, controller, gripper;
+        Identifiers: from_base, base, controller, gripper;
         Segment: data;
         Segmenter: new, default, push, reset, is_mid_message;
         Segments<FrameEncoder<Command<'_>>>: new, next;

@@ -1,0 +1,72 @@
+use std::string::ToString;
+use std::vec::Vec;
+
+use proptest::prelude::*;
+
+use super::*;
+
+const DEFAULT: Record = Config::DEFAULT.record();
+
+fn with(name: &str, value: u16) -> Record {
+    let mut record = DEFAULT;
+    record[record_settings().position(|setting| setting.name == name).unwrap()] = value;
+    record
+}
+
+#[test]
+fn the_default_configuration_survives_its_record() {
+    let config = Config::from_record(&DEFAULT).unwrap();
+    assert_eq!(config.record(), DEFAULT);
+    assert_eq!((config.plc_bus, config.gripper_line), (PlcBus::Modbus, GripperLine::Serial));
+    assert_eq!(config.bus, Config::DEFAULT.bus);
+    assert_eq!(config.can, CanConfig::DEFAULT);
+    assert_eq!(config.recipes, Config::DEFAULT.recipes);
+}
+
+proptest! {
+    /// Every record is refused, or is that of the configuration it makes: nothing in it is passed over.
+    #[test]
+    fn what_is_taken_is_taken_whole(record in record_settings()
+        .map(|setting| prop_oneof![4 => setting.least..=setting.most, 1 => Just(setting.most)])
+        .collect::<Vec<_>>())
+    {
+        let record: Record = record.try_into().unwrap();
+        if let Ok(config) = Config::from_record(&record) {
+            prop_assert_eq!(config.record(), record);
+        }
+    }
+}
+
+#[test]
+fn each_setting_is_held_to_its_range() {
+    for (at, setting) in record_settings().enumerate() {
+        for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
+            let mut record = DEFAULT;
+            record[at] = value;
+            assert_eq!(Config::from_record(&record).err(), Some(WrongSetting { at }), "{}", setting.name);
+        }
+    }
+}
+
+#[test]
+fn can_has_four_rates() {
+    for rate in [125, 250, 500, 1_000] {
+        assert_eq!(Config::from_record(&with("CAN_RATE", rate)).unwrap().can.kbit_rate, rate);
+    }
+    let error = Config::from_record(&with("CAN_RATE", 300)).unwrap_err();
+    assert_eq!(error.to_string(), "CAN_RATE takes 125 to 1000: the rate of CAN: 125, 250, 500 or 1000");
+}
+
+#[test]
+fn the_gripper_gets_none_of_the_identifiers_of_canopen() {
+    // 101h is free, and so is the next; 100h is a time stamp's, and 17Fh + 1 is TPDO1's of node 0, which there is not.
+    for (id, is_free) in [(0x101, true), (0x100, false), (0x180, false), (0x120, true), (0, false)] {
+        assert_eq!(Config::from_record(&with("CAN_ID", id)).is_ok(), is_free, "{id:#x}");
+    }
+}
+
+#[test]
+fn bridge_and_master_are_two_nodes() {
+    assert!(Config::from_record(&with("CAN_NODE", 0x7F)).is_err());
+    assert_eq!(Config::from_record(&with("CAN_NODE", 5)).unwrap().can.node.node, 5);
+}

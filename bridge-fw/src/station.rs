@@ -1,0 +1,149 @@
+//! A bridge with everything that a board can connect it to, of which its configuration chooses.
+
+use embedded_io::{Read, ReadReady, Write, WriteReady};
+use wsg_protocol::Instant;
+
+use crate::bridge::Bridge;
+use crate::can::{BusReport, CanBus, CanController, GripperLink, LinkCounters, Nobody, Node, Participant};
+use crate::config::{Config, GripperLine, PlcBus};
+use crate::io::{Inputs, Outputs};
+use crate::plc::{BusPort, Modbus};
+use crate::registers::ResetCause;
+
+/// What runs on a board: the bridge, and whoever is on its lines.
+///
+/// The gripper is on RS-232 or on CAN. The PLC is on the wires in any case, and on Modbus RTU or on CAN (CANopen) beside
+/// them. A board gives the lines and calls [`turn`](Self::turn) at least once a millisecond.
+pub struct Station<C: CanController> {
+    gripper_line: GripperLine,
+    plc_bus: PlcBus,
+    bridge: Bridge,
+    modbus: Modbus,
+    can: CanBus<C>,
+    link: GripperLink,
+    node: Node,
+}
+
+impl<C: CanController> Station<C> {
+    /// A station as [`Config::DEFAULT`] says. `can` is used only where somebody is on CAN.
+    pub const fn new(can: CanBus<C>) -> Self {
+        let config = Config::DEFAULT;
+        Self {
+            gripper_line: config.gripper_line,
+            plc_bus: config.plc_bus,
+            bridge: Bridge::new(config),
+            modbus: Modbus::new(&config),
+            can,
+            link: GripperLink::new(config.can.gripper),
+            node: Node::new(config.can.node),
+        }
+    }
+
+    /// Takes the configuration, and why the MCU was reset. Before the first turn alone.
+    // Apart: what is built anew here would be on the stack through every turn of the main loop.
+    #[inline(never)]
+    pub fn start(&mut self, config: &Config, reset_cause: ResetCause) {
+        self.gripper_line = config.gripper_line;
+        self.plc_bus = config.plc_bus;
+        self.bridge.configure(config);
+        self.bridge.set_reset_cause(reset_cause);
+        self.modbus = Modbus::new(config);
+        self.link = GripperLink::new(config.can.gripper);
+        self.node = Node::new(config.can.node);
+    }
+
+    /// One turn of the main loop: takes what the lines and wires brought, sends what is due, and returns the levels of the
+    /// wires to the PLC. Never waits.
+    pub fn turn<L: Read + ReadReady + Write + WriteReady, B: BusPort>(
+        &mut self,
+        now_ms: u32,
+        inputs: Inputs,
+        serial: &mut L,
+        modbus: &mut B,
+    ) -> Outputs {
+        let now = Instant::from_millis(now_ms);
+        let Self { bridge, can, link, node, .. } = self;
+        match (self.gripper_line, self.plc_bus) {
+            (GripperLine::Serial, PlcBus::Off | PlcBus::Modbus) => {
+                bridge.poll(now_ms, inputs, serial, &mut self.modbus.over(modbus))
+            }
+            (GripperLine::Serial, PlcBus::Canopen) => {
+                can.listen(now, &mut Nobody, node);
+                let report = can.report(LinkCounters::default());
+                bridge.set_can_reports(report.registers());
+                node.set_report(report);
+                let outputs = bridge.poll(now_ms, inputs, serial, node);
+                can.talk(now, &mut Nobody, node);
+                outputs
+            }
+            (GripperLine::Can, PlcBus::Off | PlcBus::Modbus) => {
+                listen(now, bridge, can, link, &mut Nobody);
+                let outputs = bridge.poll(now_ms, inputs, link, &mut self.modbus.over(modbus));
+                talk(now, bridge, can, link, &mut Nobody);
+                outputs
+            }
+            (GripperLine::Can, PlcBus::Canopen) => {
+                let report = listen(now, bridge, can, link, node);
+                node.set_report(report);
+                let outputs = bridge.poll(now_ms, inputs, link, node);
+                talk(now, bridge, can, link, node);
+                outputs
+            }
+        }
+    }
+
+    /// Whether somebody is on CAN.
+    pub const fn uses_can(&self) -> bool {
+        matches!(self.gripper_line, GripperLine::Can) || matches!(self.plc_bus, PlcBus::Canopen)
+    }
+
+    /// The bridge.
+    pub const fn bridge(&mut self) -> &mut Bridge {
+        &mut self.bridge
+    }
+
+    /// The CAN bus.
+    pub const fn can(&mut self) -> &mut CanBus<C> {
+        &mut self.can
+    }
+
+    /// The gripper's link on it.
+    pub const fn link(&self) -> &GripperLink {
+        &self.link
+    }
+
+    /// The bridge as a device on it.
+    pub const fn node(&self) -> &Node {
+        &self.node
+    }
+}
+
+/// What comes before the bridge's turn where the gripper is on the bus.
+fn listen<C: CanController>(
+    now: Instant,
+    bridge: &mut Bridge,
+    can: &mut CanBus<C>,
+    link: &mut GripperLink,
+    other: &mut impl Participant<C::Frame>,
+) -> BusReport {
+    can.listen(now, link, other);
+    link.expire(now);
+    // Before the bridge's turn: what a bus that is lost carried must not be gone on with.
+    bridge.set_link_lost(can.is_lost());
+    let report = can.report(link.counters());
+    bridge.set_can_reports(report.registers());
+    report
+}
+
+/// What comes behind it.
+fn talk<C: CanController>(
+    now: Instant,
+    bridge: &Bridge,
+    can: &mut CanBus<C>,
+    link: &mut GripperLink,
+    other: &mut impl Participant<C::Frame>,
+) {
+    // Before anything is said: what was said to a gripper that is lost must not leave.
+    link.set_connected(bridge.is_connected());
+    can.talk(now, link, other);
+}

@@ -1,0 +1,119 @@
+//! Settings of an image: `--set NAME=VALUE` changes them in the ELF file, so that nobody builds another image.
+
+use std::fmt;
+
+use anyhow::{Context, Result, anyhow, bail};
+use object::{Object, ObjectSection, ObjectSymbol, read::elf::ElfFile32};
+use wsg_bridge_fw::{
+    Config,
+    registers::{RECORD_LEN, record_settings},
+};
+
+/// The image's record of settings, as its board calls it.
+const SYMBOL: &str = "WSG_SETTINGS";
+
+/// A setting that differs from what the image is delivered with.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Change {
+    name: &'static str,
+    /// Its place in the record.
+    at: usize,
+    value: u16,
+}
+
+impl Change {
+    /// The setting of this name.
+    pub(crate) fn new(name: &str, value: u16) -> Result<Self> {
+        let found = record_settings().enumerate().find(|(_, setting)| setting.name == name);
+        let (at, setting) = found.with_context(|| {
+            let names: Vec<_> = record_settings().map(|setting| setting.name).collect();
+            format!("there is no setting {name}; there are {}", names.join(", "))
+        })?;
+        Ok(Self { name: setting.name, at, value })
+    }
+
+    /// `NAME=VALUE`; the value decimal, or hexadecimal behind `0x`.
+    pub(crate) fn parse(text: &str) -> Result<Self> {
+        let (name, value) = text.split_once('=').with_context(|| format!("{text} is not NAME=VALUE"))?;
+        let parsed = match value.strip_prefix("0x") {
+            Some(digits) => u16::from_str_radix(digits, 16),
+            None => value.parse(),
+        };
+        Self::new(name, parsed.map_err(|_| anyhow!("{name}={value}: a value is a number from 0 to 65535"))?)
+    }
+}
+
+impl fmt::Display for Change {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}={}", self.name, self.value)
+    }
+}
+
+/// Changes these settings in an image.
+pub(crate) fn apply(elf: &mut [u8], changes: &[Change]) -> Result<()> {
+    if changes.is_empty() {
+        return Ok(());
+    }
+    let offset = offset_of_record(elf)?;
+    let bytes = elf.get_mut(offset..offset + 2 * RECORD_LEN).context("the record of settings is cut")?;
+    let words = bytes.as_chunks_mut::<2>().0;
+    let mut record = [0; RECORD_LEN];
+    for (value, word) in record.iter_mut().zip(words.iter()) {
+        *value = u16::from_le_bytes(*word);
+    }
+    for change in changes {
+        record[change.at] = change.value;
+    }
+    if let Err(wrong) = Config::from_record(&record) {
+        bail!("{}: {wrong}", record[wrong.at]);
+    }
+    for (word, value) in words.iter_mut().zip(record) {
+        *word = value.to_le_bytes();
+    }
+    Ok(())
+}
+
+/// Where the record begins in the file.
+fn offset_of_record(elf: &[u8]) -> Result<usize> {
+    let file = ElfFile32::<object::Endianness>::parse(elf)?;
+    let symbol = file
+        .symbol_by_name(SYMBOL)
+        .with_context(|| format!("the image has no settings: there is no symbol {SYMBOL}"))?;
+    let len = 2 * RECORD_LEN as u64;
+    if symbol.size() != len {
+        bail!("the image has {} bytes of settings, and this tool knows {len}", symbol.size());
+    }
+    let section = file.section_by_index(symbol.section_index().context("the settings are in no section")?)?;
+    let (start, _) = section.file_range().context("the settings are not in the file")?;
+    Ok(usize::try_from(start + (symbol.address() - section.address()))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_decimal_or_hexadecimal() {
+        assert_eq!(Change::parse("CAN_ID=0x140").unwrap().value, 0x140);
+        assert_eq!(Change::parse("CAN_RATE=250").unwrap().to_string(), "CAN_RATE=250");
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_in_a_line() {
+        for (text, said) in [
+            ("CAN_RATE", "CAN_RATE is not NAME=VALUE"),
+            ("CAN_RATE=fast", "CAN_RATE=fast: a value is a number from 0 to 65535"),
+            ("CAN_RATE=70000", "CAN_RATE=70000: a value is a number from 0 to 65535"),
+        ] {
+            assert_eq!(Change::parse(text).unwrap_err().to_string(), said);
+        }
+        let unknown = Change::parse("BAUD=9600").unwrap_err().to_string();
+        assert!(unknown.starts_with("there is no setting BAUD; there are PLC_BUS, "), "{unknown}");
+    }
+
+    #[test]
+    fn an_image_without_settings_is_left_alone() {
+        assert!(apply(&mut [], &[]).is_ok());
+        assert!(apply(&mut [], &[Change::new("UNIT", 5).unwrap()]).is_err());
+    }
+}
