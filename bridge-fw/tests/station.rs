@@ -1,0 +1,161 @@
+//! A station uses the lines that its settings choose, and no other, with what its settings say.
+
+use std::collections::VecDeque;
+
+use bus_modbus::rtu::{Character, crc};
+use embedded_can::{Frame, Id};
+use host_tests::can_bench::Double;
+use host_tests::serial_gripper::{SerialGripper, SerialLine};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, NmtState};
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS, record_settings};
+use wsg_bridge_fw::{BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_protocol::CommandId;
+use wsg_protocol::can::Identifiers;
+use wsg_sim::Time;
+
+/// A line for Modbus RTU.
+#[derive(Default)]
+struct Port {
+    waiting: VecDeque<(Character, u32)>,
+    answers: Vec<Vec<u8>>,
+}
+
+impl BusPort for Port {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        self.waiting.pop_front()
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        100_000
+    }
+
+    fn send(&mut self, frame: &[u8]) {
+        self.answers.push(frame.to_vec());
+    }
+}
+
+struct Bench {
+    station: Station<Double>,
+    can: Double,
+    serial: SerialLine,
+    modbus: Port,
+    now_ms: u32,
+    /// Identifiers of the frames on CAN.
+    on_can: Vec<u16>,
+}
+
+impl Bench {
+    fn new(config: &Config) -> Self {
+        let can = Double::default();
+        let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT));
+        station.start(config, ResetCause::Pin);
+        let serial = SerialLine::with_room(1_000);
+        Self { station, can, serial, modbus: Port::default(), now_ms: 0, on_can: Vec::new() }
+    }
+
+    /// Lets time pass, with the wires as they are when nobody wants anything.
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            self.now_ms += 1;
+            self.station.turn(self.now_ms, Inputs::FAST_STOP_OK, &mut self.serial, &mut self.modbus);
+            while let Some(frame) = self.can.take_winner() {
+                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
+                self.on_can.push(id.as_raw());
+            }
+        }
+    }
+
+    /// Asks a unit for a register by Modbus RTU: FC 3 or 4.
+    fn register(&mut self, unit: u8, function: u8, address: u16) -> Option<u16> {
+        let [high, low] = address.to_be_bytes();
+        let mut request = vec![unit, function, high, low, 0, 1];
+        request.extend(crc(&request).to_le_bytes());
+        let mut silence_us = 100_000;
+        for byte in request {
+            self.modbus.waiting.push_back((Character::Byte(byte), std::mem::take(&mut silence_us)));
+        }
+        self.modbus.answers.clear();
+        self.pass(3);
+        match self.modbus.answers.pop()?[..] {
+            [_, _, 2, high, low, ..] => Some(u16::from_be_bytes([high, low])),
+            _ => None,
+        }
+    }
+}
+
+fn with(changes: &[(&str, u16)]) -> Config {
+    let mut record: Record = Config::DEFAULT.record();
+    for (name, value) in changes {
+        record[record_settings().position(|setting| setting.name == *name).unwrap()] = *value;
+    }
+    Config::from_record(&record).unwrap()
+}
+
+#[test]
+fn only_the_lines_that_the_settings_choose_are_used() {
+    let to_gripper = Identifiers::DEFAULT.controller().transmit.as_raw();
+    let boot_up = 0x700 | u16::from(DEFAULT_NODE.node);
+    for gripper_line in [GripperLine::Serial, GripperLine::Can] {
+        for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen] {
+            let mut bench = Bench::new(&Config { gripper_line, plc_bus, ..Config::DEFAULT });
+            bench.pass(50);
+            let is_on_can = gripper_line == GripperLine::Can;
+            let is_canopen = plc_bus == PlcBus::Canopen;
+            let what = format!("{gripper_line:?}, {plc_bus:?}");
+            assert_eq!(bench.serial.take_sent().is_empty(), is_on_can, "{what}");
+            assert_eq!(bench.on_can.contains(&to_gripper), is_on_can, "{what}");
+            assert_eq!(bench.on_can.contains(&boot_up), is_canopen, "{what}");
+            assert_eq!(bench.station.node().state() == NmtState::PreOperational, is_canopen, "{what}");
+            assert_eq!(bench.station.uses_can(), is_on_can || is_canopen, "{what}");
+            let is_answered = bench.register(1, 3, FIRST_SETTING).is_some();
+            assert_eq!(is_answered, !is_canopen, "{what}: a board starts no line that is off");
+        }
+    }
+}
+
+#[test]
+fn settings_of_the_record_count_from_the_start_on() {
+    let mut bench = Bench::new(&with(&[("UNIT", 5), ("MODBUS_RATE", 1_152), ("RECIPE2_WIDTH", 33_00)]));
+    bench.pass(10);
+    assert_eq!(bench.register(1, 3, FIRST_SETTING), None, "it is another's");
+    assert_eq!(bench.register(5, 3, FIRST_SETTING), Some(5));
+    let at = SETTINGS.iter().position(|setting| setting.name == "RECIPE2_WIDTH").unwrap();
+    assert_eq!(bench.register(5, 3, FIRST_SETTING + at as u16), Some(33_00));
+    let report = |name| FIRST_REPORT + REPORTS.iter().position(|it| it.name == name).unwrap() as u16;
+    assert_eq!(bench.register(5, 4, report("BUS_RATE")), Some(1_152));
+    assert_eq!(bench.register(5, 4, report("RESET_CAUSE")), Some(ResetCause::Pin as u16));
+}
+
+#[test]
+fn identifiers_and_nodes_of_the_record_are_those_on_the_bus() {
+    let changes = [("GRIPPER_LINE", 1), ("PLC_BUS", 2), ("CAN_ID", 0x140), ("CAN_NODE", 5)];
+    let mut bench = Bench::new(&with(&changes));
+    bench.pass(50);
+    bench.on_can.sort_unstable();
+    bench.on_can.dedup();
+    assert!(bench.on_can.starts_with(&[0x140]) && bench.on_can.contains(&0x705), "{:x?}", bench.on_can);
+}
+
+#[test]
+fn wires_are_debounced_as_the_record_says() {
+    for (debounce_ms, bounds) in [(2, 2..10), (200, 200..210)] {
+        let Bench { mut station, mut modbus, .. } = Bench::new(&with(&[("DEBOUNCE", debounce_ms)]));
+        let mut far = SerialGripper::new(wsg_sim::Config::default());
+        let mut sent = |now_ms: u32| {
+            // The FAST STOP of power-up is acknowledged from 1000 ms on; from 2000 ms on there is nothing but to stop.
+            let acknowledges = (1_000..1_500).contains(&now_ms) || now_ms >= 2_000;
+            let wires =
+                if acknowledges { Inputs::FAST_STOP_OK | Inputs::STOP_ACK } else { Inputs::FAST_STOP_OK };
+            station.turn(now_ms, wires, &mut far.line, &mut modbus);
+            far.advance(Time::from_millis(now_ms.into()));
+            far.take_sent()
+        };
+        (1..2_000).for_each(|now_ms| drop(sent(now_ms)));
+        let stopped = (2_000..2_500).find(|now_ms| sent(*now_ms).contains(&CommandId::Stop));
+        assert!(
+            stopped.is_some_and(|ms| bounds.contains(&(ms - 2_000))),
+            "after {debounce_ms} ms: {stopped:?}"
+        );
+    }
+}
