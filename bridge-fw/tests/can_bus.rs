@@ -129,30 +129,14 @@ fn talk(
 }
 
 #[test]
-fn the_frame_that_would_win_on_the_bus_goes_first_whoever_sends_it() {
-    for (winner, other) in [
-        (standard(0x100), standard(0x101)),
-        (standard(0x100), standard(0x700)),
-        // An extended identifier begins with eleven bits that count as a standard one's.
-        (standard(0x100), extended(0x100 << 18)),
-        (standard(0), extended(0)),
-        (extended(0x0FF << 18 | 0x3_FFFF), standard(0x100)),
-        (extended(0x100 << 18), extended(0x100 << 18 | 1)),
-    ] {
-        for winner_is_first in [true, false] {
-            let (first, second) = if winner_is_first { (winner, other) } else { (other, winner) };
-            let mut bus = bus(Scripted::default());
-            talk(&mut bus, &mut Speaker::new(first, 1), &mut Speaker::new(second, 1));
-            assert_eq!(bus.controller().taken, [winner, other]);
-        }
+fn frames_of_the_first_are_offered_before_those_of_the_second_whatever_their_identifiers() {
+    for [first, second] in
+        [[standard(1), standard(2)], [standard(2), standard(1)], [extended(7), standard(1)]]
+    {
+        let mut bus = bus(Scripted::default());
+        talk(&mut bus, &mut Speaker::new(first, 2), &mut Speaker::new(second, 2));
+        assert_eq!(bus.controller().taken, [first, first, second, second]);
     }
-}
-
-#[test]
-fn all_frames_of_the_winner_go_before_any_of_the_other() {
-    let mut bus = bus(Scripted::default());
-    talk(&mut bus, &mut Speaker::new(standard(2), 2), &mut Speaker::new(standard(1), 2));
-    assert_eq!(bus.controller().taken, [1, 1, 2, 2].map(standard));
 }
 
 #[test]
@@ -194,12 +178,21 @@ fn a_frame_that_the_controller_gives_back_leaves_next_and_before_what_waited() {
     }
 }
 
+/// A bus on which frames of the second take the place of two of the first that were taken before, while another waits.
+fn crowded(frames_of_the_second: usize) -> (CanBus<Scripted>, Speaker, Speaker) {
+    let mut bus = bus(Scripted { full: vec![standard(2)], ..Scripted::default() });
+    let (mut first, mut second) =
+        (Speaker::new(standard(2), 1), Speaker::new(standard(1), frames_of_the_second));
+    let earlier = Takes::Instead(frame(standard(2)));
+    bus.controller().answers.extend(vec![earlier; frames_of_the_second]);
+    talk(&mut bus, &mut first, &mut second);
+    (bus, first, second)
+}
+
 #[test]
 fn what_a_given_back_frame_pushed_aside_is_not_lost() {
-    // The second's urgent frame takes the place of a frame of the first, whose next waits already.
-    let mut bus = bus(Scripted::default());
-    let (mut first, mut second) = (Speaker::new(standard(2), 1), Speaker::new(standard(1), 1));
-    bus.controller().answers.push_back(Takes::Instead(frame(standard(2))));
+    let (mut bus, mut first, mut second) = crowded(1);
+    bus.controller().full.clear();
     talk(&mut bus, &mut first, &mut second);
     assert_eq!(bus.controller().taken, [1, 2, 2].map(standard));
     assert_eq!((first.losses, second.losses, bus.counters().refused), (0, 0, 0));
@@ -207,12 +200,8 @@ fn what_a_given_back_frame_pushed_aside_is_not_lost() {
 
 #[test]
 fn where_a_given_back_frame_has_no_place_everybody_is_told() {
-    // Two frames of the first come back while a third waits: there are two places.
-    let mut bus = bus(Scripted::default());
-    let (mut first, mut second) = (Speaker::new(standard(2), 1), Speaker::new(standard(1), 2));
-    let earlier = Takes::Instead(frame(standard(2)));
-    bus.controller().answers.extend([earlier, earlier]);
-    talk(&mut bus, &mut first, &mut second);
+    // Two come back while a third waits: there are two places.
+    let (bus, first, second) = crowded(2);
     assert_eq!((first.losses, second.losses, bus.counters().refused), (1, 1, 1));
 }
 

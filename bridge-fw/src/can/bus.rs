@@ -61,7 +61,7 @@ impl<F> Participant<F> for Nobody {
     fn bus_changed(&mut self, _: bool) {}
 }
 
-/// A controller and its bus, for up to two participants. Board-free: in each turn of the main loop
+/// A controller and its bus, for up to two participants: the gripper's link first, the PLC's side second. Board-free: in each turn of the main loop
 /// [`listen`](Self::listen) before the bridge's turn and [`talk`](Self::talk) behind it.
 #[derive(Debug)]
 pub struct CanBus<C: CanController> {
@@ -181,7 +181,9 @@ impl<C: CanController> CanBus<C> {
 
     /// The second half of a turn, behind the bridge's: says what the controller takes. Never waits.
     ///
-    /// Of the two frames that wait, the one that would win on the bus goes first: the other must not keep it waiting.
+    /// The first participant's frames are offered first, whatever their identifiers: a controller takes no frame while one
+    /// waits in it that is more urgent, but it takes a more urgent one at any time. So the second's never keep a FAST STOP
+    /// waiting in here, and on the bus all leave in the order of their identifiers.
     pub fn talk(
         &mut self,
         now: Instant,
@@ -202,12 +204,7 @@ impl<C: CanController> CanBus<C> {
             let [own, other] = &mut self.waiting;
             fill(own, now, first);
             fill(other, now, second);
-            let second_leads = match (&own.next, &other.next) {
-                (Some(own), Some(other)) => priority(other.id()) < priority(own.id()),
-                (own, _) => own.is_none(),
-            };
-            let (leader, follower) = if second_leads { (SECOND, FIRST) } else { (FIRST, SECOND) };
-            if !self.send(leader, first, second) && !self.send(follower, first, second) {
+            if !self.send(FIRST, first, second) && !self.send(SECOND, first, second) {
                 return;
             }
         }
@@ -272,15 +269,6 @@ fn put_back<F>(waiting: &mut Waiting<F>, frame: F) -> bool {
     match follower {
         None => true,
         follower => core::mem::replace(&mut waiting.behind, follower).is_none(),
-    }
-}
-
-/// The order in which identifiers win on the bus: the lowest first, and of a standard and an extended one that begin
-/// alike the standard one.
-fn priority(id: Id) -> (u16, u32) {
-    match id {
-        Id::Standard(id) => (id.as_raw(), 0),
-        Id::Extended(id) => (id.standard_id().as_raw(), id.as_raw() | 1 << 29),
     }
 }
 
