@@ -209,13 +209,9 @@ fn where_a_given_back_frame_has_no_place_everybody_is_told() {
 fn a_frame_of_the_second_that_comes_back_is_not_taken_for_nobodys() {
     let mut bus = bus(Scripted::default());
     let mut second = Speaker::new(standard(1), 1);
-    bus.controller().answers.extend([Takes::Instead(frame(standard(1))), Takes::No]);
+    bus.controller().answers.extend([Takes::Instead(frame(standard(1))), Takes::Never]);
     talk(&mut bus, &mut Nobody, &mut second);
-    // Nobody has no place of its own: given to it, the frame would leave all the same, but behind the second's next.
-    second.left = 1;
-    second.id = standard(3);
-    talk(&mut bus, &mut Nobody, &mut second);
-    assert_eq!(bus.controller().taken, [1, 1, 3].map(standard));
+    assert_eq!(second.losses, 1, "it is told of what was refused then");
 }
 
 #[test]

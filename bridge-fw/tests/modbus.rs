@@ -155,10 +155,12 @@ fn bus_timeout_of_0_waits_for_ever() {
     let bus = BusConfig { timeout_ms: 0, ..BusConfig::DEFAULT };
     let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
     bench.command(HOMING, 0, 0, 0);
-    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 5_00, 40_00]);
     bench.take_sent();
+    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 5_00, 40_00]);
     bench.pass(5_000);
-    assert!(!bench.take_sent().iter().any(|id| matches!(id, CommandId::Stop | CommandId::FastStop)));
+    let sent = bench.take_sent();
+    assert!(sent.contains(&CommandId::PrePosition));
+    assert!(!sent.iter().any(|id| matches!(id, CommandId::Stop | CommandId::FastStop)));
     assert_eq!(bench.input(report("BUS_TIMEOUTS"), 1), Ok(vec![0]));
 }
 

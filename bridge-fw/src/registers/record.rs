@@ -1,6 +1,6 @@
 //! All settings as one record: what an image is delivered with, and what counts from the next start on.
 
-use super::settings::{SETTINGS, Setting, Settings, ranges, setting};
+use super::settings::{SETTINGS, Setting, Settings, into_ranges, ranges, saturate, setting};
 use crate::config::{CanConfig, Config, Format, GripperLine, NodeConfig, PlcBus, collides_with_canopen};
 use wsg_protocol::can::Identifiers;
 
@@ -72,7 +72,6 @@ impl Config {
     #[must_use]
     pub const fn record(&self) -> Record {
         let Self { gripper_line, plc_bus, bus, can, .. } = self;
-        let hundreds = bus.baud / 100;
         let start = [
             match plc_bus {
                 PlcBus::Off => 0,
@@ -83,7 +82,7 @@ impl Config {
                 GripperLine::Serial => 0,
                 GripperLine::Can => 1,
             },
-            if hundreds > u16::MAX as u32 { u16::MAX } else { hundreds as u16 },
+            saturate(bus.baud / 100),
             match bus.format {
                 Format::Even1 => 0,
                 Format::None1 => 1,
@@ -97,7 +96,7 @@ impl Config {
         let settings = Settings::new(self);
         let mut record = [0; RECORD_LEN];
         let (head, tail) = record.split_at_mut(START_SETTINGS.len());
-        head.copy_from_slice(&start);
+        head.copy_from_slice(&into_ranges(start, &RANGES));
         tail.copy_from_slice(settings.values());
         record
     }

@@ -125,6 +125,21 @@ pub(super) const fn ranges<const N: usize>(table: &[Setting; N]) -> [(u16, u16);
     ranges
 }
 
+/// These values, each brought into its range.
+pub(super) const fn into_ranges<const N: usize>(mut values: [u16; N], ranges: &[(u16, u16); N]) -> [u16; N] {
+    let mut at = 0;
+    while at < N {
+        #[expect(clippy::indexing_slicing, reason = "both tables are of this length")]
+        {
+            let (least, most) = ranges[at];
+            values[at] = if values[at] < least { least } else { values[at] };
+            values[at] = if values[at] > most { most } else { values[at] };
+        }
+        at += 1;
+    }
+    values
+}
+
 /// The values of [`SETTINGS`]: always inside their ranges.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Settings {
@@ -140,7 +155,7 @@ impl Settings {
         let bus = &config.bus;
         let [r0, r1, r2, r3] = &config.recipes;
         // In the order of `Place` and of the table.
-        let mut values = [
+        let values = [
             bus.unit as u16,
             bus.timeout_ms,
             code(bus.reaction),
@@ -167,17 +182,7 @@ impl Settings {
             r3.force.cast_unsigned(),
             r3.release_width.cast_unsigned(),
         ];
-        let mut at = 0;
-        while at < values.len() {
-            #[expect(clippy::indexing_slicing, reason = "both tables are of this length")]
-            {
-                let (least, most) = RANGES[at];
-                values[at] = if values[at] < least { least } else { values[at] };
-                values[at] = if values[at] > most { most } else { values[at] };
-            }
-            at += 1;
-        }
-        Self { values }
+        Self { values: into_ranges(values, &RANGES) }
     }
 
     /// These values, if each is in its range; else the place of the first that is not.
@@ -313,7 +318,7 @@ const fn code(reaction: SilenceReaction) -> u16 {
     }
 }
 
-const fn saturate(value: u32) -> u16 {
+pub(super) const fn saturate(value: u32) -> u16 {
     if value > u16::MAX as u32 { u16::MAX } else { value as u16 }
 }
 

@@ -4,6 +4,7 @@ use std::vec::Vec;
 use proptest::prelude::*;
 
 use super::*;
+use crate::config::BusConfig;
 
 const DEFAULT: Record = Config::DEFAULT.record();
 
@@ -21,6 +22,14 @@ fn the_default_configuration_survives_its_record() {
     assert_eq!(config.bus, Config::DEFAULT.bus);
     assert_eq!(config.can, CanConfig::DEFAULT);
     assert_eq!(config.recipes, Config::DEFAULT.recipes);
+}
+
+#[test]
+fn what_a_configuration_has_out_of_range_becomes_the_nearest() {
+    for (baud, rate) in [(0, 12), (6_560_000, 2_304), (u32::MAX, 2_304)] {
+        let config = Config { bus: BusConfig { baud, ..Config::DEFAULT.bus }, ..Config::DEFAULT };
+        assert_eq!(config.record(), with("MODBUS_RATE", rate), "{baud}");
+    }
 }
 
 proptest! {
