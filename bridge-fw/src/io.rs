@@ -1,7 +1,6 @@
 //! The wires between PLC and bridge: which there are, and how a board hands them over.
 //!
-//! Not here: what a wire does (debouncing and meaning are the bridge's) and where it is on a board
-//! (see [`crate::boards`]).
+//! Not here: what a wire does (debouncing and meaning are the bridge's) and where it is on a board (its own crate says).
 
 use bitflags::bitflags;
 use embedded_hal::digital::{InputPin, OutputPin};

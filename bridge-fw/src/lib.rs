@@ -20,7 +20,6 @@
 extern crate std;
 
 mod arbiter;
-pub mod boards;
 mod bridge;
 pub mod byte_queue;
 pub mod can;

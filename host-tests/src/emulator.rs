@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use object::{Object, ObjectSymbol};
-use wsg_bridge_fw::boards::b_l475e_iot01a::INPUTS;
+use wsg_b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
 use self::output_port::{OutputPort, TRACE_EVENT};

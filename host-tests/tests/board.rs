@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::uninterrupted;
-use wsg_bridge_fw::boards::b_l475e_iot01a::INPUTS;
+use wsg_b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
 /// Some hundred turns of the firmware's main loop, in milliseconds of the board.

@@ -16,8 +16,8 @@ use crate::{
     workspace::Workspace,
 };
 
-/// The package of the firmware.
-pub(crate) const PACKAGE: &str = "wsg-bridge-fw";
+/// The package of the bridge without a board.
+pub(crate) const BRIDGE: &str = "wsg-bridge-fw";
 
 /// The environment variable that tells the emulator tests which image to boot.
 pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
@@ -48,15 +48,18 @@ pub(crate) struct Variant {
 pub(crate) struct Board {
     /// The binary's name, and the image's.
     pub(crate) name: &'static str,
-    /// The feature that brings the board's dependencies.
-    pub(crate) feature: &'static str,
+    /// The board's crate.
+    package: &'static str,
     /// The microcontroller's name for probe-rs.
     pub(crate) chip: &'static str,
 }
 
 /// The default board.
 pub(crate) const BOARD: Board =
-    Board { name: "b-l475e-iot01a", feature: "board-b-l475e-iot01a", chip: "STM32L475VG" };
+    Board { name: "b-l475e-iot01a", package: "wsg-b-l475e-iot01a", chip: "STM32L475VG" };
+
+/// The feature of a board's crate that makes it a program.
+const FIRMWARE: &str = "firmware";
 
 /// A built image.
 pub(crate) struct Image {
@@ -84,8 +87,8 @@ pub(crate) fn selection(features: &[String]) -> Vec<String> {
 
 /// The same with another profile.
 pub(crate) fn selection_for(features: &[String], profile: &str) -> Vec<String> {
-    let features = [&[BOARD.feature.to_owned()], features].concat().join(",");
-    ["-p", PACKAGE, "--bin", BOARD.name, "--features", &features, "--profile", profile]
+    let features = [&[FIRMWARE.to_owned()], features].concat().join(",");
+    ["-p", BOARD.package, "--bin", BOARD.name, "--features", &features, "--profile", profile]
         .map(str::to_owned)
         .to_vec()
 }
@@ -129,9 +132,9 @@ mod tests {
     }
 
     #[test]
-    fn the_board_feature_is_always_among_the_features() {
-        assert!(selection(&["defmt".into()]).contains(&"board-b-l475e-iot01a,defmt".to_owned()));
-        assert!(selection(&[]).contains(&"board-b-l475e-iot01a".to_owned()));
+    fn the_boards_crate_is_always_built_as_a_program() {
+        assert!(selection(&["defmt".into()]).contains(&"firmware,defmt".to_owned()));
+        assert!(selection(&[]).contains(&"firmware".to_owned()));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use crate::{firmware, process, workspace::Workspace};
 /// Runs the models.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let mut models = workspace.cargo("test");
-    models.args(["--release", "-p", firmware::PACKAGE, "--lib", "byte_queue::model"]);
+    models.args(["--release", "-p", firmware::BRIDGE, "--lib", "byte_queue::model"]);
     // Everything is built anew with that flag: in a folder of its own, so that nothing else is.
     models.env("RUSTFLAGS", "--cfg loom").env("CARGO_TARGET_DIR", workspace.target_dir.join("loom"));
     let said = process::output(&mut models)?;

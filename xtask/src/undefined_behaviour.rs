@@ -14,7 +14,7 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     NIGHTLY.require(workspace, what_for)?;
     MIRI.require(workspace, what_for)?;
     let mut miri =
-        tool::nightly_cargo(workspace, &["miri", "test", "--locked", "-p", firmware::PACKAGE, "--lib"]);
+        tool::nightly_cargo(workspace, &["miri", "test", "--locked", "-p", firmware::BRIDGE, "--lib"]);
     miri.env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
     // Property tests write what failed to files, which Miri keeps them from; their cases are few here, for time.
     miri.env("MIRIFLAGS", "-Zmiri-disable-isolation").env("PROPTEST_CASES", "4");

@@ -7,7 +7,7 @@
 
 use std::str::SplitWhitespace;
 
-use wsg_bridge_fw::boards::b_l475e_iot01a::{OUTPUT_PINS, OUTPUT_PORT, outputs_from_port};
+use wsg_b_l475e_iot01a::{OUTPUT_PINS, OUTPUT_PORT, outputs_from_port};
 use wsg_bridge_fw::io::Outputs;
 
 /// QEMU's trace event for a write to a GPIO port.

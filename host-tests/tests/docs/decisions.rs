@@ -20,6 +20,7 @@ fn tests() -> BTreeSet<String> {
         "buses/slcan",
         "buses/canopen",
         "bridge-fw",
+        "boards/b-l475e-iot01a",
         "gripper-sim",
         "host-tests",
         "xtask",

@@ -2,7 +2,7 @@
 
 use host_tests::document::{hold, table};
 use host_tests::fault_sweep::Sweep;
-use wsg_bridge_fw::boards::b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS};
+use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Config, RECIPES};
 

@@ -13,15 +13,15 @@ mod modbus;
 mod round_trip;
 
 // The drivers of the board that is flashed, so that what is counted is what runs there.
-#[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/clock.rs"]
+#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/clock.rs"]
 #[expect(dead_code, reason = "the bench runs at the clock of reset")]
 mod clock;
-#[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/not_ready.rs"]
+#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/not_ready.rs"]
 mod not_ready;
 #[allow(unexpected_cfgs, reason = "features of the firmware, which this crate does not have")]
-#[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/pins.rs"]
+#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/pins.rs"]
 mod pins;
-#[path = "../../../../../bridge-fw/src/bin/b-l475e-iot01a/uart.rs"]
+#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/uart.rs"]
 mod uart;
 
 use cortex_m_rt::entry;

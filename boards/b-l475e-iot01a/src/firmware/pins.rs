@@ -2,7 +2,7 @@
 
 use stm32_metapac::gpio::Gpio;
 use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, RCC};
-use wsg_bridge_fw::boards::b_l475e_iot01a::{INPUTS, OUTPUT_PINS, OUTPUT_PORT, Port, port_from_outputs};
+use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PINS, OUTPUT_PORT, Port, port_from_outputs};
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 
 /// Pins of the gripper's line, UART4, on port A: transmitter, receiver, and their function there.

@@ -23,7 +23,7 @@ impl BusClock {
     /// cannot do; it takes 1200 to 230 400 bit/s.
     ///
     /// ```
-    /// use wsg_bridge_fw::boards::b_l475e_iot01a::BusClock;
+    /// use wsg_b_l475e_iot01a::BusClock;
     ///
     /// assert_eq!(BusClock::for_rate(19_200), Some((BusClock::Hsi16, 213_333)));
     /// assert_eq!(BusClock::for_rate(1_200), Some((BusClock::Lse, 6_991)));

@@ -4,11 +4,16 @@
 //! tables. Taken besides: UART4 to the gripper on PA0 (TX, D1) and PA1 (RX, D0); LPUART1 to the bus on PC1
 //! (TX, A4), PC0 (RX, A5) and PB1 (driver enable, D6). Kept free: PB8 and PB9 (CAN1).
 
+#![no_std]
+#![forbid(unsafe_code)]
+#![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg_attr(test, allow(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
 mod bus_clock;
 
 pub use bus_clock::BusClock;
 
-use crate::io::{Inputs, Outputs};
+use wsg_bridge_fw::io::{Inputs, Outputs};
 
 /// A GPIO port of the STM32L475VG.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

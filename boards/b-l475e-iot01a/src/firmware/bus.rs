@@ -10,7 +10,7 @@ use cortex_m::peripheral::NVIC;
 use stm32_metapac::rcc::vals::Lpuart1sel;
 use stm32_metapac::usart::vals::{M0, Ps, Stop};
 use stm32_metapac::{Interrupt, LPUART1, PWR, RCC, interrupt};
-use wsg_bridge_fw::boards::b_l475e_iot01a::BusClock;
+use wsg_b_l475e_iot01a::BusClock;
 use wsg_bridge_fw::byte_queue::ByteQueue;
 use wsg_bridge_fw::{BusConfig, BusPort, Format};
 

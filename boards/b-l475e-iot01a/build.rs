@@ -1,0 +1,18 @@
+//! Tells the linker about the board's memory and the log's sections. Builds for the host need neither.
+
+use std::env;
+use std::path::PathBuf;
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    if env::var_os("CARGO_FEATURE_FIRMWARE").is_none() {
+        return;
+    }
+    // cortex-m-rt's link.x includes memory.x by name. That of the default board lies at the top.
+    let workspace = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
+    println!("cargo:rerun-if-changed={}", workspace.join("memory.x").display());
+    println!("cargo:rustc-link-search={}", workspace.display());
+    if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
+        println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+    }
+}
