@@ -36,6 +36,14 @@ pub enum PlcBus {
     Canopen,
 }
 
+impl PlcBus {
+    /// All of them, each at the place that is its number in the setting PLC_BUS.
+    pub(crate) const ALL: [Self; 3] = [Self::Off, Self::Modbus, Self::Canopen];
+
+    /// What the setting says of them.
+    pub(crate) const NUMBERS: &str = "the PLC's bus, beside the wires: 0 none, 1 Modbus RTU, 2 CANopen";
+}
+
 /// What can be set about a bridge.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {

@@ -11,7 +11,7 @@ const CAN_NODE: usize = 6;
 
 /// The settings that count from a start on; no bus can change them.
 pub const START_SETTINGS: [Setting; 8] = [
-    setting("PLC_BUS", "", (0, 2), "the PLC's bus, beside the wires: 0 none, 1 Modbus RTU, 2 CANopen"),
+    setting("PLC_BUS", "", (0, PlcBus::ALL.len() as u16 - 1), PlcBus::NUMBERS),
     setting("GRIPPER_LINE", "", (0, 1), "the gripper's line: 0 RS-232, 1 CAN"),
     setting("MODBUS_RATE", "100 bit/s", (12, 2_304), "the rate of Modbus RTU"),
     setting("MODBUS_FORMAT", "", (0, 2), "a character of Modbus RTU: 0 8E1, 1 8N1, 2 8N2"),
@@ -73,11 +73,7 @@ impl Config {
     pub const fn record(&self) -> Record {
         let Self { gripper_line, plc_bus, bus, can, .. } = self;
         let start = [
-            match plc_bus {
-                PlcBus::Off => 0,
-                PlcBus::Modbus => 1,
-                PlcBus::Canopen => 2,
-            },
+            *plc_bus as u16,
             match gripper_line {
                 GripperLine::Serial => 0,
                 GripperLine::Can => 1,
@@ -128,11 +124,7 @@ impl Config {
             return Err(WrongSetting { at: CAN_NODE });
         }
         let mut config = settings.config(Self::DEFAULT);
-        config.plc_bus = match plc_bus {
-            0 => PlcBus::Off,
-            1 => PlcBus::Modbus,
-            _ => PlcBus::Canopen,
-        };
+        config.plc_bus = *PlcBus::ALL.get(usize::from(plc_bus)).ok_or(WrongSetting { at: 0 })?;
         config.gripper_line = if gripper_line == 0 { GripperLine::Serial } else { GripperLine::Can };
         config.bus.baud = u32::from(rate) * 100;
         config.bus.format = match format {

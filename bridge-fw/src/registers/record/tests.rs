@@ -75,6 +75,14 @@ fn the_gripper_gets_none_of_the_identifiers_of_canopen() {
 }
 
 #[test]
+fn each_bus_of_the_plc_has_its_number() {
+    for (number, bus) in [(0, PlcBus::Off), (1, PlcBus::Modbus), (2, PlcBus::Canopen)] {
+        let config = Config::from_record(&with("PLC_BUS", number)).unwrap();
+        assert_eq!((config.plc_bus, config.record()[0]), (bus, number));
+    }
+}
+
+#[test]
 fn bridge_and_master_are_two_nodes() {
     assert!(Config::from_record(&with("CAN_NODE", 0x7F)).is_err());
     assert_eq!(Config::from_record(&with("CAN_NODE", 5)).unwrap().can.node.node, 5);
