@@ -194,6 +194,7 @@ fn variant(mut arguments: Parser) -> Result<Variant> {
             other => return Err(other.unexpected()).context("see `cargo xtask help`"),
         }
     }
+    settings::check(&variant.settings)?;
     Ok(variant)
 }
 

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use object::{Object, ObjectSection, ObjectSymbol, read::elf::ElfFile32};
 use wsg_bridge_fw::{
     Config,
-    registers::{RECORD_LEN, record_settings},
+    registers::{RECORD_LEN, Record, record_settings},
 };
 
 /// The image's record of settings, as its board calls it.
@@ -61,16 +61,25 @@ pub(crate) fn apply(elf: &mut [u8], changes: &[Change]) -> Result<()> {
     for (value, word) in record.iter_mut().zip(words.iter()) {
         *value = u16::from_le_bytes(*word);
     }
-    for change in changes {
-        record[change.at] = change.value;
-    }
-    if let Err(wrong) = Config::from_record(&record) {
-        bail!("{}: {wrong}", record[wrong.at]);
-    }
-    for (word, value) in words.iter_mut().zip(record) {
+    for (word, value) in words.iter_mut().zip(changed(record, changes)?) {
         *word = value.to_le_bytes();
     }
     Ok(())
+}
+
+/// Whether these settings go together with those as delivered: asked before the build, which takes longer.
+pub(crate) fn check(changes: &[Change]) -> Result<()> {
+    changed(Config::DEFAULT.record(), changes).map(drop)
+}
+
+fn changed(mut record: Record, changes: &[Change]) -> Result<Record> {
+    for change in changes {
+        record[change.at] = change.value;
+    }
+    match Config::from_record(&record) {
+        Ok(_) => Ok(record),
+        Err(wrong) => bail!("the value {} is wrong: {wrong}", record[wrong.at]),
+    }
 }
 
 /// Where the record begins in the file.
@@ -109,6 +118,16 @@ mod tests {
         }
         let unknown = Change::parse("BAUD=9600").unwrap_err().to_string();
         assert!(unknown.starts_with("there is no setting BAUD; there are PLC_BUS, "), "{unknown}");
+    }
+
+    #[test]
+    fn a_value_out_of_its_range_is_refused_with_the_range() {
+        let refused = |text| check(&[Change::parse(text).unwrap()]).unwrap_err().to_string();
+        let said =
+            "the value 300 is wrong: CAN_RATE takes 125 to 1000: the rate of CAN: 125, 250, 500 or 1000";
+        assert_eq!(refused("CAN_RATE=300"), said);
+        assert!(refused("UNIT=0").contains("UNIT takes 1 to 247"));
+        assert!(check(&[Change::parse("CAN_RATE=250").unwrap()]).is_ok());
     }
 
     #[test]
