@@ -80,6 +80,7 @@ fn each_bus_of_the_plc_has_its_number() {
         let config = Config::from_record(&with("PLC_BUS", number)).unwrap();
         assert_eq!((config.plc_bus, config.record()[0]), (bus, number));
     }
+    assert_eq!((START_SETTINGS[0].name, START_SETTINGS[0].most), ("PLC_BUS", 2));
 }
 
 #[test]
