@@ -57,11 +57,12 @@ pub(super) struct Plant {
     /// What writes reached the device.
     writes: Vec<(u16, usize)>,
     regular: bool,
+    name: &'static str,
 }
 
 impl Plant {
     pub(super) fn new() -> Self {
-        Self { tables: Tables::default(), refusal: None, writes: vec![], regular: true }
+        Self { tables: Tables::default(), refusal: None, writes: vec![], regular: true, name: "V" }
     }
 
     fn ask(&mut self, request: &[u8]) -> Vec<u8> {
@@ -105,7 +106,7 @@ impl Device for Plant {
 
     fn identification(&self) -> Identification {
         Identification {
-            vendor_name: "V",
+            vendor_name: self.name,
             product_code: "PC",
             revision: "1.2",
             regular: self.regular.then_some(["", "PN", "M", ""]),
@@ -321,6 +322,30 @@ fn refusal_of_the_device_is_the_exception() {
         assert_eq!(plant.ask(&[6, 0, 0, 0, 1]), [0x86, code]);
         assert_eq!(plant.ask(&[16, 0, 0, 0, 1, 2, 0, 1]), [0x90, code]);
     }
+}
+
+#[test]
+fn name_that_fills_an_answer_is_whole_and_a_longer_one_is_left_out() {
+    // Function, seven bytes of head and two before the name.
+    const LONGEST: usize = MAX_PDU_LEN - 9;
+    const NAME: &str = match core::str::from_utf8(&[b'W'; LONGEST + 1]) {
+        Ok(name) => name,
+        Err(_) => "",
+    };
+    for (len, count, more) in [(LONGEST, 1, 0), (LONGEST + 1, 0, 0xFF)] {
+        let mut answer = [0; MAX_PDU_LEN];
+        let mut plant = Plant { name: &NAME[..len], ..Plant::new() };
+        let answered = serve(&[43, 14, 4, 0], &mut plant, &mut answer);
+        assert_eq!((answer[4], answer[6]), (more, count), "{len}");
+        assert_eq!(answered, if count == 1 { MAX_PDU_LEN } else { 7 });
+    }
+}
+
+#[test]
+fn exceptions_have_the_names_of_the_specification() {
+    use std::string::ToString;
+    assert_eq!(Exception::IllegalFunction.to_string(), "illegal function");
+    assert_eq!(Exception::ServerDeviceBusy.to_string(), "server device busy");
 }
 
 #[test]

@@ -171,6 +171,48 @@ fn tolerant_mode_waits_for_the_rest_of_every_function_known_or_not() {
 }
 
 #[test]
+fn tolerant_mode_does_not_wait_behind_a_whole_request_whose_checksum_is_wrong() {
+    let requests = [
+        &[0x41][..],
+        &[43, 14, 1, 0],
+        &READ,
+        &[22, 0, 0, 0xFF, 0xFF, 0, 0],
+        &[16, 0, 1, 0, 2, 4, 0, 1, 0, 2],
+    ];
+    for pdu in requests {
+        let mut request = frame(UNIT, pdu);
+        let last = request.len() - 1;
+        request[last] ^= 1;
+        let mut bus = Bus::new(TOLERANT);
+        bus.send(&request);
+        bus.silence(TIMING.t3_5_us);
+        assert_eq!(bus.others, ["checksum"], "{pdu:?}");
+    }
+}
+
+#[test]
+fn receiver_that_is_told_another_unit_waits_for_the_rest_of_requests_for_that_one() {
+    let pdu: &[u8] = &[3, 0, 0, 0, 1];
+    for (unit, is_waited_for) in [(UNIT + 1, true), (UNIT, false)] {
+        let mut receiver = Receiver::new(UNIT, Mode::Strict, TIMING);
+        receiver.configure(UNIT + 1, TOLERANT.mode);
+        for byte in &frame(unit, pdu)[..4] {
+            receiver.push(Character::Byte(*byte), 0);
+        }
+        assert_eq!(receiver.silence(TIMING.t3_5_us).is_none(), is_waited_for, "unit {unit}");
+    }
+}
+
+#[test]
+fn character_that_is_damaged_at_the_end_of_an_allowed_silence_is_told_as_damaged() {
+    let mut receiver = Receiver::new(UNIT, Mode::Strict, TIMING);
+    receiver.push(Character::Byte(UNIT), 0);
+    receiver.push(Character::Damaged, TIMING.t1_5_us);
+    let received = receiver.silence(TIMING.t3_5_us);
+    assert_eq!(received, Some(Received::Damaged(Damage::Character)));
+}
+
+#[test]
 fn two_bytes_are_no_frame_although_their_checksum_is_right() {
     for config in [STRICT, TOLERANT] {
         let mut bus = Bus::new(config);

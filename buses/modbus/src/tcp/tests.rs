@@ -154,3 +154,17 @@ fn stream_is_lost_from_the_length_that_no_frame_has_on() {
     receiver.push_slice(&frame(3, 0, 1, &[3, 0, 0, 0, 1]));
     assert!(receiver.is_lost(), "for good");
 }
+
+#[test]
+fn answer_of_every_length_that_a_pdu_has_is_framed_and_none_is_not() {
+    let request = Request { transaction: 7, unit: 1, pdu: &[0x2B] };
+    for len in 0..=MAX_PDU_LEN {
+        let mut buffer = [0; MAX_FRAME_LEN];
+        let answer = request.answer(&mut buffer, |_, place| {
+            place.fill(9);
+            len
+        });
+        let expected = if len == 0 { vec![] } else { frame(7, 0, 1, &vec![9; len]) };
+        assert_eq!(answer, expected, "{len}");
+    }
+}
