@@ -336,6 +336,16 @@ fn events_without_room_are_lost_but_for_what_an_rpdo_has_to_keep() {
 }
 
 #[test]
+fn what_an_rpdo_has_to_keep_stays_however_often_it_is_sent() {
+    let mut bus = Bus::operational();
+    for byte in [1, 2, 3, STOP, STOP, STOP] {
+        bus.bring(0x210, &[byte; 8]);
+    }
+    bus.turn();
+    assert_eq!(bus.events.last(), Some(&rpdo(0, [STOP; 8])));
+}
+
+#[test]
 fn tpdos_are_sent_on_change_not_sooner_than_their_inhibit_time_and_by_their_event_timer() {
     let mut bus = Bus::new();
     bus.turn();
@@ -443,6 +453,25 @@ fn master_that_restarts_commands_no_more() {
     assert_eq!(bus.device.state(), NmtState::PreOperational);
     bus.pass(1_000);
     assert_eq!(bus.events.len(), 2, "it is not watched any more");
+}
+
+#[test]
+fn master_that_only_announced_itself_is_not_watched() {
+    let mut bus = Bus::operational();
+    bus.bring(0x700 | MASTER, &[0]);
+    bus.pass(100_000);
+    assert_eq!((&bus.events[..], bus.device.state()), (&[][..], NmtState::Operational));
+}
+
+#[test]
+fn heartbeat_time_of_0_sends_none() {
+    let mut bus = Bus::new();
+    bus.turn();
+    bus.take(0x700);
+    bus.download(0x1017, 0, &[0, 0]).unwrap();
+    bus.take(0x700);
+    bus.pass(2_000);
+    assert_eq!(bus.take(0x700), Vec::<Vec<u8>>::new());
 }
 
 #[test]
