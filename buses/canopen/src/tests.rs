@@ -336,9 +336,9 @@ fn events_without_room_are_lost_but_for_what_an_rpdo_has_to_keep() {
 }
 
 #[test]
-fn what_an_rpdo_has_to_keep_stays_however_often_it_is_sent() {
+fn what_an_rpdo_has_to_keep_stays_when_it_is_sent_again() {
     let mut bus = Bus::operational();
-    for byte in [1, 2, 3, STOP, STOP, STOP] {
+    for byte in [1, 2, 3, STOP, STOP] {
         bus.bring(0x210, &[byte; 8]);
     }
     bus.turn();
