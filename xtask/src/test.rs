@@ -1,6 +1,6 @@
 //! Every check of the workspace, in order, each announced; the first that fails ends it.
 
-use std::{ffi::OsString, process::Command};
+use std::{ffi::OsString, path::Path, process::Command};
 
 use anyhow::{Context, Result, ensure};
 
@@ -13,7 +13,7 @@ use crate::{
     probe::Probes,
     process,
     settings::Change,
-    setup::{self, Component, Masters, PYTHON_VARIABLE, ThumbToolchain},
+    setup::{self, Component, PYTHON_VARIABLE, ThumbToolchain},
     size, stack,
     workspace::Workspace,
 };
@@ -37,11 +37,16 @@ pub(crate) fn run(
         let variant = Variant { features: vec![firmware::OVER_SLCAN.to_owned()], settings };
         can_images.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
-    let checks = Checks { workspace, toolchain, image, can_images, masters: &masters };
     let mut record = Record::default();
-    for master in masters.missing() {
+    let mut skipped: Vec<&str> = masters.missing().iter().map(String::as_str).collect();
+    for master in &skipped {
         record.not_checked(&format!("tests with {master} (it is not installed)"));
     }
+    if !setup::netcat() {
+        record.not_checked("GCL by hand with nc (no nc; Debian's package: netcat-openbsd)");
+        skipped.push("conversation_by_hand_with_nc");
+    }
+    let checks = Checks { workspace, toolchain, image, can_images, python: &masters.python, skipped };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
@@ -58,7 +63,9 @@ struct Checks<'a> {
     image: &'a Image,
     /// Those with CAN over SLCAN, by the variables that name them.
     can_images: Vec<(&'static str, Image)>,
-    masters: &'a Masters,
+    python: &'a Path,
+    /// Tests whose programs are not installed.
+    skipped: Vec<&'a str>,
 }
 
 impl Checks<'_> {
@@ -90,12 +97,7 @@ impl Checks<'_> {
         } else {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
         }
-        let mut arguments = Vec::new();
-        if !setup::netcat() {
-            record.not_checked("GCL by hand with nc (no nc; Debian's package: netcat-openbsd)");
-            arguments.extend(["--skip", "conversation_by_hand_with_nc"].map(OsString::from));
-        }
-        record.check(TESTS, || self.tests(&arguments))?;
+        record.check(TESTS, || self.tests(&[]))?;
         let mut not_built = Vec::new();
         record.check("protocol on other targets, oldest Rust, package", || {
             not_built = matrix::build(workspace, Extent::Quick)?.not_checked;
@@ -154,13 +156,13 @@ impl Checks<'_> {
         let mut examples = self.workspace.cargo("build");
         process::run(examples.args(["-p", "host-tests", "--examples"]))?;
         let mut tests = self.workspace.cargo("test");
-        tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, &self.masters.python);
+        tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, self.python);
         tests.args(["--workspace", "--lib", "--bins", "--tests", "--examples", "--", "--include-ignored"]);
         for (variable, image) in &self.can_images {
             tests.env(variable, &image.path);
         }
-        for master in self.masters.missing() {
-            tests.args(["--skip", master]);
+        for skipped in &self.skipped {
+            tests.args(["--skip", skipped]);
         }
         process::run(tests.args(filter))
     }
