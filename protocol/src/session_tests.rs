@@ -4,7 +4,9 @@ use super::*;
 use crate::types::{
     DeviceType, FirmwareVersion, GripperState, HomingDirection, SystemFlags, SystemInfo, SystemLimits,
 };
-use crate::{Frame, Payload};
+use crate::{
+    AutoUpdate, Command, CommandId, Event, Frame, Instant, Kind, Payload, Refusal, Reply, Status, Value,
+};
 use std::vec;
 use std::vec::Vec;
 

@@ -5,6 +5,7 @@ mod translate;
 use super::Error;
 use super::link::{Link, Protocol};
 use crate::command::{Command, CommandId};
+use crate::field::Refusal;
 use crate::frame;
 use crate::gcl::session::{Notice as LineNotice, RequestError as LineError, Session};
 use crate::gcl::{Answer, CommandName, LineReader, Mistake, Request, Value as LineValue};
@@ -12,7 +13,6 @@ use crate::reply::{Reply, Value};
 use crate::session::{self, Known, Notice, RequestError, Signal};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
-use crate::{field::Refusal, gcl};
 use translate::Terms;
 
 /// The longest line that a driver takes over GCL when nothing else is said.
@@ -161,8 +161,7 @@ impl<const RX: usize> Link for Gcl<RX> {
     }
 
     fn session_counters(&self) -> session::Counters {
-        let gcl::session::Counters { unasked, refused, repeated, disconnects } = self.session.counters();
-        session::Counters { unasked, refused, repeated, disconnects }
+        self.session.counters()
     }
 
     fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {

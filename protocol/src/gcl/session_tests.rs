@@ -150,6 +150,7 @@ fn describe(notice: Notice<'_>) -> String {
         Notice::Pending(name) => std::format!("Pending {name}"),
         Notice::Unanswered(name) => std::format!("Unanswered {name}"),
         Notice::Withdrawn(name) => std::format!("Withdrawn {name}"),
+        Notice::Late(name) => std::format!("Late {name}"),
         other => std::format!("{other:?}"),
     }
 }
@@ -422,6 +423,34 @@ fn fast_stop_goes_out_first_and_is_repeated_until_it_is_confirmed() {
     assert!(!desk.session.owes_fast_stop());
     assert_eq!(desk.happened(), ["Answered ACK FASTSTOP"]);
     assert_eq!(desk.session.request(Request::Fsack), Ok(()));
+}
+
+#[test]
+fn nothing_but_fast_stop_is_sent_until_it_is_confirmed() {
+    let mut desk = Desk::connected();
+    desk.session.request(Request::Faststop).unwrap();
+    let sent = desk.pass(Config::DEFAULT.reply_timeout_ms * 2 + 1);
+    assert_eq!(sent, [Request::Faststop; 3]);
+}
+
+#[test]
+fn fsack_withdraws_what_was_requested_before_it() {
+    let mut desk = Desk::connected();
+    desk.session.request(Request::Tag).unwrap();
+    assert_eq!(desk.lines(0), ["TAG?"]);
+    desk.session.request(GRIP).unwrap();
+    desk.session.request(Request::Fsack).unwrap();
+    desk.hear("TAG=\"left\"");
+    assert_eq!(desk.lines(1), ["FSACK()"]);
+    assert_eq!(desk.happened(), ["Answered TAG=\"left\"", "Withdrawn GRIP"]);
+}
+
+#[test]
+fn stop_that_is_not_answered_in_time_is_reported_and_repeated() {
+    let mut desk = Desk::connected();
+    desk.session.request(Request::Stop).unwrap();
+    assert_eq!(desk.lines(Config::DEFAULT.reply_timeout_ms), ["STOP()", "STOP()"]);
+    assert_eq!(desk.happened(), ["Late STOP"]);
 }
 
 #[test]

@@ -51,9 +51,9 @@ pub struct Config {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Timeout {
+pub struct Timeout<N = CommandId> {
     /// The command.
-    pub id: CommandId,
+    pub id: N,
     /// How long its first answer may take, in milliseconds.
     pub reply_ms: u32,
     /// How long its second answer may take after E_CMD_PENDING, in milliseconds.
@@ -117,17 +117,46 @@ impl Config {
         ],
     };
 
+    /// The part that is the same in every dialect.
+    pub(super) const fn timing(&self) -> Timing<CommandId> {
+        Timing {
+            reply_timeout_ms: self.reply_timeout_ms,
+            attempts: self.attempts,
+            refresh_ms: self.refresh_ms,
+            reconnect_ms: self.reconnect_ms,
+            motion_timeout_ms: self.motion_timeout_ms,
+            result_grace_ms: self.result_grace_ms,
+            fast_stop: self.fast_stop,
+            timeouts: self.timeouts,
+        }
+    }
+}
+
+/// The times of a session, as [`Config`] has them, for commands that are named by `N`.
+#[derive(Clone, Copy, Debug, Hash)]
+pub(crate) struct Timing<N: 'static> {
+    pub(crate) reply_timeout_ms: u32,
+    pub(crate) attempts: u8,
+    pub(crate) refresh_ms: u32,
+    pub(crate) reconnect_ms: u32,
+    pub(crate) motion_timeout_ms: u32,
+    pub(crate) result_grace_ms: u32,
+    pub(crate) fast_stop: FastStopPattern,
+    pub(crate) timeouts: &'static [Timeout<N>],
+}
+
+impl<N: Copy + PartialEq> Timing<N> {
     /// How long the first answer to this command may take.
-    pub(super) fn reply_timeout(&self, id: CommandId) -> u32 {
-        self.timeout(id).map_or(self.reply_timeout_ms, |timeout| timeout.reply_ms)
+    pub(super) fn reply_timeout(&self, name: N) -> u32 {
+        self.timeout(name).map_or(self.reply_timeout_ms, |timeout| timeout.reply_ms)
     }
 
     /// How long the second answer to this command may take.
-    pub(super) fn result_timeout(&self, id: CommandId) -> u32 {
-        self.timeout(id).map_or(self.motion_timeout_ms, |timeout| timeout.result_ms)
+    pub(super) fn result_timeout(&self, name: N) -> u32 {
+        self.timeout(name).map_or(self.motion_timeout_ms, |timeout| timeout.result_ms)
     }
 
-    fn timeout(&self, id: CommandId) -> Option<&'static Timeout> {
-        self.timeouts.iter().find(|timeout| timeout.id == id)
+    fn timeout(&self, name: N) -> Option<&'static Timeout<N>> {
+        self.timeouts.iter().find(|timeout| timeout.id == name)
     }
 }

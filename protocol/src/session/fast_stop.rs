@@ -5,7 +5,7 @@
 //! any false length; a pause is longer than any plausible frame time-out. The manual states neither what a gripper does
 //! with half a frame nor its time-out, so both are done in turn.
 
-use super::FastStopPattern;
+use super::config::FastStopPattern;
 use crate::time::Instant;
 
 /// A FAST STOP, or none.

@@ -42,16 +42,23 @@ impl Known {
             || self.state.is_some_and(GripperState::is_motion)
     }
 
-    /// Takes over a value, if it is one that is kept.
-    pub(super) fn learn(&mut self, value: &Value<'_>) {
+    /// Keeps a value, if it is one that is kept; whether it tells if the fingers move.
+    pub(super) fn learn(&mut self, value: &Value<'_>) -> bool {
         match *value {
+            Value::GetSystemState(flags) => {
+                self.flags = Some(flags);
+                return true;
+            }
+            Value::GetGripperState(state) => {
+                self.state = Some(state);
+                return true;
+            }
             Value::GetSystemInfo(info) => self.info = Some(info),
             Value::GetSystemLimits(limits) => self.limits = Some(limits),
-            Value::GetSystemState(flags) => self.flags = Some(flags),
-            Value::GetGripperState(state) => self.state = Some(state),
             Value::GetOpeningWidth(width) => self.width = Some(width),
             Value::GetForce(force) => self.force = Some(force),
             _ => {}
         }
+        false
     }
 }

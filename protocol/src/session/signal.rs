@@ -1,6 +1,7 @@
 //! The values that a gripper sends by itself (command set, 3.4), and which of them are subscribed to.
 
-use super::Config;
+use super::config::Config;
+use super::subscriptions::{Subscription, Subscriptions};
 use crate::command::{Command, CommandId};
 use crate::types::{AutoUpdate, UpdateFlags};
 
@@ -41,114 +42,78 @@ impl Signal {
     pub fn of(id: CommandId) -> Option<Self> {
         Self::ALL.into_iter().find(|signal| signal.id() == id)
     }
-
-    /// The one that this command asks for, and how.
-    const fn asked_by(command: &Command<'_>) -> Option<(Self, AutoUpdate)> {
-        match *command {
-            Command::GetSystemState { update } => Some((Self::SystemState, update)),
-            Command::GetGripperState { update } => Some((Self::GripperState, update)),
-            Command::GetOpeningWidth { update } => Some((Self::Width, update)),
-            Command::GetSpeed { update } => Some((Self::Speed, update)),
-            Command::GetForce { update } => Some((Self::Force, update)),
-            _ => None,
-        }
-    }
-
-    const fn request(self, update: AutoUpdate) -> Command<'static> {
-        match self {
-            Self::SystemState => Command::GetSystemState { update },
-            Self::GripperState => Command::GetGripperState { update },
-            Self::Width => Command::GetOpeningWidth { update },
-            Self::Speed => Command::GetSpeed { update },
-            Self::Force => Command::GetForce { update },
-        }
-    }
-
-    const fn bit(self) -> u8 {
-        1 << self as u8
-    }
 }
 
-/// What is subscribed to, and how.
-#[derive(Clone, Debug, Hash)]
-pub(super) struct Subscriptions {
-    updates: [AutoUpdate; Signal::ALL.len()],
-    /// Those that were changed while connected and that the gripper has not confirmed; one bit each.
-    changed: u8,
+/// A value, and how the gripper is to send it.
+#[derive(Clone, Copy, Debug, PartialEq, Hash)]
+pub struct Update {
+    pub(super) signal: Signal,
+    pub(super) update: AutoUpdate,
 }
 
-impl Subscriptions {
-    pub(super) const fn new(config: &Config) -> Self {
-        let period_ms = if config.update_period_ms < AutoUpdate::MIN_PERIOD_MS {
-            AutoUpdate::MIN_PERIOD_MS
-        } else {
-            config.update_period_ms
-        };
-        let on = AutoUpdate::on_change(period_ms);
-        let off = AutoUpdate::once();
-        Self {
-            updates: [
-                on,
-                on,
-                if config.width { on } else { off },
-                if config.speed { on } else { off },
-                if config.force { on } else { off },
-            ],
-            changed: 0,
-        }
-    }
-
-    pub(super) fn set(&mut self, signal: Signal, update: AutoUpdate) {
-        let is_on = update.flags.contains(UpdateFlags::AUTOMATIC);
-        let update = if is_on {
+impl Update {
+    /// Updates in the shape that the gripper confirms: none at all, or at least 10 ms apart.
+    pub(super) fn new(signal: Signal, update: AutoUpdate) -> Self {
+        let update = if update.flags.contains(UpdateFlags::AUTOMATIC) {
             AutoUpdate { period_ms: update.period_ms.max(AutoUpdate::MIN_PERIOD_MS), ..update }
         } else {
             AutoUpdate::once()
         };
-        if let Some(slot) = self.updates.get_mut(signal as usize) {
-            *slot = update;
-            self.changed |= signal.bit();
+        Self { signal, update }
+    }
+}
+
+impl Subscription for Update {
+    type Request = Command<'static>;
+
+    fn name(&self) -> CommandId {
+        self.signal.id()
+    }
+
+    fn is_wanted(&self) -> bool {
+        matches!(self.signal, Signal::SystemState | Signal::GripperState)
+            || self.update.flags.contains(UpdateFlags::AUTOMATIC)
+    }
+
+    fn request(&self) -> Command<'static> {
+        let update = self.update;
+        match self.signal {
+            Signal::SystemState => Command::GetSystemState { update },
+            Signal::GripperState => Command::GetGripperState { update },
+            Signal::Width => Command::GetOpeningWidth { update },
+            Signal::Speed => Command::GetSpeed { update },
+            Signal::Force => Command::GetForce { update },
         }
     }
 
-    fn update(&self, signal: Signal) -> AutoUpdate {
-        self.updates.get(signal as usize).copied().unwrap_or(AutoUpdate::once())
+    fn of(request: &Command<'static>) -> Option<Self> {
+        let (signal, update) = match *request {
+            Command::GetSystemState { update } => (Signal::SystemState, update),
+            Command::GetGripperState { update } => (Signal::GripperState, update),
+            Command::GetOpeningWidth { update } => (Signal::Width, update),
+            Command::GetSpeed { update } => (Signal::Speed, update),
+            Command::GetForce { update } => (Signal::Force, update),
+            _ => return None,
+        };
+        Some(Self { signal, update })
     }
+}
 
-    /// Whether it is asked for again and again. The two states are, with updates or without: the session needs them.
-    pub(super) fn wants(&self, signal: Signal) -> bool {
-        matches!(signal, Signal::SystemState | Signal::GripperState)
-            || self.update(signal).flags.contains(UpdateFlags::AUTOMATIC)
+/// Returns the subscriptions that a session begins with.
+pub(super) const fn of_config(config: &Config) -> Subscriptions<Update, { Signal::ALL.len() }> {
+    let period_ms = if config.update_period_ms < AutoUpdate::MIN_PERIOD_MS {
+        AutoUpdate::MIN_PERIOD_MS
+    } else {
+        config.update_period_ms
+    };
+    const fn initial(signal: Signal, wanted: bool, period_ms: u16) -> Update {
+        Update { signal, update: if wanted { AutoUpdate::on_change(period_ms) } else { AutoUpdate::once() } }
     }
-
-    /// The request for the `n`th of those that are asked for again and again.
-    pub(super) fn nth(&self, n: u8) -> Option<Command<'static>> {
-        let signal = Signal::ALL.into_iter().filter(|signal| self.wants(*signal)).nth(n as usize)?;
-        Some(signal.request(self.update(signal)))
-    }
-
-    /// The request for one that was changed.
-    pub(super) fn changed(&self) -> Option<Command<'static>> {
-        let signal = Signal::ALL.into_iter().find(|signal| self.changed & signal.bit() != 0)?;
-        Some(signal.request(self.update(signal)))
-    }
-
-    /// The gripper has answered this request of the session's own.
-    pub(super) fn confirm(&mut self, command: Command<'static>) {
-        // Unless it was changed again in the meantime.
-        if let Some((signal, update)) = Signal::asked_by(&command)
-            && update == self.update(signal)
-        {
-            self.changed &= !signal.bit();
-        }
-    }
-
-    /// Changes the command so that it does not end the subscription, as to ask once would (command set, 3.4.1).
-    pub(super) fn keep(&self, command: &mut Command<'static>) {
-        if let Some((signal, _)) =
-            Signal::asked_by(command).filter(|(_, update)| *update == AutoUpdate::once())
-        {
-            *command = signal.request(self.update(signal));
-        }
-    }
+    Subscriptions::new([
+        initial(Signal::SystemState, true, period_ms),
+        initial(Signal::GripperState, true, period_ms),
+        initial(Signal::Width, config.width, period_ms),
+        initial(Signal::Speed, config.speed, period_ms),
+        initial(Signal::Force, config.force, period_ms),
+    ])
 }

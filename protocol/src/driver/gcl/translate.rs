@@ -183,6 +183,7 @@ impl Terms {
                 self.id(name).map(Notice::Pending)
             }
             LineNotice::Unanswered(name) => self.id(name).map(Notice::Unanswered),
+            LineNotice::Late(name) => self.id(name).map(Notice::Late),
             LineNotice::Withdrawn(name) => self.id(name).map(Notice::Withdrawn),
             LineNotice::Answered(_) | LineNotice::Reported(_) => None,
         }

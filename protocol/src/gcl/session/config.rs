@@ -1,5 +1,8 @@
 //! What can be set about a session: time-outs and subscriptions.
 
+use crate::gcl::CommandName;
+use crate::session::config::{FastStopPattern, Timing};
+
 /// Time-outs and subscriptions. All times in milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -49,4 +52,24 @@ impl Config {
         temperature: false,
         verbose: false,
     };
+
+    /// The part that is the same in every dialect.
+    ///
+    /// A FASTSTOP is repeated one line at a time, without bursts: a line has no length field that could be damaged.
+    pub(super) const fn timing(&self) -> Timing<CommandName> {
+        Timing {
+            reply_timeout_ms: self.reply_timeout_ms,
+            attempts: self.attempts,
+            refresh_ms: self.refresh_ms,
+            reconnect_ms: self.reconnect_ms,
+            motion_timeout_ms: self.motion_timeout_ms,
+            result_grace_ms: self.result_grace_ms,
+            fast_stop: FastStopPattern {
+                answer_ms: self.reply_timeout_ms,
+                burst_frames: 1,
+                pause_ms: self.reply_timeout_ms,
+            },
+            timeouts: &[],
+        }
+    }
 }

@@ -1,40 +1,49 @@
 //! One request on its way: waiting to be sent, sent and awaiting its first answer, or none.
 
-use super::Config;
-use crate::command::{Command, CommandId};
+use super::config::Timing;
+use super::message::{Message, Name};
 use crate::time::Instant;
 
 /// A request, as long as it is not answered.
 #[derive(Clone, Copy, Debug, PartialEq, Hash)]
-pub(super) enum Request {
+pub(crate) enum Request<M: Message> {
     /// The session has it.
-    Own(Command<'static>),
+    Own(M),
     /// The caller has it, and lends it when it is to be sent.
-    Lent(CommandId),
+    Lent(M::Name),
     /// The caller had it, and is gone: it was sent, and will not be again.
-    Orphan(CommandId),
+    Orphan(M::Name),
 }
 
-impl Request {
-    pub(super) const fn id(&self) -> CommandId {
+/// A request that is to be sent now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Outgoing<M> {
+    /// This one.
+    Own(M),
+    /// The one that the caller lends.
+    Lent,
+}
+
+impl<M: Message> Request<M> {
+    pub(super) fn name(&self) -> M::Name {
         match self {
-            Self::Own(command) => command.id(),
-            Self::Lent(id) | Self::Orphan(id) => *id,
+            Self::Own(message) => message.name(),
+            Self::Lent(name) | Self::Orphan(name) => *name,
         }
     }
 
-    const fn is_repeatable(&self) -> bool {
+    fn is_repeatable(&self) -> bool {
         match self {
-            Self::Own(command) => command.is_repeatable(),
-            Self::Lent(id) | Self::Orphan(id) => id.is_repeatable(),
+            Self::Own(message) => message.is_repeatable(),
+            Self::Lent(name) | Self::Orphan(name) => name.is_repeatable(),
         }
     }
 
-    /// The command to send, if it is at hand.
-    fn command<'p>(&self, lent: Option<Command<'p>>) -> Option<Command<'p>> {
+    /// The request to send, if it is at hand. `lent`: the caller has one of this name.
+    fn outgoing(&self, lent: Option<M::Name>) -> Option<Outgoing<M>> {
         match *self {
-            Self::Own(command) => Some(command),
-            Self::Lent(id) => lent.filter(|command| command.id() == id),
+            Self::Own(message) => Some(Outgoing::Own(message)),
+            Self::Lent(name) => (lent == Some(name)).then_some(Outgoing::Lent),
             Self::Orphan(_) => None,
         }
     }
@@ -42,9 +51,9 @@ impl Request {
 
 /// A request on its way.
 #[derive(Clone, Debug, Hash)]
-pub(super) struct Track {
-    /// None while the track is idle.
-    request: Option<Request>,
+pub(super) struct Transaction<M: Message> {
+    /// None while the transaction is idle.
+    request: Option<Request<M>>,
     /// When its answer should have come; none while it waits to be sent.
     deadline: Option<Instant>,
     /// How often it was sent.
@@ -60,19 +69,19 @@ pub(super) enum Expired {
     No,
     /// The request will be sent again.
     Repeated,
-    /// It was sent often enough, or may not be sent again. It stays open for [`Track::abandon`].
+    /// It was sent often enough, or may not be sent again. It stays open for [`Transaction::abandon`].
     GivenUp,
-    /// Something more urgent was requested since, so it is not sent again. It stays open for [`Track::abandon`].
+    /// Something more urgent was requested since, so it is not sent again. It stays open for [`Transaction::abandon`].
     Overtaken,
 }
 
-impl Track {
+impl<M: Message> Transaction<M> {
     pub(super) const fn new() -> Self {
         Self { request: None, deadline: None, sent: 0, only_once: false }
     }
 
-    /// Opens the track for this request, in place of the one before.
-    pub(super) fn open(&mut self, request: Request) {
+    /// Opens it for this request, in place of the one before.
+    pub(super) fn open(&mut self, request: Request<M>) {
         *self = Self { request: Some(request), ..Self::new() };
     }
 
@@ -84,57 +93,57 @@ impl Track {
         self.request.is_none()
     }
 
-    /// The id of the open request.
-    pub(super) fn id(&self) -> Option<CommandId> {
-        self.request.as_ref().map(Request::id)
+    /// The name of the open request.
+    pub(super) fn name(&self) -> Option<M::Name> {
+        self.request.as_ref().map(Request::name)
     }
 
     /// The open request, if the session has it.
-    pub(super) const fn own(&self) -> Option<Command<'static>> {
+    pub(super) const fn own(&self) -> Option<M> {
         match self.request {
-            Some(Request::Own(command)) => Some(command),
+            Some(Request::Own(message)) => Some(message),
             _ => None,
         }
     }
 
-    /// Whether a request with this id is open, sent or not.
-    pub(super) fn awaits(&self, id: CommandId) -> bool {
-        self.id() == Some(id)
+    /// Whether a request of this name is open, sent or not.
+    pub(super) fn awaits(&self, name: M::Name) -> bool {
+        self.name() == Some(name)
     }
 
-    /// Whether a request with this id was sent, at least once, and is open.
-    pub(super) fn awaits_answer(&self, id: CommandId) -> bool {
-        self.sent > 0 && self.awaits(id)
+    /// Whether a request of this name was sent, at least once, and is open.
+    pub(super) fn awaits_answer(&self, name: M::Name) -> bool {
+        self.sent > 0 && self.awaits(name)
     }
 
     pub(super) const fn deadline(&self) -> Option<Instant> {
         self.deadline
     }
 
-    /// The command, if it waits to be sent and is at hand; it counts as sent.
-    pub(super) fn send<'p>(
+    /// The request, if it waits to be sent and is at hand; it counts as sent.
+    pub(super) fn send(
         &mut self,
         now: Instant,
-        config: &Config,
-        lent: Option<Command<'p>>,
-    ) -> Option<Command<'p>> {
+        timing: &Timing<M::Name>,
+        lent: Option<M::Name>,
+    ) -> Option<Outgoing<M>> {
         if self.deadline.is_some() {
             return None;
         }
         let request = self.request.as_ref()?;
-        let command = request.command(lent)?;
-        self.deadline = Some(now.plus(config.reply_timeout(request.id())));
+        let outgoing = request.outgoing(lent)?;
+        self.deadline = Some(now.plus(timing.reply_timeout(request.name())));
         self.sent = self.sent.saturating_add(1);
-        Some(command)
+        Some(outgoing)
     }
 
     /// Counts a repetition that is due as sent, and does not send it: something else has the line to itself.
-    pub(super) fn hold(&mut self, now: Instant, config: &Config) {
+    pub(super) fn hold(&mut self, now: Instant, timing: &Timing<M::Name>) {
         if self.deadline.is_none()
             && self.sent > 0
             && let Some(request) = &self.request
         {
-            self.deadline = Some(now.plus(config.reply_timeout(request.id())));
+            self.deadline = Some(now.plus(timing.reply_timeout(request.name())));
             self.sent = self.sent.saturating_add(1);
         }
     }
@@ -154,9 +163,9 @@ impl Track {
         self.is_due_again() || (self.request.is_some() && self.sent > 1)
     }
 
-    /// Its id if it was sent more than once, and until when an answer to the last time may come.
-    pub(super) fn doubled(&self) -> Option<(CommandId, Instant)> {
-        if self.sent > 1 { self.id().zip(self.deadline) } else { None }
+    /// Its name if it was sent more than once, and until when an answer to the last time may come.
+    pub(super) fn doubled(&self) -> Option<(M::Name, Instant)> {
+        if self.sent > 1 { self.name().zip(self.deadline) } else { None }
     }
 
     /// Whether its answer should have come by now.
@@ -186,20 +195,20 @@ impl Track {
     }
 
     /// Closes it and says what it was open for.
-    pub(super) fn abandon(&mut self) -> Option<CommandId> {
-        let id = self.id();
+    pub(super) fn abandon(&mut self) -> Option<M::Name> {
+        let name = self.name();
         self.close();
-        id
+        name
     }
 
     /// Closes it and says what it was open for, if that was never sent.
-    pub(super) fn withdraw_unsent(&mut self) -> Option<CommandId> {
+    pub(super) fn withdraw_unsent(&mut self) -> Option<M::Name> {
         if self.sent == 0 { self.abandon() } else { None }
     }
 
     /// Closes it if it was sent once and is this; whether it was.
-    pub(super) fn take_back(&mut self, id: CommandId) -> bool {
-        let is_this = self.sent == 1 && self.awaits(id);
+    pub(super) fn take_back(&mut self, name: M::Name) -> bool {
+        let is_this = self.sent == 1 && self.awaits(name);
         if is_this {
             self.close();
         }
@@ -208,9 +217,9 @@ impl Track {
 
     /// Whoever asked is gone: what was lent is not sent (again).
     pub(super) const fn orphan(&mut self) {
-        if let Some(Request::Lent(id)) = self.request {
+        if let Some(Request::Lent(name)) = self.request {
             if self.deadline.is_some() {
-                self.request = Some(Request::Orphan(id));
+                self.request = Some(Request::Orphan(name));
             } else {
                 // Its answer did not come in time, and it cannot be repeated any more.
                 self.close();

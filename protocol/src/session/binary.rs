@@ -1,0 +1,265 @@
+//! The binary protocol's session.
+
+use core::hash::{Hash, Hasher};
+
+use super::config::Config;
+use super::dialect::{Dialect, Knowledge, Role};
+use super::engine::Engine;
+use super::known::Known;
+use super::message::{Message, Name};
+use super::notice::{NoticeOf, RequestError};
+use super::read_back;
+use super::signal::{self, Signal, Update};
+use super::subscriptions::{Subscription, Subscriptions};
+use super::transaction::{Outgoing, Request};
+use crate::command::{Command, CommandId, Kind};
+use crate::field::Refusal;
+use crate::frame::Event;
+use crate::reply::{Reply, Value};
+use crate::time::Instant;
+use crate::types::{AutoUpdate, Status};
+
+/// The controller's side of a connection that speaks the binary protocol.
+pub type Session = Engine<Binary>;
+
+/// What happened.
+pub type Notice<'a> = NoticeOf<CommandId, Reply<'a>, Value<'a>>;
+
+/// By kind and command, without the values.
+impl Hash for Notice<'_> {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        core::mem::discriminant(self).hash(state);
+        let id = match self {
+            Self::Connected | Self::Disconnected => None,
+            Self::Pending(id) | Self::Unanswered(id) | Self::Late(id) | Self::Withdrawn(id) => Some(*id),
+            Self::Answered(reply) => Some(reply.id()),
+            Self::Reported(value) => Some(value.id()),
+        };
+        id.hash(state);
+    }
+}
+
+/// The status of a setting that the gripper confirmed but did not take over: read back, it shows another value, or none
+/// ([`Config::verify_settings`]).
+///
+/// It is E_WRITE_ERROR, which the manual lists for none of the settings that are read back, so that a register interface
+/// can show it as it is.
+pub const MISMATCH: Status = Status::WriteError;
+
+/// The binary protocol (command set).
+#[derive(Clone, Copy, Debug, Hash)]
+pub struct Binary {
+    verify_settings: bool,
+}
+
+/// Steps of connecting that ask for the two states, before anything else: a gripper that moves must be noticed at once.
+const STATE_STEPS: u8 = 2;
+
+impl Session {
+    /// A session that is not connected, and begins to connect at once.
+    #[must_use]
+    pub const fn new(config: Config) -> Self {
+        let dialect = Binary { verify_settings: config.verify_settings };
+        Self::over(dialect, config.timing(), signal::of_config(&config))
+    }
+
+    /// Asks for a command to be sent. Its outcome comes as a [`Notice`].
+    ///
+    /// Stop, FAST STOP and Acknowledge overtake what waits: it is withdrawn. To ask once for a value that is subscribed to does not
+    /// end the subscription.
+    ///
+    /// # Errors
+    /// [`RequestError`]; then the command is not sent, now or later.
+    pub fn request(&mut self, mut command: Command<'static>) -> Result<(), RequestError> {
+        command.check().map_err(RequestError::Invalid)?;
+        // To ask once would end a subscription (command set, 3.4.1).
+        if let Some(once) = Update::of(&command).filter(|asked| asked.update == AutoUpdate::once())
+            && let Some(subscribed) = self.subscriptions().find(once.name())
+        {
+            command = subscribed.request();
+        }
+        self.enqueue(Request::Own(command))
+    }
+
+    /// As [`request`](Self::request), for a command that the caller keeps, because it borrows its payload: only the id
+    /// is kept here, and the command is sent when [`poll_transmit_lent`](Self::poll_transmit_lent) has it at hand.
+    ///
+    /// A caller that cannot lend it any more calls [`withdraw`](Self::withdraw). A setting that is lent is not read
+    /// back.
+    ///
+    /// ```
+    /// use wsg_protocol::session::{Config, RequestError, Session};
+    /// use wsg_protocol::{Command, DeviceTag};
+    ///
+    /// let mut session = Session::new(Config::DEFAULT);
+    /// let text = String::from("left hand");
+    /// let command = Command::SetDeviceTag { tag: DeviceTag::new(&text).unwrap() };
+    /// assert_eq!(session.request_lent(&command), Err(RequestError::NotConnected));
+    /// ```
+    ///
+    /// # Errors
+    /// [`RequestError`]; then the command is not sent, now or later.
+    pub fn request_lent(&mut self, command: &Command<'_>) -> Result<(), RequestError> {
+        command.check().map_err(RequestError::Invalid)?;
+        self.enqueue(match command.id() {
+            CommandId::FastStop => Request::Own(Command::FastStop),
+            CommandId::Stop => Request::Own(Command::Stop),
+            id => Request::Lent(id),
+        })
+    }
+
+    /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Notice::Reported`].
+    /// [`AutoUpdate::once`] ends that. Periods below 10 ms count as 10 ms. In place of what [`Config`] says.
+    ///
+    /// The two states are asked for again and again even without updates: the session needs them.
+    ///
+    /// ```
+    /// use wsg_protocol::session::{Config, Session, Signal};
+    /// use wsg_protocol::AutoUpdate;
+    ///
+    /// let mut session = Session::new(Config::DEFAULT);
+    /// session.subscribe(Signal::Force, AutoUpdate::every(20));
+    /// ```
+    pub fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
+        self.subscriptions_mut().set(Update::new(signal, update));
+    }
+
+    /// Takes what the parser found.
+    pub fn handle<'a>(&mut self, now: Instant, event: &Event<'a>) -> Option<Notice<'a>> {
+        let Event::Frame(frame) = event else {
+            return None; // The parser counts it; the request that it may have answered is repeated, or reported.
+        };
+        let Ok(reply) = Reply::decode(frame) else {
+            self.count_refused();
+            return None;
+        };
+        self.take(now, &reply)
+    }
+
+    /// The next command to send. It counts as sent now.
+    pub fn poll_transmit(&mut self, now: Instant) -> Option<Command<'static>> {
+        self.poll_transmit_lent(now, None)
+    }
+
+    /// As [`poll_transmit`](Self::poll_transmit), with the command of [`request_lent`](Self::request_lent) at hand. It
+    /// may be given more than once, until it is answered.
+    pub fn poll_transmit_lent<'p>(&mut self, now: Instant, lent: Option<Command<'p>>) -> Option<Command<'p>> {
+        match self.next_to_send(now, lent.map(|command| command.id()))? {
+            Outgoing::Own(command) => Some(command),
+            Outgoing::Lent => lent,
+        }
+    }
+}
+
+impl Dialect for Binary {
+    type Request = Command<'static>;
+    type Invalid = Refusal;
+    type Answer<'a> = Reply<'a>;
+    type Value<'a> = Value<'a>;
+    type Known = Known;
+    type Subscriptions = Subscriptions<Update, { Signal::ALL.len() }>;
+
+    /// The two states, what device, what limits, then the other subscriptions.
+    fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Command<'static>> {
+        const INFO: u8 = STATE_STEPS;
+        const LIMITS: u8 = INFO + 1;
+        /// Steps that are no subscriptions.
+        const OF_THE_DEVICE: u8 = 2;
+        match step {
+            0..STATE_STEPS => self.refresh(step, subscribed),
+            INFO => Some(Command::GetSystemInfo),
+            LIMITS => Some(Command::GetSystemLimits),
+            _ => self.refresh(step.saturating_sub(OF_THE_DEVICE), subscribed),
+        }
+    }
+
+    fn refresh(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Command<'static>> {
+        subscribed.nth(step).map(|update| update.request())
+    }
+
+    fn name(reply: &Reply<'_>) -> Option<CommandId> {
+        Some(reply.id())
+    }
+
+    fn status(reply: &Reply<'_>) -> Status {
+        reply.status()
+    }
+
+    fn value<'a>(reply: &Self::Answer<'a>) -> Option<Self::Value<'a>> {
+        reply.value()
+    }
+
+    fn role(_: &Reply<'_>) -> Role {
+        Role::Any
+    }
+
+    fn fits(_: &Command<'static>, _: &Reply<'_>) -> bool {
+        true
+    }
+
+    fn is_asynchronous(id: CommandId) -> bool {
+        id.kind() == Kind::Motion || !id.completion_statuses().is_empty()
+    }
+
+    fn is_late_result(id: CommandId, status: Status, _: bool) -> bool {
+        id.completion_statuses().contains(&status) && !id.immediate_statuses().contains(&status)
+    }
+
+    fn completes_step(_: CommandId, status: Status) -> bool {
+        status == Status::Success
+    }
+
+    fn is_farewell(_: CommandId) -> bool {
+        false
+    }
+
+    fn learn(known: &mut Known, value: &Value<'_>) -> bool {
+        known.learn(value)
+    }
+
+    fn read_back(&self, setting: &Command<'static>) -> Option<Command<'static>> {
+        if self.verify_settings { read_back::query(setting) } else { None }
+    }
+
+    fn read_back_answer<'a>(
+        setting: &Command<'static>,
+        read: &Self::Answer<'a>,
+        known: &Known,
+    ) -> Self::Answer<'a> {
+        let agrees = read.value().is_some_and(|value| read_back::agrees(setting, &value, known));
+        Reply::status_only(setting.id(), if agrees { Status::Success } else { MISMATCH })
+    }
+}
+
+impl Message for Command<'static> {
+    type Name = CommandId;
+
+    const STOP: Self = Command::Stop;
+    const FAST_STOP: Self = Command::FastStop;
+
+    fn name(&self) -> CommandId {
+        self.id()
+    }
+
+    fn is_repeatable(&self) -> bool {
+        Command::is_repeatable(self)
+    }
+}
+
+impl Name for CommandId {
+    fn kind(self) -> Kind {
+        Self::kind(self)
+    }
+
+    fn is_repeatable(self) -> bool {
+        Self::is_repeatable(self)
+    }
+}
+
+impl Knowledge for Known {
+    const NOTHING: Self = Self::NOTHING;
+
+    fn is_moving(&self) -> bool {
+        Self::is_moving(self)
+    }
+}

@@ -1,0 +1,719 @@
+//! One engine for every dialect: queueing, time-outs, repeats, Stop and FAST STOP, reconnecting, subscriptions.
+
+use super::config::Timing;
+use super::dialect::{Dialect, Knowledge, NameOf, Role};
+use super::fast_stop::FastStop;
+use super::message::{Message, Name};
+use super::notice::{Counters, NoticeOf, RequestError};
+use super::subscriptions::List;
+use super::transaction::{Expired, Outgoing, Request, Transaction};
+use crate::command::Kind;
+use crate::queue::Queue;
+use crate::time::Instant;
+use crate::types::Status;
+
+/// What happened, in the terms of a dialect.
+pub(crate) type NoticeIn<'a, D> = NoticeOf<NameOf<D>, <D as Dialect>::Answer<'a>, <D as Dialect>::Value<'a>>;
+
+/// How many requests may wait to be sent.
+pub const QUEUE_LEN: usize = 4;
+
+/// Room for an acknowledgement behind a full queue, which it withdraws.
+const QUEUE_CAPACITY: usize = QUEUE_LEN + 1;
+
+/// Where the connection stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Link {
+    /// No answer; the next attempt begins at the given time, or at once.
+    Down { retry_at: Option<Instant> },
+    /// The requests of [`Dialect::setup`] are being answered, this one now.
+    Connecting { step: u8 },
+    /// All of them are.
+    Up,
+    /// Being given up: what is open is reported first.
+    Closing { farewell: bool },
+    /// The gripper confirmed a farewell: nothing is sent.
+    Ended,
+}
+
+/// A command that has begun (E_CMD_PENDING) and whose result is awaited.
+#[derive(Clone, Copy, Debug, Hash)]
+struct Running<N> {
+    name: N,
+    begun: Instant,
+    /// Of a motion: since when the gripper reports that it stands still.
+    still_since: Option<Instant>,
+}
+
+/// Commands that can run at once: one motion, and the supplies of both fingers being switched on.
+const RUNNING_LEN: usize = 3;
+
+/// The controller's side of a connection, in any dialect.
+#[derive(Clone, Debug, Hash)]
+pub struct Engine<D: Dialect> {
+    dialect: D,
+    timing: Timing<NameOf<D>>,
+    link: Link,
+    /// Goes before anything else.
+    fast_stop: FastStop,
+    /// Goes before anything but a FAST STOP.
+    stop: Transaction<D::Request>,
+    /// The request whose first answer is awaited.
+    request: Transaction<D::Request>,
+    /// The session's own: a step of connecting, or a value asked for again.
+    refresh: Transaction<D::Request>,
+    /// The setting that is being read back: `request` is the query.
+    reading_back: Option<D::Request>,
+    /// Requests that wait for the one before to be answered.
+    queue: Queue<Request<D::Request>, QUEUE_CAPACITY>,
+    /// What a Stop, FAST STOP or Acknowledge has overtaken.
+    overtaken: Overtaken,
+    /// A request that was sent more than once, and until when another answer to it may still come: a request of the same
+    /// name would take that for its own.
+    doubled: Option<(NameOf<D>, Instant)>,
+    /// What the next tick reports of a Stop: not answered in time, or not at all.
+    stop_report: Option<StopReport>,
+    /// A request that was overtaken and not answered.
+    dropped: Option<NameOf<D>>,
+    running: [Option<Running<NameOf<D>>>; RUNNING_LEN],
+    /// A command whose result was not waited for any longer: it may still come.
+    given_up: Option<NameOf<D>>,
+    /// When the next value is asked for again, and which.
+    refresh_at: Instant,
+    refresh_step: u8,
+    subscriptions: D::Subscriptions,
+    known: D::Known,
+    counters: Counters,
+}
+
+/// The requests that will be withdrawn because something more urgent overtook them.
+#[derive(Clone, Copy, Debug, Default, Hash)]
+struct Overtaken {
+    /// The one in [`Engine::request`], if it is not sent yet.
+    request: bool,
+    /// So many at the front of the queue.
+    queued: usize,
+}
+
+/// What there is to tell about a Stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum StopReport {
+    /// Not answered in time, and sent again.
+    Late,
+    /// Not answered, and not sent again.
+    Unanswered,
+}
+
+impl<D: Dialect> Engine<D> {
+    /// A session that is not connected, and begins to connect at once.
+    pub(crate) const fn over(dialect: D, timing: Timing<NameOf<D>>, subscriptions: D::Subscriptions) -> Self {
+        Self {
+            dialect,
+            timing,
+            link: Link::Down { retry_at: None },
+            fast_stop: FastStop::new(timing.fast_stop),
+            stop: Transaction::new(),
+            request: Transaction::new(),
+            refresh: Transaction::new(),
+            reading_back: None,
+            queue: Queue::new(),
+            overtaken: Overtaken { request: false, queued: 0 },
+            doubled: None,
+            stop_report: None,
+            dropped: None,
+            running: [const { None }; RUNNING_LEN],
+            given_up: None,
+            refresh_at: Instant::from_millis(0),
+            refresh_step: 0,
+            subscriptions,
+            known: D::Known::NOTHING,
+            counters: Counters { unasked: 0, refused: 0, repeated: 0, disconnects: 0 },
+        }
+    }
+
+    /// Whether the gripper answers.
+    #[must_use]
+    pub const fn is_connected(&self) -> bool {
+        matches!(self.link, Link::Up)
+    }
+
+    /// What is known of the gripper; nothing without a connection.
+    #[must_use]
+    pub const fn known(&self) -> &D::Known {
+        &self.known
+    }
+
+    /// The motion that is running: sent and not yet finished, as far as is known.
+    #[must_use]
+    pub fn motion(&self) -> Option<NameOf<D>> {
+        let sent = self.request.name();
+        self.running
+            .iter()
+            .flatten()
+            .map(|running| running.name)
+            .chain(sent)
+            .find(|name| name.kind() == Kind::Motion)
+    }
+
+    /// What could not be used so far.
+    #[must_use]
+    pub const fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// Whether a request waits to be sent, or for its first answer (or its read-back). Stop and FAST STOP aside.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        !self.request.is_idle() || !self.queue.is_empty()
+    }
+
+    /// Takes a request that was checked. Its outcome comes as a [`NoticeOf`].
+    pub(crate) fn enqueue(&mut self, request: Request<D::Request>) -> Result<(), RequestError<D::Invalid>> {
+        let name = request.name();
+        if name == D::Request::FAST_STOP.name() {
+            // Owed until the gripper confirms it, connected or not.
+            let stop_failed = self.stop.was_late();
+            self.stop.close();
+            self.fast_stop.open(stop_failed);
+            self.overtake();
+            return Ok(());
+        }
+        let fast_stop_runs = self.owes_fast_stop();
+        if name == D::Request::STOP.name() && !fast_stop_runs {
+            // The gripper may hear although it is not heard. But it is now or never: a Stop that arrives after a
+            // reconnect would drop the part that is held then.
+            if !self.stop.awaits(name) {
+                self.stop.open(request);
+            }
+            self.overtake();
+            return Ok(());
+        }
+        if !self.is_connected() {
+            return Err(RequestError::NotConnected);
+        }
+        match name.kind() {
+            Kind::Stop => Err(RequestError::FastStopRunning),
+            Kind::Acknowledge | Kind::Motion if fast_stop_runs => Err(RequestError::FastStopRunning),
+            Kind::Acknowledge => {
+                self.overtake();
+                self.queue.push_back(request).map_err(|_| RequestError::QueueFull)
+            }
+            Kind::Motion if self.motion_is_open() => Err(RequestError::MotionRunning),
+            _ if self.running.iter().flatten().any(|running| running.name == name) => {
+                Err(RequestError::MotionRunning)
+            }
+            _ if self.queue.len() >= QUEUE_LEN => Err(RequestError::QueueFull),
+            _ => self.queue.push_back(request).map_err(|_| RequestError::QueueFull),
+        }
+    }
+
+    /// Marks everything that was requested so far and is not sent: the next ticks withdraw it. What is sent is not sent
+    /// again.
+    fn overtake(&mut self) {
+        self.overtaken = Overtaken { request: true, queued: self.queue.len() };
+        // What was set is read back all the same.
+        if self.reading_back.is_none() {
+            self.request.forbid_repeat();
+            if self.request.is_due_again() {
+                self.dropped = self.request.abandon();
+            }
+        }
+    }
+
+    /// Takes back every request that was not sent yet, for a caller who is gone (a future that was dropped): no notice
+    /// tells of them. What was lent and sent is not sent again. Stop and FAST STOP stay.
+    pub fn withdraw(&mut self) {
+        self.queue.clear();
+        self.overtaken = Overtaken::default();
+        if self.reading_back.is_none() && self.request.withdraw_unsent().is_none() {
+            self.request.orphan();
+        }
+    }
+
+    /// Takes back what [`poll_transmit`](Self::poll_transmit) gave last and the caller did not send, not one byte of it,
+    /// and will not; whether that was a request that it can still do without. No notice tells of it. A query, Stop and
+    /// FAST STOP are not taken back: they may leave late.
+    pub fn take_back(&mut self, name: NameOf<D>) -> bool {
+        name.kind() != Kind::Query && self.request.take_back(name)
+    }
+
+    /// Notes a change of the subscriptions, which the gripper is told when nothing else is due.
+    pub(crate) const fn subscriptions_mut(&mut self) -> &mut D::Subscriptions {
+        &mut self.subscriptions
+    }
+
+    /// Returns what is subscribed to.
+    pub(crate) const fn subscriptions(&self) -> &D::Subscriptions {
+        &self.subscriptions
+    }
+
+    /// Gives up the connection, for a caller who knows that it is gone, or who has opened a new one: the next
+    /// [`tick`](Self::tick)s tell what became of what was open, and then it is connected anew. A FAST STOP that is not confirmed goes out again at once:
+    /// what was sent may not have arrived.
+    pub fn disconnect(&mut self) {
+        self.fast_stop.send_again();
+        match self.link {
+            Link::Up | Link::Closing { .. } => self.link = Link::Closing { farewell: false },
+            Link::Down { .. } | Link::Connecting { .. } | Link::Ended => {
+                self.known = D::Known::NOTHING;
+                self.refresh.close();
+                self.link = Link::Down { retry_at: None };
+            }
+        }
+    }
+
+    /// Counts a message that cannot be understood.
+    pub(crate) const fn count_refused(&mut self) {
+        count(&mut self.counters.refused);
+    }
+
+    /// Takes an answer, or an update.
+    pub(crate) fn take<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Option<NoticeIn<'a, D>> {
+        match self.route(now, answer) {
+            Routed::Unasked => {
+                count(&mut self.counters.unasked);
+                None
+            }
+            Routed::Taken => None,
+            Routed::Noticed(notice) => Some(notice),
+        }
+    }
+
+    /// Lets time pass. Call again until it gives `None`.
+    pub fn tick(&mut self, now: Instant) -> Option<NoticeIn<'static, D>> {
+        if let Link::Closing { farewell } = self.link {
+            return Some(self.close_one(now, farewell));
+        }
+        self.expire_transactions(now);
+        if let Link::Closing { farewell } = self.link {
+            return Some(self.close_one(now, farewell));
+        }
+        if let Some(report) = self.stop_report.take() {
+            return Some(match report {
+                StopReport::Late => NoticeOf::Late(D::Request::STOP.name()),
+                StopReport::Unanswered => NoticeOf::Unanswered(D::Request::STOP.name()),
+            });
+        }
+        if let Some(name) = self.dropped.take() {
+            return Some(NoticeOf::Unanswered(name));
+        }
+        if let Some(overtaken) = self.withdraw_overtaken() {
+            return Some(NoticeOf::Withdrawn(overtaken));
+        }
+        if let Some(name) = self.expire_running(now) {
+            return Some(NoticeOf::Unanswered(name));
+        }
+        self.advance(now);
+        None
+    }
+
+    /// The next request to send, which counts as sent now. `lent`: the caller has one of this name at hand.
+    pub(crate) fn next_to_send(
+        &mut self,
+        now: Instant,
+        lent: Option<NameOf<D>>,
+    ) -> Option<Outgoing<D::Request>> {
+        if matches!(self.link, Link::Closing { .. } | Link::Ended) {
+            return None; // What is open belongs to a connection that is over, and the caller is still to be told.
+        }
+        if !self.fast_stop.is_idle() {
+            // Nothing else: its pauses must be silent, or a gripper that waits for the rest of a frame waits on.
+            return self.fast_stop.send(now).then_some(Outgoing::Own(D::Request::FAST_STOP));
+        }
+        [&mut self.stop, &mut self.request, &mut self.refresh]
+            .into_iter()
+            .find_map(|transaction| transaction.send(now, &self.timing, lent))
+    }
+
+    /// When [`tick`](Self::tick) must be called at the latest, if nothing else happens.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        let transactions = [
+            self.fast_stop.deadline(),
+            self.fast_stop_deadline().filter(|_| self.is_connected()),
+            self.stop.deadline(),
+            self.request.deadline(),
+            self.refresh.deadline(),
+            self.doubled.filter(|_| !self.queue.is_empty() && self.request.is_idle()).map(|(_, until)| until),
+        ];
+        let link = match self.link {
+            // A FAST STOP that is owed comes first; its own time-out runs then.
+            Link::Down { retry_at } if !self.is_urgent() => retry_at,
+            Link::Up if self.refresh.is_idle() => Some(self.refresh_at),
+            _ => None,
+        };
+        let running = self.running.iter().flatten().map(|running| self.result_deadline(running));
+        transactions.into_iter().chain([link]).flatten().chain(running).reduce(Instant::earlier_of)
+    }
+
+    /// Whether a FAST STOP was asked for and is not confirmed yet.
+    #[must_use]
+    pub const fn owes_fast_stop(&self) -> bool {
+        !self.fast_stop.is_idle()
+    }
+
+    /// Whether a Stop or FAST STOP is on its way.
+    const fn is_urgent(&self) -> bool {
+        !self.fast_stop.is_idle() || !self.stop.is_idle()
+    }
+
+    /// Whether a motion runs or waits, also one that was stopped but has not answered yet: another one is refused
+    /// ([`RequestError::MotionRunning`]).
+    #[must_use]
+    pub fn motion_is_open(&self) -> bool {
+        self.motion().is_some() || self.queue.iter().any(|request| request.name().kind() == Kind::Motion)
+    }
+
+    /// To whom an answer belongs.
+    fn route<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Routed<NoticeIn<'a, D>> {
+        let Some(name) = D::name(answer) else { return Routed::Unasked };
+        let status = D::status(answer);
+        if let Some(value) = D::value(answer) {
+            self.learn(now, &value);
+        }
+        match D::role(answer) {
+            Role::Update => self.route_update(name, answer),
+            Role::Result => self.route_result(name, answer),
+            Role::Answer => self.route_answer(now, name, status, answer).unwrap_or(Routed::Unasked),
+            Role::Any => match self.route_answer(now, name, status, answer) {
+                Some(routed) => routed,
+                None => self.route_update(name, answer),
+            },
+        }
+    }
+
+    /// An update, for a caller who subscribed to it.
+    fn route_update<'a>(&self, name: NameOf<D>, answer: &D::Answer<'a>) -> Routed<NoticeIn<'a, D>> {
+        match D::value(answer).filter(|_| self.subscriptions.wants(name)) {
+            Some(value) if self.is_connected() => Routed::Noticed(NoticeOf::Reported(value)),
+            // It begins to come while the next step of connecting is being answered.
+            Some(_) if D::role(answer) == Role::Update => Routed::Taken,
+            _ => Routed::Unasked,
+        }
+    }
+
+    /// The result of a command that has begun.
+    fn route_result<'a>(&mut self, name: NameOf<D>, answer: &D::Answer<'a>) -> Routed<NoticeIn<'a, D>> {
+        if self.end_running(name) {
+            Routed::Noticed(NoticeOf::Answered(*answer))
+        } else {
+            // Without E_CMD_PENDING before it, it is that of an earlier motion, late.
+            Routed::Unasked
+        }
+    }
+
+    /// An answer to what is open; `None` if it is none.
+    fn route_answer<'a>(
+        &mut self,
+        now: Instant,
+        name: NameOf<D>,
+        status: Status,
+        answer: &D::Answer<'a>,
+    ) -> Option<Routed<NoticeIn<'a, D>>> {
+        let answers_fast_stop = name == D::Request::FAST_STOP.name() && self.fast_stop.was_sent();
+        // A FAST STOP is only done when the gripper says so.
+        if answers_fast_stop && status != Status::Success {
+            return Some(Routed::Unasked);
+        }
+        if answers_fast_stop || (self.stop.awaits_answer(name) && status.is_final()) {
+            if answers_fast_stop {
+                self.fast_stop.close();
+            } else {
+                self.stop.close();
+            }
+            if matches!(self.link, Link::Down { .. }) {
+                self.link = Link::Down { retry_at: None };
+            }
+            return Some(Routed::Noticed(NoticeOf::Answered(*answer)));
+        }
+        if self.request.awaits_answer(name) && self.request.own().is_none_or(|own| D::fits(&own, answer)) {
+            return Some(self.route_first_answer(now, name, status, answer));
+        }
+        if status.is_final() && self.end_running(name) {
+            return Some(Routed::Noticed(NoticeOf::Answered(*answer)));
+        }
+        let is_step = self.refresh.awaits_answer(name)
+            && self.refresh.own().is_some_and(|own| D::fits(&own, answer))
+            && D::completes_step(name, status);
+        is_step.then(|| self.route_refresh(now, answer))
+    }
+
+    /// The first answer to a request.
+    fn route_first_answer<'a>(
+        &mut self,
+        now: Instant,
+        name: NameOf<D>,
+        status: Status,
+        answer: &D::Answer<'a>,
+    ) -> Routed<NoticeIn<'a, D>> {
+        if D::is_late_result(name, status, self.given_up == Some(name)) {
+            self.given_up = None;
+            return Routed::Unasked;
+        }
+        if status != Status::CmdPending {
+            return self.finish_request(name, status, answer);
+        }
+        if !D::is_asynchronous(name) {
+            return Routed::Unasked;
+        }
+        self.request.close();
+        self.given_up = None;
+        // There is room: only one motion is let in, and each finger's supply once.
+        if let Some(place) = self.running.iter_mut().find(|place| place.is_none()) {
+            *place = Some(Running { name, begun: now, still_since: None });
+        }
+        Routed::Noticed(NoticeOf::Pending(name))
+    }
+
+    /// The request is answered; a setting may have to be read back first.
+    fn finish_request<'a>(
+        &mut self,
+        name: NameOf<D>,
+        status: Status,
+        answer: &D::Answer<'a>,
+    ) -> Routed<NoticeIn<'a, D>> {
+        let request = self.request.own();
+        self.doubled = self.request.doubled().or(self.doubled);
+        self.request.close();
+        if let Some(setting) = self.reading_back.take() {
+            let answer = D::read_back_answer(&setting, answer, &self.known);
+            return Routed::Noticed(NoticeOf::Answered(answer));
+        }
+        if status == Status::Success
+            && let Some(setting) = request
+            && let Some(query) = self.dialect.read_back(&setting)
+        {
+            self.reading_back = Some(setting);
+            self.request.open(Request::Own(query));
+            return Routed::Taken;
+        }
+        if status == Status::Success && D::is_farewell(name) {
+            self.link = Link::Closing { farewell: true };
+        }
+        Routed::Noticed(NoticeOf::Answered(*answer))
+    }
+
+    /// An answer to one of the session's own requests.
+    fn route_refresh<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Routed<NoticeIn<'a, D>> {
+        if let Some(request) = self.refresh.own() {
+            self.subscriptions.confirm(&request);
+        }
+        self.refresh.close();
+        self.refresh_at = now.plus(self.timing.refresh_ms);
+        match self.link {
+            Link::Connecting { step } => {
+                let next = step.saturating_add(1);
+                if self.dialect.setup(next, &self.subscriptions).is_some() {
+                    self.link = Link::Connecting { step: next };
+                    Routed::Taken
+                } else {
+                    self.link = Link::Up;
+                    self.refresh_step = 0;
+                    Routed::Noticed(NoticeOf::Connected)
+                }
+            }
+            _ => D::value(answer).map_or(Routed::Taken, |value| Routed::Noticed(NoticeOf::Reported(value))),
+        }
+    }
+
+    /// Takes over a reported value, and what it says of a running motion.
+    fn learn(&mut self, now: Instant, value: &D::Value<'_>) {
+        if !D::learn(&mut self.known, value) {
+            return;
+        }
+        let moves = self.known.is_moving();
+        for motion in self.running.iter_mut().flatten().filter(|running| running.name.kind() == Kind::Motion)
+        {
+            motion.still_since = if moves { None } else { motion.still_since.or(Some(now)) };
+        }
+    }
+
+    /// What is done about answers that did not come.
+    fn expire_transactions(&mut self, now: Instant) {
+        if self.doubled.is_some_and(|(_, until)| now.has_reached(until)) {
+            self.doubled = None;
+        }
+        if !self.fast_stop.is_idle() {
+            self.fast_stop.expire(now);
+            if self.link == Link::Up && self.fast_stop_deadline().is_some_and(|at| now.has_reached(at)) {
+                self.link = Link::Closing { farewell: false };
+            }
+        }
+        let attempts = if self.is_connected() { self.timing.attempts } else { 1 };
+        if !self.is_connected() && self.stop.is_overdue(now) {
+            self.stop.close();
+            self.stop_report = Some(StopReport::Unanswered);
+        }
+        let stop = self.stop.expire(now, attempts);
+        if stop == Expired::Repeated {
+            self.stop_report = Some(StopReport::Late);
+        }
+        for expired in [stop, self.request.expire(now, attempts), self.refresh.expire(now, attempts)] {
+            match expired {
+                Expired::No => {}
+                // Only a caller's request can be overtaken.
+                Expired::Overtaken => self.dropped = self.request.abandon(),
+                Expired::Repeated => count(&mut self.counters.repeated),
+                Expired::GivenUp => match self.link {
+                    Link::Up => self.link = Link::Closing { farewell: false },
+                    // Another transaction may have been given up at the same moment.
+                    Link::Closing { .. } | Link::Ended => {}
+                    Link::Down { .. } | Link::Connecting { .. } => {
+                        self.link = Link::Down { retry_at: Some(now.plus(self.timing.reconnect_ms)) };
+                        self.known = D::Known::NOTHING;
+                    }
+                },
+            }
+        }
+        if !self.fast_stop.is_idle() {
+            self.request.hold(now, &self.timing);
+            self.refresh.hold(now, &self.timing);
+        }
+        if matches!(self.link, Link::Down { .. }) {
+            self.refresh.close();
+        }
+    }
+
+    /// When the connection counts as lost because a FAST STOP is not confirmed.
+    fn fast_stop_deadline(&self) -> Option<Instant> {
+        let patience_ms = self.timing.reply_timeout_ms.saturating_mul(self.timing.attempts.into());
+        self.fast_stop.begun().map(|begun| begun.plus(patience_ms))
+    }
+
+    /// Gives up the connection, one open thing after the other.
+    fn close_one(&mut self, now: Instant, farewell: bool) -> NoticeIn<'static, D> {
+        self.known = D::Known::NOTHING;
+        self.refresh.close();
+        if let Some(name) = self.dropped.take() {
+            return NoticeOf::Unanswered(name);
+        }
+        if let Some(running) = self.running.iter_mut().find_map(Option::take) {
+            self.given_up = Some(running.name);
+            return NoticeOf::Unanswered(running.name);
+        }
+        let setting = self.reading_back.take().map(|setting| setting.name());
+        if let Some(name) = self.request.abandon() {
+            return NoticeOf::Unanswered(setting.unwrap_or(name));
+        }
+        if let Some(name) = self.stop.abandon() {
+            return NoticeOf::Unanswered(name);
+        }
+        if let Some(request) = self.queue.pop_front() {
+            return NoticeOf::Withdrawn(request.name());
+        }
+        self.stop_report = None;
+        self.doubled = None;
+        self.overtaken = Overtaken::default();
+        if farewell {
+            self.link = Link::Ended;
+        } else {
+            count(&mut self.counters.disconnects);
+            self.link = Link::Down { retry_at: Some(now.plus(self.timing.reconnect_ms)) };
+        }
+        NoticeOf::Disconnected
+    }
+
+    /// Withdraws what a Stop, FAST STOP or Acknowledge has overtaken, one request after the other.
+    fn withdraw_overtaken(&mut self) -> Option<NameOf<D>> {
+        if !self.overtaken.request && self.overtaken.queued == 0 {
+            return None;
+        }
+        if core::mem::take(&mut self.overtaken.request)
+            // What was set is read back all the same.
+            && self.reading_back.is_none()
+            && let Some(unsent) = self.request.withdraw_unsent()
+        {
+            return Some(unsent);
+        }
+        self.overtaken.queued = self.overtaken.queued.checked_sub(1)?;
+        self.queue.pop_front().map(|request| request.name())
+    }
+
+    /// Gives up a running command whose result does not come.
+    fn expire_running(&mut self, now: Instant) -> Option<NameOf<D>> {
+        let mut running = self.running.iter().flatten();
+        let late = running.find(|running| now.has_reached(self.result_deadline(running)))?.name;
+        self.end_running(late);
+        self.given_up = Some(late);
+        Some(late)
+    }
+
+    /// Takes out this command, if it runs; whether it does.
+    fn end_running(&mut self, name: NameOf<D>) -> bool {
+        let place = self.running.iter_mut().find(|place| place.is_some_and(|running| running.name == name));
+        place.is_some_and(|place| place.take().is_some())
+    }
+
+    /// Until when the result of a running command is waited for.
+    fn result_deadline(&self, running: &Running<NameOf<D>>) -> Instant {
+        let longest = running.begun.plus(self.timing.result_timeout(running.name));
+        let grace = running.still_since.map(|since| since.plus(self.timing.result_grace_ms));
+        grace.map_or(longest, |grace| grace.earlier_of(longest))
+    }
+
+    /// Opens what is due: the next request, the next step of connecting, the next value to ask for again.
+    fn advance(&mut self, now: Instant) {
+        if self.is_connected()
+            && !self.is_urgent()
+            && self.request.is_idle()
+            && !self.may_take_a_doubled_answer()
+            && let Some(request) = self.queue.pop_front()
+        {
+            self.request.open(request);
+        }
+        if !self.refresh.is_idle() {
+            return;
+        }
+        if self.link == Link::Up
+            && let Some(changed) = self.subscriptions.changed()
+        {
+            self.refresh.open(Request::Own(changed));
+            return;
+        }
+        match self.link {
+            // A FAST STOP that is owed is the first thing that a gripper hears.
+            Link::Down { retry_at } => {
+                if !self.is_urgent() && retry_at.is_none_or(|at| now.has_reached(at)) {
+                    self.link = Link::Connecting { step: 0 };
+                    self.open_refresh(0);
+                }
+            }
+            Link::Connecting { step } => self.open_refresh(step),
+            Link::Up if now.has_reached(self.refresh_at) => {
+                let step = self.refresh_step;
+                if let Some(request) = self.dialect.refresh(step, &self.subscriptions) {
+                    self.refresh.open(Request::Own(request));
+                }
+                let next = step.saturating_add(1);
+                let goes_on = self.dialect.refresh(next, &self.subscriptions).is_some();
+                self.refresh_step = if goes_on { next } else { 0 };
+            }
+            Link::Up | Link::Closing { .. } | Link::Ended => {}
+        }
+    }
+
+    /// Whether the next request in the queue could be answered by the second answer to an earlier one of the same name.
+    fn may_take_a_doubled_answer(&self) -> bool {
+        self.doubled.is_some_and(|(name, _)| self.queue.front().map(Request::name) == Some(name))
+    }
+
+    fn open_refresh(&mut self, step: u8) {
+        if let Some(request) = self.dialect.setup(step, &self.subscriptions) {
+            self.refresh.open(Request::Own(request));
+        }
+    }
+}
+
+/// To whom a reply belongs.
+enum Routed<T> {
+    /// To nobody.
+    Unasked,
+    /// To the session itself.
+    Taken,
+    /// To the caller.
+    Noticed(T),
+}
+
+const fn count(counter: &mut u16) {
+    *counter = counter.saturating_add(1);
+}
