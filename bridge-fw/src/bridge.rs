@@ -10,7 +10,7 @@ use crate::plc::{Facts, PlcEvent, PlcSide, Shown, View};
 use crate::registers::{CanReports, ResetCause, Settings};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::Controller;
-use wsg_protocol::session::{self, Notice, Session, Signal};
+use wsg_protocol::session::{self, Event, Session, Topic};
 use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, frame};
 
 /// Bytes taken from the line in one turn of the main loop, at the most: a line that never falls silent must not keep
@@ -206,7 +206,7 @@ impl Bridge {
                 rest = rest.get(taken..).unwrap_or(&[]);
                 let Some(event) = event else { break };
                 let noticed = self.session.handle(now, &event);
-                notice(&mut self.controller, &self.session, noticed);
+                notify(&mut self.controller, &self.session, noticed);
             }
         }
         received > 0
@@ -219,19 +219,19 @@ impl Bridge {
         }
         while let Some(event) = self.parser.expire() {
             let noticed = self.session.handle(now, &event);
-            notice(&mut self.controller, &self.session, noticed);
+            notify(&mut self.controller, &self.session, noticed);
         }
         true
     }
 
     fn tick(&mut self, now: Instant) {
         while let Some(noticed) = self.session.tick(now) {
-            if noticed == Notice::Disconnected {
+            if noticed == Event::Disconnected {
                 // What has not left by now must not leave when the line comes back; but for a FAST STOP, which is owed.
                 self.sending = self.sending.take().filter(|frame| frame.id() == CommandId::FastStop.code());
                 self.gave_up = true;
             }
-            notice(&mut self.controller, &self.session, Some(noticed));
+            notify(&mut self.controller, &self.session, Some(noticed));
         }
     }
 
@@ -280,8 +280,8 @@ impl Bridge {
     fn measure(&mut self) {
         if !core::mem::replace(&mut self.is_measured, true) {
             let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
-            self.session.subscribe(Signal::Width, update);
-            self.session.subscribe(Signal::Force, update);
+            self.session.subscribe(Topic::Width, update);
+            self.session.subscribe(Topic::Force, update);
         }
     }
 
@@ -326,9 +326,9 @@ impl Bridge {
     }
 }
 
-fn notice(controller: &mut Controller, session: &Session, notice: Option<Notice<'_>>) {
-    if let Some(notice) = notice {
-        log::noticed(&notice);
-        controller.handle(&notice, session.known());
+fn notify(controller: &mut Controller, session: &Session, event: Option<Event<'_>>) {
+    if let Some(event) = event {
+        log::noticed(&event);
+        controller.handle(&event, session.known());
     }
 }

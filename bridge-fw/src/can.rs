@@ -1,6 +1,6 @@
 //! CAN: the gripper on a bus instead of a serial line, and a PLC on a bus instead of wires.
 //!
-//! [`CanBus`] owns the controller, shares it between those who are on the bus ([`Participant`]), and leaves and joins the
+//! [`CanBus`] owns the controller, shares it between those who are on the bus ([`CanNode`]), and leaves and joins the
 //! bus when the controller goes bus-off. [`GripperLink`] is one of them: to the bridge it is a line like any other. [`Node`]
 //! is the other: the PLC's side, by CANopen. The board gives the controller, behind [`CanController`]. Where there is none,
 //! [`SlcanPort`] is one over a serial line.
@@ -16,7 +16,7 @@ mod report;
 mod slcan_port;
 
 pub use crate::config::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canopen};
-pub use bus::{CanBus, Nobody, Participant};
+pub use bus::{CanBus, CanNode, NullNode};
 pub use bus_off::{BusOffPolicy, BusState};
 pub use controller::{CanController, Health};
 pub use gripper_link::GripperLink;

@@ -1,7 +1,7 @@
 //! What the bridge logs, with the feature `defmt`: commands sent and what the session noticed.
 
 use wsg_protocol::Command;
-use wsg_protocol::session::Notice;
+use wsg_protocol::session::Event;
 
 #[cfg(feature = "defmt")]
 pub(crate) fn sent(command: &Command<'_>) {
@@ -9,12 +9,12 @@ pub(crate) fn sent(command: &Command<'_>) {
 }
 
 #[cfg(feature = "defmt")]
-pub(crate) fn noticed(notice: &Notice<'_>) {
-    defmt::debug!("<- {}", notice);
+pub(crate) fn noticed(event: &Event<'_>) {
+    defmt::debug!("<- {}", event);
 }
 
 #[cfg(not(feature = "defmt"))]
 pub(crate) const fn sent(_: &Command<'_>) {}
 
 #[cfg(not(feature = "defmt"))]
-pub(crate) const fn noticed(_: &Notice<'_>) {}
+pub(crate) const fn noticed(_: &Event<'_>) {}

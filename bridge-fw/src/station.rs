@@ -4,7 +4,7 @@ use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::Instant;
 
 use crate::bridge::Bridge;
-use crate::can::{BusReport, CanBus, CanController, GripperLink, LinkCounters, Nobody, Node, Participant};
+use crate::can::{BusReport, CanBus, CanController, CanNode, GripperLink, LinkCounters, Node, NullNode};
 use crate::config::{Config, GripperLine, PlcBus};
 use crate::io::{Inputs, Outputs};
 use crate::plc::{BusPort, Modbus};
@@ -68,18 +68,18 @@ impl<C: CanController> Station<C> {
                 bridge.poll(now_ms, inputs, serial, &mut self.modbus.over(modbus))
             }
             (GripperLine::Serial, PlcBus::Canopen) => {
-                can.listen(now, &mut Nobody, node);
+                can.listen(now, &mut NullNode, node);
                 let report = can.report(LinkCounters::default());
                 bridge.set_can_reports(report.registers());
                 node.set_report(report);
                 let outputs = bridge.poll(now_ms, inputs, serial, node);
-                can.talk(now, &mut Nobody, node);
+                can.talk(now, &mut NullNode, node);
                 outputs
             }
             (GripperLine::Can, PlcBus::Off | PlcBus::Modbus) => {
-                listen(now, bridge, can, link, &mut Nobody);
+                listen(now, bridge, can, link, &mut NullNode);
                 let outputs = bridge.poll(now_ms, inputs, link, &mut self.modbus.over(modbus));
-                talk(now, bridge, can, link, &mut Nobody);
+                talk(now, bridge, can, link, &mut NullNode);
                 outputs
             }
             (GripperLine::Can, PlcBus::Canopen) => {
@@ -124,7 +124,7 @@ fn listen<C: CanController>(
     bridge: &mut Bridge,
     can: &mut CanBus<C>,
     link: &mut GripperLink,
-    other: &mut impl Participant<C::Frame>,
+    other: &mut impl CanNode<C::Frame>,
 ) -> BusReport {
     can.listen(now, link, other);
     link.expire(now);
@@ -141,7 +141,7 @@ fn talk<C: CanController>(
     bridge: &Bridge,
     can: &mut CanBus<C>,
     link: &mut GripperLink,
-    other: &mut impl Participant<C::Frame>,
+    other: &mut impl CanNode<C::Frame>,
 ) {
     // Before anything is said: what was said to a gripper that is lost must not leave.
     link.set_connected(bridge.is_connected());

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, Health, Nobody, Participant};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, CanNode, Health, NullNode};
 use wsg_protocol::Instant;
 
 /// What the controller does with a frame that it is offered.
@@ -85,10 +85,10 @@ impl Speaker {
     }
 }
 
-impl Participant<ClassicFrame> for Speaker {
-    fn hear(&mut self, _: Instant, _: &ClassicFrame) {}
+impl CanNode<ClassicFrame> for Speaker {
+    fn on_frame(&mut self, _: Instant, _: &ClassicFrame) {}
 
-    fn say(&mut self, _: Instant) -> Option<ClassicFrame> {
+    fn poll_transmit(&mut self, _: Instant) -> Option<ClassicFrame> {
         self.left = self.left.checked_sub(1)?;
         Some(frame(self.id))
     }
@@ -122,8 +122,8 @@ fn bus(controller: Scripted) -> CanBus<Scripted> {
 
 fn talk(
     bus: &mut CanBus<Scripted>,
-    first: &mut impl Participant<ClassicFrame>,
-    second: &mut impl Participant<ClassicFrame>,
+    first: &mut impl CanNode<ClassicFrame>,
+    second: &mut impl CanNode<ClassicFrame>,
 ) {
     bus.talk(Instant::from_millis(1), first, second);
 }
@@ -156,7 +156,7 @@ fn where_there_is_no_room_for_one_the_other_still_speaks() {
 fn eight_frames_leave_in_a_turn_at_the_most() {
     let mut bus = bus(Scripted::default());
     let mut first = Speaker::new(standard(1), 20);
-    talk(&mut bus, &mut first, &mut Nobody);
+    talk(&mut bus, &mut first, &mut NullNode);
     assert_eq!(bus.controller().taken.len(), 8);
 }
 
@@ -210,7 +210,7 @@ fn a_frame_of_the_second_that_comes_back_is_not_taken_for_nobodys() {
     let mut bus = bus(Scripted::default());
     let mut second = Speaker::new(standard(1), 1);
     bus.controller().answers.extend([Takes::Instead(frame(standard(1))), Takes::Never]);
-    talk(&mut bus, &mut Nobody, &mut second);
+    talk(&mut bus, &mut NullNode, &mut second);
     assert_eq!(second.losses, 1, "it is told of what was refused then");
 }
 

@@ -1,4 +1,4 @@
-//! A PLC on CAN, in virtual time. The master's frames are made and read by `canopen-rs`, which nobody here wrote.
+//! A PLC on CAN, in virtual time. The master's frames are made and read by `canopen-rs`, a third-party library.
 
 use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
@@ -9,8 +9,8 @@ use host_tests::document::hold_file;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, DEFAULT_NODE, DataType, FAULTS, Health, NmtState, Nobody, Node, NodeConfig,
-    OBJECTS, Participant, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
+    BusOffPolicy, CanBus, CanNode, DEFAULT_NODE, DataType, FAULTS, Health, NmtState, Node, NodeConfig,
+    NullNode, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
@@ -501,9 +501,9 @@ fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
             for _ in 0..ms {
                 now_ms += 1;
                 let now = Instant::from_millis(now_ms);
-                bus.listen(now, &mut Nobody, &mut node);
+                bus.listen(now, &mut NullNode, &mut node);
                 bridge.poll(now_ms, wires, &mut far.line, &mut node);
-                bus.talk(now, &mut Nobody, &mut node);
+                bus.talk(now, &mut NullNode, &mut node);
                 while double.take_winner().is_some() {}
                 far.advance(Time::from_millis(now_ms.into()));
             }
@@ -738,7 +738,7 @@ fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
 #[test]
 fn its_own_frames_are_those_that_it_sends() {
     let node = Node::new(NODE);
-    let sends = |id: u16| Participant::<ClassicFrame>::sends(&node, StandardId::new(id).unwrap().into());
+    let sends = |id: u16| CanNode::<ClassicFrame>::sends(&node, StandardId::new(id).unwrap().into());
     let own = u16::from(NODE.node);
     for base in [0x080, 0x180, 0x280, 0x580, 0x700] {
         assert!(sends(base + own), "{base:#x}");
@@ -771,10 +771,10 @@ fn all_that_came_in_one_turn_is_served_in_it() {
     let mut node = Node::new(NODE);
     let mut turn = |now_ms, frames: &[ClassicFrame]| {
         for frame in frames {
-            node.hear(Instant::from_millis(now_ms), frame);
+            node.on_frame(Instant::from_millis(now_ms), frame);
         }
         bridge.poll(now_ms, Inputs::empty(), &mut SerialLine::with_room(0), &mut node);
-        while Participant::<ClassicFrame>::say(&mut node, Instant::from_millis(now_ms)).is_some() {}
+        while CanNode::<ClassicFrame>::poll_transmit(&mut node, Instant::from_millis(now_ms)).is_some() {}
         bridge.control_source()
     };
     let frame = |id, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();

@@ -3,7 +3,7 @@
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id, StandardId};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use wsg_bridge_fw::can::{GripperLink, Participant};
+use wsg_bridge_fw::can::{CanNode, GripperLink};
 use wsg_protocol::can::{Identifiers, Segments};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{DeviceTag, FrameEncoder, Instant};
@@ -25,7 +25,7 @@ fn message(payload_len: usize) -> Vec<u8> {
 fn hear(link: &mut GripperLink, bytes: &[u8]) {
     for segment in Segments::new(bytes.iter().copied()) {
         let frame: ClassicFrame = segment.frame(IDENTIFIERS.gripper().transmit).unwrap();
-        link.hear(LATER, &frame);
+        link.on_frame(LATER, &frame);
     }
 }
 
@@ -40,7 +40,7 @@ fn read_all(link: &mut GripperLink) -> Vec<u8> {
 }
 
 fn say(link: &mut GripperLink) -> Option<ClassicFrame> {
-    link.say(LATER)
+    link.poll_transmit(LATER)
 }
 
 /// Writes a message byte by byte, as the bridge does.
@@ -101,7 +101,7 @@ fn what_it_refuses_has_a_reason_in_words() {
 fn its_own_frames_are_those_to_the_gripper() {
     let link = link();
     let own = IDENTIFIERS.controller().transmit;
-    let sends = |id: StandardId| Participant::<ClassicFrame>::sends(&link, Id::Standard(id));
+    let sends = |id: StandardId| CanNode::<ClassicFrame>::sends(&link, Id::Standard(id));
     assert!(sends(own));
     assert!(!sends(IDENTIFIERS.controller().receive));
 }
@@ -133,7 +133,7 @@ fn a_message_of_which_a_frame_was_lost_is_given_up_and_its_writer_is_told() {
     for (written, is_broken, is_told) in [(18, true, false), (5, true, true), (0, false, false)] {
         let mut link = link();
         write_all(&mut link, &message(10)[..written]);
-        Participant::<ClassicFrame>::lost(&mut link);
+        CanNode::<ClassicFrame>::lost(&mut link);
         assert!(say(&mut link).is_none(), "{written}");
         assert_eq!(link.counters().broken, u16::from(is_broken), "{written}");
         assert!(link.write_ready().unwrap(), "{written}");
@@ -150,10 +150,10 @@ fn a_message_of_which_a_frame_was_lost_is_given_up_and_its_writer_is_told() {
 fn nothing_is_taken_while_the_bus_is_lost_and_nothing_of_before_leaves_after_it() {
     let mut link = link();
     write_all(&mut link, &message(10));
-    Participant::<ClassicFrame>::bus_changed(&mut link, false);
+    CanNode::<ClassicFrame>::bus_changed(&mut link, false);
     assert!(!link.write_ready().unwrap() && link.write(&[0xAA]).is_err());
     assert!(say(&mut link).is_none());
-    Participant::<ClassicFrame>::bus_changed(&mut link, true);
+    CanNode::<ClassicFrame>::bus_changed(&mut link, true);
     assert!(say(&mut link).is_none());
     assert!(link.write_ready().unwrap());
     assert_eq!(link.counters().broken, 1);
@@ -166,9 +166,9 @@ fn half_a_message_of_the_gripper_is_forgotten_with_the_bus_and_a_whole_one_kept(
     let mut link = link();
     hear(&mut link, &whole);
     let first = Segments::new(longer.iter().copied()).next().unwrap();
-    link.hear(LATER, &first.frame::<ClassicFrame>(IDENTIFIERS.gripper().transmit).unwrap());
-    Participant::<ClassicFrame>::bus_changed(&mut link, false);
-    Participant::<ClassicFrame>::bus_changed(&mut link, true);
+    link.on_frame(LATER, &first.frame::<ClassicFrame>(IDENTIFIERS.gripper().transmit).unwrap());
+    CanNode::<ClassicFrame>::bus_changed(&mut link, false);
+    CanNode::<ClassicFrame>::bus_changed(&mut link, true);
     hear(&mut link, &longer);
     assert_eq!(read_all(&mut link), [whole, longer].concat());
     assert_eq!(link.counters().frames.dropped, 1, "the frame of the half one");
@@ -181,15 +181,15 @@ fn frames_that_the_controller_does_not_take_for_100_ms_are_withdrawn_with_what_i
     write_all(&mut link, &message(10));
     link.expire(at(1));
     link.expire(at(100));
-    assert!(!Participant::<ClassicFrame>::withdraws(&mut link));
+    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link));
     // One is taken: the time begins anew.
     assert!(say(&mut link).is_some());
     link.expire(at(101));
     link.expire(at(200));
-    assert!(!Participant::<ClassicFrame>::withdraws(&mut link));
+    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link));
     link.expire(at(201));
-    assert!(Participant::<ClassicFrame>::withdraws(&mut link));
-    assert!(!Participant::<ClassicFrame>::withdraws(&mut link), "said once");
+    assert!(CanNode::<ClassicFrame>::withdraws(&mut link));
+    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link), "said once");
     assert!(say(&mut link).is_none());
     assert_eq!(link.counters().broken, 1);
 }
@@ -198,12 +198,12 @@ fn frames_that_the_controller_does_not_take_for_100_ms_are_withdrawn_with_what_i
 fn what_was_said_to_a_gripper_that_is_lost_is_withdrawn() {
     let mut link = link();
     link.set_connected(false);
-    assert!(!Participant::<ClassicFrame>::withdraws(&mut link), "nothing was lost");
+    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link), "nothing was lost");
     link.set_connected(true);
     write_all(&mut link, &message(0));
     link.set_connected(true);
-    assert!(!Participant::<ClassicFrame>::withdraws(&mut link));
+    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link));
     link.set_connected(false);
-    assert!(Participant::<ClassicFrame>::withdraws(&mut link));
+    assert!(CanNode::<ClassicFrame>::withdraws(&mut link));
     assert!(say(&mut link).is_none());
 }

@@ -176,9 +176,10 @@ fn coils_read_as_they_were_written() {
 #[test]
 fn pause_inside_a_request_may_last_as_long_as_the_setting_says() {
     // A master on a host with a scheduler: half a request, a pause, the rest.
-    for (patience_ms, pause_us, is_answered) in [(50, 40_000, true), (50, 51_000, false), (2, 40_000, false)]
+    for (character_timeout_ms, pause_us, is_answered) in
+        [(50, 40_000, true), (50, 51_000, false), (2, 40_000, false)]
     {
-        let bus = BusConfig { patience_ms, ..BusConfig::DEFAULT };
+        let bus = BusConfig { character_timeout_ms, ..BusConfig::DEFAULT };
         let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
         bench.pass(100);
         bench.answers();
@@ -187,7 +188,7 @@ fn pause_inside_a_request_may_last_as_long_as_the_setting_says() {
         bench.send_raw(first);
         bench.send_after(pause_us, second);
         bench.pass(100);
-        assert_eq!(bench.answers() == 1, is_answered, "{pause_us} us of {patience_ms} ms");
+        assert_eq!(bench.answers() == 1, is_answered, "{pause_us} us of {character_timeout_ms} ms");
     }
 }
 

@@ -273,7 +273,7 @@ fn answers_to_nothing_ever_asked_change_nothing() {
     bench.pass(300);
     assert_eq!(bench.outputs(), outputs);
     assert_eq!(bench.take_motions(), []);
-    assert!(bench.counters().session.unasked > 50, "and they are counted: {:?}", bench.counters());
+    assert!(bench.counters().session.unsolicited > 50, "and they are counted: {:?}", bench.counters());
 }
 
 #[test]
@@ -521,7 +521,7 @@ fn longest_reply_that_a_gripper_may_send_is_no_oversize() {
     bench.far.inject(&FrameEncoder::new(CommandId::GetDeviceTag.code(), &reply[..]).collect::<Vec<u8>>());
     bench.pass(10);
     let counters = bench.counters();
-    assert_eq!((counters.line.oversize, counters.session.unasked), (0, 1));
+    assert_eq!((counters.line.oversize, counters.session.unsolicited), (0, 1));
 }
 
 #[test]
@@ -639,5 +639,9 @@ fn two_hundred_cycles_in_virtual_time_are_all_alike() {
         assert_eq!(bench.take_motions(), expected, "cycle {cycle}");
     }
     assert_eq!(bench.gripper().state().statistics.total, 200);
-    assert_eq!(bench.counters(), wsg_bridge_fw::Counters::default(), "nothing was lost, repeated or unasked");
+    assert_eq!(
+        bench.counters(),
+        wsg_bridge_fw::Counters::default(),
+        "nothing was lost, repeated or unsolicited"
+    );
 }

@@ -3,7 +3,7 @@
 use crate::axis::{Direction, Part};
 use crate::finger::Finger;
 use crate::model::Model;
-use wsg_protocol::{DeviceTag, Refusal};
+use wsg_protocol::{DecodeError, DeviceTag};
 
 /// The settings of a [`VirtualGripper`](crate::VirtualGripper). The default is a WSG 50-110 as it leaves the factory,
 /// with no part between the fingers.
@@ -92,7 +92,7 @@ impl Tag {
     ///
     /// # Errors
     /// Those of [`DeviceTag::new`].
-    pub fn new(text: &str) -> Result<Self, Refusal> {
+    pub fn new(text: &str) -> Result<Self, DecodeError> {
         DeviceTag::new(text).map(Self::from)
     }
 

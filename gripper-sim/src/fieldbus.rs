@@ -10,7 +10,7 @@ use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
 use bus_modbus::{Bits, Exception, Identification, MAX_PDU_LEN, Words};
 use wsg_protocol::fieldbus::{Controller, Images, SilenceReaction};
-use wsg_protocol::session::{Known, Notice};
+use wsg_protocol::session::{Event, Known};
 use wsg_protocol::{Reply, Status, Value};
 
 /// What the gripper calls itself (FC 43/14).
@@ -36,7 +36,7 @@ impl Fieldbus {
     pub(crate) fn new(device: &Device) -> Self {
         let mut controller = Controller::new();
         // There is no line between the two that could be cut.
-        controller.handle(&Notice::Connected, &known(device));
+        controller.handle(&Event::Connected, &known(device));
         let images = Images::new(device.config().modbus_swap_bytes);
         Self { images, controller, writer: None, in_use: false }
     }
@@ -73,7 +73,7 @@ impl Fieldbus {
     /// The second answer to a command.
     pub(crate) fn complete(&mut self, device: &Device, done: Completion) {
         let reply = Reply::status_only(done.id, done.status);
-        self.controller.handle(&Notice::Answered(reply), &known(device));
+        self.controller.handle(&Event::Answered(reply), &known(device));
     }
 
     /// Tells the controller how things stand, and carries out what it asks for; whether it asked for anything, which
@@ -84,8 +84,8 @@ impl Fieldbus {
         }
         let (flags, state) = (device.flags(), device.state());
         let known_now = known(device);
-        self.controller.handle(&Notice::Reported(Value::GetSystemState(flags)), &known_now);
-        self.controller.handle(&Notice::Reported(Value::GetGripperState(state)), &known_now);
+        self.controller.handle(&Event::Reported(Value::GetSystemState(flags)), &known_now);
+        self.controller.handle(&Event::Reported(Value::GetGripperState(state)), &known_now);
         let mut asked = false;
         while let Some(command) = self.controller.poll_command() {
             asked = true;
@@ -93,11 +93,11 @@ impl Fieldbus {
             let reply = device.execute(Request { port: PortId::FIELDBUS, now }, &command);
             let status = reply.status();
             device.note_result(id.kind(), status);
-            let notice = match status {
-                Status::CmdPending => Notice::Pending(id),
-                status => Notice::Answered(Reply::status_only(id, status)),
+            let event = match status {
+                Status::CmdPending => Event::Pending(id),
+                status => Event::Answered(Reply::status_only(id, status)),
             };
-            self.controller.handle(&notice, &known(device));
+            self.controller.handle(&event, &known(device));
         }
         asked
     }

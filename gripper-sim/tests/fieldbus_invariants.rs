@@ -124,7 +124,7 @@ impl Trial {
         let flags = self.image.flags;
         let rising = flags.difference(image.flags);
         assert_eq!(shown.state.bits().count_ones(), 1, "{shown:?}");
-        // Nothing moves unasked: what begins to move does so at a write, on an edge or on a jog.
+        // Nothing moves without a command: what begins to move does so at a write, on an edge or on a jog.
         if self.moves() && !moved {
             let asked = CommandFlags::from_bits_retain(0x0F);
             let jogs = flags.bits() >> 6 == 1 || flags.bits() >> 6 == 2;

@@ -1,6 +1,6 @@
 //! Both sides of the text protocol: the controller's session of `wsg-protocol` at the virtual gripper, in virtual time.
 
-use wsg_protocol::gcl::session::{Config as SessionConfig, Notice, Session};
+use wsg_protocol::gcl::session::{Config as SessionConfig, Event, Session};
 use wsg_protocol::gcl::{CommandName, Grip, LineReader, MAX_LINE_LEN, Move, Release, Request};
 use wsg_protocol::{DeviceType, GripperState, HomingDirection, Instant, SystemFlags};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
@@ -11,7 +11,7 @@ struct Rig {
     session: Session,
     reader: LineReader<MAX_LINE_LEN>,
     millis: u32,
-    notices: Vec<String>,
+    events: Vec<String>,
 }
 
 impl Rig {
@@ -19,7 +19,7 @@ impl Rig {
         let mut gripper = VirtualGripper::new(Config { part, ..Config::default() });
         let port = gripper.connect(PortKind::GclTcp).unwrap();
         let session = Session::new(SessionConfig { width: true, ..SessionConfig::DEFAULT });
-        Self { gripper, port, session, reader: LineReader::new(), millis: 0, notices: vec![] }
+        Self { gripper, port, session, reader: LineReader::new(), millis: 0, events: vec![] }
     }
 
     fn pass(&mut self, millis: u32) {
@@ -32,13 +32,13 @@ impl Rig {
                 let (_, event) = self.reader.push_slice(line);
                 let event = event.expect("a whole line");
                 match self.session.handle(now, &event) {
-                    None | Some(Notice::Reported(_)) => {}
-                    Some(Notice::Answered(answer)) => self.notices.push(answer.to_string()),
-                    Some(notice) => self.notices.push(format!("{notice:?}")),
+                    None | Some(Event::Reported(_)) => {}
+                    Some(Event::Answered(answer)) => self.events.push(answer.to_string()),
+                    Some(event) => self.events.push(format!("{event:?}")),
                 }
             }
-            while let Some(notice) = self.session.tick(now) {
-                self.notices.push(format!("{notice:?}"));
+            while let Some(event) = self.session.tick(now) {
+                self.events.push(format!("{event:?}"));
             }
             while let Some(request) = self.session.poll_transmit(now) {
                 let mut line = [0; Request::MAX_LEN + 1];
@@ -51,7 +51,7 @@ impl Rig {
     fn run(&mut self, request: Request) -> Vec<String> {
         self.session.request(request).unwrap();
         self.pass(5_000);
-        core::mem::take(&mut self.notices)
+        core::mem::take(&mut self.events)
     }
 }
 
@@ -59,7 +59,7 @@ impl Rig {
 fn session_connects_homes_grips_and_releases() {
     let mut rig = Rig::new(Part::of_width(20.0));
     rig.pass(200);
-    assert_eq!(core::mem::take(&mut rig.notices), ["Connected"]);
+    assert_eq!(core::mem::take(&mut rig.events), ["Connected"]);
     assert_eq!(rig.session.known().device, Some(DeviceType::Wsg50));
     assert_eq!(rig.run(Request::Home(HomingDirection::Default)), ["Pending(Home)", "FIN HOME"]);
     assert_eq!(rig.session.known().width, Some(110.0));
@@ -69,7 +69,7 @@ fn session_connects_homes_grips_and_releases() {
     assert_eq!(rig.run(grip), ["ERR GRIP 4"]);
     let release = Request::Release(Release::By { distance: 5.0 });
     assert_eq!(rig.run(release), ["Pending(Release)", "FIN RELEASE"]);
-    assert_eq!(rig.session.counters().unasked, 0);
+    assert_eq!(rig.session.counters().unsolicited, 0);
     assert_eq!(rig.session.counters().refused, 0);
 }
 
@@ -78,7 +78,7 @@ fn session_stops_and_fast_stops_a_motion() {
     let mut rig = Rig::new(None);
     rig.pass(200);
     rig.run(Request::Home(HomingDirection::Default));
-    rig.notices.clear();
+    rig.events.clear();
     let slowly = Request::Move(Move { width: 10.0, speed: Some(10.0) });
     rig.session.request(slowly).unwrap();
     rig.pass(500);

@@ -2,13 +2,13 @@
 //!
 //! | body | what it holds |
 //! |---|---|
-//! | [`frames`] | the parser finds what a reader of the whole recording finds, however the bytes are cut |
+//! | [`frames`] | the parser finds what a reader of the whole capture finds, however the bytes are cut |
 //! | [`typed`] | what decodes encodes to the same bytes |
 //! | [`session`] | a request leaves once at the most, and every one comes to an end |
 //! | [`controller`] | a command only after the edge that asks for it |
 //! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
 //! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
-//! | [`can`] | the reassembler finds what a reader of the whole recording finds |
+//! | [`can`] | the reassembler finds what a reader of the whole capture finds |
 //! | [`bridge`] | no motion without an edge, FAST STOP in time, and true outputs, whatever gripper, line, wires and Modbus bus do |
 //! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
 //!

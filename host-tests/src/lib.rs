@@ -14,7 +14,7 @@
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
 //! | [`mod@example`] | where cargo puts an example |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
-//! | [`masters`] | masters of Modbus and CANopen that nobody here wrote |
+//! | [`masters`] | third-party masters of Modbus and CANopen |
 //! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`rig`] | board, gripper and PLC together |

@@ -1,4 +1,4 @@
-//! Modbus masters that nobody here wrote, for tests: `mbpoll` (Debian), and `pymodbus`, `minimalmodbus`, `modbus-tk`
+//! Third-party Modbus masters, for tests: `mbpoll` (Debian), and `pymodbus`, `minimalmodbus`, `modbus-tk`
 //! (PyPI, versions in `requirements.txt`); and from there `canopen`, a master of CANopen.
 //!
 //! `cargo xtask test` installs them, and leaves out the tests of those that it cannot have, by the name: a test that

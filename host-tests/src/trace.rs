@@ -25,7 +25,7 @@ pub enum Entry {
     Note(String),
 }
 
-/// A recording, shared by all who watch.
+/// A capture, shared by all who watch.
 #[derive(Clone)]
 pub struct Trace {
     shared: Arc<Shared>,
@@ -49,7 +49,7 @@ impl fmt::Debug for Trace {
 }
 
 impl Trace {
-    /// A recording that begins now; each entry is also written to every sink, as a line.
+    /// A capture that begins now; each entry is also written to every sink, as a line.
     #[must_use]
     pub fn new(sinks: Vec<Box<dyn Write + Send>>) -> Self {
         let inner = Mutex::new(Inner { entries: Vec::new(), sinks });
@@ -67,7 +67,7 @@ impl Trace {
         let at = self.shared.start.elapsed();
         let mut inner = self.lock();
         let line = format!("{:>9.3}  {entry}\n", at.as_secs_f64());
-        // A sink that fails (a closed pipe) does not end the recording.
+        // A sink that fails (a closed pipe) does not end the capture.
         inner.sinks.retain_mut(|sink| sink.write_all(line.as_bytes()).and_then(|()| sink.flush()).is_ok());
         inner.entries.push((at, entry));
         drop(inner);
@@ -165,7 +165,7 @@ impl Sequences {
         Outputs::all().iter().flat_map(edges).collect()
     }
 
-    /// The sequences of a recording from the entry `mark` on. What was reported before is known: repeating it is no
+    /// The sequences of a capture from the entry `mark` on. What was reported before is known: repeating it is no
     /// news.
     #[must_use]
     pub fn of(entries: &[Entry], mark: usize) -> Self {

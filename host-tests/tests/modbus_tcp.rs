@@ -1,4 +1,4 @@
-//! Masters that nobody here wrote, over Modbus/TCP to the virtual gripper: `mbpoll` (Debian), `pymodbus` and `modbus-tk`
+//! Third-party masters, over Modbus/TCP to the virtual gripper: `mbpoll` (Debian), `pymodbus` and `modbus-tk`
 //! (PyPI), `tokio-modbus`; and the example `gripping_cycle`, which is built on the last. `minimalmodbus` speaks RTU
 //! alone.
 //!

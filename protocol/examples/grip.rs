@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
 use wsg_protocol::driver::{Clock, Error, Grip, Protocol};
-use wsg_protocol::session::Signal;
+use wsg_protocol::session::Topic;
 use wsg_protocol::{AutoUpdate, HomingDirection, Status};
 
 /// A TCP connection as `embedded-io` sees it.
@@ -36,7 +36,7 @@ impl ErrorType for Tcp {
 }
 
 impl ReadReady for Tcp {
-    #[expect(clippy::disallowed_methods, reason = "a signal is taken for silence, and the driver asks again")]
+    #[expect(clippy::disallowed_methods, reason = "a topic is taken for silence, and the driver asks again")]
     fn read_ready(&mut self) -> io::Result<bool> {
         use ErrorKind::{Interrupted, TimedOut, WouldBlock};
         match self.0.peek(&mut [0]) {
@@ -50,7 +50,7 @@ impl ReadReady for Tcp {
 impl Read for Tcp {
     #[expect(
         clippy::disallowed_methods,
-        reason = "the driver reads what is there: no wait, so no signal ends it"
+        reason = "the driver reads what is there: no wait, so no topic ends it"
     )]
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         io::Read::read(&mut self.0, buffer)
@@ -87,7 +87,7 @@ fn run<C: Clock, P: Protocol>(mut gripper: GripperOver<Tcp, C, P>) -> Result<(),
     gripper.home(HomingDirection::Default)?;
     gripper.set_force_limit(40.0)?;
 
-    gripper.subscribe(Signal::Width, AutoUpdate::on_change(50));
+    gripper.subscribe(Topic::Width, AutoUpdate::on_change(50));
     let grip = gripper.begin_grip(20.0, 100.0)?;
     let result = loop {
         if let Some(update) = gripper.next_update(100)? {

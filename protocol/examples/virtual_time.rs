@@ -128,7 +128,7 @@ fn main() -> Result<(), Error<Infallible>> {
 mod tests {
     use super::*;
     use wsg_protocol::driver::{Finger, Update};
-    use wsg_protocol::session::Signal;
+    use wsg_protocol::session::Topic;
     use wsg_protocol::{AutoUpdate, GripperState, SoftLimits, Status, SystemFlags};
     use wsg_sim::{Fault, Tag};
 
@@ -236,7 +236,7 @@ mod tests {
     #[test]
     fn updates_come_while_the_fingers_travel() {
         let (_bench, mut gripper) = homed(Config::default());
-        gripper.subscribe(Signal::Width, AutoUpdate::every(10));
+        gripper.subscribe(Topic::Width, AutoUpdate::every(10));
         let motion = gripper.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
         let lost = gripper.counters().updates_lost;
         let mut widths = vec![];

@@ -2,7 +2,7 @@
 
 use core::hash::{Hash, Hasher};
 
-use crate::field::{Field, Refusal};
+use crate::field::{DecodeError, Field};
 use crate::frame::{Frame, Payload};
 use crate::table::for_each_command;
 use crate::types::{
@@ -115,12 +115,12 @@ macro_rules! define_commands {
         /// A request to the gripper.
         ///
         /// ```
-        /// use wsg_protocol::{Command, Frame, HomingDirection, Refusal};
+        /// use wsg_protocol::{Command, Frame, HomingDirection, DecodeError};
         ///
         /// let homing = Command::decode(&Frame { id: 0x20, payload: &[1] });
         /// assert_eq!(homing, Ok(Command::Homing { direction: HomingDirection::Positive }));
         /// let undefined = Command::decode(&Frame { id: 0x20, payload: &[3] });
-        /// assert_eq!(undefined, Err(Refusal::UndefinedValue));
+        /// assert_eq!(undefined, Err(DecodeError::UndefinedValue));
         /// ```
         #[derive(Clone, Copy, Debug, PartialEq)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -156,20 +156,20 @@ macro_rules! define_commands {
             ///
             /// # Errors
             /// What the manual forbids is refused, and says why.
-            pub fn decode(frame: &Frame<'a>) -> Result<Self, Refusal> {
+            pub fn decode(frame: &Frame<'a>) -> Result<Self, DecodeError> {
                 let mut input = frame.payload;
                 let command = match CommandId::from_code(frame.id) {
                     $(CommandId::$name => Self::$name $({ $($field: Field::take(&mut input)?),+ })?,)*
                     CommandId::Unknown(id) => Self::Unknown { id, payload: core::mem::take(&mut input) },
                 };
-                if input.is_empty() { Ok(command) } else { Err(Refusal::TooLong) }
+                if input.is_empty() { Ok(command) } else { Err(DecodeError::TooLong) }
             }
 
             /// Whether a gripper may take it: finite numbers, defined bits.
             ///
             /// # Errors
             /// The refusal that decoding its frame would give.
-            pub fn check(&self) -> Result<(), Refusal> {
+            pub fn check(&self) -> Result<(), DecodeError> {
                 match self {
                     $(Self::$name $({ $($field),+ })? => {
                         $($(Field::check($field)?;)+)?
@@ -261,15 +261,20 @@ impl CommandId {
 
     /// The status code that the manual asks a gripper to answer with when it refuses a request.
     #[must_use]
-    pub fn status_of(self, refusal: Refusal) -> Status {
+    pub fn status_of(self, refusal: DecodeError) -> Status {
         let listed = |status: Status| self.immediate_statuses().contains(&status);
         match refusal {
-            Refusal::TagTooLong => Status::Overrun,
-            Refusal::TooShort | Refusal::TooLong | Refusal::AckKey if listed(Status::CmdFormatError) => {
+            DecodeError::TagTooLong => Status::Overrun,
+            DecodeError::TooShort | DecodeError::TooLong | DecodeError::AckKey
+                if listed(Status::CmdFormatError) =>
+            {
                 Status::CmdFormatError
             }
-            Refusal::TooShort | Refusal::TooLong | Refusal::AckKey => Status::NoParamExpected,
-            Refusal::UndefinedValue | Refusal::ReservedBits | Refusal::NotFinite | Refusal::Character => {
+            DecodeError::TooShort | DecodeError::TooLong | DecodeError::AckKey => Status::NoParamExpected,
+            DecodeError::UndefinedValue
+            | DecodeError::ReservedBits
+            | DecodeError::NotFinite
+            | DecodeError::Character => {
                 if listed(Status::InvalidParameter) {
                     Status::InvalidParameter
                 } else {

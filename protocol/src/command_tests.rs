@@ -124,7 +124,7 @@ fn pre_position_d0_is_relative_and_d1_is_stop_on_block() {
     };
     assert_eq!(flags_of(1), Ok(PrePositionFlags::RELATIVE));
     assert_eq!(flags_of(2), Ok(PrePositionFlags::STOP_ON_BLOCK));
-    assert_eq!(flags_of(4), Err(Refusal::ReservedBits));
+    assert_eq!(flags_of(4), Err(DecodeError::ReservedBits));
 }
 
 #[test]
@@ -133,22 +133,22 @@ fn each_refusal_names_its_reason_and_the_manuals_status_code() {
     let grip_nan = [nan, [0; 4]].concat();
     let long_tag = [b'x'; 65];
     let long_loop = [0; 257];
-    let cases: &[(u8, &[u8], Refusal, Status)] = &[
-        (0x06, &long_loop, Refusal::TooLong, Status::CmdFormatError),
-        (0x20, &[], Refusal::TooShort, Status::CmdFormatError),
-        (0x20, &[0, 0], Refusal::TooLong, Status::CmdFormatError),
-        (0x20, &[3], Refusal::UndefinedValue, Status::InvalidParameter),
-        (0x22, &[0], Refusal::TooLong, Status::NoParamExpected),
-        (0x24, b"act", Refusal::AckKey, Status::CmdFormatError),
-        (0x24, b"", Refusal::TooShort, Status::CmdFormatError),
-        (0x25, &grip_nan, Refusal::NotFinite, Status::CmdFormatError),
-        (0x31, &[0], Refusal::TooLong, Status::NoParamExpected),
-        (0x37, &[2], Refusal::ReservedBits, Status::CmdFormatError),
-        (0x40, &[4, 10, 0], Refusal::ReservedBits, Status::CmdFormatError),
-        (0x51, &long_tag, Refusal::TagTooLong, Status::Overrun),
-        (0x51, b"a\tb", Refusal::Character, Status::InvalidParameter),
-        (0x51, &[0xC4], Refusal::Character, Status::InvalidParameter),
-        (0x60, &[0], Refusal::TooLong, Status::CmdFormatError),
+    let cases: &[(u8, &[u8], DecodeError, Status)] = &[
+        (0x06, &long_loop, DecodeError::TooLong, Status::CmdFormatError),
+        (0x20, &[], DecodeError::TooShort, Status::CmdFormatError),
+        (0x20, &[0, 0], DecodeError::TooLong, Status::CmdFormatError),
+        (0x20, &[3], DecodeError::UndefinedValue, Status::InvalidParameter),
+        (0x22, &[0], DecodeError::TooLong, Status::NoParamExpected),
+        (0x24, b"act", DecodeError::AckKey, Status::CmdFormatError),
+        (0x24, b"", DecodeError::TooShort, Status::CmdFormatError),
+        (0x25, &grip_nan, DecodeError::NotFinite, Status::CmdFormatError),
+        (0x31, &[0], DecodeError::TooLong, Status::NoParamExpected),
+        (0x37, &[2], DecodeError::ReservedBits, Status::CmdFormatError),
+        (0x40, &[4, 10, 0], DecodeError::ReservedBits, Status::CmdFormatError),
+        (0x51, &long_tag, DecodeError::TagTooLong, Status::Overrun),
+        (0x51, b"a\tb", DecodeError::Character, Status::InvalidParameter),
+        (0x51, &[0xC4], DecodeError::Character, Status::InvalidParameter),
+        (0x60, &[0], DecodeError::TooLong, Status::CmdFormatError),
     ];
     for &(id, payload, refusal, status) in cases {
         assert_eq!(Command::decode(&Frame { id, payload }), Err(refusal), "{id:02X}h {payload:?}");
@@ -164,9 +164,9 @@ fn trailing_nul_of_a_tag_is_stripped() {
 
 #[test]
 fn number_that_is_not_finite_is_caught_before_it_is_sent() {
-    assert_eq!(Command::SetForceLimit { force: f32::INFINITY }.check(), Err(Refusal::NotFinite));
+    assert_eq!(Command::SetForceLimit { force: f32::INFINITY }.check(), Err(DecodeError::NotFinite));
     let limits = SoftLimits { minus: 0.0, plus: f32::NAN };
-    assert_eq!(Command::SetSoftLimits { limits }.check(), Err(Refusal::NotFinite));
+    assert_eq!(Command::SetSoftLimits { limits }.check(), Err(DecodeError::NotFinite));
 }
 
 #[test]
@@ -240,7 +240,7 @@ fn status_of_either_answer_may_come_and_no_other() {
 
 #[test]
 fn each_refusal_says_something_else() {
-    use Refusal::{
+    use DecodeError::{
         AckKey, Character, NotFinite, ReservedBits, TagTooLong, TooLong, TooShort, UndefinedValue,
     };
     let all = [TooShort, TooLong, UndefinedValue, ReservedBits, NotFinite, AckKey, TagTooLong, Character];

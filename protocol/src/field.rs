@@ -9,7 +9,7 @@ use core::fmt::{Display, Formatter};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum Refusal {
+pub enum DecodeError {
     /// The payload is shorter than the parameters need.
     TooShort,
     /// The payload is longer than the parameters need, or than the manual allows.
@@ -28,7 +28,7 @@ pub enum Refusal {
     Character,
 }
 
-impl Display for Refusal {
+impl Display for DecodeError {
     fn fmt(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
             Self::TooShort => "payload too short",
@@ -43,7 +43,7 @@ impl Display for Refusal {
     }
 }
 
-impl core::error::Error for Refusal {}
+impl core::error::Error for DecodeError {}
 
 /// A value that stands in a payload.
 pub(crate) trait Field<'a>: Sized + Display {
@@ -54,10 +54,10 @@ pub(crate) trait Field<'a>: Sized + Display {
     fn byte(&self, index: usize) -> u8;
 
     /// Takes it from the front of `input`.
-    fn take(input: &mut &'a [u8]) -> Result<Self, Refusal>;
+    fn take(input: &mut &'a [u8]) -> Result<Self, DecodeError>;
 
     /// Whether a receiver may accept it: what [`take`](Self::take) checks beside the length.
-    fn check(&self) -> Result<(), Refusal> {
+    fn check(&self) -> Result<(), DecodeError> {
         Ok(())
     }
 
@@ -68,8 +68,8 @@ pub(crate) trait Field<'a>: Sized + Display {
 }
 
 /// Takes `N` bytes from the front of `input`.
-pub(crate) fn take_bytes<const N: usize>(input: &mut &[u8]) -> Result<[u8; N], Refusal> {
-    let (bytes, rest) = input.split_first_chunk::<N>().ok_or(Refusal::TooShort)?;
+pub(crate) fn take_bytes<const N: usize>(input: &mut &[u8]) -> Result<[u8; N], DecodeError> {
+    let (bytes, rest) = input.split_first_chunk::<N>().ok_or(DecodeError::TooShort)?;
     *input = rest;
     Ok(*bytes)
 }
@@ -88,12 +88,12 @@ macro_rules! fixed_field {
                 bytes.get(index).copied().unwrap_or(0)
             }
 
-            fn take(input: &mut &[u8]) -> Result<Self, $crate::field::Refusal> {
+            fn take(input: &mut &[u8]) -> Result<Self, $crate::field::DecodeError> {
                 let $bytes: [u8; $len] = $crate::field::take_bytes(input)?;
                 $from
             }
 
-            $(fn check(&self) -> Result<(), $crate::field::Refusal> {
+            $(fn check(&self) -> Result<(), $crate::field::DecodeError> {
                 let $checked = self;
                 $check
             })?
@@ -103,8 +103,8 @@ macro_rules! fixed_field {
 pub(crate) use fixed_field;
 
 /// Refuses what is infinite or not a number.
-pub(crate) const fn finite(value: f32) -> Result<f32, Refusal> {
-    if value.is_finite() { Ok(value) } else { Err(Refusal::NotFinite) }
+pub(crate) const fn finite(value: f32) -> Result<f32, DecodeError> {
+    if value.is_finite() { Ok(value) } else { Err(DecodeError::NotFinite) }
 }
 
 impl Field<'_> for f32 {
@@ -116,11 +116,11 @@ impl Field<'_> for f32 {
         self.to_le_bytes().get(index).copied().unwrap_or(0)
     }
 
-    fn take(input: &mut &[u8]) -> Result<Self, Refusal> {
+    fn take(input: &mut &[u8]) -> Result<Self, DecodeError> {
         finite(Self::from_le_bytes(take_bytes(input)?))
     }
 
-    fn check(&self) -> Result<(), Refusal> {
+    fn check(&self) -> Result<(), DecodeError> {
         finite(*self).map(|_| ())
     }
 
@@ -139,11 +139,11 @@ impl Field<'_> for bool {
         if index == 0 { u8::from(*self) } else { 0 }
     }
 
-    fn take(input: &mut &[u8]) -> Result<Self, Refusal> {
+    fn take(input: &mut &[u8]) -> Result<Self, DecodeError> {
         match take_bytes(input)? {
             [0] => Ok(false),
             [1] => Ok(true),
-            _ => Err(Refusal::ReservedBits),
+            _ => Err(DecodeError::ReservedBits),
         }
     }
 

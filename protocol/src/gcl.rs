@@ -8,7 +8,7 @@
 //! |---|---|
 //! | [`LineReader`] | bytes to lines |
 //! | [`Request`], [`Answer`], [`Value`] | lines to typed values, and back |
-//! | [`Mistake`], [`Refused`] | why a line is not understood, and the answer to it |
+//! | [`ParseError`], [`Refused`] | why a line is not understood, and the answer to it |
 //! | [`CommandName`] | the table of commands: sections, forms, kinds |
 //! | [`session`] | the controller's side of a connection |
 //!
@@ -40,29 +40,29 @@ mod answer;
 mod decimal;
 mod form;
 mod line;
-mod mistake;
 mod name;
 mod number;
 mod parameters;
+mod parse_error;
 mod refused;
 mod request;
 mod scanner;
 pub mod session;
-mod signal;
 mod table;
 mod text;
+mod topic;
 mod value;
 mod writer;
 
 pub use answer::Answer;
 pub use line::{LineCounters, LineEvent, LineReader, MAX_LINE_LEN};
-pub use mistake::Mistake;
 pub use name::{CommandName, Named, OtherName};
 pub use parameters::{Autosend, Filter, Grip, Move, Release, Select, Setting, Tare};
+pub use parse_error::ParseError;
 pub use refused::Refused;
 pub use request::Request;
-pub use signal::Signal;
 pub use text::{Description, Text};
+pub use topic::Topic;
 pub use value::{FingerReading, Selected, Value, Vector};
 pub use writer::LineError;
 

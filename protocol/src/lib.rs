@@ -84,7 +84,7 @@ pub mod time;
 pub mod types;
 
 pub use command::{Command, CommandId, Kind};
-pub use field::Refusal;
+pub use field::DecodeError;
 pub use frame::{Counters, Event, Frame, FrameEncoder, FrameParser, Payload};
 pub use reply::{Reply, Value};
 pub use time::Instant;

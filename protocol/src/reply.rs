@@ -1,7 +1,7 @@
 //! Replies: a status code, and on success the values that were asked for (command set, 1.2.2).
 
 use crate::command::CommandId;
-use crate::field::{Field, Refusal};
+use crate::field::{DecodeError, Field};
 use crate::frame::{Frame, Payload};
 use crate::table::for_each_command;
 use crate::types::{
@@ -44,7 +44,7 @@ macro_rules! define_replies {
                 }
             }
 
-            fn take(id: CommandId, input: &mut &'a [u8]) -> Result<Self, Refusal> {
+            fn take(id: CommandId, input: &mut &'a [u8]) -> Result<Self, DecodeError> {
                 Ok(match id {
                     $(CommandId::$name => Self::$name $((<$value as Field>::take(input)?))?,)*
                     CommandId::Unknown(id) => Self::Unknown { id, parameters: core::mem::take(input) },
@@ -151,7 +151,7 @@ impl<'a> Reply<'a> {
     /// # Errors
     /// What the manual forbids is refused, and says why: values that are missing, too long, undefined or not finite,
     /// or that come with another status than E_SUCCESS.
-    pub fn decode(frame: &Frame<'a>) -> Result<Self, Refusal> {
+    pub fn decode(frame: &Frame<'a>) -> Result<Self, DecodeError> {
         let mut input = frame.payload;
         let id = CommandId::from_code(frame.id);
         let status = Status::take(&mut input)?;
@@ -159,7 +159,7 @@ impl<'a> Reply<'a> {
             Status::Success => Some(Value::take(id, &mut input)?),
             _ => None,
         };
-        if input.is_empty() { Ok(Self { id, status, value }) } else { Err(Refusal::TooLong) }
+        if input.is_empty() { Ok(Self { id, status, value }) } else { Err(DecodeError::TooLong) }
     }
 }
 

@@ -59,7 +59,7 @@ proptest! {
             prop_assert_eq!((reply.status().code(), reply.value()), (code, None));
             prop_assert_eq!(payload(&reply), bytes);
         } else {
-            prop_assert_eq!(decoded, Err(Refusal::TooLong));
+            prop_assert_eq!(decoded, Err(DecodeError::TooLong));
         }
     }
 }
@@ -109,10 +109,10 @@ fn values_stand_in_the_reply_as_the_manual_says() {
 
 #[test]
 fn undefined_gripper_state_and_numbers_that_are_not_finite_are_refused() {
-    assert_eq!(Reply::decode(&Frame { id: 0x41, payload: &[0, 0, 8] }), Err(Refusal::UndefinedValue));
+    assert_eq!(Reply::decode(&Frame { id: 0x41, payload: &[0, 0, 8] }), Err(DecodeError::UndefinedValue));
     assert_eq!(
         Reply::decode(&Frame { id: 0x43, payload: &[0, 0, 0, 0, 0x80, 0x7F] }),
-        Err(Refusal::NotFinite)
+        Err(DecodeError::NotFinite)
     );
 }
 

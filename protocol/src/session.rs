@@ -15,9 +15,9 @@
 //! - **Asynchronous commands**: a motion is answered twice; other requests go on in between. While no result comes
 //!   but the gripper reports that it stands still, the result is given up.
 //! - **Lost answers**: what may be repeated is ([`is_repeatable`](crate::CommandId::is_repeatable)); a motion or an
-//!   acknowledgement never is. What it does not know it says: [`Notice::Unanswered`].
+//!   acknowledgement never is. What it does not know it says: [`Event::Unanswered`].
 //! - **Stop**: overtakes what waits; without a connection it is sent once, at once, and never later. One that is not
-//!   answered in time is reported ([`Notice::Late`]) and repeated.
+//!   answered in time is reported ([`Event::Late`]) and repeated.
 //! - **FAST STOP**: goes out before anything else and is repeated until the gripper confirms it, over a reconnect as well,
 //!   in bursts and pauses ([`FastStopPattern`]) that reach a gripper which mistook a damaged frame for the head of a long
 //!   one. Nothing else is sent meanwhile. The session never acknowledges it.
@@ -28,7 +28,7 @@
 //!   withdrawn: nothing that was asked for before a reconnect leaves after it.
 //!
 //! ```
-//! use wsg_protocol::session::{Config, Notice, Session};
+//! use wsg_protocol::session::{Config, Event, Session};
 //! use wsg_protocol::{Command, CommandId, Instant};
 //!
 //! let mut session = Session::new(Config::DEFAULT);
@@ -45,21 +45,21 @@ mod binary;
 pub(crate) mod config;
 pub(crate) mod dialect;
 mod engine;
+mod event;
 mod fast_stop;
 mod known;
 pub(crate) mod message;
-mod notice;
 mod read_back;
-mod signal;
 pub(crate) mod subscriptions;
+mod topic;
 pub(crate) mod transaction;
 
-pub use binary::{MISMATCH, Notice, Session};
+pub use binary::{Event, MISMATCH, Session};
 pub use config::{Config, FastStopPattern, Timeout};
 pub use engine::{Engine, QUEUE_LEN};
+pub use event::{Counters, EventOf, RequestError};
 pub use known::Known;
-pub use notice::{Counters, NoticeOf, RequestError};
-pub use signal::Signal;
+pub use topic::Topic;
 
 #[cfg(test)]
 #[path = "session_tests.rs"]

@@ -6,8 +6,8 @@
 use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use wsg_protocol::{
-    Command, CommandId, Event, FingerFlags, Frame, FrameEncoder, FrameParser, GripperState, LoopData,
-    PrePositionFlags, Refusal, Reply, Status, SystemFlags, Value, checksum,
+    Command, CommandId, DecodeError, Event, FingerFlags, Frame, FrameEncoder, FrameParser, GripperState,
+    LoopData, PrePositionFlags, Reply, Status, SystemFlags, Value, checksum,
 };
 
 /// The parser's one event for a whole frame.
@@ -49,7 +49,7 @@ fn third_example_of_the_manual_is_intact_and_no_answer_of_the_command_whose_id_i
     let line = [0xAA, 0xAA, 0xAA, 0x30, 0x06, 0x00, 0x00, 0x00, 0x00, 0x00, 0x16, 0x43, 0xDC, 0xCB];
     parsed(&line, |event| {
         let Event::Frame(frame) = event else { panic!("{event:?}") };
-        assert_eq!(Reply::decode(&frame), Err(Refusal::TooLong));
+        assert_eq!(Reply::decode(&frame), Err(DecodeError::TooLong));
         let as_meant = Frame { id: 0x31, ..frame };
         assert_eq!(Reply::decode(&as_meant).unwrap().value(), Some(Value::GetAcceleration(150.0)));
     });
@@ -151,7 +151,7 @@ fn pre_position_that_two_wrong_bits_turn_into_a_fast_stop_is_refused() {
         }
         parsed(&damaged, |event| {
             let Event::Frame(frame) = event else { panic!("{event:?}") };
-            assert_eq!(Command::decode(&frame), Err(Refusal::TooLong));
+            assert_eq!(Command::decode(&frame), Err(DecodeError::TooLong));
         });
         true
     });

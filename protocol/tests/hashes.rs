@@ -5,10 +5,10 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use bus_modbus::Words;
 use wsg_protocol::fieldbus::{CommandFlags, Controller, GripperFlags, Images, InputImage, OutputImage};
-use wsg_protocol::session::{self, Known, Notice, Session};
+use wsg_protocol::session::{self, Event, Known, Session};
 use wsg_protocol::{
-    Command, CommandId, Event, Frame, FrameEncoder, FrameParser, Instant, Kind, Reply, Status, SystemFlags,
-    SystemLimits,
+    Command, CommandId, Event as FrameEvent, Frame, FrameEncoder, FrameParser, Instant, Kind, Reply, Status,
+    SystemFlags, SystemLimits,
 };
 
 fn hash(state: &impl Hash) -> u64 {
@@ -27,15 +27,15 @@ fn differ<T: Hash>(states: &[T]) -> bool {
 
 #[test]
 fn notices_differ_by_kind_and_command_and_not_by_what_was_answered() {
-    let answered = |id, status| Notice::Answered(Reply::status_only(id, status));
+    let answered = |id, status| Event::Answered(Reply::status_only(id, status));
     assert!(differ(&[
-        Notice::Connected,
-        Notice::Disconnected,
-        Notice::Pending(CommandId::Homing),
-        Notice::Pending(CommandId::GripPart),
-        Notice::Unanswered(CommandId::Homing),
-        Notice::Late(CommandId::Homing),
-        Notice::Withdrawn(CommandId::Homing),
+        Event::Connected,
+        Event::Disconnected,
+        Event::Pending(CommandId::Homing),
+        Event::Pending(CommandId::GripPart),
+        Event::Unanswered(CommandId::Homing),
+        Event::Late(CommandId::Homing),
+        Event::Withdrawn(CommandId::Homing),
         answered(CommandId::Homing, Status::Success),
         answered(CommandId::Stop, Status::Success),
     ]));
@@ -134,13 +134,13 @@ fn images_differ_by_what_is_written_and_not_by_what_is_shown() {
 fn sessions_differ_by_what_they_wait_for_and_not_by_their_counts() {
     let now = Instant::from_millis(0);
     let fresh = Session::new(session::Config::DEFAULT);
-    let mut unasked = fresh.clone();
-    let event = Event::Frame(Frame { id: CommandId::GetForce.code(), payload: &[0, 0, 0, 0, 0, 0] });
-    assert_eq!(unasked.handle(now, &event), None);
-    assert_ne!(unasked.counters(), fresh.counters());
-    assert!(unasked.known().force.is_some(), "it is learned all the same");
+    let mut unsolicited = fresh.clone();
+    let event = FrameEvent::Frame(Frame { id: CommandId::GetForce.code(), payload: &[0, 0, 0, 0, 0, 0] });
+    assert_eq!(unsolicited.handle(now, &event), None);
+    assert_ne!(unsolicited.counters(), fresh.counters());
+    assert!(unsolicited.known().force.is_some(), "it is learned all the same");
     let mut refused = fresh.clone();
-    assert_eq!(refused.handle(now, &Event::Frame(Frame { id: 1, payload: &[] })), None);
+    assert_eq!(refused.handle(now, &FrameEvent::Frame(Frame { id: 1, payload: &[] })), None);
     assert_ne!(refused.counters(), fresh.counters());
     assert_eq!(hash(&refused), hash(&fresh));
 
@@ -149,7 +149,7 @@ fn sessions_differ_by_what_they_wait_for_and_not_by_their_counts() {
     let mut sent = stopped.clone();
     assert_eq!(sent.tick(now), None);
     assert_eq!(sent.poll_transmit(now).map(|command| command.id().kind()), Some(Kind::Stop));
-    assert!(differ(&[fresh, unasked, stopped, sent]));
+    assert!(differ(&[fresh, unsolicited, stopped, sent]));
 }
 
 #[test]

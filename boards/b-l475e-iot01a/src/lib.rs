@@ -110,7 +110,7 @@ pub const OUTPUT_PINS: u16 = {
 
 const _: () = assert!(OUTPUT_PINS.count_ones() as usize == Outputs::COUNT);
 
-/// The levels of [`OUTPUT_PORT`] that show `outputs`; pins of nobody are 0.
+/// The levels of [`OUTPUT_PORT`] that show `outputs`; unused pins are 0.
 #[must_use]
 pub fn port_from_outputs(outputs: Outputs) -> u16 {
     OUTPUTS.iter().filter(|wire| outputs.contains(wire.signal)).fold(0, |levels, wire| levels | 1 << wire.pin)

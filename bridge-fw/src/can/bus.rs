@@ -18,12 +18,12 @@ const FIRST: usize = 0;
 const SECOND: usize = 1;
 
 /// Somebody on the bus: what it hears and what it has to say.
-pub trait Participant<F> {
+pub trait CanNode<F> {
     /// Hears a frame, whoever it is for.
-    fn hear(&mut self, now: Instant, frame: &F);
+    fn on_frame(&mut self, now: Instant, frame: &F);
 
     /// The next frame that it sends.
-    fn say(&mut self, now: Instant) -> Option<F>;
+    fn poll_transmit(&mut self, now: Instant) -> Option<F>;
 
     /// Whether frames with this identifier are its own.
     fn sends(&self, id: Id) -> bool;
@@ -41,14 +41,14 @@ pub trait Participant<F> {
     }
 }
 
-/// Nobody.
+/// NullNode.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Nobody;
+pub struct NullNode;
 
-impl<F> Participant<F> for Nobody {
-    fn hear(&mut self, _: Instant, _: &F) {}
+impl<F> CanNode<F> for NullNode {
+    fn on_frame(&mut self, _: Instant, _: &F) {}
 
-    fn say(&mut self, _: Instant) -> Option<F> {
+    fn poll_transmit(&mut self, _: Instant) -> Option<F> {
         None
     }
 
@@ -136,8 +136,8 @@ impl<C: CanController> CanBus<C> {
     pub fn listen(
         &mut self,
         now: Instant,
-        first: &mut impl Participant<C::Frame>,
-        second: &mut impl Participant<C::Frame>,
+        first: &mut impl CanNode<C::Frame>,
+        second: &mut impl CanNode<C::Frame>,
     ) {
         self.health = self.controller.health();
         let step = self.bus_off.update(now, self.health.is_off);
@@ -151,7 +151,7 @@ impl<C: CanController> CanBus<C> {
                 second.bus_changed(true);
             }
         }
-        self.hear(now, first, second);
+        self.receive(now, first, second);
         if step == Step::Leave {
             // What had come before was true, and may be a FAST STOP.
             add(&mut self.counters.bus_offs);
@@ -161,17 +161,17 @@ impl<C: CanController> CanBus<C> {
         }
     }
 
-    fn hear(
+    fn receive(
         &mut self,
         now: Instant,
-        first: &mut impl Participant<C::Frame>,
-        second: &mut impl Participant<C::Frame>,
+        first: &mut impl CanNode<C::Frame>,
+        second: &mut impl CanNode<C::Frame>,
     ) {
         for _ in 0..MAX_RECEIVED_PER_POLL {
             match self.controller.receive() {
                 Ok(frame) => {
-                    first.hear(now, &frame);
-                    second.hear(now, &frame);
+                    first.on_frame(now, &frame);
+                    second.on_frame(now, &frame);
                 }
                 Err(nb::Error::WouldBlock) => return,
                 Err(nb::Error::Other(_)) => add(&mut self.counters.overruns),
@@ -187,8 +187,8 @@ impl<C: CanController> CanBus<C> {
     pub fn talk(
         &mut self,
         now: Instant,
-        first: &mut impl Participant<C::Frame>,
-        second: &mut impl Participant<C::Frame>,
+        first: &mut impl CanNode<C::Frame>,
+        second: &mut impl CanNode<C::Frame>,
     ) {
         let withdrawn = [first.withdraws(), second.withdraws()];
         if withdrawn.contains(&true) {
@@ -219,8 +219,8 @@ impl<C: CanController> CanBus<C> {
     fn send(
         &mut self,
         whose: usize,
-        first: &mut impl Participant<C::Frame>,
-        second: &mut impl Participant<C::Frame>,
+        first: &mut impl CanNode<C::Frame>,
+        second: &mut impl CanNode<C::Frame>,
     ) -> bool {
         let Some(waiting) = self.waiting.get_mut(whose) else { return false };
         let Some(frame) = waiting.next.take() else { return false };
@@ -257,9 +257,9 @@ impl<C: CanController> CanBus<C> {
     }
 }
 
-fn fill<F>(waiting: &mut Waiting<F>, now: Instant, whose: &mut impl Participant<F>) {
+fn fill<F>(waiting: &mut Waiting<F>, now: Instant, whose: &mut impl CanNode<F>) {
     if waiting.next.is_none() {
-        waiting.next = waiting.behind.take().or_else(|| whose.say(now));
+        waiting.next = waiting.behind.take().or_else(|| whose.poll_transmit(now));
     }
 }
 

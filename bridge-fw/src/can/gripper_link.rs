@@ -7,7 +7,7 @@ use wsg_protocol::can::{Endpoint, FULL, HALF_MESSAGE_MS, Identifiers, Reassemble
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, Event, FrameEncoder, Instant};
 
-use super::{LinkCounters, Participant};
+use super::{CanNode, LinkCounters};
 use crate::config::MAX_REPLY_LEN;
 
 /// CAN frames of the longest reply that a bridge asks for.
@@ -42,7 +42,7 @@ pub struct GripperLink {
     is_connected: bool,
     /// What left this link before the connection was lost must not leave the controller.
     withdraws: bool,
-    /// The message that is being written lost its beginning; whoever writes it is to be told.
+    /// Truncated message: the writer must get an error.
     is_broken: bool,
     overflows: u16,
     broken: u16,
@@ -50,7 +50,7 @@ pub struct GripperLink {
 
 /// There is nothing to read, no room, no bus, or the beginning of this message is lost.
 #[derive(Clone, Copy, Debug)]
-pub struct NotReady;
+pub struct WouldBlock;
 
 impl GripperLink {
     /// A link to the gripper with these identifiers, on a bus that is there.
@@ -132,13 +132,13 @@ fn keep(received: &mut Deque<u8, RECEIVED_MAX>, overflows: &mut u16, event: Even
     }
 }
 
-impl<F: Frame> Participant<F> for GripperLink {
-    fn hear(&mut self, now: Instant, frame: &F) {
+impl<F: Frame> CanNode<F> for GripperLink {
+    fn on_frame(&mut self, now: Instant, frame: &F) {
         let Self { reassembler, received, overflows, .. } = self;
         reassembler.receive(now, frame, |event| keep(received, overflows, event));
     }
 
-    fn say(&mut self, _: Instant) -> Option<F> {
+    fn poll_transmit(&mut self, _: Instant) -> Option<F> {
         self.stuck_since = None;
         self.to_send.pop_front()?.frame(self.endpoint.transmit)
     }
@@ -164,29 +164,29 @@ impl<F: Frame> Participant<F> for GripperLink {
 }
 
 impl ErrorType for GripperLink {
-    type Error = NotReady;
+    type Error = WouldBlock;
 }
 
 impl ReadReady for GripperLink {
-    fn read_ready(&mut self) -> Result<bool, NotReady> {
+    fn read_ready(&mut self) -> Result<bool, WouldBlock> {
         Ok(!self.received.is_empty())
     }
 }
 
 impl Read for GripperLink {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, NotReady> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, WouldBlock> {
         let mut count = 0;
         for place in buffer.iter_mut() {
             let Some(byte) = self.received.pop_front() else { break };
             *place = byte;
             count += 1;
         }
-        if count == 0 && !buffer.is_empty() { Err(NotReady) } else { Ok(count) }
+        if count == 0 && !buffer.is_empty() { Err(WouldBlock) } else { Ok(count) }
     }
 }
 
 impl WriteReady for GripperLink {
-    fn write_ready(&mut self) -> Result<bool, NotReady> {
+    fn write_ready(&mut self) -> Result<bool, WouldBlock> {
         // Also when the message is broken: writing tells.
         let goes_on = self.segmenter.is_mid_message() || self.to_send.is_empty();
         Ok(self.is_broken || (self.is_on && goes_on))
@@ -194,9 +194,9 @@ impl WriteReady for GripperLink {
 }
 
 impl Write for GripperLink {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, NotReady> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, WouldBlock> {
         if core::mem::take(&mut self.is_broken) {
-            return Err(NotReady);
+            return Err(WouldBlock);
         }
         let mut count = 0;
         for &byte in bytes {
@@ -209,27 +209,27 @@ impl Write for GripperLink {
                 // Longer than any message of the bridge.
                 self.abandon();
                 self.is_broken = false;
-                return Err(NotReady);
+                return Err(WouldBlock);
             }
             count += 1;
         }
-        if count == 0 && !bytes.is_empty() { Err(NotReady) } else { Ok(count) }
+        if count == 0 && !bytes.is_empty() { Err(WouldBlock) } else { Ok(count) }
     }
 
-    fn flush(&mut self) -> Result<(), NotReady> {
-        if self.to_send.is_empty() && !self.segmenter.is_mid_message() { Ok(()) } else { Err(NotReady) }
+    fn flush(&mut self) -> Result<(), WouldBlock> {
+        if self.to_send.is_empty() && !self.segmenter.is_mid_message() { Ok(()) } else { Err(WouldBlock) }
     }
 }
 
-impl core::fmt::Display for NotReady {
+impl core::fmt::Display for WouldBlock {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str("the gripper's link is not ready")
     }
 }
 
-impl core::error::Error for NotReady {}
+impl core::error::Error for WouldBlock {}
 
-impl embedded_io::Error for NotReady {
+impl embedded_io::Error for WouldBlock {
     fn kind(&self) -> embedded_io::ErrorKind {
         embedded_io::ErrorKind::Other
     }

@@ -30,7 +30,7 @@ use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
 
 use self::objects::Objects;
 use super::bus::MAX_RECEIVED_PER_POLL;
-use super::{BusReport, Participant};
+use super::{BusReport, CanNode};
 use crate::config::{NodeConfig, TPDOS};
 use crate::plc::{PlcEvent, PlcSide, Shown, View};
 use crate::registers::{Link, Settings};
@@ -118,12 +118,12 @@ fn output_image([flags, user, w0, w1, s0, s1, f0, f1]: [u8; 8]) -> OutputImage {
     }
 }
 
-impl<F: Frame> Participant<F> for Node {
-    fn hear(&mut self, now: Instant, frame: &F) {
+impl<F: Frame> CanNode<F> for Node {
+    fn on_frame(&mut self, now: Instant, frame: &F) {
         self.device.on_frame(now.as_millis(), frame);
     }
 
-    fn say(&mut self, now: Instant) -> Option<F> {
+    fn poll_transmit(&mut self, now: Instant) -> Option<F> {
         self.device.poll_transmit(now.as_millis())
     }
 

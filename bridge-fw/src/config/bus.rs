@@ -61,7 +61,7 @@ pub struct BusConfig {
     /// What is done then.
     pub reaction: SilenceReaction,
     /// How long a pause inside a request may be, in milliseconds; 0: by the specification, T1.5.
-    pub patience_ms: u16,
+    pub character_timeout_ms: u16,
     /// Whether broadcasts count. Off as delivered: a register that is broadcast for devices of another kind would be
     /// CMDFLAGS here.
     pub broadcast: bool,
@@ -77,7 +77,7 @@ impl BusConfig {
         unit: 1,
         timeout_ms: 1_000,
         reaction: SilenceReaction::Stop,
-        patience_ms: 50,
+        character_timeout_ms: 50,
         broadcast: false,
         swap_bytes: false,
     };

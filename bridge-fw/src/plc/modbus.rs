@@ -103,9 +103,9 @@ impl Modbus {
 
 /// What the settings say of the server.
 const fn server_config(settings: &Settings) -> rtu::Config {
-    let mode = match settings.patience_ms() {
+    let mode = match settings.character_timeout_ms() {
         0 => Mode::Strict,
-        ms => Mode::Tolerant { patience_us: ms as u32 * 1_000 },
+        ms => Mode::Tolerant { character_timeout_us: ms as u32 * 1_000 },
     };
     rtu::Config { unit: settings.unit(), mode, broadcast: settings.broadcast() }
 }

@@ -69,7 +69,7 @@ pub const SETTINGS: [Setting; Place::Recipes as usize + RECIPE_COUNT * RECIPE_LE
             "what is done then: 0 hold, 1 stop, 2 FAST STOP; a jog ends in any case",
         ),
         setting(
-            "BUS_PATIENCE",
+            "BUS_CHAR_TIMEOUT",
             "ms",
             (0, 1_000),
             "how long a pause inside a request may be; 0: T1.5, by the specification",
@@ -159,7 +159,7 @@ impl Settings {
             bus.unit as u16,
             bus.timeout_ms,
             code(bus.reaction),
-            bus.patience_ms,
+            bus.character_timeout_ms,
             bus.broadcast as u16,
             bus.swap_bytes as u16,
             saturate(config.debounce_ms),
@@ -239,7 +239,7 @@ impl Settings {
             unit: self.unit(),
             timeout_ms: self.value(Place::Timeout),
             reaction: self.reaction(),
-            patience_ms: self.patience_ms(),
+            character_timeout_ms: self.character_timeout_ms(),
             broadcast: self.broadcast(),
             swap_bytes: self.swap_bytes(),
             ..rest.bus
@@ -301,7 +301,7 @@ impl Settings {
         self.value(Place::Unit) as u8
     }
 
-    pub(crate) const fn patience_ms(&self) -> u16 {
+    pub(crate) const fn character_timeout_ms(&self) -> u16 {
         self.value(Place::Patience)
     }
 

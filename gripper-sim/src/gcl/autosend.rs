@@ -3,7 +3,7 @@
 use super::celsius;
 use crate::time::Time;
 use crate::updates::Readings;
-use wsg_protocol::gcl::{Autosend, Filter, Selected, Signal, Value};
+use wsg_protocol::gcl::{Autosend, Filter, Selected, Topic, Value};
 
 #[derive(Clone, Copy, Debug)]
 struct Subscription {
@@ -14,9 +14,9 @@ struct Subscription {
     last: Option<Readings>,
 }
 
-/// What one connection has subscribed to, by signal.
+/// What one connection has subscribed to, by topic.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Autosends([Option<Subscription>; Signal::ALL.len()]);
+pub(super) struct Autosends([Option<Subscription>; Topic::ALL.len()]);
 
 impl Autosends {
     /// Takes a request; the first value comes after one interval.
@@ -27,8 +27,8 @@ impl Autosends {
             due: now.plus_millis(interval_ms.into()),
             last: None,
         });
-        for (slot, signal) in self.0.iter_mut().zip(Signal::ALL) {
-            if signal == autosend.signal {
+        for (slot, topic) in self.0.iter_mut().zip(Topic::ALL) {
+            if topic == autosend.topic {
                 *slot = subscription;
             }
         }
@@ -52,13 +52,13 @@ impl Autosends {
         mut send: impl FnMut(Value<'static>) -> bool,
     ) {
         for subscription in self.0.iter_mut().flatten() {
-            let signal = subscription.autosend.signal;
+            let topic = subscription.autosend.topic;
             if subscription.due > now || subscription.waits_for_change(readings) {
                 continue;
             }
             // The width is not sent as long as the fingers are not referenced, as in the binary protocol.
-            let is_sent = signal != Signal::Pos || readings.referenced;
-            if !is_sent || send(value(signal, readings)) {
+            let is_sent = topic != Topic::Pos || readings.referenced;
+            if !is_sent || send(value(topic, readings)) {
                 subscription.last = Some(*readings);
             }
             subscription.due = now.plus_millis(subscription.autosend.interval_ms.into());
@@ -69,32 +69,32 @@ impl Autosends {
 impl Subscription {
     fn waits_for_change(&self, now: &Readings) -> bool {
         let Some(last) = &self.last else { return false };
-        let signal = self.autosend.signal;
+        let topic = self.autosend.topic;
         match self.autosend.filter {
             Filter::None | Filter::Unchanged(false) => false,
-            Filter::Unchanged(true) => value(signal, last) == value(signal, now),
-            Filter::Delta(delta) => (measured(signal, last) - measured(signal, now)).abs() < delta,
+            Filter::Unchanged(true) => value(topic, last) == value(topic, now),
+            Filter::Delta(delta) => (measured(topic, last) - measured(topic, now)).abs() < delta,
         }
     }
 }
 
-fn measured(signal: Signal, readings: &Readings) -> f32 {
-    match signal {
-        Signal::Pos => readings.width,
-        Signal::Speed => readings.speed,
-        Signal::Force => readings.force,
-        Signal::Temp => celsius(readings),
-        Signal::Gripstate | Signal::Sysflags => 0.0,
+fn measured(topic: Topic, readings: &Readings) -> f32 {
+    match topic {
+        Topic::Pos => readings.width,
+        Topic::Speed => readings.speed,
+        Topic::Force => readings.force,
+        Topic::Temp => celsius(readings),
+        Topic::Gripstate | Topic::Sysflags => 0.0,
     }
 }
 
-fn value(signal: Signal, readings: &Readings) -> Value<'static> {
-    match signal {
-        Signal::Pos => Value::Pos(readings.width),
-        Signal::Speed => Value::Speed(readings.speed),
-        Signal::Force => Value::Force(readings.force),
-        Signal::Gripstate => Value::Gripstate(readings.state),
-        Signal::Sysflags => Value::Sysflags(Selected::All(readings.flags)),
-        Signal::Temp => Value::Temp(celsius(readings)),
+fn value(topic: Topic, readings: &Readings) -> Value<'static> {
+    match topic {
+        Topic::Pos => Value::Pos(readings.width),
+        Topic::Speed => Value::Speed(readings.speed),
+        Topic::Force => Value::Force(readings.force),
+        Topic::Gripstate => Value::Gripstate(readings.state),
+        Topic::Sysflags => Value::Sysflags(Selected::All(readings.flags)),
+        Topic::Temp => Value::Temp(celsius(readings)),
     }
 }

@@ -73,11 +73,11 @@ async fn answer(hub: Rc<Hub>, request: Request<Incoming>) -> Result<Response<Ful
     let answer = act(&hub, request).await.and_then(|()| {
         let report = hub.report();
         serde_json::to_vec(&StateBody::of(&hub, &report))
-            .map_err(|error| Refusal::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
+            .map_err(|error| DecodeError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
     });
     let (status, body, allowed) = match answer {
         Ok(body) => (StatusCode::OK, body, None),
-        Err(Refusal { status, error, allowed }) => {
+        Err(DecodeError { status, error, allowed }) => {
             (status, serde_json::json!({ "error": error }).to_string().into_bytes(), allowed)
         }
     };
@@ -92,14 +92,14 @@ async fn answer(hub: Rc<Hub>, request: Request<Incoming>) -> Result<Response<Ful
 
 /// Why a request is refused, in a sentence for whoever sent it.
 #[derive(Debug)]
-struct Refusal {
+struct DecodeError {
     status: StatusCode,
     error: String,
     /// The method that the path takes.
     allowed: Option<&'static str>,
 }
 
-impl Refusal {
+impl DecodeError {
     const fn new(status: StatusCode, error: String) -> Self {
         Self { status, error, allowed: None }
     }
@@ -110,11 +110,11 @@ impl Refusal {
 }
 
 /// Does what the request asks for; the answer to all of them is the state.
-async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), Refusal> {
+async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), DecodeError> {
     if request.headers().contains_key(ORIGIN) {
         // Otherwise any page in a browser on this machine could stop the gripper.
         let error = "the request comes from a web page, by its header Origin; expected one from a program";
-        return Err(Refusal::new(StatusCode::FORBIDDEN, error.to_owned()));
+        return Err(DecodeError::new(StatusCode::FORBIDDEN, error.to_owned()));
     }
     let path = request.uri().path().to_owned();
     let method = match path.as_str() {
@@ -124,13 +124,13 @@ async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), Refusal> {
             let error = format!(
                 "the path {path:?} is unknown; expected GET /state, POST /part, POST /fault or POST /line"
             );
-            return Err(Refusal::new(StatusCode::NOT_FOUND, error));
+            return Err(DecodeError::new(StatusCode::NOT_FOUND, error));
         }
     };
     if request.method() != method {
         let error = format!("{path} does not take {}; expected {method}", request.method());
         let allowed = Some(if method == Method::GET { "GET" } else { "POST" });
-        return Err(Refusal { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed });
+        return Err(DecodeError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed });
     }
     match path.as_str() {
         "/part" => hub.set_part(part(read(request, PART_EXPECTED).await?)?),
@@ -145,19 +145,22 @@ async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), Refusal> {
 }
 
 /// The body of a request.
-async fn read<T: for<'a> Deserialize<'a>>(request: Request<Incoming>, expected: &str) -> Result<T, Refusal> {
+async fn read<T: for<'a> Deserialize<'a>>(
+    request: Request<Incoming>,
+    expected: &str,
+) -> Result<T, DecodeError> {
     let body = match Limited::new(request.into_body(), MAX_BODY_LEN).collect().await {
         Ok(body) => body.to_bytes(),
         Err(error) if error.is::<LengthLimitError>() => {
             let error = format!("the body is too long; expected at most {MAX_BODY_LEN} bytes");
-            return Err(Refusal::new(StatusCode::PAYLOAD_TOO_LARGE, error));
+            return Err(DecodeError::new(StatusCode::PAYLOAD_TOO_LARGE, error));
         }
         Err(error) => {
-            return Err(Refusal::wrong(format!("the body did not come: {error}; expected {expected}")));
+            return Err(DecodeError::wrong(format!("the body did not come: {error}; expected {expected}")));
         }
     };
     serde_json::from_slice(&body)
-        .map_err(|error| Refusal::wrong(format!("the body is wrong: {error}; expected {expected}")))
+        .map_err(|error| DecodeError::wrong(format!("the body is wrong: {error}; expected {expected}")))
 }
 
 #[derive(Debug, Deserialize, Serialize)]
@@ -167,11 +170,11 @@ struct PartBody {
     stiffness_n_per_mm: Option<f32>,
 }
 
-fn part(body: Option<PartBody>) -> Result<Option<Part>, Refusal> {
+fn part(body: Option<PartBody>) -> Result<Option<Part>, DecodeError> {
     let Some(PartBody { width_mm, stiffness_n_per_mm }) = body else { return Ok(None) };
     let stiffness = stiffness_n_per_mm.unwrap_or(Part::DEFAULT_STIFFNESS);
     Part::new(width_mm, stiffness).map(Some).ok_or_else(|| {
-        Refusal::wrong(format!(
+        DecodeError::wrong(format!(
             "a part {width_mm} mm wide with {stiffness} N/mm is none; expected {PART_EXPECTED}"
         ))
     })
@@ -196,17 +199,17 @@ enum FaultName {
     FingerCommunication,
 }
 
-fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, Refusal> {
+fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, DecodeError> {
     let of_a_finger = |fault: fn(Jaw) -> Fault, is_possible: fn(Finger) -> bool, needs: &str| {
         let [one, two] = hub.config().fingers;
         let (jaw, mounted) = match finger {
             Some(1) => (Jaw::One, one),
             Some(2) => (Jaw::Two, two),
             Some(other) => {
-                return Err(Refusal::wrong(format!("there is no finger {other}; expected 1 or 2")));
+                return Err(DecodeError::wrong(format!("there is no finger {other}; expected 1 or 2")));
             }
             None => {
-                return Err(Refusal::wrong(format!(
+                return Err(DecodeError::wrong(format!(
                     "the fault does not say which finger; expected {FAULT_EXPECTED}"
                 )));
             }
@@ -216,7 +219,7 @@ fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, 
         }
         let error =
             format!("the finger is {:?}, which can not have this fault; expected {needs}", mounted.name());
-        Err(Refusal::new(StatusCode::CONFLICT, error))
+        Err(DecodeError::new(StatusCode::CONFLICT, error))
     };
     let fault = match name {
         FaultName::AxisBlocked => Fault::AxisBlocked,
@@ -234,9 +237,9 @@ fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, 
     };
     match finger {
         None => Ok(fault),
-        Some(_) => {
-            Err(Refusal::wrong("the fault is none of a finger; expected it without \"finger\"".to_owned()))
-        }
+        Some(_) => Err(DecodeError::wrong(
+            "the fault is none of a finger; expected it without \"finger\"".to_owned(),
+        )),
     }
 }
 
@@ -262,10 +265,10 @@ enum DirectionName {
 }
 
 /// What is asked for, where a delay without a rate hits every frame.
-fn line_faults(body: &LineBody) -> Result<LineFaults, Refusal> {
+fn line_faults(body: &LineBody) -> Result<LineFaults, DecodeError> {
     let LineBody { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *body;
     if delay.is_some_and(|rate| rate > 0.0) && delay_ms.is_none() {
-        return Err(Refusal::wrong(format!("delay lacks delay_ms; expected {LINE_EXPECTED}")));
+        return Err(DecodeError::wrong(format!("delay lacks delay_ms; expected {LINE_EXPECTED}")));
     }
     let delay_ms = delay_ms.unwrap_or(0);
     let delay = delay.unwrap_or(if delay_ms > 0 { 1.0 } else { 0.0 });
@@ -277,11 +280,11 @@ fn line_faults(body: &LineBody) -> Result<LineFaults, Refusal> {
         ("duplicate", duplicate),
     ] {
         if !(0.0..=1.0).contains(&rate) {
-            return Err(Refusal::wrong(format!("{name} is {rate}; expected {LINE_EXPECTED}")));
+            return Err(DecodeError::wrong(format!("{name} is {rate}; expected {LINE_EXPECTED}")));
         }
     }
     if delay_ms > LineFaults::MAX_DELAY_MS {
-        return Err(Refusal::wrong(format!("delay_ms is {delay_ms}; expected {LINE_EXPECTED}")));
+        return Err(DecodeError::wrong(format!("delay_ms is {delay_ms}; expected {LINE_EXPECTED}")));
     }
     let direction = match direction {
         DirectionName::Requests => Direction::Requests,

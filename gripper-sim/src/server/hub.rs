@@ -179,7 +179,7 @@ impl Hub {
         sleep_until(self.started + Duration::from_micros(at.as_micros())).await;
     }
 
-    /// Does something with the gripper at this time, and wakes whom it concerns.
+    /// Does something with the gripper at this time, and wakes the affected clients.
     fn with_gripper<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
         let mut gripper = self.gripper.borrow_mut();
         let now = self.now();

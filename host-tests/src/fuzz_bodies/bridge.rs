@@ -165,7 +165,7 @@ impl Model {
     fn new(strict_with_broadcasts: bool, slow: bool) -> Self {
         let mut config = Config::DEFAULT;
         if strict_with_broadcasts {
-            config.bus = BusConfig { broadcast: true, patience_ms: 0, ..config.bus };
+            config.bus = BusConfig { broadcast: true, character_timeout_ms: 0, ..config.bus };
         }
         Self {
             bridge: Bridge::new(config),

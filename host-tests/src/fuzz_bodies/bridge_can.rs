@@ -16,8 +16,8 @@ use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanController as _, DEFAULT_NODE, GripperLink, Health, LinkCounters, NmtState,
-    Nobody, Node, Participant, SETTINGS_INDEX,
+    BusOffPolicy, CanBus, CanController as _, CanNode, DEFAULT_NODE, GripperLink, Health, LinkCounters,
+    NmtState, Node, NullNode, SETTINGS_INDEX,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
@@ -549,7 +549,7 @@ impl Model {
         let now = Instant::from_millis(self.now_ms);
         let Self { bus, bridge, node, line, .. } = self;
         let line = line.as_mut().expect("the gripper is on RS-232");
-        bus.listen(now, &mut Nobody, node);
+        bus.listen(now, &mut NullNode, node);
         let report = bus.report(LinkCounters::default());
         node.set_report(report);
         bridge.set_can_reports(report.registers());
@@ -558,7 +558,7 @@ impl Model {
         let outputs = bridge.poll(self.now_ms, self.wires, &mut tap, node);
         let messages = gripper::messages(&mut self.said_to_gripper, &sent);
         let mut said = vec![];
-        bus.talk(now, &mut Nobody, &mut Ear { node, said: &mut said });
+        bus.talk(now, &mut NullNode, &mut Ear { node, said: &mut said });
         self.follow(&heard, &said);
         Turn { outputs, messages }
     }
@@ -705,26 +705,26 @@ struct Ear<'a> {
     said: &'a mut Vec<ClassicFrame>,
 }
 
-impl Participant<ClassicFrame> for Ear<'_> {
-    fn hear(&mut self, now: Instant, frame: &ClassicFrame) {
-        self.node.hear(now, frame);
+impl CanNode<ClassicFrame> for Ear<'_> {
+    fn on_frame(&mut self, now: Instant, frame: &ClassicFrame) {
+        self.node.on_frame(now, frame);
     }
 
-    fn say(&mut self, now: Instant) -> Option<ClassicFrame> {
-        let frame = self.node.say(now);
+    fn poll_transmit(&mut self, now: Instant) -> Option<ClassicFrame> {
+        let frame = self.node.poll_transmit(now);
         self.said.extend(frame);
         frame
     }
 
     fn sends(&self, id: Id) -> bool {
-        Participant::<ClassicFrame>::sends(self.node, id)
+        CanNode::<ClassicFrame>::sends(self.node, id)
     }
 
     fn lost(&mut self) {
-        Participant::<ClassicFrame>::lost(self.node);
+        CanNode::<ClassicFrame>::lost(self.node);
     }
 
     fn bus_changed(&mut self, is_on: bool) {
-        Participant::<ClassicFrame>::bus_changed(self.node, is_on);
+        CanNode::<ClassicFrame>::bus_changed(self.node, is_on);
     }
 }

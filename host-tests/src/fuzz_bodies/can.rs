@@ -34,12 +34,12 @@ impl From<Event<'_>> for Seen {
 /// Each op is a byte that says what, and bytes that say how: a message and what becomes of its frames, or any frame.
 pub fn can(data: &[u8]) {
     let mut input = Input::new(data);
-    let mut recording: Vec<Vec<u8>> = Vec::new();
+    let mut capture: Vec<Vec<u8>> = Vec::new();
     while !input.is_empty() {
         let op = input.byte();
         let count = usize::from(input.byte());
         if op & 1 == 0 {
-            recording.push(input.bytes(count % FULL + 1).to_vec());
+            capture.push(input.bytes(count % FULL + 1).to_vec());
             continue;
         }
         let message: Vec<u8> = FrameEncoder::new(input.byte(), input.bytes(count % 48)).collect();
@@ -54,11 +54,11 @@ pub fn can(data: &[u8]) {
             3 => frames[at][0] ^= 0x10,
             _ => {}
         }
-        recording.extend(frames);
+        capture.extend(frames);
     }
-    recording.retain(|frame| !frame.is_empty());
-    reassembled(&recording);
-    lines(&recording);
+    capture.retain(|frame| !frame.is_empty());
+    reassembled(&capture);
+    lines(&capture);
     // Whatever comes from a serial adapter is no more than noise.
     let mut decoder = slcan::Decoder::new();
     for byte in data {
@@ -66,13 +66,13 @@ pub fn can(data: &[u8]) {
     }
 }
 
-/// The reassembler finds what a reader of the whole recording finds; frames for others in between change nothing.
-fn reassembled(recording: &[Vec<u8>]) {
+/// The reassembler finds what a reader of the whole capture finds; frames for others in between change nothing.
+fn reassembled(capture: &[Vec<u8>]) {
     let (Some(ours), Some(foreign)) = (OURS, FOREIGN) else { unreachable!("both have 11 bits") };
     let mut reassembler = Reassembler::<LIMIT>::new(ours, HALF_MESSAGE_MS);
     let mut seen: Vec<Seen> = Vec::new();
     let now = Instant::from_millis(0);
-    for data in recording {
+    for data in capture {
         for id in [foreign, ours] {
             let Some(frame) = ClassicFrame::new(id, data) else { unreachable!("a frame has up to 8 bytes") };
             reassembler.receive(now, &frame, |event| seen.push(event.into()));
@@ -82,17 +82,17 @@ fn reassembled(recording: &[Vec<u8>]) {
         reassembler.handle_timeout(at, |event| seen.push(event.into()));
     }
     assert_eq!(reassembler.poll_timeout(), None, "nothing is held after silence");
-    let (expected, dropped) = read_all(recording);
+    let (expected, dropped) = read_all(capture);
     assert_eq!(seen, expected);
     let counters = reassembler.counters();
-    assert_eq!((usize::from(counters.dropped), usize::from(counters.foreign)), (dropped, recording.len()));
+    assert_eq!((usize::from(counters.dropped), usize::from(counters.foreign)), (dropped, capture.len()));
 }
 
-/// What a reader finds that has the whole recording: a message at the first frame, or one frame further. Gives the frames
+/// What a reader finds that has the whole capture: a message at the first frame, or one frame further. Gives the frames
 /// dropped as well.
-fn read_all(recording: &[Vec<u8>]) -> (Vec<Seen>, usize) {
+fn read_all(capture: &[Vec<u8>]) -> (Vec<Seen>, usize) {
     let (mut seen, mut dropped, mut at) = (Vec::new(), 0, 0);
-    while let Some(rest) = recording.get(at..).filter(|rest| !rest.is_empty()) {
+    while let Some(rest) = capture.get(at..).filter(|rest| !rest.is_empty()) {
         let (found, frames) = found_at(rest);
         seen.extend(found);
         dropped += usize::from(frames == 0);
@@ -126,10 +126,10 @@ fn found_at(rest: &[Vec<u8>]) -> (Option<Seen>, usize) {
 }
 
 /// A frame's line is read back as the frame.
-fn lines(recording: &[Vec<u8>]) {
+fn lines(capture: &[Vec<u8>]) {
     let Some(id) = OURS else { unreachable!("it has 11 bits") };
     let mut decoder = slcan::Decoder::new();
-    for frame in recording.iter().filter_map(|data| ClassicFrame::new(id, data)) {
+    for frame in capture.iter().filter_map(|data| ClassicFrame::new(id, data)) {
         let line = slcan::encode(&frame);
         let read: Vec<Line<ClassicFrame>> =
             line.as_bytes().iter().filter_map(|&byte| decoder.push(byte)).collect();

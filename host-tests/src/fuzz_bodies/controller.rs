@@ -1,7 +1,7 @@
 //! The register controller against a small model: which edge, which command.
 
 use wsg_protocol::fieldbus::{CommandFlags, Controller, OutputImage};
-use wsg_protocol::session::{Known, Notice, RequestError};
+use wsg_protocol::session::{Event, Known, RequestError};
 use wsg_protocol::{Command, CommandId, GripperState, Kind, Reply, Status, SystemFlags, SystemLimits, Value};
 
 use super::input::Input;
@@ -66,7 +66,7 @@ pub fn controller(data: &[u8]) {
     while !input.is_empty() {
         match input.byte() % 8 {
             0..=2 => model.write(&mut input),
-            3 => model.notice(&Notice::Connected),
+            3 => model.event(&Event::Connected),
             4 => {
                 model.known.limits = Some(LIMITS);
                 model.known.flags = Some(SystemFlags::from_bits_retain(u32::from_le_bytes(input.array())));
@@ -80,18 +80,18 @@ pub fn controller(data: &[u8]) {
                     Status::CmdAborted,
                 ]);
                 let id = input.pick(CommandId::ALL);
-                model.notice(&Notice::Answered(Reply::status_only(id, status)));
+                model.event(&Event::Answered(Reply::status_only(id, status)));
             }
             6 => {
                 let id = input.pick(CommandId::ALL);
-                let notices = [
-                    Notice::Unanswered(id),
-                    Notice::Withdrawn(id),
-                    Notice::Pending(id),
-                    Notice::Disconnected,
-                    Notice::Reported(Value::GetSystemState(SystemFlags::REFERENCED)),
+                let events = [
+                    Event::Unanswered(id),
+                    Event::Withdrawn(id),
+                    Event::Pending(id),
+                    Event::Disconnected,
+                    Event::Reported(Value::GetSystemState(SystemFlags::REFERENCED)),
                 ];
-                model.notice(&input.pick(&notices));
+                model.event(&input.pick(&events));
             }
             _ => {
                 let errors =
@@ -143,14 +143,14 @@ impl Model {
         self.shown();
     }
 
-    fn notice(&mut self, notice: &Notice<'_>) {
+    fn event(&mut self, event: &Event<'_>) {
         if self.lock == Lock::Acknowledged
-            && let Notice::Answered(reply) = notice
+            && let Event::Answered(reply) = event
             && (reply.id(), reply.status()) == (CommandId::Acknowledge, Status::Success)
         {
             self.lock = Lock::Open;
         }
-        self.controller.handle(notice, &self.known);
+        self.controller.handle(event, &self.known);
         self.fetch();
         self.shown();
     }

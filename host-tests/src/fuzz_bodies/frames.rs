@@ -71,7 +71,7 @@ pub fn frames(data: &[u8]) {
     }
 }
 
-/// What a reader finds that has the whole recording: a frame at the first byte, or one byte further. With `ended` no more
+/// What a reader finds that has the whole capture: a frame at the first byte, or one byte further. With `ended` no more
 /// bytes will come. Gives the bytes dropped as well.
 fn read_all(stream: &[u8], ended: bool) -> (Vec<Seen>, usize) {
     let (mut seen, mut dropped, mut at) = (Vec::new(), 0, 0);

@@ -59,7 +59,7 @@ pub fn gcl(data: &[u8]) {
     listen(&expected);
 }
 
-/// What a reader finds that has the whole recording, and knows that it ends there.
+/// What a reader finds that has the whole capture, and knows that it ends there.
 fn read_all(stream: &[u8]) -> Vec<Seen> {
     let lines = stream.split(|byte| matches!(byte, b'\r' | b'\n'));
     let begun = lines.map(|line| {

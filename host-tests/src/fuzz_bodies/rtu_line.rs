@@ -1,8 +1,8 @@
 //! The bus's line as a bridge has it, and the requests that must be behind what the bridge does on it.
 //!
 //! Nothing is known here of how the bridge finds a frame: every answer must have its request, an intact frame for its unit
-//! between two silences of T3.5, or pieces of one with pauses below BUS_PATIENCE between them. Broadcasts have no answers, so
-//! they are followed on a strict line alone (BUS_PATIENCE 0), where each silence of T3.5 ends a frame.
+//! between two silences of T3.5, or pieces of one with pauses below BUS_CHAR_TIMEOUT between them. Broadcasts have no answers, so
+//! they are followed on a strict line alone (BUS_CHAR_TIMEOUT 0), where each silence of T3.5 ends a frame.
 
 use std::collections::VecDeque;
 
@@ -19,7 +19,7 @@ pub(super) const BROADCAST: u8 = 0;
 const SETTINGS: std::ops::Range<usize> = 100..125;
 const UNIT: usize = 100;
 const BUS_TIMEOUT: usize = 101;
-const BUS_PATIENCE: usize = 103;
+const BUS_CHAR_TIMEOUT: usize = 103;
 const BROADCASTS: usize = 104;
 const SWAP_BYTES: usize = 105;
 const DEBOUNCE: usize = 106;
@@ -117,7 +117,7 @@ impl Overheard {
         let built = [
             (UNIT, config.bus.unit.into()),
             (BUS_TIMEOUT, config.bus.timeout_ms),
-            (BUS_PATIENCE, config.bus.patience_ms),
+            (BUS_CHAR_TIMEOUT, config.bus.character_timeout_ms),
             (BROADCASTS, config.bus.broadcast.into()),
             (SWAP_BYTES, config.bus.swap_bytes.into()),
             (DEBOUNCE, config.debounce_ms as u16),
@@ -166,12 +166,12 @@ impl Overheard {
         self.settings[register - SETTINGS.start]
     }
 
-    fn patience_us(&self) -> u32 {
-        u32::from(self.setting(BUS_PATIENCE)) * 1_000
+    fn character_timeout_us(&self) -> u32 {
+        u32::from(self.setting(BUS_CHAR_TIMEOUT)) * 1_000
     }
 
     fn is_strict(&self) -> bool {
-        self.patience_us() == 0
+        self.character_timeout_us() == 0
     }
 
     /// Takes what happened next on the line.
@@ -197,7 +197,7 @@ impl Overheard {
     /// A piece has ended, and may be what is never answered.
     fn end_piece(&mut self) -> Option<Done> {
         let piece = self.current.take()?;
-        if piece.silence_us >= self.patience_us() {
+        if piece.silence_us >= self.character_timeout_us() {
             self.ended.clear();
         }
         self.ended.push(piece);
@@ -221,10 +221,10 @@ impl Overheard {
 
     /// The PDU of the frame for this unit that the last pieces are, if they are one.
     fn request(&self, unit: u8) -> Option<Vec<u8>> {
-        let patience_us = self.patience_us();
+        let character_timeout_us = self.character_timeout_us();
         (0..self.ended.len()).find_map(|from| {
             let (first, others) = self.ended[from..].split_first()?;
-            let joined = others.iter().all(|piece| piece.silence_us < patience_us);
+            let joined = others.iter().all(|piece| piece.silence_us < character_timeout_us);
             let frame = [first].into_iter().chain(others).flat_map(|piece| &piece.bytes);
             let frame: Vec<u8> = frame.copied().collect();
             let (body, sum) = frame.split_last_chunk::<2>()?;

@@ -1,8 +1,9 @@
 //! The session against a small model: what was asked for, what of it has left, what has come to an end.
 
-use wsg_protocol::session::{Config, FastStopPattern, Notice, Session};
+use wsg_protocol::session::{Config, Event, FastStopPattern, Session};
 use wsg_protocol::{
-    Command, CommandId, Event, Frame, HomingDirection, Instant, Kind, PrePositionFlags, Reply, Status,
+    Command, CommandId, Event as FrameEvent, Frame, HomingDirection, Instant, Kind, PrePositionFlags, Reply,
+    Status,
 };
 
 use super::input::Input;
@@ -76,7 +77,7 @@ impl Model {
         if self.session.request(command).is_ok() && id.kind() != Kind::Stop {
             if id.kind() == Kind::Motion {
                 assert_eq!(motion_before, None, "one motion at a time");
-                assert!(!self.session.owes_fast_stop(), "no motion while a FAST STOP is owed");
+                assert!(!self.session.fast_stop_pending(), "no motion while a FAST STOP is owed");
             }
             self.open.push(Accepted { id, sent: false });
         }
@@ -84,9 +85,9 @@ impl Model {
     }
 
     fn receive(&mut self, id: u8, payload: &[u8]) {
-        let event = Event::Frame(Frame { id, payload });
-        if let Some(notice) = self.session.handle(self.now(), &event) {
-            note(&mut self.open, &notice);
+        let event = FrameEvent::Frame(Frame { id, payload });
+        if let Some(event) = self.session.handle(self.now(), &event) {
+            note(&mut self.open, &event);
         }
         self.pass(0);
     }
@@ -106,15 +107,15 @@ impl Model {
         }
     }
 
-    /// Lets time pass; takes all notices and sends all commands, as the contract says.
+    /// Lets time pass; takes all events and sends all commands, as the contract says.
     fn pass(&mut self, ms: u32) {
         self.now_ms = self.now_ms.wrapping_add(ms);
         let now = self.now();
-        let mut notices = 0;
-        while let Some(notice) = self.session.tick(now) {
-            note(&mut self.open, &notice);
-            notices += 1;
-            assert!(notices < 64, "the notices come to an end");
+        let mut events = 0;
+        while let Some(event) = self.session.tick(now) {
+            note(&mut self.open, &event);
+            events += 1;
+            assert!(events < 64, "the events come to an end");
         }
         let mut commands = 0;
         while let Some(command) = self.session.poll_transmit(now) {
@@ -144,13 +145,13 @@ impl Model {
     }
 }
 
-/// An end that a notice tells of.
-fn note(open: &mut Vec<Accepted>, notice: &Notice<'_>) {
-    let (id, was_sent) = match notice {
-        Notice::Answered(reply) => (reply.id(), true),
-        Notice::Unanswered(id) => (*id, true),
-        Notice::Withdrawn(id) => (*id, false),
-        Notice::Disconnected => {
+/// An end that an event tells of.
+fn note(open: &mut Vec<Accepted>, event: &Event<'_>) {
+    let (id, was_sent) = match event {
+        Event::Answered(reply) => (reply.id(), true),
+        Event::Unanswered(id) => (*id, true),
+        Event::Withdrawn(id) => (*id, false),
+        Event::Disconnected => {
             assert!(open.is_empty(), "lost with the connection, and nobody is told: {open:?}");
             return;
         }
@@ -163,7 +164,7 @@ fn note(open: &mut Vec<Accepted>, notice: &Notice<'_>) {
         open.id == id && (!matches!(id.kind(), Kind::Motion | Kind::Acknowledge) || open.sent == was_sent)
     };
     let at = open.iter().position(is_it);
-    open.remove(at.unwrap_or_else(|| panic!("{notice:?}, and nobody asked for it")));
+    open.remove(at.unwrap_or_else(|| panic!("{event:?}, and nobody asked for it")));
 }
 
 /// What the session asks by itself, answered.

@@ -1,5 +1,5 @@
 //! The image with CAN over SLCAN in the emulator, under three settings: the gripper on the bus, the PLC on the bus, and both;
-//! and a CANopen master that nobody here wrote.
+//! and a third-party CANopen master.
 #![cfg(unix)]
 
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-"""A CANopen master that nobody here wrote: NMT, PDOs of a grip cycle, SDO, EMCY, loss of its heartbeat.
+"""A third-party CANopen master: NMT, PDOs of a grip cycle, SDO, EMCY, loss of its heartbeat.
 
 Arguments: the terminal of an SLCAN adapter, the EDS file.
 """
@@ -19,7 +19,9 @@ PATIENCE = 60
 def wait(what, reached):
     bound = time.monotonic() + PATIENCE
     while not reached():
-        assert time.monotonic() < bound, f"{what} does not come: {dict(seen)}, {node.nmt.state}"
+        assert time.monotonic() < bound, (
+            f"{what} does not come: {dict(seen)}, {node.nmt.state}, {emergencies}"
+        )
         time.sleep(0.002)
 
 
@@ -39,7 +41,6 @@ BOOT_UP = 0
 def in_state(name):
     """A state as a heartbeat tells it."""
     wait(name, lambda: beats and node.nmt.state == name)
-
 
 
 beat = network.send_periodic(0x700 + MASTER, [5], 0.1)

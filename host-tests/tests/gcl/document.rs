@@ -5,7 +5,7 @@ use crate::strategies::{answer, mutated, numbers, request, texts};
 use host_tests::document::{hold, read};
 use proptest::prelude::*;
 use std::sync::LazyLock;
-use wsg_protocol::gcl::{Answer, CommandName, Mistake, Request};
+use wsg_protocol::gcl::{Answer, CommandName, ParseError, Request};
 
 const DOCUMENT: &str = "docs/gcl.md";
 
@@ -44,15 +44,15 @@ fn generated_parts_are_those_of_the_table_and_of_the_mistakes() {
 
     let mut mistakes = String::from("| what is wrong | status code |\n|---|---|\n");
     for mistake in [
-        Mistake::NoName,
-        Mistake::UnknownName,
-        Mistake::Form,
-        Mistake::TooFew,
-        Mistake::TooMany,
-        Mistake::Range,
-        Mistake::Value,
-        Mistake::Index,
-        Mistake::TooLong,
+        ParseError::NoName,
+        ParseError::UnknownName,
+        ParseError::Form,
+        ParseError::TooFew,
+        ParseError::TooMany,
+        ParseError::Range,
+        ParseError::Value,
+        ParseError::Index,
+        ParseError::TooLong,
     ] {
         let status = mistake.status();
         mistakes.push_str(&format!("| {mistake} | {} {status} |\n", status.code()));
@@ -170,7 +170,7 @@ proptest! {
         match Request::parse(text.as_bytes()) {
             Ok(_) => prop_assert!(is_derived || !is_told, "understood: {}", text),
             Err(refused) => {
-                let is_of_value = matches!(refused.mistake, Mistake::Range | Mistake::Value | Mistake::Index);
+                let is_of_value = matches!(refused.mistake, ParseError::Range | ParseError::Value | ParseError::Index);
                 prop_assert!(!is_derived || is_of_value || !is_told, "{}: {}", refused, text);
             }
         }

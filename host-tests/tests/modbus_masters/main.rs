@@ -1,4 +1,4 @@
-//! Masters that nobody here wrote, over a pseudo terminal to the emulated board: `mbpoll`, `pymodbus`, `minimalmodbus`,
+//! Third-party masters, over a pseudo terminal to the emulated board: `mbpoll`, `pymodbus`, `minimalmodbus`,
 //! `modbus-tk` and `tokio-modbus`.
 //!
 //! A pseudo terminal refuses parity, so they are told 8N1; the emulated line knows neither rate nor parity.
@@ -42,7 +42,7 @@ fn plant() -> Plant {
     while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
         assert!(Instant::now() < bound, "the gripper does not answer");
     }
-    // BUS_TIMEOUT to BUS_PATIENCE: a master on a busy host may pause between requests and inside of them.
+    // BUS_TIMEOUT to BUS_CHAR_TIMEOUT: a master on a busy host may pause between requests and inside of them.
     let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
     let settings = [&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat();
     assert_eq!(master.ask(&settings).unwrap(), [16, 0, 101, 0, 3]);

@@ -1,4 +1,4 @@
-//! The mapping against a naive reader of the whole recording, over every fate of every CAN frame of three messages, and
+//! The mapping against a naive reader of the whole capture, over every fate of every CAN frame of three messages, and
 //! its edges one by one.
 
 use core::iter;
@@ -13,8 +13,8 @@ use crate::frame::OVERHEAD;
 use crate::{Command, CommandId, Event, FrameEncoder, Instant, Kind, Reply, Status, checksum};
 
 mod bus;
-mod fates;
+mod capture;
+mod loss_patterns;
 mod one_by_one;
-mod recording;
 
 use bus::{CanFrame, HALF_MS, Message, RECEIVED, Seen, Wire};

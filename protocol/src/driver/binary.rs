@@ -4,7 +4,7 @@ use super::link::{Link, Protocol};
 use super::{Error, MAX_FRAME_LEN, MAX_REPLY_LEN};
 use crate::command::{Command, CommandId};
 use crate::frame::{self, FrameEncoder, FrameParser, OVERHEAD, Payload};
-use crate::session::{self, Known, Notice, Session, Signal};
+use crate::session::{self, Event, Known, Session, Topic};
 use crate::time::Instant;
 use crate::types::AutoUpdate;
 
@@ -47,8 +47,8 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         self.session.is_busy()
     }
 
-    fn owes_fast_stop(&self) -> bool {
-        self.session.owes_fast_stop()
+    fn fast_stop_pending(&self) -> bool {
+        self.session.fast_stop_pending()
     }
 
     fn motion(&self) -> Option<CommandId> {
@@ -67,8 +67,8 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         self.session.counters()
     }
 
-    fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
-        self.session.subscribe(signal, update);
+    fn subscribe(&mut self, topic: Topic, update: AutoUpdate) {
+        self.session.subscribe(topic, update);
     }
 
     fn wants_width(&self, _command: &Command<'_>) -> bool {
@@ -79,12 +79,12 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         Ok(self.session.request(command)?)
     }
 
-    fn request_lent<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>> {
+    fn request_borrowed<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>> {
         let needed = command.len().saturating_add(OVERHEAD);
         if needed > TX {
             return Err(Error::TooLong { needed });
         }
-        Ok(self.session.request_lent(command)?)
+        Ok(self.session.request_borrowed(command)?)
     }
 
     fn withdraw(&mut self) {
@@ -100,14 +100,14 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         self.parser.reset();
     }
 
-    fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Notice<'_>)) {
+    fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Event<'_>)) {
         let mut rest = bytes;
         loop {
             let (taken, event) = self.parser.push_slice(rest);
             rest = rest.get(taken..).unwrap_or(&[]);
             let Some(event) = event else { return };
-            if let Some(notice) = self.session.handle(now, &event) {
-                note(&notice);
+            if let Some(event) = self.session.handle(now, &event) {
+                note(&event);
             }
         }
     }
@@ -116,15 +116,15 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         self.parser.is_mid_frame()
     }
 
-    fn give_up_half(&mut self, now: Instant, note: &mut impl FnMut(&Notice<'_>)) {
+    fn give_up_half(&mut self, now: Instant, note: &mut impl FnMut(&Event<'_>)) {
         while let Some(event) = self.parser.expire() {
-            if let Some(notice) = self.session.handle(now, &event) {
-                note(&notice);
+            if let Some(event) = self.session.handle(now, &event) {
+                note(&event);
             }
         }
     }
 
-    fn tick(&mut self, now: Instant) -> Option<Notice<'static>> {
+    fn tick(&mut self, now: Instant) -> Option<Event<'static>> {
         self.session.tick(now)
     }
 
@@ -132,10 +132,10 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         self.session.poll_timeout()
     }
 
-    fn encode_next(&mut self, now: Instant, lent: Option<Command<'_>>) -> Option<usize> {
-        let command = self.session.poll_transmit_lent(now, lent)?;
+    fn encode_next(&mut self, now: Instant, borrowed: Option<Command<'_>>) -> Option<usize> {
+        let command = self.session.poll_transmit_borrowed(now, borrowed)?;
         self.id = command.id();
-        // It fits: what is lent was checked, and there is room for all others.
+        // It fits: what is borrowed was checked, and there is room for all others.
         Some(FrameEncoder::new(self.id.code(), command).write_into(&mut self.frame).unwrap_or(0))
     }
 

@@ -15,7 +15,7 @@ use super::{
 use crate::command::{Command, CommandId};
 use crate::frame::Frame;
 use crate::reply::{Reply, Value};
-use crate::session::{Known, Signal};
+use crate::session::{Known, Topic};
 use crate::time::Instant;
 use crate::types::{
     AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,

@@ -6,7 +6,7 @@ use super::{Config, Counters, Error, UPDATES_LEN, Update};
 use crate::command::{Command, CommandId, Kind};
 use crate::frame::Payload;
 use crate::reply::Reply;
-use crate::session::{MISMATCH, Notice};
+use crate::session::{Event, MISMATCH};
 use crate::time::Instant;
 use crate::types::Status;
 use heapless::Deque;
@@ -32,7 +32,7 @@ pub(super) enum Goal {
 pub(super) struct Awaited<'p> {
     id: Option<CommandId>,
     /// The command, if it borrows its payload.
-    lent: Option<Command<'p>>,
+    borrowed: Option<Command<'p>>,
     verdict: Option<Verdict>,
     /// Looks at the answer.
     look: &'p mut (dyn FnMut(&Reply<'_>) + Send),
@@ -41,25 +41,25 @@ pub(super) struct Awaited<'p> {
 impl<'p> Awaited<'p> {
     pub(super) fn answer(
         id: CommandId,
-        lent: Option<Command<'p>>,
+        borrowed: Option<Command<'p>>,
         look: &'p mut (dyn FnMut(&Reply<'_>) + Send),
     ) -> Self {
-        Self { id: Some(id), lent, verdict: None, look }
+        Self { id: Some(id), borrowed, verdict: None, look }
     }
 
     /// For methods that wait for something else.
     pub(super) fn nothing(look: &'p mut (dyn FnMut(&Reply<'_>) + Send)) -> Self {
-        Self { id: None, lent: None, verdict: None, look }
+        Self { id: None, borrowed: None, verdict: None, look }
     }
 
-    fn note(&mut self, notice: &Notice<'_>) {
+    fn note(&mut self, event: &Event<'_>) {
         let Some(id) = self.id else { return };
         if self.verdict.is_some() {
             return;
         }
-        self.verdict = Verdict::of(notice, id);
+        self.verdict = Verdict::of(event, id);
         if self.verdict.is_some()
-            && let Notice::Answered(reply) = notice
+            && let Event::Answered(reply) = event
         {
             (self.look)(reply);
         }
@@ -133,7 +133,7 @@ impl<P: Protocol> Engine<P> {
         self.updates.pop_front()
     }
 
-    /// Takes back what a call that was given up has left behind, as far as it did not leave.
+    /// Cancels what a dropped call has requested and what was not sent yet.
     pub(super) fn clear_up(&mut self) {
         self.link.withdraw();
         if self.outbox.is_untouched() && self.link.take_back() {
@@ -156,28 +156,28 @@ impl<P: Protocol> Engine<P> {
     pub(super) fn receive(&mut self, now: Instant, bytes: &[u8], awaited: &mut Awaited<'_>) {
         self.received_at = now;
         let Self { link, motion, updates, updates_lost, .. } = self;
-        link.receive(now, bytes, &mut |notice| note(motion, updates, updates_lost, awaited, notice));
+        link.receive(now, bytes, &mut |event| note(motion, updates, updates_lost, awaited, event));
     }
 
     /// Lets time pass.
     pub(super) fn elapse(&mut self, now: Instant, awaited: &mut Awaited<'_>) {
         let Self { link, motion, updates, updates_lost, outbox, config, .. } = self;
         if link.is_mid_message() && now.since(self.received_at) >= config.half_frame_ms {
-            link.give_up_half(now, &mut |notice| note(motion, updates, updates_lost, awaited, notice));
+            link.give_up_half(now, &mut |event| note(motion, updates, updates_lost, awaited, event));
         }
-        while let Some(notice) = link.tick(now) {
-            if notice == Notice::Disconnected {
+        while let Some(event) = link.tick(now) {
+            if event == Event::Disconnected {
                 // What has not left by now must not leave when the line takes bytes again. The gripper skips half a message.
                 *outbox = Outbox::EMPTY;
             }
-            note(motion, updates, updates_lost, awaited, &notice);
+            note(motion, updates, updates_lost, awaited, &event);
         }
     }
 
     /// Fetches the next message to send, if the last one has left; whether there is something to send.
     pub(super) fn fetch(&mut self, now: Instant, awaited: &Awaited<'_>) -> bool {
         if self.outbox.is_empty()
-            && let Some(len) = self.link.encode_next(now, awaited.lent)
+            && let Some(len) = self.link.encode_next(now, awaited.borrowed)
         {
             self.outbox = Outbox { len, ..Outbox::EMPTY };
         }
@@ -224,11 +224,11 @@ fn note(
     updates: &mut Deque<Update, UPDATES_LEN>,
     updates_lost: &mut u16,
     awaited: &mut Awaited<'_>,
-    notice: &Notice<'_>,
+    event: &Event<'_>,
 ) {
-    motion.note(notice);
-    awaited.note(notice);
-    if let Notice::Reported(value) = notice
+    motion.note(event);
+    awaited.note(event);
+    if let Event::Reported(value) = event
         && let Some(update) = Update::of(value)
     {
         if updates.is_full() {

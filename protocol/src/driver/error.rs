@@ -1,6 +1,6 @@
 //! Why a request came to nothing, by culprit.
 
-use crate::field::Refusal;
+use crate::field::DecodeError;
 use crate::session::RequestError;
 use crate::types::Status;
 
@@ -16,7 +16,7 @@ pub enum Error<E> {
     /// The caller's: a FAST STOP is not confirmed yet; nothing was sent.
     FastStopRunning,
     /// The caller's: a parameter is none that a gripper may take; nothing was sent.
-    Invalid(Refusal),
+    Invalid(DecodeError),
     /// The caller's: another motion was begun after this one, so its result is not kept any more.
     Superseded,
     /// The caller's: the text protocol cannot say this; nothing was sent (`Gcl` lists what it cannot say).
@@ -105,8 +105,8 @@ impl<E> From<RequestError> for Error<E> {
     }
 }
 
-impl<E> From<Refusal> for Error<E> {
-    fn from(refusal: Refusal) -> Self {
+impl<E> From<DecodeError> for Error<E> {
+    fn from(refusal: DecodeError) -> Self {
         Self::Invalid(refusal)
     }
 }

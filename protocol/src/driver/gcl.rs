@@ -5,12 +5,12 @@ mod translate;
 use super::Error;
 use super::link::{Link, Protocol};
 use crate::command::{Command, CommandId};
-use crate::field::Refusal;
+use crate::field::DecodeError;
 use crate::frame;
-use crate::gcl::session::{Notice as LineNotice, RequestError as LineError, Session};
-use crate::gcl::{Answer, CommandName, LineReader, Mistake, Request, Value as LineValue};
+use crate::gcl::session::{Event as GclEvent, RequestError as LineError, Session};
+use crate::gcl::{Answer, CommandName, LineReader, ParseError, Request, Value as LineValue};
 use crate::reply::{Reply, Value};
-use crate::session::{self, Known, Notice, RequestError, Signal};
+use crate::session::{self, Event, Known, RequestError, Topic};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
 use translate::Terms;
@@ -143,8 +143,8 @@ impl<const RX: usize> Link for Gcl<RX> {
         self.session.is_busy()
     }
 
-    fn owes_fast_stop(&self) -> bool {
-        self.session.owes_fast_stop()
+    fn fast_stop_pending(&self) -> bool {
+        self.session.fast_stop_pending()
     }
 
     fn motion(&self) -> Option<CommandId> {
@@ -164,8 +164,8 @@ impl<const RX: usize> Link for Gcl<RX> {
         self.session.counters()
     }
 
-    fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
-        self.session.subscribe(translate::autosend(signal, update));
+    fn subscribe(&mut self, topic: Topic, update: AutoUpdate) {
+        self.session.subscribe(translate::autosend(topic, update));
     }
 
     fn wants_width(&self, command: &Command<'_>) -> bool {
@@ -176,7 +176,7 @@ impl<const RX: usize> Link for Gcl<RX> {
         self.ask(&command, width)
     }
 
-    fn request_lent<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>> {
+    fn request_borrowed<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>> {
         self.ask(command, None)
     }
 
@@ -194,18 +194,18 @@ impl<const RX: usize> Link for Gcl<RX> {
         self.reader.reset();
     }
 
-    fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Notice<'_>)) {
+    fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Event<'_>)) {
         let Self { session, reader, terms, known, setting, .. } = self;
         let mut rest = bytes;
         loop {
             let (taken, event) = reader.push_slice(rest);
             rest = rest.get(taken..).unwrap_or(&[]);
             let Some(event) = event else { return };
-            let notice = session.handle(now, &event);
+            let event = session.handle(now, &event);
             *known = translate::known(session.known());
-            if let Some(notice) = notice {
-                setting.note(&notice);
-                terms.tell(&notice, known, note);
+            if let Some(event) = event {
+                setting.note(&event);
+                terms.tell(&event, known, note);
             }
         }
     }
@@ -215,19 +215,19 @@ impl<const RX: usize> Link for Gcl<RX> {
         false
     }
 
-    fn give_up_half(&mut self, _now: Instant, _note: &mut impl FnMut(&Notice<'_>)) {}
+    fn give_up_half(&mut self, _now: Instant, _note: &mut impl FnMut(&Event<'_>)) {}
 
-    fn tick(&mut self, now: Instant) -> Option<Notice<'static>> {
+    fn tick(&mut self, now: Instant) -> Option<Event<'static>> {
         if let Some(answer) = self.own_answer.take() {
-            return Some(Notice::Answered(answer));
+            return Some(Event::Answered(answer));
         }
         loop {
-            let notice = self.session.tick(now);
+            let event = self.session.tick(now);
             self.known = translate::known(self.session.known());
-            let notice = notice?;
-            self.setting.note(&notice);
-            if let Some(notice) = self.terms.of_time(&notice) {
-                return Some(notice);
+            let event = event?;
+            self.setting.note(&event);
+            if let Some(event) = self.terms.of_time(&event) {
+                return Some(event);
             }
         }
     }
@@ -249,18 +249,18 @@ impl<const RX: usize> Link for Gcl<RX> {
 }
 
 impl Setting {
-    fn note(&mut self, notice: &LineNotice<'_>) {
+    fn note(&mut self, event: &GclEvent<'_>) {
         let is_setting = |name: &CommandName| matches!(name, CommandName::Pwt | CommandName::Clt);
-        match notice {
-            LineNotice::Answered(Answer::Value(LineValue::Pwt(value) | LineValue::Clt(value))) => {
+        match event {
+            GclEvent::Answered(Answer::Value(LineValue::Pwt(value) | LineValue::Clt(value))) => {
                 *self = Self::Is(*value);
             }
-            LineNotice::Answered(answer @ Answer::Err { name, .. })
+            GclEvent::Answered(answer @ Answer::Err { name, .. })
                 if name.command().is_some_and(|name| is_setting(&name)) =>
             {
                 *self = Self::Refused(answer.status());
             }
-            LineNotice::Withdrawn(name) if is_setting(name) => *self = Self::Withdrawn,
+            GclEvent::Withdrawn(name) if is_setting(name) => *self = Self::Withdrawn,
             _ => {}
         }
     }
@@ -273,8 +273,8 @@ impl<E> From<LineError> for Error<E> {
             LineError::MotionRunning => RequestError::MotionRunning,
             LineError::FastStopRunning => RequestError::FastStopRunning,
             LineError::QueueFull => RequestError::QueueFull,
-            LineError::Invalid(Mistake::Range) => RequestError::Invalid(Refusal::NotFinite),
-            LineError::Invalid(_) => RequestError::Invalid(Refusal::UndefinedValue),
+            LineError::Invalid(ParseError::Range) => RequestError::Invalid(DecodeError::NotFinite),
+            LineError::Invalid(_) => RequestError::Invalid(DecodeError::UndefinedValue),
         })
     }
 }

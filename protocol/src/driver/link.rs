@@ -2,7 +2,7 @@
 
 use super::Error;
 use crate::command::{Command, CommandId};
-use crate::session::{Known, Notice, Signal};
+use crate::session::{Event, Known, Topic};
 use crate::time::Instant;
 use crate::types::AutoUpdate;
 use crate::{frame, session};
@@ -27,7 +27,7 @@ use crate::{frame, session};
 /// ```
 pub trait Protocol: Link {}
 
-/// The terms are those of the binary protocol: commands, replies, notices.
+/// The terms are those of the binary protocol: commands, replies, events.
 pub trait Link: core::fmt::Debug {
     /// Whether the gripper answers.
     fn is_connected(&self) -> bool;
@@ -36,7 +36,7 @@ pub trait Link: core::fmt::Debug {
     fn is_busy(&self) -> bool;
 
     /// Whether a FAST STOP is not confirmed yet.
-    fn owes_fast_stop(&self) -> bool;
+    fn fast_stop_pending(&self) -> bool;
 
     /// The motion that is running.
     fn motion(&self) -> Option<CommandId>;
@@ -51,7 +51,7 @@ pub trait Link: core::fmt::Debug {
     fn session_counters(&self) -> session::Counters;
 
     /// As [`session::Session::subscribe`].
-    fn subscribe(&mut self, signal: Signal, update: AutoUpdate);
+    fn subscribe(&mut self, topic: Topic, update: AutoUpdate);
 
     /// Whether the current opening width must be known before this command can be asked for.
     fn wants_width(&self, command: &Command<'_>) -> bool;
@@ -60,34 +60,34 @@ pub trait Link: core::fmt::Debug {
     fn request<E>(&mut self, command: Command<'static>, width: Option<f32>) -> Result<(), Error<E>>;
 
     /// Asks for a command that the caller keeps, because it borrows its payload.
-    fn request_lent<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>>;
+    fn request_borrowed<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>>;
 
-    /// Takes back every request that was not sent yet.
+    /// Cancels every request that was not sent yet.
     fn withdraw(&mut self);
 
-    /// Takes back the message that was encoded last and of which no byte left; whether it can be done without.
+    /// Cancels the last encoded message if no byte of it was sent; returns whether it could.
     fn take_back(&mut self) -> bool;
 
     /// The line is gone.
     fn hang_up(&mut self);
 
     /// Takes bytes from the line.
-    fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Notice<'_>));
+    fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Event<'_>));
 
     /// Whether half a message is there whose rest should have come at once.
     fn is_mid_message(&self) -> bool;
 
     /// Gives up that half.
-    fn give_up_half(&mut self, now: Instant, note: &mut impl FnMut(&Notice<'_>));
+    fn give_up_half(&mut self, now: Instant, note: &mut impl FnMut(&Event<'_>));
 
-    /// Lets time pass. Call again until it gives `None`.
-    fn tick(&mut self, now: Instant) -> Option<Notice<'static>>;
+    /// Processes what is due at `now`. Call it again until it returns `None`.
+    fn tick(&mut self, now: Instant) -> Option<Event<'static>>;
 
     /// When [`tick`](Self::tick) must be called at the latest.
     fn poll_timeout(&self) -> Option<Instant>;
 
     /// Encodes the next message to send, and says how long it is. It counts as sent.
-    fn encode_next(&mut self, now: Instant, lent: Option<Command<'_>>) -> Option<usize>;
+    fn encode_next(&mut self, now: Instant, borrowed: Option<Command<'_>>) -> Option<usize>;
 
     /// The buffer whose start is the message that was encoded last.
     fn encoded(&self) -> &[u8];

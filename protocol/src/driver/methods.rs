@@ -25,8 +25,8 @@ macro_rules! methods {
 
         /// Whether a FAST STOP was asked for and is not confirmed yet. It is repeated in every call until it is.
         #[must_use]
-        pub fn owes_fast_stop(&self) -> bool {
-            self.engine.link().owes_fast_stop()
+        pub fn fast_stop_pending(&self) -> bool {
+            self.engine.link().fast_stop_pending()
         }
 
         /// What could not be used so far.
@@ -53,8 +53,8 @@ macro_rules! methods {
         /// Has the gripper send a value by itself from now on, again after each reconnect;
         /// [`AutoUpdate::once`] ends that. [`next_update`](Self::next_update) has the values, and
         /// [`known`](Self::known) the latest of each (command set, 3.4).
-        pub fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
-            self.engine.link_mut().subscribe(signal, update);
+        pub fn subscribe(&mut self, topic: Topic, update: AutoUpdate) {
+            self.engine.link_mut().subscribe(topic, update);
         }
 
         /// The next value that the gripper sent by itself, or that was asked for again in its turn; `None` when there is
@@ -175,7 +175,7 @@ macro_rules! methods {
         /// 3.2.6).
         ///
         /// # Errors
-        /// [`Error`]. That there is no part is none: [`Grip::NoPart`].
+        /// [`Error`]. "No part" is a result, not an error: [`Grip::NoPart`].
         pub $($async)? fn grip(&mut self, width: f32, speed: f32) -> Result<Grip, Error<IO::Error>> {
             let pending = self.begin_grip(width, speed) $($await)* ?;
             self.wait(&pending) $($await)*
@@ -628,7 +628,7 @@ macro_rules! methods {
             look: &mut (dyn FnMut(&Reply<'_>) + Send),
         ) -> Result<(), Error<IO::Error>> {
             self.become_free() $($await)* ?;
-            self.engine.link_mut().request_lent(&command)?;
+            self.engine.link_mut().request_borrowed(&command)?;
             let mut awaited = Awaited::answer(command.id(), Some(command), look);
             self.drive(&mut awaited, Goal::Answered, None) $($await)* ?;
             awaited.result()

@@ -2,7 +2,7 @@
 
 use super::{Error, Grip};
 use crate::command::CommandId;
-use crate::session::Notice;
+use crate::session::Event;
 use crate::types::Status;
 use core::marker::PhantomData;
 
@@ -98,12 +98,12 @@ pub(super) enum Verdict {
 }
 
 impl Verdict {
-    /// What this notice says of a request with this id; nothing if it is about another, or not final.
-    pub(super) fn of(notice: &Notice<'_>, id: CommandId) -> Option<Self> {
-        match notice {
-            Notice::Answered(reply) if reply.id() == id => Some(Self::Answered(reply.status())),
-            Notice::Unanswered(of) if *of == id => Some(Self::Unanswered),
-            Notice::Withdrawn(of) if *of == id => Some(Self::Withdrawn),
+    /// What this event says of a request with this id; nothing if it is about another, or not final.
+    pub(super) fn of(event: &Event<'_>, id: CommandId) -> Option<Self> {
+        match event {
+            Event::Answered(reply) if reply.id() == id => Some(Self::Answered(reply.status())),
+            Event::Unanswered(of) if *of == id => Some(Self::Unanswered),
+            Event::Withdrawn(of) if *of == id => Some(Self::Withdrawn),
             _ => None,
         }
     }
@@ -119,11 +119,11 @@ impl Motion {
         *self = Self { id, serial: self.serial.wrapping_add(1), stage: Stage::Asked };
     }
 
-    pub(super) fn note(&mut self, notice: &Notice<'_>) {
-        match (self.stage, Verdict::of(notice, self.id)) {
+    pub(super) fn note(&mut self, event: &Event<'_>) {
+        match (self.stage, Verdict::of(event, self.id)) {
             (Stage::Asked, Some(verdict)) => self.stage = Stage::NotBegun(verdict),
             (Stage::Runs, Some(verdict)) => self.stage = Stage::Over(verdict),
-            (Stage::Asked, None) if *notice == Notice::Pending(self.id) => self.stage = Stage::Runs,
+            (Stage::Asked, None) if *event == Event::Pending(self.id) => self.stage = Stage::Runs,
             _ => {}
         }
     }

@@ -1,49 +1,49 @@
 //! Both drivers in virtual time, against a gripper whose answers each test writes down.
 
 mod cancelled;
-mod desk;
 mod framing;
+mod rig;
 mod waking;
 
 use super::*;
-use crate::session::{FastStopPattern, Signal};
-use crate::{AutoUpdate, CommandId, GripperState, HomingDirection, Refusal, Reply, Status, SystemFlags};
-use desk::{Desk, Noise, Segment, Watch, frame, status};
+use crate::session::{FastStopPattern, Topic};
+use crate::{AutoUpdate, CommandId, DecodeError, GripperState, HomingDirection, Reply, Status, SystemFlags};
+use rig::{Noise, Rig, Segment, Watch, frame, status};
 use std::vec;
 use std::vec::Vec;
 
-type Blocking = blocking::Gripper<Desk, Watch>;
-type Asynch = asynch::Gripper<Desk, Watch>;
+type Blocking = blocking::Gripper<Rig, Watch>;
+type Asynch = asynch::Gripper<Rig, Watch>;
 
-fn connected(desk: &Desk) -> Blocking {
-    let mut gripper = Blocking::new(desk.clone(), Watch(desk.clone()));
+fn connected(rig: &Rig) -> Blocking {
+    let mut gripper = Blocking::new(rig.clone(), Watch(rig.clone()));
     gripper.connect().unwrap();
     gripper
 }
 
-fn connected_async(desk: &Desk) -> Asynch {
-    let mut gripper = Asynch::new(desk.clone(), Watch(desk.clone()));
-    desk.run(gripper.connect()).unwrap();
+fn connected_async(rig: &Rig) -> Asynch {
+    let mut gripper = Asynch::new(rig.clone(), Watch(rig.clone()));
+    rig.run(gripper.connect()).unwrap();
     gripper
 }
 
 #[test]
 fn a_gripper_that_is_off_is_not_connected() {
-    let desk = Desk::new();
-    desk.world(|world| world.silent = true);
-    let mut gripper = Blocking::new(desk.clone(), Watch(desk.clone()));
+    let rig = Rig::new();
+    rig.world(|world| world.silent = true);
+    let mut gripper = Blocking::new(rig.clone(), Watch(rig.clone()));
     assert_eq!(gripper.connect(), Err(Error::NotConnected));
     assert_eq!(gripper.home(HomingDirection::Default), Err(Error::NotConnected));
-    let mut gripper = Asynch::new(desk.clone(), Watch(desk.clone()));
-    assert_eq!(desk.run(gripper.connect()), Err(Error::NotConnected));
-    assert_eq!(desk.run(gripper.grip(20.0, 50.0)), Err(Error::NotConnected));
+    let mut gripper = Asynch::new(rig.clone(), Watch(rig.clone()));
+    assert_eq!(rig.run(gripper.connect()), Err(Error::NotConnected));
+    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Err(Error::NotConnected));
 }
 
 #[test]
 fn grip_tells_held_no_part_and_every_failure_apart() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    let mut other = connected_async(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let mut other = connected_async(&rig);
     let outcomes = [
         (Status::Success, Ok(Grip::Held)),
         (Status::CmdFailed, Ok(Grip::NoPart)),
@@ -52,20 +52,20 @@ fn grip_tells_held_no_part_and_every_failure_apart() {
         (Status::Timeout, Err(Error::Failed(Status::Timeout))),
     ];
     for (status, outcome) in outcomes {
-        desk.script_motion(CommandId::GripPart, status);
+        rig.script_motion(CommandId::GripPart, status);
         assert_eq!(gripper.grip(20.0, 50.0), outcome);
-        desk.script_motion(CommandId::GripPart, status);
-        assert_eq!(desk.run(other.grip(20.0, 50.0)), outcome);
+        rig.script_motion(CommandId::GripPart, status);
+        assert_eq!(rig.run(other.grip(20.0, 50.0)), outcome);
     }
 }
 
 #[test]
 fn refusal_at_once_carries_its_status() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    desk.script(CommandId::Homing, vec![(1, status(CommandId::Homing, Status::AccessDenied))]);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.script(CommandId::Homing, vec![(1, status(CommandId::Homing, Status::AccessDenied))]);
     assert_eq!(gripper.home(HomingDirection::Default), Err(Error::Refused(Status::AccessDenied)));
-    desk.script(
+    rig.script(
         CommandId::TareForceSensor,
         vec![(1, status(CommandId::TareForceSensor, Status::NotAvailable))],
     );
@@ -74,11 +74,11 @@ fn refusal_at_once_carries_its_status() {
 
 #[test]
 fn motion_without_an_answer_is_unanswered_and_was_sent_once() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    desk.script(CommandId::GripPart, vec![]);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.script(CommandId::GripPart, vec![]);
     assert_eq!(gripper.grip(20.0, 50.0), Err(Error::Unanswered));
-    assert_eq!(desk.heard(CommandId::GripPart), 1);
+    assert_eq!(rig.heard(CommandId::GripPart), 1);
     assert!(!gripper.is_connected());
     gripper.connect().unwrap();
     assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
@@ -86,17 +86,17 @@ fn motion_without_an_answer_is_unanswered_and_was_sent_once() {
 
 #[test]
 fn query_whose_answer_is_lost_is_asked_again() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    desk.script(CommandId::GetOpeningWidth, vec![]);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.script(CommandId::GetOpeningWidth, vec![]);
     assert_eq!(gripper.width(), Ok(42.5));
-    assert_eq!(desk.heard(CommandId::GetOpeningWidth), 2);
+    assert_eq!(rig.heard(CommandId::GetOpeningWidth), 2);
 }
 
 #[test]
 fn queries_go_on_while_a_motion_runs() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(20.0, 50.0).unwrap();
     assert_eq!(gripper.motion(), Some(CommandId::GripPart));
     assert_eq!(gripper.width(), Ok(42.5));
@@ -109,11 +109,11 @@ fn queries_go_on_while_a_motion_runs() {
 
 #[test]
 fn result_that_came_while_something_else_was_asked_is_kept() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    desk.script_motion(CommandId::GripPart, Status::CmdFailed);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.script_motion(CommandId::GripPart, Status::CmdFailed);
     let grip = gripper.begin_grip(20.0, 50.0).unwrap();
-    desk.pass(500);
+    rig.pass(500);
     assert_eq!(gripper.width(), Ok(42.5));
     assert_eq!(gripper.wait(&grip), Ok(Grip::NoPart));
     let homing = gripper.begin_home(HomingDirection::Default).unwrap();
@@ -123,10 +123,10 @@ fn result_that_came_while_something_else_was_asked_is_kept() {
 
 #[test]
 fn stop_ends_a_motion() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    desk.script(CommandId::PrePosition, vec![(1, status(CommandId::PrePosition, Status::CmdPending))]);
-    desk.script(
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.script(CommandId::PrePosition, vec![(1, status(CommandId::PrePosition, Status::CmdPending))]);
+    rig.script(
         CommandId::Stop,
         vec![
             (1, status(CommandId::PrePosition, Status::CmdAborted)),
@@ -140,153 +140,153 @@ fn stop_ends_a_motion() {
 
 #[test]
 fn pre_position_flags_stand_as_in_the_manual() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     gripper.move_to(50.0, 100.0, OnBlock::Clamp).unwrap();
     gripper.move_to(50.0, 100.0, OnBlock::Stop).unwrap();
     gripper.move_by(-5.0, 100.0, OnBlock::Clamp).unwrap();
     gripper.move_by(-5.0, 100.0, OnBlock::Stop).unwrap();
-    let flags: Vec<u8> = desk.world(|world| world.heard.iter().map(|(_, payload)| payload[0]).collect());
+    let flags: Vec<u8> = rig.world(|world| world.heard.iter().map(|(_, payload)| payload[0]).collect());
     assert_eq!(flags, [0b00, 0b10, 0b01, 0b11]);
 }
 
 #[test]
 fn fast_stop_that_is_not_confirmed_is_owed_over_a_reconnect() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    desk.world(|world| world.silent = true);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.world(|world| world.silent = true);
     assert_eq!(gripper.fast_stop(), Err(Error::Unanswered));
-    assert!(gripper.owes_fast_stop());
+    assert!(gripper.fast_stop_pending());
     assert_eq!(gripper.acknowledge(), Err(Error::NotConnected));
-    desk.world(|world| world.silent = false);
+    rig.world(|world| world.silent = false);
     gripper.connect().unwrap();
-    assert!(!gripper.owes_fast_stop());
-    assert!(desk.heard(CommandId::FastStop) >= 1);
-    assert_eq!(desk.heard(CommandId::Acknowledge), 0, "never by itself");
+    assert!(!gripper.fast_stop_pending());
+    assert!(rig.heard(CommandId::FastStop) >= 1);
+    assert_eq!(rig.heard(CommandId::Acknowledge), 0, "never by itself");
     assert_eq!(gripper.acknowledge(), Ok(()));
 }
 
 #[test]
 fn setting_is_read_back_and_clamping_is_no_mismatch() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     assert_eq!(gripper.set_force_limit(40.0), Ok(()));
     assert_eq!(gripper.set_force_limit(500.0), Ok(()));
-    assert_eq!(desk.heard(CommandId::GetForceLimit), 2);
+    assert_eq!(rig.heard(CommandId::GetForceLimit), 2);
     let other = frame(Reply::success(Value::GetForceLimit(8.0)));
-    desk.script(CommandId::GetForceLimit, vec![(1, other)]);
+    rig.script(CommandId::GetForceLimit, vec![(1, other)]);
     assert_eq!(gripper.set_force_limit(40.0), Err(Error::Mismatch));
 }
 
 #[test]
 fn status_that_stands_for_a_mismatch_is_one_with_a_setting_alone() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let id = CommandId::GetOpeningWidth;
-    desk.script(id, vec![(1, status(id, crate::session::MISMATCH))]);
+    rig.script(id, vec![(1, status(id, crate::session::MISMATCH))]);
     assert_eq!(gripper.width(), Err(Error::Refused(crate::session::MISMATCH)));
 }
 
 #[test]
 fn number_that_is_none_is_refused_before_it_is_sent() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    assert_eq!(gripper.grip(f32::NAN, 50.0), Err(Error::Invalid(Refusal::NotFinite)));
-    assert_eq!(gripper.set_tag("tab\t"), Err(Error::Invalid(Refusal::Character)));
-    assert_eq!(gripper.raw(0x24, b"nak", &mut []), Err(Error::Invalid(Refusal::AckKey)));
-    assert_eq!(desk.world(|world| world.heard.len()), 0);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    assert_eq!(gripper.grip(f32::NAN, 50.0), Err(Error::Invalid(DecodeError::NotFinite)));
+    assert_eq!(gripper.set_tag("tab\t"), Err(Error::Invalid(DecodeError::Character)));
+    assert_eq!(gripper.raw(0x24, b"nak", &mut []), Err(Error::Invalid(DecodeError::AckKey)));
+    assert_eq!(rig.world(|world| world.heard.len()), 0);
 }
 
 #[test]
 fn borrowed_payloads_are_sent_and_repeated_when_the_answer_is_lost() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    desk.script(CommandId::SetDeviceTag, vec![]);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.script(CommandId::SetDeviceTag, vec![]);
     assert_eq!(gripper.set_tag("left hand"), Ok(()));
-    let tags: Vec<_> = desk.world(|world| core::mem::take(&mut world.heard));
+    let tags: Vec<_> = rig.world(|world| core::mem::take(&mut world.heard));
     assert_eq!(tags, [(0x51, b"left hand".to_vec()), (0x51, b"left hand".to_vec())]);
     let tag = crate::DeviceTag::new("left hand").unwrap();
-    desk.script(CommandId::GetDeviceTag, vec![(1, frame(Reply::success(Value::GetDeviceTag(tag))))]);
+    rig.script(CommandId::GetDeviceTag, vec![(1, frame(Reply::success(Value::GetDeviceTag(tag))))]);
     assert_eq!(gripper.tag(&mut [0; 64]), Ok("left hand"));
 }
 
 #[test]
 fn script_command_is_sent_once_and_its_answer_comes_as_it_is() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let id = CommandId::Unknown(0xB0);
     let value = Value::Unknown { id: 0xB0, parameters: &[1, 2, 3] };
-    desk.script(id, vec![(1, status(id, Status::CmdPending)), (50, frame(Reply::success(value)))]);
+    rig.script(id, vec![(1, status(id, Status::CmdPending)), (50, frame(Reply::success(value)))]);
     assert_eq!(gripper.raw(0xB0, &[7; 100], &mut [0; 8]), Ok(&[1, 2, 3][..]));
-    assert_eq!(desk.world(|world| world.heard.last().cloned()), Some((0xB0, vec![7; 100])));
-    desk.script(id, vec![(1, status(id, Status::CmdUnknown))]);
+    assert_eq!(rig.world(|world| world.heard.last().cloned()), Some((0xB0, vec![7; 100])));
+    rig.script(id, vec![(1, status(id, Status::CmdUnknown))]);
     assert_eq!(gripper.raw(0xB0, &[], &mut []), Err(Error::Refused(Status::CmdUnknown)));
-    desk.script(id, vec![(1, frame(Reply::success(value)))]);
+    rig.script(id, vec![(1, frame(Reply::success(value)))]);
     assert_eq!(gripper.raw(0xB0, &[], &mut [0; 2]), Err(Error::TooLong { needed: 3 }));
-    desk.script(id, vec![]);
+    rig.script(id, vec![]);
     assert_eq!(gripper.raw(0xB0, &[], &mut []), Err(Error::Unanswered));
-    assert_eq!(desk.heard(id), 4);
+    assert_eq!(rig.heard(id), 4);
 }
 
 #[test]
 fn frame_that_does_not_fit_is_not_sent() {
-    let desk = Desk::new();
+    let rig = Rig::new();
     let mut gripper =
-        blocking::Gripper::<_, _, 66, 17>::with_config(desk.clone(), Watch(desk.clone()), Config::DEFAULT);
+        blocking::Gripper::<_, _, 66, 17>::with_config(rig.clone(), Watch(rig.clone()), Config::DEFAULT);
     gripper.connect().unwrap();
     assert_eq!(gripper.loop_back(&[1; 9]), Ok(()));
     assert_eq!(gripper.loop_back(&[1; 10]), Err(Error::TooLong { needed: 18 }));
-    assert_eq!(desk.heard(CommandId::Loop), 1);
+    assert_eq!(rig.heard(CommandId::Loop), 1);
     assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Stop), Ok(()), "the longest of fixed length");
 }
 
 #[test]
 fn loop_back_notices_other_bytes() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     assert_eq!(gripper.loop_back(&[0xFF; 256]), Ok(()));
     let other = crate::LoopData::new(&[0xFE; 8]).unwrap();
-    desk.script(CommandId::Loop, vec![(1, frame(Reply::success(Value::Loop(other))))]);
+    rig.script(CommandId::Loop, vec![(1, frame(Reply::success(Value::Loop(other))))]);
     assert_eq!(gripper.loop_back(&[0xFF; 8]), Err(Error::Mismatch));
 }
 
 #[test]
 fn updates_are_kept_and_subscribed_to_again_after_a_reconnect() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     while gripper.next_update(0).unwrap().is_some() {}
-    gripper.subscribe(Signal::Width, AutoUpdate::every(2));
+    gripper.subscribe(Topic::Width, AutoUpdate::every(2));
     assert_eq!(gripper.next_update(50), Ok(Some(Update::Width(42.5))));
     let subscription = Some(vec![0b01, 10, 0]);
-    assert_eq!(desk.world(|world| world.width_update.take()), subscription, "not below 10 ms");
-    desk.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
+    assert_eq!(rig.world(|world| world.width_update.take()), subscription, "not below 10 ms");
+    rig.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
     assert_eq!(gripper.width(), Ok(42.5), "what was asked for");
-    assert_eq!(desk.world(|world| world.width_update.take()), subscription, "to ask does not end it");
+    assert_eq!(rig.world(|world| world.width_update.take()), subscription, "to ask does not end it");
     assert_eq!(gripper.next_update(0), Ok(Some(Update::Width(41.0))), "what came meanwhile");
 
-    desk.world(|world| world.silent = true);
+    rig.world(|world| world.silent = true);
     for _ in 0..20 {
         gripper.next_update(100).unwrap();
     }
     assert!(!gripper.is_connected());
-    desk.world(|world| world.silent = false);
+    rig.world(|world| world.silent = false);
     gripper.connect().unwrap();
-    assert_eq!(desk.world(|world| world.width_update.take()), subscription);
+    assert_eq!(rig.world(|world| world.width_update.take()), subscription);
 
-    gripper.subscribe(Signal::Width, AutoUpdate::once());
+    gripper.subscribe(Topic::Width, AutoUpdate::once());
     gripper.next_update(20).unwrap();
-    assert_eq!(desk.world(|world| world.width_update.take()), Some(vec![0, 0, 0]));
+    assert_eq!(rig.world(|world| world.width_update.take()), Some(vec![0, 0, 0]));
 }
 
 #[test]
 fn newest_updates_are_kept_and_lost_ones_counted() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    gripper.subscribe(Signal::Force, AutoUpdate::every(10));
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while gripper.next_update(50).unwrap().is_some() {}
     let before = gripper.counters().updates_lost;
     for force in 1..=10u8 {
-        desk.inject(&frame(Reply::success(Value::GetForce(force.into()))));
+        rig.inject(&frame(Reply::success(Value::GetForce(force.into()))));
     }
     let updates: Vec<Update> = core::iter::from_fn(|| gripper.next_update(0).unwrap()).collect();
     let forces: Vec<f32> = updates
@@ -299,38 +299,38 @@ fn newest_updates_are_kept_and_lost_ones_counted() {
 
 #[test]
 fn error_of_the_transport_is_told_and_the_motion_can_be_waited_for_again() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(20.0, 50.0).unwrap();
-    desk.world(|world| world.noise = true);
+    rig.world(|world| world.noise = true);
     assert_eq!(gripper.wait(&grip), Err(Error::Transport(Noise)));
     assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
 }
 
 #[test]
 fn end_of_the_transport_is_told_and_another_one_can_take_its_place() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(20.0, 50.0).unwrap();
-    desk.world(|world| world.closed = true);
+    rig.world(|world| world.closed = true);
     assert_eq!(gripper.wait(&grip), Err(Error::Closed));
     assert_eq!(gripper.wait(&grip), Err(Error::Closed));
     assert!(!gripper.is_connected());
     assert_eq!(gripper.known(), &crate::session::Known::NOTHING);
 
-    desk.world(|world| world.closed = false);
-    gripper.replace_io(desk.clone());
+    rig.world(|world| world.closed = false);
+    gripper.replace_io(rig.clone());
     gripper.connect().unwrap();
     assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
 }
 
 #[test]
 fn motion_of_a_line_that_was_replaced_is_unanswered() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(20.0, 50.0).unwrap();
-    desk.world(|world| world.drop_what_comes());
-    gripper.replace_io(desk.clone());
+    rig.world(|world| world.drop_what_comes());
+    gripper.replace_io(rig.clone());
     assert_eq!(gripper.wait(&grip), Err(Error::Unanswered));
     gripper.connect().unwrap();
     assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
@@ -338,36 +338,36 @@ fn motion_of_a_line_that_was_replaced_is_unanswered() {
 
 #[test]
 fn finger_supply_takes_its_time() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let id = CommandId::Finger1Power;
     let answers: Vec<Segment> = vec![(1, status(id, Status::CmdPending)), (500, status(id, Status::Success))];
-    desk.script(id, answers);
-    let before = desk.world(|world| world.now);
+    rig.script(id, answers);
+    let before = rig.world(|world| world.now);
     assert_eq!(gripper.set_finger_power(Finger::One, true), Ok(()));
-    assert!(desk.world(|world| world.now).since(before) >= 500);
-    desk.script(id, vec![(1, status(id, Status::CmdPending))]);
+    assert!(rig.world(|world| world.now).since(before) >= 500);
+    rig.script(id, vec![(1, status(id, Status::CmdPending))]);
     assert_eq!(gripper.set_finger_power(Finger::One, true), Err(Error::Unanswered));
     assert!(gripper.is_connected());
 }
 
 #[test]
 fn confirmation_of_a_fast_stop_that_was_lost_is_waited_for_while_it_is_sent_again() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    desk.script(CommandId::FastStop, vec![]);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.script(CommandId::FastStop, vec![]);
     assert_eq!(gripper.fast_stop(), Ok(()));
     let burst = usize::from(FastStopPattern::DEFAULT.burst_frames);
-    assert!((2..=1 + burst).contains(&desk.heard(CommandId::FastStop)));
-    assert!(!gripper.owes_fast_stop());
+    assert!((2..=1 + burst).contains(&rig.heard(CommandId::FastStop)));
+    assert!(!gripper.fast_stop_pending());
 }
 
 #[test]
 fn every_kind_of_update_comes_through() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    for signal in [Signal::Width, Signal::Speed, Signal::Force] {
-        gripper.subscribe(signal, AutoUpdate::every(10));
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    for topic in [Topic::Width, Topic::Speed, Topic::Force] {
+        gripper.subscribe(topic, AutoUpdate::every(10));
     }
     while gripper.next_update(50).unwrap().is_some() {}
     for (value, update) in [
@@ -377,30 +377,30 @@ fn every_kind_of_update_comes_through() {
         (Value::GetSpeed(7.0), Update::Speed(7.0)),
         (Value::GetForce(3.0), Update::Force(3.0)),
     ] {
-        desk.inject(&frame(Reply::success(value)));
+        rig.inject(&frame(Reply::success(value)));
         assert_eq!(gripper.next_update(0), Ok(Some(update)));
     }
 }
 
 #[test]
 fn transport_that_holds_bytes_back_until_it_is_flushed_is_flushed() {
-    let desk = Desk::new();
-    desk.world(|world| world.holds_back = true);
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    rig.world(|world| world.holds_back = true);
+    let mut gripper = connected(&rig);
     assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
-    let mut other = connected_async(&desk);
-    assert_eq!(desk.run(other.grip(20.0, 50.0)), Ok(Grip::Held));
+    let mut other = connected_async(&rig);
+    assert_eq!(rig.run(other.grip(20.0, 50.0)), Ok(Grip::Held));
 
-    desk.world(|world| world.width_update = None);
-    other.subscribe(Signal::Width, AutoUpdate::every(10));
-    desk.run(other.next_update(0)).unwrap();
-    assert!(desk.world(|world| world.width_update.is_some()), "all of it within one call that does not wait");
+    rig.world(|world| world.width_update = None);
+    other.subscribe(Topic::Width, AutoUpdate::every(10));
+    rig.run(other.next_update(0)).unwrap();
+    assert!(rig.world(|world| world.width_update.is_some()), "all of it within one call that does not wait");
 }
 
 #[test]
 fn motion_that_has_begun_tells_which_it_is() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(20.0, 50.0).unwrap();
     assert_eq!(grip.id(), CommandId::GripPart);
     assert_eq!(std::format!("{grip:?}"), "Pending(GripPart)");
@@ -408,19 +408,19 @@ fn motion_that_has_begun_tells_which_it_is() {
 
 #[test]
 fn notice_about_another_request_says_nothing_of_this_one() {
-    use crate::session::Notice;
+    use crate::session::Event;
     use motion::Verdict;
     let (this, other) = (CommandId::Homing, CommandId::GripPart);
-    let success = |id| Notice::Answered(Reply::status_only(id, Status::Success));
+    let success = |id| Event::Answered(Reply::status_only(id, Status::Success));
     for (about, verdict) in [
-        (success as fn(CommandId) -> Notice<'static>, Verdict::Answered(Status::Success)),
-        (Notice::Unanswered, Verdict::Unanswered),
-        (Notice::Withdrawn, Verdict::Withdrawn),
+        (success as fn(CommandId) -> Event<'static>, Verdict::Answered(Status::Success)),
+        (Event::Unanswered, Verdict::Unanswered),
+        (Event::Withdrawn, Verdict::Withdrawn),
     ] {
         assert_eq!(Verdict::of(&about(this), this), Some(verdict));
         assert_eq!(Verdict::of(&about(other), this), None);
     }
-    assert_eq!(Verdict::of(&Notice::Pending(this), this), None, "it is not the last word");
+    assert_eq!(Verdict::of(&Event::Pending(this), this), None, "it is not the last word");
 }
 
 #[test]
@@ -436,7 +436,7 @@ fn every_error_says_who_can_do_something_about_it_and_what_it_is() {
         (Error::NotConnected, Culprit::Caller, "no connection"),
         (Error::MotionRunning, Culprit::Caller, "motion is running"),
         (Error::FastStopRunning, Culprit::Caller, "FAST STOP"),
-        (Error::Invalid(Refusal::NotFinite), Culprit::Caller, "invalid parameter: "),
+        (Error::Invalid(DecodeError::NotFinite), Culprit::Caller, "invalid parameter: "),
         (Error::Superseded, Culprit::Caller, "another motion"),
         (Error::NotInGcl, Culprit::Caller, "GCL"),
         (Error::NoForceLimit, Culprit::Caller, "force limit"),

@@ -9,7 +9,7 @@ use super::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use crate::command::{Command, CommandId, Kind};
 use crate::queue::Queue;
 use crate::reply::{Reply, Value};
-use crate::session::{Known, Notice, RequestError};
+use crate::session::{Event, Known, RequestError};
 use crate::types::{
     AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
 };
@@ -24,7 +24,7 @@ const OUTGOING_LEN: usize = 2;
 /// The register interface of a gripper, whatever carries the images.
 ///
 /// Sans-IO, beside a [`Session`](crate::session::Session): give it each image by [`set_output`](Self::set_output) and
-/// each notice of the session by [`handle`](Self::handle), then fetch commands by
+/// each event of the session by [`handle`](Self::handle), then fetch commands by
 /// [`poll_command`](Self::poll_command) and show the PLC [`input`](Self::input).
 ///
 /// The rules, beside those that the manual states at each flag:
@@ -40,7 +40,7 @@ const OUTGOING_LEN: usize = 2;
 /// - GRIP leaves only behind the answer to its own force limit. Let the session read settings back
 ///   ([`Config::verify_settings`](crate::session::Config::verify_settings)).
 /// - MOVE is refused while a part is held: RELEASE is the way to open then (fieldbus, 6.1).
-/// - MOVE stops on a block: fingers that clamp and later snap to the target would move unasked.
+/// - MOVE stops on a block: fingers that clamp and later snap to the target would move without a command.
 /// - Without a connection a motion is refused, never kept for later.
 ///
 /// JOG (fieldbus, 6.7) has no command of its own in the binary command set. It runs as the force limit and a
@@ -200,7 +200,7 @@ impl Controller {
         }
     }
 
-    /// Takes notice that the PLC is not heard any more, for a bus that notices.
+    /// Takes event that the PLC is not heard any more, for a bus that events.
     ///
     /// The image stays as it is, so that its flags give no edge when the PLC is back; JOG counts again after both of its
     /// flags were 0.
@@ -253,18 +253,18 @@ impl Controller {
     }
 
     /// Takes what the session noticed, with what it knows since.
-    pub fn handle(&mut self, notice: &Notice<'_>, known: &Known) {
-        self.note_outcome(notice);
-        self.note_motion(notice, known);
-        match notice {
-            Notice::Connected => {
+    pub fn handle(&mut self, event: &Event<'_>, known: &Known) {
+        self.note_outcome(event);
+        self.note_motion(event, known);
+        match event {
+            Event::Connected => {
                 self.connected = true;
                 // They were asked for behind a FAST STOP that was answered before.
                 if let Some(flags) = known.flags {
                     self.supervise_fast_stop(flags);
                 }
             }
-            Notice::Disconnected => {
+            Event::Disconnected => {
                 self.show_held_back(known);
                 self.connected = false;
                 self.settled = None;
@@ -279,28 +279,28 @@ impl Controller {
                     self.fast_stop();
                 }
             }
-            Notice::Answered(reply) => self.answered(reply, known),
-            Notice::Late(CommandId::Stop) | Notice::Unanswered(CommandId::Stop) if !self.stands(known) => {
+            Event::Answered(reply) => self.answered(reply, known),
+            Event::Late(CommandId::Stop) | Event::Unanswered(CommandId::Stop) if !self.stands(known) => {
                 self.fast_stop();
             }
-            Notice::Unanswered(id) if self.jog_may_move(*id, known) => self.fast_stop(),
-            Notice::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, known),
-            Notice::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, known),
-            Notice::Reported(Value::GetGripperState(_)) => self.settled = None,
-            Notice::Reported(Value::GetSystemState(flags)) => {
+            Event::Unanswered(id) if self.jog_may_move(*id, known) => self.fast_stop(),
+            Event::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, known),
+            Event::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, known),
+            Event::Reported(Value::GetGripperState(_)) => self.settled = None,
+            Event::Reported(Value::GetSystemState(flags)) => {
                 self.supervise_fast_stop(*flags);
                 self.show_held_back(known);
             }
-            Notice::Pending(_) | Notice::Reported(_) | Notice::Late(_) => {}
+            Event::Pending(_) | Event::Reported(_) | Event::Late(_) => {}
         }
     }
 
     /// Keeps count of what is open at the gripper.
-    fn note_outcome(&mut self, notice: &Notice<'_>) {
-        let id = match notice {
-            Notice::Answered(reply) => reply.id(),
-            Notice::Unanswered(id) | Notice::Withdrawn(id) => *id,
-            Notice::Disconnected => {
+    fn note_outcome(&mut self, event: &Event<'_>) {
+        let id = match event {
+            Event::Answered(reply) => reply.id(),
+            Event::Unanswered(id) | Event::Withdrawn(id) => *id,
+            Event::Disconnected => {
                 self.acknowledgements_open = 0;
                 self.force_limits_open = 0;
                 return;
@@ -320,18 +320,18 @@ impl Controller {
     }
 
     /// Keeps track of whether the reports know of the last motion.
-    fn note_motion(&mut self, notice: &Notice<'_>, known: &Known) {
+    fn note_motion(&mut self, event: &Event<'_>, known: &Known) {
         let is_motion = |id: CommandId| id.kind() == Kind::Motion;
         let tells_states = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
-        self.unseen = match notice {
-            Notice::Pending(id) if is_motion(*id) => Unseen::Begun,
-            Notice::Unanswered(id) if is_motion(*id) && !self.stands(known) => Unseen::Begun,
-            Notice::Withdrawn(id) if is_motion(*id) => Unseen::No,
-            Notice::Answered(reply) if is_motion(reply.id()) => Unseen::No,
-            Notice::Answered(reply) if self.unseen == Unseen::Begun && tells_states(reply.id()) => Unseen::No,
-            Notice::Reported(value) if self.unseen == Unseen::Begun && tells_states(value.id()) => Unseen::No,
+        self.unseen = match event {
+            Event::Pending(id) if is_motion(*id) => Unseen::Begun,
+            Event::Unanswered(id) if is_motion(*id) && !self.stands(known) => Unseen::Begun,
+            Event::Withdrawn(id) if is_motion(*id) => Unseen::No,
+            Event::Answered(reply) if is_motion(reply.id()) => Unseen::No,
+            Event::Answered(reply) if self.unseen == Unseen::Begun && tells_states(reply.id()) => Unseen::No,
+            Event::Reported(value) if self.unseen == Unseen::Begun && tells_states(value.id()) => Unseen::No,
             // Its states were asked for since.
-            Notice::Connected => Unseen::No,
+            Event::Connected => Unseen::No,
             _ => return,
         };
     }
@@ -362,7 +362,7 @@ impl Controller {
 
     /// Takes back a command that the session did not take.
     pub fn refused(&mut self, id: CommandId, error: RequestError) {
-        self.note_outcome(&Notice::Withdrawn(id));
+        self.note_outcome(&Event::Withdrawn(id));
         if self.unseen == Unseen::Given {
             // An earlier one may be the reason.
             self.unseen = Unseen::Begun;
@@ -487,9 +487,9 @@ impl Controller {
         self.failed = false;
         // These will have no outcome: the session has not been given them.
         while let Some(unsent) = self.outgoing.pop_front() {
-            self.note_outcome(&Notice::Withdrawn(unsent.id()));
+            self.note_outcome(&Event::Withdrawn(unsent.id()));
             // What is known matters to what was sent.
-            self.note_motion(&Notice::Withdrawn(unsent.id()), &Known::NOTHING);
+            self.note_motion(&Event::Withdrawn(unsent.id()), &Known::NOTHING);
         }
         self.send(command);
         self.shown = Some(command.id());

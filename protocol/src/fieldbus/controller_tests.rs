@@ -66,12 +66,12 @@ impl Plc {
             width: Some(50.0),
             force: Some(0.0),
         };
-        self.controller.handle(&Notice::Connected, &self.known);
+        self.controller.handle(&Event::Connected, &self.known);
     }
 
     fn disconnect(&mut self) {
         self.known = Known::NOTHING;
-        self.controller.handle(&Notice::Disconnected, &self.known);
+        self.controller.handle(&Event::Disconnected, &self.known);
     }
 
     fn write(&mut self, change: impl FnOnce(&mut OutputImage)) -> Vec<Command<'static>> {
@@ -89,18 +89,18 @@ impl Plc {
     }
 
     fn answer(&mut self, id: CommandId, status: Status) -> Vec<Command<'static>> {
-        self.controller.handle(&Notice::Answered(Reply::status_only(id, status)), &self.known);
+        self.controller.handle(&Event::Answered(Reply::status_only(id, status)), &self.known);
         self.commands()
     }
 
     /// The gripper begins a motion: E_CMD_PENDING.
     fn begins(&mut self, id: CommandId) {
-        self.controller.handle(&Notice::Pending(id), &self.known);
+        self.controller.handle(&Event::Pending(id), &self.known);
     }
 
     fn report(&mut self, state: GripperState) {
         self.known.state = Some(state);
-        self.controller.handle(&Notice::Reported(Value::GetGripperState(state)), &self.known);
+        self.controller.handle(&Event::Reported(Value::GetGripperState(state)), &self.known);
     }
 
     /// The gripper answers a FAST STOP, and the question for its flags behind it.
@@ -118,13 +118,13 @@ impl Plc {
     fn answer_flags(&mut self, flags: SystemFlags) -> Vec<Command<'static>> {
         self.known.flags = Some(flags);
         let reply = Reply::success(Value::GetSystemState(flags));
-        self.controller.handle(&Notice::Answered(reply), &self.known);
+        self.controller.handle(&Event::Answered(reply), &self.known);
         self.commands()
     }
 
     fn report_flags(&mut self, flags: SystemFlags) {
         self.known.flags = Some(flags);
-        self.controller.handle(&Notice::Reported(Value::GetSystemState(flags)), &self.known);
+        self.controller.handle(&Event::Reported(Value::GetSystemState(flags)), &self.known);
     }
 
     fn commands(&mut self) -> Vec<Command<'static>> {
@@ -190,8 +190,8 @@ fn command_of_somebody_else_that_comes_to_nothing_leaves_a_motion_and_its_status
         let mut plc = Plc::ready();
         plc.raise(flag);
         let before = plc.shows();
-        plc.controller.handle(&Notice::Unanswered(id), &plc.known);
-        plc.controller.handle(&Notice::Withdrawn(id), &plc.known);
+        plc.controller.handle(&Event::Unanswered(id), &plc.known);
+        plc.controller.handle(&Event::Withdrawn(id), &plc.known);
         assert_eq!(plc.shows(), before, "{flag:?} {id}");
     }
 }
@@ -200,15 +200,15 @@ fn command_of_somebody_else_that_comes_to_nothing_leaves_a_motion_and_its_status
 fn stop_and_acknowledgement_that_are_not_answered_show_e_timeout() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
-    plc.controller.handle(&Notice::Unanswered(CommandId::TareForceSensor), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::TareForceSensor), &plc.known);
     assert_eq!(plc.shows().1, Status::CmdPending, "of somebody else");
-    plc.controller.handle(&Notice::Unanswered(CommandId::Stop), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::Stop), &plc.known);
     assert_eq!(plc.shows().1, Status::Timeout);
 
     let mut plc = Plc::ready();
     plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
-    plc.controller.handle(&Notice::Unanswered(CommandId::Acknowledge), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::Acknowledge), &plc.known);
     assert_eq!(plc.shows().1, Status::Timeout);
 }
 
@@ -458,7 +458,7 @@ fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_ack
     plc.confirm_fast_stop();
     plc.lower(CommandFlags::FASTSTOP);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
-    plc.controller.handle(&Notice::Unanswered(CommandId::Acknowledge), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::Acknowledge), &plc.known);
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
     plc.disconnect();
@@ -486,7 +486,7 @@ fn fast_stop_that_the_gripper_shows_no_more_behind_an_acknowledgement_is_left_wh
 #[test]
 fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_told_to_stand_behind_the_motion() {
     let late = |plc: &mut Plc| {
-        plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+        plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
         plc.commands()
     };
     for begins in [false, true] {
@@ -515,59 +515,55 @@ fn only_a_report_from_behind_a_motion_tells_that_the_fingers_stand() {
     const STANDS: SystemFlags = SystemFlags::REFERENCED;
     let flags = || Value::GetSystemState(STANDS);
     let state = || Value::GetGripperState(GripperState::Idle);
-    let answered = |status| Notice::Answered(Reply::status_only(MOTION, status));
+    let answered = |status| Event::Answered(Reply::status_only(MOTION, status));
     let force = CommandId::SetForceLimit;
-    let cases: Vec<(&str, Vec<Notice<'_>>, bool)> = vec![
+    let cases: Vec<(&str, Vec<Event<'_>>, bool)> = vec![
         ("given", vec![], true),
-        ("given, and reported", vec![Notice::Reported(flags())], true),
-        ("given, and asked for", vec![Notice::Answered(Reply::success(flags()))], true),
-        ("begun", vec![Notice::Pending(MOTION)], true),
-        ("begun, and reported", vec![Notice::Pending(MOTION), Notice::Reported(flags())], false),
-        ("begun, and its state reported", vec![Notice::Pending(MOTION), Notice::Reported(state())], false),
+        ("given, and reported", vec![Event::Reported(flags())], true),
+        ("given, and asked for", vec![Event::Answered(Reply::success(flags()))], true),
+        ("begun", vec![Event::Pending(MOTION)], true),
+        ("begun, and reported", vec![Event::Pending(MOTION), Event::Reported(flags())], false),
+        ("begun, and its state reported", vec![Event::Pending(MOTION), Event::Reported(state())], false),
         (
             "begun, and asked for",
-            vec![Notice::Pending(MOTION), Notice::Answered(Reply::success(flags()))],
+            vec![Event::Pending(MOTION), Event::Answered(Reply::success(flags()))],
             false,
         ),
         (
             "begun, and its state asked for",
-            vec![Notice::Pending(MOTION), Notice::Answered(Reply::success(state()))],
+            vec![Event::Pending(MOTION), Event::Answered(Reply::success(state()))],
             false,
         ),
         (
             "begun, and the width reported",
-            vec![Notice::Pending(MOTION), Notice::Reported(Value::GetOpeningWidth(20.0))],
+            vec![Event::Pending(MOTION), Event::Reported(Value::GetOpeningWidth(20.0))],
             true,
         ),
         (
             "begun, and something else answered",
-            vec![Notice::Pending(MOTION), Notice::Answered(Reply::status_only(force, Status::Success))],
+            vec![Event::Pending(MOTION), Event::Answered(Reply::status_only(force, Status::Success))],
             true,
         ),
-        (
-            "begun, and something else withdrawn",
-            vec![Notice::Pending(MOTION), Notice::Withdrawn(force)],
-            true,
-        ),
+        ("begun, and something else withdrawn", vec![Event::Pending(MOTION), Event::Withdrawn(force)], true),
         ("answered", vec![answered(Status::CmdAborted)], false),
-        ("never sent", vec![Notice::Withdrawn(MOTION)], false),
+        ("never sent", vec![Event::Withdrawn(MOTION)], false),
         (
             "without an outcome, of fingers that stand",
-            vec![Notice::Pending(MOTION), Notice::Reported(flags()), Notice::Unanswered(MOTION)],
+            vec![Event::Pending(MOTION), Event::Reported(flags()), Event::Unanswered(MOTION)],
             false,
         ),
-        ("without an outcome, and not reported", vec![Notice::Unanswered(MOTION)], true),
-        ("connected anew", vec![Notice::Pending(MOTION), Notice::Disconnected, Notice::Connected], false),
+        ("without an outcome, and not reported", vec![Event::Unanswered(MOTION)], true),
+        ("connected anew", vec![Event::Pending(MOTION), Event::Disconnected, Event::Connected], false),
     ];
-    for (what, notices, is_fast_stop) in cases {
+    for (what, events, is_fast_stop) in cases {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
         plc.known.flags = Some(STANDS);
-        for notice in notices {
-            plc.controller.handle(&notice, &plc.known);
+        for event in events {
+            plc.controller.handle(&event, &plc.known);
         }
         plc.commands();
-        plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+        plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
         assert_eq!(plc.commands() == [Command::FastStop], is_fast_stop, "{what}");
     }
 }
@@ -576,9 +572,9 @@ fn only_a_report_from_behind_a_motion_tells_that_the_fingers_stand() {
 fn a_finger_supply_that_is_being_switched_is_no_motion() {
     let mut plc = Plc::ready();
     let supply = CommandId::Finger1Power;
-    plc.controller.handle(&Notice::Pending(supply), &plc.known);
-    plc.controller.handle(&Notice::Unanswered(supply), &plc.known);
-    plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+    plc.controller.handle(&Event::Pending(supply), &plc.known);
+    plc.controller.handle(&Event::Unanswered(supply), &plc.known);
+    plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
     assert_eq!(plc.commands(), []);
 }
 
@@ -602,7 +598,7 @@ fn an_acknowledgement_of_before_a_disconnect_is_not_waited_for() {
 #[test]
 fn a_motion_that_the_session_refused_leaves_an_earlier_one_in_doubt_and_nothing_else() {
     let late = |plc: &mut Plc| {
-        plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+        plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
         plc.commands()
     };
     let mut plc = Plc::ready();
@@ -625,7 +621,7 @@ fn acknowledgement_that_overtakes_another_keeps_the_fast_stop_until_both_are_ans
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
         plc.lower(CommandFlags::STOP_ACK);
     }
-    plc.controller.handle(&Notice::Withdrawn(CommandId::Acknowledge), &plc.known);
+    plc.controller.handle(&Event::Withdrawn(CommandId::Acknowledge), &plc.known);
     plc.report_flags(SystemFlags::REFERENCED);
     assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
     plc.answer(CommandId::Acknowledge, Status::Success);
@@ -760,7 +756,7 @@ fn motion_without_a_connection_is_refused_and_not_kept() {
 fn motion_whose_outcome_is_not_known_shows_error_and_e_timeout() {
     let mut plc = Plc::ready();
     plc.grip();
-    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::GripPart), &plc.known);
     plc.disconnect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
     plc.connect();
@@ -773,7 +769,7 @@ fn motion_that_is_given_up_with_the_connection_is_no_fast_stop() {
     plc.grip();
     plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
     plc.known = Known::NOTHING;
-    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::GripPart), &plc.known);
     plc.disconnect();
     assert_eq!(plc.commands(), []);
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
@@ -784,7 +780,7 @@ fn part_that_is_held_shows_even_if_the_result_of_the_grip_was_lost() {
     let mut plc = Plc::ready();
     plc.grip();
     plc.report(GripperState::Holding);
-    plc.controller.handle(&Notice::Unanswered(CommandId::GripPart), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::GripPart), &plc.known);
     assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Timeout));
 }
 
@@ -881,7 +877,7 @@ fn earlier_force_limit_that_is_withdrawn_does_not_end_a_later_grip() {
     plc.write(|image| image.flags = CommandFlags::STOP_ACK);
     plc.write(|image| image.flags = CommandFlags::empty());
     assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
-    plc.controller.handle(&Notice::Withdrawn(CommandId::SetForceLimit), &plc.known);
+    plc.controller.handle(&Event::Withdrawn(CommandId::SetForceLimit), &plc.known);
     assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
 }
@@ -905,7 +901,7 @@ fn stop_that_is_late_becomes_a_fast_stop_unless_the_fingers_stand() {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
         plc.report_flags(flags);
-        plc.controller.handle(&Notice::Late(CommandId::Stop), &plc.known);
+        plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
         assert_eq!(plc.commands(), becomes);
     }
 }

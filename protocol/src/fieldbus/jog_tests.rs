@@ -317,7 +317,7 @@ fn jog_flag_that_goes_before_its_motion_was_fetched_moves_nothing() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::JOG_PLUS);
     let success = Reply::status_only(CommandId::SetForceLimit, Status::Success);
-    plc.controller.handle(&Notice::Answered(success), &plc.known);
+    plc.controller.handle(&Event::Answered(success), &plc.known);
     assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop], "and no Pre-position");
     plc.answer(CommandId::Stop, Status::Success);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
@@ -337,7 +337,7 @@ fn jog_flag_that_goes_while_the_end_is_held_back_ends_all_the_same() {
 fn connection_that_goes_during_a_jog_leaves_a_fast_stop_for_the_gripper() {
     let mut plc = Plc::jogging();
     plc.known = Known::NOTHING;
-    plc.controller.handle(&Notice::Unanswered(CommandId::PrePosition), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::PrePosition), &plc.known);
     plc.disconnect();
     assert!(plc.commands().contains(&Command::FastStop));
     plc.connect();
@@ -346,7 +346,7 @@ fn connection_that_goes_during_a_jog_leaves_a_fast_stop_for_the_gripper() {
     let mut plc = Plc::jogging();
     plc.lower(CommandFlags::JOG_PLUS);
     plc.known = Known::NOTHING;
-    plc.controller.handle(&Notice::Unanswered(CommandId::Stop), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::Stop), &plc.known);
     assert_eq!(plc.commands(), [Command::FastStop], "the Stop may not have arrived");
 }
 
@@ -354,7 +354,7 @@ fn connection_that_goes_during_a_jog_leaves_a_fast_stop_for_the_gripper() {
 fn jog_whose_result_is_lost_but_whose_fingers_stand_needs_no_fast_stop() {
     let mut plc = Plc::jogging();
     plc.report_flags(SystemFlags::REFERENCED);
-    plc.controller.handle(&Notice::Unanswered(CommandId::PrePosition), &plc.known);
+    plc.controller.handle(&Event::Unanswered(CommandId::PrePosition), &plc.known);
     assert_eq!(plc.commands(), []);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Timeout));
 }
@@ -438,7 +438,7 @@ fn silence_of_the_plc_behind_a_cut_line_leaves_a_fast_stop_for_fingers_that_may_
             plc.known = Known::NOTHING;
         } else {
             plc.known = Known::NOTHING;
-            plc.controller.handle(&Notice::Unanswered(CommandId::PrePosition), &plc.known);
+            plc.controller.handle(&Event::Unanswered(CommandId::PrePosition), &plc.known);
         }
         plc.disconnect();
         plc.controller.silence(SilenceReaction::Stop, &plc.known);

@@ -274,7 +274,7 @@ impl<const N: usize> FrameParser<N> {
         } else if let Some(slot) = self.store.head.get_mut(at) {
             *slot = byte;
             if at == HEAD_LEN - 1 && self.store.size() > N {
-                return Some(self.settle(Found::Oversize));
+                return Some(self.dispatch(Found::Oversize));
             }
         } else {
             return self.end(at, byte);
@@ -293,7 +293,7 @@ impl<const N: usize> FrameParser<N> {
         // lead to 0 from any value, so comparing lets through a quarter of the corruptions that looking for 0 would.
         let received = u16::from_le_bytes([self.store.get(at.wrapping_sub(1)), byte]);
         let accepted = received == self.checksum_or_next || self.flags & IGNORE_CHECKSUM != 0;
-        Some(self.settle(if accepted { Found::Frame } else { Found::BadChecksum }))
+        Some(self.dispatch(if accepted { Found::Frame } else { Found::BadChecksum }))
     }
 
     /// One byte outside a frame.
@@ -309,7 +309,7 @@ impl<const N: usize> FrameParser<N> {
     }
 
     /// Ends the frame being received. If more bytes are held, they wait from behind it on.
-    fn settle(&mut self, found: Found) -> Found {
+    fn dispatch(&mut self, found: Found) -> Found {
         let count = match found {
             Found::Frame => {
                 self.set_preamble_seen(0);

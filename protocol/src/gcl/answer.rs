@@ -3,7 +3,7 @@
 use super::name::Named;
 use super::number::{read_integer, write_integer};
 use super::scanner::Scanner;
-use super::{CommandName, Description, LineError, Mistake, Value, write_line};
+use super::{CommandName, Description, LineError, ParseError, Value, write_line};
 use crate::types::Status;
 use core::fmt::{Formatter, Result as Written, Write};
 
@@ -57,32 +57,32 @@ impl<'a> Answer<'a> {
     ///
     /// # Errors
     /// What is no answer is refused, and says why.
-    pub fn parse(line: &'a [u8]) -> Result<Self, Mistake> {
+    pub fn parse(line: &'a [u8]) -> Result<Self, ParseError> {
         let mut input = Scanner::new(line);
         let is_update = input.take(b'@');
         let word = input.name();
         let is = |mark: &str| !is_update && word.eq_ignore_ascii_case(mark.as_bytes()) && input.at_gap();
         let (is_ack, is_fin, is_err) = (is(ACK), is(FIN), is(ERR));
         let answer = if is_ack || is_fin {
-            let name = Named::read(&mut input)?.command().ok_or(Mistake::UnknownName)?;
+            let name = Named::read(&mut input)?.command().ok_or(ParseError::UnknownName)?;
             match is_ack {
                 true if name.is_acknowledged() => Self::Ack(name),
                 false if name.is_finished() => Self::Fin(name),
-                _ => return Err(Mistake::Form),
+                _ => return Err(ParseError::Form),
             }
         } else if is_err {
             Self::read_error(&mut input)?
         } else {
             let name = match CommandName::from_bytes(word) {
                 Some(name) => name,
-                None if word.is_empty() => return Err(Mistake::NoName),
+                None if word.is_empty() => return Err(ParseError::NoName),
                 None if word.eq_ignore_ascii_case(TAG_IN_THE_EXAMPLE) => CommandName::Tag,
-                None => return Err(Mistake::UnknownName),
+                None => return Err(ParseError::UnknownName),
             };
             let value = Value::read(name, &mut input)?;
             match is_update {
                 true if value.is_of_an_update() => Self::Update(value),
-                true => return Err(Mistake::Value),
+                true => return Err(ParseError::Value),
                 false => Self::Value(value),
             }
         };
@@ -90,14 +90,14 @@ impl<'a> Answer<'a> {
         Ok(answer)
     }
 
-    fn read_error(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+    fn read_error(input: &mut Scanner<'a>) -> Result<Self, ParseError> {
         let name = Named::read(input)?;
         if !input.at_gap() {
-            return Err(Mistake::Form);
+            return Err(ParseError::Form);
         }
-        let code = u16::try_from(read_integer(input)?).map_err(|_| Mistake::Range)?;
+        let code = u16::try_from(read_integer(input)?).map_err(|_| ParseError::Range)?;
         if !input.at_gap() {
-            return Err(Mistake::Form);
+            return Err(ParseError::Form);
         }
         let description = Description::new(input.remainder());
         Ok(Self::Err { name, status: Status::from_code(code), description })
@@ -138,12 +138,12 @@ impl<'a> Answer<'a> {
     ///
     /// # Errors
     /// The mistake that reading it would find.
-    pub fn check(&self) -> Result<(), Mistake> {
+    pub fn check(&self) -> Result<(), ParseError> {
         match self {
-            Self::Ack(name) if !name.is_acknowledged() => Err(Mistake::Form),
-            Self::Fin(name) if !name.is_finished() => Err(Mistake::Form),
+            Self::Ack(name) if !name.is_acknowledged() => Err(ParseError::Form),
+            Self::Fin(name) if !name.is_finished() => Err(ParseError::Form),
             Self::Ack(_) | Self::Fin(_) | Self::Err { .. } => Ok(()),
-            Self::Update(value) if !value.is_of_an_update() => Err(Mistake::Value),
+            Self::Update(value) if !value.is_of_an_update() => Err(ParseError::Value),
             Self::Value(value) | Self::Update(value) => value.check(),
         }
     }

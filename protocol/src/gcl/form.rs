@@ -1,6 +1,6 @@
 //! How values stand in a line (GCL, appendix E), and how a command's forms are put together of them.
 
-use super::Mistake;
+use super::ParseError;
 use super::number::{finite, read_float, read_integer, write_float, write_integer};
 use super::scanner::Scanner;
 use crate::types::{GripperState, GrippingStatistics};
@@ -12,13 +12,13 @@ pub(super) trait Form<'a>: Sized {
     const FORMS: &'static [&'static str];
 
     /// Takes it from the line.
-    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake>;
+    fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError>;
 
     /// Writes it.
     fn write(&self, to: &mut impl Write) -> Written;
 
     /// Whether what is written is read back as the same.
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         Ok(())
     }
 }
@@ -29,7 +29,7 @@ pub(super) struct Call;
 impl Form<'_> for Call {
     const FORMS: &'static [&'static str] = &["()"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         Parameters::open(input)?.close()?;
         Ok(Self)
     }
@@ -45,7 +45,7 @@ pub(super) struct Ask;
 impl Form<'_> for Ask {
     const FORMS: &'static [&'static str] = &["?"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         input.expect(b'?')?;
         Ok(Self)
     }
@@ -62,11 +62,11 @@ pub(super) trait Word<'a>: Sized {
     /// The same, as one element of a vector.
     const INDEXED: &'static str;
 
-    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake>;
+    fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError>;
 
     fn write(&self, to: &mut impl Write) -> Written;
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         Ok(())
     }
 }
@@ -86,7 +86,7 @@ macro_rules! assigned {
         $(impl<'a> $crate::gcl::form::Form<'a> for $type {
             const FORMS: &'static [&'static str] = &[<Self as $crate::gcl::form::Word<'a>>::ASSIGNED];
 
-            fn read(input: &mut $crate::gcl::scanner::Scanner<'a>) -> Result<Self, $crate::gcl::Mistake> {
+            fn read(input: &mut $crate::gcl::scanner::Scanner<'a>) -> Result<Self, $crate::gcl::ParseError> {
                 input.expect(b'=')?;
                 $crate::gcl::form::Word::read(input)
             }
@@ -96,7 +96,7 @@ macro_rules! assigned {
                 $crate::gcl::form::Word::write(self, to)
             }
 
-            fn check(&self) -> Result<(), $crate::gcl::Mistake> {
+            fn check(&self) -> Result<(), $crate::gcl::ParseError> {
                 $crate::gcl::form::Word::check(self)
             }
         })*
@@ -109,7 +109,7 @@ assigned!(f32, bool, u32, GripperState);
 impl Word<'_> for f32 {
     notation!("<float>");
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         read_float(input)
     }
 
@@ -117,7 +117,7 @@ impl Word<'_> for f32 {
         write_float(*self, to)
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         finite(*self).map(|_| ())
     }
 }
@@ -125,7 +125,7 @@ impl Word<'_> for f32 {
 impl Word<'_> for u32 {
     notation!("<integer>");
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         read_integer(input)
     }
 
@@ -137,11 +137,11 @@ impl Word<'_> for u32 {
 impl Word<'_> for bool {
     notation!("<bool>");
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         match read_integer(input)? {
             0 => Ok(false),
             1 => Ok(true),
-            _ => Err(Mistake::Value),
+            _ => Err(ParseError::Value),
         }
     }
 
@@ -153,9 +153,9 @@ impl Word<'_> for bool {
 impl Word<'_> for GripperState {
     notation!("<integer>");
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
-        let code = u8::try_from(read_integer(input)?).map_err(|_| Mistake::Value)?;
-        Self::from_code(code).ok_or(Mistake::Value)
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
+        let code = u8::try_from(read_integer(input)?).map_err(|_| ParseError::Value)?;
+        Self::from_code(code).ok_or(ParseError::Value)
     }
 
     fn write(&self, to: &mut impl Write) -> Written {
@@ -167,8 +167,8 @@ impl Word<'_> for GripperState {
 impl Word<'_> for GrippingStatistics {
     notation!("[<integer>,<integer>,<integer>]");
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
-        let short = |count| u16::try_from(count).map_err(|_| Mistake::Range);
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
+        let short = |count| u16::try_from(count).map_err(|_| ParseError::Range);
         input.expect(b'[')?;
         let total = read_integer(input)?;
         input.expect(b',')?;
@@ -197,13 +197,13 @@ pub(super) struct Parameters<'s, 'a> {
 }
 
 impl<'s, 'a> Parameters<'s, 'a> {
-    pub(super) fn open(input: &'s mut Scanner<'a>) -> Result<Self, Mistake> {
+    pub(super) fn open(input: &'s mut Scanner<'a>) -> Result<Self, ParseError> {
         input.expect(b'(')?;
         Ok(Self { input, taken: false })
     }
 
     /// The next parameter, if there is one.
-    pub(super) fn optional<T: Word<'a>>(&mut self) -> Result<Option<T>, Mistake> {
+    pub(super) fn optional<T: Word<'a>>(&mut self) -> Result<Option<T>, ParseError> {
         if self.input.peek() == Some(b')') {
             return Ok(None);
         }
@@ -215,17 +215,17 @@ impl<'s, 'a> Parameters<'s, 'a> {
     }
 
     /// The next parameter.
-    pub(super) fn required<T: Word<'a>>(&mut self) -> Result<T, Mistake> {
-        self.optional()?.ok_or(Mistake::TooFew)
+    pub(super) fn required<T: Word<'a>>(&mut self) -> Result<T, ParseError> {
+        self.optional()?.ok_or(ParseError::TooFew)
     }
 
-    pub(super) fn close(self) -> Result<(), Mistake> {
+    pub(super) fn close(self) -> Result<(), ParseError> {
         match self.input.peek() {
             Some(b')') => self.input.expect(b')'),
-            Some(b',') => Err(Mistake::TooMany),
+            Some(b',') => Err(ParseError::TooMany),
             // Only where a parameter could begin is what stands here one.
-            Some(_) if !self.taken => Err(Mistake::TooMany),
-            _ => Err(Mistake::Form),
+            Some(_) if !self.taken => Err(ParseError::TooMany),
+            _ => Err(ParseError::Form),
         }
     }
 }

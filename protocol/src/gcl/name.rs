@@ -1,7 +1,7 @@
 //! The names of commands, and what the manual says of each. The forms of their requests and values are in `request` and
 //! `value`.
 
-use super::Mistake;
+use super::ParseError;
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
 use crate::command::Kind;
@@ -152,12 +152,12 @@ impl<'a> Named<'a> {
     }
 
     /// Takes the name in an answer.
-    pub(super) fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+    pub(super) fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError> {
         if input.take(b'?') {
             return Ok(Self::Other(OtherName(NAMELESS)));
         }
         match input.name() {
-            [] => Err(Mistake::Form),
+            [] => Err(ParseError::Form),
             name => Ok(Self::from_bytes(name)),
         }
     }

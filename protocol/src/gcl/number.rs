@@ -6,30 +6,30 @@
 //! `core::fmt`: a third of the flash, and no path to a panic. An exponent is understood when it comes.
 
 use super::scanner::Scanner;
-use super::{Mistake, decimal};
+use super::{ParseError, decimal};
 use core::fmt::{Result as Written, Write};
 
 /// The longest number that is written: `-0.`, 37 zeros and 9 digits, or a little less.
 pub(super) const MAX_FLOAT_LEN: usize = 52;
 
-pub(super) fn read_float(input: &mut Scanner<'_>) -> Result<f32, Mistake> {
+pub(super) fn read_float(input: &mut Scanner<'_>) -> Result<f32, ParseError> {
     let word = input.word(|byte| matches!(byte, b'0'..=b'9' | b'+' | b'-' | b'.' | b'e' | b'E'));
-    finite(decimal::read(word).ok_or(Mistake::Form)?)
+    finite(decimal::read(word).ok_or(ParseError::Form)?)
 }
 
 /// Refuses what is infinite or not a number.
-pub(super) const fn finite(value: f32) -> Result<f32, Mistake> {
-    if value.is_finite() { Ok(value) } else { Err(Mistake::Range) }
+pub(super) const fn finite(value: f32) -> Result<f32, ParseError> {
+    if value.is_finite() { Ok(value) } else { Err(ParseError::Range) }
 }
 
-pub(super) fn read_integer(input: &mut Scanner<'_>) -> Result<u32, Mistake> {
+pub(super) fn read_integer(input: &mut Scanner<'_>) -> Result<u32, ParseError> {
     let word = input.word(|byte| byte.is_ascii_digit());
     if word.is_empty() {
-        return Err(Mistake::Form);
+        return Err(ParseError::Form);
     }
     word.iter().try_fold(0u32, |value, digit| {
         let digit = u32::from(digit.wrapping_sub(b'0'));
-        value.checked_mul(10).and_then(|tens| tens.checked_add(digit)).ok_or(Mistake::Range)
+        value.checked_mul(10).and_then(|tens| tens.checked_add(digit)).ok_or(ParseError::Range)
     })
 }
 

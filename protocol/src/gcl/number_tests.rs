@@ -7,7 +7,7 @@ fn written(value: f32) -> String {
     text
 }
 
-fn read(text: &str) -> Result<f32, Mistake> {
+fn read(text: &str) -> Result<f32, ParseError> {
     let mut input = Scanner::new(text.as_bytes());
     let value = read_float(&mut input)?;
     input.end()?;
@@ -73,10 +73,10 @@ fn numbers_are_read_as_people_type_them() {
 #[test]
 fn what_is_no_number_is_refused() {
     for text in ["", "-", ".", "e5", "1e", "1.2.3", "--1", "inf", "nan", "0x10", "1,5", "5mm"] {
-        assert_eq!(read(text), Err(Mistake::Form), "{text}");
+        assert_eq!(read(text), Err(ParseError::Form), "{text}");
     }
-    assert_eq!(read("1e39"), Err(Mistake::Range));
-    assert_eq!(read("-1e999"), Err(Mistake::Range));
+    assert_eq!(read("1e39"), Err(ParseError::Range));
+    assert_eq!(read("-1e999"), Err(ParseError::Range));
 }
 
 #[test]
@@ -88,6 +88,6 @@ fn integers_are_written_and_read() {
         assert_eq!(line, text);
         assert_eq!(read_integer(&mut Scanner::new(text.as_bytes())), Ok(value));
     }
-    assert_eq!(read_integer(&mut Scanner::new(b"4294967296")), Err(Mistake::Range));
-    assert_eq!(read_integer(&mut Scanner::new(b"-1")), Err(Mistake::Form));
+    assert_eq!(read_integer(&mut Scanner::new(b"4294967296")), Err(ParseError::Range));
+    assert_eq!(read_integer(&mut Scanner::new(b"-1")), Err(ParseError::Form));
 }

@@ -3,12 +3,12 @@
 use super::form::{Form, Parameters, Word, write_parameters};
 use super::number::{finite, read_integer, write_float, write_integer};
 use super::scanner::Scanner;
-use super::{Mistake, Signal};
+use super::{ParseError, Topic};
 use crate::types::HomingDirection;
 use core::fmt::{Result as Written, Write};
 
 /// Checks numbers that may be missing.
-fn check_all(parameters: &[Option<f32>]) -> Result<(), Mistake> {
+fn check_all(parameters: &[Option<f32>]) -> Result<(), ParseError> {
     parameters.iter().flatten().try_for_each(|value| finite(*value).map(|_| ()))
 }
 
@@ -16,7 +16,7 @@ fn check_all(parameters: &[Option<f32>]) -> Result<(), Mistake> {
 impl Form<'_> for HomingDirection {
     const FORMS: &'static [&'static str] = &["()", "(<bool>)"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         let mut parameters = Parameters::open(input)?;
         let outward = parameters.optional()?;
         parameters.close()?;
@@ -49,7 +49,7 @@ pub struct Move {
 impl Form<'_> for Move {
     const FORMS: &'static [&'static str] = &["(<float>)", "(<float>, <float>)"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         let mut parameters = Parameters::open(input)?;
         let width = parameters.required()?;
         let speed = parameters.optional()?;
@@ -61,7 +61,7 @@ impl Form<'_> for Move {
         write_parameters(&[Some(self.width), self.speed], to)
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         check_all(&[Some(self.width), self.speed])
     }
 }
@@ -112,7 +112,7 @@ impl Form<'_> for Grip {
     const FORMS: &'static [&'static str] =
         &["()", "(<float>)", "(<float>, <float>)", "(<float>, <float>, <float>)"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         let mut parameters = Parameters::open(input)?;
         let list = (parameters.optional()?, parameters.optional()?, parameters.optional()?);
         parameters.close()?;
@@ -128,7 +128,7 @@ impl Form<'_> for Grip {
         write_parameters(&self.list(), to)
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         check_all(&self.list())
     }
 }
@@ -167,7 +167,7 @@ impl Release {
 impl Form<'_> for Release {
     const FORMS: &'static [&'static str] = &["()", "(<float>)", "(<float>, <float>)"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         let mut parameters = Parameters::open(input)?;
         let list = (parameters.optional()?, parameters.optional()?);
         parameters.close()?;
@@ -182,7 +182,7 @@ impl Form<'_> for Release {
         write_parameters(&self.list(), to)
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         check_all(&self.list())
     }
 }
@@ -200,7 +200,7 @@ pub enum Setting {
 impl Form<'_> for Setting {
     const FORMS: &'static [&'static str] = &["?", "=<float>"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         if input.take(b'?') { Ok(Self::Ask) } else { Form::read(input).map(Self::Set) }
     }
 
@@ -211,7 +211,7 @@ impl Form<'_> for Setting {
         }
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         match self {
             Self::Ask => Ok(()),
             Self::Set(value) => Form::check(value),
@@ -231,13 +231,13 @@ pub enum Select<const LEN: u8> {
 }
 
 /// An index and the bracket after it.
-pub(super) fn read_index<const LEN: u8>(input: &mut Scanner<'_>) -> Result<u8, Mistake> {
+pub(super) fn read_index<const LEN: u8>(input: &mut Scanner<'_>) -> Result<u8, ParseError> {
     let index = match read_integer(input) {
-        Err(Mistake::Range) => return Err(Mistake::Index),
+        Err(ParseError::Range) => return Err(ParseError::Index),
         other => other?,
     };
     input.expect(b']')?;
-    u8::try_from(index).ok().filter(|index| *index < LEN).ok_or(Mistake::Index)
+    u8::try_from(index).ok().filter(|index| *index < LEN).ok_or(ParseError::Index)
 }
 
 pub(super) fn write_index(index: u8, to: &mut impl Write) -> Written {
@@ -246,14 +246,14 @@ pub(super) fn write_index(index: u8, to: &mut impl Write) -> Written {
     to.write_char(']')
 }
 
-pub(super) const fn check_index<const LEN: u8>(index: u8) -> Result<(), Mistake> {
-    if index < LEN { Ok(()) } else { Err(Mistake::Index) }
+pub(super) const fn check_index<const LEN: u8>(index: u8) -> Result<(), ParseError> {
+    if index < LEN { Ok(()) } else { Err(ParseError::Index) }
 }
 
 impl<const LEN: u8> Form<'_> for Select<LEN> {
     const FORMS: &'static [&'static str] = &["?", "[<integer>]?"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         let selection = if input.take(b'[') { Self::One(read_index::<LEN>(input)?) } else { Self::All };
         input.expect(b'?')?;
         Ok(selection)
@@ -266,7 +266,7 @@ impl<const LEN: u8> Form<'_> for Select<LEN> {
         to.write_char('?')
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         match self {
             Self::All => Ok(()),
             Self::One(index) => check_index::<LEN>(*index),
@@ -291,14 +291,14 @@ pub(super) const FINGERS: u8 = 2;
 impl Form<'_> for Tare {
     const FORMS: &'static [&'static str] = &["()", "(<integer>)"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         let mut parameters = Parameters::open(input)?;
         let finger = parameters.optional::<u32>()?;
         parameters.close()?;
         match finger {
             None => Ok(Self::All),
             Some(index) => {
-                let index = u8::try_from(index).map_err(|_| Mistake::Index)?;
+                let index = u8::try_from(index).map_err(|_| ParseError::Index)?;
                 check_index::<FINGERS>(index)?;
                 Ok(Self::Finger(index))
             }
@@ -313,7 +313,7 @@ impl Form<'_> for Tare {
         to.write_char(')')
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         match self {
             Self::All => Ok(()),
             Self::Finger(index) => check_index::<FINGERS>(*index),
@@ -324,18 +324,18 @@ impl Form<'_> for Tare {
 /// The parameters of AUTOSEND: which value is sent by itself, and when (GCL, 3.1.7).
 ///
 /// ```
-/// use wsg_protocol::gcl::{Autosend, Request, Signal};
+/// use wsg_protocol::gcl::{Autosend, Request, Topic};
 ///
-/// let every = Request::Autosend(Autosend::every(Signal::Pos, 10));
+/// let every = Request::Autosend(Autosend::every(Topic::Pos, 10));
 /// assert_eq!(every.to_string(), "AUTOSEND(\"POS\",10)");
-/// let by_two = Request::Autosend(Autosend::by(Signal::Pos, 10, 2.0));
+/// let by_two = Request::Autosend(Autosend::by(Topic::Pos, 10, 2.0));
 /// assert_eq!(by_two.to_string(), "AUTOSEND(\"POS\",10,2.0)");
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Autosend {
     /// The value.
-    pub signal: Signal,
+    pub topic: Topic,
     /// The least time between two of its updates in ms, at least [`MIN_INTERVAL_MS`](Self::MIN_INTERVAL_MS); 0 ends
     /// them.
     pub interval_ms: u32,
@@ -350,7 +350,7 @@ pub enum Filter {
     /// None is.
     #[default]
     None,
-    /// Of a measured value ([`Signal::is_measured`]): those that differ by less than this from the one sent last. Not
+    /// Of a measured value ([`Topic::is_measured`]): those that differ by less than this from the one sent last. Not
     /// negative, in the unit of the value.
     Delta(f32),
     /// Of a state: if `true`, those that are the same as the one sent last.
@@ -363,34 +363,34 @@ impl Autosend {
 
     /// An update every `interval_ms` milliseconds.
     #[must_use]
-    pub const fn every(signal: Signal, interval_ms: u32) -> Self {
-        Self { signal, interval_ms, filter: Filter::None }
+    pub const fn every(topic: Topic, interval_ms: u32) -> Self {
+        Self { topic, interval_ms, filter: Filter::None }
     }
 
     /// An update of a measured value whenever it has changed by `delta`, at least `interval_ms` milliseconds apart.
     #[must_use]
-    pub const fn by(signal: Signal, interval_ms: u32, delta: f32) -> Self {
-        Self { signal, interval_ms, filter: Filter::Delta(delta) }
+    pub const fn by(topic: Topic, interval_ms: u32, delta: f32) -> Self {
+        Self { topic, interval_ms, filter: Filter::Delta(delta) }
     }
 
     /// An update at each change, at least `interval_ms` milliseconds apart. A measured value counts as changed as it
     /// does in the binary protocol: by 0.01 mm, 0.05 mm/s, 0.05 N; and by 0.1 °C.
     #[must_use]
-    pub const fn on_change(signal: Signal, interval_ms: u32) -> Self {
-        match signal {
-            Signal::Pos => Self::by(signal, interval_ms, 0.01),
-            Signal::Speed | Signal::Force => Self::by(signal, interval_ms, 0.05),
-            Signal::Temp => Self::by(signal, interval_ms, 0.1),
-            Signal::Gripstate | Signal::Sysflags => {
-                Self { signal, interval_ms, filter: Filter::Unchanged(true) }
+    pub const fn on_change(topic: Topic, interval_ms: u32) -> Self {
+        match topic {
+            Topic::Pos => Self::by(topic, interval_ms, 0.01),
+            Topic::Speed | Topic::Force => Self::by(topic, interval_ms, 0.05),
+            Topic::Temp => Self::by(topic, interval_ms, 0.1),
+            Topic::Gripstate | Topic::Sysflags => {
+                Self { topic, interval_ms, filter: Filter::Unchanged(true) }
             }
         }
     }
 
     /// No more updates.
     #[must_use]
-    pub const fn off(signal: Signal) -> Self {
-        Self::every(signal, 0)
+    pub const fn off(topic: Topic) -> Self {
+        Self::every(topic, 0)
     }
 }
 
@@ -398,24 +398,24 @@ impl Form<'_> for Autosend {
     const FORMS: &'static [&'static str] =
         &["(<string>, <integer>)", "(<string>, <integer>, <float>)", "(<string>, <integer>, <bool>)"];
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         let mut parameters = Parameters::open(input)?;
-        let signal: Signal = parameters.required()?;
+        let topic: Topic = parameters.required()?;
         let interval_ms = parameters.required()?;
-        let filter = if signal.is_measured() {
+        let filter = if topic.is_measured() {
             parameters.optional()?.map(Filter::Delta)
         } else {
             parameters.optional()?.map(Filter::Unchanged)
         };
         parameters.close()?;
-        let autosend = Self { signal, interval_ms, filter: filter.unwrap_or_default() };
+        let autosend = Self { topic, interval_ms, filter: filter.unwrap_or_default() };
         autosend.check()?;
         Ok(autosend)
     }
 
     fn write(&self, to: &mut impl Write) -> Written {
         to.write_char('(')?;
-        Word::write(&self.signal, to)?;
+        Word::write(&self.topic, to)?;
         to.write_char(',')?;
         write_integer(self.interval_ms, to)?;
         match self.filter {
@@ -432,12 +432,12 @@ impl Form<'_> for Autosend {
         to.write_char(')')
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         match self.filter {
             Filter::None => Ok(()),
-            Filter::Delta(delta) if self.signal.is_measured() && finite(delta)? >= 0.0 => Ok(()),
-            Filter::Unchanged(_) if !self.signal.is_measured() => Ok(()),
-            Filter::Delta(_) | Filter::Unchanged(_) => Err(Mistake::Value),
+            Filter::Delta(delta) if self.topic.is_measured() && finite(delta)? >= 0.0 => Ok(()),
+            Filter::Unchanged(_) if !self.topic.is_measured() => Ok(()),
+            Filter::Delta(_) | Filter::Unchanged(_) => Err(ParseError::Value),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What a gripper answers to a line that it does not understand.
 
-use super::{Answer, Description, Mistake, Named};
+use super::{Answer, Description, Named, ParseError};
 
 /// A line that is no request, and what to call it in the answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,7 +9,7 @@ pub struct Refused<'a> {
     /// The name at the start of the line.
     pub name: Named<'a>,
     /// What is wrong.
-    pub mistake: Mistake,
+    pub mistake: ParseError,
 }
 
 impl<'a> Refused<'a> {
@@ -23,7 +23,7 @@ impl<'a> Refused<'a> {
     /// ```
     #[must_use]
     pub fn too_long(start: &'a [u8]) -> Self {
-        Self { name: Named::at_start_of(start), mistake: Mistake::TooLong }
+        Self { name: Named::at_start_of(start), mistake: ParseError::TooLong }
     }
 
     /// The gripper's answer to it (GCL, 1.3), with a text in verbose mode.

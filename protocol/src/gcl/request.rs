@@ -4,8 +4,8 @@ use super::form::{Ask, Call, Form};
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
 use super::{
-    Autosend, CommandName, Grip, LineError, Mistake, Move, Named, Refused, Release, Select, Setting, Signal,
-    Tare, write_line,
+    Autosend, CommandName, Grip, LineError, Move, Named, ParseError, Refused, Release, Select, Setting, Tare,
+    Topic, write_line,
 };
 use crate::command::Kind;
 use crate::types::HomingDirection;
@@ -52,7 +52,7 @@ macro_rules! define_requests {
                 }
             }
 
-            fn read(name: CommandName, input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+            fn read(name: CommandName, input: &mut Scanner<'_>) -> Result<Self, ParseError> {
                 Ok(match name {
                     $(CommandName::$name => {
                         $(
@@ -68,7 +68,7 @@ macro_rules! define_requests {
             ///
             /// # Errors
             /// The mistake that reading it would find.
-            pub fn check(&self) -> Result<(), Mistake> {
+            pub fn check(&self) -> Result<(), ParseError> {
                 match self {
                     $(define_requests!(@pattern $name parameters $($unit)?) => {
                         $(Form::check(&$unit))?
@@ -123,7 +123,7 @@ impl Request {
         let refuse = |mistake| Refused { name, mistake };
         let Some(command) = name.command() else {
             let is_nameless = Scanner::new(line).name().is_empty();
-            return Err(refuse(if is_nameless { Mistake::NoName } else { Mistake::UnknownName }));
+            return Err(refuse(if is_nameless { ParseError::NoName } else { ParseError::UnknownName }));
         };
         let request = Self::read(command, &mut input).map_err(refuse)?;
         input.end().map_err(refuse)?;
@@ -157,7 +157,7 @@ impl Request {
     }
 }
 
-impl Signal {
+impl Topic {
     /// The request that asks for it once.
     #[must_use]
     pub const fn query(self) -> Request {

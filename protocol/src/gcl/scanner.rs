@@ -1,6 +1,6 @@
 //! The marks and words of a line, from left to right. Blanks may stand before each of them.
 
-use super::Mistake;
+use super::ParseError;
 
 /// Whether a person may type this between words.
 pub(super) const fn is_blank(byte: u8) -> bool {
@@ -34,8 +34,8 @@ impl<'a> Scanner<'a> {
     }
 
     /// Takes this mark.
-    pub(super) fn expect(&mut self, mark: u8) -> Result<(), Mistake> {
-        if self.take(mark) { Ok(()) } else { Err(Mistake::Form) }
+    pub(super) fn expect(&mut self, mark: u8) -> Result<(), ParseError> {
+        if self.take(mark) { Ok(()) } else { Err(ParseError::Form) }
     }
 
     /// Takes bytes as long as they belong to the word, blanks before it left out; it may be empty.
@@ -54,7 +54,7 @@ impl<'a> Scanner<'a> {
     }
 
     /// Takes what stands between two quotation marks.
-    pub(super) fn quoted(&mut self) -> Result<&'a [u8], Mistake> {
+    pub(super) fn quoted(&mut self) -> Result<&'a [u8], ParseError> {
         self.expect(b'"')?;
         let text = self.take_while(|byte| byte != b'"');
         self.expect(b'"')?;
@@ -93,8 +93,8 @@ impl<'a> Scanner<'a> {
     }
 
     /// Takes the end of the line.
-    pub(super) fn end(&mut self) -> Result<(), Mistake> {
-        if self.peek().is_none() { Ok(()) } else { Err(Mistake::Form) }
+    pub(super) fn end(&mut self) -> Result<(), ParseError> {
+        if self.peek().is_none() { Ok(()) } else { Err(ParseError::Form) }
     }
 
     fn take_while(&mut self, mut belongs: impl FnMut(u8) -> bool) -> &'a [u8] {

@@ -12,7 +12,7 @@
 //! - **Motions** are acknowledged and finished; other requests go on in between. While no result comes but the gripper
 //!   reports that it stands still, the result is given up.
 //! - **Lost answers**: what may be repeated is ([`CommandName::is_repeatable`]); a motion, FSACK or BYE never is. What
-//!   it does not know it says: [`Notice::Unanswered`].
+//!   it does not know it says: [`Event::Unanswered`].
 //! - **STOP** overtakes what waits; without a connection it is sent once, at once, and never later.
 //! - **FASTSTOP** goes out before anything else, is repeated until the gripper confirms it, over a reconnect as well, and
 //!   is never acknowledged by the session itself.
@@ -24,7 +24,7 @@
 //!
 //! ```
 //! use wsg_protocol::Instant;
-//! use wsg_protocol::gcl::session::{Config, Notice, Session};
+//! use wsg_protocol::gcl::session::{Config, Event, Session};
 //! use wsg_protocol::gcl::{Grip, Request};
 //!
 //! let mut session = Session::new(Config::DEFAULT);
@@ -43,13 +43,13 @@ pub use crate::session::{Counters, QUEUE_LEN};
 pub use config::Config;
 pub use known::Known;
 
-use super::{Answer, Autosend, CommandName, LineEvent, Mistake, Request, Select, Selected, Signal, Value};
+use super::{Answer, Autosend, CommandName, LineEvent, ParseError, Request, Select, Selected, Topic, Value};
 use crate::command::Kind;
 use crate::session::dialect::{Dialect, Knowledge, Role};
 use crate::session::message::{Message, Name};
 use crate::session::subscriptions::Subscriptions;
 use crate::session::transaction::{self, Outgoing};
-use crate::session::{Engine, NoticeOf};
+use crate::session::{Engine, EventOf};
 use crate::time::Instant;
 use crate::types::Status;
 
@@ -57,10 +57,10 @@ use crate::types::Status;
 pub type Session = Engine<Gcl>;
 
 /// What happened.
-pub type Notice<'a> = NoticeOf<CommandName, Answer<'a>, Value<'a>>;
+pub type Event<'a> = EventOf<CommandName, Answer<'a>, Value<'a>>;
 
 /// Why a request was not taken. Nothing of it will be sent.
-pub type RequestError = crate::session::RequestError<Mistake>;
+pub type RequestError = crate::session::RequestError<ParseError>;
 
 /// The text protocol (GCL).
 #[derive(Clone, Copy, Debug)]
@@ -79,10 +79,10 @@ impl Session {
         Self::over(Gcl { verbose: config.verbose }, config.timing(), subscriptions::of_config(&config))
     }
 
-    /// Asks for a request to be sent. Its outcome comes as a [`Notice`].
+    /// Asks for a request to be sent. Its outcome comes as a [`Event`].
     ///
     /// STOP and FASTSTOP overtake what waits: it is withdrawn. AUTOSEND is a [`subscription`](Self::subscribe); no
-    /// notice tells of its acknowledgement.
+    /// event tells of its acknowledgement.
     ///
     /// # Errors
     /// [`RequestError`]; then the request is not sent, now or later.
@@ -95,7 +95,7 @@ impl Session {
         self.enqueue(transaction::Request::Own(request))
     }
 
-    /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Notice::Reported`].
+    /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Event::Reported`].
     /// [`Autosend::off`] ends that. Intervals below 10 ms, other than 0, count as 10 ms. In place of what [`Config`]
     /// says; what [`Autosend::check`](Request::check) would refuse changes nothing.
     ///
@@ -103,10 +103,10 @@ impl Session {
     ///
     /// ```
     /// use wsg_protocol::gcl::session::{Config, Session};
-    /// use wsg_protocol::gcl::{Autosend, Signal};
+    /// use wsg_protocol::gcl::{Autosend, Topic};
     ///
     /// let mut session = Session::new(Config::DEFAULT);
-    /// session.subscribe(Autosend::every(Signal::Force, 20));
+    /// session.subscribe(Autosend::every(Topic::Force, 20));
     /// ```
     pub fn subscribe(&mut self, autosend: Autosend) {
         if Request::Autosend(autosend).check().is_ok() {
@@ -115,7 +115,7 @@ impl Session {
     }
 
     /// Takes what the reader found.
-    pub fn handle<'a>(&mut self, now: Instant, event: &LineEvent<'a>) -> Option<Notice<'a>> {
+    pub fn handle<'a>(&mut self, now: Instant, event: &LineEvent<'a>) -> Option<Event<'a>> {
         let answer = match event {
             LineEvent::Line(line) => Answer::parse(line).ok(),
             LineEvent::TooLong(_) => None,
@@ -131,18 +131,18 @@ impl Session {
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Request> {
         match self.next_to_send(now, None)? {
             Outgoing::Own(request) => Some(request),
-            Outgoing::Lent => None,
+            Outgoing::Borrowed => None,
         }
     }
 }
 
 impl Dialect for Gcl {
     type Request = Request;
-    type Invalid = Mistake;
+    type Invalid = ParseError;
     type Answer<'a> = Answer<'a>;
     type Value<'a> = Value<'a>;
     type Known = Known;
-    type Subscriptions = Subscriptions<Autosend, { Signal::ALL.len() }>;
+    type Subscriptions = Subscriptions<Autosend, { Topic::ALL.len() }>;
 
     /// Who is it, then for each subscription AUTOSEND and the value itself, because AUTOSEND on change says nothing before
     /// the first change.
@@ -158,7 +158,7 @@ impl Dialect for Gcl {
 
     fn refresh(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Request> {
         let autosend = subscribed.nth(step / 2)?;
-        Some(if step.is_multiple_of(2) { Request::Autosend(autosend) } else { autosend.signal.query() })
+        Some(if step.is_multiple_of(2) { Request::Autosend(autosend) } else { autosend.topic.query() })
     }
 
     fn name(answer: &Answer<'_>) -> Option<CommandName> {

@@ -11,27 +11,27 @@ const GRIP: Request = Request::Grip(Grip::Part { force: 40.0, width: 20.0 });
 const HOME: Request = Request::Home(HomingDirection::Default);
 
 /// A session, its clock, and what has happened.
-struct Desk {
+struct Rig {
     session: Session,
     now: Instant,
-    notices: Vec<String>,
+    events: Vec<String>,
 }
 
-impl Desk {
+impl Rig {
     fn new() -> Self {
         Self::with(Config::DEFAULT)
     }
 
     fn with(config: Config) -> Self {
         // Near the end of the clock's range, so that every script also shows that it may wrap.
-        Self { session: Session::new(config), now: Instant::from_millis(u32::MAX - 400), notices: vec![] }
+        Self { session: Session::new(config), now: Instant::from_millis(u32::MAX - 400), events: vec![] }
     }
 
     fn connected() -> Self {
-        let mut desk = Self::new();
-        desk.connect();
-        desk.notices.clear();
-        desk
+        let mut rig = Self::new();
+        rig.connect();
+        rig.events.clear();
+        rig
     }
 
     fn connect(&mut self) {
@@ -57,9 +57,9 @@ impl Desk {
     }
 
     fn sent(&mut self) -> Vec<Request> {
-        while let Some(notice) = self.session.tick(self.now) {
-            self.note(notice);
-            assert!(self.notices.len() < 10_000, "notices without end");
+        while let Some(event) = self.session.tick(self.now) {
+            self.note(event);
+            assert!(self.events.len() < 10_000, "events without end");
         }
         let mut sent = vec![];
         while let Some(request) = self.session.poll_transmit(self.now) {
@@ -86,14 +86,14 @@ impl Desk {
 
     fn hear(&mut self, line: &str) {
         let now = self.now;
-        if let Some(notice) = self.session.handle(now, &LineEvent::Line(line.as_bytes())) {
-            let text = describe(notice);
-            self.notices.push(text);
+        if let Some(event) = self.session.handle(now, &LineEvent::Line(line.as_bytes())) {
+            let text = describe(event);
+            self.events.push(text);
         }
     }
 
-    fn note(&mut self, notice: Notice<'_>) {
-        self.notices.push(describe(notice));
+    fn note(&mut self, event: Event<'_>) {
+        self.events.push(describe(event));
     }
 
     /// A healthy gripper's answer to one of the session's own requests.
@@ -125,8 +125,8 @@ impl Desk {
 
     /// What has happened since the last time, without reports.
     fn happened(&mut self) -> Vec<String> {
-        self.notices.retain(|notice| !notice.starts_with("Reported"));
-        core::mem::take(&mut self.notices)
+        self.events.retain(|event| !event.starts_with("Reported"));
+        core::mem::take(&mut self.events)
     }
 }
 
@@ -143,29 +143,29 @@ fn is_own(request: Request) -> bool {
     )
 }
 
-fn describe(notice: Notice<'_>) -> String {
-    match notice {
-        Notice::Answered(answer) => std::format!("Answered {answer}"),
-        Notice::Reported(value) => std::format!("Reported {value}"),
-        Notice::Pending(name) => std::format!("Pending {name}"),
-        Notice::Unanswered(name) => std::format!("Unanswered {name}"),
-        Notice::Withdrawn(name) => std::format!("Withdrawn {name}"),
-        Notice::Late(name) => std::format!("Late {name}"),
+fn describe(event: Event<'_>) -> String {
+    match event {
+        Event::Answered(answer) => std::format!("Answered {answer}"),
+        Event::Reported(value) => std::format!("Reported {value}"),
+        Event::Pending(name) => std::format!("Pending {name}"),
+        Event::Unanswered(name) => std::format!("Unanswered {name}"),
+        Event::Withdrawn(name) => std::format!("Withdrawn {name}"),
+        Event::Late(name) => std::format!("Late {name}"),
         other => std::format!("{other:?}"),
     }
 }
 
 #[test]
 fn connecting_asks_who_it_is_and_subscribes_to_the_states() {
-    let mut desk = Desk::new();
+    let mut rig = Rig::new();
     let mut lines = vec![];
     for _ in 0..20 {
-        if desk.session.is_connected() {
+        if rig.session.is_connected() {
             break;
         }
-        for request in desk.pass(1) {
+        for request in rig.pass(1) {
             lines.push(request.to_string());
-            desk.answer(request);
+            rig.answer(request);
         }
     }
     assert_eq!(
@@ -181,8 +181,8 @@ fn connecting_asks_who_it_is_and_subscribes_to_the_states() {
             "SYSFLAGS?"
         ]
     );
-    assert_eq!(desk.happened(), ["Connected"]);
-    let known = desk.session.known();
+    assert_eq!(rig.happened(), ["Connected"]);
+    let known = rig.session.known();
     assert_eq!(known.device, Some(DeviceType::Wsg50));
     assert_eq!(known.firmware, Some(FirmwareVersion::new(4, 0, 0, 0)));
     assert_eq!(known.serial_number, Some(7));
@@ -193,53 +193,53 @@ fn connecting_asks_who_it_is_and_subscribes_to_the_states() {
 
 #[test]
 fn gripper_that_does_not_know_a_question_of_identity_is_connected_all_the_same() {
-    let mut desk = Desk::new();
+    let mut rig = Rig::new();
     for _ in 0..100 {
-        for request in desk.pass(1) {
+        for request in rig.pass(1) {
             match request {
                 Request::Verbose(_) | Request::Devtype | Request::Version | Request::Sn => {
                     let line = Answer::failed(request.name(), Status::CmdUnknown).to_string();
-                    desk.hear(&line);
+                    rig.hear(&line);
                 }
-                other => desk.answer(other),
+                other => rig.answer(other),
             }
         }
     }
-    assert!(desk.session.is_connected());
-    assert_eq!(desk.session.known().device, None);
+    assert!(rig.session.is_connected());
+    assert_eq!(rig.session.known().device, None);
 }
 
 #[test]
 fn gripper_that_refuses_its_states_is_not_connected() {
-    let mut desk = Desk::new();
+    let mut rig = Rig::new();
     for _ in 0..2_000 {
-        for request in desk.pass(1) {
+        for request in rig.pass(1) {
             let line = Answer::failed(request.name(), Status::AccessDenied).to_string();
-            desk.hear(&line);
+            rig.hear(&line);
         }
     }
-    assert!(!desk.session.is_connected());
+    assert!(!rig.session.is_connected());
 }
 
 #[test]
 fn motion_is_acknowledged_and_finished_while_queries_go_on() {
-    let mut desk = Desk::connected();
-    desk.session.request(GRIP).unwrap();
-    assert_eq!(desk.lines(0), ["GRIP(40.0,20.0)"]);
-    assert_eq!(desk.session.motion(), Some(CommandName::Grip));
-    desk.hear("ACK GRIP");
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    assert_eq!(rig.lines(0), ["GRIP(40.0,20.0)"]);
+    assert_eq!(rig.session.motion(), Some(CommandName::Grip));
+    rig.hear("ACK GRIP");
     for request in [Request::Pos, Request::Force, Request::Tag] {
-        desk.session.request(request).unwrap();
+        rig.session.request(request).unwrap();
     }
-    assert_eq!(desk.lines(0), ["POS?"]);
-    desk.hear("POS=35.5");
-    assert_eq!(desk.lines(0), ["FORCE?"]);
-    desk.hear("FORCE=0.0");
-    assert_eq!(desk.lines(0), ["TAG?"]);
-    desk.hear("FIN GRIP");
-    desk.hear("TAG=\"left\"");
+    assert_eq!(rig.lines(0), ["POS?"]);
+    rig.hear("POS=35.5");
+    assert_eq!(rig.lines(0), ["FORCE?"]);
+    rig.hear("FORCE=0.0");
+    assert_eq!(rig.lines(0), ["TAG?"]);
+    rig.hear("FIN GRIP");
+    rig.hear("TAG=\"left\"");
     assert_eq!(
-        desk.happened(),
+        rig.happened(),
         [
             "Pending GRIP",
             "Answered POS=35.5",
@@ -248,350 +248,350 @@ fn motion_is_acknowledged_and_finished_while_queries_go_on() {
             "Answered TAG=\"left\""
         ]
     );
-    assert_eq!(desk.session.motion(), None);
-    assert_eq!(desk.session.known().width, Some(35.5));
+    assert_eq!(rig.session.motion(), None);
+    assert_eq!(rig.session.known().width, Some(35.5));
 }
 
 #[test]
 fn motion_fails_before_or_after_its_acknowledgement() {
-    let mut desk = Desk::connected();
-    desk.session.request(GRIP).unwrap();
-    desk.lines(0);
-    desk.hear("ERR GRIP 3");
-    desk.session.request(GRIP).unwrap();
-    desk.lines(0);
-    desk.hear("ACK GRIP");
-    desk.hear("ERR GRIP 18 E_CMD_FAILED");
-    assert_eq!(desk.happened(), ["Answered ERR GRIP 3", "Pending GRIP", "Answered ERR GRIP 18 E_CMD_FAILED"]);
-    assert_eq!(desk.session.motion(), None);
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    rig.lines(0);
+    rig.hear("ERR GRIP 3");
+    rig.session.request(GRIP).unwrap();
+    rig.lines(0);
+    rig.hear("ACK GRIP");
+    rig.hear("ERR GRIP 18 E_CMD_FAILED");
+    assert_eq!(rig.happened(), ["Answered ERR GRIP 3", "Pending GRIP", "Answered ERR GRIP 18 E_CMD_FAILED"]);
+    assert_eq!(rig.session.motion(), None);
 }
 
 #[test]
 fn second_motion_is_refused_while_one_runs_or_waits() {
-    let mut desk = Desk::connected();
-    desk.session.request(HOME).unwrap();
-    assert_eq!(desk.session.request(GRIP), Err(RequestError::MotionRunning));
-    desk.lines(0);
-    assert_eq!(desk.session.request(GRIP), Err(RequestError::MotionRunning));
-    desk.hear("ACK HOME");
-    assert_eq!(desk.session.request(GRIP), Err(RequestError::MotionRunning));
-    desk.hear("FIN HOME");
-    assert_eq!(desk.session.request(GRIP), Ok(()));
+    let mut rig = Rig::connected();
+    rig.session.request(HOME).unwrap();
+    assert_eq!(rig.session.request(GRIP), Err(RequestError::MotionRunning));
+    rig.lines(0);
+    assert_eq!(rig.session.request(GRIP), Err(RequestError::MotionRunning));
+    rig.hear("ACK HOME");
+    assert_eq!(rig.session.request(GRIP), Err(RequestError::MotionRunning));
+    rig.hear("FIN HOME");
+    assert_eq!(rig.session.request(GRIP), Ok(()));
 }
 
 #[test]
 fn motion_without_an_answer_is_never_sent_again() {
-    let mut desk = Desk::connected();
-    desk.session.request(GRIP).unwrap();
-    assert_eq!(desk.lines(5_000), ["GRIP(40.0,20.0)"]);
-    assert_eq!(desk.happened()[..2], ["Unanswered GRIP", "Disconnected"]);
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    assert_eq!(rig.lines(5_000), ["GRIP(40.0,20.0)"]);
+    assert_eq!(rig.happened()[..2], ["Unanswered GRIP", "Disconnected"]);
 }
 
 #[test]
 fn only_the_request_that_was_given_once_and_last_is_taken_back() {
-    let mut desk = Desk::connected();
+    let mut rig = Rig::connected();
     let request = Request::Pwt(Setting::Set(1.0));
-    desk.session.request(request).unwrap();
-    assert!(!desk.session.take_back(CommandName::Pwt), "it was not given yet");
-    assert_eq!(desk.lines(0), ["PWT=1.0"]);
-    assert!(!desk.session.take_back(CommandName::Clt));
-    assert!(desk.session.is_busy());
-    assert!(desk.session.take_back(CommandName::Pwt));
-    assert!(!desk.session.is_busy());
-    assert_eq!(desk.lines(1_000), Vec::<String>::new());
+    rig.session.request(request).unwrap();
+    assert!(!rig.session.take_back(CommandName::Pwt), "it was not given yet");
+    assert_eq!(rig.lines(0), ["PWT=1.0"]);
+    assert!(!rig.session.take_back(CommandName::Clt));
+    assert!(rig.session.is_busy());
+    assert!(rig.session.take_back(CommandName::Pwt));
+    assert!(!rig.session.is_busy());
+    assert_eq!(rig.lines(1_000), Vec::<String>::new());
 
-    desk.session.request(request).unwrap();
-    assert_eq!(desk.lines(Config::DEFAULT.reply_timeout_ms + 1), ["PWT=1.0", "PWT=1.0"]);
-    assert!(!desk.session.take_back(CommandName::Pwt), "the first may have left");
-    assert_eq!(desk.happened(), Vec::<String>::new());
+    rig.session.request(request).unwrap();
+    assert_eq!(rig.lines(Config::DEFAULT.reply_timeout_ms + 1), ["PWT=1.0", "PWT=1.0"]);
+    assert!(!rig.session.take_back(CommandName::Pwt), "the first may have left");
+    assert_eq!(rig.happened(), Vec::<String>::new());
 }
 
 #[test]
 fn fsack_and_bye_are_never_sent_again() {
     for (request, line) in [(Request::Fsack, "FSACK()"), (Request::Bye, "BYE()")] {
-        let mut desk = Desk::connected();
-        desk.session.request(request).unwrap();
-        assert_eq!(desk.lines(5_000), [line]);
+        let mut rig = Rig::connected();
+        rig.session.request(request).unwrap();
+        assert_eq!(rig.lines(5_000), [line]);
     }
 }
 
 #[test]
 fn queries_and_settings_are_sent_again_until_the_connection_counts_as_lost() {
     for request in [Request::Pos, Request::Pwt(Setting::Set(1.0))] {
-        let mut desk = Desk::connected();
-        desk.session.request(request).unwrap();
-        assert_eq!(desk.lines(3_000), vec![request.to_string(); 3]);
-        let happened = desk.happened();
+        let mut rig = Rig::connected();
+        rig.session.request(request).unwrap();
+        assert_eq!(rig.lines(3_000), vec![request.to_string(); 3]);
+        let happened = rig.happened();
         assert_eq!(happened[0], std::format!("Unanswered {}", request.name()));
         assert_eq!(happened[1], "Disconnected");
-        assert_eq!(desk.session.counters().repeated, 2);
+        assert_eq!(rig.session.counters().repeated, 2);
     }
 }
 
 #[test]
 fn silence_is_noticed_within_a_second_and_a_gripper_that_comes_back_is_found() {
-    let mut desk = Desk::connected();
-    desk.pass(1_000);
-    assert_eq!(desk.happened(), ["Disconnected"]);
-    assert_eq!(*desk.session.known(), Known::NOTHING);
-    assert_eq!(desk.session.request(Request::Pos), Err(RequestError::NotConnected));
-    desk.connect();
-    assert_eq!(desk.happened(), ["Connected"]);
+    let mut rig = Rig::connected();
+    rig.pass(1_000);
+    assert_eq!(rig.happened(), ["Disconnected"]);
+    assert_eq!(*rig.session.known(), Known::NOTHING);
+    assert_eq!(rig.session.request(Request::Pos), Err(RequestError::NotConnected));
+    rig.connect();
+    assert_eq!(rig.happened(), ["Connected"]);
 }
 
 #[test]
 fn lost_connection_is_tried_again_after_its_time_and_not_before() {
-    let mut desk = Desk::connected();
-    while desk.happened() != ["Disconnected"] {
-        desk.pass(1);
+    let mut rig = Rig::connected();
+    while rig.happened() != ["Disconnected"] {
+        rig.pass(1);
     }
-    assert_eq!(desk.pass(Config::DEFAULT.reconnect_ms - 1), []);
-    assert_eq!(desk.pass(2), [Request::Verbose(false)]);
+    assert_eq!(rig.pass(Config::DEFAULT.reconnect_ms - 1), []);
+    assert_eq!(rig.pass(2), [Request::Verbose(false)]);
 }
 
 #[test]
 fn nothing_asked_for_before_a_disconnect_leaves_after_it() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Tag).unwrap();
-    desk.session.request(GRIP).unwrap();
-    desk.pass(1_000);
-    assert_eq!(desk.happened(), ["Unanswered TAG", "Withdrawn GRIP", "Disconnected"]);
-    desk.connect();
-    assert_eq!(desk.lines(1_000), Vec::<String>::new());
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Tag).unwrap();
+    rig.session.request(GRIP).unwrap();
+    rig.pass(1_000);
+    assert_eq!(rig.happened(), ["Unanswered TAG", "Withdrawn GRIP", "Disconnected"]);
+    rig.connect();
+    assert_eq!(rig.lines(1_000), Vec::<String>::new());
 }
 
 #[test]
 fn stop_overtakes_what_waits_and_ends_the_motion() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Move(Move { width: 50.0, speed: None })).unwrap();
-    desk.lines(0);
-    desk.hear("ACK MOVE");
-    desk.session.request(Request::Tag).unwrap();
-    desk.lines(0);
-    desk.session.request(Request::Pos).unwrap();
-    desk.session.request(Request::Stop).unwrap();
-    assert_eq!(desk.lines(0), ["STOP()"]);
-    desk.hear("ERR MOVE 19");
-    desk.hear("ACK STOP");
-    desk.hear("TAG=\"\"");
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Move(Move { width: 50.0, speed: None })).unwrap();
+    rig.lines(0);
+    rig.hear("ACK MOVE");
+    rig.session.request(Request::Tag).unwrap();
+    rig.lines(0);
+    rig.session.request(Request::Pos).unwrap();
+    rig.session.request(Request::Stop).unwrap();
+    assert_eq!(rig.lines(0), ["STOP()"]);
+    rig.hear("ERR MOVE 19");
+    rig.hear("ACK STOP");
+    rig.hear("TAG=\"\"");
     assert_eq!(
-        desk.happened(),
+        rig.happened(),
         ["Pending MOVE", "Withdrawn POS", "Answered ERR MOVE 19", "Answered ACK STOP", "Answered TAG=\"\""]
     );
 }
 
 #[test]
 fn stop_without_a_connection_is_sent_once_and_never_later() {
-    let mut desk = Desk::connected();
-    desk.pass(1_000);
-    desk.happened();
-    desk.session.request(Request::Stop).unwrap();
-    assert_eq!(desk.sent()[0], Request::Stop);
-    desk.pass(300);
-    assert_eq!(desk.happened(), ["Unanswered STOP"]);
-    desk.connect();
-    assert_eq!(desk.lines(1_000), Vec::<String>::new());
+    let mut rig = Rig::connected();
+    rig.pass(1_000);
+    rig.happened();
+    rig.session.request(Request::Stop).unwrap();
+    assert_eq!(rig.sent()[0], Request::Stop);
+    rig.pass(300);
+    assert_eq!(rig.happened(), ["Unanswered STOP"]);
+    rig.connect();
+    assert_eq!(rig.lines(1_000), Vec::<String>::new());
 }
 
 #[test]
 fn stop_that_is_open_when_the_connection_goes_is_told_and_never_sent_again() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Stop).unwrap();
-    assert_eq!(desk.lines(0), ["STOP()"]);
-    desk.session.disconnect();
-    desk.pass(1);
-    assert_eq!(desk.happened(), ["Unanswered STOP", "Disconnected"]);
-    desk.connect();
-    assert_eq!(desk.lines(1_000), Vec::<String>::new());
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Stop).unwrap();
+    assert_eq!(rig.lines(0), ["STOP()"]);
+    rig.session.disconnect();
+    rig.pass(1);
+    assert_eq!(rig.happened(), ["Unanswered STOP", "Disconnected"]);
+    rig.connect();
+    assert_eq!(rig.lines(1_000), Vec::<String>::new());
 }
 
 #[test]
 fn fast_stop_goes_out_first_and_is_repeated_until_it_is_confirmed() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Tag).unwrap();
-    desk.session.request(Request::Faststop).unwrap();
-    assert_eq!(desk.sent()[0], Request::Faststop);
-    assert_eq!(desk.happened(), ["Withdrawn TAG"]);
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Tag).unwrap();
+    rig.session.request(Request::Faststop).unwrap();
+    assert_eq!(rig.sent()[0], Request::Faststop);
+    assert_eq!(rig.happened(), ["Withdrawn TAG"]);
     for refused in [GRIP, Request::Fsack, Request::Stop] {
-        assert_eq!(desk.session.request(refused), Err(RequestError::FastStopRunning), "{refused}");
+        assert_eq!(rig.session.request(refused), Err(RequestError::FastStopRunning), "{refused}");
     }
     // An error is no confirmation.
-    desk.hear("ERR FASTSTOP 15");
-    assert!(desk.session.owes_fast_stop());
-    assert!(desk.pass(400).contains(&Request::Faststop));
-    desk.hear("ACK FASTSTOP");
-    assert!(!desk.session.owes_fast_stop());
-    assert_eq!(desk.happened(), ["Answered ACK FASTSTOP"]);
-    assert_eq!(desk.session.request(Request::Fsack), Ok(()));
+    rig.hear("ERR FASTSTOP 15");
+    assert!(rig.session.fast_stop_pending());
+    assert!(rig.pass(400).contains(&Request::Faststop));
+    rig.hear("ACK FASTSTOP");
+    assert!(!rig.session.fast_stop_pending());
+    assert_eq!(rig.happened(), ["Answered ACK FASTSTOP"]);
+    assert_eq!(rig.session.request(Request::Fsack), Ok(()));
 }
 
 #[test]
 fn nothing_but_fast_stop_is_sent_until_it_is_confirmed() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Faststop).unwrap();
-    let sent = desk.pass(Config::DEFAULT.reply_timeout_ms * 2 + 1);
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Faststop).unwrap();
+    let sent = rig.pass(Config::DEFAULT.reply_timeout_ms * 2 + 1);
     assert_eq!(sent, [Request::Faststop; 3]);
 }
 
 #[test]
 fn fsack_withdraws_what_was_requested_before_it() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Tag).unwrap();
-    assert_eq!(desk.lines(0), ["TAG?"]);
-    desk.session.request(GRIP).unwrap();
-    desk.session.request(Request::Fsack).unwrap();
-    desk.hear("TAG=\"left\"");
-    assert_eq!(desk.lines(1), ["FSACK()"]);
-    assert_eq!(desk.happened(), ["Answered TAG=\"left\"", "Withdrawn GRIP"]);
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Tag).unwrap();
+    assert_eq!(rig.lines(0), ["TAG?"]);
+    rig.session.request(GRIP).unwrap();
+    rig.session.request(Request::Fsack).unwrap();
+    rig.hear("TAG=\"left\"");
+    assert_eq!(rig.lines(1), ["FSACK()"]);
+    assert_eq!(rig.happened(), ["Answered TAG=\"left\"", "Withdrawn GRIP"]);
 }
 
 #[test]
 fn stop_that_is_not_answered_in_time_is_reported_and_repeated() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Stop).unwrap();
-    assert_eq!(desk.lines(Config::DEFAULT.reply_timeout_ms), ["STOP()", "STOP()"]);
-    assert_eq!(desk.happened(), ["Late STOP"]);
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Stop).unwrap();
+    assert_eq!(rig.lines(Config::DEFAULT.reply_timeout_ms), ["STOP()", "STOP()"]);
+    assert_eq!(rig.happened(), ["Late STOP"]);
 }
 
 #[test]
 fn fast_stop_is_owed_over_a_reconnect_and_is_the_first_thing_a_gripper_hears() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Faststop).unwrap();
-    let silent = desk.pass(3_000);
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Faststop).unwrap();
+    let silent = rig.pass(3_000);
     assert!(silent.iter().filter(|request| **request == Request::Faststop).count() > 5);
-    assert_eq!(desk.happened(), ["Disconnected"]);
-    let silent = desk.pass(2 * Config::DEFAULT.reconnect_ms);
+    assert_eq!(rig.happened(), ["Disconnected"]);
+    let silent = rig.pass(2 * Config::DEFAULT.reconnect_ms);
     assert!(silent.len() > 1 && silent.iter().all(|request| *request == Request::Faststop), "{silent:?}");
-    desk.hear("ACK FASTSTOP");
-    desk.connect();
-    assert_eq!(desk.happened(), ["Answered ACK FASTSTOP", "Connected"]);
+    rig.hear("ACK FASTSTOP");
+    rig.connect();
+    assert_eq!(rig.happened(), ["Answered ACK FASTSTOP", "Connected"]);
 }
 
 #[test]
 fn fast_stop_is_never_acknowledged_by_the_session() {
-    let mut desk = Desk::connected();
-    desk.hear("@SYSFLAGS=[1,0,0,0,0,0,0,0,0,0,0,0,1]");
-    assert!(desk.session.known().flags.unwrap().contains(SystemFlags::FAST_STOP));
+    let mut rig = Rig::connected();
+    rig.hear("@SYSFLAGS=[1,0,0,0,0,0,0,0,0,0,0,0,1]");
+    assert!(rig.session.known().flags.unwrap().contains(SystemFlags::FAST_STOP));
     for _ in 0..5_000 {
-        for request in desk.pass(1) {
+        for request in rig.pass(1) {
             assert_ne!(request, Request::Fsack);
-            desk.answer(request);
+            rig.answer(request);
         }
     }
 }
 
 #[test]
 fn lost_result_is_given_up_once_the_gripper_stands_still() {
-    let mut desk = Desk::connected();
-    desk.session.request(GRIP).unwrap();
-    desk.lines(0);
-    desk.hear("ACK GRIP");
-    desk.hear("@GRIPSTATE=1");
-    desk.hear("@GRIPSTATE=4");
-    desk.pass_answered(900);
-    assert_eq!(desk.happened(), ["Pending GRIP"]);
-    desk.pass_answered(200);
-    assert_eq!(desk.happened(), ["Unanswered GRIP"]);
-    assert_eq!(desk.session.motion(), None);
-    assert!(desk.session.is_connected());
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    rig.lines(0);
+    rig.hear("ACK GRIP");
+    rig.hear("@GRIPSTATE=1");
+    rig.hear("@GRIPSTATE=4");
+    rig.pass_answered(900);
+    assert_eq!(rig.happened(), ["Pending GRIP"]);
+    rig.pass_answered(200);
+    assert_eq!(rig.happened(), ["Unanswered GRIP"]);
+    assert_eq!(rig.session.motion(), None);
+    assert!(rig.session.is_connected());
 }
 
 #[test]
 fn motion_that_never_ends_is_given_up_after_its_time() {
-    let mut desk = Desk::connected();
-    desk.session.request(HOME).unwrap();
-    desk.lines(0);
-    desk.hear("ACK HOME");
+    let mut rig = Rig::connected();
+    rig.session.request(HOME).unwrap();
+    rig.lines(0);
+    rig.hear("ACK HOME");
     for _ in 0..60_100 {
-        for request in desk.pass(1) {
+        for request in rig.pass(1) {
             match request {
-                Request::Gripstate => desk.hear("GRIPSTATE=6"),
-                other => desk.answer(other),
+                Request::Gripstate => rig.hear("GRIPSTATE=6"),
+                other => rig.answer(other),
             }
         }
     }
-    assert_eq!(desk.happened(), ["Pending HOME", "Unanswered HOME"]);
+    assert_eq!(rig.happened(), ["Pending HOME", "Unanswered HOME"]);
 }
 
 #[test]
 fn late_result_is_not_taken_for_that_of_the_next_motion() {
-    let mut desk = Desk::connected();
-    desk.session.request(GRIP).unwrap();
-    desk.lines(0);
-    desk.hear("ACK GRIP");
-    desk.hear("GRIPSTATE=4");
-    desk.pass_answered(1_300);
-    desk.session.request(GRIP).unwrap();
-    assert_eq!(desk.lines(0), ["GRIP(40.0,20.0)"]);
-    desk.hear("FIN GRIP");
-    desk.hear("ERR GRIP 19");
-    assert_eq!(desk.happened(), ["Pending GRIP", "Unanswered GRIP"]);
-    desk.hear("ACK GRIP");
-    desk.hear("ERR GRIP 18");
-    assert_eq!(desk.happened(), ["Pending GRIP", "Answered ERR GRIP 18"]);
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    rig.lines(0);
+    rig.hear("ACK GRIP");
+    rig.hear("GRIPSTATE=4");
+    rig.pass_answered(1_300);
+    rig.session.request(GRIP).unwrap();
+    assert_eq!(rig.lines(0), ["GRIP(40.0,20.0)"]);
+    rig.hear("FIN GRIP");
+    rig.hear("ERR GRIP 19");
+    assert_eq!(rig.happened(), ["Pending GRIP", "Unanswered GRIP"]);
+    rig.hear("ACK GRIP");
+    rig.hear("ERR GRIP 18");
+    assert_eq!(rig.happened(), ["Pending GRIP", "Answered ERR GRIP 18"]);
 }
 
 #[test]
 fn refusal_behind_a_lost_result_is_that_of_the_new_request() {
-    let mut desk = Desk::connected();
-    desk.session.request(GRIP).unwrap();
-    desk.lines(0);
-    desk.hear("ACK GRIP");
-    desk.hear("GRIPSTATE=4");
-    desk.pass_answered(1_300);
-    desk.session.request(GRIP).unwrap();
-    desk.lines(0);
-    desk.hear("ERR GRIP 3");
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    rig.lines(0);
+    rig.hear("ACK GRIP");
+    rig.hear("GRIPSTATE=4");
+    rig.pass_answered(1_300);
+    rig.session.request(GRIP).unwrap();
+    rig.lines(0);
+    rig.hear("ERR GRIP 3");
     // How a motion ends may be how another request is refused.
-    desk.session.request(Request::Pwt(Setting::Set(1.0))).unwrap();
-    desk.lines(0);
-    desk.hear("ERR PWT 18");
+    rig.session.request(Request::Pwt(Setting::Set(1.0))).unwrap();
+    rig.lines(0);
+    rig.hear("ERR PWT 18");
     assert_eq!(
-        desk.happened(),
+        rig.happened(),
         ["Pending GRIP", "Unanswered GRIP", "Answered ERR GRIP 3", "Answered ERR PWT 18"]
     );
 }
 
 #[test]
 fn states_are_asked_for_again_and_again_and_reported() {
-    let mut desk = Desk::connected();
-    desk.pass_answered(2_000);
-    let reported = |text: &str| desk.notices.iter().filter(|notice| notice.starts_with(text)).count();
-    assert!(reported("Reported GRIPSTATE=0") >= 2, "{:?}", desk.notices);
-    assert!(reported("Reported SYSFLAGS=[1,0") >= 2, "{:?}", desk.notices);
+    let mut rig = Rig::connected();
+    rig.pass_answered(2_000);
+    let reported = |text: &str| rig.events.iter().filter(|event| event.starts_with(text)).count();
+    assert!(reported("Reported GRIPSTATE=0") >= 2, "{:?}", rig.events);
+    assert!(reported("Reported SYSFLAGS=[1,0") >= 2, "{:?}", rig.events);
 }
 
 #[test]
 fn updates_are_reported_once_subscribed_to() {
-    let mut desk = Desk::connected();
-    desk.hear("@POS=20.0");
-    assert_eq!(desk.session.counters().unasked, 1);
-    desk.session.subscribe(Autosend::every(Signal::Pos, 3));
-    assert_eq!(desk.pass(1)[0].to_string(), "AUTOSEND(\"POS\",10)");
-    desk.hear("ACK AUTOSEND");
-    desk.hear("@POS=21.0");
-    desk.hear("@GRIPSTATE=6");
-    assert_eq!(desk.notices, ["Reported POS=21.0", "Reported GRIPSTATE=6"]);
-    assert!(desk.session.known().is_moving());
-    desk.notices.clear();
-    desk.session.request(Request::Autosend(Autosend::off(Signal::Pos))).unwrap();
-    assert_eq!(desk.pass(1)[0].to_string(), "AUTOSEND(\"POS\",0)");
-    desk.hear("ACK AUTOSEND");
-    desk.hear("@POS=22.0");
-    assert_eq!(desk.notices, Vec::<String>::new());
+    let mut rig = Rig::connected();
+    rig.hear("@POS=20.0");
+    assert_eq!(rig.session.counters().unsolicited, 1);
+    rig.session.subscribe(Autosend::every(Topic::Pos, 3));
+    assert_eq!(rig.pass(1)[0].to_string(), "AUTOSEND(\"POS\",10)");
+    rig.hear("ACK AUTOSEND");
+    rig.hear("@POS=21.0");
+    rig.hear("@GRIPSTATE=6");
+    assert_eq!(rig.events, ["Reported POS=21.0", "Reported GRIPSTATE=6"]);
+    assert!(rig.session.known().is_moving());
+    rig.events.clear();
+    rig.session.request(Request::Autosend(Autosend::off(Topic::Pos))).unwrap();
+    assert_eq!(rig.pass(1)[0].to_string(), "AUTOSEND(\"POS\",0)");
+    rig.hear("ACK AUTOSEND");
+    rig.hear("@POS=22.0");
+    assert_eq!(rig.events, Vec::<String>::new());
 }
 
 #[test]
 fn each_subscription_that_changes_is_told_to_the_gripper_once() {
-    let mut desk = Desk::connected();
-    for signal in [Signal::Temp, Signal::Force] {
-        desk.session.subscribe(Autosend::every(signal, 50));
+    let mut rig = Rig::connected();
+    for topic in [Topic::Temp, Topic::Force] {
+        rig.session.subscribe(Autosend::every(topic, 50));
     }
     let mut told = vec![];
     for _ in 0..100 {
-        for request in desk.pass(1) {
+        for request in rig.pass(1) {
             told.extend(matches!(request, Request::Autosend(_)).then(|| request.to_string()));
-            desk.answer(request);
+            rig.answer(request);
         }
     }
     assert_eq!(told, ["AUTOSEND(\"FORCE\",50)", "AUTOSEND(\"TEMP\",50)"]);
@@ -599,11 +599,11 @@ fn each_subscription_that_changes_is_told_to_the_gripper_once() {
 
 #[test]
 fn what_a_gripper_says_is_known() {
-    let mut desk = Desk::connected();
+    let mut rig = Rig::connected();
     for line in ["POS=20.5", "SPEED=1.5", "FORCE=2.5", "TEMP=35.5", "PWT=3.5", "CLT=4.5", "TAG=\"x\""] {
-        desk.hear(line);
+        rig.hear(line);
     }
-    let known = desk.session.known();
+    let known = rig.session.known();
     assert_eq!((known.width, known.speed, known.force), (Some(20.5), Some(1.5), Some(2.5)));
     assert_eq!(known.temperature, Some(35.5));
     assert_eq!((known.part_width_tolerance, known.clamping_travel), (Some(3.5), Some(4.5)));
@@ -611,27 +611,27 @@ fn what_a_gripper_says_is_known() {
 
 #[test]
 fn answer_that_comes_before_its_request_was_sent_is_none() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Tag).unwrap();
-    while desk.session.tick(desk.now).is_some() {}
-    desk.hear("TAG=\"left\"");
-    assert_eq!(desk.happened(), Vec::<String>::new());
-    assert_eq!(desk.lines(0), ["TAG?"]);
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Tag).unwrap();
+    while rig.session.tick(rig.now).is_some() {}
+    rig.hear("TAG=\"left\"");
+    assert_eq!(rig.happened(), Vec::<String>::new());
+    assert_eq!(rig.lines(0), ["TAG?"]);
 }
 
 #[test]
 fn subscriptions_are_made_again_after_a_reconnect() {
-    let mut desk = Desk::with(Config { width: true, interval_ms: 1, ..Config::DEFAULT });
-    desk.connect();
-    desk.session.disconnect();
+    let mut rig = Rig::with(Config { width: true, interval_ms: 1, ..Config::DEFAULT });
+    rig.connect();
+    rig.session.disconnect();
     let mut lines = vec![];
     for _ in 0..2_000 {
         if lines.iter().any(|line: &String| line.contains("POS")) {
             break;
         }
-        for request in desk.pass(1) {
+        for request in rig.pass(1) {
             lines.push(request.to_string());
-            desk.answer(request);
+            rig.answer(request);
         }
     }
     assert_eq!(lines.last().unwrap(), "AUTOSEND(\"POS\",10,0.01)");
@@ -639,99 +639,99 @@ fn subscriptions_are_made_again_after_a_reconnect() {
 
 #[test]
 fn one_flag_and_all_of_them_are_not_taken_for_each_other() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Sysflags(Select::One(12))).unwrap();
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Sysflags(Select::One(12))).unwrap();
     let mut sent = vec![];
     for _ in 0..260 {
-        sent.extend(desk.pass(1));
+        sent.extend(rig.pass(1));
         if sent.contains(&Request::Sysflags(Select::All)) || sent.len() > 1 {
             break;
         }
     }
-    desk.hear("SYSFLAGS=[1,1]");
-    desk.hear("SYSFLAGS[11]=0");
-    assert_eq!(desk.happened(), Vec::<String>::new());
-    desk.hear("SYSFLAGS[12]=1");
-    assert_eq!(desk.happened(), ["Answered SYSFLAGS[12]=1"]);
+    rig.hear("SYSFLAGS=[1,1]");
+    rig.hear("SYSFLAGS[11]=0");
+    assert_eq!(rig.happened(), Vec::<String>::new());
+    rig.hear("SYSFLAGS[12]=1");
+    assert_eq!(rig.happened(), ["Answered SYSFLAGS[12]=1"]);
 }
 
 #[test]
 fn bye_ends_the_conversation_until_there_is_a_new_connection() {
-    let mut desk = Desk::connected();
-    desk.session.request(GRIP).unwrap();
-    desk.lines(0);
-    desk.hear("ACK GRIP");
-    desk.session.request(Request::Bye).unwrap();
-    assert_eq!(desk.lines(0), ["BYE()"]);
-    desk.hear("ACK BYE");
-    assert_eq!(desk.pass(5_000), []);
-    assert_eq!(desk.happened(), ["Pending GRIP", "Answered ACK BYE", "Unanswered GRIP", "Disconnected"]);
-    assert_eq!(desk.session.counters().disconnects, 0);
-    assert_eq!(desk.session.poll_timeout(), None);
-    assert_eq!(desk.session.request(Request::Pos), Err(RequestError::NotConnected));
-    desk.session.disconnect();
-    desk.connect();
-    assert_eq!(desk.happened(), ["Connected"]);
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    rig.lines(0);
+    rig.hear("ACK GRIP");
+    rig.session.request(Request::Bye).unwrap();
+    assert_eq!(rig.lines(0), ["BYE()"]);
+    rig.hear("ACK BYE");
+    assert_eq!(rig.pass(5_000), []);
+    assert_eq!(rig.happened(), ["Pending GRIP", "Answered ACK BYE", "Unanswered GRIP", "Disconnected"]);
+    assert_eq!(rig.session.counters().disconnects, 0);
+    assert_eq!(rig.session.poll_timeout(), None);
+    assert_eq!(rig.session.request(Request::Pos), Err(RequestError::NotConnected));
+    rig.session.disconnect();
+    rig.connect();
+    assert_eq!(rig.happened(), ["Connected"]);
 }
 
 #[test]
 fn fast_stop_that_a_farewell_overtook_waits_for_the_next_connection() {
-    let mut desk = Desk::connected();
-    desk.session.request(Request::Bye).unwrap();
-    assert_eq!(desk.lines(0), ["BYE()"]);
-    desk.session.request(Request::Faststop).unwrap();
-    assert_eq!(desk.lines(0), ["FASTSTOP()"]);
-    desk.hear("ACK BYE");
-    assert_eq!(desk.pass(5_000), []);
-    desk.session.disconnect();
-    assert_eq!(desk.pass(1), [Request::Faststop]);
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Bye).unwrap();
+    assert_eq!(rig.lines(0), ["BYE()"]);
+    rig.session.request(Request::Faststop).unwrap();
+    assert_eq!(rig.lines(0), ["FASTSTOP()"]);
+    rig.hear("ACK BYE");
+    assert_eq!(rig.pass(5_000), []);
+    rig.session.disconnect();
+    assert_eq!(rig.pass(1), [Request::Faststop]);
 }
 
 #[test]
 fn unasked_lines_and_what_is_no_answer_are_counted_and_change_nothing() {
-    let mut desk = Desk::connected();
+    let mut rig = Rig::connected();
     for line in
         ["ACK GRIP", "FIN GRIP", "ERR GRIP 18", "ERR DANCE 14", "ERR ? 15", "TAG=\"left\"", "@TEMP=30.0"]
     {
-        desk.hear(line);
+        rig.hear(line);
     }
-    assert_eq!(desk.session.counters().unasked, 7);
-    desk.hear("hello");
-    desk.session.handle(desk.now, &LineEvent::TooLong(b"FDATA=["));
-    assert_eq!(desk.session.counters().refused, 2);
-    assert_eq!(desk.happened(), Vec::<String>::new());
+    assert_eq!(rig.session.counters().unsolicited, 7);
+    rig.hear("hello");
+    rig.session.handle(rig.now, &LineEvent::TooLong(b"FDATA=["));
+    assert_eq!(rig.session.counters().refused, 2);
+    assert_eq!(rig.happened(), Vec::<String>::new());
 }
 
 #[test]
 fn what_a_gripper_may_not_take_is_refused_before_it_is_sent() {
-    let mut desk = Desk::connected();
+    let mut rig = Rig::connected();
     let request = Request::Move(Move { width: f32::NAN, speed: None });
-    assert_eq!(desk.session.request(request), Err(RequestError::Invalid(Mistake::Range)));
-    desk.session.subscribe(Autosend::by(Signal::Sysflags, 10, 1.0));
-    assert_eq!(desk.lines(100), Vec::<String>::new());
+    assert_eq!(rig.session.request(request), Err(RequestError::Invalid(ParseError::Range)));
+    rig.session.subscribe(Autosend::by(Topic::Sysflags, 10, 1.0));
+    assert_eq!(rig.lines(100), Vec::<String>::new());
 }
 
 #[test]
 fn more_requests_than_fit_are_refused() {
-    let mut desk = Desk::connected();
+    let mut rig = Rig::connected();
     for _ in 0..QUEUE_LEN {
-        desk.session.request(Request::Pos).unwrap();
+        rig.session.request(Request::Pos).unwrap();
     }
-    assert_eq!(desk.session.request(Request::Pos), Err(RequestError::QueueFull));
-    assert!(desk.session.is_busy());
+    assert_eq!(rig.session.request(Request::Pos), Err(RequestError::QueueFull));
+    assert!(rig.session.is_busy());
 }
 
 #[test]
 fn tick_at_the_announced_times_does_all_that_a_tick_at_each_millisecond_does() {
     let script = |request: Request, reply_timeout_ms: u32, by_announcement: bool| {
-        let mut desk = Desk::with(Config { reply_timeout_ms, ..Config::DEFAULT });
-        desk.connect();
-        let end = desk.now.plus(4_000);
-        desk.session.request(request).unwrap();
-        let mut lines: Vec<String> = desk.sent().iter().map(ToString::to_string).collect();
-        while !desk.now.has_reached(end) {
-            let next = desk.now.plus(1);
-            desk.now = match desk.session.poll_timeout() {
+        let mut rig = Rig::with(Config { reply_timeout_ms, ..Config::DEFAULT });
+        rig.connect();
+        let end = rig.now.plus(4_000);
+        rig.session.request(request).unwrap();
+        let mut lines: Vec<String> = rig.sent().iter().map(ToString::to_string).collect();
+        while !rig.now.has_reached(end) {
+            let next = rig.now.plus(1);
+            rig.now = match rig.session.poll_timeout() {
                 _ if !by_announcement => next,
                 Some(at) => {
                     assert!(at.has_reached(next), "{request}: a tick that was due already");
@@ -739,9 +739,9 @@ fn tick_at_the_announced_times_does_all_that_a_tick_at_each_millisecond_does() {
                 }
                 None => end,
             };
-            lines.extend(desk.sent().iter().map(ToString::to_string));
+            lines.extend(rig.sent().iter().map(ToString::to_string));
         }
-        (lines, desk.happened())
+        (lines, rig.happened())
     };
     for request in [Request::Tag, Request::Faststop] {
         // Less than the time between two tries to connect, and more.

@@ -1,6 +1,6 @@
 //! Texts in answers (GCL, 1.3 and appendix E), and what those of a device say.
 
-use super::Mistake;
+use super::ParseError;
 use super::form::{Word, assigned, notation};
 use super::number::read_integer;
 use super::scanner::{Scanner, is_blank};
@@ -17,10 +17,10 @@ impl<'a> Text<'a> {
     /// This text.
     ///
     /// # Errors
-    /// [`Mistake::Text`]: a character that it may not hold.
-    pub fn new(text: &'a str) -> Result<Self, Mistake> {
+    /// [`ParseError::Text`]: a character that it may not hold.
+    pub fn new(text: &'a str) -> Result<Self, ParseError> {
         let is_allowed = |byte: u8| (0x20..0x7F).contains(&byte) && byte != b'"';
-        if text.bytes().all(is_allowed) { Ok(Self(text)) } else { Err(Mistake::Text) }
+        if text.bytes().all(is_allowed) { Ok(Self(text)) } else { Err(ParseError::Text) }
     }
 
     /// The text.
@@ -120,9 +120,9 @@ assigned!(Text<'a>, DeviceTag<'a>);
 impl<'a> Word<'a> for Text<'a> {
     notation!("<string>");
 
-    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError> {
         let text = input.quoted()?;
-        Self::new(core::str::from_utf8(text).map_err(|_| Mistake::Text)?)
+        Self::new(core::str::from_utf8(text).map_err(|_| ParseError::Text)?)
     }
 
     fn write(&self, to: &mut impl Write) -> Written {
@@ -136,10 +136,10 @@ impl<'a> Word<'a> for Text<'a> {
 impl<'a> Word<'a> for DeviceTag<'a> {
     notation!("<string>");
 
-    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError> {
         let text = input.remainder().strip_prefix(b"\"").and_then(|text| text.strip_suffix(b"\""));
-        let text = core::str::from_utf8(text.ok_or(Mistake::Form)?).map_err(|_| Mistake::Text)?;
-        Self::new(text).map_err(|_| Mistake::Text)
+        let text = core::str::from_utf8(text.ok_or(ParseError::Form)?).map_err(|_| ParseError::Text)?;
+        Self::new(text).map_err(|_| ParseError::Text)
     }
 
     fn write(&self, to: &mut impl Write) -> Written {

@@ -5,7 +5,7 @@ use super::number::{read_float, write_float};
 use super::parameters::{check_index, read_index, write_index};
 use super::scanner::Scanner;
 use super::table::for_each_gcl_command;
-use super::{CommandName, Mistake, Signal, Text, decimal};
+use super::{CommandName, ParseError, Text, Topic, decimal};
 use crate::types::{DeviceTag, FingerFlags, GripperState, GrippingStatistics, SystemFlags};
 use core::fmt::{Formatter, Result as Written, Write};
 
@@ -53,10 +53,10 @@ macro_rules! define_values {
             }
 
             /// Takes what stands after the name.
-            pub(super) fn read(name: CommandName, input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+            pub(super) fn read(name: CommandName, input: &mut Scanner<'a>) -> Result<Self, ParseError> {
                 match name {
                     $(CommandName::$name => <$value as Form>::read(input).map(Self::$name),)*
-                    _ => Err(Mistake::Form),
+                    _ => Err(ParseError::Form),
                 }
             }
 
@@ -71,7 +71,7 @@ macro_rules! define_values {
             ///
             /// # Errors
             /// The mistake that reading it would find.
-            pub fn check(&self) -> Result<(), Mistake> {
+            pub fn check(&self) -> Result<(), ParseError> {
                 match self {
                     $(Self::$name(value) => <$value as Form>::check(value),)*
                 }
@@ -85,7 +85,7 @@ for_each_gcl_command!(define_values);
 impl Value<'_> {
     /// Whether an update may carry it: whole, and one that can be subscribed to.
     pub(super) fn is_of_an_update(&self) -> bool {
-        Signal::of(self.name()).is_some() && !matches!(self, Self::Sysflags(Selected::One(..)))
+        Topic::of(self.name()).is_some() && !matches!(self, Self::Sysflags(Selected::One(..)))
     }
 }
 
@@ -118,7 +118,7 @@ pub enum Selected<Whole, Element, const LEN: u8> {
 impl<'a, Whole: Word<'a>, Element: Word<'a>, const LEN: u8> Form<'a> for Selected<Whole, Element, LEN> {
     const FORMS: &'static [&'static str] = &[Whole::ASSIGNED, Element::INDEXED];
 
-    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError> {
         if input.take(b'[') {
             let index = read_index::<LEN>(input)?;
             input.expect(b'=')?;
@@ -143,7 +143,7 @@ impl<'a, Whole: Word<'a>, Element: Word<'a>, const LEN: u8> Form<'a> for Selecte
         }
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         match self {
             Self::All(whole) => whole.check(),
             Self::One(index, element) => {
@@ -176,20 +176,20 @@ impl<'a> Vector<'a> {
     /// The vector with these elements: what stands between its brackets.
     ///
     /// ```
-    /// use wsg_protocol::gcl::{Mistake, Vector};
+    /// use wsg_protocol::gcl::{ParseError, Vector};
     ///
     /// let tactile = Vector::new("[0,12],[3,0.5]").unwrap();
     /// assert_eq!(tactile.numbers().collect::<Vec<_>>(), [0.0, 12.0, 3.0, 0.5]);
-    /// assert_eq!(Vector::new("1]"), Err(Mistake::Form));
+    /// assert_eq!(Vector::new("1]"), Err(ParseError::Form));
     /// ```
     ///
     /// # Errors
-    /// [`Mistake::Form`]: something else than numbers, commas, blanks and pairs of brackets.
-    pub fn new(elements: &'a str) -> Result<Self, Mistake> {
+    /// [`ParseError::Form`]: something else than numbers, commas, blanks and pairs of brackets.
+    pub fn new(elements: &'a str) -> Result<Self, ParseError> {
         let mut input = Scanner::new(elements.as_bytes());
         let inside = input.inside_brackets();
         input.end()?;
-        if inside.len() == elements.len() { Ok(Self(elements)) } else { Err(Mistake::Form) }
+        if inside.len() == elements.len() { Ok(Self(elements)) } else { Err(ParseError::Form) }
     }
 
     /// What stands between its brackets.
@@ -208,13 +208,13 @@ impl<'a> Vector<'a> {
 impl<'a> Word<'a> for FingerReading<'a> {
     notation!("<data>");
 
-    fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError> {
         if !input.take(b'[') {
             return read_float(input).map(Self::Number);
         }
         let inside = input.inside_brackets();
         input.expect(b']')?;
-        let inside = core::str::from_utf8(inside).map_err(|_| Mistake::Form)?;
+        let inside = core::str::from_utf8(inside).map_err(|_| ParseError::Form)?;
         Ok(Self::Vector(Vector(inside)))
     }
 
@@ -229,7 +229,7 @@ impl<'a> Word<'a> for FingerReading<'a> {
         }
     }
 
-    fn check(&self) -> Result<(), Mistake> {
+    fn check(&self) -> Result<(), ParseError> {
         match self {
             Self::Number(number) => Word::check(number),
             Self::Vector(_) => Ok(()),
@@ -239,7 +239,7 @@ impl<'a> Word<'a> for FingerReading<'a> {
 
 /// Takes the bits of a vector of flags, the first of which is bit 0. The manual gives the greatest number of them; those
 /// that do not come are 0.
-fn read_flags(input: &mut Scanner<'_>, most: u32) -> Result<u32, Mistake> {
+fn read_flags(input: &mut Scanner<'_>, most: u32) -> Result<u32, ParseError> {
     let mut bits = 0;
     input.expect(b'[')?;
     for index in 0..most {
@@ -267,7 +267,7 @@ fn write_flags(bits: u32, count: u32, to: &mut impl Write) -> Written {
 impl Word<'_> for SystemFlags {
     notation!("[<bool>,...,<bool>]");
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         read_flags(input, u32::BITS).map(Self::from_bits_retain)
     }
 
@@ -279,8 +279,8 @@ impl Word<'_> for SystemFlags {
 impl Word<'_> for FingerFlags {
     notation!("[<bool>,...,<bool>]");
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
-        let bits = u16::try_from(read_flags(input, u16::BITS)?).map_err(|_| Mistake::Range)?;
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
+        let bits = u16::try_from(read_flags(input, u16::BITS)?).map_err(|_| ParseError::Range)?;
         Ok(Self::from_bits_retain(bits))
     }
 
@@ -295,7 +295,7 @@ macro_rules! of_both_fingers {
         $(impl<'a> Word<'a> for [$type; 2] {
             notation!($notation);
 
-            fn read(input: &mut Scanner<'a>) -> Result<Self, Mistake> {
+            fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError> {
                 input.expect(b'[')?;
                 let first = Word::read(input)?;
                 input.expect(b',')?;
@@ -313,7 +313,7 @@ macro_rules! of_both_fingers {
                 to.write_char(']')
             }
 
-            fn check(&self) -> Result<(), Mistake> {
+            fn check(&self) -> Result<(), ParseError> {
                 self.iter().try_for_each(Word::check)
             }
         })*

@@ -1,6 +1,6 @@
 //! A line in a slice of bytes.
 
-use super::Mistake;
+use super::ParseError;
 use core::fmt::{Error, Result as Written, Write};
 
 /// Why a line was not written.
@@ -8,7 +8,7 @@ use core::fmt::{Error, Result as Written, Write};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum LineError {
     /// The other side would not understand it.
-    Invalid(Mistake),
+    Invalid(ParseError),
     /// It is longer than the slice.
     BufferTooSmall,
 }

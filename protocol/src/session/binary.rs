@@ -5,16 +5,16 @@ use core::hash::{Hash, Hasher};
 use super::config::Config;
 use super::dialect::{Dialect, Knowledge, Role};
 use super::engine::Engine;
+use super::event::{EventOf, RequestError};
 use super::known::Known;
 use super::message::{Message, Name};
-use super::notice::{NoticeOf, RequestError};
 use super::read_back;
-use super::signal::{self, Signal, Update};
 use super::subscriptions::{Subscription, Subscriptions};
+use super::topic::{self, Topic, Update};
 use super::transaction::{Outgoing, Request};
 use crate::command::{Command, CommandId, Kind};
-use crate::field::Refusal;
-use crate::frame::Event;
+use crate::field::DecodeError;
+use crate::frame::Event as FrameEvent;
 use crate::reply::{Reply, Value};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
@@ -23,10 +23,10 @@ use crate::types::{AutoUpdate, Status};
 pub type Session = Engine<Binary>;
 
 /// What happened.
-pub type Notice<'a> = NoticeOf<CommandId, Reply<'a>, Value<'a>>;
+pub type Event<'a> = EventOf<CommandId, Reply<'a>, Value<'a>>;
 
 /// By kind and command, without the values.
-impl Hash for Notice<'_> {
+impl Hash for Event<'_> {
     fn hash<H: Hasher>(&self, state: &mut H) {
         core::mem::discriminant(self).hash(state);
         let id = match self {
@@ -60,10 +60,10 @@ impl Session {
     #[must_use]
     pub const fn new(config: Config) -> Self {
         let dialect = Binary { verify_settings: config.verify_settings };
-        Self::over(dialect, config.timing(), signal::of_config(&config))
+        Self::over(dialect, config.timing(), topic::of_config(&config))
     }
 
-    /// Asks for a command to be sent. Its outcome comes as a [`Notice`].
+    /// Asks for a command to be sent. Its outcome comes as a [`Event`].
     ///
     /// Stop, FAST STOP and Acknowledge overtake what waits: it is withdrawn. To ask once for a value that is subscribed to does not
     /// end the subscription.
@@ -82,9 +82,9 @@ impl Session {
     }
 
     /// As [`request`](Self::request), for a command that the caller keeps, because it borrows its payload: only the id
-    /// is kept here, and the command is sent when [`poll_transmit_lent`](Self::poll_transmit_lent) has it at hand.
+    /// is kept here, and the command is sent when [`poll_transmit_borrowed`](Self::poll_transmit_borrowed) has it at hand.
     ///
-    /// A caller that cannot lend it any more calls [`withdraw`](Self::withdraw). A setting that is lent is not read
+    /// A caller that cannot lend it any more calls [`withdraw`](Self::withdraw). A setting that is borrowed is not read
     /// back.
     ///
     /// ```
@@ -94,39 +94,39 @@ impl Session {
     /// let mut session = Session::new(Config::DEFAULT);
     /// let text = String::from("left hand");
     /// let command = Command::SetDeviceTag { tag: DeviceTag::new(&text).unwrap() };
-    /// assert_eq!(session.request_lent(&command), Err(RequestError::NotConnected));
+    /// assert_eq!(session.request_borrowed(&command), Err(RequestError::NotConnected));
     /// ```
     ///
     /// # Errors
     /// [`RequestError`]; then the command is not sent, now or later.
-    pub fn request_lent(&mut self, command: &Command<'_>) -> Result<(), RequestError> {
+    pub fn request_borrowed(&mut self, command: &Command<'_>) -> Result<(), RequestError> {
         command.check().map_err(RequestError::Invalid)?;
         self.enqueue(match command.id() {
             CommandId::FastStop => Request::Own(Command::FastStop),
             CommandId::Stop => Request::Own(Command::Stop),
-            id => Request::Lent(id),
+            id => Request::Borrowed(id),
         })
     }
 
-    /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Notice::Reported`].
+    /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Event::Reported`].
     /// [`AutoUpdate::once`] ends that. Periods below 10 ms count as 10 ms. In place of what [`Config`] says.
     ///
     /// The two states are asked for again and again even without updates: the session needs them.
     ///
     /// ```
-    /// use wsg_protocol::session::{Config, Session, Signal};
+    /// use wsg_protocol::session::{Config, Session, Topic};
     /// use wsg_protocol::AutoUpdate;
     ///
     /// let mut session = Session::new(Config::DEFAULT);
-    /// session.subscribe(Signal::Force, AutoUpdate::every(20));
+    /// session.subscribe(Topic::Force, AutoUpdate::every(20));
     /// ```
-    pub fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
-        self.subscriptions_mut().set(Update::new(signal, update));
+    pub fn subscribe(&mut self, topic: Topic, update: AutoUpdate) {
+        self.subscriptions_mut().set(Update::new(topic, update));
     }
 
     /// Takes what the parser found.
-    pub fn handle<'a>(&mut self, now: Instant, event: &Event<'a>) -> Option<Notice<'a>> {
-        let Event::Frame(frame) = event else {
+    pub fn handle<'a>(&mut self, now: Instant, event: &FrameEvent<'a>) -> Option<Event<'a>> {
+        let FrameEvent::Frame(frame) = event else {
             return None; // The parser counts it; the request that it may have answered is repeated, or reported.
         };
         let Ok(reply) = Reply::decode(frame) else {
@@ -138,26 +138,30 @@ impl Session {
 
     /// The next command to send. It counts as sent now.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Command<'static>> {
-        self.poll_transmit_lent(now, None)
+        self.poll_transmit_borrowed(now, None)
     }
 
-    /// As [`poll_transmit`](Self::poll_transmit), with the command of [`request_lent`](Self::request_lent) at hand. It
+    /// As [`poll_transmit`](Self::poll_transmit), with the command of [`request_borrowed`](Self::request_borrowed) at hand. It
     /// may be given more than once, until it is answered.
-    pub fn poll_transmit_lent<'p>(&mut self, now: Instant, lent: Option<Command<'p>>) -> Option<Command<'p>> {
-        match self.next_to_send(now, lent.map(|command| command.id()))? {
+    pub fn poll_transmit_borrowed<'p>(
+        &mut self,
+        now: Instant,
+        borrowed: Option<Command<'p>>,
+    ) -> Option<Command<'p>> {
+        match self.next_to_send(now, borrowed.map(|command| command.id()))? {
             Outgoing::Own(command) => Some(command),
-            Outgoing::Lent => lent,
+            Outgoing::Borrowed => borrowed,
         }
     }
 }
 
 impl Dialect for Binary {
     type Request = Command<'static>;
-    type Invalid = Refusal;
+    type Invalid = DecodeError;
     type Answer<'a> = Reply<'a>;
     type Value<'a> = Value<'a>;
     type Known = Known;
-    type Subscriptions = Subscriptions<Update, { Signal::ALL.len() }>;
+    type Subscriptions = Subscriptions<Update, { Topic::ALL.len() }>;
 
     /// The two states, what device, what limits, then the other subscriptions.
     fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Command<'static>> {

@@ -2,9 +2,9 @@
 
 use super::config::Timing;
 use super::dialect::{Dialect, Knowledge, NameOf, Role};
+use super::event::{Counters, EventOf, RequestError};
 use super::fast_stop::FastStop;
 use super::message::{Message, Name};
-use super::notice::{Counters, NoticeOf, RequestError};
 use super::subscriptions::List;
 use super::transaction::{Expired, Outgoing, Request, Transaction};
 use crate::command::Kind;
@@ -13,7 +13,7 @@ use crate::time::Instant;
 use crate::types::Status;
 
 /// What happened, in the terms of a dialect.
-pub(crate) type NoticeIn<'a, D> = NoticeOf<NameOf<D>, <D as Dialect>::Answer<'a>, <D as Dialect>::Value<'a>>;
+pub(crate) type EventIn<'a, D> = EventOf<NameOf<D>, <D as Dialect>::Answer<'a>, <D as Dialect>::Value<'a>>;
 
 /// How many requests may wait to be sent.
 pub const QUEUE_LEN: usize = 4;
@@ -127,7 +127,7 @@ impl<D: Dialect> Engine<D> {
             refresh_step: 0,
             subscriptions,
             known: D::Known::NOTHING,
-            counters: Counters { unasked: 0, refused: 0, repeated: 0, disconnects: 0 },
+            counters: Counters { unsolicited: 0, refused: 0, repeated: 0, disconnects: 0 },
         }
     }
 
@@ -167,7 +167,7 @@ impl<D: Dialect> Engine<D> {
         !self.request.is_idle() || !self.queue.is_empty()
     }
 
-    /// Takes a request that was checked. Its outcome comes as a [`NoticeOf`].
+    /// Takes a request that was checked. Its outcome comes as a [`EventOf`].
     pub(crate) fn enqueue(&mut self, request: Request<D::Request>) -> Result<(), RequestError<D::Invalid>> {
         let name = request.name();
         if name == D::Request::FAST_STOP.name() {
@@ -178,7 +178,7 @@ impl<D: Dialect> Engine<D> {
             self.overtake();
             return Ok(());
         }
-        let fast_stop_runs = self.owes_fast_stop();
+        let fast_stop_runs = self.fast_stop_pending();
         if name == D::Request::STOP.name() && !fast_stop_runs {
             // The gripper may hear although it is not heard. But it is now or never: a Stop that arrives after a
             // reconnect would drop the part that is held then.
@@ -220,8 +220,8 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Takes back every request that was not sent yet, for a caller who is gone (a future that was dropped): no notice
-    /// tells of them. What was lent and sent is not sent again. Stop and FAST STOP stay.
+    /// Cancels every request that was not sent yet, for a caller that is gone (a future that was dropped): no event tells of
+    /// them. A borrowed request that was sent is not repeated. Stop and FAST STOP remain.
     pub fn withdraw(&mut self) {
         self.queue.clear();
         self.overtaken = Overtaken::default();
@@ -230,9 +230,8 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Takes back what [`poll_transmit`](Self::poll_transmit) gave last and the caller did not send, not one byte of it,
-    /// and will not; whether that was a request that it can still do without. No notice tells of it. A query, Stop and
-    /// FAST STOP are not taken back: they may leave late.
+    /// Cancels the last polled request if not one byte of it was sent; returns whether it could. No event tells of it. A
+    /// query, Stop and FAST STOP cannot be cancelled: they may be sent late.
     pub fn take_back(&mut self, name: NameOf<D>) -> bool {
         name.kind() != Kind::Query && self.request.take_back(name)
     }
@@ -268,19 +267,19 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Takes an answer, or an update.
-    pub(crate) fn take<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Option<NoticeIn<'a, D>> {
+    pub(crate) fn take<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Option<EventIn<'a, D>> {
         match self.route(now, answer) {
-            Routed::Unasked => {
-                count(&mut self.counters.unasked);
+            Routed::Unsolicited => {
+                count(&mut self.counters.unsolicited);
                 None
             }
             Routed::Taken => None,
-            Routed::Noticed(notice) => Some(notice),
+            Routed::Event(event) => Some(event),
         }
     }
 
-    /// Lets time pass. Call again until it gives `None`.
-    pub fn tick(&mut self, now: Instant) -> Option<NoticeIn<'static, D>> {
+    /// Processes what is due at `now`, one event at a time. Call it again until it returns `None`.
+    pub fn tick(&mut self, now: Instant) -> Option<EventIn<'static, D>> {
         if let Link::Closing { farewell } = self.link {
             return Some(self.close_one(now, farewell));
         }
@@ -290,28 +289,28 @@ impl<D: Dialect> Engine<D> {
         }
         if let Some(report) = self.stop_report.take() {
             return Some(match report {
-                StopReport::Late => NoticeOf::Late(D::Request::STOP.name()),
-                StopReport::Unanswered => NoticeOf::Unanswered(D::Request::STOP.name()),
+                StopReport::Late => EventOf::Late(D::Request::STOP.name()),
+                StopReport::Unanswered => EventOf::Unanswered(D::Request::STOP.name()),
             });
         }
         if let Some(name) = self.dropped.take() {
-            return Some(NoticeOf::Unanswered(name));
+            return Some(EventOf::Unanswered(name));
         }
         if let Some(overtaken) = self.withdraw_overtaken() {
-            return Some(NoticeOf::Withdrawn(overtaken));
+            return Some(EventOf::Withdrawn(overtaken));
         }
         if let Some(name) = self.expire_running(now) {
-            return Some(NoticeOf::Unanswered(name));
+            return Some(EventOf::Unanswered(name));
         }
         self.advance(now);
         None
     }
 
-    /// The next request to send, which counts as sent now. `lent`: the caller has one of this name at hand.
+    /// The next request to send, which counts as sent now. `borrowed`: the caller has one of this name at hand.
     pub(crate) fn next_to_send(
         &mut self,
         now: Instant,
-        lent: Option<NameOf<D>>,
+        borrowed: Option<NameOf<D>>,
     ) -> Option<Outgoing<D::Request>> {
         if matches!(self.link, Link::Closing { .. } | Link::Ended) {
             return None; // What is open belongs to a connection that is over, and the caller is still to be told.
@@ -322,7 +321,7 @@ impl<D: Dialect> Engine<D> {
         }
         [&mut self.stop, &mut self.request, &mut self.refresh]
             .into_iter()
-            .find_map(|transaction| transaction.send(now, &self.timing, lent))
+            .find_map(|transaction| transaction.send(now, &self.timing, borrowed))
     }
 
     /// When [`tick`](Self::tick) must be called at the latest, if nothing else happens.
@@ -348,7 +347,7 @@ impl<D: Dialect> Engine<D> {
 
     /// Whether a FAST STOP was asked for and is not confirmed yet.
     #[must_use]
-    pub const fn owes_fast_stop(&self) -> bool {
+    pub const fn fast_stop_pending(&self) -> bool {
         !self.fast_stop.is_idle()
     }
 
@@ -365,8 +364,8 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// To whom an answer belongs.
-    fn route<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Routed<NoticeIn<'a, D>> {
-        let Some(name) = D::name(answer) else { return Routed::Unasked };
+    fn route<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Routed<EventIn<'a, D>> {
+        let Some(name) = D::name(answer) else { return Routed::Unsolicited };
         let status = D::status(answer);
         if let Some(value) = D::value(answer) {
             self.learn(now, &value);
@@ -374,7 +373,7 @@ impl<D: Dialect> Engine<D> {
         match D::role(answer) {
             Role::Update => self.route_update(name, answer),
             Role::Result => self.route_result(name, answer),
-            Role::Answer => self.route_answer(now, name, status, answer).unwrap_or(Routed::Unasked),
+            Role::Answer => self.route_answer(now, name, status, answer).unwrap_or(Routed::Unsolicited),
             Role::Any => match self.route_answer(now, name, status, answer) {
                 Some(routed) => routed,
                 None => self.route_update(name, answer),
@@ -383,22 +382,22 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// An update, for a caller who subscribed to it.
-    fn route_update<'a>(&self, name: NameOf<D>, answer: &D::Answer<'a>) -> Routed<NoticeIn<'a, D>> {
+    fn route_update<'a>(&self, name: NameOf<D>, answer: &D::Answer<'a>) -> Routed<EventIn<'a, D>> {
         match D::value(answer).filter(|_| self.subscriptions.wants(name)) {
-            Some(value) if self.is_connected() => Routed::Noticed(NoticeOf::Reported(value)),
+            Some(value) if self.is_connected() => Routed::Event(EventOf::Reported(value)),
             // It begins to come while the next step of connecting is being answered.
             Some(_) if D::role(answer) == Role::Update => Routed::Taken,
-            _ => Routed::Unasked,
+            _ => Routed::Unsolicited,
         }
     }
 
     /// The result of a command that has begun.
-    fn route_result<'a>(&mut self, name: NameOf<D>, answer: &D::Answer<'a>) -> Routed<NoticeIn<'a, D>> {
+    fn route_result<'a>(&mut self, name: NameOf<D>, answer: &D::Answer<'a>) -> Routed<EventIn<'a, D>> {
         if self.end_running(name) {
-            Routed::Noticed(NoticeOf::Answered(*answer))
+            Routed::Event(EventOf::Answered(*answer))
         } else {
             // Without E_CMD_PENDING before it, it is that of an earlier motion, late.
-            Routed::Unasked
+            Routed::Unsolicited
         }
     }
 
@@ -409,11 +408,11 @@ impl<D: Dialect> Engine<D> {
         name: NameOf<D>,
         status: Status,
         answer: &D::Answer<'a>,
-    ) -> Option<Routed<NoticeIn<'a, D>>> {
+    ) -> Option<Routed<EventIn<'a, D>>> {
         let answers_fast_stop = name == D::Request::FAST_STOP.name() && self.fast_stop.was_sent();
         // A FAST STOP is only done when the gripper says so.
         if answers_fast_stop && status != Status::Success {
-            return Some(Routed::Unasked);
+            return Some(Routed::Unsolicited);
         }
         if answers_fast_stop || (self.stop.awaits_answer(name) && status.is_final()) {
             if answers_fast_stop {
@@ -424,13 +423,13 @@ impl<D: Dialect> Engine<D> {
             if matches!(self.link, Link::Down { .. }) {
                 self.link = Link::Down { retry_at: None };
             }
-            return Some(Routed::Noticed(NoticeOf::Answered(*answer)));
+            return Some(Routed::Event(EventOf::Answered(*answer)));
         }
         if self.request.awaits_answer(name) && self.request.own().is_none_or(|own| D::fits(&own, answer)) {
             return Some(self.route_first_answer(now, name, status, answer));
         }
         if status.is_final() && self.end_running(name) {
-            return Some(Routed::Noticed(NoticeOf::Answered(*answer)));
+            return Some(Routed::Event(EventOf::Answered(*answer)));
         }
         let is_step = self.refresh.awaits_answer(name)
             && self.refresh.own().is_some_and(|own| D::fits(&own, answer))
@@ -445,16 +444,16 @@ impl<D: Dialect> Engine<D> {
         name: NameOf<D>,
         status: Status,
         answer: &D::Answer<'a>,
-    ) -> Routed<NoticeIn<'a, D>> {
+    ) -> Routed<EventIn<'a, D>> {
         if D::is_late_result(name, status, self.given_up == Some(name)) {
             self.given_up = None;
-            return Routed::Unasked;
+            return Routed::Unsolicited;
         }
         if status != Status::CmdPending {
             return self.finish_request(name, status, answer);
         }
         if !D::is_asynchronous(name) {
-            return Routed::Unasked;
+            return Routed::Unsolicited;
         }
         self.request.close();
         self.given_up = None;
@@ -462,7 +461,7 @@ impl<D: Dialect> Engine<D> {
         if let Some(place) = self.running.iter_mut().find(|place| place.is_none()) {
             *place = Some(Running { name, begun: now, still_since: None });
         }
-        Routed::Noticed(NoticeOf::Pending(name))
+        Routed::Event(EventOf::Pending(name))
     }
 
     /// The request is answered; a setting may have to be read back first.
@@ -471,13 +470,13 @@ impl<D: Dialect> Engine<D> {
         name: NameOf<D>,
         status: Status,
         answer: &D::Answer<'a>,
-    ) -> Routed<NoticeIn<'a, D>> {
+    ) -> Routed<EventIn<'a, D>> {
         let request = self.request.own();
         self.doubled = self.request.doubled().or(self.doubled);
         self.request.close();
         if let Some(setting) = self.reading_back.take() {
             let answer = D::read_back_answer(&setting, answer, &self.known);
-            return Routed::Noticed(NoticeOf::Answered(answer));
+            return Routed::Event(EventOf::Answered(answer));
         }
         if status == Status::Success
             && let Some(setting) = request
@@ -490,11 +489,11 @@ impl<D: Dialect> Engine<D> {
         if status == Status::Success && D::is_farewell(name) {
             self.link = Link::Closing { farewell: true };
         }
-        Routed::Noticed(NoticeOf::Answered(*answer))
+        Routed::Event(EventOf::Answered(*answer))
     }
 
     /// An answer to one of the session's own requests.
-    fn route_refresh<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Routed<NoticeIn<'a, D>> {
+    fn route_refresh<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Routed<EventIn<'a, D>> {
         if let Some(request) = self.refresh.own() {
             self.subscriptions.confirm(&request);
         }
@@ -509,10 +508,10 @@ impl<D: Dialect> Engine<D> {
                 } else {
                     self.link = Link::Up;
                     self.refresh_step = 0;
-                    Routed::Noticed(NoticeOf::Connected)
+                    Routed::Event(EventOf::Connected)
                 }
             }
-            _ => D::value(answer).map_or(Routed::Taken, |value| Routed::Noticed(NoticeOf::Reported(value))),
+            _ => D::value(answer).map_or(Routed::Taken, |value| Routed::Event(EventOf::Reported(value))),
         }
     }
 
@@ -581,25 +580,25 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Gives up the connection, one open thing after the other.
-    fn close_one(&mut self, now: Instant, farewell: bool) -> NoticeIn<'static, D> {
+    fn close_one(&mut self, now: Instant, farewell: bool) -> EventIn<'static, D> {
         self.known = D::Known::NOTHING;
         self.refresh.close();
         if let Some(name) = self.dropped.take() {
-            return NoticeOf::Unanswered(name);
+            return EventOf::Unanswered(name);
         }
         if let Some(running) = self.running.iter_mut().find_map(Option::take) {
             self.given_up = Some(running.name);
-            return NoticeOf::Unanswered(running.name);
+            return EventOf::Unanswered(running.name);
         }
         let setting = self.reading_back.take().map(|setting| setting.name());
         if let Some(name) = self.request.abandon() {
-            return NoticeOf::Unanswered(setting.unwrap_or(name));
+            return EventOf::Unanswered(setting.unwrap_or(name));
         }
         if let Some(name) = self.stop.abandon() {
-            return NoticeOf::Unanswered(name);
+            return EventOf::Unanswered(name);
         }
         if let Some(request) = self.queue.pop_front() {
-            return NoticeOf::Withdrawn(request.name());
+            return EventOf::Withdrawn(request.name());
         }
         self.stop_report = None;
         self.doubled = None;
@@ -610,7 +609,7 @@ impl<D: Dialect> Engine<D> {
             count(&mut self.counters.disconnects);
             self.link = Link::Down { retry_at: Some(now.plus(self.timing.reconnect_ms)) };
         }
-        NoticeOf::Disconnected
+        EventOf::Disconnected
     }
 
     /// Withdraws what a Stop, FAST STOP or Acknowledge has overtaken, one request after the other.
@@ -707,11 +706,11 @@ impl<D: Dialect> Engine<D> {
 /// To whom a reply belongs.
 enum Routed<T> {
     /// To nobody.
-    Unasked,
+    Unsolicited,
     /// To the session itself.
     Taken,
     /// To the caller.
-    Noticed(T),
+    Event(T),
 }
 
 const fn count(counter: &mut u16) {

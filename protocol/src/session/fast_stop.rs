@@ -85,7 +85,7 @@ impl FastStop {
         true
     }
 
-    /// Lets time pass.
+    /// Begins the next burst if it is due at `now`.
     pub(super) fn expire(&mut self, now: Instant) {
         if self.deadline().is_some_and(|until| now.has_reached(until)) {
             self.phase = self.burst();

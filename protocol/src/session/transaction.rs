@@ -9,8 +9,8 @@ use crate::time::Instant;
 pub(crate) enum Request<M: Message> {
     /// The session has it.
     Own(M),
-    /// The caller has it, and lends it when it is to be sent.
-    Lent(M::Name),
+    /// The caller keeps it, and passes it when it is to be sent.
+    Borrowed(M::Name),
     /// The caller had it, and is gone: it was sent, and will not be again.
     Orphan(M::Name),
 }
@@ -20,30 +20,30 @@ pub(crate) enum Request<M: Message> {
 pub(crate) enum Outgoing<M> {
     /// This one.
     Own(M),
-    /// The one that the caller lends.
-    Lent,
+    /// The one that the caller keeps.
+    Borrowed,
 }
 
 impl<M: Message> Request<M> {
     pub(super) fn name(&self) -> M::Name {
         match self {
             Self::Own(message) => message.name(),
-            Self::Lent(name) | Self::Orphan(name) => *name,
+            Self::Borrowed(name) | Self::Orphan(name) => *name,
         }
     }
 
     fn is_repeatable(&self) -> bool {
         match self {
             Self::Own(message) => message.is_repeatable(),
-            Self::Lent(name) | Self::Orphan(name) => name.is_repeatable(),
+            Self::Borrowed(name) | Self::Orphan(name) => name.is_repeatable(),
         }
     }
 
-    /// The request to send, if it is at hand. `lent`: the caller has one of this name.
-    fn outgoing(&self, lent: Option<M::Name>) -> Option<Outgoing<M>> {
+    /// The request to send, if it is at hand. `borrowed`: the caller has one of this name.
+    fn outgoing(&self, borrowed: Option<M::Name>) -> Option<Outgoing<M>> {
         match *self {
             Self::Own(message) => Some(Outgoing::Own(message)),
-            Self::Lent(name) => (lent == Some(name)).then_some(Outgoing::Lent),
+            Self::Borrowed(name) => (borrowed == Some(name)).then_some(Outgoing::Borrowed),
             Self::Orphan(_) => None,
         }
     }
@@ -65,7 +65,7 @@ pub(super) struct Transaction<M: Message> {
 /// What a time-out came to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Expired {
-    /// There was none, or nobody is left who asked.
+    /// No time-out, or the requester is gone.
     No,
     /// The request will be sent again.
     Repeated,
@@ -125,13 +125,13 @@ impl<M: Message> Transaction<M> {
         &mut self,
         now: Instant,
         timing: &Timing<M::Name>,
-        lent: Option<M::Name>,
+        borrowed: Option<M::Name>,
     ) -> Option<Outgoing<M>> {
         if self.deadline.is_some() {
             return None;
         }
         let request = self.request.as_ref()?;
-        let outgoing = request.outgoing(lent)?;
+        let outgoing = request.outgoing(borrowed)?;
         self.deadline = Some(now.plus(timing.reply_timeout(request.name())));
         self.sent = self.sent.saturating_add(1);
         Some(outgoing)
@@ -173,7 +173,7 @@ impl<M: Message> Transaction<M> {
         self.deadline.is_some_and(|deadline| now.has_reached(deadline))
     }
 
-    /// Lets time pass; a request that may be repeated is, up to `attempts` times in all.
+    /// Processes a time-out that is due at `now`: a request that may be repeated is, up to `attempts` times in all.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
         let Some(request) = self.request.as_ref().filter(|_| self.is_overdue(now)) else {
             return Expired::No;
@@ -215,9 +215,9 @@ impl<M: Message> Transaction<M> {
         is_this
     }
 
-    /// Whoever asked is gone: what was lent is not sent (again).
+    /// Whoever asked is gone: what was borrowed is not sent (again).
     pub(super) const fn orphan(&mut self) {
-        if let Some(Request::Lent(name)) = self.request {
+        if let Some(Request::Borrowed(name)) = self.request {
             if self.deadline.is_some() {
                 self.request = Some(Request::Orphan(name));
             } else {

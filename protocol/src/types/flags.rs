@@ -1,6 +1,6 @@
 //! Bit vectors: system state (appendix B), finger flags, and the flags of requests.
 
-use crate::field::{Refusal, fixed_field};
+use crate::field::{DecodeError, fixed_field};
 use bitflags::bitflags;
 
 bitflags! {
@@ -93,8 +93,8 @@ impl SystemFlags {
 macro_rules! bit_field {
     ($type:ident, $len:literal, $bits:ty, strict) => {
         fixed_field!($type, $len, |flags| flags.bits().to_le_bytes(), |bytes| {
-            Self::from_bits(<$bits>::from_le_bytes(bytes)).ok_or(Refusal::ReservedBits)
-        }, check |flags| if Self::all().contains(*flags) { Ok(()) } else { Err(Refusal::ReservedBits) });
+            Self::from_bits(<$bits>::from_le_bytes(bytes)).ok_or(DecodeError::ReservedBits)
+        }, check |flags| if Self::all().contains(*flags) { Ok(()) } else { Err(DecodeError::ReservedBits) });
         bit_field!(@text $type);
     };
     ($type:ident, $len:literal, $bits:ty, retain) => {

@@ -1,7 +1,7 @@
 //! Gripper state, homing direction, and the form of update requests.
 
 use super::UpdateFlags;
-use crate::field::{Refusal, fixed_field};
+use crate::field::{DecodeError, fixed_field};
 
 macro_rules! byte_enum {
     ($(#[$doc:meta])* $type:ident { $($(#[$item_doc:meta])* $code:literal $name:ident $text:literal;)* }) => {
@@ -42,7 +42,7 @@ macro_rules! byte_enum {
 
         fixed_field!($type, 1, |value| [value.code()], |bytes| {
             let [code] = bytes;
-            Self::from_code(code).ok_or(Refusal::UndefinedValue)
+            Self::from_code(code).ok_or(DecodeError::UndefinedValue)
         });
     };
 }
@@ -145,10 +145,10 @@ fixed_field!(
     },
     |bytes| {
         let [flags, low, high] = bytes;
-        let flags = UpdateFlags::from_bits(flags).ok_or(Refusal::ReservedBits)?;
+        let flags = UpdateFlags::from_bits(flags).ok_or(DecodeError::ReservedBits)?;
         Ok(Self { flags, period_ms: u16::from_le_bytes([low, high]) })
     },
     check
         | update
-        | if UpdateFlags::all().contains(update.flags) { Ok(()) } else { Err(Refusal::ReservedBits) }
+        | if UpdateFlags::all().contains(update.flags) { Ok(()) } else { Err(DecodeError::ReservedBits) }
 );

@@ -1,6 +1,6 @@
 //! Payloads of variable length: loop data, device tags, finger data; and the acknowledge key.
 
-use crate::field::{Field, Refusal, fixed_field};
+use crate::field::{DecodeError, Field, fixed_field};
 
 /// The key that acknowledges a FAST STOP: the letters `ack` (command set, 3.2.5).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -10,7 +10,7 @@ pub struct AckKey;
 fixed_field!(AckKey, 3, |_key| *b"ack", |bytes| if bytes == *b"ack" {
     Ok(Self)
 } else {
-    Err(Refusal::AckKey)
+    Err(DecodeError::AckKey)
 });
 
 impl core::fmt::Display for AckKey {
@@ -34,9 +34,9 @@ macro_rules! byte_run {
             /// These bytes.
             ///
             /// # Errors
-            /// [`Refusal::TooLong`]: more than [`MAX_LEN`](Self::MAX_LEN).
-            pub const fn new(bytes: &'a [u8]) -> Result<Self, Refusal> {
-                if bytes.len() > Self::MAX_LEN { Err(Refusal::TooLong) } else { Ok(Self(bytes)) }
+            /// [`DecodeError::TooLong`]: more than [`MAX_LEN`](Self::MAX_LEN).
+            pub const fn new(bytes: &'a [u8]) -> Result<Self, DecodeError> {
+                if bytes.len() > Self::MAX_LEN { Err(DecodeError::TooLong) } else { Ok(Self(bytes)) }
             }
 
             /// The bytes.
@@ -55,7 +55,7 @@ macro_rules! byte_run {
                 self.0.get(index).copied().unwrap_or(0)
             }
 
-            fn take(input: &mut &'a [u8]) -> Result<Self, Refusal> {
+            fn take(input: &mut &'a [u8]) -> Result<Self, DecodeError> {
                 Self::new(core::mem::take(input))
             }
         }
@@ -90,13 +90,13 @@ impl<'a> DeviceTag<'a> {
     /// This tag; trailing NUL characters are stripped.
     ///
     /// # Errors
-    /// [`Refusal::TagTooLong`], [`Refusal::Character`].
-    pub fn new(text: &'a str) -> Result<Self, Refusal> {
+    /// [`DecodeError::TagTooLong`], [`DecodeError::Character`].
+    pub fn new(text: &'a str) -> Result<Self, DecodeError> {
         let text = text.trim_end_matches('\0');
         if text.len() > Self::MAX_LEN {
-            Err(Refusal::TagTooLong)
+            Err(DecodeError::TagTooLong)
         } else if text.bytes().any(|byte| !(0x20..0x7F).contains(&byte)) {
-            Err(Refusal::Character)
+            Err(DecodeError::Character)
         } else {
             Ok(Self(text))
         }
@@ -118,8 +118,8 @@ impl<'a> Field<'a> for DeviceTag<'a> {
         self.0.as_bytes().get(index).copied().unwrap_or(0)
     }
 
-    fn take(input: &mut &'a [u8]) -> Result<Self, Refusal> {
-        Self::new(core::str::from_utf8(core::mem::take(input)).map_err(|_| Refusal::Character)?)
+    fn take(input: &mut &'a [u8]) -> Result<Self, DecodeError> {
+        Self::new(core::str::from_utf8(core::mem::take(input)).map_err(|_| DecodeError::Character)?)
     }
 }
 

@@ -24,7 +24,11 @@ fn dropping_a_call_at_any_moment_mixes_up_no_answers() {
             assert_eq!(client.stop(), Ok(()), "{polls}");
             assert_eq!(client.home(HomingDirection::Default), Ok(()), "{polls}");
             let counters = client.counters();
-            assert_eq!((counters.session.unasked, counters.session.refused), (0, 0), "{polls}: {counters:?}");
+            assert_eq!(
+                (counters.session.unsolicited, counters.session.refused),
+                (0, 0),
+                "{polls}: {counters:?}"
+            );
             assert_eq!(
                 (counters.line.dropped, counters.session.disconnects),
                 (0, 0),

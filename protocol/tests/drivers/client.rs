@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use wsg_protocol::driver::{
     self, Counters, Finger, Grip, MotionResult, OnBlock, Pending, Protocol, Update, asynch, blocking,
 };
-use wsg_protocol::session::{Known, Signal};
+use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
     AutoUpdate, CommandId, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics,
     HomingDirection, SystemFlags, SystemInfo, Temperature,
@@ -139,9 +139,9 @@ macro_rules! calls {
             fn is_connected(&self) -> bool;
             fn known(&self) -> Known;
             fn motion(&self) -> Option<CommandId>;
-            fn owes_fast_stop(&self) -> bool;
+            fn fast_stop_pending(&self) -> bool;
             fn counters(&self) -> Counters;
-            fn subscribe(&mut self, signal: Signal, update: AutoUpdate);
+            fn subscribe(&mut self, topic: Topic, update: AutoUpdate);
             /// Goes on with another connection to the same gripper.
             fn take_new_line(&mut self);
         }
@@ -191,16 +191,16 @@ macro_rules! calls {
             self.gripper.motion()
         }
 
-        fn owes_fast_stop(&self) -> bool {
-            self.gripper.owes_fast_stop()
+        fn fast_stop_pending(&self) -> bool {
+            self.gripper.fast_stop_pending()
         }
 
         fn counters(&self) -> Counters {
             self.gripper.counters()
         }
 
-        fn subscribe(&mut self, signal: Signal, update: AutoUpdate) {
-            self.gripper.subscribe(signal, update);
+        fn subscribe(&mut self, topic: Topic, update: AutoUpdate) {
+            self.gripper.subscribe(topic, update);
         }
 
         fn take_new_line(&mut self) {

@@ -1,10 +1,10 @@
 //! What is the same over both protocols and in both drivers.
 
 use wsg_protocol::driver::{Counters, Finger, Grip, OnBlock, Update};
-use wsg_protocol::session::{Known, Signal};
+use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
-    AutoUpdate, CommandId, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
-    HomingDirection, Refusal, Status, SystemFlags,
+    AutoUpdate, CommandId, DecodeError, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
+    HomingDirection, Status, SystemFlags,
 };
 use wsg_sim::{Config, Part, Tag};
 
@@ -189,7 +189,7 @@ fn fast_stop_aborts_and_locks_until_it_is_acknowledged<C: Client>() {
     let mut client = C::homed(Config::default());
     let motion = client.begin_grip(20.0, 20.0).unwrap();
     assert_eq!(client.fast_stop(), Ok(()));
-    assert!(!client.owes_fast_stop());
+    assert!(!client.fast_stop_pending());
     assert_eq!(client.wait(&motion), Err(Error::Aborted));
     assert!(client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
     let denied = Error::Refused(Status::AccessDenied);
@@ -205,7 +205,7 @@ fn fast_stop_that_is_not_confirmed_is_owed_until_it_is<C: Client>() {
     let bench = client.bench();
     bench.world(|world| (world.mute, world.deaf) = (true, true));
     assert_eq!(client.fast_stop(), Err(Error::Unanswered));
-    assert!(client.owes_fast_stop());
+    assert!(client.fast_stop_pending());
     assert_eq!(client.acknowledge(), Err(Error::NotConnected));
     bench.world(|world| (world.mute, world.deaf) = (false, false));
     let locked = |client: &C| {
@@ -214,7 +214,7 @@ fn fast_stop_that_is_not_confirmed_is_owed_until_it_is<C: Client>() {
     };
     assert!(!locked(&client));
     client.connect().unwrap();
-    assert!(!client.owes_fast_stop());
+    assert!(!client.fast_stop_pending());
     assert!(locked(&client), "it arrived after all, and nothing acknowledged it");
     assert_eq!(client.acknowledge(), Ok(()));
     assert!(!locked(&client));
@@ -331,7 +331,7 @@ fn garbage_is_counted_and_nothing_else<C: Client>() {
         counters.line.dropped
             + counters.line.bad_checksum
             + counters.session.refused
-            + counters.session.unasked
+            + counters.session.unsolicited
     };
     assert!(sum(after) > sum(before), "{after:?}");
     assert_eq!(client.known().info, known.info);
@@ -343,7 +343,7 @@ fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
     let mut client = C::homed(Config::default());
     let bench = client.bench();
     bench.world(|world| world.writes.clear());
-    let invalid = Error::Invalid(Refusal::NotFinite);
+    let invalid = Error::Invalid(DecodeError::NotFinite);
     assert_eq!(client.grip(f32::NAN, 50.0), Err(invalid));
     assert_eq!(client.move_to(50.0, f32::INFINITY, OnBlock::Stop), Err(invalid));
     assert_eq!(client.move_by(f32::NAN, 50.0, OnBlock::Stop), Err(invalid));
@@ -355,7 +355,7 @@ fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
 
 fn updates_come_while_the_fingers_travel<C: Client>() {
     let mut client = C::homed(Config::default());
-    client.subscribe(Signal::Width, AutoUpdate::every(10));
+    client.subscribe(Topic::Width, AutoUpdate::every(10));
     let motion = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
     let mut widths = vec![];
     while client.poll(&motion).unwrap().is_none() {
@@ -367,7 +367,7 @@ fn updates_come_while_the_fingers_travel<C: Client>() {
     assert!(widths.is_sorted_by(|one, other| one >= other));
     assert_near(client.known().width.unwrap(), 10.0);
 
-    client.subscribe(Signal::Width, AutoUpdate::once());
+    client.subscribe(Topic::Width, AutoUpdate::once());
     client.next_update(0).unwrap();
     client.bench().pass(100);
     while client.next_update(0).unwrap().is_some() {}

@@ -4,7 +4,7 @@ use crate::strategies::{answer, mutated, numbers, request, texts};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
 use wsg_protocol::Status;
-use wsg_protocol::gcl::Mistake::{
+use wsg_protocol::gcl::ParseError::{
     self, Form, Index, NoName, Range, Text, TooFew, TooLong, TooMany, UnknownName, Value,
 };
 use wsg_protocol::gcl::{Answer, Named, Refused, Request};
@@ -177,7 +177,7 @@ fn line_too_long_is_answered_by_the_name_that_it_began_with() {
 fn refusal_says_what_was_wrong_with_which_request() {
     let refused = Request::parse(b"move()").unwrap_err();
     let told = refused.to_string();
-    assert!(told.contains("MOVE") && told.contains(&Mistake::TooFew.to_string()), "{told}");
+    assert!(told.contains("MOVE") && told.contains(&ParseError::TooFew.to_string()), "{told}");
     let all = [NoName, UnknownName, Form, TooFew, TooMany, Range, Value, Index, TooLong, Text];
     let texts: BTreeSet<String> = all.iter().map(ToString::to_string).collect();
     assert!(texts.len() == all.len() && !texts.contains(""), "{texts:?}");
@@ -193,36 +193,36 @@ fn verbose_mode_adds_the_name_of_the_code() {
 #[test]
 fn what_is_no_answer_is_refused_with_its_reason() {
     for (line, mistake) in [
-        ("", Mistake::NoName),
-        ("20.0", Mistake::NoName),
-        ("HELLO=1", Mistake::UnknownName),
-        ("ACK", Mistake::Form),
-        ("ACKMOVE", Mistake::UnknownName),
-        ("ACK DANCE", Mistake::UnknownName),
-        ("ACK POS", Mistake::Form),
-        ("FIN STOP", Mistake::Form),
-        ("ACK MOVE now", Mistake::Form),
-        ("ERR 19", Mistake::Form),
-        ("ERR MOVE", Mistake::Form),
-        ("ERR MOVE x", Mistake::Form),
-        ("ERR MOVE 18x", Mistake::Form),
-        ("ERR MOVE 70000", Mistake::Range),
-        ("MOVE(50.0)", Mistake::Form),
-        ("POS?", Mistake::Form),
-        ("POS=", Mistake::Form),
-        ("POS=20.0 mm", Mistake::Form),
-        ("SN=4294967296", Mistake::Range),
-        ("TAG=left", Mistake::Form),
-        ("TAG=\"", Mistake::Form),
-        ("TAG=\"\u{1}\"", Mistake::Text),
-        ("VERSION=\"\u{7f}\"", Mistake::Text),
-        ("SYSFLAGS=[2]", Mistake::Value),
-        ("SYSFLAGS[32]=1", Mistake::Index),
-        ("GRIPSTATS=[1,2]", Mistake::Form),
-        ("GRIPSTATS=[1,65536,0]", Mistake::Range),
-        ("FDATA=[1.0]", Mistake::Form),
-        ("FDATA[0]=[1,[2]", Mistake::Form),
-        ("@SN=5", Mistake::Value),
+        ("", ParseError::NoName),
+        ("20.0", ParseError::NoName),
+        ("HELLO=1", ParseError::UnknownName),
+        ("ACK", ParseError::Form),
+        ("ACKMOVE", ParseError::UnknownName),
+        ("ACK DANCE", ParseError::UnknownName),
+        ("ACK POS", ParseError::Form),
+        ("FIN STOP", ParseError::Form),
+        ("ACK MOVE now", ParseError::Form),
+        ("ERR 19", ParseError::Form),
+        ("ERR MOVE", ParseError::Form),
+        ("ERR MOVE x", ParseError::Form),
+        ("ERR MOVE 18x", ParseError::Form),
+        ("ERR MOVE 70000", ParseError::Range),
+        ("MOVE(50.0)", ParseError::Form),
+        ("POS?", ParseError::Form),
+        ("POS=", ParseError::Form),
+        ("POS=20.0 mm", ParseError::Form),
+        ("SN=4294967296", ParseError::Range),
+        ("TAG=left", ParseError::Form),
+        ("TAG=\"", ParseError::Form),
+        ("TAG=\"\u{1}\"", ParseError::Text),
+        ("VERSION=\"\u{7f}\"", ParseError::Text),
+        ("SYSFLAGS=[2]", ParseError::Value),
+        ("SYSFLAGS[32]=1", ParseError::Index),
+        ("GRIPSTATS=[1,2]", ParseError::Form),
+        ("GRIPSTATS=[1,65536,0]", ParseError::Range),
+        ("FDATA=[1.0]", ParseError::Form),
+        ("FDATA[0]=[1,[2]", ParseError::Form),
+        ("@SN=5", ParseError::Value),
     ] {
         assert_eq!(Answer::parse(line.as_bytes()), Err(mistake), "{line}");
     }

@@ -2,7 +2,7 @@
 
 use wsg_protocol::gcl::{
     Answer, Autosend, CommandName, FingerReading, Grip, LineEvent, LineReader, Move, Named, Release, Request,
-    Select, Selected, Setting, Signal, Tare, Text, Value, Vector,
+    Select, Selected, Setting, Tare, Text, Topic, Value, Vector,
 };
 use wsg_protocol::{
     DeviceTag, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState, GrippingStatistics,
@@ -162,13 +162,13 @@ fn fewer_flags_than_the_manual_allows_are_understood_and_more_are_not() {
 
 #[test]
 fn autosend_of_chapter_3_1_7() {
-    let every = Autosend::every(Signal::Pos, 10);
+    let every = Autosend::every(Topic::Pos, 10);
     request("AUTOSEND(\"POS\",10)", Request::Autosend(every), "AUTOSEND(\"POS\",10)");
-    let by_two = Autosend::by(Signal::Pos, 10, 2.0);
+    let by_two = Autosend::by(Topic::Pos, 10, 2.0);
     request("AUTOSEND(\"POS\",10, 2)", Request::Autosend(by_two), "AUTOSEND(\"POS\",10,2.0)");
-    let on_change = Autosend::on_change(Signal::Sysflags, 20);
+    let on_change = Autosend::on_change(Topic::Sysflags, 20);
     request("AUTOSEND(\"sysflags\",20, 1)", Request::Autosend(on_change), "AUTOSEND(\"SYSFLAGS\",20,1)");
-    let off = Autosend::off(Signal::Temp);
+    let off = Autosend::off(Topic::Temp);
     request("AUTOSEND(\"TEMP\",0)", Request::Autosend(off), "AUTOSEND(\"TEMP\",0)");
     answer("ACK AUTOSEND", Answer::Ack(CommandName::Autosend));
     answer("@POS=20.0", Answer::Update(Value::Pos(20.0)));
@@ -183,9 +183,8 @@ fn autosend_of_chapter_3_1_7() {
 
 #[test]
 fn every_signal_can_be_subscribed_to_in_every_way_that_suits_it() {
-    for signal in Signal::ALL {
-        for autosend in [Autosend::every(signal, 10), Autosend::on_change(signal, 10), Autosend::off(signal)]
-        {
+    for topic in Topic::ALL {
+        for autosend in [Autosend::every(topic, 10), Autosend::on_change(topic, 10), Autosend::off(topic)] {
             let written = Request::Autosend(autosend).to_string();
             assert_eq!(Request::parse(written.as_bytes()), Ok(Request::Autosend(autosend)), "{written}");
         }

@@ -3,8 +3,8 @@
 use crate::strategies::{answer, number, numbers, request, texts};
 use proptest::prelude::*;
 use wsg_protocol::gcl::{
-    Answer, Autosend, Filter, FingerReading, Grip, LineError, Mistake, Move, Release, Request, Select,
-    Selected, Setting, Signal, Tare, Value,
+    Answer, Autosend, Filter, FingerReading, Grip, LineError, Move, ParseError, Release, Request, Select,
+    Selected, Setting, Tare, Topic, Value,
 };
 
 proptest! {
@@ -76,40 +76,40 @@ fn longest_request_has_the_announced_length_at_most() {
 fn what_the_other_side_would_refuse_is_not_written() {
     let mut buffer = [0; 256];
     for (request, mistake) in [
-        (Request::Move(Move { width: f32::NAN, speed: None }), Mistake::Range),
-        (Request::Move(Move { width: 1.0, speed: Some(f32::INFINITY) }), Mistake::Range),
-        (Request::Grip(Grip::Force { force: f32::NAN }), Mistake::Range),
-        (Request::Release(Release::ByAtSpeed { distance: 1.0, speed: f32::INFINITY }), Mistake::Range),
-        (Request::Clt(Setting::Set(f32::NAN)), Mistake::Range),
-        (Request::Sysflags(Select::One(32)), Mistake::Index),
-        (Request::Fdata(Select::One(2)), Mistake::Index),
-        (Request::Tare(Tare::Finger(2)), Mistake::Index),
-        (Request::Autosend(Autosend::by(Signal::Sysflags, 10, 1.0)), Mistake::Value),
-        (Request::Autosend(Autosend::by(Signal::Pos, 10, -1.0)), Mistake::Value),
+        (Request::Move(Move { width: f32::NAN, speed: None }), ParseError::Range),
+        (Request::Move(Move { width: 1.0, speed: Some(f32::INFINITY) }), ParseError::Range),
+        (Request::Grip(Grip::Force { force: f32::NAN }), ParseError::Range),
+        (Request::Release(Release::ByAtSpeed { distance: 1.0, speed: f32::INFINITY }), ParseError::Range),
+        (Request::Clt(Setting::Set(f32::NAN)), ParseError::Range),
+        (Request::Sysflags(Select::One(32)), ParseError::Index),
+        (Request::Fdata(Select::One(2)), ParseError::Index),
+        (Request::Tare(Tare::Finger(2)), ParseError::Index),
+        (Request::Autosend(Autosend::by(Topic::Sysflags, 10, 1.0)), ParseError::Value),
+        (Request::Autosend(Autosend::by(Topic::Pos, 10, -1.0)), ParseError::Value),
         (
             Request::Autosend(Autosend {
-                signal: Signal::Pos,
+                topic: Topic::Pos,
                 interval_ms: 10,
                 filter: Filter::Unchanged(true),
             }),
-            Mistake::Value,
+            ParseError::Value,
         ),
     ] {
         assert_eq!(request.check(), Err(mistake), "{request}");
         assert_eq!(request.write_line_into(&mut buffer), Err(LineError::Invalid(mistake)), "{request}");
     }
     let ack = Answer::Ack(wsg_protocol::gcl::CommandName::Pos);
-    assert_eq!(ack.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Form)));
+    assert_eq!(ack.write_line_into(&mut buffer), Err(LineError::Invalid(ParseError::Form)));
     let fin = Answer::Fin(wsg_protocol::gcl::CommandName::Stop);
-    assert_eq!(fin.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Form)));
+    assert_eq!(fin.write_line_into(&mut buffer), Err(LineError::Invalid(ParseError::Form)));
     let update = Answer::Update(Value::Sn(1));
-    assert_eq!(update.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Value)));
+    assert_eq!(update.write_line_into(&mut buffer), Err(LineError::Invalid(ParseError::Value)));
     for value in [f32::NAN, f32::NEG_INFINITY] {
         for answer in [Value::Pos(value), Value::Fdata(Selected::One(0, FingerReading::Number(value)))] {
             let refused = Answer::Value(answer).write_line_into(&mut buffer);
-            assert_eq!(refused, Err(LineError::Invalid(Mistake::Range)), "{answer}");
+            assert_eq!(refused, Err(LineError::Invalid(ParseError::Range)), "{answer}");
         }
     }
     let third = Answer::Value(Value::Fdata(Selected::One(2, FingerReading::Number(1.0))));
-    assert_eq!(third.write_line_into(&mut buffer), Err(LineError::Invalid(Mistake::Index)));
+    assert_eq!(third.write_line_into(&mut buffer), Err(LineError::Invalid(ParseError::Index)));
 }

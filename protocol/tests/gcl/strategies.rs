@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use wsg_protocol::gcl::{
     Answer, Autosend, CommandName, Description, Filter, FingerReading, Grip, Move, Named, Release, Request,
-    Select, Selected, Setting, Signal, Tare, Text, Value, Vector,
+    Select, Selected, Setting, Tare, Text, Topic, Value, Vector,
 };
 use wsg_protocol::{
     DeviceTag, FingerFlags, GripperState, GrippingStatistics, HomingDirection, Status, SystemFlags,
@@ -27,14 +27,14 @@ fn setting() -> impl Strategy<Value = Setting> {
 }
 
 fn autosend() -> impl Strategy<Value = Autosend> {
-    (any_of(&Signal::ALL), any::<u32>(), proptest::option::of((number(), any::<bool>()))).prop_map(
-        |(signal, interval_ms, filter)| {
+    (any_of(&Topic::ALL), any::<u32>(), proptest::option::of((number(), any::<bool>()))).prop_map(
+        |(topic, interval_ms, filter)| {
             let filter = match filter {
                 None => Filter::None,
-                Some((delta, _)) if signal.is_measured() => Filter::Delta(delta.abs()),
+                Some((delta, _)) if topic.is_measured() => Filter::Delta(delta.abs()),
                 Some((_, unchanged)) => Filter::Unchanged(unchanged),
             };
-            Autosend { signal, interval_ms, filter }
+            Autosend { topic, interval_ms, filter }
         },
     )
 }

@@ -1,4 +1,4 @@
-//! Masters of Modbus and CANopen that nobody here wrote: `mbpoll` from Debian, the others from PyPI in a virtual environment of their
+//! Third-party masters of Modbus and CANopen: `mbpoll` from Debian, the others from PyPI in a virtual environment of their
 //! own. Only `test` asks for them. What cannot be had is no failure: `test` leaves its tests out, and says so.
 
 use std::{

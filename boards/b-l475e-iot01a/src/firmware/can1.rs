@@ -17,10 +17,10 @@ const BEFORE_SAMPLE: u32 = 13;
 const BEHIND_SAMPLE: u32 = 2;
 const QUANTA: u32 = 1 + BEFORE_SAMPLE + BEHIND_SAMPLE;
 const _: () = assert!((1 + BEFORE_SAMPLE) * 1_000 / QUANTA == 875);
-/// By how many quanta a bit may be made longer or shorter to stay in step.
+/// By how many time quanta a bit may be made longer or shorter to stay in step.
 const JUMP: u32 = 2;
 
-/// What the clock is divided by for a rate of a thousand quanta a second; a bus of N kbit/s takes an N-th.
+/// What the clock is divided by for a rate of a thousand time quanta a second; a bus of N kbit/s takes an N-th.
 const PRESCALER_AT_1_KBIT: u32 = HCLK_HZ / 1_000 / QUANTA;
 const _: () = assert!(PRESCALER_AT_1_KBIT * 1_000 * QUANTA == HCLK_HZ);
 const _: () = assert!(PRESCALER_AT_1_KBIT.is_multiple_of(1_000), "the clock divides to all four rates");

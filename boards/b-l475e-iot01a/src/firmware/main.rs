@@ -18,7 +18,6 @@ mod bus;
 mod can1;
 mod clock;
 mod log;
-mod not_ready;
 mod pins;
 mod reset;
 mod settings;
@@ -27,6 +26,7 @@ mod slcan_uart;
 mod tick;
 mod uart;
 mod watchdog;
+mod would_block;
 
 use core::panic::PanicInfo;
 

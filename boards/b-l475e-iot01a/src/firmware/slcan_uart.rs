@@ -9,7 +9,7 @@ use wsg_bridge_fw::byte_queue::ByteQueue;
 use wsg_bridge_fw::can::{CanConfig, SlcanPort};
 
 use crate::clock::HCLK_HZ;
-use crate::not_ready::{NotReady, moved};
+use crate::would_block::{WouldBlock, moved};
 
 const BAUD: u32 = 115_200;
 const DIVIDER: u32 = (HCLK_HZ + BAUD / 2) / BAUD;
@@ -55,17 +55,17 @@ pub(crate) fn has_received() -> bool {
 }
 
 impl ErrorType for Line {
-    type Error = NotReady;
+    type Error = WouldBlock;
 }
 
 impl ReadReady for Line {
-    fn read_ready(&mut self) -> Result<bool, NotReady> {
+    fn read_ready(&mut self) -> Result<bool, WouldBlock> {
         Ok(has_received())
     }
 }
 
 impl Read for Line {
-    fn read(&mut self, buf: &mut [u8]) -> Result<usize, NotReady> {
+    fn read(&mut self, buf: &mut [u8]) -> Result<usize, WouldBlock> {
         let was_full = RECEIVED.is_full();
         let count = buf.iter_mut().map_while(|place| RECEIVED.pop().map(|byte| *place = byte)).count();
         if was_full && count > 0 {
@@ -76,21 +76,21 @@ impl Read for Line {
 }
 
 impl WriteReady for Line {
-    fn write_ready(&mut self) -> Result<bool, NotReady> {
+    fn write_ready(&mut self) -> Result<bool, WouldBlock> {
         Ok(!TO_SEND.is_full())
     }
 }
 
 impl Write for Line {
-    fn write(&mut self, buf: &[u8]) -> Result<usize, NotReady> {
+    fn write(&mut self, buf: &[u8]) -> Result<usize, WouldBlock> {
         let taken = buf.iter().map_while(|&byte| TO_SEND.push(byte).ok()).count();
         // The handler alone switches interrupts, so main loop and handler never change the same register.
         NVIC::pend(Interrupt::UART5);
         moved(taken, buf)
     }
 
-    fn flush(&mut self) -> Result<(), NotReady> {
-        if TO_SEND.is_empty() { Ok(()) } else { Err(NotReady) }
+    fn flush(&mut self) -> Result<(), WouldBlock> {
+        if TO_SEND.is_empty() { Ok(()) } else { Err(WouldBlock) }
     }
 }
 

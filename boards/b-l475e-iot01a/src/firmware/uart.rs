@@ -10,7 +10,7 @@ use wsg_protocol::Command;
 use wsg_protocol::frame::OVERHEAD;
 
 use crate::clock::HCLK_HZ;
-use crate::not_ready::{NotReady, moved};
+use crate::would_block::{WouldBlock, moved};
 
 const BAUD: u32 = 115_200;
 const DIVIDER: u32 = (HCLK_HZ + BAUD / 2) / BAUD;
@@ -47,7 +47,7 @@ pub(crate) struct Lost {
 /// The bridge's end of the line to the gripper. There is one value of it; nothing comes and goes before [`start`].
 ///
 /// Nothing here waits. [`Read::read`], [`Write::write`] and [`Write::flush`] do what can be done at
-/// once, and are [`NotReady`] where they would have to wait; after [`ReadReady::read_ready`] or
+/// once, and are [`WouldBlock`] where they would have to wait; after [`ReadReady::read_ready`] or
 /// [`WriteReady::write_ready`] said yes, reading or writing succeeds. What the line loses is counted
 /// in [`LOST`] and left to the frames' checksums; reception goes on.
 pub(crate) struct GripperLine(());
@@ -82,29 +82,29 @@ pub(crate) fn has_received() -> bool {
 }
 
 impl ErrorType for GripperLine {
-    type Error = NotReady;
+    type Error = WouldBlock;
 }
 
 impl ReadReady for GripperLine {
-    fn read_ready(&mut self) -> Result<bool, NotReady> {
+    fn read_ready(&mut self) -> Result<bool, WouldBlock> {
         Ok(has_received())
     }
 }
 
 impl Read for GripperLine {
-    fn read(&mut self, buf: &mut [u8]) -> Result<usize, NotReady> {
+    fn read(&mut self, buf: &mut [u8]) -> Result<usize, WouldBlock> {
         moved(buf.iter_mut().map_while(|place| RECEIVED.pop().map(|byte| *place = byte)).count(), buf)
     }
 }
 
 impl WriteReady for GripperLine {
-    fn write_ready(&mut self) -> Result<bool, NotReady> {
+    fn write_ready(&mut self) -> Result<bool, WouldBlock> {
         Ok(!TO_SEND.is_full())
     }
 }
 
 impl Write for GripperLine {
-    fn write(&mut self, buf: &[u8]) -> Result<usize, NotReady> {
+    fn write(&mut self, buf: &[u8]) -> Result<usize, WouldBlock> {
         let taken = buf.iter().map_while(|&byte| TO_SEND.push(byte).ok()).count();
         // The handler alone switches the transmit interrupt, so main loop and handler never change
         // the same register.
@@ -112,8 +112,8 @@ impl Write for GripperLine {
         moved(taken, buf)
     }
 
-    fn flush(&mut self) -> Result<(), NotReady> {
-        if TO_SEND.is_empty() && UART4.isr().read().tc() { Ok(()) } else { Err(NotReady) }
+    fn flush(&mut self) -> Result<(), WouldBlock> {
+        if TO_SEND.is_empty() && UART4.isr().read().tc() { Ok(()) } else { Err(WouldBlock) }
     }
 }
 

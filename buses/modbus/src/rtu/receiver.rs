@@ -26,7 +26,7 @@ pub enum Mode {
     /// the line was silent for so long, in microseconds.
     Tolerant {
         /// The longest pause inside a frame for this unit.
-        patience_us: u32,
+        character_timeout_us: u32,
     },
 }
 
@@ -201,7 +201,9 @@ impl Receiver {
         }
         match self.mode {
             Mode::Strict => true,
-            Mode::Tolerant { patience_us } => silence_us >= patience_us || !self.may_go_on(),
+            Mode::Tolerant { character_timeout_us } => {
+                silence_us >= character_timeout_us || !self.may_go_on()
+            }
         }
     }
 

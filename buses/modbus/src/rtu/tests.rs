@@ -9,9 +9,10 @@ use std::vec::Vec;
 
 const TIMING: Timing = Timing::of(19_200, 11);
 const UNIT: u8 = 5;
-const PATIENCE_US: u32 = 20_000;
+const CHARACTER_TIMEOUT_US: u32 = 20_000;
 const STRICT: Config = Config { unit: UNIT, mode: Mode::Strict, broadcast: true };
-const TOLERANT: Config = Config { mode: Mode::Tolerant { patience_us: PATIENCE_US }, ..STRICT };
+const TOLERANT: Config =
+    Config { mode: Mode::Tolerant { character_timeout_us: CHARACTER_TIMEOUT_US }, ..STRICT };
 
 fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     let mut frame = [&[unit], pdu].concat();
@@ -138,15 +139,15 @@ fn tolerant_mode_waits_for_the_rest_of_a_request_for_this_unit() {
     for cut in 1..request.len() {
         let mut bus = Bus::new(TOLERANT);
         bus.send(&request[..cut]);
-        bus.silence(PATIENCE_US - 1);
-        bus.send_after(PATIENCE_US - 1, &request[cut..]);
+        bus.silence(CHARACTER_TIMEOUT_US - 1);
+        bus.send_after(CHARACTER_TIMEOUT_US - 1, &request[cut..]);
         bus.silence(TIMING.t3_5_us);
         assert_eq!(bus.answers, [frame(UNIT, &[16, 0, 1, 0, 2])], "cut at {cut}");
 
         let mut bus = Bus::new(TOLERANT);
         bus.send(&request[..cut]);
-        bus.send_after(PATIENCE_US, &request[cut..]);
-        bus.silence(PATIENCE_US);
+        bus.send_after(CHARACTER_TIMEOUT_US, &request[cut..]);
+        bus.silence(CHARACTER_TIMEOUT_US);
         assert_eq!(bus.answers.len(), 0, "cut at {cut}");
         assert!(bus.plant.tables.take_written().is_none());
     }
@@ -162,8 +163,8 @@ fn tolerant_mode_waits_for_the_rest_of_every_function_known_or_not() {
         for cut in 1..request.len() {
             let mut bus = Bus::new(TOLERANT);
             bus.send(&request[..cut]);
-            bus.silence(PATIENCE_US - 1);
-            bus.send_after(PATIENCE_US - 1, &request[cut..]);
+            bus.silence(CHARACTER_TIMEOUT_US - 1);
+            bus.send_after(CHARACTER_TIMEOUT_US - 1, &request[cut..]);
             bus.silence(TIMING.t3_5_us);
             assert_eq!(bus.answers, core::slice::from_ref(&answer), "{pdu:?} cut at {cut}");
         }
@@ -217,7 +218,7 @@ fn two_bytes_are_no_frame_although_their_checksum_is_right() {
     for config in [STRICT, TOLERANT] {
         let mut bus = Bus::new(config);
         bus.send(&[0xFF, 0xFF]);
-        bus.silence(PATIENCE_US);
+        bus.silence(CHARACTER_TIMEOUT_US);
         assert_eq!((bus.answers.len(), &bus.others[..]), (0, &["length"][..]));
     }
 }
@@ -239,7 +240,7 @@ fn half_a_frame_is_none() {
         for len in 1..request.len() {
             let mut bus = Bus::new(config);
             bus.send(&request[..len]);
-            bus.silence(PATIENCE_US);
+            bus.silence(CHARACTER_TIMEOUT_US);
             assert_eq!(bus.answers.len(), 0);
             assert!(bus.plant.tables.take_written().is_none(), "{len} bytes");
         }
@@ -474,7 +475,7 @@ fn longer_frames_than_the_buffer_cannot_hide_a_right_checksum() {
     long.push(0);
     let mut bus = Bus::new(TOLERANT);
     bus.send(&long);
-    bus.silence(PATIENCE_US);
+    bus.silence(CHARACTER_TIMEOUT_US);
     assert_eq!(bus.others, ["length"]);
 }
 

@@ -2,14 +2,14 @@
 
 use crate::command::{Command, CommandId};
 use crate::driver::Error;
-use crate::field::Refusal;
-use crate::gcl::session::{self as lines, Notice as LineNotice};
+use crate::field::DecodeError;
+use crate::gcl::session::{self as lines, Event as GclEvent};
 use crate::gcl::{
-    Answer, Autosend, CommandName, FingerReading, Grip, Move, Release, Request, Select, Selected,
-    Signal as LineSignal, Tare, Value as LineValue,
+    Answer, Autosend, CommandName, FingerReading, Grip, Move, Release, Request, Select, Selected, Tare,
+    Topic as LineTopic, Value as LineValue,
 };
 use crate::reply::{Reply, Value};
-use crate::session::{self, Known, Notice, Signal};
+use crate::session::{self, Event, Known, Topic};
 use crate::types::{
     AutoUpdate, DeviceType, FingerData, FingerInfo, FingerType, FirmwareVersion, PrePositionFlags, Status,
     SystemInfo, Temperature, UpdateFlags,
@@ -66,7 +66,7 @@ impl Terms {
                 let opening = width - current?;
                 let distance = if self.outward { -opening } else { opening };
                 if !distance.is_finite() {
-                    return Err(Error::Invalid(Refusal::NotFinite));
+                    return Err(Error::Invalid(DecodeError::NotFinite));
                 }
                 if distance < 0.0 {
                     return Err(Error::NotInGcl);
@@ -149,55 +149,50 @@ impl Terms {
         })
     }
 
-    /// Calls `note` with what a notice says, if the binary protocol has words for it.
-    pub(super) fn tell(
-        &mut self,
-        notice: &LineNotice<'_>,
-        known: &Known,
-        note: &mut impl FnMut(&Notice<'_>),
-    ) {
-        match notice {
-            LineNotice::Answered(answer) => self.tell_answer(answer, known, note),
-            LineNotice::Reported(value) => self.with_value(value, known, |value| {
+    /// Calls `note` with what an event says, if the binary protocol has words for it.
+    pub(super) fn tell(&mut self, event: &GclEvent<'_>, known: &Known, note: &mut impl FnMut(&Event<'_>)) {
+        match event {
+            GclEvent::Answered(answer) => self.tell_answer(answer, known, note),
+            GclEvent::Reported(value) => self.with_value(value, known, |value| {
                 if let Some(value) = value {
-                    note(&Notice::Reported(value));
+                    note(&Event::Reported(value));
                 }
             }),
             other => {
-                if let Some(notice) = self.of_time(other) {
-                    note(&notice);
+                if let Some(event) = self.of_time(other) {
+                    note(&event);
                 }
             }
         }
     }
 
-    /// What a notice says that carries no answer.
-    pub(super) fn of_time(&mut self, notice: &LineNotice<'_>) -> Option<Notice<'static>> {
-        match *notice {
-            LineNotice::Connected => Some(Notice::Connected),
-            LineNotice::Disconnected => Some(Notice::Disconnected),
-            LineNotice::Pending(name) => {
+    /// What an event says that carries no answer.
+    pub(super) fn of_time(&mut self, event: &GclEvent<'_>) -> Option<Event<'static>> {
+        match *event {
+            GclEvent::Connected => Some(Event::Connected),
+            GclEvent::Disconnected => Some(Event::Disconnected),
+            GclEvent::Pending(name) => {
                 if name == CommandName::Grip {
                     self.outward = self.asked_outward;
                 }
-                self.id(name).map(Notice::Pending)
+                self.id(name).map(Event::Pending)
             }
-            LineNotice::Unanswered(name) => self.id(name).map(Notice::Unanswered),
-            LineNotice::Late(name) => self.id(name).map(Notice::Late),
-            LineNotice::Withdrawn(name) => self.id(name).map(Notice::Withdrawn),
-            LineNotice::Answered(_) | LineNotice::Reported(_) => None,
+            GclEvent::Unanswered(name) => self.id(name).map(Event::Unanswered),
+            GclEvent::Late(name) => self.id(name).map(Event::Late),
+            GclEvent::Withdrawn(name) => self.id(name).map(Event::Withdrawn),
+            GclEvent::Answered(_) | GclEvent::Reported(_) => None,
         }
     }
 
-    fn tell_answer(&self, answer: &Answer<'_>, known: &Known, note: &mut impl FnMut(&Notice<'_>)) {
+    fn tell_answer(&self, answer: &Answer<'_>, known: &Known, note: &mut impl FnMut(&Event<'_>)) {
         let Some(id) = answer.name().command().and_then(|name| self.id(name)) else { return };
         match answer {
             Answer::Value(value) => self.with_value(value, known, |value| {
                 // What the binary protocol has no form for, such as the data of a tactile finger.
                 let unsaid = Reply::status_only(id, Status::NotAvailable);
-                note(&Notice::Answered(value.map_or(unsaid, Reply::success)));
+                note(&Event::Answered(value.map_or(unsaid, Reply::success)));
             }),
-            _ => note(&Notice::Answered(Reply::status_only(id, answer.status()))),
+            _ => note(&Event::Answered(Reply::status_only(id, answer.status()))),
         }
     }
 
@@ -293,13 +288,13 @@ pub(super) const fn session_config(config: &session::Config) -> lines::Config {
 }
 
 /// The same subscription.
-pub(super) const fn autosend(signal: Signal, update: AutoUpdate) -> Autosend {
-    let signal = match signal {
-        Signal::SystemState => LineSignal::Sysflags,
-        Signal::GripperState => LineSignal::Gripstate,
-        Signal::Width => LineSignal::Pos,
-        Signal::Speed => LineSignal::Speed,
-        Signal::Force => LineSignal::Force,
+pub(super) const fn autosend(topic: Topic, update: AutoUpdate) -> Autosend {
+    let topic = match topic {
+        Topic::SystemState => LineTopic::Sysflags,
+        Topic::GripperState => LineTopic::Gripstate,
+        Topic::Width => LineTopic::Pos,
+        Topic::Speed => LineTopic::Speed,
+        Topic::Force => LineTopic::Force,
     };
     let interval_ms = if (update.period_ms as u32) < Autosend::MIN_INTERVAL_MS {
         Autosend::MIN_INTERVAL_MS
@@ -307,11 +302,11 @@ pub(super) const fn autosend(signal: Signal, update: AutoUpdate) -> Autosend {
         update.period_ms as u32
     };
     if !update.flags.contains(UpdateFlags::AUTOMATIC) {
-        Autosend::off(signal)
+        Autosend::off(topic)
     } else if update.flags.contains(UpdateFlags::ON_CHANGE) {
-        Autosend::on_change(signal, interval_ms)
+        Autosend::on_change(topic, interval_ms)
     } else {
-        Autosend::every(signal, interval_ms)
+        Autosend::every(topic, interval_ms)
     }
 }
 

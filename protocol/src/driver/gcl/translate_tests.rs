@@ -29,12 +29,12 @@ fn settings_of_a_session_are_the_same_over_gcl() {
 fn subscriptions_are_the_same_but_no_faster_than_gcl_allows() {
     let least = Autosend::MIN_INTERVAL_MS;
     for (period_ms, interval_ms) in [(1, least), (10, 10), (11, 11), (500, 500)] {
-        let every = autosend(Signal::Width, AutoUpdate::every(period_ms));
-        assert_eq!(every, Autosend::every(LineSignal::Pos, interval_ms));
-        let on_change = autosend(Signal::SystemState, AutoUpdate::on_change(period_ms));
-        assert_eq!(on_change, Autosend::on_change(LineSignal::Sysflags, interval_ms));
+        let every = autosend(Topic::Width, AutoUpdate::every(period_ms));
+        assert_eq!(every, Autosend::every(LineTopic::Pos, interval_ms));
+        let on_change = autosend(Topic::SystemState, AutoUpdate::on_change(period_ms));
+        assert_eq!(on_change, Autosend::on_change(LineTopic::Sysflags, interval_ms));
     }
-    assert_eq!(autosend(Signal::Force, AutoUpdate::once()), Autosend::off(LineSignal::Force));
+    assert_eq!(autosend(Topic::Force, AutoUpdate::once()), Autosend::off(LineTopic::Force));
 }
 
 #[test]

@@ -6,110 +6,110 @@ use crate::Command;
 #[test]
 fn dropping_at_any_moment_loses_no_byte_and_no_step() {
     for polls in 0..130 {
-        let desk = Desk::new();
-        let mut gripper = connected_async(&desk);
-        let dropped = desk.run_for(polls, gripper.grip(20.0, 50.0)).is_none();
+        let rig = Rig::new();
+        let mut gripper = connected_async(&rig);
+        let dropped = rig.run_for(polls, gripper.grip(20.0, 50.0)).is_none();
         assert_eq!(dropped, polls < 101, "{polls}");
-        assert_eq!(desk.run(gripper.width()), Ok(42.5), "{polls}");
-        assert_eq!(desk.run(gripper.set_force_limit(33.0)), Ok(()), "{polls}");
-        assert_eq!(desk.run(gripper.force_limit()), Ok(33.0), "{polls}");
-        desk.pass(200);
-        assert_eq!(desk.run(gripper.home(HomingDirection::Default)), Ok(()), "{polls}");
+        assert_eq!(rig.run(gripper.width()), Ok(42.5), "{polls}");
+        assert_eq!(rig.run(gripper.set_force_limit(33.0)), Ok(()), "{polls}");
+        assert_eq!(rig.run(gripper.force_limit()), Ok(33.0), "{polls}");
+        rig.pass(200);
+        assert_eq!(rig.run(gripper.home(HomingDirection::Default)), Ok(()), "{polls}");
         let counters = gripper.counters();
-        assert_eq!((counters.line.dropped, counters.session.unasked), (0, 0), "{polls}");
+        assert_eq!((counters.line.dropped, counters.session.unsolicited), (0, 0), "{polls}");
         assert_eq!(counters.session.disconnects, 0, "{polls}");
     }
 }
 
 #[test]
 fn motion_that_had_not_left_does_not_leave_any_more() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
-    desk.world(|world| world.room = 0);
-    assert_eq!(desk.run_for(5, gripper.grip(20.0, 50.0)), None);
-    desk.world(|world| world.room = usize::MAX);
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    rig.world(|world| world.room = 0);
+    assert_eq!(rig.run_for(5, gripper.grip(20.0, 50.0)), None);
+    rig.world(|world| world.room = usize::MAX);
     assert!(gripper.motion().is_some(), "it still waits for the line");
-    assert_eq!(desk.run(gripper.width()), Ok(42.5));
-    assert_eq!(desk.heard(CommandId::GripPart), 0);
+    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert_eq!(rig.heard(CommandId::GripPart), 0);
     assert_eq!(gripper.motion(), None);
-    assert_eq!(desk.run(gripper.home(HomingDirection::Default)), Ok(()));
+    assert_eq!(rig.run(gripper.home(HomingDirection::Default)), Ok(()));
 }
 
 #[test]
 fn frame_that_was_cut_off_is_sent_to_its_end() {
     for room in 1..16 {
-        let desk = Desk::new();
-        let mut gripper = connected_async(&desk);
-        desk.world(|world| world.room = room);
-        assert_eq!(desk.run_for(5, gripper.grip(20.0, 50.0)), None);
-        desk.world(|world| world.room = usize::MAX);
-        assert_eq!(desk.run(gripper.width()), Ok(42.5), "{room}");
-        assert_eq!(desk.heard(CommandId::GripPart), 1, "{room}");
+        let rig = Rig::new();
+        let mut gripper = connected_async(&rig);
+        rig.world(|world| world.room = room);
+        assert_eq!(rig.run_for(5, gripper.grip(20.0, 50.0)), None);
+        rig.world(|world| world.room = usize::MAX);
+        assert_eq!(rig.run(gripper.width()), Ok(42.5), "{room}");
+        assert_eq!(rig.heard(CommandId::GripPart), 1, "{room}");
         assert_eq!(gripper.motion(), Some(CommandId::GripPart), "{room}");
-        assert_eq!(desk.run(gripper.stop()), Ok(()), "{room}");
+        assert_eq!(rig.run(gripper.stop()), Ok(()), "{room}");
     }
 }
 
 #[test]
 fn motion_goes_on_and_is_told_of() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
-    assert_eq!(desk.run_for(10, gripper.home(HomingDirection::Default)), None);
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    assert_eq!(rig.run_for(10, gripper.home(HomingDirection::Default)), None);
     assert_eq!(gripper.motion(), Some(CommandId::Homing));
-    assert_eq!(desk.run(gripper.grip(20.0, 50.0)), Err(Error::MotionRunning));
-    desk.pass(200);
-    assert_eq!(desk.run(gripper.grip(20.0, 50.0)), Ok(Grip::Held));
+    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Err(Error::MotionRunning));
+    rig.pass(200);
+    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Ok(Grip::Held));
 }
 
 #[test]
 fn answer_to_a_setting_that_was_given_up_is_not_taken_for_that_of_the_next() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
     let id = CommandId::SetForceLimit;
-    desk.script(id, vec![(50, status(id, Status::Success))]);
-    assert_eq!(desk.run_for(5, gripper.set_force_limit(40.0)), None);
-    desk.script(id, vec![(1, status(id, Status::CmdFormatError))]);
-    assert_eq!(desk.run(gripper.set_force_limit(60.0)), Err(Error::Refused(Status::CmdFormatError)));
-    assert_eq!(desk.run(gripper.set_force_limit(60.0)), Ok(()));
-    assert_eq!(desk.world(|world| world.force_limit), 60.0);
+    rig.script(id, vec![(50, status(id, Status::Success))]);
+    assert_eq!(rig.run_for(5, gripper.set_force_limit(40.0)), None);
+    rig.script(id, vec![(1, status(id, Status::CmdFormatError))]);
+    assert_eq!(rig.run(gripper.set_force_limit(60.0)), Err(Error::Refused(Status::CmdFormatError)));
+    assert_eq!(rig.run(gripper.set_force_limit(60.0)), Ok(()));
+    assert_eq!(rig.world(|world| world.force_limit), 60.0);
 }
 
 #[test]
 fn borrowed_payload_that_is_gone_is_not_sent_again_and_the_connection_stays() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
-    desk.script(CommandId::SetDeviceTag, vec![]);
-    assert_eq!(desk.run_for(5, gripper.set_tag("left")), None);
-    assert_eq!(desk.run(gripper.set_tag("right")), Ok(()));
-    let tags: Vec<_> = desk.world(|world| world.heard.clone());
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    rig.script(CommandId::SetDeviceTag, vec![]);
+    assert_eq!(rig.run_for(5, gripper.set_tag("left")), None);
+    assert_eq!(rig.run(gripper.set_tag("right")), Ok(()));
+    let tags: Vec<_> = rig.world(|world| world.heard.clone());
     assert_eq!(tags, [(0x51, b"left".to_vec()), (0x51, b"right".to_vec())]);
     assert_eq!(gripper.counters().session.disconnects, 0);
 }
 
 #[test]
 fn stop_leaves_even_when_it_was_given_up() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
-    desk.world(|world| world.room = 0);
-    assert_eq!(desk.run_for(2, gripper.stop()), None);
-    assert_eq!(desk.run_for(2, gripper.fast_stop()), None);
-    desk.world(|world| world.room = usize::MAX);
-    assert_eq!(desk.run(gripper.width()), Ok(42.5));
-    assert!(!gripper.owes_fast_stop());
-    let first: Vec<u8> = desk.world(|world| world.heard.iter().map(|(id, _)| *id).take(2).collect());
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    rig.world(|world| world.room = 0);
+    assert_eq!(rig.run_for(2, gripper.stop()), None);
+    assert_eq!(rig.run_for(2, gripper.fast_stop()), None);
+    rig.world(|world| world.room = usize::MAX);
+    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert!(!gripper.fast_stop_pending());
+    let first: Vec<u8> = rig.world(|world| world.heard.iter().map(|(id, _)| *id).take(2).collect());
     assert_eq!(first, [0x22, 0x23]);
 }
 
 #[test]
 fn line_that_takes_nothing_ends_in_an_error() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
-    desk.world(|world| world.room = 0);
-    assert_eq!(desk.run(gripper.grip(20.0, 50.0)), Err(Error::Unanswered));
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    rig.world(|world| world.room = 0);
+    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Err(Error::Unanswered));
     assert!(!gripper.is_connected());
-    desk.world(|world| world.room = usize::MAX);
-    desk.run(gripper.connect()).unwrap();
-    assert_eq!(desk.heard(CommandId::GripPart), 0, "and does not leave when the line takes bytes again");
+    rig.world(|world| world.room = usize::MAX);
+    rig.run(gripper.connect()).unwrap();
+    assert_eq!(rig.heard(CommandId::GripPart), 0, "and does not leave when the line takes bytes again");
 }
 
 #[test]
@@ -148,53 +148,53 @@ fn future_may_be_given_to_another_thread() {
 
 #[test]
 fn dropped_motion_and_a_new_one_are_not_mixed_up() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
-    desk.script_motion(CommandId::GripPart, Status::CmdFailed);
-    assert_eq!(desk.run_for(10, gripper.grip(20.0, 50.0)), None);
-    desk.pass(150); // its result waits on the line
-    assert_eq!(desk.run(gripper.grip(30.0, 50.0)), Ok(Grip::Held));
-    let widths: Vec<_> = desk.world(|world| world.heard.iter().map(|(_, payload)| payload.clone()).collect());
-    let grip = |width| desk::payload(&Command::GripPart { width, speed: 50.0 });
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    rig.script_motion(CommandId::GripPart, Status::CmdFailed);
+    assert_eq!(rig.run_for(10, gripper.grip(20.0, 50.0)), None);
+    rig.pass(150); // its result waits on the line
+    assert_eq!(rig.run(gripper.grip(30.0, 50.0)), Ok(Grip::Held));
+    let widths: Vec<_> = rig.world(|world| world.heard.iter().map(|(_, payload)| payload.clone()).collect());
+    let grip = |width| rig::payload(&Command::GripPart { width, speed: 50.0 });
     assert_eq!(widths, [grip(20.0), grip(30.0)]);
 }
 
 #[test]
 fn frame_that_an_error_of_the_transport_cut_off_is_not_sent_to_its_end() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
-    desk.world(|world| world.room = 7);
-    assert_eq!(desk.run_for(5, gripper.grip(20.0, 50.0)), None);
-    desk.world(|world| (world.room, world.refuses) = (usize::MAX, true));
-    assert_eq!(desk.run(gripper.width()), Err(Error::Transport(Noise)));
-    assert_eq!(desk.run(gripper.width()), Err(Error::NotConnected), "the motion has no answer");
-    desk.run(gripper.connect()).unwrap();
-    assert_eq!(desk.run(gripper.width()), Ok(42.5));
-    assert_eq!((desk.heard(CommandId::GripPart), desk.world(|world| world.stray())), (0, 0));
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    rig.world(|world| world.room = 7);
+    assert_eq!(rig.run_for(5, gripper.grip(20.0, 50.0)), None);
+    rig.world(|world| (world.room, world.refuses) = (usize::MAX, true));
+    assert_eq!(rig.run(gripper.width()), Err(Error::Transport(Noise)));
+    assert_eq!(rig.run(gripper.width()), Err(Error::NotConnected), "the motion has no answer");
+    rig.run(gripper.connect()).unwrap();
+    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert_eq!((rig.heard(CommandId::GripPart), rig.world(|world| world.stray())), (0, 0));
 }
 
 #[test]
 fn frame_that_is_half_sent_when_a_motion_is_given_up_is_sent_to_its_end() {
     /// A motion that has begun and never ends, and for how long it is waited for.
-    fn endless(desk: &Desk) -> (Asynch, Pending<Grip>) {
-        let mut gripper = connected_async(desk);
-        desk.script(CommandId::GripPart, vec![(1, status(CommandId::GripPart, Status::CmdPending))]);
-        let grip = desk.run(gripper.begin_grip(20.0, 50.0)).unwrap();
+    fn endless(rig: &Rig) -> (Asynch, Pending<Grip>) {
+        let mut gripper = connected_async(rig);
+        rig.script(CommandId::GripPart, vec![(1, status(CommandId::GripPart, Status::CmdPending))]);
+        let grip = rig.run(gripper.begin_grip(20.0, 50.0)).unwrap();
         (gripper, grip)
     }
-    let desk = Desk::new();
-    let (mut gripper, grip) = endless(&desk);
-    let begun = desk.world(|world| world.now);
-    assert_eq!(desk.run(gripper.wait(&grip)), Err(Error::Unanswered));
-    let given_up_ms = desk.world(|world| world.now.since(begun));
+    let rig = Rig::new();
+    let (mut gripper, grip) = endless(&rig);
+    let begun = rig.world(|world| world.now);
+    assert_eq!(rig.run(gripper.wait(&grip)), Err(Error::Unanswered));
+    let given_up_ms = rig.world(|world| world.now.since(begun));
 
-    let desk = Desk::new();
-    let (mut gripper, grip) = endless(&desk);
-    assert_eq!(desk.run_for(given_up_ms - 3, gripper.wait(&grip)), None);
-    desk.world(|world| world.room = 3);
-    assert_eq!(desk.run_for(8, gripper.width()), None);
-    desk.world(|world| world.room = usize::MAX);
-    assert_eq!(desk.run(gripper.wait(&grip)), Err(Error::Unanswered));
-    assert_eq!(desk.run(gripper.width()), Ok(42.5));
-    assert_eq!((gripper.counters().session.disconnects, desk.world(|world| world.stray())), (0, 0));
+    let rig = Rig::new();
+    let (mut gripper, grip) = endless(&rig);
+    assert_eq!(rig.run_for(given_up_ms - 3, gripper.wait(&grip)), None);
+    rig.world(|world| world.room = 3);
+    assert_eq!(rig.run_for(8, gripper.width()), None);
+    rig.world(|world| world.room = usize::MAX);
+    assert_eq!(rig.run(gripper.wait(&grip)), Err(Error::Unanswered));
+    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert_eq!((gripper.counters().session.disconnects, rig.world(|world| world.stray())), (0, 0));
 }

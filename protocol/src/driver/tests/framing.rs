@@ -3,8 +3,8 @@
 use super::*;
 use crate::{LoopData, SystemFlags};
 
-/// Frames that a gripper may send unasked: an update that an earlier client left behind, a late result, an unknown id.
-fn unasked() -> Vec<u8> {
+/// Frames that a gripper may send unsolicited: an update that an earlier client left behind, a late result, an unknown id.
+fn unsolicited() -> Vec<u8> {
     [
         frame(Reply::success(Value::GetForce(12.5))),
         status(CommandId::Homing, Status::Success),
@@ -16,29 +16,29 @@ fn unasked() -> Vec<u8> {
 
 #[test]
 fn unasked_frames_before_every_answer_do_not_get_it_out_of_step() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     for force in [10.0, 20.0, 30.0] {
-        desk.inject(&unasked());
+        rig.inject(&unsolicited());
         assert_eq!(gripper.set_force_limit(force), Ok(()));
-        desk.inject(&unasked());
+        rig.inject(&unsolicited());
         assert_eq!(gripper.force_limit(), Ok(force));
-        desk.inject(&unasked());
+        rig.inject(&unsolicited());
         assert_eq!(gripper.width(), Ok(42.5));
         let grip = gripper.begin_grip(20.0, 50.0).unwrap();
-        desk.inject(&unasked());
+        rig.inject(&unsolicited());
         assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
     }
     assert_eq!(gripper.counters().line.dropped, 0);
-    assert!(gripper.counters().session.unasked >= 36);
+    assert!(gripper.counters().session.unsolicited >= 36);
 }
 
 #[test]
 fn update_between_pending_and_result_is_not_the_result() {
-    let desk = Desk::new();
-    let mut gripper = connected_async(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
     let id = CommandId::GripPart;
-    desk.script(
+    rig.script(
         id,
         vec![
             (1, status(id, Status::CmdPending)),
@@ -47,37 +47,37 @@ fn update_between_pending_and_result_is_not_the_result() {
             (40, status(id, Status::CmdFailed)),
         ],
     );
-    assert_eq!(desk.run(gripper.grip(20.0, 50.0)), Ok(Grip::NoPart));
+    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Ok(Grip::NoPart));
 }
 
 #[test]
 fn two_frames_in_one_segment_are_both_taken() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    let mut other = connected_async(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let mut other = connected_async(&rig);
     let id = CommandId::GripPart;
     let both = [status(id, Status::CmdPending), status(id, Status::CmdFailed)].concat();
-    desk.script(id, vec![(1, both.clone())]);
+    rig.script(id, vec![(1, both.clone())]);
     assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::NoPart));
-    desk.script(id, vec![(1, both)]);
-    assert_eq!(desk.run(other.grip(20.0, 50.0)), Ok(Grip::NoPart));
+    rig.script(id, vec![(1, both)]);
+    assert_eq!(rig.run(other.grip(20.0, 50.0)), Ok(Grip::NoPart));
 
     let width = frame(Reply::success(Value::GetOpeningWidth(7.0)));
-    let segment = [unasked(), width, unasked()].concat();
+    let segment = [unsolicited(), width, unsolicited()].concat();
     assert!(segment.len() > 64, "more than one read takes");
-    desk.script(CommandId::GetOpeningWidth, vec![(1, segment)]);
+    rig.script(CommandId::GetOpeningWidth, vec![(1, segment)]);
     assert_eq!(gripper.width(), Ok(7.0));
     assert_eq!(gripper.home(HomingDirection::Default), Ok(()));
 }
 
 #[test]
 fn frame_in_pieces_is_put_together_wherever_it_was_cut() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let width = frame(Reply::success(Value::GetOpeningWidth(7.0)));
     for cut in 1..width.len() {
         let (head, tail) = width.split_at(cut);
-        desk.script(CommandId::GetOpeningWidth, vec![(1, head.to_vec()), (9, tail.to_vec())]);
+        rig.script(CommandId::GetOpeningWidth, vec![(1, head.to_vec()), (9, tail.to_vec())]);
         assert_eq!(gripper.width(), Ok(7.0), "cut at {cut}");
     }
     assert_eq!(gripper.counters().line.dropped, 0);
@@ -86,25 +86,25 @@ fn frame_in_pieces_is_put_together_wherever_it_was_cut() {
 
 #[test]
 fn preambles_in_a_payload_are_data() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    let mut other = connected_async(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let mut other = connected_async(&rig);
     for len in [3, 4, 5, 6, 64, 255, 256] {
         assert_eq!(gripper.loop_back(&vec![0xAA; len]), Ok(()), "{len}");
-        assert_eq!(desk.run(other.loop_back(&vec![0xAA; len])), Ok(()), "{len}");
+        assert_eq!(rig.run(other.loop_back(&vec![0xAA; len])), Ok(()), "{len}");
     }
     // A whole frame inside a payload: its outside counts.
     let inner = status(CommandId::Homing, Status::Success);
     assert_eq!(gripper.loop_back(&inner), Ok(()));
-    assert_eq!(gripper.counters().session.unasked, 0);
+    assert_eq!(gripper.counters().session.unsolicited, 0);
 }
 
 #[test]
 fn rest_of_a_cut_frame_is_given_up_and_the_next_one_is_taken() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let echo = frame(Reply::success(Value::Loop(LoopData::new(&[0xAA; 100]).unwrap())));
-    desk.script(CommandId::GetOpeningWidth, vec![(1, echo[..40].to_vec())]);
+    rig.script(CommandId::GetOpeningWidth, vec![(1, echo[..40].to_vec())]);
     assert_eq!(gripper.width(), Ok(42.5), "asked again");
     assert_eq!(gripper.counters().session.repeated, 1);
     assert_eq!(gripper.counters().line.dropped, 40);
@@ -112,11 +112,11 @@ fn rest_of_a_cut_frame_is_given_up_and_the_next_one_is_taken() {
 
 #[test]
 fn noise_around_frames_costs_nothing() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
     let noise = [0x00, 0xAA, 0xAA, 0x43, 0xFF, 0xAA];
     let width = frame(Reply::success(Value::GetOpeningWidth(7.0)));
-    desk.script(CommandId::GetOpeningWidth, vec![(1, [&noise[..5], &width, &noise].concat())]);
+    rig.script(CommandId::GetOpeningWidth, vec![(1, [&noise[..5], &width, &noise].concat())]);
     assert_eq!(gripper.width(), Ok(7.0));
     assert_eq!(gripper.width(), Ok(42.5));
     assert_eq!(gripper.counters().session.repeated, 0);
@@ -124,15 +124,15 @@ fn noise_around_frames_costs_nothing() {
 
 #[test]
 fn every_frame_leaves_by_one_write() {
-    let desk = Desk::new();
-    let mut gripper = connected(&desk);
-    let mut other = connected_async(&desk);
-    desk.world(|world| world.writes.clear());
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let mut other = connected_async(&rig);
+    rig.world(|world| world.writes.clear());
     gripper.move_to(50.0, 100.0, OnBlock::Stop).unwrap();
     gripper.loop_back(&[1; 256]).unwrap();
-    desk.run(other.grip(20.0, 50.0)).unwrap();
-    desk.run(other.set_tag(&"x".repeat(64))).unwrap();
-    let writes = desk.world(|world| world.writes.clone());
+    rig.run(other.grip(20.0, 50.0)).unwrap();
+    rig.run(other.set_tag(&"x".repeat(64))).unwrap();
+    let writes = rig.world(|world| world.writes.clone());
     for len in [17, 264, 16, 72] {
         assert!(writes.contains(&len), "{len} in {writes:?}");
     }

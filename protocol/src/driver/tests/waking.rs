@@ -2,47 +2,47 @@
 
 use super::*;
 
-fn asleep(desk: &Desk) -> Asynch {
-    Asynch::new(desk.clone(), Watch(desk.clone()))
+fn asleep(rig: &Rig) -> Asynch {
+    Asynch::new(rig.clone(), Watch(rig.clone()))
 }
 
 #[test]
 fn motion_is_carried_to_its_end() {
-    let desk = Desk::new();
-    let mut gripper = asleep(&desk);
-    assert_eq!(desk.run_woken(gripper.connect()), Ok(()));
-    assert_eq!(desk.run_woken(gripper.grip(20.0, 50.0)), Ok(Grip::Held));
-    assert_eq!(desk.run_woken(gripper.width()), Ok(42.5));
+    let rig = Rig::new();
+    let mut gripper = asleep(&rig);
+    assert_eq!(rig.run_woken(gripper.connect()), Ok(()));
+    assert_eq!(rig.run_woken(gripper.grip(20.0, 50.0)), Ok(Grip::Held));
+    assert_eq!(rig.run_woken(gripper.width()), Ok(42.5));
 }
 
 #[test]
 fn gripper_that_is_off_is_given_up_in_time() {
-    let desk = Desk::new();
-    desk.world(|world| world.silent = true);
-    let begun = desk.world(|world| world.now);
-    let mut gripper = asleep(&desk);
-    assert_eq!(desk.run_woken(gripper.connect()), Err(Error::NotConnected));
-    assert_eq!(desk.world(|world| world.now).since(begun), Config::DEFAULT.connect_timeout_ms);
+    let rig = Rig::new();
+    rig.world(|world| world.silent = true);
+    let begun = rig.world(|world| world.now);
+    let mut gripper = asleep(&rig);
+    assert_eq!(rig.run_woken(gripper.connect()), Err(Error::NotConnected));
+    assert_eq!(rig.world(|world| world.now).since(begun), Config::DEFAULT.connect_timeout_ms);
 }
 
 #[test]
 fn gripper_that_falls_silent_is_noticed() {
-    let desk = Desk::new();
-    let mut gripper = asleep(&desk);
-    desk.run_woken(gripper.connect()).unwrap();
-    desk.world(|world| world.silent = true);
-    let begun = desk.world(|world| world.now);
-    assert_eq!(desk.run_woken(gripper.grip(20.0, 50.0)), Err(Error::Unanswered));
-    assert_eq!(desk.world(|world| world.now).since(begun), Config::DEFAULT.session.reply_timeout_ms);
+    let rig = Rig::new();
+    let mut gripper = asleep(&rig);
+    rig.run_woken(gripper.connect()).unwrap();
+    rig.world(|world| world.silent = true);
+    let begun = rig.world(|world| world.now);
+    assert_eq!(rig.run_woken(gripper.grip(20.0, 50.0)), Err(Error::Unanswered));
+    assert_eq!(rig.world(|world| world.now).since(begun), Config::DEFAULT.session.reply_timeout_ms);
 }
 
 #[test]
 fn half_a_frame_is_given_up_after_its_time() {
-    let desk = Desk::new();
-    let mut gripper = asleep(&desk);
-    desk.run_woken(gripper.connect()).unwrap();
-    while desk.run_woken(gripper.next_update(0)).unwrap().is_some() {}
-    desk.inject(&[0xAA, 0xAA, 0xAA, 0x43, 0xFF]);
-    assert_eq!(desk.run_woken(gripper.next_update(30)), Ok(None));
+    let rig = Rig::new();
+    let mut gripper = asleep(&rig);
+    rig.run_woken(gripper.connect()).unwrap();
+    while rig.run_woken(gripper.next_update(0)).unwrap().is_some() {}
+    rig.inject(&[0xAA, 0xAA, 0xAA, 0x43, 0xFF]);
+    assert_eq!(rig.run_woken(gripper.next_update(30)), Ok(None));
     assert_eq!(gripper.counters().line.dropped, 5);
 }

@@ -12,9 +12,9 @@ use wsg_protocol::frame::PREAMBLE_LEN;
 use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
 
 use crate::counting::{self, Counter, Moment};
-use crate::not_ready::NotReady;
 use crate::pins::{self, Pins};
 use crate::uart::{self, GripperLine};
+use crate::would_block::WouldBlock;
 
 /// The board's line, which the virtual gripper listens in on and answers to.
 struct Line {
@@ -25,30 +25,30 @@ struct Line {
 }
 
 impl ErrorType for Line {
-    type Error = NotReady;
+    type Error = WouldBlock;
 }
 
 impl ReadReady for Line {
-    fn read_ready(&mut self) -> Result<bool, NotReady> {
+    fn read_ready(&mut self) -> Result<bool, WouldBlock> {
         Ok(!self.answers.is_empty())
     }
 }
 
 impl Read for Line {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, NotReady> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, WouldBlock> {
         let slots = buffer.iter_mut();
         Ok(slots.map_while(|slot| self.answers.pop_front().map(|byte| *slot = byte)).count())
     }
 }
 
 impl WriteReady for Line {
-    fn write_ready(&mut self) -> Result<bool, NotReady> {
+    fn write_ready(&mut self) -> Result<bool, WouldBlock> {
         self.board.write_ready()
     }
 }
 
 impl Write for Line {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, NotReady> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, WouldBlock> {
         let taken = self.board.write(bytes)?;
         // The interrupt is pending since the write, and nothing masks it: by now the byte is in the transmitter.
         if self.first_byte.get().is_none() {
@@ -59,7 +59,7 @@ impl Write for Line {
         Ok(taken)
     }
 
-    fn flush(&mut self) -> Result<(), NotReady> {
+    fn flush(&mut self) -> Result<(), WouldBlock> {
         self.board.flush()
     }
 }

@@ -16,13 +16,13 @@ mod round_trip;
 #[path = "../../../../../boards/b-l475e-iot01a/src/firmware/clock.rs"]
 #[expect(dead_code, reason = "the bench runs at the clock of reset")]
 mod clock;
-#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/not_ready.rs"]
-mod not_ready;
 #[allow(unexpected_cfgs, reason = "features of the firmware, which this crate does not have")]
 #[path = "../../../../../boards/b-l475e-iot01a/src/firmware/pins.rs"]
 mod pins;
 #[path = "../../../../../boards/b-l475e-iot01a/src/firmware/uart.rs"]
 mod uart;
+#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/would_block.rs"]
+mod would_block;
 
 use cortex_m_rt::entry;
 use cortex_m_semihosting::debug;

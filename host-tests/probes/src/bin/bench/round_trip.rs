@@ -3,13 +3,15 @@
 use core::hint::black_box;
 
 use cortex_m_semihosting::hprintln;
-use wsg_protocol::session::{Config, Notice, Session};
-use wsg_protocol::{Command, CommandId, Event, FrameEncoder, FrameParser, Instant, Reply, Status};
+use wsg_protocol::session::{Config, Event, Session};
+use wsg_protocol::{
+    Command, CommandId, Event as FrameEvent, FrameEncoder, FrameParser, Instant, Reply, Status,
+};
 use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
 
 use crate::counting::Counter;
 
-/// Counts from the request to the notice of its answer: queue, frame, answer, all but the bytes' way.
+/// Counts from the request to the event of its answer: queue, frame, answer, all but the bytes' way.
 // Apart from the others, whose registers would be its own.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
@@ -35,7 +37,7 @@ pub(crate) fn count(counter: &Counter) {
             }
         }
         if let (_, Some(event)) = parser.push_slice(answer) {
-            answered = matches!(session.handle(now, &event), Some(Notice::Answered(_)));
+            answered = matches!(session.handle(now, &event), Some(Event::Answered(_)));
         }
     });
     assert!(answered && sent > 8, "the command is sent and answered");
@@ -64,7 +66,7 @@ fn connect(session: &mut Session, parser: &mut FrameParser<64>) -> Instant {
         while let Some(mut rest) = gripper.transmit(port, &mut buffer) {
             while let (taken, Some(event)) = parser.push_slice(rest) {
                 rest = rest.get(taken..).unwrap_or(&[]);
-                if matches!(event, Event::Frame(_)) {
+                if matches!(event, FrameEvent::Frame(_)) {
                     session.handle(now, &event);
                 }
             }

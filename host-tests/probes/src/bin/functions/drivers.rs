@@ -6,7 +6,7 @@ use core::hint::black_box;
 use wsg_protocol::driver::{Binary, Clock, Error, Gcl, Grip, MotionResult, Pending, Timer, asynch, blocking};
 use wsg_protocol::gcl::session::RequestError as GclRequestError;
 use wsg_protocol::session::RequestError;
-use wsg_protocol::{Instant, Refusal};
+use wsg_protocol::{DecodeError, Instant};
 
 use crate::transport::Line;
 use crate::{function, functions};
@@ -51,7 +51,7 @@ pub(crate) fn every_function() {
 macro_rules! without_waiting {
     ($($gripper:ty),+) => {
         functions! { $(
-            $gripper: is_connected, known, motion, owes_fast_stop, counters, subscribe, replace_io, into_io;
+            $gripper: is_connected, known, motion, fast_stop_pending, counters, subscribe, replace_io, into_io;
         )+ }
     };
 }
@@ -91,7 +91,7 @@ fn blocking() {
         Grip: from_status;
     }
     function!(<Error<Infallible> as From<RequestError>>::from);
-    function!(<Error<Infallible> as From<Refusal>>::from);
+    function!(<Error<Infallible> as From<DecodeError>>::from);
     function!(<Error<Infallible> as From<GclRequestError>>::from);
 }
 

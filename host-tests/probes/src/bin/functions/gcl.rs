@@ -5,8 +5,8 @@ use core::hint::black_box;
 
 use wsg_protocol::gcl::session::{Known, Session};
 use wsg_protocol::gcl::{
-    Answer, Autosend, CommandName, Description, LineReader, Mistake, Named, OtherName, Refused, Request,
-    Signal, Text, Value, Vector,
+    Answer, Autosend, CommandName, Description, LineReader, Named, OtherName, ParseError, Refused, Request,
+    Text, Topic, Value, Vector,
 };
 
 use crate::{function, functions};
@@ -30,19 +30,19 @@ pub(crate) fn every_function() {
         Request: parse, check, kind, name, write_line_into;
         Answer<'_>: parse, check, failed, name, status, write_line_into;
         Refused<'_>: answer, too_long;
-        Mistake: status;
+        ParseError: status;
         CommandName: from_text, text, section, kind, forms, value_forms;
         CommandName: is_acknowledged, is_finished, is_repeatable;
         Named<'_>: at_start_of, command, eq;
         OtherName<'_>: text;
         Autosend: by, every, off, on_change;
-        Signal: of, name, query, is_measured;
+        Topic: of, name, query, is_measured;
         Value<'_>: check, name;
         Vector<'_>: new, as_str, numbers;
         Text<'_>: new, as_str, device_type, finger_type, firmware_version;
         Description<'_>: new, of, bytes;
         Session: new, handle, tick, request, poll_transmit, poll_timeout, take_back, withdraw;
-        Session: disconnect, subscribe, known, motion, counters, is_connected, is_busy, owes_fast_stop;
+        Session: disconnect, subscribe, known, motion, counters, is_connected, is_busy, fast_stop_pending;
         Known: is_moving;
     }
 }

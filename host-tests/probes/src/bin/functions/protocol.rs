@@ -3,7 +3,7 @@
 use wsg_protocol::fieldbus::{
     CommandFlags, Controller, Diagnosis, ForceUnit, GripperFlags, InputImage, OutputImage,
 };
-use wsg_protocol::session::{Known, Session, Signal};
+use wsg_protocol::session::{Known, Session, Topic};
 use wsg_protocol::{
     AutoUpdate, Command, CommandId, DeviceTag, DeviceType, FingerData, FingerType, FirmwareVersion,
     FrameEncoder, FrameParser, GripperState, HomingDirection, Instant, LoopData, Payload, Reply, Status,
@@ -65,11 +65,11 @@ fn values() {
 
 fn session() {
     functions! {
-        Session: new, handle, tick, request, request_lent, poll_transmit, poll_transmit_lent, poll_timeout;
+        Session: new, handle, tick, request, request_borrowed, poll_transmit, poll_transmit_borrowed, poll_timeout;
         Session: take_back, withdraw, disconnect, subscribe, known, motion, counters;
-        Session: is_connected, is_busy, motion_is_open, owes_fast_stop;
+        Session: is_connected, is_busy, motion_is_open, fast_stop_pending;
         Known: is_moving;
-        Signal: id, of;
+        Topic: id, of;
     }
 }
 

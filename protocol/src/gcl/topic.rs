@@ -2,13 +2,13 @@
 
 use super::form::{Word, notation};
 use super::scanner::Scanner;
-use super::{CommandName, Mistake};
+use super::{CommandName, ParseError};
 use core::fmt::{Result as Written, Write};
 
 /// A value that AUTOSEND has sent again and again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Signal {
+pub enum Topic {
     /// Opening width in mm.
     Pos,
     /// Speed of the fingers in mm/s.
@@ -23,7 +23,7 @@ pub enum Signal {
     Temp,
 }
 
-impl Signal {
+impl Topic {
     /// Every one, in the manual's order.
     pub const ALL: [Self; 6] =
         [Self::Pos, Self::Speed, Self::Force, Self::Gripstate, Self::Sysflags, Self::Temp];
@@ -44,7 +44,7 @@ impl Signal {
     /// The one that this command asks for.
     #[must_use]
     pub fn of(name: CommandName) -> Option<Self> {
-        Self::ALL.into_iter().find(|signal| signal.name() == name)
+        Self::ALL.into_iter().find(|topic| topic.name() == name)
     }
 
     /// Whether it is a measured value, whose changes have a size, and not a state. The manual speaks of numeric values
@@ -55,13 +55,13 @@ impl Signal {
     }
 }
 
-impl Word<'_> for Signal {
+impl Word<'_> for Topic {
     notation!("<string>");
 
-    fn read(input: &mut Scanner<'_>) -> Result<Self, Mistake> {
+    fn read(input: &mut Scanner<'_>) -> Result<Self, ParseError> {
         let text = input.quoted()?.trim_ascii();
-        let named = |signal: &Self| signal.name().text().as_bytes().eq_ignore_ascii_case(text);
-        Self::ALL.into_iter().find(named).ok_or(Mistake::Value)
+        let named = |topic: &Self| topic.name().text().as_bytes().eq_ignore_ascii_case(text);
+        Self::ALL.into_iter().find(named).ok_or(ParseError::Value)
     }
 
     fn write(&self, to: &mut impl Write) -> Written {

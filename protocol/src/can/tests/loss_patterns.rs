@@ -44,22 +44,23 @@ fn foreign(ours: &CanFrame) -> [CanFrame; 5] {
     ]
 }
 
-/// Calls `check` with every assignment of fates to `count` frames.
-fn each_fate(count: usize, mut check: impl FnMut(&[Fate])) {
+/// Calls `check` with every assignment of losses to `count` frames.
+fn each_pattern(count: usize, mut check: impl FnMut(&[Fate])) {
     for number in 0..3usize.pow(count as u32) {
-        let fates: Vec<Fate> = (0..count).map(|frame| FATES[number / 3usize.pow(frame as u32) % 3]).collect();
-        check(&fates);
+        let losses: Vec<Fate> =
+            (0..count).map(|frame| FATES[number / 3usize.pow(frame as u32) % 3]).collect();
+        check(&losses);
     }
 }
 
-/// What comes off the bus of frames with these fates.
-fn on_the_bus<'a>(frames: &'a [CanFrame], fates: &[Fate]) -> impl Iterator<Item = &'a CanFrame> {
+/// What comes off the bus of frames with these losses.
+fn on_the_bus<'a>(frames: &'a [CanFrame], losses: &[Fate]) -> impl Iterator<Item = &'a CanFrame> {
     let times = |fate: &Fate| match fate {
         Fate::Kept => 1,
         Fate::Lost => 0,
         Fate::Doubled => 2,
     };
-    frames.iter().zip(fates).flat_map(move |(frame, fate)| iter::repeat_n(frame, times(fate)))
+    frames.iter().zip(losses).flat_map(move |(frame, fate)| iter::repeat_n(frame, times(fate)))
 }
 
 fn frames_of(script: &[Message]) -> Vec<CanFrame> {
@@ -67,13 +68,13 @@ fn frames_of(script: &[Message]) -> Vec<CanFrame> {
 }
 
 /// No wrong message, none out of turn, each intact one.
-fn check_delivery(script: &[Message], fates: &[Fate], delivered: &[Message]) {
-    let context = || std::format!("{script:02X?}\n{fates:?}\ndelivered {delivered:02X?}");
+fn check_delivery(script: &[Message], losses: &[Fate], delivered: &[Message]) {
+    let context = || std::format!("{script:02X?}\n{losses:?}\ndelivered {delivered:02X?}");
     let mut rest = delivered;
-    let mut fates = fates;
+    let mut losses = losses;
     for message in script {
-        let (own, behind) = fates.split_at(message.frames().len());
-        fates = behind;
+        let (own, behind) = losses.split_at(message.frames().len());
+        losses = behind;
         let times = rest.iter().take_while(|delivered| *delivered == message).count();
         rest = &rest[times..];
         let may_be = if own.contains(&Fate::Lost) {
@@ -100,13 +101,13 @@ fn every_fate_of_every_frame_of_three_messages_costs_at_most_the_messages_it_bel
                 let script = [first.clone(), second.clone(), third];
                 let frames = frames_of(&script);
                 let foreign: Vec<CanFrame> = frames.iter().flat_map(foreign).collect();
-                each_fate(frames.len(), |fates| {
+                each_pattern(frames.len(), |losses| {
                     let mut wire = Wire::<4>::new();
-                    for (n, frame) in on_the_bus(&frames, fates).enumerate() {
+                    for (n, frame) in on_the_bus(&frames, losses).enumerate() {
                         wire.receive([&foreign[(runs + n) % foreign.len()], frame]);
                     }
                     wire.pass(HALF_MS);
-                    check_delivery(&script, fates, &wire.messages());
+                    check_delivery(&script, losses, &wire.messages());
                     runs += 1;
                 });
             }
@@ -123,11 +124,11 @@ fn message_behind_any_damage_is_delivered_at_once_unless_a_false_beginning_holds
         for second in &kinds(1)[..3] {
             let script = [first.clone(), second.clone()];
             let frames = frames_of(&script);
-            each_fate(frames.len(), |fates| {
+            each_pattern(frames.len(), |losses| {
                 let mut wire = Wire::<4>::new();
-                wire.receive(on_the_bus(&frames, fates));
+                wire.receive(on_the_bus(&frames, losses));
                 wire.receive(&next.frames());
-                assert_eq!(wire.messages().last(), Some(&next), "{script:02X?} {fates:?}");
+                assert_eq!(wire.messages().last(), Some(&next), "{script:02X?} {losses:?}");
             });
         }
     }

@@ -2,13 +2,13 @@
 
 use core::hash::{Hash, Hasher};
 
-use crate::field::Refusal;
+use crate::field::DecodeError;
 
 /// What happened, in the terms of a dialect: names, answers, values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum NoticeOf<N, A, V> {
+pub enum EventOf<N, A, V> {
     /// The gripper answers, and all that is subscribed to is known.
     Connected,
     /// The gripper is silent: nothing is known of it any more.
@@ -31,7 +31,7 @@ pub enum NoticeOf<N, A, V> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum RequestError<E = Refusal> {
+pub enum RequestError<E = DecodeError> {
     /// The caller's: there is no connection. (Only FAST STOP is taken then, and sent until it is confirmed; and Stop,
     /// which is sent once.)
     NotConnected,
@@ -50,7 +50,7 @@ pub enum RequestError<E = Refusal> {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counters {
     /// Answers that were not asked for, or came too late.
-    pub unasked: u16,
+    pub unsolicited: u16,
     /// Messages whose content the manual forbids.
     pub refused: u16,
     /// Requests that were sent again.

@@ -4,22 +4,22 @@ use embedded_io::{Error, ErrorKind};
 
 /// No byte has come, there is no room for another, or not all have left.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct NotReady;
+pub(crate) struct WouldBlock;
 
 /// The result of moving `count` bytes between a queue and a caller's buffer.
-pub(crate) fn moved(count: usize, buf: &[u8]) -> Result<usize, NotReady> {
-    if count == 0 && !buf.is_empty() { Err(NotReady) } else { Ok(count) }
+pub(crate) fn moved(count: usize, buf: &[u8]) -> Result<usize, WouldBlock> {
+    if count == 0 && !buf.is_empty() { Err(WouldBlock) } else { Ok(count) }
 }
 
-impl core::fmt::Display for NotReady {
+impl core::fmt::Display for WouldBlock {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str("the line is not ready")
     }
 }
 
-impl core::error::Error for NotReady {}
+impl core::error::Error for WouldBlock {}
 
-impl Error for NotReady {
+impl Error for WouldBlock {
     fn kind(&self) -> ErrorKind {
         ErrorKind::Other
     }

@@ -1,13 +1,13 @@
-//! The reassembler against a reader with the whole recording.
+//! The reassembler against a reader with the whole capture.
 
 use super::*;
 
 /// The reference: each position tried in turn, with everything at hand. Gives what it finds and how many frames belong to
 /// no message.
-fn reference(recording: &[CanFrame], limit: usize) -> (Vec<Seen>, u16) {
+fn reference(capture: &[CanFrame], limit: usize) -> (Vec<Seen>, u16) {
     let (mut seen, mut dropped, mut at) = (Vec::new(), 0, 0);
-    while at < recording.len() {
-        let found = found_at(&recording[at..], limit);
+    while at < capture.len() {
+        let found = found_at(&capture[at..], limit);
         if let Some(Seen::Message(message)) = &found {
             at += message.frames().len();
         } else {
@@ -65,14 +65,14 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 4_000, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_recording_gives_what_the_reference_finds_in_it(recording in recordings()) {
+    fn any_recording_gives_what_the_reference_finds_in_it(capture in recordings()) {
         // Five frames: longer messages of the recordings are oversize.
         let mut wire = Wire::<5>::new();
 
-        wire.receive(&recording);
+        wire.receive(&capture);
         wire.pass(HALF_MS);
 
-        let (seen, dropped) = reference(&recording, 5);
+        let (seen, dropped) = reference(&capture, 5);
         prop_assert_eq!(&wire.seen, &seen);
         let counters = wire.reassembler.counters();
         prop_assert_eq!(counters.dropped, dropped);

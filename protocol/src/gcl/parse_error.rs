@@ -6,7 +6,7 @@ use crate::types::Status;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum Mistake {
+pub enum ParseError {
     /// It does not begin with a name.
     NoName,
     /// The manual lists no command of this name.
@@ -29,7 +29,7 @@ pub enum Mistake {
     TooLong,
 }
 
-impl Mistake {
+impl ParseError {
     /// The status code that a gripper answers with (GCL, appendix A).
     ///
     /// The manual names the codes and not the cases; E_NO_PARAM_EXPECTED stands for every parameter too many.
@@ -48,7 +48,7 @@ impl Mistake {
     }
 }
 
-impl core::fmt::Display for Mistake {
+impl core::fmt::Display for ParseError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
             Self::NoName => "no name at the start",
@@ -65,4 +65,4 @@ impl core::fmt::Display for Mistake {
     }
 }
 
-impl core::error::Error for Mistake {}
+impl core::error::Error for ParseError {}

@@ -8,7 +8,7 @@ use crate::types::{AutoUpdate, UpdateFlags};
 /// A value that can be subscribed to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Signal {
+pub enum Topic {
     /// The system state flags (40h). The session always asks for them.
     SystemState,
     /// The gripper state (41h). The session always asks for it.
@@ -21,7 +21,7 @@ pub enum Signal {
     Force,
 }
 
-impl Signal {
+impl Topic {
     /// Every one, by command id.
     pub const ALL: [Self; 5] = [Self::SystemState, Self::GripperState, Self::Width, Self::Speed, Self::Force];
 
@@ -40,26 +40,26 @@ impl Signal {
     /// The one that this command asks for.
     #[must_use]
     pub fn of(id: CommandId) -> Option<Self> {
-        Self::ALL.into_iter().find(|signal| signal.id() == id)
+        Self::ALL.into_iter().find(|topic| topic.id() == id)
     }
 }
 
 /// A value, and how the gripper is to send it.
 #[derive(Clone, Copy, Debug, PartialEq, Hash)]
 pub struct Update {
-    pub(super) signal: Signal,
+    pub(super) topic: Topic,
     pub(super) update: AutoUpdate,
 }
 
 impl Update {
     /// Updates in the shape that the gripper confirms: none at all, or at least 10 ms apart.
-    pub(super) fn new(signal: Signal, update: AutoUpdate) -> Self {
+    pub(super) fn new(topic: Topic, update: AutoUpdate) -> Self {
         let update = if update.flags.contains(UpdateFlags::AUTOMATIC) {
             AutoUpdate { period_ms: update.period_ms.max(AutoUpdate::MIN_PERIOD_MS), ..update }
         } else {
             AutoUpdate::once()
         };
-        Self { signal, update }
+        Self { topic, update }
     }
 }
 
@@ -67,53 +67,53 @@ impl Subscription for Update {
     type Request = Command<'static>;
 
     fn name(&self) -> CommandId {
-        self.signal.id()
+        self.topic.id()
     }
 
     fn is_wanted(&self) -> bool {
-        matches!(self.signal, Signal::SystemState | Signal::GripperState)
+        matches!(self.topic, Topic::SystemState | Topic::GripperState)
             || self.update.flags.contains(UpdateFlags::AUTOMATIC)
     }
 
     fn request(&self) -> Command<'static> {
         let update = self.update;
-        match self.signal {
-            Signal::SystemState => Command::GetSystemState { update },
-            Signal::GripperState => Command::GetGripperState { update },
-            Signal::Width => Command::GetOpeningWidth { update },
-            Signal::Speed => Command::GetSpeed { update },
-            Signal::Force => Command::GetForce { update },
+        match self.topic {
+            Topic::SystemState => Command::GetSystemState { update },
+            Topic::GripperState => Command::GetGripperState { update },
+            Topic::Width => Command::GetOpeningWidth { update },
+            Topic::Speed => Command::GetSpeed { update },
+            Topic::Force => Command::GetForce { update },
         }
     }
 
     fn of(request: &Command<'static>) -> Option<Self> {
-        let (signal, update) = match *request {
-            Command::GetSystemState { update } => (Signal::SystemState, update),
-            Command::GetGripperState { update } => (Signal::GripperState, update),
-            Command::GetOpeningWidth { update } => (Signal::Width, update),
-            Command::GetSpeed { update } => (Signal::Speed, update),
-            Command::GetForce { update } => (Signal::Force, update),
+        let (topic, update) = match *request {
+            Command::GetSystemState { update } => (Topic::SystemState, update),
+            Command::GetGripperState { update } => (Topic::GripperState, update),
+            Command::GetOpeningWidth { update } => (Topic::Width, update),
+            Command::GetSpeed { update } => (Topic::Speed, update),
+            Command::GetForce { update } => (Topic::Force, update),
             _ => return None,
         };
-        Some(Self { signal, update })
+        Some(Self { topic, update })
     }
 }
 
 /// Returns the subscriptions that a session begins with.
-pub(super) const fn of_config(config: &Config) -> Subscriptions<Update, { Signal::ALL.len() }> {
+pub(super) const fn of_config(config: &Config) -> Subscriptions<Update, { Topic::ALL.len() }> {
     let period_ms = if config.update_period_ms < AutoUpdate::MIN_PERIOD_MS {
         AutoUpdate::MIN_PERIOD_MS
     } else {
         config.update_period_ms
     };
-    const fn initial(signal: Signal, wanted: bool, period_ms: u16) -> Update {
-        Update { signal, update: if wanted { AutoUpdate::on_change(period_ms) } else { AutoUpdate::once() } }
+    const fn initial(topic: Topic, wanted: bool, period_ms: u16) -> Update {
+        Update { topic, update: if wanted { AutoUpdate::on_change(period_ms) } else { AutoUpdate::once() } }
     }
     Subscriptions::new([
-        initial(Signal::SystemState, true, period_ms),
-        initial(Signal::GripperState, true, period_ms),
-        initial(Signal::Width, config.width, period_ms),
-        initial(Signal::Speed, config.speed, period_ms),
-        initial(Signal::Force, config.force, period_ms),
+        initial(Topic::SystemState, true, period_ms),
+        initial(Topic::GripperState, true, period_ms),
+        initial(Topic::Width, config.width, period_ms),
+        initial(Topic::Speed, config.speed, period_ms),
+        initial(Topic::Force, config.force, period_ms),
     ])
 }

@@ -69,7 +69,7 @@ pub(super) struct World {
 
 /// The way to it, for both ends and the test.
 #[derive(Clone)]
-pub(super) struct Desk(Rc<RefCell<World>>);
+pub(super) struct Rig(Rc<RefCell<World>>);
 
 pub(super) fn frame(reply: Reply<'_>) -> Vec<u8> {
     FrameEncoder::new(reply.id().code(), reply).collect()
@@ -79,7 +79,7 @@ pub(super) fn status(id: CommandId, status: Status) -> Vec<u8> {
     frame(Reply::status_only(id, status))
 }
 
-impl Desk {
+impl Rig {
     pub(super) fn new() -> Self {
         Self(Rc::new(RefCell::new(World {
             now: BEGIN,
@@ -283,11 +283,11 @@ impl World {
     }
 }
 
-impl embedded_io::ErrorType for Desk {
+impl embedded_io::ErrorType for Rig {
     type Error = Noise;
 }
 
-impl embedded_io::ReadReady for Desk {
+impl embedded_io::ReadReady for Rig {
     fn read_ready(&mut self) -> Result<bool, Noise> {
         let is_due = self.world(|world| world.is_due());
         if !is_due {
@@ -300,13 +300,13 @@ impl embedded_io::ReadReady for Desk {
     }
 }
 
-impl embedded_io::Read for Desk {
+impl embedded_io::Read for Rig {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Noise> {
         self.world(|world| world.read(buffer))
     }
 }
 
-impl embedded_io::Write for Desk {
+impl embedded_io::Write for Rig {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
         self.world(|world| world.write(bytes))
     }
@@ -317,7 +317,7 @@ impl embedded_io::Write for Desk {
     }
 }
 
-impl embedded_io_async::Read for Desk {
+impl embedded_io_async::Read for Rig {
     async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Noise> {
         core::future::poll_fn(|_| {
             self.world(|world| if world.is_due() { Poll::Ready(world.read(buffer)) } else { Poll::Pending })
@@ -326,7 +326,7 @@ impl embedded_io_async::Read for Desk {
     }
 }
 
-impl embedded_io_async::Write for Desk {
+impl embedded_io_async::Write for Rig {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
         core::future::poll_fn(|_| {
             self.world(|world| if world.room == 0 { Poll::Pending } else { Poll::Ready(world.write(bytes)) })
@@ -340,8 +340,8 @@ impl embedded_io_async::Write for Desk {
     }
 }
 
-/// The desk's clock.
-pub(super) struct Watch(pub(super) Desk);
+/// The rig's clock.
+pub(super) struct Watch(pub(super) Rig);
 
 impl Clock for Watch {
     fn now(&mut self) -> Instant {
