@@ -661,6 +661,17 @@ fn consumer_heartbeat_object_moves_the_master_and_its_time() {
 }
 
 #[test]
+fn master_that_falls_silent_behind_a_change_of_its_time_is_noticed() {
+    let mut bus = Bus::operational();
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.download(0x1016, 1, &[100, 0, MASTER as u8, 0]).unwrap();
+    bus.pass(99);
+    assert_eq!(bus.events, [READ]);
+    bus.pass(1);
+    assert_eq!(bus.events, [READ, SILENT]);
+}
+
+#[test]
 fn server_says_why_it_refuses() {
     let mut bus = Bus::operational();
     assert_eq!(bus.upload(0x3000, 0), Err(0x0602_0000));

@@ -78,8 +78,11 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             Source::ConsumerHeartbeat => {
                 let Ok(master @ 1..=127) = u8::try_from(value >> 16) else { return Err(Abort::Value) };
                 dictionary.set_consumer_time_ms(number)?;
-                self.config.master = master;
-                self.forget_master();
+                // One that was heard goes on to be watched, by its new time: it may fall silent with this request.
+                if master != self.config.master {
+                    self.config.master = master;
+                    self.forget_master();
+                }
             }
             Source::ProducerHeartbeat => self.config.heartbeat_ms = number,
             Source::InhibitTime(at) => set(&mut self.config.inhibit, at, number),
