@@ -146,6 +146,11 @@ impl<'a> Reply<'a> {
         self.value
     }
 
+    /// As [`value`](Self::value), without a copy.
+    pub(crate) const fn value_ref(&self) -> Option<&Value<'a>> {
+        self.value.as_ref()
+    }
+
     /// The reply in a frame.
     ///
     /// # Errors

@@ -332,8 +332,11 @@ impl Device {
                 match object {
                     (SETTINGS_INDEX, DEBOUNCE_SUB) => self.debounce_ms = value,
                     MASTER => {
-                        (self.timeout_ms, self.master) = (value, c.into());
-                        self.forget_master();
+                        self.timeout_ms = value;
+                        if self.master != u16::from(c) {
+                            self.master = c.into();
+                            self.forget_master();
+                        }
                     }
                     _ => self.timeout_ms = value,
                 }

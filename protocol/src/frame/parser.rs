@@ -142,7 +142,10 @@ impl<const N: usize> FrameParser<N> {
     /// Takes one byte.
     #[inline]
     pub fn push(&mut self, byte: u8) -> Option<Event<'_>> {
-        // Inlined up to here: an event is only made where there is one.
+        // Inlined up to here: most bytes are payload, and an event is only made where there is one.
+        if self.flags & (DRAINING | PREAMBLE_MASK) == IN_FRAME && self.take_payload_byte(byte) {
+            return None;
+        }
         let found = self.step(byte)?;
         self.event(found)
     }
@@ -204,14 +207,7 @@ impl<const N: usize> FrameParser<N> {
 
     /// One byte into the state machine, behind those that wait to be scanned; up to the next event.
     fn step(&mut self, byte: u8) -> Option<Found> {
-        match self.flags & (DRAINING | PREAMBLE_MASK) {
-            IN_FRAME => self.step_in_frame(byte),
-            seen @ 0..IN_FRAME => {
-                self.look_for_preamble(seen, byte);
-                None
-            }
-            _ => self.step_behind(byte),
-        }
+        if self.is_draining() { self.step_behind(byte) } else { self.receive(byte) }
     }
 
     /// The same while bytes wait.
@@ -252,6 +248,7 @@ impl<const N: usize> FrameParser<N> {
     }
 
     /// One byte into the state machine, while none waits.
+    #[inline]
     fn receive(&mut self, byte: u8) -> Option<Found> {
         match self.preamble_seen() {
             IN_FRAME => self.step_in_frame(byte),
@@ -264,23 +261,33 @@ impl<const N: usize> FrameParser<N> {
 
     /// One byte behind a preamble.
     fn step_in_frame(&mut self, byte: u8) -> Option<Found> {
+        if self.take_payload_byte(byte) {
+            return None;
+        }
         let at = self.held as usize;
         self.held = at.wrapping_add(1) as u16;
-        let index = at.wrapping_sub(HEAD_LEN);
-        if index < self.store.size()
-            && let Some(slot) = self.store.body.get_mut(index)
-        {
-            *slot = byte;
-        } else if let Some(slot) = self.store.head.get_mut(at) {
-            *slot = byte;
-            if at == HEAD_LEN - 1 && self.store.size() > N {
-                return Some(self.dispatch(Found::Oversize));
-            }
-        } else {
-            return self.end(at, byte);
+        let Some(slot) = self.store.head.get_mut(at) else { return self.end(at, byte) };
+        *slot = byte;
+        if at == HEAD_LEN - 1 && self.store.size() > N {
+            return Some(self.dispatch(Found::Oversize));
         }
         self.checksum_or_next = checksum::push(self.checksum_or_next, byte);
         None
+    }
+
+    /// One byte of payload behind a preamble; whether it is.
+    #[inline(always)]
+    fn take_payload_byte(&mut self, byte: u8) -> bool {
+        let at = self.held as usize;
+        let index = at.wrapping_sub(HEAD_LEN);
+        if index >= self.store.size() {
+            return false;
+        }
+        let Some(slot) = self.store.body.get_mut(index) else { return false };
+        *slot = byte;
+        self.held = at.wrapping_add(1) as u16;
+        self.checksum_or_next = checksum::push(self.checksum_or_next, byte);
+        true
     }
 
     /// A byte of the checksum.
@@ -326,6 +333,8 @@ impl<const N: usize> FrameParser<N> {
 
     /// The frame being received is none: its first byte is dropped, and all others wait to be scanned, beginning with
     /// the two preamble bytes that are left.
+    // Three functions give up, and none of them is in a hurry then.
+    #[inline(never)]
     fn give_up_frame(&mut self) {
         self.drop_bytes(1);
         self.set_preamble_seen(2);

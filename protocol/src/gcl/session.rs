@@ -130,7 +130,8 @@ impl Session {
     /// The next request to send. It counts as sent now.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Request> {
         match self.next_to_send(now, None)? {
-            Outgoing::Own(request) => Some(request),
+            Outgoing::FastStop => Some(Request::Faststop),
+            Outgoing::Own(request) => Some(*request),
             Outgoing::Borrowed => None,
         }
     }
@@ -169,9 +170,9 @@ impl Dialect for Gcl {
         answer.status()
     }
 
-    fn value<'a>(answer: &Self::Answer<'a>) -> Option<Self::Value<'a>> {
+    fn value<'r, 'a>(answer: &'r Self::Answer<'a>) -> Option<&'r Self::Value<'a>> {
         match answer {
-            Answer::Value(value) | Answer::Update(value) => Some(*value),
+            Answer::Value(value) | Answer::Update(value) => Some(value),
             Answer::Ack(_) | Answer::Fin(_) | Answer::Err { .. } => None,
         }
     }

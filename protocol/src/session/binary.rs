@@ -149,7 +149,8 @@ impl Session {
         borrowed: Option<Command<'p>>,
     ) -> Option<Command<'p>> {
         match self.next_to_send(now, borrowed.map(|command| command.id()))? {
-            Outgoing::Own(command) => Some(command),
+            Outgoing::FastStop => Some(Command::FastStop),
+            Outgoing::Own(command) => Some(*command),
             Outgoing::Borrowed => borrowed,
         }
     }
@@ -189,8 +190,8 @@ impl Dialect for Binary {
         reply.status()
     }
 
-    fn value<'a>(reply: &Self::Answer<'a>) -> Option<Self::Value<'a>> {
-        reply.value()
+    fn value<'r, 'a>(reply: &'r Self::Answer<'a>) -> Option<&'r Self::Value<'a>> {
+        reply.value_ref()
     }
 
     fn role(_: &Reply<'_>) -> Role {

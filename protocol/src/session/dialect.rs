@@ -34,7 +34,7 @@ pub trait Dialect: Copy + Debug {
     fn status(answer: &Self::Answer<'_>) -> Status;
 
     /// Returns the value that an answer or an update carries.
-    fn value<'a>(answer: &Self::Answer<'a>) -> Option<Self::Value<'a>>;
+    fn value<'r, 'a>(answer: &'r Self::Answer<'a>) -> Option<&'r Self::Value<'a>>;
 
     /// Returns what an answer can be, by its form alone.
     fn role(answer: &Self::Answer<'_>) -> Role;

@@ -267,6 +267,7 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Takes an answer, or an update.
+    #[inline]
     pub(crate) fn take<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Option<EventIn<'a, D>> {
         match self.route(now, answer) {
             Routed::Unsolicited => {
@@ -274,7 +275,13 @@ impl<D: Dialect> Engine<D> {
                 None
             }
             Routed::Taken => None,
-            Routed::Event(event) => Some(event),
+            Routed::Connected => Some(EventOf::Connected),
+            Routed::Pending(name) => Some(EventOf::Pending(name)),
+            Routed::Answered => Some(EventOf::Answered(*answer)),
+            Routed::ReadBack(setting) => {
+                Some(EventOf::Answered(D::read_back_answer(&setting, answer, &self.known)))
+            }
+            Routed::Reported => D::value(answer).map(|value| EventOf::Reported(*value)),
         }
     }
 
@@ -311,13 +318,13 @@ impl<D: Dialect> Engine<D> {
         &mut self,
         now: Instant,
         borrowed: Option<NameOf<D>>,
-    ) -> Option<Outgoing<D::Request>> {
+    ) -> Option<Outgoing<'_, D::Request>> {
         if matches!(self.link, Link::Closing { .. } | Link::Ended) {
             return None; // What is open belongs to a connection that is over, and the caller is still to be told.
         }
         if !self.fast_stop.is_idle() {
             // Nothing else: its pauses must be silent, or a gripper that waits for the rest of a frame waits on.
-            return self.fast_stop.send(now).then_some(Outgoing::Own(D::Request::FAST_STOP));
+            return self.fast_stop.send(now).then_some(Outgoing::FastStop);
         }
         [&mut self.stop, &mut self.request, &mut self.refresh]
             .into_iter()
@@ -364,51 +371,45 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// To whom an answer belongs.
-    fn route<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Routed<EventIn<'a, D>> {
+    fn route(&mut self, now: Instant, answer: &D::Answer<'_>) -> Routed<D::Request> {
         let Some(name) = D::name(answer) else { return Routed::Unsolicited };
-        let status = D::status(answer);
-        if let Some(value) = D::value(answer) {
-            self.learn(now, &value);
+        let value = D::value(answer);
+        if let Some(value) = value {
+            self.learn(now, value);
         }
+        let has_value = value.is_some();
         match D::role(answer) {
-            Role::Update => self.route_update(name, answer),
-            Role::Result => self.route_result(name, answer),
-            Role::Answer => self.route_answer(now, name, status, answer).unwrap_or(Routed::Unsolicited),
-            Role::Any => match self.route_answer(now, name, status, answer) {
+            Role::Update if self.wants(name, has_value) => {
+                // It begins to come while the next step of connecting is being answered.
+                if self.is_connected() { Routed::Reported } else { Routed::Taken }
+            }
+            Role::Update => Routed::Unsolicited,
+            Role::Result if self.end_running(name) => Routed::Answered,
+            // Without E_CMD_PENDING before it, it is that of an earlier motion, late.
+            Role::Result => Routed::Unsolicited,
+            Role::Answer => self.route_answer(now, name, answer, has_value).unwrap_or(Routed::Unsolicited),
+            Role::Any => match self.route_answer(now, name, answer, has_value) {
                 Some(routed) => routed,
-                None => self.route_update(name, answer),
+                None if self.is_connected() && self.wants(name, has_value) => Routed::Reported,
+                None => Routed::Unsolicited,
             },
         }
     }
 
-    /// An update, for a caller who subscribed to it.
-    fn route_update<'a>(&self, name: NameOf<D>, answer: &D::Answer<'a>) -> Routed<EventIn<'a, D>> {
-        match D::value(answer).filter(|_| self.subscriptions.wants(name)) {
-            Some(value) if self.is_connected() => Routed::Event(EventOf::Reported(value)),
-            // It begins to come while the next step of connecting is being answered.
-            Some(_) if D::role(answer) == Role::Update => Routed::Taken,
-            _ => Routed::Unsolicited,
-        }
-    }
-
-    /// The result of a command that has begun.
-    fn route_result<'a>(&mut self, name: NameOf<D>, answer: &D::Answer<'a>) -> Routed<EventIn<'a, D>> {
-        if self.end_running(name) {
-            Routed::Event(EventOf::Answered(*answer))
-        } else {
-            // Without E_CMD_PENDING before it, it is that of an earlier motion, late.
-            Routed::Unsolicited
-        }
+    /// Whether a value of this name, if there is one, is subscribed to.
+    fn wants(&self, name: NameOf<D>, has_value: bool) -> bool {
+        has_value && self.subscriptions.wants(name)
     }
 
     /// An answer to what is open; `None` if it is none.
-    fn route_answer<'a>(
+    fn route_answer(
         &mut self,
         now: Instant,
         name: NameOf<D>,
-        status: Status,
-        answer: &D::Answer<'a>,
-    ) -> Option<Routed<EventIn<'a, D>>> {
+        answer: &D::Answer<'_>,
+        has_value: bool,
+    ) -> Option<Routed<D::Request>> {
+        let status = D::status(answer);
         let answers_fast_stop = name == D::Request::FAST_STOP.name() && self.fast_stop.was_sent();
         // A FAST STOP is only done when the gripper says so.
         if answers_fast_stop && status != Status::Success {
@@ -423,34 +424,28 @@ impl<D: Dialect> Engine<D> {
             if matches!(self.link, Link::Down { .. }) {
                 self.link = Link::Down { retry_at: None };
             }
-            return Some(Routed::Event(EventOf::Answered(*answer)));
+            return Some(Routed::Answered);
         }
-        if self.request.awaits_answer(name) && self.request.own().is_none_or(|own| D::fits(&own, answer)) {
-            return Some(self.route_first_answer(now, name, status, answer));
+        if self.request.awaits_answer(name) && self.request.own().is_none_or(|own| D::fits(own, answer)) {
+            return Some(self.route_first_answer(now, name, status));
         }
         if status.is_final() && self.end_running(name) {
-            return Some(Routed::Event(EventOf::Answered(*answer)));
+            return Some(Routed::Answered);
         }
         let is_step = self.refresh.awaits_answer(name)
-            && self.refresh.own().is_some_and(|own| D::fits(&own, answer))
+            && self.refresh.own().is_some_and(|own| D::fits(own, answer))
             && D::completes_step(name, status);
-        is_step.then(|| self.route_refresh(now, answer))
+        is_step.then(|| self.route_refresh(now, has_value))
     }
 
     /// The first answer to a request.
-    fn route_first_answer<'a>(
-        &mut self,
-        now: Instant,
-        name: NameOf<D>,
-        status: Status,
-        answer: &D::Answer<'a>,
-    ) -> Routed<EventIn<'a, D>> {
+    fn route_first_answer(&mut self, now: Instant, name: NameOf<D>, status: Status) -> Routed<D::Request> {
         if D::is_late_result(name, status, self.given_up == Some(name)) {
             self.given_up = None;
             return Routed::Unsolicited;
         }
         if status != Status::CmdPending {
-            return self.finish_request(name, status, answer);
+            return self.finish_request(name, status);
         }
         if !D::is_asynchronous(name) {
             return Routed::Unsolicited;
@@ -461,22 +456,16 @@ impl<D: Dialect> Engine<D> {
         if let Some(place) = self.running.iter_mut().find(|place| place.is_none()) {
             *place = Some(Running { name, begun: now, still_since: None });
         }
-        Routed::Event(EventOf::Pending(name))
+        Routed::Pending(name)
     }
 
     /// The request is answered; a setting may have to be read back first.
-    fn finish_request<'a>(
-        &mut self,
-        name: NameOf<D>,
-        status: Status,
-        answer: &D::Answer<'a>,
-    ) -> Routed<EventIn<'a, D>> {
-        let request = self.request.own();
+    fn finish_request(&mut self, name: NameOf<D>, status: Status) -> Routed<D::Request> {
+        let request = self.request.own().copied();
         self.doubled = self.request.doubled().or(self.doubled);
         self.request.close();
         if let Some(setting) = self.reading_back.take() {
-            let answer = D::read_back_answer(&setting, answer, &self.known);
-            return Routed::Event(EventOf::Answered(answer));
+            return Routed::ReadBack(setting);
         }
         if status == Status::Success
             && let Some(setting) = request
@@ -489,13 +478,13 @@ impl<D: Dialect> Engine<D> {
         if status == Status::Success && D::is_farewell(name) {
             self.link = Link::Closing { farewell: true };
         }
-        Routed::Event(EventOf::Answered(*answer))
+        Routed::Answered
     }
 
     /// An answer to one of the session's own requests.
-    fn route_refresh<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Routed<EventIn<'a, D>> {
+    fn route_refresh(&mut self, now: Instant, has_value: bool) -> Routed<D::Request> {
         if let Some(request) = self.refresh.own() {
-            self.subscriptions.confirm(&request);
+            self.subscriptions.confirm(request);
         }
         self.refresh.close();
         self.refresh_at = now.plus(self.timing.refresh_ms);
@@ -508,10 +497,11 @@ impl<D: Dialect> Engine<D> {
                 } else {
                     self.link = Link::Up;
                     self.refresh_step = 0;
-                    Routed::Event(EventOf::Connected)
+                    Routed::Connected
                 }
             }
-            _ => D::value(answer).map_or(Routed::Taken, |value| Routed::Event(EventOf::Reported(value))),
+            _ if has_value => Routed::Reported,
+            _ => Routed::Taken,
         }
     }
 
@@ -703,14 +693,22 @@ impl<D: Dialect> Engine<D> {
     }
 }
 
-/// To whom a reply belongs.
-enum Routed<T> {
-    /// To nobody.
+/// To whom an answer belongs, and what it says there.
+enum Routed<M: Message> {
+    /// To nobody: it was not asked for, or came too late.
     Unsolicited,
     /// To the session itself.
     Taken,
-    /// To the caller.
-    Event(T),
+    /// To the session; all steps of connecting are done.
+    Connected,
+    /// To a request that has begun.
+    Pending(M::Name),
+    /// To a request, as its final answer.
+    Answered,
+    /// To this setting, which was read back.
+    ReadBack(M),
+    /// To a subscriber.
+    Reported,
 }
 
 const fn count(counter: &mut u16) {

@@ -17,9 +17,11 @@ pub(crate) enum Request<M: Message> {
 
 /// A request that is to be sent now.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Outgoing<M> {
+pub(crate) enum Outgoing<'s, M> {
+    /// FAST STOP.
+    FastStop,
     /// This one.
-    Own(M),
+    Own(&'s M),
     /// The one that the caller keeps.
     Borrowed,
 }
@@ -40,10 +42,10 @@ impl<M: Message> Request<M> {
     }
 
     /// The request to send, if it is at hand. `borrowed`: the caller has one of this name.
-    fn outgoing(&self, borrowed: Option<M::Name>) -> Option<Outgoing<M>> {
-        match *self {
+    fn outgoing(&self, borrowed: Option<M::Name>) -> Option<Outgoing<'_, M>> {
+        match self {
             Self::Own(message) => Some(Outgoing::Own(message)),
-            Self::Borrowed(name) => (borrowed == Some(name)).then_some(Outgoing::Borrowed),
+            Self::Borrowed(name) => (borrowed == Some(*name)).then_some(Outgoing::Borrowed),
             Self::Orphan(_) => None,
         }
     }
@@ -99,8 +101,8 @@ impl<M: Message> Transaction<M> {
     }
 
     /// The open request, if the session has it.
-    pub(super) const fn own(&self) -> Option<M> {
-        match self.request {
+    pub(super) const fn own(&self) -> Option<&M> {
+        match &self.request {
             Some(Request::Own(message)) => Some(message),
             _ => None,
         }
@@ -126,7 +128,7 @@ impl<M: Message> Transaction<M> {
         now: Instant,
         timing: &Timing<M::Name>,
         borrowed: Option<M::Name>,
-    ) -> Option<Outgoing<M>> {
+    ) -> Option<Outgoing<'_, M>> {
         if self.deadline.is_some() {
             return None;
         }
