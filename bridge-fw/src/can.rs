@@ -1,7 +1,7 @@
 //! CAN: the gripper on a bus instead of a serial line, and a PLC on a bus instead of wires.
 //!
 //! [`CanBus`] owns the controller, shares it between those who are on the bus ([`CanNode`]), and leaves and joins the
-//! bus when the controller goes bus-off. [`GripperLink`] is one of them: to the bridge it is a line like any other. [`Node`]
+//! bus when the controller goes bus-off. [`GripperLink`](crate::gripper::GripperLink) is one of them: to the bridge it is a line like any other. [`Node`]
 //! is the other: the PLC's side, by CANopen. The board gives the controller, behind [`CanController`]. Where there is none,
 //! [`SlcanPort`] is one over a serial line.
 //!
@@ -10,7 +10,6 @@
 mod bus;
 mod bus_off;
 mod controller;
-mod gripper_link;
 mod node;
 mod report;
 mod slcan_port;
@@ -19,7 +18,6 @@ pub use crate::config::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canop
 pub use bus::{CanBus, CanNode, NullNode};
 pub use bus_off::{BusOffPolicy, BusState};
 pub use controller::{CanController, Health};
-pub use gripper_link::GripperLink;
 pub use node::{
     DataType, FAULTS, Fault, INPUT_INDEX, Key, NmtState, Node, OBJECTS, OUTPUT_INDEX, Object, REPORTS_INDEX,
     SETTINGS_INDEX, write_eds,

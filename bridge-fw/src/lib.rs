@@ -24,6 +24,7 @@ mod bridge;
 pub mod byte_queue;
 pub mod can;
 mod config;
+pub mod gripper;
 pub mod io;
 mod liveness;
 mod log;

@@ -8,7 +8,7 @@ mod modbus;
 mod view;
 pub(crate) mod wires;
 
-pub use modbus::{BusPort, IDENTIFICATION, Modbus, ModbusLine};
+pub use modbus::{BusPort, IDENTIFICATION, Interrupts, Modbus, ModbusLine, RtuBuffers, RtuPort, RtuUart};
 pub use view::View;
 
 pub(crate) use debounce::Debounce;

@@ -4,8 +4,9 @@ use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::Instant;
 
 use crate::bridge::Bridge;
-use crate::can::{BusReport, CanBus, CanController, CanNode, GripperLink, LinkCounters, Node, NullNode};
+use crate::can::{BusReport, CanBus, CanController, CanNode, LinkCounters, Node, NullNode};
 use crate::config::{Config, GripperLine, PlcBus};
+use crate::gripper::GripperLink;
 use crate::io::{Inputs, Outputs};
 use crate::plc::{BusPort, Modbus};
 use crate::registers::ResetCause;

@@ -3,7 +3,8 @@
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id, StandardId};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use wsg_bridge_fw::can::{CanNode, GripperLink};
+use wsg_bridge_fw::can::CanNode;
+use wsg_bridge_fw::gripper::GripperLink;
 use wsg_protocol::can::{Identifiers, Segments};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{DeviceTag, FrameEncoder, Instant};

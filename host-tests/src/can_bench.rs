@@ -7,9 +7,8 @@ use std::rc::Rc;
 use bus_modbus::rtu::Character;
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id};
-use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanConfig, CanController, GripperLink, Health, Node, NodeConfig,
-};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig, CanController, Health, Node, NodeConfig};
+use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::can::{Endpoint, Reassembler, Segments};

@@ -1,8 +1,10 @@
 //! Modbus RTU as a PLC side: requests in, output images out; the input image and the registers of the bridge in answers.
 
 mod port;
+mod uart;
 
 pub use port::BusPort;
+pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 
 use super::{PlcEvent, PlcSide, Shown, View};
 use crate::config::Config;

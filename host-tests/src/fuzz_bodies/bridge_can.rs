@@ -16,9 +16,10 @@ use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanController as _, CanNode, DEFAULT_NODE, GripperLink, Health, LinkCounters,
-    NmtState, Node, NullNode, SETTINGS_INDEX,
+    BusOffPolicy, CanBus, CanController as _, CanNode, DEFAULT_NODE, Health, LinkCounters, NmtState, Node,
+    NullNode, SETTINGS_INDEX,
 };
+use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_protocol::can::{Identifiers, Reassembler, Segments};

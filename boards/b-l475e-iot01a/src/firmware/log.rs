@@ -19,6 +19,7 @@ mod defmt_log {
     use core::sync::atomic::{AtomicU32, Ordering};
 
     use wsg_bridge_fw::ResetCause;
+    use wsg_bridge_fw::gripper::LostBytes;
 
     use crate::{clock, tick, uart};
 
@@ -51,15 +52,11 @@ mod defmt_log {
 
     /// Says so when bytes from the gripper have been lost since the last call.
     pub(crate) fn line_errors() {
-        static SAID: [AtomicU32; 3] = [const { AtomicU32::new(0) }; 3];
-        let lost = [&uart::LOST.overrun, &uart::LOST.framing, &uart::LOST.queue_full]
-            .map(|counter| counter.load(Ordering::Relaxed));
-        let said_before = SAID.each_ref().map(|said| said.load(Ordering::Relaxed));
-        if lost != said_before {
-            for (said, lost) in SAID.iter().zip(lost) {
-                said.store(lost, Ordering::Relaxed);
-            }
-            let [overrun, framing, queue_full] = lost;
+        static SAID: AtomicU32 = AtomicU32::new(0);
+        let LostBytes { overrun, framing, queue_full } = uart::BUFFERS.lost();
+        let all = overrun.wrapping_add(framing).wrapping_add(queue_full);
+        if all != SAID.load(Ordering::Relaxed) {
+            SAID.store(all, Ordering::Relaxed);
             defmt::warn!(
                 "gripper line: {=u32} overruns, {=u32} framing errors, {=u32} lost to a full queue",
                 overrun,

@@ -26,7 +26,6 @@ mod slcan_uart;
 mod tick;
 mod uart;
 mod watchdog;
-mod would_block;
 
 use core::panic::PanicInfo;
 
@@ -64,11 +63,11 @@ fn main() -> ! {
     };
     STATION.start(&config, reset_cause);
     tick::start(core.SYST);
-    let mut gripper_line = uart::GripperLine::new();
+    let mut gripper_line = uart::line();
     if config.gripper_line == GripperLine::Serial {
         uart::start();
     }
-    let mut modbus_line = bus::Bus::new();
+    let mut modbus_line = bus::line();
     if config.plc_bus == PlcBus::Modbus {
         bus::start(&config.bus);
     }
@@ -90,7 +89,7 @@ fn main() -> ! {
         log::line_errors();
         let uses_can = STATION.uses_can();
         sleep_unless(|| {
-            tick::now_ms() != now_ms || uart::has_received() || (uses_can && can::has_received())
+            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can::has_received())
         });
     }
 }

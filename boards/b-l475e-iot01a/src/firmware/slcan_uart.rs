@@ -3,13 +3,11 @@
 //! On the board the UART's pins are not set up: nothing is connected there.
 
 use cortex_m::peripheral::NVIC;
-use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use stm32_metapac::{Interrupt, RCC, UART5, interrupt};
-use wsg_bridge_fw::byte_queue::ByteQueue;
 use wsg_bridge_fw::can::{CanConfig, SlcanPort};
+use wsg_bridge_fw::gripper::{ReceiveErrors, Uart, UartBuffers, UartLine};
 
 use crate::clock::HCLK_HZ;
-use crate::would_block::{WouldBlock, moved};
 
 const BAUD: u32 = 115_200;
 const DIVIDER: u32 = (HCLK_HZ + BAUD / 2) / BAUD;
@@ -18,17 +16,26 @@ const DIVIDER: u32 = (HCLK_HZ + BAUD / 2) / BAUD;
 const RECEIVED_MAX: usize = 512;
 const TO_SEND_MAX: usize = 64;
 
-static RECEIVED: ByteQueue<RECEIVED_MAX> = ByteQueue::new();
-static TO_SEND: ByteQueue<TO_SEND_MAX> = ByteQueue::new();
+static BUFFERS: UartBuffers<RECEIVED_MAX, TO_SEND_MAX> = UartBuffers::new();
 
 /// The controller that is none.
-pub(crate) type Controller = SlcanPort<Line>;
+pub(crate) type Controller = SlcanPort<UartLine<Registers, RECEIVED_MAX, TO_SEND_MAX>>;
 
-/// The bridge's end of the line. There is one value of it, in the controller.
-pub(crate) struct Line(());
+/// What the main loop needs of the registers.
+pub(crate) struct Registers(());
+
+impl Uart for Registers {
+    fn pend(&mut self) {
+        NVIC::pend(Interrupt::UART5);
+    }
+
+    fn is_idle(&mut self) -> bool {
+        UART5.isr().read().tc()
+    }
+}
 
 pub(crate) const fn new() -> Controller {
-    SlcanPort::new(Line(()))
+    SlcanPort::new(UartLine::new(Registers(()), &BUFFERS))
 }
 
 /// Starts the line. The rate of a bus means nothing to it.
@@ -51,67 +58,25 @@ pub(crate) fn start(_: &mut Controller, _: &CanConfig) {
 pub(crate) fn rearm(_: &mut Controller) {}
 
 pub(crate) fn has_received() -> bool {
-    !RECEIVED.is_empty()
-}
-
-impl ErrorType for Line {
-    type Error = WouldBlock;
-}
-
-impl ReadReady for Line {
-    fn read_ready(&mut self) -> Result<bool, WouldBlock> {
-        Ok(has_received())
-    }
-}
-
-impl Read for Line {
-    fn read(&mut self, buf: &mut [u8]) -> Result<usize, WouldBlock> {
-        let was_full = RECEIVED.is_full();
-        let count = buf.iter_mut().map_while(|place| RECEIVED.pop().map(|byte| *place = byte)).count();
-        if was_full && count > 0 {
-            NVIC::pend(Interrupt::UART5);
-        }
-        moved(count, buf)
-    }
-}
-
-impl WriteReady for Line {
-    fn write_ready(&mut self) -> Result<bool, WouldBlock> {
-        Ok(!TO_SEND.is_full())
-    }
-}
-
-impl Write for Line {
-    fn write(&mut self, buf: &[u8]) -> Result<usize, WouldBlock> {
-        let taken = buf.iter().map_while(|&byte| TO_SEND.push(byte).ok()).count();
-        // The handler alone switches interrupts, so main loop and handler never change the same register.
-        NVIC::pend(Interrupt::UART5);
-        moved(taken, buf)
-    }
-
-    fn flush(&mut self) -> Result<(), WouldBlock> {
-        if TO_SEND.is_empty() { Ok(()) } else { Err(WouldBlock) }
-    }
+    BUFFERS.has_received()
 }
 
 /// One byte each way per call; the interrupt stays pending while there is more.
 #[interrupt]
 fn UART5() {
     let status = UART5.isr().read();
-    if status.rxne() && !RECEIVED.is_full() {
-        let _ = RECEIVED.push(UART5.rdr().read().0 as u8);
-    }
+    let byte = (status.rxne() && BUFFERS.takes_more()).then(|| UART5.rdr().read().0 as u8);
+    BUFFERS.on_receive(byte, ReceiveErrors { framing: false, overrun: false });
     if status.txe()
-        && let Some(byte) = TO_SEND.pop()
+        && let Some(byte) = BUFFERS.next_to_send()
     {
         UART5.tdr().write(|w| w.0 = byte.into());
     }
-    let more_to_send = !TO_SEND.is_empty();
-    let takes_more = !RECEIVED.is_full();
+    let (has_to_send, takes_more) = (BUFFERS.has_to_send(), BUFFERS.takes_more());
     let control = UART5.cr1().read();
-    if control.txeie() != more_to_send || control.rxneie() != takes_more {
+    if control.txeie() != has_to_send || control.rxneie() != takes_more {
         UART5.cr1().modify(|w| {
-            w.set_txeie(more_to_send);
+            w.set_txeie(has_to_send);
             w.set_rxneie(takes_more);
         });
     }

@@ -5,6 +5,7 @@ use core::cell::Cell;
 use cortex_m_semihosting::hprintln;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use heapless::{Deque, Vec};
+use wsg_bridge_fw::gripper::WouldBlock;
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_protocol::CommandId;
@@ -14,7 +15,6 @@ use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
 use crate::counting::{self, Counter, Moment};
 use crate::pins::{self, Pins};
 use crate::uart::{self, GripperLine};
-use crate::would_block::WouldBlock;
 
 /// The board's line, which the virtual gripper listens in on and answers to.
 struct Line {
@@ -84,12 +84,8 @@ const EDGES: [(&str, Inputs, CommandId); 6] = [
 pub(crate) fn count(counter: &Counter) {
     let mut pins = pins::init();
     uart::start();
-    let mut line = Line {
-        board: GripperLine::new(),
-        sent: Vec::new(),
-        answers: Deque::new(),
-        first_byte: Cell::new(None),
-    };
+    let mut line =
+        Line { board: uart::line(), sent: Vec::new(), answers: Deque::new(), first_byte: Cell::new(None) };
     for (name, wire, command) in EDGES {
         hprintln!("{} {} 1", name, count_one(counter, &mut pins, &mut line, wire, command));
     }

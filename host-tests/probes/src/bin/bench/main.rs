@@ -21,8 +21,6 @@ mod clock;
 mod pins;
 #[path = "../../../../../boards/b-l475e-iot01a/src/firmware/uart.rs"]
 mod uart;
-#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/would_block.rs"]
-mod would_block;
 
 use cortex_m_rt::entry;
 use cortex_m_semihosting::debug;

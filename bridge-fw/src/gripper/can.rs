@@ -7,7 +7,7 @@ use wsg_protocol::can::{Endpoint, FULL, HALF_MESSAGE_MS, Identifiers, Reassemble
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, Event, FrameEncoder, Instant};
 
-use super::{CanNode, LinkCounters};
+use crate::can::{CanNode, LinkCounters};
 use crate::config::MAX_REPLY_LEN;
 
 /// CAN frames of the longest reply that a bridge asks for.

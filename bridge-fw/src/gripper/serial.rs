@@ -1,0 +1,215 @@
+//! A UART between its interrupt handler and the main loop: two queues, and the line that the main loop sees of them.
+//!
+//! A board's handler moves bytes between its registers and [`UartBuffers`]; it alone touches them, so main loop and handler
+//! never change the same register. [`UartLine`] is the main loop's end.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embedded_io::{Error, ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
+
+use crate::byte_queue::ByteQueue;
+
+/// The bytes on their way, `RX` received ones and `TX` to be sent at the most, both powers of two. It is a plain `static`.
+///
+/// ```
+/// use wsg_bridge_fw::gripper::{ReceiveErrors, UartBuffers};
+///
+/// static BUFFERS: UartBuffers<128, 32> = UartBuffers::new();
+///
+/// // In the handler: what the status register says, and the byte if there is one.
+/// BUFFERS.on_receive(Some(0xAA), ReceiveErrors { framing: false, overrun: false });
+/// assert!(BUFFERS.has_received());
+/// assert_eq!(BUFFERS.next_to_send(), None);
+/// ```
+#[derive(Debug)]
+pub struct UartBuffers<const RX: usize, const TX: usize> {
+    received: ByteQueue<RX>,
+    to_send: ByteQueue<TX>,
+    overrun: AtomicU32,
+    framing: AtomicU32,
+    queue_full: AtomicU32,
+}
+
+/// What a UART says of the byte that it has received last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReceiveErrors {
+    /// No stop bit: a break, a wrong baud rate, or noise.
+    pub framing: bool,
+    /// A byte before it was lost, because the handler came too late for it.
+    pub overrun: bool,
+}
+
+/// How many bytes did not reach the reader, by cause; each count stays at its maximum. They are left to the frames'
+/// checksums.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LostBytes {
+    /// The handler came too late for them.
+    pub overrun: u32,
+    /// They had no stop bit.
+    pub framing: u32,
+    /// The main loop came too late for them.
+    pub queue_full: u32,
+}
+
+impl<const RX: usize, const TX: usize> UartBuffers<RX, TX> {
+    /// Empty queues.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            received: ByteQueue::new(),
+            to_send: ByteQueue::new(),
+            overrun: AtomicU32::new(0),
+            framing: AtomicU32::new(0),
+            queue_full: AtomicU32::new(0),
+        }
+    }
+
+    /// Takes a received byte. For the handler. The byte of a framing error is none.
+    pub fn on_receive(&self, byte: Option<u8>, errors: ReceiveErrors) {
+        if let Some(byte) = byte.filter(|_| !errors.framing)
+            && self.received.push(byte).is_err()
+        {
+            count(&self.queue_full);
+        }
+        if errors.framing {
+            count(&self.framing);
+        }
+        if errors.overrun {
+            count(&self.overrun);
+        }
+    }
+
+    /// Returns the next byte for an empty transmit register. For the handler.
+    pub fn next_to_send(&self) -> Option<u8> {
+        self.to_send.pop()
+    }
+
+    /// Whether the transmit interrupt is needed. For the handler.
+    #[must_use]
+    pub fn has_to_send(&self) -> bool {
+        !self.to_send.is_empty()
+    }
+
+    /// Whether another received byte finds room: a line with flow control leaves it where it is until then.
+    #[must_use]
+    pub fn takes_more(&self) -> bool {
+        !self.received.is_full()
+    }
+
+    /// Whether a byte waits to be read.
+    #[must_use]
+    pub fn has_received(&self) -> bool {
+        !self.received.is_empty()
+    }
+
+    /// Returns what was lost so far.
+    #[must_use]
+    pub fn lost(&self) -> LostBytes {
+        LostBytes {
+            overrun: self.overrun.load(Ordering::Relaxed),
+            framing: self.framing.load(Ordering::Relaxed),
+            queue_full: self.queue_full.load(Ordering::Relaxed),
+        }
+    }
+}
+
+impl<const RX: usize, const TX: usize> Default for UartBuffers<RX, TX> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Counts one more, in the handler alone, so a load and a store do.
+fn count(counter: &AtomicU32) {
+    counter.store(counter.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
+}
+
+/// The two things that the main loop needs of a UART's registers.
+pub trait Uart {
+    /// Has the handler run soon: there is more to send, or room for more.
+    fn pend(&mut self);
+
+    /// Whether the last bit of all bytes that it was given has been sent.
+    fn is_idle(&mut self) -> bool;
+}
+
+/// Where a line would have to wait: no byte has come, there is no room for another, or not all have been sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WouldBlock;
+
+impl core::fmt::Display for WouldBlock {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the line would have to wait")
+    }
+}
+
+impl core::error::Error for WouldBlock {}
+
+impl Error for WouldBlock {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Other
+    }
+}
+
+/// The main loop's end of the line. There is one value of it for each [`UartBuffers`].
+///
+/// Nothing here waits. [`Read::read`], [`Write::write`] and [`Write::flush`] do what can be done at once, and fail with
+/// [`WouldBlock`] where they would have to wait; after [`ReadReady::read_ready`] or [`WriteReady::write_ready`] said yes,
+/// reading or writing succeeds.
+#[derive(Debug)]
+pub struct UartLine<U, const RX: usize, const TX: usize> {
+    uart: U,
+    buffers: &'static UartBuffers<RX, TX>,
+}
+
+impl<U: Uart, const RX: usize, const TX: usize> UartLine<U, RX, TX> {
+    /// The end of this line.
+    pub const fn new(uart: U, buffers: &'static UartBuffers<RX, TX>) -> Self {
+        Self { uart, buffers }
+    }
+}
+
+impl<U: Uart, const RX: usize, const TX: usize> ErrorType for UartLine<U, RX, TX> {
+    type Error = WouldBlock;
+}
+
+impl<U: Uart, const RX: usize, const TX: usize> ReadReady for UartLine<U, RX, TX> {
+    fn read_ready(&mut self) -> Result<bool, WouldBlock> {
+        Ok(self.buffers.has_received())
+    }
+}
+
+impl<U: Uart, const RX: usize, const TX: usize> Read for UartLine<U, RX, TX> {
+    fn read(&mut self, buf: &mut [u8]) -> Result<usize, WouldBlock> {
+        let received = &self.buffers.received;
+        let was_full = received.is_full();
+        let count = buf.iter_mut().map_while(|place| received.pop().map(|byte| *place = byte)).count();
+        if was_full && count > 0 {
+            self.uart.pend();
+        }
+        moved(count, buf)
+    }
+}
+
+impl<U: Uart, const RX: usize, const TX: usize> WriteReady for UartLine<U, RX, TX> {
+    fn write_ready(&mut self) -> Result<bool, WouldBlock> {
+        Ok(!self.buffers.to_send.is_full())
+    }
+}
+
+impl<U: Uart, const RX: usize, const TX: usize> Write for UartLine<U, RX, TX> {
+    fn write(&mut self, buf: &[u8]) -> Result<usize, WouldBlock> {
+        let taken = buf.iter().map_while(|&byte| self.buffers.to_send.push(byte).ok()).count();
+        self.uart.pend();
+        moved(taken, buf)
+    }
+
+    fn flush(&mut self) -> Result<(), WouldBlock> {
+        if !self.buffers.has_to_send() && self.uart.is_idle() { Ok(()) } else { Err(WouldBlock) }
+    }
+}
+
+/// The result of moving `count` bytes between a queue and a caller's buffer.
+const fn moved(count: usize, buf: &[u8]) -> Result<usize, WouldBlock> {
+    if count == 0 && !buf.is_empty() { Err(WouldBlock) } else { Ok(count) }
+}
