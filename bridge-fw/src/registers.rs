@@ -7,7 +7,7 @@ mod reports;
 mod settings;
 
 pub use record::{RECORD_LEN, Record, START_SETTINGS, WrongSetting, record_settings};
-pub use reports::{CanReports, FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
+pub use reports::{BusCounts, CanReports, FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
 pub use settings::{FIRST_SETTING, SETTINGS, Setting};
 
 pub(crate) use reports::ReportSource;

@@ -8,7 +8,7 @@ pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 
 use super::{PlcEvent, PlcSide, Shown, View};
 use crate::config::Config;
-use crate::registers::{FIRST_REPORT, FIRST_SETTING, Link, RegisterError, Settings};
+use crate::registers::{BusCounts, FIRST_REPORT, FIRST_SETTING, Link, RegisterError, Settings};
 use bus_modbus::rtu::{self, Character, Event, Mode, Server};
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
 use wsg_protocol::Instant;
@@ -53,8 +53,18 @@ impl Modbus {
     }
 
     /// What the server has counted so far (FC 8).
-    const fn counters(&self) -> rtu::Counters {
-        self.server.counters()
+    const fn counts(&self) -> BusCounts {
+        let rtu::Counters {
+            bus_messages: messages,
+            bus_errors: errors,
+            exceptions,
+            server_messages: own_messages,
+            no_responses,
+            busy,
+            overruns,
+            ..
+        } = self.server.counters();
+        BusCounts { messages, errors, exceptions, own_messages, no_responses, busy, overruns }
     }
 
     /// Serves this line: a PLC side for one turn.
@@ -67,12 +77,12 @@ impl Modbus {
         &mut self,
         now: Instant,
         event: RxEvent,
-        counters: rtu::Counters,
+        counts: BusCounts,
         port: &mut impl BusPort,
         view: &mut View<'_>,
     ) -> Option<PlcEvent> {
         let Self { server, images, .. } = self;
-        let mut device = BridgeDevice { images, view, counters, configured: false };
+        let mut device = BridgeDevice { images, view, counts, configured: false };
         let served = match event {
             RxEvent::Character(character, silence_us) => server.push(character, silence_us, &mut device),
             RxEvent::Silence(silence_us) => server.silence(silence_us, &mut device),
@@ -134,9 +144,9 @@ impl<P: BusPort> PlcSide for ModbusLine<'_, P> {
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         if let Some(mut event) = self.listen() {
             self.modbus.images.set_input(&view.image());
-            let counters = self.modbus.counters();
+            let counts = self.modbus.counts();
             loop {
-                if let Some(event) = self.modbus.serve(now, event, counters, self.port, view) {
+                if let Some(event) = self.modbus.serve(now, event, counts, self.port, view) {
                     return Some(event);
                 }
                 if matches!(event, RxEvent::Silence(_)) {
@@ -158,7 +168,7 @@ impl<P: BusPort> PlcSide for ModbusLine<'_, P> {
 struct BridgeDevice<'a, 'b> {
     images: &'a mut Images,
     view: &'a mut View<'b>,
-    counters: rtu::Counters,
+    counts: BusCounts,
     configured: bool,
 }
 
@@ -201,7 +211,7 @@ impl Device for BridgeDevice<'_, '_> {
 
     fn input_register(&self, address: u16) -> Result<u16, Exception> {
         if let Some(index) = address.checked_sub(FIRST_REPORT) {
-            return self.view.report(index, self.counters).map_err(exception);
+            return self.view.report(index, self.counts).map_err(exception);
         }
         let value = self.images.input_register(address)?;
         self.gripper_answers().map(|()| value)

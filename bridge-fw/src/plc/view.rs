@@ -2,8 +2,7 @@
 
 use crate::arbiter::{Arbiter, ControlSource};
 use crate::config::{BusConfig, MAX_REPLY_LEN};
-use crate::registers::{CanReports, Link, RegisterError, ReportSource, ResetCause, Settings};
-use bus_modbus::rtu;
+use crate::registers::{BusCounts, CanReports, Link, RegisterError, ReportSource, ResetCause, Settings};
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
 use wsg_protocol::session::Session;
 use wsg_protocol::{FrameParser, Status};
@@ -109,7 +108,7 @@ impl View<'_> {
     ///
     /// # Errors
     /// [`RegisterError::Missing`].
-    pub fn report(&self, index: u16, bus: rtu::Counters) -> Result<u16, RegisterError> {
+    pub fn report(&self, index: u16, bus: BusCounts) -> Result<u16, RegisterError> {
         ReportSource {
             config: &self.facts.bus_config,
             session: self.session,

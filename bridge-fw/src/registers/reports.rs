@@ -3,7 +3,6 @@
 use super::RegisterError;
 use crate::arbiter::ControlSource;
 use crate::config::BusConfig;
-use bus_modbus::rtu;
 use wsg_protocol::frame;
 use wsg_protocol::session::Session;
 
@@ -167,6 +166,25 @@ pub enum ResetCause {
     Firmware,
 }
 
+/// What a PLC side has counted on its bus; a side that does not count something leaves it at 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusCounts {
+    /// Intact messages on the bus, whoever they were for.
+    pub messages: u16,
+    /// Damaged messages.
+    pub errors: u16,
+    /// Requests that were refused.
+    pub exceptions: u16,
+    /// Messages for this device.
+    pub own_messages: u16,
+    /// Those of them that got no answer.
+    pub no_responses: u16,
+    /// Those of them that were put off.
+    pub busy: u16,
+    /// Messages that were lost because they were too long or came too fast.
+    pub overruns: u16,
+}
+
 /// What the reports are about, at the moment of a request.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ReportSource<'a> {
@@ -175,7 +193,7 @@ pub(crate) struct ReportSource<'a> {
     pub(crate) link: Link,
     pub(crate) line: frame::Counters,
     pub(crate) control_source: ControlSource,
-    pub(crate) bus: rtu::Counters,
+    pub(crate) bus: BusCounts,
     pub(crate) timeouts: u16,
     pub(crate) can: &'a CanReports,
     pub(crate) reset_cause: ResetCause,
@@ -221,10 +239,10 @@ impl ReportSource<'_> {
             Subject::Refused => session.refused,
             Subject::Repeated => session.repeated,
             Subject::Disconnects => session.disconnects,
-            Subject::BusMessages => self.bus.bus_messages,
-            Subject::BusErrors => self.bus.bus_errors,
+            Subject::BusMessages => self.bus.messages,
+            Subject::BusErrors => self.bus.errors,
             Subject::BusExceptions => self.bus.exceptions,
-            Subject::ServerMessages => self.bus.server_messages,
+            Subject::ServerMessages => self.bus.own_messages,
             Subject::NoResponses => self.bus.no_responses,
             Subject::Busy => self.bus.busy,
             Subject::Overruns => self.bus.overruns,

@@ -1,11 +1,10 @@
 //! The object dictionary: one table for the server, the EDS file and the documents.
 
 use bus_canopen::{Abort, DataType, Dictionary, Entry, Source, entries, find};
-use bus_modbus::rtu;
 
 use crate::can::BusReport;
 use crate::plc::View;
-use crate::registers::{REPORTS, RegisterError, SETTINGS, Settings};
+use crate::registers::{BusCounts, REPORTS, RegisterError, SETTINGS, Settings};
 
 /// A value that is the bridge's: one about the bus, a setting or a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -229,7 +228,7 @@ impl Dictionary for Objects<'_, '_> {
         match value {
             Value::Setting(number) => self.view.setting(number).map(u32::from).map_err(abort_of),
             Value::Report(number) => {
-                self.view.report(number, rtu::Counters::default()).map(u32::from).map_err(abort_of)
+                self.view.report(number, BusCounts::default()).map(u32::from).map_err(abort_of)
             }
             _ => Ok(bus_value(self.report, value)),
         }
