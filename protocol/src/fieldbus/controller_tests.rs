@@ -80,6 +80,16 @@ impl Plc {
         self.commands()
     }
 
+    /// A FASTSTOP was confirmed and is over; STOP_ACK is high, and the gripper has been asked to leave it.
+    fn acknowledging_a_fast_stop() -> Self {
+        let mut plc = Self::ready();
+        plc.raise(CommandFlags::FASTSTOP);
+        plc.confirm_fast_stop();
+        plc.lower(CommandFlags::FASTSTOP);
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+        plc
+    }
+
     fn raise(&mut self, flags: CommandFlags) -> Vec<Command<'static>> {
         self.write(|image| image.flags |= flags)
     }
@@ -453,11 +463,7 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
 
 #[test]
 fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_acknowledged_again() {
-    let mut plc = Plc::ready();
-    plc.raise(CommandFlags::FASTSTOP);
-    plc.confirm_fast_stop();
-    plc.lower(CommandFlags::FASTSTOP);
-    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    let mut plc = Plc::acknowledging_a_fast_stop();
     plc.controller.handle(&Event::Unanswered(CommandId::Acknowledge), &plc.known);
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
@@ -467,11 +473,7 @@ fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_ack
 
 #[test]
 fn fast_stop_that_the_gripper_shows_no_more_behind_an_acknowledgement_is_left_whatever_its_answer_said() {
-    let mut plc = Plc::ready();
-    plc.raise(CommandFlags::FASTSTOP);
-    plc.confirm_fast_stop();
-    plc.lower(CommandFlags::FASTSTOP);
-    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    let mut plc = Plc::acknowledging_a_fast_stop();
     plc.report_flags(SystemFlags::REFERENCED);
     assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP), "not answered yet");
     plc.answer(CommandId::Acknowledge, Status::AccessDenied);
@@ -580,11 +582,7 @@ fn a_finger_supply_that_is_being_switched_is_no_motion() {
 
 #[test]
 fn an_acknowledgement_of_before_a_disconnect_is_not_waited_for() {
-    let mut plc = Plc::ready();
-    plc.raise(CommandFlags::FASTSTOP);
-    plc.confirm_fast_stop();
-    plc.lower(CommandFlags::FASTSTOP);
-    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    let mut plc = Plc::acknowledging_a_fast_stop();
     plc.lower(CommandFlags::STOP_ACK);
     plc.disconnect();
     assert_eq!(plc.commands(), [Command::FastStop], "the gripper may have been restarted");
@@ -958,11 +956,7 @@ fn motion_is_refused_while_the_plc_is_told_not_to_give_commands() {
 
 #[test]
 fn fast_stop_that_is_to_be_given_again_behind_an_acknowledgement_outlives_a_disconnect() {
-    let mut plc = Plc::ready();
-    plc.raise(CommandFlags::FASTSTOP);
-    plc.confirm_fast_stop();
-    plc.lower(CommandFlags::FASTSTOP);
-    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+    let mut plc = Plc::acknowledging_a_fast_stop();
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), []);
     plc.disconnect();
