@@ -14,21 +14,7 @@ const NOT_BUILT: &str = "not built yet";
 /// The names of all tests in the sources of the workspace.
 fn tests() -> BTreeSet<String> {
     let mut names = BTreeSet::new();
-    for member in [
-        "protocol",
-        "buses/modbus",
-        "buses/slcan",
-        "buses/canopen",
-        "bridge-fw",
-        "boards/b-l475e-iot01a",
-        "gripper-sim",
-        "host-tests",
-        "xtask",
-    ] {
-        for folder in ["src", "tests"] {
-            collect(&root().join(member).join(folder), &mut names);
-        }
-    }
+    collect(&root(), &mut names);
     names
 }
 
@@ -36,8 +22,11 @@ fn collect(folder: &Path, names: &mut BTreeSet<String>) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for entry in entries {
         let path = entry.unwrap().path();
+        let is_source = |name: &str| !name.starts_with('.') && name != "target";
         if path.is_dir() {
-            collect(&path, names);
+            if path.file_name().and_then(|name| name.to_str()).is_some_and(is_source) {
+                collect(&path, names);
+            }
         } else if path.extension().is_some_and(|extension| extension == "rs") {
             names.extend(tests_in(&fs::read_to_string(&path).unwrap()));
         }
