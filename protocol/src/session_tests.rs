@@ -174,6 +174,18 @@ fn motion_is_pending_and_then_done_while_queries_go_on() {
 }
 
 #[test]
+fn gripper_that_refuses_its_states_is_not_connected() {
+    let mut rig = Rig::new();
+    for _ in 0..2_000 {
+        for command in rig.pass(1) {
+            rig.status(command.id(), Status::AccessDenied);
+        }
+    }
+    assert!(!rig.session.is_connected());
+    assert_eq!(rig.noticed("Connected"), 0);
+}
+
+#[test]
 fn second_motion_is_refused_while_one_runs() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();

@@ -387,8 +387,8 @@ impl<D: Dialect> Engine<D> {
             Role::Result if self.end_running(name) => Routed::Answered,
             // Without E_CMD_PENDING before it, it is that of an earlier motion, late.
             Role::Result => Routed::Unsolicited,
-            Role::Answer => self.route_answer(now, name, answer, has_value).unwrap_or(Routed::Unsolicited),
-            Role::Any => match self.route_answer(now, name, answer, has_value) {
+            Role::Answer => self.route_answer(now, name, answer).unwrap_or(Routed::Unsolicited),
+            Role::Any => match self.route_answer(now, name, answer) {
                 Some(routed) => routed,
                 None if self.is_connected() && self.wants(name, has_value) => Routed::Reported,
                 None => Routed::Unsolicited,
@@ -407,7 +407,6 @@ impl<D: Dialect> Engine<D> {
         now: Instant,
         name: NameOf<D>,
         answer: &D::Answer<'_>,
-        has_value: bool,
     ) -> Option<Routed<D::Request>> {
         let status = D::status(answer);
         let answers_fast_stop = name == D::Request::FAST_STOP.name() && self.fast_stop.was_sent();
@@ -435,7 +434,7 @@ impl<D: Dialect> Engine<D> {
         let is_step = self.refresh.awaits_answer(name)
             && self.refresh.own().is_some_and(|own| D::fits(own, answer))
             && D::completes_step(name, status);
-        is_step.then(|| self.route_refresh(now, has_value))
+        is_step.then(|| self.route_refresh(now))
     }
 
     /// The first answer to a request.
@@ -482,7 +481,7 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// An answer to one of the session's own requests.
-    fn route_refresh(&mut self, now: Instant, has_value: bool) -> Routed<D::Request> {
+    fn route_refresh(&mut self, now: Instant) -> Routed<D::Request> {
         if let Some(request) = self.refresh.own() {
             self.subscriptions.confirm(request);
         }
@@ -500,8 +499,8 @@ impl<D: Dialect> Engine<D> {
                     Routed::Connected
                 }
             }
-            _ if has_value => Routed::Reported,
-            _ => Routed::Taken,
+            // For a subscriber, if there is a value.
+            _ => Routed::Reported,
         }
     }
 
@@ -707,7 +706,7 @@ enum Routed<M: Message> {
     Answered,
     /// To this setting, which was read back.
     ReadBack(M),
-    /// To a subscriber.
+    /// To a subscriber, if there is a value.
     Reported,
 }
 
