@@ -186,6 +186,15 @@ fn gripper_that_refuses_its_states_is_not_connected() {
 }
 
 #[test]
+fn updates_are_asked_for_in_the_period_of_the_configuration_but_10_ms_at_the_least() {
+    for (update_period_ms, asked_ms) in [(1, 10), (9, 10), (10, 10), (11, 11), (500, 500)] {
+        let mut rig = Rig::with(Config { update_period_ms, ..Config::DEFAULT });
+        let update = AutoUpdate::on_change(asked_ms);
+        assert_eq!(rig.pass(1), [Command::GetSystemState { update }], "{update_period_ms} ms");
+    }
+}
+
+#[test]
 fn second_motion_is_refused_while_one_runs() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
