@@ -186,7 +186,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             return Some(event);
         }
         if let Some(request) = self.request.take() {
-            return Some(Event::Sdo { written: self.answer(&request, dictionary) });
+            return Some(Event::Sdo { written: self.answer(now_ms, &request, dictionary) });
         }
         let time_ms = u32::from(dictionary.consumer_time_ms());
         let is_silent = time_ms > 0 && self.heard_at.is_some_and(|at| since(now_ms, at) >= time_ms);

@@ -664,6 +664,8 @@ fn consumer_heartbeat_object_moves_the_master_and_its_time() {
 fn master_that_falls_silent_behind_a_change_of_its_time_is_noticed() {
     let mut bus = Bus::operational();
     bus.bring(0x700 | MASTER, &[5]);
+    // Longer ago than the new time, which begins with the request.
+    bus.pass(200);
     bus.download(0x1016, 1, &[100, 0, MASTER as u8, 0]).unwrap();
     bus.pass(99);
     assert_eq!(bus.events, [READ]);

@@ -317,7 +317,7 @@ impl Device {
     }
 
     /// What comes of an SDO request, by what the device said; whether that can be told.
-    fn configure(&mut self, said: &[ClassicFrame]) -> bool {
+    fn configure(&mut self, now_ms: u32, said: &[ClassicFrame]) -> bool {
         let Some([specifier, low, high, sub, a, b, c, _]) = self.request.take() else { return true };
         let object = (u16::from_le_bytes([low, high]), sub);
         let is_followed =
@@ -334,7 +334,9 @@ impl Device {
                     (SETTINGS_INDEX, DEBOUNCE_SUB) => self.debounce_ms = value,
                     MASTER => {
                         self.timeout_ms = value;
-                        if self.master != u16::from(c) {
+                        if self.master == u16::from(c) {
+                            self.heard_ms = self.heard_ms.map(|_| now_ms);
+                        } else {
                             self.master = c.into();
                             self.forget_master();
                         }
@@ -594,7 +596,7 @@ impl Model {
             device.master = DEFAULT_NODE.master.into();
             device.request = None;
         }
-        self.is_over = !device.configure(said);
+        self.is_over = !device.configure(self.now_ms, said);
         let is_silent = |heard_ms| device.timeout_ms > 0 && self.now_ms - heard_ms >= device.timeout_ms;
         if device.heard_ms.is_some_and(is_silent) {
             device.forget_master();

@@ -6,7 +6,12 @@ use crate::{Abort, Dictionary, Entry, Source};
 
 impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     /// Serves an SDO request; whether it wrote a value of the application.
-    pub(super) fn answer<D: Dictionary>(&mut self, request: &[u8; 8], dictionary: &mut D) -> bool {
+    pub(super) fn answer<D: Dictionary>(
+        &mut self,
+        now_ms: u32,
+        request: &[u8; 8],
+        dictionary: &mut D,
+    ) -> bool {
         let (index, sub, request) = sdo::parse(request);
         let outcome = match request {
             Request::Aborted => return false,
@@ -15,9 +20,11 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
                 self.response = Some(sdo::read_response(index, sub, len, value));
                 false
             }),
-            Request::Write(len, value) => self.write(index, sub, len, value, dictionary).inspect(|_| {
-                self.response = Some(sdo::write_response(index, sub));
-            }),
+            Request::Write(len, value) => {
+                self.write(now_ms, index, sub, len, value, dictionary).inspect(|_| {
+                    self.response = Some(sdo::write_response(index, sub));
+                })
+            }
         };
         outcome.unwrap_or_else(|abort| {
             self.response = Some(sdo::abort_response(index, sub, abort));
@@ -54,6 +61,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     /// Whether it was a value of the application.
     fn write<D: Dictionary>(
         &mut self,
+        now_ms: u32,
         index: u16,
         sub: u8,
         len: Option<u8>,
@@ -78,8 +86,10 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             Source::ConsumerHeartbeat => {
                 let Ok(master @ 1..=127) = u8::try_from(value >> 16) else { return Err(Abort::Value) };
                 dictionary.set_consumer_time_ms(number)?;
-                // One that was heard goes on to be watched, by its new time: it may fall silent with this request.
-                if master != self.config.master {
+                if master == self.config.master {
+                    // It may fall silent with this request, so it goes on to be watched; its new time begins now.
+                    self.heard_at = self.heard_at.map(|_| now_ms);
+                } else {
                     self.config.master = master;
                     self.forget_master();
                 }
