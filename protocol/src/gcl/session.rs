@@ -45,7 +45,7 @@ pub use known::Known;
 
 use super::{Answer, Autosend, CommandName, LineEvent, ParseError, Request, Select, Selected, Topic, Value};
 use crate::command::Kind;
-use crate::session::dialect::{Dialect, Knowledge, Role};
+use crate::session::dialect::{Dialect, Role};
 use crate::session::message::{Message, Name};
 use crate::session::subscriptions::Subscriptions;
 use crate::session::transaction::{self, Outgoing};
@@ -79,7 +79,7 @@ impl Session {
         Self::over(Gcl { verbose: config.verbose }, config.timing(), subscriptions::of_config(&config))
     }
 
-    /// Asks for a request to be sent. Its outcome comes as a [`Event`].
+    /// Asks for a request to be sent. Its outcome comes as an [`Event`].
     ///
     /// STOP and FASTSTOP overtake what waits: it is withdrawn. AUTOSEND is a [`subscription`](Self::subscribe); no
     /// event tells of its acknowledgement.
@@ -144,6 +144,8 @@ impl Dialect for Gcl {
     type Value<'a> = Value<'a>;
     type Known = Known;
     type Subscriptions = Subscriptions<Autosend, { Topic::ALL.len() }>;
+
+    const NOTHING: Known = Known::NOTHING;
 
     /// Who is it, then for each subscription AUTOSEND and the value itself, because AUTOSEND on change says nothing before
     /// the first change.
@@ -213,7 +215,7 @@ impl Dialect for Gcl {
         name == CommandName::Bye
     }
 
-    fn learn(known: &mut Known, value: &Value<'_>) -> bool {
+    fn learn(known: &mut Known, value: &Value<'_>) -> Option<bool> {
         known.learn(value)
     }
 }
@@ -240,14 +242,6 @@ impl Name for CommandName {
 
     fn is_repeatable(self) -> bool {
         Self::is_repeatable(self)
-    }
-}
-
-impl Knowledge for Known {
-    const NOTHING: Self = Self::NOTHING;
-
-    fn is_moving(&self) -> bool {
-        Self::is_moving(self)
     }
 }
 

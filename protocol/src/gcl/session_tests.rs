@@ -34,6 +34,17 @@ impl Rig {
         rig
     }
 
+    /// One that has given up the result of a GRIP.
+    fn with_a_lost_result() -> Self {
+        let mut rig = Self::connected();
+        rig.session.request(GRIP).unwrap();
+        rig.lines(0);
+        rig.hear("ACK GRIP");
+        rig.hear("GRIPSTATE=4");
+        rig.pass_answered(1_300);
+        rig
+    }
+
     fn connect(&mut self) {
         for _ in 0..2_000 {
             if self.session.is_connected() {
@@ -515,12 +526,7 @@ fn motion_that_never_ends_is_given_up_after_its_time() {
 
 #[test]
 fn late_result_is_not_taken_for_that_of_the_next_motion() {
-    let mut rig = Rig::connected();
-    rig.session.request(GRIP).unwrap();
-    rig.lines(0);
-    rig.hear("ACK GRIP");
-    rig.hear("GRIPSTATE=4");
-    rig.pass_answered(1_300);
+    let mut rig = Rig::with_a_lost_result();
     rig.session.request(GRIP).unwrap();
     assert_eq!(rig.lines(0), ["GRIP(40.0,20.0)"]);
     rig.hear("FIN GRIP");
@@ -533,12 +539,7 @@ fn late_result_is_not_taken_for_that_of_the_next_motion() {
 
 #[test]
 fn refusal_behind_a_lost_result_is_that_of_the_new_request() {
-    let mut rig = Rig::connected();
-    rig.session.request(GRIP).unwrap();
-    rig.lines(0);
-    rig.hear("ACK GRIP");
-    rig.hear("GRIPSTATE=4");
-    rig.pass_answered(1_300);
+    let mut rig = Rig::with_a_lost_result();
     rig.session.request(GRIP).unwrap();
     rig.lines(0);
     rig.hear("ERR GRIP 3");
@@ -672,6 +673,19 @@ fn bye_ends_the_conversation_until_there_is_a_new_connection() {
     rig.session.disconnect();
     rig.connect();
     assert_eq!(rig.happened(), ["Connected"]);
+}
+
+#[test]
+fn stop_behind_a_farewell_is_refused_and_not_sent_over_the_next_connection() {
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Bye).unwrap();
+    assert_eq!(rig.lines(0), ["BYE()"]);
+    rig.hear("ACK BYE");
+    rig.pass(1);
+    assert_eq!(rig.session.request(Request::Stop), Err(RequestError::NotConnected));
+    rig.session.disconnect();
+    rig.connect();
+    assert_eq!(rig.lines(1_000), Vec::<String>::new());
 }
 
 #[test]

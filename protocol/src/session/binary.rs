@@ -3,7 +3,7 @@
 use core::hash::{Hash, Hasher};
 
 use super::config::Config;
-use super::dialect::{Dialect, Knowledge, Role};
+use super::dialect::{Dialect, Role};
 use super::engine::Engine;
 use super::event::{EventOf, RequestError};
 use super::known::Known;
@@ -63,10 +63,10 @@ impl Session {
         Self::over(dialect, config.timing(), topic::of_config(&config))
     }
 
-    /// Asks for a command to be sent. Its outcome comes as a [`Event`].
+    /// Asks for a command to be sent. Its outcome comes as an [`Event`].
     ///
-    /// Stop, FAST STOP and Acknowledge overtake what waits: it is withdrawn. To ask once for a value that is subscribed to does not
-    /// end the subscription.
+    /// Stop, FAST STOP and Acknowledge overtake what waits: it is withdrawn. To ask once for a value that is
+    /// subscribed to does not end the subscription.
     ///
     /// # Errors
     /// [`RequestError`]; then the command is not sent, now or later.
@@ -82,7 +82,8 @@ impl Session {
     }
 
     /// As [`request`](Self::request), for a command that the caller keeps, because it borrows its payload: only the id
-    /// is kept here, and the command is sent when [`poll_transmit_borrowed`](Self::poll_transmit_borrowed) has it at hand.
+    /// is kept here, and the command is sent when [`poll_transmit_borrowed`](Self::poll_transmit_borrowed) has it at
+    /// hand.
     ///
     /// A caller that cannot lend it any more calls [`withdraw`](Self::withdraw). A setting that is borrowed is not read
     /// back.
@@ -141,8 +142,8 @@ impl Session {
         self.poll_transmit_borrowed(now, None)
     }
 
-    /// As [`poll_transmit`](Self::poll_transmit), with the command of [`request_borrowed`](Self::request_borrowed) at hand. It
-    /// may be given more than once, until it is answered.
+    /// As [`poll_transmit`](Self::poll_transmit), with the command of [`request_borrowed`](Self::request_borrowed) at
+    /// hand. It may be given more than once, until it is answered.
     pub fn poll_transmit_borrowed<'p>(
         &mut self,
         now: Instant,
@@ -163,6 +164,8 @@ impl Dialect for Binary {
     type Value<'a> = Value<'a>;
     type Known = Known;
     type Subscriptions = Subscriptions<Update, { Topic::ALL.len() }>;
+
+    const NOTHING: Known = Known::NOTHING;
 
     /// The two states, what device, what limits, then the other subscriptions.
     fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Command<'static>> {
@@ -218,7 +221,7 @@ impl Dialect for Binary {
         false
     }
 
-    fn learn(known: &mut Known, value: &Value<'_>) -> bool {
+    fn learn(known: &mut Known, value: &Value<'_>) -> Option<bool> {
         known.learn(value)
     }
 
@@ -258,13 +261,5 @@ impl Name for CommandId {
 
     fn is_repeatable(self) -> bool {
         Self::is_repeatable(self)
-    }
-}
-
-impl Knowledge for Known {
-    const NOTHING: Self = Self::NOTHING;
-
-    fn is_moving(&self) -> bool {
-        Self::is_moving(self)
     }
 }

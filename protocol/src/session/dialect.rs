@@ -17,9 +17,12 @@ pub trait Dialect: Copy + Debug {
     /// A value that an answer or an update carries.
     type Value<'a>: Copy;
     /// What is known of the gripper.
-    type Known: Knowledge;
+    type Known;
     /// What can be subscribed to.
     type Subscriptions: List<Request = Self::Request>;
+
+    /// What is known of a gripper that has said nothing.
+    const NOTHING: Self::Known;
 
     /// Returns the request of a step of connecting, in order; `None` after the last one.
     fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Self::Request>;
@@ -55,8 +58,8 @@ pub trait Dialect: Copy + Debug {
     /// Whether the connection is over when a request of this name is confirmed.
     fn is_farewell(name: NameOf<Self>) -> bool;
 
-    /// Keeps a value, if it is one that is kept; whether it tells if the fingers move.
-    fn learn(known: &mut Self::Known, value: &Self::Value<'_>) -> bool;
+    /// Keeps a value, if it is one that is kept. Returns whether the fingers move, if the value tells.
+    fn learn(known: &mut Self::Known, value: &Self::Value<'_>) -> Option<bool>;
 
     /// Returns the query that shows what this setting came to, if that is to be asked.
     fn read_back(&self, _setting: &Self::Request) -> Option<Self::Request> {
@@ -75,15 +78,6 @@ pub trait Dialect: Copy + Debug {
 
 /// The names of a dialect's commands.
 pub(super) type NameOf<D> = <<D as Dialect>::Request as Message>::Name;
-
-/// What is known of a gripper.
-pub trait Knowledge {
-    /// Nothing is known.
-    const NOTHING: Self;
-
-    /// Whether the gripper reports that the fingers move.
-    fn is_moving(&self) -> bool;
-}
 
 /// What an answer can be, by its form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
 //! One engine for every dialect: queueing, time-outs, repeats, Stop and FAST STOP, reconnecting, subscriptions.
 
 use super::config::Timing;
-use super::dialect::{Dialect, Knowledge, NameOf, Role};
+use super::dialect::{Dialect, NameOf, Role};
 use super::event::{Counters, EventOf, RequestError};
 use super::fast_stop::FastStop;
 use super::message::{Message, Name};
@@ -68,8 +68,8 @@ pub struct Engine<D: Dialect> {
     queue: Queue<Request<D::Request>, QUEUE_CAPACITY>,
     /// What a Stop, FAST STOP or Acknowledge has overtaken.
     overtaken: Overtaken,
-    /// A request that was sent more than once, and until when another answer to it may still come: a request of the same
-    /// name would take that for its own.
+    /// A request that was sent more than once, and until when another answer to it may still come: a request of the
+    /// same name would take that for its own.
     doubled: Option<(NameOf<D>, Instant)>,
     /// What the next tick reports of a Stop: not answered in time, or not at all.
     stop_report: Option<StopReport>,
@@ -89,7 +89,7 @@ pub struct Engine<D: Dialect> {
 /// The requests that will be withdrawn because something more urgent overtook them.
 #[derive(Clone, Copy, Debug, Default, Hash)]
 struct Overtaken {
-    /// The one in [`Engine::request`], if it is not sent yet.
+    /// The one whose first answer is awaited, if it is not sent yet.
     request: bool,
     /// So many at the front of the queue.
     queued: usize,
@@ -126,7 +126,7 @@ impl<D: Dialect> Engine<D> {
             refresh_at: Instant::from_millis(0),
             refresh_step: 0,
             subscriptions,
-            known: D::Known::NOTHING,
+            known: D::NOTHING,
             counters: Counters { unsolicited: 0, refused: 0, repeated: 0, disconnects: 0 },
         }
     }
@@ -167,7 +167,7 @@ impl<D: Dialect> Engine<D> {
         !self.request.is_idle() || !self.queue.is_empty()
     }
 
-    /// Takes a request that was checked. Its outcome comes as a [`EventOf`].
+    /// Takes a request that was checked. Its outcome comes as an [`EventOf`].
     pub(crate) fn enqueue(&mut self, request: Request<D::Request>) -> Result<(), RequestError<D::Invalid>> {
         let name = request.name();
         if name == D::Request::FAST_STOP.name() {
@@ -179,9 +179,9 @@ impl<D: Dialect> Engine<D> {
             return Ok(());
         }
         let fast_stop_runs = self.fast_stop_pending();
-        if name == D::Request::STOP.name() && !fast_stop_runs {
-            // The gripper may hear although it is not heard. But it is now or never: a Stop that arrives after a
-            // reconnect would drop the part that is held then.
+        if name == D::Request::STOP.name() && !fast_stop_runs && self.link != Link::Ended {
+            // The gripper may hear although it is not heard. But it is now or never: a Stop that arrives over another
+            // connection would drop the part that is held then.
             if !self.stop.awaits(name) {
                 self.stop.open(request);
             }
@@ -220,8 +220,8 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Cancels every request that was not sent yet, for a caller that is gone (a future that was dropped): no event tells of
-    /// them. A borrowed request that was sent is not repeated. Stop and FAST STOP remain.
+    /// Cancels every request that was not sent yet, for a caller that is gone (a future that was dropped): no event
+    /// tells of them. A borrowed request that was sent is not repeated. Stop and FAST STOP remain.
     pub fn withdraw(&mut self) {
         self.queue.clear();
         self.overtaken = Overtaken::default();
@@ -230,13 +230,13 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Cancels the last polled request if not one byte of it was sent; returns whether it could. No event tells of it. A
-    /// query, Stop and FAST STOP cannot be cancelled: they may be sent late.
+    /// Cancels the last polled request if not one byte of it was sent; returns whether it could. No event tells of
+    /// it. A query, Stop and FAST STOP cannot be cancelled: they may be sent late.
     pub fn take_back(&mut self, name: NameOf<D>) -> bool {
         name.kind() != Kind::Query && self.request.take_back(name)
     }
 
-    /// Notes a change of the subscriptions, which the gripper is told when nothing else is due.
+    /// Returns what is subscribed to, for a change, which the gripper is told when nothing else is due.
     pub(crate) const fn subscriptions_mut(&mut self) -> &mut D::Subscriptions {
         &mut self.subscriptions
     }
@@ -247,14 +247,14 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Gives up the connection, for a caller who knows that it is gone, or who has opened a new one: the next
-    /// [`tick`](Self::tick)s tell what became of what was open, and then it is connected anew. A FAST STOP that is not confirmed goes out again at once:
-    /// what was sent may not have arrived.
+    /// [`tick`](Self::tick)s tell what became of what was open, and then it is connected anew. A FAST STOP that is
+    /// not confirmed goes out again at once: what was sent may not have arrived.
     pub fn disconnect(&mut self) {
         self.fast_stop.send_again();
         match self.link {
             Link::Up | Link::Closing { .. } => self.link = Link::Closing { farewell: false },
             Link::Down { .. } | Link::Connecting { .. } | Link::Ended => {
-                self.known = D::Known::NOTHING;
+                self.known = D::NOTHING;
                 self.refresh.close();
                 self.link = Link::Down { retry_at: None };
             }
@@ -506,17 +506,14 @@ impl<D: Dialect> Engine<D> {
 
     /// Takes over a reported value, and what it says of a running motion.
     fn learn(&mut self, now: Instant, value: &D::Value<'_>) {
-        if !D::learn(&mut self.known, value) {
-            return;
-        }
-        let moves = self.known.is_moving();
+        let Some(moves) = D::learn(&mut self.known, value) else { return };
         for motion in self.running.iter_mut().flatten().filter(|running| running.name.kind() == Kind::Motion)
         {
             motion.still_since = if moves { None } else { motion.still_since.or(Some(now)) };
         }
     }
 
-    /// What is done about answers that did not come.
+    /// Repeats or gives up what was not answered in time.
     fn expire_transactions(&mut self, now: Instant) {
         if self.doubled.is_some_and(|(_, until)| now.has_reached(until)) {
             self.doubled = None;
@@ -548,7 +545,7 @@ impl<D: Dialect> Engine<D> {
                     Link::Closing { .. } | Link::Ended => {}
                     Link::Down { .. } | Link::Connecting { .. } => {
                         self.link = Link::Down { retry_at: Some(now.plus(self.timing.reconnect_ms)) };
-                        self.known = D::Known::NOTHING;
+                        self.known = D::NOTHING;
                     }
                 },
             }
@@ -570,7 +567,7 @@ impl<D: Dialect> Engine<D> {
 
     /// Gives up the connection, one open thing after the other.
     fn close_one(&mut self, now: Instant, farewell: bool) -> EventIn<'static, D> {
-        self.known = D::Known::NOTHING;
+        self.known = D::NOTHING;
         self.refresh.close();
         if let Some(name) = self.dropped.take() {
             return EventOf::Unanswered(name);

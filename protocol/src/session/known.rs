@@ -42,16 +42,16 @@ impl Known {
             || self.state.is_some_and(GripperState::is_motion)
     }
 
-    /// Keeps a value, if it is one that is kept; whether it tells if the fingers move.
-    pub(super) fn learn(&mut self, value: &Value<'_>) -> bool {
+    /// Keeps a value, if it is one that is kept. Returns whether the fingers move, if the value tells.
+    pub(super) fn learn(&mut self, value: &Value<'_>) -> Option<bool> {
         match *value {
             Value::GetSystemState(flags) => {
                 self.flags = Some(flags);
-                return true;
+                return Some(self.is_moving());
             }
             Value::GetGripperState(state) => {
                 self.state = Some(state);
-                return true;
+                return Some(self.is_moving());
             }
             Value::GetSystemInfo(info) => self.info = Some(info),
             Value::GetSystemLimits(limits) => self.limits = Some(limits),
@@ -59,6 +59,6 @@ impl Known {
             Value::GetForce(force) => self.force = Some(force),
             _ => {}
         }
-        false
+        None
     }
 }

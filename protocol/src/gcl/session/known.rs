@@ -54,16 +54,16 @@ impl Known {
             || self.state.is_some_and(GripperState::is_motion)
     }
 
-    /// Takes over a value, if it is one that is kept; whether it says if the fingers move.
-    pub(super) fn learn(&mut self, value: &Value<'_>) -> bool {
+    /// Keeps a value, if it is one that is kept. Returns whether the fingers move, if the value tells.
+    pub(super) fn learn(&mut self, value: &Value<'_>) -> Option<bool> {
         match *value {
             Value::Sysflags(Selected::All(flags)) => {
                 self.flags = Some(flags);
-                return true;
+                return Some(self.is_moving());
             }
             Value::Gripstate(state) => {
                 self.state = Some(state);
-                return true;
+                return Some(self.is_moving());
             }
             Value::Devtype(text) => self.device = Some(text.device_type()),
             Value::Version(text) => self.firmware = text.firmware_version(),
@@ -76,6 +76,6 @@ impl Known {
             Value::Clt(travel) => self.clamping_travel = Some(travel),
             _ => {}
         }
-        false
+        None
     }
 }
