@@ -1,6 +1,6 @@
 //! Every check of the workspace, in order, each announced; the first that fails ends it.
 
-use std::{ffi::OsString, path::Path, process::Command};
+use std::{ffi::OsString, num::NonZero, path::Path, process::Command, thread, time::Instant};
 
 use anyhow::{Context, Result, ensure};
 
@@ -158,6 +158,9 @@ impl Checks<'_> {
         let mut tests = self.workspace.cargo("test");
         tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, self.python);
         tests.args(["--workspace", "--lib", "--bins", "--tests", "--examples", "--", "--include-ignored"]);
+        // Those with an emulator wait more than they compute.
+        let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(2);
+        tests.env("RUST_TEST_THREADS", threads.to_string());
         for (variable, image) in &self.can_images {
             tests.env(variable, &image.path);
         }
@@ -178,7 +181,9 @@ struct Record {
 impl Record {
     fn check(&mut self, name: &'static str, check: impl FnOnce() -> Result<()>) -> Result<()> {
         println!("== {name}");
+        let start = Instant::now();
         check().with_context(|| format!("check \"{name}\""))?;
+        println!("== {name}: passed in {} s", start.elapsed().as_secs());
         self.passed.push(name);
         Ok(())
     }

@@ -2,9 +2,7 @@
 //! `modbus-tk` and `tokio-modbus`.
 //!
 //! A pseudo terminal refuses parity, so they are told 8N1; the emulated line knows neither rate nor parity.
-#![cfg(unix)]
 
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use host_tests::emulator::Emulator;
@@ -21,6 +19,8 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
 use wsg_sim::{Config, Part};
 
+use super::image;
+
 struct Plant {
     _board: Emulator,
     gripper: GripperEnd,
@@ -30,9 +30,7 @@ struct Plant {
 
 /// A board whose gripper answers; the FAST STOP of power-up is not acknowledged yet.
 fn plant() -> Plant {
-    let elf: PathBuf =
-        std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF names the firmware image").into();
-    let mut board = Emulator::start(&elf).unwrap();
+    let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
     let trace = Trace::new(vec![]);
     let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };

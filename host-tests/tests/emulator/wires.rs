@@ -1,7 +1,4 @@
 //! The flashed image between a PLC and a virtual gripper, in the emulator.
-#![cfg(unix)]
-
-use std::path::PathBuf;
 
 use host_tests::rig::{PATIENCE, Rig, motions, names};
 use host_tests::trace::{Entry, Sequences, Trace, frame_id};
@@ -10,14 +7,12 @@ use wsg_protocol::session::FastStopPattern;
 use wsg_protocol::{CommandId, FrameEncoder, Reply, Status, SystemFlags};
 use wsg_sim::{Config, Part};
 
+use super::image;
+
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
 
 /// The recipe that opens wide.
 const WIDE: u8 = 1;
-
-fn image() -> PathBuf {
-    std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF names the firmware image").into()
-}
 
 /// A gripper whose fingers travel ten times as fast, which leaves every phase of a motion well above the 10 ms in which
 /// reports are drawn together.
@@ -30,7 +25,7 @@ fn with_part() -> Config {
 }
 
 fn powered(config: Config) -> Rig {
-    Rig::power_up(&image(), config, Trace::new(vec![])).unwrap()
+    Rig::power_up(&image("WSG_FIRMWARE_ELF"), config, Trace::new(vec![])).unwrap()
 }
 
 fn ready(config: Config) -> Rig {

@@ -1,7 +1,5 @@
 //! The flashed image between a Modbus master and a virtual gripper, in the emulator, over LPUART1.
-#![cfg(unix)]
 
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use host_tests::emulator::Emulator;
@@ -12,6 +10,8 @@ use host_tests::trace::{Entry, Trace, frame_id};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::{CommandId, Status};
 use wsg_sim::{Config, Part};
+
+use super::image;
 
 const UNIT: u8 = 1;
 
@@ -25,9 +25,7 @@ struct Plant {
 impl Plant {
     /// A board whose FAST STOP wire is high, a gripper that answers, and a bus that has written zeros.
     fn start(config: Config) -> Self {
-        let elf: PathBuf =
-            std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF names the firmware image").into();
-        let mut board = Emulator::start(&elf).unwrap();
+        let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
         board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
         let trace = Trace::new(vec![]);
         let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();

@@ -1,8 +1,6 @@
 //! The image with CAN over SLCAN in the emulator, under three settings: the gripper on the bus, the PLC on the bus, and both;
 //! and a third-party CANopen master.
-#![cfg(unix)]
 
-use std::path::PathBuf;
 use std::time::Instant;
 
 use host_tests::can_hub::CanHub;
@@ -16,14 +14,9 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::{Config, Part};
 
-const READY: Outputs = Outputs::READY.union(Outputs::LINK_OK);
+use super::image;
 
-/// The image that this variable names: with `can-over-slcan`, and settings that say who is on CAN.
-fn image(variable: &str) -> PathBuf {
-    std::env::var_os(variable)
-        .unwrap_or_else(|| panic!("{variable} names no firmware image: run `cargo xtask test`"))
-        .into()
-}
+const READY: Outputs = Outputs::READY.union(Outputs::LINK_OK);
 
 fn config() -> Config {
     Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() }

@@ -1,0 +1,18 @@
+//! The flashed image in the emulator: on wires, on both buses, and with masters that others wrote.
+//!
+//! One program, because these tests wait more than they compute: several run at a time.
+#![cfg(unix)]
+
+mod can;
+mod masters;
+mod modbus;
+mod wires;
+
+use std::path::PathBuf;
+
+/// The firmware image that this variable names.
+fn image(variable: &str) -> PathBuf {
+    std::env::var_os(variable)
+        .unwrap_or_else(|| panic!("{variable} names no firmware image: run `cargo xtask test`"))
+        .into()
+}
