@@ -152,12 +152,12 @@ impl Checks<'_> {
 
     /// The examples in the docs are a check of their own: `--include-ignored` would run those marked `ignore`.
     fn tests(&self, filter: &[OsString]) -> Result<()> {
-        // Tests run them; `cargo test --examples` builds their tests alone.
-        let mut examples = self.workspace.cargo("build");
-        process::run(examples.args(["-p", "host-tests", "--examples"]))?;
+        let targets = ["--workspace", "--lib", "--bins", "--tests", "--examples"];
+        // Tests run the examples; `cargo test` builds their tests alone.
+        process::run(self.workspace.cargo("build").args(targets))?;
         let mut tests = self.workspace.cargo("test");
         tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, self.python);
-        tests.args(["--workspace", "--lib", "--bins", "--tests", "--examples", "--", "--include-ignored"]);
+        tests.args(targets).args(["--", "--include-ignored"]);
         // Those with an emulator wait more than they compute.
         let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(2);
         tests.env("RUST_TEST_THREADS", threads.to_string());

@@ -1,7 +1,4 @@
 //! The flashed image in the emulator: on wires, on both buses, and with masters that others wrote.
-//!
-//! One program, because these tests wait more than they compute: several run at a time.
-#![cfg(unix)]
 
 mod can;
 mod masters;

@@ -1,0 +1,11 @@
+//! What works together, over real lines and sockets: the flashed image, the virtual gripper, the drivers, and programs that
+//! others wrote.
+//!
+//! One program, because these tests wait more than they compute: several run at a time.
+
+mod both_protocols;
+mod clients;
+#[cfg(unix)]
+mod emulator;
+mod faults;
+mod modbus_tcp;
