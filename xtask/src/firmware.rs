@@ -10,6 +10,7 @@ use anyhow::{Context, Result};
 use sha2::{Digest, Sha256};
 
 use crate::{
+    board::BOARD,
     process,
     settings::{self, Change},
     setup::ThumbToolchain,
@@ -43,20 +44,6 @@ pub(crate) struct Variant {
     /// Settings that differ from those as delivered.
     pub(crate) settings: Vec<Change>,
 }
-
-/// A board that the firmware runs on.
-pub(crate) struct Board {
-    /// The binary's name, and the image's.
-    pub(crate) name: &'static str,
-    /// The board's crate.
-    package: &'static str,
-    /// The microcontroller's name for probe-rs.
-    pub(crate) chip: &'static str,
-}
-
-/// The default board.
-pub(crate) const BOARD: Board =
-    Board { name: "b-l475e-iot01a", package: "wsg-b-l475e-iot01a", chip: "STM32L475VG" };
 
 /// The feature of a board's crate that makes it a program.
 const FIRMWARE: &str = "firmware";

@@ -4,10 +4,7 @@ use std::process::Command;
 
 use anyhow::{Result, bail};
 
-use crate::{
-    firmware::{BOARD, Image},
-    process,
-};
+use crate::{board::BOARD, firmware::Image, process};
 
 /// Says how to get probe-rs where it is missing; asked before the build, which takes longer.
 pub(crate) fn require_probe_rs() -> Result<()> {

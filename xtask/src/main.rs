@@ -3,13 +3,13 @@
 //! What a command needs is set up first; each program that is run for it is printed before.
 
 mod bench;
+mod board;
 mod coverage;
 mod demo;
 mod dependencies;
 #[path = "../../host-tests/src/document.rs"]
 #[allow(dead_code, unreachable_pub, reason = "it is a public module there")]
 mod document;
-mod elf;
 mod explore;
 mod fast_stop;
 mod figures;
@@ -86,7 +86,7 @@ Commands
                      a sample] [--again: but those that the run before has caught]; cargo-mutants
   loom               the queue of the interrupts under every order of events
   miri               the bridge's host tests under Miri; nightly Rust
-  coverage           lines of protocol and buses that their tests reach; nightly Rust
+  coverage           lines of protocol and buses that their tests reach; cargo-llvm-cov
   figures            measure all that docs/figures.md tells, and write it
   flash              write the image to a board with probe-rs and start it
                      [--set NAME=VALUE] [--features X] as for build

@@ -3,13 +3,9 @@
 use std::{fs, path::PathBuf, process::Command};
 
 use anyhow::{Context, Result};
+use footprint::Footprint;
 
-use crate::{
-    elf::{self, Footprint},
-    process,
-    setup::ThumbToolchain,
-    workspace::Workspace,
-};
+use crate::{process, setup::ThumbToolchain, workspace::Workspace};
 
 const PACKAGE: &str = "wsg-probes";
 
@@ -70,6 +66,6 @@ impl Probes<'_> {
         let path = self.build(name, features, Profile::Size)?;
         let what_failed = || format!("cannot read the sections of {}", path.display());
         let bytes = fs::read(&path).with_context(what_failed)?;
-        Ok(Footprint::of(&elf::sections_of(&bytes).with_context(what_failed)?))
+        Ok(Footprint::of(&footprint::sections_of(&bytes).with_context(what_failed)?))
     }
 }

@@ -3,13 +3,9 @@
 use std::fs;
 
 use anyhow::{Context, Result};
+use footprint::Footprint;
 
-use crate::{
-    elf::{self, Footprint},
-    firmware::Image,
-    gate::Gate,
-    probe::Probes,
-};
+use crate::{firmware::Image, gate::Gate, probe::Probes};
 
 const FLASH_LIMIT: u64 = 64 * 1024;
 const STATIC_RAM_LIMIT: u64 = 12 * 1024;
@@ -33,7 +29,7 @@ const PARSER_OVERHEAD_LIMIT: u64 = 16;
 pub(crate) fn of_image(image: &Image) -> Result<Vec<Gate>> {
     let what_failed = || format!("cannot read the sections of {}", image.path.display());
     let bytes = fs::read(&image.path).with_context(what_failed)?;
-    let sections = elf::sections_of(&bytes).with_context(what_failed)?;
+    let sections = footprint::sections_of(&bytes).with_context(what_failed)?;
     for section in sections.iter().filter(|section| section.size > 0) {
         println!("  {:<16} {:>7} B  {}", section.name, section.size, section.place());
     }

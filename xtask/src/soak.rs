@@ -34,7 +34,7 @@ impl Extent {
 /// Runs the test; its last line says what became of the commands.
 pub(crate) fn run(workspace: &Workspace, image: &Image, extent: &Extent) -> Result<()> {
     let mut cargo = workspace.cargo("test");
-    cargo.args(["-q", "-p", "host-tests", "--test", "faults", "soak_on_a_faulty_line"]);
+    cargo.args(["-q", "-p", "host-tests", "--test", "end_to_end", "soak_on_a_faulty_line"]);
     cargo.args(["--", "--include-ignored", "--nocapture"]);
     cargo.env(IMAGE_VARIABLE, &image.path);
     cargo.env("WSG_SOAK_COMMANDS", extent.commands.to_string());

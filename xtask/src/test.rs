@@ -13,7 +13,7 @@ use crate::{
     probe::Probes,
     process,
     settings::Change,
-    setup::{self, Component, PYTHON_VARIABLE, ThumbToolchain},
+    setup::{self, CLIPPY, PYTHON_VARIABLE, RUSTFMT, ThumbToolchain},
     size, stack,
     workspace::Workspace,
 };
@@ -77,18 +77,18 @@ impl Checks<'_> {
             cargo
         };
 
-        if Component::Rustfmt.provide(workspace) {
+        if RUSTFMT.provide(workspace) {
             record.check("format", || process::run(&mut cargo("fmt", &["--all", "--", "--check"])))?;
         } else {
             record.not_checked("format (no rustfmt)");
         }
-        if Component::Clippy.provide(workspace) {
+        if CLIPPY.provide(workspace) {
             let arguments = ["--workspace", "--all-targets", "--", "-D", "warnings"];
             record.check("clippy, host", || process::run(&mut cargo("clippy", &arguments)))?;
         } else {
             record.not_checked("clippy, host (no clippy)");
         }
-        if Component::Clippy.provide_for_thumb(workspace, toolchain) {
+        if CLIPPY.provide_for_thumb(workspace, toolchain) {
             record.check("clippy, firmware", || {
                 process::run(&mut self.firmware_clippy(&[]))?;
                 process::run(&mut self.firmware_clippy(&[firmware::OVER_SLCAN.to_owned()]))
@@ -137,16 +137,8 @@ impl Checks<'_> {
 
     fn probes_clippy(&self) -> Command {
         let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
-        clippy.args([
-            "-p",
-            "wsg-probes",
-            "--bins",
-            "--features",
-            "bench,every-function",
-            "--profile",
-            "firmware",
-        ]);
-        clippy.args(["--", "-D", "warnings"]);
+        clippy.args(["-p", "wsg-probes", "--bins", "--features", "bench,every-function"]);
+        clippy.args(["--profile", "firmware", "--", "-D", "warnings"]);
         clippy
     }
 

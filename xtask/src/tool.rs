@@ -38,6 +38,13 @@ pub(crate) const CARGO_DENY: Tool = Tool {
     install: &["cargo", "install", "cargo-deny", "--locked"],
 };
 
+/// cargo-llvm-cov.
+pub(crate) const CARGO_LLVM_COV: Tool = Tool {
+    name: "cargo-llvm-cov",
+    probe: &["cargo", "llvm-cov", "--version"],
+    install: &["cargo", "install", "cargo-llvm-cov", "--locked"],
+};
+
 /// The nightly tool chain.
 pub(crate) const NIGHTLY: Tool = Tool {
     name: "nightly Rust",

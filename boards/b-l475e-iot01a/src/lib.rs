@@ -5,11 +5,13 @@
 //! (TX, A4), PC0 (RX, A5) and PB1 (driver enable, D6). Kept free: PB8 and PB9 (CAN1).
 
 #![no_std]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 #![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg_attr(test, allow(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod bus_clock;
+#[cfg(feature = "drivers")]
+pub mod drivers;
 
 pub use bus_clock::BusClock;
 

@@ -1,15 +1,12 @@
 //! Debian's packages: which sources this machine has, and the steps that install what is missing.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-    process::Command,
-};
+use std::{fs, path::PathBuf, process::Command};
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 
 use crate::process;
 
+/// What every mirror of Debian is signed with.
 const KEYRING: &str = "/usr/share/keyrings/debian-archive-keyring.gpg";
 
 /// Packages that are missing and the release they must come from.
@@ -30,6 +27,7 @@ impl Packages {
 }
 
 /// A file of our own under `/etc/apt/sources.list.d`.
+#[derive(Debug, PartialEq)]
 pub(crate) struct SourceFile {
     path: PathBuf,
     lines: Vec<String>,
@@ -95,127 +93,37 @@ fn update() -> Command {
 ///
 /// The mirror is the one that `base_suite` comes from, so a machine behind a mirror of its own keeps to it.
 pub(crate) fn source_for(base_suite: &str, suite: &str) -> Result<Option<SourceFile>> {
-    let sources = sources_below(Path::new("/etc/apt"))?;
-    if sources.iter().any(|source| source.serves(suite)) {
+    let mut sources = Command::new("apt-get");
+    // Without the lists that `apt-get update` brings: a fresh machine has none.
+    sources.args(["indextargets", "--no-release-info", "--format", "$(RELEASE) $(REPO_URI)"]);
+    sources.args(["Created-By: Packages", "Component: main"]);
+    let listed = process::answer(&mut sources).context("`apt-get indextargets` names no sources")?;
+    source_beside(&listed, base_suite, suite)
+}
+
+/// The same, of sources that apt lists as a suite and a mirror a line.
+fn source_beside(listed: &str, base_suite: &str, suite: &str) -> Result<Option<SourceFile>> {
+    // A CD is no mirror: it cannot have the backports.
+    let mut sources =
+        listed.lines().filter_map(|line| line.split_once(' ')).filter(|(_, uri)| !uri.starts_with("cdrom:"));
+    if sources.clone().any(|(its, _)| its == suite) {
         return Ok(None);
     }
-    let base = sources.iter().find(|source| source.serves(base_suite)).ok_or_else(|| {
-        anyhow!("no apt source serves {base_suite} main, so the mirror for {suite} is unknown; add {suite} to the apt sources by hand")
+    let (_, uri) = sources.find(|(its, _)| *its == base_suite).with_context(|| {
+        format!(
+            "no apt source serves {base_suite} main, so the mirror for {suite} is unknown; \
+             add {suite} to the apt sources by hand"
+        )
     })?;
     let lines = vec![
         "Types: deb".to_owned(),
-        format!("URIs: {}", base.uri),
+        format!("URIs: {uri}"),
         format!("Suites: {suite}"),
         "Components: main".to_owned(),
-        format!("Signed-By: {}", base.signed_by.as_deref().unwrap_or(KEYRING)),
+        format!("Signed-By: {KEYRING}"),
     ];
     let path = PathBuf::from(format!("/etc/apt/sources.list.d/wsg-{suite}.sources"));
     Ok(Some(SourceFile { path, lines }))
-}
-
-fn sources_below(apt: &Path) -> Result<Vec<Source>> {
-    let mut files = vec![apt.join("sources.list")];
-    if let Ok(entries) = fs::read_dir(apt.join("sources.list.d")) {
-        files.extend(entries.flatten().map(|entry| entry.path()));
-    }
-    files.sort();
-    let mut sources = Vec::new();
-    for file in files {
-        let parse = match file.extension().and_then(|extension| extension.to_str()) {
-            Some("list") => parse_one_line_style,
-            Some("sources") => parse_deb822,
-            _ => continue,
-        };
-        if file.exists() {
-            let text = fs::read_to_string(&file)
-                .with_context(|| format!("cannot read the apt source {}", file.display()))?;
-            sources.extend(parse(&text));
-        }
-    }
-    Ok(sources)
-}
-
-/// One enabled source of binary packages (sources.list(5)).
-#[derive(Debug, PartialEq)]
-struct Source {
-    uri: String,
-    suites: Vec<String>,
-    components: Vec<String>,
-    /// The keyring's path; `None` where the key is not given, or given in place.
-    signed_by: Option<String>,
-}
-
-impl Source {
-    fn serves(&self, suite: &str) -> bool {
-        self.suites.iter().any(|it| it == suite) && self.components.iter().any(|it| it == "main")
-    }
-
-    fn new(uris: &[String], suites: Vec<String>, components: Vec<String>, signed_by: &str) -> Option<Self> {
-        // A CD is no mirror: it can not have the backports.
-        let uri = uris.iter().find(|uri| !uri.starts_with("cdrom:"))?.clone();
-        let signed_by = signed_by.starts_with('/').then(|| signed_by.to_owned());
-        Some(Self { uri, suites, components, signed_by })
-    }
-}
-
-/// `deb [signed-by=/keyring] uri suite component...`, one source per line.
-fn parse_one_line_style(text: &str) -> Vec<Source> {
-    text.lines().filter_map(parse_line).collect()
-}
-
-fn parse_line(line: &str) -> Option<Source> {
-    let line = line.split('#').next()?.trim();
-    let rest = line.strip_prefix("deb")?.strip_prefix([' ', '\t'])?.trim_start();
-    let (options, rest) = match rest.strip_prefix('[') {
-        Some(options) => options.split_once(']')?,
-        None => ("", rest),
-    };
-    let mut rest = words(rest).into_iter();
-    let (uri, suite) = (rest.next()?, rest.next()?);
-    let signed_by = options.split_whitespace().find_map(|option| option.strip_prefix("signed-by="));
-    Source::new(&[uri], vec![suite], rest.collect(), signed_by.unwrap_or_default())
-}
-
-/// Paragraphs of `Field: value`, a value going on in lines that start with white space.
-fn parse_deb822(text: &str) -> Vec<Source> {
-    let mut sources = Vec::new();
-    let mut paragraph: Vec<(String, String)> = Vec::new();
-    for line in text.lines().chain([""]) {
-        if line.starts_with('#') {
-            continue;
-        }
-        if line.trim().is_empty() {
-            sources.extend(source_of(&paragraph));
-            paragraph.clear();
-        } else if line.starts_with([' ', '\t']) {
-            if let Some((_, value)) = paragraph.last_mut() {
-                value.push_str(line);
-            }
-        } else if let Some((field, value)) = line.split_once(':') {
-            paragraph.push((field.to_ascii_lowercase(), value.trim().to_owned()));
-        }
-    }
-    sources
-}
-
-fn source_of(paragraph: &[(String, String)]) -> Option<Source> {
-    let field = |name: &str| {
-        paragraph.iter().find(|(field, _)| field == name).map_or("", |(_, value)| value.as_str())
-    };
-    let disabled = matches!(field("enabled").to_ascii_lowercase().as_str(), "no" | "false" | "0" | "off");
-    if disabled || !words(field("types")).iter().any(|it| it == "deb") {
-        return None;
-    }
-    Source::new(
-        &words(field("uris")),
-        words(field("suites")),
-        words(field("components")),
-        field("signed-by").trim(),
-    )
-}
-
-fn words(text: &str) -> Vec<String> {
-    text.split_whitespace().map(str::to_owned).collect()
 }
 
 #[cfg(test)]
@@ -223,57 +131,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn deb822_paragraphs_are_read_with_comments_inside() {
-        let text = "Types: deb\n# a comment\nURIs: http://mirror.example/debian\nSuites: bookworm bookworm-updates\n\
-                    Components: main\nSigned-By: /keys/debian.gpg\n\nTypes: deb deb-src\nUris: http://mirror.example/security\n\
-                    Suites: bookworm-security\nComponents: main\n contrib\n";
+    fn backports_come_from_the_mirror_that_the_machine_uses() {
+        let listed = "bookworm cdrom:[Debian]/\nbookworm-security http://b.example/security/\n\
+                      bookworm http://a.example/debian/\n";
 
-        let sources = parse_deb822(text);
+        let source = source_beside(listed, "bookworm", "bookworm-backports").unwrap().unwrap();
 
-        assert_eq!(sources.len(), 2);
-        assert_eq!(sources[0].uri, "http://mirror.example/debian");
-        assert_eq!(sources[0].signed_by.as_deref(), Some("/keys/debian.gpg"));
-        assert!(sources[0].serves("bookworm") && sources[0].serves("bookworm-updates"));
-        assert!(!sources[0].serves("bookworm-backports"));
-        assert_eq!(sources[1].components, ["main", "contrib"]);
-        assert_eq!(sources[1].signed_by, None);
+        assert!(source.lines.contains(&"URIs: http://a.example/debian/".to_owned()), "{source:?}");
+        assert!(source.path.ends_with("wsg-bookworm-backports.sources"));
     }
 
     #[test]
-    fn a_disabled_or_source_only_paragraph_serves_nothing() {
-        let text = "Enabled: no\nTypes: deb\nURIs: http://a.example\nSuites: bookworm\nComponents: main\n\n\
-                    Types: deb-src\nURIs: http://a.example\nSuites: bookworm\nComponents: main\n";
-
-        assert_eq!(parse_deb822(text), []);
-    }
-
-    #[test]
-    fn a_key_given_in_place_is_not_taken_for_a_path() {
-        let text = "Types: deb\nURIs: http://a.example\nSuites: bookworm\nComponents: main\nSigned-By:\n -----BEGIN PGP\n .\n abc\n";
-
-        assert_eq!(parse_deb822(text)[0].signed_by, None);
-    }
-
-    #[test]
-    fn one_line_style_is_read_with_and_without_options() {
-        let text = "# deb http://no.example bookworm main\n\
-                    deb http://a.example/debian bookworm main contrib # comment\n\
-                    deb-src http://a.example/debian bookworm main\n\
-                    deb [ arch=amd64 signed-by=/keys/x.gpg ] https://b.example/debian\tbookworm-backports main\n\
-                    debris\n";
-
-        let sources = parse_one_line_style(text);
-
-        assert_eq!(sources.len(), 2);
-        assert!(sources[0].serves("bookworm"));
-        assert_eq!(sources[1].uri, "https://b.example/debian");
-        assert_eq!(sources[1].signed_by.as_deref(), Some("/keys/x.gpg"));
-        assert!(sources[1].serves("bookworm-backports"));
-    }
-
-    #[test]
-    fn a_cd_is_no_mirror() {
-        assert_eq!(parse_one_line_style("deb cdrom:[Debian]/ bookworm main"), []);
+    fn backports_that_the_machine_has_are_not_added() {
+        let listed = "bookworm http://a.example/debian/\nbookworm-backports http://a.example/debian/\n";
+        assert_eq!(source_beside(listed, "bookworm", "bookworm-backports").unwrap(), None);
     }
 
     #[test]
@@ -292,5 +163,11 @@ mod tests {
             format!("{install} -t r-backports qemu"),
         ];
         assert_eq!(shell_lines(&wanted), expected);
+    }
+
+    #[test]
+    fn without_a_mirror_the_user_is_told_what_to_add() {
+        let error = source_beside("", "bookworm", "bookworm-backports").unwrap_err().to_string();
+        assert!(error.contains("add bookworm-backports to the apt sources by hand"), "{error}");
     }
 }

@@ -13,11 +13,11 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 use apt::Packages;
-pub(crate) use component::Component;
+pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{PYTHON_VARIABLE, provide as masters};
 pub(crate) use rust_target::{MINIMUM_RUST, ThumbToolchain, has_target, rustup};
 
-use crate::{process, workspace::Workspace};
+use crate::{board::BOARD, process, workspace::Workspace};
 
 /// What the thumb target's builds need.
 pub(crate) fn thumb(workspace: &Workspace) -> Result<ThumbToolchain> {
@@ -41,7 +41,7 @@ fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
         wanted.push(rust_target::packages(workspace));
     }
     if with_qemu && !qemu::has_machine() {
-        lacks.push(format!("QEMU with the machine {}", qemu::MACHINE));
+        lacks.push(format!("QEMU with the machine {}", BOARD.machine));
         wanted.push(qemu::packages()?);
     }
     let lacks = lacks.join(" and ");
@@ -54,7 +54,7 @@ fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
     if with_qemu && !qemu::has_machine() {
         bail!(
             "the qemu-system-arm that was installed lacks the machine {}; put one that has it (QEMU 10 does) on PATH",
-            qemu::MACHINE
+            BOARD.machine
         );
     }
     match toolchain.or_else(|| rust_target::find(workspace)) {

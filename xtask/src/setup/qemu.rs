@@ -5,15 +5,12 @@ use std::{fs, process::Command};
 use anyhow::Result;
 
 use super::apt::{self, Packages};
-use crate::process;
-
-/// The machine that must be there. QEMU is asked for it, never for its version: distributions backport.
-pub(crate) const MACHINE: &str = "b-l475e-iot01a";
+use crate::{board::BOARD, process};
 
 /// Whether the `qemu-system-arm` on the path has the machine.
 pub(crate) fn has_machine() -> bool {
     process::answer(Command::new("qemu-system-arm").args(["-machine", "help"]))
-        .is_some_and(|help| lists(&help, MACHINE))
+        .is_some_and(|help| lists(&help, BOARD.machine))
 }
 
 /// What to install: from the backports on Debian bookworm, whose own QEMU lacks the machine.

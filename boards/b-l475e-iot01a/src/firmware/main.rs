@@ -1,6 +1,6 @@
 //! The bridge on the board B-L475E-IOT01A (STM32L475VG): start, main loop, faults.
 //!
-//! This directory holds pins, clocks, interrupts and nothing else; what the bridge does is in the
+//! Here and in the board's drivers are pins, clocks, interrupts and nothing else; what the bridge does is in its
 //! library. Register names are those of ST's RM0351.
 
 #![no_std]
@@ -16,15 +16,12 @@
 mod bus;
 #[cfg(not(feature = "can-over-slcan"))]
 mod can1;
-mod clock;
 mod log;
-mod pins;
 mod reset;
 mod settings;
 #[cfg(feature = "can-over-slcan")]
 mod slcan_uart;
 mod tick;
-mod uart;
 mod watchdog;
 
 use core::panic::PanicInfo;
@@ -35,6 +32,7 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 #[cfg(feature = "can-over-slcan")]
 use slcan_uart as can;
+use wsg_b_l475e_iot01a::drivers::{clock, pins, uart};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::{InputPort, OutputPort};
 use wsg_bridge_fw::{Config, GripperLine, PlcBus, Station};

@@ -5,6 +5,9 @@ use core::cell::Cell;
 use cortex_m_semihosting::hprintln;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use heapless::{Deque, Vec};
+// What is counted is what runs on the board.
+use wsg_b_l475e_iot01a::drivers::pins::{self, Pins};
+use wsg_b_l475e_iot01a::drivers::uart::{self, GripperLine};
 use wsg_bridge_fw::gripper::WouldBlock;
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
@@ -13,8 +16,6 @@ use wsg_protocol::frame::PREAMBLE_LEN;
 use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
 
 use crate::counting::{self, Counter, Moment};
-use crate::pins::{self, Pins};
-use crate::uart::{self, GripperLine};
 
 /// The board's line, which the virtual gripper listens in on and answers to.
 struct Line {

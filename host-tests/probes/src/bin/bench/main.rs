@@ -12,16 +12,6 @@ mod frames;
 mod modbus;
 mod round_trip;
 
-// The drivers of the board that is flashed, so that what is counted is what runs there.
-#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/clock.rs"]
-#[expect(dead_code, reason = "the bench runs at the clock of reset")]
-mod clock;
-#[allow(unexpected_cfgs, reason = "features of the firmware, which this crate does not have")]
-#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/pins.rs"]
-mod pins;
-#[path = "../../../../../boards/b-l475e-iot01a/src/firmware/uart.rs"]
-mod uart;
-
 use cortex_m_rt::entry;
 use cortex_m_semihosting::debug;
 use counting::Counter;

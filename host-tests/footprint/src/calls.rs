@@ -24,9 +24,9 @@ pub(super) struct Function {
     pub(super) is_indirect: bool,
 }
 
-/// An image as the walk sees it.
+/// An image for a Cortex-M: its functions, and what each calls.
 #[derive(Debug, Default)]
-pub(super) struct Program {
+pub struct Program {
     pub(super) functions: BTreeMap<u32, Function>,
     /// Functions whose address stands in data or is made in code.
     pub(super) taken: BTreeSet<u32>,
@@ -35,7 +35,7 @@ pub(super) struct Program {
     /// The handlers of exceptions and interrupts.
     pub(super) handlers: BTreeSet<u32>,
     /// Bytes of code.
-    pub(super) code_len: usize,
+    pub code_len: usize,
 }
 
 /// Code and the data within it.
@@ -47,8 +47,11 @@ struct Text<'a> {
 }
 
 impl Program {
-    /// Reads an image for a Cortex-M.
-    pub(super) fn of(elf: &[u8]) -> Result<Self> {
+    /// Reads an ELF file with symbols.
+    ///
+    /// # Errors
+    /// It is none for a 32-bit machine, or it has no code, no symbols of functions or no `.vector_table`.
+    pub fn of(elf: &[u8]) -> Result<Self> {
         let elf = ElfFile32::<object::Endianness>::parse(elf)?;
         let mut program = Self::default();
         let text = Text::of(&elf)?;
@@ -84,6 +87,12 @@ impl Program {
         let functions = &program.functions;
         program.taken.retain(|address| functions.contains_key(address));
         Ok(program)
+    }
+
+    /// How many functions it has.
+    #[must_use]
+    pub fn function_count(&self) -> usize {
+        self.functions.len()
     }
 
     /// The vector table: the initial stack pointer, Reset, then the handlers.

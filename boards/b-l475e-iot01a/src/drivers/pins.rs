@@ -2,8 +2,9 @@
 
 use stm32_metapac::gpio::Gpio;
 use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, RCC};
-use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PINS, OUTPUT_PORT, Port, port_from_outputs};
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
+
+use crate::{INPUTS, OUTPUT_PINS, OUTPUT_PORT, Port, port_from_outputs};
 
 /// Pins of the gripper's line, UART4, on port A: transmitter, receiver, and their function there.
 const UART4_TX: u8 = 0;
@@ -29,10 +30,10 @@ const PULL_UP: u32 = 0b01;
 const PULL_DOWN: u32 = 0b10;
 
 /// The PLC's wires. There is one value of it, made by [`init`].
-pub(crate) struct Pins(());
+pub struct Pins(());
 
 /// Sets up all pins; outputs are low before they become outputs.
-pub(crate) fn init() -> Pins {
+pub fn init() -> Pins {
     RCC.ahb2enr().modify(|w| {
         w.set_gpioaen(true);
         w.set_gpioben(true);
@@ -66,6 +67,7 @@ pub(crate) fn init() -> Pins {
 }
 
 impl InputPort for Pins {
+    #[inline]
     fn read(&mut self) -> Inputs {
         // Each port once, so that wires of one port are seen at the same moment.
         let [a, b, c, d] = [GPIOA, GPIOB, GPIOC, GPIOD].map(|port| port.idr().read().0);
@@ -82,6 +84,7 @@ impl InputPort for Pins {
 }
 
 impl OutputPort for Pins {
+    #[inline]
     fn write(&mut self, outputs: Outputs) {
         let high = port_from_outputs(outputs);
         let low = OUTPUT_PINS & !high;
@@ -103,6 +106,7 @@ fn set_up(port: Port, pin: u8, mode: u32, pull: u32) {
     registers(port).moder().modify(|w| w.0 = with(w.0, mode));
 }
 
+#[inline]
 fn registers(port: Port) -> Gpio {
     match port {
         Port::A => GPIOA,

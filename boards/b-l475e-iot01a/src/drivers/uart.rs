@@ -6,7 +6,7 @@ use wsg_bridge_fw::gripper::{ReceiveErrors, Uart, UartBuffers, UartLine};
 use wsg_protocol::Command;
 use wsg_protocol::frame::OVERHEAD;
 
-use crate::clock::HCLK_HZ;
+use super::clock::HCLK_HZ;
 
 const BAUD: u32 = 115_200;
 const DIVIDER: u32 = (HCLK_HZ + BAUD / 2) / BAUD;
@@ -25,31 +25,33 @@ const TO_SEND_MAX: usize = 32;
 const _: () = assert!(TO_SEND_MAX >= LONGEST_FRAME);
 
 /// The bytes on their way.
-pub(crate) static BUFFERS: UartBuffers<RECEIVED_MAX, TO_SEND_MAX> = UartBuffers::new();
+pub static BUFFERS: UartBuffers<RECEIVED_MAX, TO_SEND_MAX> = UartBuffers::new();
 
 /// The bridge's end of the line to the gripper; nothing comes and goes before [`start`].
-pub(crate) type GripperLine = UartLine<Registers, RECEIVED_MAX, TO_SEND_MAX>;
+pub type GripperLine = UartLine<Registers, RECEIVED_MAX, TO_SEND_MAX>;
 
 /// The end of the line. To be asked for once.
-pub(crate) const fn line() -> GripperLine {
+pub const fn line() -> GripperLine {
     UartLine::new(Registers(()), &BUFFERS)
 }
 
 /// What the main loop needs of the registers.
-pub(crate) struct Registers(());
+pub struct Registers(());
 
 impl Uart for Registers {
+    #[inline]
     fn pend(&mut self) {
         NVIC::pend(Interrupt::UART4);
     }
 
+    #[inline]
     fn is_idle(&mut self) -> bool {
         UART4.isr().read().tc()
     }
 }
 
 /// Starts the line. The clock runs at [`HCLK_HZ`], the pins are set up.
-pub(crate) fn start() {
+pub fn start() {
     RCC.apb1enr1().modify(|w| w.set_uart4en(true));
     let _ = RCC.apb1enr1().read();
 

@@ -4,7 +4,7 @@ use stm32_metapac::rcc::vals::{Pllsrc, Sw};
 use stm32_metapac::{FLASH, RCC};
 
 /// Clock of the core and, undivided, of all buses.
-pub(crate) const HCLK_HZ: u32 = 80_000_000;
+pub const HCLK_HZ: u32 = 80_000_000;
 
 /// HSI16 rather than the MSI the MCU starts with: 1 % over temperature without a crystal, which a
 /// UART needs.
@@ -21,10 +21,10 @@ const FLASH_WAIT_STATES: u8 = 4;
 const MAX_LOOKS: u32 = 10_000;
 
 /// A clock did not become ready.
-pub(crate) struct NoClock;
+pub struct NoClock;
 
 /// Switches from the 4 MHz of reset to 80 MHz.
-pub(crate) fn start() -> Result<(), NoClock> {
+pub fn start() -> Result<(), NoClock> {
     FLASH.acr().modify(|w| w.0 = (w.0 & !0b111) | u32::from(FLASH_WAIT_STATES));
     // Reading back makes the write take effect before the clock changes. The value is not looked at:
     // an emulator without these registers reads 0.

@@ -1,4 +1,4 @@
-//! What the gates read from an ELF file for the target: its sections.
+//! The sections of an image, and the memory that they take.
 
 use anyhow::Result;
 use object::{
@@ -8,29 +8,30 @@ use object::{
 };
 
 /// A section that takes memory on the target.
-pub(crate) struct Section {
+pub struct Section {
     /// `.text`, `.bss`.
-    pub(crate) name: String,
+    pub name: String,
     /// Bytes.
-    pub(crate) size: u64,
+    pub size: u64,
     /// Its contents are loaded from flash: all but `.bss` and `.uninit`.
-    pub(crate) is_loaded: bool,
+    pub is_loaded: bool,
     /// It lies in RAM at run time: `.data`, `.bss`, `.uninit`.
-    pub(crate) is_written: bool,
+    pub is_written: bool,
 }
 
 /// What a program takes of the target's memory, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Footprint {
+pub struct Footprint {
     /// Code, constants, and the initial values of `.data`.
-    pub(crate) flash: u64,
+    pub flash: u64,
     /// What is there before the program starts, without the stack.
-    pub(crate) static_ram: u64,
+    pub static_ram: u64,
 }
 
 impl Section {
     /// Where it lies, for a person.
-    pub(crate) fn place(&self) -> &'static str {
+    #[must_use]
+    pub fn place(&self) -> &'static str {
         match (self.is_loaded, self.is_written) {
             (true, true) => "flash and RAM",
             (true, false) => "flash",
@@ -41,7 +42,8 @@ impl Section {
 
 impl Footprint {
     /// The sum over sections.
-    pub(crate) fn of(sections: &[Section]) -> Self {
+    #[must_use]
+    pub fn of(sections: &[Section]) -> Self {
         let sum =
             |counts: fn(&Section) -> bool| sections.iter().filter(|it| counts(it)).map(|it| it.size).sum();
         Self {
@@ -51,7 +53,8 @@ impl Footprint {
     }
 
     /// What this one takes more than `other`.
-    pub(crate) fn over(self, other: Self) -> Self {
+    #[must_use]
+    pub fn over(self, other: Self) -> Self {
         Self {
             flash: self.flash.saturating_sub(other.flash),
             static_ram: self.static_ram.saturating_sub(other.static_ram),
@@ -60,7 +63,10 @@ impl Footprint {
 }
 
 /// The sections of this file that take memory on the target.
-pub(crate) fn sections_of(elf: &[u8]) -> Result<Vec<Section>> {
+///
+/// # Errors
+/// It is no ELF file for a 32-bit machine.
+pub fn sections_of(elf: &[u8]) -> Result<Vec<Section>> {
     let elf = ElfFile32::<object::Endianness>::parse(elf)?;
     let mut sections = Vec::new();
     for section in elf.sections() {

@@ -3,25 +3,19 @@
 //! The walk sees every path and takes each as possible; the emulator sees what really happens in a bad case. The truth
 //! lies between the two.
 
-mod calls;
-mod frames;
-mod graph;
-mod painted;
-mod thumb;
-
 use std::fs;
 
 use anyhow::{Context, Result, ensure};
+use footprint::Program;
 
 use crate::{
-    firmware::{self, BOARD, Image},
+    board::BOARD,
+    firmware::{self, Image},
     gate::Gate,
     process,
     setup::ThumbToolchain,
     workspace::Workspace,
 };
-
-pub(crate) use painted::of_image as painted;
 
 const LIMIT: u64 = 3 * 1024;
 
@@ -32,17 +26,17 @@ const EXCEPTION_FRAME: u64 = 4 * (8 + 18 + 1);
 pub(crate) fn walked(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Result<Gate> {
     let elf = build_with_sizes(workspace, toolchain)?;
     let what_failed = || format!("cannot walk the calls of {}", image.path.display());
-    let program = calls::Program::of(&elf).with_context(what_failed)?;
+    let program = Program::of(&elf).with_context(what_failed)?;
     // The option gives symbols other hashes, so functions lie in another order, and some bytes more or less apart.
-    let tested = calls::Program::of(&fs::read(&image.path)?).with_context(what_failed)?;
+    let tested = Program::of(&fs::read(&image.path)?).with_context(what_failed)?;
     ensure!(
         program.code_len.abs_diff(tested.code_len) * 100 <= tested.code_len
-            && program.functions.len() == tested.functions.len(),
+            && program.function_count() == tested.function_count(),
         "the image with stack sizes holds other code ({} B) than the image ({} B)",
         program.code_len,
         tested.code_len
     );
-    let deepest = graph::walk(&program).with_context(what_failed)?;
+    let deepest = program.deepest().with_context(what_failed)?;
     for function in &deepest.by_prologue {
         println!("  no stack size from the compiler, taken from its code: {function}");
     }
@@ -63,6 +57,18 @@ pub(crate) fn walked(workspace: &Workspace, toolchain: &ThumbToolchain, image: &
     let exceptions: u64 = deepest.handlers.iter().map(|handler| handler.bytes + EXCEPTION_FRAME).sum();
     println!("  counted as if every exception interrupted the one before at its deepest");
     Ok(Gate::bytes("worst-case stack, walked", deepest.program.bytes + exceptions, LIMIT))
+}
+
+/// The deepest that the stack of this image was seen: a program of host-tests/probes boots it on painted memory, puts it
+/// through the worst that it knows, and looks how far the paint is gone.
+pub(crate) fn painted(workspace: &Workspace, image: &Image) -> Result<Gate> {
+    let mut cargo = workspace.cargo("run");
+    cargo.args(["-q", "-p", "wsg-probes", "--features", "painted-stack", "--bin", "painted-stack", "--"]);
+    cargo.arg(&image.path);
+    let said = process::output(&mut cargo)?;
+    let bytes = said.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
+    let bytes = bytes.context("the program painted-stack told no figure")?;
+    Ok(Gate::bytes("worst-case stack, painted in the emulator", bytes, LIMIT))
 }
 
 /// The image once more, with a section of stack sizes that takes no memory.

@@ -8,39 +8,46 @@ use super::calls::{Function, Program};
 
 /// A path and the stack that it takes.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Path {
-    pub(super) bytes: u64,
+pub struct Path {
+    /// Bytes of stack.
+    pub bytes: u64,
     /// The functions, outermost first, each with its frame.
-    pub(super) path: Vec<String>,
+    pub path: Vec<String>,
 }
 
 /// What the walk found.
 #[derive(Debug)]
-pub(super) struct Deepest {
+pub struct Deepest {
     /// From Reset on.
-    pub(super) program: Path,
+    pub program: Path,
     /// Of each handler.
-    pub(super) handlers: Vec<Path>,
+    pub handlers: Vec<Path>,
     /// Functions whose frame was taken from their code.
-    pub(super) by_prologue: BTreeSet<String>,
+    pub by_prologue: BTreeSet<String>,
     /// Functions that call what a register holds.
-    pub(super) indirect: BTreeSet<String>,
+    pub indirect: BTreeSet<String>,
 }
 
-/// Walks all paths from Reset and from each handler.
-pub(super) fn walk(program: &Program) -> Result<Deepest> {
-    let mut walk = Walk { program, known: BTreeMap::new(), open: Vec::new() };
-    let deepest = walk.from(program.reset)?;
-    let handlers = program.handlers.iter().map(|handler| walk.from(*handler)).collect::<Result<Vec<_>>>()?;
-    let reached = || walk.known.keys().filter_map(|address| program.functions.get(address));
-    let names =
-        |of: &dyn Fn(&Function) -> bool| reached().filter(|it| of(it)).map(|it| it.name.clone()).collect();
-    Ok(Deepest {
-        program: deepest,
-        handlers,
-        by_prologue: names(&|function| function.frame.is_none() && function.pushed > 0),
-        indirect: names(&|function| function.is_indirect),
-    })
+impl Program {
+    /// Walks all paths from Reset and from each handler.
+    ///
+    /// # Errors
+    /// A function calls itself, directly or not: no stack is enough.
+    pub fn deepest(&self) -> Result<Deepest> {
+        let mut walk = Walk { program: self, known: BTreeMap::new(), open: Vec::new() };
+        let deepest = walk.from(self.reset)?;
+        let handlers = self.handlers.iter().map(|handler| walk.from(*handler)).collect::<Result<Vec<_>>>()?;
+        let reached = || walk.known.keys().filter_map(|address| self.functions.get(address));
+        let names = |of: &dyn Fn(&Function) -> bool| {
+            reached().filter(|it| of(it)).map(|it| it.name.clone()).collect()
+        };
+        Ok(Deepest {
+            program: deepest,
+            handlers,
+            by_prologue: names(&|function| function.frame.is_none() && function.pushed > 0),
+            indirect: names(&|function| function.is_indirect),
+        })
+    }
 }
 
 struct Walk<'a> {
@@ -109,7 +116,7 @@ mod tests {
             (9, function("handler", 16, &[])),
         ];
 
-        let deepest = walk(&program(functions)).unwrap();
+        let deepest = program(functions).deepest().unwrap();
 
         assert_eq!(deepest.program.bytes, 118);
         assert_eq!(deepest.program.path, ["reset (8 B)", "deep (60 B)", "deeper (50 B)"]);
@@ -121,7 +128,7 @@ mod tests {
         let functions =
             vec![(1, function("one", 8, &[2])), (2, function("two", 8, &[1])), (9, function("h", 0, &[]))];
 
-        assert!(walk(&program(functions)).unwrap_err().to_string().contains("no bound"));
+        assert!(program(functions).deepest().unwrap_err().to_string().contains("no bound"));
     }
 
     #[test]
@@ -136,7 +143,7 @@ mod tests {
         ]);
         program.taken = BTreeSet::from([2]);
 
-        let deepest = walk(&program).unwrap();
+        let deepest = program.deepest().unwrap();
 
         assert_eq!(deepest.program.bytes, 308);
         assert_eq!(deepest.indirect, BTreeSet::from(["caller".to_owned()]));
@@ -148,7 +155,7 @@ mod tests {
         asm.frame = None;
         asm.pushed = 24;
 
-        let deepest = walk(&program(vec![(1, asm), (9, function("h", 0, &[]))])).unwrap();
+        let deepest = program(vec![(1, asm), (9, function("h", 0, &[]))]).deepest().unwrap();
 
         assert_eq!(deepest.program.bytes, 24);
         assert_eq!(deepest.by_prologue, BTreeSet::from(["asm".to_owned()]));
