@@ -3,7 +3,7 @@
 //! The walk sees every path and takes each as possible; the emulator sees what really happens in a bad case. The truth
 //! lies between the two.
 
-use std::fs;
+use std::{fs, process::Command};
 
 use anyhow::{Context, Result, ensure};
 use footprint::Program;
@@ -59,13 +59,13 @@ pub(crate) fn walked(workspace: &Workspace, toolchain: &ThumbToolchain, image: &
     Ok(Gate::bytes("worst-case stack, walked", deepest.program.bytes + exceptions, LIMIT))
 }
 
-/// The deepest that the stack of this image was seen: a program of host-tests/probes boots it on painted memory, puts it
+/// The deepest that the stack of this image was seen: an example of host-tests boots it on painted memory, puts it
 /// through the worst that it knows, and looks how far the paint is gone.
 pub(crate) fn painted(workspace: &Workspace, image: &Image) -> Result<Gate> {
-    let mut cargo = workspace.cargo("run");
-    cargo.args(["-q", "-p", "wsg-probes", "--features", "painted-stack", "--bin", "painted-stack", "--"]);
-    cargo.arg(&image.path);
-    let said = process::output(&mut cargo)?;
+    // As a part of the workspace: with the features that the tests have, nothing is built twice.
+    process::run(workspace.cargo("build").args(["-q", "--workspace", "--example", "painted_stack"]))?;
+    let mut program = Command::new(workspace.target_dir.join("debug/examples/painted_stack"));
+    let said = process::output(program.arg(&image.path))?;
     let bytes = said.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
     let bytes = bytes.context("the program painted-stack told no figure")?;
     Ok(Gate::bytes("worst-case stack, painted in the emulator", bytes, LIMIT))
