@@ -36,7 +36,7 @@ impl ErrorType for Tcp {
 }
 
 impl ReadReady for Tcp {
-    #[expect(clippy::disallowed_methods, reason = "a topic is taken for silence, and the driver asks again")]
+    #[expect(clippy::disallowed_methods, reason = "a signal is taken for silence, and the driver asks again")]
     fn read_ready(&mut self) -> io::Result<bool> {
         use ErrorKind::{Interrupted, TimedOut, WouldBlock};
         match self.0.peek(&mut [0]) {
@@ -50,7 +50,7 @@ impl ReadReady for Tcp {
 impl Read for Tcp {
     #[expect(
         clippy::disallowed_methods,
-        reason = "the driver reads what is there: no wait, so no topic ends it"
+        reason = "the driver reads what is there: no wait, so no signal ends it"
     )]
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         io::Read::read(&mut self.0, buffer)

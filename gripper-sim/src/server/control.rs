@@ -73,11 +73,11 @@ async fn answer(hub: Rc<Hub>, request: Request<Incoming>) -> Result<Response<Ful
     let answer = act(&hub, request).await.and_then(|()| {
         let report = hub.report();
         serde_json::to_vec(&StateBody::of(&hub, &report))
-            .map_err(|error| DecodeError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
+            .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
     });
     let (status, body, allowed) = match answer {
         Ok(body) => (StatusCode::OK, body, None),
-        Err(DecodeError { status, error, allowed }) => {
+        Err(HttpError { status, error, allowed }) => {
             (status, serde_json::json!({ "error": error }).to_string().into_bytes(), allowed)
         }
     };
@@ -92,14 +92,14 @@ async fn answer(hub: Rc<Hub>, request: Request<Incoming>) -> Result<Response<Ful
 
 /// Why a request is refused, in a sentence for whoever sent it.
 #[derive(Debug)]
-struct DecodeError {
+struct HttpError {
     status: StatusCode,
     error: String,
     /// The method that the path takes.
     allowed: Option<&'static str>,
 }
 
-impl DecodeError {
+impl HttpError {
     const fn new(status: StatusCode, error: String) -> Self {
         Self { status, error, allowed: None }
     }
@@ -110,11 +110,11 @@ impl DecodeError {
 }
 
 /// Does what the request asks for; the answer to all of them is the state.
-async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), DecodeError> {
+async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), HttpError> {
     if request.headers().contains_key(ORIGIN) {
         // Otherwise any page in a browser on this machine could stop the gripper.
         let error = "the request comes from a web page, by its header Origin; expected one from a program";
-        return Err(DecodeError::new(StatusCode::FORBIDDEN, error.to_owned()));
+        return Err(HttpError::new(StatusCode::FORBIDDEN, error.to_owned()));
     }
     let path = request.uri().path().to_owned();
     let method = match path.as_str() {
@@ -124,13 +124,13 @@ async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), DecodeError> {
             let error = format!(
                 "the path {path:?} is unknown; expected GET /state, POST /part, POST /fault or POST /line"
             );
-            return Err(DecodeError::new(StatusCode::NOT_FOUND, error));
+            return Err(HttpError::new(StatusCode::NOT_FOUND, error));
         }
     };
     if request.method() != method {
         let error = format!("{path} does not take {}; expected {method}", request.method());
         let allowed = Some(if method == Method::GET { "GET" } else { "POST" });
-        return Err(DecodeError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed });
+        return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed });
     }
     match path.as_str() {
         "/part" => hub.set_part(part(read(request, PART_EXPECTED).await?)?),
@@ -148,19 +148,19 @@ async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), DecodeError> {
 async fn read<T: for<'a> Deserialize<'a>>(
     request: Request<Incoming>,
     expected: &str,
-) -> Result<T, DecodeError> {
+) -> Result<T, HttpError> {
     let body = match Limited::new(request.into_body(), MAX_BODY_LEN).collect().await {
         Ok(body) => body.to_bytes(),
         Err(error) if error.is::<LengthLimitError>() => {
             let error = format!("the body is too long; expected at most {MAX_BODY_LEN} bytes");
-            return Err(DecodeError::new(StatusCode::PAYLOAD_TOO_LARGE, error));
+            return Err(HttpError::new(StatusCode::PAYLOAD_TOO_LARGE, error));
         }
         Err(error) => {
-            return Err(DecodeError::wrong(format!("the body did not come: {error}; expected {expected}")));
+            return Err(HttpError::wrong(format!("the body did not come: {error}; expected {expected}")));
         }
     };
     serde_json::from_slice(&body)
-        .map_err(|error| DecodeError::wrong(format!("the body is wrong: {error}; expected {expected}")))
+        .map_err(|error| HttpError::wrong(format!("the body is wrong: {error}; expected {expected}")))
 }
 
 #[derive(Debug, Deserialize, Serialize)]
@@ -170,11 +170,11 @@ struct PartBody {
     stiffness_n_per_mm: Option<f32>,
 }
 
-fn part(body: Option<PartBody>) -> Result<Option<Part>, DecodeError> {
+fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
     let Some(PartBody { width_mm, stiffness_n_per_mm }) = body else { return Ok(None) };
     let stiffness = stiffness_n_per_mm.unwrap_or(Part::DEFAULT_STIFFNESS);
     Part::new(width_mm, stiffness).map(Some).ok_or_else(|| {
-        DecodeError::wrong(format!(
+        HttpError::wrong(format!(
             "a part {width_mm} mm wide with {stiffness} N/mm is none; expected {PART_EXPECTED}"
         ))
     })
@@ -199,17 +199,17 @@ enum FaultName {
     FingerCommunication,
 }
 
-fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, DecodeError> {
+fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, HttpError> {
     let of_a_finger = |fault: fn(Jaw) -> Fault, is_possible: fn(Finger) -> bool, needs: &str| {
         let [one, two] = hub.config().fingers;
         let (jaw, mounted) = match finger {
             Some(1) => (Jaw::One, one),
             Some(2) => (Jaw::Two, two),
             Some(other) => {
-                return Err(DecodeError::wrong(format!("there is no finger {other}; expected 1 or 2")));
+                return Err(HttpError::wrong(format!("there is no finger {other}; expected 1 or 2")));
             }
             None => {
-                return Err(DecodeError::wrong(format!(
+                return Err(HttpError::wrong(format!(
                     "the fault does not say which finger; expected {FAULT_EXPECTED}"
                 )));
             }
@@ -219,7 +219,7 @@ fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, 
         }
         let error =
             format!("the finger is {:?}, which can not have this fault; expected {needs}", mounted.name());
-        Err(DecodeError::new(StatusCode::CONFLICT, error))
+        Err(HttpError::new(StatusCode::CONFLICT, error))
     };
     let fault = match name {
         FaultName::AxisBlocked => Fault::AxisBlocked,
@@ -237,9 +237,9 @@ fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, 
     };
     match finger {
         None => Ok(fault),
-        Some(_) => Err(DecodeError::wrong(
-            "the fault is none of a finger; expected it without \"finger\"".to_owned(),
-        )),
+        Some(_) => {
+            Err(HttpError::wrong("the fault is none of a finger; expected it without \"finger\"".to_owned()))
+        }
     }
 }
 
@@ -265,10 +265,10 @@ enum DirectionName {
 }
 
 /// What is asked for, where a delay without a rate hits every frame.
-fn line_faults(body: &LineBody) -> Result<LineFaults, DecodeError> {
+fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
     let LineBody { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *body;
     if delay.is_some_and(|rate| rate > 0.0) && delay_ms.is_none() {
-        return Err(DecodeError::wrong(format!("delay lacks delay_ms; expected {LINE_EXPECTED}")));
+        return Err(HttpError::wrong(format!("delay lacks delay_ms; expected {LINE_EXPECTED}")));
     }
     let delay_ms = delay_ms.unwrap_or(0);
     let delay = delay.unwrap_or(if delay_ms > 0 { 1.0 } else { 0.0 });
@@ -280,11 +280,11 @@ fn line_faults(body: &LineBody) -> Result<LineFaults, DecodeError> {
         ("duplicate", duplicate),
     ] {
         if !(0.0..=1.0).contains(&rate) {
-            return Err(DecodeError::wrong(format!("{name} is {rate}; expected {LINE_EXPECTED}")));
+            return Err(HttpError::wrong(format!("{name} is {rate}; expected {LINE_EXPECTED}")));
         }
     }
     if delay_ms > LineFaults::MAX_DELAY_MS {
-        return Err(DecodeError::wrong(format!("delay_ms is {delay_ms}; expected {LINE_EXPECTED}")));
+        return Err(HttpError::wrong(format!("delay_ms is {delay_ms}; expected {LINE_EXPECTED}")));
     }
     let direction = match direction {
         DirectionName::Requests => Direction::Requests,

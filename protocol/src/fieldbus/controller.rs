@@ -200,7 +200,7 @@ impl Controller {
         }
     }
 
-    /// Takes event that the PLC is not heard any more, for a bus that events.
+    /// Takes note that the PLC is not heard any more, for a bus that tells.
     ///
     /// The image stays as it is, so that its flags give no edge when the PLC is back; JOG counts again after both of its
     /// flags were 0.
