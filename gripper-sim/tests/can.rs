@@ -88,7 +88,7 @@ impl<S: Write> Controller<S> {
 
     fn send_frame(&mut self, id: impl Into<Id>, data: &[u8]) {
         self.say(encode(&ClassicFrame::new(id, data).unwrap()).as_bytes());
-        assert_eq!(self.next_answer(), Line::Other(b'z'));
+        assert_eq!(self.next_answer(), Line::Taken(b'z'));
     }
 
     /// The next line that is no frame; frames that come before it are of no interest to whom asks.
@@ -183,9 +183,9 @@ fn slcan_frames_for_others_are_not_for_the_gripper() {
     controller.send_frame(identifiers().controller().receive, query);
     controller.send_frame(StandardId::new(own.as_raw() - 1).unwrap(), query);
     controller.say(b"r3458\r");
-    assert_eq!(controller.next_answer(), Line::Other(b'z'));
+    assert_eq!(controller.next_answer(), Line::Taken(b'z'));
     controller.say(b"T000003458AAAAAA4600000000\r");
-    assert_eq!(controller.next_answer(), Line::Other(b'Z'));
+    assert_eq!(controller.next_answer(), Line::Taken(b'Z'));
     // The first message that comes is the answer to this one.
     controller.send(Command::GetSystemLimits);
     assert_eq!(controller.recv().0, 0x53);
@@ -240,7 +240,9 @@ fn slcan_behind_a_device_the_gripper_is_the_host_and_opens_the_channel() {
 
     let adapter = File::from(adapter);
     let mut controller = Controller::new(adapter.try_clone().unwrap(), adapter);
-    for expected in [Line::Done, Line::Other(b'C'), Line::Other(b'S'), Line::Other(b'O')] {
+    for expected in
+        [Line::Done, Line::Command(b'C', None), Line::Command(b'S', Some(b'6')), Line::Command(b'O', None)]
+    {
         assert_eq!(controller.next(), expected);
     }
     // Answers of the adapter are no requests, and get no answer.

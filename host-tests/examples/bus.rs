@@ -2,7 +2,7 @@
 //!
 //! ```sh
 //! cargo xtask build                                   # prints the image's path
-//! cargo run -p host-tests --example bus -- IMAGE      # prints the terminal for the master
+//! cargo run -p host-tests --example bus -- IMAGE 2>frames     # prints the terminal for the master
 //! ```
 //!
 //! A part of 20 mm is between the fingers. The FAST STOP wire is high, and was low at power-up: the first command is
@@ -20,12 +20,13 @@ fn main() -> Result<()> {
     let image = std::env::args_os().nth(1).context("which image? `cargo xtask build` prints its path")?;
     let mut board = Emulator::start(image.as_ref())?;
     board.set_input(Inputs::FAST_STOP_OK, true)?;
-    let trace = Trace::new(vec![Box::new(std::io::stdout())]);
+    let terminal = Terminal::to(board.take_modbus_line().context("the bus is taken")?)?;
+    println!("{}  (Modbus RTU, unit 1, no parity; Ctrl-C ends it)", terminal.path);
+    // The frames apart from the path, which they would hide: `2>frames` keeps them.
+    let trace = Trace::new(vec![Box::new(std::io::stderr())]);
     let config = Config { part: Part::of_width(20.0), ..Config::default() };
     let line = board.take_gripper_line().context("the gripper's line is taken")?;
     let _gripper = GripperEnd::start(line, config, &trace)?;
-    let terminal = Terminal::to(board.take_modbus_line().context("the bus is taken")?)?;
-    println!("{}  (Modbus RTU, unit 1, no parity; Ctrl-C ends it)", terminal.path);
     loop {
         std::thread::park();
     }

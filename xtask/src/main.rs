@@ -103,7 +103,9 @@ Environment
   WSG_MODBUS_PYTHON  set by test for those with Modbus masters: the Python that has them
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
 
-set-up asks before it acts: on a machine that has everything it runs nothing.
+Set-up runs nothing on a machine that has everything. As root it installs what is missing without
+asking, on Debian bookworm from its backports, whose source it adds if it is not there
+(/etc/apt/sources.list.d/wsg-bookworm-backports.sources).
 ";
 
 fn main() -> ExitCode {

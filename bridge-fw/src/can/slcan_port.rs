@@ -73,7 +73,7 @@ impl<L: Read + ReadReady + Write + WriteReady> embedded_can::nb::Can for SlcanPo
             match self.decoder.push(byte) {
                 Some(Line::Frame(frame)) => return Ok(frame),
                 Some(Line::Malformed) => return Err(nb::Error::Other(MalformedLine)),
-                Some(Line::Other(_) | Line::Done | Line::Refused) | None => {}
+                Some(Line::Command(..) | Line::Taken(_) | Line::Done | Line::Refused) | None => {}
             }
         }
         Err(nb::Error::WouldBlock)

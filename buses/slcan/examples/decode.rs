@@ -19,7 +19,7 @@ fn main() -> io::Result<()> {
             match decoder.push::<ClassicFrame>(byte) {
                 Some(Line::Frame(frame)) => print(&mut output, &frame)?,
                 Some(Line::Malformed) => writeln!(output, "malformed")?,
-                Some(Line::Other(_) | Line::Done | Line::Refused) | None => {}
+                Some(Line::Command(..) | Line::Taken(_) | Line::Done | Line::Refused) | None => {}
             }
         }
         let taken = bytes.len();

@@ -71,9 +71,11 @@ pub const BEL: u8 = 7;
 pub enum Line<F> {
     /// A frame: from the host to be sent, from the adapter received.
     Frame(F),
-    /// Another line, by its letter: `O` opens the channel, `C` closes it, `S` and `s` set the bit rate, `z` and `Z`
-    /// answer that a frame was taken.
-    Other(u8),
+    /// A command, by its letter and the first character of its parameter: `O` opens the channel, `C` closes it, `S6` and
+    /// `s` set the bit rate, `Z1` asks for time stamps.
+    Command(u8, Option<u8>),
+    /// The answer to a frame that was taken: `z`, or `Z` where it has 29 bits.
+    Taken(u8),
     /// A line without characters: the answer to a command that was carried out.
     Done,
     /// The answer to a command that was refused.
@@ -136,7 +138,8 @@ fn line<F: Frame>(text: &[u8]) -> Line<F> {
     match text {
         [] => Line::Done,
         [b't' | b'T' | b'r' | b'R', ..] => frame(text).map_or(Line::Malformed, Line::Frame),
-        [letter, ..] => Line::Other(*letter),
+        [letter @ (b'z' | b'Z')] => Line::Taken(*letter),
+        [letter, rest @ ..] => Line::Command(*letter, rest.first().copied()),
     }
 }
 
@@ -242,9 +245,9 @@ impl Encoded {
 /// use bus_slcan::{Adapter, ClassicFrame, Line};
 ///
 /// let mut adapter = Adapter::new();
-/// assert_eq!(adapter.answer(&Line::<ClassicFrame>::Other(b'S')), b"\r");
+/// assert_eq!(adapter.answer(&Line::<ClassicFrame>::Command(b'S', Some(b'6'))), b"\r");
 /// assert!(!adapter.is_open());
-/// assert_eq!(adapter.answer(&Line::<ClassicFrame>::Other(b'O')), b"\r");
+/// assert_eq!(adapter.answer(&Line::<ClassicFrame>::Command(b'O', None)), b"\r");
 /// assert!(adapter.is_open());
 /// ```
 #[derive(Clone, Copy, Debug, Default)]
@@ -278,21 +281,23 @@ impl Adapter {
                 }
             }
             // Open; listen only is not, as what is sent would go nowhere.
-            Line::Other(b'O') => {
+            Line::Command(b'O', _) => {
                 self.is_open = true;
                 b"\r"
             }
-            Line::Other(b'C') => {
+            Line::Command(b'C', _) => {
                 self.is_open = false;
                 b"\r"
             }
-            // The bit rate, and whether received frames get a time stamp: there is no bus to time.
-            Line::Other(b'S' | b's') => b"\r",
-            Line::Other(b'F') => b"F00\r",
-            Line::Other(b'V') => b"V0101\r",
-            Line::Other(b'N') => b"N0001\r",
-            Line::Done | Line::Refused | Line::Other(b'z' | b'Z') => b"",
-            Line::Other(_) | Line::Malformed => BEL_ALONE,
+            // There is no bus that a rate could be wrong for, but there are nine rates.
+            Line::Command(b'S', Some(b'0'..=b'8')) | Line::Command(b's', Some(_)) => b"\r",
+            // No time stamps: that is carried out, and that they are wanted is refused.
+            Line::Command(b'Z', Some(b'0')) => b"\r",
+            Line::Command(b'F', _) => b"F00\r",
+            Line::Command(b'V', _) => b"V0101\r",
+            Line::Command(b'N', _) => b"N0001\r",
+            Line::Done | Line::Refused | Line::Taken(_) => b"",
+            Line::Command(..) | Line::Malformed => BEL_ALONE,
         }
     }
 }

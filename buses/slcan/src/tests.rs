@@ -71,7 +71,13 @@ fn line_behind_noise_of_any_length_is_read() {
 
 #[test]
 fn answers_and_commands_are_told_apart() {
-    let expected = [Line::Done, Line::Refused, Line::Other(b'z'), Line::Other(b'O'), Line::Other(b'S')];
+    let expected = [
+        Line::Done,
+        Line::Refused,
+        Line::Taken(b'z'),
+        Line::Command(b'O', None),
+        Line::Command(b'S', Some(b'6')),
+    ];
     assert_eq!(lines(b"\r\x07z\rO\r\nS6\r"), expected);
     // A refusal in the middle of a line ends what was there.
     assert_eq!(lines(b"t12\x07\r"), [Line::Refused, Line::Done]);
@@ -80,9 +86,16 @@ fn answers_and_commands_are_told_apart() {
 #[test]
 fn adapter_answers_its_host_and_no_answer_gets_one() {
     let mut adapter = Adapter::new();
-    let script: [(&[u8], &[u8]); 15] = [
+    let script: [(&[u8], &[u8]); 22] = [
         (b"t1200\r", b"\x07"),
-        (b"S6\r", b"\r"),
+        (b"S0\r", b"\r"),
+        (b"S8\r", b"\r"),
+        (b"S9\r", b"\x07"),
+        (b"S\r", b"\x07"),
+        (b"s031C\r", b"\r"),
+        (b"s\r", b"\x07"),
+        (b"Z0\r", b"\r"),
+        (b"Z1\r", b"\x07"),
         (b"L\r", b"\x07"),
         (b"O\r", b"\r"),
         (b"t1200\r", b"z\r"),
