@@ -2,6 +2,8 @@
 
 mod can;
 mod serial;
+mod would_block;
 
 pub use can::GripperLink;
-pub use serial::{LostBytes, ReceiveErrors, Uart, UartBuffers, UartLine, WouldBlock};
+pub use serial::{LostBytes, ReceiveErrors, Uart, UartBuffers, UartLine};
+pub use would_block::WouldBlock;

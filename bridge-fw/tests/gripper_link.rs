@@ -95,7 +95,7 @@ fn messages_that_fill_the_queue_to_its_end_are_kept_and_the_next_is_counted() {
 #[test]
 fn what_it_refuses_has_a_reason_in_words() {
     let error = link().read(&mut [0]).unwrap_err();
-    assert_eq!(error.to_string(), "the gripper's link is not ready");
+    assert_eq!(error.to_string(), "the line would have to wait");
 }
 
 #[test]

@@ -53,6 +53,7 @@ fn received_bytes_are_read_in_order_and_an_empty_line_would_block() {
     assert!(!buffers.has_received());
     assert_eq!(buffers.lost(), LostBytes::default());
     assert_eq!(WouldBlock.kind(), ErrorKind::Other);
+    assert_eq!(WouldBlock.to_string(), "the line would have to wait");
 }
 
 #[test]

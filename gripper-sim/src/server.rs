@@ -6,6 +6,7 @@
 
 mod can;
 mod control;
+mod echoes;
 mod faulty_line;
 mod hub;
 mod lines;

@@ -133,6 +133,30 @@ fn log_shows_lines_as_they_are() {
 }
 
 #[test]
+fn peer_that_sends_answers_back_is_not_answered_for_ever() {
+    let served = serve(Config::default(), None);
+    let gripper = served.gcl_udp_address().unwrap();
+    let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
+    peer.set_read_timeout(Some(Duration::from_millis(500))).unwrap();
+    let mut datagram = b"debris\n".to_vec();
+    let mut answers = 0;
+    loop {
+        uninterrupted::send_to(&peer, &datagram, gripper).unwrap();
+        let mut buffer = [0; 1_024];
+        let Ok((len, _)) = uninterrupted::recv_from(&peer, &mut buffer) else { break };
+        datagram = buffer[..len].to_vec();
+        answers += 1;
+        assert!(answers < 100, "{:?} for ever", str::from_utf8(&datagram));
+    }
+    assert!(answers > 1, "what makes no sense is answered");
+    uninterrupted::send_to(&peer, b"SN?\n", gripper).unwrap();
+    peer.set_read_timeout(Some(BOUND)).unwrap();
+    let mut buffer = [0; 1_024];
+    let (len, _) = uninterrupted::recv_from(&peer, &mut buffer).expect("a question is answered");
+    assert_eq!(&buffer[..len], b"SN=1\n");
+}
+
+#[test]
 fn program_serves_the_text_protocol_and_says_where() {
     let arguments = ["--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0", "--time-scale", "0.5"];
     let mut program = Program::start(&arguments);

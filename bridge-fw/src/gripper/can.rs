@@ -7,6 +7,7 @@ use wsg_protocol::can::{Endpoint, FULL, HALF_MESSAGE_MS, Identifiers, Reassemble
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, Event, FrameEncoder, Instant};
 
+use super::would_block::WouldBlock;
 use crate::can::{CanNode, LinkCounters};
 use crate::config::MAX_REPLY_LEN;
 
@@ -47,10 +48,6 @@ pub struct GripperLink {
     overflows: u16,
     broken: u16,
 }
-
-/// There is nothing to read, no room, no bus, or the beginning of this message is lost.
-#[derive(Clone, Copy, Debug)]
-pub struct WouldBlock;
 
 impl GripperLink {
     /// A link to the gripper with these identifiers, on a bus that is there.
@@ -218,19 +215,5 @@ impl Write for GripperLink {
 
     fn flush(&mut self) -> Result<(), WouldBlock> {
         if self.to_send.is_empty() && !self.segmenter.is_mid_message() { Ok(()) } else { Err(WouldBlock) }
-    }
-}
-
-impl core::fmt::Display for WouldBlock {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str("the gripper's link is not ready")
-    }
-}
-
-impl core::error::Error for WouldBlock {}
-
-impl embedded_io::Error for WouldBlock {
-    fn kind(&self) -> embedded_io::ErrorKind {
-        embedded_io::ErrorKind::Other
     }
 }

@@ -5,8 +5,9 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use embedded_io::{Error, ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 
+use super::would_block::WouldBlock;
 use crate::byte_queue::ByteQueue;
 
 /// The bytes on their way, `RX` received ones and `TX` to be sent at the most, both powers of two. It is a plain `static`.
@@ -131,24 +132,6 @@ pub trait Uart {
 
     /// Whether the last bit of all bytes that it was given has been sent.
     fn is_idle(&mut self) -> bool;
-}
-
-/// Where a line would have to wait: no byte has come, there is no room for another, or not all have been sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct WouldBlock;
-
-impl core::fmt::Display for WouldBlock {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str("the line would have to wait")
-    }
-}
-
-impl core::error::Error for WouldBlock {}
-
-impl Error for WouldBlock {
-    fn kind(&self) -> ErrorKind {
-        ErrorKind::Other
-    }
 }
 
 /// The main loop's end of the line. There is one value of it for each [`UartBuffers`].

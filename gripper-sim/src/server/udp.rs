@@ -1,11 +1,13 @@
 //! UDP: one frame or line per datagram. Frames go to a fixed port of whoever sent last, lines to the port that asked.
 
+use super::echoes::Echoes;
 use super::hub::Hub;
 use crate::port::{MAX_FRAME_LEN, PortKind};
 use anyhow::{Context, Result};
 use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::rc::Rc;
+use std::time::Instant;
 use tokio::net::UdpSocket;
 use tokio::task::yield_now;
 
@@ -29,9 +31,11 @@ pub(super) async fn serve(
     let mut datagram = vec![0; DATAGRAM_LEN];
     let mut buffer = [0; MAX_FRAME_LEN];
     let mut remote: Option<SocketAddr> = None;
+    let mut echoes = Echoes::default();
     loop {
         while let Some(frame) = client.transmit(&mut buffer) {
             if let Some(address) = remote {
+                echoes.sent(frame);
                 // Nobody may listen there; a datagram is lost then, as datagrams are.
                 let _ = socket.send_to(frame, address).await;
             }
@@ -39,8 +43,11 @@ pub(super) async fn serve(
         tokio::select! {
             received = socket.recv_from(&mut datagram) => match received {
                 Ok((len, from)) => {
-                    remote = Some(SocketAddr::new(from.ip(), remote_port.unwrap_or(from.port())));
-                    client.receive(datagram.get(..len).unwrap_or(&[]));
+                    let received = datagram.get(..len).unwrap_or(&[]);
+                    if !echoes.must_end(Instant::now(), received) {
+                        remote = Some(SocketAddr::new(from.ip(), remote_port.unwrap_or(from.port())));
+                        client.receive(received);
+                    }
                     // A client that sends without end gets no more than its turn.
                     yield_now().await;
                 }

@@ -85,7 +85,7 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     let mut config = Config::default();
     let mut lines = Lines::default();
     let mut log = None;
-    let mut udp_address = None;
+    let mut udp_address: Option<SocketAddr> = None;
     let mut udp_remote_port = None;
     let (mut can_bus, mut can_id) = (None, None);
     while let Some(argument) = parser.next()? {
@@ -158,6 +158,11 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
         }
     }
     lines.udp = match (udp_address, udp_remote_port) {
+        (Some(address), Some(port)) if port == address.port() => {
+            bail!(
+                "--udp-remote-port {port} is the gripper's own port; expected another, which its client has"
+            )
+        }
         (Some(address), port) => {
             Some(UdpLine { address, remote_port: port.unwrap_or(DEFAULT_UDP_REMOTE_PORT) })
         }
@@ -370,6 +375,7 @@ mod tests {
             (&["--control", "here"], "--control \"here\"", "127.0.0.1:8080"),
             (&["--seed", "-1"], "--seed \"-1\"", "number"),
             (&["--udp-remote-port", "9"], "--udp-remote-port", "--udp"),
+            (&["--udp", "127.0.0.1:9", "--udp-remote-port", "9"], "--udp-remote-port 9", "another"),
             (&["--can-id", "9"], "--can-id", "--slcan"),
             (&["--slcan", "pty", "--can-id", "0x7FF"], "--can-id \"0x7FF\"", "0x7FE"),
             (&["--slcan", "pty", "--can-id", "x"], "--can-id \"x\"", "0x7FE"),
