@@ -37,6 +37,7 @@ pub mod document;
 pub mod emulator;
 pub mod example;
 pub mod explore;
+pub mod extent;
 pub mod fault_sweep;
 pub mod faulty_link;
 pub mod fuzz_bodies;

@@ -44,6 +44,7 @@ use anyhow::{Context, Result};
 use lexopt::{Arg, Parser, ValueExt};
 
 use firmware::Variant;
+use matrix::Extent;
 use settings::Change;
 use workspace::Workspace;
 
@@ -63,8 +64,8 @@ Commands
                      something could not be checked or compared, which is else only said
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
-  ci                 deny, test --strict, then fast-stop, explore, loom and Miri: what runs on each
-                     change
+  ci                 deny, test --strict with all of what test does in part, then fast-stop, explore,
+                     loom and Miri: before a release
   deny               licences, bans and sources of all dependencies against deny.toml; cargo-deny
   size               flash and static RAM of the image, and of the protocol beside an empty
                      program, against their limits
@@ -100,6 +101,7 @@ Environment
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
   WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH
                      the same for images whose settings put them on CAN
+  WSG_WHOLE=1        set by ci: tests that take long are run in full
   WSG_MODBUS_PYTHON  set by test for those with Modbus masters: the Python that has them
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
 
@@ -157,7 +159,7 @@ fn run() -> Result<ExitCode> {
             let mut filter = rest(arguments)?;
             let is_strict = filter.first().is_some_and(|first| first == "--strict");
             filter.drain(..usize::from(is_strict));
-            test::run(&workspace, &toolchain, &image, &filter, is_strict)?;
+            test::run(&workspace, &toolchain, &image, &filter, Extent::Quick, is_strict)?;
         }
         "matrix" => {
             no_more(arguments)?;

@@ -6,7 +6,9 @@ use lexopt::{Arg, Parser, ValueExt};
 use crate::{
     bench, coverage, dependencies, explore, fast_stop, figures,
     firmware::{self, Image, Variant},
-    fuzz, gate, interleavings, mutants, no_more, panics,
+    fuzz, gate, interleavings,
+    matrix::Extent,
+    mutants, no_more, panics,
     probe::Probes,
     setup::{self, ThumbToolchain},
     size, soak, stack, test, undefined_behaviour,
@@ -47,7 +49,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             no_more(arguments)?;
             let Built { workspace, toolchain, image } = Built::new()?;
             dependencies::check(&workspace)?;
-            test::run(&workspace, &toolchain, &image, &[], true)?;
+            test::run(&workspace, &toolchain, &image, &[], Extent::Whole, true)?;
             fast_stop::run(&workspace)?;
             explore::run(&workspace, explore::STATES)?;
             interleavings::run(&workspace)?;

@@ -68,8 +68,6 @@ fn firmware_build(probes: &Probes<'_>, profile: Profile) -> Command {
     // everything else.
     let features = [firmware::OVER_SLCAN, "prove-panic-free"].map(str::to_owned);
     cargo.args(firmware::selection_for(&features, profile.name()));
-    // Apart from the image that is tested: this one is only linked.
-    cargo.env("CARGO_TARGET_DIR", probes.workspace.target_dir.join("panics"));
     cargo
 }
 

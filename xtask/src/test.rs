@@ -27,6 +27,7 @@ pub(crate) fn run(
     toolchain: &ThumbToolchain,
     image: &Image,
     filter: &[OsString],
+    extent: Extent,
     is_strict: bool,
 ) -> Result<()> {
     let masters = setup::masters(workspace)?;
@@ -46,7 +47,7 @@ pub(crate) fn run(
         record.not_checked("GCL by hand with nc (no nc; Debian's package: netcat-openbsd)");
         skipped.push("conversation_by_hand_with_nc");
     }
-    let checks = Checks { workspace, toolchain, image, can_images, python: &masters.python, skipped };
+    let checks = Checks { workspace, toolchain, image, can_images, python: &masters.python, skipped, extent };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
@@ -66,6 +67,7 @@ struct Checks<'a> {
     python: &'a Path,
     /// Tests whose programs are not installed.
     skipped: Vec<&'a str>,
+    extent: Extent,
 }
 
 impl Checks<'_> {
@@ -100,7 +102,7 @@ impl Checks<'_> {
         record.check(TESTS, || self.tests(&[]))?;
         let mut not_built = Vec::new();
         record.check("protocol on other targets, oldest Rust, package", || {
-            not_built = matrix::build(workspace, Extent::Quick)?.not_checked;
+            not_built = matrix::build(workspace, self.extent)?.not_checked;
             Ok(())
         })?;
         not_built.iter().for_each(|what| record.not_checked(what));
@@ -153,6 +155,9 @@ impl Checks<'_> {
         // Those with an emulator wait more than they compute.
         let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(2);
         tests.env("RUST_TEST_THREADS", threads.to_string());
+        if self.extent == Extent::Whole {
+            tests.env("WSG_WHOLE", "1");
+        }
         for (variable, image) in &self.can_images {
             tests.env(variable, &image.path);
         }

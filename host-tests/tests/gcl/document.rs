@@ -111,8 +111,8 @@ fn tests_that_the_document_names_exist() {
         "protocol/src/gcl/line_tests.rs",
         "protocol/src/gcl/number_tests.rs",
         "protocol/src/gcl/session_tests.rs",
-        "gripper-sim/tests/gcl.rs",
-        "gripper-sim/tests/gcl_server.rs",
+        "gripper-sim/tests/core/gcl.rs",
+        "gripper-sim/tests/served/gcl.rs",
     ]
     .map(read)
     .concat();

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use host_tests::emulator::Emulator;
+use host_tests::extent;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::modbus_master::{Failed, Master};
 use host_tests::rig::motions;
@@ -242,8 +243,8 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn ten_thousand_requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line() {
-    const REQUESTS: u32 = 10_000;
+fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line() {
+    let requests = extent::of(10_000);
     let mut plant = Plant::start(quick());
     // One byte in ten thousand, each way, by a generator that is the same in every run (xorshift).
     let mut state = 0x2545_F491u32;
@@ -259,7 +260,7 @@ fn ten_thousand_requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_s
         byte ^ (1 << (state >> 29))
     };
     plant.master.failed = Failed::default();
-    for number in 0..REQUESTS / 2 {
+    for number in 0..requests / 2 {
         let [high, low] = (number as u16).to_be_bytes();
         let written = plant.master.ask_over(&[16, 0, 1, 0, 1, 2, high, low], &mut disturb).unwrap();
         assert_eq!(written, [16, 0, 1, 0, 1]);
@@ -267,7 +268,7 @@ fn ten_thousand_requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_s
         assert_eq!(read, [3, 2, high, low], "pair {number}");
     }
     let failed = plant.master.failed;
-    println!("{REQUESTS} requests, {damaged} damaged bytes, {failed:?}");
+    println!("{requests} requests, {damaged} damaged bytes, {failed:?}");
     assert!(damaged > 0 && failed.damaged > 0, "the disturbance does something");
     // A damaged byte costs one request at the most. A host that is very busy may pause inside a frame for longer than
     // the bridge has patience, and that may fall together with a damage, but not twice.

@@ -1,5 +1,6 @@
 //! The flashed image between a PLC and a virtual gripper, in the emulator.
 
+use host_tests::extent;
 use host_tests::rig::{PATIENCE, Rig, motions, names};
 use host_tests::trace::{Entry, Sequences, Trace, frame_id};
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -45,7 +46,7 @@ fn frame(reply: Reply<'_>) -> Vec<u8> {
 }
 
 /// MOVE wide, GRIP the part, RELEASE: each must end as it should.
-fn cycle(rig: &Rig, number: u32) {
+fn cycle(rig: &Rig, number: usize) {
     rig.select_recipe(WIDE).unwrap();
     assert_eq!(rig.command(Inputs::MOVE).unwrap(), IDLE, "MOVE of cycle {number}");
     rig.select_recipe(0).unwrap();
@@ -55,29 +56,30 @@ fn cycle(rig: &Rig, number: u32) {
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn two_hundred_grip_cycles_without_one_deviation() {
+fn grip_cycles_without_one_deviation() {
+    let cycles = extent::of(200);
     let rig = homed(with_part());
     rig.catch_up().unwrap();
     let mark = rig.trace().mark();
 
-    for number in 0..200 {
+    for number in 0..cycles {
         cycle(&rig, number);
     }
 
     rig.catch_up().unwrap();
     let entries = rig.trace().since(mark);
-    let expected = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart].repeat(200);
+    let expected = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart].repeat(cycles);
     assert_eq!(motions(&entries), expected, "one command for each edge");
     let statistics = rig.gripper().state().statistics;
-    assert_eq!((statistics.total, statistics.no_part, statistics.part_lost), (200, 0, 0));
+    assert_eq!((statistics.total as usize, statistics.no_part, statistics.part_lost), (cycles, 0, 0));
     let notes: Vec<&Entry> = entries.iter().filter(|entry| matches!(entry, Entry::Note(_))).collect();
     assert!(notes.is_empty(), "{notes:?}");
     // Every cycle looks like the first one: edges and outputs from the sequence of one cycle.
     let sequences = Sequences::of(&entries, 0);
-    let per_cycle = sequences.edges.len() / 200;
+    let per_cycle = sequences.edges.len() / cycles;
     assert!(sequences.edges.chunks(per_cycle).all(|chunk| chunk == &sequences.edges[..per_cycle]));
-    assert_eq!(sequences.outputs.len() % 200, 0, "{} changes of outputs", sequences.outputs.len());
-    let per_cycle = sequences.outputs.len() / 200;
+    assert_eq!(sequences.outputs.len() % cycles, 0, "{} changes of outputs", sequences.outputs.len());
+    let per_cycle = sequences.outputs.len() / cycles;
     assert!(sequences.outputs.chunks(per_cycle).all(|chunk| chunk == &sequences.outputs[..per_cycle]));
 }
 

@@ -1,8 +1,6 @@
 //! Settings, device information, fingers, temperature, faults and flags (command set, 3.3 to 3.6 and appendix B).
 
-mod common;
-
-use common::{Rig, go_to, grip, release, texts};
+use crate::common::{Rig, go_to, grip, release, texts};
 use wsg_protocol::{
     Command, CommandId, DeviceTag, FingerFlags, FrameEncoder, GripperState, LoopData, SoftLimits, Status,
     SystemFlags, Value,

@@ -1,9 +1,7 @@
 //! The control interface and the faults that it lets loose on the lines. Every wait is bounded by a time-out of the
 //! socket.
 
-mod common;
-
-use common::{go_to, grip, parse, uninterrupted};
+use crate::common::{go_to, grip, parse, uninterrupted};
 use serde_json::{Value, json};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};

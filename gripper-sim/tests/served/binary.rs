@@ -1,9 +1,7 @@
 //! The servers over real sockets and terminals, and the binary. Every wait is bounded by a time-out of the socket.
 
-mod common;
-
-use common::program::Program;
-use common::{grip, parse, uninterrupted};
+use crate::common::program::Program;
+use crate::common::{grip, parse, uninterrupted};
 use std::io::{self, Read, Write};
 use std::net::{TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;

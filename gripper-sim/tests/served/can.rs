@@ -1,11 +1,9 @@
 //! The gripper on a CAN bus: a controller over SLCAN, as adapters are opened; SocketCAN as far as it can be tested without
 //! an interface. Every wait is bounded.
 
-mod common;
-
+use crate::common::program::Program;
+use crate::common::{grip, uninterrupted};
 use bus_slcan::{ClassicFrame, Decoder, Line, encode};
-use common::program::Program;
-use common::{grip, uninterrupted};
 use embedded_can::{Frame, Id, StandardId};
 use rustix::fs::{Mode, OFlags};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};

@@ -1,12 +1,9 @@
 //! Modbus/TCP over real sockets, and the binary. Every wait is bounded by a time-out of the socket.
 //!
 //! What is expected is what the MODBUS application protocol specification and the messaging implementation guide say.
-#![cfg(feature = "std")]
 
-mod common;
-
-use common::program::Program;
-use common::{parse, uninterrupted};
+use crate::common::program::Program;
+use crate::common::{parse, uninterrupted};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};

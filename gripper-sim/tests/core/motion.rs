@@ -1,8 +1,6 @@
 //! Motion commands: what moves, how it ends, what is refused (command set, 3.2 and appendix C).
 
-mod common;
-
-use common::{Rig, Sent, go_by, go_to, go_to_or_stop, grip, release, texts};
+use crate::common::{Rig, Sent, go_by, go_to, go_to_or_stop, grip, release, texts};
 use wsg_protocol::{Command, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
 use wsg_sim::{Config, Direction, Fault, Model, Part};
 

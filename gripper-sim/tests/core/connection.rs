@@ -1,8 +1,6 @@
 //! Connections: what clients in the field rely on, and what bad ones cannot do.
 
-mod common;
-
-use common::{Rig, go_to, parse, texts};
+use crate::common::{Rig, go_to, parse, texts};
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, LoopData, Status, SystemFlags};
 use wsg_sim::{Config, DEFAULT_PORTS, MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
 

@@ -1,8 +1,6 @@
 //! Automatic updates (command set, 3.4.1 to 3.4.6).
 
-mod common;
-
-use common::{Rig, Sent, go_to, grip};
+use crate::common::{Rig, Sent, go_to, grip};
 use wsg_protocol::{AutoUpdate, Command, GripperState, HomingDirection, Status, UpdateFlags};
 use wsg_sim::{Config, Part, PortKind, Time};
 

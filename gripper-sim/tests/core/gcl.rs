@@ -1,8 +1,6 @@
 //! The text protocol at the virtual gripper, in virtual time: what each line does and what is answered.
 
-mod common;
-
-use common::Rig;
+use crate::common::Rig;
 use wsg_protocol::{Command, GripperState, SystemFlags};
 use wsg_sim::{Config, Finger, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 

@@ -1,0 +1,11 @@
+//! The virtual gripper without a server: bytes in, bytes out, in virtual time.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod connection;
+mod fieldbus;
+mod gcl;
+mod gcl_session;
+mod motion;
+mod settings;
+mod updates;

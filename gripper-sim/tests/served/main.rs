@@ -1,0 +1,11 @@
+//! The virtual gripper over real sockets, serial lines and terminals.
+//!
+//! One program, because these tests wait more than they compute: several run at a time.
+
+mod binary;
+mod can;
+#[path = "../common/mod.rs"]
+mod common;
+mod control;
+mod gcl;
+mod modbus;
