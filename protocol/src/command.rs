@@ -318,5 +318,4 @@ impl Command<'_> {
 }
 
 #[cfg(test)]
-#[path = "command_tests.rs"]
 mod tests;

@@ -190,5 +190,4 @@ impl core::fmt::Display for Reply<'_> {
 }
 
 #[cfg(test)]
-#[path = "reply_tests.rs"]
 mod tests;

@@ -62,5 +62,4 @@ pub use known::Known;
 pub use topic::Topic;
 
 #[cfg(test)]
-#[path = "session_tests.rs"]
 pub(crate) mod tests;

@@ -717,5 +717,4 @@ fn within_limits(speed: f32, force: f32, known: &Known) -> bool {
 }
 
 #[cfg(test)]
-#[path = "controller_tests.rs"]
 mod tests;

@@ -485,5 +485,4 @@ impl<const N: usize> Default for FrameParser<N> {
 const _: () = assert!(size_of::<FrameParser<64>>() == 64 + 16, "the parser's memory is N + 16 bytes");
 
 #[cfg(test)]
-#[path = "parser_tests.rs"]
 mod tests;

@@ -186,5 +186,4 @@ impl Fixed {
 }
 
 #[cfg(test)]
-#[path = "decimal_tests.rs"]
 mod tests;

@@ -194,5 +194,4 @@ impl<const N: usize> Default for LineReader<N> {
 }
 
 #[cfg(test)]
-#[path = "line_tests.rs"]
 mod tests;

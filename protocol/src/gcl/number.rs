@@ -92,5 +92,4 @@ pub(super) fn write_integer(value: u32, to: &mut impl Write) -> Written {
 }
 
 #[cfg(test)]
-#[path = "number_tests.rs"]
 mod tests;

@@ -275,5 +275,4 @@ const fn is_result(status: Status) -> bool {
 }
 
 #[cfg(test)]
-#[path = "session_tests.rs"]
 mod tests;

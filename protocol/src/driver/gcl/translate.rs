@@ -311,5 +311,4 @@ pub(super) const fn autosend(topic: Topic, update: AutoUpdate) -> Autosend {
 }
 
 #[cfg(test)]
-#[path = "translate_tests.rs"]
 mod tests;

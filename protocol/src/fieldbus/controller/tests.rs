@@ -846,7 +846,6 @@ fn fast_stop_wins_over_a_success_that_is_held_back() {
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::CmdPending));
 }
 
-#[path = "jog_tests.rs"]
 mod jog;
 
 #[test]
