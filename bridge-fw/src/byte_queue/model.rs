@@ -39,8 +39,13 @@ impl Place {
 }
 
 impl<const N: usize> ByteQueue<N> {
-    /// An empty queue; the atomics of `loom` are not made at compile time.
-    pub(super) fn new() -> Self {
+    /// What the statics of lines are made of, which no model has: the atomics of `loom` are not made at compile time.
+    pub(crate) const fn new() -> Self {
+        panic!("a model begins with an empty queue")
+    }
+
+    /// An empty queue.
+    fn empty() -> Self {
         Self {
             bytes: core::array::from_fn(|_| Place::new()),
             pushed: AtomicUsize::new(0),
@@ -52,7 +57,7 @@ impl<const N: usize> ByteQueue<N> {
 /// Sends so many bytes from one thread to another, in every way in which they can run.
 fn send<const N: usize>(count: u8) {
     loom::model(move || {
-        let queue = Arc::new(ByteQueue::<N>::new());
+        let queue = Arc::new(ByteQueue::<N>::empty());
         let pushing = Arc::clone(&queue);
         let producer = thread::spawn(move || {
             for byte in 1..=count {
@@ -87,7 +92,7 @@ fn every_byte_arrives_once_and_in_order_through_two_places() {
 #[test]
 fn what_either_end_is_told_of_the_other_is_never_too_much() {
     loom::model(|| {
-        let queue = Arc::new(ByteQueue::<2>::new());
+        let queue = Arc::new(ByteQueue::<2>::empty());
         let popping = Arc::clone(&queue);
         queue.push(1).unwrap();
         let consumer = thread::spawn(move || {
