@@ -1,8 +1,8 @@
 //! CAN: the gripper on a bus instead of a serial line, and a PLC on a bus instead of wires.
 //!
 //! [`CanBus`] owns the controller, shares it between those who are on the bus ([`CanNode`]), and leaves and joins the
-//! bus when the controller goes bus-off. [`GripperLink`](crate::gripper::GripperLink) is one of them: to the bridge it is a line like any other. [`Node`]
-//! is the other: the PLC's side, by CANopen. The board gives the controller, behind [`CanController`]. Where there is none,
+//! bus when the controller goes bus-off. [`GripperLink`](crate::gripper::GripperLink) is one of them: to the bridge it is
+//! a line like any other. [`Node`] is the other: the PLC's side, by CANopen. The board gives the controller, behind [`CanController`]. Where there is none,
 //! [`SlcanPort`] is one over a serial line.
 //!
 //! The mapping of messages to frames is `wsg_protocol::can`'s.

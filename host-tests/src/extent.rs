@@ -1,7 +1,7 @@
 //! How much there is of a test that could go on for any time.
 
 /// Set by `cargo xtask ci`: all of it.
-pub const VARIABLE: &str = "WSG_WHOLE";
+const VARIABLE: &str = "WSG_WHOLE";
 
 /// Returns `whole` in `cargo xtask ci`, and a fifth of it elsewhere, where somebody waits.
 #[must_use]

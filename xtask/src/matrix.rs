@@ -52,16 +52,17 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
             outcome.not_checked.push(format!("the crates on {target} (rustup could not bring the target)"));
             continue;
         }
+        let in_full = extent == Extent::Whole || target == TARGETS[0];
         for (package, folder) in TARGET_CRATES {
             let features = features(&workspace.root.join(folder).join("Cargo.toml"))?;
-            for features in combinations(&features, extent, target == TARGETS[0]) {
+            for features in combinations(&features, extent, in_full) {
                 let mut check = workspace.cargo("check");
                 check.args(["--quiet", "-p", package, "--no-default-features", "--target", target]);
                 process::run(check.args(["--features", &features]))?;
                 outcome.passed += 1;
             }
         }
-        if extent == Extent::Whole || target == TARGETS[0] {
+        if in_full {
             let mut example = workspace.cargo("build");
             process::run(example.args(["--quiet", "--target", target]).args(BOARD_EXAMPLE))?;
             outcome.passed += 1;

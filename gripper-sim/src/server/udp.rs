@@ -44,7 +44,7 @@ pub(super) async fn serve(
             received = socket.recv_from(&mut datagram) => match received {
                 Ok((len, from)) => {
                     let received = datagram.get(..len).unwrap_or(&[]);
-                    if !echoes.must_end(Instant::now(), received) {
+                    if !echoes.must_end(Instant::now(), from, received) {
                         remote = Some(SocketAddr::new(from.ip(), remote_port.unwrap_or(from.port())));
                         client.receive(received);
                     }

@@ -158,13 +158,15 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
         }
     }
     lines.udp = match (udp_address, udp_remote_port) {
-        (Some(address), Some(port)) if port == address.port() => {
-            bail!(
-                "--udp-remote-port {port} is the gripper's own port; expected another, which its client has"
-            )
-        }
         (Some(address), port) => {
-            Some(UdpLine { address, remote_port: port.unwrap_or(DEFAULT_UDP_REMOTE_PORT) })
+            let remote_port = port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
+            if remote_port == address.port() {
+                bail!(
+                    "--udp {address} listens on the port that answers go to; \
+                     expected another there, or in --udp-remote-port"
+                );
+            }
+            Some(UdpLine { address, remote_port })
         }
         (None, Some(_)) => bail!("--udp-remote-port is of no use without --udp ADDR"),
         (None, None) => None,
@@ -375,7 +377,8 @@ mod tests {
             (&["--control", "here"], "--control \"here\"", "127.0.0.1:8080"),
             (&["--seed", "-1"], "--seed \"-1\"", "number"),
             (&["--udp-remote-port", "9"], "--udp-remote-port", "--udp"),
-            (&["--udp", "127.0.0.1:9", "--udp-remote-port", "9"], "--udp-remote-port 9", "another"),
+            (&["--udp", "127.0.0.1:9", "--udp-remote-port", "9"], "--udp 127.0.0.1:9", "--udp-remote-port"),
+            (&["--udp", "127.0.0.1:1501"], "--udp 127.0.0.1:1501", "--udp-remote-port"),
             (&["--can-id", "9"], "--can-id", "--slcan"),
             (&["--slcan", "pty", "--can-id", "0x7FF"], "--can-id \"0x7FF\"", "0x7FE"),
             (&["--slcan", "pty", "--can-id", "x"], "--can-id \"x\"", "0x7FE"),
