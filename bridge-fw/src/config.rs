@@ -44,6 +44,20 @@ impl PlcBus {
     pub(crate) const NUMBERS: &str = "the PLC's bus, beside the wires: 0 none, 1 Modbus RTU, 2 CANopen";
 }
 
+/// The board that a bridge runs on, as a master can read it (CANopen 1009h and 1018h, 4).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Board {
+    /// Its name.
+    pub name: &'static str,
+    /// The serial number; of no number is known whether another board has it too.
+    pub serial: u32,
+}
+
+impl Board {
+    /// A board of which nothing is known.
+    pub const UNKNOWN: Self = Self { name: "unknown", serial: 0 };
+}
+
 /// What can be set about a bridge.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {

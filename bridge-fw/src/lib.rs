@@ -35,7 +35,7 @@ mod station;
 pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Counters};
 pub use config::{
-    BusConfig, Config, Format, GripperLine, MAX_REPLY_LEN, PlcBus, RECIPE_COUNT, RECIPES, Recipe,
+    Board, BusConfig, Config, Format, GripperLine, MAX_REPLY_LEN, PlcBus, RECIPE_COUNT, RECIPES, Recipe,
 };
 pub use plc::{BusPort, NoBus};
 pub use registers::ResetCause;

@@ -5,7 +5,7 @@ use wsg_protocol::Instant;
 
 use crate::bridge::Bridge;
 use crate::can::{BusReport, CanBus, CanController, CanNode, LinkCounters, Node, NullNode};
-use crate::config::{Config, GripperLine, PlcBus};
+use crate::config::{Board, Config, GripperLine, PlcBus};
 use crate::gripper::GripperLink;
 use crate::io::{Inputs, Outputs};
 use crate::plc::{BusPort, Modbus};
@@ -40,10 +40,10 @@ impl<C: CanController> Station<C> {
         }
     }
 
-    /// Takes the configuration, and why the MCU was reset. Before the first turn alone.
+    /// Takes the configuration, what it runs on, and why the MCU was reset. Before the first turn alone.
     // Apart: what is built anew here would be on the stack through every turn of the main loop.
     #[inline(never)]
-    pub fn start(&mut self, config: &Config, reset_cause: ResetCause) {
+    pub fn start(&mut self, config: &Config, board: Board, reset_cause: ResetCause) {
         self.gripper_line = config.gripper_line;
         self.plc_bus = config.plc_bus;
         self.bridge.configure(config);
@@ -51,6 +51,7 @@ impl<C: CanController> Station<C> {
         self.modbus = Modbus::new(config);
         self.link = GripperLink::new(config.can.gripper);
         self.node = Node::new(config.can.node);
+        self.node.set_board(board);
     }
 
     /// One turn of the main loop: takes what the lines and wires brought, sends what is due, and returns the levels of the

@@ -4,7 +4,7 @@ use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
 use embedded_can::{Frame, Id, StandardId};
-use host_tests::can_bench::{CanBench, Double};
+use host_tests::can_bench::{BOARD, CanBench, Double};
 use host_tests::document::hold_file;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use host_tests::wires::Wires;
@@ -265,7 +265,13 @@ fn rpdo_counts_in_operation_alone_and_whole_alone() {
         master.send(0x200 | u16::from(NODE.node), &image[..len]);
         master.pass(20);
     }
-    assert_eq!(master.emergencies(), [(0x8210, 0); 8], "each of them told");
+    master.pass(200);
+    let told = master.emergencies();
+    assert_eq!(
+        told,
+        [(0x8210, 0x11), (0x8210, 0x11), (0x8210, 0x11), (0, 0)],
+        "told, but not each of so many in a moment"
+    );
     master.nmt(NmtCommand::EnterPreOperational);
     master.command(Cmd::MOVE);
     master.nmt(NmtCommand::StopRemoteNode);
@@ -450,7 +456,6 @@ fn silent_gripper_is_told() {
     master.bench.to_gripper = Some(Box::new(|_| vec![]));
     master.pass(2_000);
     assert_eq!(master.emergencies(), [(code_of("gripper is silent"), 0x11)]);
-    assert_eq!(master.state(), GripperFlags::empty(), "nothing is known");
 }
 
 #[test]
@@ -573,7 +578,7 @@ fn sdo_says_why_it_refuses() {
     assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(3)), Err(VALUE));
     assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned8(1)), Err(0x0607_0010));
     assert_eq!(master.download(SETTINGS_INDEX, 0, Value::Unsigned8(1)), Err(0x0601_0002));
-    assert_eq!(master.download(0x2000, 1, Value::Unsigned8(1)), Err(0x0601_0002), "no command by SDO");
+    assert_eq!(master.download(0x2000, 1, Value::Unsigned8(1)), Err(0x0800_0021), "no command by SDO");
     assert_eq!(master.download(0x1016, 1, Value::Unsigned32(128 << 16)), Err(VALUE), "no such node");
     assert_eq!(master.download(0x1016, 1, Value::Unsigned32(0x0100_0000)), Err(VALUE));
     assert_eq!(master.upload(0x1A05, 1, Theirs::Unsigned8), Err(0x0602_0000));
@@ -582,8 +587,8 @@ fn sdo_says_why_it_refuses() {
     let past_the_reports = REPORTS.len() as u8 + 1;
     assert_eq!(master.download(REPORTS_INDEX, past_the_reports, Value::Unsigned16(1)), Err(0x0609_0011));
     assert_eq!(master.download(REPORTS_INDEX, 1, Value::Unsigned16(1)), Err(0x0601_0002));
-    // Segmented and block transfer.
-    for specifier in [0x21, 0x60, 0xA0, 0xC2, 0xE0, 0x00] {
+    // Download in segments, a segment of no transfer, block transfer.
+    for specifier in [0x21, 0x60, 0x70, 0xA0, 0xC2, 0xE0, 0x00] {
         let answer = master.transfer(&[specifier, 0x17, 0x10, 0, 0, 0, 0, 0]);
         assert_eq!(sdo::decode_abort(&answer).unwrap().1, 0x0504_0001, "{specifier:02X}h");
     }
@@ -612,30 +617,105 @@ fn sdo_requests_that_are_cut_and_aborts_of_the_client_get_no_answer() {
     assert_eq!(master.take(0x580), []);
 }
 
+/// Objects of CiA 301 (7.5.2): index, subindices, type, whether a master may write them.
+const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool); 38] = {
+    use DataType::{Text, U8, U16, U32};
+    [
+        (0x1000, 0..=0, U32, false),
+        (0x1001, 0..=0, U8, false),
+        (0x1003, 0..=0, U8, true),
+        (0x1003, 1..=8, U32, false),
+        (0x1005, 0..=0, U32, true),
+        (0x1008, 0..=0, Text, false),
+        (0x1009, 0..=0, Text, false),
+        (0x100A, 0..=0, Text, false),
+        (0x1014, 0..=0, U32, true),
+        (0x1015, 0..=0, U16, true),
+        (0x1016, 0..=0, U8, false),
+        (0x1016, 1..=1, U32, true),
+        (0x1017, 0..=0, U16, true),
+        (0x1018, 0..=0, U8, false),
+        (0x1018, 1..=4, U32, false),
+        (0x1029, 0..=0, U8, false),
+        (0x1029, 1..=1, U8, true),
+        (0x1200, 0..=0, U8, false),
+        (0x1200, 1..=2, U32, false),
+        (0x1400, 0..=0, U8, false),
+        (0x1400, 1..=1, U32, true),
+        (0x1400, 2..=2, U8, true),
+        (0x1600, 0..=0, U8, true),
+        (0x1600, 1..=5, U32, true),
+        (0x1800, 0..=0, U8, false),
+        (0x1800, 1..=1, U32, true),
+        (0x1800, 2..=2, U8, true),
+        (0x1800, 3..=3, U16, true),
+        (0x1800, 5..=5, U16, true),
+        (0x1801, 0..=0, U8, false),
+        (0x1801, 1..=1, U32, true),
+        (0x1801, 2..=2, U8, true),
+        (0x1801, 3..=3, U16, true),
+        (0x1801, 5..=5, U16, true),
+        (0x1A00, 0..=0, U8, true),
+        (0x1A00, 1..=4, U32, true),
+        (0x1A01, 0..=0, U8, true),
+        (0x1A01, 1..=2, U32, true),
+    ]
+};
+
 #[test]
-fn every_object_is_read_with_the_size_of_its_type_and_every_other_is_refused() {
+fn objects_of_the_communication_profile_have_the_types_and_access_of_the_standard() {
+    let standard: Vec<(u16, u8, DataType, bool)> = COMMUNICATION_PROFILE
+        .into_iter()
+        .flat_map(|(index, subs, kind, writable)| subs.map(move |sub| (index, sub, kind, writable)))
+        .collect();
+    let ours: Vec<(u16, u8, DataType, bool)> = OBJECTS
+        .iter()
+        .filter(|object| object.index < 0x2000)
+        .map(|object| (object.index, object.sub, object.kind, object.writable))
+        .collect();
+    assert_eq!(ours, standard);
+}
+
+#[test]
+fn every_object_is_read_and_written_as_its_type_and_access_let_it() {
     let mut master = Master::new(Config::default());
     master.pass(500);
-    let theirs = |kind: DataType| match kind {
-        DataType::I16 => Theirs::Integer16,
-        DataType::U8 => Theirs::Unsigned8,
-        DataType::U16 => Theirs::Unsigned16,
-        DataType::U32 => Theirs::Unsigned32,
+    let registers = |index, count: usize, writable| {
+        (1..=count as u8).map(move |sub| (index, sub, DataType::U16, writable))
     };
-    for object in OBJECTS {
-        let value = master.upload(object.index, object.sub, theirs(object.kind));
-        assert!(value.is_ok(), "{:X}h sub {}: {value:?}", object.index, object.sub);
-        if !object.writable {
-            let write = master.download(object.index, object.sub, value.unwrap());
-            assert_eq!(write, Err(0x0601_0002), "{:X}h sub {}", object.index, object.sub);
+    let objects = OBJECTS.iter().map(|object| (object.index, object.sub, object.kind, object.writable));
+    let objects = objects.chain(registers(SETTINGS_INDEX, SETTINGS.len(), true)).chain(registers(
+        REPORTS_INDEX,
+        REPORTS.len(),
+        false,
+    ));
+    for (index, sub, kind, writable) in objects {
+        let what = format!("{index:X}h sub {sub}");
+        let (theirs, longer) = match kind {
+            DataType::Text => {
+                assert_eq!(master.download(index, sub, Value::Unsigned32(0)), Err(0x0601_0002), "{what}");
+                continue;
+            }
+            DataType::I16 => (Theirs::Integer16, Value::Unsigned32(0)),
+            DataType::U8 => (Theirs::Unsigned8, Value::Unsigned16(0)),
+            DataType::U16 => (Theirs::Unsigned16, Value::Unsigned32(0)),
+            DataType::U32 => (Theirs::Unsigned32, Value::Unsigned16(0)),
+        };
+        let value = match master.upload(index, sub, theirs) {
+            Ok(value) => value,
+            Err(abort) => {
+                assert_eq!((index, abort), (0x1003, 0x0800_0024), "{what}: nothing there yet");
+                Value::Unsigned32(0)
+            }
+        };
+        let written = if writable { Ok(()) } else { Err(0x0601_0002) };
+        assert_eq!(master.download(index, sub, value), written, "{what}: the same again");
+        let refused = if writable { Err(0x0607_0010) } else { Err(0x0601_0002) };
+        assert_eq!(master.download(index, sub, longer), refused, "{what}: another length");
+        if !OBJECTS.iter().any(|object| (object.index, object.sub) == (index, sub + 1)) && index < 0x2100 {
+            let missing = if sub == 3 && matches!(index, 0x1800 | 0x1801) { sub + 1 } else { 200 };
+            assert_eq!(master.upload(index, missing, theirs), Err(0x0609_0011), "{what}");
         }
-    }
-    for sub in 1..=SETTINGS.len() as u8 {
-        let value = master.read_u16(SETTINGS_INDEX, sub);
-        assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(value)), Ok(()));
-    }
-    for sub in 1..=REPORTS.len() as u8 {
-        master.read_u16(REPORTS_INDEX, sub);
     }
     assert_eq!(master.read_u16(REPORTS_INDEX, report("MAP_VERSION")), MAP_VERSION, "report {FIRST_REPORT}");
     let mut subindices: Vec<(u16, u8)> = OBJECTS.iter().map(|object| (object.index, object.sub)).collect();
@@ -643,6 +723,108 @@ fn every_object_is_read_with_the_size_of_its_type_and_every_other_is_refused() {
     subindices.sort_unstable();
     subindices.dedup();
     assert_eq!(subindices.len(), count, "no object twice");
+}
+
+#[test]
+fn names_and_serial_number_are_those_of_the_board() {
+    let mut master = Master::new(Config::default());
+    master.pass(500);
+    for (index, text) in
+        [(0x1008, "WSG gripper bridge"), (0x1009, BOARD.name), (0x100A, env!("CARGO_PKG_VERSION"))]
+    {
+        let [low, high] = u16::to_le_bytes(index);
+        let begun = master.transfer(&[0x40, low, high, 0, 0, 0, 0, 0]);
+        assert_eq!(begun, [0x41, low, high, 0, text.len() as u8, 0, 0, 0]);
+        let mut read = Vec::new();
+        for toggle in [0, 0x10].into_iter().cycle() {
+            let segment = master.transfer(&[0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
+            read.extend_from_slice(&segment[1..8 - usize::from(segment[0] >> 1 & 7)]);
+            if segment[0] & 1 != 0 {
+                break;
+            }
+        }
+        assert_eq!(read, text.as_bytes());
+    }
+    assert_eq!(master.upload(0x1018, 4, Theirs::Unsigned32), Ok(Value::Unsigned32(BOARD.serial)));
+}
+
+/// COB-IDs of the RPDO, disabled and not.
+const RPDO_OFF: Value = Value::Unsigned32(0x8000_0210);
+const RPDO_ON: Value = Value::Unsigned32(0x210);
+
+#[test]
+fn rpdo_that_is_disabled_commands_nothing_and_stops_what_it_commanded() {
+    let mut master = Master::homed(None, 1.0);
+    master.command(Cmd::MOVE);
+    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    master.bench.take_sent();
+    master.download(0x1400, 1, RPDO_OFF).unwrap();
+    master.pass(10);
+    assert!(master.bench.take_sent().contains(&CommandId::Stop), "as when the master falls silent");
+    master.until(1_000, |master| !master.is(SystemFlags::MOVING));
+    master.take_motions();
+    master.command(Cmd::empty());
+    master.command(Cmd::MOVE);
+    master.command(Cmd::FASTSTOP);
+    master.pass(100);
+    assert_eq!(master.take_motions(), []);
+    master.download(0x1400, 1, RPDO_ON).unwrap();
+    master.command(Cmd::MOVE);
+    master.pass(100);
+    assert_eq!(master.take_motions(), [], "the first image gives no edge");
+    master.command(Cmd::empty());
+    master.command(Cmd::MOVE);
+    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+}
+
+#[test]
+fn grip_cycle_with_sync() {
+    let mut master = Master::homed(Some(20.0), 10.0);
+    master.download(0x1400, 2, Value::Unsigned8(1)).unwrap();
+    for index in [0x1800, 0x1801] {
+        master.download(index, 2, Value::Unsigned8(1)).unwrap();
+    }
+    master.take(0x180);
+    master.command(Cmd::GRIP);
+    master.pass(100);
+    assert_eq!((master.take(0x180), master.take_motions()), (vec![], vec![]), "not without a SYNC");
+    let mut holding = false;
+    for _ in 0..1_000 {
+        master.send(0x080, &[]);
+        master.pass(10);
+        let tpdos = master.take(0x180);
+        assert_eq!(tpdos.len(), 1, "one with each SYNC");
+        holding |= tpdos[0].1[0] == GripperFlags::HOLDING.bits();
+    }
+    assert!(holding);
+    assert_eq!(master.take_motions(), [CommandId::GripPart]);
+    // A FAST STOP waits for nobody.
+    master.command(Cmd::FASTSTOP);
+    assert!(master.bench.take_sent().contains(&CommandId::FastStop));
+}
+
+#[test]
+fn consumer_that_is_switched_off_leaves_the_watch_over_the_rpdos() {
+    let mut master = Master::homed(None, 1.0);
+    master.download(0x1016, 1, Value::Unsigned32(0)).unwrap();
+    assert_eq!(master.upload(0x1016, 1, Theirs::Unsigned32), Ok(Value::Unsigned32(0)));
+    assert_eq!(u32::from(master.read_u16(SETTINGS_INDEX, setting("BUS_TIMEOUT"))), TIMEOUT_MS);
+    master.command(Cmd::MOVE);
+    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    master.bench.take_sent();
+    // The heartbeat goes on, and does not count.
+    master.pass(TIMEOUT_MS + 10);
+    assert!(master.bench.take_sent().contains(&CommandId::Stop));
+}
+
+#[test]
+fn silent_gripper_is_an_error_in_the_tpdo_also_at_rest() {
+    let mut master = Master::homed(None, 10.0);
+    assert_eq!((master.state(), master.status()), (GripperFlags::IDLE, Status::Success));
+    master.bench.to_gripper = Some(Box::new(|_| vec![]));
+    master.bench.to_bridge = Some(Box::new(|_| vec![]));
+    master.pass(2_000);
+    assert_eq!((master.state(), master.status()), (GripperFlags::ERROR, Status::IoError));
 }
 
 #[test]
@@ -724,9 +906,11 @@ fn wires_keep_their_rights_beside_a_plc_on_the_bus() {
 fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
     // Everything that the node can send, all the time.
     let mut master = Master::homed(Some(20.0), 10.0);
-    for index in [0x1800, 0x1801] {
+    for (index, id) in [(0x1800, 0x4000_0190), (0x1801, 0x4000_0290)] {
+        master.download(index, 1, Value::Unsigned32(0x8000_0000 | id)).unwrap();
         master.download(index, 3, Value::Unsigned16(0)).unwrap();
         master.download(index, 5, Value::Unsigned16(1)).unwrap();
+        master.download(index, 1, Value::Unsigned32(id)).unwrap();
     }
     master.download(0x1017, 0, Value::Unsigned16(1)).unwrap();
     master.command(Cmd::GRIP);

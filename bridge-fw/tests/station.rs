@@ -9,7 +9,7 @@ use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, NmtState};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS, record_settings};
-use wsg_bridge_fw::{BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{Board, BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::CommandId;
 use wsg_protocol::can::Identifiers;
 use wsg_sim::Time;
@@ -49,7 +49,7 @@ impl Bench {
     fn new(config: &Config) -> Self {
         let can = Double::default();
         let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT));
-        station.start(config, ResetCause::Pin);
+        station.start(config, Board::UNKNOWN, ResetCause::Pin);
         let serial = SerialLine::with_room(1_000);
         Self { station, can, serial, modbus: Port::default(), now_ms: 0, on_can: Vec::new() }
     }

@@ -10,7 +10,7 @@ use embedded_can::{Frame, Id};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig, CanController, Health, Node, NodeConfig};
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{Board, BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::can::{Endpoint, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
@@ -210,6 +210,9 @@ pub struct CanBench {
     pub to_bridge: Option<Disturbance>,
 }
 
+/// What a bench runs on.
+pub const BOARD: Board = Board { name: "bench", serial: 0x1234_5678 };
+
 impl CanBench {
     /// A bench with all wires of the PLC low.
     ///
@@ -226,7 +229,7 @@ impl CanBench {
         let port = gripper.connect(PortKind::Can).expect("a new gripper takes a client");
         let double = Double::default();
         let mut station = Station::new(CanBus::new(double.clone(), policy));
-        station.start(&Config { gripper_line: GripperLine::Can, ..bridge }, ResetCause::Unknown);
+        station.start(&Config { gripper_line: GripperLine::Can, ..bridge }, BOARD, ResetCause::Unknown);
         Self {
             station,
             double,

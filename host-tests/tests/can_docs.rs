@@ -23,6 +23,7 @@ fn identifiers() -> String {
         ["identifier", "what", "from"],
         [
             row(0, "NMT", "master"),
+            row(0x080, "SYNC, where a PDO waits for it", "master"),
             row(0x080 | node, "EMCY", "bridge"),
             row(pair.transmit.as_raw(), "messages to the gripper", "bridge"),
             row(pair.receive.as_raw(), "messages of the gripper", "gripper"),
@@ -51,6 +52,7 @@ fn pdos() -> String {
                 DataType::U16 => "UNSIGNED16",
                 DataType::U32 => "UNSIGNED32",
                 DataType::I16 => "INTEGER16",
+                DataType::Text => unreachable!("no text is mapped"),
             };
             rows.push((bytes, object.name, kind, format!("{index:04X}h, {sub}")));
             at += len;
@@ -77,6 +79,7 @@ fn times() -> String {
         ["what", "as delivered", "where it is set"],
         [
             ["heartbeat of the bridge".into(), ms(NODE.heartbeat_ms.into()), "1017h".into()],
+            ["EMCY: at the soonest".into(), ms(u32::from(NODE.emergency_inhibit) / 10), "1015h".into()],
             ["TPDO1: at the soonest, at the latest".into(), pdo_times(0), "1800h, 3 and 5".into()],
             ["TPDO2: at the soonest, at the latest".into(), pdo_times(1), "1801h, 3 and 5".into()],
             [

@@ -17,6 +17,9 @@ pub use bus_clock::BusClock;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
+/// The name of the board.
+pub const NAME: &str = "B-L475E-IOT01A";
+
 /// A GPIO port of the STM32L475VG.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Port {

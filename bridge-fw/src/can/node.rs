@@ -31,7 +31,7 @@ use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
 use self::objects::Objects;
 use super::bus::MAX_RECEIVED_PER_POLL;
 use super::{BusReport, CanNode};
-use crate::config::{NodeConfig, TPDOS};
+use crate::config::{Board, NodeConfig, TPDOS};
 use crate::plc::{PlcEvent, PlcSide, Shown, View};
 use crate::registers::{Link, Settings};
 
@@ -52,13 +52,24 @@ pub struct Node {
     /// The settings as they were at power-up.
     initial: Option<Settings>,
     report: BusReport,
+    board: Board,
 }
 
 impl Node {
     /// A device that has not announced itself.
     #[must_use]
     pub const fn new(config: NodeConfig) -> Self {
-        Self { device: Device::new(&PROFILE, config), initial: None, report: BusReport::NOTHING }
+        Self {
+            device: Device::new(&PROFILE, config),
+            initial: None,
+            report: BusReport::NOTHING,
+            board: Board::UNKNOWN,
+        }
+    }
+
+    /// Takes what a master reads of the board.
+    pub const fn set_board(&mut self, board: Board) {
+        self.board = board;
     }
 
     /// Its state.
@@ -74,20 +85,22 @@ impl Node {
 }
 
 impl PlcSide for Node {
-    /// What can come in one turn, and an SDO request and a time-out.
-    const MAX_EVENTS_PER_TURN: usize = EVENTS_MAX + 2;
+    /// What can come in one turn, an SDO request, what comes of it, and a time-out.
+    const MAX_EVENTS_PER_TURN: usize = EVENTS_MAX + 3;
 
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
-        let initial = self.initial.get_or_insert_with(|| view.settings.clone());
-        let mut objects = Objects { view, report: &self.report };
+        if self.initial.is_none() {
+            self.initial = Some(view.settings.clone());
+        }
+        let mut objects = Objects { view, report: &self.report, board: self.board };
         Some(match self.device.poll_event(now.as_millis(), &mut objects)? {
             Event::Rpdo { data, .. } => PlcEvent::Output(output_image(data)),
             Event::Sdo { written: true } => PlcEvent::Configured,
             Event::Sdo { written: false } => PlcEvent::Served,
             Event::Left { master_silent } => PlcEvent::Left { silent: master_silent },
             Event::Reset { application } => {
-                if application {
-                    *view.settings = initial.clone();
+                if let Some(initial) = self.initial.as_ref().filter(|_| application) {
+                    view.settings.clone_from(initial);
                 }
                 PlcEvent::Configured
             }

@@ -10,9 +10,15 @@ pub(crate) const TPDOS: usize = 2;
 pub type NodeConfig = bus_canopen::Config<TPDOS>;
 
 /// Node 10h, master 7Fh, a heartbeat twice a second. State and status 2 ms apart at the least, width and force 20 ms,
-/// which change all the time while the fingers move; both every 100 ms without a change.
-pub const DEFAULT_NODE: NodeConfig =
-    NodeConfig { node: 0x10, master: 0x7F, heartbeat_ms: 500, inhibit: [20, 200], event_ms: [100, 100] };
+/// which change all the time while the fingers move; both every 100 ms without a change. Ten emergencies a second at the most.
+pub const DEFAULT_NODE: NodeConfig = NodeConfig {
+    node: 0x10,
+    master: 0x7F,
+    heartbeat_ms: 500,
+    emergency_inhibit: 1_000,
+    inhibit: [20, 200],
+    event_ms: [100, 100],
+};
 
 /// The CAN bus at power-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

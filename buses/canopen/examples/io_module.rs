@@ -8,8 +8,14 @@ use bus_canopen::{
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id, StandardId};
 
-const CONFIG: Config<1> =
-    Config { node: 0x20, master: 0x7F, heartbeat_ms: 1_000, inhibit: [50], event_ms: [0] };
+const CONFIG: Config<1> = Config {
+    node: 0x20,
+    master: 0x7F,
+    heartbeat_ms: 1_000,
+    emergency_inhibit: 100,
+    inhibit: [50],
+    event_ms: [0],
+};
 
 static PROFILE: Profile<1, 1> =
     Profile { rpdos: [Rpdo { len: 1, keep: [0; 8] }], tpdos: [1], faults: &FAULTS };
@@ -137,7 +143,7 @@ const SCRIPT: [(u32, u16, &[u8]); 5] = [
 
 fn main() {
     if std::env::args().any(|argument| argument == "--eds") {
-        let entries = OBJECTS.iter().map(|object| EdsEntry { object: *object, limits: None });
+        let entries = OBJECTS.iter().map(|object| EdsEntry::new(*object));
         print!("{}", Eds { facts: FACTS, entries, config: CONFIG });
         return;
     }

@@ -12,6 +12,8 @@ pub struct Config<const T: usize> {
     pub master: u8,
     /// How often the device sends its heartbeat, in milliseconds; 0: never.
     pub heartbeat_ms: u16,
+    /// The least time between two emergencies, in 100 µs.
+    pub emergency_inhibit: u16,
     /// The least time between two transmissions of each TPDO, in 100 µs.
     pub inhibit: [u16; T],
     /// The most time between two transmissions of each TPDO, in milliseconds; 0: only on change.

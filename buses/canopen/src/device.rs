@@ -1,12 +1,16 @@
-//! The device: NMT, heartbeats, PDOs and emergencies, between the frames of a bus and the application.
+//! The device: NMT, heartbeats, SYNC, PDOs and emergencies, between the frames of a bus and the application.
 
+mod pdo;
 mod server;
 
 use embedded_can::{Frame, Id, StandardId};
 use heapless::Deque;
 
-use crate::emergency::Emergency;
-use crate::{Cause, Config, Dictionary, Fault};
+use self::pdo::Tpdo;
+use crate::clock::since;
+use crate::emergency::{Emergency, Message};
+use crate::sdo::Upload;
+use crate::{Cause, Config, Dictionary, Fault, Pdo};
 
 /// The state of a device (CiA 301, 7.3.2), by its code in the heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,8 +31,8 @@ pub enum NmtState {
 pub struct Rpdo {
     /// Its length by the mapping, in bytes, 8 at the most. One of another length is not taken.
     pub len: u8,
-    /// Bits that a later RPDO does not take back when there is no room for both: requests to stop. See
-    /// [`Device::poll_event`].
+    /// Requests to stop: bits that a later RPDO does not take back when there is no room for both (see
+    /// [`Device::poll_event`]), and that wait for no SYNC.
     pub keep: [u8; 8],
 }
 
@@ -58,8 +62,8 @@ pub enum Event {
         /// It wrote a value of the application.
         written: bool,
     },
-    /// Nobody commands over the bus any more: the master took the device out of operation, restarted or fell silent, or the
-    /// bus is gone.
+    /// Nobody commands over the bus any more: the master took the device out of operation, disabled an RPDO, restarted or fell
+    /// silent, or the bus is gone.
     Left {
         /// Because the master fell silent.
         master_silent: bool,
@@ -71,20 +75,17 @@ pub enum Event {
     },
 }
 
-/// One TPDO.
-#[derive(Clone, Copy, Debug)]
-struct Tpdo {
-    shown: [u8; 8],
-    sent: [u8; 8],
-    /// None: it is due.
-    sent_at: Option<u32>,
+/// What becomes of operation when the bus or the master is lost (1029h).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+enum ErrorBehaviour {
+    PreOperational = 0,
+    NoChange = 1,
+    Stopped = 2,
 }
 
-impl Tpdo {
-    const NEW: Self = Self { shown: [0; 8], sent: [0; 8], sent_at: None };
-}
-
-/// A CANopen device with `R` RPDOs and `T` TPDOs, up to four each, and room for `Q` events.
+/// A CANopen device with `R` RPDOs and `T` TPDOs, up to four each, and room for `Q` events: one for each frame between two
+/// turns, and `R` for a SYNC where a master may set RPDOs to wait for it.
 ///
 /// In each turn of the main loop: hand over what the bus brought ([`on_frame`](Self::on_frame)), take the events
 /// ([`poll_event`](Self::poll_event)), show what has changed ([`show_tpdo`](Self::show_tpdo),
@@ -97,9 +98,12 @@ pub struct Device<const R: usize, const T: usize, const Q: usize> {
     initial: Config<T>,
     state: NmtState,
     events: Deque<Event, Q>,
-    received: [[u8; 8]; R],
     request: Option<[u8; 8]>,
     response: Option<[u8; 8]>,
+    upload: Option<Upload>,
+    /// The master whose heartbeat is watched is at work (1016h).
+    watches_heartbeat: bool,
+    error_behaviour: ErrorBehaviour,
     /// When the master was heard last; none when it was not, or too long ago.
     heard_at: Option<u32>,
     /// By its heartbeat, which from then on counts alone.
@@ -107,6 +111,7 @@ pub struct Device<const R: usize, const T: usize, const Q: usize> {
     master_silent: bool,
     /// When the own heartbeat was sent.
     beat_at: Option<u32>,
+    rpdos: [pdo::Rpdo; R],
     tpdos: [Tpdo; T],
     emergency: Emergency,
     /// The manufacturer's field of an emergency.
@@ -124,13 +129,16 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             initial: config,
             state: NmtState::Initialising,
             events: Deque::new(),
-            received: [[0; 8]; R],
             request: None,
             response: None,
+            upload: None,
+            watches_heartbeat: true,
+            error_behaviour: ErrorBehaviour::PreOperational,
             heard_at: None,
             has_heartbeat: false,
             master_silent: false,
             beat_at: None,
+            rpdos: [pdo::Rpdo::NEW; R],
             tpdos: [Tpdo::NEW; T],
             emergency: Emergency::new(),
             field: [0; 5],
@@ -157,6 +165,10 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             {
                 self.command(specifier);
             }
+        } else if id == 0x080 {
+            if data.len() <= 1 {
+                self.take_sync();
+            }
         } else if id == 0x600 | node {
             if matches!(self.state, NmtState::PreOperational | NmtState::Operational) {
                 self.request = <[u8; 8]>::try_from(data).ok().or(self.request);
@@ -164,7 +176,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         } else if id == 0x700 | u16::from(self.config.master) {
             self.take_heartbeat(now_ms, data);
         } else if id & 0x7F == node
-            && let Some(number) = (0..R as u8).find(|number| id == base(0x200, *number) | node)
+            && let Some(number) = (0..R as u8).find(|number| id == identifier(Pdo::Receive(*number)) | node)
         {
             self.take_rpdo(now_ms, number, data);
         }
@@ -181,7 +193,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             if let Event::Reset { .. } = event {
                 // Behind a reset nothing but another counts before the device has announced itself: that stays.
                 let events = core::mem::take(&mut self.events);
-                *self = Self { events, ..Self::new(self.profile, self.initial) };
+                *self = Self::new(self.profile, self.initial);
+                self.events = events;
             }
             return Some(event);
         }
@@ -194,10 +207,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             return None;
         }
         self.master_silent = true;
-        self.forget_master();
-        if self.state == NmtState::Operational {
-            self.state = NmtState::PreOperational;
-        }
+        self.forget_waiting();
+        self.end_operation();
         Some(Event::Left { master_silent: true })
     }
 
@@ -211,8 +222,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     /// The faults that the application sees now, bit n for fault n of the table, and the manufacturer's field of the
     /// emergencies that are told from now on.
     pub fn show_faults(&mut self, present: u16, field: [u8; 5]) {
-        self.emergency.see(self.profile.faults, present, self.master_silent);
         self.field = field;
+        self.emergency.see(self.profile.faults, present, self.master_silent, self.info());
     }
 
     /// The next frame that is due.
@@ -233,8 +244,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         self.send_all_again();
     }
 
-    /// The bus is gone. Ends operation, which CiA 301 has a device do unless its master asks for something else (1029h):
-    /// nobody could stop it any more.
+    /// The bus is gone. Nobody could stop the device any more, so it leaves operation, unless its master asked for something
+    /// else (1029h); the event comes in any case.
     pub fn bus_lost(&mut self) {
         self.forget_transfer();
         self.fall_back();
@@ -243,18 +254,23 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     /// The bus is there again.
     pub fn bus_joined(&mut self) {
         self.forget_transfer();
-        self.emergency.happened(self.profile.faults, Cause::BusOff);
+        self.emergency.happened(self.profile.faults, Cause::BusOff, self.info());
         self.send_all_again();
     }
 
     fn forget_transfer(&mut self) {
-        self.response = None;
-        self.request = None;
+        (self.request, self.response, self.upload) = (None, None, None);
+    }
+
+    /// What is remembered with a fault.
+    const fn info(&self) -> u8 {
+        let [.., last] = self.field;
+        last
     }
 
     fn send_all_again(&mut self) {
         for tpdo in &mut self.tpdos {
-            tpdo.sent_at = None;
+            tpdo.send_again();
         }
         self.beat_at = None;
     }
@@ -285,27 +301,47 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             self.master_silent = false;
             if self.state != state {
                 for tpdo in &mut self.tpdos {
-                    tpdo.sent_at = None;
+                    tpdo.send_again();
                 }
             }
         } else {
             self.leave();
+        }
+        if state == NmtState::Stopped {
+            self.forget_transfer();
         }
         self.state = state;
     }
 
     /// Nobody commands over the bus any more.
     fn leave(&mut self) {
+        self.forget_waiting();
         if self.state == NmtState::Operational {
             self.push(Event::Left { master_silent: false });
         }
     }
 
-    /// Leaves operation by itself, and waits for a master that starts it again.
+    /// What waits for a SYNC was commanded by somebody who does not command any more.
+    fn forget_waiting(&mut self) {
+        for rpdo in &mut self.rpdos {
+            rpdo.waiting = None;
+        }
+    }
+
+    /// The bus or the master is lost.
     fn fall_back(&mut self) {
         self.leave();
+        self.end_operation();
+    }
+
+    /// Waits for a master that starts the device again, as far as 1029h lets it.
+    fn end_operation(&mut self) {
         if self.state == NmtState::Operational {
-            self.state = NmtState::PreOperational;
+            self.state = match self.error_behaviour {
+                ErrorBehaviour::PreOperational => NmtState::PreOperational,
+                ErrorBehaviour::NoChange => NmtState::Operational,
+                ErrorBehaviour::Stopped => NmtState::Stopped,
+            };
         }
         self.forget_master();
     }
@@ -327,36 +363,66 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
     }
 
-    fn take_rpdo(&mut self, now_ms: u32, number: u8, data: &[u8]) {
+    fn take_sync(&mut self) {
         if self.state != NmtState::Operational {
             return;
         }
+        for number in 0..R as u8 {
+            if let Some(data) = self.rpdos.get_mut(usize::from(number)).and_then(pdo::Rpdo::on_sync) {
+                self.push(Event::Rpdo { number, data });
+            }
+        }
+        for tpdo in &mut self.tpdos {
+            tpdo.on_sync();
+        }
+    }
+
+    fn take_rpdo(&mut self, now_ms: u32, number: u8, data: &[u8]) {
         let at = usize::from(number);
-        let (Some(rpdo), Some(received)) = (self.profile.rpdos.get(at), self.received.get_mut(at)) else {
+        let info = self.info();
+        let (Some(profile), Some(rpdo)) = (self.profile.rpdos.get(at), self.rpdos.get_mut(at)) else {
             return;
         };
-        if data.len() != usize::from(rpdo.len) {
-            self.emergency.happened(self.profile.faults, Cause::PdoLength);
+        if self.state != NmtState::Operational || !rpdo.setup.is_enabled {
             return;
         }
-        for (place, byte) in received.iter_mut().zip(data) {
+        if data.len() != usize::from(profile.len) {
+            self.emergency.happened(self.profile.faults, Cause::PdoLength, info);
+            return;
+        }
+        let mut bytes = [0; 8];
+        for (place, byte) in bytes.iter_mut().zip(data) {
             *place = *byte;
         }
-        let data = *received;
+        let counts = rpdo.receive(bytes, profile.keep);
         if !self.has_heartbeat {
-            self.heard_at = Some(now_ms);
+            self.hear_master(now_ms);
         }
-        self.push(Event::Rpdo { number, data });
+        if let Some(data) = counts {
+            self.push(Event::Rpdo { number, data });
+        }
     }
 
     fn take_heartbeat(&mut self, now_ms: u32, data: &[u8]) {
+        if !self.watches_heartbeat {
+            return;
+        }
         match data {
             // A boot-up: a master that restarts does not know what it has commanded.
             [0] if self.heard_at.is_some() => self.fall_back(),
             [0] => {}
-            [_] => (self.heard_at, self.has_heartbeat) = (Some(now_ms), true),
+            [_] => {
+                self.hear_master(now_ms);
+                self.has_heartbeat = true;
+            }
             _ => {}
         }
+    }
+
+    fn hear_master(&mut self, now_ms: u32) {
+        self.heard_at = Some(now_ms);
+        // A device that stayed in operation is not started again.
+        self.master_silent &= self.state != NmtState::Operational;
     }
 
     /// The next frame that is due: its identifier without the node-ID, and its data.
@@ -367,10 +433,11 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             return Some((0x700, [0; 8], 1));
         }
         if self.state != NmtState::Stopped {
-            if let Some(code) = self.emergency.next(self.profile.faults) {
+            let inhibit_ms = milliseconds(self.config.emergency_inhibit);
+            let emergency = self.emergency.next(self.profile.faults, now_ms, inhibit_ms);
+            if let Some(Message { code, register }) = emergency {
                 let [low, high] = code.to_le_bytes();
                 let [a, b, c, d, e] = self.field;
-                let register = self.emergency.register(self.profile.faults);
                 return Some((0x080, [low, high, register, a, b, c, d, e], 8));
             }
             if let Some(response) = self.response.take() {
@@ -380,7 +447,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         if self.state == NmtState::Operational {
             for number in 0..T as u8 {
                 if let Some((data, len)) = self.due_tpdo(now_ms, number.into()) {
-                    return Some((base(0x180, number), data, len));
+                    return Some((identifier(Pdo::Transmit(number)), data, len));
                 }
             }
         }
@@ -394,28 +461,19 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
 
     fn due_tpdo(&mut self, now_ms: u32, number: usize) -> Option<([u8; 8], usize)> {
         let len = usize::from(*self.profile.tpdos.get(number)?);
-        let inhibit_ms = u32::from(self.config.inhibit.get(number)?.div_ceil(10));
+        let inhibit_ms = milliseconds(*self.config.inhibit.get(number)?);
         let event_ms = u32::from(*self.config.event_ms.get(number)?);
-        let tpdo = self.tpdos.get_mut(number)?;
-        let is_due = tpdo.sent_at.is_none_or(|at| {
-            let passed_ms = since(now_ms, at);
-            (tpdo.sent != tpdo.shown && passed_ms >= inhibit_ms) || (event_ms > 0 && passed_ms >= event_ms)
-        });
-        if !is_due {
-            return None;
-        }
-        (tpdo.sent, tpdo.sent_at) = (tpdo.shown, Some(now_ms));
-        Some((tpdo.sent, len))
+        let data = self.tpdos.get_mut(number)?.due(now_ms, inhibit_ms, event_ms)?;
+        Some((data, len))
     }
 }
 
-/// The identifier of a PDO without its node-ID.
-const fn base(first: u16, number: u8) -> u16 {
-    (number as u16).wrapping_shl(8).wrapping_add(first)
+/// An inhibit time, which is given in 100 µs.
+const fn milliseconds(inhibit: u16) -> u32 {
+    (inhibit as u32).div_ceil(10)
 }
 
-/// The milliseconds from then to now; 0 if then is to come.
-const fn since(now_ms: u32, then_ms: u32) -> u32 {
-    let passed_ms = now_ms.wrapping_sub(then_ms);
-    if passed_ms < 1 << 31 { passed_ms } else { 0 }
+/// The identifier of a PDO without its node-ID.
+const fn identifier(pdo: Pdo) -> u16 {
+    (pdo.base_cob_id() & 0x7FF) as u16
 }

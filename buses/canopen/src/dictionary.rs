@@ -21,16 +21,25 @@ pub trait Dictionary {
     /// Why it cannot be read.
     fn read(&self, key: Self::Key) -> Result<u32, Abort>;
 
+    /// The application's text behind an entry of type [`DataType::Text`](crate::DataType::Text).
+    ///
+    /// # Errors
+    /// Why it cannot be read.
+    fn text(&self, _: Self::Key) -> Result<&'static str, Abort> {
+        Err(Abort::NoData)
+    }
+
     /// Writes it. The value has the length of the entry's type, and the entry is writable.
     ///
     /// # Errors
     /// Why it is refused; then nothing was written.
     fn write(&mut self, key: Self::Key, value: u32) -> Result<(), Abort>;
 
-    /// Within which time the master must be heard again, in milliseconds; 0: it is not watched.
+    /// Within which time the master must be heard again, in milliseconds; 0: it is not watched, neither by its heartbeat nor
+    /// by its RPDOs.
     fn consumer_time_ms(&self) -> u16;
 
-    /// Changes it (1016h, 1).
+    /// Changes it (1016h, 1); never to 0.
     ///
     /// # Errors
     /// Why it is refused; then nothing was changed.

@@ -1,4 +1,6 @@
-//! EMCY: which faults are told, by which codes (CiA 301, 7.2.7).
+//! EMCY: which faults are told, by which codes (CiA 301, 7.2.7), and which there were (1003h).
+
+use crate::clock::since;
 
 /// A fault that is told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,66 +20,122 @@ pub enum Cause {
     Application,
     /// The device: the heartbeat of the master, or its RPDO, did not come in time.
     MasterSilent,
-    /// The device: the controller was bus-off, and is back. Told once.
+    /// The device: the controller was bus-off, and is back. Told once, and that it is over.
     BusOff,
-    /// The device: an RPDO had another length than its mapping says. Told once.
+    /// The device: an RPDO had another length than its mapping says. Told once, and that it is over.
     PdoLength,
 }
+
+/// Bit 0 of the error register.
+const GENERIC: u8 = 1;
 
 /// A set of faults: bit n is fault n of the table.
 pub(crate) type Set = u16;
 
-/// Which faults there are, which have been told, and what is to be told.
-#[derive(Clone, Debug, Default)]
+/// Faults that are remembered (1003h): a number that divides 256, because their counter wraps there.
+pub(crate) const HISTORY: usize = 8;
+const _: () = assert!(256 % HISTORY == 0);
+
+/// An emergency to send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Message {
+    /// The emergency error code; 0 when a fault is over.
+    pub(crate) code: u16,
+    /// The error register with it.
+    pub(crate) register: u8,
+}
+
+/// Which faults there are, which are to be told, and which were.
+#[derive(Clone, Debug)]
 pub(crate) struct Emergency {
     present: Set,
+    /// To be told, even those that are over meanwhile.
+    new: Set,
+    /// Told, and their end was not.
     told: Set,
-    /// Faults of a moment, to be told once.
-    momentary: Set,
+    sent_at: Option<u32>,
+    /// The last that came, as a ring: where the next goes, and how many there are.
+    past: [u32; HISTORY],
+    next: u8,
+    count: u8,
 }
 
 impl Emergency {
     pub(crate) const fn new() -> Self {
-        Self { present: 0, told: 0, momentary: 0 }
+        Self { present: 0, new: 0, told: 0, sent_at: None, past: [0; HISTORY], next: 0, count: 0 }
     }
 
-    /// The faults that last, as they are now.
-    pub(crate) fn see(&mut self, faults: &[Fault], application: Set, master_silent: bool) {
-        self.present = set_of(faults, Cause::Application) & application;
+    /// The faults that last, as they are now. `info` is remembered with those that are new.
+    pub(crate) fn see(&mut self, faults: &[Fault], application: Set, master_silent: bool, info: u8) {
+        let mut present = set_of(faults, Cause::Application) & application;
         if master_silent {
-            self.present |= set_of(faults, Cause::MasterSilent);
+            present |= set_of(faults, Cause::MasterSilent);
         }
+        self.come(faults, present & !self.present, info);
+        self.present = present;
     }
 
-    /// Something that is over already.
-    pub(crate) fn happened(&mut self, faults: &[Fault], cause: Cause) {
-        self.momentary |= set_of(faults, cause);
+    /// Something that is over already. Where it was not told yet, it is told once.
+    pub(crate) fn happened(&mut self, faults: &[Fault], cause: Cause, info: u8) {
+        self.come(faults, set_of(faults, cause) & !self.new, info);
+    }
+
+    fn come(&mut self, faults: &[Fault], coming: Set, info: u8) {
+        self.new |= coming;
+        for (_, fault) in bits().zip(faults).filter(|(bit, _)| coming & bit != 0) {
+            if let Some(place) = self.past.get_mut(usize::from(self.next) % HISTORY) {
+                *place = u32::from(info) << 16 | u32::from(fault.code);
+            }
+            self.next = self.next.wrapping_add(1);
+            self.count = (HISTORY as u8).min(self.count.saturating_add(1));
+        }
     }
 
     /// Object 1001h.
     pub(crate) fn register(&self, faults: &[Fault]) -> u8 {
-        let mut register = 0;
-        for (bit, fault) in bits().zip(faults) {
-            if self.present & bit != 0 {
-                register |= fault.register | 1;
-            }
-        }
-        register
+        register_of(faults, self.present)
     }
 
-    /// The next code to tell: that of a fault, the first of the table first, or 0 when one is over.
-    pub(crate) fn next(&mut self, faults: &[Fault]) -> Option<u16> {
-        let new = self.present & !self.told | self.momentary;
-        if new != 0 {
-            let lowest = new & new.wrapping_neg();
-            self.told |= self.present & lowest;
-            self.momentary &= !lowest;
-            return faults.get(lowest.trailing_zeros() as usize).map(|fault| fault.code);
-        }
-        let over = self.told & !self.present;
-        self.told &= self.present;
-        (over != 0).then_some(0)
+    /// How many faults are remembered.
+    pub(crate) const fn count(&self) -> u8 {
+        self.count
     }
+
+    /// One of them, the last first.
+    pub(crate) fn past(&self, number: u8) -> Option<u32> {
+        let at = usize::from(self.next.wrapping_sub(1).wrapping_sub(number)) % HISTORY;
+        self.past.get(at).filter(|_| number < self.count).copied()
+    }
+
+    /// Forgets them.
+    pub(crate) const fn forget_past(&mut self) {
+        self.count = 0;
+    }
+
+    /// The next to send, so many milliseconds after the last at the soonest: a fault, the first of the table first, or that
+    /// some are over.
+    pub(crate) fn next(&mut self, faults: &[Fault], now_ms: u32, inhibit_ms: u32) -> Option<Message> {
+        let over = self.told & !self.present & !self.new;
+        if self.new | over == 0 || self.sent_at.is_some_and(|at| since(now_ms, at) < inhibit_ms) {
+            return None;
+        }
+        self.sent_at = Some(now_ms);
+        if self.new == 0 {
+            self.told &= self.present;
+            return Some(Message { code: 0, register: self.register(faults) });
+        }
+        let lowest = self.new & self.new.wrapping_neg();
+        self.new &= !lowest;
+        self.told |= lowest;
+        let code = faults.get(lowest.trailing_zeros() as usize)?.code;
+        Some(Message { code, register: register_of(faults, self.present | lowest) })
+    }
+}
+
+/// The error register with these faults.
+fn register_of(faults: &[Fault], present: Set) -> u8 {
+    let those = bits().zip(faults).filter(|(bit, _)| present & bit != 0);
+    those.fold(0, |register, (_, fault)| register | fault.register | GENERIC)
 }
 
 /// The bits of a set, one after the other.

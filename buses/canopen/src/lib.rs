@@ -2,7 +2,7 @@
 //!
 //! | part | holds |
 //! |---|---|
-//! | [`Device`] | NMT, heartbeats both ways, PDOs of the predefined connection set, the SDO server, EMCY |
+//! | [`Device`] | NMT, heartbeats both ways, SYNC, PDOs of the predefined connection set, the SDO server, EMCY |
 //! | [`Dictionary`] | what the application gives to the SDO server; [`Object`], [`entries`] and [`find`] for a table of it |
 //! | [`Fault`] | what emergencies tell |
 //! | [`Eds`] | the EDS file (CiA 306), from the same table |
@@ -22,7 +22,7 @@
 //! static PROFILE: Profile<1, 1> =
 //!     Profile { rpdos: [Rpdo { len: 1, keep: [0; 8] }], tpdos: [2], faults: &[] };
 //! const CONFIG: Config<1> =
-//!     Config { node: 0x10, master: 0x7F, heartbeat_ms: 500, inhibit: [0], event_ms: [0] };
+//!     Config { node: 0x10, master: 0x7F, heartbeat_ms: 500, emergency_inhibit: 0, inhibit: [0], event_ms: [0] };
 //!
 //! /// A dictionary without objects. `examples/io_module.rs` has one with some.
 //! struct Nothing;
@@ -75,6 +75,7 @@
 #[cfg(test)]
 extern crate std;
 
+mod clock;
 mod config;
 mod device;
 mod dictionary;
@@ -86,9 +87,9 @@ mod sdo;
 pub use config::{Config, is_reserved};
 pub use device::{Device, Event, NmtState, Profile, Rpdo};
 pub use dictionary::Dictionary;
-pub use eds::{Eds, EdsEntry, EdsFacts};
+pub use eds::{Eds, EdsEntry, EdsFacts, EdsValue};
 pub use emergency::{Cause, Fault};
-pub use object::{DataType, Entry, Object, Source, entries, find};
+pub use object::{DataType, Entry, Object, Pdo, Source, entries, find};
 pub use sdo::Abort;
 
 #[cfg(test)]

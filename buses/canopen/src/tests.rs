@@ -9,11 +9,18 @@ use std::vec::Vec;
 
 const NODE: u16 = 0x10;
 const MASTER: u16 = 0x7F;
-const CONFIG: Config<2> =
-    Config { node: 0x10, master: 0x7F, heartbeat_ms: 500, inhibit: [20, 205], event_ms: [100, 0] };
+const CONFIG: Config<2> = Config {
+    node: 0x10,
+    master: 0x7F,
+    heartbeat_ms: 500,
+    emergency_inhibit: 0,
+    inhibit: [20, 205],
+    event_ms: [100, 0],
+};
 /// The greatest time without the master.
 const TIME_MS: u16 = 300;
 const STOP: u8 = 0x80;
+const NAME: &str = "A device with a name";
 
 const GENERIC: u8 = 1;
 const COMMUNICATION: u8 = 1 << 4;
@@ -36,28 +43,51 @@ enum Key {
     Word,
     Locked,
     Broken,
+    Name,
 }
 
 const fn object(index: u16, sub: u8, kind: DataType, writable: bool, source: Source<Key>) -> Object<Key> {
     Object { index, sub, kind, writable, mappable: false, name: "", record: "", source }
 }
 
-const OBJECTS: [Object<Key>; 19] = {
-    use DataType::{I16, U8, U16, U32};
+const OBJECTS: [Object<Key>; 40] = {
+    use DataType::{I16, Text, U8, U16, U32};
+    use Pdo::{Receive, Transmit};
     use Source as S;
     [
         object(0x1000, 0, U32, false, S::Fixed(0x0102_0304)),
         object(0x1001, 0, U8, false, S::ErrorRegister),
-        object(0x1014, 0, U32, false, S::PlusNode(0x80)),
+        object(0x1003, 0, U8, true, S::ErrorCount),
+        object(0x1003, 1, U32, false, S::PastError(0)),
+        object(0x1003, 2, U32, false, S::PastError(1)),
+        object(0x1003, 8, U32, false, S::PastError(7)),
+        object(0x1008, 0, Text, false, S::Application(Key::Name)),
+        object(0x1014, 0, U32, true, S::PlusNode(0x80)),
+        object(0x1015, 0, U16, true, S::EmergencyInhibitTime),
         object(0x1016, 0, U8, false, S::Fixed(1)),
         object(0x1016, 1, U32, true, S::ConsumerHeartbeat),
         object(0x1017, 0, U16, true, S::ProducerHeartbeat),
         object(0x1018, 3, U32, false, S::Fixed(1 << 16)),
+        object(0x1029, 1, U8, true, S::ErrorBehaviour),
+        object(0x1400, 1, U32, true, S::CobId(Receive(0))),
+        object(0x1400, 2, U8, true, S::TransmissionType(Receive(0))),
+        object(0x1401, 1, U32, true, S::CobId(Receive(1))),
+        object(0x1401, 2, U8, true, S::TransmissionType(Receive(1))),
+        object(0x1402, 1, U32, true, S::CobId(Receive(2))),
+        object(0x1600, 0, U8, true, S::Mapped(Receive(0), 2)),
+        object(0x1600, 1, U32, true, S::Mapping(0x2000_0108)),
+        object(0x1800, 1, U32, true, S::CobId(Transmit(0))),
+        object(0x1800, 2, U8, true, S::TransmissionType(Transmit(0))),
         object(0x1800, 3, U16, true, S::InhibitTime(0)),
         object(0x1800, 5, U16, true, S::EventTimer(0)),
+        object(0x1801, 1, U32, true, S::CobId(Transmit(1))),
+        object(0x1801, 2, U8, true, S::TransmissionType(Transmit(1))),
         object(0x1801, 3, U16, true, S::InhibitTime(1)),
         object(0x1801, 5, U16, true, S::EventTimer(1)),
-        object(0x2000, 1, U8, false, S::Rpdo { number: 0, at: 0 }),
+        object(0x1802, 3, U16, true, S::InhibitTime(2)),
+        object(0x1A00, 0, U8, true, S::Mapped(Transmit(0), 3)),
+        object(0x2000, 0, U8, true, S::Fixed(2)),
+        object(0x2000, 1, U8, true, S::Rpdo { number: 0, at: 0 }),
         object(0x2000, 2, I16, false, S::Rpdo { number: 0, at: 6 }),
         object(0x2001, 1, U32, true, S::Tpdo { number: 0, at: 2 }),
         object(0x2001, 2, U16, false, S::Tpdo { number: 1, at: 2 }),
@@ -73,6 +103,7 @@ struct Application {
     byte: u32,
     word: u32,
     time_ms: u16,
+    name: &'static str,
 }
 
 impl Dictionary for Application {
@@ -87,15 +118,19 @@ impl Dictionary for Application {
             Key::Byte => Ok(self.byte),
             Key::Word => Ok(self.word),
             Key::Locked => Ok(7),
-            Key::Broken => Err(Abort::DeviceState),
+            Key::Broken | Key::Name => Err(Abort::DeviceState),
         }
+    }
+
+    fn text(&self, key: Key) -> Result<&'static str, Abort> {
+        if key == Key::Name { Ok(self.name) } else { Err(Abort::NoData) }
     }
 
     fn write(&mut self, key: Key, value: u32) -> Result<(), Abort> {
         match key {
             Key::Byte => self.byte = value,
             Key::Word => self.word = value,
-            Key::Locked | Key::Broken => return Err(Abort::DeviceState),
+            Key::Locked | Key::Broken | Key::Name => return Err(Abort::DeviceState),
         }
         Ok(())
     }
@@ -125,7 +160,7 @@ struct Bus {
 
 impl Bus {
     fn new() -> Self {
-        let application = Application { byte: 0, word: 0, time_ms: TIME_MS };
+        let application = Application { byte: 0, word: 0, time_ms: TIME_MS, name: NAME };
         // Close to where the clock wraps.
         let now_ms = u32::MAX - 50;
         Self { device: Device::new(&PROFILE, CONFIG), application, now_ms, events: vec![], sent: vec![] }
@@ -317,7 +352,8 @@ fn rpdos_of_the_right_length_are_events_in_operation_alone() {
         bus.bring(id, data);
         bus.turn();
         assert_eq!(bus.events, expected, "not taken");
-        assert_eq!(bus.take(0x080), [[0x10, 0x82, 0, 0, 0, 0, 0, 0]], "but told, once");
+        let told = [[0x10, 0x82, COMMUNICATION | GENERIC, 0, 0, 0, 0, 0], [0; 8]];
+        assert_eq!(bus.take(0x080), told, "but told, once, and over");
         bus.turn();
         assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
     }
@@ -520,8 +556,8 @@ fn lost_bus_ends_operation_and_is_told_when_it_is_over() {
     bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
     bus.device.bus_joined();
     bus.turn();
-    assert_eq!(bus.sent.iter().map(|(_, id, _)| *id).collect::<Vec<_>>(), [0x090, 0x710]);
-    assert_eq!(bus.take(0x080), [[0x40, 0x81, 0, 0, 0, 0, 0, 0]]);
+    assert_eq!(bus.sent.iter().map(|(_, id, _)| *id).collect::<Vec<_>>(), [0x090, 0x090, 0x710]);
+    assert_eq!(bus.take(0x080), [[0x40, 0x81, COMMUNICATION | GENERIC, 0, 0, 0, 0, 0], [0; 8]]);
     bus.pass(100);
     assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new(), "once");
 }
@@ -628,13 +664,11 @@ fn objects_are_written_where_they_may_be() {
     bus.download_by(0x22, 0x2002, 2, &[1, 2, 3, 4]).unwrap();
     assert_eq!(bus.application.word, 0x0201);
     assert_eq!(bus.events, [Event::Sdo { written: true }; 3]);
-    for (index, sub, value) in
-        [(0x1017, 0, 50u16), (0x1800, 3, 10), (0x1800, 5, 11), (0x1801, 3, 12), (0x1801, 5, 13)]
-    {
+    for (index, sub, value) in [(0x1017, 0, 50u16), (0x1800, 5, 11), (0x1801, 5, 13), (0x1015, 0, 100)] {
         bus.download(index, sub, &value.to_le_bytes()).unwrap();
         assert_eq!(bus.upload(index, sub), Ok(value.to_le_bytes().to_vec()), "{index:04X}h, {sub}");
     }
-    assert_eq!(bus.events.len(), 3 + 2 * 5);
+    assert_eq!(bus.events.len(), 3 + 2 * 4);
     assert!(bus.events[3..].iter().all(|event| *event == READ), "those are the device's own");
     bus.pass(1);
     bus.sent.clear();
@@ -653,7 +687,7 @@ fn consumer_heartbeat_object_moves_the_master_and_its_time() {
     bus.pass(100);
     assert_eq!(bus.events, [READ, SILENT]);
     for (value, abort) in
-        [([100, 0, 0, 0], 0x0609_0030), ([100, 0, 128, 0], 0x0609_0030), ([0xFF, 0xFF, 5, 0], 0x0609_0030)]
+        [([100, 0, 128, 0], 0x0609_0030), ([100, 0, 5, 1], 0x0609_0030), ([0xFF, 0xFF, 5, 0], 0x0609_0030)]
     {
         assert_eq!(bus.download(0x1016, 1, &value), Err(abort), "{value:?}");
     }
@@ -689,7 +723,7 @@ fn server_says_why_it_refuses() {
     );
     assert_eq!(bus.download(0x2002, 2, &[0]), Err(0x0607_0010));
     assert_eq!(bus.download(0x2002, 3, &[0; 2]), Err(0x0800_0022));
-    for specifier in [0x21, 0x00, 0x60, 0xA0, 0xC0] {
+    for specifier in [0x21, 0x00, 0x60, 0x70, 0xA0, 0xC0] {
         assert_eq!(bus.download_by(specifier, 0x2002, 2, &[0; 2]), Err(0x0504_0001), "{specifier:02X}h");
     }
     assert!(bus.events.iter().all(|event| *event == READ), "nothing was written");
@@ -736,9 +770,9 @@ fn node_ids_are_1_to_127_and_differ() {
 
 #[test]
 fn types_have_the_lengths_and_numbers_of_the_standard() {
-    let told =
-        [DataType::I16, DataType::U8, DataType::U16, DataType::U32].map(|kind| (kind.len(), kind.code()));
-    assert_eq!(told, [(2, 3), (1, 5), (2, 6), (4, 7)]);
+    let told = [DataType::I16, DataType::U8, DataType::U16, DataType::U32, DataType::Text]
+        .map(|kind| (kind.len(), kind.code()));
+    assert_eq!(told, [(2, 3), (1, 5), (2, 6), (4, 7), (0, 9)]);
 }
 
 #[test]
@@ -754,19 +788,454 @@ fn eds_file_is_that_of_the_table() {
         order_code: "o",
         kbit_rates: &[125, 1000],
     };
-    let named = |object: Object<Key>, record, name| Object { record, name, ..object };
-    let objects = [
-        named(OBJECTS[1], "", "Error register"),
-        named(OBJECTS[2], "", "COB-ID EMCY"),
-        named(OBJECTS[6], "Identity", "Revision number"),
-        named(OBJECTS[9], "TPDO2", "Inhibit time"),
-        named(OBJECTS[10], "TPDO2", "Event timer"),
-        Object { mappable: true, ..named(OBJECTS[15], "Values", "Byte") },
-        named(OBJECTS[16], "Values", "Word"),
+    let named = |index, sub, record, name| {
+        let object = OBJECTS.iter().find(|object| (object.index, object.sub) == (index, sub)).unwrap();
+        Object { record, name, ..*object }
+    };
+    let entries = [
+        EdsEntry::new(named(0x1001, 0, "", "Error register")),
+        EdsEntry {
+            default: Some(EdsValue::Text(NAME)),
+            ..EdsEntry::new(named(0x1008, 0, "", "Manufacturer device name"))
+        },
+        EdsEntry::new(named(0x1014, 0, "", "COB-ID EMCY")),
+        EdsEntry::new(named(0x1016, 0, "Consumer heartbeat time", "Number of entries")),
+        EdsEntry {
+            default: Some(EdsValue::Number(0x7F_0000)),
+            ..EdsEntry::new(named(0x1016, 1, "Consumer heartbeat time", "Master"))
+        },
+        EdsEntry::new(named(0x1018, 3, "Identity", "Revision number")),
+        EdsEntry::new(named(0x1401, 1, "RPDO2", "COB-ID")),
+        EdsEntry::new(named(0x1600, 0, "RPDO1 mapping", "Number of entries")),
+        EdsEntry::new(named(0x1600, 1, "RPDO1 mapping", "First")),
+        EdsEntry::new(named(0x1801, 1, "TPDO2", "COB-ID")),
+        EdsEntry::new(named(0x1801, 2, "TPDO2", "Transmission type")),
+        EdsEntry::new(named(0x1801, 3, "TPDO2", "Inhibit time")),
+        EdsEntry::new(named(0x1801, 5, "TPDO2", "Event timer")),
+        EdsEntry::new(Object { mappable: true, ..named(0x2000, 1, "Outputs", "Byte") }),
+        EdsEntry::new(Object { mappable: true, ..named(0x2002, 1, "Values", "Byte") }),
+        EdsEntry { limits: Some((1, 1_000)), ..EdsEntry::new(named(0x2002, 2, "Values", "Word")) },
     ];
-    let entries = objects
-        .iter()
-        .map(|object| EdsEntry { object: *object, limits: (object.name == "Word").then_some((1, 1_000)) });
-    let made = Eds { facts, entries, config: CONFIG }.to_string();
+    let made = Eds { facts, entries: entries.into_iter(), config: CONFIG }.to_string();
     assert_eq!(made, include_str!("tests/test.eds"));
+}
+
+/// An RPDO is what its master made of it: the first, with 8 bytes.
+const COB_ID: [u8; 4] = [0x10, 0x02, 0, 0];
+const COB_ID_DISABLED: [u8; 4] = [0x10, 0x02, 0, 0x80];
+/// The first TPDO.
+const SEND_ID: [u8; 4] = [0x90, 0x01, 0, 0x40];
+const SEND_ID_DISABLED: [u8; 4] = [0x90, 0x01, 0, 0xC0];
+const VALUE: u32 = 0x0609_0030;
+const STATE: u32 = 0x0800_0022;
+
+#[test]
+fn rpdo_can_be_disabled_and_then_nobody_commands() {
+    let mut bus = Bus::operational();
+    bus.bring(0x210, &[1; 8]);
+    bus.turn();
+    bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
+    assert_eq!(bus.events, [rpdo(0, [1; 8]), READ, LEFT]);
+    assert_eq!(bus.upload(0x1400, 1), Ok(COB_ID_DISABLED.to_vec()));
+    bus.bring(0x210, &[2; 8]);
+    bus.bring(0x210, &[2; 7]);
+    bus.bring(0x310, &[3; 2]);
+    bus.events.clear();
+    bus.turn();
+    assert_eq!(bus.events, [rpdo(1, [3, 3, 0, 0, 0, 0, 0, 0])], "the other is as before");
+    assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
+    bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
+    bus.download(0x1400, 1, &COB_ID).unwrap();
+    bus.bring(0x210, &[4; 8]);
+    bus.events.clear();
+    bus.turn();
+    assert_eq!(bus.events, [rpdo(0, [4; 8])]);
+    assert_eq!(bus.upload(0x1400, 1), Ok(COB_ID.to_vec()));
+}
+
+#[test]
+fn rpdos_of_a_master_that_disabled_one_are_not_missed() {
+    let mut bus = Bus::operational();
+    bus.bring(0x210, &[1; 8]);
+    bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
+    bus.pass(10 * u32::from(TIME_MS));
+    assert!(!bus.events.contains(&SILENT));
+    // A heartbeat is.
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.download(0x1401, 1, &[0x10, 0x03, 0, 0x80]).unwrap();
+    bus.pass(TIME_MS.into());
+    assert_eq!(bus.events.last(), Some(&SILENT));
+}
+
+#[test]
+fn rpdo_that_is_disabled_outside_operation_leaves_nothing() {
+    let mut bus = Bus::new();
+    bus.turn();
+    bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
+    assert_eq!(bus.events, [READ]);
+}
+
+#[test]
+fn tpdo_that_is_disabled_is_not_sent() {
+    let mut bus = Bus::operational();
+    bus.download(0x1800, 1, &SEND_ID_DISABLED).unwrap();
+    assert_eq!(bus.upload(0x1800, 1), Ok(SEND_ID_DISABLED.to_vec()));
+    bus.device.show_tpdo(0, [1; 8]);
+    bus.take(0x180);
+    bus.pass(500);
+    assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new());
+    bus.download(0x1800, 1, &SEND_ID).unwrap();
+    assert_eq!(bus.take(0x180), [[1; 8]], "at once, when it is there again");
+}
+
+#[test]
+fn cob_ids_are_those_of_the_predefined_set() {
+    let mut bus = Bus::new();
+    bus.turn();
+    for (index, value, outcome) in [
+        (0x1400, [0x10, 0x02, 0, 0x40], Ok(())),
+        (0x1400, [0x10, 0x02, 0, 0xC0], Ok(())),
+        (0x1400, [0x11, 0x02, 0, 0x80], Err(VALUE)),
+        (0x1400, [0x10, 0x03, 0, 0], Err(VALUE)),
+        (0x1400, [0x10, 0x02, 0, 0x20], Err(VALUE)),
+        (0x1401, [0x10, 0x03, 0, 0x80], Ok(())),
+        // Remote frames are not served.
+        (0x1800, [0x90, 0x01, 0, 0x00], Err(VALUE)),
+        (0x1800, [0x90, 0x01, 0, 0x80], Err(VALUE)),
+        (0x1800, [0x90, 0x02, 0, 0x40], Err(VALUE)),
+        (0x1801, [0x90, 0x02, 0, 0x40], Ok(())),
+        (0x1402, [0x10, 0x04, 0, 0x80], Err(0x0602_0000)),
+    ] {
+        assert_eq!(bus.download(index, 1, &value), outcome, "{index:X}h {value:02X?}");
+    }
+}
+
+#[test]
+fn mapping_takes_what_it_is_in_the_order_of_the_standard() {
+    let mut bus = Bus::new();
+    bus.turn();
+    assert_eq!(bus.download(0x1600, 0, &[0]), Err(STATE), "while the PDO is enabled");
+    bus.download(0x1600, 0, &[2]).unwrap();
+    bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
+    bus.download(0x1600, 0, &[0]).unwrap();
+    assert_eq!(bus.upload(0x1600, 0), Ok(vec![0]));
+    assert_eq!(bus.download(0x1400, 1, &COB_ID), Err(STATE), "a PDO of nothing");
+    bus.download(0x1600, 1, &[0x08, 0x01, 0x00, 0x20]).unwrap();
+    assert_eq!(bus.download(0x1600, 1, &[0x10, 0x01, 0x00, 0x20]), Err(0x0604_0041));
+    assert_eq!(bus.download(0x1600, 0, &[1]), Err(VALUE));
+    assert_eq!(bus.download(0x1600, 0, &[3]), Err(VALUE));
+    bus.download(0x1600, 0, &[2]).unwrap();
+    bus.download(0x1400, 1, &COB_ID).unwrap();
+    assert_eq!(bus.upload(0x1600, 0), Ok(vec![2]));
+    assert_eq!(bus.download(0x1A00, 0, &[0]), Err(STATE));
+}
+
+#[test]
+fn inhibit_time_changes_only_while_the_tpdo_is_disabled() {
+    let mut bus = Bus::operational();
+    bus.download(0x1800, 3, &[20, 0]).unwrap();
+    assert_eq!(bus.download(0x1800, 3, &[21, 0]), Err(STATE));
+    bus.download(0x1800, 1, &SEND_ID_DISABLED).unwrap();
+    bus.download(0x1800, 3, &[50, 0]).unwrap();
+    assert_eq!(bus.download(0x1801, 3, &[50, 0]), Err(STATE), "the other is enabled");
+    assert_eq!(bus.download(0x1802, 3, &[50, 0]), Err(0x0602_0000));
+    bus.download(0x1800, 1, &SEND_ID).unwrap();
+    bus.sent.clear();
+    bus.device.show_tpdo(0, [1; 8]);
+    bus.pass(4);
+    assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new());
+    bus.pass(1);
+    assert_eq!(bus.take(0x180), [[1; 8]], "5 ms");
+}
+
+#[test]
+fn transmission_types_are_those_that_need_no_remote_frames() {
+    let mut bus = Bus::operational();
+    for index in [0x1400, 0x1401, 0x1800, 0x1801] {
+        for kind in 0..=255 {
+            let outcome = if matches!(kind, 0..=240 | 254..=255) { Ok(()) } else { Err(VALUE) };
+            assert_eq!(bus.download(index, 2, &[kind]), outcome, "{index:X}h {kind}");
+            if outcome.is_ok() {
+                assert_eq!(bus.upload(index, 2), Ok(vec![kind]));
+            }
+        }
+    }
+}
+
+#[test]
+fn synchronous_rpdo_counts_with_the_next_sync_but_a_request_to_stop_at_once() {
+    let mut bus = Bus::operational();
+    bus.download(0x1400, 2, &[10]).unwrap();
+    bus.events.clear();
+    bus.bring(0x210, &[1; 8]);
+    bus.bring(0x210, &[2; 8]);
+    bus.turn();
+    assert_eq!(bus.events, []);
+    assert_eq!(bus.upload(0x2000, 1), Ok(vec![0]));
+    bus.events.clear();
+    bus.bring(0x080, &[1, 2]);
+    bus.turn();
+    assert_eq!(bus.events, [], "that is no SYNC");
+    for sync in [&[][..], &[7]] {
+        bus.bring(0x210, &[2; 8]);
+        bus.bring(0x080, sync);
+        bus.bring(0x080, sync);
+        bus.turn();
+        assert_eq!(bus.events, [rpdo(0, [2; 8])], "the last, once");
+        assert_eq!(bus.upload(0x2000, 1), Ok(vec![2]));
+        bus.events.clear();
+    }
+    bus.bring(0x210, &[3; 8]);
+    bus.bring(0x210, &[STOP; 8]);
+    bus.bring(0x080, &[]);
+    bus.turn();
+    assert_eq!(bus.events, [rpdo(0, [STOP; 8])], "and what came before it does not come behind it");
+}
+
+#[test]
+fn what_waits_for_a_sync_is_void_when_its_master_commands_no_more() {
+    type Act = fn(&mut Bus);
+    let acts: [Act; 5] = [
+        |bus| bus.nmt(0x80),
+        |bus| bus.device.bus_lost(),
+        |bus| bus.bring(0x700 | MASTER, &[0]),
+        |bus| bus.pass(TIME_MS.into()),
+        |bus| {
+            bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
+            bus.download(0x1400, 1, &COB_ID).unwrap();
+        },
+    ];
+    for (number, act) in acts.into_iter().enumerate() {
+        let mut bus = Bus::operational();
+        bus.download(0x1400, 2, &[0]).unwrap();
+        bus.bring(0x210, &[1; 8]);
+        act(&mut bus);
+        bus.turn();
+        bus.nmt(0x01);
+        bus.bring(0x080, &[]);
+        bus.turn();
+        assert!(!bus.events.contains(&rpdo(0, [1; 8])), "{number}: {:?}", bus.events);
+        assert!(bus.events.iter().any(|event| matches!(event, Event::Left { .. })), "{number}");
+    }
+}
+
+#[test]
+fn sync_outside_operation_does_nothing() {
+    let mut bus = Bus::operational();
+    bus.download(0x1800, 2, &[1]).unwrap();
+    bus.nmt(0x80);
+    bus.sent.clear();
+    bus.bring(0x080, &[]);
+    bus.pass(1);
+    bus.nmt(0x01);
+    bus.pass(1);
+    assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new());
+    bus.bring(0x080, &[]);
+    bus.turn();
+    assert_eq!(bus.take(0x180).len(), 1);
+}
+
+#[test]
+fn synchronous_tpdos_are_sent_with_every_sync_so_many_or_when_they_changed() {
+    let mut bus = Bus::operational();
+    bus.download(0x1800, 2, &[3]).unwrap();
+    bus.download(0x1801, 2, &[0]).unwrap();
+    bus.sent.clear();
+    let mut counts = vec![];
+    for n in 1..=9 {
+        if n == 5 {
+            bus.device.show_tpdo(1, [n; 8]);
+        }
+        bus.pass(150);
+        assert_eq!((bus.take(0x180).len(), bus.take(0x280).len()), (0, 0), "not without a SYNC");
+        bus.bring(0x080, &[]);
+        bus.turn();
+        counts.push((bus.take(0x180).len(), bus.take(0x280).len()));
+    }
+    let expected = [(0, 1), (0, 0), (1, 0), (0, 0), (0, 1), (1, 0), (0, 0), (0, 0), (1, 0)];
+    assert_eq!(counts, expected);
+}
+
+#[test]
+fn consumer_that_is_switched_off_watches_the_rpdos_alone() {
+    for value in [[0; 4], [100, 0, 0, 0], [0, 0, MASTER as u8, 0]] {
+        let mut bus = Bus::operational();
+        bus.download(0x1016, 1, &value).unwrap();
+        assert_eq!(bus.upload(0x1016, 1), Ok(vec![0; 4]), "unused");
+        bus.bring(0x700 | MASTER, &[5]);
+        bus.pass(10 * u32::from(TIME_MS));
+        bus.bring(0x700 | MASTER, &[0]);
+        bus.turn();
+        assert_eq!(bus.events, [READ, READ], "{value:?}");
+        assert_eq!(bus.application.time_ms, TIME_MS, "the application's time is as before");
+        bus.bring(0x310, &[0; 2]);
+        bus.pass(TIME_MS.into());
+        assert_eq!(bus.events.last(), Some(&SILENT), "nobody commands without being watched");
+        bus.download(0x1016, 1, &[200, 0, MASTER as u8, 0]).unwrap();
+        assert_eq!(bus.upload(0x1016, 1), Ok(vec![200, 0, MASTER as u8, 0]));
+    }
+}
+
+#[test]
+fn master_that_falls_silent_behind_switching_the_consumer_off_is_noticed() {
+    let mut bus = Bus::operational();
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.pass(200);
+    bus.download(0x1016, 1, &[0; 4]).unwrap();
+    bus.pass(u32::from(TIME_MS) - 1);
+    assert_eq!(bus.events, [READ]);
+    bus.pass(1);
+    assert_eq!(bus.events, [READ, SILENT]);
+}
+
+#[test]
+fn emergencies_keep_their_inhibit_time_and_none_is_lost_by_it() {
+    let mut bus = Bus::operational();
+    bus.download(0x1015, 0, &[0x2C, 1]).unwrap();
+    assert_eq!(bus.upload(0x1015, 0), Ok(vec![0x2C, 1]));
+    let start = bus.now_ms;
+    for n in 0..60 {
+        bus.bring(0x210, &[0; 7]);
+        // A fault that comes and goes between two.
+        bus.show_faults(u16::from(n == 5));
+        bus.pass(1);
+    }
+    bus.pass(200);
+    let told = bus.take_timed(0x080);
+    let told: Vec<_> = told
+        .iter()
+        .map(|(at, data)| (at.wrapping_sub(start), u16::from_le_bytes([data[0], data[1]])))
+        .collect();
+    assert_eq!(told, [(0, 0x8210), (30, 0xFF01), (60, 0x8210), (90, 0)]);
+}
+
+#[test]
+fn past_faults_are_remembered_until_a_master_forgets_them() {
+    let mut bus = Bus::operational();
+    assert_eq!(bus.upload(0x1003, 0), Ok(vec![0]));
+    assert_eq!(bus.upload(0x1003, 1), Err(0x0800_0024));
+    bus.show_faults(1);
+    bus.show_faults(0b10001);
+    bus.show_faults(0b00001);
+    assert_eq!(bus.upload(0x1003, 0), Ok(vec![2]), "that one is over is no fault");
+    assert_eq!(bus.upload(0x1003, 1), Ok(vec![0x10, 0x42, 5, 0]));
+    assert_eq!(bus.upload(0x1003, 2), Ok(vec![0x01, 0xFF, 5, 0]));
+    for _ in 0..10 {
+        bus.bring(0x210, &[]);
+        bus.turn();
+    }
+    assert_eq!(bus.upload(0x1003, 0), Ok(vec![8]));
+    assert_eq!(bus.upload(0x1003, 8), Ok(vec![0x10, 0x82, 5, 0]));
+    assert_eq!(bus.download(0x1003, 0, &[1]), Err(VALUE));
+    assert_eq!(bus.download(0x1003, 1, &[0; 4]), Err(0x0601_0002));
+    bus.download(0x1003, 0, &[0]).unwrap();
+    assert_eq!(bus.upload(0x1003, 0), Ok(vec![0]));
+    assert_eq!(bus.upload(0x1003, 1), Err(0x0800_0024));
+}
+
+#[test]
+fn error_behaviour_says_what_becomes_of_operation() {
+    for (behaviour, state) in
+        [(0, NmtState::PreOperational), (1, NmtState::Operational), (2, NmtState::Stopped)]
+    {
+        type Act = fn(&mut Bus);
+        let acts: [Act; 3] = [
+            |bus| bus.device.bus_lost(),
+            |bus| bus.bring(0x700 | MASTER, &[0]),
+            |bus| bus.pass(TIME_MS.into()),
+        ];
+        for act in acts {
+            let mut bus = Bus::operational();
+            bus.download(0x1029, 1, &[behaviour]).unwrap();
+            assert_eq!(bus.upload(0x1029, 1), Ok(vec![behaviour]));
+            bus.bring(0x700 | MASTER, &[5]);
+            bus.events.clear();
+            act(&mut bus);
+            bus.turn();
+            assert_eq!(bus.device.state(), state);
+            assert!(matches!(bus.events[..], [Event::Left { .. }]), "in any case: {:?}", bus.events);
+        }
+    }
+    let mut bus = Bus::operational();
+    assert_eq!(bus.download(0x1029, 1, &[3]), Err(VALUE));
+}
+
+#[test]
+fn silence_of_a_master_that_may_fall_silent_is_over_when_it_is_heard() {
+    let mut bus = Bus::operational();
+    bus.download(0x1029, 1, &[1]).unwrap();
+    for data in [&[5][..], &[127]] {
+        bus.bring(0x700 | MASTER, data);
+        bus.pass(TIME_MS.into());
+        bus.show_faults(0);
+        assert_eq!(bus.take(0x080).len(), 1, "silent");
+        bus.bring(0x700 | MASTER, data);
+        bus.show_faults(0);
+        assert_eq!(bus.take(0x080), [[0, 0, 0, 1, 2, 3, 4, 5]]);
+    }
+}
+
+#[test]
+fn texts_are_read_in_segments() {
+    let mut bus = Bus::operational();
+    assert_eq!(bus.download(0x1008, 0, &[0; 4]), Err(0x0601_0002));
+    for name in [NAME, "1234567", "1.2", ""] {
+        bus.application.name = name;
+        let size = name.len() as u8;
+        assert_eq!(bus.sdo([0x40, 0x08, 0x10, 0, 0, 0, 0, 0]), [[0x41, 0x08, 0x10, 0, size, 0, 0, 0]]);
+        let (mut text, mut toggle) = (vec![], 0);
+        loop {
+            let answers = bus.sdo([0x60 | toggle, 0, 0, 0, 0, 0, 0, 0]);
+            let [answer] = &answers[..] else { panic!("{answers:?}") };
+            assert_eq!(answer[0] & 0xF0, toggle);
+            let used = 7 - usize::from(answer[0] >> 1 & 7);
+            text.extend_from_slice(&answer[1..1 + used]);
+            assert!(answer[1 + used..].iter().all(|byte| *byte == 0));
+            if answer[0] & 1 != 0 {
+                break;
+            }
+            assert_eq!(used, 7, "only the last is short");
+            toggle ^= 0x10;
+        }
+        assert_eq!(text, name.as_bytes());
+        let more = bus.sdo([0x60 | toggle ^ 0x10, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(more, [[0x80, 0, 0, 0, 1, 0, 4, 5]], "there is no more");
+    }
+}
+
+#[test]
+fn transfer_in_segments_ends_where_the_client_loses_count_or_begins_another() {
+    let begin = [0x40, 0x08, 0x10, 0, 0, 0, 0, 0];
+    let mut bus = Bus::operational();
+    bus.sdo(begin);
+    let toggled = bus.sdo([0x70, 0, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(toggled, [[0x80, 0x08, 0x10, 0, 0, 0, 0x03, 0x05]]);
+    let none = [[0x80, 0, 0, 0, 1, 0, 4, 5]];
+    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "it is over");
+    bus.sdo(begin);
+    assert_eq!(bus.sdo([0x80, 0x08, 0x10, 0, 0, 0, 0, 0]), Vec::<Vec<u8>>::new());
+    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "the client aborted it");
+    bus.sdo(begin);
+    bus.upload(0x1000, 0).unwrap();
+    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "another took its place");
+    bus.sdo(begin);
+    bus.nmt(0x02);
+    bus.nmt(0x01);
+    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "the device was stopped");
+}
+
+#[test]
+fn output_image_takes_the_same_again_by_sdo_and_nothing_else() {
+    let mut bus = Bus::operational();
+    bus.bring(0x210, &[1; 8]);
+    bus.turn();
+    bus.events.clear();
+    bus.download(0x2000, 1, &[1]).unwrap();
+    assert_eq!(bus.download(0x2000, 1, &[2]), Err(0x0800_0021));
+    bus.download(0x2000, 0, &[2]).unwrap();
+    assert_eq!(bus.download(0x2000, 0, &[3]), Err(VALUE), "a number that never changes");
+    bus.download(0x1014, 0, &[0x90, 0, 0, 0]).unwrap();
+    assert_eq!(bus.download(0x1014, 0, &[0x91, 0, 0, 0]), Err(VALUE));
+    assert_eq!(bus.events, [READ; 6]);
+    assert_eq!(bus.upload(0x2000, 1), Ok(vec![1]));
 }

@@ -6,7 +6,7 @@
 //!   operational device; a FAST STOP as soon as the message before it is with the bus, on RS-232 at once; the outputs are true;
 //! - the watchdog may be fed;
 //! - the device is in the state that CANopen's NMT and the silence of the master make of it, and nobody commands when it is
-//!   not operational ([`Device`]); remote frames, 29-bit identifiers and other lengths do nothing;
+//!   not operational or the RPDO is disabled ([`Device`]); one that waits for a SYNC counts with it; remote frames, 29-bit identifiers and other lengths do nothing;
 //! - of what was said to a gripper on the bus each message leaves once at the most, whole, in order; none that was said before the bus
 //!   or the connection was lost.
 //!
@@ -39,6 +39,7 @@ const RPDO: u16 = 0x200 | NODE;
 const SDO_REQUEST: u16 = 0x600 | NODE;
 const SDO_ANSWER: u16 = 0x580 | NODE;
 const HEARTBEAT: u16 = 0x700;
+const SYNC: u16 = 0x080;
 const TO_GRIPPER: u16 = 0x120;
 const FROM_GRIPPER: u16 = 0x121;
 
@@ -52,17 +53,21 @@ const IDS: [u16; 10] = [
     FROM_GRIPPER,
     SDO_ANSWER,
     RPDO + 1,
-    0x080,
+    SYNC,
 ];
 
 const NMT_COMMANDS: [u8; 6] = [0x01, 0x02, 0x80, 0x81, 0x82, 0x00];
 
 /// Objects that a master writes: settings, the time of its heartbeat, and some that change nothing of what is followed.
-const OBJECTS: [(u16, u8); 8] = [
+const OBJECTS: [(u16, u8); 12] = [
     (SETTINGS_INDEX, TIMEOUT_SUB),
     (SETTINGS_INDEX, TIMEOUT_SUB + 1),
     (SETTINGS_INDEX, DEBOUNCE_SUB),
     MASTER,
+    COB_ID,
+    TRANSMISSION,
+    ERROR_BEHAVIOUR,
+    (0x1600, 0),
     (0x1017, 0),
     (0x1800, 3),
     (0x2000, 1),
@@ -72,6 +77,9 @@ const OBJECTS: [(u16, u8); 8] = [
 const TIMEOUT_SUB: u8 = 2;
 const DEBOUNCE_SUB: u8 = 7;
 const MASTER: (u16, u8) = (0x1016, 1);
+const COB_ID: (u16, u8) = (0x1400, 1);
+const TRANSMISSION: (u16, u8) = (0x1400, 2);
+const ERROR_BEHAVIOUR: (u16, u8) = (0x1029, 1);
 
 /// Frames that are brought without a turn in between, at the most: fewer than are taken in one.
 const BURST: usize = 8;
@@ -82,6 +90,14 @@ struct Device {
     master: u16,
     heard_ms: Option<u32>,
     has_heartbeat: bool,
+    /// The master's heartbeat is watched at all.
+    watches: bool,
+    /// The RPDO is enabled, its transmission type, and what waits for a SYNC.
+    is_enabled: bool,
+    transmission: u8,
+    waiting: Option<OutputImage>,
+    /// What becomes of operation when the bus or the master is lost.
+    behaviour: NmtState,
     timeout_ms: u32,
     debounce_ms: u32,
     /// What it heard in this turn: images, that nobody commands any more, a reset.
@@ -183,8 +199,15 @@ pub fn bridge_can(data: &[u8]) {
                 let (index, sub) = input.pick(&OBJECTS);
                 let ([low, high], value) = (index.to_le_bytes(), input.byte());
                 let specifier = input.pick(&[0x2B, 0x22, 0x23, 0x40, 0x2F, 0x80, 0x00]);
-                let master = if (index, sub) == MASTER { input.pick(&[0x7F, 5, 0]) } else { 0 };
-                model.bring_data(SDO_REQUEST, &[specifier, low, high, sub, value, 0, master, 0]);
+                let [a, b, c, d] = match (index, sub) {
+                    MASTER => [value, 0, input.pick(&[0x7F, 5, 0]), 0],
+                    COB_ID => [NODE as u8, 0x02, 0, input.pick(&[0x80, 0x00, 0xC0, 0x20])],
+                    TRANSMISSION => [input.pick(&[1, 255, 0, 254, 252]), 0, 0, 0],
+                    ERROR_BEHAVIOUR => [value % 4, 0, 0, 0],
+                    (0x1600, 0) => [input.pick(&[0, 5, 4]), 0, 0, 0],
+                    _ => [value, 0, 0, 0],
+                };
+                model.bring_data(SDO_REQUEST, &[specifier, low, high, sub, a, b, c, d]);
             }
             11 => {
                 let status = input.pick(&[
@@ -235,6 +258,11 @@ impl Device {
             master: DEFAULT_NODE.master.into(),
             heard_ms: None,
             has_heartbeat: false,
+            watches: true,
+            is_enabled: true,
+            transmission: 255,
+            waiting: None,
+            behaviour: NmtState::PreOperational,
             timeout_ms: BusConfig::DEFAULT.timeout_ms.into(),
             debounce_ms: Config::DEFAULT.debounce_ms,
             heard: Vec::new(),
@@ -250,28 +278,32 @@ impl Device {
         let operational = self.state == NmtState::Operational;
         match (id.as_raw(), frame.data()) {
             (NMT, &[command, whom]) if u16::from(whom) == NODE || whom == 0 => self.command(command),
-            (RPDO, &[flags, user, w0, w1, s0, s1, f0, f1]) if operational => {
+            (RPDO, &[flags, user, w0, w1, s0, s1, f0, f1]) if operational && self.is_enabled => {
                 if !self.has_heartbeat {
                     self.heard_ms = Some(now_ms);
                 }
-                self.heard.push(Heard::Image(OutputImage {
+                let image = OutputImage {
                     flags: CommandFlags::from_bits_retain(flags),
                     user,
                     width: i16::from_le_bytes([w0, w1]),
                     speed: u16::from_le_bytes([s0, s1]),
                     force_limit: i16::from_le_bytes([f0, f1]),
-                }));
+                };
+                if self.transmission <= 240 && !image.flags.contains(CommandFlags::FASTSTOP) {
+                    self.waiting = Some(image);
+                } else {
+                    self.waiting = None;
+                    self.heard.push(Heard::Image(image));
+                }
             }
+            (SYNC, &[] | &[_]) if operational => self.heard.extend(self.waiting.take().map(Heard::Image)),
             (SDO_REQUEST, data) if operational || self.state == NmtState::PreOperational => {
                 self.request = data.try_into().ok().or(self.request);
             }
-            (id, &[0]) if id == HEARTBEAT | self.master => {
-                // It has restarted.
-                if self.heard_ms.is_some() && operational {
-                    self.enter(NmtState::PreOperational);
-                }
-                self.forget_master();
-            }
+            (id, _) if id == HEARTBEAT | self.master && !self.watches => {}
+            // It has restarted, which counts when it was heard before.
+            (id, &[0]) if id == HEARTBEAT | self.master && self.heard_ms.is_some() => self.fall_back(),
+            (id, &[0]) if id == HEARTBEAT | self.master => {}
             (id, &[_]) if id == HEARTBEAT | self.master => {
                 (self.heard_ms, self.has_heartbeat) = (Some(now_ms), true);
             }
@@ -299,17 +331,38 @@ impl Device {
     fn enter(&mut self, state: NmtState) {
         if self.state == NmtState::Operational && state != NmtState::Operational {
             self.heard.push(Heard::Left);
+            self.waiting = None;
         }
         self.state = state;
     }
 
-    /// The bus is gone, and with it who commands.
-    fn lose_bus(&mut self) {
+    /// Nobody commands any more, be the device in operation or not.
+    fn fall_back(&mut self) {
         if self.state == NmtState::Operational {
-            self.enter(NmtState::PreOperational);
+            self.heard.push(Heard::Left);
+            self.end_operation();
         }
         self.forget_master();
+    }
+
+    fn end_operation(&mut self) {
+        self.state = self.behaviour;
+        self.waiting = None;
+    }
+
+    /// The bus is gone, and with it who commands.
+    fn lose_bus(&mut self) {
+        self.fall_back();
         self.request = None;
+    }
+
+    /// As at power-up, but for the state and the settings.
+    fn reset(&mut self) {
+        let new = Self::new();
+        (self.master, self.watches, self.request) = (new.master, new.watches, None);
+        (self.is_enabled, self.transmission, self.behaviour) =
+            (new.is_enabled, new.transmission, new.behaviour);
+        self.forget_master();
     }
 
     fn forget_master(&mut self) {
@@ -318,10 +371,12 @@ impl Device {
 
     /// What comes of an SDO request, by what the device said; whether that can be told.
     fn configure(&mut self, now_ms: u32, said: &[ClassicFrame]) -> bool {
-        let Some([specifier, low, high, sub, a, b, c, _]) = self.request.take() else { return true };
+        let Some([specifier, low, high, sub, a, b, c, d]) = self.request.take() else { return true };
         let object = (u16::from_le_bytes([low, high]), sub);
-        let is_followed =
-            object == MASTER || object.0 == SETTINGS_INDEX && matches!(object.1, TIMEOUT_SUB | DEBOUNCE_SUB);
+        let is_followed = matches!(
+            object,
+            MASTER | COB_ID | TRANSMISSION | ERROR_BEHAVIOUR | (SETTINGS_INDEX, TIMEOUT_SUB | DEBOUNCE_SUB)
+        );
         if specifier >> 5 != 1 || !is_followed {
             // Of the other settings, those of the wires are not followed.
             return specifier >> 5 != 1 || object.0 != SETTINGS_INDEX;
@@ -333,13 +388,27 @@ impl Device {
                 match object {
                     (SETTINGS_INDEX, DEBOUNCE_SUB) => self.debounce_ms = value,
                     MASTER => {
-                        self.timeout_ms = value;
-                        if self.master == u16::from(c) {
+                        self.watches = value != 0 && c != 0;
+                        if self.watches {
+                            self.timeout_ms = value;
+                        }
+                        if !self.watches || self.master == u16::from(c) {
                             self.heard_ms = self.heard_ms.map(|_| now_ms);
+                            self.has_heartbeat &= self.watches;
                         } else {
                             self.master = c.into();
                             self.forget_master();
                         }
+                    }
+                    COB_ID => self.enable(d & 0x80 == 0),
+                    TRANSMISSION if a == self.transmission => {}
+                    TRANSMISSION => (self.transmission, self.waiting) = (a, None),
+                    ERROR_BEHAVIOUR => {
+                        self.behaviour = match a {
+                            0 => NmtState::PreOperational,
+                            1 => NmtState::Operational,
+                            _ => NmtState::Stopped,
+                        };
                     }
                     _ => self.timeout_ms = value,
                 }
@@ -348,6 +417,18 @@ impl Device {
             Some(&[0x80, x, y, z, ..]) => [x, y, z] == [low, high, sub],
             _ => false,
         }
+    }
+}
+
+impl Device {
+    /// Nobody commands by an RPDO that is disabled.
+    fn enable(&mut self, is_enabled: bool) {
+        if self.is_enabled && !is_enabled && self.state == NmtState::Operational {
+            self.heard.push(Heard::Left);
+            self.heard_ms = self.heard_ms.filter(|_| self.has_heartbeat);
+        }
+        self.waiting = self.waiting.take().filter(|_| is_enabled == self.is_enabled);
+        self.is_enabled = is_enabled;
     }
 }
 
@@ -592,16 +673,17 @@ impl Model {
             }
         }
         if reset {
-            device.forget_master();
-            device.master = DEFAULT_NODE.master.into();
-            device.request = None;
+            device.reset();
         }
         self.is_over = !device.configure(self.now_ms, said);
+        if device.heard.drain(..).any(|heard| matches!(heard, Heard::Left)) {
+            asked.lose_bus();
+        }
         let is_silent = |heard_ms| device.timeout_ms > 0 && self.now_ms - heard_ms >= device.timeout_ms;
         if device.heard_ms.is_some_and(is_silent) {
             device.forget_master();
             if device.state == NmtState::Operational {
-                device.state = NmtState::PreOperational;
+                device.end_operation();
                 asked.lose_bus();
             }
         }

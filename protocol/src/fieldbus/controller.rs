@@ -389,18 +389,24 @@ impl Controller {
         let unit = force_unit(known);
         let mut system = known.flags.unwrap_or_default();
         system.set(SystemFlags::FAST_STOP, self.is_fast_stopped(known));
+        // Without a connection nothing is known, and an image of zeros would pass for a gripper at rest.
+        let (state, status) = if self.connected {
+            (self.state(known), self.status)
+        } else {
+            (GripperFlags::ERROR, Status::IoError)
+        };
         InputImage {
-            state: self.state(known),
+            state,
             user: self.user_outputs,
             system,
             width: to_register(known.width.unwrap_or(0.0), 100.0),
             force: to_register(known.force.unwrap_or(0.0), unit.per_newton()),
-            status: self.status,
+            status,
         }
     }
 
-    /// GSTATE: FAST STOP shows as IDLE (SYSSTATE has the flag), a motion from its edge on, a failure as ERROR; no bit
-    /// when nothing is known.
+    /// GSTATE of a gripper that answers: FAST STOP shows as IDLE (SYSSTATE has the flag), a motion from its edge on, a failure
+    /// as ERROR; no bit before it has told its state.
     fn state(&self, known: &Known) -> GripperFlags {
         if self.is_fast_stopped(known) {
             return GripperFlags::IDLE;

@@ -74,8 +74,9 @@ pub(crate) fn start(controller: &mut Controller, config: &CanConfig) {
         };
         let wanted = [
             exact(config.gripper.controller().receive.as_raw()),
-            // NMT; what is for this node; heartbeats.
+            // NMT; SYNC; what is for this node; heartbeats.
             exact(0),
+            exact(0x080),
             masked(config.node.node.into(), 0x07F),
             masked(0x700, 0x780),
         ];

@@ -18,6 +18,7 @@ mod bus;
 mod can1;
 mod log;
 mod reset;
+mod serial_number;
 mod settings;
 #[cfg(feature = "can-over-slcan")]
 mod slcan_uart;
@@ -32,10 +33,11 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 #[cfg(feature = "can-over-slcan")]
 use slcan_uart as can;
+use wsg_b_l475e_iot01a::NAME;
 use wsg_b_l475e_iot01a::drivers::{clock, pins, uart};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::{InputPort, OutputPort};
-use wsg_bridge_fw::{Config, GripperLine, PlcBus, Station};
+use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, Station};
 
 #[entry]
 fn main() -> ! {
@@ -59,7 +61,7 @@ fn main() -> ! {
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready();
     };
-    STATION.start(&config, reset_cause);
+    STATION.start(&config, Board { name: NAME, serial: serial_number::read() }, reset_cause);
     tick::start(core.SYST);
     let mut gripper_line = uart::line();
     if config.gripper_line == GripperLine::Serial {

@@ -3,11 +3,14 @@
 use core::fmt::{self, Write};
 use core::iter;
 
-use bus_canopen::{DataType, Eds, EdsEntry, EdsFacts, Source};
+use bus_canopen::{DataType, Eds, EdsEntry, EdsFacts, EdsValue, Source};
 
-use super::objects::{COUNT, Key, OBJECTS, Object, REPORTS_INDEX, SETTINGS_INDEX, report, setting};
-use crate::config::NodeConfig;
-use crate::registers::{REPORTS, SETTINGS};
+use super::objects::{
+    COUNT, DEVICE_NAME, Key, OBJECTS, Object, REPORTS_INDEX, SETTINGS_INDEX, SOFTWARE_VERSION, report,
+    setting,
+};
+use crate::config::{Config, NodeConfig};
+use crate::registers::{REPORTS, SETTINGS, Settings};
 
 const FACTS: EdsFacts<'_> = EdsFacts {
     file_name: "wsg-bridge.eds",
@@ -26,15 +29,28 @@ const FACTS: EdsFacts<'_> = EdsFacts {
 /// # Errors
 /// Those of the writer.
 pub fn write_eds(out: &mut impl Write, config: &NodeConfig) -> fmt::Result {
-    let table = OBJECTS.iter().map(|object| EdsEntry { object: *object, limits: None });
+    let delivered = Settings::new(&Config::DEFAULT);
+    let delivered = |at: u16| EdsValue::Number(delivered.register(at).map_or(0, u32::from));
+    let table = OBJECTS.iter().map(|object| {
+        let default = match (object.index, object.source) {
+            (0x1008, _) => Some(EdsValue::Text(DEVICE_NAME)),
+            (0x100A, _) => Some(EdsValue::Text(SOFTWARE_VERSION)),
+            (_, Source::ConsumerHeartbeat) => {
+                let time_ms = Config::DEFAULT.bus.timeout_ms;
+                Some(EdsValue::Number(u32::from(config.master) << 16 | u32::from(time_ms)))
+            }
+            _ => None,
+        };
+        EdsEntry { default, ..EdsEntry::new(*object) }
+    });
     let settings = (1..).zip(&SETTINGS).map(|(sub, of)| EdsEntry {
         object: Object { writable: true, ..register(SETTINGS_INDEX, sub, of.name, setting(sub)) },
         limits: Some((of.least, of.most)),
+        default: Some(delivered(u16::from(sub).wrapping_sub(1))),
     });
-    let reports = (1..).zip(&REPORTS).map(|(sub, of)| EdsEntry {
-        object: register(REPORTS_INDEX, sub, of.name, report(sub)),
-        limits: None,
-    });
+    let reports = (1..)
+        .zip(&REPORTS)
+        .map(|(sub, of)| EdsEntry::new(register(REPORTS_INDEX, sub, of.name, report(sub))));
     let entries = table
         .chain(count(SETTINGS_INDEX, SETTINGS.len()))
         .chain(settings)
@@ -44,10 +60,10 @@ pub fn write_eds(out: &mut impl Write, config: &NodeConfig) -> fmt::Result {
 }
 
 /// The entry that says how many there are.
-fn count(index: u16, entries: usize) -> iter::Once<EdsEntry<Key>> {
+fn count(index: u16, entries: usize) -> iter::Once<EdsEntry<'static, Key>> {
     let source = Source::Fixed(entries as u32);
     let object = Object { kind: DataType::U8, ..register(index, 0, COUNT, source) };
-    iter::once(EdsEntry { object, limits: None })
+    iter::once(EdsEntry::new(object))
 }
 
 fn register(index: u16, sub: u8, name: &'static str, source: Source<Key>) -> Object {

@@ -1,8 +1,9 @@
 //! The object dictionary: one table for the server, the EDS file and the documents.
 
-use bus_canopen::{Abort, DataType, Dictionary, Entry, Source, entries, find};
+use bus_canopen::{Abort, DataType, Dictionary, Entry, Pdo, Source, entries, find};
 
 use crate::can::BusReport;
+use crate::config::Board;
 use crate::plc::View;
 use crate::registers::{BusCounts, REPORTS, RegisterError, SETTINGS, Settings};
 
@@ -12,6 +13,10 @@ pub struct Key(Value);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Value {
+    DeviceName,
+    HardwareVersion,
+    SoftwareVersion,
+    SerialNumber,
     BusStatus,
     TransmitErrors,
     ReceiveErrors,
@@ -40,8 +45,10 @@ pub const OUTPUT_INDEX: u16 = 0x2000;
 /// The index of the input image.
 pub const INPUT_INDEX: u16 = 0x2001;
 
-/// Bit 30 of a TPDO's COB-ID: it cannot be asked for by a remote frame.
-const NO_REMOTE: u32 = 1 << 30;
+/// The name of the device (1008h).
+pub(super) const DEVICE_NAME: &str = "WSG gripper bridge";
+/// Its software version (100Ah).
+pub(super) const SOFTWARE_VERSION: &str = env!("CARGO_PKG_VERSION");
 
 const REVISION: u32 = 1 << 16;
 
@@ -49,10 +56,13 @@ const REVISION: u32 = 1 << 16;
 pub(super) const COUNT: &str = "Number of entries";
 
 /// Objects 1000h to 2002h. The settings and reports behind them have tables of their own.
-pub const OBJECTS: [Object; 65] = {
-    use DataType::{I16, U8, U16, U32};
+pub const OBJECTS: [Object; 81] = {
+    use DataType::{I16, Text, U8, U16, U32};
+    use Pdo::{Receive, Transmit};
     use Source as S;
     use Value as V;
+    const ERRORS: &str = "Pre-defined error field";
+    const BEHAVIOUR: &str = "Error behaviour";
     const RPDO: &str = "RPDO1 communication";
     const RPDO_MAP: &str = "RPDO1 mapping";
     const TPDO1: &str = "TPDO1 communication";
@@ -79,7 +89,7 @@ pub const OBJECTS: [Object; 65] = {
         Source::Application(Key(value))
     }
     const fn map(index: u16, sub: u8, kind: DataType) -> Source<Key> {
-        Source::Fixed(((index as u32) << 16) | ((sub as u32) << 8) | (kind.len() as u32 * 8))
+        Source::Mapping(((index as u32) << 16) | ((sub as u32) << 8) | (kind.len() as u32 * 8))
     }
     const fn ro(
         index: u16,
@@ -102,13 +112,30 @@ pub const OBJECTS: [Object; 65] = {
         Object { writable: true, ..ro(index, sub, kind, source, record, name) }
     }
     const fn field(index: u16, sub: u8, kind: DataType, source: Source<Key>, name: &'static str) -> Object {
-        let record = if index == OUTPUT_INDEX { OUTPUT } else { INPUT };
-        Object { mappable: true, ..ro(index, sub, kind, source, record, name) }
+        let (record, writable) = if index == OUTPUT_INDEX { (OUTPUT, true) } else { (INPUT, false) };
+        Object { mappable: true, writable, ..ro(index, sub, kind, source, record, name) }
+    }
+    const fn error(sub: u8, name: &'static str) -> Object {
+        ro(0x1003, sub, DataType::U32, Source::PastError(sub.wrapping_sub(1)), ERRORS, name)
     }
     [
         ro(0x1000, 0, U32, S::Fixed(0), "", "Device type"),
         ro(0x1001, 0, U8, S::ErrorRegister, "", "Error register"),
-        ro(0x1014, 0, U32, S::PlusNode(0x80), "", "COB-ID EMCY"),
+        rw(0x1003, 0, U8, S::ErrorCount, ERRORS, COUNT),
+        error(1, "The last: code, and status code in bits 16 to 23"),
+        error(2, "The second last"),
+        error(3, "The third last"),
+        error(4, "The fourth last"),
+        error(5, "The fifth last"),
+        error(6, "The sixth last"),
+        error(7, "The seventh last"),
+        error(8, "The eighth last"),
+        rw(0x1005, 0, U32, S::Fixed(0x80), "", "COB-ID SYNC"),
+        ro(0x1008, 0, Text, own(V::DeviceName), "", "Manufacturer device name"),
+        ro(0x1009, 0, Text, own(V::HardwareVersion), "", "Manufacturer hardware version"),
+        ro(0x100A, 0, Text, own(V::SoftwareVersion), "", "Manufacturer software version"),
+        rw(0x1014, 0, U32, S::PlusNode(0x80), "", "COB-ID EMCY"),
+        rw(0x1015, 0, U16, S::EmergencyInhibitTime, "", "Inhibit time EMCY in 100 us"),
         ro(0x1016, 0, U8, S::Fixed(1), "Consumer heartbeat time", COUNT),
         rw(
             0x1016,
@@ -123,37 +150,39 @@ pub const OBJECTS: [Object; 65] = {
         ro(0x1018, 1, U32, S::Fixed(0), IDENTITY, "Vendor-ID (none assigned)"),
         ro(0x1018, 2, U32, S::Fixed(1), IDENTITY, "Product code"),
         ro(0x1018, 3, U32, S::Fixed(REVISION), IDENTITY, "Revision number"),
-        ro(0x1018, 4, U32, S::Fixed(0), IDENTITY, "Serial number"),
+        ro(0x1018, 4, U32, own(V::SerialNumber), IDENTITY, "Serial number"),
+        ro(0x1029, 0, U8, S::Fixed(1), BEHAVIOUR, COUNT),
+        rw(0x1029, 1, U8, S::ErrorBehaviour, BEHAVIOUR, "Communication error"),
         ro(0x1200, 0, U8, S::Fixed(2), "SDO server", COUNT),
         ro(0x1200, 1, U32, S::PlusNode(0x600), "SDO server", "COB-ID client to server"),
         ro(0x1200, 2, U32, S::PlusNode(0x580), "SDO server", "COB-ID server to client"),
         ro(0x1400, 0, U8, S::Fixed(2), RPDO, COUNT),
-        ro(0x1400, 1, U32, S::PlusNode(0x200), RPDO, "COB-ID"),
-        ro(0x1400, 2, U8, S::Fixed(255), RPDO, "Transmission type"),
-        ro(0x1600, 0, U8, S::Fixed(5), RPDO_MAP, COUNT),
-        ro(0x1600, 1, U32, map(OUTPUT_INDEX, 1, U8), RPDO_MAP, "CMDFLAGS"),
-        ro(0x1600, 2, U32, map(OUTPUT_INDEX, 2, U8), RPDO_MAP, "IF"),
-        ro(0x1600, 3, U32, map(OUTPUT_INDEX, 3, I16), RPDO_MAP, "WIDTH"),
-        ro(0x1600, 4, U32, map(OUTPUT_INDEX, 4, U16), RPDO_MAP, "SPEED"),
-        ro(0x1600, 5, U32, map(OUTPUT_INDEX, 5, I16), RPDO_MAP, "FORCELIMIT"),
+        rw(0x1400, 1, U32, S::CobId(Receive(0)), RPDO, "COB-ID"),
+        rw(0x1400, 2, U8, S::TransmissionType(Receive(0)), RPDO, "Transmission type"),
+        rw(0x1600, 0, U8, S::Mapped(Receive(0), 5), RPDO_MAP, COUNT),
+        rw(0x1600, 1, U32, map(OUTPUT_INDEX, 1, U8), RPDO_MAP, "CMDFLAGS"),
+        rw(0x1600, 2, U32, map(OUTPUT_INDEX, 2, U8), RPDO_MAP, "IF"),
+        rw(0x1600, 3, U32, map(OUTPUT_INDEX, 3, I16), RPDO_MAP, "WIDTH"),
+        rw(0x1600, 4, U32, map(OUTPUT_INDEX, 4, U16), RPDO_MAP, "SPEED"),
+        rw(0x1600, 5, U32, map(OUTPUT_INDEX, 5, I16), RPDO_MAP, "FORCELIMIT"),
         ro(0x1800, 0, U8, S::Fixed(5), TPDO1, COUNT),
-        ro(0x1800, 1, U32, S::PlusNode(0x180 | NO_REMOTE), TPDO1, "COB-ID"),
-        ro(0x1800, 2, U8, S::Fixed(255), TPDO1, "Transmission type"),
+        rw(0x1800, 1, U32, S::CobId(Transmit(0)), TPDO1, "COB-ID"),
+        rw(0x1800, 2, U8, S::TransmissionType(Transmit(0)), TPDO1, "Transmission type"),
         rw(0x1800, 3, U16, S::InhibitTime(0), TPDO1, "Inhibit time in 100 us"),
         rw(0x1800, 5, U16, S::EventTimer(0), TPDO1, "Event timer in ms"),
         ro(0x1801, 0, U8, S::Fixed(5), TPDO2, COUNT),
-        ro(0x1801, 1, U32, S::PlusNode(0x280 | NO_REMOTE), TPDO2, "COB-ID"),
-        ro(0x1801, 2, U8, S::Fixed(255), TPDO2, "Transmission type"),
+        rw(0x1801, 1, U32, S::CobId(Transmit(1)), TPDO2, "COB-ID"),
+        rw(0x1801, 2, U8, S::TransmissionType(Transmit(1)), TPDO2, "Transmission type"),
         rw(0x1801, 3, U16, S::InhibitTime(1), TPDO2, "Inhibit time in 100 us"),
         rw(0x1801, 5, U16, S::EventTimer(1), TPDO2, "Event timer in ms"),
-        ro(0x1A00, 0, U8, S::Fixed(4), TPDO1_MAP, COUNT),
-        ro(0x1A00, 1, U32, map(INPUT_INDEX, 1, U8), TPDO1_MAP, "GSTATE"),
-        ro(0x1A00, 2, U32, map(INPUT_INDEX, 2, U8), TPDO1_MAP, "OF"),
-        ro(0x1A00, 3, U32, map(INPUT_INDEX, 3, U32), TPDO1_MAP, "SYSSTATE"),
-        ro(0x1A00, 4, U32, map(INPUT_INDEX, 6, U16), TPDO1_MAP, "Status Code"),
-        ro(0x1A01, 0, U8, S::Fixed(2), TPDO2_MAP, COUNT),
-        ro(0x1A01, 1, U32, map(INPUT_INDEX, 4, I16), TPDO2_MAP, "WIDTH"),
-        ro(0x1A01, 2, U32, map(INPUT_INDEX, 5, I16), TPDO2_MAP, "Gripping Force"),
+        rw(0x1A00, 0, U8, S::Mapped(Transmit(0), 4), TPDO1_MAP, COUNT),
+        rw(0x1A00, 1, U32, map(INPUT_INDEX, 1, U8), TPDO1_MAP, "GSTATE"),
+        rw(0x1A00, 2, U32, map(INPUT_INDEX, 2, U8), TPDO1_MAP, "OF"),
+        rw(0x1A00, 3, U32, map(INPUT_INDEX, 3, U32), TPDO1_MAP, "SYSSTATE"),
+        rw(0x1A00, 4, U32, map(INPUT_INDEX, 6, U16), TPDO1_MAP, "Status Code"),
+        rw(0x1A01, 0, U8, S::Mapped(Transmit(1), 2), TPDO2_MAP, COUNT),
+        rw(0x1A01, 1, U32, map(INPUT_INDEX, 4, I16), TPDO2_MAP, "WIDTH"),
+        rw(0x1A01, 2, U32, map(INPUT_INDEX, 5, I16), TPDO2_MAP, "Gripping Force"),
         ro(OUTPUT_INDEX, 0, U8, S::Fixed(5), OUTPUT, COUNT),
         field(OUTPUT_INDEX, 1, U8, received(0), "CMDFLAGS"),
         field(OUTPUT_INDEX, 2, U8, received(1), "IF"),
@@ -203,6 +232,7 @@ pub(super) const fn report(sub: u8) -> Source<Key> {
 pub(super) struct Objects<'a, 'v> {
     pub(super) view: &'a mut View<'v>,
     pub(super) report: &'a BusReport,
+    pub(super) board: Board,
 }
 
 impl Dictionary for Objects<'_, '_> {
@@ -230,7 +260,17 @@ impl Dictionary for Objects<'_, '_> {
             Value::Report(number) => {
                 self.view.report(number, BusCounts::default()).map(u32::from).map_err(abort_of)
             }
+            Value::SerialNumber => Ok(self.board.serial),
             _ => Ok(bus_value(self.report, value)),
+        }
+    }
+
+    fn text(&self, Key(value): Key) -> Result<&'static str, Abort> {
+        match value {
+            Value::DeviceName => Ok(DEVICE_NAME),
+            Value::HardwareVersion => Ok(self.board.name),
+            Value::SoftwareVersion => Ok(SOFTWARE_VERSION),
+            _ => Err(Abort::NoData),
         }
     }
 

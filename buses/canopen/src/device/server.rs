@@ -1,8 +1,13 @@
 //! The SDO server: what a master reads and writes of the device's objects (CiA 301, 7.2.4).
 
-use super::Device;
-use crate::sdo::{self, Request};
-use crate::{Abort, Dictionary, Entry, Source};
+use super::pdo::Setup;
+use super::{Device, ErrorBehaviour, Event, NmtState};
+use crate::object::NO_REMOTE;
+use crate::sdo::{self, Request, Upload};
+use crate::{Abort, DataType, Dictionary, Entry, Pdo, Source};
+
+/// COB-ID of a PDO, bit 31: it is disabled.
+const DISABLED: u32 = 1 << 31;
 
 impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     /// Serves an SDO request; whether it wrote a value of the application.
@@ -13,11 +18,19 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         dictionary: &mut D,
     ) -> bool {
         let (index, sub, request) = sdo::parse(request);
+        let upload = self.upload.take();
         let outcome = match request {
             Request::Aborted => return false,
             Request::Other => Err(Abort::CommandSpecifier),
-            Request::Read => self.read(index, sub, dictionary).map(|(len, value)| {
-                self.response = Some(sdo::read_response(index, sub, len, value));
+            Request::Segment(toggle) => match upload {
+                Some(upload) => {
+                    self.go_on(upload, toggle);
+                    return false;
+                }
+                None => Err(Abort::CommandSpecifier),
+            },
+            Request::Read => self.begin_read(index, sub, dictionary).map(|response| {
+                self.response = Some(response);
                 false
             }),
             Request::Write(len, value) => {
@@ -32,30 +45,191 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         })
     }
 
-    /// The bytes of an entry, low byte first, and how many they are.
-    fn read<D: Dictionary>(&self, index: u16, sub: u8, dictionary: &D) -> Result<(u8, u32), Abort> {
-        let Entry { kind, source, .. } = dictionary.find(index, sub)?;
+    /// The next segment of a text.
+    fn go_on(&mut self, mut upload: Upload, toggle: bool) {
+        match upload.next(toggle) {
+            Ok((response, goes_on)) => {
+                self.response = Some(response);
+                self.upload = goes_on.then_some(upload);
+            }
+            Err(abort) => self.response = Some(abort),
+        }
+    }
+
+    fn begin_read<D: Dictionary>(&mut self, index: u16, sub: u8, dictionary: &D) -> Result<[u8; 8], Abort> {
+        let entry = dictionary.find(index, sub)?;
+        if let Entry { kind: DataType::Text, source: Source::Application(key), .. } = entry {
+            let (upload, response) = Upload::begin(index, sub, dictionary.text(key)?);
+            self.upload = Some(upload);
+            return Ok(response);
+        }
+        let value = self.read(entry, dictionary)?;
+        Ok(sdo::read_response(index, sub, entry.kind.len(), value))
+    }
+
+    /// The number of an entry.
+    fn read<D: Dictionary>(&self, entry: Entry<D::Key>, dictionary: &D) -> Result<u32, Abort> {
+        let Entry { kind, source, .. } = entry;
         let config = &self.config;
         let time = |times: &[u16; T], number: u8| times.get(usize::from(number)).copied().unwrap_or(0).into();
-        let value = match source {
-            Source::Fixed(value) => value,
+        Ok(match source {
+            Source::Fixed(value) | Source::Mapping(value) => value,
             Source::PlusNode(base) => base | u32::from(config.node),
             Source::ErrorRegister => self.emergency.register(self.profile.faults).into(),
+            Source::ErrorCount => self.emergency.count().into(),
+            Source::PastError(number) => self.emergency.past(number).ok_or(Abort::NoData)?,
+            Source::EmergencyInhibitTime => config.emergency_inhibit.into(),
+            Source::ErrorBehaviour => self.error_behaviour as u32,
+            Source::ConsumerHeartbeat if !self.watches_heartbeat => 0,
             Source::ConsumerHeartbeat => {
                 u32::from(config.master) << 16 | u32::from(dictionary.consumer_time_ms())
             }
             Source::ProducerHeartbeat => config.heartbeat_ms.into(),
+            Source::CobId(pdo) => {
+                let disabled = if self.setup(pdo)?.is_enabled { 0 } else { DISABLED };
+                self.cob_id(pdo) | disabled
+            }
+            Source::TransmissionType(pdo) => self.setup(pdo)?.transmission.into(),
+            Source::Mapped(pdo, count) => {
+                if self.setup(pdo)?.is_mapped {
+                    count.into()
+                } else {
+                    0
+                }
+            }
             Source::InhibitTime(number) => time(&config.inhibit, number),
             Source::EventTimer(number) => time(&config.event_ms, number),
             Source::Rpdo { number, at } => {
-                self.received.get(usize::from(number)).map_or(0, |data| number_at(data, at, kind.len()))
+                self.rpdos.get(usize::from(number)).map_or(0, |rpdo| number_at(&rpdo.taken, at, kind.len()))
             }
             Source::Tpdo { number, at } => {
                 self.tpdos.get(usize::from(number)).map_or(0, |tpdo| number_at(&tpdo.shown, at, kind.len()))
             }
             Source::Application(key) => dictionary.read(key)?,
+        })
+    }
+
+    /// The COB-ID of a PDO that is enabled.
+    fn cob_id(&self, pdo: Pdo) -> u32 {
+        pdo.base_cob_id() | u32::from(self.config.node)
+    }
+
+    fn setup(&self, pdo: Pdo) -> Result<Setup, Abort> {
+        let setup = match pdo {
+            Pdo::Receive(number) => self.rpdos.get(usize::from(number)).map(|rpdo| rpdo.setup),
+            Pdo::Transmit(number) => self.tpdos.get(usize::from(number)).map(|tpdo| tpdo.setup),
         };
-        Ok((kind.len(), value))
+        setup.ok_or(Abort::NoObject)
+    }
+
+    /// A PDO begins anew with this.
+    fn set_up(&mut self, pdo: Pdo, setup: Setup) {
+        match pdo {
+            Pdo::Receive(number) => {
+                let Some(rpdo) = self.rpdos.get_mut(usize::from(number)) else { return };
+                let is_lost = rpdo.setup.is_enabled && !setup.is_enabled;
+                (rpdo.setup, rpdo.waiting) = (setup, None);
+                if is_lost && self.state == NmtState::Operational {
+                    self.push(Event::Left { master_silent: false });
+                    if !self.has_heartbeat {
+                        // Its RPDOs cannot be missed where it does not command.
+                        self.heard_at = None;
+                    }
+                }
+            }
+            Pdo::Transmit(number) => {
+                let Some(tpdo) = self.tpdos.get_mut(usize::from(number)) else { return };
+                tpdo.setup = setup;
+                tpdo.send_again();
+            }
+        }
+    }
+
+    fn write_cob_id(&mut self, pdo: Pdo, value: u32) -> Result<(), Abort> {
+        let (wanted, setup) = (value & !DISABLED, self.setup(pdo)?);
+        let is_own = match pdo {
+            Pdo::Receive(_) => wanted & !NO_REMOTE == self.cob_id(pdo),
+            Pdo::Transmit(_) => wanted == self.cob_id(pdo),
+        };
+        if !is_own {
+            return Err(Abort::Value);
+        }
+        let is_enabled = value & DISABLED == 0;
+        if is_enabled && !setup.is_mapped {
+            return Err(Abort::DeviceState);
+        }
+        if is_enabled != setup.is_enabled {
+            self.set_up(pdo, Setup { is_enabled, ..setup });
+        }
+        Ok(())
+    }
+
+    fn write_transmission_type(&mut self, pdo: Pdo, transmission: u8) -> Result<(), Abort> {
+        let setup = self.setup(pdo)?;
+        if !Setup::has(transmission) {
+            return Err(Abort::Value);
+        }
+        if transmission != setup.transmission {
+            self.set_up(pdo, Setup { transmission, ..setup });
+        }
+        Ok(())
+    }
+
+    /// The mapping is fixed, but a master may clear it and write it anew as it is.
+    fn write_mapped(&mut self, pdo: Pdo, count: u8, wanted: u8) -> Result<(), Abort> {
+        let setup = self.setup(pdo)?;
+        if wanted != 0 && wanted != count {
+            return Err(Abort::Value);
+        }
+        let is_mapped = wanted != 0;
+        if is_mapped != setup.is_mapped {
+            if setup.is_enabled {
+                return Err(Abort::DeviceState);
+            }
+            self.set_up(pdo, Setup { is_mapped, ..setup });
+        }
+        Ok(())
+    }
+
+    fn write_inhibit_time(&mut self, number: u8, time: u16) -> Result<(), Abort> {
+        let setup = self.setup(Pdo::Transmit(number))?;
+        let Some(place) = self.config.inhibit.get_mut(usize::from(number)) else {
+            return Err(Abort::NoObject);
+        };
+        if setup.is_enabled && *place != time {
+            return Err(Abort::DeviceState);
+        }
+        *place = time;
+        Ok(())
+    }
+
+    /// Bits 16 to 23 are the master's node-ID, the lower ones the time in milliseconds. Where one of them is 0, its heartbeat
+    /// is not watched; the RPDOs are, within the application's time.
+    fn write_consumer<D: Dictionary>(
+        &mut self,
+        now_ms: u32,
+        value: u32,
+        dictionary: &mut D,
+    ) -> Result<(), Abort> {
+        let [low, high, master, reserved] = value.to_le_bytes();
+        let time_ms = u16::from_le_bytes([low, high]);
+        if master > 127 || reserved != 0 {
+            return Err(Abort::Value);
+        }
+        let watches = master != 0 && time_ms != 0;
+        if watches {
+            dictionary.set_consumer_time_ms(time_ms)?;
+        }
+        if !watches || master == self.config.master {
+            // It may fall silent with this request, so it goes on to be watched; its new time begins now.
+            self.heard_at = self.heard_at.map(|_| now_ms);
+            self.has_heartbeat &= watches;
+        } else {
+            self.config.master = master;
+            self.forget_master();
+        }
+        self.watches_heartbeat = watches;
+        Ok(())
     }
 
     /// Whether it was a value of the application.
@@ -76,28 +250,37 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             return Err(Abort::Length);
         }
         // What a client puts into the bytes that the object does not have means nothing.
-        let [low, high, ..] = value.to_le_bytes();
-        let number = u16::from_le_bytes([low, high]);
+        let value = number_at(&value.to_le_bytes(), 0, entry.kind.len());
+        let number = value as u16;
         match entry.source {
-            Source::Application(key) => {
-                let value = number_at(&value.to_le_bytes(), 0, entry.kind.len());
-                return dictionary.write(key, value).map(|()| true);
-            }
-            Source::ConsumerHeartbeat => {
-                let Ok(master @ 1..=127) = u8::try_from(value >> 16) else { return Err(Abort::Value) };
-                dictionary.set_consumer_time_ms(number)?;
-                if master == self.config.master {
-                    // It may fall silent with this request, so it goes on to be watched; its new time begins now.
-                    self.heard_at = self.heard_at.map(|_| now_ms);
-                } else {
-                    self.config.master = master;
-                    self.forget_master();
-                }
-            }
+            Source::Application(key) => return dictionary.write(key, value).map(|()| true),
+            Source::ConsumerHeartbeat => self.write_consumer(now_ms, value, dictionary)?,
             Source::ProducerHeartbeat => self.config.heartbeat_ms = number,
-            Source::InhibitTime(at) => set(&mut self.config.inhibit, at, number),
+            Source::ErrorCount if value == 0 => self.emergency.forget_past(),
+            Source::ErrorCount => return Err(Abort::Value),
+            Source::EmergencyInhibitTime => self.config.emergency_inhibit = number,
+            Source::ErrorBehaviour => {
+                self.error_behaviour = match value {
+                    0 => ErrorBehaviour::PreOperational,
+                    1 => ErrorBehaviour::NoChange,
+                    2 => ErrorBehaviour::Stopped,
+                    _ => return Err(Abort::Value),
+                };
+            }
+            Source::CobId(pdo) => self.write_cob_id(pdo, value)?,
+            Source::TransmissionType(pdo) => self.write_transmission_type(pdo, value as u8)?,
+            Source::Mapped(pdo, count) => self.write_mapped(pdo, count, value as u8)?,
+            Source::InhibitTime(at) => self.write_inhibit_time(at, number)?,
             Source::EventTimer(at) => set(&mut self.config.event_ms, at, number),
-            _ => return Err(Abort::ReadOnly),
+            Source::Mapping(_) if self.read(entry, dictionary)? != value => return Err(Abort::Mapping),
+            Source::Rpdo { .. } if self.read(entry, dictionary)? != value => return Err(Abort::LocalControl),
+            Source::Fixed(_) | Source::PlusNode(_) if self.read(entry, dictionary)? != value => {
+                return Err(Abort::Value);
+            }
+            Source::Mapping(_) | Source::Rpdo { .. } | Source::Fixed(_) | Source::PlusNode(_) => {}
+            Source::ErrorRegister | Source::PastError(_) | Source::Tpdo { .. } => {
+                return Err(Abort::ReadOnly);
+            }
         }
         Ok(false)
     }

@@ -745,9 +745,35 @@ fn motion_without_a_connection_is_refused_and_not_kept() {
     let mut plc = Plc::ready();
     plc.disconnect();
     assert_eq!(plc.raise(CommandFlags::MOVE), []);
-    assert_eq!(plc.shows(), (GripperFlags::empty(), Status::IoError));
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError));
     plc.connect();
     assert_eq!(plc.write(|_| {}), []);
+}
+
+#[test]
+fn gripper_that_is_not_there_shows_as_an_error_whatever_it_did_last() {
+    let plc = Plc::with_first_image(PARAMETERS);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError), "nor that was never there");
+
+    let mut plc = Plc::ready();
+    plc.disconnect();
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError), "at rest");
+    plc.connect();
+    assert_eq!(plc.shows().1, Status::Success, "again");
+
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.answer(CommandId::GripPart, Status::Success);
+    plc.report(GripperState::Holding);
+    plc.disconnect();
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError), "while it held a part");
+
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.disconnect();
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError));
+    let system = plc.controller.input(&plc.known).system;
+    assert!(system.contains(SystemFlags::FAST_STOP), "which is not over");
 }
 
 #[test]
@@ -755,8 +781,8 @@ fn motion_whose_outcome_is_not_known_shows_error_and_e_timeout() {
     let mut plc = Plc::ready();
     plc.grip();
     plc.controller.handle(&Event::Unanswered(CommandId::GripPart), &plc.known);
-    plc.disconnect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
+    plc.disconnect();
     plc.connect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout), "still not known after the reconnect");
 }
@@ -770,6 +796,7 @@ fn motion_that_is_given_up_with_the_connection_is_no_fast_stop() {
     plc.controller.handle(&Event::Unanswered(CommandId::GripPart), &plc.known);
     plc.disconnect();
     assert_eq!(plc.commands(), []);
+    plc.connect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
 }
 
@@ -832,6 +859,7 @@ fn success_that_is_held_back_is_not_lost_with_the_connection() {
     plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
     plc.answer(CommandId::PrePosition, Status::Success);
     plc.disconnect();
+    plc.connect();
     assert_eq!(plc.shows().1, Status::Success);
 }
 

@@ -15,7 +15,7 @@ fn each_entry_about_the_bus_has_a_value_of_its_own() {
     let values: Vec<u32> = OBJECTS
         .iter()
         .filter_map(|object| match object.source {
-            Source::Application(Key(value)) => Some(bus_value(&report, value)),
+            Source::Application(Key(value)) if object.index == 0x2002 => Some(bus_value(&report, value)),
             _ => None,
         })
         .collect();

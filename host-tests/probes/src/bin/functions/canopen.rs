@@ -2,7 +2,7 @@
 
 use core::hint::black_box;
 
-use bus_canopen::{Abort, Config, DataType, Device, Dictionary, Entry, entries, find, is_reserved};
+use bus_canopen::{Abort, Config, DataType, Device, Dictionary, EdsEntry, Entry, entries, find, is_reserved};
 use bus_slcan::ClassicFrame;
 
 use crate::{function, functions};
@@ -45,5 +45,6 @@ pub(crate) fn every_function() {
         Node: new, state, show_tpdo, show_faults, sends, frames_lost, bus_lost, bus_joined;
         Config<2>: is_valid;
         DataType: len, code;
+        EdsEntry<'static, u16>: new;
     }
 }

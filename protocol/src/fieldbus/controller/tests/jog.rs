@@ -262,7 +262,7 @@ fn jog_is_refused_without_a_connection_in_fast_stop_and_while_a_part_is_held() {
     let mut plc = Plc::ready();
     plc.disconnect();
     assert_eq!(plc.raise(CommandFlags::JOG_PLUS), []);
-    assert_eq!(plc.shows(), (GripperFlags::empty(), Status::IoError));
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError));
     plc.connect();
     assert_eq!(plc.write(|_| {}), [], "and not kept");
 
