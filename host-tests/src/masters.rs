@@ -1,5 +1,5 @@
 //! Third-party Modbus masters, for tests: `mbpoll` (Debian), and `pymodbus`, `minimalmodbus`, `modbus-tk`
-//! (PyPI, versions in `requirements.txt`); and from there `canopen`, a master of CANopen.
+//! (PyPI, versions in `requirements.txt`); and from there `canopen`, a master of CANopen, and `dcf-tools`, which reads EDS files.
 //!
 //! `cargo xtask test` installs them, and leaves out the tests of those that it cannot have, by the name: a test that
 //! needs one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk` or `canopen` in its own. Run without it, such a test fails.

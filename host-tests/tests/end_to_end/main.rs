@@ -5,6 +5,7 @@
 
 mod both_protocols;
 mod clients;
+mod eds;
 #[cfg(unix)]
 mod emulator;
 mod faults;

@@ -1,4 +1,4 @@
-"""A third-party CANopen master: NMT, PDOs of a grip cycle, SDO, EMCY, loss of its heartbeat.
+"""A third-party CANopen master: NMT, every object, PDO configuration, PDOs of a grip cycle, SYNC, EMCY, loss of its heartbeat.
 
 Arguments: the terminal of an SLCAN adapter, the EDS file.
 """
@@ -73,7 +73,33 @@ try:
     node.sdo["Output image"]["CMDFLAGS"].raw = MOVE
     raise AssertionError("a command by SDO is taken")
 except canopen.SdoAbortedError as error:
-    assert error.code == 0x06010002, hex(error.code)
+    assert error.code == 0x08000021, hex(error.code)
+
+# Every object is there, and holds what the EDS file says of power-up.
+for entry in node.object_dictionary.values():
+    for variable in [entry] if isinstance(entry, canopen.objectdictionary.ODVariable) else entry.values():
+        holder = node.sdo[variable.index]
+        holder = holder if variable is entry else holder[variable.subindex]
+        what = f"{variable.index:04X}h {variable.subindex}"
+        try:
+            value = holder.raw
+        except canopen.SdoAbortedError as error:
+            assert variable.index == 0x1003 and error.code == 0x08000024, f"{what}: {error}"
+            continue
+        changed = variable.index in (0x1003, 0x1016) or variable.name in ("RECIPE2_WIDTH", "BUS_TIMEOUT")
+        assert changed or variable.default in (None, value), f"{what}: {value!r}, {variable.default!r}"
+assert node.sdo["Manufacturer device name"].raw == "WSG gripper bridge"
+
+# What configuration tools write, whole: PDOs are disabled, set, mapped anew as they are, and enabled.
+node.tpdo[1].inhibit_time = 50
+node.rpdo.save()
+node.tpdo.save()
+assert node.sdo[0x1800][3].raw == 50
+node.load_configuration()
+node.rpdo.read()
+node.tpdo.read()
+assert node.rpdo[1].enabled and node.tpdo[1].enabled and node.tpdo[2].enabled
+assert node.sdo[0x1800][3].raw == 20, "as the EDS file has it"
 
 
 def take(pdo):
@@ -118,11 +144,29 @@ wait("width and force", lambda: 1900 <= seen.get("WIDTH_2", 0) <= 2000 and seen[
 command(RELEASE, IDLE)
 assert node.sdo["Input image"]["SYSSTATE"].raw & REFERENCED
 
-# FAST STOP by the master.
+# With SYNC: nothing without it.
+node.rpdo[1].trans_type = 1
+node.rpdo[1].save()
+# It was disabled for a moment: the first image behind that gives no edge.
+write(0)
+network.sync.transmit()
+write(GRIP)
+assert node.sdo["Output image"]["CMDFLAGS"].raw == 0
+network.sync.transmit()
+wait("HOLDING", lambda: seen["GSTATE"] == HOLDING)
+assert node.sdo["Output image"]["CMDFLAGS"].raw == GRIP
+write(RELEASE)
+network.sync.transmit()
+wait("IDLE", lambda: seen["GSTATE"] == IDLE)
+
+# FAST STOP by the master, which waits for no SYNC.
 emergencies.clear()
 write(FASTSTOP)
 wait("EMCY of the master's FAST STOP", lambda: (0xFF01, 0x81) in emergencies)
 assert node.sdo["Error register"].raw == 0x81
+assert node.sdo["Pre-defined error field"][1].raw & 0xFFFF == 0xFF01
+node.rpdo[1].trans_type = 255
+node.rpdo[1].save()
 write(0)
 write(STOP_ACK)
 wait("its end", lambda: not seen["SYSSTATE"] & FAST_STOP)
@@ -132,6 +176,7 @@ write(0)
 expect_heartbeats_within(2_000)
 beat.stop()
 wait("EMCY of the silence", lambda: (0x8130, 0x11) in emergencies)
+assert node.sdo["Pre-defined error field"][1].raw & 0xFFFF == 0x8130
 in_state("PRE-OPERATIONAL")
 assert node.sdo["Reports"]["BUS_TIMEOUTS"].raw == 1
 
