@@ -25,9 +25,9 @@ const MEASURED_PERIOD_MS: u16 = AutoUpdate::MIN_PERIOD_MS;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// On the gripper's line, below frames.
-    pub line: frame::Counters,
+    pub line: frame::FrameCounters,
     /// In frames and requests.
-    pub session: session::Counters,
+    pub session: session::SessionCounters,
 }
 
 /// One bridge between the wires of a PLC, or its bus, and one gripper.

@@ -30,7 +30,7 @@ fn grip_cycle_over_can_shows_what_the_gripper_does() {
     assert_eq!(bench.broken(), 0);
     let counters = bench.link().counters();
     assert_eq!((counters.overflows, counters.broken), (0, 0));
-    assert_eq!(counters.frames, wsg_protocol::can::Counters::default());
+    assert_eq!(counters.frames, wsg_protocol::can::ReassemblerCounters::default());
 }
 
 #[test]

@@ -7,7 +7,7 @@
 
 use crate::time::Time;
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
-use wsg_protocol::{Counters, Event, FrameParser};
+use wsg_protocol::{Event, FrameCounters, FrameParser};
 
 /// The most payload in a frame that is taken.
 const MAX_PAYLOAD: usize = MAX_MESSAGE_LEN - OVERHEAD;
@@ -32,7 +32,7 @@ impl Deframer {
         Self { parser, check_checksum, timeout_ms, due: None }
     }
 
-    pub(crate) const fn counters(&self) -> Counters {
+    pub(crate) const fn counters(&self) -> FrameCounters {
         self.parser.counters()
     }
 

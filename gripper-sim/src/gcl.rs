@@ -15,7 +15,7 @@ use autosend::Autosends;
 use heapless::{Deque, String};
 use requests::Outcome;
 use wsg_protocol::gcl::{Answer, CommandName, Description, LineEvent, LineReader, Named, Refused, Request};
-use wsg_protocol::{CommandId, Counters, Kind, Status};
+use wsg_protocol::{CommandId, FrameCounters, Kind, Status};
 
 /// The longest line that is taken; the longest request is shorter, but for blanks.
 const LINE_LEN: usize = 256;
@@ -78,7 +78,7 @@ impl Client {
     pub(crate) const fn counters(&self) -> PortCounters {
         let lines = self.reader.counters();
         PortCounters {
-            parser: Counters { dropped: lines.dropped, bad_checksum: 0, oversize: lines.too_long },
+            parser: FrameCounters { dropped: lines.dropped, bad_checksum: 0, oversize: lines.too_long },
             updates_lost: self.line.updates_lost,
             replies_lost: self.line.replies_lost,
         }

@@ -5,7 +5,7 @@ use crate::fieldbus::Fieldbus;
 use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId};
 use bus_modbus::tcp::{self, Event, HEADER_LEN, Receiver};
 use heapless::Deque;
-use wsg_protocol::Counters;
+use wsg_protocol::FrameCounters;
 
 /// Bytes of frames that wait for a client to read them: the answers to all requests that come at a time.
 const QUEUE_LEN: usize = 2_048;
@@ -51,7 +51,7 @@ impl Client {
     pub(crate) fn counters(&self) -> PortCounters {
         let Line { lost, dropped, replies_lost, .. } = self.line;
         PortCounters {
-            parser: Counters { dropped, bad_checksum: 0, oversize: lost.into() },
+            parser: FrameCounters { dropped, bad_checksum: 0, oversize: lost.into() },
             updates_lost: 0,
             replies_lost,
         }

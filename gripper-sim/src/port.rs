@@ -2,7 +2,7 @@
 
 use crate::time::Time;
 use wsg_protocol::frame::OVERHEAD;
-use wsg_protocol::{CommandId, Counters, LoopData, Status};
+use wsg_protocol::{CommandId, FrameCounters, LoopData, Status};
 
 /// The longest frame that a gripper sends, in bytes: Loop with all its data.
 pub const MAX_FRAME_LEN: usize = OVERHEAD + STATUS_LEN + LoopData::MAX_LEN;
@@ -95,7 +95,7 @@ impl PortId {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PortCounters {
     /// Bytes and frames that were refused.
-    pub parser: Counters,
+    pub parser: FrameCounters,
     /// Automatic updates that found no room because the client does not read.
     pub updates_lost: u32,
     /// Answers that found no room because the client does not read.

@@ -27,7 +27,7 @@ mod reassembler;
 mod segmenter;
 
 pub use identifiers::{Endpoint, Identifiers};
-pub use reassembler::{Counters, HALF_MESSAGE_MS, Reassembler};
+pub use reassembler::{HALF_MESSAGE_MS, Reassembler, ReassemblerCounters};
 pub use segmenter::{Segment, Segmenter, Segments};
 
 /// Bytes of data in a full classic CAN frame.

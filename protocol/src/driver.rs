@@ -203,11 +203,11 @@ impl Update {
 /// What a driver has met that it could not use; each count stops at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Counters {
+pub struct DriverCounters {
     /// On the line, below frames.
-    pub line: frame::Counters,
+    pub line: frame::FrameCounters,
     /// In frames and requests.
-    pub session: session::Counters,
+    pub session: session::SessionCounters,
     /// Updates that were not fetched in time.
     pub updates_lost: u16,
 }

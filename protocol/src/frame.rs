@@ -11,7 +11,7 @@ mod encoder;
 mod parser;
 
 pub use encoder::{BufferTooSmall, FrameEncoder, Payload};
-pub use parser::{Counters, Event, FrameParser};
+pub use parser::{Event, FrameCounters, FrameParser};
 
 /// The three bytes that open a frame are all this one.
 pub const PREAMBLE_BYTE: u8 = 0xAA;

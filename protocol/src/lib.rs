@@ -85,7 +85,7 @@ pub mod types;
 
 pub use command::{Command, CommandId, Kind};
 pub use field::DecodeError;
-pub use frame::{Counters, Event, Frame, FrameEncoder, FrameParser, Payload};
+pub use frame::{Event, Frame, FrameCounters, FrameEncoder, FrameParser, Payload};
 pub use reply::{Reply, Value};
 pub use time::Instant;
 pub use types::{

@@ -57,7 +57,7 @@ pub(crate) mod transaction;
 pub use binary::{Event, MISMATCH, Session};
 pub use config::{Config, FastStopPattern, Timeout};
 pub use engine::{Engine, QUEUE_LEN};
-pub use event::{Counters, EventOf, RequestError};
+pub use event::{EventOf, RequestError, SessionCounters};
 pub use known::Known;
 pub use topic::Topic;
 

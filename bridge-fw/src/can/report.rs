@@ -20,7 +20,7 @@ pub struct BusCounters {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounters {
     /// On the bus, below messages.
-    pub frames: can::Counters,
+    pub frames: can::ReassemblerCounters,
     /// Messages for which there was no room, because the bridge did not read.
     pub overflows: u16,
     /// Messages to the gripper of which a part did not leave.
@@ -46,7 +46,7 @@ impl BusReport {
         health: Health { is_off: false, is_passive: false, transmit_errors: 0, receive_errors: 0 },
         counters: BusCounters { bus_offs: 0, overruns: 0, refused: 0 },
         link: LinkCounters {
-            frames: can::Counters {
+            frames: can::ReassemblerCounters {
                 foreign: 0,
                 dropped: 0,
                 miscut: 0,

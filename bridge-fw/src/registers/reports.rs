@@ -191,7 +191,7 @@ pub(crate) struct ReportSource<'a> {
     pub(crate) config: &'a BusConfig,
     pub(crate) session: &'a Session,
     pub(crate) link: Link,
-    pub(crate) line: frame::Counters,
+    pub(crate) line: frame::FrameCounters,
     pub(crate) control_source: ControlSource,
     pub(crate) bus: BusCounts,
     pub(crate) timeouts: u16,

@@ -17,7 +17,7 @@ pub const HALF_MESSAGE_MS: u32 = 50;
 /// What a reassembler has refused so far; each count stops at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Counters {
+pub struct ReassemblerCounters {
     /// CAN frames that cannot be part of a message to this side: another identifier, remote frames, no data.
     pub foreign: u16,
     /// CAN frames that belonged to no intact message.
@@ -78,7 +78,7 @@ pub struct Reassembler<const FRAMES: usize> {
     /// When the last of them came.
     heard_at: Instant,
     half_message_ms: u32,
-    counters: Counters,
+    counters: ReassemblerCounters,
 }
 
 /// What the held frames are, from one of them on.
@@ -106,7 +106,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
             id,
             heard_at: Instant::from_millis(0),
             half_message_ms,
-            counters: Counters {
+            counters: ReassemblerCounters {
                 foreign: 0,
                 dropped: 0,
                 miscut: 0,
@@ -119,7 +119,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
 
     /// What has been refused so far.
     #[must_use]
-    pub const fn counters(&self) -> Counters {
+    pub const fn counters(&self) -> ReassemblerCounters {
         self.counters
     }
 

@@ -9,7 +9,7 @@ pub use gcl::GclGripper;
 use super::engine::{Awaited, Copied, Engine, Goal};
 use super::methods::methods;
 use super::{
-    Binary, Config, Counters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult, OnBlock,
+    Binary, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult, OnBlock,
     Pending, Protocol, Timer, Update,
 };
 use crate::command::{Command, CommandId};

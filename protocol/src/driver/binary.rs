@@ -59,11 +59,11 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         self.session.known()
     }
 
-    fn line_counters(&self) -> frame::Counters {
+    fn line_counters(&self) -> frame::FrameCounters {
         self.parser.counters()
     }
 
-    fn session_counters(&self) -> session::Counters {
+    fn session_counters(&self) -> session::SessionCounters {
         self.session.counters()
     }
 

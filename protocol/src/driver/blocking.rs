@@ -9,7 +9,7 @@ pub use gcl::GclGripper;
 use super::engine::{Awaited, Copied, Engine, Goal};
 use super::methods::methods;
 use super::{
-    Binary, Clock, Config, Counters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult,
+    Binary, Clock, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult,
     OnBlock, Pending, Protocol, Update,
 };
 use crate::command::{Command, CommandId};

@@ -2,7 +2,7 @@
 
 use super::link::Protocol;
 use super::motion::{Motion, Verdict};
-use super::{Config, Counters, Error, UPDATES_LEN, Update};
+use super::{Config, DriverCounters, Error, UPDATES_LEN, Update};
 use crate::command::{Command, CommandId, Kind};
 use crate::frame::Payload;
 use crate::reply::Reply;
@@ -121,8 +121,8 @@ impl<P: Protocol> Engine<P> {
         &self.config
     }
 
-    pub(super) fn counters(&self) -> Counters {
-        Counters {
+    pub(super) fn counters(&self) -> DriverCounters {
+        DriverCounters {
             line: self.link.line_counters(),
             session: self.link.session_counters(),
             updates_lost: self.updates_lost,

@@ -155,12 +155,12 @@ impl<const RX: usize> Link for Gcl<RX> {
         &self.known
     }
 
-    fn line_counters(&self) -> frame::Counters {
+    fn line_counters(&self) -> frame::FrameCounters {
         let lines = self.reader.counters();
-        frame::Counters { dropped: lines.dropped, bad_checksum: 0, oversize: lines.too_long }
+        frame::FrameCounters { dropped: lines.dropped, bad_checksum: 0, oversize: lines.too_long }
     }
 
-    fn session_counters(&self) -> session::Counters {
+    fn session_counters(&self) -> session::SessionCounters {
         self.session.counters()
     }
 

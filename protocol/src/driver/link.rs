@@ -45,10 +45,10 @@ pub trait Link: core::fmt::Debug {
     fn known(&self) -> &Known;
 
     /// What could not be used on the line.
-    fn line_counters(&self) -> frame::Counters;
+    fn line_counters(&self) -> frame::FrameCounters;
 
     /// What could not be used of messages.
-    fn session_counters(&self) -> session::Counters;
+    fn session_counters(&self) -> session::SessionCounters;
 
     /// As [`session::Session::subscribe`].
     fn subscribe(&mut self, topic: Topic, update: AutoUpdate);

@@ -31,7 +31,7 @@ macro_rules! methods {
 
         /// What could not be used so far.
         #[must_use]
-        pub fn counters(&self) -> Counters {
+        pub fn counters(&self) -> DriverCounters {
             self.engine.counters()
         }
 

@@ -42,7 +42,7 @@ pub enum Event<'a> {
 /// What a parser has refused so far; each count stops at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Counters {
+pub struct FrameCounters {
     /// Bytes that belonged to no intact frame.
     pub dropped: u16,
     /// Frames with a wrong checksum.
@@ -79,7 +79,7 @@ pub struct FrameParser<const N: usize> {
     held: u16,
     /// The running checksum; while draining, the index of the held byte to scan next.
     checksum_or_next: u16,
-    counters: Counters,
+    counters: FrameCounters,
     /// Preamble bytes seen (0 to 3), and the switches.
     flags: u8,
     /// Held bytes, without the preamble: those of the frame being received, from its id on; or, while draining, those
@@ -112,7 +112,7 @@ impl<const N: usize> FrameParser<N> {
         Self {
             held: 0,
             checksum_or_next: 0,
-            counters: Counters { dropped: 0, bad_checksum: 0, oversize: 0 },
+            counters: FrameCounters { dropped: 0, bad_checksum: 0, oversize: 0 },
             flags: 0,
             store: Store { head: [0; HEAD_LEN], body: [0; N], tail: [0; TAIL_LEN] },
         }
@@ -129,7 +129,7 @@ impl<const N: usize> FrameParser<N> {
 
     /// What has been refused so far.
     #[must_use]
-    pub const fn counters(&self) -> Counters {
+    pub const fn counters(&self) -> FrameCounters {
         self.counters
     }
 

@@ -39,7 +39,7 @@ mod config;
 mod known;
 mod subscriptions;
 
-pub use crate::session::{Counters, QUEUE_LEN};
+pub use crate::session::{QUEUE_LEN, SessionCounters};
 pub use config::Config;
 pub use known::Known;
 

@@ -2,7 +2,7 @@
 
 use super::config::Timing;
 use super::dialect::{Dialect, NameOf, Role};
-use super::event::{Counters, EventOf, RequestError};
+use super::event::{EventOf, RequestError, SessionCounters};
 use super::fast_stop::FastStop;
 use super::message::{Message, Name};
 use super::subscriptions::List;
@@ -83,7 +83,7 @@ pub struct Engine<D: Dialect> {
     refresh_step: u8,
     subscriptions: D::Subscriptions,
     known: D::Known,
-    counters: Counters,
+    counters: SessionCounters,
 }
 
 /// The requests that will be withdrawn because something more urgent overtook them.
@@ -127,7 +127,7 @@ impl<D: Dialect> Engine<D> {
             refresh_step: 0,
             subscriptions,
             known: D::NOTHING,
-            counters: Counters { unsolicited: 0, refused: 0, repeated: 0, disconnects: 0 },
+            counters: SessionCounters { unsolicited: 0, refused: 0, repeated: 0, disconnects: 0 },
         }
     }
 
@@ -157,7 +157,7 @@ impl<D: Dialect> Engine<D> {
 
     /// What could not be used so far.
     #[must_use]
-    pub const fn counters(&self) -> Counters {
+    pub const fn counters(&self) -> SessionCounters {
         self.counters
     }
 

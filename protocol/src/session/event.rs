@@ -48,7 +48,7 @@ pub enum RequestError<E = DecodeError> {
 /// What the session has seen that it could not use; each count stops at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Counters {
+pub struct SessionCounters {
     /// Answers that were not asked for, or came too late.
     pub unsolicited: u16,
     /// Messages whose content the manual forbids.
@@ -60,6 +60,6 @@ pub struct Counters {
 }
 
 /// Adds nothing: sessions that differ in their counts alone behave alike.
-impl Hash for Counters {
+impl Hash for SessionCounters {
     fn hash<H: Hasher>(&self, _: &mut H) {}
 }

@@ -3,7 +3,7 @@
 use std::convert::Infallible;
 
 use wsg_protocol::driver::{
-    self, Counters, Finger, Grip, MotionResult, OnBlock, Pending, Protocol, Update, asynch, blocking,
+    self, DriverCounters, Finger, Grip, MotionResult, OnBlock, Pending, Protocol, Update, asynch, blocking,
 };
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
@@ -140,7 +140,7 @@ macro_rules! calls {
             fn known(&self) -> Known;
             fn motion(&self) -> Option<CommandId>;
             fn fast_stop_pending(&self) -> bool;
-            fn counters(&self) -> Counters;
+            fn counters(&self) -> DriverCounters;
             fn subscribe(&mut self, topic: Topic, update: AutoUpdate);
             /// Goes on with another connection to the same gripper.
             fn take_new_line(&mut self);
@@ -195,7 +195,7 @@ macro_rules! calls {
             self.gripper.fast_stop_pending()
         }
 
-        fn counters(&self) -> Counters {
+        fn counters(&self) -> DriverCounters {
             self.gripper.counters()
         }
 

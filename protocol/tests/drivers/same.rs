@@ -1,6 +1,6 @@
 //! What is the same over both protocols and in both drivers.
 
-use wsg_protocol::driver::{Counters, Finger, Grip, OnBlock, Update};
+use wsg_protocol::driver::{DriverCounters, Finger, Grip, OnBlock, Update};
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
     AutoUpdate, CommandId, DecodeError, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
@@ -327,7 +327,7 @@ fn garbage_is_counted_and_nothing_else<C: Client>() {
     client.bench().inject(C::Speech::GARBAGE);
     assert_eq!(client.poll(&motion), Ok(None));
     let after = client.counters();
-    let sum = |counters: Counters| {
+    let sum = |counters: DriverCounters| {
         counters.line.dropped
             + counters.line.bad_checksum
             + counters.session.refused

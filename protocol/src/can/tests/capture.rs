@@ -95,6 +95,6 @@ proptest! {
 
         prop_assert_eq!(frames, messages.iter().flat_map(Message::frames).collect::<Vec<_>>());
         prop_assert_eq!(wire.messages(), messages);
-        prop_assert_eq!(wire.reassembler.counters(), Counters::default());
+        prop_assert_eq!(wire.reassembler.counters(), ReassemblerCounters::default());
     }
 }

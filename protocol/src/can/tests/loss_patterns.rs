@@ -169,7 +169,10 @@ fn traffic_of_the_other_direction_changes_nothing_in_whatever_order_it_lies_betw
         let mut wire = Wire::<4>::new();
         wire.receive(merged);
         assert_eq!(wire.messages(), script);
-        assert_eq!(wire.reassembler.counters(), Counters { foreign: 4, ..Counters::default() });
+        assert_eq!(
+            wire.reassembler.counters(),
+            ReassemblerCounters { foreign: 4, ..ReassemblerCounters::default() }
+        );
         orders += 1;
     });
     assert_eq!(orders, 210, "ten frames, four of them of the other direction");

@@ -61,7 +61,10 @@ fn half_a_message_is_given_up_when_its_time_is_over_and_what_it_held_back_is_del
     wire.pass(1);
     assert_eq!(wire.messages(), [stop]);
     assert_eq!(wire.reassembler.poll_timeout(), None);
-    assert_eq!(wire.reassembler.counters(), Counters { expired: 1, dropped: 1, ..Counters::default() });
+    assert_eq!(
+        wire.reassembler.counters(),
+        ReassemblerCounters { expired: 1, dropped: 1, ..ReassemblerCounters::default() }
+    );
 }
 
 #[test]
@@ -126,7 +129,10 @@ fn right_bytes_in_a_wrong_cut_are_no_message() {
     let mut wire = Wire::<4>::new();
     wire.receive(&[CanFrame::ours(&long[..8]), CanFrame::ours(&long[8..12]), CanFrame::ours(&long[12..])]);
     assert_eq!(wire.seen, []);
-    assert_eq!(wire.reassembler.counters(), Counters { miscut: 1, dropped: 3, ..Counters::default() });
+    assert_eq!(
+        wire.reassembler.counters(),
+        ReassemblerCounters { miscut: 1, dropped: 3, ..ReassemblerCounters::default() }
+    );
 }
 
 #[test]
@@ -145,7 +151,10 @@ fn frame_with_more_data_than_classic_can_has_is_foreign() {
     let mut wire = Wire::<4>::new();
     wire.receive(&[CanFrame::ours(&grip().bytes())]);
     assert_eq!(wire.seen, []);
-    assert_eq!(wire.reassembler.counters(), Counters { foreign: 1, ..Counters::default() });
+    assert_eq!(
+        wire.reassembler.counters(),
+        ReassemblerCounters { foreign: 1, ..ReassemblerCounters::default() }
+    );
 }
 
 #[test]

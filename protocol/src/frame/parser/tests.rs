@@ -287,7 +287,7 @@ fn reset_state_is_all_zero_so_a_static_parser_lies_in_bss() {
     let Store { head, body, tail } = parser.store;
     assert_eq!((head, body, tail), ([0; 3], [0; 16], [0; 2]));
     assert_eq!((parser.flags, parser.held, parser.checksum_or_next), (0, 0, 0));
-    assert_eq!(parser.counters, Counters::default());
+    assert_eq!(parser.counters, FrameCounters::default());
 }
 
 #[test]

@@ -5,7 +5,8 @@ use crate::can::{BusCounters, BusState, Health, LinkCounters};
 
 #[test]
 fn each_entry_about_the_bus_has_a_value_of_its_own() {
-    let frames = wsg_protocol::can::Counters { dropped: 9, miscut: 10, expired: 11, ..Default::default() };
+    let frames =
+        wsg_protocol::can::ReassemblerCounters { dropped: 9, miscut: 10, expired: 11, ..Default::default() };
     let report = BusReport {
         state: BusState::Recovering,
         health: Health { is_off: true, is_passive: true, transmit_errors: 4, receive_errors: 5 },
