@@ -111,6 +111,7 @@ fn known(device: &Device) -> Known {
         flags: Some(device.flags()),
         state: Some(device.state()),
         width: Some(device.reported_width()),
+        speed: Some(device.speed() as f32),
         force: Some(device.reported_force()),
     }
 }

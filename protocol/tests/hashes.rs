@@ -82,6 +82,7 @@ fn known_values_differ_by_each() {
         Known { flags: Some(SystemFlags::empty()), ..nothing },
         Known { flags: Some(SystemFlags::MOVING), ..nothing },
         Known { width: Some(1.0), ..nothing },
+        Known { speed: Some(1.0), ..nothing },
         Known { force: Some(1.0), ..nothing },
     ]));
 }

@@ -10,8 +10,8 @@ macro_rules! methods {
             self.engine.link().is_connected()
         }
 
-        /// What is known of the gripper, as of the last call: its limits and states, and width and force if they are
-        /// subscribed to. Nothing without a connection.
+        /// What is known of the gripper, as of the last call: its limits and states, and the latest width, speed and
+        /// force that it told, if any. Nothing without a connection.
         #[must_use]
         pub fn known(&self) -> &Known {
             self.engine.link().known()

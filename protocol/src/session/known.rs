@@ -19,21 +19,24 @@ pub struct Known {
     pub state: Option<GripperState>,
     /// Opening width in mm.
     pub width: Option<f32>,
+    /// Finger speed in mm/s.
+    pub speed: Option<f32>,
     /// Gripping force in N, summed over both fingers.
     pub force: Option<f32>,
 }
 
 impl Hash for Known {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        let Self { info, limits, flags, state: gripper, width, force } = self;
-        (info, limits, flags, gripper, width.map(f32::to_bits), force.map(f32::to_bits)).hash(state);
+        let Self { info, limits, flags, state: gripper, width, speed, force } = self;
+        let measured = [width, speed, force].map(|value| value.map(f32::to_bits));
+        (info, limits, flags, gripper, measured).hash(state);
     }
 }
 
 impl Known {
     /// Nothing is known.
     pub const NOTHING: Self =
-        Self { info: None, limits: None, flags: None, state: None, width: None, force: None };
+        Self { info: None, limits: None, flags: None, state: None, width: None, speed: None, force: None };
 
     /// Whether the gripper reports that the fingers move.
     #[must_use]
@@ -56,6 +59,7 @@ impl Known {
             Value::GetSystemInfo(info) => self.info = Some(info),
             Value::GetSystemLimits(limits) => self.limits = Some(limits),
             Value::GetOpeningWidth(width) => self.width = Some(width),
+            Value::GetSpeed(speed) => self.speed = Some(speed),
             Value::GetForce(force) => self.force = Some(force),
             _ => {}
         }

@@ -1120,6 +1120,7 @@ fn everything_that_the_gripper_tells_of_itself_is_known() {
     rig.reply(Reply::success(Value::GetGripperState(GripperState::Releasing)));
     assert!(rig.session.known().is_moving(), "by its state");
     rig.reply(Reply::success(Value::GetOpeningWidth(12.5)));
+    rig.reply(Reply::success(Value::GetSpeed(-40.5)));
     rig.reply(Reply::success(Value::GetForce(3.5)));
     let known = Known {
         info: Some(INFO),
@@ -1127,6 +1128,7 @@ fn everything_that_the_gripper_tells_of_itself_is_known() {
         flags: Some(SystemFlags::REFERENCED),
         state: Some(GripperState::Releasing),
         width: Some(12.5),
+        speed: Some(-40.5),
         force: Some(3.5),
     };
     assert_eq!(rig.session.known(), &known);

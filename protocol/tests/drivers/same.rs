@@ -57,6 +57,7 @@ for_all! {
     fn garbage_is_counted_and_nothing_else;
     fn number_that_is_none_is_refused_before_anything_is_sent;
     fn updates_come_while_the_fingers_travel;
+    fn latest_speed_is_known_while_it_is_subscribed_to;
     fn fingers_tell_what_they_are;
     fn message_is_one_write;
     fn nothing_is_sent_without_a_connection;
@@ -377,6 +378,22 @@ fn updates_come_while_the_fingers_travel<C: Client>() {
         came.push(update);
     }
     assert!(!came.iter().any(|update| matches!(update, Update::Width(_))), "{came:?}");
+}
+
+fn latest_speed_is_known_while_it_is_subscribed_to<C: Client>() {
+    let mut client = C::homed(Config::default());
+    assert_eq!(client.known().speed, None, "nothing asked for it");
+    client.subscribe(Topic::Speed, AutoUpdate::every(10));
+    let motion = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+    let mut fastest: f32 = 0.0;
+    while client.poll(&motion).unwrap().is_none() {
+        client.bench().pass(10);
+        fastest = fastest.max(client.known().speed.map_or(0.0, f32::abs));
+    }
+    assert_near(fastest, 100.0);
+    client.bench().pass(50);
+    while client.next_update(0).unwrap().is_some() {}
+    assert_eq!(client.known().speed, Some(0.0));
 }
 
 fn fingers_tell_what_they_are<C: Client>() {

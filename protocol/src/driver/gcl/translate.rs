@@ -266,6 +266,7 @@ pub(super) fn known(lines: &lines::Known) -> Known {
         flags: lines.flags,
         state: lines.state,
         width: lines.width,
+        speed: lines.speed,
         force: lines.force,
     }
 }

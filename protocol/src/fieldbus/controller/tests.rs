@@ -64,6 +64,7 @@ impl Plc {
             flags: Some(flags),
             state: Some(GripperState::Idle),
             width: Some(50.0),
+            speed: Some(0.0),
             force: Some(0.0),
         };
         self.controller.handle(&Event::Connected, &self.known);
