@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
-use wsg_protocol::driver::{Clock, Error, Grip, Protocol};
+use wsg_protocol::driver::{Clock, Error, Grip, MotionResult, Pending, Protocol};
 use wsg_protocol::session::Topic;
 use wsg_protocol::{AutoUpdate, HomingDirection, Status};
 
@@ -67,6 +67,31 @@ impl Write for Tcp {
     }
 }
 
+/// Shows the values that the gripper has sent, until none has come for so many milliseconds.
+fn show_updates<C: Clock, P: Protocol>(
+    gripper: &mut GripperOver<Tcp, C, P>,
+    within_ms: u32,
+) -> Result<(), Error<io::Error>> {
+    while let Some(update) = gripper.next_update(within_ms)? {
+        println!("{update:?}");
+    }
+    Ok(())
+}
+
+/// Waits for the end of a motion, and shows every value that comes meanwhile.
+fn watch<C: Clock, P: Protocol, T: MotionResult>(
+    gripper: &mut GripperOver<Tcp, C, P>,
+    motion: &Pending<T>,
+) -> Result<T, Error<io::Error>> {
+    loop {
+        let result = gripper.poll(motion)?;
+        show_updates(gripper, 0)?;
+        if let Some(result) = result {
+            return Ok(result);
+        }
+    }
+}
+
 /// The same program over either protocol.
 fn run<C: Clock, P: Protocol>(mut gripper: GripperOver<Tcp, C, P>) -> Result<(), Error<io::Error>> {
     gripper.connect()?;
@@ -84,25 +109,22 @@ fn run<C: Clock, P: Protocol>(mut gripper: GripperOver<Tcp, C, P>) -> Result<(),
 
     // A FAST STOP of an earlier client may be latched.
     gripper.acknowledge()?;
-    gripper.home(HomingDirection::Default)?;
+    let homing = gripper.begin_home(HomingDirection::Default)?;
+    watch(&mut gripper, &homing)?;
     gripper.set_force_limit(40.0)?;
 
     gripper.subscribe(Topic::Width, AutoUpdate::on_change(50));
     let grip = gripper.begin_grip(20.0, 100.0)?;
-    let result = loop {
-        if let Some(update) = gripper.next_update(100)? {
-            println!("{update:?}");
-        }
-        if let Some(result) = gripper.poll(&grip)? {
-            break result;
-        }
-    };
-    match result {
+    match watch(&mut gripper, &grip)? {
         Grip::Held => println!("a part is held, {:.2} mm wide", gripper.width()?),
         Grip::NoPart => println!("no part"),
     }
-    gripper.release(60.0, 200.0)?;
+    let release = gripper.begin_release(60.0, 200.0)?;
+    watch(&mut gripper, &release)?;
+    gripper.subscribe(Topic::Width, AutoUpdate::once());
+    show_updates(&mut gripper, 100)?;
     println!("{}", gripper.statistics(false)?);
+    println!("updates lost: {}", gripper.counters().updates_lost);
     gripper.announce_disconnect()
 }
 

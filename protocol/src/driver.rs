@@ -208,7 +208,7 @@ pub struct DriverCounters {
     pub line: frame::FrameCounters,
     /// In frames and requests.
     pub session: session::SessionCounters,
-    /// Updates that were not fetched in time.
+    /// Updates that were replaced by newer ones because `next_update` was not called often enough.
     pub updates_lost: u16,
 }
 
@@ -219,7 +219,8 @@ pub const MAX_REPLY_LEN: usize = LoopData::MAX_LEN + 2;
 /// The longest frame that a driver sends when nothing else is said: Loop with all its data.
 pub const MAX_FRAME_LEN: usize = LoopData::MAX_LEN + frame::OVERHEAD;
 
-/// How many updates are kept until they are fetched; the oldest gives way.
+/// How many updates are kept until `next_update` returns them. The oldest gives way, so that a program which falls behind
+/// sees the present; [`DriverCounters::updates_lost`] counts it.
 pub const UPDATES_LEN: usize = 8;
 
 #[cfg(all(test, feature = "embedded-io", feature = "embedded-io-async"))]

@@ -133,6 +133,10 @@ impl<IO: Read + Write, C: Timer, P: Protocol> GripperOver<IO, C, P> {
             let now = self.clock.now();
             self.engine.elapse(now, awaited);
             if self.engine.has_reached(goal, awaited) {
+                // What is due is sent also while updates keep coming, if the line takes it at once.
+                if goal == Goal::Update && self.engine.fetch(now, awaited) {
+                    self.transmit(awaited, Some(now)).await?;
+                }
                 return Ok(true);
             }
             let is_over = until.is_some_and(|until| now.has_reached(until));

@@ -51,6 +51,10 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         self.session.fast_stop_pending()
     }
 
+    fn is_urgent(&self) -> bool {
+        self.session.is_urgent()
+    }
+
     fn motion(&self) -> Option<CommandId> {
         self.session.motion()
     }

@@ -26,6 +26,8 @@ pub(super) enum Goal {
     MotionOver,
     /// An update is there.
     Update,
+    /// Every Stop and FAST STOP is confirmed, or given up.
+    NothingUrgent,
 }
 
 /// A request whose outcome a method waits for.
@@ -129,6 +131,10 @@ impl<P: Protocol> Engine<P> {
         }
     }
 
+    pub(super) fn has_update(&self) -> bool {
+        !self.updates.is_empty()
+    }
+
     pub(super) fn take_update(&mut self) -> Option<Update> {
         self.updates.pop_front()
     }
@@ -207,7 +213,8 @@ impl<P: Protocol> Engine<P> {
             Goal::Answered => awaited.verdict.is_some(),
             Goal::MotionDecided => self.motion.is_decided(),
             Goal::MotionOver => self.motion.is_over(),
-            Goal::Update => !self.updates.is_empty(),
+            Goal::Update => self.has_update(),
+            Goal::NothingUrgent => !self.link.is_urgent(),
         }
     }
 

@@ -147,6 +147,10 @@ impl<const RX: usize> Link for Gcl<RX> {
         self.session.fast_stop_pending()
     }
 
+    fn is_urgent(&self) -> bool {
+        self.session.is_urgent()
+    }
+
     fn motion(&self) -> Option<CommandId> {
         self.session.motion().and_then(|name| self.terms.id(name))
     }

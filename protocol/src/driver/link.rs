@@ -38,6 +38,9 @@ pub trait Link: core::fmt::Debug {
     /// Whether a FAST STOP is not confirmed yet.
     fn fast_stop_pending(&self) -> bool;
 
+    /// Whether a Stop or FAST STOP is on its way.
+    fn is_urgent(&self) -> bool;
+
     /// The motion that is running.
     fn motion(&self) -> Option<CommandId>;
 

@@ -60,14 +60,23 @@ macro_rules! methods {
         /// The next value that the gripper sent by itself, or that was asked for again in its turn; `None` when there is
         /// none within so many milliseconds. With 0 it takes what is there, which keeps the connection alive.
         ///
-        /// The last [`UPDATES_LEN`](super::UPDATES_LEN) values are kept while other methods are called.
+        /// Every method that hears the gripper keeps such values: the newest [`UPDATES_LEN`](super::UPDATES_LEN). This
+        /// one returns those first, without a look at the transport, and hears the gripper when there is none left. To
+        /// see all values, call it until it returns `None` whenever another method has returned;
+        /// [`updates_lost`](super::DriverCounters::updates_lost) counts those that newer ones have replaced.
         ///
         /// # Errors
         /// Those of the transport.
         pub $($async)? fn next_update(&mut self, within_ms: u32) -> Result<Option<Update>, Error<IO::Error>> {
             self.engine.clear_up();
-            let until = self.clock.now().plus(within_ms);
-            self.drive(&mut Awaited::nothing(&mut |_| {}), Goal::Update, Some(until)) $($await)* ?;
+            let now = self.clock.now();
+            let nothing = &mut |_: &Reply<'_>| {};
+            if !self.engine.has_update() {
+                let until = now.plus(within_ms);
+                self.drive(&mut Awaited::nothing(nothing), Goal::Update, Some(until)) $($await)* ?;
+            } else if self.engine.link().is_urgent() {
+                self.drive(&mut Awaited::nothing(nothing), Goal::NothingUrgent, Some(now)) $($await)* ?;
+            }
             Ok(self.engine.take_update())
         }
 

@@ -3,6 +3,7 @@
 mod cancelled;
 mod framing;
 mod rig;
+mod updates;
 mod waking;
 
 use super::*;

@@ -359,7 +359,7 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Whether a Stop or FAST STOP is on its way.
-    const fn is_urgent(&self) -> bool {
+    pub(crate) const fn is_urgent(&self) -> bool {
         !self.fast_stop.is_idle() || !self.stop.is_idle()
     }
 

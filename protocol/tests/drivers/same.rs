@@ -1,6 +1,6 @@
 //! What is the same over both protocols and in both drivers.
 
-use wsg_protocol::driver::{DriverCounters, Finger, Grip, OnBlock, Update};
+use wsg_protocol::driver::{DriverCounters, Finger, Grip, OnBlock, UPDATES_LEN, Update};
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
     AutoUpdate, CommandId, DecodeError, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
@@ -57,6 +57,7 @@ for_all! {
     fn garbage_is_counted_and_nothing_else;
     fn number_that_is_none_is_refused_before_anything_is_sent;
     fn updates_come_while_the_fingers_travel;
+    fn every_value_is_returned_or_counted_as_lost;
     fn latest_speed_is_known_while_it_is_subscribed_to;
     fn fingers_tell_what_they_are;
     fn message_is_one_write;
@@ -369,7 +370,7 @@ fn updates_come_while_the_fingers_travel<C: Client>() {
     assert_near(client.known().width.unwrap(), 10.0);
 
     client.subscribe(Topic::Width, AutoUpdate::once());
-    client.next_update(0).unwrap();
+    while client.next_update(0).unwrap().is_some() {}
     client.bench().pass(100);
     while client.next_update(0).unwrap().is_some() {}
     client.bench().pass(500);
@@ -378,6 +379,25 @@ fn updates_come_while_the_fingers_travel<C: Client>() {
         came.push(update);
     }
     assert!(!came.iter().any(|update| matches!(update, Update::Width(_))), "{came:?}");
+}
+
+fn every_value_is_returned_or_counted_as_lost<C: Client>() {
+    let mut client = C::homed(Config::default());
+    client.subscribe(Topic::Width, AutoUpdate::every(10));
+    while !matches!(client.next_update(50), Ok(Some(Update::Width(_)))) {}
+    while client.next_update(0).unwrap().is_some() {}
+    let lost_before = client.counters().updates_lost;
+    client.bench().pass(1_000);
+    client.tare().unwrap_err();
+
+    let begun = client.bench().millis();
+    for _ in 0..UPDATES_LEN {
+        assert!(client.next_update(50).unwrap().is_some());
+    }
+    assert_eq!(client.bench().millis(), begun, "what is kept costs no time");
+    let lost = usize::from(client.counters().updates_lost - lost_before);
+    let returned = UPDATES_LEN;
+    assert!((100..=110).contains(&(returned + lost)), "one every 10 ms, and some states: {lost} lost");
 }
 
 fn latest_speed_is_known_while_it_is_subscribed_to<C: Client>() {
@@ -461,7 +481,7 @@ fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_b
         client.bench().world(|world| world.room = room);
         assert!(client.move_to(10.0, 400.0, OnBlock::Stop).is_err());
         client.bench().pass(1_000);
-        let _ = client.next_update(0);
+        while let Ok(Some(_)) = client.next_update(0) {}
         assert!(!client.is_connected(), "{room}");
         client.bench().world(|world| world.room = usize::MAX);
         client.connect().unwrap();

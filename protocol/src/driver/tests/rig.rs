@@ -237,7 +237,7 @@ impl World {
         self.coming.clear();
     }
 
-    fn is_due(&self) -> bool {
+    pub(super) fn is_due(&self) -> bool {
         self.closed || self.noise || self.coming.iter().any(|(at, _)| self.now.has_reached(*at))
     }
 
