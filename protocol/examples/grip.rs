@@ -92,9 +92,8 @@ fn watch<C: Clock, P: Protocol, T: MotionResult>(
     }
 }
 
-/// The same program over either protocol.
-fn run<C: Clock, P: Protocol>(mut gripper: GripperOver<Tcp, C, P>) -> Result<(), Error<io::Error>> {
-    gripper.connect()?;
+/// The same program over either protocol. It may leave by `?`: the connection is closed properly.
+fn run<C: Clock, P: Protocol>(gripper: &mut GripperOver<Tcp, C, P>) -> Result<(), Error<io::Error>> {
     println!("{}", gripper.system_info()?);
     match gripper.limits() {
         Ok(limits) => println!("{limits}"),
@@ -110,22 +109,22 @@ fn run<C: Clock, P: Protocol>(mut gripper: GripperOver<Tcp, C, P>) -> Result<(),
     // A FAST STOP of an earlier client may be latched.
     gripper.acknowledge()?;
     let homing = gripper.begin_home(HomingDirection::Default)?;
-    watch(&mut gripper, &homing)?;
+    watch(gripper, &homing)?;
     gripper.set_force_limit(40.0)?;
 
     gripper.subscribe(Topic::Width, AutoUpdate::on_change(50));
     let grip = gripper.begin_grip(20.0, 100.0)?;
-    match watch(&mut gripper, &grip)? {
+    match watch(gripper, &grip)? {
         Grip::Held => println!("a part is held, {:.2} mm wide", gripper.width()?),
         Grip::NoPart => println!("no part"),
     }
     let release = gripper.begin_release(60.0, 200.0)?;
-    watch(&mut gripper, &release)?;
+    watch(gripper, &release)?;
     gripper.subscribe(Topic::Width, AutoUpdate::once());
-    show_updates(&mut gripper, 100)?;
+    show_updates(gripper, 100)?;
     println!("{}", gripper.statistics(false)?);
     println!("updates lost: {}", gripper.counters().updates_lost);
-    gripper.announce_disconnect()
+    Ok(())
 }
 
 const USAGE: &str = "grip [--protocol binary|gcl] [ADDRESS:PORT]";
@@ -145,8 +144,8 @@ fn start() -> Result<(), String> {
     // The clock may wrap, so its low 32 bits will do.
     let clock = move || wsg_protocol::Instant::from_millis(start.elapsed().as_millis() as u32);
     match protocol.as_str() {
-        "binary" => run(Gripper::new(line, clock)),
-        "gcl" => run(GclGripper::new(line, clock)),
+        "binary" => Gripper::new(line, clock).with_connection(run),
+        "gcl" => GclGripper::new(line, clock).with_connection(run),
         other => return Err(format!("no protocol {other}: {USAGE}")),
     }
     .map_err(|error| error.to_string())

@@ -52,9 +52,8 @@ async fn connect(address: SocketAddr) -> io::Result<Tcp> {
     Ok(FromFutures::new(stream))
 }
 
-/// The same program over either protocol.
-async fn run<P: Protocol>(mut gripper: GripperOver<Tcp, EmbassyTimer, P>) -> Result<(), Error<io::Error>> {
-    gripper.connect().await?;
+/// The same program over either protocol. It may leave by `?`: the connection is closed properly.
+async fn run<P: Protocol>(gripper: &mut GripperOver<Tcp, EmbassyTimer, P>) -> Result<(), Error<io::Error>> {
     println!("{}", gripper.system_info().await?);
     gripper.acknowledge().await?;
     gripper.home(HomingDirection::Default).await?;
@@ -73,8 +72,7 @@ async fn run<P: Protocol>(mut gripper: GripperOver<Tcp, EmbassyTimer, P>) -> Res
         Grip::Held => println!("a part is held, {:.2} mm wide", gripper.width().await?),
         Grip::NoPart => println!("no part"),
     }
-    gripper.release(60.0, 200.0).await?;
-    gripper.announce_disconnect().await
+    gripper.release(60.0, 200.0).await
 }
 
 const USAGE: &str = "grip_async [--protocol binary|gcl] [ADDRESS:PORT]";
@@ -93,8 +91,8 @@ async fn start() -> Result<(), String> {
     let socket = address.parse().map_err(|error| about_address(&error))?;
     let line = connect(socket).await.map_err(|error| about_address(&error))?;
     match protocol.as_str() {
-        "binary" => run(Gripper::new(line, EmbassyTimer)).await,
-        "gcl" => run(GclGripper::new(line, EmbassyTimer)).await,
+        "binary" => Gripper::new(line, EmbassyTimer).with_connection(run).await,
+        "gcl" => GclGripper::new(line, EmbassyTimer).with_connection(run).await,
         other => return Err(format!("no protocol {other}: {USAGE}")),
     }
     .map_err(|error| error.to_string())

@@ -26,6 +26,8 @@
 //! - **Nothing leaves late.** What a dropped future (or a call that failed half way) had asked for and was not sent is
 //!   taken back; what was sent is awaited before the next request, so that no answer is taken for another's. Only Stop
 //!   and FAST STOP leave in any case.
+//! - **A proper end.** `with_connection` runs a program that may leave by `?`, and announces the end of the connection, so
+//!   that a gripper on TCP does not enter FAST STOP.
 //!
 //! Nothing runs by itself: a gripper is heard while one of the methods is called. A program that has nothing to ask calls
 //! `next_update` now and then, several times a second if the transport has a small buffer.

@@ -48,14 +48,16 @@ const MAX_CHUNKS: usize = 64;
 /// /// Takes a part of 20 mm and says how wide the fingers are open meanwhile.
 /// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<Grip, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
-///     gripper.connect().await?;
-///     let grip = gripper.begin_grip(20.0, 100.0).await?;
-///     loop {
-///         println!("{:.1} mm", gripper.width().await?);
-///         if let Some(result) = gripper.poll(&grip).await? {
-///             return Ok(result);
+///     let program = async |gripper: &mut Gripper<_, _>| {
+///         let grip = gripper.begin_grip(20.0, 100.0).await?;
+///         loop {
+///             println!("{:.1} mm", gripper.width().await?);
+///             if let Some(result) = gripper.poll(&grip).await? {
+///                 return Ok(result);
+///             }
 ///         }
-///     }
+///     };
+///     gripper.with_connection(program).await
 /// }
 /// ```
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
@@ -119,7 +121,7 @@ async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>) {
 }
 
 impl<IO: Read + Write, C: Timer, P: Protocol> GripperOver<IO, C, P> {
-    methods!([async] [.await]);
+    methods!([async] [.await] AsyncFnOnce);
 
     /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
     async fn drive(

@@ -44,11 +44,11 @@ const MAX_CHUNKS: usize = 64;
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// fn pick<IO: Read + ReadReady + Write>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
-///     let mut gripper = Gripper::new(io, clock);
-///     gripper.connect()?;
-///     gripper.home(HomingDirection::Default)?;
-///     gripper.set_force_limit(40.0)?;
-///     Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
+///     Gripper::new(io, clock).with_connection(|gripper| {
+///         gripper.home(HomingDirection::Default)?;
+///         gripper.set_force_limit(40.0)?;
+///         Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
+///     })
 /// }
 /// ```
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
@@ -86,7 +86,7 @@ impl<IO, C, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>>
 }
 
 impl<IO: Read + ReadReady + Write, C: Clock, P: Protocol> GripperOver<IO, C, P> {
-    methods!([] []);
+    methods!([] [] FnOnce);
 
     /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
     fn drive(

@@ -29,8 +29,12 @@ pub enum Error<E> {
         /// The bytes that there should be room for.
         needed: usize,
     },
-    /// The gripper's: it refused the command. E_ACCESS_DENIED: in FAST STOP; E_NOT_INITIALIZED: not referenced;
-    /// E_CMD_UNKNOWN: an id that nothing serves.
+    /// The gripper's: it refused the command. E_NOT_INITIALIZED: not referenced; E_CMD_UNKNOWN: an id that nothing
+    /// serves.
+    ///
+    /// E_ACCESS_DENIED: mostly in FAST STOP, until `acknowledge`. A TCP connection that ended without Disconnect
+    /// Announcement leaves the gripper there, so the next program meets it: `with_connection` announces in any case.
+    /// `tare` is denied while a part is held, and everything after a Disconnect Announcement.
     Refused(Status),
     /// The gripper's: something was in the way of the fingers (E_AXIS_BLOCKED).
     Blocked,
@@ -122,6 +126,10 @@ impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
             Self::NotInGcl => f.write_str("the text protocol (GCL) cannot say this"),
             Self::NoForceLimit => f.write_str("no force limit is set, and a grip over GCL states one"),
             Self::TooLong { needed } => write!(f, "no room for {needed} bytes"),
+            Self::Refused(Status::AccessDenied) => f.write_str(
+                "refused: E_ACCESS_DENIED; the gripper is probably in FAST STOP, as after a TCP connection that ended \
+                 without Disconnect Announcement: make sure that the fingers may move, then call `acknowledge`",
+            ),
             Self::Refused(status) => write!(f, "refused: {status}"),
             Self::Blocked => f.write_str("the fingers are blocked"),
             Self::Aborted => f.write_str("the motion was aborted"),

@@ -1,9 +1,9 @@
 //! The methods of a gripper, written once for both drivers.
 
-/// The methods; `$async` and `$await` are empty for the blocking driver. What differs is `drive`, which each has for
-/// itself: it moves bytes and time until a goal is reached, or a moment.
+/// The methods; `$async` and `$await` are empty for the blocking driver, and `$FnOnce` is what it runs. What differs is
+/// `drive`, which each has for itself: it moves bytes and time until a goal is reached, or a moment.
 macro_rules! methods {
-    ([$($async:tt)?] [$($await:tt)*]) => {
+    ([$($async:tt)?] [$($await:tt)*] $FnOnce:ident) => {
         /// Whether the gripper answered when it was last heard.
         #[must_use]
         pub fn is_connected(&self) -> bool {
@@ -96,8 +96,39 @@ macro_rules! methods {
             }
         }
 
+        /// Connects, runs a program, and announces the end of the connection however the program ends, so that it may
+        /// leave by `?` at any place. An error of the program takes precedence over one of the announcement.
+        ///
+        /// Over TCP the announcement ends a motion that still runs, and without it the gripper enters FAST STOP when
+        /// the connection closes, which it shall if the program crashes: dropping the driver announces nothing, nor
+        /// does a future that is dropped. Lines without an announcement (E_NOT_AVAILABLE) are left as they are: a
+        /// motion that was begun goes on.
+        ///
+        /// Its result is that of the program, whose errors only have to be made from [`Error`]. Where the compiler asks
+        /// for their type, name it: `|gripper| -> Result<_, MyError> { ... }`.
+        ///
+        /// # Errors
+        /// Those of [`connect`](Self::connect), the program and
+        /// [`announce_disconnect`](Self::announce_disconnect).
+        pub $($async)? fn with_connection<T, F: From<Error<IO::Error>>>(
+            &mut self,
+            program: impl $FnOnce(&mut Self) -> Result<T, F>,
+        ) -> Result<T, F> {
+            self.connect() $($await)* ?;
+            let result = program(self) $($await)*;
+            let announced = self.announce_disconnect() $($await)*;
+            let value = result?;
+            match announced {
+                // There is nothing to announce: no TCP, no connection any more, or the program has done it.
+                Ok(())
+                | Err(Error::Refused(Status::NotAvailable | Status::AccessDenied) | Error::NotConnected) => Ok(value),
+                Err(error) => Err(error.into()),
+            }
+        }
+
         /// Announces the end of a TCP connection, so that it causes no FAST STOP; ends a running motion (command set,
         /// 3.1.2). Afterwards the gripper denies everything until a new connection: see [`into_io`](Self::into_io).
+        /// [`with_connection`](Self::with_connection) does it in any case.
         ///
         /// # Errors
         /// [`Error::Refused`] with E_NOT_AVAILABLE on other lines than TCP; [`Error`].

@@ -432,7 +432,6 @@ fn closure_is_a_clock() {
 
 #[test]
 fn every_error_says_who_can_do_something_about_it_and_what_it_is() {
-    let refused = Status::AccessDenied;
     for (error, culprit, text) in [
         (Error::NotConnected, Culprit::Caller, "no connection"),
         (Error::MotionRunning, Culprit::Caller, "motion is running"),
@@ -442,7 +441,10 @@ fn every_error_says_who_can_do_something_about_it_and_what_it_is() {
         (Error::NotInGcl, Culprit::Caller, "GCL"),
         (Error::NoForceLimit, Culprit::Caller, "force limit"),
         (Error::TooLong { needed: 18 }, Culprit::Capacity, "18 bytes"),
-        (Error::Refused(refused), Culprit::Peer, "refused: "),
+        (Error::Refused(Status::RangeError), Culprit::Peer, "refused: E_RANGE_ERROR"),
+        (Error::Refused(Status::AccessDenied), Culprit::Peer, "refused: E_ACCESS_DENIED"),
+        (Error::Refused(Status::AccessDenied), Culprit::Peer, "FAST STOP"),
+        (Error::Refused(Status::AccessDenied), Culprit::Peer, "`acknowledge`"),
         (Error::Blocked, Culprit::Peer, "blocked"),
         (Error::Aborted, Culprit::Peer, "aborted"),
         (Error::Failed(Status::Timeout), Culprit::Peer, "failed: "),

@@ -17,6 +17,21 @@ use crate::bench::Bench;
 pub(crate) type Error = driver::Error<Infallible>;
 type Result<T> = std::result::Result<T, Error>;
 
+/// What a program fails with: a driver's error, or its own.
+#[derive(Debug, PartialEq)]
+pub(crate) enum ProgramError {
+    Driver(Error),
+    Own,
+}
+
+impl From<Error> for ProgramError {
+    fn from(error: Error) -> Self {
+        Self::Driver(error)
+    }
+}
+
+pub(crate) type Outcome = std::result::Result<u8, ProgramError>;
+
 /// A protocol, and how its drivers are made.
 pub(crate) trait Speech {
     type Protocol: Protocol;
@@ -136,6 +151,8 @@ macro_rules! calls {
             $(fn $name $(<$T: $bound>)? (&mut self, $($arg: $type),*) -> Result<$result>;)*
             fn tag(&mut self) -> Result<String>;
             fn finger_data(&mut self, finger: Finger) -> Result<Vec<u8>>;
+            /// Has `with_connection` run a program that begins a slow motion and ends while it runs, with this.
+            fn with_connection(&mut self, end: impl FnOnce() -> Outcome) -> Outcome;
             fn is_connected(&self) -> bool;
             fn known(&self) -> Known;
             fn motion(&self) -> Option<CommandId>;
@@ -159,6 +176,14 @@ macro_rules! calls {
                 self.gripper.finger_data(finger, &mut [0; 16]).map(<[u8]>::to_vec)
             }
 
+            fn with_connection(&mut self, end: impl FnOnce() -> Outcome) -> Outcome {
+                self.gripper.with_connection(|gripper| {
+                    gripper.home(HomingDirection::Default)?;
+                    let _ = gripper.begin_move_to(10.0, 20.0, OnBlock::Stop)?;
+                    end()
+                })
+            }
+
             calls!(@at_once);
         }
 
@@ -173,6 +198,14 @@ macro_rules! calls {
 
             fn finger_data(&mut self, finger: Finger) -> Result<Vec<u8>> {
                 self.bench.run(self.gripper.finger_data(finger, &mut [0; 16])).map(<[u8]>::to_vec)
+            }
+
+            fn with_connection(&mut self, end: impl FnOnce() -> Outcome) -> Outcome {
+                self.bench.run(self.gripper.with_connection(async |gripper| {
+                    gripper.home(HomingDirection::Default).await?;
+                    let _ = gripper.begin_move_to(10.0, 20.0, OnBlock::Stop).await?;
+                    end()
+                }))
             }
 
             calls!(@at_once);

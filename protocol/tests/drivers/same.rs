@@ -6,9 +6,10 @@ use wsg_protocol::{
     AutoUpdate, CommandId, DecodeError, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
     HomingDirection, Status, SystemFlags,
 };
-use wsg_sim::{Config, Part, Tag};
+use wsg_sim::{Config, Part, PortKind, Tag};
 
-use crate::client::{Asynch, Blocking, Client, Error, Frames, Lines, Speech};
+use crate::bench::Bench;
+use crate::client::{Asynch, Blocking, Calls, Client, Error, Frames, Lines, ProgramError, Speech};
 
 /// A test of each body for each protocol and driver.
 macro_rules! for_all {
@@ -54,6 +55,11 @@ for_all! {
     fn silence_during_a_motion_is_unanswered;
     fn closed_connection_is_told_and_another_takes_its_place;
     fn announced_end_causes_no_fast_stop;
+    fn end_without_announcement_is_what_the_next_program_is_told_of;
+    fn program_may_leave_early_without_causing_a_fast_stop;
+    fn program_without_a_connection_is_not_run;
+    fn announcement_that_is_not_answered_is_told_unless_the_program_failed;
+    fn program_whose_line_was_closed_is_told_so;
     fn garbage_is_counted_and_nothing_else;
     fn number_that_is_none_is_refused_before_anything_is_sent;
     fn updates_come_while_the_fingers_travel;
@@ -322,6 +328,60 @@ fn announced_end_causes_no_fast_stop<C: Client>() {
     assert_eq!(client.move_to(50.0, 200.0, OnBlock::Stop), Ok(()));
 }
 
+fn end_without_announcement_is_what_the_next_program_is_told_of<C: Client>() {
+    let mut client = C::homed(Config::default());
+    client.take_new_line();
+    client.connect().unwrap();
+    let error = client.move_to(50.0, 200.0, OnBlock::Stop).unwrap_err();
+    assert_eq!(error, Error::Refused(Status::AccessDenied));
+    let text = error.to_string();
+    for words in ["FAST STOP", "ended without Disconnect Announcement", "`acknowledge`"] {
+        assert!(text.contains(words), "{text}");
+    }
+}
+
+fn program_may_leave_early_without_causing_a_fast_stop<C: Client>() {
+    for end in [|| Ok(7), || Err(ProgramError::Own), || Err(Error::Blocked.into())] {
+        let mut client = C::new(Config::default());
+        let bench = client.bench();
+        assert_eq!(client.with_connection(end), end());
+        bench.reconnect();
+        bench.pass(1_000);
+        let state = bench.world(|world| world.gripper.state());
+        assert!(!state.flags.contains(SystemFlags::FAST_STOP));
+        assert!(state.speed == 0.0 && state.width > 100.0, "the motion has ended: {state:?}");
+    }
+}
+
+fn program_without_a_connection_is_not_run<C: Client>() {
+    let mut client = C::new(Config::default());
+    client.bench().world(|world| world.mute = true);
+    let outcome = client.with_connection(|| panic!("there is no gripper"));
+    assert_eq!(outcome, Err(Error::NotConnected.into()));
+}
+
+fn announcement_that_is_not_answered_is_told_unless_the_program_failed<C: Client>() {
+    for (end, told) in [(Ok(7), Error::Unanswered.into()), (Err(ProgramError::Own), ProgramError::Own)] {
+        let mut client = C::new(Config::default());
+        let bench = client.bench();
+        let outcome = client.with_connection(|| {
+            bench.world(|world| world.mute = true);
+            end
+        });
+        assert_eq!(outcome, Err(told));
+    }
+}
+
+fn program_whose_line_was_closed_is_told_so<C: Client>() {
+    let mut client = C::new(Config::default());
+    let bench = client.bench();
+    let outcome = client.with_connection(|| {
+        bench.world(|world| world.closed = true);
+        Ok(7)
+    });
+    assert_eq!(outcome, Err(Error::Closed.into()));
+}
+
 fn garbage_is_counted_and_nothing_else<C: Client>() {
     let mut client = C::homed(Config::default());
     let motion = client.begin_move_to(50.0, 100.0, OnBlock::Stop).unwrap();
@@ -488,4 +548,28 @@ fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_b
         client.bench().pass(2_000);
         assert_near(client.width().unwrap(), 110.0);
     }
+}
+
+#[test]
+fn program_may_announce_its_end_itself() {
+    fn check<S: Speech>() {
+        let mut client = Blocking::<S>::new(Config::default());
+        let outcome: Result<(), Error> =
+            client.gripper.with_connection(|gripper| gripper.announce_disconnect());
+        assert_eq!(outcome, Ok(()));
+    }
+    check::<Frames>();
+    check::<Lines>();
+}
+
+#[test]
+fn line_without_an_announcement_is_left_as_it_is() {
+    fn check<S: Speech>(kind: PortKind) {
+        let mut client = Blocking::<S>::at(Bench::new(kind, Config::default()));
+        let outcome: Result<GripperState, Error> = client.gripper.with_connection(|gripper| gripper.state());
+        assert_eq!(outcome, Ok(GripperState::Idle));
+        assert!(client.is_connected());
+    }
+    check::<Frames>(PortKind::Serial);
+    check::<Lines>(PortKind::GclUdp);
 }

@@ -16,9 +16,11 @@ use embedded_io_async::{Read, Write};
 /// /// Takes a part of 20 mm; whether there was one.
 /// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
-///     gripper.connect().await?;
-///     gripper.set_force_limit(40.0).await?;
-///     Ok(gripper.grip(20.0, 100.0).await? == Grip::Held)
+///     let program = async |gripper: &mut Gripper<_, _>| {
+///         gripper.set_force_limit(40.0).await?;
+///         Ok(gripper.grip(20.0, 100.0).await? == Grip::Held)
+///     };
+///     gripper.with_connection(program).await
 /// }
 /// ```
 pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;

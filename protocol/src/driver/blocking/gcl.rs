@@ -16,11 +16,11 @@ use embedded_io::{Read, ReadReady, Write};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// fn pick<IO: Read + ReadReady + Write>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
-///     let mut gripper = Gripper::new(io, clock);
-///     gripper.connect()?;
-///     gripper.home(HomingDirection::Default)?;
-///     gripper.set_force_limit(40.0)?;
-///     Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
+///     Gripper::new(io, clock).with_connection(|gripper| {
+///         gripper.home(HomingDirection::Default)?;
+///         gripper.set_force_limit(40.0)?;
+///         Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
+///     })
 /// }
 /// ```
 pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;

@@ -144,6 +144,8 @@ fn future_may_be_given_to_another_thread() {
     let mut gripper = asynch::Gripper::new(Nothing, Midnight);
     is_send(&gripper.grip(20.0, 50.0));
     is_send(&gripper.set_tag("x"));
+    let program = async |gripper: &mut asynch::Gripper<_, _>| gripper.grip(20.0, 50.0).await;
+    is_send(&gripper.with_connection(program));
 }
 
 #[test]

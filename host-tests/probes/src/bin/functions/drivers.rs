@@ -42,6 +42,9 @@ impl embedded_io_async::Write for Line {
     }
 }
 
+/// Any program.
+type Program<Gripper> = fn(&mut Gripper) -> Result<Grip, Error<Infallible>>;
+
 pub(crate) fn every_function() {
     blocking();
     asynch();
@@ -90,6 +93,8 @@ fn blocking() {
         Pending<()>: id, clone;
         Grip: from_status;
     }
+    function!(OverBinary::with_connection, fn(&mut OverBinary, Program<OverBinary>) -> _);
+    function!(OverGcl::with_connection, fn(&mut OverGcl, Program<OverGcl>) -> _);
     function!(<Error<Infallible> as From<RequestError>>::from);
     function!(<Error<Infallible> as From<DecodeError>>::from);
     function!(<Error<Infallible> as From<GclRequestError>>::from);
