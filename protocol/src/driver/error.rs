@@ -142,4 +142,12 @@ impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
     }
 }
 
-impl<E: core::fmt::Debug + core::fmt::Display> core::error::Error for Error<E> {}
+/// The source of [`Transport`](Error::Transport) is the transport's own error, which the text has as well.
+impl<E: core::error::Error + 'static> core::error::Error for Error<E> {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Transport(error) => Some(error),
+            _ => None,
+        }
+    }
+}

@@ -458,3 +458,11 @@ fn every_error_says_who_can_do_something_about_it_and_what_it_is() {
         assert!(said.contains(text), "{said}");
     }
 }
+
+#[test]
+fn source_of_an_error_is_that_of_the_transport() {
+    use core::error::Error as _;
+    let error = Error::Transport(Noise);
+    assert_eq!(error.source().and_then(|source| source.downcast_ref()), Some(&Noise));
+    assert!(Error::<Noise>::Closed.source().is_none());
+}

@@ -95,6 +95,7 @@ fn blocking() {
     }
     function!(OverBinary::with_connection, fn(&mut OverBinary, Program<OverBinary>) -> _);
     function!(OverGcl::with_connection, fn(&mut OverGcl, Program<OverGcl>) -> _);
+    function!(<Error<Infallible> as core::error::Error>::source);
     function!(<Error<Infallible> as From<RequestError>>::from);
     function!(<Error<Infallible> as From<DecodeError>>::from);
     function!(<Error<Infallible> as From<GclRequestError>>::from);
