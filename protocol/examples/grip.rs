@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
-use wsg_protocol::driver::{Clock, Error, Grip, MotionResult, Pending, Protocol};
+use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, MotionResult, Pending, Protocol};
 use wsg_protocol::session::Topic;
 use wsg_protocol::{AutoUpdate, HomingDirection, Status};
 
@@ -113,12 +113,12 @@ fn run<C: Clock, P: Protocol>(gripper: &mut GripperOver<Tcp, C, P>) -> Result<()
     gripper.set_force_limit(40.0)?;
 
     gripper.subscribe(Topic::Width, AutoUpdate::on_change(50));
-    let grip = gripper.begin_grip(20.0, 100.0)?;
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(100.0))?;
     match watch(gripper, &grip)? {
         Grip::Held => println!("a part is held, {:.2} mm wide", gripper.width()?),
         Grip::NoPart => println!("no part"),
     }
-    let release = gripper.begin_release(60.0, 200.0)?;
+    let release = gripper.begin_release(Mm(60.0), MmPerS(200.0))?;
     watch(gripper, &release)?;
     gripper.subscribe(Topic::Width, AutoUpdate::once());
     show_updates(gripper, 100)?;

@@ -15,7 +15,7 @@ use embassy_executor::Spawner;
 use embassy_time::{Duration, Ticker};
 use embedded_io_adapters::futures_03::FromFutures;
 use wsg_protocol::driver::asynch::{GclGripper, Gripper, GripperOver};
-use wsg_protocol::driver::{Clock, Error, Grip, Protocol, Timer};
+use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol, Timer};
 use wsg_protocol::{HomingDirection, Instant};
 
 /// Embassy's clock.
@@ -59,7 +59,7 @@ async fn run<P: Protocol>(gripper: &mut GripperOver<Tcp, EmbassyTimer, P>) -> Re
     gripper.home(HomingDirection::Default).await?;
     gripper.set_force_limit(40.0).await?;
 
-    let grip = gripper.begin_grip(20.0, 100.0).await?;
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(100.0)).await?;
     // To give up waiting does not give up the motion.
     let patience = Duration::from_millis(100);
     let result = loop {
@@ -72,7 +72,7 @@ async fn run<P: Protocol>(gripper: &mut GripperOver<Tcp, EmbassyTimer, P>) -> Re
         Grip::Held => println!("a part is held, {:.2} mm wide", gripper.width().await?),
         Grip::NoPart => println!("no part"),
     }
-    gripper.release(60.0, 200.0).await
+    gripper.release(Mm(60.0), MmPerS(200.0)).await
 }
 
 const USAGE: &str = "grip_async [--protocol binary|gcl] [ADDRESS:PORT]";

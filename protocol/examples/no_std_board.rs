@@ -8,20 +8,23 @@
 #![no_std]
 
 use embedded_io::{Read, ReadReady, Write};
-use wsg_protocol::driver::{self, Clock, Error, Grip, OnBlock, blocking};
+use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, OnBlock, blocking};
 use wsg_protocol::{HomingDirection, session};
 
 /// A gripper with small buffers: replies up to a device tag, commands up to Pre-position Fingers. Some 600 bytes of RAM.
 pub type Gripper<Uart, Tick> = blocking::Gripper<Uart, Tick, 66, 17>;
 
-/// Where parts lie and go, in mm.
+/// How wide the fingers are at a part.
 #[derive(Clone, Copy, Debug)]
 pub struct Part {
-    /// Its width.
-    pub width: f32,
-    /// How far the fingers open beside it.
-    pub clearance: f32,
+    /// When they hold it.
+    pub width: Mm,
+    /// When it fits between them.
+    pub open: Mm,
 }
+
+const SPEED: MmPerS = MmPerS(200.0);
+const GRIP_SPEED: MmPerS = MmPerS(100.0);
 
 /// What one cycle came to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,13 +66,12 @@ pub fn cycle<Uart: Read + ReadReady + Write, Tick: Clock>(
     part: Part,
     carry: impl FnOnce(),
 ) -> Result<Cycle, Error<Uart::Error>> {
-    let open = part.width + part.clearance;
-    gripper.move_to(open, 200.0, OnBlock::Stop)?;
-    match gripper.grip(part.width, 100.0)? {
+    gripper.move_to(part.open, SPEED, OnBlock::Stop)?;
+    match gripper.grip(part.width, GRIP_SPEED)? {
         Grip::NoPart => Ok(Cycle::Empty),
         Grip::Held => {
             carry();
-            gripper.release(open, 200.0)?;
+            gripper.release(part.open, SPEED)?;
             Ok(Cycle::Done)
         }
     }

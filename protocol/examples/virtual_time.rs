@@ -11,7 +11,7 @@ use std::convert::Infallible;
 use std::rc::Rc;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
-use wsg_protocol::driver::{Clock, Error, Grip, OnBlock, blocking::Gripper};
+use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, OnBlock, blocking::Gripper};
 use wsg_protocol::{HomingDirection, Instant};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
@@ -103,10 +103,10 @@ impl Write for Bench {
 
 /// The program: takes a part and puts it down, or says that there is none.
 fn cycle(gripper: &mut Gripper<Bench, Bench>) -> Result<Grip, Error<Infallible>> {
-    gripper.move_to(60.0, 200.0, OnBlock::Stop)?;
-    let grip = gripper.grip(20.0, 100.0)?;
+    gripper.move_to(Mm(60.0), MmPerS(200.0), OnBlock::Stop)?;
+    let grip = gripper.grip(Mm(20.0), MmPerS(100.0))?;
     if grip == Grip::Held {
-        gripper.release(60.0, 200.0)?;
+        gripper.release(Mm(60.0), MmPerS(200.0))?;
     }
     Ok(grip)
 }
@@ -160,38 +160,41 @@ mod tests {
         let bench = Bench::new(Config::default());
         let mut gripper = bench.gripper();
         gripper.connect().unwrap();
-        assert_eq!(gripper.grip(20.0, 100.0), Err(Error::Refused(Status::NotInitialized)));
+        assert_eq!(gripper.grip(Mm(20.0), MmPerS(100.0)), Err(Error::Refused(Status::NotInitialized)));
     }
 
     #[test]
     fn part_in_the_way_blocks() {
         let (_bench, mut gripper) = homed(with_part());
-        assert_eq!(gripper.move_to(5.0, 100.0, OnBlock::Stop), Err(Error::Blocked));
+        assert_eq!(gripper.move_to(Mm(5.0), MmPerS(100.0), OnBlock::Stop), Err(Error::Blocked));
     }
 
     #[test]
     fn stop_aborts_and_fast_stop_locks_until_it_is_acknowledged() {
         let (_bench, mut gripper) = homed(Config::default());
-        let motion = gripper.begin_move_to(5.0, 20.0, OnBlock::Stop).unwrap();
+        let motion = gripper.begin_move_to(Mm(5.0), MmPerS(20.0), OnBlock::Stop).unwrap();
         assert_eq!(gripper.state(), Ok(GripperState::Positioning));
         gripper.stop().unwrap();
         assert_eq!(gripper.wait(&motion), Err(Error::Aborted));
 
-        let motion = gripper.begin_move_to(5.0, 20.0, OnBlock::Stop).unwrap();
+        let motion = gripper.begin_move_to(Mm(5.0), MmPerS(20.0), OnBlock::Stop).unwrap();
         gripper.fast_stop().unwrap();
         assert_eq!(gripper.wait(&motion), Err(Error::Aborted));
         assert!(gripper.system_state().unwrap().contains(SystemFlags::FAST_STOP));
-        assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Stop), Err(Error::Refused(Status::AccessDenied)));
+        assert_eq!(
+            gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop),
+            Err(Error::Refused(Status::AccessDenied))
+        );
         gripper.acknowledge().unwrap();
-        assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Stop), Ok(()));
+        assert_eq!(gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop), Ok(()));
         assert!((gripper.width().unwrap() - 50.0).abs() < 0.1);
     }
 
     #[test]
     fn relative_moves_add_up() {
         let (_bench, mut gripper) = homed(Config::default());
-        gripper.move_by(-30.0, 200.0, OnBlock::Stop).unwrap();
-        gripper.move_by(10.0, 200.0, OnBlock::Stop).unwrap();
+        gripper.move_by(Mm(-30.0), MmPerS(200.0), OnBlock::Stop).unwrap();
+        gripper.move_by(Mm(10.0), MmPerS(200.0), OnBlock::Stop).unwrap();
         assert!((gripper.width().unwrap() - 90.0).abs() < 0.1);
     }
 
@@ -237,7 +240,7 @@ mod tests {
     fn updates_come_while_the_fingers_travel() {
         let (_bench, mut gripper) = homed(Config::default());
         gripper.subscribe(Topic::Width, AutoUpdate::every(10));
-        let motion = gripper.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+        let motion = gripper.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
         let lost = gripper.counters().updates_lost;
         let mut widths = vec![];
         while gripper.poll(&motion).unwrap().is_none() {

@@ -44,6 +44,7 @@ mod gcl;
 mod link;
 mod methods;
 mod motion;
+mod units;
 
 pub use binary::Binary;
 pub use error::{Culprit, Error};
@@ -51,6 +52,7 @@ pub use error::{Culprit, Error};
 pub use gcl::{GCL_LINE_LEN, Gcl};
 pub use link::Protocol;
 pub use motion::{MotionResult, Pending};
+pub use units::{Mm, MmPerS};
 
 use crate::reply::Value;
 use crate::time::Instant;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use host_tests::uninterrupted;
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
-use wsg_protocol::driver::{self, Clock, Error, Grip, OnBlock, Protocol};
+use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, OnBlock, Protocol};
 use wsg_protocol::{GripperState, HomingDirection, Status, SystemFlags, session};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
@@ -122,8 +122,8 @@ fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P
     watcher.set_force_limit(35.0).unwrap();
 
     // While the fingers move, for fourteen seconds if nobody stops them, the same state, and widths of one and the same way.
-    actor.move_to(100.0, 400.0, OnBlock::Stop).unwrap();
-    let motion = actor.begin_move_to(30.0, 5.0, OnBlock::Stop).unwrap();
+    actor.move_to(Mm(100.0), MmPerS(400.0), OnBlock::Stop).unwrap();
+    let motion = actor.begin_move_to(Mm(30.0), MmPerS(5.0), OnBlock::Stop).unwrap();
     assert_eq!(watcher.state().unwrap(), GripperState::Positioning);
     let mut widths = vec![];
     for _ in 0..10 {
@@ -131,35 +131,35 @@ fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P
         widths.push(watcher.width().unwrap());
     }
     assert!(widths.is_sorted_by(|one, other| one >= other) && widths[0] > widths[19], "{widths:?}");
-    let refused = watcher.grip(20.0, 100.0).unwrap_err();
+    let refused = watcher.grip(Mm(20.0), MmPerS(100.0)).unwrap_err();
     assert!(matches!(refused, Error::Refused(Status::AlreadyRunning)), "{refused:?}");
     // The one stops what the other has begun.
     watcher.stop().unwrap();
     assert!(matches!(actor.wait(&motion), Err(Error::Aborted)));
     assert!(seen_by_both(actor, watcher).flags.contains(SystemFlags::AXIS_STOPPED));
-    actor.move_to(60.0, 400.0, OnBlock::Stop).unwrap();
+    actor.move_to(Mm(60.0), MmPerS(400.0), OnBlock::Stop).unwrap();
     assert_eq!(seen_by_both(actor, watcher).width, 60.0);
 
     // A part is held.
     let before = seen(watcher).grips[0];
-    assert_eq!(actor.grip(20.0, 100.0).unwrap(), Grip::Held);
+    assert_eq!(actor.grip(Mm(20.0), MmPerS(100.0)).unwrap(), Grip::Held);
     let holding = seen_by_both(actor, watcher);
     assert_eq!((holding.state, holding.force, holding.grips[0]), (GripperState::Holding, 35.0, before + 1));
-    actor.release(50.0, 200.0).unwrap();
+    actor.release(Mm(50.0), MmPerS(200.0)).unwrap();
     assert_eq!(seen_by_both(actor, watcher).state, GripperState::Idle);
 
     // FAST STOP of the one ends the motion of the other, and either acknowledges it.
-    let motion = watcher.begin_move_to(100.0, 5.0, OnBlock::Stop).unwrap();
+    let motion = watcher.begin_move_to(Mm(100.0), MmPerS(5.0), OnBlock::Stop).unwrap();
     actor.fast_stop().unwrap();
     assert!(matches!(watcher.wait(&motion), Err(Error::Aborted)));
     let locked = seen_by_both(actor, watcher);
     assert!(locked.flags.contains(SystemFlags::FAST_STOP));
     assert_eq!(locked.state, GripperState::Error);
-    let denied = watcher.move_to(50.0, 100.0, OnBlock::Stop).unwrap_err();
+    let denied = watcher.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap_err();
     assert!(matches!(denied, Error::Refused(Status::AccessDenied)), "{denied:?}");
     watcher.acknowledge().unwrap();
     assert!(!seen_by_both(actor, watcher).flags.contains(SystemFlags::FAST_STOP));
-    actor.move_to(70.0, 200.0, OnBlock::Stop).unwrap();
+    actor.move_to(Mm(70.0), MmPerS(200.0), OnBlock::Stop).unwrap();
 }
 
 #[test]
@@ -190,7 +190,7 @@ fn clients_of_both_protocols_at_the_same_time_see_the_same_gripper() {
     // The one goes announced, and the other is none the worse for it.
     text.announce_disconnect().unwrap();
     drop(text);
-    frames.move_to(80.0, 200.0, OnBlock::Stop).unwrap();
+    frames.move_to(Mm(80.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     assert!(!frames.system_state().unwrap().contains(SystemFlags::FAST_STOP));
     frames.announce_disconnect().unwrap();
 }

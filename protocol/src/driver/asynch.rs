@@ -9,8 +9,8 @@ pub use gcl::GclGripper;
 use super::engine::{Awaited, Copied, Engine, Goal};
 use super::methods::methods;
 use super::{
-    Binary, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult, OnBlock,
-    Pending, Protocol, Timer, Update,
+    Binary, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, Mm, MmPerS,
+    MotionResult, OnBlock, Pending, Protocol, Timer, Update,
 };
 use crate::command::{Command, CommandId};
 use crate::frame::Frame;
@@ -43,13 +43,13 @@ const MAX_CHUNKS: usize = 64;
 ///
 /// ```
 /// use embedded_io_async::{Read, Write};
-/// use wsg_protocol::driver::{Error, Grip, Timer, asynch::Gripper};
+/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, Timer, asynch::Gripper};
 ///
 /// /// Takes a part of 20 mm and says how wide the fingers are open meanwhile.
 /// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<Grip, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
 ///     let program = async |gripper: &mut Gripper<_, _>| {
-///         let grip = gripper.begin_grip(20.0, 100.0).await?;
+///         let grip = gripper.begin_grip(Mm(20.0), MmPerS(100.0)).await?;
 ///         loop {
 ///             println!("{:.1} mm", gripper.width().await?);
 ///             if let Some(result) = gripper.poll(&grip).await? {

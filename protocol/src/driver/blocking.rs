@@ -9,8 +9,8 @@ pub use gcl::GclGripper;
 use super::engine::{Awaited, Copied, Engine, Goal};
 use super::methods::methods;
 use super::{
-    Binary, Clock, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, MotionResult,
-    OnBlock, Pending, Protocol, Update,
+    Binary, Clock, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, Mm, MmPerS,
+    MotionResult, OnBlock, Pending, Protocol, Update,
 };
 use crate::command::{Command, CommandId};
 use crate::frame::Frame;
@@ -40,14 +40,14 @@ const MAX_CHUNKS: usize = 64;
 /// ```
 /// use embedded_io::{Read, ReadReady, Write};
 /// use wsg_protocol::HomingDirection;
-/// use wsg_protocol::driver::{Clock, Error, Grip, blocking::Gripper};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, blocking::Gripper};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// fn pick<IO: Read + ReadReady + Write>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
 ///     Gripper::new(io, clock).with_connection(|gripper| {
 ///         gripper.home(HomingDirection::Default)?;
 ///         gripper.set_force_limit(40.0)?;
-///         Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
+///         Ok(gripper.grip(Mm(20.0), MmPerS(100.0))? == Grip::Held)
 ///     })
 /// }
 /// ```

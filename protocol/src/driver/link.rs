@@ -14,14 +14,14 @@ use crate::{frame, session};
 /// ```
 /// # #[cfg(feature = "embedded-io")] {
 /// use embedded_io::{Read, ReadReady, Write};
-/// use wsg_protocol::driver::{Clock, Error, Grip, Protocol, blocking::GripperOver};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol, blocking::GripperOver};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// fn pick<IO: Read + ReadReady + Write, C: Clock, P: Protocol>(
 ///     gripper: &mut GripperOver<IO, C, P>,
 /// ) -> Result<bool, Error<IO::Error>> {
 ///     gripper.set_force_limit(40.0)?;
-///     Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
+///     Ok(gripper.grip(Mm(20.0), MmPerS(100.0))? == Grip::Held)
 /// }
 /// # }
 /// ```

@@ -156,14 +156,14 @@ macro_rules! methods {
             self.begin(Command::Homing { direction }) $($await)*
         }
 
-        /// Moves the fingers to an opening width in mm, at a speed in mm/s (command set, 3.2.2).
+        /// Moves the fingers to an opening width (command set, 3.2.2).
         ///
         /// # Errors
         /// [`Error`]; [`Error::Blocked`] when something was in the way.
         pub $($async)? fn move_to(
             &mut self,
-            width: f32,
-            speed: f32,
+            width: Mm,
+            speed: MmPerS,
             block: OnBlock,
         ) -> Result<(), Error<IO::Error>> {
             let pending = self.begin_move_to(width, speed, block) $($await)* ?;
@@ -176,21 +176,21 @@ macro_rules! methods {
         /// [`Error`]
         pub $($async)? fn begin_move_to(
             &mut self,
-            width: f32,
-            speed: f32,
+            width: Mm,
+            speed: MmPerS,
             block: OnBlock,
         ) -> Result<Pending<()>, Error<IO::Error>> {
-            self.begin(Command::PrePosition { flags: block.flags(), width, speed }) $($await)*
+            self.begin(Command::PrePosition { flags: block.flags(), width: width.0, speed: speed.0 }) $($await)*
         }
 
-        /// Opens (or, with a negative offset, closes) the fingers by so many mm, at a speed in mm/s (command set, 3.2.2).
+        /// Opens the fingers by an offset, or closes them by a negative one (command set, 3.2.2).
         ///
         /// # Errors
         /// [`Error`]; [`Error::Blocked`] when something was in the way.
         pub $($async)? fn move_by(
             &mut self,
-            offset: f32,
-            speed: f32,
+            offset: Mm,
+            speed: MmPerS,
             block: OnBlock,
         ) -> Result<(), Error<IO::Error>> {
             let pending = self.begin_move_by(offset, speed, block) $($await)* ?;
@@ -203,20 +203,19 @@ macro_rules! methods {
         /// [`Error`]
         pub $($async)? fn begin_move_by(
             &mut self,
-            offset: f32,
-            speed: f32,
+            offset: Mm,
+            speed: MmPerS,
             block: OnBlock,
         ) -> Result<Pending<()>, Error<IO::Error>> {
             let flags = block.flags().union(PrePositionFlags::RELATIVE);
-            self.begin(Command::PrePosition { flags, width: offset, speed }) $($await)*
+            self.begin(Command::PrePosition { flags, width: offset.0, speed: speed.0 }) $($await)*
         }
 
-        /// Grips a part of a nominal width in mm, at a speed in mm/s, with the force limit that is set (command set,
-        /// 3.2.6).
+        /// Grips a part of a nominal width, with the force limit that is set (command set, 3.2.6).
         ///
         /// # Errors
         /// [`Error`]. "No part" is a result, not an error: [`Grip::NoPart`].
-        pub $($async)? fn grip(&mut self, width: f32, speed: f32) -> Result<Grip, Error<IO::Error>> {
+        pub $($async)? fn grip(&mut self, width: Mm, speed: MmPerS) -> Result<Grip, Error<IO::Error>> {
             let pending = self.begin_grip(width, speed) $($await)* ?;
             self.wait(&pending) $($await)*
         }
@@ -227,17 +226,17 @@ macro_rules! methods {
         /// [`Error`]
         pub $($async)? fn begin_grip(
             &mut self,
-            width: f32,
-            speed: f32,
+            width: Mm,
+            speed: MmPerS,
         ) -> Result<Pending<Grip>, Error<IO::Error>> {
-            self.begin(Command::GripPart { width, speed }) $($await)*
+            self.begin(Command::GripPart { width: width.0, speed: speed.0 }) $($await)*
         }
 
-        /// Opens the fingers to a width in mm, at a speed in mm/s, to release a part (command set, 3.2.7).
+        /// Opens the fingers to a width, to release a part (command set, 3.2.7).
         ///
         /// # Errors
         /// [`Error`]
-        pub $($async)? fn release(&mut self, width: f32, speed: f32) -> Result<(), Error<IO::Error>> {
+        pub $($async)? fn release(&mut self, width: Mm, speed: MmPerS) -> Result<(), Error<IO::Error>> {
             let pending = self.begin_release(width, speed) $($await)* ?;
             self.wait(&pending) $($await)*
         }
@@ -248,10 +247,10 @@ macro_rules! methods {
         /// [`Error`]
         pub $($async)? fn begin_release(
             &mut self,
-            width: f32,
-            speed: f32,
+            width: Mm,
+            speed: MmPerS,
         ) -> Result<Pending<()>, Error<IO::Error>> {
-            self.begin(Command::ReleasePart { width, speed }) $($await)*
+            self.begin(Command::ReleasePart { width: width.0, speed: speed.0 }) $($await)*
         }
 
         /// Waits for the end of a motion that was begun. It can be asked again after an error of the transport.

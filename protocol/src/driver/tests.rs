@@ -37,7 +37,7 @@ fn a_gripper_that_is_off_is_not_connected() {
     assert_eq!(gripper.home(HomingDirection::Default), Err(Error::NotConnected));
     let mut gripper = Asynch::new(rig.clone(), Watch(rig.clone()));
     assert_eq!(rig.run(gripper.connect()), Err(Error::NotConnected));
-    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Err(Error::NotConnected));
+    assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Err(Error::NotConnected));
 }
 
 #[test]
@@ -54,9 +54,9 @@ fn grip_tells_held_no_part_and_every_failure_apart() {
     ];
     for (status, outcome) in outcomes {
         rig.script_motion(CommandId::GripPart, status);
-        assert_eq!(gripper.grip(20.0, 50.0), outcome);
+        assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), outcome);
         rig.script_motion(CommandId::GripPart, status);
-        assert_eq!(rig.run(other.grip(20.0, 50.0)), outcome);
+        assert_eq!(rig.run(other.grip(Mm(20.0), MmPerS(50.0))), outcome);
     }
 }
 
@@ -78,11 +78,11 @@ fn motion_without_an_answer_is_unanswered_and_was_sent_once() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.script(CommandId::GripPart, vec![]);
-    assert_eq!(gripper.grip(20.0, 50.0), Err(Error::Unanswered));
+    assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Err(Error::Unanswered));
     assert_eq!(rig.heard(CommandId::GripPart), 1);
     assert!(!gripper.is_connected());
     gripper.connect().unwrap();
-    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
+    assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::Held));
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn query_whose_answer_is_lost_is_asked_again() {
 fn queries_go_on_while_a_motion_runs() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     assert_eq!(gripper.motion(), Some(CommandId::GripPart));
     assert_eq!(gripper.width(), Ok(42.5));
     assert_eq!(gripper.poll(&grip), Ok(None));
@@ -113,7 +113,7 @@ fn result_that_came_while_something_else_was_asked_is_kept() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.script_motion(CommandId::GripPart, Status::CmdFailed);
-    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     rig.pass(500);
     assert_eq!(gripper.width(), Ok(42.5));
     assert_eq!(gripper.wait(&grip), Ok(Grip::NoPart));
@@ -134,7 +134,7 @@ fn stop_ends_a_motion() {
             (1, status(CommandId::Stop, Status::Success)),
         ],
     );
-    let motion = gripper.begin_move_to(50.0, 100.0, OnBlock::Stop).unwrap();
+    let motion = gripper.begin_move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     assert_eq!(gripper.stop(), Ok(()));
     assert_eq!(gripper.wait(&motion), Err(Error::Aborted));
 }
@@ -143,10 +143,10 @@ fn stop_ends_a_motion() {
 fn pre_position_flags_stand_as_in_the_manual() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    gripper.move_to(50.0, 100.0, OnBlock::Clamp).unwrap();
-    gripper.move_to(50.0, 100.0, OnBlock::Stop).unwrap();
-    gripper.move_by(-5.0, 100.0, OnBlock::Clamp).unwrap();
-    gripper.move_by(-5.0, 100.0, OnBlock::Stop).unwrap();
+    gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Clamp).unwrap();
+    gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
+    gripper.move_by(Mm(-5.0), MmPerS(100.0), OnBlock::Clamp).unwrap();
+    gripper.move_by(Mm(-5.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let flags: Vec<u8> = rig.world(|world| world.heard.iter().map(|(_, payload)| payload[0]).collect());
     assert_eq!(flags, [0b00, 0b10, 0b01, 0b11]);
 }
@@ -192,7 +192,7 @@ fn status_that_stands_for_a_mismatch_is_one_with_a_setting_alone() {
 fn number_that_is_none_is_refused_before_it_is_sent() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    assert_eq!(gripper.grip(f32::NAN, 50.0), Err(Error::Invalid(DecodeError::NotFinite)));
+    assert_eq!(gripper.grip(Mm(f32::NAN), MmPerS(50.0)), Err(Error::Invalid(DecodeError::NotFinite)));
     assert_eq!(gripper.set_tag("tab\t"), Err(Error::Invalid(DecodeError::Character)));
     assert_eq!(gripper.raw(0x24, b"nak", &mut []), Err(Error::Invalid(DecodeError::AckKey)));
     assert_eq!(rig.world(|world| world.heard.len()), 0);
@@ -238,7 +238,11 @@ fn frame_that_does_not_fit_is_not_sent() {
     assert_eq!(gripper.loop_back(&[1; 9]), Ok(()));
     assert_eq!(gripper.loop_back(&[1; 10]), Err(Error::TooLong { needed: 18 }));
     assert_eq!(rig.heard(CommandId::Loop), 1);
-    assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Stop), Ok(()), "the longest of fixed length");
+    assert_eq!(
+        gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop),
+        Ok(()),
+        "the longest of fixed length"
+    );
 }
 
 #[test]
@@ -302,7 +306,7 @@ fn newest_updates_are_kept_and_lost_ones_counted() {
 fn error_of_the_transport_is_told_and_the_motion_can_be_waited_for_again() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     rig.world(|world| world.noise = true);
     assert_eq!(gripper.wait(&grip), Err(Error::Transport(Noise)));
     assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
@@ -312,7 +316,7 @@ fn error_of_the_transport_is_told_and_the_motion_can_be_waited_for_again() {
 fn end_of_the_transport_is_told_and_another_one_can_take_its_place() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     rig.world(|world| world.closed = true);
     assert_eq!(gripper.wait(&grip), Err(Error::Closed));
     assert_eq!(gripper.wait(&grip), Err(Error::Closed));
@@ -322,19 +326,19 @@ fn end_of_the_transport_is_told_and_another_one_can_take_its_place() {
     rig.world(|world| world.closed = false);
     gripper.replace_io(rig.clone());
     gripper.connect().unwrap();
-    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
+    assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::Held));
 }
 
 #[test]
 fn motion_of_a_line_that_was_replaced_is_unanswered() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     rig.world(|world| world.drop_what_comes());
     gripper.replace_io(rig.clone());
     assert_eq!(gripper.wait(&grip), Err(Error::Unanswered));
     gripper.connect().unwrap();
-    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
+    assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::Held));
 }
 
 #[test]
@@ -388,9 +392,9 @@ fn transport_that_holds_bytes_back_until_it_is_flushed_is_flushed() {
     let rig = Rig::new();
     rig.world(|world| world.holds_back = true);
     let mut gripper = connected(&rig);
-    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::Held));
+    assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::Held));
     let mut other = connected_async(&rig);
-    assert_eq!(rig.run(other.grip(20.0, 50.0)), Ok(Grip::Held));
+    assert_eq!(rig.run(other.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::Held));
 
     rig.world(|world| world.width_update = None);
     other.subscribe(Topic::Width, AutoUpdate::every(10));
@@ -402,7 +406,7 @@ fn transport_that_holds_bytes_back_until_it_is_flushed_is_flushed() {
 fn motion_that_has_begun_tells_which_it_is() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     assert_eq!(grip.id(), CommandId::GripPart);
     assert_eq!(std::format!("{grip:?}"), "Pending(GripPart)");
 }

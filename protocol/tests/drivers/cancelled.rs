@@ -1,7 +1,7 @@
 //! Futures of the async driver that are dropped, over both protocols: nothing leaves late, and no answer is taken for
 //! another's.
 
-use wsg_protocol::driver::{Grip, OnBlock};
+use wsg_protocol::driver::{Grip, Mm, MmPerS, OnBlock};
 use wsg_protocol::{GripperState, HomingDirection, SystemFlags};
 use wsg_sim::{Config, Part};
 
@@ -14,7 +14,7 @@ fn dropping_a_call_at_any_moment_mixes_up_no_answers() {
             let mut client = Asynch::<S>::homed(Config { part: Part::of_width(105.0), ..Config::default() });
             let Asynch { bench, gripper } = &mut client;
             // A grip of some 40 ms.
-            let _ = bench.run_for(polls, gripper.grip(105.0, 400.0));
+            let _ = bench.run_for(polls, gripper.grip(Mm(105.0), MmPerS(400.0)));
             assert_eq!(client.force_limit(), Ok(40.0), "{polls}");
             let width = client.width().unwrap();
             assert!((104.0..=110.0).contains(&width), "{polls}: {width}");
@@ -46,7 +46,7 @@ fn motion_that_had_not_left_does_not_leave_any_more() {
         let mut client = Asynch::<S>::homed(Config::default());
         let Asynch { bench, gripper } = &mut client;
         bench.world(|world| world.room = 0);
-        assert!(bench.run_for(50, gripper.move_to(10.0, 400.0, OnBlock::Stop)).is_none());
+        assert!(bench.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
         bench.world(|world| world.room = usize::MAX);
         assert_eq!(client.state(), Ok(GripperState::Idle));
         client.bench.pass(2_000);
@@ -65,7 +65,7 @@ fn motion_that_waited_behind_another_message_does_not_leave_any_more() {
         bench.world(|world| world.room = 3);
         bench.run_for(300, async { while gripper.next_update(1_000).await.is_ok() {} });
         assert_eq!(bench.world(|world| world.room), 0);
-        assert!(bench.run_for(50, gripper.move_to(10.0, 400.0, OnBlock::Stop)).is_none());
+        assert!(bench.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
         bench.world(|world| world.room = usize::MAX);
         assert_eq!(client.state(), Ok(GripperState::Idle));
         client.bench.pass(2_000);
@@ -82,7 +82,7 @@ fn motion_that_waited_behind_a_stop_does_not_leave_after_it() {
         let Asynch { bench, gripper } = &mut client;
         bench.world(|world| world.room = 0);
         assert!(bench.run_for(10, gripper.stop()).is_none());
-        assert!(bench.run_for(10, gripper.move_to(10.0, 400.0, OnBlock::Stop)).is_none());
+        assert!(bench.run_for(10, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
         bench.world(|world| world.room = usize::MAX);
         assert!(client.system_state().unwrap().contains(SystemFlags::AXIS_STOPPED));
         client.bench.pass(2_000);
@@ -99,7 +99,7 @@ fn message_that_was_cut_off_is_sent_to_its_end() {
         let mut client = Asynch::<S>::homed(Config::default());
         let Asynch { bench, gripper } = &mut client;
         bench.world(|world| world.room = 3);
-        assert!(bench.run_for(50, gripper.move_to(50.0, 400.0, OnBlock::Stop)).is_none());
+        assert!(bench.run_for(50, gripper.move_to(Mm(50.0), MmPerS(400.0), OnBlock::Stop)).is_none());
         bench.world(|world| world.room = usize::MAX);
         // What began to leave leaves: half a message would spoil the next one.
         client.state().unwrap();
@@ -116,7 +116,7 @@ fn stop_and_fast_stop_leave_even_if_the_call_is_given_up() {
     fn check<S: Speech>() {
         for fast in [false, true] {
             let mut client = Asynch::<S>::homed(Config::default());
-            let motion = client.begin_move_to(10.0, 20.0, OnBlock::Stop).unwrap();
+            let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
             let Asynch { bench, gripper } = &mut client;
             bench.world(|world| world.room = 0);
             let gave_up = if fast {
@@ -137,7 +137,7 @@ fn stop_and_fast_stop_leave_even_if_the_call_is_given_up() {
 fn motion_whose_call_was_given_up_goes_on_and_can_be_waited_for() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config { part: Part::of_width(20.0), ..Config::default() });
-        let grip = client.begin_grip(20.0, 100.0).unwrap();
+        let grip = client.begin_grip(Mm(20.0), MmPerS(100.0)).unwrap();
         let Asynch { bench, gripper } = &mut client;
         assert!(bench.run_for(100, gripper.wait(&grip)).is_none());
         assert!(client.motion().is_some());

@@ -3,7 +3,8 @@
 use std::convert::Infallible;
 
 use wsg_protocol::driver::{
-    self, DriverCounters, Finger, Grip, MotionResult, OnBlock, Pending, Protocol, Update, asynch, blocking,
+    self, DriverCounters, Finger, Grip, Mm, MmPerS, MotionResult, OnBlock, Pending, Protocol, Update, asynch,
+    blocking,
 };
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
@@ -179,7 +180,7 @@ macro_rules! calls {
             fn with_connection(&mut self, end: impl FnOnce() -> Outcome) -> Outcome {
                 self.gripper.with_connection(|gripper| {
                     gripper.home(HomingDirection::Default)?;
-                    let _ = gripper.begin_move_to(10.0, 20.0, OnBlock::Stop)?;
+                    let _ = gripper.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop)?;
                     end()
                 })
             }
@@ -203,7 +204,7 @@ macro_rules! calls {
             fn with_connection(&mut self, end: impl FnOnce() -> Outcome) -> Outcome {
                 self.bench.run(self.gripper.with_connection(async |gripper| {
                     gripper.home(HomingDirection::Default).await?;
-                    let _ = gripper.begin_move_to(10.0, 20.0, OnBlock::Stop).await?;
+                    let _ = gripper.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).await?;
                     end()
                 }))
             }
@@ -247,12 +248,12 @@ calls! {
     fn connect() -> ();
     fn announce_disconnect() -> ();
     fn home(direction: HomingDirection) -> ();
-    fn move_to(width: f32, speed: f32, block: OnBlock) -> ();
-    fn begin_move_to(width: f32, speed: f32, block: OnBlock) -> Pending<()>;
-    fn move_by(offset: f32, speed: f32, block: OnBlock) -> ();
-    fn grip(width: f32, speed: f32) -> Grip;
-    fn begin_grip(width: f32, speed: f32) -> Pending<Grip>;
-    fn release(width: f32, speed: f32) -> ();
+    fn move_to(width: Mm, speed: MmPerS, block: OnBlock) -> ();
+    fn begin_move_to(width: Mm, speed: MmPerS, block: OnBlock) -> Pending<()>;
+    fn move_by(offset: Mm, speed: MmPerS, block: OnBlock) -> ();
+    fn grip(width: Mm, speed: MmPerS) -> Grip;
+    fn begin_grip(width: Mm, speed: MmPerS) -> Pending<Grip>;
+    fn release(width: Mm, speed: MmPerS) -> ();
     fn wait[T: MotionResult](pending: &Pending<T>) -> T;
     fn poll[T: MotionResult](pending: &Pending<T>) -> Option<T>;
     fn stop() -> ();

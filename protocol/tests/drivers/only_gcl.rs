@@ -3,7 +3,7 @@
 use std::future::poll_fn;
 use std::pin::pin;
 
-use wsg_protocol::driver::{Culprit, Finger, Grip, OnBlock};
+use wsg_protocol::driver::{Culprit, Finger, Grip, Mm, MmPerS, OnBlock};
 use wsg_protocol::{HomingDirection, SoftLimits, Status};
 use wsg_sim::{Config, Part, PortKind};
 
@@ -35,8 +35,8 @@ fn what_gcl_cannot_say_is_told_and_not_sent() {
     sent(&bench);
     let gripper = &mut client.gripper;
     let no = Err(Error::NotInGcl);
-    assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Clamp), no);
-    assert_eq!(gripper.move_by(5.0, 100.0, OnBlock::Clamp), no);
+    assert_eq!(gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Clamp), no);
+    assert_eq!(gripper.move_by(Mm(5.0), MmPerS(100.0), OnBlock::Clamp), no);
     assert_eq!(gripper.statistics(true).map(drop), no);
     assert_eq!(gripper.limits().map(drop), no);
     assert_eq!(gripper.set_acceleration(500.0), no);
@@ -51,7 +51,11 @@ fn what_gcl_cannot_say_is_told_and_not_sent() {
     assert_eq!(gripper.raw(0xB0, &[1], &mut []).map(drop), no);
     assert_eq!(sent(&bench), Vec::<String>::new());
     assert_eq!(Error::NotInGcl.culprit(), Culprit::Caller);
-    assert_eq!(gripper.move_to(50.0, 100.0, OnBlock::Stop), Ok(()), "it is none the worse for it");
+    assert_eq!(
+        gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop),
+        Ok(()),
+        "it is none the worse for it"
+    );
 }
 
 #[test]
@@ -61,11 +65,11 @@ fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
     client.home(HomingDirection::Default).unwrap();
     sent(&bench);
     assert_eq!(client.force_limit(), Err(Error::NoForceLimit));
-    assert_eq!(client.grip(20.0, 100.0), Err(Error::NoForceLimit));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::NoForceLimit));
     assert_eq!(sent(&bench), Vec::<String>::new());
     client.set_force_limit(33.5).unwrap();
     assert_eq!(sent(&bench), Vec::<String>::new(), "GCL has no request for it");
-    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::Held));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
     assert_eq!(sent(&bench), ["POS?", "GRIP(33.5,20.0,100.0)"]);
     // It stays with the driver.
     client.take_new_line();
@@ -77,10 +81,10 @@ fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
 fn release_is_a_distance_from_the_width_that_was_asked_for_before() {
     let mut client = homed(20.0);
     let bench = client.bench();
-    client.grip(20.0, 100.0).unwrap();
+    client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
     let held = client.width().unwrap();
     sent(&bench);
-    client.release(60.0, 150.0).unwrap();
+    client.release(Mm(60.0), MmPerS(150.0)).unwrap();
     assert_eq!(sent(&bench), ["POS?".to_owned(), format!("RELEASE({:?},150.0)", 60.0 - held)]);
 }
 
@@ -88,20 +92,20 @@ fn release_is_a_distance_from_the_width_that_was_asked_for_before() {
 fn release_by_nothing_and_grip_at_the_width_that_is_are_no_step_the_other_way() {
     let mut client = homed(20.0);
     let bench = client.bench();
-    client.grip(20.0, 100.0).unwrap();
+    client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
     let held = client.width().unwrap();
     sent(&bench);
-    let _ = client.release(held, 100.0);
+    let _ = client.release(Mm(held), MmPerS(100.0));
     assert_eq!(sent(&bench), ["POS?", "RELEASE(0.0,100.0)"]);
 
     let mut client = Blocking::<Lines>::homed(Config::default());
     let bench = client.bench();
-    client.move_to(50.0, 200.0, OnBlock::Stop).unwrap();
+    client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     let width = client.width().unwrap();
-    let _ = client.grip(width, 100.0);
+    let _ = client.grip(Mm(width), MmPerS(100.0));
     let now = client.width().unwrap();
     sent(&bench);
-    let _ = client.release(width + 10.0, 100.0);
+    let _ = client.release(Mm(width + 10.0), MmPerS(100.0));
     assert_eq!(sent(&bench), ["POS?".to_owned(), format!("RELEASE({:?},100.0)", width + 10.0 - now)]);
 }
 
@@ -109,24 +113,24 @@ fn release_by_nothing_and_grip_at_the_width_that_is_are_no_step_the_other_way() 
 fn release_towards_the_part_is_refused_and_not_sent() {
     let mut client = homed(20.0);
     let bench = client.bench();
-    client.grip(20.0, 100.0).unwrap();
+    client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
     sent(&bench);
-    assert_eq!(client.release(10.0, 100.0), Err(Error::NotInGcl));
+    assert_eq!(client.release(Mm(10.0), MmPerS(100.0)), Err(Error::NotInGcl));
     assert_eq!(sent(&bench), ["POS?"]);
-    assert_eq!(client.release(60.0, 100.0), Ok(()));
+    assert_eq!(client.release(Mm(60.0), MmPerS(100.0)), Ok(()));
 }
 
 #[test]
 fn release_without_a_grip_is_refused_by_the_gripper() {
     let mut client = homed(20.0);
-    client.move_to(60.0, 200.0, OnBlock::Stop).unwrap();
-    assert_eq!(client.release(80.0, 100.0), Err(Error::Refused(Status::NotAvailable)));
+    client.move_to(Mm(60.0), MmPerS(200.0), OnBlock::Stop).unwrap();
+    assert_eq!(client.release(Mm(80.0), MmPerS(100.0)), Err(Error::Refused(Status::NotAvailable)));
 }
 
 #[test]
 fn part_outside_the_tolerance_blocks_a_grip() {
     let mut client = homed(60.0);
-    assert_eq!(client.grip(20.0, 100.0), Err(Error::Blocked));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::Blocked));
 }
 
 #[test]
@@ -137,7 +141,7 @@ fn tolerance_and_clamping_travel_are_asked_for_and_set() {
     assert_eq!(client.gripper.part_width_tolerance(), Ok(7.5));
     assert_eq!(client.gripper.clamping_travel(), Ok(5.0));
     assert_eq!(client.gripper.set_clamping_travel(2.0), Ok(2.0));
-    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::Held), "6 mm before the nominal width");
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held), "6 mm before the nominal width");
     let refused = Err(Error::Refused(Status::RangeError));
     assert_eq!(client.gripper.set_clamping_travel(-1.0), refused);
     assert_eq!(client.gripper.clamping_travel(), Ok(2.0));
@@ -173,7 +177,7 @@ fn told<T>(bench: &Bench, call: impl Future<Output = T>, answer: &[u8]) -> T {
 #[test]
 fn end_of_a_motion_behind_the_answer_to_a_setting_is_not_that_of_the_setting() {
     let mut client = Asynch::<Lines>::homed(Config::default());
-    let motion = client.begin_move_to(10.0, 20.0, OnBlock::Stop).unwrap();
+    let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     let Asynch { bench, gripper } = &mut client;
     assert_eq!(told(bench, gripper.part_width_tolerance(), b"PWT=2.5\nERR MOVE 19\n"), Ok(2.5));
     assert_eq!(bench.run(gripper.wait(&motion)), Err(Error::Aborted));

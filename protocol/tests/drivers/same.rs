@@ -1,6 +1,6 @@
 //! What is the same over both protocols and in both drivers.
 
-use wsg_protocol::driver::{DriverCounters, Finger, Grip, OnBlock, UPDATES_LEN, Update};
+use wsg_protocol::driver::{DriverCounters, Finger, Grip, Mm, MmPerS, OnBlock, UPDATES_LEN, Update};
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
     AutoUpdate, CommandId, DecodeError, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
@@ -114,8 +114,8 @@ fn motion_before_homing_is_refused<C: Client>() {
     let mut client = C::connected(Config::default());
     client.set_force_limit(40.0).unwrap();
     let refused = Error::Refused(Status::NotInitialized);
-    assert_eq!(client.move_to(50.0, 100.0, OnBlock::Stop), Err(refused));
-    assert_eq!(client.grip(20.0, 100.0), Err(refused));
+    assert_eq!(client.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop), Err(refused));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(refused));
     assert_eq!(client.home(HomingDirection::Negative), Ok(()));
     assert!(client.system_state().unwrap().contains(SystemFlags::REFERENCED));
     assert_near(client.width().unwrap(), 0.0);
@@ -123,7 +123,7 @@ fn motion_before_homing_is_refused<C: Client>() {
 
 fn fingers_go_to_the_width_that_was_asked_for<C: Client>() {
     let mut client = C::homed(Config::default());
-    assert_eq!(client.move_to(42.5, 200.0, OnBlock::Stop), Ok(()));
+    assert_eq!(client.move_to(Mm(42.5), MmPerS(200.0), OnBlock::Stop), Ok(()));
     assert_near(client.width().unwrap(), 42.5);
     assert_eq!(client.speed(), Ok(0.0));
     assert_eq!(client.state(), Ok(GripperState::Idle));
@@ -131,8 +131,8 @@ fn fingers_go_to_the_width_that_was_asked_for<C: Client>() {
 
 fn relative_moves_add_up<C: Client>() {
     let mut client = C::homed(Config::default());
-    client.move_by(-30.0, 200.0, OnBlock::Stop).unwrap();
-    client.move_by(10.0, 200.0, OnBlock::Stop).unwrap();
+    client.move_by(Mm(-30.0), MmPerS(200.0), OnBlock::Stop).unwrap();
+    client.move_by(Mm(10.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     assert_near(client.width().unwrap(), 90.0);
 }
 
@@ -140,7 +140,7 @@ fn part_is_held_with_the_force_limit<C: Client>() {
     let mut client = C::homed(with_part(20.0));
     client.set_force_limit(30.0).unwrap();
     assert_eq!(client.force_limit(), Ok(30.0));
-    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::Held));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
     assert_eq!(client.state(), Ok(GripperState::Holding));
     assert_near(client.force().unwrap(), 30.0);
     assert_near(client.width().unwrap(), 20.0 - 0.3);
@@ -148,7 +148,7 @@ fn part_is_held_with_the_force_limit<C: Client>() {
 
 fn grip_without_a_part_finds_none<C: Client>() {
     let mut client = C::homed(Config::default());
-    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::NoPart));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::NoPart));
     assert_eq!(client.state(), Ok(GripperState::NoPart));
     let statistics = client.statistics(false).unwrap();
     assert_eq!((statistics.total, statistics.no_part), (1, 1));
@@ -156,37 +156,37 @@ fn grip_without_a_part_finds_none<C: Client>() {
 
 fn part_in_the_way_blocks<C: Client>() {
     let mut client = C::homed(with_part(60.0));
-    assert_eq!(client.move_to(20.0, 100.0, OnBlock::Stop), Err(Error::Blocked));
+    assert_eq!(client.move_to(Mm(20.0), MmPerS(100.0), OnBlock::Stop), Err(Error::Blocked));
     assert_eq!(client.state(), Ok(GripperState::Error));
 }
 
 fn release_opens_to_the_width_that_was_asked_for<C: Client>() {
     let mut client = C::homed(with_part(20.0));
-    client.move_to(40.0, 200.0, OnBlock::Stop).unwrap();
-    assert_eq!(client.grip(20.0, 100.0), Ok(Grip::Held));
-    assert_eq!(client.release(55.0, 200.0), Ok(()));
+    client.move_to(Mm(40.0), MmPerS(200.0), OnBlock::Stop).unwrap();
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
+    assert_eq!(client.release(Mm(55.0), MmPerS(200.0)), Ok(()));
     assert_near(client.width().unwrap(), 55.0);
     assert_eq!(client.state(), Ok(GripperState::Idle));
 }
 
 fn release_after_an_outward_grip_goes_inward<C: Client>() {
     let mut client = C::homed(Config::default());
-    client.move_to(30.0, 200.0, OnBlock::Stop).unwrap();
-    assert_eq!(client.grip(60.0, 100.0), Ok(Grip::NoPart));
+    client.move_to(Mm(30.0), MmPerS(200.0), OnBlock::Stop).unwrap();
+    assert_eq!(client.grip(Mm(60.0), MmPerS(100.0)), Ok(Grip::NoPart));
     assert_near(client.width().unwrap(), 65.0);
-    assert_eq!(client.release(45.0, 200.0), Ok(()));
+    assert_eq!(client.release(Mm(45.0), MmPerS(200.0)), Ok(()));
     assert_near(client.width().unwrap(), 45.0);
 }
 
 fn stop_aborts_a_motion_and_lets_a_part_go<C: Client>() {
     let mut client = C::homed(with_part(20.0));
-    let motion = client.begin_move_to(50.0, 20.0, OnBlock::Stop).unwrap();
+    let motion = client.begin_move_to(Mm(50.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     assert_eq!(client.stop(), Ok(()));
     assert_eq!(client.wait(&motion), Err(Error::Aborted));
     assert!(client.width().unwrap() > 100.0);
     assert!(client.system_state().unwrap().contains(SystemFlags::AXIS_STOPPED));
 
-    assert_eq!(client.grip(20.0, 200.0), Ok(Grip::Held));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(200.0)), Ok(Grip::Held));
     client.stop().unwrap();
     client.bench().pass(10);
     assert_eq!(client.state(), Ok(GripperState::Idle));
@@ -195,17 +195,17 @@ fn stop_aborts_a_motion_and_lets_a_part_go<C: Client>() {
 
 fn fast_stop_aborts_and_locks_until_it_is_acknowledged<C: Client>() {
     let mut client = C::homed(Config::default());
-    let motion = client.begin_grip(20.0, 20.0).unwrap();
+    let motion = client.begin_grip(Mm(20.0), MmPerS(20.0)).unwrap();
     assert_eq!(client.fast_stop(), Ok(()));
     assert!(!client.fast_stop_pending());
     assert_eq!(client.wait(&motion), Err(Error::Aborted));
     assert!(client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
     let denied = Error::Refused(Status::AccessDenied);
-    assert_eq!(client.move_to(50.0, 100.0, OnBlock::Stop), Err(denied));
+    assert_eq!(client.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop), Err(denied));
     assert_eq!(client.home(HomingDirection::Default), Err(denied));
     assert_eq!(client.acknowledge(), Ok(()));
     assert!(!client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
-    assert_eq!(client.move_to(50.0, 100.0, OnBlock::Stop), Ok(()));
+    assert_eq!(client.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop), Ok(()));
 }
 
 fn fast_stop_that_is_not_confirmed_is_owed_until_it_is<C: Client>() {
@@ -230,7 +230,7 @@ fn fast_stop_that_is_not_confirmed_is_owed_until_it_is<C: Client>() {
 
 fn state_is_told_while_a_motion_runs<C: Client>() {
     let mut client = C::homed(Config::default());
-    let motion = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+    let motion = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     assert_eq!(client.motion(), Some(CommandId::PrePosition));
     assert_eq!(client.state(), Ok(GripperState::Positioning));
     assert!(client.system_state().unwrap().contains(SystemFlags::MOVING));
@@ -247,18 +247,18 @@ fn state_is_told_while_a_motion_runs<C: Client>() {
 
 fn one_motion_at_a_time<C: Client>() {
     let mut client = C::homed(Config::default());
-    let first = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+    let first = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     assert_eq!(client.home(HomingDirection::Default), Err(Error::MotionRunning));
-    assert_eq!(client.grip(20.0, 100.0), Err(Error::MotionRunning));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::MotionRunning));
     assert_eq!(client.wait(&first), Ok(()));
-    let second = client.begin_move_to(50.0, 100.0, OnBlock::Stop).unwrap();
+    let second = client.begin_move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     assert_eq!(client.wait(&first), Err(Error::Superseded));
     assert_eq!(client.wait(&second), Ok(()));
 }
 
 fn result_that_came_meanwhile_is_kept<C: Client>() {
     let mut client = C::homed(Config::default());
-    let grip = client.begin_grip(100.0, 200.0).unwrap();
+    let grip = client.begin_grip(Mm(100.0), MmPerS(200.0)).unwrap();
     client.bench().pass(5_000);
     assert_near(client.width().unwrap(), 95.0);
     assert_eq!(client.wait(&grip), Ok(Grip::NoPart));
@@ -283,13 +283,13 @@ fn motion_whose_answer_is_lost_is_unanswered_and_was_sent_once<C: Client>() {
     client.connect().unwrap();
     let homing = |bytes: &Vec<u8>| bytes.starts_with(b"HOME") || bytes.get(3) == Some(&0x20);
     assert_eq!(bench.world(|world| world.writes.iter().filter(|bytes| homing(bytes)).count()), 1);
-    assert_eq!(client.move_to(50.0, 200.0, OnBlock::Stop), Ok(()));
+    assert_eq!(client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop), Ok(()));
 }
 
 fn silence_during_a_motion_is_unanswered<C: Client>() {
     let mut client = C::homed(Config::default());
     let bench = client.bench();
-    let motion = client.begin_move_to(10.0, 20.0, OnBlock::Stop).unwrap();
+    let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     bench.world(|world| (world.mute, world.deaf) = (true, true));
     let begun = bench.millis();
     assert_eq!(client.wait(&motion), Err(Error::Unanswered));
@@ -304,7 +304,7 @@ fn silence_during_a_motion_is_unanswered<C: Client>() {
 
 fn closed_connection_is_told_and_another_takes_its_place<C: Client>() {
     let mut client = C::homed(Config::default());
-    let motion = client.begin_move_to(10.0, 20.0, OnBlock::Stop).unwrap();
+    let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     client.bench().world(|world| world.closed = true);
     assert_eq!(client.wait(&motion), Err(Error::Closed));
     assert!(!client.is_connected());
@@ -315,24 +315,24 @@ fn closed_connection_is_told_and_another_takes_its_place<C: Client>() {
     // The gripper took the end for an error.
     assert!(client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
     client.acknowledge().unwrap();
-    assert_eq!(client.move_to(50.0, 200.0, OnBlock::Stop), Ok(()));
+    assert_eq!(client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop), Ok(()));
 }
 
 fn announced_end_causes_no_fast_stop<C: Client>() {
     let mut client = C::homed(Config::default());
     assert_eq!(client.announce_disconnect(), Ok(()));
-    assert!(client.move_to(50.0, 200.0, OnBlock::Stop).is_err());
+    assert!(client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop).is_err());
     client.take_new_line();
     client.connect().unwrap();
     assert!(!client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
-    assert_eq!(client.move_to(50.0, 200.0, OnBlock::Stop), Ok(()));
+    assert_eq!(client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop), Ok(()));
 }
 
 fn end_without_announcement_is_what_the_next_program_is_told_of<C: Client>() {
     let mut client = C::homed(Config::default());
     client.take_new_line();
     client.connect().unwrap();
-    let error = client.move_to(50.0, 200.0, OnBlock::Stop).unwrap_err();
+    let error = client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop).unwrap_err();
     assert_eq!(error, Error::Refused(Status::AccessDenied));
     let text = error.to_string();
     for words in ["FAST STOP", "ended without Disconnect Announcement", "`acknowledge`"] {
@@ -384,7 +384,7 @@ fn program_whose_line_was_closed_is_told_so<C: Client>() {
 
 fn garbage_is_counted_and_nothing_else<C: Client>() {
     let mut client = C::homed(Config::default());
-    let motion = client.begin_move_to(50.0, 100.0, OnBlock::Stop).unwrap();
+    let motion = client.begin_move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let (before, known) = (client.counters(), client.known());
     client.bench().inject(C::Speech::GARBAGE);
     assert_eq!(client.poll(&motion), Ok(None));
@@ -406,10 +406,10 @@ fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
     let bench = client.bench();
     bench.world(|world| world.writes.clear());
     let invalid = Error::Invalid(DecodeError::NotFinite);
-    assert_eq!(client.grip(f32::NAN, 50.0), Err(invalid));
-    assert_eq!(client.move_to(50.0, f32::INFINITY, OnBlock::Stop), Err(invalid));
-    assert_eq!(client.move_by(f32::NAN, 50.0, OnBlock::Stop), Err(invalid));
-    assert_eq!(client.release(f32::NEG_INFINITY, 50.0), Err(invalid));
+    assert_eq!(client.grip(Mm(f32::NAN), MmPerS(50.0)), Err(invalid));
+    assert_eq!(client.move_to(Mm(50.0), MmPerS(f32::INFINITY), OnBlock::Stop), Err(invalid));
+    assert_eq!(client.move_by(Mm(f32::NAN), MmPerS(50.0), OnBlock::Stop), Err(invalid));
+    assert_eq!(client.release(Mm(f32::NEG_INFINITY), MmPerS(50.0)), Err(invalid));
     assert_eq!(client.set_force_limit(f32::NAN), Err(invalid));
     assert_eq!(bench.world(|world| world.writes.len()), 0);
     assert_eq!(client.force_limit(), Ok(40.0));
@@ -418,7 +418,7 @@ fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
 fn updates_come_while_the_fingers_travel<C: Client>() {
     let mut client = C::homed(Config::default());
     client.subscribe(Topic::Width, AutoUpdate::every(10));
-    let motion = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+    let motion = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let mut widths = vec![];
     while client.poll(&motion).unwrap().is_none() {
         if let Some(Update::Width(width)) = client.next_update(100).unwrap() {
@@ -464,7 +464,7 @@ fn latest_speed_is_known_while_it_is_subscribed_to<C: Client>() {
     let mut client = C::homed(Config::default());
     assert_eq!(client.known().speed, None, "nothing asked for it");
     client.subscribe(Topic::Speed, AutoUpdate::every(10));
-    let motion = client.begin_move_to(10.0, 100.0, OnBlock::Stop).unwrap();
+    let motion = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let mut fastest: f32 = 0.0;
     while client.poll(&motion).unwrap().is_none() {
         client.bench().pass(10);
@@ -487,7 +487,7 @@ fn fingers_tell_what_they_are<C: Client>() {
     assert!(client.finger_flags(Finger::One).unwrap().contains(connected));
     assert!(!client.finger_flags(Finger::Two).unwrap().intersects(connected));
     assert_eq!(client.tare(), Ok(()));
-    client.grip(20.0, 100.0).unwrap();
+    client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
     assert_eq!(client.finger_data(Finger::One), Ok(20.0_f32.to_le_bytes().to_vec()));
     assert_eq!(client.finger_data(Finger::Two), Err(Error::Refused(Status::NotAvailable)));
     for finger in [Finger::One, Finger::Two] {
@@ -508,8 +508,8 @@ fn fingers_tell_what_they_are<C: Client>() {
 
 fn message_is_one_write<C: Client>() {
     let mut client = C::homed(with_part(20.0));
-    client.grip(20.0, 100.0).unwrap();
-    client.release(60.0, 100.0).unwrap();
+    client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
+    client.release(Mm(60.0), MmPerS(100.0)).unwrap();
     let writes = client.bench().world(|world| world.writes.clone());
     for bytes in writes {
         let is_line = bytes.iter().filter(|byte| **byte == b'\n').count() == 1 && bytes.ends_with(b"\n");
@@ -525,9 +525,9 @@ fn nothing_is_sent_without_a_connection<C: Client>() {
     while client.is_connected() {
         client.next_update(50).unwrap();
     }
-    assert_eq!(client.move_to(10.0, 100.0, OnBlock::Stop), Err(Error::NotConnected));
+    assert_eq!(client.move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop), Err(Error::NotConnected));
     assert_eq!(client.set_force_limit(20.0), Err(Error::NotConnected));
-    assert_eq!(client.grip(20.0, 100.0), Err(Error::NotConnected));
+    assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::NotConnected));
     bench.world(|world| (world.mute, world.deaf) = (false, false));
     client.connect().unwrap();
     bench.pass(2_000);
@@ -539,7 +539,7 @@ fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_b
     for room in [0, 3, 5] {
         let mut client = C::homed(Config::default());
         client.bench().world(|world| world.room = room);
-        assert!(client.move_to(10.0, 400.0, OnBlock::Stop).is_err());
+        assert!(client.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop).is_err());
         client.bench().pass(1_000);
         while let Ok(Some(_)) = client.next_update(0) {}
         assert!(!client.is_connected(), "{room}");

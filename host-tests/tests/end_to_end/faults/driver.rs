@@ -8,7 +8,7 @@ use std::rc::Rc;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use host_tests::faulty_link::{FaultyLink, FaultyWay, Rates};
-use wsg_protocol::driver::{Clock, Culprit, Error, Grip, OnBlock, blocking::Gripper};
+use wsg_protocol::driver::{Clock, Culprit, Error, Grip, Mm, MmPerS, OnBlock, blocking::Gripper};
 use wsg_protocol::{CommandId, Event, FrameParser, GripperState, HomingDirection, Instant, Kind};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
 
@@ -180,9 +180,11 @@ fn soak(byte_errors: f64) -> u32 {
         assert!((before.width - rest).abs() < 0.02, "command {number}: the fingers moved before it");
 
         let result = match job {
-            0 => gripper.move_to(60.0, 400.0, OnBlock::Stop),
-            1 => gripper.grip(PART_MM, 200.0).map(|grip| assert_eq!(grip, Grip::Held, "command {number}")),
-            _ => gripper.release(40.0, 400.0),
+            0 => gripper.move_to(Mm(60.0), MmPerS(400.0), OnBlock::Stop),
+            1 => gripper
+                .grip(Mm(PART_MM), MmPerS(200.0))
+                .map(|grip| assert_eq!(grip, Grip::Held, "command {number}")),
+            _ => gripper.release(Mm(40.0), MmPerS(400.0)),
         };
 
         let left = motions.get() - sent;

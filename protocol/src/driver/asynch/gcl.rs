@@ -11,14 +11,14 @@ use embedded_io_async::{Read, Write};
 ///
 /// ```
 /// use embedded_io_async::{Read, Write};
-/// use wsg_protocol::driver::{Error, Grip, Timer, asynch::GclGripper as Gripper};
+/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, Timer, asynch::GclGripper as Gripper};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
 ///     let program = async |gripper: &mut Gripper<_, _>| {
 ///         gripper.set_force_limit(40.0).await?;
-///         Ok(gripper.grip(20.0, 100.0).await? == Grip::Held)
+///         Ok(gripper.grip(Mm(20.0), MmPerS(100.0)).await? == Grip::Held)
 ///     };
 ///     gripper.with_connection(program).await
 /// }

@@ -12,14 +12,14 @@ use embedded_io::{Read, ReadReady, Write};
 /// ```
 /// use embedded_io::{Read, ReadReady, Write};
 /// use wsg_protocol::HomingDirection;
-/// use wsg_protocol::driver::{Clock, Error, Grip, blocking::GclGripper as Gripper};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, blocking::GclGripper as Gripper};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// fn pick<IO: Read + ReadReady + Write>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
 ///     Gripper::new(io, clock).with_connection(|gripper| {
 ///         gripper.home(HomingDirection::Default)?;
 ///         gripper.set_force_limit(40.0)?;
-///         Ok(gripper.grip(20.0, 100.0)? == Grip::Held)
+///         Ok(gripper.grip(Mm(20.0), MmPerS(100.0))? == Grip::Held)
 ///     })
 /// }
 /// ```

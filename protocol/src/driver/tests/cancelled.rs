@@ -8,7 +8,7 @@ fn dropping_at_any_moment_loses_no_byte_and_no_step() {
     for polls in 0..130 {
         let rig = Rig::new();
         let mut gripper = connected_async(&rig);
-        let dropped = rig.run_for(polls, gripper.grip(20.0, 50.0)).is_none();
+        let dropped = rig.run_for(polls, gripper.grip(Mm(20.0), MmPerS(50.0))).is_none();
         assert_eq!(dropped, polls < 101, "{polls}");
         assert_eq!(rig.run(gripper.width()), Ok(42.5), "{polls}");
         assert_eq!(rig.run(gripper.set_force_limit(33.0)), Ok(()), "{polls}");
@@ -26,7 +26,7 @@ fn motion_that_had_not_left_does_not_leave_any_more() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.world(|world| world.room = 0);
-    assert_eq!(rig.run_for(5, gripper.grip(20.0, 50.0)), None);
+    assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
     rig.world(|world| world.room = usize::MAX);
     assert!(gripper.motion().is_some(), "it still waits for the line");
     assert_eq!(rig.run(gripper.width()), Ok(42.5));
@@ -41,7 +41,7 @@ fn frame_that_was_cut_off_is_sent_to_its_end() {
         let rig = Rig::new();
         let mut gripper = connected_async(&rig);
         rig.world(|world| world.room = room);
-        assert_eq!(rig.run_for(5, gripper.grip(20.0, 50.0)), None);
+        assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
         rig.world(|world| world.room = usize::MAX);
         assert_eq!(rig.run(gripper.width()), Ok(42.5), "{room}");
         assert_eq!(rig.heard(CommandId::GripPart), 1, "{room}");
@@ -56,9 +56,9 @@ fn motion_goes_on_and_is_told_of() {
     let mut gripper = connected_async(&rig);
     assert_eq!(rig.run_for(10, gripper.home(HomingDirection::Default)), None);
     assert_eq!(gripper.motion(), Some(CommandId::Homing));
-    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Err(Error::MotionRunning));
+    assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Err(Error::MotionRunning));
     rig.pass(200);
-    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Ok(Grip::Held));
+    assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::Held));
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn line_that_takes_nothing_ends_in_an_error() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.world(|world| world.room = 0);
-    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Err(Error::Unanswered));
+    assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Err(Error::Unanswered));
     assert!(!gripper.is_connected());
     rig.world(|world| world.room = usize::MAX);
     rig.run(gripper.connect()).unwrap();
@@ -142,9 +142,9 @@ fn future_may_be_given_to_another_thread() {
         async fn wait_until(&mut self, _: Instant) {}
     }
     let mut gripper = asynch::Gripper::new(Nothing, Midnight);
-    is_send(&gripper.grip(20.0, 50.0));
+    is_send(&gripper.grip(Mm(20.0), MmPerS(50.0)));
     is_send(&gripper.set_tag("x"));
-    let program = async |gripper: &mut asynch::Gripper<_, _>| gripper.grip(20.0, 50.0).await;
+    let program = async |gripper: &mut asynch::Gripper<_, _>| gripper.grip(Mm(20.0), MmPerS(50.0)).await;
     is_send(&gripper.with_connection(program));
 }
 
@@ -153,9 +153,9 @@ fn dropped_motion_and_a_new_one_are_not_mixed_up() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.script_motion(CommandId::GripPart, Status::CmdFailed);
-    assert_eq!(rig.run_for(10, gripper.grip(20.0, 50.0)), None);
+    assert_eq!(rig.run_for(10, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
     rig.pass(150); // its result waits on the line
-    assert_eq!(rig.run(gripper.grip(30.0, 50.0)), Ok(Grip::Held));
+    assert_eq!(rig.run(gripper.grip(Mm(30.0), MmPerS(50.0))), Ok(Grip::Held));
     let widths: Vec<_> = rig.world(|world| world.heard.iter().map(|(_, payload)| payload.clone()).collect());
     let grip = |width| rig::payload(&Command::GripPart { width, speed: 50.0 });
     assert_eq!(widths, [grip(20.0), grip(30.0)]);
@@ -166,7 +166,7 @@ fn frame_that_an_error_of_the_transport_cut_off_is_not_sent_to_its_end() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.world(|world| world.room = 7);
-    assert_eq!(rig.run_for(5, gripper.grip(20.0, 50.0)), None);
+    assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
     rig.world(|world| (world.room, world.refuses) = (usize::MAX, true));
     assert_eq!(rig.run(gripper.width()), Err(Error::Transport(Noise)));
     assert_eq!(rig.run(gripper.width()), Err(Error::NotConnected), "the motion has no answer");
@@ -181,7 +181,7 @@ fn frame_that_is_half_sent_when_a_motion_is_given_up_is_sent_to_its_end() {
     fn endless(rig: &Rig) -> (Asynch, Pending<Grip>) {
         let mut gripper = connected_async(rig);
         rig.script(CommandId::GripPart, vec![(1, status(CommandId::GripPart, Status::CmdPending))]);
-        let grip = rig.run(gripper.begin_grip(20.0, 50.0)).unwrap();
+        let grip = rig.run(gripper.begin_grip(Mm(20.0), MmPerS(50.0))).unwrap();
         (gripper, grip)
     }
     let rig = Rig::new();

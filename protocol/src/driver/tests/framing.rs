@@ -25,7 +25,7 @@ fn unasked_frames_before_every_answer_do_not_get_it_out_of_step() {
         assert_eq!(gripper.force_limit(), Ok(force));
         rig.inject(&unsolicited());
         assert_eq!(gripper.width(), Ok(42.5));
-        let grip = gripper.begin_grip(20.0, 50.0).unwrap();
+        let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
         rig.inject(&unsolicited());
         assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
     }
@@ -47,7 +47,7 @@ fn update_between_pending_and_result_is_not_the_result() {
             (40, status(id, Status::CmdFailed)),
         ],
     );
-    assert_eq!(rig.run(gripper.grip(20.0, 50.0)), Ok(Grip::NoPart));
+    assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::NoPart));
 }
 
 #[test]
@@ -58,9 +58,9 @@ fn two_frames_in_one_segment_are_both_taken() {
     let id = CommandId::GripPart;
     let both = [status(id, Status::CmdPending), status(id, Status::CmdFailed)].concat();
     rig.script(id, vec![(1, both.clone())]);
-    assert_eq!(gripper.grip(20.0, 50.0), Ok(Grip::NoPart));
+    assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::NoPart));
     rig.script(id, vec![(1, both)]);
-    assert_eq!(rig.run(other.grip(20.0, 50.0)), Ok(Grip::NoPart));
+    assert_eq!(rig.run(other.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::NoPart));
 
     let width = frame(Reply::success(Value::GetOpeningWidth(7.0)));
     let segment = [unsolicited(), width, unsolicited()].concat();
@@ -128,9 +128,9 @@ fn every_frame_leaves_by_one_write() {
     let mut gripper = connected(&rig);
     let mut other = connected_async(&rig);
     rig.world(|world| world.writes.clear());
-    gripper.move_to(50.0, 100.0, OnBlock::Stop).unwrap();
+    gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     gripper.loop_back(&[1; 256]).unwrap();
-    rig.run(other.grip(20.0, 50.0)).unwrap();
+    rig.run(other.grip(Mm(20.0), MmPerS(50.0))).unwrap();
     rig.run(other.set_tag(&"x".repeat(64))).unwrap();
     let writes = rig.world(|world| world.writes.clone());
     for len in [17, 264, 16, 72] {

@@ -11,7 +11,7 @@ fn motion_is_carried_to_its_end() {
     let rig = Rig::new();
     let mut gripper = asleep(&rig);
     assert_eq!(rig.run_woken(gripper.connect()), Ok(()));
-    assert_eq!(rig.run_woken(gripper.grip(20.0, 50.0)), Ok(Grip::Held));
+    assert_eq!(rig.run_woken(gripper.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::Held));
     assert_eq!(rig.run_woken(gripper.width()), Ok(42.5));
 }
 
@@ -32,7 +32,7 @@ fn gripper_that_falls_silent_is_noticed() {
     rig.run_woken(gripper.connect()).unwrap();
     rig.world(|world| world.silent = true);
     let begun = rig.world(|world| world.now);
-    assert_eq!(rig.run_woken(gripper.grip(20.0, 50.0)), Err(Error::Unanswered));
+    assert_eq!(rig.run_woken(gripper.grip(Mm(20.0), MmPerS(50.0))), Err(Error::Unanswered));
     assert_eq!(rig.world(|world| world.now).since(begun), Config::DEFAULT.session.reply_timeout_ms);
 }
 
