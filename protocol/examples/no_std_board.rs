@@ -7,8 +7,10 @@
 //! ```
 #![no_std]
 
-use embedded_io::{Read, ReadReady, Write};
-use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, OnBlock, blocking};
+use wsg_protocol::driver::{
+    self, Clock, Error, Grip, Mm, MmPerS, OnBlock,
+    blocking::{self, Transport},
+};
 use wsg_protocol::{HomingDirection, session};
 
 /// A gripper with small buffers: replies up to a device tag, commands up to Pre-position Fingers. Some 600 bytes of RAM.
@@ -36,7 +38,7 @@ pub enum Cycle {
 }
 
 /// The gripper on this UART; the tick is the board's millisecond counter.
-pub const fn gripper<Uart, Tick>(uart: Uart, tick: Tick) -> Gripper<Uart, Tick> {
+pub const fn gripper<Uart: Transport, Tick: Clock>(uart: Uart, tick: Tick) -> Gripper<Uart, Tick> {
     const CONFIG: driver::Config = driver::Config {
         session: session::Config { width: true, ..driver::Config::DEFAULT.session },
         ..driver::Config::DEFAULT
@@ -48,7 +50,7 @@ pub const fn gripper<Uart, Tick>(uart: Uart, tick: Tick) -> Gripper<Uart, Tick> 
 ///
 /// # Errors
 /// Those of the driver.
-pub fn set_up<Uart: Read + ReadReady + Write, Tick: Clock>(
+pub fn set_up<Uart: Transport, Tick: Clock>(
     gripper: &mut Gripper<Uart, Tick>,
     force: f32,
 ) -> Result<(), Error<Uart::Error>> {
@@ -61,7 +63,7 @@ pub fn set_up<Uart: Read + ReadReady + Write, Tick: Clock>(
 ///
 /// # Errors
 /// Those of the driver.
-pub fn cycle<Uart: Read + ReadReady + Write, Tick: Clock>(
+pub fn cycle<Uart: Transport, Tick: Clock>(
     gripper: &mut Gripper<Uart, Tick>,
     part: Part,
     carry: impl FnOnce(),

@@ -71,11 +71,17 @@ use crate::{frame, session};
 /// let mut clock = move || Instant::from_millis(start.elapsed().as_millis() as u32);
 /// assert!(clock.now().as_millis() < 1_000);
 /// ```
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no clock of a driver",
+    label = "this needs `wsg_protocol::driver::Clock`",
+    note = "a closure that returns a `wsg_protocol::Instant` is one"
+)]
 pub trait Clock {
     /// This moment.
     fn now(&mut self) -> Instant;
 }
 
+#[diagnostic::do_not_recommend]
 impl<F: FnMut() -> Instant> Clock for F {
     fn now(&mut self) -> Instant {
         self()
@@ -102,6 +108,11 @@ impl<F: FnMut() -> Instant> Clock for F {
 ///     }
 /// }
 /// ```
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no timer of the async driver",
+    label = "this needs `wsg_protocol::driver::Timer`",
+    note = "the documentation of `Timer` has one for embassy; a closure is a clock, but cannot wake a task"
+)]
 pub trait Timer: Clock {
     /// Is ready at this moment, or soon after it. It is dropped when something else happens first.
     fn wait_until(&mut self, moment: Instant) -> impl Future<Output = ()>;

@@ -31,6 +31,16 @@ const CHUNK_LEN: usize = 64;
 /// Chunks read before time is looked at again: a line that never falls silent must not stop the clock.
 const MAX_CHUNKS: usize = 64;
 
+/// The transport of the async driver: every type with these traits of `embedded_io_async` is one.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no transport of the async driver",
+    label = "this needs `embedded_io_async::Read` and `Write`"
+)]
+pub trait Transport: Read + Write {}
+
+#[diagnostic::do_not_recommend]
+impl<IO: Read + Write> Transport for IO {}
+
 /// A gripper at the other end of a transport.
 ///
 /// Every method may be given up: drop its future. Nothing that was received is lost, a frame that was cut off is sent to
@@ -42,11 +52,11 @@ const MAX_CHUNKS: usize = 64;
 /// 17; both can be lower than what [`new`](Self::new) takes where RAM is short and Loop is not used.
 ///
 /// ```
-/// use embedded_io_async::{Read, Write};
-/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, Timer, asynch::Gripper};
+/// use wsg_protocol::driver::asynch::{Gripper, Transport};
+/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, Timer};
 ///
 /// /// Takes a part of 20 mm and says how wide the fingers are open meanwhile.
-/// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<Grip, Error<IO::Error>> {
+/// async fn pick<IO: Transport>(io: IO, timer: impl Timer) -> Result<Grip, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
 ///     let program = async |gripper: &mut Gripper<_, _>| {
 ///         let grip = gripper.begin_grip(Mm(20.0), MmPerS(100.0)).await?;
@@ -71,7 +81,7 @@ pub struct GripperOver<IO, C, P: Protocol> {
     engine: Engine<P>,
 }
 
-impl<IO, C> GripperOver<IO, C, Binary> {
+impl<IO: Transport, C: Timer> GripperOver<IO, C, Binary> {
     /// A gripper that is not connected yet, with [`Config::DEFAULT`] and room for every command.
     #[must_use]
     pub const fn new(io: IO, timer: C) -> Self {
@@ -79,12 +89,13 @@ impl<IO, C> GripperOver<IO, C, Binary> {
     }
 }
 
-impl<IO, C, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>> {
+impl<IO: Transport, C: Timer, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>> {
     /// As [`new`](Gripper::new), with other settings and buffers.
     ///
     /// ```
     /// use wsg_protocol::driver::{Config, asynch::Gripper};
-    /// # fn with<IO, C>(io: IO, timer: C) {
+    /// # use wsg_protocol::driver::{Timer, asynch::Transport};
+    /// # fn with<IO: Transport, C: Timer>(io: IO, timer: C) {
     /// let gripper = Gripper::<_, _, 66, 32>::with_config(io, timer, Config::DEFAULT);
     /// # }
     /// ```
@@ -120,7 +131,7 @@ async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>) {
     }
 }
 
-impl<IO: Read + Write, C: Timer, P: Protocol> GripperOver<IO, C, P> {
+impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
     methods!([async] [.await] AsyncFnOnce);
 
     /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.

@@ -28,6 +28,48 @@ const CHUNK_LEN: usize = 64;
 /// Chunks read before time is looked at again: a line that never falls silent must not stop the clock.
 const MAX_CHUNKS: usize = 64;
 
+/// The transport of the blocking driver: every type with these traits of `embedded_io` is one.
+///
+/// `embedded_io_adapters::std::FromStd` of a `TcpStream` is none, because it does not tell whether there are bytes to
+/// read:
+///
+/// ```compile_fail,E0277
+/// use wsg_protocol::Instant;
+/// use wsg_protocol::driver::blocking::Gripper;
+/// # struct FromStd<T>(T);
+/// # impl<T> embedded_io::ErrorType for FromStd<T> {
+/// #     type Error = core::convert::Infallible;
+/// # }
+/// # impl<T> embedded_io::Read for FromStd<T> {
+/// #     fn read(&mut self, _: &mut [u8]) -> Result<usize, Self::Error> {
+/// #         Ok(0)
+/// #     }
+/// # }
+/// # impl<T> embedded_io::Write for FromStd<T> {
+/// #     fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
+/// #         Ok(bytes.len())
+/// #     }
+/// #     fn flush(&mut self) -> Result<(), Self::Error> {
+/// #         Ok(())
+/// #     }
+/// # }
+///
+/// # fn new(stream: std::net::TcpStream) {
+/// let gripper = Gripper::new(FromStd(stream), || Instant::from_millis(0));
+/// # }
+/// ```
+///
+/// The type `Tcp` in the crate's example `grip` shows one way to ask a socket.
+#[diagnostic::on_unimplemented(
+    message = "`{Self}` is no transport of the blocking driver",
+    label = "this needs `embedded_io::Read`, `ReadReady` and `Write`",
+    note = "`FromStd` of a socket has no `ReadReady`: the type `Tcp` in wsg-protocol's example `grip` has it"
+)]
+pub trait Transport: Read + ReadReady + Write {}
+
+#[diagnostic::do_not_recommend]
+impl<IO: Read + ReadReady + Write> Transport for IO {}
+
 /// A gripper at the other end of a transport.
 ///
 /// While it waits it asks the transport again and again whether there are bytes, and the clock for the time. A transport
@@ -38,12 +80,12 @@ const MAX_CHUNKS: usize = 64;
 /// 17; both can be lower than what [`new`](Self::new) takes where RAM is short and Loop is not used.
 ///
 /// ```
-/// use embedded_io::{Read, ReadReady, Write};
 /// use wsg_protocol::HomingDirection;
-/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, blocking::Gripper};
+/// use wsg_protocol::driver::blocking::{Gripper, Transport};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
-/// fn pick<IO: Read + ReadReady + Write>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
+/// fn pick<IO: Transport>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
 ///     Gripper::new(io, clock).with_connection(|gripper| {
 ///         gripper.home(HomingDirection::Default)?;
 ///         gripper.set_force_limit(40.0)?;
@@ -62,7 +104,7 @@ pub struct GripperOver<IO, C, P: Protocol> {
     engine: Engine<P>,
 }
 
-impl<IO, C> GripperOver<IO, C, Binary> {
+impl<IO: Transport, C: Clock> GripperOver<IO, C, Binary> {
     /// A gripper that is not connected yet, with [`Config::DEFAULT`] and room for every command.
     #[must_use]
     pub const fn new(io: IO, clock: C) -> Self {
@@ -70,12 +112,13 @@ impl<IO, C> GripperOver<IO, C, Binary> {
     }
 }
 
-impl<IO, C, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>> {
+impl<IO: Transport, C: Clock, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>> {
     /// As [`new`](Gripper::new), with other settings and buffers.
     ///
     /// ```
     /// use wsg_protocol::driver::{Config, blocking::Gripper};
-    /// # fn with<IO, C>(io: IO, clock: C) {
+    /// # use wsg_protocol::driver::{Clock, blocking::Transport};
+    /// # fn with<IO: Transport, C: Clock>(io: IO, clock: C) {
     /// let gripper = Gripper::<_, _, 66, 32>::with_config(io, clock, Config::DEFAULT);
     /// # }
     /// ```
@@ -85,7 +128,7 @@ impl<IO, C, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>>
     }
 }
 
-impl<IO: Read + ReadReady + Write, C: Clock, P: Protocol> GripperOver<IO, C, P> {
+impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
     methods!([] [] FnOnce);
 
     /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.

@@ -13,11 +13,11 @@ use crate::{frame, session};
 ///
 /// ```
 /// # #[cfg(feature = "embedded-io")] {
-/// use embedded_io::{Read, ReadReady, Write};
-/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol, blocking::GripperOver};
+/// use wsg_protocol::driver::blocking::{GripperOver, Transport};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
-/// fn pick<IO: Read + ReadReady + Write, C: Clock, P: Protocol>(
+/// fn pick<IO: Transport, C: Clock, P: Protocol>(
 ///     gripper: &mut GripperOver<IO, C, P>,
 /// ) -> Result<bool, Error<IO::Error>> {
 ///     gripper.set_force_limit(40.0)?;

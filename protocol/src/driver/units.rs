@@ -12,10 +12,10 @@ pub struct Mm(pub f32);
 ///
 /// ```compile_fail,E0308
 /// # #[cfg(feature = "embedded-io")] {
-/// use embedded_io::{Read, ReadReady, Write};
-/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol, blocking::GripperOver};
+/// use wsg_protocol::driver::blocking::{GripperOver, Transport};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol};
 ///
-/// fn pick<IO: Read + ReadReady + Write, C: Clock, P: Protocol>(
+/// fn pick<IO: Transport, C: Clock, P: Protocol>(
 ///     gripper: &mut GripperOver<IO, C, P>,
 /// ) -> Result<Grip, Error<IO::Error>> {
 ///     gripper.grip(MmPerS(100.0), Mm(20.0))

@@ -1,20 +1,19 @@
 //! The async driver over the text protocol.
 
-use super::GripperOver;
+use super::{GripperOver, Transport};
 use crate::driver::engine::{Awaited, Engine, Goal};
 use crate::driver::methods::gcl_methods;
 use crate::driver::{Config, Error, GCL_LINE_LEN, Gcl, Timer};
 use crate::gcl::{Request, Setting};
-use embedded_io_async::{Read, Write};
 
 /// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
 ///
 /// ```
-/// use embedded_io_async::{Read, Write};
-/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, Timer, asynch::GclGripper as Gripper};
+/// use wsg_protocol::driver::asynch::{GclGripper as Gripper, Transport};
+/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, Timer};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
-/// async fn pick<IO: Read + Write>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
+/// async fn pick<IO: Transport>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
 ///     let program = async |gripper: &mut Gripper<_, _>| {
 ///         gripper.set_force_limit(40.0).await?;
@@ -25,7 +24,7 @@ use embedded_io_async::{Read, Write};
 /// ```
 pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
 
-impl<IO, C> GripperOver<IO, C, Gcl> {
+impl<IO: Transport, C: Timer> GripperOver<IO, C, Gcl> {
     /// A gripper that is not connected yet, with [`Config::DEFAULT`].
     #[must_use]
     pub const fn new(io: IO, timer: C) -> Self {
@@ -33,12 +32,13 @@ impl<IO, C> GripperOver<IO, C, Gcl> {
     }
 }
 
-impl<IO, C, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
+impl<IO: Transport, C: Timer, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
     /// As [`new`](GclGripper::new), with other settings and another buffer.
     ///
     /// ```
     /// use wsg_protocol::driver::{Config, asynch::GclGripper};
-    /// # fn with<IO, C>(io: IO, timer: C) {
+    /// # use wsg_protocol::driver::{Timer, asynch::Transport};
+    /// # fn with<IO: Transport, C: Timer>(io: IO, timer: C) {
     /// let gripper = GclGripper::<_, _, 128>::with_config(io, timer, Config::DEFAULT);
     /// # }
     /// ```
@@ -48,6 +48,6 @@ impl<IO, C, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
     }
 }
 
-impl<IO: Read + Write, C: Timer, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
+impl<IO: Transport, C: Timer, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
     gcl_methods!([async] [.await]);
 }

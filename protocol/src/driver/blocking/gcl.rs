@@ -1,21 +1,20 @@
 //! The blocking driver over the text protocol.
 
-use super::GripperOver;
+use super::{GripperOver, Transport};
 use crate::driver::engine::{Awaited, Engine, Goal};
 use crate::driver::methods::gcl_methods;
 use crate::driver::{Clock, Config, Error, GCL_LINE_LEN, Gcl};
 use crate::gcl::{Request, Setting};
-use embedded_io::{Read, ReadReady, Write};
 
 /// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
 ///
 /// ```
-/// use embedded_io::{Read, ReadReady, Write};
 /// use wsg_protocol::HomingDirection;
-/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, blocking::GclGripper as Gripper};
+/// use wsg_protocol::driver::blocking::{GclGripper as Gripper, Transport};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
-/// fn pick<IO: Read + ReadReady + Write>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
+/// fn pick<IO: Transport>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
 ///     Gripper::new(io, clock).with_connection(|gripper| {
 ///         gripper.home(HomingDirection::Default)?;
 ///         gripper.set_force_limit(40.0)?;
@@ -25,7 +24,7 @@ use embedded_io::{Read, ReadReady, Write};
 /// ```
 pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
 
-impl<IO, C> GripperOver<IO, C, Gcl> {
+impl<IO: Transport, C: Clock> GripperOver<IO, C, Gcl> {
     /// A gripper that is not connected yet, with [`Config::DEFAULT`].
     #[must_use]
     pub const fn new(io: IO, clock: C) -> Self {
@@ -33,12 +32,13 @@ impl<IO, C> GripperOver<IO, C, Gcl> {
     }
 }
 
-impl<IO, C, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
+impl<IO: Transport, C: Clock, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
     /// As [`new`](GclGripper::new), with other settings and another buffer.
     ///
     /// ```
     /// use wsg_protocol::driver::{Config, blocking::GclGripper};
-    /// # fn with<IO, C>(io: IO, clock: C) {
+    /// # use wsg_protocol::driver::{Clock, blocking::Transport};
+    /// # fn with<IO: Transport, C: Clock>(io: IO, clock: C) {
     /// let gripper = GclGripper::<_, _, 128>::with_config(io, clock, Config::DEFAULT);
     /// # }
     /// ```
@@ -48,6 +48,6 @@ impl<IO, C, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
     }
 }
 
-impl<IO: Read + ReadReady + Write, C: Clock, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
+impl<IO: Transport, C: Clock, const RX: usize> GripperOver<IO, C, Gcl<RX>> {
     gcl_methods!([] []);
 }
