@@ -64,7 +64,7 @@ pub struct Server {
     gcl: Option<TcpListener>,
     gcl_udp: Option<UdpSocket>,
     modbus: Option<TcpListener>,
-    control: Option<TcpListener>,
+    control: Option<(TcpListener, Vec<String>)>,
 }
 
 impl Server {
@@ -90,6 +90,7 @@ impl Server {
         };
         let modbus = listen(lines.modbus, "Modbus/TCP").await?;
         let control = listen(lines.control, "the control interface").await?;
+        let control = control.map(|listener| (listener, lines.control_hosts.clone()));
         let hub = Rc::new(Hub::new(config, lines.seed, log));
         Ok(Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, control })
     }
@@ -139,7 +140,7 @@ impl Server {
     /// The address that the control interface listens on.
     #[must_use]
     pub fn control_address(&self) -> Option<SocketAddr> {
-        self.control.as_ref()?.local_addr().ok()
+        self.control.as_ref()?.0.local_addr().ok()
     }
 
     /// Serves until `end` is ready, or a line fails for good.
@@ -180,8 +181,8 @@ impl Server {
                 if let Some(listener) = modbus {
                     tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::ModbusTcp));
                 }
-                if let Some(listener) = control {
-                    tasks.spawn_local(control::serve(hub, listener));
+                if let Some((listener, hosts)) = control {
+                    tasks.spawn_local(control::serve(hub, listener, hosts));
                 }
                 tokio::select! {
                     () = end => Ok(()),

@@ -254,7 +254,7 @@ fn answers_serial(sim: &Sim, setup: Setup<'_>) -> Result<()> {
 fn answers_control(control: SocketAddr) -> Result<()> {
     let mut stream = TcpStream::connect(control)?;
     stream.set_read_timeout(Some(PATIENCE))?;
-    stream.write_all(b"GET /state HTTP/1.1\r\nHost: wsg-sim\r\n\r\n")?;
+    stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n")?;
     let mut answer = String::new();
     stream.read_to_string(&mut answer)?;
     ensure!(answer.starts_with("HTTP/1.1 200"), "{answer}");

@@ -1,6 +1,7 @@
 //! The control interface: a hand beside the gripper, by HTTP with JSON. `docs/simulator.md` describes it to users.
 //!
-//! One request to a connection, and everything about one is bounded: its size, its time, and how many there are.
+//! One request to a connection, and everything about one is bounded: its size, its time, and how many there are. Who may
+//! ask is decided by `Host` and `Origin`, which a browser sets and a web page cannot.
 
 use super::faulty_line::{Direction, LineCounts, LineFaults};
 use super::hub::{Hub, Report};
@@ -10,19 +11,20 @@ use crate::finger::{Finger, Jaw};
 use anyhow::Result;
 use http_body_util::{BodyExt, Full, LengthLimitError, Limited};
 use hyper::body::{Bytes, Incoming};
-use hyper::header::{ALLOW, CONTENT_TYPE, HeaderValue, ORIGIN};
+use hyper::header::{ALLOW, CONTENT_TYPE, HOST, HeaderMap, HeaderValue, ORIGIN};
+use hyper::http::uri::Authority;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::net::IpAddr;
 use std::rc::Rc;
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
-use tokio::task::spawn_local;
+use tokio::task::{JoinHandle, spawn_local, yield_now};
 use tokio::time::{sleep, timeout};
 use wsg_protocol::SystemFlags;
 
@@ -30,7 +32,7 @@ use wsg_protocol::SystemFlags;
 const MAX_BODY_LEN: usize = 4_096;
 /// Room for the head of a request, in bytes.
 const MAX_HEAD_LEN: usize = 16_384;
-/// How many connections are served at a time; others wait.
+/// How many connections are served at a time; one more, and the oldest gives way.
 const MAX_CONNECTIONS: usize = 32;
 /// How long a connection may last.
 const TIME_LIMIT: Duration = Duration::from_secs(5);
@@ -42,35 +44,66 @@ const FAULT_EXPECTED: &str =
     r#"{"fault":"axis_blocked","on":true}, and "finger":1 or "finger":2 with the faults of a finger"#;
 const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and what is left out is 0, and "direction":"requests", "replies" or "both""#;
 
-pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener) -> Result<()> {
-    let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+/// `names`: the hosts that requests may be for, beside this machine's own address and `localhost`.
+pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
+    let names: Rc<[String]> = names.into();
+    let mut connections = Connections::default();
     loop {
-        let place = Arc::clone(&places).acquire_owned().await?;
         match listener.accept().await {
             Ok((stream, _)) => {
-                let hub = Rc::clone(&hub);
-                spawn_local(async move {
+                let (hub, names) = (Rc::clone(&hub), Rc::clone(&names));
+                connections.open(async move {
                     // Whoever takes longer, or speaks something else, is dropped.
-                    let _ = timeout(TIME_LIMIT, serve_connection(hub, stream)).await;
-                    drop(place);
+                    let _ = timeout(TIME_LIMIT, serve_connection(hub, names, stream)).await;
                 });
+                // A request that came with its connection is answered before others can push it out.
+                yield_now().await;
             }
             Err(_) => sleep(RECOVERY).await,
         }
     }
 }
 
-async fn serve_connection(hub: Rc<Hub>, stream: TcpStream) -> hyper::Result<()> {
-    let service = service_fn(move |request| answer(Rc::clone(&hub), request));
-    http1::Builder::new()
-        .keep_alive(false)
-        .max_buf_size(MAX_HEAD_LEN)
-        .serve_connection(TokioIo::new(stream), service)
-        .await
+/// Those that are open, the oldest first.
+#[derive(Debug, Default)]
+struct Connections(VecDeque<JoinHandle<()>>);
+
+impl Connections {
+    /// Serves another one. Where there are too many, the oldest is dropped: it has had the longest time for its request,
+    /// and one that came whole is answered already.
+    fn open(&mut self, connection: impl Future<Output = ()> + 'static) {
+        let Self(open) = self;
+        open.retain(|connection| !connection.is_finished());
+        if open.len() >= MAX_CONNECTIONS
+            && let Some(oldest) = open.pop_front()
+        {
+            oldest.abort();
+        }
+        open.push_back(spawn_local(connection));
+    }
 }
 
-async fn answer(hub: Rc<Hub>, request: Request<Incoming>) -> Result<Response<Full<Bytes>>, Infallible> {
-    let answer = act(&hub, request).await.and_then(|()| {
+async fn serve_connection(hub: Rc<Hub>, names: Rc<[String]>, stream: TcpStream) -> Result<()> {
+    let here = stream.local_addr()?.ip().to_canonical();
+    let service = service_fn(move |request| answer(Rc::clone(&hub), here, Rc::clone(&names), request));
+    let served = http1::Builder::new()
+        .keep_alive(false)
+        .max_buf_size(MAX_HEAD_LEN)
+        .serve_connection(TokioIo::new(stream), service);
+    Ok(served.await?)
+}
+
+async fn answer(
+    hub: Rc<Hub>,
+    here: IpAddr,
+    names: Rc<[String]>,
+    request: Request<Incoming>,
+) -> Result<Response<Full<Bytes>>, Infallible> {
+    let answer = async {
+        check_host(request.headers(), here, &names)?;
+        act(&hub, request).await
+    };
+    let answer = answer.await.and_then(|()| {
         let report = hub.report();
         serde_json::to_vec(&StateBody::of(&hub, &report))
             .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
@@ -107,6 +140,33 @@ impl HttpError {
     const fn wrong(error: String) -> Self {
         Self::new(StatusCode::BAD_REQUEST, error)
     }
+}
+
+/// Refuses a request for another host. To a browser a web page whose name leads to this machine (DNS rebinding) is of one
+/// origin with this server, so nothing but `Host` tells of it. The port is not looked at: it may be forwarded.
+fn check_host(headers: &HeaderMap, here: IpAddr, names: &[String]) -> Result<(), HttpError> {
+    let mut hosts = headers.get_all(HOST).iter();
+    let (Some(host), None) = (hosts.next(), hosts.next()) else {
+        return Err(HttpError::wrong("expected one header Host".to_owned()));
+    };
+    let authority = Authority::try_from(host.as_bytes());
+    let name = authority.as_ref().map_or("", Authority::host);
+    let name = name.strip_prefix('[').and_then(|name| name.strip_suffix(']')).unwrap_or(name);
+    let is_address = |address: IpAddr| {
+        let address = address.to_canonical();
+        address.is_loopback() || address == here
+    };
+    let is_name = |known: &String| known.eq_ignore_ascii_case(name);
+    if name.eq_ignore_ascii_case("localhost")
+        || name.parse().is_ok_and(is_address)
+        || names.iter().any(is_name)
+    {
+        return Ok(());
+    }
+    let host = String::from_utf8_lossy(host.as_bytes());
+    let error =
+        format!("the request is for the host {host:?}; expected localhost, {here} or one of --control-host");
+    Err(HttpError::new(StatusCode::MISDIRECTED_REQUEST, error))
 }
 
 /// Does what the request asks for; the answer to all of them is the state.
@@ -433,4 +493,86 @@ fn active_fault(fault: &Fault) -> ActiveFaultBody {
         Fault::FingerCommunication(jaw) => (FaultName::FingerCommunication, number(jaw)),
     };
     ActiveFaultBody { fault, finger }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::future::pending;
+    use tokio::task::LocalSet;
+
+    #[tokio::test]
+    async fn oldest_connection_gives_way_and_one_that_is_over_counts_no_more() {
+        let mut connections = Connections::default();
+        let held = Rc::new(());
+        let open = |count: usize, connections: &mut Connections| {
+            for _ in 0..count {
+                let held = Rc::clone(&held);
+                connections.open(async move {
+                    let _held = held;
+                    pending().await
+                });
+            }
+        };
+        let local = LocalSet::new();
+        let all = local.run_until(async {
+            connections.open(async {});
+            open(MAX_CONNECTIONS - 1, &mut connections);
+            yield_now().await;
+            open(1, &mut connections);
+            yield_now().await;
+            assert_eq!(Rc::strong_count(&held) - 1, MAX_CONNECTIONS, "the first one was over");
+            let oldest = connections.0[0].abort_handle();
+            open(1, &mut connections);
+            yield_now().await;
+            assert!(oldest.is_finished());
+            assert_eq!(Rc::strong_count(&held) - 1, MAX_CONNECTIONS);
+        });
+        all.await;
+    }
+
+    #[test]
+    fn requests_are_for_this_machine_or_a_name_that_is_known() {
+        let here: IpAddr = "192.168.1.7".parse().unwrap();
+        let names = ["Bench.example".to_owned(), "203.0.113.9".to_owned()];
+        let status = |hosts: &[&str]| {
+            let mut headers = HeaderMap::new();
+            for host in hosts {
+                headers.append(HOST, HeaderValue::from_str(host).unwrap());
+            }
+            check_host(&headers, here, &names).map_err(|refused| refused.status.as_u16())
+        };
+        for host in [
+            "localhost",
+            "LocalHost:9",
+            "127.0.0.1",
+            "127.8.7.6:8080",
+            "[::1]",
+            "[::1]:8080",
+            "[::ffff:127.0.0.1]",
+            "192.168.1.7",
+            "192.168.1.7:8080",
+            "bench.example:8080",
+            "203.0.113.9:80",
+        ] {
+            assert_eq!(status(&[host]), Ok(()), "{host}");
+        }
+        for host in [
+            "evil.example",
+            "evil.example:8080",
+            "localhost.evil.example",
+            "127.0.0.1.evil.example",
+            "192.168.1.8",
+            "[fe80::1]",
+            "0.0.0.0",
+            "",
+            ":8080",
+            "local host",
+            "[localhost",
+        ] {
+            assert_eq!(status(&[host]), Err(421), "{host}");
+        }
+        assert_eq!(status(&[]), Err(400));
+        assert_eq!(status(&["localhost", "evil.example"]), Err(400));
+    }
 }

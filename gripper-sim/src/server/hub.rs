@@ -19,6 +19,8 @@ use tokio::time::{Duration, Instant, sleep_until};
 
 /// How many clients a server takes at a time.
 const MAX_CLIENTS: usize = 128;
+/// How long a Modbus/TCP connection may be idle. A master that lost its power closes nothing.
+const IDLE_LIMIT: Duration = Duration::from_secs(300);
 
 /// The gripper, its clock, and who waits for frames.
 #[derive(Debug)]
@@ -26,7 +28,7 @@ pub(super) struct Hub {
     gripper: RefCell<Box<VirtualGripper<MAX_CLIENTS>>>,
     started: Instant,
     /// In the order in which they came.
-    clients: RefCell<BTreeMap<u64, Connected>>,
+    clients: RefCell<BTreeMap<u64, Rc<Connected>>>,
     /// Something came in, so the next wake may have changed.
     rescheduled: Notify,
     log: RefCell<Option<Log>>,
@@ -42,8 +44,14 @@ pub(super) struct Hub {
 #[derive(Debug)]
 struct Connected {
     id: PortId,
+    number: u64,
+    kind: PortKind,
+    /// Kind of line and peer, for the log.
     name: Arc<str>,
-    frames: Rc<Notify>,
+    frames: Notify,
+    heard_at: Cell<Instant>,
+    /// Its place has gone to another client.
+    displaced: Notify,
 }
 
 /// How things stand, for somebody who watches.
@@ -95,24 +103,60 @@ impl Hub {
         }
     }
 
-    /// A client; `None` when there are too many.
+    /// A client; `None` when there are too many, and none of them gives way.
     pub(super) fn connect(self: &Rc<Self>, kind: PortKind, peer: &str) -> Option<Client> {
-        let id = self.with_gripper(|gripper, now| {
-            gripper.advance(now);
-            gripper.connect(kind)
+        let connect = || {
+            self.with_gripper(|gripper, now| {
+                gripper.advance(now);
+                gripper.connect(kind)
+            })
+        };
+        let id = connect().or_else(|| {
+            self.displace()?;
+            connect()
         })?;
         let number = self.connections.get();
         self.connections.set(number.wrapping_add(1));
         let name: Arc<str> = format!("{kind} {peer}").into();
-        let frames = Rc::new(Notify::new());
-        let connected = Connected { id, name: Arc::clone(&name), frames: Rc::clone(&frames) };
-        self.clients.borrow_mut().insert(number, connected);
         if let Some(log) = &mut *self.log.borrow_mut() {
             log.connect(id, kind, Arc::clone(&name), &self.config);
         }
+        let connected = Rc::new(Connected {
+            id,
+            number,
+            kind,
+            name,
+            frames: Notify::new(),
+            heard_at: Cell::new(Instant::now()),
+            displaced: Notify::new(),
+        });
+        self.clients.borrow_mut().insert(number, Rc::clone(&connected));
         let line = RefCell::new(FaultyLine::new(self.seed, number));
         let requests = RefCell::new(RequestLine::new(kind, self.seed, number));
-        Some(Client { hub: Rc::clone(self), id, number, name, frames, line, requests })
+        Some(Client { hub: Rc::clone(self), connected, line, requests })
+    }
+
+    /// Frees the place of the Modbus/TCP client that has been idle longest. Clients of the other protocols stay: the
+    /// end of their connections may be a FAST STOP.
+    fn displace(&self) -> Option<()> {
+        let clients = self.clients.borrow();
+        let masters = clients.values().filter(|client| client.kind == PortKind::ModbusTcp);
+        let idle_longest = Rc::clone(masters.min_by_key(|client| client.heard_at.get())?);
+        drop(clients);
+        self.note_of(&idle_longest.name, format_args!("gives way to another client: idle longest"));
+        self.disconnect(&idle_longest);
+        idle_longest.displaced.notify_one();
+        Some(())
+    }
+
+    /// Forgets a client; harmless when that has been done.
+    fn disconnect(&self, client: &Connected) {
+        self.clients.borrow_mut().remove(&client.number);
+        if let Some(log) = &mut *self.log.borrow_mut() {
+            log.disconnect(client.id);
+        }
+        self.with_gripper(|gripper, now| gripper.disconnect(client.id, now));
+        self.rescheduled.notify_one();
     }
 
     /// What the gripper was made with.
@@ -127,7 +171,8 @@ impl Hub {
         });
         let gripper = self.gripper.borrow();
         let clients = self.clients.borrow();
-        let counters = |client: &Connected| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
+        let counters =
+            |client: &Rc<Connected>| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
         Report {
             now,
             state,
@@ -166,8 +211,12 @@ impl Hub {
     }
 
     fn note(&self, what: std::fmt::Arguments<'_>) {
+        self.note_of("control", what);
+    }
+
+    fn note_of(&self, line: &str, what: std::fmt::Arguments<'_>) {
         if let Some(log) = &mut *self.log.borrow_mut() {
-            log.note(self.now(), "control", what);
+            log.note(self.now(), line, what);
         }
     }
 
@@ -200,19 +249,16 @@ impl Hub {
 #[derive(Debug)]
 pub(super) struct Client {
     hub: Rc<Hub>,
-    id: PortId,
-    number: u64,
-    /// Kind of line and peer, for the log.
-    name: Arc<str>,
-    frames: Rc<Notify>,
+    connected: Rc<Connected>,
     line: RefCell<FaultyLine>,
     requests: RefCell<RequestLine>,
 }
 
 impl Client {
     pub(super) fn receive(&self, bytes: &[u8]) {
+        self.connected.heard_at.set(Instant::now());
         if let Some(log) = &mut *self.hub.log.borrow_mut() {
-            log.received(self.id, self.hub.now(), bytes);
+            log.received(self.connected.id, self.hub.now(), bytes);
         }
         let Self { hub, requests, .. } = self;
         let faults = hub.line_faults.get().of_requests();
@@ -227,7 +273,7 @@ impl Client {
             if !fate.is_harmless()
                 && let Some(log) = &mut *hub.log.borrow_mut()
             {
-                log.note(now, &self.name, format_args!("-> line fault: {fate}"));
+                log.note(now, &self.connected.name, format_args!("-> line fault: {fate}"));
             }
         });
         hub.request_counts.set(counts);
@@ -251,14 +297,31 @@ impl Client {
     }
 
     fn hear(&self, bytes: &[u8]) {
-        self.hub.with_gripper(|gripper, now| gripper.receive(self.id, now, bytes));
+        self.hub.with_gripper(|gripper, now| gripper.receive(self.connected.id, now, bytes));
         self.hub.rescheduled.notify_one();
     }
 
     /// Whether nothing more can be understood of what comes from it, and all that there was for it is sent.
     pub(super) fn is_over(&self) -> bool {
         let gripper = self.hub.gripper.borrow();
-        gripper.is_lost(self.id) && !gripper.has_frame(self.id) && self.line.borrow().next_arrival().is_none()
+        gripper.is_lost(self.connected.id)
+            && !gripper.has_frame(self.connected.id)
+            && self.line.borrow().next_arrival().is_none()
+    }
+
+    /// Ready when the connection is to be closed for want of requests: its place is needed, or it has been idle for too
+    /// long. Only Modbus/TCP has that.
+    pub(super) async fn dismissed(&self) {
+        let Connected { kind, name, heard_at, displaced, .. } = &*self.connected;
+        if *kind != PortKind::ModbusTcp {
+            return std::future::pending().await;
+        }
+        tokio::select! {
+            () = displaced.notified() => {}
+            () = sleep_until(heard_at.get() + IDLE_LIMIT) => {
+                self.hub.note_of(name, format_args!("closed: idle for {} s", IDLE_LIMIT.as_secs()));
+            }
+        }
     }
 
     /// Whether there is room for answers: a line that is slow holds a bounded number of frames.
@@ -288,7 +351,7 @@ impl Client {
         };
         tokio::select! {
             () = arrived => {}
-            () = self.frames.notified() => {}
+            () = self.connected.frames.notified() => {}
         }
     }
 
@@ -298,7 +361,7 @@ impl Client {
         let faults = hub.line_faults.get().of_replies();
         while line.has_room() {
             let mut gripper = hub.gripper.borrow_mut();
-            let Some(frame) = gripper.transmit(self.id, buffer) else { break };
+            let Some(frame) = gripper.transmit(self.connected.id, buffer) else { break };
             let now = hub.now();
             let passage = line.pass(&faults, now, frame);
             let fate = match passage {
@@ -309,9 +372,9 @@ impl Client {
             counts.count(&fate);
             hub.reply_counts.set(counts);
             if let Some(log) = &mut *hub.log.borrow_mut() {
-                log.sent(now, self.id, &self.name, frame);
+                log.sent(now, self.connected.id, &self.connected.name, frame);
                 if !fate.is_harmless() {
-                    log.note(now, &self.name, format_args!("<- line fault: {fate}"));
+                    log.note(now, &self.connected.name, format_args!("<- line fault: {fate}"));
                 }
             }
             if passage == Passage::Through {
@@ -327,11 +390,74 @@ impl Client {
 
 impl Drop for Client {
     fn drop(&mut self) {
-        self.hub.clients.borrow_mut().remove(&self.number);
-        if let Some(log) = &mut *self.hub.log.borrow_mut() {
-            log.disconnect(self.id);
+        self.hub.disconnect(&self.connected);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::time::advance;
+
+    fn hub() -> Rc<Hub> {
+        Rc::new(Hub::new(Config::default(), 0, None))
+    }
+
+    async fn is_dismissed(client: &Client) -> bool {
+        tokio::select! {
+            biased;
+            () = client.dismissed() => true,
+            () = std::future::ready(()) => false,
         }
-        self.hub.with_gripper(|gripper, now| gripper.disconnect(self.id, now));
-        self.hub.rescheduled.notify_one();
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn modbus_client_idle_longest_gives_way_when_all_places_are_taken() {
+        let hub = hub();
+        let mut masters = vec![];
+        for _ in 0..MAX_CLIENTS {
+            advance(Duration::from_millis(1)).await;
+            masters.push(hub.connect(PortKind::ModbusTcp, "a master").unwrap());
+        }
+        advance(Duration::from_millis(1)).await;
+        // Half a request is one that is under way.
+        masters[0].receive(&[0]);
+
+        let newcomers =
+            [PortKind::ModbusTcp, PortKind::Tcp].map(|kind| hub.connect(kind, "a newcomer").unwrap());
+
+        for (n, master) in masters.iter().enumerate() {
+            assert_eq!(is_dismissed(master).await, (1..3).contains(&n), "{n}");
+        }
+        assert!(!is_dismissed(&newcomers[0]).await);
+        assert_eq!(hub.report().clients.len(), MAX_CLIENTS);
+        // The end of a connection whose place is taken changes nothing.
+        drop(masters.remove(1));
+        assert_eq!(hub.report().clients.len(), MAX_CLIENTS);
+    }
+
+    #[tokio::test]
+    async fn clients_of_other_protocols_do_not_give_way() {
+        let hub = hub();
+        let clients: Vec<_> =
+            (0..MAX_CLIENTS).map(|_| hub.connect(PortKind::Tcp, "a client").unwrap()).collect();
+        assert!(hub.connect(PortKind::ModbusTcp, "a newcomer").is_none());
+        assert_eq!(hub.report().clients.len(), clients.len());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn modbus_client_is_dismissed_after_its_idle_time_and_others_are_not() {
+        let hub = hub();
+        let (master, client) =
+            (hub.connect(PortKind::ModbusTcp, "").unwrap(), hub.connect(PortKind::GclTcp, "").unwrap());
+        let moment = Duration::from_millis(1);
+        advance(IDLE_LIMIT - moment).await;
+        assert!(!is_dismissed(&master).await);
+        master.receive(&[0]);
+        advance(IDLE_LIMIT - moment).await;
+        assert!(!is_dismissed(&master).await, "it counts from the last byte");
+        advance(moment).await;
+        assert!(is_dismissed(&master).await);
+        assert!(!is_dismissed(&client).await);
     }
 }

@@ -24,6 +24,9 @@ pub struct Lines {
     /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
     /// what a hand beside it can, so keep it on the loopback interface.
     pub control: Option<SocketAddr>,
+    /// Hosts that requests to the control interface may be for, by their header `Host`. `localhost` and the address that a
+    /// request came to need not be named. What else a browser is led here by is refused, against DNS rebinding.
+    pub control_hosts: Vec<String>,
     /// Decides which frames the faults hit that the control interface lets loose on the lines.
     pub seed: u64,
 }

@@ -53,6 +53,7 @@ pub(super) async fn serve(
                 count => client.receive(chunk.get(..count).unwrap_or(&[])),
             },
             () = client.frame_waits(), if is_idle => {}
+            () = client.dismissed() => return Ok(()),
             // One at a time, so that its answers find room.
             () = client.request_waits(), if (is_idle && client.has_room()) || at_all_times => client.arrive(),
         }

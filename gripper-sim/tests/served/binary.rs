@@ -246,7 +246,7 @@ fn random_bytes_on_every_port_leave_it_answering() {
         assert_eq!(Client(serial).ask(Command::GetForceLimit), Status::Success);
         let mut control = TcpStream::connect(served.control_address().unwrap()).unwrap();
         control.set_read_timeout(Some(BOUND)).unwrap();
-        control.write_all(b"GET /state HTTP/1.1\r\nHost: wsg-sim\r\n\r\n").unwrap();
+        control.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
         let mut answer = String::new();
         control.read_to_string(&mut answer).unwrap();
         assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");

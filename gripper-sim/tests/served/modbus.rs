@@ -262,6 +262,30 @@ fn masters_that_never_read_or_stop_in_mid_frame_leave_the_others_alone() {
 }
 
 #[test]
+fn idle_connections_give_way_to_new_ones_of_any_kind() {
+    let served = serve(Lines { tcp: any_port(), ..Lines::default() });
+    let mut masters: Vec<Master> = (0..128).map(|_| Master::of(&served)).collect();
+    // The last one is answered, so all of them were accepted; then the first one is the last that asked.
+    for at in [127, 0] {
+        assert_eq!(masters[at].gstate(), IDLE);
+    }
+    let mut newcomer = Master::of(&served);
+    assert_eq!(newcomer.gstate(), IDLE);
+    let mut binary = TcpStream::connect_timeout(&served.tcp_address().unwrap(), BOUND).unwrap();
+    binary.set_read_timeout(Some(BOUND)).unwrap();
+    let stop = Command::Stop;
+    binary.write_all(&FrameEncoder::new(stop.id().code(), stop).collect::<Vec<u8>>()).unwrap();
+    binary.read_exact(&mut [0; 10]).expect("an answer in time");
+    for master in &mut masters[1..3] {
+        assert!(master.rest().is_empty());
+    }
+    for at in [0, 3, 127] {
+        assert_eq!(masters[at].gstate(), IDLE, "{at}");
+    }
+    assert_eq!(newcomer.gstate(), IDLE);
+}
+
+#[test]
 fn random_bytes_leave_it_answering() {
     let served = serve(Lines::default());
     let mut random = 0x2545_F491_4F6C_DD1D_u64;

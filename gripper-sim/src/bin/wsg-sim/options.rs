@@ -46,6 +46,8 @@ Gripper
 
   --control ADDR           watch the gripper and make things go wrong, by HTTP with JSON on ADDR, such as
                            127.0.0.1:8080; a PORT alone is one of this machine
+  --control-host HOST      a name of this machine that requests to --control may be for, beside localhost and its
+                           address; may be given again
   --seed N                 which frames the line faults hit that --control lets loose (default 0)
   --log FILE               write each frame to FILE, or to standard output if FILE is -
   --help                   show this
@@ -145,6 +147,7 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
             "time-scale" => {
                 config.time_scale = value(&mut parser, &name, "a number from 0.01 to 1000", time_scale)?;
             }
+            "control-host" => lines.control_hosts.push(value(&mut parser, &name, HOST, host)?),
             "control" => lines.control = Some(value(&mut parser, &name, CONTROL, control)?),
             "seed" => {
                 lines.seed = value(&mut parser, &name, "a number from 0 to 18446744073709551615", parsed)?;
@@ -179,6 +182,9 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     if config.modbus_swap_bytes && lines.modbus.is_none() {
         bail!("--modbus-swap-bytes is of no use without --modbus ADDR");
     }
+    if !lines.control_hosts.is_empty() && lines.control.is_none() {
+        bail!("--control-host is of no use without --control ADDR");
+    }
     let Lines { tcp, udp, serial, can, gcl, gcl_udp, modbus, .. } = &lines;
     let has_address = [tcp, gcl, gcl_udp, modbus].into_iter().any(Option::is_some);
     if !has_address && udp.is_none() && serial.is_none() && can.is_none() {
@@ -189,6 +195,7 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
 
 const ADDRESS: &str = "an address with a port, such as 127.0.0.1:1000";
 const CONTROL: &str = "an address with a port, such as 127.0.0.1:8080, or a port";
+const HOST: &str = "a name or address without a port, such as bench.example";
 const MODELS: &str = "wsg50-110, wsg50-210, wsg32, wsg25 or wsg70";
 const FINGERS: &str = "none, generic, fmf or dsa";
 
@@ -217,6 +224,13 @@ fn port(text: &str) -> Option<u16> {
 /// Where the control interface listens; a port alone never leads beyond this machine.
 fn control(text: &str) -> Option<SocketAddr> {
     parsed(text).or_else(|| Some(SocketAddr::new(LOOPBACK, parsed(text)?)))
+}
+
+fn host(text: &str) -> Option<String> {
+    (!text.is_empty()
+        && !text.contains(['/', '['])
+        && (parsed::<IpAddr>(text).is_some() || !text.contains(':')))
+    .then(|| text.to_owned())
 }
 
 fn serial(text: &str) -> Option<SerialLine> {
@@ -354,8 +368,9 @@ mod tests {
     fn control_alone_leaves_the_default_line_and_its_port_alone_stays_on_this_machine() {
         let lines = options_of("--control 8080").lines;
         assert_eq!((lines.tcp, lines.control), (Some(DEFAULT_TCP), "127.0.0.1:8080".parse().ok()));
-        let lines = options_of("--control 0.0.0.0:8080").lines;
+        let lines = options_of("--control 0.0.0.0:8080 --control-host bench --control-host fe80::1").lines;
         assert_eq!(lines.control, "0.0.0.0:8080".parse().ok());
+        assert_eq!(lines.control_hosts, ["bench", "fe80::1"]);
     }
 
     #[test]
@@ -375,6 +390,13 @@ mod tests {
             (&["--time-scale"], "--time-scale", "0.01"),
             (&["--finger1", "thumb"], "--finger1 \"thumb\"", "generic"),
             (&["--control", "here"], "--control \"here\"", "127.0.0.1:8080"),
+            (&["--control-host", "bench"], "--control-host", "--control ADDR"),
+            (
+                &["--control", "8080", "--control-host", "bench:80"],
+                "--control-host \"bench:80\"",
+                "without a port",
+            ),
+            (&["--control", "8080", "--control-host", "http://bench/"], "http://bench/", "bench.example"),
             (&["--seed", "-1"], "--seed \"-1\"", "number"),
             (&["--udp-remote-port", "9"], "--udp-remote-port", "--udp"),
             (&["--udp", "127.0.0.1:9", "--udp-remote-port", "9"], "--udp 127.0.0.1:9", "--udp-remote-port"),
