@@ -142,9 +142,19 @@ impl Line {
         if self.announced {
             return self.refuse(device, id, Status::AccessDenied);
         }
-        // A FAST STOP is obeyed whatever comes with it.
-        let frame = if id == CommandId::FastStop { &Frame { id: frame.id, payload: &[] } } else { frame };
-        let command = match Command::decode(frame) {
+        // FLAGS and a period.
+        let mut place = [0; 3];
+        let payload: &[u8] = match (used_flags(id), place.get_mut(..frame.payload.len())) {
+            (Some(used), Some(copy)) => {
+                copy.copy_from_slice(frame.payload);
+                copy.iter_mut().take(1).for_each(|flags| *flags &= used);
+                copy
+            }
+            // A FAST STOP is obeyed whatever comes with it.
+            _ if id == CommandId::FastStop => &[],
+            _ => frame.payload,
+        };
+        let command = match Command::decode(&Frame { id: frame.id, payload }) {
             Ok(command) => command,
             Err(refusal) => return self.refuse(device, id, id.status_of(refusal)),
         };
@@ -181,6 +191,20 @@ impl Line {
         if !self.queue.push(reply, QUEUE_LEN) {
             self.replies_lost = self.replies_lost.saturating_add(1);
         }
+    }
+}
+
+/// The bits of FLAGS, the first byte, that are used, in commands whose unused bits are no error. The manual lists a wrong
+/// length as the only error of these. It does so of Pre-position (21h), too, but nothing moves on a frame that is damaged.
+const fn used_flags(id: CommandId) -> Option<u8> {
+    match id {
+        CommandId::OverdriveMode | CommandId::GetGrippingStatistics => Some(0b01),
+        CommandId::GetSystemState
+        | CommandId::GetGripperState
+        | CommandId::GetOpeningWidth
+        | CommandId::GetSpeed
+        | CommandId::GetForce => Some(0b11),
+        _ => None,
     }
 }
 

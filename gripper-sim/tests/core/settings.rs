@@ -55,6 +55,29 @@ fn overdrive_raises_the_force_limit_and_its_end_lowers_it_again() {
 }
 
 #[test]
+fn unused_flags_are_ignored_unless_fingers_would_move() {
+    let mut rig = Rig::homed(None);
+    for (flags, on) in [(0xFE, false), (0x02, false), (0x03, true), (0xFF, true), (0x80, false)] {
+        assert_eq!(raw(&mut rig, 0x37, &[flags]), Status::Success, "{flags:02X}");
+        assert_eq!(rig.flags().contains(SystemFlags::OVERDRIVE_MODE), on, "{flags:02X}");
+    }
+    for payload in [&[][..], &[0x03, 0], &[0; 4]] {
+        assert_eq!(raw(&mut rig, 0x37, payload), Status::CmdFormatError, "{payload:?}");
+    }
+    for id in [0x40, 0x41, 0x43, 0x44, 0x45] {
+        assert_eq!(raw(&mut rig, id, &[0xFC, 10, 0]), Status::Success, "{id:02X}h");
+        assert!(rig.wait(50).is_empty(), "{id:02X}h once");
+        assert_eq!(raw(&mut rig, id, &[0xFC]), Status::CmdFormatError, "{id:02X}h");
+    }
+    assert_eq!(raw(&mut rig, 0x40, &[0xFD, 10, 0]), Status::Success);
+    assert!(rig.wait(50).len() > 3, "again and again");
+    assert_eq!(raw(&mut rig, 0x40, &[0, 0, 0]), Status::Success);
+    assert_eq!(raw(&mut rig, 0x42, &[0xFE]), Status::Success);
+    let motion = [&[0x04][..], &40f32.to_le_bytes(), &50f32.to_le_bytes()].concat();
+    assert_eq!(raw(&mut rig, 0x21, &motion), Status::CmdFormatError);
+}
+
+#[test]
 fn soft_limits_can_be_read_only_while_set() {
     let mut rig = Rig::new(Config::default());
     assert_eq!(rig.status(Command::GetSoftLimits), Status::NotAvailable);
