@@ -399,6 +399,9 @@ fn device_identification_names_the_bridge() {
     let answer = bench.ask(&[43, 14, 1, 0]);
     let text = String::from_utf8_lossy(&answer);
     assert!(text.contains("wsg-bridge-fw") && text.contains("V0.1.0"), "{text}");
+    assert_eq!(bench.ask(&[17]), [&[17, 22, 1, 0xFF][..], b"wsg-bridge-fw V0.1.0"].concat());
+    let extended = bench.ask(&[43, 14, 3, 0x80]);
+    assert_eq!((&extended[..7], &extended[7..]), (&[43, 14, 3, 0x81, 0, 0, 3][..], &answer[7..]));
 }
 
 #[test]

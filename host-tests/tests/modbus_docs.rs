@@ -48,13 +48,17 @@ fn functions() -> String {
                 Function::WriteMultipleRegisters => {
                     ("Write Multiple Registers", "output image or settings, as one")
                 }
+                Function::ReportServerId => {
+                    ("Report Server ID", "unit, FFh (it runs), product code and revision as text")
+                }
                 Function::MaskWriteRegister => ("Mask Write Register", "output image, settings"),
                 Function::ReadWriteMultipleRegisters => {
                     ("Read/Write Multiple Registers", "writes first; output image, settings")
                 }
-                Function::EncapsulatedInterfaceTransport => {
-                    ("Read Device Identification (type 14)", "vendor, product code, revision")
-                }
+                Function::EncapsulatedInterfaceTransport => (
+                    "Read Device Identification (type 14)",
+                    "vendor, product code, revision; no other objects",
+                ),
             };
             [function.code().to_string(), name.into(), what.into()]
         }),

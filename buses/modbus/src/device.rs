@@ -43,7 +43,7 @@ pub trait Device {
     /// The exception to answer with; then nothing was written.
     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception>;
 
-    /// What the server calls itself (FC 43/14).
+    /// What the server calls itself (FC 43/14; on a serial line also FC 17).
     fn identification(&self) -> Identification;
 }
 

@@ -4,7 +4,7 @@
 //! [`Device`], whatever carries it. [`rtu`] is the serial line by *MODBUS over serial line V1.02*, [`tcp`] the header on
 //! TCP by the *messaging implementation guide V1.0b*.
 //!
-//! Served are FC 1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43/14, and on a serial line 8. Not here: a client, ASCII framing,
+//! Served are FC 1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43/14, and on a serial line 8 and 17. Not here: a client, ASCII framing,
 //! sockets, UARTs and clocks. The caller owns bytes and time.
 //!
 //! ```

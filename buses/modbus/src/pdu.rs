@@ -8,7 +8,7 @@ use super::{Bits, Device, Exception, Words};
 /// Bytes of the longest PDU.
 pub const MAX_PDU_LEN: usize = 253;
 
-/// Function codes that are served (specification, chapter 6); FC 8 by the serial line alone.
+/// Function codes that are served (specification, chapter 6); FC 8 and FC 17 by the serial line alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
@@ -31,6 +31,8 @@ pub enum Function {
     WriteMultipleCoils = 15,
     /// 16 (10h): Write Multiple Registers.
     WriteMultipleRegisters = 16,
+    /// 17 (11h): Report Server ID, on a serial line only.
+    ReportServerId = 17,
     /// 22 (16h): Mask Write Register.
     MaskWriteRegister = 22,
     /// 23 (17h): Read/Write Multiple Registers.
@@ -41,7 +43,7 @@ pub enum Function {
 
 impl Function {
     /// Every one, by code.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::ReadCoils,
         Self::ReadDiscreteInputs,
         Self::ReadHoldingRegisters,
@@ -51,6 +53,7 @@ impl Function {
         Self::Diagnostics,
         Self::WriteMultipleCoils,
         Self::WriteMultipleRegisters,
+        Self::ReportServerId,
         Self::MaskWriteRegister,
         Self::ReadWriteMultipleRegisters,
         Self::EncapsulatedInterfaceTransport,
@@ -99,21 +102,23 @@ impl Function {
 /// The [crate's documentation](crate) has an example.
 pub fn serve<D: Device + ?Sized>(request: &[u8], device: &mut D, response: &mut [u8; MAX_PDU_LEN]) -> usize {
     let Some((&code, data)) = request.split_first() else { return 0 };
-    let (len, _) = serve_as(Function::from_code(code), code, data, device, response);
+    let (len, _) = serve_as(Function::from_code(code), code, None, data, device, response);
     len
 }
 
-/// As [`serve`], for a caller who has looked at the code; also the exception that it answers with.
+/// As [`serve`], for a caller who has looked at the code; also the exception that it answers with. A unit is what a server
+/// on a serial line has.
 #[inline]
 pub(super) fn serve_as<D: Device + ?Sized>(
     function: Option<Function>,
     code: u8,
+    unit: Option<u8>,
     data: &[u8],
     device: &mut D,
     response: &mut [u8; MAX_PDU_LEN],
 ) -> (usize, Option<Exception>) {
     let mut reply = Reply::new(code, response);
-    match answer(function, data, device, &mut reply) {
+    match answer(function, unit, data, device, &mut reply) {
         Ok(()) => (reply.len(), None),
         Err(exception) => (reply.refuse(code, exception), Some(exception)),
     }
@@ -121,6 +126,7 @@ pub(super) fn serve_as<D: Device + ?Sized>(
 
 fn answer<D: Device + ?Sized>(
     function: Option<Function>,
+    unit: Option<u8>,
     data: &[u8],
     device: &mut D,
     reply: &mut Reply<'_>,
@@ -138,6 +144,9 @@ fn answer<D: Device + ?Sized>(
         }
         Function::WriteMultipleCoils => write_multiple_coils(data, device, reply),
         Function::WriteMultipleRegisters => write_multiple_registers(data, device, reply),
+        Function::ReportServerId => {
+            identification::report(unit.ok_or(Exception::IllegalFunction)?, data, device, reply)
+        }
         Function::MaskWriteRegister => mask_write_register(data, device, reply),
         Function::ReadWriteMultipleRegisters => read_write_multiple_registers(data, device, reply),
         Function::EncapsulatedInterfaceTransport => match data.split_first() {

@@ -302,6 +302,8 @@ fn functions_that_are_not_served_are_01() {
         refused(&[code, 0, 0, 0, 0], ILLEGAL_FUNCTION);
     }
     refused(&[43, 13, 0, 0], ILLEGAL_FUNCTION);
+    // Report Server ID is for serial lines only.
+    refused(&[17], ILLEGAL_FUNCTION);
 }
 
 #[test]
@@ -356,16 +358,33 @@ fn device_identification_streams_its_objects() {
     assert_eq!(plant.ask(&[43, 14, 1, 200]), basic, "from an unknown object: from the first on");
     let tail = [&[43, 14, 2, 0x82, 0, 0, 3][..], b"\x04\x02PN", b"\x05\x01M", b"\x06\0"].concat();
     assert_eq!(plant.ask(&[43, 14, 2, 4]), tail);
-    assert_eq!(plant.ask(&[43, 14, 3, 4])[3..], tail[3..], "extended: what there is");
     plant.regular = false;
-    assert_eq!(plant.ask(&[43, 14, 3, 0])[2..7], [3, 0x81, 0, 0, 3], "its own level");
+    assert_eq!(plant.ask(&[43, 14, 2, 0])[2..7], [2, 0x81, 0, 0, 3], "its own level");
+}
+
+/// Specification, 6.21: a server that is asked for more than its conformity level answers in accordance with that.
+#[test]
+fn extended_identification_is_answered_with_the_objects_that_there_are() {
+    let mut plant = Plant::new();
+    let regular = plant.ask(&[43, 14, 2, 0]);
+    for object in [0, 7, 0x80, 0xFF] {
+        let answer = plant.ask(&[43, 14, 3, object]);
+        assert_eq!(answer[..7], [43, 14, 3, 0x82, 0, 0, 7], "{object:02X}h: from the first object on");
+        assert_eq!(answer[7..], regular[7..], "{object:02X}h");
+        assert_eq!(plant.ask(&[43, 14, 2, object])[3..], answer[3..], "{object:02X}h");
+    }
+    assert_eq!(plant.ask(&[43, 14, 3, 4])[3..9], [0x82, 0, 0, 3, 4, 2]);
+    for object in [7, 0x7F, 0x80, 0xFF] {
+        assert_eq!(plant.ask(&[43, 14, 4, object]), [0xAB, ILLEGAL_ADDRESS], "{object:02X}h");
+    }
+    plant.regular = false;
+    assert_eq!(plant.ask(&[43, 14, 3, 0x80])[2..7], [3, 0x81, 0, 0, 3]);
 }
 
 #[test]
 fn device_identification_gives_a_single_object() {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(&[43, 14, 4, 1]), [&[43, 14, 4, 0x82, 0, 0, 1][..], b"\x01\x02PC"].concat());
-    assert_eq!(plant.ask(&[43, 14, 4, 7]), [0xAB, ILLEGAL_ADDRESS]);
     plant.regular = false;
     assert_eq!(plant.ask(&[43, 14, 4, 4]), [0xAB, ILLEGAL_ADDRESS]);
     assert_eq!(plant.ask(&[43, 14, 0, 0]), [0xAB, ILLEGAL_VALUE]);

@@ -161,6 +161,7 @@ fn exceptions_are_those_of_the_specification() {
         (&[0][..], 1, "no function code"),
         (&[7], 1, "Read Exception Status is for serial lines"),
         (&[8, 0, 0, 0xA5, 0x37], 1, "so is Diagnostics"),
+        (&[17], 1, "so is Report Server ID"),
         (&[20, 0], 1, "no files"),
         (&[43, 13, 0], 1, "no CANopen"),
         (&[65], 1, "user defined"),
@@ -178,6 +179,7 @@ fn exceptions_are_those_of_the_specification() {
         (&[16, 0, 0, 0, 2, 2, 0, 0], 3, "count and quantity differ"),
         (&[16, 0, 3, 0, 2, 4, 0, 0, 0, 0], 2, "half of it is behind the last"),
         (&[22, 0, 4, 0, 0, 0, 0], 2, "behind the last"),
+        (&[43, 14, 4, 0x80], 2, "no extended object"),
         (&[43, 14, 5, 0], 3, "no such access"),
     ] {
         assert_eq!(master.ask(request), [request[0] | 0x80, exception], "{request:02X?}: {why}");

@@ -17,6 +17,7 @@ const BITS: std::ops::Range<u16> = 40..60;
 /// Functions that are served, one that is not, and those that the model leaves to the library's own tests.
 const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 7, DIAGNOSTICS, IDENTIFICATION];
 const DIAGNOSTICS: u8 = 8;
+const REPORT_SERVER_ID: u8 = 17;
 const IDENTIFICATION: u8 = 43;
 const MAY_BE_BROADCAST: [u8; 5] = [5, 6, 15, 16, 22];
 
@@ -36,7 +37,7 @@ enum Outcome {
     Passed,
     Served,
     Answer(Vec<u8>),
-    /// The model does not know FC 8 and FC 43.
+    /// The model does not know FC 8, FC 17 and FC 43.
     Unmodelled,
 }
 
@@ -210,7 +211,9 @@ impl Model {
         let (unit, function, data) = (body[0], body[1], &body[2..]);
         let may_be_broadcast = self.config.broadcast && MAY_BE_BROADCAST.contains(&function);
         match unit {
-            UNIT if matches!(function, DIAGNOSTICS | IDENTIFICATION) => return Outcome::Unmodelled,
+            UNIT if matches!(function, DIAGNOSTICS | REPORT_SERVER_ID | IDENTIFICATION) => {
+                return Outcome::Unmodelled;
+            }
             UNIT => {}
             BROADCAST if may_be_broadcast => {}
             _ => return Outcome::Passed,

@@ -1,4 +1,4 @@
-//! Read Device Identification, FC 43 / MEI type 14 (specification, 6.21).
+//! Read Device Identification, FC 43 / MEI type 14 (specification, 6.21), and Report Server ID, FC 17 (6.13).
 
 use super::Reply;
 use crate::{Device, Exception};
@@ -6,7 +6,30 @@ use crate::{Device, Exception};
 /// The MODBUS encapsulated interface's type for it.
 pub(super) const MEI_TYPE: u8 = 0x0E;
 
-/// Answers a request; `data` is what stands behind the MEI type.
+/// The run indicator of a server that serves.
+const RUNNING: u8 = 0xFF;
+
+/// Answers FC 17: what the specification leaves to the device is the unit as its id, then product code and revision.
+pub(super) fn report<D: Device + ?Sized>(
+    unit: u8,
+    data: &[u8],
+    device: &D,
+    reply: &mut Reply<'_>,
+) -> Result<(), Exception> {
+    if !data.is_empty() {
+        return Err(Exception::IllegalDataValue);
+    }
+    let identification = device.identification();
+    reply.put(&[0, unit, RUNNING])?;
+    for text in [identification.product_code, " ", identification.revision] {
+        reply.put(text.as_bytes())?;
+    }
+    // Behind function and count.
+    reply.set(1, &[reply.len().saturating_sub(2) as u8]);
+    Ok(())
+}
+
+/// Answers a request of FC 43; `data` is what stands behind the MEI type.
 pub(super) fn read<D: Device + ?Sized>(
     data: &[u8],
     device: &D,

@@ -253,7 +253,7 @@ fn least_len(held: &[u8]) -> usize {
         head.saturating_add(count.into()).saturating_add(CRC_LEN)
     };
     match held.get(1).copied().and_then(Function::from_code) {
-        None => 2 + CRC_LEN,
+        None | Some(Function::ReportServerId) => 2 + CRC_LEN,
         Some(Function::WriteMultipleCoils | Function::WriteMultipleRegisters) => counted(7, 6),
         Some(Function::ReadWriteMultipleRegisters) => counted(11, 10),
         Some(Function::MaskWriteRegister) => 8 + CRC_LEN,

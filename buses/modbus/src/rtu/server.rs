@@ -178,7 +178,7 @@ impl Line {
         let (len, exception) = if function == Some(Function::Diagnostics) {
             self.diagnose(pdu, place)
         } else {
-            serve_as(function, code, data, device, place)
+            serve_as(function, code, Some(unit), data, device, place)
         };
         if let Some(exception) = exception {
             self.counters.excepted(exception);

@@ -332,10 +332,12 @@ fn broadcast_writes_are_carried_out_and_get_no_answer() {
     bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
     assert_eq!(bus.others, ["served"]);
     assert_eq!(bus.plant.tables.take_written().map(|bytes| bytes[2..4] == [0, 7]), Some(true));
-    for pdu in [&READ[..], &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 9], &[8, 0, 4, 0, 0], &[43, 14, 1, 0], &[99]] {
+    for pdu in
+        [&READ[..], &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 9], &[8, 0, 4, 0, 0], &[17], &[43, 14, 1, 0], &[99]]
+    {
         bus.ask(BROADCAST, pdu);
     }
-    assert_eq!(bus.others, ["served", "passed", "passed", "passed", "passed", "passed"]);
+    assert_eq!(bus.others, ["served", "passed", "passed", "passed", "passed", "passed", "passed"]);
     assert!(bus.plant.tables.take_written().is_none() && bus.answers.is_empty());
     assert!(!bus.server.is_listen_only());
 }
@@ -526,6 +528,27 @@ fn diagnostics_at_every_length_are_answered_as_the_specification_says() {
             assert_eq!(answer.is_empty(), expected.is_empty());
         }
     }
+}
+
+#[test]
+fn server_id_is_the_unit_which_runs_and_what_it_is() {
+    for config in [STRICT, TOLERANT] {
+        let mut bus = Bus::new(config);
+        let answer = [&[17, 8, UNIT, 0xFF][..], b"PC 1.2"].concat();
+        assert_eq!(bus.ask(UNIT, &[17]), frame(UNIT, &answer));
+        assert_eq!(bus.ask(UNIT, &[17, 0]), frame(UNIT, &[0x91, 3]));
+        bus.ask(UNIT + 1, &[17]);
+        assert_eq!(bus.others, ["passed"]);
+    }
+}
+
+/// Of half of it no rest is waited for: it has none.
+#[test]
+fn damaged_request_for_the_server_id_ends_with_its_silence() {
+    let mut bus = Bus::new(TOLERANT);
+    bus.send(&[UNIT, 17, 0, 0]);
+    bus.silence(TIMING.t3_5_us);
+    assert_eq!(bus.others, ["checksum"]);
 }
 
 fn hash(state: &impl Hash) -> u64 {

@@ -118,6 +118,11 @@ fn mbpoll_reads_writes_and_homes() {
     assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
     let unit = poll(&["-t", "4", "-r", "100", "-c", "1"], &[]);
     assert!(unit.contains("[100]: \t1"), "{unit}");
+    let server_id = poll(&["-u"], &[]);
+    assert!(
+        ["Id    : 0x01", "Status: On", "wsg-bridge-fw V"].iter().all(|said| server_id.contains(said)),
+        "{server_id}"
+    );
 }
 
 #[test]
