@@ -1,14 +1,18 @@
-//! Third-party Modbus masters, for tests: `mbpoll` (Debian), and `pymodbus`, `minimalmodbus`, `modbus-tk`
-//! (PyPI, versions in `requirements.txt`); and from there `canopen`, a master of CANopen, and `dcf-tools`, which reads EDS files.
+//! Third-party Modbus masters, for tests: `mbpoll` (Debian), `pymodbus`, `minimalmodbus`, `modbus-tk` (PyPI, versions in
+//! `requirements.txt`), `jsmodbus` (npm, `package-lock.json`); and from PyPI `canopen`, a master of CANopen, and `dcf-tools`, which
+//! reads EDS files.
 //!
 //! `cargo xtask test` installs them, and leaves out the tests of those that it cannot have, by the name: a test that
-//! needs one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk` or `canopen` in its own. Run without it, such a test fails.
+//! needs one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk`, `jsmodbus` or `canopen` in its own. Run without it, such a test fails.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
 /// The environment variable that says where the Python is that has them.
 pub const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
+
+/// The environment variable that says in which folder Node.js finds them.
+pub const NODE_VARIABLE: &str = "WSG_MODBUS_NODE";
 
 /// Runs a Python script with the masters' Python.
 ///
@@ -21,6 +25,19 @@ pub fn python(script: &str, arguments: &[&str]) -> Output {
     };
     let run = Command::new(&python).args(["-c", script]).args(arguments).output();
     run.unwrap_or_else(|error| panic!("{} does not start: {error}", python.display()))
+}
+
+/// Runs a script of Node.js with the masters' packages.
+///
+/// # Panics
+/// Without the environment variable, or when there is no Node.js.
+#[must_use]
+pub fn node(script: &str, arguments: &[&str]) -> Output {
+    let Some(packages) = std::env::var_os(NODE_VARIABLE) else {
+        panic!("{NODE_VARIABLE} names no folder that has the masters: run `cargo xtask test`");
+    };
+    let run = Command::new("node").args(["-e", script]).args(arguments).env("NODE_PATH", packages).output();
+    run.unwrap_or_else(|error| panic!("node does not start: {error}"))
 }
 
 /// Runs `mbpoll`.

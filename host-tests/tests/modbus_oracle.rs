@@ -1,14 +1,17 @@
 //! `rmodbus` as a second opinion on requests, with a list of what it may see differently.
 //!
 //! Expectations come from the MODBUS application protocol specification (the tests beside the code), not from here: this
-//! only finds what nobody thought of. Both servers keep the same plain tables.
+//! only finds what nobody thought of. Both servers keep the same plain tables. Its client is one of the masters, over both
+//! framings.
 
-use bus_modbus::rtu::crc;
+use bus_modbus::rtu::{self, Character, Mode, Server, Timing, crc};
+use bus_modbus::tcp;
 use bus_modbus::{Bits, Device, Exception, Identification, MAX_PDU_LEN, Words, serve};
 use proptest::prelude::*;
-use rmodbus::ModbusProto;
+use rmodbus::client::ModbusRequest;
 use rmodbus::server::ModbusFrame;
 use rmodbus::server::storage::ModbusStorage;
+use rmodbus::{ErrorKind, ModbusProto};
 
 const BITS: usize = 40;
 const REGISTERS: usize = 130;
@@ -144,6 +147,67 @@ proptest! {
         }
         prop_assert_eq!(our_device.0.coils, their_tables.coils);
         prop_assert_eq!(our_device.0.holdings, their_tables.holdings);
+    }
+}
+
+/// The answer of our server to a frame of this framing.
+fn answer(device: &mut Ours, framing: ModbusProto, frame: &[u8]) -> Vec<u8> {
+    if framing == ModbusProto::TcpUdp {
+        let mut receiver = tcp::Receiver::new();
+        let (_, Some(tcp::Event::Request(request))) = receiver.push_slice(frame) else {
+            panic!("no frame: {frame:02X?}")
+        };
+        let mut place = [0; tcp::MAX_FRAME_LEN];
+        return request.answer(&mut place, |pdu, response| serve(pdu, device, response)).to_vec();
+    }
+    let timing = Timing::of(19_200, 11);
+    let mut server = Server::new(rtu::Config { unit: UNIT, mode: Mode::Strict, broadcast: false }, timing);
+    for byte in frame {
+        assert_eq!(server.push(Character::Byte(*byte), 0, device), None);
+    }
+    match server.silence(timing.t3_5_us, device) {
+        Some(rtu::Event::Answer(answer)) => answer.to_vec(),
+        event => panic!("{event:?} to {frame:02X?}"),
+    }
+}
+
+#[test]
+fn client_of_rmodbus_is_served_and_understands_every_answer() {
+    for framing in [ModbusProto::TcpUdp, ModbusProto::Rtu] {
+        let mut device = Ours(tables());
+        let mut client = ModbusRequest::new(UNIT, framing);
+        let mut frame = Vec::new();
+        let mut asked = |frame: &mut Vec<u8>| answer(&mut device, framing, &std::mem::take(frame));
+
+        client.generate_set_coils_bulk(3, &[true, false, true], &mut frame).unwrap();
+        client.parse_ok(&asked(&mut frame)).unwrap();
+        client.generate_set_coil(4, true, &mut frame).unwrap();
+        client.parse_ok(&asked(&mut frame)).unwrap();
+        client.generate_set_holdings_bulk(100, &[7, 0xFFFF], &mut frame).unwrap();
+        client.parse_ok(&asked(&mut frame)).unwrap();
+        client.generate_set_holding(102, 0x1234, &mut frame).unwrap();
+        client.parse_ok(&asked(&mut frame)).unwrap();
+
+        let (mut bits, mut registers) = (Vec::new(), Vec::new());
+        client.generate_get_coils(2, 9, &mut frame).unwrap();
+        client.parse_bool(&asked(&mut frame), &mut bits).unwrap();
+        assert_eq!(bits, [false, true, true, true, false, false, false, false, false]);
+        bits.clear();
+        client.generate_get_discretes(0, 4, &mut frame).unwrap();
+        client.parse_bool(&asked(&mut frame), &mut bits).unwrap();
+        assert_eq!(bits, [true, false, false, true]);
+        client.generate_get_holdings(99, 4, &mut frame).unwrap();
+        client.parse_u16(&asked(&mut frame), &mut registers).unwrap();
+        assert_eq!(registers, [0, 7, 0xFFFF, 0x1234]);
+        registers.clear();
+        client.generate_get_inputs(5, 120, &mut frame).unwrap();
+        client.parse_u16(&asked(&mut frame), &mut registers).unwrap();
+        assert!(registers.iter().copied().eq(0x1005..0x1005 + 120));
+
+        client.generate_get_holdings(129, 2, &mut frame).unwrap();
+        assert_eq!(client.parse_ok(&asked(&mut frame)), Err(ErrorKind::IllegalDataAddress));
+        client.generate_get_holdings(0, 126, &mut frame).unwrap();
+        assert_eq!(client.parse_ok(&asked(&mut frame)), Err(ErrorKind::IllegalDataValue));
     }
 }
 

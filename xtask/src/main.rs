@@ -53,7 +53,7 @@ cargo xtask <command>
 
 Commands
   setup              install what build, demo and test need: the thumb target's Rust, QEMU, and
-                     the masters of the tests (mbpoll, and a Python environment)
+                     the masters of the tests (mbpoll, packages of Python, and of Node.js if it is there)
   build              build the firmware image, print its path and SHA-256
                      [--set NAME=VALUE]: a setting that it is delivered with (docs/registers.md);
                      [--features X]: more features. The image then has a name of its own
@@ -102,7 +102,8 @@ Environment
   WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH
                      the same for images whose settings put them on CAN
   WSG_WHOLE=1        set by ci: tests that take long are run in full
-  WSG_MODBUS_PYTHON  set by test for those with Modbus masters: the Python that has them
+  WSG_MODBUS_PYTHON, WSG_MODBUS_NODE
+                     set by test for those with masters: the Python, and the folder, that have them
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
 
 Set-up runs nothing on a machine that has everything. As root it installs what is missing without
@@ -134,7 +135,7 @@ fn run() -> Result<ExitCode> {
             no_more(arguments)?;
             let workspace = Workspace::from_env()?;
             setup::thumb_and_qemu(&workspace)?;
-            match setup::masters(&workspace)?.missing() {
+            match &setup::masters(&workspace).missing[..] {
                 [] => println!("setup: everything is there"),
                 missing => println!("setup: test will not check what needs {}", missing.join(", ")),
             }

@@ -1,6 +1,6 @@
 //! Every check of the workspace, in order, each announced; the first that fails ends it.
 
-use std::{ffi::OsString, num::NonZero, path::Path, process::Command, thread, time::Instant};
+use std::{ffi::OsString, num::NonZero, process::Command, thread, time::Instant};
 
 use anyhow::{Context, Result, ensure};
 
@@ -13,7 +13,7 @@ use crate::{
     probe::Probes,
     process,
     settings::Change,
-    setup::{self, CLIPPY, PYTHON_VARIABLE, RUSTFMT, ThumbToolchain},
+    setup::{self, CLIPPY, Masters, NODE_VARIABLE, PYTHON_VARIABLE, RUSTFMT, ThumbToolchain},
     size, stack,
     workspace::Workspace,
 };
@@ -30,7 +30,7 @@ pub(crate) fn run(
     extent: Extent,
     is_strict: bool,
 ) -> Result<()> {
-    let masters = setup::masters(workspace)?;
+    let masters = setup::masters(workspace);
     let mut can_images = Vec::new();
     for (variable, settings) in firmware::ON_CAN {
         let settings =
@@ -39,7 +39,7 @@ pub(crate) fn run(
         can_images.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
     let mut record = Record::default();
-    let mut skipped: Vec<&str> = masters.missing().iter().map(String::as_str).collect();
+    let mut skipped = masters.missing.clone();
     for master in &skipped {
         record.not_checked(&format!("tests with {master} (it is not installed)"));
     }
@@ -47,7 +47,7 @@ pub(crate) fn run(
         record.not_checked("GCL by hand with nc (no nc; Debian's package: netcat-openbsd)");
         skipped.push("conversation_by_hand_with_nc");
     }
-    let checks = Checks { workspace, toolchain, image, can_images, python: &masters.python, skipped, extent };
+    let checks = Checks { workspace, toolchain, image, can_images, masters: &masters, skipped, extent };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
@@ -64,7 +64,7 @@ struct Checks<'a> {
     image: &'a Image,
     /// Those with CAN over SLCAN, by the variables that name them.
     can_images: Vec<(&'static str, Image)>,
-    python: &'a Path,
+    masters: &'a Masters,
     /// Tests whose programs are not installed.
     skipped: Vec<&'a str>,
     extent: Extent,
@@ -150,7 +150,8 @@ impl Checks<'_> {
         // Tests run the examples; `cargo test` builds their tests alone.
         process::run(self.workspace.cargo("build").args(targets))?;
         let mut tests = self.workspace.cargo("test");
-        tests.env(IMAGE_VARIABLE, &self.image.path).env(PYTHON_VARIABLE, self.python);
+        tests.env(IMAGE_VARIABLE, &self.image.path);
+        tests.env(PYTHON_VARIABLE, &self.masters.python).env(NODE_VARIABLE, &self.masters.node);
         tests.args(targets).args(["--", "--include-ignored"]);
         // Those with an emulator wait more than they compute.
         let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(2);

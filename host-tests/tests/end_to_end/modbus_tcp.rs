@@ -1,12 +1,12 @@
 //! Third-party masters, over Modbus/TCP to the virtual gripper: `mbpoll` (Debian), `pymodbus` and `modbus-tk`
-//! (PyPI), `tokio-modbus`; and the example `gripping_cycle`, which is built on the last. `minimalmodbus` speaks RTU
+//! (PyPI), `jsmodbus` (npm), `tokio-modbus`; and the example `gripping_cycle`, which is built on the last. `minimalmodbus` speaks RTU
 //! alone.
 //!
-//! The tests with `mbpoll`, `pymodbus` and `modbus_tk` in their names need those programs; `cargo xtask test` runs them
+//! The tests with `mbpoll`, `pymodbus`, `modbus_tk` and `jsmodbus` in their names need those programs; `cargo xtask test` runs them
 //! where it finds or can install them, and says NOT CHECKED otherwise.
 
 use host_tests::example;
-use host_tests::masters::{mbpoll, python, said};
+use host_tests::masters::{mbpoll, node, python, said};
 use std::net::SocketAddr;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
@@ -151,6 +151,13 @@ assert client.execute(1, cst.READ_COILS, 0, 16) == (1, 0, 0, 0, 0, 0, 0, 0, 1, 0
 assert client.execute(1, cst.READ_DISCRETE_INPUTS, 28, 1) == (1,), "FAST STOP"
 "#;
     assert_done(&python(&[head, CYCLE, tail].concat(), &[&address.port().to_string()]));
+}
+
+#[test]
+#[ignore = "needs jsmodbus: see the top of this file"]
+fn jsmodbus_runs_a_grip_cycle_over_tcp() {
+    let (_served, address) = gripper();
+    assert_done(&node(include_str!("jsmodbus.js"), &["tcp", &address.port().to_string()]));
 }
 
 #[test]

@@ -1,5 +1,6 @@
-//! Third-party masters of Modbus and CANopen: `mbpoll` from Debian, the others from PyPI in a virtual environment of their
-//! own. Only `test` asks for them. What cannot be had is no failure: `test` leaves its tests out, and says so.
+//! Third-party masters of Modbus and CANopen: `mbpoll` from Debian, others from PyPI in a virtual environment of their own,
+//! and one from npm below the target folder, where there is Node.js. Only `test` asks for them. What cannot be had is no
+//! failure: `test` leaves its tests out, and says so.
 
 use std::{
     fs,
@@ -15,54 +16,64 @@ use super::{
 };
 use crate::{process, workspace::Workspace};
 
-/// The environment variable that tells the tests where the masters' Python is.
+/// The environment variables that tell the tests where the masters' Python is, and the packages from npm.
 pub(crate) const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
+pub(crate) const NODE_VARIABLE: &str = "WSG_MODBUS_NODE";
 
-/// Packages and versions, one `name==version --hash=..` a line.
-const REQUIREMENTS: &str = "host-tests/requirements.txt";
+/// What says which packages there are, and in which versions; the environment that has them keeps a copy.
+const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
+const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
-/// Packages that masters need, and no test by itself.
-const NO_MASTERS: [&str; 5] = ["pyserial", "python-can", "packaging", "typing-extensions", "wrapt"];
+/// The masters from PyPI, as they stand in the names of the tests that need them.
+const FROM_PYPI: [&str; 4] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen"];
 
-/// The masters on this machine.
+/// The masters on this machine, as far as they are not missing.
 pub(crate) struct Masters {
-    /// The Python that has them, if they are not missing.
+    /// The Python that has them.
     pub(crate) python: PathBuf,
-    missing: Vec<String>,
-}
-
-impl Masters {
+    /// The folder that Node.js finds them in.
+    pub(crate) node: PathBuf,
     /// What is not there, as it stands in the names of the tests that need it: `mbpoll`, `modbus_tk`.
-    pub(crate) fn missing(&self) -> &[String] {
-        &self.missing
-    }
+    pub(crate) missing: Vec<&'static str>,
 }
 
 /// Finds the masters, and installs what is missing where that may be.
-pub(crate) fn provide(workspace: &Workspace) -> Result<Masters> {
-    let list = workspace.root.join(REQUIREMENTS);
-    let list = fs::read_to_string(&list).with_context(|| format!("cannot read {}", list.display()))?;
-    let requirements = requirements(&list);
+pub(crate) fn provide(workspace: &Workspace) -> Masters {
+    let lists = workspace.root.join("host-tests");
     let environment = workspace.target_dir.join("modbus-masters");
     let python = environment.join("bin/python");
-    let has_mbpoll = find_or_install("mbpoll", "mbpoll");
-    if !lacking(&python, &requirements).is_empty() && !installing_is_forbidden() {
-        report(fill(workspace, &environment));
+    let has_python = || {
+        is_of(&environment, &lists, &REQUIREMENTS)
+            && process::answer(Command::new(&python).args(["-c", "import pymodbus"])).is_some()
+    };
+    if !has_python() && !installing_is_forbidden() {
+        report(fill(&environment, &lists));
+    }
+    let packages = workspace.target_dir.join("modbus-masters-node");
+    let node = packages.join("node_modules");
+    let has_node = || {
+        let mut start = Command::new("node");
+        start.args(["-e", "require('jsmodbus')"]).env("NODE_PATH", &node);
+        is_of(&packages, &lists, &NODE_PACKAGES) && process::answer(&mut start).is_some()
+    };
+    if !has_node() && !installing_is_forbidden() && process::exists("npm") {
+        report(fill_node(&packages, &lists));
     }
     let mut missing = Vec::new();
-    if !lacking(&python, &requirements).is_empty() {
-        // All of them: they share what is no master.
-        let masters = requirements.iter().filter(|(name, _)| !NO_MASTERS.contains(name));
-        missing.extend(masters.map(|(name, _)| name.replace('-', "_")));
+    if !has_python() {
+        missing.extend(FROM_PYPI);
     }
-    if !has_mbpoll {
-        missing.push("mbpoll".to_owned());
+    if !has_node() {
+        missing.push("jsmodbus");
     }
-    Ok(Masters { python, missing })
+    if !find_or_install("mbpoll", "mbpoll") {
+        missing.push("mbpoll");
+    }
+    Masters { python, node, missing }
 }
 
 /// Makes the environment and puts the packages into it.
-fn fill(workspace: &Workspace, environment: &Path) -> Result<()> {
+fn fill(environment: &Path, lists: &Path) -> Result<()> {
     let make = |python: &str| {
         // What is left of one that was not finished, or whose Python is gone, must not be built upon.
         process::run(Command::new(python).args(["-m", "venv", "--clear"]).arg(environment))
@@ -76,43 +87,27 @@ fn fill(workspace: &Workspace, environment: &Path) -> Result<()> {
     let mut pip = Command::new(environment.join("bin/python"));
     pip.args(["-m", "pip", "--disable-pip-version-check", "install", "--require-hashes"]);
     pip.args(["--no-deps", "--only-binary", ":all:", "--requirement"]);
-    process::run(pip.arg(workspace.root.join(REQUIREMENTS)))
+    process::run(pip.arg(lists.join(REQUIREMENTS[0])))?;
+    copy(environment, lists, &REQUIREMENTS)
 }
 
-/// Names and versions of a requirements file.
-fn requirements(text: &str) -> Vec<(&str, &str)> {
-    let lines = text.lines().filter(|line| !line.starts_with('#'));
-    lines.filter_map(|line| line.split_whitespace().next()?.split_once("==")).collect()
+/// The same for the packages from npm: those of the lock file, without their install scripts.
+fn fill_node(packages: &Path, lists: &Path) -> Result<()> {
+    copy(packages, lists, &NODE_PACKAGES)?;
+    let mut npm = Command::new("npm");
+    process::run(npm.args(["ci", "--ignore-scripts", "--no-audit", "--no-fund", "--prefix"]).arg(packages))
 }
 
-/// The packages that this Python lacks, or has in another version; all without that Python.
-fn lacking<'a>(python: &Path, requirements: &[(&'a str, &str)]) -> Vec<&'a str> {
-    let script =
-        "import importlib.metadata as m\nfor d in m.distributions(): print(d.metadata['Name'], d.version)";
-    let installed = process::answer(Command::new(python).args(["-c", script])).unwrap_or_default();
-    let has = |name: &str, version: &str| {
-        installed.lines().filter_map(|line| line.split_once(' ')).any(|(its_name, its_version)| {
-            its_name.to_lowercase().replace('_', "-") == name && its_version == version
-        })
-    };
-    requirements.iter().filter(|(name, version)| !has(name, version)).map(|(name, _)| *name).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn requirements_are_names_and_versions() {
-        let text = "# a comment\npymodbus==3.16.1 --hash=sha256:00\n\nmodbus-tk==1.1.5 --hash=sha256:11\n";
-
-        assert_eq!(requirements(text), [("pymodbus", "3.16.1"), ("modbus-tk", "1.1.5")]);
+fn copy(environment: &Path, lists: &Path, names: &[&str]) -> Result<()> {
+    fs::create_dir_all(environment)?;
+    for name in names {
+        fs::copy(lists.join(name), environment.join(name)).with_context(|| format!("cannot copy {name}"))?;
     }
+    Ok(())
+}
 
-    #[test]
-    fn a_python_that_is_not_there_lacks_everything() {
-        let lacks = lacking(Path::new("/no/such/python"), &[("pymodbus", "3.16.1"), ("pyserial", "3.5")]);
-
-        assert_eq!(lacks, ["pymodbus", "pyserial"]);
-    }
+/// Whether the environment was made of these lists as they are now.
+fn is_of(environment: &Path, lists: &Path, names: &[&str]) -> bool {
+    let read = |folder: &Path, name| fs::read(folder.join(name)).ok();
+    names.iter().all(|name| read(environment, name).is_some_and(|copy| read(lists, name) == Some(copy)))
 }

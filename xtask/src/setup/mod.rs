@@ -14,7 +14,7 @@ use anyhow::{Context, Result, bail};
 
 use apt::Packages;
 pub(crate) use component::{CLIPPY, RUSTFMT};
-pub(crate) use masters::{PYTHON_VARIABLE, provide as masters};
+pub(crate) use masters::{Masters, NODE_VARIABLE, PYTHON_VARIABLE, provide as masters};
 pub(crate) use rust_target::{MINIMUM_RUST, ThumbToolchain, has_target, rustup};
 
 use crate::{board::BOARD, process, workspace::Workspace};

@@ -1,5 +1,5 @@
 //! Third-party masters, over a pseudo terminal to the emulated board: `mbpoll`, `pymodbus`, `minimalmodbus`,
-//! `modbus-tk` and `tokio-modbus`.
+//! `modbus-tk`, `jsmodbus` and `tokio-modbus`.
 //!
 //! A pseudo terminal refuses parity, so they are told 8N1; the emulated line knows neither rate nor parity.
 
@@ -80,6 +80,15 @@ fn minimalmodbus_runs_a_grip_cycle() {
 #[ignore = "needs QEMU, the firmware image and modbus-tk: run `cargo xtask test`"]
 fn modbus_tk_runs_a_grip_cycle() {
     run_python(include_str!("modbus_tk.py"));
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware image and jsmodbus: run `cargo xtask test`"]
+fn jsmodbus_runs_a_grip_cycle() {
+    let plant = plant();
+    let output = masters::node(include_str!("../../jsmodbus.js"), &["rtu", &plant.terminal.path]);
+    assert!(output.status.success(), "{}", said(&output));
+    assert_one_cycle(&plant, &said(&output));
 }
 
 #[test]
