@@ -6,7 +6,8 @@
 //!    rises meanwhile, or is 1 when a command wire rises, counts again after it was written 0. So a jog of the bus ends
 //!    when a command wire rises.
 //! 3. What the bus writes first, after power-up or after it was silent, gives no edge: a flag that is 1 there counts
-//!    after it was written 0. FASTSTOP counts at once.
+//!    after it was written 0. FASTSTOP counts at once. Flags that are 0 and that the bus has read back (Modbus, register 0)
+//!    are as good as written.
 //! 4. WIDTH, SPEED and FORCELIMIT are those of the side that gave the last motion command; while the fingers move the
 //!    other side's change nothing.
 
@@ -61,6 +62,11 @@ impl Arbiter {
 
     pub(crate) const fn control_source(&self) -> ControlSource {
         self.control_source
+    }
+
+    /// Whether the next image of the bus is its first.
+    pub(crate) const fn awaits_first_image(&self) -> bool {
+        self.bus_is_new
     }
 
     /// Takes what the wires ask for. Hands the images on to the controller, in order: before a command wire's edge, one

@@ -6,10 +6,10 @@ use crate::io::{Inputs, Outputs};
 use crate::liveness::{Liveness, Looked};
 use crate::log;
 use crate::plc::wires::Wires;
-use crate::plc::{Facts, PlcEvent, PlcSide, Shown, View};
+use crate::plc::{Facts, MotionEnd, PlcEvent, PlcSide, Shown, View};
 use crate::registers::{CanReports, ResetCause, Settings};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use wsg_protocol::fieldbus::Controller;
+use wsg_protocol::fieldbus::{Controller, InputImage};
 use wsg_protocol::session::{self, Event, Session, Topic};
 use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, frame};
 
@@ -72,6 +72,7 @@ impl Bridge {
                 bus_timeouts: 0,
                 can: CanReports::NONE,
                 reset_cause: ResetCause::Unknown,
+                motion_end: MotionEnd::new(),
             },
             is_measured: false,
             liveness: Liveness::new(),
@@ -106,6 +107,10 @@ impl Bridge {
         self.tick(now);
         self.facts.was_connected |= self.session.is_connected();
         self.take_wires(now, inputs, has_heard);
+        if self.facts.motion_end.is_awaited() {
+            // Before a bus is answered.
+            self.follow_motion(now, &self.facts.image(&self.controller, &self.session));
+        }
         self.take_bus(now, bus);
         self.forward_commands();
         self.tick(now);
@@ -113,13 +118,16 @@ impl Bridge {
             self.transmit(now, link);
         }
         let motion_is_open = self.session.motion_is_open();
+        let image = self.facts.image(&self.controller, &self.session);
+        self.follow_motion(now, &image);
         let shown = Shown {
-            image: self.facts.image(&self.controller, &self.session),
+            image,
             link: self.facts.link(&self.session),
+            refused_meanwhile: self.controller.has_refused_meanwhile(),
             motion_is_open,
             ignores_motions: motion_is_open || self.controller.ignores_motions(self.session.known()),
         };
-        bus.show(now, &shown);
+        bus.show(now, &Shown { image: self.facts.motion_end.shown(shown.image), ..shown });
         self.wires.read(inputs).show(now, &shown);
         self.liveness.look(Looked::OUTPUTS);
         self.wires.shown()
@@ -206,7 +214,7 @@ impl Bridge {
                 rest = rest.get(taken..).unwrap_or(&[]);
                 let Some(event) = event else { break };
                 let noticed = self.session.handle(now, &event);
-                notify(&mut self.controller, &self.session, noticed);
+                notify(&mut self.controller, &mut self.facts.motion_end, &self.session, noticed);
             }
         }
         received > 0
@@ -219,7 +227,7 @@ impl Bridge {
         }
         while let Some(event) = self.parser.expire() {
             let noticed = self.session.handle(now, &event);
-            notify(&mut self.controller, &self.session, noticed);
+            notify(&mut self.controller, &mut self.facts.motion_end, &self.session, noticed);
         }
         true
     }
@@ -231,7 +239,7 @@ impl Bridge {
                 self.sending = self.sending.take().filter(|frame| frame.id() == CommandId::FastStop.code());
                 self.gave_up = true;
             }
-            notify(&mut self.controller, &self.session, Some(noticed));
+            notify(&mut self.controller, &mut self.facts.motion_end, &self.session, Some(noticed));
         }
     }
 
@@ -285,6 +293,19 @@ impl Bridge {
         }
     }
 
+    /// Asks for width and force at the end of a motion, for a bus.
+    fn follow_motion(&mut self, now: Instant, image: &InputImage) {
+        if !self.is_measured || !self.facts.motion_end.look(now, image) {
+            return;
+        }
+        let update = AutoUpdate::once();
+        for command in [Command::GetOpeningWidth { update }, Command::GetForce { update }] {
+            if self.session.request(command).is_err() {
+                self.facts.motion_end.done(command.id());
+            }
+        }
+    }
+
     /// `silent`: unexpectedly, which is counted.
     fn lose_bus(&mut self, silent: bool) {
         let known = self.session.known();
@@ -326,9 +347,15 @@ impl Bridge {
     }
 }
 
-fn notify(controller: &mut Controller, session: &Session, event: Option<Event<'_>>) {
+fn notify(
+    controller: &mut Controller,
+    motion_end: &mut MotionEnd,
+    session: &Session,
+    event: Option<Event<'_>>,
+) {
     if let Some(event) = event {
         log::noticed(&event);
+        motion_end.see(&event);
         controller.handle(&event, session.known());
     }
 }

@@ -5,6 +5,7 @@
 
 mod debounce;
 mod modbus;
+mod motion_end;
 mod view;
 pub(crate) mod wires;
 
@@ -12,6 +13,7 @@ pub use modbus::{BusPort, IDENTIFICATION, Interrupts, Modbus, ModbusLine, RtuBuf
 pub use view::View;
 
 pub(crate) use debounce::Debounce;
+pub(crate) use motion_end::MotionEnd;
 pub(crate) use view::Facts;
 
 use crate::registers::Link;
@@ -74,10 +76,12 @@ pub enum PlcEvent {
 /// What a PLC reads at the end of a turn.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown {
-    /// The input image of the fieldbus manual.
+    /// The input image of the fieldbus manual. To a bus the end of a motion is shown with width and force from after it.
     pub image: InputImage,
     /// Whether the gripper answers.
     pub link: Link,
+    /// A motion was refused because another command was, and is, pending.
+    pub refused_meanwhile: bool,
     /// A motion has not answered yet, be it that it was stopped.
     pub motion_is_open: bool,
     /// A motion command would come to nothing: for that reason, because the fingers move, or because either side holds

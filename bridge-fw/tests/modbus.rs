@@ -6,8 +6,8 @@ use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES, ResetCause};
-use wsg_protocol::CommandId;
 use wsg_protocol::fieldbus::SilenceReaction;
+use wsg_protocol::{CommandId, Status};
 use wsg_sim::Part;
 
 fn with_part() -> wsg_sim::Config {
@@ -225,6 +225,57 @@ fn first_write_of_a_master_starts_nothing() {
     bench.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
     bench.pass(10);
     assert_eq!(bench.take_motions(), [CommandId::Homing]);
+}
+
+#[test]
+fn flags_of_0_that_a_master_has_read_count_as_its_first_write() {
+    let homing = [u16::from(HOMING) << 8, 0, 50_00, 40_00];
+    // What it reads, and whether its first HOMING is taken.
+    for (first, count, counts) in [(0, 4, true), (0, 1, true), (1, 3, false)] {
+        let mut bench = Bench::new(Config::DEFAULT, quick());
+        bench.pass(200);
+        assert_eq!(bench.holding(first, count), Ok(vec![0; count.into()]));
+        bench.write(0, &homing);
+        bench.pass(100);
+        let expected: &[CommandId] = if counts { &[CommandId::Homing] } else { &[] };
+        assert_eq!(bench.take_motions(), expected, "{first} {count}");
+    }
+    // A flag that it read as 1 gives no edge, nor does reading zeros before the master was silent.
+    let mut bench = Bench::new(Config::DEFAULT, quick());
+    bench.pass(200);
+    bench.write(0, &homing);
+    bench.holding(0, 4).unwrap();
+    bench.write(0, &homing);
+    bench.pass(100);
+    assert_eq!(bench.take_motions(), []);
+    bench.write(0, &[0; 4]);
+    bench.holding(0, 4).unwrap();
+    bench.pass(5_000);
+    bench.write(0, &homing);
+    bench.pass(100);
+    assert_eq!(bench.take_motions(), []);
+}
+
+#[test]
+fn end_of_a_motion_comes_with_the_width_and_force_from_after_it() {
+    for phase_ms in 0..5 {
+        let mut bench = Bench::homed(with_part());
+        bench.pass(2 * phase_ms);
+        for (flag, width, state, force) in [(GRIP, 20_00, HOLDING, 40_00), (RELEASE, 40_00, IDLE, 0)] {
+            bench.write(0, &[0, width, 50_00, 40_00]);
+            bench.write(0, &[u16::from(flag) << 8, width, 50_00, 40_00]);
+            let mut image = bench.input(0, 6).unwrap();
+            let start = bench.now().as_micros();
+            while image[5] == Status::CmdPending.code() {
+                assert!(bench.now().as_micros() - start < 20_000_000, "{image:?}");
+                image = bench.input(0, 6).unwrap();
+            }
+            bench.pass(2_000);
+            let later = bench.input(0, 6).unwrap();
+            assert_eq!(image, later, "nothing changes behind the end");
+            assert_eq!((image[0] >> 8, image[4]), (u16::from(state), force));
+        }
+    }
 }
 
 #[test]

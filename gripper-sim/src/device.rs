@@ -35,6 +35,8 @@ pub(crate) struct Device {
     supply_fault: bool,
     motor_fault: bool,
     command_failure: bool,
+    /// The last command was a Stop or FAST STOP: a motion that it ended has not failed.
+    was_stopped: bool,
     tag: Tag,
 }
 
@@ -49,6 +51,7 @@ impl Device {
             supply_fault: false,
             motor_fault: false,
             command_failure: false,
+            was_stopped: false,
             tag: config.tag,
             config,
         }
@@ -166,6 +169,9 @@ impl Device {
         if failed || kind != Kind::Query {
             self.command_failure = failed;
         }
+        if kind != Kind::Query {
+            self.was_stopped = kind == Kind::Stop;
+        }
     }
 
     /// GRIP of the text protocol.
@@ -240,7 +246,8 @@ impl Device {
                 Completion { port, id, status: Status::Success }
             }
         };
-        self.command_failure = completion.status != Status::Success;
+        let was_ended = self.was_stopped && completion.status == Status::CmdAborted;
+        self.command_failure = completion.status != Status::Success && !was_ended;
         Some(completion)
     }
 

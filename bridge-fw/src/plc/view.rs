@@ -1,5 +1,6 @@
 //! What a PLC side may look at and change while it serves its PLC.
 
+use super::motion_end::MotionEnd;
 use crate::arbiter::{Arbiter, ControlSource};
 use crate::config::{BusConfig, MAX_REPLY_LEN};
 use crate::registers::{BusCounts, CanReports, Link, RegisterError, ReportSource, ResetCause, Settings};
@@ -19,6 +20,7 @@ pub(crate) struct Facts {
     pub(crate) bus_timeouts: u16,
     pub(crate) can: CanReports,
     pub(crate) reset_cause: ResetCause,
+    pub(crate) motion_end: MotionEnd,
 }
 
 impl Facts {
@@ -31,7 +33,7 @@ impl Facts {
         }
     }
 
-    /// The image that a PLC reads.
+    /// The input image as it is now.
     pub(crate) fn image(&self, controller: &Controller, session: &Session) -> InputImage {
         let mut image = controller.input(session.known());
         if self.link_is_lost {
@@ -54,10 +56,10 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
-    /// Returns the input image as it is now.
+    /// Returns the input image as a bus shows it: the end of a motion with width and force from after it, up to 10 ms later.
     #[must_use]
     pub fn image(&self) -> InputImage {
-        self.facts.image(self.controller, self.session)
+        self.facts.motion_end.shown(self.facts.image(self.controller, self.session))
     }
 
     /// Returns whether the gripper answers.
@@ -121,6 +123,12 @@ impl View<'_> {
             reset_cause: self.facts.reset_cause,
         }
         .register(index)
+    }
+
+    /// Returns whether the next image of the bus is its first, which gives no edge.
+    #[must_use]
+    pub const fn awaits_first_image(&self) -> bool {
+        self.arbiter.awaits_first_image()
     }
 
     /// Returns whose motion command was the last.

@@ -123,7 +123,7 @@ impl Wires {
         let released = levels.contains(Inputs::FAST_STOP_OK) && !levels.contains(Inputs::STOP_ACK);
         let locked = gripper.system.intersects(SystemFlags::LOCKS);
         let mut outputs = Outputs::empty();
-        outputs.set(Outputs::ERROR, is_error(gripper));
+        outputs.set(Outputs::ERROR, is_error(gripper) || shown.refused_meanwhile);
         if shown.link != Link::Up {
             // Nothing is known of the gripper, whatever it has told so far.
             return outputs;
@@ -219,7 +219,13 @@ mod tests {
         for ms in 0..10 {
             wires.update(Instant::from_millis(ms), inputs, ForceUnit::default);
         }
-        let shown = Shown { image, link: Link::Up, motion_is_open: false, ignores_motions: false };
+        let shown = Shown {
+            image,
+            link: Link::Up,
+            refused_meanwhile: false,
+            motion_is_open: false,
+            ignores_motions: false,
+        };
         wires.levels_for(Instant::from_millis(10), &shown)
     }
 

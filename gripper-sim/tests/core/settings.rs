@@ -169,6 +169,18 @@ fn command_failure_flag_shows_the_last_command_that_did_something() {
     assert!(!failed(&rig));
     assert_eq!(raw(&mut rig, 0x90, &[]), Status::CmdUnknown);
     assert!(failed(&rig));
+    for stop in [Command::Stop, Command::FastStop] {
+        rig.status(release(80.0));
+        rig.send(stop);
+        let answers = rig.frames();
+        assert_eq!(answers.len(), 2, "the stop's, and E_CMD_ABORTED of the motion");
+        assert!(!failed(&rig), "{stop}: what ended the motion was the last command, and it succeeded");
+    }
+    rig.status(Command::ACKNOWLEDGE);
+    rig.status(release(60.0));
+    rig.set_fault(Fault::MotorCurrent, true);
+    assert_eq!(rig.next().status(), Status::CmdAborted);
+    assert!(failed(&rig), "no command ended that one");
 }
 
 #[test]

@@ -140,6 +140,11 @@ pub fn bridge(data: &[u8]) {
                 let (coil, value) = (input.byte() % 66, input.pick(&[0, 0xFF, 1]));
                 model.send(&sealed(&[unit, 5, 0, coil, value, 0]), &mut input);
             }
+            13 if input.byte() & 7 == 0 => {
+                let first = input.byte() & 1;
+                let frame = [model.overheard.unit(), 3, 0, first, 0, 1 + input.byte() % 4];
+                model.send(&sealed(&frame), &mut input);
+            }
             13 => {
                 let [and, or] = [input.pick(&FLAGS).bits(), input.pick(&FLAGS).bits()];
                 let frame = [model.overheard.unit(), 22, 0, 0, and, 0xFF, or, 0];
@@ -263,6 +268,7 @@ impl Model {
                 None => continue,
                 Some(Done::Heard) => {}
                 Some(Done::Image(image)) => oracle.asked.take_image(image),
+                Some(Done::ReadBack(image)) => oracle.asked.read_back(image),
                 Some(Done::Unknown) => self.is_over = true,
             }
             self.heard_ms = Some(self.now_ms);

@@ -42,6 +42,8 @@ const OUTGOING_LEN: usize = 2;
 /// - MOVE is refused while a part is held: RELEASE is the way to open then (fieldbus, 6.1).
 /// - MOVE stops on a block: fingers that clamp and later snap to the target would move without a command.
 /// - Without a connection a motion is refused, never kept for later.
+/// - A motion that is asked for while another runs is refused: the status is E_ALREADY_RUNNING while its flag is 1, and that of the
+///   running motion again behind that.
 ///
 /// JOG (fieldbus, 6.7) has no command of its own in the binary command set. It runs as the force limit and a
 /// Pre-position to the end of the stroke, with a Stop when its flag goes:
@@ -75,6 +77,8 @@ pub struct Controller {
     /// The command whose outcome the status register shows.
     shown: Option<CommandId>,
     status: Status,
+    /// A motion was asked for while this command is pending, and refused: those of its flags that are still 1.
+    refused: Option<CommandFlags>,
     /// The last command failed, or its outcome is not known.
     failed: bool,
     /// The state that the last result implies, until the gripper reports one.
@@ -153,6 +157,7 @@ impl Controller {
             unseen: Unseen::No,
             shown: None,
             status: Status::Success,
+            refused: None,
             failed: false,
             settled: None,
             held_back: None,
@@ -178,6 +183,7 @@ impl Controller {
         let rising =
             previous.map_or(CommandFlags::empty(), |previous| image.flags.difference(previous.flags));
         self.jog.see(image);
+        self.refused = self.refused.map(|refused| refused.intersection(image.flags));
         if image.flags.contains(CommandFlags::FASTSTOP) {
             if previous.is_none() || rising.contains(CommandFlags::FASTSTOP) {
                 self.fast_stop();
@@ -391,7 +397,7 @@ impl Controller {
         system.set(SystemFlags::FAST_STOP, self.is_fast_stopped(known));
         // Without a connection nothing is known, and an image of zeros would pass for a gripper at rest.
         let (state, status) = if self.connected {
-            (self.state(known), self.status)
+            (self.state(known), self.shown_status())
         } else {
             (GripperFlags::ERROR, Status::IoError)
         };
@@ -402,6 +408,32 @@ impl Controller {
             width: to_register(known.width.unwrap_or(0.0), 100.0),
             force: to_register(known.force.unwrap_or(0.0), unit.per_newton()),
             status,
+        }
+    }
+
+    /// What is pending, until it is done; E_ALREADY_RUNNING for as long as a flag is 1 that was refused meanwhile.
+    fn shown_status(&self) -> Status {
+        match self.refused {
+            Some(refused) if self.status == Status::CmdPending && !refused.is_empty() => {
+                Status::AlreadyRunning
+            }
+            _ => self.status,
+        }
+    }
+
+    /// Whether a motion was refused because of the command that is pending now. Its flag may have been taken back meanwhile.
+    #[must_use]
+    pub fn has_refused_meanwhile(&self) -> bool {
+        self.status == Status::CmdPending && self.refused.is_some()
+    }
+
+    /// A motion or jog that is asked for while the fingers move.
+    fn refuse_beside_motion(&mut self, flags: CommandFlags) {
+        if self.status == Status::CmdPending {
+            self.refused = Some(flags.union(self.refused.unwrap_or_default()));
+        } else {
+            // They move for another reason, of which the status register tells nothing.
+            self.status = Status::AlreadyRunning;
         }
     }
 
@@ -499,7 +531,7 @@ impl Controller {
         }
         self.send(command);
         self.shown = Some(command.id());
-        self.status = Status::CmdPending;
+        (self.status, self.refused) = (Status::CmdPending, None);
     }
 
     fn begin_lowest(&mut self, rising: CommandFlags, image: &OutputImage, known: &Known, may_begin: bool) {
@@ -513,8 +545,7 @@ impl Controller {
         } else if self.is_fast_stopped(known) {
             self.show(Status::AccessDenied);
         } else if self.is_moving(known) {
-            // The running motion's result will replace this.
-            self.status = Status::AlreadyRunning;
+            self.refuse_beside_motion(lowest);
         } else if !may_begin {
             self.show(if has_flag(known, SystemFlags::LOCKS) {
                 Status::AccessDenied
@@ -554,7 +585,7 @@ impl Controller {
         self.send(force.map_or(command, |force| Command::SetForceLimit { force }));
         self.motion = Some(Motion { command, prepares: force.is_some() });
         self.shown = Some(command.id());
-        self.status = Status::CmdPending;
+        (self.status, self.refused) = (Status::CmdPending, None);
         self.failed = false;
         self.settled = None;
     }

@@ -26,7 +26,7 @@ bitflags! {
     }
 
     /// GSTATE, byte 0 of the input image: the gripper state, one bit set.
-    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct GripperFlags: u8 {
         /// Bit 0: waiting for a command.
         const IDLE = 1 << 0;
@@ -220,7 +220,7 @@ impl OutputImage {
 /// assert_eq!(image.to_bytes(), [0x10, 0, 0x01, 0x10, 0, 0, 0x07, 0xD0, 0x01, 0x95, 0, 26]);
 /// assert_eq!(InputImage::from_bytes(image.to_bytes()), image);
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct InputImage {
     /// Byte 0, GSTATE.

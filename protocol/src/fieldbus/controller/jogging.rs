@@ -3,7 +3,7 @@
 use super::{Controller, force_unit, within_limits};
 use crate::command::{Command, CommandId};
 use crate::fieldbus::jog::{Direction, Drive, Stage};
-use crate::fieldbus::{GripperFlags, OutputImage};
+use crate::fieldbus::{CommandFlags, GripperFlags, OutputImage};
 use crate::session::Known;
 use crate::types::{GripperState, PrePositionFlags, Status};
 
@@ -36,8 +36,8 @@ impl Controller {
 
     fn begin_jog(&mut self, drive: Drive, known: &Known) {
         if self.connected && !self.is_fast_stopped(known) && self.is_moving(known) {
-            // The running motion's result will replace this.
-            self.status = Status::AlreadyRunning;
+            let jogs = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
+            self.refuse_beside_motion(self.image.map_or(jogs, |image| image.flags.intersection(jogs)));
         } else if !self.connected {
             self.show(Status::IoError);
         } else if self.is_fast_stopped(known) || self.state(known) == GripperFlags::HOLDING {

@@ -727,8 +727,22 @@ fn second_motion_while_one_runs_is_refused_and_the_first_still_ends() {
     plc.raise(CommandFlags::MOVE);
     assert_eq!(plc.raise(CommandFlags::RELEASE), []);
     assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::AlreadyRunning));
+    assert_eq!(plc.lower(CommandFlags::MOVE), []);
+    assert_eq!(plc.shows().1, Status::AlreadyRunning, "as long as the flag is 1");
+    assert_eq!(plc.lower(CommandFlags::RELEASE), []);
+    assert_eq!(plc.shows().1, Status::CmdPending, "the first runs");
+    plc.raise(CommandFlags::RELEASE);
     plc.answer(CommandId::PrePosition, Status::Success);
-    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success), "whatever is 1");
+}
+
+#[test]
+fn motion_while_the_fingers_move_by_themselves_is_refused_for_good() {
+    let mut plc = Plc::ready();
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    assert_eq!(plc.raise(CommandFlags::MOVE), []);
+    assert_eq!(plc.lower(CommandFlags::MOVE), []);
+    assert_eq!(plc.shows().1, Status::AlreadyRunning);
 }
 
 #[test]

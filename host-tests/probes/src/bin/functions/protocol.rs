@@ -76,7 +76,7 @@ fn session() {
 fn fieldbus() {
     functions! {
         Controller: new, default, handle, set_output, poll_command, refused, silence, input, is_moving;
-        Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions, ignores_motions;
+        Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions, has_refused_meanwhile, ignores_motions;
         Diagnosis: is_due, to_bytes;
         CommandFlags: lowest;
         ForceUnit: of, per_newton;

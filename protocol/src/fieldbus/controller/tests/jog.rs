@@ -289,6 +289,8 @@ fn jog_beside_another_motion_does_not_run_now_or_after_it() {
     plc.raise(CommandFlags::MOVE);
     assert_eq!(plc.raise(CommandFlags::JOG_PLUS), []);
     assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::AlreadyRunning));
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), []);
+    assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::CmdPending));
     plc.answer(CommandId::PrePosition, Status::Success);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
     assert_eq!(plc.write(|_| {}), []);

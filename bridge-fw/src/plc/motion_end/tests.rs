@@ -1,0 +1,96 @@
+use super::*;
+use wsg_protocol::{Reply, Status, Value};
+
+const RUNNING: InputImage = image(GripperFlags::GRIPPING, SystemFlags::MOVING, Status::CmdPending, 500);
+const DONE: InputImage = image(GripperFlags::HOLDING, SystemFlags::empty(), Status::Success, 500);
+
+const fn image(state: GripperFlags, system: SystemFlags, status: Status, force: i16) -> InputImage {
+    InputImage { state, user: 3, system, width: 2_000, force, status }
+}
+
+fn at(ms: u32) -> Instant {
+    Instant::from_millis(ms)
+}
+
+/// The end of a motion that ran at 0 ms, and came at 1 ms.
+fn ended() -> MotionEnd {
+    let mut end = MotionEnd::new();
+    assert!(!end.look(at(0), &RUNNING));
+    assert!(end.look(at(1), &DONE), "now they are asked for");
+    assert!(!end.look(at(1), &DONE), "once");
+    end
+}
+
+#[test]
+fn end_waits_for_both_values_and_what_is_measured_does_not() {
+    let mut end = ended();
+    let fresh = InputImage { force: 4_000, ..DONE };
+    assert_eq!(end.shown(fresh), InputImage { force: 4_000, ..RUNNING });
+    end.see(&Event::Answered(Reply::success(Value::GetOpeningWidth(20.0))));
+    assert!(!end.look(at(3), &fresh));
+    assert_eq!(end.shown(fresh).status, Status::CmdPending);
+    end.see(&Event::Answered(Reply::success(Value::GetForce(40.0))));
+    assert!(!end.look(at(4), &fresh));
+    assert_eq!(end.shown(fresh), fresh);
+    assert!(!end.is_awaited());
+}
+
+#[test]
+fn end_waits_10_ms_at_the_most() {
+    let mut end = ended();
+    assert!(!end.look(at(10), &DONE));
+    assert_eq!(end.shown(DONE).state, GripperFlags::GRIPPING);
+    end.look(at(11), &DONE);
+    assert_eq!(end.shown(DONE), DONE);
+}
+
+#[test]
+fn values_that_will_not_come_are_not_waited_for() {
+    let mut end = ended();
+    end.see(&Event::Unanswered(CommandId::GetForce));
+    end.see(&Event::Withdrawn(CommandId::GetOpeningWidth));
+    end.look(at(2), &DONE);
+    assert_eq!(end.shown(DONE), DONE);
+}
+
+#[test]
+fn answers_to_other_requests_end_nothing() {
+    let mut end = ended();
+    end.see(&Event::Answered(Reply::success(Value::GetSpeed(0.0))));
+    end.see(&Event::Reported(Value::GetForce(40.0)));
+    end.look(at(2), &DONE);
+    assert_eq!(end.shown(DONE).state, GripperFlags::GRIPPING);
+}
+
+#[test]
+fn what_went_wrong_is_shown_at_once() {
+    for wrong in [
+        image(GripperFlags::ERROR, SystemFlags::empty(), Status::AxisBlocked, 0),
+        image(GripperFlags::IDLE, SystemFlags::FAST_STOP, Status::Success, 0),
+    ] {
+        let mut end = MotionEnd::new();
+        end.look(at(0), &RUNNING);
+        assert!(!end.look(at(1), &wrong));
+        assert_eq!(end.shown(wrong), wrong);
+        // The same while the end waits.
+        let mut end = ended();
+        end.look(at(2), &wrong);
+        assert_eq!(end.shown(wrong), wrong);
+    }
+}
+
+#[test]
+fn next_motion_is_shown_at_once() {
+    let mut end = ended();
+    let next = InputImage { state: GripperFlags::RELEASING, ..RUNNING };
+    assert!(!end.look(at(2), &next));
+    assert_eq!(end.shown(next), next);
+    assert!(end.look(at(3), &DONE), "and its end waits for values of its own");
+}
+
+#[test]
+fn nothing_is_asked_for_without_a_motion() {
+    let mut end = MotionEnd::new();
+    assert!(!end.look(at(0), &DONE) && !end.look(at(1), &DONE));
+    assert_eq!(end.shown(DONE), DONE);
+}
