@@ -5,13 +5,13 @@ use crate::config::{Config, MAX_REPLY_LEN};
 use crate::io::{Inputs, Outputs};
 use crate::liveness::{Liveness, Looked};
 use crate::log;
-use crate::plc::wires::Wires;
+use crate::plc::wires::{self, Wires};
 use crate::plc::{Facts, MotionEnd, PlcEvent, PlcSide, Shown, View};
-use crate::registers::{CanReports, ResetCause, Settings};
+use crate::registers::{CanReports, EventCode, Events, Link, ResetCause, Settings};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::{Controller, InputImage};
 use wsg_protocol::session::{self, Event, Session, Topic};
-use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, frame};
+use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, SystemFlags, frame};
 
 /// Bytes taken from the line in one turn of the main loop, at the most: a line that never falls silent must not keep
 /// the wires waiting. One millisecond at 115 200 bit/s brings 12.
@@ -73,6 +73,8 @@ impl Bridge {
                 can: CanReports::NONE,
                 reset_cause: ResetCause::Unknown,
                 motion_end: MotionEnd::new(),
+                error_cause: 0,
+                events: Events::new(),
             },
             is_measured: false,
             liveness: Liveness::new(),
@@ -101,10 +103,13 @@ impl Bridge {
         bus: &mut P,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
+        self.facts.events.grow_old(now);
         let has_heard = self.receive(now, link) | self.expire_half_frame(now);
         // Before what is known may be given up with the connection.
         self.controller.get_acquainted(self.session.known());
         self.tick(now);
+        self.note_incidents(false);
+        self.see_flags();
         self.facts.was_connected |= self.session.is_connected();
         self.take_wires(now, inputs, has_heard);
         if self.facts.motion_end.is_awaited() {
@@ -114,19 +119,23 @@ impl Bridge {
         self.take_bus(now, bus);
         self.forward_commands();
         self.tick(now);
+        self.note_incidents(false);
         if !core::mem::take(&mut self.gave_up) {
             self.transmit(now, link);
         }
         let motion_is_open = self.session.motion_is_open();
         let image = self.facts.image(&self.controller, &self.session);
         self.follow_motion(now, &image);
-        let shown = Shown {
+        let mut shown = Shown {
             image,
             link: self.facts.link(&self.session),
+            error_cause: 0,
             refused_meanwhile: self.controller.has_refused_meanwhile(),
             motion_is_open,
             ignores_motions: motion_is_open || self.controller.ignores_motions(self.session.known()),
         };
+        shown.error_cause = self.cause_of_error(&shown);
+        self.facts.error_cause = shown.error_cause;
         bus.show(now, &Shown { image: self.facts.motion_end.shown(shown.image), ..shown });
         self.wires.read(inputs).show(now, &shown);
         self.liveness.look(Looked::OUTPUTS);
@@ -174,12 +183,16 @@ impl Bridge {
     }
 
     /// Takes why the MCU was reset, for the register that reports it.
-    pub const fn set_reset_cause(&mut self, cause: ResetCause) {
+    pub fn set_reset_cause(&mut self, cause: ResetCause) {
+        self.facts.events.happened(EventCode::Start, cause as u16);
         self.facts.reset_cause = cause;
     }
 
     /// Takes what is known of the CAN bus, for the registers that report it.
-    pub const fn set_can_reports(&mut self, reports: CanReports) {
+    pub fn set_can_reports(&mut self, reports: CanReports) {
+        if reports.bus_offs() != self.facts.can.bus_offs() {
+            self.facts.events.happened(EventCode::BusOff, 0);
+        }
         self.facts.can = reports;
     }
 
@@ -235,6 +248,7 @@ impl Bridge {
     fn tick(&mut self, now: Instant) {
         while let Some(noticed) = self.session.tick(now) {
             if noticed == Event::Disconnected {
+                self.facts.events.happened(EventCode::GripperSilent, 0);
                 // What has not left by now must not leave when the line comes back; but for a FAST STOP, which is owed.
                 self.sending = self.sending.take().filter(|frame| frame.id() == CommandId::FastStop.code());
                 self.gave_up = true;
@@ -260,6 +274,7 @@ impl Bridge {
                 self.controller.set_output_refusing_motions(image, known);
             }
         });
+        self.note_incidents(true);
     }
 
     /// Serves what the bus has brought. Each image reaches the controller by itself, so that no edge is lost.
@@ -275,6 +290,7 @@ impl Bridge {
                     if let Some(image) = self.arbiter.take_bus(image, self.controller.is_moving(known)) {
                         self.controller.set_output(&image, known);
                     }
+                    self.note_incidents(false);
                 }
                 PlcEvent::Configured => self.wires.configure(&self.settings),
                 PlcEvent::Left { silent } => self.lose_bus(silent),
@@ -311,10 +327,40 @@ impl Bridge {
         let known = self.session.known();
         if self.arbiter.control_source() == ControlSource::Bus {
             self.facts.bus_timeouts = self.facts.bus_timeouts.saturating_add(silent.into());
+            if silent {
+                self.facts.events.happened(EventCode::BusSilent, self.settings.reaction() as u16);
+            }
             self.controller.silence(self.settings.reaction(), known);
         }
         if let Some(image) = self.arbiter.lose_bus() {
             self.controller.set_output(&image, known);
+        }
+    }
+
+    /// Keeps a record of what went wrong. `by_wires`: the flags that the controller saw last were those of the wires.
+    fn note_incidents(&mut self, by_wires: bool) {
+        while let Some(incident) = self.controller.poll_incident() {
+            self.facts.events.note(incident, by_wires);
+        }
+    }
+
+    /// Looks for faults that the gripper tells.
+    fn see_flags(&mut self) {
+        if let Some(flags) = self.session.known().flags {
+            self.facts.events.see_flags(flags, self.controller.asks_fast_stop());
+        }
+    }
+
+    /// Why ERROR is high, by the code of an event; 0: it is not.
+    fn cause_of_error(&self, shown: &Shown) -> u8 {
+        if !wires::has_error(shown) {
+            0
+        } else if shown.image.system.contains(SystemFlags::FAST_STOP) {
+            self.facts.events.cause_of_error(true)
+        } else if shown.link != Link::Up {
+            EventCode::GripperSilent as u8
+        } else {
+            self.facts.events.cause_of_error(false)
         }
     }
 

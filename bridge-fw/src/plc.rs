@@ -80,6 +80,8 @@ pub struct Shown {
     pub image: InputImage,
     /// Whether the gripper answers.
     pub link: Link,
+    /// Why the wire ERROR is high, by the code of an event ([`EVENTS`](crate::registers::EVENTS)); 0: it is low.
+    pub error_cause: u8,
     /// A motion was refused because another command was, and is, pending.
     pub refused_meanwhile: bool,
     /// A motion has not answered yet, be it that it was stopped.

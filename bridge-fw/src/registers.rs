@@ -2,14 +2,17 @@
 //!
 //! The tables here are the only ones: the PLC sides serve them, `docs/registers.md` and the EDS file are made from them.
 
+mod events;
 mod record;
 mod reports;
 mod settings;
 
+pub use events::{EVENTS, EVENTS_KEPT, EventCode, EventText};
 pub use record::{RECORD_LEN, Record, START_SETTINGS, WrongSetting, record_settings};
 pub use reports::{BusCounts, CanReports, FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
 pub use settings::{FIRST_SETTING, SETTINGS, Setting};
 
+pub(crate) use events::Events;
 pub(crate) use reports::ReportSource;
 pub(crate) use settings::Settings;
 

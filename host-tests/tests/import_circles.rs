@@ -219,8 +219,9 @@ fn imports(text: &str) -> Imports {
         is_inline &= line != "}";
         before = line;
         let code = line.trim_start();
-        let is_use =
-            code.split("use ").next().is_some_and(|start| start.is_empty() || start.starts_with("pub"));
+        let is_visibility =
+            |start: &str| start.is_empty() || (start.starts_with("pub") && !start.contains(" "));
+        let is_use = code.split("use ").next().is_some_and(|start| is_visibility(start.trim_end()));
         let mut found = vec![];
         if is_use && code.contains("use ") {
             let mut statement = code.split_once("use ").unwrap().1.to_owned();

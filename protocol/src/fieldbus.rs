@@ -9,6 +9,7 @@
 mod controller;
 mod diagnosis;
 mod image;
+mod incident;
 mod jog;
 #[cfg(feature = "modbus")]
 mod modbus;
@@ -18,6 +19,7 @@ mod registers;
 pub use controller::{Controller, SilenceReaction};
 pub use diagnosis::Diagnosis;
 pub use image::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
+pub use incident::{Cause, Incident};
 #[cfg(feature = "modbus")]
 pub use modbus::Images;
 #[cfg(feature = "modbus")]

@@ -15,7 +15,7 @@ const FRAME_LIMIT: u64 = 1_900;
 const SMALL_FRAME_LIMIT: u64 = 1_100;
 
 /// The whole protocol crate but its text protocol, MODBUS server and drivers: held where it stands.
-const PROTOCOL_LIMIT: u64 = 29_500;
+const PROTOCOL_LIMIT: u64 = 30_500;
 
 /// The two that are not in that: set by what they take, so that they do not grow unseen.
 const GCL_LIMIT: u64 = 42 * 1024;

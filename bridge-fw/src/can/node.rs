@@ -116,7 +116,7 @@ impl PlcSide for Node {
         self.device.show_tpdo(0, [image.state.bits(), image.user, a, b, c, d, status, status_high]);
         self.device.show_tpdo(1, [w0, w1, f0, f1, 0, 0, 0, 0]);
         let faults = emergency::present(image.system, shown.link == Link::Silent);
-        self.device.show_faults(faults, [a, b, c, d, status]);
+        self.device.show_faults(faults, [a, b, c, d, shown.error_cause]);
     }
 }
 

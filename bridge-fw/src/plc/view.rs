@@ -3,7 +3,9 @@
 use super::motion_end::MotionEnd;
 use crate::arbiter::{Arbiter, ControlSource};
 use crate::config::{BusConfig, MAX_REPLY_LEN};
-use crate::registers::{BusCounts, CanReports, Link, RegisterError, ReportSource, ResetCause, Settings};
+use crate::registers::{
+    BusCounts, CanReports, Events, Link, RegisterError, ReportSource, ResetCause, Settings,
+};
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
 use wsg_protocol::session::Session;
 use wsg_protocol::{FrameParser, Status};
@@ -21,6 +23,9 @@ pub(crate) struct Facts {
     pub(crate) can: CanReports,
     pub(crate) reset_cause: ResetCause,
     pub(crate) motion_end: MotionEnd,
+    /// Why ERROR was high at the end of the last turn, by the code of an event; 0: it was low.
+    pub(crate) error_cause: u8,
+    pub(crate) events: Events,
 }
 
 impl Facts {
@@ -121,6 +126,8 @@ impl View<'_> {
             timeouts: self.facts.bus_timeouts,
             can: &self.facts.can,
             reset_cause: self.facts.reset_cause,
+            error_cause: self.facts.error_cause,
+            events: &self.facts.events,
         }
         .register(index)
     }

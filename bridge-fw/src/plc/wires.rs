@@ -123,7 +123,7 @@ impl Wires {
         let released = levels.contains(Inputs::FAST_STOP_OK) && !levels.contains(Inputs::STOP_ACK);
         let locked = gripper.system.intersects(SystemFlags::LOCKS);
         let mut outputs = Outputs::empty();
-        outputs.set(Outputs::ERROR, is_error(gripper) || shown.refused_meanwhile);
+        outputs.set(Outputs::ERROR, has_error(shown));
         if shown.link != Link::Up {
             // Nothing is known of the gripper, whatever it has told so far.
             return outputs;
@@ -192,6 +192,11 @@ fn is_moving(gripper: &InputImage) -> bool {
     gripper.state.intersects(MOTION_STATES) || gripper.system.contains(SystemFlags::MOVING)
 }
 
+/// Whether the wire ERROR is high.
+pub(crate) fn has_error(shown: &Shown) -> bool {
+    is_error(&shown.image) || shown.refused_meanwhile
+}
+
 /// FAST STOP, a fault, or a last command that was refused, failed or has an unknown outcome. That no part was found is
 /// a result, not an error.
 fn is_error(gripper: &InputImage) -> bool {
@@ -222,6 +227,7 @@ mod tests {
         let shown = Shown {
             image,
             link: Link::Up,
+            error_cause: 0,
             refused_meanwhile: false,
             motion_is_open: false,
             ignores_motions: false,

@@ -1,6 +1,7 @@
 //! Counters and versions as input registers.
 
 use super::RegisterError;
+use super::events::{EVENT_LEN, EVENTS_KEPT, Events};
 use crate::arbiter::ControlSource;
 use crate::config::BusConfig;
 use wsg_protocol::frame;
@@ -10,7 +11,7 @@ use wsg_protocol::session::Session;
 pub const FIRST_REPORT: u16 = 100;
 
 /// The version of the register map: the last register or meaning that was added or changed.
-pub const MAP_VERSION: u16 = 3;
+pub const MAP_VERSION: u16 = 4;
 
 /// An input register that reports on the bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,14 +58,41 @@ enum Subject {
     CanOverruns,
     CanDropped,
     ResetCause,
+    ErrorCause,
+    EventCount,
+    /// A field of the last FAST STOP.
+    FastStop(u8),
+    /// A field of one of the last events.
+    Event(u8, u8),
 }
+
+/// The names and meanings of the last events' registers, by their numbers.
+macro_rules! event_reports {
+    ($first:literal $($number:literal)*) => {[
+        event_reports!(@ $first
+            "the last event: its code; 0: none"
+            "the command concerned, by its id (command set, chapter 3); 0: none"
+            "its value, see the table of events"
+            "how long ago it was, in s"),
+        $(event_reports!(@ $number "the one before it" "" "" "")),*
+    ]};
+    (@ $number:literal $code:literal $command:literal $value:literal $age:literal) => {[
+        report(concat!("EVENT", $number, "_CODE"), Subject::Event($number - 1, 0), $code),
+        report(concat!("EVENT", $number, "_COMMAND"), Subject::Event($number - 1, 1), $command),
+        report(concat!("EVENT", $number, "_VALUE"), Subject::Event($number - 1, 2), $value),
+        report(concat!("EVENT", $number, "_AGE"), Subject::Event($number - 1, 3), $age),
+    ]};
+}
+
+const EVENT_REPORTS: [[Report; EVENT_LEN]; EVENTS_KEPT] =
+    event_reports!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16);
 
 const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> Report {
     Report { name, meaning, subject }
 }
 
 /// The reports, from [`FIRST_REPORT`] on. Counters stop at 65 535.
-pub const REPORTS: [Report; 33] = [
+pub const REPORTS: [Report; 39 + EVENTS_KEPT * EVENT_LEN] = with_events([
     report("MAP_VERSION", Subject::MapVersion, "version of this register map"),
     report(
         "BRIDGE_VERSION",
@@ -122,7 +150,32 @@ pub const REPORTS: [Report; 33] = [
         Subject::ResetCause,
         "why the bridge started: 0 unknown, 1 power-on or brown-out, 2 reset pin, 3 watchdog, 4 fault or panic of the firmware",
     ),
-];
+    report("ERROR_CAUSE", Subject::ErrorCause, "why ERROR is high: the code of an event; 0: it is low"),
+    report("EVENTS", Subject::EventCount, "how many events there were"),
+    report(
+        "FAST_STOP_CAUSE",
+        Subject::FastStop(0),
+        "why the last FAST STOP was: the code of an event; 0: there was none",
+    ),
+    report("FAST_STOP_COMMAND", Subject::FastStop(1), "the command that it ended, by its id; 0: none"),
+    report("FAST_STOP_VALUE", Subject::FastStop(2), "its value, see the table of events"),
+    report("FAST_STOP_AGE", Subject::FastStop(3), "how long ago it was asked for, in s"),
+]);
+
+/// The reports, and behind them those of the last events.
+const fn with_events<const N: usize, const M: usize>(reports: [Report; N]) -> [Report; M] {
+    let mut all = [report("", Subject::MapVersion, ""); M];
+    let mut at = 0;
+    while at < M {
+        #[expect(clippy::indexing_slicing, reason = "a constant: wrong lengths do not compile")]
+        {
+            let event = at.wrapping_sub(N);
+            all[at] = if at < N { reports[at] } else { EVENT_REPORTS[event / EVENT_LEN][event % EVENT_LEN] };
+        }
+        at += 1;
+    }
+    all
+}
 
 /// The subjects alone, so that the words of the table stay out of the image.
 const SUBJECTS: [Subject; REPORTS.len()] = {
@@ -197,6 +250,8 @@ pub(crate) struct ReportSource<'a> {
     pub(crate) timeouts: u16,
     pub(crate) can: &'a CanReports,
     pub(crate) reset_cause: ResetCause,
+    pub(crate) error_cause: u8,
+    pub(crate) events: &'a Events,
 }
 
 /// What is reported about CAN: state, transmit and receive errors, bus-offs, overruns, dropped frames, as registers.
@@ -206,6 +261,11 @@ pub struct CanReports(pub [u16; 6]);
 impl CanReports {
     /// There is no CAN.
     pub const NONE: Self = Self([0; 6]);
+
+    /// How often the controller went bus-off.
+    pub(crate) const fn bus_offs(&self) -> u16 {
+        self.0[3]
+    }
 }
 
 impl ReportSource<'_> {
@@ -247,16 +307,17 @@ impl ReportSource<'_> {
             Subject::Busy => self.bus.busy,
             Subject::Overruns => self.bus.overruns,
             Subject::BusTimeouts => self.timeouts,
-            Subject::CanState
-            | Subject::CanTransmitErrors
-            | Subject::CanReceiveErrors
-            | Subject::CanBusOffs
-            | Subject::CanOverruns
-            | Subject::CanDropped => {
-                let place = (subject as usize).wrapping_sub(Subject::CanState as usize);
-                self.can.0.get(place).copied().unwrap_or(0)
-            }
+            Subject::CanState => self.can.0[0],
+            Subject::CanTransmitErrors => self.can.0[1],
+            Subject::CanReceiveErrors => self.can.0[2],
+            Subject::CanBusOffs => self.can.0[3],
+            Subject::CanOverruns => self.can.0[4],
+            Subject::CanDropped => self.can.0[5],
             Subject::ResetCause => self.reset_cause as u16,
+            Subject::ErrorCause => self.error_cause.into(),
+            Subject::EventCount => self.events.count(),
+            Subject::FastStop(field) => self.events.fast_stop_register(field),
+            Subject::Event(number, field) => self.events.register(number, field),
         })
     }
 }

@@ -5,7 +5,7 @@ mod jogging;
 
 use super::image::to_register;
 use super::jog::{Jog, Stage};
-use super::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
+use super::{Cause, CommandFlags, ForceUnit, GripperFlags, Incident, InputImage, OutputImage};
 use crate::command::{Command, CommandId, Kind};
 use crate::queue::Queue;
 use crate::reply::{Reply, Value};
@@ -20,6 +20,9 @@ const MOTIONS: CommandFlags =
 
 /// Commands that may wait to be fetched: a FAST STOP replaces all others, so one motion's two at the most.
 const OUTGOING_LEN: usize = 2;
+
+/// Incidents that may wait to be fetched: one event or image makes two at the most, a FAST STOP and what it ends.
+const INCIDENTS_LEN: usize = 2;
 
 /// The register interface of a gripper, whatever carries the images.
 ///
@@ -90,6 +93,7 @@ pub struct Controller {
     /// OF, for the input image.
     user_outputs: u8,
     outgoing: Queue<Command<'static>, OUTGOING_LEN>,
+    incidents: Queue<Incident, INCIDENTS_LEN>,
 }
 
 /// The controller's own memory of a FAST STOP, beside the gripper's flag.
@@ -164,6 +168,7 @@ impl Controller {
             jog: Jog::new(),
             user_outputs: 0,
             outgoing: Queue::new(),
+            incidents: Queue::new(),
         }
     }
 
@@ -186,7 +191,7 @@ impl Controller {
         self.refused = self.refused.map(|refused| refused.intersection(image.flags));
         if image.flags.contains(CommandFlags::FASTSTOP) {
             if previous.is_none() || rising.contains(CommandFlags::FASTSTOP) {
-                self.fast_stop();
+                self.fast_stop(Cause::Flag, 0);
             }
             return;
         }
@@ -195,7 +200,15 @@ impl Controller {
             if self.jog.is_on() { image.width != previous.width } else { image.parameters_differ(&previous) }
         });
         if changed && self.is_moving(known) {
-            self.fast_stop();
+            let before = previous.unwrap_or_default();
+            let value = if image.width != before.width {
+                image.width.cast_unsigned()
+            } else if image.speed != before.speed {
+                image.speed
+            } else {
+                image.force_limit.cast_unsigned()
+            };
+            self.fast_stop(Cause::ParameterChanged, value);
         } else if rising.contains(CommandFlags::STOP_ACK) {
             self.stop_or_acknowledge(known);
         } else {
@@ -213,14 +226,16 @@ impl Controller {
     pub fn silence(&mut self, reaction: SilenceReaction, known: &Known) {
         self.jog.disarm(self.image.as_ref());
         match reaction {
-            SilenceReaction::FastStop => self.fast_stop(),
+            SilenceReaction::FastStop => self.fast_stop(Cause::PlcSilent, 0),
             SilenceReaction::Stop
                 if self.connected && self.is_moving(known) && !self.is_fast_stopped(known) =>
             {
                 self.stop();
             }
             // A motion that the gripper was not heard to end goes on behind a line that is cut: a Stop now would be lost.
-            SilenceReaction::Stop if !self.connected && self.unseen != Unseen::No => self.fast_stop(),
+            SilenceReaction::Stop if !self.connected && self.unseen != Unseen::No => {
+                self.fast_stop(Cause::PlcSilent, 0);
+            }
             SilenceReaction::Stop | SilenceReaction::Hold => self.follow_jog(known),
         }
     }
@@ -254,7 +269,7 @@ impl Controller {
             self.is_acquainted = true;
             self.stop();
             self.failed = true;
-            self.show(Status::CmdAborted);
+            self.show(Status::CmdAborted, Cause::MovedAtStart);
         }
     }
 
@@ -282,16 +297,18 @@ impl Controller {
                 };
                 if is_answered || self.jog.is_on() {
                     // The gripper may be restarted and forget it: it shall be the first thing that it hears.
-                    self.fast_stop();
+                    self.fast_stop(Cause::ConnectionLost, 0);
                 }
             }
             Event::Answered(reply) => self.answered(reply, known),
             Event::Late(CommandId::Stop) | Event::Unanswered(CommandId::Stop) if !self.stands(known) => {
-                self.fast_stop();
+                self.fast_stop(Cause::StopFailed, Status::Timeout.code());
             }
-            Event::Unanswered(id) if self.jog_may_move(*id, known) => self.fast_stop(),
-            Event::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, known),
-            Event::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, known),
+            Event::Unanswered(id) if self.jog_may_move(*id, known) => {
+                self.fast_stop(Cause::ConnectionLost, 0)
+            }
+            Event::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, Cause::Unanswered, known),
+            Event::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, Cause::Withdrawn, known),
             Event::Reported(Value::GetGripperState(_)) => self.settled = None,
             Event::Reported(Value::GetSystemState(flags)) => {
                 self.supervise_fast_stop(*flags);
@@ -351,7 +368,7 @@ impl Controller {
     fn supervise_fast_stop(&mut self, flags: SystemFlags) {
         match (self.fast_stop, flags.contains(SystemFlags::FAST_STOP)) {
             // The answer was to an earlier one.
-            (FastStop::Answered, false) => self.fast_stop(),
+            (FastStop::Answered, false) => self.fast_stop(Cause::NotConfirmed, 0),
             (FastStop::Answered, true) => {
                 self.fast_stop = FastStop::Latched;
                 if self.shown == Some(CommandId::FastStop) {
@@ -366,6 +383,12 @@ impl Controller {
         }
     }
 
+    /// Whether a FAST STOP that the controller asked for lasts.
+    #[must_use]
+    pub fn asks_fast_stop(&self) -> bool {
+        self.fast_stop != FastStop::Clear
+    }
+
     /// Takes back a command that the session did not take.
     pub fn refused(&mut self, id: CommandId, error: RequestError) {
         self.note_outcome(&Event::Withdrawn(id));
@@ -373,15 +396,20 @@ impl Controller {
             // An earlier one may be the reason.
             self.unseen = Unseen::Begun;
         }
-        let status = match error {
-            RequestError::NotConnected => Status::IoError,
-            RequestError::MotionRunning => Status::AlreadyRunning,
-            RequestError::FastStopRunning => Status::AccessDenied,
-            RequestError::Invalid(_) => Status::InvalidParameter,
-            RequestError::QueueFull => Status::InsufficientResources,
+        let (status, cause) = match error {
+            RequestError::NotConnected => (Status::IoError, Cause::NotConnected),
+            RequestError::MotionRunning => (Status::AlreadyRunning, Cause::MotionRuns),
+            RequestError::FastStopRunning => (Status::AccessDenied, Cause::FastStopLasts),
+            RequestError::Invalid(_) => (Status::InvalidParameter, Cause::OutsideLimits),
+            RequestError::QueueFull => (Status::InsufficientResources, Cause::Withdrawn),
         };
         // What is known matters to a Stop alone, and a session that refuses one has no connection.
-        self.came_to_nothing(id, status, &Known::NOTHING);
+        self.came_to_nothing(id, status, cause, &Known::NOTHING);
+    }
+
+    /// The next thing that went wrong, for those who keep a record. What is not fetched gives way to what comes later.
+    pub fn poll_incident(&mut self) -> Option<Incident> {
+        self.incidents.pop_front()
     }
 
     /// The next command to send.
@@ -429,6 +457,7 @@ impl Controller {
 
     /// A motion or jog that is asked for while the fingers move.
     fn refuse_beside_motion(&mut self, flags: CommandFlags) {
+        self.note(Cause::MotionRuns, self.motion.map(|motion| motion.command.id()), 0);
         if self.status == Status::CmdPending {
             self.refused = Some(flags.union(self.refused.unwrap_or_default()));
         } else {
@@ -487,7 +516,12 @@ impl Controller {
         self.is_moving(known) || self.image.is_some_and(|image| image.flags.intersects(held))
     }
 
-    fn fast_stop(&mut self) {
+    fn fast_stop(&mut self, cause: Cause, value: u16) {
+        // One that is given again is no other.
+        let is_again = matches!(cause, Cause::ConnectionLost | Cause::NotConfirmed);
+        if !is_again || self.fast_stop == FastStop::Clear {
+            self.note(cause, self.motion.map(|motion| motion.command.id()), value);
+        }
         self.fast_stop = FastStop::Asked;
         self.fast_stop_again = false;
         self.jog.stage = Stage::Off;
@@ -498,9 +532,9 @@ impl Controller {
     fn stop_or_acknowledge(&mut self, known: &Known) {
         if matches!(self.fast_stop, FastStop::Asked | FastStop::Answered) {
             // The gripper has not heard of it yet: an acknowledgement now would be undone by the FAST STOP behind it.
-            self.show(Status::AccessDenied);
+            self.show(Status::AccessDenied, Cause::FastStopLasts);
         } else if !self.connected {
-            self.show(Status::IoError);
+            self.show(Status::IoError, Cause::NotConnected);
         } else if self.is_fast_stopped(known) {
             if self.fast_stop == FastStop::Latched {
                 self.fast_stop = FastStop::Acknowledged;
@@ -541,23 +575,21 @@ impl Controller {
             self.jog.disarm(Some(image));
         }
         if !self.connected {
-            self.show(Status::IoError);
+            self.show(Status::IoError, Cause::NotConnected);
         } else if self.is_fast_stopped(known) {
-            self.show(Status::AccessDenied);
+            self.show(Status::AccessDenied, Cause::FastStopLasts);
         } else if self.is_moving(known) {
             self.refuse_beside_motion(lowest);
         } else if !may_begin {
-            self.show(if has_flag(known, SystemFlags::LOCKS) {
-                Status::AccessDenied
-            } else {
-                Status::AlreadyRunning
-            });
+            let is_locked = has_flag(known, SystemFlags::LOCKS);
+            let status = if is_locked { Status::AccessDenied } else { Status::AlreadyRunning };
+            self.show(status, Cause::NotReady);
         } else if lowest == CommandFlags::MOVE && self.state(known) == GripperFlags::HOLDING {
-            self.show(Status::AccessDenied);
+            self.show(Status::AccessDenied, Cause::PartHeld);
         } else if lowest != CommandFlags::HOMING
             && !within_limits(image.speed_mm_s(), image.force_limit_n(force_unit(known)), known)
         {
-            self.fast_stop();
+            self.outside_limits(image, known);
         } else {
             self.begin(lowest, image, known);
         }
@@ -602,9 +634,28 @@ impl Controller {
     }
 
     /// A status of the PLC's own doing, with no command behind it.
-    fn show(&mut self, status: Status) {
+    // Done in many places: once in the image.
+    #[inline(never)]
+    fn show(&mut self, status: Status, cause: Cause) {
+        self.note(cause, None, 0);
         self.shown = None;
         self.status = status;
+    }
+
+    #[inline(never)]
+    fn note(&mut self, cause: Cause, command: Option<CommandId>, value: u16) {
+        if self.incidents.is_full() {
+            let _ = self.incidents.pop_front();
+        }
+        let _ = self.incidents.push_back(Incident { cause, command, value });
+    }
+
+    /// SPEED or FORCELIMIT cannot be: the FAST STOP of that, with the one that it is.
+    fn outside_limits(&mut self, image: &OutputImage, known: &Known) {
+        let least_force = known.limits.map_or(0.0, |limits| limits.min_force);
+        let is_force = within_limits(image.speed_mm_s(), least_force, known);
+        let value = if is_force { image.force_limit.cast_unsigned() } else { image.speed };
+        self.fast_stop(Cause::OutsideLimits, value);
     }
 
     fn answered(&mut self, reply: &Reply<'_>, known: &Known) {
@@ -621,7 +672,7 @@ impl Controller {
                 self.motion = Some(Motion { prepares: false, ..motion });
                 self.send(motion.command);
             } else {
-                self.came_to_nothing(id, status, known);
+                self.came_to_nothing(id, status, Cause::Gripper, known);
             }
             return;
         }
@@ -653,7 +704,12 @@ impl Controller {
 
     /// The outcome of a command, for the PLC to see.
     fn show_outcome(&mut self, id: CommandId, status: Status, known: &Known) {
-        if self.is_result_of_motion(id) {
+        let is_result = self.is_result_of_motion(id);
+        // That no part was found is a result.
+        if (is_result || self.shown == Some(id)) && implied_state(id, status).is_none() {
+            self.note(Cause::Gripper, Some(id), status.code());
+        }
+        if is_result {
             if self.jog.is_on() {
                 return self.end_jog(status);
             }
@@ -690,13 +746,16 @@ impl Controller {
     }
 
     /// A command that was not carried out, or of which that is not known.
-    fn came_to_nothing(&mut self, id: CommandId, status: Status, known: &Known) {
+    fn came_to_nothing(&mut self, id: CommandId, status: Status, cause: Cause, known: &Known) {
         if self.is_of_earlier_motion(id) {
             return;
         }
         let of_motion = self.motion.is_some_and(|motion| {
             id == motion.command.id() || (motion.prepares && id == CommandId::SetForceLimit)
         });
+        if of_motion || self.shown == Some(id) {
+            self.note(cause, Some(id), if cause == Cause::Gripper { status.code() } else { 0 });
+        }
         if of_motion && self.jog.is_on() {
             return self.end_jog(status);
         }

@@ -122,7 +122,7 @@ pub const OBJECTS: [Object; 81] = {
         ro(0x1000, 0, U32, S::Fixed(0), "", "Device type"),
         ro(0x1001, 0, U8, S::ErrorRegister, "", "Error register"),
         rw(0x1003, 0, U8, S::ErrorCount, ERRORS, COUNT),
-        error(1, "The last: code, and status code in bits 16 to 23"),
+        error(1, "The last: code, and ERROR_CAUSE in bits 16 to 23"),
         error(2, "The second last"),
         error(3, "The third last"),
         error(4, "The fourth last"),

@@ -3,7 +3,7 @@
 use super::{Controller, force_unit, within_limits};
 use crate::command::{Command, CommandId};
 use crate::fieldbus::jog::{Direction, Drive, Stage};
-use crate::fieldbus::{CommandFlags, GripperFlags, OutputImage};
+use crate::fieldbus::{Cause, CommandFlags, GripperFlags, OutputImage};
 use crate::session::Known;
 use crate::types::{GripperState, PrePositionFlags, Status};
 
@@ -29,7 +29,9 @@ impl Controller {
             (Stage::Off, None) | (Stage::Stops { .. }, _) => {}
             (Stage::Off, Some(drive)) => self.begin_jog(drive, known),
             (Stage::Runs(running), Some(drive)) if running == drive => {}
-            (Stage::Runs(_), Some(drive)) if jog_command(drive, known).is_none() => self.fast_stop(),
+            (Stage::Runs(_), Some(drive)) if jog_command(drive, known).is_none() => {
+                self.jog_outside_limits(drive, known);
+            }
             (Stage::Runs(_), _) => self.stop(),
         }
     }
@@ -39,17 +41,27 @@ impl Controller {
             let jogs = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
             self.refuse_beside_motion(self.image.map_or(jogs, |image| image.flags.intersection(jogs)));
         } else if !self.connected {
-            self.show(Status::IoError);
-        } else if self.is_fast_stopped(known) || self.state(known) == GripperFlags::HOLDING {
-            self.show(Status::AccessDenied);
+            self.show(Status::IoError, Cause::NotConnected);
+        } else if self.is_fast_stopped(known) {
+            self.show(Status::AccessDenied, Cause::FastStopLasts);
+        } else if self.state(known) == GripperFlags::HOLDING {
+            self.show(Status::AccessDenied, Cause::PartHeld);
         } else if let Some((command, force)) = jog_command(drive, known) {
             self.begin_motion(command, Some(force));
             self.jog.stage = Stage::Runs(drive);
             return;
         } else {
-            self.fast_stop();
+            self.jog_outside_limits(drive, known);
         }
         self.jog.disarm(self.image.as_ref());
+    }
+
+    fn jog_outside_limits(&mut self, drive: Drive, known: &Known) {
+        // 0 is the least speed that there is.
+        let least = known.limits.map_or(0, |limits| (limits.min_speed * 100.0) as u16);
+        let speed = if drive.speed == 0 { least } else { drive.speed };
+        let image = OutputImage { speed, force_limit: drive.force_limit, ..OutputImage::ZERO };
+        self.outside_limits(&image, known);
     }
 
     /// A jog is over by itself, or did not begin: GSTATE is IDLE, after an error as well (fieldbus, 6.7).
@@ -68,7 +80,9 @@ impl Controller {
     pub(super) fn jog_stopped(&mut self, id: CommandId, status: Status, known: &Known) {
         let Stage::Stops { mut stop_open, mut motion_open } = self.jog.stage else { return };
         match id {
-            CommandId::Stop if status != Status::Success && !self.stands(known) => return self.fast_stop(),
+            CommandId::Stop if status != Status::Success && !self.stands(known) => {
+                return self.fast_stop(Cause::StopFailed, status.code());
+            }
             CommandId::Stop => stop_open = false,
             CommandId::PrePosition => motion_open = false,
             _ => return,

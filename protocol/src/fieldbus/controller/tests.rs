@@ -1026,3 +1026,158 @@ fn motions_are_ignored_while_stop_or_fast_stop_is_set_and_while_the_fingers_move
     plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
     assert!(plc.controller.ignores_motions(&plc.known));
 }
+
+fn incidents(plc: &mut Plc) -> Vec<Incident> {
+    core::iter::from_fn(|| plc.controller.poll_incident()).collect()
+}
+
+fn incident(cause: Cause, command: Option<CommandId>, value: u16) -> Vec<Incident> {
+    std::vec![Incident { cause, command, value }]
+}
+
+#[test]
+fn every_fast_stop_says_why() {
+    let moving = SystemFlags::REFERENCED | SystemFlags::MOVING;
+    type Act = fn(&mut Plc);
+    let acts: [(Act, Cause, Option<CommandId>, u16); 8] = [
+        (|plc| drop(plc.raise(CommandFlags::FASTSTOP)), Cause::Flag, Some(CommandId::PrePosition), 0),
+        (
+            |plc| drop(plc.write(|image| image.width = 12_34)),
+            Cause::ParameterChanged,
+            Some(CommandId::PrePosition),
+            12_34,
+        ),
+        (
+            |plc| drop(plc.write(|image| image.speed = 23_45)),
+            Cause::ParameterChanged,
+            Some(CommandId::PrePosition),
+            23_45,
+        ),
+        (
+            |plc| drop(plc.write(|image| image.force_limit = 34_56)),
+            Cause::ParameterChanged,
+            Some(CommandId::PrePosition),
+            34_56,
+        ),
+        (
+            |plc| plc.controller.silence(SilenceReaction::FastStop, &plc.known),
+            Cause::PlcSilent,
+            Some(CommandId::PrePosition),
+            0,
+        ),
+        (
+            |plc| {
+                plc.raise(CommandFlags::STOP_ACK);
+                plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
+            },
+            Cause::StopFailed,
+            None,
+            Status::Timeout.code(),
+        ),
+        (
+            |plc| {
+                plc.answer(CommandId::PrePosition, Status::Success);
+                plc.report_flags(SystemFlags::REFERENCED);
+                plc.write(|image| (image.flags, image.speed) = (CommandFlags::MOVE, 1));
+                plc.write(|image| image.flags = CommandFlags::empty());
+                plc.raise(CommandFlags::GRIP);
+            },
+            Cause::OutsideLimits,
+            None,
+            1,
+        ),
+        (
+            |plc| {
+                plc.answer(CommandId::PrePosition, Status::Success);
+                plc.report_flags(SystemFlags::REFERENCED);
+                plc.write(|image| (image.flags, image.force_limit) = (CommandFlags::empty(), 32_000));
+                plc.raise(CommandFlags::GRIP);
+            },
+            Cause::OutsideLimits,
+            None,
+            32_000,
+        ),
+    ];
+    for (number, (act, cause, command, value)) in acts.into_iter().enumerate() {
+        let mut plc = Plc::ready();
+        plc.raise(CommandFlags::MOVE);
+        plc.report_flags(moving);
+        assert_eq!(incidents(&mut plc), [], "{number}");
+        act(&mut plc);
+        assert_eq!(incidents(&mut plc), incident(cause, command, value), "{number}");
+        assert!(
+            cause.is_fast_stop() && plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP)
+        );
+    }
+}
+
+#[test]
+fn fast_stop_that_is_given_again_is_no_other() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    incidents(&mut plc);
+    plc.answer(CommandId::FastStop, Status::Success);
+    plc.report_flags(SystemFlags::REFERENCED);
+    plc.disconnect();
+    assert_eq!(incidents(&mut plc), []);
+}
+
+#[test]
+fn every_command_that_comes_to_nothing_says_why() {
+    let moved = Some(CommandId::PrePosition);
+    let mut plc = Plc::ready();
+    plc.disconnect();
+    plc.raise(CommandFlags::MOVE);
+    assert_eq!(incidents(&mut plc), incident(Cause::NotConnected, None, 0));
+
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.raise(CommandFlags::RELEASE);
+    assert_eq!(incidents(&mut plc), incident(Cause::MotionRuns, moved, 0));
+    plc.answer(CommandId::PrePosition, Status::AxisBlocked);
+    assert_eq!(incidents(&mut plc), incident(Cause::Gripper, moved, Status::AxisBlocked.code()));
+
+    for (event, cause) in [
+        (Event::Unanswered(CommandId::PrePosition), Cause::Unanswered),
+        (Event::Withdrawn(CommandId::PrePosition), Cause::Withdrawn),
+    ] {
+        let mut plc = Plc::ready();
+        plc.raise(CommandFlags::MOVE);
+        plc.controller.handle(&event, &plc.known);
+        assert_eq!(incidents(&mut plc), incident(cause, moved, 0));
+    }
+
+    let mut plc = Plc::ready();
+    plc.report_flags(SystemFlags::FAST_STOP);
+    plc.raise(CommandFlags::MOVE);
+    assert_eq!(incidents(&mut plc), incident(Cause::FastStopLasts, None, 0));
+
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.answer(CommandId::GripPart, Status::Success);
+    plc.lower(CommandFlags::GRIP);
+    plc.raise(CommandFlags::MOVE);
+    assert_eq!(incidents(&mut plc), incident(Cause::PartHeld, None, 0));
+
+    let mut plc = Plc::ready();
+    plc.image.flags = CommandFlags::MOVE;
+    plc.controller.set_output_refusing_motions(&plc.image, &plc.known);
+    assert_eq!(incidents(&mut plc), incident(Cause::NotReady, None, 0));
+
+    let mut plc = after_a_reset(SystemFlags::REFERENCED | SystemFlags::MOVING, GripperState::Positioning);
+    assert_eq!(incidents(&mut plc), incident(Cause::MovedAtStart, None, 0));
+}
+
+#[test]
+fn result_that_is_none_is_no_incident() {
+    let mut plc = Plc::ready();
+    plc.grip();
+    plc.answer(CommandId::GripPart, Status::CmdFailed);
+    assert_eq!(incidents(&mut plc), [], "no part");
+    plc.lower(CommandFlags::GRIP);
+    plc.raise(CommandFlags::MOVE);
+    plc.answer(CommandId::PrePosition, Status::Success);
+    plc.raise(CommandFlags::STOP_ACK);
+    plc.answer(CommandId::Stop, Status::Success);
+    assert_eq!(incidents(&mut plc), []);
+}

@@ -1,7 +1,7 @@
 //! The binary protocol, its session, and the fieldbus images with their controller.
 
 use wsg_protocol::fieldbus::{
-    CommandFlags, Controller, Diagnosis, ForceUnit, GripperFlags, InputImage, OutputImage,
+    Cause, CommandFlags, Controller, Diagnosis, ForceUnit, GripperFlags, InputImage, OutputImage,
 };
 use wsg_protocol::session::{Known, Session, Topic};
 use wsg_protocol::{
@@ -76,9 +76,10 @@ fn session() {
 fn fieldbus() {
     functions! {
         Controller: new, default, handle, set_output, poll_command, refused, silence, input, is_moving;
-        Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions, has_refused_meanwhile, ignores_motions;
+        Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions, has_refused_meanwhile, poll_incident, asks_fast_stop, ignores_motions;
         Diagnosis: is_due, to_bytes;
         CommandFlags: lowest;
+        Cause: is_fast_stop;
         ForceUnit: of, per_newton;
         InputImage: from_bytes, to_bytes;
         OutputImage: from_bytes, to_bytes, width_mm, speed_mm_s, force_limit_n, parameters_differ;
