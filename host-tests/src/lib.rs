@@ -17,6 +17,7 @@
 //! | [`masters`] | third-party masters of Modbus and CANopen |
 //! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
+//! | [`plc_names`] | flags, states and status codes, for the documents |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
@@ -47,6 +48,7 @@ pub mod masters;
 pub mod modbus_bench;
 #[cfg(unix)]
 pub mod modbus_master;
+pub mod plc_names;
 #[cfg(unix)]
 pub mod qtest;
 #[cfg(unix)]

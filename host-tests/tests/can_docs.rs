@@ -3,6 +3,7 @@
 //! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs` writes the generated parts anew.
 
 use host_tests::document::{hold, table};
+use host_tests::plc_names::{command_flags, gripper_flags};
 use wsg_bridge_fw::can::{
     BusOffPolicy, DEFAULT_NODE, DataType, FAULTS, INPUT_INDEX, NodeConfig, OBJECTS, OUTPUT_INDEX,
     REPORTS_INDEX, SETTINGS_INDEX,
@@ -70,6 +71,17 @@ fn pdos() -> String {
         })
     });
     table(["PDO", "bytes", "field", "type", "object"], rows)
+}
+
+/// The bits of the two bytes that are flags.
+fn flag_bytes() -> String {
+    table(
+        ["bit", "hexadecimal", "CMDFLAGS (RPDO1, byte 0)", "GSTATE (TPDO1, byte 0)"],
+        command_flags().into_iter().zip(gripper_flags()).map(|(command, state)| {
+            assert_eq!(command.bit, state.bit);
+            [command.bit.to_string(), format!("{:02X}h", 1 << command.bit), command.name, state.name]
+        }),
+    )
 }
 
 fn times() -> String {
@@ -227,6 +239,7 @@ fn tables_in_the_document_are_those_of_the_code() {
     for (name, made) in [
         ("identifiers", identifiers()),
         ("pdos", pdos()),
+        ("flags", flag_bytes()),
         ("times", times()),
         ("faults", faults()),
         ("objects", objects()),

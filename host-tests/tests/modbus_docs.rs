@@ -5,14 +5,12 @@
 use bus_modbus::Function;
 use host_tests::document::{hold, table};
 use host_tests::modbus_bench::Bench;
+use host_tests::plc_names::{command_flags, gripper_flags, register_bit, system_flags};
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{
     FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS, START_SETTINGS, record_settings,
 };
-use wsg_protocol::SystemFlags;
-use wsg_protocol::fieldbus::{
-    CommandFlags, Content, GripperFlags, INPUT_REGISTERS, OUTPUT_REGISTERS, Register,
-};
+use wsg_protocol::fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 
 fn line() -> String {
     let bus = Config::DEFAULT.bus;
@@ -65,65 +63,111 @@ fn functions() -> String {
     )
 }
 
-fn registers(registers: &[Register]) -> String {
+/// What a PLC's tool adds to an address where it counts from 1 and puts the number of the table in front.
+const COILS: u32 = 1;
+const DISCRETE_INPUTS: u32 = 10_001;
+const INPUT: u32 = 30_001;
+const HOLDING: u32 = 40_001;
+
+/// An address, counted from 0 and as such a tool has it.
+fn both(address: u32, base: u32) -> [String; 2] {
+    [address.to_string(), format!("{:05}", address + base)]
+}
+
+fn addresses() -> String {
+    let tables = [
+        ("coils", COILS),
+        ("discrete inputs", DISCRETE_INPUTS),
+        ("input registers", INPUT),
+        ("holding registers", HOLDING),
+    ];
     table(
-        ["register", "bytes", "name", "kind", "unit, bits"],
-        registers.iter().enumerate().map(|(n, register)| {
+        ["table", "first address", "as a PLC's tool has it"],
+        tables.map(|(name, base)| {
+            let [address, numbered] = both(0, base);
+            [name.to_owned(), address, numbered]
+        }),
+    )
+}
+
+fn registers(base: u32, registers: &[Register]) -> String {
+    table(
+        ["address", &format!("{base}-based"), "bytes", "name", "kind", "unit, bits"],
+        (0..).zip(registers).map(|(n, register)| {
             let kind = match register.content {
                 Content::Bits => "bits",
                 Content::Signed => "signed number",
                 Content::Unsigned => "unsigned number",
             };
+            let more = match register.name {
+                "SYSSTATE" => ": [all of them](states.md#sysstate)",
+                "Status Code" => ": [all codes](states.md#status-codes)",
+                _ => "",
+            };
+            let [address, numbered] = both(n, base);
             [
-                n.to_string(),
+                address,
+                numbered,
                 format!("{}, {}", 2 * n, 2 * n + 1),
                 register.name.into(),
                 kind.into(),
-                register.unit.into(),
+                format!("{}{more}", register.unit),
             ]
         }),
     )
 }
 
-/// Names of bits, by the number of the first bit.
-fn bits<'a>(parts: impl IntoIterator<Item = (usize, &'a str)>) -> String {
-    table(["address", "bit"], parts.into_iter().map(|(address, name)| [address.to_string(), name.to_owned()]))
+/// Bits of an image, by their address, and where they are in its registers.
+fn bits(
+    base: u32,
+    registers: u32,
+    bits: impl IntoIterator<Item = (u32, String)>,
+    (first, last, rest): (u32, u32, &str),
+) -> String {
+    let rows = bits.into_iter().map(|(bit, name)| {
+        let [address, numbered] = both(bit, base);
+        let (register, mask) = register_bit(bit);
+        [address, numbered, name, format!("{register} ({})", register + registers), format!("{mask:04X}h")]
+    });
+    let [first_address, first_numbered] = both(first, base);
+    let [last_address, last_numbered] = both(last, base);
+    let rest = [
+        format!("{first_address} to {last_address}"),
+        format!("{first_numbered} to {last_numbered}"),
+        format!("the bits of {rest}, byte by byte"),
+        format!("{} to {} ({} to {})", first / 16, last / 16, registers + first / 16, registers + last / 16),
+        String::new(),
+    ];
+    let based = format!("{base:05}-based");
+    table(["address", &based, "bit", "in register", "as"], rows.chain([rest]))
+}
+
+fn user_flags(letters: &str) -> impl Iterator<Item = (u32, String)> {
+    (1..=8).map(move |n| (7 + n, format!("{letters}{n}")))
 }
 
 fn coils() -> String {
-    let commands = CommandFlags::all().iter_names().map(|(name, flag)| {
-        (
-            flag.bits().trailing_zeros() as usize,
-            name.replace("STOP_ACK", "STOP/ACK").replace("JOG_PLUS", "JOG+").replace("JOG_MINUS", "JOG-"),
-        )
-    });
-    let users = (1..=8).map(|n| (7 + n, format!("IF{n}")));
-    let all: Vec<_> = commands.chain(users).collect();
-    bits(all.iter().map(|(address, name)| (*address, name.as_str())))
-        + "| 16 to 63 | the bits of WIDTH, SPEED and FORCELIMIT, byte by byte |\n"
+    let commands = command_flags().into_iter().map(|flag| (flag.bit, flag.name));
+    bits(COILS, HOLDING, commands.chain(user_flags("IF")), (16, 63, "WIDTH, SPEED and FORCELIMIT"))
 }
 
 fn discrete_inputs() -> String {
-    let states = GripperFlags::all()
-        .iter_names()
-        .map(|(name, flag)| (flag.bits().trailing_zeros() as usize, name.to_owned()));
-    let users = (1..=8).map(|n| (7 + n, format!("OF{n}")));
-    let system = SystemFlags::all()
-        .iter_names()
-        .map(|(name, flag)| (16 + flag.bits().trailing_zeros() as usize, format!("SYSSTATE {name}")));
-    let all: Vec<_> = states.chain(users).chain(system).collect();
-    bits(all.iter().map(|(address, name)| (*address, name.as_str())))
-        + "| 48 to 95 | the bits of WIDTH, Gripping Force and Status Code, byte by byte |\n"
+    let states = gripper_flags().into_iter().map(|flag| (flag.bit, flag.name));
+    let system = system_flags().into_iter().map(|flag| (16 + flag.bit, format!("SYSSTATE {}", flag.name)));
+    let all = states.chain(user_flags("OF")).chain(system);
+    bits(DISCRETE_INPUTS, INPUT, all, (48, 95, "WIDTH, Gripping Force and Status Code"))
 }
 
 fn settings() -> String {
     // As a PLC reads them.
     let delivered = Bench::ready().holding(FIRST_SETTING, SETTINGS.len() as u8).unwrap();
     table(
-        ["register", "name", "unit", "from", "to", "as delivered", "meaning"],
+        ["address", "40001-based", "name", "unit", "from", "to", "as delivered", "meaning"],
         (FIRST_SETTING..).zip(&SETTINGS).zip(delivered).map(|((address, setting), delivered)| {
+            let [address, numbered] = both(address.into(), HOLDING);
             [
-                address.to_string(),
+                address,
+                numbered,
                 format!("`{}`", setting.name),
                 setting.unit.into(),
                 setting.least.to_string(),
@@ -154,9 +198,10 @@ fn start_settings() -> String {
 
 fn reports() -> String {
     table(
-        ["register", "name", "meaning"],
+        ["address", "30001-based", "name", "meaning"],
         (FIRST_REPORT..).zip(&REPORTS).map(|(address, report)| {
-            [address.to_string(), format!("`{}`", report.name), report.meaning.into()]
+            let [address, numbered] = both(address.into(), INPUT);
+            [address, numbered, format!("`{}`", report.name), report.meaning.into()]
         }),
     )
 }
@@ -165,10 +210,11 @@ fn reports() -> String {
 fn registers_in_the_document_are_those_of_the_code() {
     for (name, wanted) in [
         ("line", line()),
+        ("addresses", addresses()),
         ("functions", functions()),
-        ("output", registers(&OUTPUT_REGISTERS)),
+        ("output", registers(HOLDING, &OUTPUT_REGISTERS)),
         ("coils", coils()),
-        ("input", registers(&INPUT_REGISTERS)),
+        ("input", registers(INPUT, &INPUT_REGISTERS)),
         ("discrete", discrete_inputs()),
         ("settings", settings()),
         ("start-settings", start_settings()),

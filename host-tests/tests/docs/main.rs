@@ -8,5 +8,6 @@ mod crate_readme;
 mod decisions;
 mod figures;
 mod pointers;
+mod states;
 mod trace_excerpt;
 mod wiring;

@@ -1,19 +1,22 @@
 //! What the documents point at exists: files, commands of xtask, environment variables.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use host_tests::document::{read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 13] = [
+const DOCUMENTS: [&str; 16] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
     "CHANGELOG.md",
+    "docs/can.md",
     "docs/commissioning.md",
     "docs/demo.md",
     "docs/wiring.md",
     "docs/protocol.md",
+    "docs/registers.md",
+    "docs/states.md",
     "docs/decisions.md",
     "protocol/README.md",
     "buses/modbus/README.md",
@@ -26,12 +29,23 @@ fn links_lead_to_files_of_this_repository() {
     for document in DOCUMENTS {
         let text = read(document);
         let targets = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
-        for target in targets.filter(|target| !target.starts_with("https://") && !target.starts_with('#')) {
+        for target in targets.filter(|target| !target.starts_with("https://")) {
             let folder = Path::new(document).parent().unwrap();
-            let file = target.split('#').next().unwrap();
-            assert!(root().join(folder).join(file).exists(), "{document} points at {target}");
+            let (file, heading) = target.split_once('#').unwrap_or((target, ""));
+            let file = if file.is_empty() { PathBuf::from(document) } else { folder.join(file) };
+            assert!(root().join(&file).exists(), "{document} points at {target}");
+            let file = file.to_str().unwrap();
+            let has_heading = || read(file).lines().filter_map(anchor).any(|anchor| anchor == heading);
+            assert!(heading.is_empty() || has_heading(), "{document} points at {target}");
         }
     }
+}
+
+/// What a link to this heading has behind its `#`; none for any other line.
+fn anchor(line: &str) -> Option<String> {
+    let heading = line.strip_prefix('#')?.trim_start_matches('#').strip_prefix(' ')?;
+    let kept = heading.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+    Some(kept.map(|c| if c == ' ' { '-' } else { c.to_ascii_lowercase() }).collect())
 }
 
 #[test]
