@@ -7,6 +7,7 @@ mod commands;
 mod crate_readme;
 mod decisions;
 mod figures;
+mod grip_cycle;
 mod pointers;
 mod states;
 mod trace_excerpt;

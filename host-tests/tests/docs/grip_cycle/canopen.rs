@@ -1,0 +1,205 @@
+//! The cycle over CANopen.
+
+use bus_slcan::ClassicFrame;
+use embedded_can::{Frame, Id, StandardId};
+use host_tests::can_bench::CanBench;
+use host_tests::document::{hold, table};
+use host_tests::wires::Wires;
+use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
+use wsg_bridge_fw::io::Inputs;
+use wsg_protocol::fieldbus::{GripperFlags, InputImage, OutputImage};
+use wsg_protocol::{Status, SystemFlags};
+use wsg_sim::Part;
+
+use super::DOCUMENT;
+use super::image::{Then, explain, force, hex, output_parts, state, status, steps, system, width};
+
+const NODE: NodeConfig = DEFAULT_NODE;
+const NMT: u16 = 0;
+const TPDO1: u16 = 0x180 | NODE.node as u16;
+const RPDO1: u16 = 0x200 | NODE.node as u16;
+const TPDO2: u16 = 0x280 | NODE.node as u16;
+const HEARTBEAT: u16 = 0x700 | NODE.node as u16;
+const MASTER_HEARTBEAT: u16 = 0x700 | NODE.master as u16;
+
+/// A frame of the cycle.
+struct Row {
+    step: String,
+    from: &'static str,
+    id: u16,
+    data: Vec<u8>,
+    says: String,
+}
+
+struct Recording {
+    bench: CanBench,
+    heard: Vec<(u16, Vec<u8>)>,
+    rows: Vec<Row>,
+}
+
+impl Recording {
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            if self.bench.now_ms().is_multiple_of(200) {
+                self.say(MASTER_HEARTBEAT, &[5]);
+            }
+            self.bench.pass(1);
+            for (_, frame) in self.bench.take_heard() {
+                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
+                self.heard.push((id.as_raw(), frame.data().to_vec()));
+            }
+        }
+    }
+
+    fn say(&mut self, id: u16, data: &[u8]) {
+        self.bench.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+    }
+
+    fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], says: impl Into<String>) {
+        self.rows.push(Row { step: step.to_owned(), from, id, data: data.to_vec(), says: says.into() });
+    }
+
+    /// Says it and notes that.
+    fn send(&mut self, step: &str, id: u16, data: &[u8], says: impl Into<String>) {
+        self.say(id, data);
+        self.note(step, "master", id, data, says);
+    }
+
+    fn last(&self, id: u16) -> Option<Vec<u8>> {
+        self.heard.iter().rev().find(|(other, _)| *other == id).map(|(_, data)| data.clone())
+    }
+
+    /// Waits for a TPDO1 that is wanted, and notes it.
+    fn note_tpdo1(&mut self, step: &str, wanted: fn(&InputImage) -> bool) {
+        for _ in 0..20_000 {
+            self.pass(1);
+            let heard = std::mem::take(&mut self.heard);
+            let found = heard.into_iter().find(|(id, data)| *id == TPDO1 && wanted(&tpdo1(data)));
+            if let Some((_, data)) = found {
+                let image = tpdo1(&data);
+                let says = [state, status, system].map(|part| part(&image)).join("; ");
+                return self.note(step, "bridge", TPDO1, &data, says);
+            }
+        }
+        panic!("{step}: not within 20 s");
+    }
+}
+
+/// The part of the input image that is in TPDO1.
+fn tpdo1(data: &[u8]) -> InputImage {
+    let [state, user, s0, s1, s2, s3, c0, c1] = data.try_into().unwrap();
+    InputImage::from_bytes([state, user, s0, s1, s2, s3, 0, 0, 0, 0, c1, c0])
+}
+
+/// The part of the input image that is in TPDO2.
+fn tpdo2(data: &[u8]) -> InputImage {
+    let [w0, w1, f0, f1] = data.try_into().unwrap();
+    InputImage::from_bytes([0, 0, 0, 0, 0, 0, w1, w0, f1, f0, 0, 0])
+}
+
+fn rpdo1(image: &OutputImage) -> [u8; 8] {
+    let [flags, user, w1, w0, s1, s0, f1, f0] = image.to_bytes();
+    [flags, user, w0, w1, s0, s1, f0, f1]
+}
+
+/// The cycle from power-up on, with the wire of FAST STOP low until the plant is ready.
+fn record() -> Vec<Row> {
+    let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
+    let bench = CanBench::with_node(gripper, NODE);
+    let mut recording = Recording { bench, heard: Vec::new(), rows: Vec::new() };
+    recording.bench.set(Inputs::FAST_STOP_OK, false);
+    recording.pass(1_000);
+    recording.bench.set(Inputs::FAST_STOP_OK, true);
+    recording.pass(500);
+    let of_node = |recording: &Recording, wanted: &[u8]| {
+        assert!(recording.heard.contains(&(HEARTBEAT, wanted.to_vec())));
+    };
+    of_node(&recording, &[0]);
+    recording.note("power-up", "bridge", HEARTBEAT, &[0], "boot-up");
+    of_node(&recording, &[0x7F]);
+    recording.note("", "bridge", HEARTBEAT, &[0x7F], "heartbeat: pre-operational");
+    recording.note("", "master", MASTER_HEARTBEAT, &[5], "heartbeat, again and again");
+    recording.send("NMT start", NMT, &[1, NODE.node], format!("node {} becomes operational", NODE.node));
+    recording.pass(1_000);
+    of_node(&recording, &[5]);
+    recording.note("", "bridge", HEARTBEAT, &[5], "heartbeat: operational");
+    for step in steps() {
+        let data = rpdo1(&step.image);
+        let says: Vec<String> = output_parts(&step.image).into_iter().map(|(_, says)| says).collect();
+        recording.heard.clear();
+        recording.send(step.name, RPDO1, &data, format!("{}; {}", says[0], says[2..].join("; ")));
+        match step.then {
+            Then::Nothing => {
+                recording.pass(20);
+                continue;
+            }
+            Then::Begin => {
+                recording.note_tpdo1(step.then.name(), |image| image.status == Status::CmdPending);
+                continue;
+            }
+            Then::Look | Then::End => {}
+        }
+        // Until the fingers stand, and what is measured as well.
+        let ended = |image: &InputImage| {
+            image.status != Status::CmdPending && !image.system.contains(SystemFlags::MOVING)
+        };
+        for _ in 0..200 {
+            recording.pass(100);
+            if recording.last(TPDO1).is_some_and(|data| ended(&tpdo1(&data))) {
+                break;
+            }
+        }
+        recording.pass(400);
+        recording.heard.clear();
+        recording.note_tpdo1(step.then.name(), |image| image.status != Status::CmdPending);
+        recording.pass(200);
+        let data = recording.last(TPDO2).expect("TPDO2 comes cyclically");
+        let image = tpdo2(&data);
+        recording.note("", "bridge", TPDO2, &data, [width, force].map(|part| part(&image)).join("; "));
+    }
+    recording.rows
+}
+
+#[test]
+fn canopen_cycle_in_the_document_is_the_recorded_one() {
+    let rows = record();
+    let grip = rows.iter().find(|row| row.step == "GRIP").unwrap();
+    let image = steps().into_iter().find(|step| step.name == "GRIP").unwrap().image;
+    let head = ["bytes", "value", "meaning"];
+    hold(DOCUMENT, "canopen-rpdo", &table(head, explain(&grip.data, &output_parts(&image))));
+
+    let is_held = |row: &Row| row.id == TPDO1 && tpdo1(&row.data).state == GripperFlags::HOLDING;
+    let at = rows.iter().position(is_held).expect("the part is not held");
+    let (first, second) = (&rows[at].data, &rows[at + 1].data);
+    let image = tpdo1(first);
+    let parts = [
+        (1, state(&image)),
+        (1, "OF: user flags, none".to_owned()),
+        (4, system(&image)),
+        (2, status(&image)),
+    ];
+    let in_first = explain(first, &parts);
+    let image = tpdo2(second);
+    let in_second = explain(second, &[(2, width(&image)), (2, force(&image))]);
+    let with_name = |name: &str, rows: Vec<[String; 3]>| -> Vec<[String; 4]> {
+        rows.into_iter().map(|[at, value, says]| [name.to_owned(), at, value, says]).collect()
+    };
+    let all = [with_name("TPDO1", in_first), with_name("TPDO2", in_second)].concat();
+    hold(DOCUMENT, "canopen-tpdo", &table(["PDO", "bytes", "value", "meaning"], all));
+
+    let all = rows.into_iter().enumerate().map(|(number, row)| {
+        [
+            (number + 1).to_string(),
+            row.step,
+            row.from.to_owned(),
+            format!("{:03X}h", row.id),
+            format!("`{}`", hex(&row.data)),
+            row.says,
+        ]
+    });
+    hold(
+        DOCUMENT,
+        "canopen-cycle",
+        &table(["", "step", "from", "identifier", "bytes", "what they say"], all),
+    );
+}

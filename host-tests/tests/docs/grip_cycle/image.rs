@@ -1,0 +1,126 @@
+//! The images of the fieldbus manual in words.
+
+use host_tests::plc_names::command_flags;
+use wsg_protocol::fieldbus::{CommandFlags, InputImage, OutputImage};
+
+/// What a PLC writes, step by step: homing, grip and release, from power-up on.
+pub(super) struct Step {
+    pub(super) name: &'static str,
+    pub(super) image: OutputImage,
+    pub(super) then: Then,
+}
+
+/// What the PLC looks at behind a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Then {
+    /// Nothing.
+    Nothing,
+    /// What the gripper shows.
+    Look,
+    /// That the motion has begun.
+    Begin,
+    /// That it is over.
+    End,
+}
+
+impl Then {
+    /// How that is called.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Nothing | Self::Look => "",
+            Self::Begin => "it runs",
+            Self::End => "the end",
+        }
+    }
+}
+
+/// The steps of the cycle. WIDTH, SPEED and FORCELIMIT stay when a flag is taken back.
+pub(super) fn steps() -> Vec<Step> {
+    let grip = OutputImage { width: 20_00, speed: 50_00, force_limit: 40_00, ..OutputImage::ZERO };
+    let release = OutputImage { width: 40_00, ..grip };
+    let step = |name, image, flags, then| Step { name, image: OutputImage { flags, ..image }, then };
+    let back = |image, then| step("flag back", image, CommandFlags::empty(), then);
+    let zeros = OutputImage::ZERO;
+    vec![
+        step("zeros first", zeros, CommandFlags::empty(), Then::Look),
+        step("STOP/ACK, for the FAST STOP of power-up", zeros, CommandFlags::STOP_ACK, Then::End),
+        back(zeros, Then::Nothing),
+        step("HOMING", zeros, CommandFlags::HOMING, Then::Begin),
+        back(zeros, Then::End),
+        step("GRIP", grip, CommandFlags::GRIP, Then::Begin),
+        back(grip, Then::End),
+        step("RELEASE", release, CommandFlags::RELEASE, Then::Begin),
+        back(release, Then::End),
+    ]
+}
+
+fn hundredths(value: impl Into<f64>) -> String {
+    format!("{:.2}", value.into() / 100.0)
+}
+
+fn names<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
+/// The parts of the output image: where each begins, how many bytes it has, and what it says.
+pub(super) fn output_parts(image: &OutputImage) -> Vec<(usize, String)> {
+    let mut flags = command_flags();
+    flags.retain(|flag| image.flags.bits() & 1 << flag.bit != 0);
+    vec![
+        (1, format!("CMDFLAGS: {}", names(flags.iter().map(|flag| &flag.name[..])))),
+        (1, "IF: user flags, none".to_owned()),
+        (2, format!("WIDTH: {} mm", hundredths(image.width))),
+        (2, format!("SPEED: {} mm/s", hundredths(image.speed))),
+        (2, format!("FORCELIMIT: {} N", hundredths(image.force_limit))),
+    ]
+}
+
+pub(super) fn state(image: &InputImage) -> String {
+    format!("GSTATE: {}", names(image.state.iter_names().map(|(name, _)| name)))
+}
+
+pub(super) fn system(image: &InputImage) -> String {
+    format!("SYSSTATE: {}", names(image.system.iter_names().map(|(name, _)| name)))
+}
+
+pub(super) fn width(image: &InputImage) -> String {
+    format!("WIDTH: {} mm", hundredths(image.width))
+}
+
+pub(super) fn force(image: &InputImage) -> String {
+    format!("Gripping Force: {} N", hundredths(image.force))
+}
+
+pub(super) fn status(image: &InputImage) -> String {
+    format!("Status Code: {}, {}", image.status.code(), image.status.symbol())
+}
+
+/// The parts of the input image, as a Modbus master reads them.
+pub(super) fn input_parts(image: &InputImage) -> Vec<(usize, String)> {
+    vec![
+        (1, state(image)),
+        (1, "OF: user flags, none".to_owned()),
+        (4, system(image)),
+        (2, width(image)),
+        (2, force(image)),
+        (2, status(image)),
+    ]
+}
+
+pub(super) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(" ")
+}
+
+/// A message cut into its parts, as rows of a table: which bytes, their values, what they mean.
+pub(super) fn explain(message: &[u8], parts: &[(usize, String)]) -> Vec<[String; 3]> {
+    let mut at = 0;
+    let rows = parts.iter().map(|(len, meaning)| {
+        let bytes = if *len == 1 { at.to_string() } else { format!("{at} to {}", at + len - 1) };
+        at += len;
+        [bytes, hex(&message[at - len..at]), meaning.clone()]
+    });
+    let rows = rows.collect();
+    assert_eq!(at, message.len());
+    rows
+}
