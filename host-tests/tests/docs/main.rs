@@ -6,6 +6,7 @@ mod checksum;
 mod commands;
 mod crate_readme;
 mod decisions;
+mod drawings;
 mod figures;
 mod grip_cycle;
 mod pointers;
