@@ -3,3 +3,4 @@
 mod states;
 mod svg;
 mod timing;
+mod wiring;
