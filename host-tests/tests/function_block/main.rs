@@ -1,0 +1,462 @@
+//! The function block of docs/FB_WSG_GRIP.st, run by an interpreter in a PLC that is played here, against the bridge and the
+//! virtual gripper in virtual time.
+
+mod structured_text;
+
+use std::collections::BTreeSet;
+
+use bus_slcan::ClassicFrame;
+use embedded_can::{Frame, Id, StandardId};
+use host_tests::can_bench::CanBench;
+use host_tests::document::{hold, read, table};
+use host_tests::modbus_bench::{Bench, quick};
+use host_tests::wires::Wires;
+use structured_text::{Instance, Unit, Value};
+use wsg_bridge_fw::Config;
+use wsg_bridge_fw::can::DEFAULT_NODE;
+use wsg_bridge_fw::io::Inputs;
+use wsg_protocol::CommandId;
+use wsg_sim::{Fault, Part};
+
+/// The PLC's cycle.
+const SCAN_MS: i64 = 10;
+
+fn units() -> [Unit; 2] {
+    [Unit::parse(&read("docs/FB_WSG_GRIP.st")), Unit::parse(&read("docs/PRG_WSG_MODBUS.st"))]
+}
+
+/// A PLC that runs the program, and a Modbus master beside it that exchanges the registers in a cycle of its own.
+struct Plc {
+    program: Instance,
+    bench: Bench,
+    now_ms: i64,
+    /// From one exchange to the next, in cycles of the PLC.
+    exchange_every: i64,
+    is_unplugged: bool,
+}
+
+impl Plc {
+    fn new(part: Option<f32>, exchange_every: i64) -> Self {
+        let part = part.map(|width| Part::of_width(width).unwrap());
+        let gripper = wsg_sim::Config { part, ..quick() };
+        let mut bench = Bench::new(Config::DEFAULT, gripper);
+        // FAST STOP of power-up: the wire is low until the plant is ready.
+        bench.set(Inputs::FAST_STOP_OK, false);
+        bench.pass(300);
+        bench.set(Inputs::FAST_STOP_OK, true);
+        let program = Instance::new(&units(), "PRG_WSG_MODBUS");
+        Self { program, bench, now_ms: 0, exchange_every, is_unplugged: false }
+    }
+
+    /// The same, acknowledged and homed.
+    fn homed(part: Option<f32>, exchange_every: i64) -> Self {
+        let mut plc = Self::new(part, exchange_every);
+        plc.until("Error");
+        plc.press("StopAck");
+        plc.until("Ready");
+        plc.press("Home");
+        plc.until("Done");
+        plc.bench.take_sent();
+        plc
+    }
+
+    fn exchange(&mut self) {
+        let answer = self.bench.ask(&[4, 0, 0, 0, 6]);
+        // A master leaves its registers as they are when the answer is an exception.
+        if answer[0] == 4 {
+            for (name, word) in ["In0", "In1", "In2", "In3", "In4", "In5"].iter().zip(answer[2..].chunks(2)) {
+                let word = u16::from_be_bytes([word[0], word[1]]);
+                self.program.set(name, Value::Bits(16, word.into()));
+            }
+        }
+        let image: Vec<u16> = ["Out0", "Out1", "Out2", "Out3"].map(|name| self.word(name)).to_vec();
+        self.bench.write(0, &image);
+    }
+
+    fn word(&self, name: &str) -> u16 {
+        let Value::Bits(16, word) = self.program.get(name) else { panic!("{name} is no WORD") };
+        u16::try_from(word).unwrap()
+    }
+
+    /// One cycle of the PLC.
+    fn scan(&mut self) {
+        let before = self.bench.now().as_micros();
+        if !self.is_unplugged && (self.now_ms / SCAN_MS) % self.exchange_every == 0 {
+            self.exchange();
+        }
+        self.program.scan(self.now_ms);
+        let took_ms = i64::try_from((self.bench.now().as_micros() - before) / 1_000).unwrap();
+        assert!(took_ms <= SCAN_MS);
+        self.bench.pass(u32::try_from(SCAN_MS - took_ms).unwrap());
+        self.now_ms += SCAN_MS;
+    }
+
+    fn pass(&mut self, ms: i64) {
+        for _ in 0..ms / SCAN_MS {
+            self.scan();
+        }
+    }
+
+    /// An output of the function block.
+    fn is(&self, output: &str) -> bool {
+        let Value::Bool(value) = self.program.get(&format!("Gripper.{output}")) else { panic!("{output}") };
+        value
+    }
+
+    fn error_status(&self) -> Value {
+        self.program.get("Gripper.ErrorStatus")
+    }
+
+    #[track_caller]
+    fn until(&mut self, output: &str) {
+        for _ in 0..7_000 {
+            if self.is(output) {
+                return;
+            }
+            self.scan();
+        }
+        panic!("no {output}: step {:?}, {:?}", self.program.get("Gripper.Step"), self.program.get("In0"));
+    }
+
+    fn set(&mut self, button: &str, is_pressed: bool) {
+        self.program.set(button, Value::Bool(is_pressed));
+    }
+
+    /// Presses a button for two cycles of the PLC, and lets the function block see it.
+    fn press(&mut self, button: &str) {
+        self.set(button, true);
+        self.pass(2 * SCAN_MS);
+        self.set(button, false);
+        self.pass(SCAN_MS);
+    }
+
+    fn set_fault(&mut self, fault: Fault, on: bool) {
+        let now = self.bench.now();
+        self.bench.gripper().set_fault(fault, on, now);
+    }
+
+    fn width(&mut self) -> f32 {
+        self.bench.gripper().state().width
+    }
+
+    /// What the function block has run through.
+    fn covered(&self) -> BTreeSet<usize> {
+        self.program.block("Gripper").covered.clone()
+    }
+}
+
+/// A scenario by its name.
+type Scenario = (&'static str, fn() -> Plc);
+
+/// Whatever the bus's cycle: as fast as the PLC's, and as slow as BusTime allows.
+const EXCHANGES: [i64; 2] = [1, 5];
+
+fn grip_cycle(exchange_every: i64) -> Plc {
+    let mut plc = Plc::new(Some(20.0), exchange_every);
+    plc.until("Error");
+    assert_eq!(plc.bench.take_motions(), []);
+    plc.press("StopAck");
+    plc.until("Ready");
+    assert!(!plc.is("Error"));
+    plc.press("Home");
+    assert!(plc.is("Busy") && !plc.is("Ready"));
+    plc.until("Done");
+    for _ in 0..3 {
+        plc.press("Grip");
+        assert!(!plc.is("Done"));
+        plc.until("Done");
+        assert!(plc.is("Holding") && plc.is("Ready") && !plc.is("NoPart"));
+        plc.press("Release");
+        plc.until("Done");
+        assert!(!plc.is("Holding") && (plc.width() - 40.0).abs() < 0.5);
+    }
+    let cycle = [CommandId::GripPart, CommandId::ReleasePart].repeat(3);
+    assert_eq!(plc.bench.take_motions(), [&[CommandId::Homing], &cycle[..]].concat());
+    plc
+}
+
+#[test]
+fn homing_grip_and_release() {
+    for exchange_every in EXCHANGES {
+        grip_cycle(exchange_every);
+    }
+}
+
+fn no_part() -> Plc {
+    let mut plc = Plc::homed(None, 5);
+    plc.press("Grip");
+    plc.until("Done");
+    assert!(plc.is("NoPart") && !plc.is("Holding") && !plc.is("Error"));
+    // The fingers stand where GRIP goes already: over before anybody has seen it run.
+    plc.press("Grip");
+    plc.until("Done");
+    assert!(plc.is("NoPart"));
+    plc.press("Release");
+    plc.until("Done");
+    assert!(!plc.is("NoPart"));
+    plc
+}
+
+#[test]
+fn missing_part_is_a_result() {
+    no_part();
+}
+
+fn part_lost() -> Plc {
+    let mut plc = Plc::homed(Some(20.0), 1);
+    plc.press("Grip");
+    plc.until("Holding");
+    plc.until("Done");
+    let now = plc.bench.now();
+    plc.bench.gripper().set_part(None, now);
+    plc.until("PartLost");
+    assert!(!plc.is("Holding") && !plc.is("Error") && plc.is("Ready"));
+    plc.press("Release");
+    plc.until("Done");
+    assert!(!plc.is("PartLost"));
+    plc
+}
+
+#[test]
+fn lost_part_shows_and_is_released() {
+    part_lost();
+}
+
+fn fault_and_acknowledge() -> Plc {
+    let mut plc = Plc::homed(Some(20.0), 5);
+    plc.set_fault(Fault::MotorCurrent, true);
+    plc.until("Error");
+    // What locks the gripper is still there.
+    plc.press("StopAck");
+    plc.pass(3_000);
+    assert!(plc.is("Error") && !plc.is("Busy"));
+    plc.set_fault(Fault::MotorCurrent, false);
+    plc.press("StopAck");
+    plc.until("Ready");
+    assert!(!plc.is("Error"));
+    plc.press("Grip");
+    plc.until("Done");
+    assert!(plc.is("Holding"));
+    plc
+}
+
+#[test]
+fn fault_is_an_error_until_it_is_gone_and_acknowledged() {
+    fault_and_acknowledge();
+}
+
+fn not_referenced() -> Plc {
+    let mut plc = Plc::new(None, 5);
+    plc.until("Error");
+    plc.press("StopAck");
+    plc.until("Ready");
+    plc.press("Grip");
+    plc.until("Error");
+    assert_eq!(plc.error_status(), Value::Int(3), "E_NOT_INITIALIZED");
+    // Lost: Ready is not there.
+    plc.press("Home");
+    plc.pass(1_000);
+    assert_eq!(plc.bench.take_motions(), [CommandId::GripPart]);
+    plc.press("StopAck");
+    plc.until("Ready");
+    plc.press("Home");
+    plc.until("Done");
+    plc
+}
+
+#[test]
+fn command_before_homing_is_an_error_with_its_status() {
+    not_referenced();
+}
+
+fn fast_stop() -> Plc {
+    let mut plc = Plc::homed(None, 5);
+    plc.press("Release");
+    plc.until("Done");
+    plc.press("Home");
+    plc.set("FastStop", true);
+    plc.pass(100);
+    assert!(!plc.is("Ready") && plc.bench.take_sent().contains(&CommandId::FastStop));
+    // No acknowledgement while it is wanted.
+    plc.press("StopAck");
+    plc.pass(1_000);
+    assert!(!plc.bench.take_sent().contains(&CommandId::Acknowledge));
+    plc.set("FastStop", false);
+    plc.until("Error");
+    plc.press("StopAck");
+    plc.until("Ready");
+    plc
+}
+
+#[test]
+fn fast_stop_comes_first_and_waits_to_be_acknowledged() {
+    fast_stop();
+}
+
+fn stop() -> Plc {
+    let mut plc = Plc::homed(Some(20.0), 1);
+    plc.press("Grip");
+    plc.until("Done");
+    // The second one comes while the flag of the first is 1: without a 0 between them there is no edge.
+    plc.press("StopAck");
+    plc.press("StopAck");
+    plc.until("Ready");
+    assert!(!plc.is("Holding") && !plc.is("Done") && !plc.is("Error"));
+    let stops = plc.bench.take_sent().into_iter().filter(|id| *id == CommandId::Stop).count();
+    assert_eq!(stops, 2);
+    plc
+}
+
+#[test]
+fn stop_lets_go_of_the_part() {
+    stop();
+}
+
+fn parameters_change() -> Plc {
+    let mut plc = Plc::homed(None, 1);
+    plc.press("Grip");
+    // Somebody turns the dial during the motion: to pass it on would be a FAST STOP.
+    for dial in ["GripWidth", "Speed", "ForceLimit"] {
+        plc.program.set(dial, Value::Int(15_00));
+    }
+    plc.until("Done");
+    assert!(!plc.bench.take_sent().contains(&CommandId::FastStop));
+    plc
+}
+
+#[test]
+fn parameters_stay_while_the_fingers_move() {
+    parameters_change();
+}
+
+fn bus_is_cut() -> Plc {
+    let mut plc = Plc::homed(None, 1);
+    plc.press("Release");
+    plc.is_unplugged = true;
+    plc.until("Error");
+    assert!(plc.now_ms >= 65_000, "a motion may take a minute");
+    plc.is_unplugged = false;
+    plc.pass(500);
+    // The bridge stopped the motion when its master fell silent; nothing begins by itself.
+    plc.bench.take_motions();
+    plc.pass(2_000);
+    assert_eq!(plc.bench.take_motions(), []);
+    plc.press("StopAck");
+    plc.until("Ready");
+    plc
+}
+
+#[test]
+fn cut_bus_ends_the_command_in_an_error() {
+    bus_is_cut();
+}
+
+fn wrong_place() -> Plc {
+    let mut plc = Plc::homed(None, 1);
+    plc.press("Release");
+    plc.until("Done");
+    // The bridge, but not the function block, is told to stop: by the wire.
+    plc.press("Home");
+    plc.bench.set(Inputs::STOP_ACK, true);
+    plc.pass(50);
+    plc.bench.set(Inputs::STOP_ACK, false);
+    plc.until("Error");
+    plc.press("StopAck");
+    plc.until("Ready");
+    plc
+}
+
+#[test]
+fn motion_that_somebody_else_stopped_is_an_error() {
+    wrong_place();
+}
+
+/// The function block alone, with the objects of CANopen at its inputs and outputs.
+#[test]
+fn grip_cycle_over_canopen() {
+    let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
+    let mut bench = CanBench::with_node(gripper, DEFAULT_NODE);
+    let mut block = Instance::new(&units(), "FB_WSG_GRIP");
+    let node = u16::from(DEFAULT_NODE.node);
+    let frame = |id, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
+    bench.pass(500);
+    bench.say(frame(0, &[1, DEFAULT_NODE.node]));
+    let bits = |block: &Instance, name: &str| {
+        let Value::Bits(8, value) = block.get(name) else { panic!("{name}") };
+        u8::try_from(value).unwrap()
+    };
+    let number = |block: &Instance, name: &str| {
+        let Value::Int(value) = block.get(name) else { panic!("{name}") };
+        (value as u16).to_le_bytes()
+    };
+    let mut now_ms = 0;
+    let mut scan = |bench: &mut CanBench, block: &mut Instance| {
+        for (_, heard) in bench.take_heard() {
+            let Id::Standard(id) = heard.id() else { panic!("{heard:?}") };
+            let word = |at: usize| u16::from_le_bytes([heard.data()[at], heard.data()[at + 1]]);
+            if id.as_raw() == 0x180 | node {
+                block.set("GState", Value::Bits(8, heard.data()[0].into()));
+                let system = u64::from(word(2)) | u64::from(word(4)) << 16;
+                block.set("SysState", Value::Bits(32, system));
+                block.set("StatusCode", Value::Int(word(6).into()));
+            } else if id.as_raw() == 0x280 | node {
+                block.set("Width", Value::Int(word(0).cast_signed().into()));
+            }
+        }
+        block.scan(now_ms);
+        now_ms += SCAN_MS;
+        let [w0, w1] = number(block, "WidthOut");
+        let [s0, s1] = number(block, "SpeedOut");
+        let [f0, f1] = number(block, "ForceOut");
+        bench.say(frame(0x200 | node, &[bits(block, "CmdFlags"), 0, w0, w1, s0, s1, f0, f1]));
+        bench.pass(u32::try_from(SCAN_MS).unwrap());
+    };
+    let steps = [
+        ("StopAck", "Ready", false),
+        ("Home", "Done", false),
+        ("Grip", "Done", true),
+        ("Release", "Done", false),
+        ("Grip", "Done", true),
+    ];
+    for (button, output, holds) in steps {
+        block.set(button, Value::Bool(true));
+        scan(&mut bench, &mut block);
+        block.set(button, Value::Bool(false));
+        let ended = (0..5_000).any(|_| {
+            scan(&mut bench, &mut block);
+            block.get(output) == Value::Bool(true)
+        });
+        assert!(ended, "{button}: {block:?}");
+        assert_eq!((block.get("Error"), block.get("Holding")), (Value::Bool(false), Value::Bool(holds)));
+    }
+    let motions = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart, CommandId::GripPart];
+    assert_eq!(bench.take_motions(), motions);
+}
+
+/// What is tested, in words.
+const SCENARIOS: [Scenario; 10] = [
+    ("homing, grip and release, again and again", || grip_cycle(1)),
+    ("no part; a grip that is over at once", no_part),
+    ("a part is lost while it is held", part_lost),
+    ("a fault that stays, goes, and is acknowledged", fault_and_acknowledge),
+    ("a command before homing; a command while there is an error", not_referenced),
+    ("FAST STOP during a motion, StopAck meanwhile", fast_stop),
+    ("StopAck while a part is held, twice in a row", stop),
+    ("a parameter changes during a motion", parameters_change),
+    ("the bus is cut during a motion", bus_is_cut),
+    ("a wire stops the motion of the function block", wrong_place),
+];
+
+#[test]
+fn every_line_of_the_function_block_is_run_by_the_scenarios() {
+    let covered: BTreeSet<usize> = SCENARIOS.iter().flat_map(|(_, scenario)| scenario().covered()).collect();
+    let [block, _] = units();
+    let missed: Vec<_> = block.lines().difference(&covered).copied().collect();
+    assert_eq!(missed, Vec::<usize>::new(), "lines of docs/FB_WSG_GRIP.st");
+}
+
+#[test]
+fn scenarios_in_the_document_are_those_that_are_run() {
+    let rows = SCENARIOS.iter().map(|(name, _)| [(*name).to_owned()]);
+    hold("docs/function-block.md", "scenarios", &table(["what is run"], rows));
+}
