@@ -7,7 +7,8 @@
 //!
 //! QEMU ends with the process that started it, however that ends.
 //!
-//! What QEMU's machine lacks, it cannot show: the independent watchdog, baud rates, line errors.
+//! What QEMU's machine lacks, it cannot show: the independent watchdog, baud rates, line errors. A peripheral that it
+//! lacks can be a model ([`Extras::models`]).
 
 mod output_port;
 
@@ -23,13 +24,15 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use object::{Object, ObjectSymbol};
 use wsg_b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
 use self::output_port::{OutputPort, TRACE_EVENT};
+use crate::gdb::Gdb;
 use crate::qtest::Qtest;
+use crate::registers::{RegisterModel, Registers};
 
 const QEMU: &str = "qemu-system-arm";
 
@@ -44,6 +47,9 @@ const SLCAN_LINE: &str = "uart5";
 /// Part of the name of the board file's millisecond counter.
 const CLOCK_SYMBOL: &str = "4tick6NOW_MS";
 
+/// Whose inputs are the interrupt lines.
+const CORE: &str = "/machine/soc/armv7m";
+
 /// Lines kept of what QEMU says besides its trace.
 const SAID_MAX: usize = 4;
 
@@ -52,7 +58,7 @@ const SAID_MAX: usize = 4;
 pub struct Emulator {
     qemu: Child,
     leash: Child,
-    qtest: Mutex<Qtest>,
+    qtest: Arc<Mutex<Qtest>>,
     inputs: Mutex<Inputs>,
     gripper_line: Option<UnixStream>,
     modbus_line: Option<UnixStream>,
@@ -68,6 +74,8 @@ pub struct Extras<'a> {
     /// Where the firmware's semihosting output goes, which is a `defmt` log; without it there is no
     /// semihosting, and a firmware that tries locks up.
     pub semihosting: Option<File>,
+    /// Peripherals that QEMU lacks. Not together with semihosting: both take QEMU's standard output.
+    pub models: Vec<Box<dyn RegisterModel>>,
     /// More arguments to QEMU.
     pub qemu_arguments: &'a [&'a str],
 }
@@ -127,8 +135,21 @@ impl Emulator {
             .stdout(Stdio::null())
             .stderr(Stdio::piped());
         if let Some(log) = extras.semihosting {
+            ensure!(extras.models.is_empty(), "models and semihosting both take QEMU's standard output");
             command.args(["-semihosting-config", "enable=on,target=native"]).stdout(log);
         }
+        let clock_address = symbol(elf, CLOCK_SYMBOL);
+        let models = if extras.models.is_empty() {
+            None
+        } else {
+            let (gdb, gdb_server) = UnixStream::pair()?;
+            // It waits for the watchpoints.
+            command.args(["-S", "-chardev", "socket,id=gdb,fd=1", "-gdb", "chardev:gdb"]);
+            command.stdout(Stdio::from(OwnedFd::from(gdb_server)));
+            let clock_address =
+                clock_address.with_context(|| format!("the image has no symbol {CLOCK_SYMBOL}"))?;
+            Some((Gdb::new(gdb, PATIENCE)?, extras.models, clock_address))
+        };
         let qtest = Qtest::new(qtest, PATIENCE)?;
         let mut qemu =
             command.spawn().with_context(|| format!("cannot run {QEMU}; `cargo xtask test` sets it up"))?;
@@ -145,17 +166,20 @@ impl Emulator {
         let mut emulator = Self {
             qemu,
             leash,
-            qtest: Mutex::new(qtest),
+            qtest: Arc::new(Mutex::new(qtest)),
             inputs: Mutex::new(Inputs::empty()),
             gripper_line: None,
             modbus_line: None,
             slcan_line: None,
-            clock_address: symbol(elf, CLOCK_SYMBOL),
+            clock_address,
             watch: Arc::default(),
         };
         if let Some(said_by_qemu) = said_by_qemu {
             let watch = Arc::clone(&emulator.watch);
             thread::spawn(move || watch.follow(said_by_qemu));
+        }
+        if let Some((gdb, models, clock_address)) = models {
+            emulator.serve(Registers::new(gdb, models, clock_address)?)?;
         }
         let running = emulator.watch.wait(PATIENCE, |seen| seen.port.is_served()).map(drop);
         running.with_context(|| format!("no firmware for this board comes up from {}", elf.display()))?;
@@ -164,6 +188,22 @@ impl Emulator {
         emulator.modbus_line = Some(lpuart1.accept()?);
         emulator.slcan_line = Some(uart5.accept()?);
         Ok(emulator)
+    }
+
+    /// Serves registers to the machine from a thread of its own.
+    fn serve(&self, registers: Registers) -> Result<()> {
+        let (qtest, watch) = (Arc::clone(&self.qtest), Arc::clone(&self.watch));
+        let run = move || {
+            let interrupt = |line, level| lock(&qtest).set_gpio_in(CORE, line, level);
+            if let Err(why) = registers.serve(interrupt) {
+                watch.fail(&format!("{why:#}"));
+            }
+        };
+        thread::Builder::new()
+            .name("registers".into())
+            .spawn(run)
+            .map(drop)
+            .context("no thread for registers")
     }
 
     /// The gripper's end of the line: what the firmware sends comes out, what goes in it receives.
@@ -278,6 +318,11 @@ impl Emulator {
     }
 
     fn ask<T>(&self, question: impl FnOnce(&mut Qtest) -> Result<T>) -> Result<T> {
+        // A machine that stands for good would answer for ever.
+        {
+            let seen = lock(&self.watch.seen);
+            ensure!(!seen.has_ended, "{}", seen.last_words());
+        }
         question(&mut lock(&self.qtest)).with_context(|| lock(&self.watch.seen).last_words())
     }
 }
@@ -384,6 +429,18 @@ impl Watch {
         let mut seen = lock(&self.seen);
         seen.has_ended = true;
         seen.subscribers.clear();
+        self.changed.notify_all();
+    }
+
+    /// The machine stands for good, and this is why.
+    fn fail(&self, why: &str) {
+        let mut seen = lock(&self.seen);
+        // Not if QEMU was ended.
+        if !seen.has_ended {
+            seen.said.push(why.to_owned());
+            seen.has_ended = true;
+            seen.subscribers.clear();
+        }
         self.changed.notify_all();
     }
 

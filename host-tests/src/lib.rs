@@ -13,11 +13,14 @@
 //! | [`faulty_link`] | a line on which bytes go wrong, round any byte link |
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
 //! | [`mod@example`] | where cargo puts an example |
+//! | [`gdb`] | the client's side of the gdb remote protocol |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
+//! | [`load_store`] | loads and stores of Thumb-2, decoded |
 //! | [`masters`] | third-party masters of Modbus and CANopen |
 //! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`plc_names`] | flags, states and status codes, for the documents |
+//! | [`registers`] | peripherals that QEMU lacks, served by models |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
@@ -43,7 +46,10 @@ pub mod fault_sweep;
 pub mod faulty_link;
 pub mod fuzz_bodies;
 #[cfg(unix)]
+pub mod gdb;
+#[cfg(unix)]
 pub mod gripper_end;
+pub mod load_store;
 pub mod masters;
 pub mod modbus_bench;
 #[cfg(unix)]
@@ -51,6 +57,8 @@ pub mod modbus_master;
 pub mod plc_names;
 #[cfg(unix)]
 pub mod qtest;
+#[cfg(unix)]
+pub mod registers;
 #[cfg(unix)]
 pub mod rig;
 pub mod serial_gripper;

@@ -100,6 +100,26 @@ pub fn read_within(
     }
 }
 
+/// Whether a read would return at once, or does so within this time: some microseconds are kept, which a socket's own
+/// time-out makes milliseconds of.
+///
+/// # Errors
+/// Those of `poll` but `Interrupted`.
+#[cfg(unix)]
+pub fn is_readable_within(line: &std::os::unix::net::UnixStream, time: Duration) -> io::Result<bool> {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    let end = Instant::now() + time;
+    loop {
+        let left = end.saturating_duration_since(Instant::now());
+        let left = Timespec::try_from(left).map_err(|_| ErrorKind::InvalidInput)?;
+        match poll(&mut [PollFd::new(line, PollFlags::IN)], Some(&left)) {
+            Err(rustix::io::Errno::INTR) if Instant::now() < end => {}
+            Err(rustix::io::Errno::INTR) => return Ok(false),
+            ready => return Ok(ready? > 0),
+        }
+    }
+}
+
 /// Whether this is how a read with a time-out says that nothing came.
 #[cfg(unix)]
 fn is_over(error: &io::Error) -> bool {

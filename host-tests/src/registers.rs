@@ -1,0 +1,224 @@
+//! Peripherals that QEMU lacks: their registers are served from outside, by a model.
+//!
+//! Before each load and store in a model's addresses QEMU stops. The instruction at the program counter is decoded, the model
+//! asked, the instruction skipped, and the machine runs on; its interrupts go in through qtest. An access takes a good tenth
+//! of a millisecond; a peripheral that the firmware leaves alone costs nothing.
+//!
+//! Models live in the machine's time, which stands while the machine does. But where it goes on, its clock runs ahead of its
+//! core, by as much as the host is busy. So from an interrupt on, until that is answered, only accesses take time: no FIFO
+//! overruns because the host was slow, and that the firmware is quick enough for a bus is not shown here.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::ops::Range;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+
+use crate::gdb::{CoreRegisters, Gdb};
+use crate::load_store::{LoadStore, Move, Width};
+
+/// A peripheral's registers, and what it does by itself.
+pub trait RegisterModel: fmt::Debug + Send {
+    /// Their addresses.
+    fn addresses(&self) -> Range<u32>;
+
+    /// The core loads.
+    ///
+    /// # Errors
+    /// When a real one would have no answer, or this one has none.
+    fn load(&mut self, address: u32, width: Width) -> Result<u32>;
+
+    /// The core stores.
+    ///
+    /// # Errors
+    /// When the model does not know what a real one would do.
+    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()>;
+
+    /// Time has passed in the machine, since this was last said.
+    fn advance(&mut self, time: Duration);
+
+    /// Its lines to the interrupt controller and their levels now.
+    fn interrupts(&self) -> Vec<(u8, bool)>;
+}
+
+/// How long the machine runs without a look at what its peripherals do by themselves.
+const LOOK_AROUND: Duration = Duration::from_micros(250);
+
+/// In which steps they go on, to see an interrupt in time: less than a CAN frame takes.
+const STEP: Duration = Duration::from_micros(40);
+
+/// By how much QEMU's clock runs ahead of its core where the machine goes on, on a host with time to spare.
+const SLOW_START: Duration = Duration::from_micros(40);
+
+/// What an access and the instructions round it take.
+const AN_ACCESS: Duration = Duration::from_micros(1);
+
+/// SysTick's reload value and current value, and how many bytes the two are (ARMv7-M, B3.3).
+const SYSTICK: (u32, usize) = (0xE000_E014, 8);
+
+/// The interrupt control and state register, and its bit that says that SysTick's exception waits (ARMv7-M, B3.2.4).
+const ICSR: (u32, usize) = (0xE000_ED04, 4);
+const PENDSTSET: u32 = 1 << 26;
+
+/// Serves models to a machine that stands, and has run nothing yet.
+#[derive(Debug)]
+pub struct Registers {
+    gdb: Gdb,
+    models: Vec<Box<dyn RegisterModel>>,
+    /// Where the firmware counts the milliseconds of SysTick.
+    milliseconds_at: u32,
+    /// The firmware's instructions, which do not change.
+    code: HashMap<u32, [u16; 2]>,
+    /// The interrupt lines as they were last set.
+    levels: HashMap<u8, bool>,
+}
+
+impl Registers {
+    /// Watches the models' addresses. `milliseconds_at`: where the firmware counts the milliseconds of SysTick.
+    ///
+    /// # Errors
+    /// When QEMU takes no watchpoint.
+    pub fn new(mut gdb: Gdb, models: Vec<Box<dyn RegisterModel>>, milliseconds_at: u32) -> Result<Self> {
+        for model in &models {
+            let Range { start, end } = model.addresses();
+            gdb.watch(start, end - start)?;
+        }
+        let (code, levels) = (HashMap::new(), HashMap::new());
+        Ok(Self { gdb, models, milliseconds_at, code, levels })
+    }
+
+    /// Lets the machine run and serves it until it ends, which is an error. `interrupt` sets a line's level.
+    ///
+    /// # Errors
+    /// When the firmware accesses a model in a way that this does not understand or a model refuses, and when QEMU ends.
+    pub fn serve(mut self, mut interrupt: impl FnMut(u8, bool) -> Result<()>) -> Result<()> {
+        self.gdb.run()?;
+        let mut stopped_at = Duration::ZERO;
+        loop {
+            let mut passed = Duration::ZERO;
+            let mut looked = Instant::now();
+            while !self.gdb.stops_within(LOOK_AROUND)? {
+                // It sleeps, and its clock goes with the host's.
+                let time = looked.elapsed();
+                looked = Instant::now();
+                passed += self.advance(time, &mut interrupt)?;
+            }
+            let (registers, [milliseconds, systick, icsr]) =
+                self.gdb.look([(self.milliseconds_at, 4), SYSTICK, ICSR])?;
+            // Before the firmware has started its clock there is but the host's.
+            let now = machine_time(&milliseconds, &systick, &icsr).unwrap_or(stopped_at + looked.elapsed());
+            self.advance(now.saturating_sub(stopped_at + SLOW_START + passed), &mut interrupt)?;
+            stopped_at = now;
+            let registers = self.access(registers)?;
+            self.set_interrupts(&mut interrupt)?;
+            self.gdb.run_from(&registers)?;
+        }
+    }
+
+    /// Lets time pass for the models until an interrupt is raised; returns how much did.
+    fn advance(
+        &mut self,
+        time: Duration,
+        interrupt: &mut impl FnMut(u8, bool) -> Result<()>,
+    ) -> Result<Duration> {
+        let mut passed = Duration::ZERO;
+        while passed < time && !self.levels.values().any(|is_raised| *is_raised) {
+            let step = STEP.min(time - passed);
+            self.models.iter_mut().for_each(|model| model.advance(step));
+            passed += step;
+            self.set_interrupts(interrupt)?;
+        }
+        Ok(passed)
+    }
+
+    fn set_interrupts(&mut self, interrupt: &mut impl FnMut(u8, bool) -> Result<()>) -> Result<()> {
+        for (line, level) in self.models.iter().flat_map(|model| model.interrupts()) {
+            if self.levels.insert(line, level).unwrap_or(false) != level {
+                interrupt(line, level)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Does what the instruction at the program counter would have done; the registers behind it.
+    fn access(&mut self, mut registers: CoreRegisters) -> Result<CoreRegisters> {
+        let pc = registers.r[15];
+        let code = self.code_at(pc)?;
+        let access = LoadStore::decode(code, &registers.r);
+        let access = access.with_context(|| format!("at {pc:#010X}, before an access to a peripheral"))?;
+        let LoadStore { direction, width, address, register, write_back, len } = access;
+        // Firmware that waits for a bit comes round.
+        self.models.iter_mut().for_each(|model| model.advance(AN_ACCESS));
+        let model = self.models.iter_mut().find(|model| model.addresses().contains(&address));
+        let model = model
+            .with_context(|| format!("{address:#010X} is no model's, but QEMU stopped at {pc:#010X}"))?;
+        if let Some((base, after)) = write_back {
+            registers.r[base] = after;
+        }
+        match direction {
+            Move::Load { .. } => {
+                let value = model.load(address, width);
+                let value = value.with_context(|| format!("load of {address:#010X} at {pc:#010X}"))?;
+                registers.r[register] = access.loaded(value);
+            }
+            Move::Store => {
+                let value = width.of(registers.r[register]);
+                let stored = model.store(address, width, value);
+                stored.with_context(|| format!("store of {value:#X} to {address:#010X} at {pc:#010X}"))?;
+            }
+        }
+        registers.r[15] = pc.wrapping_add(len);
+        registers.xpsr = behind_one_instruction(registers.xpsr);
+        Ok(registers)
+    }
+
+    fn code_at(&mut self, pc: u32) -> Result<[u16; 2]> {
+        if let Some(code) = self.code.get(&pc) {
+            return Ok(*code);
+        }
+        let bytes = self.gdb.read_memory(pc, 4)?;
+        let [a, b, c, d] = bytes[..] else { unreachable!("as many as were asked for") };
+        let code = [u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d])];
+        self.code.insert(pc, code);
+        Ok(code)
+    }
+}
+
+/// xPSR after an instruction that changes no flag: one less remains of an IT block (ARMv7-M, A7.3.3).
+fn behind_one_instruction(xpsr: u32) -> u32 {
+    const IT: u32 = 0b11 << 25 | 0x3F << 10;
+    let state = xpsr >> 25 & 0b11 | (xpsr >> 10 & 0x3F) << 2;
+    let state = if state & 0b111 == 0 { 0 } else { state & 0xE0 | state << 1 & 0x1F };
+    xpsr & !IT | (state & 0b11) << 25 | (state >> 2) << 10
+}
+
+/// Since SysTick was started, of which a millisecond is one turn; `None` before.
+fn machine_time(milliseconds: &[u8], systick: &[u8], icsr: &[u8]) -> Option<Duration> {
+    let word = |bytes: &[u8], at: usize| Some(u32::from_le_bytes(*bytes.as_chunks().0.get(at)?));
+    let (reload, current) = (word(systick, 0)?, word(systick, 1)?);
+    if reload == 0 {
+        return None;
+    }
+    // The counter may have begun anew while its exception waits for other code to end.
+    let is_late = word(icsr, 0)? & PENDSTSET != 0 && current > reload / 2;
+    let ms = u64::from(word(milliseconds, 0)?) + u64::from(is_late);
+    let ns = u64::from(reload.saturating_sub(current)) * 1_000_000 / u64::from(reload + 1);
+    Some(Duration::from_millis(ms) + Duration::from_nanos(ns))
+}
+
+/// Refuses what is not as wide as a register.
+///
+/// # Errors
+/// Says so.
+pub fn ensure_word(address: u32, width: Width) -> Result<()> {
+    ensure!(
+        width == Width::Word && address.is_multiple_of(4),
+        "the peripheral takes accesses of 32 bits, not of {} at {address:#010X}",
+        8 * width.bytes()
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;
