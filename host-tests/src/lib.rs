@@ -3,8 +3,10 @@
 //! | module | holds |
 //! |---|---|
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
+//! | [`bxcan`] | the CAN controller of the STM32L4, by its manual |
 //! | [`can_bench`] | the same on a CAN bus, with a controller that goes bus-off on command |
 //! | [`can_hub`] | a CAN bus of SLCAN lines: the emulated board, a gripper, a master |
+//! | [`can_wire`] | a frame as it is on the wire of a CAN bus |
 //! | [`document`] | the documents as files, and the writer of what is generated in them |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`chance`] | numbers that look random, the same ones for the same seed |
@@ -32,9 +34,11 @@
 //! is empty.
 
 pub mod bench;
+pub mod bxcan;
 pub mod can_bench;
 #[cfg(unix)]
 pub mod can_hub;
+pub mod can_wire;
 pub mod chance;
 pub mod document;
 #[cfg(unix)]

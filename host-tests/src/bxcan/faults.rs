@@ -1,0 +1,135 @@
+//! Error counters, and what follows from them (RM0351, 46.7.6; ISO 11898-1, fault confinement).
+
+/// Bits of ESR (46.9.2), and those of IER at the same places but eight to the left.
+const EWGF: u32 = 1 << 0;
+const EPVF: u32 = 1 << 1;
+const BOFF: u32 = 1 << 2;
+const LEC_AT: u32 = 4;
+const ENABLES_AT: u32 = 8;
+const LECIE: u32 = 1 << 11;
+
+/// From where on the counters warn, and beyond where they make it error passive or bus-off.
+const WARNING: u16 = 96;
+const LAST_ACTIVE: u16 = 127;
+const LAST_ON: u16 = 255;
+
+/// Where the receive counter goes on from after a success while it is error passive (46.9.2).
+const PASSIVE_RETURN: u16 = 120;
+
+/// Sequences of 11 recessive bits that end bus-off.
+const RECOVERY: u32 = 128;
+
+/// Why a frame failed, as LEC tells it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ErrorCode {
+    /// More than five equal bits.
+    Stuff = 1,
+    /// A bit that is fixed was not so.
+    Form = 2,
+    /// Nobody acknowledged.
+    Acknowledgement = 3,
+    /// A recessive bit was not seen.
+    BitRecessive = 4,
+    /// A dominant bit was not seen.
+    BitDominant = 5,
+    /// The checksum is another.
+    Crc = 6,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Faults {
+    transmit: u16,
+    receive: u16,
+    is_off: bool,
+    last: u32,
+    /// Sequences that are missing until bus-off ends; `None`: it does not end.
+    to_recover: Option<u32>,
+}
+
+impl Faults {
+    pub(super) const fn new() -> Self {
+        Self { transmit: 0, receive: 0, is_off: false, last: 0, to_recover: None }
+    }
+
+    pub(super) const fn is_off(&self) -> bool {
+        self.is_off
+    }
+
+    const fn is_passive(&self) -> bool {
+        self.transmit > LAST_ACTIVE || self.receive > LAST_ACTIVE
+    }
+
+    /// TEC is the lowest 8 of 9 bits: it shows 0 where 256 switch the controller off.
+    pub(super) fn esr(&self) -> u32 {
+        let counters = u32::from(self.transmit as u8) << 16 | u32::from(self.receive.min(255)) << 24;
+        self.status() | self.last << LEC_AT | counters
+    }
+
+    /// LEC alone can be written; with 7 a driver sees whether the hardware changes it.
+    pub(super) fn store_esr(&mut self, value: u32) {
+        self.last = value >> LEC_AT & 0b111;
+    }
+
+    fn status(&self) -> u32 {
+        let warns = self.transmit >= WARNING || self.receive >= WARNING;
+        [(EWGF, warns), (EPVF, self.is_passive()), (BOFF, self.is_off)]
+            .iter()
+            .fold(0, |bits, (bit, is_set)| if *is_set { bits | bit } else { bits })
+    }
+
+    pub(super) fn transmitted(&mut self) {
+        self.transmit = self.transmit.saturating_sub(1);
+        self.last = 0;
+    }
+
+    pub(super) fn received(&mut self) {
+        self.receive =
+            if self.receive > LAST_ACTIVE { PASSIVE_RETURN } else { self.receive.saturating_sub(1) };
+        self.last = 0;
+    }
+
+    /// Whether ERRI is set by it.
+    pub(super) fn transmit_error(&mut self, why: ErrorCode, ier: u32, recovers_by_itself: bool) -> bool {
+        // ISO 11898-1: one that is error passive does not count that nobody acknowledges.
+        let counts = why != ErrorCode::Acknowledgement || self.transmit <= LAST_ACTIVE;
+        self.changed(why, ier, |this| {
+            if counts {
+                this.transmit += 8;
+            }
+            if this.transmit > LAST_ON {
+                this.is_off = true;
+                this.to_recover = recovers_by_itself.then_some(RECOVERY);
+            }
+        })
+    }
+
+    /// Whether ERRI is set by it.
+    pub(super) fn receive_error(&mut self, why: ErrorCode, ier: u32) -> bool {
+        self.changed(why, ier, |this| this.receive = (this.receive + 1).min(LAST_ON))
+    }
+
+    /// ERRI is set by a new bit of ESR whose interrupt is enabled (46.9.2).
+    fn changed(&mut self, why: ErrorCode, ier: u32, change: impl FnOnce(&mut Self)) -> bool {
+        let before = self.status();
+        change(self);
+        self.last = why as u32;
+        let new = self.status() & !before;
+        ier >> ENABLES_AT & new != 0 || ier & LECIE != 0
+    }
+
+    /// Initialisation was entered and left (46.7.6).
+    pub(super) fn begin_recovery(&mut self) {
+        if self.is_off {
+            self.to_recover = Some(RECOVERY);
+        }
+    }
+
+    /// So many times 11 recessive bits were heard.
+    pub(super) fn heard_recessive(&mut self, sequences: u32) {
+        let Some(left) = &mut self.to_recover else { return };
+        *left = left.saturating_sub(sequences);
+        if *left == 0 {
+            *self = Self { last: self.last, ..Self::new() };
+        }
+    }
+}

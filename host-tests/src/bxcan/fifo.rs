@@ -1,0 +1,91 @@
+//! A receive FIFO of three messages (RM0351, 46.7.3, 46.9.2, 46.9.3).
+
+use std::collections::VecDeque;
+
+use embedded_can::Id;
+
+use crate::can_wire::WireFrame;
+
+const DEPTH: usize = 3;
+
+/// Bits of RFxR.
+const FULL: u32 = 1 << 3;
+const FOVR: u32 = 1 << 4;
+const RFOM: u32 = 1 << 5;
+
+/// RIxR, RDTxR, RDLxR, RDHxR.
+type Message = [u32; 4];
+
+#[derive(Clone, Debug)]
+pub(super) struct Fifo {
+    messages: VecDeque<Message>,
+    /// What the registers show.
+    output: Message,
+    is_full: bool,
+    is_overrun: bool,
+}
+
+impl Fifo {
+    pub(super) const fn new() -> Self {
+        Self { messages: VecDeque::new(), output: [0; 4], is_full: false, is_overrun: false }
+    }
+
+    pub(super) fn rfr(&self) -> u32 {
+        let flag = |bit, is_set: bool| if is_set { bit } else { 0 };
+        self.messages.len() as u32 | flag(FULL, self.is_full) | flag(FOVR, self.is_overrun)
+    }
+
+    pub(super) fn store_rfr(&mut self, value: u32) {
+        if value & FULL != 0 {
+            self.is_full = false;
+        }
+        if value & FOVR != 0 {
+            self.is_overrun = false;
+        }
+        if value & RFOM != 0 && self.messages.pop_front().is_some() {
+            self.show();
+        }
+    }
+
+    pub(super) fn load(&self, offset: u32) -> u32 {
+        self.output[(offset / 4) as usize]
+    }
+
+    /// Message pending, full, overrun, from the lowest bit on.
+    pub(super) fn events(&self) -> u32 {
+        u32::from(!self.messages.is_empty()) | u32::from(self.is_full) << 1 | u32::from(self.is_overrun) << 2
+    }
+
+    /// A message that passed a filter. There is no room for a fourth: the third gives way, unless the FIFO is locked.
+    pub(super) fn put(&mut self, frame: &WireFrame, filter: u8, is_locked: bool) {
+        if self.messages.len() == DEPTH {
+            self.is_overrun = true;
+            if is_locked {
+                return;
+            }
+            self.messages.pop_back();
+        }
+        self.messages.push_back(message(frame, filter));
+        self.is_full |= self.messages.len() == DEPTH;
+        self.show();
+    }
+
+    /// An empty FIFO shows what it showed last.
+    fn show(&mut self) {
+        if let Some(message) = self.messages.front() {
+            self.output = *message;
+        }
+    }
+}
+
+fn message(frame: &WireFrame, filter: u8) -> Message {
+    let id = match frame.id {
+        Id::Standard(id) => u32::from(id.as_raw()) << 21,
+        Id::Extended(id) => id.as_raw() << 3 | 1 << 2,
+    };
+    let [low, high] = [0, 4].map(|at| {
+        let [a, b, c, d] = [0, 1, 2, 3].map(|n| frame.data[at + n]);
+        u32::from_le_bytes([a, b, c, d])
+    });
+    [id | u32::from(frame.is_remote) << 1, u32::from(frame.dlc) | u32::from(filter) << 8, low, high]
+}

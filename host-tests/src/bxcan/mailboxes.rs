@@ -1,0 +1,192 @@
+//! Three transmit mailboxes (RM0351, 46.7.1, 46.9.2, 46.9.3).
+
+use anyhow::{Result, ensure};
+use embedded_can::{ExtendedId, Id, StandardId};
+
+use crate::can_wire::WireFrame;
+
+/// How many there are.
+pub const MAILBOXES: usize = 3;
+
+/// Bits of TSR for mailbox 0; those of the next are eight to the left.
+const RQCP: u32 = 1 << 0;
+const TXOK: u32 = 1 << 1;
+const ALST: u32 = 1 << 2;
+const TERR: u32 = 1 << 3;
+const ABRQ: u32 = 1 << 7;
+const CODE_AT: u32 = 24;
+const TME_AT: u32 = 26;
+const LOW_AT: u32 = 29;
+
+/// Bits of TIxR and TDTxR.
+const TXRQ: u32 = 1 << 0;
+const RTR: u32 = 1 << 1;
+const IDE: u32 = 1 << 2;
+const TGT: u32 = 1 << 8;
+
+/// A message that is to be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transmission {
+    /// Which mailbox it is in.
+    pub mailbox: usize,
+    /// The message.
+    pub frame: WireFrame,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Mailbox {
+    /// TIxR without TXRQ, TDTxR, TDLxR, TDHxR.
+    registers: [u32; 4],
+    /// When it was asked for, if it is pending.
+    pending: Option<u64>,
+    is_sending: bool,
+    is_to_abort: bool,
+    /// RQCP, TXOK, ALST and TERR.
+    status: u32,
+}
+
+impl Mailbox {
+    fn frame(&self) -> WireFrame {
+        let [id, length, low, high] = self.registers;
+        let mut data = [0; 8];
+        data[..4].copy_from_slice(&low.to_le_bytes());
+        data[4..].copy_from_slice(&high.to_le_bytes());
+        let dlc = (length & 0xF) as u8;
+        // What the length does not cover is not sent.
+        let data = &data[..usize::from(dlc).min(8)];
+        let id = if id & IDE != 0 {
+            Id::Extended(ExtendedId::new(id >> 3).unwrap_or(ExtendedId::MAX))
+        } else {
+            Id::Standard(StandardId::new((id >> 21) as u16).unwrap_or(StandardId::MAX))
+        };
+        let frame = WireFrame { dlc, ..WireFrame::new(id, data) };
+        if self.registers[0] & RTR != 0 { frame.remote() } else { frame }
+    }
+
+    fn empty(&mut self, status: u32) {
+        self.status = RQCP | status;
+        self.pending = None;
+        (self.is_sending, self.is_to_abort) = (false, false);
+    }
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Mailboxes {
+    boxes: [Mailbox; MAILBOXES],
+    requests: u64,
+}
+
+impl Mailboxes {
+    pub(super) fn new() -> Self {
+        Self { boxes: Default::default(), requests: 0 }
+    }
+
+    /// The pending ones, the first to leave first.
+    fn order(&self, by_request: bool) -> Vec<usize> {
+        let mut pending: Vec<_> = (0..MAILBOXES).filter(|&n| self.boxes[n].pending.is_some()).collect();
+        pending.sort_by_key(|&n| {
+            let mailbox = &self.boxes[n];
+            // Of equal identifiers the lower mailbox leaves first, which is the order they are in.
+            if by_request { mailbox.pending.unwrap_or(0) } else { mailbox.frame().arbitration().into() }
+        });
+        pending
+    }
+
+    pub(super) fn next(&self, by_request: bool) -> Option<Transmission> {
+        let mailbox = *self.order(by_request).first()?;
+        Some(Transmission { mailbox, frame: self.boxes[mailbox].frame() })
+    }
+
+    pub(super) fn tsr(&self, by_request: bool) -> u32 {
+        let order = self.order(by_request);
+        let mut tsr = 0;
+        for (n, mailbox) in self.boxes.iter().enumerate() {
+            let abort = if mailbox.is_to_abort { ABRQ } else { 0 };
+            tsr |= (mailbox.status | abort) << (8 * n);
+            tsr |= u32::from(mailbox.pending.is_none()) << (TME_AT as usize + n);
+        }
+        // The next free one, or the last to leave.
+        let free = (0..MAILBOXES).find(|&n| self.boxes[n].pending.is_none());
+        let last = order.last().copied();
+        tsr |= (free.or(last).unwrap_or(0) as u32) << CODE_AT;
+        if let (Some(last), 2..) = (last, order.len()) {
+            tsr |= 1 << (LOW_AT as usize + last);
+        }
+        tsr
+    }
+
+    pub(super) fn store_tsr(&mut self, value: u32) {
+        for (n, mailbox) in self.boxes.iter_mut().enumerate() {
+            let value = value >> (8 * n);
+            // Clearing RQCP clears the others.
+            let cleared = if value & RQCP != 0 { RQCP | TXOK | ALST | TERR } else { value };
+            mailbox.status &= !cleared;
+            if value & ABRQ != 0 && mailbox.pending.is_some() {
+                // 46.7.1: what is being sent goes on to its end.
+                if mailbox.is_sending { mailbox.is_to_abort = true } else { mailbox.empty(0) }
+            }
+        }
+    }
+
+    pub(super) fn any_request_completed(&self) -> bool {
+        self.boxes.iter().any(|mailbox| mailbox.status & RQCP != 0)
+    }
+
+    pub(super) fn load(&self, offset: u32) -> u32 {
+        let (mailbox, register) = place(offset);
+        let mailbox = &self.boxes[mailbox];
+        let request = if register == 0 && mailbox.pending.is_some() { TXRQ } else { 0 };
+        mailbox.registers[register] | request
+    }
+
+    /// Whether it was taken: a mailbox that is not empty takes nothing.
+    pub(super) fn store(&mut self, offset: u32, value: u32) -> Result<bool> {
+        let (mailbox, register) = place(offset);
+        let mailbox = &mut self.boxes[mailbox];
+        if mailbox.pending.is_some() {
+            return Ok(false);
+        }
+        ensure!(register != 1 || value & TGT == 0, "time triggered communication is not modelled");
+        mailbox.registers[register] = value;
+        if register == 0 {
+            mailbox.registers[0] &= !TXRQ;
+            if value & TXRQ != 0 {
+                mailbox.pending = Some(self.requests);
+                mailbox.status = 0;
+                self.requests += 1;
+            }
+        }
+        Ok(true)
+    }
+
+    pub(super) fn begin(&mut self, mailbox: usize) {
+        self.boxes[mailbox].is_sending = true;
+    }
+
+    pub(super) fn complete(&mut self, mailbox: usize) {
+        self.boxes[mailbox].empty(TXOK);
+    }
+
+    pub(super) fn lose(&mut self, mailbox: usize, is_once: bool) {
+        self.again(mailbox, ALST, is_once);
+    }
+
+    pub(super) fn fail(&mut self, mailbox: usize, is_once: bool) {
+        self.again(mailbox, TERR, is_once);
+    }
+
+    /// It is tried again by the hardware, unless that was forbidden or it is to be aborted (46.7.1, 46.7.2).
+    fn again(&mut self, mailbox: usize, why: u32, is_once: bool) {
+        let mailbox = &mut self.boxes[mailbox];
+        mailbox.is_sending = false;
+        if is_once || mailbox.is_to_abort {
+            mailbox.empty(why);
+        } else {
+            mailbox.status = mailbox.status & !(ALST | TERR) | why;
+        }
+    }
+}
+
+fn place(offset: u32) -> (usize, usize) {
+    ((offset / 0x10) as usize, (offset % 0x10 / 4) as usize)
+}
