@@ -1,7 +1,7 @@
 //! The CAN controller of the STM32L4, bxCAN, as ST's RM0351 describes it in chapter 46: what the core sees in its
 //! registers, and what it does on a bus.
 //!
-//! The bus is `can_bus`'s; it says when a frame begins, ends, or fails. Loop back, silent mode and time
+//! The bus is [`can_bus`](crate::can_bus)'s; it says when a frame begins, ends, or fails. Loop back, silent mode and time
 //! triggered communication are refused. What the manual forbids a driver and the hardware ignores, this ignores too, and
 //! keeps in [`Bxcan::violations`].
 

@@ -5,6 +5,7 @@
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`bxcan`] | the CAN controller of the STM32L4, by its manual |
 //! | [`can_bench`] | the same on a CAN bus, with a controller that goes bus-off on command |
+//! | [`can_bus`] | a CAN bus between that controller and others: arbitration, acknowledgement, faults |
 //! | [`can_hub`] | a CAN bus of SLCAN lines: the emulated board, a gripper, a master |
 //! | [`can_wire`] | a frame as it is on the wire of a CAN bus |
 //! | [`document`] | the documents as files, and the writer of what is generated in them |
@@ -36,6 +37,8 @@
 pub mod bench;
 pub mod bxcan;
 pub mod can_bench;
+#[cfg(unix)]
+pub mod can_bus;
 #[cfg(unix)]
 pub mod can_hub;
 pub mod can_wire;
