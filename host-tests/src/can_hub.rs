@@ -1,32 +1,20 @@
-//! A CAN bus of SLCAN lines: the emulated board, a virtual gripper, and a terminal for masters.
-//!
-//! What one says all others hear, in the order in which it comes. The board is on a line without answers; whoever is on
-//! the masters' line is the host of an adapter.
+//! Those on a CAN bus besides the board: a virtual gripper, and a terminal for masters.
 
 use std::io::Write;
 use std::os::unix::net::UnixStream;
-use std::sync::mpsc::{self, Sender};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 use anyhow::{Context, Result};
 use bus_slcan::{Adapter, ClassicFrame, Decoder, Line, encode};
-use embedded_can::{Frame, Id};
+use embedded_can::Id;
 use wsg_protocol::can::{Identifiers, Segmenter};
 
+use crate::can_bus::{CanBus, Station};
+use crate::can_wire::WireFrame;
 use crate::uninterrupted;
 
-/// Who is on the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Station {
-    Board,
-    Gripper,
-    Master,
-}
-
-/// What a station says.
-type Said = (Station, Vec<u8>);
-
-/// The bus's lines.
+/// The lines of those on the bus. They serve until their other ends are gone.
 #[derive(Debug)]
 pub struct CanHub {
     /// The gripper's end: messages byte by byte, as [`GripperEnd`](crate::gripper_end::GripperEnd) takes them.
@@ -36,97 +24,81 @@ pub struct CanHub {
 }
 
 impl CanHub {
-    /// A bus with the board on it. It is there until the board is gone.
+    /// Puts a gripper and a master on the bus.
     ///
     /// # Errors
     /// When a line or a thread cannot be made.
-    pub fn start(board: UnixStream) -> Result<Self> {
+    pub fn start(bus: &CanBus) -> Result<Self> {
         let (gripper, own_gripper) = UnixStream::pair()?;
         let (master, own_master) = UnixStream::pair()?;
-        let (sender, said) = mpsc::channel();
-        for (station, line) in
-            [(Station::Board, &board), (Station::Gripper, &own_gripper), (Station::Master, &own_master)]
-        {
-            listen(station, line.try_clone()?, sender.clone())?;
-        }
-        let mut bus = Bus {
-            board: (board, Decoder::new()),
-            gripper: (own_gripper, Segmenter::new()),
-            master: (own_master, Decoder::new(), Adapter::new()),
-        };
-        thread::Builder::new().name("can".into()).spawn(move || {
-            for (station, bytes) in said {
-                if bus.take(station, &bytes).is_none() {
-                    return;
-                }
-            }
-        })?;
+        serve_gripper(bus.join(), own_gripper)?;
+        serve_master(bus.join(), own_master)?;
         Ok(Self { gripper, master })
     }
 }
 
-fn listen(station: Station, line: UnixStream, sender: Sender<Said>) -> Result<()> {
-    let run = move || {
-        let mut chunk = [0; 256];
-        while let Ok(count @ 1..) = uninterrupted::read(&line, &mut chunk) {
-            if sender.send((station, chunk[..count].to_vec())).is_err() {
+fn serve_gripper(station: Station, line: UnixStream) -> Result<()> {
+    let pair = Identifiers::DEFAULT.gripper();
+    let (send, mut segmenter) = (station.sender(), Segmenter::new());
+    let from_gripper = line.try_clone()?;
+    spawn(move || {
+        each_byte(&from_gripper, |byte| {
+            let frame = segmenter.push(byte).and_then(|segment| segment.frame::<ClassicFrame>(pair.transmit));
+            if let Some(frame) = frame {
+                send(WireFrame::of(&frame));
+            }
+        });
+    })?;
+    let (heard, mut to_gripper) = (station.heard, line);
+    spawn(move || {
+        for frame in heard {
+            let is_for_gripper = frame.id == Id::Standard(pair.receive) && !frame.is_remote;
+            if is_for_gripper && to_gripper.write_all(frame.payload()).is_err() {
                 return;
             }
         }
-    };
-    thread::Builder::new().name("can line".into()).spawn(run).context("no thread for a line")?;
-    Ok(())
+    })
 }
 
-struct Bus {
-    board: (UnixStream, Decoder),
-    gripper: (UnixStream, Segmenter),
-    master: (UnixStream, Decoder, Adapter),
-}
-
-impl Bus {
-    /// `None` when the board is gone.
-    fn take(&mut self, station: Station, bytes: &[u8]) -> Option<()> {
-        for &byte in bytes {
-            let frame = match station {
-                Station::Board => match self.board.1.push(byte) {
-                    Some(Line::Frame(frame)) => Some(frame),
-                    _ => None,
-                },
-                Station::Gripper => {
-                    let id = Identifiers::DEFAULT.gripper().transmit;
-                    self.gripper.1.push(byte).and_then(|segment| segment.frame(id))
-                }
-                Station::Master => {
-                    let line = self.master.1.push(byte);
-                    let answer = line.map_or(&b""[..], |line| self.master.2.answer(&line));
-                    // A master that is gone hears nothing.
-                    let _ = self.master.0.write_all(answer);
-                    match line {
-                        Some(Line::Frame(frame)) if self.master.2.is_open() => Some(frame),
-                        _ => None,
-                    }
-                }
-            };
-            if let Some(frame) = frame {
-                self.spread(station, &frame)?;
+fn serve_master(station: Station, line: UnixStream) -> Result<()> {
+    let (send, mut decoder) = (station.sender(), Decoder::new());
+    let from_master = line.try_clone()?;
+    let adapter = Arc::new(Mutex::new((line, Adapter::new())));
+    let answering = Arc::clone(&adapter);
+    spawn(move || {
+        each_byte(&from_master, |byte| {
+            let Some(line) = decoder.push::<ClassicFrame>(byte) else { return };
+            let (to_master, adapter) = &mut *lock(&answering);
+            // A master that is gone hears nothing.
+            let _ = to_master.write_all(adapter.answer(&line));
+            if let (Line::Frame(frame), true) = (line, adapter.is_open()) {
+                send(WireFrame::of(&frame));
+            }
+        });
+    })?;
+    let heard = station.heard;
+    spawn(move || {
+        for frame in heard {
+            let (to_master, adapter) = &mut *lock(&adapter);
+            let Some(frame) = frame.to::<ClassicFrame>().filter(|_| adapter.is_open()) else { continue };
+            if to_master.write_all(encode(&frame).as_bytes()).is_err() {
+                return;
             }
         }
-        Some(())
-    }
+    })
+}
 
-    fn spread(&mut self, from: Station, frame: &ClassicFrame) -> Option<()> {
-        let line = encode(frame);
-        if from != Station::Board {
-            self.board.0.write_all(line.as_bytes()).ok()?;
-        }
-        let for_gripper = frame.id() == Id::Standard(Identifiers::DEFAULT.gripper().receive);
-        if from != Station::Gripper && for_gripper && frame.is_data_frame() {
-            let _ = self.gripper.0.write_all(frame.data());
-        }
-        if from != Station::Master && self.master.2.is_open() {
-            let _ = self.master.0.write_all(line.as_bytes());
-        }
-        Some(())
+fn spawn(run: impl FnOnce() + Send + 'static) -> Result<()> {
+    thread::Builder::new().name("can".into()).spawn(run).map(drop).context("no thread for a line")
+}
+
+fn each_byte(line: &UnixStream, mut take: impl FnMut(u8)) {
+    let mut chunk = [0; 256];
+    while let Ok(count @ 1..) = uninterrupted::read(line, &mut chunk) {
+        chunk[..count].iter().for_each(|&byte| take(byte));
     }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

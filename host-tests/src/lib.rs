@@ -6,7 +6,7 @@
 //! | [`bxcan`] | the CAN controller of the STM32L4, by its manual |
 //! | [`can_bench`] | the same on a CAN bus, with a controller that goes bus-off on command |
 //! | [`can_bus`] | a CAN bus between that controller and others: arbitration, acknowledgement, faults |
-//! | [`can_hub`] | a CAN bus of SLCAN lines: the emulated board, a gripper, a master |
+//! | [`can_hub`] | those on that bus besides the board: a gripper, a master |
 //! | [`can_wire`] | a frame as it is on the wire of a CAN bus |
 //! | [`document`] | the documents as files, and the writer of what is generated in them |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |

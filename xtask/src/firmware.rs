@@ -25,11 +25,11 @@ pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 
 const PROFILE: &str = "firmware";
 
-/// Who can be on CAN, by settings, and the variable that tells the emulator tests which image has it so. What is flashed is
-/// tested with [`OVER_SLCAN`] then, because no emulator has CAN.
+/// Who can be on CAN, by settings, and the variable that tells the emulator tests which image has it so; each at another
+/// rate.
 pub(crate) const ON_CAN: [(&str, &[(&str, u16)]); 3] = [
-    ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1)]),
-    ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2)]),
+    ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1), ("CAN_RATE", 1000)]),
+    ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2), ("CAN_RATE", 250)]),
     ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2)]),
 ];
 

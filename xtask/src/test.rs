@@ -35,7 +35,7 @@ pub(crate) fn run(
     for (variable, settings) in firmware::ON_CAN {
         let settings =
             settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
-        let variant = Variant { features: vec![firmware::OVER_SLCAN.to_owned()], settings };
+        let variant = Variant { settings, ..Variant::default() };
         can_images.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
     let mut record = Record::default();
@@ -62,7 +62,7 @@ struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain,
     image: &'a Image,
-    /// Those with CAN over SLCAN, by the variables that name them.
+    /// Those with somebody on CAN, by the variables that name them.
     can_images: Vec<(&'static str, Image)>,
     masters: &'a Masters,
     /// Tests whose programs are not installed.

@@ -1,10 +1,11 @@
-//! The image with CAN over SLCAN in the emulator, under three settings: the gripper on the bus, the PLC on the bus, and both;
-//! and a third-party CANopen master.
+//! The flashed image with CAN1's registers in the emulator, under three settings: the gripper on the bus, the PLC on the
+//! bus, and both; and a third-party CANopen master.
 
 use std::time::Instant;
 
+use host_tests::can_bus::CanBus;
 use host_tests::can_hub::CanHub;
-use host_tests::emulator::Emulator;
+use host_tests::emulator::{Emulator, Extras};
 use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
 use host_tests::rig::{ACKNOWLEDGED_WITHIN, MOTION_PATIENCE, PATIENCE, motions};
@@ -17,6 +18,36 @@ use wsg_sim::{Config, Part};
 use super::image;
 
 const READY: Outputs = Outputs::READY.union(Outputs::LINK_OK);
+
+/// Images with somebody on CAN, and their bus's rate, in bit/s, as `cargo xtask test` builds them.
+const GRIPPER_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_GRIPPER", 1_000_000);
+const PLC_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_PLC", 250_000);
+const BOTH_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_BOTH", 500_000);
+
+/// A board on a bus, with its main loop running.
+fn power_up((variable, rate): (&str, u32)) -> (Emulator, CanBus, CanHub) {
+    let bus = CanBus::new(rate);
+    let hub = CanHub::start(&bus).unwrap();
+    let extras = Extras { models: vec![Box::new(bus.clone())], ..Extras::default() };
+    (Emulator::start_with(&image(variable), extras).unwrap(), bus, hub)
+}
+
+/// MODER and AFRH of port B, and the register that switches CAN1's clock on (RM0351, 8.5, 6.4.19).
+const GPIOB_MODER: u32 = 0x4800_0400;
+const GPIOB_AFRH: u32 = 0x4800_0424;
+const RCC_APB1ENR1: u32 = 0x4002_1058;
+
+/// What holds of any driver: clock and pins, the bus's rate, a sample point at 87.5 % (CiA 301, table 1), and nothing that
+/// the manual forbids.
+fn assert_set_up(board: &Emulator, bus: &CanBus, rate: u32) {
+    assert_eq!(board.readl(RCC_APB1ENR1).unwrap() >> 25 & 1, 1, "CAN1's clock");
+    assert_eq!(board.readl(GPIOB_MODER).unwrap() >> 16 & 0xF, 0b1010, "PB8 and PB9 are a peripheral's");
+    assert_eq!(board.readl(GPIOB_AFRH).unwrap() & 0xFF, 0x99, "and that is CAN1");
+    let controller = bus.controller();
+    let timing = controller.bit_timing();
+    assert_eq!((timing.rate, timing.sample_point), (rate, 875), "{timing:?}");
+    assert_eq!(controller.violations(), [""; 0]);
+}
 
 fn config() -> Config {
     Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() }
@@ -68,8 +99,7 @@ fn assert_one_cycle(gripper: &GripperEnd, trace: &Trace) {
 #[test]
 #[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
 fn gripper_on_can_runs_a_grip_cycle_by_wires() {
-    let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF_CAN_GRIPPER")).unwrap();
-    let hub = CanHub::start(board.take_slcan_line().unwrap()).unwrap();
+    let (board, bus, hub) = power_up(GRIPPER_ON_CAN);
     let trace = Trace::new(vec![]);
     let gripper = GripperEnd::start(hub.gripper, config(), &trace).unwrap();
     make_ready(&board);
@@ -77,12 +107,12 @@ fn gripper_on_can_runs_a_grip_cycle_by_wires() {
     command(&board, Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
     command(&board, Inputs::RELEASE, READY | Outputs::REFERENCED);
     assert_one_cycle(&gripper, &trace);
+    assert_set_up(&board, &bus, GRIPPER_ON_CAN.1);
 }
 
 /// Runs the master against a board; the gripper is on the bus with it or on its serial line.
-fn run_master(elf: &str, gripper_on_bus: bool) {
-    let mut board = Emulator::start(&image(elf)).unwrap();
-    let hub = CanHub::start(board.take_slcan_line().unwrap()).unwrap();
+fn run_master(settings: (&str, u32), gripper_on_bus: bool) {
+    let (mut board, bus, hub) = power_up(settings);
     let line = if gripper_on_bus { hub.gripper } else { board.take_gripper_line().unwrap() };
     let trace = Trace::new(vec![]);
     let gripper = GripperEnd::start(line, config(), &trace).unwrap();
@@ -96,17 +126,18 @@ fn run_master(elf: &str, gripper_on_bus: bool) {
     let cycle = [CommandId::GripPart, CommandId::ReleasePart];
     let expected = [&[CommandId::Homing], &cycle[..], &cycle].concat();
     assert_eq!(motions(&trace.since(0)), expected, "{}", said(&output));
+    assert_set_up(&board, &bus, settings.1);
     drop(gripper);
 }
 
 #[test]
 #[ignore = "needs QEMU, the firmware image with the PLC on CAN and canopen: run `cargo xtask test`"]
 fn plc_on_can_is_served_to_a_master_of_canopen() {
-    run_master("WSG_FIRMWARE_ELF_CAN_PLC", false);
+    run_master(PLC_ON_CAN, false);
 }
 
 #[test]
 #[ignore = "needs QEMU, the firmware image with both on CAN and canopen: run `cargo xtask test`"]
 fn plc_and_gripper_on_one_bus_are_served_to_a_master_of_canopen() {
-    run_master("WSG_FIRMWARE_ELF_CAN_BOTH", true);
+    run_master(BOTH_ON_CAN, true);
 }
