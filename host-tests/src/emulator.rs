@@ -1,8 +1,7 @@
 //! The firmware image on an emulated B-L475E-IOT01A: power it, wire it, watch it.
 //!
 //! QEMU runs the ELF that is flashed. The PLC's input wires are driven through qtest, its output
-//! wires are watched in QEMU's trace, the gripper's line (UART4), the bus (LPUART1) and
-//! the line that stands in for CAN (UART5) are sockets. Nothing
+//! wires are watched in QEMU's trace, the gripper's line (UART4) and the bus (LPUART1) are sockets. Nothing
 //! here sleeps, and every wait has a bound. To reset the board drop the [`Emulator`] and start another.
 //!
 //! QEMU ends with the process that started it, however that ends.
@@ -42,7 +41,6 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// The sockets' names, each in a directory of its own.
 const GRIPPER_LINE: &str = "uart4";
 const MODBUS_LINE: &str = "lpuart1";
-const SLCAN_LINE: &str = "uart5";
 
 /// Part of the name of the board file's millisecond counter.
 const CLOCK_SYMBOL: &str = "4tick6NOW_MS";
@@ -62,7 +60,6 @@ pub struct Emulator {
     inputs: Mutex<Inputs>,
     gripper_line: Option<UnixStream>,
     modbus_line: Option<UnixStream>,
-    slcan_line: Option<UnixStream>,
     /// Where the firmware counts its milliseconds.
     clock_address: Option<u32>,
     watch: Arc<Watch>,
@@ -107,7 +104,6 @@ impl Emulator {
     pub fn start_with(elf: &Path, extras: Extras<'_>) -> Result<Self> {
         let uart4 = SocketAddress::bind(GRIPPER_LINE)?;
         let lpuart1 = SocketAddress::bind(MODBUS_LINE)?;
-        let uart5 = SocketAddress::bind(SLCAN_LINE)?;
         let (qtest, qtest_server) = UnixStream::pair()?;
         let mut command = Command::new(QEMU);
         command
@@ -120,10 +116,9 @@ impl Emulator {
             .args(["-chardev", "socket,id=qtest,fd=0", "-qtest", "chardev:qtest", "-qtest-log", "none"])
             .args(["-chardev", &format!("socket,id=uart4,path={}", uart4.path().display())])
             .args(["-chardev", &format!("socket,id=lpuart1,path={}", lpuart1.path().display())])
-            .args(["-chardev", &format!("socket,id=uart5,path={}", uart5.path().display())])
             // USART1 to USART3, UART4, UART5, LPUART1.
             .args(
-                ["null", "null", "null", "chardev:uart4", "chardev:uart5", "chardev:lpuart1"]
+                ["null", "null", "null", "chardev:uart4", "null", "chardev:lpuart1"]
                     .iter()
                     .flat_map(|to| ["-serial", to]),
             )
@@ -170,7 +165,6 @@ impl Emulator {
             inputs: Mutex::new(Inputs::empty()),
             gripper_line: None,
             modbus_line: None,
-            slcan_line: None,
             clock_address,
             watch: Arc::default(),
         };
@@ -186,7 +180,6 @@ impl Emulator {
         // QEMU connected before the firmware ran, so there is nothing to wait for.
         emulator.gripper_line = Some(uart4.accept()?);
         emulator.modbus_line = Some(lpuart1.accept()?);
-        emulator.slcan_line = Some(uart5.accept()?);
         Ok(emulator)
     }
 
@@ -213,11 +206,6 @@ impl Emulator {
     /// for the receiver instead of overrunning it. Dropping the end cuts the line for good.
     pub fn take_gripper_line(&mut self) -> Option<UnixStream> {
         self.gripper_line.take()
-    }
-
-    /// The other end of the line that stands in for CAN, of an image with `can-over-slcan`: SLCAN, both ways.
-    pub fn take_slcan_line(&mut self) -> Option<UnixStream> {
-        self.slcan_line.take()
     }
 
     /// The master's end of the bus, as [`take_gripper_line`](Self::take_gripper_line) is the gripper's end of its line.

@@ -33,9 +33,6 @@ pub(crate) const ON_CAN: [(&str, &[(&str, u16)]); 3] = [
     ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2)]),
 ];
 
-/// The feature that puts CAN on a serial line.
-pub(crate) const OVER_SLCAN: &str = "can-over-slcan";
-
 /// What an image is made of besides the board's own; nothing in the one that is flashed as delivered.
 #[derive(Default)]
 pub(crate) struct Variant {

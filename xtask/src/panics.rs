@@ -47,7 +47,7 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
         hold("firmware", level, &mut firmware_build(probes, profile))?;
     }
     println!(
-        "panic paths: 0 in the firmware (but for bxcan, the driver of CAN1) and in {} public functions of protocol and buses, at opt-level s and 3 (not \
+        "panic paths: 0 in the firmware and in {} public functions of protocol and buses, at opt-level s and 3 (not \
          proved: text for persons, Display and Debug, which is core::fmt's; Hash, which only the host uses; and the async driver's futures: one that is \
          polled after its end panics, by the language's rule)",
         functions.values().sum::<usize>()
@@ -64,10 +64,7 @@ fn hold(what: &str, level: &str, build: &mut Command) -> Result<()> {
 
 fn firmware_build(probes: &Probes<'_>, profile: Profile) -> Command {
     let mut cargo = probes.toolchain.cargo(probes.workspace, "build");
-    // CAN1's driver is bxcan, which has panics that the linker sees: with its frames on a serial line the proof holds for
-    // everything else.
-    let features = [firmware::OVER_SLCAN, "prove-panic-free"].map(str::to_owned);
-    cargo.args(firmware::selection_for(&features, profile.name()));
+    cargo.args(firmware::selection_for(&["prove-panic-free".to_owned()], profile.name()));
     cargo
 }
 

@@ -91,10 +91,7 @@ impl Checks<'_> {
             record.not_checked("clippy, host (no clippy)");
         }
         if CLIPPY.provide_for_thumb(workspace, toolchain) {
-            record.check("clippy, firmware", || {
-                process::run(&mut self.firmware_clippy(&[]))?;
-                process::run(&mut self.firmware_clippy(&[firmware::OVER_SLCAN.to_owned()]))
-            })?;
+            record.check("clippy, firmware", || process::run(&mut self.firmware_clippy()))?;
             record.check("clippy, probes", || process::run(&mut self.probes_clippy()))?;
         } else {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
@@ -131,9 +128,9 @@ impl Checks<'_> {
         record.check("panic paths", || panics::check(&probes))
     }
 
-    fn firmware_clippy(&self, features: &[String]) -> Command {
+    fn firmware_clippy(&self) -> Command {
         let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
-        clippy.args(firmware::selection(features)).args(["--", "-D", "warnings"]);
+        clippy.args(firmware::selection(&[])).args(["--", "-D", "warnings"]);
         clippy
     }
 

@@ -9,10 +9,12 @@
 #![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg_attr(test, allow(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod bit_timing;
 mod bus_clock;
 #[cfg(feature = "drivers")]
 pub mod drivers;
 
+pub use bit_timing::BitTiming;
 pub use bus_clock::BusClock;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};

@@ -14,26 +14,19 @@
 )]
 
 mod bus;
-#[cfg(not(feature = "can-over-slcan"))]
-mod can1;
 mod log;
 mod reset;
 mod serial_number;
 mod settings;
-#[cfg(feature = "can-over-slcan")]
-mod slcan_uart;
 mod tick;
 mod watchdog;
 
 use core::panic::PanicInfo;
 
-#[cfg(not(feature = "can-over-slcan"))]
-use can1 as can;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
-#[cfg(feature = "can-over-slcan")]
-use slcan_uart as can;
 use wsg_b_l475e_iot01a::NAME;
+use wsg_b_l475e_iot01a::drivers::can1::{self, Can1};
 use wsg_b_l475e_iot01a::drivers::{clock, pins, uart};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::{InputPort, OutputPort};
@@ -42,8 +35,7 @@ use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, Station};
 #[entry]
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
-    static mut STATION: Station<can::Controller> =
-        Station::new(CanBus::new(can::new(), BusOffPolicy::DEFAULT));
+    static mut STATION: Station<Can1> = Station::new(CanBus::new(Can1::new(), BusOffPolicy::DEFAULT));
 
     // Outputs first: they show "not ready" through everything that may go wrong below.
     let mut pins = pins::init();
@@ -72,7 +64,7 @@ fn main() -> ! {
         bus::start(&config.bus);
     }
     if STATION.uses_can() {
-        can::start(STATION.can().controller(), &config.can);
+        STATION.can().controller().start(&config.can);
     }
     log::running();
 
@@ -81,7 +73,7 @@ fn main() -> ! {
         let outputs = STATION.turn(now_ms, pins.read(), &mut gripper_line, &mut modbus_line);
         pins.write(outputs);
         if STATION.uses_can() {
-            can::rearm(STATION.can().controller());
+            STATION.can().controller().rearm();
         }
         if STATION.bridge().may_feed_watchdog(now_ms) {
             watchdog.feed();
@@ -89,7 +81,7 @@ fn main() -> ! {
         log::line_errors();
         let uses_can = STATION.uses_can();
         sleep_unless(|| {
-            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can::has_received())
+            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can1::has_received())
         });
     }
 }
