@@ -2,8 +2,7 @@
 //!
 //! [`CanBus`] owns the controller, shares it between those who are on the bus ([`CanNode`]), and leaves and joins the
 //! bus when the controller goes bus-off. [`GripperLink`](crate::gripper::GripperLink) is one of them: to the bridge it is
-//! a line like any other. [`Node`] is the other: the PLC's side, by CANopen. The board gives the controller, behind [`CanController`]. Where there is none,
-//! [`SlcanPort`] is one over a serial line.
+//! a line like any other. [`Node`] is the other: the PLC's side, by CANopen. The board gives the controller, behind [`CanController`].
 //!
 //! The mapping of messages to frames is `wsg_protocol::can`'s.
 
@@ -12,7 +11,6 @@ mod bus_off;
 mod controller;
 mod node;
 mod report;
-mod slcan_port;
 
 pub use crate::config::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canopen};
 pub use bus::{CanBus, CanNode, NullNode};
@@ -23,4 +21,3 @@ pub use node::{
     SETTINGS_INDEX, write_eds,
 };
 pub use report::{BusCounters, BusReport, LinkCounters};
-pub use slcan_port::SlcanPort;
