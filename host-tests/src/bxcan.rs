@@ -122,6 +122,7 @@ pub struct Bxcan {
     fifos: [Fifo; 2],
     filters: Filters,
     faults: Faults,
+    accepted: Vec<WireFrame>,
     violations: Vec<String>,
 }
 
@@ -148,8 +149,15 @@ impl Bxcan {
             fifos: [Fifo::new(), Fifo::new()],
             filters: Filters::new(),
             faults: Faults::new(),
+            accepted: Vec::new(),
             violations: Vec::new(),
         }
+    }
+
+    /// What has passed its filters since reset, lost in a FIFO or not.
+    #[must_use]
+    pub fn accepted(&self) -> &[WireFrame] {
+        &self.accepted
     }
 
     /// What the driver did that the manual forbids and the hardware ignores.
@@ -390,6 +398,7 @@ impl Bxcan {
             self.faults.received();
             if let Some((fifo, index)) = self.filters.pass(frame) {
                 self.fifos[fifo].put(frame, index, self.mcr & RFLM != 0);
+                self.accepted.push(*frame);
             }
         }
         self.end_activity();

@@ -21,14 +21,14 @@ use crate::wires::Wires;
 /// Frames that a bus at 500 kbit/s carries in a millisecond.
 const FRAMES_PER_MS: usize = 4;
 
-/// Mailboxes of the controller that the board has.
+/// Mailboxes of the controller.
 const MAILBOXES: usize = 3;
 
 /// What becomes of a frame on its way: none, one or more frames.
 pub type Disturbance = Box<dyn FnMut(ClassicFrame) -> Vec<ClassicFrame>>;
 
-/// A controller as the board's: three mailboxes, the lowest identifier first, one frame of an identifier at a time, and
-/// when all are taken a more urgent frame takes the place of the least urgent one.
+/// A controller as boards may have it: three mailboxes, the lowest identifier first, one frame of an identifier at a time,
+/// and when all are taken a more urgent frame takes the place of the least urgent one.
 #[derive(Clone, Debug, Default)]
 pub struct Double(Rc<RefCell<DoubleState>>);
 

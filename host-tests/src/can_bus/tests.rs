@@ -115,11 +115,11 @@ fn a_short_circuit_ends_in_bus_off() {
     assert_eq!(load(&mut bus, 0x18) & 0b100, 0);
     pass(&mut bus, FAILED_BITS);
     assert_eq!(load(&mut bus, 0x18) & 0b100, 0b100);
-    bus.set_fault(Fault::None);
-    pass(&mut bus, 10_000);
-    assert!(station.heard.try_recv().is_err());
     store(&mut bus, 0x00, 1);
     store(&mut bus, 0x00, 0);
+    pass(&mut bus, 10_000);
+    assert_eq!(load(&mut bus, 0x18) & 0b100, 0b100, "there are no recessive bits");
+    bus.set_fault(Fault::None);
     pass(&mut bus, 128 * 11 + 47);
     assert!(station.heard.try_recv().is_ok());
 }
@@ -157,6 +157,15 @@ fn another_rate_is_heard_as_errors_and_drives_the_controller_off() {
     request(&mut bus, 0, 0x100);
     pass(&mut bus, 4_000);
     assert_eq!(load(&mut bus, 0x18) & 0b100, 0b100);
+}
+
+#[test]
+fn a_burst_leaves_no_time_between_its_frames() {
+    let mut bus = bus();
+    bus.burst(&[1, 2, 3, 4].map(|id| WireFrame::standard(id, &[])));
+    assert_eq!(load(&mut bus, 0x0C) & 0b1_0011, 0b1_0011, "three messages and an overrun");
+    let accepted = [1, 2, 3, 4].map(|id| WireFrame::standard(id, &[]));
+    assert_eq!(bus.controller().accepted(), accepted);
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! The flashed image with CAN1's registers in the emulator, under three settings: the gripper on the bus, the PLC on the
 //! bus, and both; and a third-party CANopen master.
 
+mod faults;
+
 use std::time::Instant;
 
 use host_tests::can_bus::CanBus;
@@ -58,13 +60,17 @@ fn wait(board: &Emulator, wanted: Outputs) {
     board.wait_outputs(MOTION_PATIENCE, |outputs| outputs == wanted).unwrap();
 }
 
+/// Lets the board's clock advance.
+fn pass(board: &Emulator, ms: u32) {
+    let start = board.now_ms().unwrap();
+    while board.now_ms().unwrap().wrapping_sub(start) < ms {}
+}
+
 fn pulse(board: &Emulator, wire: Inputs) {
-    board.set_input(wire, true).unwrap();
-    let start = board.now_ms().unwrap();
-    while board.now_ms().unwrap().wrapping_sub(start) < 5 {}
-    board.set_input(wire, false).unwrap();
-    let start = board.now_ms().unwrap();
-    while board.now_ms().unwrap().wrapping_sub(start) < 5 {}
+    for high in [true, false] {
+        board.set_input(wire, high).unwrap();
+        pass(board, 5);
+    }
 }
 
 /// From power-up to READY, by the wires.

@@ -1,0 +1,272 @@
+//! What can go wrong on a CAN bus: bus-off, nobody who acknowledges, full mailboxes, an overrun, frames of others.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use embedded_can::Id;
+use host_tests::bxcan::Bxcan;
+use host_tests::can_bus::{CanBus, Fault};
+use host_tests::can_hub::CanHub;
+use host_tests::can_wire::WireFrame;
+use host_tests::emulator::Emulator;
+use host_tests::gripper_end::GripperEnd;
+use host_tests::modbus_master::Master;
+use host_tests::rig::{ACKNOWLEDGED_WITHIN, PATIENCE, motions};
+use host_tests::trace::{Entry, Trace, frame_id};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::CommandId;
+use wsg_sim::Config;
+
+use super::{
+    BOTH_ON_CAN, GRIPPER_ON_CAN, READY, assert_one_cycle, command, config, make_ready, pass, power_up, pulse,
+    wait,
+};
+
+/// Identifiers of an image as delivered: what the gripper sends, and the bridge's TPDO1.
+const FROM_GRIPPER: u16 = 0x121;
+const TPDO1: u16 = 0x190;
+
+/// Registers of CAN1.
+const TSR: u32 = 0x08;
+const ESR: u32 = 0x18;
+
+/// Input registers of the bridge (docs/registers.md).
+const CAN_STATE: u16 = 126;
+const CAN_BUS_OFFS: u16 = 129;
+const CAN_OVERRUNS: u16 = 130;
+
+/// A board that is READY, with a gripper on its bus.
+struct Plant {
+    board: Emulator,
+    bus: CanBus,
+    gripper: GripperEnd,
+    trace: Trace,
+    _master: std::os::unix::net::UnixStream,
+}
+
+fn plant(image: (&str, u32), config: Config) -> Plant {
+    let (board, bus, hub) = power_up(image);
+    let CanHub { gripper, master } = hub;
+    let trace = Trace::new(vec![]);
+    let gripper = GripperEnd::start(gripper, config, &trace).unwrap();
+    make_ready(&board);
+    Plant { board, bus, gripper, trace, _master: master }
+}
+
+impl Plant {
+    /// One of the bridge's input registers, by Modbus.
+    fn register(&self, master: &mut Master, address: u16) -> u16 {
+        let answer = master.ask(&[&[4][..], &address.to_be_bytes(), &[0, 1]].concat()).unwrap();
+        u16::from_be_bytes([answer[2], answer[3]])
+    }
+
+    fn esr(&self) -> u32 {
+        load(&mut self.bus.controller(), ESR)
+    }
+
+    /// The commands that the gripper has heard since.
+    fn heard_since(&self, mark: usize) -> Vec<CommandId> {
+        let entries = self.trace.since(mark);
+        let to_gripper = entries.iter().filter_map(|entry| match entry {
+            Entry::ToGripper(bytes) => frame_id(bytes).map(CommandId::from_code),
+            _ => None,
+        });
+        to_gripper.collect()
+    }
+
+    /// Until the bridge is READY again after a FAST STOP.
+    fn acknowledge(&self) {
+        let bound = Instant::now() + PATIENCE;
+        loop {
+            pulse(&self.board, Inputs::STOP_ACK);
+            match self.board.wait_outputs(ACKNOWLEDGED_WITHIN, |outputs| outputs.contains(READY)) {
+                Ok(_) => return,
+                Err(error) => assert!(Instant::now() < bound, "{error:#}"),
+            }
+        }
+    }
+}
+
+fn load(controller: &mut Bxcan, offset: u32) -> u32 {
+    controller.load(offset).unwrap()
+}
+
+/// Somebody who keeps the bus busy with frames of this kind, in turn, until it is dropped.
+struct Storm {
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// How many frames wait for the bus at any time.
+const STORM_QUEUE: usize = 200;
+
+impl Storm {
+    fn on(bus: &CanBus, frames: &'static [WireFrame]) -> Self {
+        let is_over = Arc::new(AtomicBool::new(false));
+        let (station, over) = (bus.join(), Arc::clone(&is_over));
+        let thread = thread::spawn(move || {
+            let mut frames = frames.iter().cycle();
+            while !over.load(Ordering::Relaxed) {
+                let missing = STORM_QUEUE.saturating_sub(station.waiting());
+                frames.by_ref().take(missing).for_each(|frame| station.send(*frame));
+                // What the others say is of no interest, but sets the pace.
+                let _ = station.heard.recv_timeout(Duration::from_millis(1));
+            }
+        });
+        Self { is_over, thread: Some(thread) }
+    }
+}
+
+impl Drop for Storm {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
+fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_after_it() {
+    // At the real gripper's speed, homing takes longer than bus-off.
+    let mut plant = plant(GRIPPER_ON_CAN, Config::default());
+    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
+    plant.board.set_input(Inputs::HOME, true).unwrap();
+    plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
+    plant.board.set_input(Inputs::HOME, false).unwrap();
+
+    plant.bus.set_fault(Fault::ShortCircuit);
+    let lost = |outputs: Outputs| outputs.contains(Outputs::ERROR) && !outputs.contains(Outputs::LINK_OK);
+    plant.board.wait_outputs(PATIENCE, lost).unwrap();
+    assert!(plant.register(&mut master, CAN_STATE) & 0x7F != 0, "off or on the way back");
+    plant.board.set_input(Inputs::FAST_STOP_OK, false).unwrap();
+    pass(&plant.board, 20);
+    let mark = plant.trace.mark();
+    plant.bus.set_fault(Fault::None);
+    plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+
+    assert_eq!(plant.heard_since(mark).first(), Some(&CommandId::FastStop), "{:?}", plant.heard_since(mark));
+    plant.board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
+    plant.acknowledge();
+    assert_eq!(motions(&plant.trace.since(mark)), [], "the motion is not gone on with");
+    assert_eq!(plant.esr() & 0b111, 0, "the bus is well again");
+    assert_eq!(plant.register(&mut master, CAN_STATE), 0);
+    assert_eq!(plant.register(&mut master, CAN_BUS_OFFS), 1);
+    assert!(plant.gripper.state().speed.abs() < 0.001);
+    assert_eq!(plant.bus.controller().violations(), [""; 0]);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
+fn a_command_that_nobody_acknowledges_does_not_leave_later() {
+    let mut plant = plant(GRIPPER_ON_CAN, config());
+    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
+
+    plant.bus.set_fault(Fault::Cut);
+    let mark = plant.trace.mark();
+    plant.board.set_input(Inputs::HOME, true).unwrap();
+    plant.board.wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
+    plant.board.set_input(Inputs::HOME, false).unwrap();
+    assert_eq!(plant.register(&mut master, CAN_STATE), 0x80, "error passive, not off");
+    assert_eq!(plant.esr() & 0b111, 0b011);
+    plant.bus.set_fault(Fault::None);
+    plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+
+    plant.acknowledge();
+    assert_eq!(motions(&plant.trace.since(mark)), []);
+    assert_eq!(plant.register(&mut master, CAN_BUS_OFFS), 0);
+    command(&plant.board, Inputs::HOME, READY | Outputs::REFERENCED);
+    assert_eq!(motions(&plant.trace.since(mark)), [CommandId::Homing]);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image with both on CAN: run `cargo xtask test`"]
+fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
+    let plant = plant(BOTH_ON_CAN, config());
+    let master = plant.bus.join();
+    // More urgent than what the bridge tells the PLC, less so than what it tells the gripper.
+    static BETWEEN: [WireFrame; 1] = [WireFrame { id: id(0x150), is_remote: false, dlc: 8, data: [0; 8] }];
+    let storm = Storm::on(&plant.bus, &BETWEEN);
+    // NMT: start the node. From here on it sends PDOs.
+    master.send(WireFrame::standard(0, &[1, 0x10]));
+    let has_full_mailboxes = || load(&mut plant.bus.controller(), TSR) >> 27 & 0b11 == 0;
+    let bound = Instant::now() + PATIENCE;
+    while !has_full_mailboxes() {
+        assert!(Instant::now() < bound, "the mailboxes do not become full");
+    }
+
+    let (mark, sent) = (plant.trace.mark(), plant.bus.sent().len());
+    plant.board.set_input(Inputs::FAST_STOP_OK, false).unwrap();
+    let is_fast_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(CommandId::FastStop));
+    assert!(plant.trace.wait(mark, PATIENCE, is_fast_stop));
+
+    assert!(has_full_mailboxes(), "what was to be sent before is still there");
+    let pdos = plant.bus.sent().iter().skip(sent).filter(|frame| frame.id == id(TPDO1)).count();
+    assert_eq!(pdos, 0);
+    drop(storm);
+    let bound = Instant::now() + PATIENCE;
+    while !plant.bus.sent().iter().skip(sent).any(|frame| frame.id == id(TPDO1)) {
+        assert!(Instant::now() < bound, "the PDO does not leave when the bus is free");
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
+fn an_overrun_is_counted_and_moves_nothing() {
+    let mut plant = plant(GRIPPER_ON_CAN, config());
+    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
+    assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 0);
+    let mark = plant.trace.mark();
+
+    // Heartbeats of another node, which pass the filters.
+    plant.bus.burst(&[WireFrame::standard(0x701, &[5]); 5]);
+
+    let bound = Instant::now() + PATIENCE;
+    while plant.register(&mut master, CAN_OVERRUNS) == 0 {
+        assert!(Instant::now() < bound, "no overrun is counted");
+    }
+    assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 1);
+    assert_eq!(motions(&plant.trace.since(mark)), []);
+    command(&plant.board, Inputs::HOME, READY | Outputs::REFERENCED);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
+fn a_full_bus_of_foreign_frames_disturbs_nothing() {
+    let plant = plant(GRIPPER_ON_CAN, config());
+    let wanted = [0x000, FROM_GRIPPER, 0x210, 0x610, 0x701];
+    // Identifiers that nobody wants; the wanted ones as the beginning of 29 bits; remote frames of the wanted ones.
+    let foreign = [0x122, 0x300, 0x7FF].map(|id| WireFrame::standard(id, &[0xAA; 8]));
+    let extended = wanted.map(|id| WireFrame::extended(u32::from(id) << 18 | 0x2AAAA, &[0xAA; 8]));
+    let remote = wanted.map(|id| WireFrame::standard(id, &[0; 8]).remote());
+    // Not those with the identifiers of NMT and the like: they would leave no time for the gripper.
+    let frames: Vec<_> = foreign.into_iter().chain(extended).chain(remote).collect();
+    let (urgent, others): (Vec<_>, Vec<_>) = frames
+        .into_iter()
+        .partition(|frame| frame.arbitration() < WireFrame::standard(0x120, &[]).arbitration());
+    let once = plant.bus.join();
+    urgent.into_iter().for_each(|frame| once.send(frame));
+    let storm = Storm::on(&plant.bus, others.leak());
+
+    command(&plant.board, Inputs::HOME, READY | Outputs::REFERENCED);
+    command(&plant.board, Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
+    command(&plant.board, Inputs::RELEASE, READY | Outputs::REFERENCED);
+
+    drop(storm);
+    assert_one_cycle(&plant.gripper, &plant.trace);
+    assert_eq!(once.waiting(), 0);
+    let controller = plant.bus.controller();
+    let passed = controller.accepted().iter().find(|frame| frame.id != id(FROM_GRIPPER) || frame.is_remote);
+    assert_eq!(passed, None, "the filters keep the others out");
+    wait(&plant.board, READY | Outputs::REFERENCED);
+}
+
+const fn id(raw: u16) -> Id {
+    match embedded_can::StandardId::new(raw) {
+        Some(id) => Id::Standard(id),
+        None => panic!("11 bits"),
+    }
+}
