@@ -186,6 +186,12 @@ impl RegisterModel for CanBus {
         self.lock().advance(time);
     }
 
+    fn reset(&mut self) {
+        let mut bus = self.lock();
+        bus.controller = Bxcan::new(CLOCK_HZ);
+        bus.on_wire = None;
+    }
+
     fn interrupts(&self) -> Vec<(u8, bool)> {
         LINES.into_iter().zip(self.lock().controller.interrupts()).collect()
     }

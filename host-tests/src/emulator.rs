@@ -31,7 +31,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use self::output_port::{OutputPort, TRACE_EVENT};
 use crate::gdb::Gdb;
 use crate::qtest::Qtest;
-use crate::registers::{RegisterModel, Registers};
+use crate::registers::{Machine, RegisterModel, Registers};
 
 const QEMU: &str = "qemu-system-arm";
 
@@ -110,8 +110,6 @@ impl Emulator {
             .args(["-M", "b-l475e-iot01a", "-display", "none", "-monitor", "none"])
             // An instruction takes 16 ns of the machine's time, asleep it follows the wall clock.
             .args(["-icount", "shift=4"])
-            // A firmware that resets itself has failed: QEMU ends, and so does the test.
-            .arg("-no-reboot")
             // Standard input of QEMU is a socket here, so this one needs no name.
             .args(["-chardev", "socket,id=qtest,fd=0", "-qtest", "chardev:qtest", "-qtest-log", "none"])
             .args(["-chardev", &format!("socket,id=uart4,path={}", uart4.path().display())])
@@ -129,6 +127,10 @@ impl Emulator {
             .stdin(Stdio::from(OwnedFd::from(qtest_server)))
             .stdout(Stdio::null())
             .stderr(Stdio::piped());
+        if !extras.models.iter().any(|model| model.is_watchdog()) {
+            // A firmware that resets itself has failed: QEMU ends, and so does the test.
+            command.arg("-no-reboot");
+        }
         if let Some(log) = extras.semihosting {
             ensure!(extras.models.is_empty(), "models and semihosting both take QEMU's standard output");
             command.args(["-semihosting-config", "enable=on,target=native"]).stdout(log);
@@ -185,10 +187,9 @@ impl Emulator {
 
     /// Serves registers to the machine from a thread of its own.
     fn serve(&self, registers: Registers) -> Result<()> {
-        let (qtest, watch) = (Arc::clone(&self.qtest), Arc::clone(&self.watch));
+        let (mut machine, watch) = (BesideGdb(Arc::clone(&self.qtest)), Arc::clone(&self.watch));
         let run = move || {
-            let interrupt = |line, level| lock(&qtest).set_gpio_in(CORE, line, level);
-            if let Err(why) = registers.serve(interrupt) {
+            if let Err(why) = registers.serve(&mut machine) {
                 watch.fail(&format!("{why:#}"));
             }
         };
@@ -320,6 +321,23 @@ impl Drop for Emulator {
         // Before QEMU: until that is waited for, its number is nobody else's.
         end(&mut self.leash);
         end(&mut self.qemu);
+    }
+}
+
+/// The machine through qtest.
+struct BesideGdb(Arc<Mutex<Qtest>>);
+
+impl Machine for BesideGdb {
+    fn set_interrupt(&mut self, line: u8, level: bool) -> Result<()> {
+        lock(&self.0).set_gpio_in(CORE, line, level)
+    }
+
+    fn load(&mut self, address: u32) -> Result<u32> {
+        lock(&self.0).readl(address)
+    }
+
+    fn store(&mut self, address: u32, value: u32) -> Result<()> {
+        lock(&self.0).writel(address, value)
     }
 }
 

@@ -121,6 +121,26 @@ impl Gdb {
         }
     }
 
+    /// Stops a machine that runs.
+    ///
+    /// # Errors
+    /// When it does not stop, or QEMU ends.
+    pub fn interrupt(&mut self) -> Result<()> {
+        self.line.write_all(&[0x03]).context("QEMU's gdb stub is gone")?;
+        let stop = self.answer()?;
+        ensure!(stop.starts_with('T'), "the machine does not stop: `{stop}`");
+        Ok(())
+    }
+
+    /// Resets a machine that stands; it begins anew when it is let run.
+    ///
+    /// # Errors
+    /// When QEMU refuses.
+    pub fn reset_machine(&mut self) -> Result<()> {
+        let command: String = b"system_reset".iter().map(|byte| format!("{byte:02x}")).collect();
+        self.command(&format!("qRcmd,{command}"))
+    }
+
     fn command(&mut self, packet: &str) -> Result<()> {
         self.send(&[packet])?;
         self.expect_ok(packet)

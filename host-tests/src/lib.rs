@@ -18,6 +18,7 @@
 //! | [`mod@example`] | where cargo puts an example |
 //! | [`gdb`] | the client's side of the gdb remote protocol |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
+//! | [`iwdg`] | the watchdog of the STM32L4, and the flags of the last reset |
 //! | [`load_store`] | loads and stores of Thumb-2, decoded |
 //! | [`masters`] | third-party masters of Modbus and CANopen |
 //! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
@@ -56,6 +57,8 @@ pub mod fuzz_bodies;
 pub mod gdb;
 #[cfg(unix)]
 pub mod gripper_end;
+#[cfg(unix)]
+pub mod iwdg;
 pub mod load_store;
 pub mod masters;
 pub mod modbus_bench;

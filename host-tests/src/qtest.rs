@@ -45,6 +45,14 @@ impl Qtest {
         u32::from_str_radix(digits, 16).with_context(|| format!("QEMU read the word `{answer}`"))
     }
 
+    /// Writes the 32-bit word at `address`, as the core would; a register's side effects happen.
+    ///
+    /// # Errors
+    /// When QEMU does not answer.
+    pub fn writel(&mut self, address: u32, value: u32) -> Result<()> {
+        self.command(&format!("writel {address:#x} {value:#x}")).map(drop)
+    }
+
     /// Reads `len` bytes of memory from `address` on.
     ///
     /// # Errors

@@ -35,12 +35,82 @@ pub trait RegisterModel: fmt::Debug + Send {
     /// When the model does not know what a real one would do.
     fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()>;
 
-    /// Time has passed in the machine, since this was last said.
-    fn advance(&mut self, time: Duration);
+    /// Time passes for it; not while an interrupt is unanswered.
+    fn advance(&mut self, _time: Duration) {}
+
+    /// The machine has run for so long since this was last said, and for no less.
+    fn has_run(&mut self, _time: Duration) {}
 
     /// Its lines to the interrupt controller and their levels now.
-    fn interrupts(&self) -> Vec<(u8, bool)>;
+    fn interrupts(&self) -> Vec<(u8, bool)> {
+        Vec::new()
+    }
+
+    /// Whether it may reset the machine.
+    fn is_watchdog(&self) -> bool {
+        false
+    }
+
+    /// Whether it resets the machine now.
+    fn resets_machine(&self) -> bool {
+        false
+    }
+
+    /// The machine was reset.
+    fn reset(&mut self) {}
+
+    /// How the firmware is to hang from here on, after an access.
+    fn derailment(&mut self) -> Option<Derailment> {
+        None
+    }
 }
+
+/// How firmware hangs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Derailment {
+    /// In a loop of its program; interrupts are served.
+    Loop,
+    /// In a loop with interrupts masked.
+    Masked,
+    /// In the handler of the next interrupt.
+    Handler,
+}
+
+/// The machine beside gdb.
+pub trait Machine {
+    /// Sets the level of an interrupt line.
+    ///
+    /// # Errors
+    /// When it has ended.
+    fn set_interrupt(&mut self, line: u8, level: bool) -> Result<()>;
+
+    /// Reads a word, as the core would.
+    ///
+    /// # Errors
+    /// When it has ended.
+    fn load(&mut self, address: u32) -> Result<u32>;
+
+    /// Writes a word, as the core would.
+    ///
+    /// # Errors
+    /// When it has ended.
+    fn store(&mut self, address: u32, value: u32) -> Result<()>;
+}
+
+/// SRAM2, which no firmware of this board uses: `b .`, and with interrupts masked; and a table of vectors to the first.
+const LOOP_AT: u32 = 0x1000_0000;
+const LOOP: u32 = 0xE7FE_E7FE;
+const MASKED_LOOP_AT: u32 = LOOP_AT + 4;
+const MASKED_LOOP: u32 = 0xE7FE_B672;
+const VECTORS_AT: u32 = LOOP_AT + 0x200;
+const VECTORS: u32 = 16 + 82;
+
+/// The vector table's address (ARMv7-M, B3.2.5).
+const VTOR: u32 = 0xE000_ED08;
+
+/// SysTick's control register, and its bit that says that a millisecond has ended since it was last read (ARMv7-M, B3.3.3).
+const SYST_CSR: u32 = 0xE000_E010;
+const COUNTFLAG: u32 = 1 << 16;
 
 /// How long the machine runs without a look at what its peripherals do by themselves.
 const LOOK_AROUND: Duration = Duration::from_micros(250);
@@ -50,6 +120,8 @@ const STEP: Duration = Duration::from_micros(40);
 
 /// By how much QEMU's clock runs ahead of its core where the machine goes on, on a host with time to spare.
 const SLOW_START: Duration = Duration::from_micros(40);
+
+const A_MILLISECOND: Duration = Duration::from_millis(1);
 
 /// What an access and the instructions round it take.
 const AN_ACCESS: Duration = Duration::from_micros(1);
@@ -88,54 +160,75 @@ impl Registers {
         Ok(Self { gdb, models, milliseconds_at, code, levels })
     }
 
-    /// Lets the machine run and serves it until it ends, which is an error. `interrupt` sets a line's level.
+    /// Lets the machine run and serves it until it ends, which is an error.
     ///
     /// # Errors
     /// When the firmware accesses a model in a way that this does not understand or a model refuses, and when QEMU ends.
-    pub fn serve(mut self, mut interrupt: impl FnMut(u8, bool) -> Result<()>) -> Result<()> {
+    pub fn serve(mut self, machine: &mut impl Machine) -> Result<()> {
+        let has_watchdog = self.models.iter().any(|model| model.is_watchdog());
         self.gdb.run()?;
         let mut stopped_at = Duration::ZERO;
         loop {
             let mut passed = Duration::ZERO;
+            let mut watched = Duration::ZERO;
             let mut looked = Instant::now();
             while !self.gdb.stops_within(LOOK_AROUND)? {
                 // It sleeps, and its clock goes with the host's.
                 let time = looked.elapsed();
                 looked = Instant::now();
-                passed += self.advance(time, &mut interrupt)?;
+                passed += self.advance(time, machine)?;
+                // Not all milliseconds are seen on a busy host. Those that are have passed.
+                if has_watchdog && machine.load(SYST_CSR)? & COUNTFLAG != 0 {
+                    watched += A_MILLISECOND;
+                    self.models.iter_mut().for_each(|model| model.has_run(A_MILLISECOND));
+                }
+                if self.models.iter().any(|model| model.resets_machine()) {
+                    self.gdb.interrupt()?;
+                    self.reset_machine()?;
+                    (stopped_at, passed, watched) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
+                    self.gdb.run()?;
+                }
             }
             let (registers, [milliseconds, systick, icsr]) =
                 self.gdb.look([(self.milliseconds_at, 4), SYSTICK, ICSR])?;
             // Before the firmware has started its clock there is but the host's.
             let now = machine_time(&milliseconds, &systick, &icsr).unwrap_or(stopped_at + looked.elapsed());
-            self.advance(now.saturating_sub(stopped_at + SLOW_START + passed), &mut interrupt)?;
+            self.advance(now.saturating_sub(stopped_at + SLOW_START + passed), machine)?;
+            let unwatched = now.saturating_sub(stopped_at + watched);
+            self.models.iter_mut().for_each(|model| model.has_run(unwatched));
             stopped_at = now;
-            let registers = self.access(registers)?;
-            self.set_interrupts(&mut interrupt)?;
+            let mut registers = self.access(registers)?;
+            self.set_interrupts(machine)?;
+            if let Some(how) = self.models.iter_mut().find_map(|model| model.derailment()) {
+                derail(how, &mut registers, machine)?;
+            }
             self.gdb.run_from(&registers)?;
         }
     }
 
+    /// Resets the machine, which stands, and the models.
+    fn reset_machine(&mut self) -> Result<()> {
+        self.gdb.reset_machine()?;
+        self.models.iter_mut().for_each(|model| model.reset());
+        Ok(())
+    }
+
     /// Lets time pass for the models until an interrupt is raised; returns how much did.
-    fn advance(
-        &mut self,
-        time: Duration,
-        interrupt: &mut impl FnMut(u8, bool) -> Result<()>,
-    ) -> Result<Duration> {
+    fn advance(&mut self, time: Duration, machine: &mut impl Machine) -> Result<Duration> {
         let mut passed = Duration::ZERO;
         while passed < time && !self.levels.values().any(|is_raised| *is_raised) {
             let step = STEP.min(time - passed);
             self.models.iter_mut().for_each(|model| model.advance(step));
             passed += step;
-            self.set_interrupts(interrupt)?;
+            self.set_interrupts(machine)?;
         }
         Ok(passed)
     }
 
-    fn set_interrupts(&mut self, interrupt: &mut impl FnMut(u8, bool) -> Result<()>) -> Result<()> {
+    fn set_interrupts(&mut self, machine: &mut impl Machine) -> Result<()> {
         for (line, level) in self.models.iter().flat_map(|model| model.interrupts()) {
             if self.levels.insert(line, level).unwrap_or(false) != level {
-                interrupt(line, level)?;
+                machine.set_interrupt(line, level)?;
             }
         }
         Ok(())
@@ -183,6 +276,22 @@ impl Registers {
         self.code.insert(pc, code);
         Ok(code)
     }
+}
+
+/// Lets the firmware hang from here on.
+fn derail(how: Derailment, registers: &mut CoreRegisters, machine: &mut impl Machine) -> Result<()> {
+    machine.store(LOOP_AT, LOOP)?;
+    machine.store(MASKED_LOOP_AT, MASKED_LOOP)?;
+    match how {
+        Derailment::Loop => registers.r[15] = LOOP_AT,
+        Derailment::Masked => registers.r[15] = MASKED_LOOP_AT,
+        Derailment::Handler => {
+            // With the bit that says Thumb.
+            (0..VECTORS).try_for_each(|n| machine.store(VECTORS_AT + 4 * n, LOOP_AT | 1))?;
+            machine.store(VTOR, VECTORS_AT)?;
+        }
+    }
+    Ok(())
 }
 
 /// xPSR after an instruction that changes no flag: one less remains of an IT block (ARMv7-M, A7.3.3).

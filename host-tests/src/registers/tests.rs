@@ -100,13 +100,28 @@ fn one_stop(code: [u16; 2], r0: u32, r1: u32) -> (Vec<String>, Vec<(u8, bool)>, 
     });
     let gdb = Gdb::new(ours, Duration::from_secs(10)).unwrap();
     let model: Box<dyn RegisterModel> = Box::new(Register::default());
-    let mut interrupts = Vec::new();
+    let mut interrupts = Interrupts(Vec::new());
     let registers = Registers::new(gdb, vec![model], 0x2000_0000).unwrap();
-    let ended = registers.serve(|line, level| {
-        interrupts.push((line, level));
+    let ended = registers.serve(&mut interrupts);
+    (stub.join().unwrap(), interrupts.0, format!("{:#}", ended.unwrap_err()))
+}
+
+/// A machine of interrupt lines.
+struct Interrupts(Vec<(u8, bool)>);
+
+impl Machine for Interrupts {
+    fn set_interrupt(&mut self, line: u8, level: bool) -> Result<()> {
+        self.0.push((line, level));
         Ok(())
-    });
-    (stub.join().unwrap(), interrupts, format!("{:#}", ended.unwrap_err()))
+    }
+
+    fn load(&mut self, _: u32) -> Result<u32> {
+        Ok(0)
+    }
+
+    fn store(&mut self, _: u32, _: u32) -> Result<()> {
+        Ok(())
+    }
 }
 
 #[test]

@@ -3,6 +3,7 @@
 mod can;
 mod masters;
 mod modbus;
+mod watchdog;
 mod wires;
 
 use std::path::PathBuf;

@@ -1,0 +1,89 @@
+use super::*;
+
+fn store(iwdg: &mut Iwdg, offset: u32, value: u32) {
+    iwdg.store(IWDG + offset, Width::Word, value).unwrap();
+}
+
+fn load(iwdg: &mut Iwdg, offset: u32) -> u32 {
+    iwdg.load(IWDG + offset, Width::Word).unwrap()
+}
+
+/// One that runs with 100 ms.
+fn running() -> Iwdg {
+    let mut iwdg = Iwdg::new();
+    store(&mut iwdg, KR, START);
+    store(&mut iwdg, KR, UNLOCK);
+    store(&mut iwdg, PR, 0);
+    store(&mut iwdg, RLR, 799);
+    store(&mut iwdg, KR, RELOAD);
+    iwdg
+}
+
+#[test]
+fn it_runs_for_512_ms_after_reset() {
+    let mut iwdg = Iwdg::new();
+    assert_eq!(iwdg.timeout(), None);
+    store(&mut iwdg, KR, START);
+    assert_eq!(iwdg.timeout(), Some(Duration::from_millis(512)));
+}
+
+#[test]
+fn it_resets_the_machine_when_it_is_not_fed() {
+    let mut iwdg = running();
+    iwdg.has_run(Duration::from_millis(99));
+    assert!(!iwdg.resets_machine());
+    store(&mut iwdg, KR, RELOAD);
+    iwdg.has_run(Duration::from_millis(99));
+    assert!(!iwdg.resets_machine());
+    iwdg.has_run(Duration::from_millis(1));
+    assert!(iwdg.resets_machine());
+}
+
+#[test]
+fn it_counts_from_its_start_alone() {
+    let mut iwdg = Iwdg::new();
+    iwdg.has_run(Duration::from_secs(10));
+    assert!(!iwdg.resets_machine());
+}
+
+#[test]
+fn values_are_taken_with_the_key_alone() {
+    let mut iwdg = Iwdg::new();
+    store(&mut iwdg, RLR, 1);
+    assert_eq!(load(&mut iwdg, RLR), 0xFFF);
+    store(&mut iwdg, KR, UNLOCK);
+    store(&mut iwdg, KR, RELOAD);
+    store(&mut iwdg, PR, 5);
+    assert_eq!(load(&mut iwdg, PR), 0, "reloading locks again");
+}
+
+#[test]
+fn a_new_value_takes_five_cycles_of_its_clock() {
+    let mut iwdg = running();
+    assert_eq!(load(&mut iwdg, SR), PVU | RVU);
+    store(&mut iwdg, KR, UNLOCK);
+    store(&mut iwdg, RLR, 5);
+    assert_eq!(load(&mut iwdg, RLR), 799, "not while the last one is on its way");
+    iwdg.advance(UPDATE);
+    assert_eq!(load(&mut iwdg, SR), 0);
+    store(&mut iwdg, RLR, 5);
+    assert_eq!(load(&mut iwdg, RLR), 5);
+}
+
+#[test]
+fn a_reset_stops_it_and_is_told_until_that_is_cleared() {
+    let mut iwdg = running();
+    let mut flags = iwdg.flags();
+    assert_eq!(flags.load(RCC_CSR, Width::Word).unwrap(), BORRSTF | PINRSTF);
+    flags.store(RCC_CSR, Width::Word, RMVF).unwrap();
+    assert_eq!(flags.load(RCC_CSR, Width::Word).unwrap(), 0);
+    iwdg.reset();
+    assert_eq!((iwdg.timeout(), iwdg.resets()), (None, 1));
+    assert_eq!(flags.load(RCC_CSR, Width::Word).unwrap(), IWDGRSTF | PINRSTF);
+}
+
+#[test]
+fn what_is_no_key_is_refused() {
+    assert!(Iwdg::new().store(IWDG, Width::Word, 1).is_err());
+    assert!(Iwdg::new().store(IWDG + WINR, Width::Word, 1).is_err());
+}
