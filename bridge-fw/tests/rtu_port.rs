@@ -88,6 +88,22 @@ fn damage_is_told_with_the_character_and_behind_a_lost_one() {
 }
 
 #[test]
+fn overrun_without_a_byte_damages_the_next_character_unless_it_was_an_echo() {
+    let (buffers, mut port) = line();
+    buffers.on_overrun();
+    buffers.on_receive(1, false, true, 20_000);
+    buffers.on_receive(2, false, true, 20_000);
+    assert!(matches!(port.receive(), Some((Character::Damaged, _))));
+    assert_eq!(port.receive(), Some((Character::Byte(2), 0)));
+    port.send(&[3]);
+    assert_eq!(handler(buffers, None, true, true), Some(3));
+    buffers.on_overrun();
+    assert_eq!(handler(buffers, None, true, true), None, "its last bit has been sent");
+    buffers.on_receive(4, false, true, 20_000);
+    assert_eq!(port.receive(), Some((Character::Byte(4), 0)));
+}
+
+#[test]
 fn frame_is_sent_byte_by_byte_and_another_one_dropped_meanwhile() {
     let (buffers, mut port) = line();
     let idle = Interrupts { transmit_empty: false, transmission_complete: false };

@@ -98,6 +98,9 @@ fn LPUART1() {
         let byte = (LPUART1.rdr().read().0 & 0xFF) as u8;
         let damaged = status.fe() || status.pe() || status.ne() || status.ore();
         BUFFERS.on_receive(byte, damaged, status.tc(), tick::now_us());
+    } else if status.ore() {
+        // A byte came between the look at the status and the fetching of the one before.
+        BUFFERS.on_overrun();
     }
     LPUART1.icr().write(|w| {
         w.set_fe(status.fe());

@@ -90,6 +90,14 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
         }
     }
 
+    /// Takes an overrun without a byte: one was lost, and the one before it has been taken already. For the handler.
+    pub fn on_overrun(&self) {
+        // While a frame is being sent it was an echo.
+        if !self.sending.load(Ordering::Relaxed) {
+            self.lost.store(true, Ordering::Relaxed);
+        }
+    }
+
     /// Whether what was received is the bridge's own. Behind the last bit that can only be the last byte, and only if the
     /// others came back as well: else it is the begin of the next request already, and the handler is late.
     fn is_echo(&self, is_complete: bool) -> bool {
