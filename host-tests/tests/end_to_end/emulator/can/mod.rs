@@ -39,13 +39,26 @@ const GPIOB_MODER: u32 = 0x4800_0400;
 const GPIOB_AFRH: u32 = 0x4800_0424;
 const RCC_APB1ENR1: u32 = 0x4002_1058;
 
+/// Which of the first 32 interrupts are enabled (ARMv7-M, B3.4.4), and the interrupts that CAN1 is asked for (RM0351, 46.9.2):
+/// a mailbox that is empty, a message in FIFO 0.
+const NVIC_ISER0: u32 = 0xE000_E100;
+const CAN_IER: u32 = 0x14;
+const TMEIE_AND_FMPIE0: u32 = 0b11;
+
 /// What holds of any driver: clock and pins, the bus's rate, a sample point at 87.5 % (CiA 301, table 1), and nothing that
 /// the manual forbids.
 fn assert_set_up(board: &Emulator, bus: &CanBus, rate: u32) {
     assert_eq!(board.readl(RCC_APB1ENR1).unwrap() >> 25 & 1, 1, "CAN1's clock");
     assert_eq!(board.readl(GPIOB_MODER).unwrap() >> 16 & 0xF, 0b1010, "PB8 and PB9 are a peripheral's");
     assert_eq!(board.readl(GPIOB_AFRH).unwrap() & 0xFF, 0x99, "and that is CAN1");
-    let controller = bus.controller();
+    // The handlers mask them until the main loop has come round.
+    let wakes = || board.readl(NVIC_ISER0).unwrap() >> 19 & 0b11 == 0b11;
+    let bound = Instant::now() + PATIENCE;
+    while !wakes() {
+        assert!(Instant::now() < bound, "CAN1_TX and CAN1_RX0 do not wake the core");
+    }
+    let mut controller = bus.controller();
+    assert_eq!(controller.load(CAN_IER).unwrap(), TMEIE_AND_FMPIE0);
     let timing = controller.bit_timing();
     assert_eq!((timing.rate, timing.sample_point), (rate, 875), "{timing:?}");
     assert_eq!(controller.violations(), [""; 0]);
