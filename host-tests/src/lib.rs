@@ -19,6 +19,7 @@
 //! | [`gdb`] | the client's side of the gdb remote protocol |
 //! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
 //! | [`iwdg`] | the watchdog of the STM32L4, and the flags of the last reset |
+//! | [`line_errors`] | framing, parity, noise and overrun on a UART |
 //! | [`load_store`] | loads and stores of Thumb-2, decoded |
 //! | [`masters`] | third-party masters of Modbus and CANopen |
 //! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
@@ -59,6 +60,8 @@ pub mod gdb;
 pub mod gripper_end;
 #[cfg(unix)]
 pub mod iwdg;
+#[cfg(unix)]
+pub mod line_errors;
 pub mod load_store;
 pub mod masters;
 pub mod modbus_bench;

@@ -35,6 +35,28 @@ pub trait RegisterModel: fmt::Debug + Send {
     /// When the model does not know what a real one would do.
     fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()>;
 
+    /// As [`load`](Self::load), of a peripheral that QEMU has and that this one changes.
+    ///
+    /// # Errors
+    /// See there.
+    fn load_through(&mut self, address: u32, width: Width, _machine: &mut dyn Machine) -> Result<u32> {
+        self.load(address, width)
+    }
+
+    /// As [`store`](Self::store), of a peripheral that QEMU has and that this one changes.
+    ///
+    /// # Errors
+    /// See there.
+    fn store_through(
+        &mut self,
+        address: u32,
+        width: Width,
+        value: u32,
+        _machine: &mut dyn Machine,
+    ) -> Result<()> {
+        self.store(address, width, value)
+    }
+
     /// Time passes for it; not while an interrupt is unanswered.
     fn advance(&mut self, _time: Duration) {}
 
@@ -197,7 +219,7 @@ impl Registers {
             let unwatched = now.saturating_sub(stopped_at + watched);
             self.models.iter_mut().for_each(|model| model.has_run(unwatched));
             stopped_at = now;
-            let mut registers = self.access(registers)?;
+            let mut registers = self.access(registers, machine)?;
             self.set_interrupts(machine)?;
             if let Some(how) = self.models.iter_mut().find_map(|model| model.derailment()) {
                 derail(how, &mut registers, machine)?;
@@ -235,7 +257,7 @@ impl Registers {
     }
 
     /// Does what the instruction at the program counter would have done; the registers behind it.
-    fn access(&mut self, mut registers: CoreRegisters) -> Result<CoreRegisters> {
+    fn access(&mut self, mut registers: CoreRegisters, machine: &mut impl Machine) -> Result<CoreRegisters> {
         let pc = registers.r[15];
         let code = self.code_at(pc)?;
         let access = LoadStore::decode(code, &registers.r);
@@ -251,13 +273,13 @@ impl Registers {
         }
         match direction {
             Move::Load { .. } => {
-                let value = model.load(address, width);
+                let value = model.load_through(address, width, machine);
                 let value = value.with_context(|| format!("load of {address:#010X} at {pc:#010X}"))?;
                 registers.r[register] = access.loaded(value);
             }
             Move::Store => {
                 let value = width.of(registers.r[register]);
-                let stored = model.store(address, width, value);
+                let stored = model.store_through(address, width, value, machine);
                 stored.with_context(|| format!("store of {value:#X} to {address:#010X} at {pc:#010X}"))?;
             }
         }

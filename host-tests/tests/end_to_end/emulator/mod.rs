@@ -1,6 +1,7 @@
 //! The flashed image in the emulator: on wires, on both buses, and with masters that others wrote.
 
 mod can;
+mod line_errors;
 mod masters;
 mod modbus;
 mod watchdog;

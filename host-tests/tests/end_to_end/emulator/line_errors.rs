@@ -1,0 +1,127 @@
+//! The flashed image on lines with errors: nothing moves unasked, counters count, LINK_OK tells.
+
+use std::time::{Duration, Instant};
+
+use host_tests::emulator::{Emulator, Extras};
+use host_tests::gripper_end::GripperEnd;
+use host_tests::line_errors::{LPUART1, LineError, LineErrors, UART4};
+use host_tests::modbus_master::Master;
+use host_tests::rig::{PATIENCE, motions};
+use host_tests::trace::Trace;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::CommandId;
+use wsg_sim::Config;
+
+use super::image;
+
+const UNIT: u8 = 1;
+
+/// Input registers (docs/registers.md).
+const LINE_DROPPED: u8 = 111;
+const DISCONNECTS: u8 = 117;
+const BUS_OVERRUNS: u8 = 124;
+
+/// FC 16 over the output image: HOMING, and nothing.
+const HOMING: [u8; 14] = [16, 0, 0, 0, 4, 8, 1 << 3, 0, 0, 0, 0, 0, 0, 0];
+const NOTHING: [u8; 14] = [16, 0, 0, 0, 4, 8, 0, 0, 0, 0, 0, 0, 0, 0];
+const STOP_ACK: [u8; 14] = [16, 0, 0, 0, 4, 8, 1 << 4, 0, 0, 0, 0, 0, 0, 0];
+
+struct Plant {
+    board: Emulator,
+    trace: Trace,
+    master: Master,
+    _gripper: GripperEnd,
+}
+
+impl Plant {
+    /// A board that is READY; on these lines.
+    fn on(lines: &[&LineErrors]) -> Self {
+        let models = lines.iter().map(|line| Box::new((*line).clone()) as _).collect();
+        let extras = Extras { models, ..Extras::default() };
+        let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+        board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
+        let trace = Trace::new(vec![]);
+        let config = Config { time_scale: 10.0, ..Config::default() };
+        let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+        let master = Master::new(board.take_modbus_line().unwrap(), UNIT);
+        let mut plant = Self { board, trace, master, _gripper: gripper };
+        // BUS_TIMEOUT to BUS_CHAR_TIMEOUT: a host may pause inside of frames.
+        let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
+        plant.ask(&[&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat());
+        plant.acknowledge();
+        plant
+    }
+
+    fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
+        self.master.ask(pdu).unwrap()
+    }
+
+    fn register(&mut self, address: u8) -> u16 {
+        let answer = self.ask(&[4, 0, address, 0, 1]);
+        u16::from_be_bytes([answer[2], answer[3]])
+    }
+
+    fn acknowledge(&mut self) {
+        let bound = Instant::now() + PATIENCE;
+        loop {
+            self.ask(&NOTHING);
+            self.ask(&STOP_ACK);
+            let ready = |outputs: Outputs| outputs.contains(Outputs::READY);
+            match self.board.wait_outputs(Duration::from_secs(2), ready) {
+                Ok(_) => break,
+                Err(error) => assert!(Instant::now() < bound, "{error:#}"),
+            }
+        }
+        self.ask(&NOTHING);
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn a_bus_with_line_errors_moves_nothing_and_counts() {
+    let bus = LineErrors::on(LPUART1);
+    let mut plant = Plant::on(&[&bus]);
+    for error in [LineError::Parity, LineError::Framing, LineError::Noise, LineError::Overrun] {
+        let before = plant.register(BUS_OVERRUNS);
+        // One damaged byte of 17 is enough, whatever checksum the frame has. A lost one is told with the byte behind it, or
+        // by itself before that comes.
+        bus.set(Some((error, 9)));
+        plant.master.send(&Master::frame(UNIT, &HOMING)).unwrap();
+        assert!(plant.master.is_silent(Duration::from_millis(200)).unwrap(), "{error:?} is answered");
+        bus.set(None);
+        let after = plant.register(BUS_OVERRUNS);
+        assert!(after > before, "{error:?} is not counted: {before}, {after}");
+        assert_eq!(motions(&plant.trace.since(0)), [], "{error:?}");
+    }
+    plant.ask(&HOMING);
+    let referenced = |outputs: Outputs| outputs.contains(Outputs::REFERENCED | Outputs::READY);
+    plant.board.wait_outputs(PATIENCE, referenced).unwrap();
+    assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn a_gripper_line_with_errors_is_told_and_moves_nothing() {
+    let line = LineErrors::on(UART4);
+    let mut plant = Plant::on(&[&line]);
+    // What noise leaves of a byte is for the checksum to judge.
+    line.set(Some((LineError::Noise, 1)));
+    let start = plant.board.now_ms().unwrap();
+    while plant.board.now_ms().unwrap().wrapping_sub(start) < 1_000 {}
+    assert!(plant.board.outputs().contains(Outputs::LINK_OK | Outputs::READY));
+    assert_eq!(plant.register(DISCONNECTS), 0);
+
+    for (disconnects, error) in (1..).zip([LineError::Framing, LineError::Overrun]) {
+        let dropped = plant.register(LINE_DROPPED);
+        line.set(Some((error, 3)));
+        plant.board.wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
+        plant.ask(&HOMING);
+        assert!(plant.register(LINE_DROPPED) > dropped, "{error:?}");
+        plant.ask(&NOTHING);
+        line.set(None);
+        plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+        assert_eq!(plant.register(DISCONNECTS), disconnects, "{error:?}");
+        plant.acknowledge();
+    }
+    assert_eq!(motions(&plant.trace.since(0)), []);
+}
