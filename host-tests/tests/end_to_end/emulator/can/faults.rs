@@ -189,21 +189,33 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
     let master = plant.bus.join();
     // More urgent than what the bridge tells the PLC, less so than what it tells the gripper.
     static BETWEEN: [WireFrame; 1] = [WireFrame { id: id(0x150), is_remote: false, dlc: 8, data: [0; 8] }];
+    let empty_mailboxes = || load(&mut plant.bus.controller(), TSR) >> 26 & 0b111;
+    let wait_for = |what: &str, are_so: &dyn Fn(u32) -> bool| {
+        let bound = Instant::now() + PATIENCE;
+        while !are_so(empty_mailboxes()) {
+            assert!(Instant::now() < bound, "the mailboxes do not become {what}: {:03b}", empty_mailboxes());
+        }
+    };
+    // A second heartbeat, half a second behind the first, might leave before it from another mailbox.
     let storm = Storm::on(&plant.bus, &BETWEEN);
-    // NMT: start the node. From here on it sends PDOs.
+    wait_for("one heartbeat's", &|empty| empty & 0b010 == 0);
+    pass(&plant.board, 1_100);
+    assert_eq!(empty_mailboxes() & 0b100, 0b100, "one frame of an identifier at a time");
+    drop(storm);
+    // The others leave, and the next is on its own.
+    pass(&plant.board, 600);
+    let storm = Storm::on(&plant.bus, &BETWEEN);
+    wait_for("one heartbeat's", &|empty| empty & 0b010 == 0);
+    // NMT, before the next one: start the node. From here on it sends PDOs.
     master.send(WireFrame::standard(0, &[1, 0x10]));
-    let has_full_mailboxes = || load(&mut plant.bus.controller(), TSR) >> 27 & 0b11 == 0;
-    let bound = Instant::now() + PATIENCE;
-    while !has_full_mailboxes() {
-        assert!(Instant::now() < bound, "the mailboxes do not become full");
-    }
+    wait_for("full", &|empty| empty & 0b110 == 0);
 
     let (mark, sent) = (plant.trace.mark(), plant.bus.sent().len());
     plant.board.set_input(Inputs::FAST_STOP_OK, false).unwrap();
     let is_fast_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(CommandId::FastStop));
     assert!(plant.trace.wait(mark, PATIENCE, is_fast_stop));
 
-    assert!(has_full_mailboxes(), "what was to be sent before is still there");
+    assert_eq!(empty_mailboxes() & 0b110, 0, "what was to be sent before is still there");
     let pdos = plant.bus.sent().iter().skip(sent).filter(|frame| frame.id == id(TPDO1)).count();
     assert_eq!(pdos, 0);
     drop(storm);

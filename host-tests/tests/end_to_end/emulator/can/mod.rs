@@ -43,6 +43,8 @@ const RCC_APB1ENR1: u32 = 0x4002_1058;
 /// a mailbox that is empty, a message in FIFO 0.
 const NVIC_ISER0: u32 = 0xE000_E100;
 const CAN_IER: u32 = 0x14;
+/// MCR of a controller that tries again, sends by identifiers and stays bus-off until it is told.
+const CAN_MCR: (u32, u32) = (0x00, 0x0001_0000);
 const TMEIE_AND_FMPIE0: u32 = 0b11;
 
 /// What holds of any driver: clock and pins, the bus's rate, a sample point at 87.5 % (CiA 301, table 1), and nothing that
@@ -59,6 +61,7 @@ fn assert_set_up(board: &Emulator, bus: &CanBus, rate: u32) {
     }
     let mut controller = bus.controller();
     assert_eq!(controller.load(CAN_IER).unwrap(), TMEIE_AND_FMPIE0);
+    assert_eq!(controller.load(CAN_MCR.0).unwrap(), CAN_MCR.1);
     let timing = controller.bit_timing();
     assert_eq!((timing.rate, timing.sample_point), (rate, 875), "{timing:?}");
     assert_eq!(controller.violations(), [""; 0]);
