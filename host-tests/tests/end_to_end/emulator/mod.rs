@@ -2,6 +2,7 @@
 
 mod can;
 mod line_errors;
+mod line_rates;
 mod masters;
 mod modbus;
 mod watchdog;
