@@ -6,8 +6,8 @@
 //!
 //! QEMU ends with the process that started it, however that ends.
 //!
-//! What QEMU's machine lacks, it cannot show: the independent watchdog, baud rates, line errors. A peripheral that it
-//! lacks can be a model ([`Extras::models`]).
+//! Peripherals that QEMU's machine lacks are models, for those who want them ([`Extras::models`]). What nothing here shows
+//! are real time, baud rates on the wire and electrical levels.
 
 mod output_port;
 
