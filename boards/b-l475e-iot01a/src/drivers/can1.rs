@@ -130,14 +130,15 @@ fn set_up(config: &CanConfig) -> bool {
     };
     let gripper = u32::from(config.gripper.controller().receive.as_raw()) << STANDARD_AT;
     CAN1.fmr().modify(|w| w.set_finit(true));
-    // Four banks of a mask of 32 bits each, for FIFO 0.
+    // Five banks of a mask of 32 bits each, for FIFO 0.
     CAN1.fm1r().write(|w| w.0 = 0);
-    CAN1.fs1r().write(|w| w.0 = 0b1111);
+    CAN1.fs1r().write(|w| w.0 = 0b1_1111);
     CAN1.ffa1r().write(|w| w.0 = 0);
     let wanted = [
         (CAN1.fb(0), (gripper, EXACT)),
-        // NMT; what is for this node; heartbeats.
+        // NMT; SYNC; what is for this node; heartbeats.
         (CAN1.fb(1), (0, EXACT)),
+        (CAN1.fb(4), standard(0x080, 0x7FF)),
         (CAN1.fb(2), standard(config.node.node.into(), 0x07F)),
         (CAN1.fb(3), standard(0x700, 0x780)),
     ];
@@ -145,7 +146,7 @@ fn set_up(config: &CanConfig) -> bool {
         bank.fr1().write(|w| w.0 = id);
         bank.fr2().write(|w| w.0 = mask);
     }
-    CAN1.fa1r().write(|w| w.0 = 0b1111);
+    CAN1.fa1r().write(|w| w.0 = 0b1_1111);
     CAN1.fmr().modify(|w| w.set_finit(false));
     CAN1.ier().write(|w| {
         w.set_fmpie(0, true);
