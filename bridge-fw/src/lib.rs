@@ -31,6 +31,7 @@ mod log;
 pub mod plc;
 pub mod registers;
 mod station;
+pub mod storage;
 
 pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Counters};

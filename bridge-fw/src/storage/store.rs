@@ -1,0 +1,404 @@
+//! Finds the newest record, and writes the next one step by step.
+
+use wsg_protocol::Instant;
+
+use super::flash::{FlashError, NorFlash, Page};
+use super::record::{self, BYTES, Checksum, ERASED, Found, Header, Located, OVERHEAD};
+
+/// How long one operation of the flash may take before the save is given up, in ms. An STM32L4 takes 25 ms to erase.
+const OPERATION_TIMEOUT_MS: u32 = 200;
+
+/// Records that may read whole once and not a second time before a load is given up. A power cut leaves one at the most.
+const MAX_READS: u8 = 3;
+
+/// Loads the newest record, and saves the next one: payloads of up to `N` bytes.
+///
+/// ```
+/// use wsg_bridge_fw::storage::{NorFlash, Progress, SaveError, Store};
+/// use wsg_protocol::Instant;
+///
+/// const VERSION: u16 = 3;
+///
+/// fn main_loop(flash: &mut impl NorFlash, settings: &[u8], now: impl Fn() -> Instant) -> Result<(), SaveError> {
+///     let mut store = Store::<200>::new();
+///     match store.load(flash) {
+///         Ok(record) if record.version == VERSION => { /* take record.payload */ }
+///         Ok(_another_version) => { /* migrate, or refuse and say so */ }
+///         Err(_) => { /* defaults, and say why */ }
+///     }
+///     store.begin(VERSION, settings).expect("it was loaded, there is room, no other save runs");
+///     loop {
+///         // One turn of the main loop.
+///         match store.poll(flash, now()) {
+///             Progress::Saving => {}
+///             Progress::Saved | Progress::Idle => return Ok(()),
+///             Progress::Failed(error) => return Err(error),
+///         }
+///     }
+/// }
+/// ```
+pub struct Store<const N: usize> {
+    /// Of the save that runs; else of the last load or save.
+    payload: [u8; N],
+    is_loaded: bool,
+    newest: Option<Located>,
+    /// Where in the newest record's page the next one may begin.
+    free: usize,
+    /// The highest number that a save took, whether it succeeded or not.
+    sequence: u32,
+    step: Step,
+    /// The record that is being written; its trailer once all before is written.
+    target: Located,
+    checksum: Checksum,
+    /// Whether this is the second attempt of the save.
+    is_retry: bool,
+    /// When the operation was started that runs.
+    started: Instant,
+}
+
+/// What a save does.
+#[derive(Clone, Copy)]
+enum Step {
+    Idle,
+    /// It has to be found out where the record goes.
+    Place,
+    /// The target's page is being erased.
+    Erase,
+    /// This double word of the target is being programmed.
+    Program(usize),
+}
+
+/// A record that was found whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Record<'a> {
+    /// The version of the payload's format, as it was saved.
+    pub version: u16,
+    /// What was saved, byte for byte.
+    pub payload: &'a [u8],
+}
+
+/// Why no record was loaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum LoadError {
+    /// A save runs: the flash cannot be read.
+    Saving,
+    /// Both pages are erased: nothing was ever saved.
+    Empty,
+    /// Both pages read zero throughout: no flash that could be used, such as an emulator's.
+    NoFlash,
+    /// There is something, and no whole record in it.
+    Damaged,
+    /// The newest record is longer than `N` bytes. It stays, until the next save succeeds.
+    TooLong {
+        /// The version of its payload's format.
+        version: u16,
+        /// The length of its payload in bytes.
+        len: u16,
+    },
+}
+
+/// Why a save did not begin. What is stored is not touched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum BeginError {
+    /// [`Store::load`] was not called yet, so it is not known what must not be erased.
+    NotLoaded,
+    /// Another save runs.
+    Saving,
+    /// The payload is longer than `N` bytes.
+    TooLong,
+    /// All 16 777 215 numbers of saves are used up.
+    WornOut,
+}
+
+/// Where a save is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Progress {
+    /// No save runs.
+    Idle,
+    /// The save goes on.
+    Saving,
+    /// The record is stored and was read back: it is what the next [`Store::load`] returns. Said once.
+    Saved,
+    /// The save ended without success. Said once.
+    Failed(SaveError),
+}
+
+/// Why a save failed. All but [`Self::TimedOut`] come after a second attempt, in the page that does not hold the newest
+/// record, after an erase.
+///
+/// The record that was the newest before is untouched, and the next save may succeed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum SaveError {
+    /// The flash refused an operation, or reported that it failed.
+    Flash(FlashError),
+    /// The flash was busy with one operation for more than 200 ms.
+    TimedOut,
+    /// A page does not read erased after it was erased.
+    NotErased,
+    /// The record reads otherwise than it was written.
+    NotWritten,
+}
+
+impl<const N: usize> Store<N> {
+    /// A store that knows nothing yet of what the flash holds.
+    #[must_use]
+    pub const fn new() -> Self {
+        const { assert!(N <= u16::MAX as usize) };
+        let target = Located {
+            page: Page::First,
+            index: 0,
+            header: Header { len: 0, version: 0, sequence: 0 },
+            trailer: ERASED,
+        };
+        Self {
+            payload: [0; N],
+            is_loaded: false,
+            newest: None,
+            free: 0,
+            sequence: 0,
+            step: Step::Idle,
+            target,
+            checksum: Checksum::new(),
+            is_retry: false,
+            started: Instant::from_millis(0),
+        }
+    }
+
+    /// Returns the newest whole record. Reads both pages, which takes its time: some 3 ms for 4 KiB at 80 MHz.
+    ///
+    /// # Errors
+    /// [`LoadError`]; all but [`LoadError::Saving`] leave the store ready to save.
+    pub fn load<F: NorFlash>(&mut self, flash: &F) -> Result<Record<'_>, LoadError> {
+        const {
+            assert!(F::PAGE_LEN >= OVERHEAD + N.div_ceil(BYTES), "a page has no room for a record of N bytes")
+        };
+        if self.is_saving() {
+            return Err(LoadError::Saving);
+        }
+        self.is_loaded = true;
+        let mut below = u32::MAX;
+        for _ in 0..MAX_READS {
+            let mut blank = Blank { erased: true, zero: true };
+            self.newest = None;
+            for page in Page::ALL {
+                self.scan(flash, page, below, &mut blank);
+            }
+            let Some(newest) = self.newest else {
+                return Err(match blank {
+                    Blank { erased: true, .. } => LoadError::Empty,
+                    Blank { zero: true, .. } => LoadError::NoFlash,
+                    _ => LoadError::Damaged,
+                });
+            };
+            let Header { len, version, sequence } = newest.header;
+            self.sequence = self.sequence.max(sequence);
+            // What is returned is checked, not what was read a moment ago: a double word that a power cut left half
+            // programmed may read otherwise each time.
+            match record::read(flash, newest.page, newest.index, &mut self.payload) {
+                Found::Record(again) if again == newest => {
+                    return match self.payload.get(..usize::from(len)) {
+                        Some(payload) => Ok(Record { version, payload }),
+                        None => Err(LoadError::TooLong { version, len }),
+                    };
+                }
+                _ => below = sequence,
+            }
+        }
+        Err(LoadError::Damaged)
+    }
+
+    /// Begins to save a payload. It is copied; [`poll`](Self::poll) writes it.
+    ///
+    /// # Errors
+    /// [`BeginError`]; the store is as before.
+    pub fn begin(&mut self, version: u16, payload: &[u8]) -> Result<(), BeginError> {
+        if !self.is_loaded {
+            return Err(BeginError::NotLoaded);
+        }
+        if self.is_saving() {
+            return Err(BeginError::Saving);
+        }
+        if self.sequence >= Header::MAX_SEQUENCE {
+            return Err(BeginError::WornOut);
+        }
+        let Some(place) = self.payload.get_mut(..payload.len()) else { return Err(BeginError::TooLong) };
+        for (byte, &new) in place.iter_mut().zip(payload) {
+            *byte = new;
+        }
+        self.target.header.len = payload.len() as u16;
+        self.target.header.version = version;
+        self.is_retry = false;
+        self.step = Step::Place;
+        Ok(())
+    }
+
+    /// Whether a save runs. Until it has ended, nothing else may use the flash or read it.
+    #[must_use]
+    pub const fn is_saving(&self) -> bool {
+        !matches!(self.step, Step::Idle)
+    }
+
+    /// Lets the save go on, and says where it is; for every turn of the main loop. Does not wait: it starts one
+    /// operation of the flash at the most.
+    pub fn poll<F: NorFlash>(&mut self, flash: &mut F, now: Instant) -> Progress {
+        let next = match self.step {
+            Step::Idle => return Progress::Idle,
+            Step::Place => Ok(self.place(flash)),
+            Step::Erase | Step::Program(_) => match flash.poll() {
+                Ok(()) => self.after_operation(flash),
+                Err(nb::Error::WouldBlock) if now.since(self.started) <= OPERATION_TIMEOUT_MS => {
+                    return Progress::Saving;
+                }
+                Err(nb::Error::WouldBlock) => Err(SaveError::TimedOut),
+                Err(nb::Error::Other(error)) => Err(SaveError::Flash(error)),
+            },
+        };
+        match next.and_then(|step| self.start(flash, step)) {
+            Ok(step) => {
+                self.step = step;
+                self.started = now;
+                if self.is_saving() { Progress::Saving } else { Progress::Saved }
+            }
+            Err(error) => self.fail(error),
+        }
+    }
+
+    /// Takes what the page holds into account; records from number `below` on are damaged ones.
+    fn scan<F: NorFlash>(&mut self, flash: &F, page: Page, below: u32, blank: &mut Blank) {
+        let mut index = 0usize;
+        // Where the next record may begin: after the last one, with nothing behind it.
+        let mut free = 0;
+        let mut newest_of_page = None;
+        while index < F::PAGE_LEN {
+            let found = record::read(flash, page, index, &mut []);
+            let len = match found {
+                Found::Record(record) if record.header.sequence < below => {
+                    if self.newest.is_none_or(|newest| newest.header.sequence < record.header.sequence) {
+                        self.newest = Some(record);
+                        newest_of_page = Some(record);
+                    }
+                    free = record.end();
+                    record.header.record_len()
+                }
+                Found::Record(Located { header, .. }) | Found::Damaged(header) => {
+                    // It may read whole another time; what is saved from now on is newer all the same.
+                    if header.sequence <= Header::MAX_SEQUENCE / 2 {
+                        self.sequence = self.sequence.max(header.sequence);
+                    }
+                    free = F::PAGE_LEN;
+                    header.record_len()
+                }
+                Found::Other(double_word) => {
+                    if double_word != Ok(ERASED) {
+                        blank.erased = false;
+                        free = F::PAGE_LEN;
+                    }
+                    blank.zero &= double_word == Ok(0);
+                    index = index.saturating_add(1);
+                    continue;
+                }
+            };
+            *blank = Blank { erased: false, zero: false };
+            index = index.saturating_add(len);
+        }
+        if newest_of_page.is_some() {
+            self.free = free;
+        }
+    }
+
+    /// Where the record goes, and what is done first; [`Step::Idle`] if it is stored already.
+    fn place<F: NorFlash>(&mut self, flash: &F) -> Step {
+        let Header { len, version, .. } = self.target.header;
+        let payload = self.payload.get(..usize::from(len)).unwrap_or(&[]);
+        if let Some(newest) = &self.newest
+            && (newest.header.len, newest.header.version) == (len, version)
+            && newest.is_stored(flash, payload)
+        {
+            return Step::Idle;
+        }
+        self.sequence = self.sequence.saturating_add(1).min(Header::MAX_SEQUENCE);
+        self.target.header.sequence = self.sequence;
+        self.checksum = Checksum::new();
+        let newest_page = self.newest.as_ref().map(|newest| newest.page);
+        match newest_page {
+            Some(page) if self.free.saturating_add(self.target.header.record_len()) <= F::PAGE_LEN => {
+                (self.target.page, self.target.index) = (page, self.free);
+                Step::Program(0)
+            }
+            _ => {
+                let without_any = if self.is_retry { Page::Second } else { Page::First };
+                (self.target.page, self.target.index) = (newest_page.map_or(without_any, Page::other), 0);
+                Step::Erase
+            }
+        }
+    }
+
+    /// What comes after the operation that has ended.
+    fn after_operation<F: NorFlash>(&mut self, flash: &F) -> Result<Step, SaveError> {
+        let target = &self.target;
+        match self.step {
+            Step::Program(n) if n.saturating_add(1) < target.header.record_len() => {
+                Ok(Step::Program(n.saturating_add(1)))
+            }
+            Step::Program(_) => {
+                let payload = self.payload.get(..usize::from(target.header.len)).unwrap_or(&[]);
+                if !target.is_stored(flash, payload) {
+                    return Err(SaveError::NotWritten);
+                }
+                self.free = target.end();
+                self.newest = Some(*target);
+                Ok(Step::Idle)
+            }
+            _ if (0..F::PAGE_LEN).all(|index| flash.read(target.page, index) == Ok(ERASED)) => {
+                Ok(Step::Program(0))
+            }
+            _ => Err(SaveError::NotErased),
+        }
+    }
+
+    /// Starts what the step is about.
+    fn start<F: NorFlash>(&mut self, flash: &mut F, step: Step) -> Result<Step, SaveError> {
+        match step {
+            Step::Idle | Step::Place => Ok(()),
+            Step::Erase => flash.start_erase(self.target.page),
+            Step::Program(n) => {
+                self.target.trailer = self.checksum.trailer();
+                let payload = self.payload.get(..usize::from(self.target.header.len)).unwrap_or(&[]);
+                let double_word = self.target.double_word(n, payload);
+                self.checksum.push(double_word);
+                flash.start_program(self.target.page, self.target.index.saturating_add(n), double_word)
+            }
+        }
+        .map_or_else(|error| Err(SaveError::Flash(error)), |()| Ok(step))
+    }
+
+    /// Tries again, once, and no more in the page of the newest record, should that have been the target.
+    fn fail(&mut self, error: SaveError) -> Progress {
+        self.free = usize::MAX;
+        if core::mem::replace(&mut self.is_retry, true) || error == SaveError::TimedOut {
+            self.step = Step::Idle;
+            return Progress::Failed(error);
+        }
+        self.step = Step::Place;
+        Progress::Saving
+    }
+}
+
+impl<const N: usize> Default for Store<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// What all double words so far have in common.
+struct Blank {
+    erased: bool,
+    zero: bool,
+}

@@ -1,0 +1,505 @@
+//! The store of settings on a flash that loses power in the middle of anything.
+
+use std::collections::VecDeque;
+
+use host_tests::chance::Chance;
+use host_tests::flash_model::{Fault, FlashModel, PAGE_LEN, Tear};
+use proptest::prelude::*;
+use wsg_bridge_fw::storage::{BeginError, FlashError, LoadError, NorFlash, Page, Progress, SaveError, Store};
+use wsg_protocol::Instant;
+
+const MAX_LEN: usize = 200;
+type Settings = Store<MAX_LEN>;
+
+/// What was saved: version and payload.
+type Saved = (u16, Vec<u8>);
+
+/// Settings that differ from those of other numbers.
+fn settings(number: u32, len: usize) -> Saved {
+    let mut chance = Chance::new(number.into());
+    (number as u16, (0..len).map(|_| chance.number() as u8).collect())
+}
+
+fn load(store: &mut Settings, flash: &FlashModel) -> Result<Saved, LoadError> {
+    store.load(flash).map(|record| (record.version, record.payload.to_vec()))
+}
+
+/// What a program finds that starts now, and its store.
+fn boot(flash: &mut FlashModel) -> (Settings, Result<Saved, LoadError>) {
+    flash.reboot();
+    let mut store = Settings::new();
+    let found = load(&mut store, flash);
+    (store, found)
+}
+
+/// Polls until the save has ended, or the power has gone ([`None`]).
+fn finish(store: &mut Settings, flash: &mut FlashModel) -> Option<Result<(), SaveError>> {
+    for now in 0..2_000 {
+        let before = flash.operations;
+        let progress = store.poll(flash, Instant::from_millis(now));
+        assert!(flash.operations <= before + 1, "one operation a turn at the most");
+        match progress {
+            _ if flash.is_off() => return None,
+            Progress::Saving => assert!(store.is_saving()),
+            Progress::Saved => return Some(Ok(())),
+            Progress::Failed(error) => return Some(Err(error)),
+            Progress::Idle => panic!("a save that was begun says how it ends"),
+        }
+    }
+    panic!("a save ends");
+}
+
+fn save(
+    store: &mut Settings,
+    flash: &mut FlashModel,
+    (version, payload): &Saved,
+) -> Option<Result<(), SaveError>> {
+    assert_eq!(store.begin(*version, payload), Ok(()));
+    let end = finish(store, flash);
+    if !flash.is_off() {
+        assert_eq!(store.poll(flash, Instant::from_millis(0)), Progress::Idle);
+    }
+    end
+}
+
+/// A flash after these saves, and the last one.
+fn history(saves: u32, len: usize) -> (FlashModel, Result<Saved, LoadError>) {
+    let mut flash = FlashModel::new();
+    let (mut store, mut last) = boot(&mut flash);
+    for number in 0..saves {
+        let saved = settings(number, len);
+        assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
+        last = Ok(saved);
+    }
+    (flash, last)
+}
+
+#[test]
+fn what_was_saved_last_is_loaded_whatever_its_length_and_version() {
+    let mut flash = FlashModel::new();
+    let (mut store, found) = boot(&mut flash);
+    assert_eq!(found, Err(LoadError::Empty));
+    for len in 0..=MAX_LEN {
+        let saved = settings(u32::from(u16::MAX) - len as u32, len);
+        flash.busy_polls = len as u32 % 3;
+        assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
+        assert_eq!(load(&mut store, &flash), Ok(saved.clone()), "in the same run");
+        assert_eq!(boot(&mut flash).1, Ok(saved), "in the next");
+    }
+}
+
+#[test]
+fn payload_is_that_of_the_begin() {
+    let mut flash = FlashModel::new();
+    let (mut store, _) = boot(&mut flash);
+    let mut payload = [7; 20];
+    assert_eq!(store.begin(1, &payload), Ok(()));
+    payload.fill(8);
+    assert_eq!(finish(&mut store, &mut flash), Some(Ok(())));
+    assert_eq!(boot(&mut flash).1, Ok((1, vec![7; 20])));
+}
+
+#[test]
+fn a_record_is_written_as_the_format_says() {
+    let mut flash = FlashModel::new();
+    let (mut store, _) = boot(&mut flash);
+    save(&mut store, &mut flash, &(0x1234, b"123456789".to_vec()));
+    let bytes: Vec<u8> =
+        (0..5).flat_map(|index| flash.read(Page::First, index).unwrap_or(0).to_le_bytes()).collect();
+    let crc = crc32(&bytes[..24]);
+    assert_eq!(bytes[..8], [0xA5, 9, 0, 0x34, 0x12, 1, 0, 0]);
+    assert_eq!(bytes[8..24], *b"123456789\xFF\xFF\xFF\xFF\xFF\xFF\xFF");
+    assert_eq!(bytes[24..28], crc.to_le_bytes());
+    assert_eq!(bytes[28..32], (!crc).to_le_bytes());
+    assert_eq!(bytes[32..], [0xFF; 8], "nothing after it");
+    assert_eq!(crc32(b"123456789"), 0xCBF4_3926, "the check value of CRC-32");
+}
+
+/// CRC-32 as its definition has it.
+fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!0, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xEDB8_8320 } else { 0 })
+    })
+}
+
+#[test]
+fn a_save_is_refused_that_would_do_harm_or_does_not_fit() {
+    let mut flash = FlashModel::new();
+    let mut store = Settings::new();
+    assert_eq!(store.begin(1, &[]), Err(BeginError::NotLoaded));
+    assert_eq!(store.poll(&mut flash, Instant::from_millis(0)), Progress::Idle);
+    let _ = load(&mut store, &flash);
+    assert_eq!(store.begin(1, &[0; MAX_LEN + 1]), Err(BeginError::TooLong));
+    assert!(!store.is_saving());
+    assert_eq!(store.begin(1, &[1]), Ok(()));
+    assert_eq!(store.begin(2, &[2]), Err(BeginError::Saving));
+    assert_eq!(load(&mut store, &flash), Err(LoadError::Saving));
+    assert_eq!(finish(&mut store, &mut flash), Some(Ok(())));
+    assert_eq!(boot(&mut flash).1, Ok((1, vec![1])));
+}
+
+#[test]
+fn saving_what_is_stored_writes_nothing() {
+    let (mut flash, last) = history(3, 30);
+    let (mut store, _) = boot(&mut flash);
+    let Ok(saved) = last else { panic!("three were saved") };
+    let before = flash.operations;
+    assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
+    assert_eq!(flash.operations, before);
+    // Any difference counts.
+    for changed in [(saved.0 + 1, saved.1.clone()), (saved.0, saved.1[1..].to_vec())] {
+        assert_eq!(save(&mut store, &mut flash, &changed), Some(Ok(())));
+        assert_eq!(boot(&mut flash).1, Ok(changed));
+    }
+    // So does a record that can no longer be read.
+    let (mut flash, _) = history(3, 30);
+    let (mut store, _) = boot(&mut flash);
+    flash.set(Page::First, 2 * 6 + 5, None);
+    assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
+    assert_eq!(boot(&mut flash).1, Ok(saved));
+}
+
+/// Operations of the next save.
+fn operations_of_next(flash: &FlashModel, next: &Saved) -> std::ops::Range<u32> {
+    let mut flash = flash.clone();
+    let (mut store, _) = boot(&mut flash);
+    let begin = flash.operations;
+    assert_eq!(save(&mut store, &mut flash, next), Some(Ok(())));
+    begin..flash.operations
+}
+
+/// The flash after a save with the power cut in this operation.
+fn cut(flash: &FlashModel, next: &Saved, at: u32, tear: Tear) -> FlashModel {
+    let mut flash = flash.clone();
+    let (mut store, _) = boot(&mut flash);
+    flash.cut = Some((at, tear));
+    assert_eq!(save(&mut store, &mut flash, next), None);
+    flash
+}
+
+/// What may be found after a cut of the save's operation `at`.
+fn assert_old_or_new(
+    found: &Result<Saved, LoadError>,
+    old: &Result<Saved, LoadError>,
+    new: &Saved,
+    is_last: bool,
+    tear: Tear,
+) {
+    let is_new = found.as_ref() == Ok(new);
+    let is_none = |found| matches!(found, &Err(LoadError::Empty | LoadError::Damaged));
+    let is_old = found == old || is_none(found) && is_none(old);
+    match tear {
+        Tear::Complete if is_last => assert!(is_new, "{found:?}"),
+        Tear::Changing | Tear::Mixed if is_last => assert!(is_new || is_old, "{found:?}"),
+        _ => assert!(is_old, "{found:?}"),
+    }
+}
+
+#[test]
+fn a_power_cut_in_any_operation_leaves_the_old_or_the_new_record_and_the_next_save_works() {
+    // 9, 15 and 36 records fill a page: from the first save to the second erase of the first page.
+    for (len, saves) in [(200, 0..20), (120, 13..32), (40, 34..39)] {
+        for count in saves {
+            let (flash, old) = history(count, len);
+            let new = settings(1_000, len);
+            let operations = operations_of_next(&flash, &new);
+            for (at, tear) in operations.clone().flat_map(|at| Tear::ALL.map(|tear| (at, tear))) {
+                let mut flash = cut(&flash, &new, at, tear);
+                let (mut store, found) = boot(&mut flash);
+                assert_old_or_new(&found, &old, &new, at + 1 == operations.end, tear);
+                let next = settings(1_001, len);
+                assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())), "{count} {at} {tear:?}");
+                assert_eq!(boot(&mut flash).1, Ok(next), "{count} {at} {tear:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_second_power_cut_during_the_repair_does_no_more_harm() {
+    let len = 40;
+    for count in [0, 35, 36, 72] {
+        let (flash, old) = history(count, len);
+        let (first, second) = (settings(1_000, len), settings(1_001, len));
+        let operations = operations_of_next(&flash, &first);
+        for (at, tear) in operations.flat_map(|at| Tear::ALL.map(|tear| (at, tear))) {
+            // What reads otherwise each time is found as either; here the save that comes next decides.
+            if tear == Tear::Changing || tear == Tear::Mixed {
+                continue;
+            }
+            let mut flash = cut(&flash, &first, at, tear);
+            let between = boot(&mut flash).1;
+            assert!(between == old || between.as_ref() == Ok(&first) || old.is_err(), "{between:?}");
+            let operations = operations_of_next(&flash, &second);
+            for (at, tear) in operations.clone().flat_map(|at| Tear::ALL.map(|tear| (at, tear))) {
+                let mut flash = cut(&flash, &second, at, tear);
+                let (mut store, found) = boot(&mut flash);
+                assert_old_or_new(&found, &between, &second, at + 1 == operations.end, tear);
+                let next = settings(1_002, len);
+                assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())));
+                assert_eq!(boot(&mut flash).1, Ok(next));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_double_word_that_cannot_be_programmed_moves_the_record_to_the_other_page() {
+    for count in 1..20 {
+        let (flash, _) = history(count, MAX_LEN);
+        let new = settings(1_000, MAX_LEN);
+        for index in 0..PAGE_LEN {
+            for page in Page::ALL {
+                let mut flash = flash.clone();
+                let (mut store, old) = boot(&mut flash);
+                flash.fault = Some(Fault::Unprogrammable(page, index));
+                let end = save(&mut store, &mut flash, &new);
+                let found = boot(&mut flash).1;
+                match end {
+                    Some(Ok(())) => assert_eq!(found, Ok(new.clone())),
+                    // The page that has to take it is the broken one.
+                    Some(Err(error)) => {
+                        assert_eq!((error, &found), (SaveError::Flash(FlashError::Failed), &old));
+                        assert!(index < 27 && count % 9 == 0, "{count} {index}");
+                    }
+                    None => panic!("the power stays"),
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_failed_save_says_why_ends_and_leaves_the_old_record() {
+    let everywhere =
+        [(Fault::Protected, SaveError::Flash(FlashError::Protected)), (Fault::Stuck, SaveError::TimedOut)];
+    for (fault, error) in everywhere {
+        for count in 0..20 {
+            let (mut flash, _) = history(count, MAX_LEN);
+            let (mut store, old) = boot(&mut flash);
+            flash.fault = Some(fault);
+            assert_eq!(save(&mut store, &mut flash, &settings(1_000, MAX_LEN)), Some(Err(error)));
+            flash.fault = None;
+            let (mut store, found) = boot(&mut flash);
+            assert!(found == old || count == 0, "{found:?}");
+            let next = settings(1_001, MAX_LEN);
+            assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())), "it works again");
+            assert_eq!(boot(&mut flash).1, Ok(next));
+        }
+    }
+    // A worn page does not read erased.
+    let (mut flash, old) = history(9, MAX_LEN);
+    let (mut store, _) = boot(&mut flash);
+    flash.fault = Some(Fault::Worn(PAGE_LEN - 1));
+    let next = settings(1_000, MAX_LEN);
+    assert_eq!(save(&mut store, &mut flash, &next), Some(Err(SaveError::NotErased)));
+    assert_eq!(load(&mut store, &flash), old);
+    flash.fault = None;
+    assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())), "the same store can go on");
+    assert_eq!(boot(&mut flash).1, Ok(next));
+}
+
+#[test]
+fn a_worn_first_page_is_replaced_by_the_second_when_nothing_is_stored() {
+    let mut flash = FlashModel::new();
+    let (mut store, _) = boot(&mut flash);
+    flash.fault = Some(Fault::Unprogrammable(Page::First, 3));
+    let saved = settings(1, MAX_LEN);
+    assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
+    assert_eq!((boot(&mut flash).1, flash.erases), (Ok(saved), [1, 1]));
+}
+
+#[test]
+fn a_time_out_ends_a_save_after_200_ms() {
+    let mut flash = FlashModel::new();
+    let (mut store, _) = boot(&mut flash);
+    flash.fault = Some(Fault::Stuck);
+    let begin = u32::MAX - 20;
+    assert_eq!(store.begin(1, &[1]), Ok(()));
+    let ends = (0..).find_map(|ms| match store.poll(&mut flash, Instant::from_millis(begin).plus(ms)) {
+        Progress::Saving => None,
+        progress => Some((ms, progress)),
+    });
+    assert_eq!(ends, Some((201, Progress::Failed(SaveError::TimedOut))));
+    // It still is busy, and says so.
+    assert_eq!(save(&mut store, &mut flash, &settings(1, 8)), Some(Err(SaveError::Flash(FlashError::Busy))));
+}
+
+#[test]
+fn flash_that_swallows_stores_is_no_flash() {
+    for (reads, found, error) in [
+        (0, LoadError::NoFlash, SaveError::NotErased),
+        (u64::MAX, LoadError::Empty, SaveError::NotWritten),
+        (0x5555, LoadError::Damaged, SaveError::NotErased),
+    ] {
+        let mut flash = FlashModel::new();
+        flash.fault = Some(Fault::Swallows(reads));
+        let (mut store, loaded) = boot(&mut flash);
+        assert_eq!(loaded, Err(found));
+        for number in 0..3 {
+            let before = flash.operations;
+            assert_eq!(save(&mut store, &mut flash, &settings(number, MAX_LEN)), Some(Err(error)));
+            assert!(flash.operations - before <= 2 * 28, "no endless attempts");
+        }
+        assert_eq!(load(&mut store, &flash), Err(found));
+    }
+}
+
+#[test]
+fn a_record_that_decays_takes_no_other_with_it() {
+    let (flash, last) = history(6, MAX_LEN);
+    let before = settings(4, MAX_LEN);
+    for record in 0..6 {
+        for (n, value) in
+            (0..27).flat_map(|n| [(n, None), (n, Some(0)), (n, Some(u64::MAX)), (n, Some(0xC8A5))])
+        {
+            let mut flash = flash.clone();
+            flash.set(Page::First, record * 27 + n, value);
+            let (mut store, found) = boot(&mut flash);
+            if record < 5 {
+                assert_eq!(found, last, "{record} {n} {value:X?}");
+            } else {
+                assert_eq!(found, Ok(before.clone()), "{n} {value:X?}");
+            }
+            let next = settings(1_000, MAX_LEN);
+            assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())));
+            assert_eq!(boot(&mut flash).1, Ok(next));
+        }
+    }
+}
+
+#[test]
+fn a_payload_that_looks_like_records_is_none() {
+    // The image of a record with a higher number.
+    let (flash, _) = history(8, 100);
+    let image: Vec<u8> =
+        (7 * 15..8 * 15).flat_map(|n| flash.read(Page::First, n).unwrap_or(0).to_le_bytes()).collect();
+    let mut flash = FlashModel::new();
+    let (mut store, _) = boot(&mut flash);
+    let old = settings(1, 8);
+    assert_eq!(save(&mut store, &mut flash, &old), Some(Ok(())));
+    let looks = (2, image);
+    assert_eq!(save(&mut store, &mut flash, &looks), Some(Ok(())));
+    assert_eq!(boot(&mut flash).1, Ok(looks));
+    for damaged in [3 + 16, 3 + 9] {
+        let mut flash = flash.clone();
+        flash.set(Page::First, damaged, None);
+        assert_eq!(boot(&mut flash).1, Ok(old.clone()), "the rest of a damaged record is not looked into");
+    }
+}
+
+#[test]
+fn a_record_too_long_for_this_program_is_said_and_replaced() {
+    let (mut flash, _) = history(4, MAX_LEN);
+    let mut small = Store::<199>::new();
+    assert_eq!(small.load(&flash), Err(LoadError::TooLong { version: 3, len: 200 }));
+    assert_eq!(small.begin(9, &[5; 199]), Ok(()));
+    while small.is_saving() {
+        let progress = small.poll(&mut flash, Instant::from_millis(0));
+        assert!(matches!(progress, Progress::Saving | Progress::Saved), "{progress:?}");
+    }
+    assert_eq!(boot(&mut flash).1, Ok((9, vec![5; 199])));
+}
+
+#[test]
+fn numbers_of_saves_come_to_an_end_with_words() {
+    let (mut flash, _) = history(1, 8);
+    for (number, begin) in [(0xFF_FFFE, Ok(())), (0xFF_FFFF, Err(BeginError::WornOut))] {
+        // The same record with a higher number.
+        let bits = flash.read(Page::First, 0).unwrap_or(0) & 0xFF_FFFF_FFFF | number << 40;
+        let payload = flash.read(Page::First, 1).unwrap_or(0);
+        let crc = crc32(&[bits.to_le_bytes(), payload.to_le_bytes()].concat());
+        flash.set(Page::First, 0, Some(bits));
+        flash.set(Page::First, 2, Some(u64::from(crc) | u64::from(!crc) << 32));
+        let mut flash = flash.clone();
+        let (mut store, found) = boot(&mut flash);
+        assert_eq!(found, Ok(settings(0, 8)));
+        assert_eq!(store.begin(1, &[1]), begin);
+        if begin.is_ok() {
+            assert_eq!(finish(&mut store, &mut flash), Some(Ok(())));
+            assert_eq!(boot(&mut flash).1, Ok((1, vec![1])));
+        }
+    }
+}
+
+/// The table in the documentation of `storage`: the page endures 10 000 erases.
+#[test]
+fn wear_is_shared_by_both_pages_and_as_documented() {
+    const ENDURED: u32 = 10_000;
+    for (len, per_page) in [(120, 15), (200, 9)] {
+        let saves = 20 * per_page;
+        let (flash, _) = history(saves, len);
+        assert_eq!(flash.erases, [10, 10], "{len} bytes");
+        assert_eq!(2 * ENDURED * per_page, if len == 120 { 300_000 } else { 180_000 });
+    }
+}
+
+/// What happens to a store, for the comparison with a plain model.
+#[derive(Clone, Debug)]
+enum Op {
+    Save(u32, usize),
+    CutSave(u32, usize, u32, Tear),
+    FailedSave(u32, usize, Page, usize),
+    Reboot,
+    Reload,
+}
+
+fn ops() -> impl Strategy<Value = Vec<Op>> {
+    let len = prop_oneof![Just(MAX_LEN), 0..=MAX_LEN];
+    let tear = proptest::sample::select(Tear::ALL.to_vec());
+    let page = proptest::sample::select(Page::ALL.to_vec());
+    let op = prop_oneof![
+        4 => (any::<u32>(), len.clone()).prop_map(|(number, len)| Op::Save(number, len)),
+        4 => (any::<u32>(), len.clone(), 0..60u32, tear).prop_map(|(number, len, at, tear)| Op::CutSave(number, len, at, tear)),
+        1 => (any::<u32>(), len, page, 0..PAGE_LEN).prop_map(|(number, len, page, index)| Op::FailedSave(number, len, page, index)),
+        1 => Just(Op::Reboot),
+        1 => Just(Op::Reload),
+    ];
+    proptest::collection::vec(op, 1..40)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 1_500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// The model: what was saved last. While a double word reads otherwise each time, what was cut may be it as well.
+    #[test]
+    fn whatever_happens_what_was_saved_last_is_loaded(ops in ops(), busy_polls in 0..3u32) {
+        let mut flash = FlashModel::new();
+        flash.busy_polls = busy_polls;
+        let mut store = boot(&mut flash).0;
+        let mut last: VecDeque<Option<Saved>> = VecDeque::from([None]);
+        for op in ops {
+            match op {
+                Op::Save(number, len) => {
+                    let saved = settings(number, len);
+                    prop_assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
+                    last = VecDeque::from([Some(saved)]);
+                }
+                Op::CutSave(number, len, at, tear) => {
+                    let saved = settings(number, len);
+                    flash.cut = Some((flash.operations + at, tear));
+                    if save(&mut store, &mut flash, &saved).is_some() {
+                        last.clear();
+                    }
+                    last.push_front(Some(saved));
+                    store = boot(&mut flash).0;
+                }
+                Op::FailedSave(number, len, page, index) => {
+                    let saved = settings(number, len);
+                    flash.fault = Some(Fault::Unprogrammable(page, index));
+                    if save(&mut store, &mut flash, &saved) == Some(Ok(())) {
+                        last = VecDeque::from([Some(saved)]);
+                    }
+                    flash.fault = None;
+                }
+                Op::Reboot => store = boot(&mut flash).0,
+                Op::Reload => {}
+            }
+            let found = load(&mut store, &flash);
+            let is_possible = matches!(found, Ok(_) | Err(LoadError::Empty | LoadError::Damaged));
+            prop_assert!(is_possible, "{:?}", found);
+            let found = found.ok();
+            prop_assert!(last.contains(&found), "{:?}", found);
+        }
+    }
+}
