@@ -22,8 +22,8 @@
 //! | | 32 to 63 | the same, inverted |
 //!
 //! # Wear
-//! A record of `len` bytes takes `2 + len / 8` double words, rounded up. STM32L4: 256 double words a page, 10 000 erases of each
-//! of the two pages. A save of what is stored already writes nothing.
+//! A record of `len` bytes takes `2 + len / 8` double words, rounded up. STM32L4: 256 double words a page, and each of the
+//! two pages endures 10 000 erases. A save of what is stored already writes nothing.
 //!
 //! | payload | records in a page | erases per save | saves until both pages are worn |
 //! |---|---|---|---|

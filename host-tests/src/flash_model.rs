@@ -87,6 +87,8 @@ pub struct FlashModel {
     pub operations: u32,
     /// Erases of each page.
     pub erases: [u32; 2],
+    /// Double words that were to be programmed a second time.
+    pub refused: u32,
     chance: RefCell<Chance>,
 }
 
@@ -103,6 +105,7 @@ impl FlashModel {
             is_off: false,
             operations: 0,
             erases: [0; 2],
+            refused: 0,
             chance: RefCell::new(Chance::new(1)),
         }
     }
@@ -125,6 +128,12 @@ impl FlashModel {
         self.pages[page as usize][index] = value.map_or(DoubleWord::Unreadable, DoubleWord::Programmed);
     }
 
+    /// Lets a double word read otherwise with each read: this, what it held, or not at all.
+    pub fn set_changing(&mut self, page: Page, index: usize, value: u64) {
+        let double_word = &mut self.pages[page as usize][index];
+        *double_word = DoubleWord::Changing(value, double_word.value());
+    }
+
     fn end(&mut self, operation: Operation) -> Result<(), FlashError> {
         match (self.fault, operation) {
             (Some(Fault::Swallows(_)), _) => {}
@@ -136,6 +145,7 @@ impl FlashModel {
             (_, Operation::Program(page, index, value)) => {
                 let double_word = &mut self.pages[page as usize][index];
                 if !matches!(double_word, DoubleWord::Erased) && value != 0 {
+                    self.refused += 1;
                     return Err(FlashError::NotErased);
                 }
                 *double_word = DoubleWord::Programmed(value);

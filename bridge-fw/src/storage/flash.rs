@@ -1,7 +1,7 @@
 //! What a board gives of its flash.
 //!
-//! `embedded-storage` has no such trait: its operations block until they are done, and its `read` fails as a whole where
-//! one double word cannot be read.
+//! `embedded-storage` has no such trait: its operations block until they are done, and its `read` fails as a whole
+//! where one double word cannot be read.
 
 /// Two pages of NOR flash that hold nothing else, programmed in double words of 64 bits.
 ///
