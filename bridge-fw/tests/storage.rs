@@ -393,10 +393,10 @@ fn a_record_that_reads_otherwise_each_time_is_loaded_whole_or_not_at_all() {
 
 #[test]
 fn a_payload_that_looks_like_records_is_none() {
-    // The image of a record with a higher number.
+    // The image of a record with a higher number, after a double word of something else.
     let (flash, _) = history(8, 100);
-    let image: Vec<u8> =
-        (7 * 15..8 * 15).flat_map(|n| flash.read(Page::First, n).unwrap_or(0).to_le_bytes()).collect();
+    let image = (7 * 15..8 * 15).flat_map(|n| flash.read(Page::First, n).unwrap_or(0).to_le_bytes());
+    let image: Vec<u8> = [0; 8].into_iter().chain(image).collect();
     let mut flash = FlashModel::new();
     let (mut store, _) = boot(&mut flash);
     let old = settings(1, 8);
@@ -404,7 +404,7 @@ fn a_payload_that_looks_like_records_is_none() {
     let looks = (2, image);
     assert_eq!(save(&mut store, &mut flash, &looks), Some(Ok(())));
     assert_eq!(boot(&mut flash).1, Ok(looks));
-    for damaged in [3 + 16, 3 + 9] {
+    for damaged in [3 + 17, 3 + 1] {
         let mut flash = flash.clone();
         flash.set(Page::First, damaged, None);
         assert_eq!(boot(&mut flash).1, Ok(old.clone()), "the rest of a damaged record is not looked into");

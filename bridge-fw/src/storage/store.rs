@@ -5,10 +5,10 @@ use wsg_protocol::Instant;
 use super::flash::{FlashError, NorFlash, Page};
 use super::record::{self, BYTES, Checksum, ERASED, Found, Header, Located, OVERHEAD};
 
-/// How long one operation of the flash may take before the save is given up, in ms. An STM32L4 erases in 25 ms.
+/// Milliseconds that one operation of the flash may take before the save is given up. An STM32L4 erases in 25 ms.
 const OPERATION_TIMEOUT_MS: u32 = 200;
 
-/// Milliseconds one flash operation may take before the save is given up. An STM32L4 erases in 25 ms.
+/// Records that may read whole once and not a second time before a load is given up. A power cut leaves one.
 const MAX_READS: u8 = 3;
 
 /// Loads the newest record, and saves the next one: payloads of up to `N` bytes.
