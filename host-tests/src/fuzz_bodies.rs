@@ -9,6 +9,7 @@
 //! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
 //! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
 //! | [`can`] | the reassembler finds what a reader of the whole capture finds |
+//! | [`storage`] | what is loaded was saved whole, and a save works on whatever the flash holds |
 //! | [`bridge`] | no motion without an edge, FAST STOP in time, and true outputs, whatever gripper, line, wires and Modbus bus do |
 //! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
 //!
@@ -34,6 +35,7 @@ mod outputs;
 mod rtu_line;
 mod session;
 mod stops;
+mod storage;
 mod told;
 mod typed;
 
@@ -46,6 +48,7 @@ pub use gcl::gcl;
 pub use generate::generated;
 pub use modbus::modbus;
 pub use session::session;
+pub use storage::storage;
 pub use typed::typed;
 
 /// A body, which is also a fuzz target and a folder of seeds.
@@ -106,7 +109,7 @@ impl Drop for Case {
 }
 
 /// Every body.
-pub const ALL: [Body; 9] = [
+pub const ALL: [Body; 10] = [
     Body { name: "frames", run: frames, pieces: generate::BINARY },
     Body { name: "typed", run: typed, pieces: generate::BINARY },
     Body { name: "session", run: session, pieces: generate::BINARY },
@@ -116,4 +119,5 @@ pub const ALL: [Body; 9] = [
     Body { name: "gcl", run: gcl, pieces: generate::TEXT },
     Body { name: "can", run: can, pieces: generate::BINARY },
     Body { name: "modbus", run: modbus, pieces: generate::BINARY },
+    Body { name: "storage", run: storage, pieces: generate::STORAGE },
 ];

@@ -55,6 +55,11 @@ fn modbus_60_000_cases() {
 }
 
 #[test]
+fn storage_60_000_cases() {
+    smoke("storage");
+}
+
+#[test]
 fn every_committed_seed_passes() {
     let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
     for Body { name, run, .. } in fuzz_bodies::ALL {
