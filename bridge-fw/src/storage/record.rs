@@ -100,23 +100,26 @@ impl Located {
     }
 }
 
-/// The CRC of a record while its double words pass by.
-#[derive(Clone)]
-pub(super) struct Checksum(crc::Digest<'static, u32, Table<0>>);
+/// The CRC of a record while its double words pass by; 0 before the first.
+#[derive(Clone, Copy)]
+pub(super) struct Checksum(u32);
 
 impl Checksum {
     pub(super) const fn new() -> Self {
-        Self(CRC.digest())
+        Self(0)
     }
 
     pub(super) fn push(&mut self, double_word: u64) {
-        self.0.update(&double_word.to_le_bytes());
+        // Goes on from the CRC of what was before: its digest, which would take a reference to CRC along, is the CRC
+        // inverted; and an initial value is given in the order of the polynomial's bits.
+        let mut digest = CRC.digest_with_initial((!self.0).reverse_bits());
+        digest.update(&double_word.to_le_bytes());
+        self.0 = digest.finalize();
     }
 
     /// The last double word of a record whose others were pushed.
-    pub(super) fn trailer(&self) -> u64 {
-        let crc = self.0.clone().finalize();
-        u64::from(crc) | u64::from(!crc) << 32
+    pub(super) const fn trailer(self) -> u64 {
+        self.0 as u64 | (!self.0 as u64) << 32
     }
 }
 

@@ -41,7 +41,9 @@ pub struct Store<const N: usize> {
     /// Of the save that runs; else of the last load or save.
     payload: [u8; N],
     is_loaded: bool,
-    newest: Option<Located>,
+    /// Whether `newest` is there. Not an `Option`: its `None` is not zero, and would move the store from .bss to .data.
+    has_newest: bool,
+    newest: Located,
     /// Where in the newest record's page the next one may begin.
     free: usize,
     /// The highest number that a save took, whether it succeeded or not.
@@ -151,20 +153,21 @@ impl<const N: usize> Store<N> {
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(N <= u16::MAX as usize) };
-        let target = Located {
+        let nowhere = Located {
             page: Page::First,
             index: 0,
             header: Header { len: 0, version: 0, sequence: 0 },
-            trailer: ERASED,
+            trailer: 0,
         };
         Self {
             payload: [0; N],
             is_loaded: false,
-            newest: None,
+            has_newest: false,
+            newest: nowhere,
             free: 0,
             sequence: 0,
             step: Step::Idle,
-            target,
+            target: nowhere,
             checksum: Checksum::new(),
             is_retry: false,
             started: Instant::from_millis(0),
@@ -186,11 +189,11 @@ impl<const N: usize> Store<N> {
         let mut below = u32::MAX;
         for _ in 0..MAX_READS {
             let mut blank = Blank { erased: true, zero: true };
-            self.newest = None;
+            self.has_newest = false;
             for page in Page::ALL {
                 self.scan(flash, page, below, &mut blank);
             }
-            let Some(newest) = self.newest else {
+            let Some(newest) = self.newest() else {
                 return Err(match blank {
                     Blank { erased: true, .. } => LoadError::Empty,
                     Blank { zero: true, .. } => LoadError::NoFlash,
@@ -228,10 +231,7 @@ impl<const N: usize> Store<N> {
         if self.sequence >= Header::MAX_SEQUENCE {
             return Err(BeginError::WornOut);
         }
-        let Some(place) = self.payload.get_mut(..payload.len()) else { return Err(BeginError::TooLong) };
-        for (byte, &new) in place.iter_mut().zip(payload) {
-            *byte = new;
-        }
+        self.payload.get_mut(..payload.len()).ok_or(BeginError::TooLong)?.copy_from_slice(payload);
         self.target.header.len = payload.len() as u16;
         self.target.header.version = version;
         self.is_retry = false;
@@ -270,19 +270,23 @@ impl<const N: usize> Store<N> {
         }
     }
 
+    fn newest(&self) -> Option<Located> {
+        self.has_newest.then_some(self.newest)
+    }
+
     /// Takes what the page holds into account; records from number `below` on are damaged ones.
     fn scan<F: NorFlash>(&mut self, flash: &F, page: Page, below: u32, blank: &mut Blank) {
         let mut index = 0usize;
         // Where the next record may begin: after the last one, with nothing behind it.
         let mut free = 0;
-        let mut newest_of_page = None;
+        let mut is_newest_here = false;
         while index < F::PAGE_LEN {
             let found = record::read(flash, page, index, &mut []);
             let len = match found {
                 Found::Record(record) if record.header.sequence < below => {
-                    if self.newest.is_none_or(|newest| newest.header.sequence < record.header.sequence) {
-                        self.newest = Some(record);
-                        newest_of_page = Some(record);
+                    if self.newest().is_none_or(|newest| newest.header.sequence < record.header.sequence) {
+                        (self.newest, self.has_newest) = (record, true);
+                        is_newest_here = true;
                     }
                     free = record.end();
                     record.header.record_len()
@@ -308,7 +312,7 @@ impl<const N: usize> Store<N> {
             *blank = Blank { erased: false, zero: false };
             index = index.saturating_add(len);
         }
-        if newest_of_page.is_some() {
+        if is_newest_here {
             self.free = free;
         }
     }
@@ -317,7 +321,7 @@ impl<const N: usize> Store<N> {
     fn place<F: NorFlash>(&mut self, flash: &F) -> Step {
         let Header { len, version, .. } = self.target.header;
         let payload = self.payload.get(..usize::from(len)).unwrap_or(&[]);
-        if let Some(newest) = &self.newest
+        if let Some(newest) = self.newest()
             && (newest.header.len, newest.header.version) == (len, version)
             && newest.is_stored(flash, payload)
         {
@@ -326,7 +330,7 @@ impl<const N: usize> Store<N> {
         self.sequence = self.sequence.saturating_add(1).min(Header::MAX_SEQUENCE);
         self.target.header.sequence = self.sequence;
         self.checksum = Checksum::new();
-        let newest_page = self.newest.as_ref().map(|newest| newest.page);
+        let newest_page = self.newest().map(|newest| newest.page);
         match newest_page {
             Some(page) if self.free.saturating_add(self.target.header.record_len()) <= F::PAGE_LEN => {
                 (self.target.page, self.target.index) = (page, self.free);
@@ -353,7 +357,7 @@ impl<const N: usize> Store<N> {
                     return Err(SaveError::NotWritten);
                 }
                 self.free = target.end();
-                self.newest = Some(*target);
+                (self.newest, self.has_newest) = (*target, true);
                 Ok(Step::Idle)
             }
             _ if (0..F::PAGE_LEN).all(|index| flash.read(target.page, index) == Ok(ERASED)) => {
