@@ -8,7 +8,7 @@ use host_tests::modbus_bench::Bench;
 use host_tests::plc_names::{command_flags, gripper_flags, register_bit, system_flags};
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{
-    FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS, START_SETTINGS, record_settings,
+    EVENTS, FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS, START_SETTINGS, record_settings,
 };
 use wsg_protocol::fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 
@@ -199,9 +199,27 @@ fn start_settings() -> String {
 fn reports() -> String {
     table(
         ["address", "30001-based", "name", "meaning"],
-        (FIRST_REPORT..).zip(&REPORTS).map(|(address, report)| {
-            let [address, numbered] = both(address.into(), INPUT);
-            [address, numbered, format!("`{}`", report.name), report.meaning.into()]
+        // Of the last events the others are as the first.
+        (FIRST_REPORT..).zip(&REPORTS).filter(|(_, report)| !report.meaning.is_empty()).map(
+            |(address, report)| {
+                let [address, numbered] = both(address.into(), INPUT);
+                [address, numbered, format!("`{}`", report.name), report.meaning.into()]
+            },
+        ),
+    )
+}
+
+fn events() -> String {
+    table(
+        ["code", "name", "what happened", "value", "what to do"],
+        EVENTS.iter().map(|event| {
+            [
+                (event.code as u8).to_string(),
+                format!("`{}`", event.name),
+                event.meaning.into(),
+                event.value.into(),
+                event.remedy.into(),
+            ]
         }),
     )
 }
@@ -219,6 +237,7 @@ fn registers_in_the_document_are_those_of_the_code() {
         ("settings", settings()),
         ("start-settings", start_settings()),
         ("reports", reports()),
+        ("events", events()),
     ] {
         hold("docs/registers.md", name, &wanted);
     }

@@ -1,5 +1,4 @@
-//! What the firmware and the programs that measure it drive: clock, wires, the line to the gripper, and CAN.
-//! What the firmware and the programs that measure it drive: clock, wires, the line to the gripper, and the settings' flash.
+//! What the firmware and the programs that measure it drive: clock, wires, the line to the gripper, CAN, and the settings' flash.
 
 #![deny(clippy::undocumented_unsafe_blocks)]
 

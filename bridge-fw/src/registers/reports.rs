@@ -70,11 +70,11 @@ enum Subject {
 macro_rules! event_reports {
     ($first:literal $($number:literal)*) => {[
         event_reports!(@ $first
-            "the last event: its code; 0: none"
+            "the last event: its code; 0: none. `EVENT2_CODE` to `EVENT16_AGE` behind these four are those before it"
             "the command concerned, by its id (command set, chapter 3); 0: none"
             "its value, see the table of events"
             "how long ago it was, in s"),
-        $(event_reports!(@ $number "the one before it" "" "" "")),*
+        $(event_reports!(@ $number "" "" "" "")),*
     ]};
     (@ $number:literal $code:literal $command:literal $value:literal $age:literal) => {[
         report(concat!("EVENT", $number, "_CODE"), Subject::Event($number - 1, 0), $code),
