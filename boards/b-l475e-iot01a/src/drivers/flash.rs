@@ -51,7 +51,7 @@ fn address(page: Page, index: usize) -> Option<usize> {
 }
 
 impl SettingsPages {
-    /// Makes FLASH_CR writable, with the flags of what was before cleared: some of them keep an operation from starting (3.3.7).
+    /// Makes FLASH_CR writable, and clears the flags of what was before: some keep an operation from starting (3.3.7).
     fn prepare(&mut self) -> Result<(), FlashError> {
         if FLASH.sr().read().bsy() {
             return Err(FlashError::Busy);
@@ -65,8 +65,8 @@ impl SettingsPages {
         if FLASH.cr().read().lock() {
             return Err(FlashError::Protected);
         }
-        // By an erratum a read of one bank while the other is written can spoil the data cache; ST's own driver turns it off as
-        // well. The instruction cache stays on.
+        // By an erratum a read of one bank while the other is written can spoil the data cache; ST's own driver turns
+        // it off as well. The instruction cache stays on.
         FLASH.acr().modify(|w| w.set_dcen(false));
         Ok(())
     }
@@ -97,7 +97,11 @@ impl NorFlash for SettingsPages {
     fn start_program(&mut self, page: Page, index: usize, value: u64) -> Result<(), FlashError> {
         let low = with_exposed_provenance::<u32>(address(page, index).ok_or(FlashError::Failed)?).cast_mut();
         self.prepare()?;
-        FLASH.cr().modify(|w| w.set_pg(true));
+        // An operation that was given up may have left the other bit.
+        FLASH.cr().modify(|w| {
+            w.set_per(false);
+            w.set_pg(true);
+        });
         // SAFETY: with PG set, two stores to one double word of the settings' pages program it (3.3.7). No reference
         // to it exists, and it is read by `read_volatile` alone.
         unsafe {
@@ -114,6 +118,7 @@ impl NorFlash for SettingsPages {
     fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
         self.prepare()?;
         FLASH.cr().modify(|w| {
+            w.set_pg(false);
             w.set_per(true);
             w.set_bker(true);
             w.set_pnb(match page {
