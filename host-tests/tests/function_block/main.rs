@@ -160,6 +160,8 @@ fn grip_cycle(exchange_every: i64) -> Plc {
     assert!(!plc.is("Error"));
     plc.press("Home");
     assert!(plc.is("Busy") && !plc.is("Ready"));
+    plc.pass(200);
+    assert_eq!(plc.word("Out0"), 0, "the flag goes back once the motion is seen");
     plc.until("Done");
     for _ in 0..3 {
         plc.press("Grip");
@@ -187,10 +189,14 @@ fn no_part() -> Plc {
     plc.press("Grip");
     plc.until("Done");
     assert!(plc.is("NoPart") && !plc.is("Holding") && !plc.is("Error"));
-    // The fingers stand where GRIP goes already: over before anybody has seen it run.
-    plc.press("Grip");
-    plc.until("Done");
-    assert!(plc.is("NoPart"));
+    // The fingers stand where GRIP goes already: over before anybody has seen it run. Each one is given all the same.
+    plc.bench.take_motions();
+    for _ in 0..4 {
+        plc.press("Grip");
+        plc.until("Done");
+        assert!(plc.is("NoPart"));
+    }
+    assert_eq!(plc.bench.take_motions(), [CommandId::GripPart; 4]);
     plc.press("Release");
     plc.until("Done");
     assert!(!plc.is("NoPart"));
@@ -226,9 +232,11 @@ fn fault_and_acknowledge() -> Plc {
     let mut plc = Plc::homed(Some(20.0), 5);
     plc.set_fault(Fault::MotorCurrent, true);
     plc.until("Error");
-    // What locks the gripper is still there.
+    // What locks the gripper is still there: it is given some time to go.
     plc.press("StopAck");
-    plc.pass(3_000);
+    plc.pass(1_000);
+    assert!(plc.is("Busy"));
+    plc.pass(2_000);
     assert!(plc.is("Error") && !plc.is("Busy"));
     plc.set_fault(Fault::MotorCurrent, false);
     plc.press("StopAck");
@@ -271,6 +279,12 @@ fn command_before_homing_is_an_error_with_its_status() {
 
 fn fast_stop() -> Plc {
     let mut plc = Plc::homed(None, 5);
+    plc.press("FastStop");
+    assert!(!plc.is("Done"));
+    plc.until("Error");
+    plc.press("StopAck");
+    plc.until("Ready");
+    plc.bench.take_sent();
     plc.press("Release");
     plc.until("Done");
     plc.press("Home");
@@ -285,6 +299,18 @@ fn fast_stop() -> Plc {
     plc.until("Error");
     plc.press("StopAck");
     plc.until("Ready");
+    // Shorter than the bus's cycle, and just behind an exchange.
+    plc.bench.take_sent();
+    while plc.now_ms % 50 != SCAN_MS {
+        plc.scan();
+    }
+    plc.set("FastStop", true);
+    plc.scan();
+    plc.set("FastStop", false);
+    plc.until("Error");
+    assert!(plc.bench.take_sent().contains(&CommandId::FastStop));
+    plc.press("StopAck");
+    plc.until("Ready");
     plc
 }
 
@@ -294,16 +320,25 @@ fn fast_stop_comes_first_and_waits_to_be_acknowledged() {
 }
 
 fn stop() -> Plc {
-    let mut plc = Plc::homed(Some(20.0), 1);
+    let mut plc = Plc::homed(Some(20.0), 5);
     plc.press("Grip");
     plc.until("Done");
     // The second one comes while the flag of the first is 1: without a 0 between them there is no edge.
     plc.press("StopAck");
+    plc.pass(50);
+    assert_eq!(plc.word("Out0"), 0x1000);
     plc.press("StopAck");
+    assert!(plc.is("Busy") && plc.word("Out0") == 0);
     plc.until("Ready");
     assert!(!plc.is("Holding") && !plc.is("Done") && !plc.is("Error"));
     let stops = plc.bench.take_sent().into_iter().filter(|id| *id == CommandId::Stop).count();
     assert_eq!(stops, 2);
+    // Again as soon as it is Ready, on a slow bus.
+    for _ in 0..3 {
+        plc.press("StopAck");
+        plc.until("Ready");
+        assert_eq!(plc.bench.take_sent().into_iter().filter(|id| *id == CommandId::Stop).count(), 1);
+    }
     plc
 }
 
@@ -353,22 +388,68 @@ fn cut_bus_ends_the_command_in_an_error() {
 
 fn wrong_place() -> Plc {
     let mut plc = Plc::homed(None, 1);
+    // The bridge, but not the function block, is told to stop: by the wire. The fingers stand, without an error, in a
+    // wrong place.
+    for motion in ["Grip", "Release", "Home"] {
+        plc.press(motion);
+        plc.bench.set(Inputs::STOP_ACK, true);
+        plc.pass(50);
+        plc.bench.set(Inputs::STOP_ACK, false);
+        plc.until("Error");
+        plc.press("StopAck");
+        plc.until("Ready");
+    }
+    plc
+}
+
+fn buttons_that_stay() -> Plc {
+    let mut plc = Plc::homed(Some(20.0), 1);
+    for (button, output, id) in [
+        ("Grip", "Done", CommandId::GripPart),
+        ("Release", "Done", CommandId::ReleasePart),
+        ("Home", "Done", CommandId::Homing),
+        ("StopAck", "Ready", CommandId::Stop),
+    ] {
+        plc.bench.take_sent();
+        plc.set(button, true);
+        plc.pass(2 * SCAN_MS);
+        plc.until(output);
+        plc.pass(3_000);
+        plc.set(button, false);
+        plc.pass(SCAN_MS);
+        assert!(plc.is("Ready"));
+        let sent = plc.bench.take_sent().into_iter().filter(|sent| *sent == id).count();
+        assert_eq!(sent, 1, "{button}");
+    }
+    plc
+}
+
+#[test]
+fn button_that_stays_pressed_gives_one_command() {
+    buttons_that_stay();
+}
+
+fn refused_meanwhile() -> Plc {
+    let mut plc = Plc::homed(None, 1);
     plc.press("Release");
-    plc.until("Done");
-    // The bridge, but not the function block, is told to stop: by the wire.
-    plc.press("Home");
-    plc.bench.set(Inputs::STOP_ACK, true);
+    // An edge of somebody else is refused; its status code is not that of the motion.
+    plc.bench.set(Inputs::HOME, true);
     plc.pass(50);
-    plc.bench.set(Inputs::STOP_ACK, false);
-    plc.until("Error");
-    plc.press("StopAck");
-    plc.until("Ready");
+    plc.bench.set(Inputs::HOME, false);
+    plc.until("Done");
+    assert!((plc.width() - 40.0).abs() < 0.5 && !plc.is("Error"));
+    assert_eq!(plc.bench.take_motions(), [CommandId::ReleasePart]);
     plc
 }
 
 #[test]
 fn motion_that_somebody_else_stopped_is_an_error() {
     wrong_place();
+}
+
+#[test]
+fn motion_goes_on_to_its_end_while_other_commands_are_refused() {
+    refused_meanwhile();
 }
 
 /// The function block alone, with the objects of CANopen at its inputs and outputs.
@@ -434,7 +515,7 @@ fn grip_cycle_over_canopen() {
 }
 
 /// What is tested, in words.
-const SCENARIOS: [Scenario; 10] = [
+const SCENARIOS: [Scenario; 12] = [
     ("homing, grip and release, again and again", || grip_cycle(1)),
     ("no part; a grip that is over at once", no_part),
     ("a part is lost while it is held", part_lost),
@@ -445,6 +526,8 @@ const SCENARIOS: [Scenario; 10] = [
     ("a parameter changes during a motion", parameters_change),
     ("the bus is cut during a motion", bus_is_cut),
     ("a wire stops the motion of the function block", wrong_place),
+    ("a button stays pressed", buttons_that_stay),
+    ("a wire's command is refused during the motion", refused_meanwhile),
 ];
 
 #[test]
