@@ -70,13 +70,12 @@ mod tests {
         for actions in [&WIRES[..], &BUS[..]] {
             for Root { name, plant } in roots(actions) {
                 let outputs = match name {
-                    "switched on" => Outputs::ERROR,
+                    "switched on" | "link down" => Outputs::ERROR,
                     "ready" => Outputs::READY | Outputs::LINK_OK,
                     "homing" => Outputs::BUSY | Outputs::LINK_OK,
                     "homed" => IDLE,
                     "holding" => IDLE | Outputs::HOLDING,
                     "moving" | "force limit sent" | "gripping" | "jogging" => BUSY,
-                    "link down" => Outputs::empty(),
                     "FAST STOP asked for" | "FAST STOP unheard" => LOCKED | Outputs::BUSY,
                     _ => LOCKED,
                 };
