@@ -49,7 +49,7 @@ const DECIMAL: &str = "^protocol/src/gcl/decimal";
 /// What has all its tests in the crate itself, and needs no other to be built and linked each time.
 const SESSION: &str = "^protocol/src/(session|fieldbus)";
 
-const PARTS: [Part; 8] = [
+const PARTS: [Part; 9] = [
     Part {
         name: "protocol",
         package: "wsg-protocol",
@@ -86,6 +86,13 @@ const PARTS: [Part; 8] = [
         name: "canopen",
         package: "bus-canopen",
         folder: "buses/canopen/",
+        options: &[],
+        tests: &["--lib"],
+    },
+    Part {
+        name: "profibus",
+        package: "bus-profibus",
+        folder: "buses/profibus/",
         options: &[],
         tests: &["--lib"],
     },

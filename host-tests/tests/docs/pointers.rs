@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use host_tests::document::{read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 18] = [
+const DOCUMENTS: [&str; 19] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
@@ -24,6 +24,7 @@ const DOCUMENTS: [&str; 18] = [
     "buses/modbus/README.md",
     "buses/slcan/README.md",
     "buses/canopen/README.md",
+    "buses/profibus/README.md",
 ];
 
 #[test]

@@ -20,6 +20,8 @@ mod drivers;
 mod gcl;
 #[cfg(feature = "modbus")]
 mod modbus;
+#[cfg(feature = "profibus")]
+mod profibus;
 #[cfg(feature = "protocol")]
 mod protocol;
 #[cfg(any(feature = "drivers", feature = "protocol"))]
@@ -36,6 +38,8 @@ fn every_function() {
     can::every_function();
     #[cfg(feature = "can")]
     canopen::every_function();
+    #[cfg(feature = "profibus")]
+    profibus::every_function();
     #[cfg(feature = "drivers")]
     drivers::every_function();
 }

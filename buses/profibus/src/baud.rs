@@ -1,0 +1,140 @@
+//! Rates, and the search for the one that a bus has.
+
+/// The rates of PROFIBUS DP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u32)]
+#[expect(missing_docs, reason = "in kbit/s; M: Mbit/s")]
+pub enum Baud {
+    K9_6 = 9_600,
+    K19_2 = 19_200,
+    K45_45 = 45_450,
+    K93_75 = 93_750,
+    K187_5 = 187_500,
+    K500 = 500_000,
+    M1_5 = 1_500_000,
+    M3 = 3_000_000,
+    M6 = 6_000_000,
+    M12 = 12_000_000,
+}
+
+impl Baud {
+    /// All of them, the slowest first.
+    pub const ALL: [Self; 10] = [
+        Self::K9_6,
+        Self::K19_2,
+        Self::K45_45,
+        Self::K93_75,
+        Self::K187_5,
+        Self::K500,
+        Self::M1_5,
+        Self::M3,
+        Self::M6,
+        Self::M12,
+    ];
+
+    /// In bit/s.
+    #[must_use]
+    pub const fn bit_s(self) -> u32 {
+        self as u32
+    }
+
+    /// Max T_SDR, the latest that an answer may begin after the request, in bit times; the value that DP's slot times are
+    /// made for.
+    #[must_use]
+    pub const fn max_tsdr_bits(self) -> u16 {
+        match self {
+            Self::K9_6 | Self::K19_2 | Self::K45_45 | Self::K93_75 | Self::K187_5 => 60,
+            Self::K500 => 100,
+            Self::M1_5 => 150,
+            Self::M3 => 250,
+            Self::M6 => 450,
+            Self::M12 => 800,
+        }
+    }
+
+    /// How long the search listens at this rate, in milliseconds. A master polls the addresses that are not there at least
+    /// once in 100 rounds of its token, and an idle round takes below 100 bit times.
+    const fn dwell_ms(self) -> u32 {
+        const ROUNDS_BITS: u32 = 10_000;
+        const LEAST_MS: u32 = 100;
+        let rounds_ms = (ROUNDS_BITS * 1_000).div_ceil(self.bit_s());
+        LEAST_MS.saturating_add(rounds_ms)
+    }
+}
+
+/// How long a bus may be silent, or damaged, until its rate is searched again, in milliseconds.
+pub const BAUD_LOST_MS: u32 = 5_000;
+
+/// Finds the rate of a bus by listening.
+///
+/// At each rate it waits for an intact telegram that has a check sum. With one, that is the rate, until there is none for
+/// [`BAUD_LOST_MS`].
+///
+/// ```
+/// use bus_profibus::{Baud, BaudSearch};
+///
+/// // What the port can.
+/// static RATES: [Baud; 2] = [Baud::K500, Baud::M1_5];
+/// let mut search = BaudSearch::new(&RATES, 0);
+/// assert_eq!((search.baud(), search.is_found()), (Some(Baud::K500), false));
+/// // Nothing intact at 500 kbit/s, so the port is set to 1.5 Mbit/s.
+/// assert_eq!(search.poll(119, 0), None);
+/// assert_eq!(search.poll(120, 0), Some(Baud::M1_5));
+/// // `Slave::counters().telegrams` counts: this is it.
+/// assert_eq!(search.poll(121, 1), None);
+/// assert!(search.is_found());
+/// ```
+#[derive(Clone, Debug)]
+pub struct BaudSearch {
+    rates: &'static [Baud],
+    at: usize,
+    found: bool,
+    /// When the last telegram came, or the listening began.
+    since_ms: u32,
+    telegrams: u32,
+}
+
+impl BaudSearch {
+    /// A search that begins with the first of these rates.
+    #[must_use]
+    pub const fn new(rates: &'static [Baud], now_ms: u32) -> Self {
+        Self { rates, at: 0, found: false, since_ms: now_ms, telegrams: 0 }
+    }
+
+    /// The rate that the port is to have; `None` if there are none.
+    #[must_use]
+    pub fn baud(&self) -> Option<Baud> {
+        self.rates.get(self.at).copied()
+    }
+
+    /// Whether telegrams come at that rate.
+    #[must_use]
+    pub const fn is_found(&self) -> bool {
+        self.found
+    }
+
+    /// Takes notice of the time and of how many intact telegrams there were
+    /// ([`Counters::telegrams`](crate::Counters::telegrams)). Returns the rate to set the port to, when it changes.
+    pub fn poll(&mut self, now_ms: u32, telegrams: u32) -> Option<Baud> {
+        let baud = self.baud()?;
+        if core::mem::replace(&mut self.telegrams, telegrams) != telegrams {
+            self.found = true;
+            self.since_ms = now_ms;
+            return None;
+        }
+        let limit_ms = if self.found { BAUD_LOST_MS } else { baud.dwell_ms() };
+        if now_ms.wrapping_sub(self.since_ms) < limit_ms {
+            return None;
+        }
+        self.found = false;
+        self.since_ms = now_ms;
+        self.at = self.at.saturating_add(1);
+        if self.at >= self.rates.len() {
+            self.at = 0;
+        }
+        self.baud().filter(|next| *next != baud)
+    }
+}
+
+#[cfg(test)]
+mod tests;

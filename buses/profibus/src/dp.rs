@@ -1,0 +1,370 @@
+//! The DP state machine (EN 50170-2, part 8; IEC 61158-6-3): who the master is, what it may, outputs, inputs, diagnosis.
+
+mod parameters;
+
+use self::parameters::{Parameters, SetPrm};
+use crate::profile::MAX_ADDRESS;
+use crate::{Address, Cause, Event, Profile, STANDARD_DIAGNOSIS_LEN, State};
+
+/// Service access points of a slave.
+const SET_SLAVE_ADDRESS: u8 = 55;
+const RD_INP: u8 = 56;
+const RD_OUTP: u8 = 57;
+const GLOBAL_CONTROL: u8 = 58;
+const GET_CFG: u8 = 59;
+const SLAVE_DIAG: u8 = 60;
+const SET_PRM: u8 = 61;
+const CHK_CFG: u8 = 62;
+/// That of a master towards all of them.
+const MASTER: u8 = 62;
+
+/// Station_status_1.
+const STATION_NOT_READY: u8 = 1 << 1;
+const CFG_FAULT: u8 = 1 << 2;
+const EXT_DIAG: u8 = 1 << 3;
+const NOT_SUPPORTED: u8 = 1 << 4;
+const PRM_FAULT: u8 = 1 << 6;
+/// Station_status_2.
+const PRM_REQ: u8 = 1 << 0;
+const ALWAYS: u8 = 1 << 2;
+const WD_ON: u8 = 1 << 3;
+const FREEZE_MODE: u8 = 1 << 4;
+const SYNC_MODE: u8 = 1 << 5;
+/// Station_status_3.
+const EXT_DIAG_OVERFLOW: u8 = 1 << 7;
+/// Diag.Master_Add as long as there is none.
+const NO_MASTER: u8 = 0xFF;
+
+/// Control_Command of Global_Control. Where both bits of a pair are set, the one that ends the mode counts.
+const CLEAR_DATA: u8 = 1 << 1;
+const UNFREEZE: u8 = 1 << 2;
+const FREEZE: u8 = 1 << 3;
+const UNSYNC: u8 = 1 << 4;
+const SYNC: u8 = 1 << 5;
+
+/// What a request is answered with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Response {
+    /// A short acknowledgement.
+    Acknowledge,
+    /// No service activated.
+    NoService,
+    /// The inputs, or with none of them whether there is a diagnosis.
+    Exchange {
+        high_priority: bool,
+    },
+    Inputs,
+    Outputs,
+    Configuration,
+    Diagnosis([u8; STANDARD_DIAGNOSIS_LEN]),
+}
+
+/// The master that has sent parameters.
+#[derive(Clone, Copy, Debug)]
+struct Master {
+    address: u8,
+    parameters: Parameters,
+    /// When its last request came.
+    heard_ms: u32,
+    /// Whether it has sent the right configuration too.
+    configured: bool,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Dp<const O: usize, const I: usize, const D: usize> {
+    profile: &'static Profile,
+    address: Address,
+    master: Option<Master>,
+    min_tsdr_bits: u8,
+    /// Of Station_status_1: what was wrong with the last parameters or the last configuration.
+    faults: u8,
+    outputs: [u8; O],
+    /// What Data_Exchange brought last; with Sync not yet the outputs.
+    received: [u8; O],
+    is_synchronised: bool,
+    inputs: [u8; I],
+    frozen: Option<[u8; I]>,
+    diagnosis: [u8; D],
+    diagnosis_len: usize,
+    diagnosis_is_fault: bool,
+    diagnosis_overflow: bool,
+    diagnosis_announced: bool,
+}
+
+impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
+    pub(crate) const fn new(profile: &'static Profile, address: Address) -> Self {
+        Self {
+            profile,
+            address,
+            master: None,
+            min_tsdr_bits: 0,
+            faults: 0,
+            outputs: [0; O],
+            received: [0; O],
+            is_synchronised: false,
+            inputs: [0; I],
+            frozen: None,
+            diagnosis: [0; D],
+            diagnosis_len: 0,
+            diagnosis_is_fault: false,
+            diagnosis_overflow: false,
+            diagnosis_announced: false,
+        }
+    }
+
+    pub(crate) const fn address(&self) -> Address {
+        self.address
+    }
+
+    pub(crate) fn state(&self) -> State {
+        match &self.master {
+            None => State::WaitPrm,
+            Some(master) if !master.configured => State::WaitCfg,
+            Some(_) => State::DataExch,
+        }
+    }
+
+    pub(crate) fn master(&self) -> Option<u8> {
+        self.master.map(|master| master.address)
+    }
+
+    pub(crate) const fn min_tsdr_bits(&self) -> u8 {
+        self.min_tsdr_bits
+    }
+
+    pub(crate) const fn outputs(&self) -> &[u8; O] {
+        &self.outputs
+    }
+
+    pub(crate) const fn configuration(&self) -> &'static [u8] {
+        self.profile.config
+    }
+
+    /// Those that the master reads: as they are, or frozen.
+    pub(crate) fn inputs(&self) -> &[u8; I] {
+        self.frozen.as_ref().unwrap_or(&self.inputs)
+    }
+
+    pub(crate) const fn show_inputs(&mut self, inputs: &[u8; I]) {
+        self.inputs = *inputs;
+    }
+
+    /// The device's own part of the diagnosis.
+    pub(crate) fn diagnosis(&self) -> &[u8] {
+        self.diagnosis.get(..self.diagnosis_len).unwrap_or_default()
+    }
+
+    pub(crate) fn show_diagnosis(&mut self, bytes: &[u8], is_fault: bool) {
+        for (place, byte) in self.diagnosis.iter_mut().zip(bytes) {
+            *place = *byte;
+        }
+        self.diagnosis_len = bytes.len().min(D);
+        self.diagnosis_overflow = bytes.len() > D;
+        self.diagnosis_is_fault = is_fault;
+    }
+
+    pub(crate) const fn announce_diagnosis(&mut self) {
+        self.diagnosis_announced = true;
+    }
+
+    /// Whether the master was silent for longer than its watchdog allows.
+    pub(crate) fn is_expired(&self, now_ms: u32) -> bool {
+        self.master.is_some_and(|master| {
+            let silence_ms = now_ms.wrapping_sub(master.heard_ms);
+            master.parameters.watchdog_ms.is_some_and(|watchdog_ms| silence_ms > watchdog_ms)
+        })
+    }
+
+    /// A request for this station came. If it is its master's, the watchdog begins anew.
+    pub(crate) fn hear(&mut self, source: u8, now_ms: u32) {
+        if let Some(master) = self.master_if(source) {
+            master.heard_ms = now_ms;
+        }
+    }
+
+    fn master_if(&mut self, address: u8) -> Option<&mut Master> {
+        self.master.as_mut().filter(|master| master.address == address)
+    }
+
+    /// The slave is nobody's. Outputs are 0 until the next data exchange.
+    pub(crate) fn leave(&mut self, cause: Cause) -> Option<Event> {
+        let was_exchanging = self.state() == State::DataExch;
+        self.master = None;
+        self.outputs = [0; O];
+        self.received = [0; O];
+        self.is_synchronised = false;
+        self.frozen = None;
+        was_exchanging.then_some(Event::Left(cause))
+    }
+
+    /// A request that wants data: by its service access points, its source and its data.
+    pub(crate) fn serve(
+        &mut self,
+        points: (Option<u8>, Option<u8>),
+        source: u8,
+        data: &[u8],
+        now_ms: u32,
+    ) -> (Response, Option<Event>) {
+        let is_exchanging = self.state() == State::DataExch;
+        match (points, data) {
+            ((None, None), _) => self.data_exchange(source, data),
+            ((Some(SLAVE_DIAG), Some(MASTER)), []) => {
+                if self.master() == Some(source) {
+                    self.diagnosis_announced = false;
+                }
+                (Response::Diagnosis(self.standard_diagnosis()), None)
+            }
+            ((Some(SET_PRM), Some(MASTER)), _) => self.set_prm(source, data, now_ms),
+            ((Some(CHK_CFG), Some(MASTER)), _) => self.chk_cfg(source, data),
+            ((Some(GET_CFG), Some(MASTER)), []) => (Response::Configuration, None),
+            ((Some(RD_INP), Some(MASTER)), []) if is_exchanging => (Response::Inputs, None),
+            ((Some(RD_OUTP), Some(MASTER)), []) if is_exchanging => (Response::Outputs, None),
+            ((Some(SET_SLAVE_ADDRESS), Some(MASTER)), _) => self.set_slave_address(data),
+            _ => (Response::NoService, None),
+        }
+    }
+
+    fn data_exchange(&mut self, source: u8, data: &[u8]) -> (Response, Option<Event>) {
+        if self.master() != Some(source) || self.state() != State::DataExch {
+            return (Response::NoService, None);
+        }
+        let event = if let Ok(outputs) = <&[u8; O]>::try_from(data) {
+            self.received = *outputs;
+            self.take_received()
+        } else if data.is_empty() && self.profile.fail_safe {
+            Some(self.clear())
+        } else {
+            self.faults |= CFG_FAULT;
+            return (Response::NoService, self.leave(Cause::OutputLength));
+        };
+        (Response::Exchange { high_priority: self.diagnosis_announced }, event)
+    }
+
+    /// What was received becomes the outputs, unless it waits for a Sync.
+    const fn take_received(&mut self) -> Option<Event> {
+        if self.is_synchronised {
+            return None;
+        }
+        self.outputs = self.received;
+        Some(Event::Outputs)
+    }
+
+    const fn clear(&mut self) -> Event {
+        self.received = [0; O];
+        self.outputs = [0; O];
+        Event::Cleared
+    }
+
+    fn set_prm(&mut self, source: u8, data: &[u8], now_ms: u32) -> (Response, Option<Event>) {
+        if self.master().is_some_and(|master| master != source) {
+            return (Response::NoService, None);
+        }
+        let event = match SetPrm::of(data, self.profile) {
+            SetPrm::MinTsdr(bits) => {
+                self.set_min_tsdr(bits);
+                None
+            }
+            SetPrm::Unlock => self.leave(Cause::Unlocked),
+            SetPrm::Fault => {
+                self.faults = PRM_FAULT;
+                self.leave(Cause::Parameters)
+            }
+            SetPrm::NotSupported => {
+                self.faults = NOT_SUPPORTED;
+                self.leave(Cause::Parameters)
+            }
+            SetPrm::Lock(parameters) => {
+                let event = self.leave(Cause::Parameters);
+                self.faults = 0;
+                self.set_min_tsdr(parameters.min_tsdr_bits);
+                self.master =
+                    Some(Master { address: source, parameters, heard_ms: now_ms, configured: false });
+                event
+            }
+        };
+        // Whatever was wrong, the diagnosis tells.
+        (Response::Acknowledge, event)
+    }
+
+    const fn set_min_tsdr(&mut self, bits: u8) {
+        if bits != 0 {
+            self.min_tsdr_bits = bits;
+        }
+    }
+
+    fn chk_cfg(&mut self, source: u8, data: &[u8]) -> (Response, Option<Event>) {
+        let is_right = data == self.profile.config;
+        let Some(master) = self.master_if(source) else { return (Response::NoService, None) };
+        if is_right {
+            master.configured = true;
+            return (Response::Acknowledge, None);
+        }
+        self.faults = CFG_FAULT;
+        (Response::Acknowledge, self.leave(Cause::Configuration))
+    }
+
+    fn set_slave_address(&mut self, data: &[u8]) -> (Response, Option<Event>) {
+        let &[station, high, low, locked, ..] = data else { return (Response::NoService, None) };
+        let is_allowed = self.profile.set_address && !self.address.locked && self.master.is_none();
+        let is_right = u16::from_be_bytes([high, low]) == self.profile.ident && station <= MAX_ADDRESS;
+        if !is_allowed || !is_right {
+            return (Response::NoService, None);
+        }
+        self.address = Address { station, locked: locked != 0 };
+        (Response::Acknowledge, Some(Event::Address(self.address)))
+    }
+
+    /// A request that wants no answer. Global_Control is the only one that there is.
+    pub(crate) fn control(
+        &mut self,
+        points: (Option<u8>, Option<u8>),
+        source: u8,
+        data: &[u8],
+    ) -> Option<Event> {
+        let &[command, groups] = data else { return None };
+        let Master { address, parameters, configured, .. } = self.master?;
+        let is_concerned = groups == 0 || groups & parameters.group != 0;
+        let is_global_control = points == (Some(GLOBAL_CONTROL), Some(MASTER));
+        if !is_global_control || address != source || !configured || !is_concerned {
+            return None;
+        }
+        let cleared = (command & CLEAR_DATA != 0).then(|| self.clear());
+        if command & UNFREEZE != 0 {
+            self.frozen = None;
+        } else if command & FREEZE != 0 && parameters.freeze {
+            self.frozen = Some(self.inputs);
+        }
+        let released = if command & UNSYNC != 0 {
+            self.release(false)
+        } else if command & SYNC != 0 && parameters.sync {
+            self.release(true)
+        } else {
+            None
+        };
+        cleared.or(released)
+    }
+
+    /// Outputs that waited are taken; from now on they wait, or do not.
+    const fn release(&mut self, synchronised: bool) -> Option<Event> {
+        let waited = core::mem::replace(&mut self.is_synchronised, synchronised);
+        self.outputs = self.received;
+        if waited { Some(Event::Outputs) } else { None }
+    }
+
+    /// The first six bytes of the diagnosis.
+    fn standard_diagnosis(&self) -> [u8; STANDARD_DIAGNOSIS_LEN] {
+        let flag = |is_set: bool, bit: u8| if is_set { bit } else { 0 };
+        let status_1 = self.faults
+            | flag(self.state() != State::DataExch, STATION_NOT_READY)
+            | flag(self.diagnosis_is_fault, EXT_DIAG);
+        let is_watched = self.master.is_some_and(|master| master.parameters.watchdog_ms.is_some());
+        let status_2 = ALWAYS
+            | flag(self.master.is_none(), PRM_REQ)
+            | flag(is_watched, WD_ON)
+            | flag(self.frozen.is_some(), FREEZE_MODE)
+            | flag(self.is_synchronised, SYNC_MODE);
+        let status_3 = flag(self.diagnosis_overflow, EXT_DIAG_OVERFLOW);
+        let [high, low] = self.profile.ident.to_be_bytes();
+        [status_1, status_2, status_3, self.master().unwrap_or(NO_MASTER), high, low]
+    }
+}

@@ -1,0 +1,246 @@
+//! The slave on its line: telegrams in, answers out.
+
+use crate::dp::{Dp, Response};
+use crate::receiver::{Character, Counters, Receiver};
+use crate::telegram::{
+    BROADCAST, DATA_HIGH, DATA_LOW, Function, MAX_TELEGRAM_LEN, NO_SERVICE, OK, SC, SD1_LEN, Telegram, sd1,
+    write_sd2,
+};
+use crate::{Address, Cause, Event, MAX_DATA_LEN, Profile, STANDARD_DIAGNOSIS_LEN, State};
+
+/// The least min T_SDR: no answer begins earlier after its request, in bit times.
+pub const MIN_TSDR_BITS: u32 = 11;
+
+/// A telegram to send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Answer<'a> {
+    /// Its characters, which follow each other without a pause.
+    pub bytes: &'a [u8],
+    /// How long the line has to be silent before the first of them, in bit times from the end of the request: min T_SDR. The
+    /// master waits until [`Baud::max_tsdr_bits`](crate::Baud::max_tsdr_bits), at the least.
+    pub not_before_bits: u32,
+}
+
+/// What a character, or the time, has led to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outcome<'a> {
+    /// For the application.
+    pub event: Option<Event>,
+    /// For the line.
+    pub answer: Option<Answer<'a>>,
+}
+
+/// A request that may be repeated: who sent it, its frame count bit, and which service it asks for. The last is more than the
+/// standard compares; so a master that gave up a request, and goes on with the same bit, is not answered with another
+/// service's data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Cycle {
+    source: u8,
+    fcb: bool,
+    points: (Option<u8>, Option<u8>),
+}
+
+/// A DP slave with `O` bytes of outputs, `I` bytes of inputs, and up to `D` bytes of diagnosis of its own.
+///
+/// See the [crate](crate) for an example.
+#[derive(Clone, Debug)]
+pub struct Slave<const O: usize, const I: usize, const D: usize> {
+    receiver: Receiver,
+    station: Station<O, I, D>,
+}
+
+#[derive(Clone, Debug)]
+struct Station<const O: usize, const I: usize, const D: usize> {
+    dp: Dp<O, I, D>,
+    /// What `answer` answers.
+    cycle: Option<Cycle>,
+    /// The last answer to a request that may be repeated.
+    answer: [u8; MAX_TELEGRAM_LEN],
+    answer_len: usize,
+    /// Any other answer.
+    status: [u8; SD1_LEN],
+}
+
+impl<const O: usize, const I: usize, const D: usize> Slave<O, I, D> {
+    /// A slave that waits for a master. Outputs and inputs of more than 244 bytes, or a diagnosis of more than 238, do not
+    /// compile.
+    #[must_use]
+    pub const fn new(profile: &'static Profile, address: Address) -> Self {
+        const {
+            assert!(O <= MAX_DATA_LEN && I <= MAX_DATA_LEN, "outputs and inputs: 244 bytes at the most");
+            assert!(D <= MAX_DATA_LEN - STANDARD_DIAGNOSIS_LEN, "diagnosis: 238 bytes at the most");
+        }
+        Self {
+            receiver: Receiver::new(),
+            station: Station {
+                dp: Dp::new(profile, address),
+                cycle: None,
+                answer: [0; MAX_TELEGRAM_LEN],
+                answer_len: 0,
+                status: [0; SD1_LEN],
+            },
+        }
+    }
+
+    /// Takes a character, the silence before it, and the time.
+    ///
+    /// `silence_bits` is the time from the end of the character before to the start of this one, in bit times. Where silences
+    /// cannot be measured, as on a pseudo terminal, 0 inside a burst of bytes and [`SYNC_BITS`](crate::SYNC_BITS) before its
+    /// first will do.
+    pub fn push(&mut self, character: Character, silence_bits: u32, now_ms: u32) -> Option<Outcome<'_>> {
+        let Self { receiver, station } = self;
+        let telegram = receiver.push(character, silence_bits)?;
+        // What has shown that the time is over is not answered. A master sends it again.
+        if station.dp.is_expired(now_ms) {
+            return station.expire().map(|event| Outcome { event: Some(event), answer: None });
+        }
+        station.handle(&telegram, now_ms)
+    }
+
+    /// Takes notice of the time: whether the master's watchdog has expired. To be called at least as often as the application
+    /// wants to know it exactly, such as every millisecond.
+    pub fn poll(&mut self, now_ms: u32) -> Option<Event> {
+        if self.station.dp.is_expired(now_ms) { self.station.expire() } else { None }
+    }
+
+    /// How far a master has come with it.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.station.dp.state()
+    }
+
+    /// The address of its master.
+    #[must_use]
+    pub fn master(&self) -> Option<u8> {
+        self.station.dp.master()
+    }
+
+    /// Where it is found now.
+    #[must_use]
+    pub const fn address(&self) -> Address {
+        self.station.dp.address()
+    }
+
+    /// What the receiver has found so far.
+    #[must_use]
+    pub const fn counters(&self) -> Counters {
+        self.receiver.counters()
+    }
+
+    /// What the master wants; 0 until it has sent the first, after Clear, and without data exchange.
+    #[must_use]
+    pub const fn outputs(&self) -> &[u8; O] {
+        self.station.dp.outputs()
+    }
+
+    /// The inputs from now on.
+    pub const fn show_inputs(&mut self, inputs: &[u8; I]) {
+        self.station.dp.show_inputs(inputs);
+    }
+
+    /// The device's own part of the diagnosis from now on: blocks, each with its header. Of more than `D` bytes the rest is
+    /// left out, and Diag.Ext_Diag_Overflow says so. `is_fault` sets Diag.Ext_Diag; without it, the part is a status.
+    pub fn show_diagnosis(&mut self, bytes: &[u8], is_fault: bool) {
+        self.station.dp.show_diagnosis(bytes, is_fault);
+    }
+
+    /// Has the master read the diagnosis: answers have high priority until it does.
+    pub const fn announce_diagnosis(&mut self) {
+        self.station.dp.announce_diagnosis();
+    }
+}
+
+impl<const O: usize, const I: usize, const D: usize> Station<O, I, D> {
+    fn expire(&mut self) -> Option<Event> {
+        // An answer that was right in data exchange must not be repeated.
+        self.cycle = None;
+        self.dp.leave(Cause::Watchdog)
+    }
+
+    fn handle(&mut self, telegram: &Telegram<'_>, now_ms: u32) -> Option<Outcome<'_>> {
+        let &Telegram { destination, source, dsap, ssap, data, .. } = telegram;
+        let function = telegram.function()?;
+        let is_mine = destination == self.dp.address().station;
+        if source == BROADCAST {
+            return None;
+        }
+        match function {
+            Function::Sdn if is_mine || destination == BROADCAST => {
+                let event = self.dp.control((dsap, ssap), source, data)?;
+                Some(Outcome { event: Some(event), answer: None })
+            }
+            _ if !is_mine => None,
+            Function::Sdn => None,
+            Function::FdlStatus => Some(self.answer_status(source, OK)),
+            Function::Unserved => Some(self.answer_status(source, NO_SERVICE)),
+            Function::Srd => Some(self.request(telegram, now_ms)),
+        }
+    }
+
+    fn answer_status(&mut self, destination: u8, function_code: u8) -> Outcome<'_> {
+        self.status = sd1(destination, self.dp.address().station, function_code);
+        let not_before_bits = self.not_before_bits();
+        Outcome { event: None, answer: Some(Answer { bytes: &self.status, not_before_bits }) }
+    }
+
+    fn request(&mut self, telegram: &Telegram<'_>, now_ms: u32) -> Outcome<'_> {
+        let &Telegram { source, dsap, ssap, data, .. } = telegram;
+        let points = (dsap, ssap);
+        let (fcv, fcb) = (telegram.fcv(), telegram.fcb());
+        let cycle = (fcv || fcb).then_some(Cycle { source, fcb, points });
+        let mut event = None;
+        if !fcv || self.cycle != cycle {
+            let response;
+            (response, event) = self.dp.serve(points, source, data, now_ms);
+            self.cycle = cycle;
+            self.answer_len = self.write(response, telegram);
+        }
+        self.dp.hear(source, now_ms);
+        let not_before_bits = self.not_before_bits();
+        let bytes = self.answer.get(..self.answer_len).unwrap_or_default();
+        Outcome { event, answer: Some(Answer { bytes, not_before_bits }) }
+    }
+
+    fn not_before_bits(&self) -> u32 {
+        MIN_TSDR_BITS.max(self.dp.min_tsdr_bits().into())
+    }
+
+    /// Writes the answer to a request; returns its length.
+    fn write(&mut self, response: Response, request: &Telegram<'_>) -> usize {
+        let Self { dp, answer, .. } = self;
+        let (master, station) = (request.source, request.destination);
+        // Back to where the request came from.
+        let points = request.ssap.zip(request.dsap).map(|(ssap, dsap)| [ssap, dsap]);
+        let low = [master, station, DATA_LOW];
+        match response {
+            Response::Acknowledge => put(answer, &[SC]),
+            Response::NoService => put(answer, &sd1(master, station, NO_SERVICE)),
+            Response::Exchange { high_priority: false } if I == 0 => put(answer, &[SC]),
+            Response::Exchange { high_priority: true } if I == 0 => {
+                put(answer, &sd1(master, station, DATA_HIGH))
+            }
+            Response::Exchange { high_priority } => {
+                let function_code = if high_priority { DATA_HIGH } else { DATA_LOW };
+                write_sd2(answer, [master, station, function_code], None, dp.inputs().iter().copied())
+            }
+            Response::Inputs => write_sd2(answer, low, points, dp.inputs().iter().copied()),
+            Response::Outputs => write_sd2(answer, low, points, dp.outputs().iter().copied()),
+            Response::Configuration => {
+                write_sd2(answer, low, points, dp.configuration().iter().take(MAX_DATA_LEN).copied())
+            }
+            Response::Diagnosis(standard) => {
+                write_sd2(answer, low, points, standard.into_iter().chain(dp.diagnosis().iter().copied()))
+            }
+        }
+    }
+}
+
+fn put(answer: &mut [u8; MAX_TELEGRAM_LEN], bytes: &[u8]) -> usize {
+    for (place, byte) in answer.iter_mut().zip(bytes) {
+        *place = *byte;
+    }
+    bytes.len()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,17 @@
+//! A DP slave with outputs, inputs and a diagnosis, and the search for its rate.
+
+use bus_profibus::{Address, Baud, BaudSearch, Slave, identifiers_fit};
+
+use crate::{function, functions};
+
+pub(crate) fn every_function() {
+    type Station = Slave<8, 12, 10>;
+    function!(identifiers_fit);
+    functions! {
+        Station: new, push, poll, state, master, address, counters, outputs;
+        Station: show_inputs, show_diagnosis, announce_diagnosis;
+        Address: new;
+        Baud: bit_s, max_tsdr_bits;
+        BaudSearch: new, baud, is_found, poll;
+    }
+}
