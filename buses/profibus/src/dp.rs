@@ -293,6 +293,11 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
     }
 
     fn chk_cfg(&mut self, source: u8, data: &[u8]) -> (Response, Option<Event>) {
+        if self.master.is_none() {
+            // Its parameters were wrong, or their time is over. Masters go on to read the diagnosis, which says so; after a
+            // refusal public ones begin anew without.
+            return (Response::Acknowledge, None);
+        }
         let is_right = data == self.profile.config;
         let Some(master) = self.master_if(source) else { return (Response::NoService, None) };
         if is_right {

@@ -466,7 +466,8 @@ fn watchdog_ends_the_wait_for_a_configuration_too() {
     bus.now_ms += 101;
     assert_eq!(bus.ask(CHK_CFG, &CONFIG), (vec![], None), "nothing was exchanged that could end");
     assert_eq!(bus.slave.state(), State::WaitPrm);
-    assert_eq!(bus.ask(CHK_CFG, &CONFIG), (no_service(MASTER), None));
+    assert_eq!(bus.ask(CHK_CFG, &CONFIG), (SC.to_vec(), None));
+    assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF], "and wants parameters");
 }
 
 #[test]
@@ -571,7 +572,8 @@ fn set_prm_without_lock_changes_nothing_but_min_tsdr() {
 fn configuration_has_to_be_the_devices() {
     for config in [&[][..], &CONFIG[..1], &[0x11, 0xA7], &[0xA7, 0x11, 0x00], &[0xA7, 0x10]] {
         let mut bus = Bus::new(&PROFILE);
-        assert_eq!(bus.ask(CHK_CFG, &CONFIG), (no_service(MASTER), None), "before parameters");
+        assert_eq!(bus.ask(CHK_CFG, config), (SC.to_vec(), None), "before parameters");
+        assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF], "it counts for nothing");
         bus.ask(SET_PRM, &PARAMETERS);
         assert_eq!(bus.ask(CHK_CFG, config), (SC.to_vec(), None), "{config:02X?}");
         assert_eq!(bus.status(), [0x06, 0x05, 0, 0xFF], "{config:02X?}");
