@@ -8,6 +8,7 @@
 //! | [`controller`] | a command only after the edge that asks for it |
 //! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
 //! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
+//! | [`profibus`] | what the DP model says of each telegram, and no output without data exchange |
 //! | [`can`] | the reassembler finds what a reader of the whole capture finds |
 //! | [`storage`] | what is loaded was saved whole, and a save works on whatever the flash holds |
 //! | [`bridge`] | no motion without an edge, FAST STOP in time, and true outputs, whatever gripper, line, wires and Modbus bus do |
@@ -32,6 +33,7 @@ mod input;
 mod modbus;
 mod oracle;
 mod outputs;
+mod profibus;
 mod rtu_line;
 mod session;
 mod stops;
@@ -47,6 +49,7 @@ pub use frames::frames;
 pub use gcl::gcl;
 pub use generate::generated;
 pub use modbus::modbus;
+pub use profibus::profibus;
 pub use session::session;
 pub use storage::storage;
 pub use typed::typed;
@@ -109,7 +112,7 @@ impl Drop for Case {
 }
 
 /// Every body.
-pub const ALL: [Body; 10] = [
+pub const ALL: [Body; 11] = [
     Body { name: "frames", run: frames, pieces: generate::BINARY },
     Body { name: "typed", run: typed, pieces: generate::BINARY },
     Body { name: "session", run: session, pieces: generate::BINARY },
@@ -120,4 +123,5 @@ pub const ALL: [Body; 10] = [
     Body { name: "can", run: can, pieces: generate::BINARY },
     Body { name: "modbus", run: modbus, pieces: generate::BINARY },
     Body { name: "storage", run: storage, pieces: generate::STORAGE },
+    Body { name: "profibus", run: profibus, pieces: generate::PROFIBUS },
 ];

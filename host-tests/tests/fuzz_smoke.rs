@@ -60,6 +60,11 @@ fn storage_60_000_cases() {
 }
 
 #[test]
+fn profibus_60_000_cases() {
+    smoke("profibus");
+}
+
+#[test]
 fn every_committed_seed_passes() {
     let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
     for Body { name, run, .. } in fuzz_bodies::ALL {
