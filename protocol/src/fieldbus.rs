@@ -4,7 +4,8 @@
 //! (fieldbus, chapter 5). The [`Controller`] does what chapter 6 says between them. PROFIBUS masters also get a
 //! [`Diagnosis`] block.
 //!
-//! By the feature `modbus`, `Images` is both images as the coils and registers of a MODBUS server, for `bus_modbus`.
+//! By the feature `modbus`, `Images` is both images as the coils and registers of a MODBUS server, for `bus_modbus`. By the
+//! feature `profibus`, the module `profibus` is what a slave of `bus_profibus` has to be.
 
 mod controller;
 mod diagnosis;
@@ -13,6 +14,8 @@ mod incident;
 mod jog;
 #[cfg(feature = "modbus")]
 mod modbus;
+#[cfg(feature = "profibus")]
+pub mod profibus;
 #[cfg(feature = "modbus")]
 mod registers;
 

@@ -25,7 +25,7 @@ const EXT_DIAG: u8 = 1 << 3;
 const NOT_SUPPORTED: u8 = 1 << 4;
 const PRM_FAULT: u8 = 1 << 6;
 /// Station_status_2.
-const PRM_REQ: u8 = 1 << 0;
+const PRM_REQ: u8 = 1;
 const ALWAYS: u8 = 1 << 2;
 const WD_ON: u8 = 1 << 3;
 const FREEZE_MODE: u8 = 1 << 4;

@@ -65,8 +65,15 @@ impl Diagnosis {
     pub const fn to_bytes(self) -> [u8; Self::LEN] {
         let [s0, s1, s2, s3] = self.standard;
         let [i1, i0] = Self::IDENT.to_be_bytes();
-        let [y0, y1, y2, y3] = self.system.bits().to_le_bytes();
-        [s0, s1, s2, s3, i1, i0, Self::DEVICE_PART_LEN, y0, y1, y2, y3, 0, 0, 0, 0, 0]
+        let [d0, d1, d2, d3, d4, d5, d6, d7, d8, d9] = Self::device_part(self.system);
+        [s0, s1, s2, s3, i1, i0, d0, d1, d2, d3, d4, d5, d6, d7, d8, d9]
+    }
+
+    /// Bytes 6 to 15: what the device adds to the part that the bus stack makes.
+    #[must_use]
+    pub const fn device_part(system: SystemFlags) -> [u8; Self::DEVICE_PART_LEN as usize] {
+        let [y0, y1, y2, y3] = system.bits().to_le_bytes();
+        [Self::DEVICE_PART_LEN, y0, y1, y2, y3, 0, 0, 0, 0, 0]
     }
 }
 

@@ -77,7 +77,7 @@ fn fieldbus() {
     functions! {
         Controller: new, default, handle, set_output, poll_command, refused, silence, input, is_moving;
         Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions, has_refused_meanwhile, poll_incident, asks_fast_stop, ignores_motions;
-        Diagnosis: is_due, to_bytes;
+        Diagnosis: is_due, to_bytes, device_part;
         CommandFlags: lowest;
         Cause: is_fast_stop;
         ForceUnit: of, per_newton;
