@@ -2,6 +2,8 @@
 
 mod parameters;
 
+use core::ops::BitOr;
+
 use self::parameters::{Parameters, SetPrm};
 use crate::profile::MAX_ADDRESS;
 use crate::{Address, Cause, Event, Profile, STANDARD_DIAGNOSIS_LEN, State};
@@ -167,12 +169,16 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         self.diagnosis_announced = true;
     }
 
+    /// How long the master may still be silent until that is longer than its watchdog allows.
+    pub(crate) fn time_left_ms(&self, now_ms: u32) -> Option<u32> {
+        let Master { heard_ms, parameters, .. } = self.master?;
+        let silence_ms = now_ms.wrapping_sub(heard_ms);
+        Some(parameters.watchdog_ms?.saturating_add(1).saturating_sub(silence_ms))
+    }
+
     /// Whether the master was silent for longer than its watchdog allows.
     pub(crate) fn is_expired(&self, now_ms: u32) -> bool {
-        self.master.is_some_and(|master| {
-            let silence_ms = now_ms.wrapping_sub(master.heard_ms);
-            master.parameters.watchdog_ms.is_some_and(|watchdog_ms| silence_ms > watchdog_ms)
-        })
+        self.time_left_ms(now_ms) == Some(0)
     }
 
     /// A request for this station came. If it is its master's, the watchdog begins anew.
@@ -358,18 +364,26 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
 
     /// The first six bytes of the diagnosis.
     fn standard_diagnosis(&self) -> [u8; STANDARD_DIAGNOSIS_LEN] {
-        let flag = |is_set: bool, bit: u8| if is_set { bit } else { 0 };
-        let status_1 = self.faults
-            | flag(self.state() != State::DataExch, STATION_NOT_READY)
-            | flag(self.diagnosis_is_fault, EXT_DIAG);
+        let status_1 = status(&[
+            (self.faults, true),
+            (STATION_NOT_READY, self.state() != State::DataExch),
+            (EXT_DIAG, self.diagnosis_is_fault),
+        ]);
         let is_watched = self.master.is_some_and(|master| master.parameters.watchdog_ms.is_some());
-        let status_2 = ALWAYS
-            | flag(self.master.is_none(), PRM_REQ)
-            | flag(is_watched, WD_ON)
-            | flag(self.frozen.is_some(), FREEZE_MODE)
-            | flag(self.is_synchronised, SYNC_MODE);
-        let status_3 = flag(self.diagnosis_overflow, EXT_DIAG_OVERFLOW);
+        let status_2 = status(&[
+            (PRM_REQ, self.master.is_none()),
+            (ALWAYS, true),
+            (WD_ON, is_watched),
+            (FREEZE_MODE, self.frozen.is_some()),
+            (SYNC_MODE, self.is_synchronised),
+        ]);
+        let status_3 = status(&[(EXT_DIAG_OVERFLOW, self.diagnosis_overflow)]);
         let [high, low] = self.profile.ident.to_be_bytes();
         [status_1, status_2, status_3, self.master().unwrap_or(NO_MASTER), high, low]
     }
+}
+
+/// The bits that are set, together.
+fn status(bits: &[(u8, bool)]) -> u8 {
+    bits.iter().filter(|(_, is_set)| *is_set).map(|(bit, _)| *bit).fold(0, BitOr::bitor)
 }

@@ -166,3 +166,6 @@ impl fmt::Display for Identifiers {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

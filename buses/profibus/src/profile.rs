@@ -59,8 +59,9 @@ impl Address {
 /// ```
 #[must_use]
 pub const fn identifiers_fit(config: &[u8], outputs: usize, inputs: usize) -> bool {
-    const INPUT: u8 = 1 << 4;
-    const OUTPUT: u8 = 1 << 5;
+    const INPUT: u8 = 0x10;
+    const OUTPUT: u8 = 0x20;
+    const INPUT_AND_OUTPUT: u8 = 0x30;
     const WORDS: u8 = 1 << 6;
     const LENGTH: u8 = 0x0F;
     let (mut found_outputs, mut found_inputs) = (0usize, 0usize);
@@ -69,7 +70,7 @@ pub const fn identifiers_fit(config: &[u8], outputs: usize, inputs: usize) -> bo
         rest = after;
         let units = (*identifier & LENGTH) as usize;
         let bytes = units.saturating_add(1).saturating_mul(if *identifier & WORDS == 0 { 1 } else { 2 });
-        if *identifier & (INPUT | OUTPUT) == 0 {
+        if *identifier & INPUT_AND_OUTPUT == 0 {
             return false;
         }
         if *identifier & OUTPUT != 0 {

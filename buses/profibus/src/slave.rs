@@ -103,6 +103,13 @@ impl<const O: usize, const I: usize, const D: usize> Slave<O, I, D> {
         if self.station.dp.is_expired(now_ms) { self.station.expire() } else { None }
     }
 
+    /// In how many milliseconds [`poll`](Self::poll) has something to do, unless a request of the master comes before; `None`
+    /// without a watchdog.
+    #[must_use]
+    pub fn poll_timeout(&self, now_ms: u32) -> Option<u32> {
+        self.station.dp.time_left_ms(now_ms)
+    }
+
     /// How far a master has come with it.
     #[must_use]
     pub fn state(&self) -> State {

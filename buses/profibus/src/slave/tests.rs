@@ -399,12 +399,15 @@ fn watchdog_expires_past_its_time_and_not_at_it() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.exchange(OUT);
     let start_ms = bus.now_ms;
+    assert_eq!(bus.slave.poll_timeout(start_ms), Some(101));
+    assert_eq!(bus.slave.poll_timeout(start_ms + 100), Some(1));
     assert_eq!(bus.slave.poll(start_ms + 100), None);
     assert!(bus.is_out(OUT));
     assert_eq!(bus.slave.poll(start_ms + 101), Some(Event::Left(Cause::Watchdog)));
     assert!(bus.is_out(ZERO));
     assert_eq!((bus.slave.state(), bus.slave.master()), (State::WaitPrm, None));
     assert_eq!(bus.slave.poll(start_ms + 10_000), None, "once");
+    assert_eq!(bus.slave.poll_timeout(start_ms + 10_000), None);
     assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF]);
 }
 
@@ -841,4 +844,5 @@ fn identifiers_are_added_up_over_all_modules() {
     assert!(!identifiers_fit(&[0x2F, 0x51, 0x30], 17, 4));
     // The special format.
     assert!(!identifiers_fit(&[0x40, 0x00], 1, 0));
+    assert!(!identifiers_fit(&[0x00], 0, 0));
 }

@@ -8,7 +8,7 @@ pub(crate) fn every_function() {
     type Station = Slave<8, 12, 10>;
     function!(identifiers_fit);
     functions! {
-        Station: new, push, poll, state, master, address, counters, outputs;
+        Station: new, push, poll, poll_timeout, state, master, address, counters, outputs;
         Station: show_inputs, show_diagnosis, announce_diagnosis;
         Address: new;
         Baud: bit_s, max_tsdr_bits;
