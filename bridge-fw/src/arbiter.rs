@@ -69,6 +69,11 @@ impl Arbiter {
         self.bus_is_new
     }
 
+    /// Whether the wires ask for FAST STOP.
+    pub(crate) fn is_stopped_by_wires(&self) -> bool {
+        self.wires.is_some_and(|wires| wires.flags.contains(CommandFlags::FASTSTOP))
+    }
+
     /// Takes what the wires ask for. Hands the images on to the controller, in order: before a command wire's edge, one
     /// in which the bus has let go.
     pub(crate) fn take_wires(

@@ -103,13 +103,10 @@ impl Bridge {
         bus: &mut P,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
-        self.facts.events.grow_old(now);
         let has_heard = self.receive(now, link) | self.expire_half_frame(now);
         // Before what is known may be given up with the connection.
         self.controller.get_acquainted(self.session.known());
         self.tick(now);
-        self.note_incidents(false);
-        self.see_flags();
         self.facts.was_connected |= self.session.is_connected();
         self.take_wires(now, inputs, has_heard);
         if self.facts.motion_end.is_awaited() {
@@ -119,10 +116,11 @@ impl Bridge {
         self.take_bus(now, bus);
         self.forward_commands();
         self.tick(now);
-        self.note_incidents(false);
         if !core::mem::take(&mut self.gave_up) {
             self.transmit(now, link);
         }
+        // Behind what leaves: a FAST STOP does not wait for its record.
+        self.keep_record(now);
         let motion_is_open = self.session.motion_is_open();
         let image = self.facts.image(&self.controller, &self.session);
         self.follow_motion(now, &image);
@@ -274,7 +272,6 @@ impl Bridge {
                 self.controller.set_output_refusing_motions(image, known);
             }
         });
-        self.note_incidents(true);
     }
 
     /// Serves what the bus has brought. Each image reaches the controller by itself, so that no edge is lost.
@@ -290,7 +287,7 @@ impl Bridge {
                     if let Some(image) = self.arbiter.take_bus(image, self.controller.is_moving(known)) {
                         self.controller.set_output(&image, known);
                     }
-                    self.note_incidents(false);
+                    self.note_incidents();
                 }
                 PlcEvent::Configured => self.wires.configure(&self.settings),
                 PlcEvent::Left { silent } => self.lose_bus(silent),
@@ -337,15 +334,18 @@ impl Bridge {
         }
     }
 
-    /// Keeps a record of what went wrong. `by_wires`: the flags that the controller saw last were those of the wires.
-    fn note_incidents(&mut self, by_wires: bool) {
+    /// Takes what the controller has noted.
+    fn note_incidents(&mut self) {
         while let Some(incident) = self.controller.poll_incident() {
-            self.facts.events.note(incident, by_wires);
+            self.facts.events.note(incident, self.arbiter.is_stopped_by_wires());
         }
     }
 
-    /// Looks for faults that the gripper tells.
-    fn see_flags(&mut self) {
+    /// Keeps a record of what went wrong, and of the faults that the gripper tells.
+    #[inline(never)]
+    fn keep_record(&mut self, now: Instant) {
+        self.facts.events.grow_old(now);
+        self.note_incidents();
         if let Some(flags) = self.session.known().flags {
             self.facts.events.see_flags(flags, self.controller.asks_fast_stop());
         }

@@ -70,7 +70,7 @@ define_events! {
 }
 
 impl EventCode {
-    /// What the controller calls it. `by_wires`: a flag that rose was a wire's.
+    /// What the controller calls it. `by_wires`: a FASTSTOP was a wire's.
     const fn of(cause: Cause, by_wires: bool) -> Self {
         match cause {
             Cause::Flag if by_wires => Self::Wire,
@@ -168,7 +168,7 @@ impl Events {
         self.push(Entry { code, command: 0, value, age_s: 0 });
     }
 
-    /// What the controller has noted. `by_wires`: the flags that it saw last were those of the wires.
+    /// What the controller has noted. `by_wires`: the wires ask for FAST STOP, be it beside a bus.
     pub(crate) fn note(&mut self, incident: Incident, by_wires: bool) {
         let Incident { cause, command, value } = incident;
         let command = command.map_or(0, |id| id.code());

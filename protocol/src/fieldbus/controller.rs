@@ -21,8 +21,9 @@ const MOTIONS: CommandFlags =
 /// Commands that may wait to be fetched: a FAST STOP replaces all others, so one motion's two at the most.
 const OUTGOING_LEN: usize = 2;
 
-/// Incidents that may wait to be fetched: one event or image makes two at the most, a FAST STOP and what it ends.
-const INCIDENTS_LEN: usize = 2;
+/// Incidents that may wait to be fetched: one event or image makes two at the most, a FAST STOP and what it ends; and there may be
+/// two of them between two looks.
+const INCIDENTS_LEN: usize = 4;
 
 /// The register interface of a gripper, whatever carries the images.
 ///
