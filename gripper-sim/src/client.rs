@@ -6,7 +6,7 @@ use crate::fieldbus::Fieldbus;
 use crate::port::{Completion, FrameBuffer, PortCounters, PortId, PortKind, Protocol};
 use crate::time::Time;
 use crate::updates::Readings;
-use crate::{binary, gcl, modbus};
+use crate::{binary, gcl, modbus, profibus};
 
 /// A client, by what it speaks.
 #[derive(Clone, Debug)]
@@ -18,6 +18,8 @@ pub(crate) enum Client {
     Text(gcl::Client),
     /// Modbus/TCP.
     Modbus(modbus::Client),
+    /// PROFIBUS DP.
+    Profibus(profibus::Client),
 }
 
 impl Client {
@@ -26,6 +28,7 @@ impl Client {
             Protocol::Binary => Self::Binary(binary::Client::new(id, kind, config)),
             Protocol::Text => Self::Text(gcl::Client::new(id, kind, config)),
             Protocol::Modbus => Self::Modbus(modbus::Client::new(id)),
+            Protocol::Profibus => Self::Profibus(profibus::Client::new(id, config.profibus_address)),
         }
     }
 
@@ -34,6 +37,7 @@ impl Client {
             Self::Binary(client) => client.id(),
             Self::Text(client) => client.id(),
             Self::Modbus(client) => client.id(),
+            Self::Profibus(client) => client.id(),
         }
     }
 
@@ -42,15 +46,15 @@ impl Client {
         match self {
             Self::Binary(client) => client.is_missed(),
             Self::Text(client) => client.is_missed(),
-            // Masters that connect for each request are common.
-            Self::Modbus(_) => false,
+            // Masters that connect for each request are common; a bus has a watchdog.
+            Self::Modbus(_) | Self::Profibus(_) => false,
         }
     }
 
     /// Whether nothing more can be understood of what the client sends.
     pub(crate) const fn is_lost(&self) -> bool {
         match self {
-            Self::Binary(_) | Self::Text(_) => false,
+            Self::Binary(_) | Self::Text(_) | Self::Profibus(_) => false,
             Self::Modbus(client) => client.is_lost(),
         }
     }
@@ -60,6 +64,7 @@ impl Client {
             Self::Binary(client) => client.counters(),
             Self::Text(client) => client.counters(),
             Self::Modbus(client) => client.counters(),
+            Self::Profibus(client) => client.counters(),
         }
     }
 
@@ -76,6 +81,7 @@ impl Client {
             Self::Binary(client) => client.receive(device, now, bytes),
             Self::Text(client) => client.receive(device, now, bytes),
             Self::Modbus(client) => client.receive(device, fieldbus, bytes),
+            Self::Profibus(client) => client.receive(device, fieldbus, now, bytes),
         }
     }
 
@@ -87,16 +93,17 @@ impl Client {
                 false
             }
             Self::Text(client) => client.pause(device, now),
-            Self::Modbus(_) => false,
+            Self::Modbus(_) | Self::Profibus(_) => false,
         }
     }
 
-    /// Ends the wait for the rest of a frame if its time is over; returns whether anything happened. Call until nothing
+    /// Ends the wait for the rest of a frame, or for a master, if its time is over; returns whether anything happened. Call until nothing
     /// does.
-    pub(crate) fn expire(&mut self, device: &mut Device, now: Time) -> bool {
+    pub(crate) fn expire(&mut self, device: &mut Device, fieldbus: &mut Fieldbus, now: Time) -> bool {
         match self {
             Self::Binary(client) => client.expire(device, now),
             Self::Text(_) | Self::Modbus(_) => false,
+            Self::Profibus(client) => client.expire(device, fieldbus, now),
         }
     }
 
@@ -105,6 +112,7 @@ impl Client {
             Self::Binary(client) => client.next_due(now),
             Self::Text(client) => client.next_due(now),
             Self::Modbus(_) => None,
+            Self::Profibus(client) => client.next_due(now),
         }
     }
 
@@ -113,7 +121,7 @@ impl Client {
         match self {
             Self::Binary(client) => client.complete(done),
             Self::Text(client) => client.complete(done),
-            Self::Modbus(_) => {}
+            Self::Modbus(_) | Self::Profibus(_) => {}
         }
     }
 
@@ -122,7 +130,7 @@ impl Client {
         match self {
             Self::Binary(client) => client.publish(now, readings),
             Self::Text(client) => client.publish(now, readings),
-            Self::Modbus(_) => {}
+            Self::Modbus(_) | Self::Profibus(_) => {}
         }
     }
 
@@ -131,6 +139,7 @@ impl Client {
             Self::Binary(client) => client.has_frame(),
             Self::Text(client) => client.has_line(),
             Self::Modbus(client) => client.has_frame(),
+            Self::Profibus(client) => client.has_frame(),
         }
     }
 
@@ -140,6 +149,7 @@ impl Client {
             Self::Binary(client) => client.next_frame(buffer),
             Self::Text(client) => client.next_line(buffer),
             Self::Modbus(client) => client.next_frame(buffer),
+            Self::Profibus(client) => client.next_frame(buffer),
         }
     }
 }

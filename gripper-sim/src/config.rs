@@ -45,6 +45,8 @@ pub struct Config {
     /// Whether the two bytes of each number in the Modbus registers change places, for a PLC that takes "low byte first"
     /// (fieldbus, 4) by the letter; flags stay.
     pub modbus_swap_bytes: bool,
+    /// The address on PROFIBUS, 0 to 125 (fieldbus, 2.2).
+    pub profibus_address: u8,
     /// After how many milliseconds without a further byte half a frame is dropped.
     pub frame_timeout_ms: u16,
 }
@@ -72,6 +74,7 @@ impl Default for Config {
             clamping_travel: 5.0,
             part_width_tolerance: 5.0,
             modbus_swap_bytes: false,
+            profibus_address: wsg_protocol::fieldbus::profibus::ADDRESS.station,
             frame_timeout_ms: 500,
         }
     }

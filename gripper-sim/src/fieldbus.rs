@@ -11,7 +11,7 @@ use crate::device::Device;
 use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
 use bus_modbus::{Bits, Exception, Identification, MAX_PDU_LEN, Words};
-use wsg_protocol::fieldbus::{Controller, Images, SilenceReaction};
+use wsg_protocol::fieldbus::{Controller, Images, InputImage, OutputImage, SilenceReaction};
 use wsg_protocol::session::{Event, Known};
 use wsg_protocol::{Reply, Status, Value};
 
@@ -67,6 +67,24 @@ impl Fieldbus {
             self.in_use = true;
         }
         len
+    }
+
+    /// What a master reads now.
+    pub(crate) fn input(&self, device: &Device) -> InputImage {
+        self.controller.input(&known(device))
+    }
+
+    /// Takes an image that this client wrote as a whole. What it leads to is due at the next [`follow`](Self::follow). A motion
+    /// whose flag rises in it begins only if `may_begin`.
+    pub(crate) fn write(&mut self, device: &Device, client: PortId, image: &OutputImage, may_begin: bool) {
+        let known = known(device);
+        if may_begin {
+            self.controller.set_output(image, &known);
+        } else {
+            self.controller.set_output_refusing_motions(image, &known);
+        }
+        self.writer = Some(client);
+        self.in_use = true;
     }
 
     /// A client is gone. If it was the one that commands, a jog ends: nobody holds its button any more. What else runs

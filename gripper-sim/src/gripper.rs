@@ -118,7 +118,8 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.settle();
     }
 
-    /// Takes bytes from the client: frames, lines of the text protocol, or frames of Modbus/TCP, as its kind is.
+    /// Takes bytes from the client: frames, lines of the text protocol, frames of Modbus/TCP, or telegrams of PROFIBUS, as its
+    /// kind is.
     ///
     /// All are taken at once. What they ask for is answered as long as the queue of frames has room, so empty it by
     /// [`transmit`](Self::transmit) every few hundred bytes.
@@ -253,13 +254,13 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
     }
 
-    /// Ends the wait for half frames whose time is over. What they held may hold whole frames.
+    /// Ends the wait for half frames, and for masters, whose time is over. What they held may hold whole frames.
     fn expire_half_frames(&mut self) {
         for index in 0..PORTS {
             loop {
-                let Self { device, clients, now, .. } = self;
+                let Self { device, fieldbus, clients, now, .. } = self;
                 let Some(Some(client)) = clients.get_mut(index) else { break };
-                if !client.expire(device, *now) {
+                if !client.expire(device, fieldbus, *now) {
                     break;
                 }
                 self.settle();

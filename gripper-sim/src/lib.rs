@@ -14,7 +14,7 @@
 //! | `device` | the manual: states, flags and commands |
 //! | `updates`, `deframer`, `binary` | the binary protocol: its connections, and what clients make of the manual's rules |
 //! | `gcl` | the text protocol: its connections and requests |
-//! | `fieldbus`, `modbus` | the registers and their rules; Modbus/TCP, which carries them |
+//! | `fieldbus`, `modbus`, `profibus` | the registers and their rules; Modbus/TCP and PROFIBUS, which carry them |
 //! | `client` | a client, whatever it speaks |
 //! | `gripper` | the contract with the caller |
 //! | `server` | TCP, UDP, serial lines (feature `std`) |
@@ -41,6 +41,7 @@ mod modbus;
 mod model;
 mod motion;
 mod port;
+mod profibus;
 #[cfg(feature = "std")]
 pub mod server;
 mod settings;

@@ -30,6 +30,8 @@ pub enum PortKind {
     GclUdp,
     /// Modbus/TCP.
     ModbusTcp,
+    /// PROFIBUS DP, over a line that shows no silence between characters; a pause of some milliseconds is one.
+    Profibus,
 }
 
 impl PortKind {
@@ -49,6 +51,7 @@ impl PortKind {
             Self::Tcp | Self::Udp | Self::Serial | Self::Can => Protocol::Binary,
             Self::GclTcp | Self::GclUdp => Protocol::Text,
             Self::ModbusTcp => Protocol::Modbus,
+            Self::Profibus => Protocol::Profibus,
         }
     }
 }
@@ -62,6 +65,8 @@ pub(crate) enum Protocol {
     Text,
     /// Modbus/TCP.
     Modbus,
+    /// PROFIBUS DP.
+    Profibus,
 }
 
 impl core::fmt::Display for PortKind {
@@ -74,6 +79,7 @@ impl core::fmt::Display for PortKind {
             Self::GclTcp => "gcl-tcp",
             Self::GclUdp => "gcl-udp",
             Self::ModbusTcp => "modbus",
+            Self::Profibus => "profibus",
         })
     }
 }

@@ -64,6 +64,7 @@ pub struct Server {
     gcl: Option<TcpListener>,
     gcl_udp: Option<UdpSocket>,
     modbus: Option<TcpListener>,
+    profibus: Option<SerialPort>,
     control: Option<(TcpListener, Vec<String>)>,
 }
 
@@ -89,10 +90,11 @@ impl Server {
             None => None,
         };
         let modbus = listen(lines.modbus, "Modbus/TCP").await?;
+        let profibus = lines.profibus.as_ref().map(SerialPort::open).transpose()?;
         let control = listen(lines.control, "the control interface").await?;
         let control = control.map(|listener| (listener, lines.control_hosts.clone()));
         let hub = Rc::new(Hub::new(config, lines.seed, log));
-        Ok(Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, control })
+        Ok(Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, control })
     }
 
     /// The address that TCP listens on.
@@ -137,6 +139,12 @@ impl Server {
         self.modbus.as_ref()?.local_addr().ok()
     }
 
+    /// What a PROFIBUS master opens.
+    #[must_use]
+    pub fn profibus_path(&self) -> Option<&Path> {
+        self.profibus.as_ref().map(SerialPort::path)
+    }
+
     /// The address that the control interface listens on.
     #[must_use]
     pub fn control_address(&self) -> Option<SocketAddr> {
@@ -148,7 +156,7 @@ impl Server {
     /// # Errors
     /// That of the line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
-        let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, control } = self;
+        let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, control } = self;
         let local = LocalSet::new();
         local
             .run_until(async move {
@@ -180,6 +188,9 @@ impl Server {
                 }
                 if let Some(listener) = modbus {
                     tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::ModbusTcp));
+                }
+                if let Some(port) = profibus {
+                    tasks.spawn_local(port.serve(Rc::clone(&hub), Carried::Profibus));
                 }
                 if let Some((listener, hosts)) = control {
                     tasks.spawn_local(control::serve(hub, listener, hosts));

@@ -35,8 +35,9 @@ const EXTENSION: u8 = 0x80;
 pub(crate) const BROADCAST: u8 = 127;
 
 /// Bits of the function code of a request.
-const CLOCK: u8 = 1 << 7;
-const REQUEST: u8 = 1 << 6;
+const REQUEST: u8 = 0x40;
+/// With the bit of clock synchronisation, which is no request.
+const REQUEST_MASK: u8 = 0xC0;
 const FCB: u8 = 1 << 5;
 const FCV: u8 = 1 << 4;
 
@@ -91,7 +92,7 @@ impl<'a> Telegram<'a> {
 
     /// Whether it is a request, and which; `None` for answers, clock synchronisation and reserved codes.
     pub(crate) const fn function(&self) -> Option<Function> {
-        if self.function_code & (CLOCK | REQUEST) != REQUEST {
+        if self.function_code & REQUEST_MASK != REQUEST {
             return None;
         }
         match self.function_code & 0x0F {

@@ -21,6 +21,8 @@ pub struct Lines {
     pub gcl_udp: Option<SocketAddr>,
     /// Modbus/TCP: the address to listen on; port 502 on the real one.
     pub modbus: Option<SocketAddr>,
+    /// PROFIBUS DP over a serial line; a device is set to 115200 8N1, which no real bus has.
+    pub profibus: Option<SerialLine>,
     /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
     /// what a hand beside it can, so keep it on the loopback interface.
     pub control: Option<SocketAddr>,

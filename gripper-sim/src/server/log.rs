@@ -30,7 +30,8 @@ const CHECKSUM_LEN: usize = 2;
 /// 12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 D3 5A  22h Stop
 /// ```
 ///
-/// `->` goes to the gripper, `<-` comes from it. What is spoken in GCL is shown as it is, and Modbus/TCP with its header.
+/// `->` goes to the gripper, `<-` comes from it. What is spoken in GCL is shown as it is, Modbus/TCP with its header, and
+/// PROFIBUS as bytes, as they come.
 pub struct Log {
     output: Output,
     clients: HashMap<PortId, Client>,
@@ -49,6 +50,8 @@ enum Requests {
     Lines(Vec<u8>),
     /// Of Modbus/TCP.
     Registers(Box<Receiver>),
+    /// Of PROFIBUS: bytes as they come.
+    Telegrams,
 }
 
 /// Gives lines their form.
@@ -100,6 +103,7 @@ impl Log {
             }
             Protocol::Text => Requests::Lines(Vec::new()),
             Protocol::Modbus => Requests::Registers(Box::default()),
+            Protocol::Profibus => Requests::Telegrams,
         };
         self.clients.insert(id, Client { name, is_datagram: kind.is_datagram(), requests });
     }
@@ -147,6 +151,7 @@ impl Log {
                     }
                 }
             }
+            Requests::Telegrams => output.bytes(now, Direction::ToGripper, &client.name, bytes),
         }
     }
 
@@ -168,6 +173,7 @@ impl Log {
         match requests {
             Some(Requests::Lines(_)) => output.line(now, direction, line, bytes),
             Some(Requests::Registers(_)) => output.modbus(now, direction, line, bytes),
+            Some(Requests::Telegrams) => output.bytes(now, direction, line, bytes),
             Some(Requests::Frames(_)) | None => output.frame(now, direction, line, bytes),
         }
     }
@@ -206,6 +212,10 @@ impl Output {
     fn line(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
         let text = bytes.trim_ascii_end().escape_ascii();
         self.write(format_args!("{now} {line} {} {text}\n", direction.arrow()));
+    }
+
+    fn bytes(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
+        self.write(format_args!("{now} {line} {} {}\n", direction.arrow(), hex(bytes).trim_end()));
     }
 
     fn modbus_event(&mut self, now: Time, line: &str, event: tcp::Event<'_>) {

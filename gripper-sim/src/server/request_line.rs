@@ -155,6 +155,15 @@ fn cut(protocol: Protocol, bytes: &[u8]) -> Cut {
             }
             len
         }
+        Protocol::Profibus => match *bytes {
+            [0xE5, ..] => 1,
+            [0xDC, ..] => 3,
+            [0x10, ..] => 6,
+            [0xA2, ..] => 14,
+            [0x68, len, ..] => usize::from(len) + 6,
+            [0x68] => return Cut::Part,
+            _ => return Cut::Other(bytes.len()),
+        },
     };
     if len <= bytes.len() { Cut::Frame(len) } else { Cut::Part }
 }

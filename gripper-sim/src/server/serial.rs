@@ -118,6 +118,8 @@ pub(super) enum Carried {
     Bytes,
     /// CAN frames by SLCAN.
     Slcan(Identifiers, slcan::Side),
+    /// Telegrams of PROFIBUS DP.
+    Profibus,
 }
 
 impl Carried {
@@ -125,6 +127,7 @@ impl Carried {
         match self {
             Self::Bytes => PortKind::Serial,
             Self::Slcan(..) => PortKind::Can,
+            Self::Profibus => PortKind::Profibus,
         }
     }
 
@@ -135,7 +138,7 @@ impl Carried {
         writer: impl AsyncWrite + Unpin,
     ) -> io::Result<()> {
         match self {
-            Self::Bytes => stream::serve(client, reader, writer, Pace::OfTheLine).await,
+            Self::Bytes | Self::Profibus => stream::serve(client, reader, writer, Pace::OfTheLine).await,
             Self::Slcan(identifiers, side) => slcan::serve(client, reader, writer, identifiers, side).await,
         }
     }

@@ -46,6 +46,7 @@ struct Addresses {
     gcl: Option<SocketAddr>,
     gcl_udp: Option<SocketAddr>,
     modbus: Option<SocketAddr>,
+    profibus: Option<PathBuf>,
     control: Option<SocketAddr>,
 }
 
@@ -71,6 +72,7 @@ impl ServerThread {
                     gcl: server.gcl_address(),
                     gcl_udp: server.gcl_udp_address(),
                     modbus: server.modbus_address(),
+                    profibus: server.profibus_path().map(Path::to_owned),
                     control: server.control_address(),
                 });
                 let end = async {
@@ -128,6 +130,12 @@ impl ServerThread {
     #[must_use]
     pub const fn modbus_address(&self) -> Option<SocketAddr> {
         self.addresses.modbus
+    }
+
+    /// What a PROFIBUS master opens.
+    #[must_use]
+    pub fn profibus_path(&self) -> Option<&Path> {
+        self.addresses.profibus.as_deref()
     }
 
     /// The address that the control interface listens on.

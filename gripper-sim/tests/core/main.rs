@@ -7,5 +7,6 @@ mod fieldbus;
 mod gcl;
 mod gcl_session;
 mod motion;
+mod profibus;
 mod settings;
 mod updates;

@@ -3,8 +3,8 @@
 use crate::Profile;
 
 /// Station_status, the first byte.
-const LOCK: u8 = 1 << 7;
 const UNLOCK: u8 = 1 << 6;
+const LOCK_AND_UNLOCK: u8 = 0xC0;
 const SYNC: u8 = 1 << 5;
 const FREEZE: u8 = 1 << 4;
 const WATCHDOG: u8 = 1 << 3;
@@ -47,7 +47,7 @@ impl SetPrm {
         let &[status, factor_1, factor_2, min_tsdr_bits, high, low, group, ref user @ ..] = data else {
             return Self::Fault;
         };
-        if status & (LOCK | UNLOCK) == 0 {
+        if status & LOCK_AND_UNLOCK == 0 {
             return Self::MinTsdr(min_tsdr_bits);
         }
         if u16::from_be_bytes([high, low]) != profile.ident {

@@ -72,6 +72,9 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
     if let Some(address) = server.modbus_address() {
         writeln!(out, "modbus {address}")?;
     }
+    if let Some(path) = server.profibus_path() {
+        writeln!(out, "profibus {}", path.display())?;
+    }
     if let Some(address) = server.control_address() {
         writeln!(out, "control {address}")?;
     }

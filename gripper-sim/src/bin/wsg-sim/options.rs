@@ -30,6 +30,8 @@ Lines (without any: --tcp 127.0.0.1:1000)
   --gcl-udp ADDR           listen for the text protocol over UDP on ADDR, and answer to the port that asked
   --modbus ADDR            listen for Modbus/TCP on ADDR, such as 127.0.0.1:1502 (port 502 on the real gripper)
   --modbus-swap-bytes      low byte first in the numbers of the Modbus registers
+  --profibus LINE          PROFIBUS DP slave, with LINE as for --serial; docs/WSGB5555.gsd describes it to a master
+  --profibus-address N     the slave's address, 0 to 125 (default 7)
   --no-checksum-check      take frames whatever their checksum
   --answer-bad-checksum    answer E_CHECKSUM_ERROR to a wrong checksum (otherwise: silence)
   --no-disconnect-error    no FAST STOP when a TCP connection ends unannounced
@@ -90,6 +92,7 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     let mut udp_address: Option<SocketAddr> = None;
     let mut udp_remote_port = None;
     let (mut can_bus, mut can_id) = (None, None);
+    let mut profibus_address = None;
     while let Some(argument) = parser.next()? {
         let Arg::Long(name) = argument else {
             return Err(anyhow!(argument.unexpected()).context("expected options as --help lists them"));
@@ -119,6 +122,13 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
             "gcl-udp" => lines.gcl_udp = Some(value(&mut parser, &name, ADDRESS, parsed)?),
             "modbus" => lines.modbus = Some(value(&mut parser, &name, ADDRESS, parsed)?),
             "modbus-swap-bytes" => config.modbus_swap_bytes = true,
+            "profibus" => {
+                lines.profibus =
+                    Some(value(&mut parser, &name, "pty, unix:PATH or a device's path", serial)?);
+            }
+            "profibus-address" => {
+                profibus_address = Some(value(&mut parser, &name, "an address from 0 to 125", station)?);
+            }
             "no-checksum-check" => config.check_checksum = false,
             "answer-bad-checksum" => config.answer_bad_checksum = true,
             "no-disconnect-error" => config.disconnect_error = false,
@@ -182,12 +192,19 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     if config.modbus_swap_bytes && lines.modbus.is_none() {
         bail!("--modbus-swap-bytes is of no use without --modbus ADDR");
     }
+    if let Some(address) = profibus_address {
+        if lines.profibus.is_none() {
+            bail!("--profibus-address is of no use without --profibus LINE");
+        }
+        config.profibus_address = address;
+    }
     if !lines.control_hosts.is_empty() && lines.control.is_none() {
         bail!("--control-host is of no use without --control ADDR");
     }
-    let Lines { tcp, udp, serial, can, gcl, gcl_udp, modbus, .. } = &lines;
+    let Lines { tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, .. } = &lines;
     let has_address = [tcp, gcl, gcl_udp, modbus].into_iter().any(Option::is_some);
-    if !has_address && udp.is_none() && serial.is_none() && can.is_none() {
+    let has_line = serial.is_some() || profibus.is_some();
+    if !has_address && !has_line && udp.is_none() && can.is_none() {
         lines.tcp = Some(DEFAULT_TCP);
     }
     Ok(Request::Serve(Box::new(Options { config, lines, log })))
@@ -219,6 +236,10 @@ fn parsed<T: FromStr>(text: &str) -> Option<T> {
 
 fn port(text: &str) -> Option<u16> {
     parsed(text).filter(|port| *port != 0)
+}
+
+fn station(text: &str) -> Option<u8> {
+    parsed(text).filter(|address| *address <= 125)
 }
 
 /// Where the control interface listens; a port alone never leads beyond this machine.
@@ -322,6 +343,14 @@ mod tests {
     }
 
     #[test]
+    fn profibus_replaces_the_default_line() {
+        let options = options_of("--profibus pty --profibus-address 12");
+        assert_eq!(options.lines, Lines { profibus: Some(SerialLine::Pty), ..Lines::default() });
+        assert_eq!(options.config.profibus_address, 12);
+        assert_eq!(options_of("--profibus pty").config.profibus_address, 7);
+    }
+
+    #[test]
     fn text_protocol_replaces_the_default_line() {
         let lines = options_of("--gcl 127.0.0.1:1001 --gcl-udp 127.0.0.1:1501").lines;
         assert_eq!((lines.tcp, lines.udp), (None, None));
@@ -408,6 +437,9 @@ mod tests {
             (&["--can", ""], "--can \"\"", "can0"),
             (&["--modbus", "502"], "--modbus \"502\"", "127.0.0.1:1000"),
             (&["--modbus-swap-bytes"], "--modbus-swap-bytes", "--modbus ADDR"),
+            (&["--profibus", "unix:"], "--profibus \"unix:\"", "unix:PATH"),
+            (&["--profibus", "pty", "--profibus-address", "126"], "--profibus-address \"126\"", "125"),
+            (&["--profibus-address", "9"], "--profibus-address", "--profibus LINE"),
             (&["--fast"], "--fast", "--help"),
             (&["stray"], "stray", "--help"),
         ] {

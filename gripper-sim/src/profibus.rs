@@ -1,0 +1,150 @@
+//! A PROFIBUS master's line: characters in, telegrams out. The slave is `bus_profibus`'s; what the images do is in `fieldbus`.
+
+use crate::device::Device;
+use crate::fieldbus::Fieldbus;
+use crate::port::{FrameBuffer, PortCounters, PortId};
+use crate::time::Time;
+use bus_profibus::{Address, Character, Event, SYNC_BITS};
+use heapless::Vec;
+use wsg_protocol::fieldbus::profibus::{PROFILE, Slave};
+use wsg_protocol::fieldbus::{Diagnosis, OutputImage};
+use wsg_protocol::{FrameCounters, SystemFlags};
+
+/// The longest telegram.
+const MAX_TELEGRAM_LEN: usize = 255;
+
+/// A pause of this length counts as silence. Silences of bit times show on no pseudo terminal; a master's slot time is longer
+/// there.
+const SILENCE_MICROS: u64 = 5_000;
+
+/// The slave on one line.
+#[derive(Clone, Debug)]
+pub(crate) struct Client {
+    id: PortId,
+    slave: Slave,
+    /// When the last bytes came.
+    heard: Option<Time>,
+    /// The last answer, until the line takes it.
+    answer: Vec<u8, MAX_TELEGRAM_LEN>,
+    /// The flags that the master was last told of.
+    told: SystemFlags,
+    /// Whether outputs have come since data exchange began: before, a flag that is set is no edge.
+    has_outputs: bool,
+    replies_lost: u32,
+}
+
+impl Client {
+    pub(crate) const fn new(id: PortId, station: u8) -> Self {
+        Self {
+            id,
+            slave: Slave::new(&PROFILE, Address::new(station)),
+            heard: None,
+            answer: Vec::new(),
+            told: SystemFlags::empty(),
+            has_outputs: false,
+            replies_lost: 0,
+        }
+    }
+
+    pub(crate) const fn id(&self) -> PortId {
+        self.id
+    }
+
+    pub(crate) fn counters(&self) -> PortCounters {
+        let damaged = u16::try_from(self.slave.counters().damaged).unwrap_or(u16::MAX);
+        PortCounters {
+            parser: FrameCounters { dropped: 0, bad_checksum: damaged, oversize: 0 },
+            updates_lost: 0,
+            replies_lost: self.replies_lost,
+        }
+    }
+
+    /// Takes bytes up to the first telegram that is for this slave; returns how many, and whether there was one.
+    pub(crate) fn receive(
+        &mut self,
+        device: &Device,
+        fieldbus: &mut Fieldbus,
+        now: Time,
+        bytes: &[u8],
+    ) -> (usize, bool) {
+        self.show(device, fieldbus);
+        let heard = self.heard.replace(now);
+        let is_silent = heard.is_none_or(|heard| now >= heard.plus_micros(SILENCE_MICROS));
+        let mut silence_bits = if is_silent { SYNC_BITS } else { 0 };
+        for (at, byte) in bytes.iter().enumerate() {
+            let outcome = self.slave.push(Character::Byte(*byte), silence_bits, millis(now));
+            silence_bits = 0;
+            let Some(outcome) = outcome else { continue };
+            let event = outcome.event;
+            if let Some(answer) = outcome.answer {
+                if !self.answer.is_empty() {
+                    self.replies_lost = self.replies_lost.saturating_add(1);
+                }
+                self.answer.clear();
+                // The longest telegram has room.
+                let _ = self.answer.extend_from_slice(answer.bytes);
+            }
+            if let Some(event) = event {
+                self.handle(device, fieldbus, event);
+            }
+            return (at.saturating_add(1), true);
+        }
+        (bytes.len(), false)
+    }
+
+    /// The master's watchdog; whether it has expired.
+    pub(crate) fn expire(&mut self, device: &Device, fieldbus: &mut Fieldbus, now: Time) -> bool {
+        let Some(event) = self.slave.poll(millis(now)) else { return false };
+        self.handle(device, fieldbus, event);
+        true
+    }
+
+    pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
+        let left_ms = self.slave.poll_timeout(millis(now))?;
+        Some(Time::from_millis(now.as_micros() / 1_000).plus_millis(left_ms.into()))
+    }
+
+    pub(crate) fn has_frame(&self) -> bool {
+        !self.answer.is_empty()
+    }
+
+    pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let place = buffer.get_mut(..self.answer.len()).filter(|place| !place.is_empty())?;
+        place.copy_from_slice(&self.answer);
+        self.answer.clear();
+        Some(place)
+    }
+
+    /// Inputs and diagnosis as they are now.
+    fn show(&mut self, device: &Device, fieldbus: &Fieldbus) {
+        let flags = device.flags();
+        self.slave.show_inputs(&fieldbus.input(device).to_bytes());
+        self.slave.show_diagnosis(&Diagnosis::device_part(flags), flags.intersects(Diagnosis::TRIGGERS));
+        if Diagnosis::is_due(self.told, flags) {
+            self.slave.announce_diagnosis();
+        }
+        self.told = flags;
+    }
+
+    fn handle(&mut self, device: &Device, fieldbus: &mut Fieldbus, event: Event) {
+        match event {
+            Event::Outputs => {
+                let image = OutputImage::from_bytes(*self.slave.outputs());
+                let may_begin = core::mem::replace(&mut self.has_outputs, true);
+                fieldbus.write(device, self.id, &image, may_begin);
+            }
+            // Nobody commands; what runs goes on, and a jog ends.
+            Event::Cleared | Event::Left(_) => {
+                self.has_outputs = false;
+                fieldbus.leave(device, self.id);
+            }
+            // The profile lets no master change it.
+            Event::Address(_) => {}
+        }
+    }
+}
+
+/// The slave's clock, which may wrap.
+const fn millis(now: Time) -> u32 {
+    (now.as_micros() / 1_000) as u32
+}

@@ -1,0 +1,192 @@
+//! A PROFIBUS master at the virtual gripper, telegram by telegram, in virtual time.
+
+use wsg_protocol::fieldbus::{
+    CommandFlags as Flag, Diagnosis, GripperFlags as Shown, InputImage, OutputImage,
+};
+use wsg_protocol::{Status, SystemFlags};
+use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
+
+const STATION: u8 = 7;
+const MASTER: u8 = 2;
+const SC: [u8; 1] = [0xE5];
+const NOTHING: [u8; 0] = [];
+/// The watchdog that the master asks for.
+const WATCHDOG_MS: u64 = 200;
+
+const PARAMETERS: OutputImage =
+    OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
+
+/// A master at a gripper, and the time.
+struct Master {
+    gripper: VirtualGripper,
+    port: PortId,
+    image: OutputImage,
+    fcb: bool,
+    now: Time,
+}
+
+fn sum(body: &[u8]) -> u8 {
+    body.iter().fold(0, |sum, byte| sum.wrapping_add(*byte))
+}
+
+fn sd2(body: &[u8]) -> Vec<u8> {
+    let len = body.len() as u8;
+    [&[0x68, len, len, 0x68], body, &[sum(body), 0x16]].concat()
+}
+
+impl Master {
+    /// The gripper is just switched on.
+    fn new(config: Config) -> Self {
+        let mut gripper = VirtualGripper::new(config);
+        let port = gripper.connect(PortKind::Profibus).expect("a port is free");
+        Self { gripper, port, image: PARAMETERS, fcb: false, now: Time::ZERO }
+    }
+
+    /// In data exchange; the PLC has written its parameters, all flags 0.
+    fn exchanging(config: Config) -> Self {
+        let mut master = Self::new(config);
+        master.start();
+        master.exchange();
+        master
+    }
+
+    fn homed(part: Option<Part>) -> Self {
+        let mut master = Self::exchanging(Config { part, ..Config::default() });
+        master.set(Flag::HOMING);
+        master.wait(4_000);
+        master.set(Flag::empty());
+        assert_eq!(master.shows(), (Shown::IDLE, Status::Success));
+        master
+    }
+
+    fn start(&mut self) {
+        assert_eq!(self.service(61, &[0x88, 1, 20, 11, 0x55, 0x55, 0]), SC);
+        assert_eq!(self.service(62, &[0xA7, 0x9B]), SC);
+    }
+
+    /// The answer to bytes; empty if there is none.
+    fn send(&mut self, bytes: &[u8]) -> Vec<u8> {
+        self.gripper.receive(self.port, self.now, bytes);
+        let mut buffer = [0; MAX_FRAME_LEN];
+        let answer = self.gripper.transmit(self.port, &mut buffer).map(<[u8]>::to_vec);
+        assert_eq!(self.gripper.transmit(self.port, &mut buffer), None);
+        answer.unwrap_or_default()
+    }
+
+    /// The function code of a new request.
+    fn next(&mut self) -> u8 {
+        self.fcb = !self.fcb;
+        if self.fcb { 0x7D } else { 0x5D }
+    }
+
+    fn service(&mut self, point: u8, data: &[u8]) -> Vec<u8> {
+        let head = [STATION | 0x80, MASTER | 0x80, self.next(), point, 62];
+        self.send(&sd2(&[&head[..], data].concat()))
+    }
+
+    /// Data_Exchange as SD3; the answer's function code and the inputs.
+    fn exchange(&mut self) -> (u8, InputImage) {
+        let body = [&[STATION, MASTER, self.next()][..], &self.image.to_bytes()].concat();
+        let answer = self.send(&[&[0xA2], &body[..], &[sum(&body), 0x16]].concat());
+        assert_eq!(answer[..6], [0x68, 15, 15, 0x68, MASTER, STATION], "{answer:02X?}");
+        (answer[6], InputImage::from_bytes(answer[7..19].try_into().unwrap()))
+    }
+
+    fn set(&mut self, flags: Flag) {
+        self.image.flags = flags;
+        self.exchange();
+    }
+
+    /// What a further exchange of the same image shows.
+    fn shows(&mut self) -> (Shown, Status) {
+        let (_, input) = self.exchange();
+        (input.state, input.status)
+    }
+
+    /// Exchanges all the time, as a bus does.
+    fn wait(&mut self, millis: u64) {
+        let end = self.now.plus_millis(millis);
+        while self.now < end {
+            self.now = self.now.plus_millis(10);
+            self.exchange();
+        }
+    }
+
+    fn fall_silent(&mut self, millis: u64) {
+        self.now = self.now.plus_millis(millis);
+        self.gripper.advance(self.now);
+    }
+}
+
+#[test]
+fn part_is_gripped_and_released_over_profibus() {
+    let mut master = Master::homed(Part::of_width(20.0));
+    master.set(Flag::GRIP);
+    assert_eq!(master.shows(), (Shown::GRIPPING, Status::CmdPending));
+    master.wait(3_000);
+    master.set(Flag::empty());
+    assert_eq!(master.shows(), (Shown::HOLDING, Status::Success));
+    master.set(Flag::RELEASE);
+    master.wait(3_000);
+    assert_eq!(master.shows(), (Shown::IDLE, Status::Success));
+}
+
+#[test]
+fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
+    let mut master = Master::homed(None);
+    master.image.speed = 10_00;
+    master.set(Flag::JOG_MINUS);
+    master.wait(50);
+    assert!(master.gripper.state().speed < 0.0);
+    // The gripper wakes by itself when the watchdog expires.
+    assert!(master.gripper.next_wake().is_some_and(|at| at <= master.now.plus_millis(WATCHDOG_MS + 1)));
+    master.fall_silent(WATCHDOG_MS - 5);
+    assert!(master.gripper.state().speed < 0.0, "not yet");
+    master.fall_silent(10);
+    assert_eq!(master.gripper.state().speed, 0.0);
+
+    // Another image is its first: a flag that is set there rises from nothing.
+    master.image = PARAMETERS;
+    let width = master.gripper.state().width;
+    master.start();
+    master.set(Flag::GRIP);
+    master.wait(500);
+    assert_eq!(master.gripper.state().width, width);
+    master.set(Flag::empty());
+    master.set(Flag::GRIP);
+    master.wait(100);
+    assert!(master.gripper.state().width < width, "an edge does");
+}
+
+#[test]
+fn fault_is_announced_and_its_diagnosis_read_once() {
+    let mut master = Master::exchanging(Config::default());
+    assert_eq!(master.exchange().0, 0x08);
+    master.gripper.set_fault(Fault::OverTemperature, true, master.now);
+    assert_eq!(master.exchange().0, 0x0A);
+    let answer = master.service(60, &[]);
+    let system = master.exchange().1.system;
+    assert!(system.contains(SystemFlags::TEMP_FAULT));
+    let expected = Diagnosis { standard: [0x08, 0x0C, 0x00, MASTER], system }.to_bytes();
+    assert_eq!(answer[9..25], expected);
+    assert_eq!(master.exchange().0, 0x08);
+}
+
+#[test]
+fn telegram_in_pieces_is_one_and_half_a_telegram_is_none() {
+    let mut master = Master::exchanging(Config::default());
+    let status = [0x10, STATION, MASTER, 0x49, 0x52, 0x16];
+    let answer = [0x10, MASTER, STATION, 0x00, 0x09, 0x16];
+    assert_eq!(master.send(&status[..3]), NOTHING);
+    assert_eq!(master.send(&status[3..]), answer);
+    assert_eq!(master.send(&status[..3]), NOTHING);
+    master.now = master.now.plus_millis(10);
+    assert_eq!(master.send(&status), answer, "after a pause");
+}
+
+#[test]
+fn address_is_the_one_that_is_set() {
+    let mut master = Master::new(Config { profibus_address: 9, ..Config::default() });
+    assert_eq!(master.send(&[0x10, STATION, MASTER, 0x49, 0x52, 0x16]), NOTHING);
+    assert_eq!(master.send(&[0x10, 9, MASTER, 0x49, 0x54, 0x16]), [0x10, MASTER, 9, 0x00, 0x0B, 0x16]);
+}
