@@ -9,3 +9,4 @@ mod common;
 mod control;
 mod gcl;
 mod modbus;
+mod profibus;

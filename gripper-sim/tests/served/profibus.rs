@@ -1,0 +1,145 @@
+//! The gripper as a PROFIBUS slave on a pseudo terminal, with the master of `profirust`. Every wait is bounded.
+
+use crate::common::uninterrupted;
+use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
+use profirust::fdl::{FdlActiveStation, ParametersBuilder};
+use profirust::phy::ProfibusPhy;
+use profirust::time::Instant;
+use profirust::{Address, Baudrate};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags};
+use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+use std::time::{Duration, Instant as RealInstant};
+use wsg_protocol::fieldbus::profibus::PROFILE;
+use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
+use wsg_protocol::{Status, SystemFlags};
+use wsg_sim::server::{Lines, SerialLine, ServerThread};
+use wsg_sim::{Config, Part};
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(60);
+/// So that motions take no time to speak of.
+const QUICK: f32 = 100.0;
+const STATION: Address = 7;
+
+/// A terminal as the master's line.
+struct Terminal {
+    line: File,
+    received: Vec<u8>,
+}
+
+impl Terminal {
+    fn open(path: &Path) -> Self {
+        let line = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
+        let mut settings = tcgetattr(&line).unwrap();
+        settings.make_raw();
+        tcsetattr(&line, OptionalActions::Now, &settings).unwrap();
+        Self { line: line.into(), received: vec![] }
+    }
+
+    /// Takes what is there, or waits for it up to a millisecond.
+    fn listen(&mut self) {
+        let wait = Timespec { tv_sec: 0, tv_nsec: 1_000_000 };
+        let mut fds = [PollFd::new(&self.line, PollFlags::IN)];
+        // A signal ends the wait, and it is made again.
+        if poll(&mut fds, Some(&wait)).is_ok_and(|count| count > 0) {
+            let mut chunk = [0; 256];
+            let count = uninterrupted::read(&mut self.line, &mut chunk).unwrap();
+            self.received.extend_from_slice(&chunk[..count]);
+        }
+    }
+}
+
+impl ProfibusPhy for Terminal {
+    fn poll_transmission(&mut self, _: Instant) -> bool {
+        false
+    }
+
+    fn transmit_data<F: FnOnce(&mut [u8]) -> (usize, R), R>(&mut self, _: Instant, fill: F) -> R {
+        let mut buffer = [0; 256];
+        let (len, result) = fill(&mut buffer);
+        self.line.write_all(&buffer[..len]).unwrap();
+        result
+    }
+
+    fn receive_data<F: FnOnce(&[u8]) -> (usize, R), R>(&mut self, _: Instant, take: F) -> R {
+        let (taken, result) = take(&self.received);
+        self.received.drain(..taken);
+        result
+    }
+}
+
+/// A PLC with that master.
+struct Plc {
+    line: Terminal,
+    fdl: FdlActiveStation,
+    master: DpMaster<'static>,
+    gripper: PeripheralHandle,
+    image: OutputImage,
+}
+
+impl Plc {
+    fn new(path: &Path) -> Self {
+        let options = PeripheralOptions {
+            ident_number: PROFILE.ident,
+            user_parameters: Some(&[]),
+            config: Some(PROFILE.config),
+            ..PeripheralOptions::default()
+        };
+        let mut master = DpMaster::new(vec![]);
+        let (inputs, outputs) = (vec![0; InputImage::LEN], vec![0; OutputImage::LEN]);
+        let gripper = master.add(Peripheral::new(STATION, options, inputs, outputs));
+        master.enter_operate();
+        // 60 ms and many repetitions, however busy the machine is; and one other address is looked for.
+        let parameters = ParametersBuilder::new(2, Baudrate::B500000)
+            .slot_bits(30_000)
+            .max_retry_limit(15)
+            .highest_station_address(3)
+            .build_verified(&master);
+        let mut fdl = FdlActiveStation::new(parameters);
+        fdl.set_online();
+        let image =
+            OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
+        Self { line: Terminal::open(path), fdl, master, gripper, image }
+    }
+
+    /// Exchanges outputs with these flags until the inputs are as they have to become.
+    fn command(&mut self, flags: Flag, is_done: impl Fn(&InputImage) -> bool) {
+        self.image.flags = flags;
+        let start = RealInstant::now();
+        let mut shown = None;
+        while !shown.as_ref().is_some_and(&is_done) {
+            assert!(start.elapsed() < BOUND, "{flags:?}: {shown:?}");
+            let gripper = self.master.get_mut(self.gripper);
+            gripper.pi_q_mut().copy_from_slice(&self.image.to_bytes());
+            self.fdl.poll(Instant::now(), &mut self.line, &mut self.master);
+            let events = self.master.take_last_events();
+            if events.cycle_completed && self.master.get_mut(self.gripper).is_running() {
+                let inputs = self.master.get_mut(self.gripper).pi_i();
+                shown = Some(InputImage::from_bytes(inputs.try_into().unwrap()));
+            }
+            self.line.listen();
+        }
+    }
+}
+
+#[test]
+fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
+    let config = Config { time_scale: QUICK, part: Part::of_width(20.0), ..Config::default() };
+    let lines = Lines { profibus: Some(SerialLine::Pty), ..Lines::default() };
+    let server = ServerThread::start(config, &lines, None).expect("the server is up");
+    let mut plc = Plc::new(server.profibus_path().expect("it was asked for"));
+
+    let shows = |state| move |input: &InputImage| (input.state, input.status) == (state, Status::Success);
+    plc.command(Flag::empty(), shows(Shown::IDLE));
+    plc.command(Flag::HOMING, |input| {
+        input.system.contains(SystemFlags::REFERENCED) && shows(Shown::IDLE)(input)
+    });
+    plc.command(Flag::empty(), shows(Shown::IDLE));
+    plc.command(Flag::GRIP, shows(Shown::HOLDING));
+    plc.command(Flag::empty(), shows(Shown::HOLDING));
+    plc.command(Flag::RELEASE, shows(Shown::IDLE));
+}
