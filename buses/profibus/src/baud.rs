@@ -3,17 +3,26 @@
 /// The rates of PROFIBUS DP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u32)]
-#[expect(missing_docs, reason = "in kbit/s; M: Mbit/s")]
 pub enum Baud {
+    /// 9.6 kbit/s.
     K9_6 = 9_600,
+    /// 19.2 kbit/s.
     K19_2 = 19_200,
+    /// 45.45 kbit/s.
     K45_45 = 45_450,
+    /// 93.75 kbit/s.
     K93_75 = 93_750,
+    /// 187.5 kbit/s.
     K187_5 = 187_500,
+    /// 500 kbit/s.
     K500 = 500_000,
+    /// 1.5 Mbit/s.
     M1_5 = 1_500_000,
+    /// 3 Mbit/s.
     M3 = 3_000_000,
+    /// 6 Mbit/s.
     M6 = 6_000_000,
+    /// 12 Mbit/s.
     M12 = 12_000_000,
 }
 
