@@ -263,7 +263,7 @@ fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
 fn line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done() {
     let rig = homed(quick());
     rig.gripper().cut(true);
-    rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::empty()).unwrap();
+    rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::ERROR).unwrap();
     rig.pulse(Inputs::MOVE).unwrap();
     let mark = rig.trace().mark();
     rig.gripper().cut(false);
