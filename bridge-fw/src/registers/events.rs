@@ -49,7 +49,6 @@ define_events! {
     14 PlcSilent "PLC_SILENT" "FAST STOP: the PLC that commanded fell silent, and BUS_REACTION is 2 (or the gripper could not be stopped otherwise)" "" "see BUS_SILENT";
     15 StopFailed "STOP_FAILED" "FAST STOP: a Stop was not answered or refused while the fingers were not known to stand" "its status" "look at the gripper's line; then STOP/ACK";
     16 ConnectionLost "CONNECTION_LOST" "FAST STOP: the gripper fell silent during a jog" "" "see GRIPPER_SILENT";
-    17 NotConfirmed "NOT_CONFIRMED" "FAST STOP, given again: the gripper answered one but did not show it" "" "look at the gripper's line";
     18 GripperFastStop "GRIPPER_FAST_STOP" "the gripper shows a FAST STOP that the bridge did not ask for" "" "look at the gripper: a fault, another client, or one from before the bridge started; then STOP/ACK";
     30 NotConnected "NOT_CONNECTED" "a command came while the gripper did not answer" "" "wait for LINK_OK";
     31 FastStopLasts "FAST_STOP_LASTS" "a command came during FAST STOP, or STOP/ACK before the gripper had confirmed it" "" "give STOP/ACK an edge once the cause is gone, then command";
@@ -80,7 +79,6 @@ impl EventCode {
             Cause::PlcSilent => Self::PlcSilent,
             Cause::StopFailed => Self::StopFailed,
             Cause::ConnectionLost => Self::ConnectionLost,
-            Cause::NotConfirmed => Self::NotConfirmed,
             Cause::MovedAtStart => Self::MovedAtStart,
             Cause::NotConnected => Self::NotConnected,
             Cause::FastStopLasts => Self::FastStopLasts,

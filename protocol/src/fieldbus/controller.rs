@@ -296,8 +296,10 @@ impl Controller {
                     FastStop::Asked => self.fast_stop_again,
                     FastStop::Answered | FastStop::Latched | FastStop::Acknowledged => true,
                 };
-                if is_answered || self.jog.is_on() {
+                if is_answered {
                     // The gripper may be restarted and forget it: it shall be the first thing that it hears.
+                    self.give_fast_stop();
+                } else if self.jog.is_on() {
                     self.fast_stop(Cause::ConnectionLost, 0);
                 }
             }
@@ -369,7 +371,7 @@ impl Controller {
     fn supervise_fast_stop(&mut self, flags: SystemFlags) {
         match (self.fast_stop, flags.contains(SystemFlags::FAST_STOP)) {
             // The answer was to an earlier one.
-            (FastStop::Answered, false) => self.fast_stop(Cause::NotConfirmed, 0),
+            (FastStop::Answered, false) => self.give_fast_stop(),
             (FastStop::Answered, true) => {
                 self.fast_stop = FastStop::Latched;
                 if self.shown == Some(CommandId::FastStop) {
@@ -518,11 +520,12 @@ impl Controller {
     }
 
     fn fast_stop(&mut self, cause: Cause, value: u16) {
-        // One that is given again is no other.
-        let is_again = matches!(cause, Cause::ConnectionLost | Cause::NotConfirmed);
-        if !is_again || self.fast_stop == FastStop::Clear {
-            self.note(cause, self.motion.map(|motion| motion.command.id()), value);
-        }
+        self.note(cause, self.motion.map(|motion| motion.command.id()), value);
+        self.give_fast_stop();
+    }
+
+    /// Gives one, be it again.
+    fn give_fast_stop(&mut self) {
         self.fast_stop = FastStop::Asked;
         self.fast_stop_again = false;
         self.jog.stage = Stage::Off;

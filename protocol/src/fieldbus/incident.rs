@@ -16,10 +16,8 @@ pub enum Cause {
     PlcSilent,
     /// FAST STOP: a Stop was not carried out while the fingers were not known to stand. The value is its status.
     StopFailed,
-    /// FAST STOP: the connection was lost while a jog ran, or while one that nobody acknowledged lasted.
+    /// FAST STOP: the connection was lost while a jog ran.
     ConnectionLost,
-    /// FAST STOP: the gripper answered an earlier one, but does not show it.
-    NotConfirmed,
     /// The gripper moved when it was heard first: it was stopped.
     MovedAtStart,
     /// A command came while the gripper did not answer.
@@ -52,7 +50,6 @@ impl Cause {
                 | Self::PlcSilent
                 | Self::StopFailed
                 | Self::ConnectionLost
-                | Self::NotConfirmed
         )
     }
 }
