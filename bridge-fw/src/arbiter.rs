@@ -6,8 +6,8 @@
 //!    rises meanwhile, or is 1 when a command wire rises, counts again after it was written 0. So a jog of the bus ends
 //!    when a command wire rises.
 //! 3. What the bus writes first, after power-up or after it was silent, gives no edge: a flag that is 1 there counts
-//!    after it was written 0. FASTSTOP counts at once. Flags that are 0 and that the bus has read back (Modbus, register 0)
-//!    are as good as written.
+//!    after it was written 0. FASTSTOP counts at once. What the bus reads changes nothing of that: one that
+//!    holds a flag across a reset of the bridge may read zeros before it writes.
 //! 4. WIDTH, SPEED and FORCELIMIT are those of the side that gave the last motion command; while the fingers move the
 //!    other side's change nothing.
 
@@ -62,11 +62,6 @@ impl Arbiter {
 
     pub(crate) const fn control_source(&self) -> ControlSource {
         self.control_source
-    }
-
-    /// Whether the next image of the bus is its first.
-    pub(crate) const fn awaits_first_image(&self) -> bool {
-        self.bus_is_new
     }
 
     /// Whether the wires ask for FAST STOP.

@@ -18,7 +18,11 @@ pub(crate) use view::Facts;
 
 use crate::registers::Link;
 use wsg_protocol::Instant;
-use wsg_protocol::fieldbus::{InputImage, OutputImage};
+use wsg_protocol::fieldbus::{GripperFlags, InputImage, OutputImage};
+
+/// GSTATE while a motion command is carried out.
+const MOTION_STATES: GripperFlags =
+    GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
 /// One way in which a PLC commands the bridge: it turns what the PLC sends into events, and gives it what it reads.
 ///

@@ -5,8 +5,6 @@
 //! device at once, and what it is told is true at that moment. What was decided where the manual is silent stands in
 //! `docs/decisions.md`.
 
-use core::cell::Cell;
-
 use crate::device::Device;
 use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
@@ -30,7 +28,7 @@ pub(crate) struct Fieldbus {
     controller: Controller,
     /// Who wrote to the output image last, as long as it is there.
     writer: Option<PortId>,
-    /// Whether anything has been written, or read back: before, the controller waits for nothing.
+    /// Whether anything has been written: before, the controller waits for nothing.
     in_use: bool,
 }
 
@@ -52,19 +50,10 @@ impl Fieldbus {
         request: &[u8],
         response: &mut [u8; MAX_PDU_LEN],
     ) -> usize {
-        let known = known(device);
-        self.images.set_input(&self.controller.input(&known));
-        let mut registers = Registers { images: &mut self.images, read_back: Cell::new(false) };
-        let len = bus_modbus::serve(request, &mut registers, response);
-        let read_back = registers.read_back.get();
+        self.images.set_input(&self.input(device));
+        let len = bus_modbus::serve(request, &mut Registers(&mut self.images), response);
         if let Some(image) = self.images.take_written() {
-            self.controller.set_output(&image, &known);
-            self.writer = Some(client);
-            self.in_use = true;
-        } else if read_back && !self.in_use {
-            // Zeros that were read before anything was written: what is written behind that may rise.
-            self.controller.set_output(&self.images.output(), &known);
-            self.in_use = true;
+            self.write(device, client, &image, true);
         }
         len
     }
@@ -143,36 +132,31 @@ fn known(device: &Device) -> Known {
 }
 
 /// The images as a server sees them.
-struct Registers<'a> {
-    images: &'a mut Images,
-    /// CMDFLAGS was read as the holding register that it is.
-    read_back: Cell<bool>,
-}
+struct Registers<'a>(&'a mut Images);
 
 impl bus_modbus::Device for Registers<'_> {
     fn coil(&self, address: u16) -> Result<bool, Exception> {
-        self.images.coil(address)
+        self.0.coil(address)
     }
 
     fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
-        self.images.discrete_input(address)
+        self.0.discrete_input(address)
     }
 
     fn holding_register(&self, address: u16) -> Result<u16, Exception> {
-        self.read_back.set(self.read_back.get() || address == 0);
-        self.images.holding_register(address)
+        self.0.holding_register(address)
     }
 
     fn input_register(&self, address: u16) -> Result<u16, Exception> {
-        self.images.input_register(address)
+        self.0.input_register(address)
     }
 
     fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
-        self.images.write_coils(first, values)
+        self.0.write_coils(first, values)
     }
 
     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
-        self.images.write_registers(first, values)
+        self.0.write_registers(first, values)
     }
 
     fn identification(&self) -> Identification {

@@ -6,8 +6,6 @@ mod uart;
 pub use port::BusPort;
 pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 
-use core::cell::Cell;
-
 use super::{PlcEvent, PlcSide, Shown, View};
 use crate::config::Config;
 use crate::registers::{BusCounts, FIRST_REPORT, FIRST_SETTING, Link, RegisterError, Settings};
@@ -84,13 +82,12 @@ impl Modbus {
         view: &mut View<'_>,
     ) -> Option<PlcEvent> {
         let Self { server, images, .. } = self;
-        let mut device =
-            BridgeDevice { images, view, counts, configured: false, read_back: Cell::new(false) };
+        let mut device = BridgeDevice { images, view, counts, configured: false };
         let served = match event {
             RxEvent::Character(character, silence_us) => server.push(character, silence_us, &mut device),
             RxEvent::Silence(silence_us) => server.silence(silence_us, &mut device),
         };
-        let (configured, read_back) = (device.configured, device.read_back.get());
+        let configured = device.configured;
         match served {
             Some(Event::Answer(answer)) => port.send(answer),
             Some(Event::Served) => {}
@@ -102,15 +99,7 @@ impl Modbus {
             self.images.set_swap_bytes(view.settings.swap_bytes());
             return Some(PlcEvent::Configured);
         }
-        if let Some(image) = self.images.take_written() {
-            return Some(PlcEvent::Output(image));
-        }
-        // A PLC that has read zeros before it writes has seen its flags 0: what it writes behind that may rise.
-        let image = self.images.output();
-        if read_back && image.flags.is_empty() && view.awaits_first_image() {
-            return Some(PlcEvent::Output(image));
-        }
-        Some(PlcEvent::Served)
+        Some(self.images.take_written().map_or(PlcEvent::Served, PlcEvent::Output))
     }
 
     /// Whether the PLC has been silent for so long, in milliseconds; says so once.
@@ -181,8 +170,6 @@ struct BridgeDevice<'a, 'b> {
     view: &'a mut View<'b>,
     counts: BusCounts,
     configured: bool,
-    /// CMDFLAGS was read as the holding register that it is.
-    read_back: Cell<bool>,
 }
 
 impl BridgeDevice<'_, '_> {
@@ -217,10 +204,7 @@ impl Device for BridgeDevice<'_, '_> {
 
     fn holding_register(&self, address: u16) -> Result<u16, Exception> {
         match address.checked_sub(FIRST_SETTING) {
-            None => {
-                self.read_back.set(self.read_back.get() || address == 0);
-                self.images.holding_register(address)
-            }
+            None => self.images.holding_register(address),
             Some(index) => self.view.setting(index).map_err(exception),
         }
     }

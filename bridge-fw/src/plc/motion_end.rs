@@ -4,16 +4,13 @@
 //! all for the last hundredth of a millimetre. A PLC that reads all of them at once took the force of the approach for that of the
 //! grip. So both are asked for when the fingers stand, and the end is shown with the answers.
 
+use super::MOTION_STATES;
 use wsg_protocol::fieldbus::{GripperFlags, InputImage};
 use wsg_protocol::session::Event;
 use wsg_protocol::{CommandId, Instant, SystemFlags};
 
 /// How long the end is kept back, in milliseconds, at the most.
 const PATIENCE_MS: u32 = 10;
-
-/// What GSTATE shows while a motion runs.
-const MOTIONS: GripperFlags =
-    GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
 /// What is asked for.
 const MEASURED: [CommandId; 2] = [CommandId::GetOpeningWidth, CommandId::GetForce];
@@ -41,7 +38,7 @@ impl MotionEnd {
 
     /// Takes the image as it is now. Whether width and force are to be asked for.
     pub(crate) fn look(&mut self, now: Instant, image: &InputImage) -> bool {
-        if image.state.intersects(MOTIONS) {
+        if image.state.intersects(MOTION_STATES) {
             (self.motion, self.asked_at) = (Some(*image), None);
             return false;
         }
@@ -49,7 +46,7 @@ impl MotionEnd {
         let is_wrong = image.state.contains(GripperFlags::ERROR);
         let is_over = match self.asked_at {
             _ if is_wrong || image.system.contains(SystemFlags::FAST_STOP) => true,
-            Some(asked_at) => self.awaited == [false; 2] || now.since(asked_at) >= PATIENCE_MS,
+            Some(asked_at) => !self.awaited.contains(&true) || now.since(asked_at) >= PATIENCE_MS,
             None => false,
         };
         if is_over {
@@ -81,7 +78,7 @@ impl MotionEnd {
     /// What a bus shows of this image.
     pub(crate) fn shown(&self, image: InputImage) -> InputImage {
         match self.motion {
-            Some(motion) if !image.state.intersects(MOTIONS) => {
+            Some(motion) if !image.state.intersects(MOTION_STATES) => {
                 InputImage { state: motion.state, system: motion.system, status: motion.status, ..image }
             }
             _ => image,

@@ -132,12 +132,6 @@ impl View<'_> {
         .register(index)
     }
 
-    /// Returns whether the next image of the bus is its first, which gives no edge.
-    #[must_use]
-    pub const fn awaits_first_image(&self) -> bool {
-        self.arbiter.awaits_first_image()
-    }
-
     /// Returns whose motion command was the last.
     #[must_use]
     pub const fn control_source(&self) -> ControlSource {

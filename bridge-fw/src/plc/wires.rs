@@ -1,6 +1,6 @@
 //! Digital I/O as a PLC side: wires in, output image out; input image in, wires out.
 
-use super::{Debounce, PlcEvent, PlcSide, Shown, View};
+use super::{Debounce, MOTION_STATES, PlcEvent, PlcSide, Shown, View};
 use crate::config::{RECIPE_COUNT, Recipe};
 use crate::io::{Inputs, Outputs};
 use crate::registers::{Link, Settings};
@@ -15,10 +15,6 @@ const COMMANDS: [(Inputs, CommandFlags); 5] = [
     (Inputs::HOME, CommandFlags::HOMING),
     (Inputs::STOP_ACK, CommandFlags::STOP_ACK),
 ];
-
-/// GSTATE while a motion command is carried out.
-const MOTION_STATES: GripperFlags =
-    GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
 /// The wires between a PLC and the register images.
 #[derive(Clone, Debug, Hash)]

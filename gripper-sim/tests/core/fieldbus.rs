@@ -194,17 +194,14 @@ fn what_is_written_first_gives_no_edge_but_fast_stop_counts() {
 }
 
 #[test]
-fn flags_of_0_that_were_read_count_as_written() {
-    for (register, counts) in [(0, true), (1, false)] {
-        let mut gripper = VirtualGripper::new(Config::default());
-        let port = gripper.connect(PortKind::ModbusTcp).unwrap();
-        let mut plc =
-            Plc { gripper, port, image: OutputImage { flags: Flag::HOMING, ..PARAMETERS }, now: Time::ZERO };
-        plc.ask_from(port, &[3, 0, register, 0, 1]);
-        plc.write();
-        let shown = if counts { Shown::POSITIONING } else { Shown::IDLE };
-        assert_eq!(plc.shows().0, shown, "register {register}");
-    }
+fn reading_before_the_first_write_gives_it_no_edge() {
+    let mut gripper = VirtualGripper::new(Config::default());
+    let port = gripper.connect(PortKind::ModbusTcp).unwrap();
+    let image = OutputImage { flags: Flag::HOMING, ..PARAMETERS };
+    let mut plc = Plc { gripper, port, image, now: Time::ZERO };
+    plc.ask_from(port, &[3, 0, 0, 0, 4]);
+    plc.write();
+    plc.assert_stands();
 }
 
 #[test]

@@ -5,7 +5,7 @@
 //!   until then has come to nothing: one motion at a time.
 //! - A wire counts once it has not changed for the debounce time: command and recipe wires together, STOP_ACK and
 //!   FAST_STOP_OK by themselves; none before all have. But a low FAST_STOP_OK counts at once, and a high one after 5 ms at the
-//!   least. The levels that the wires have then, and the first image of a bus, give no edge; flags of 0 that the bus has read count as written. Nor does a command wire while
+//!   least. The levels that the wires have then, and the first image of a bus, give no edge. Nor does a command wire while
 //!   READY is low.
 //! - A flag of the bus counts from its edge on, as long as it is 1 and the bus is heard. The edge of a motion or a jog is none
 //!   while a command wire is high, or beside STOP/ACK; a command wire that rises ends what counts of them.
@@ -171,13 +171,6 @@ impl Asked {
         }
         self.bus = (self.bus & image.flags) | rising;
         self.take(self.wires, false);
-    }
-
-    /// The bus has read flags of 0: where it has written none, that is as good.
-    pub(super) fn read_back(&mut self, image: OutputImage) {
-        if self.image.is_none() {
-            self.take_image(image);
-        }
     }
 
     /// Nobody commands over the bus any more.

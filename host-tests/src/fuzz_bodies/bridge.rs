@@ -268,7 +268,6 @@ impl Model {
                 None => continue,
                 Some(Done::Heard) => {}
                 Some(Done::Image(image)) => oracle.asked.take_image(image),
-                Some(Done::ReadBack(image)) => oracle.asked.read_back(image),
                 Some(Done::Unknown) => self.is_over = true,
             }
             self.heard_ms = Some(self.now_ms);

@@ -89,8 +89,6 @@ pub(super) enum Done {
     Heard,
     /// It wrote this image.
     Image(OutputImage),
-    /// It read flags of 0 in this image.
-    ReadBack(OutputImage),
     /// Something that is not followed any further.
     Unknown,
 }
@@ -248,25 +246,11 @@ impl Overheard {
         if body[1] & 0x80 == 0 {
             let done = self.carry_out(write);
             assert!(done.is_some() || !WRITES.contains(&request[0]), "{request:02X?} was carried out");
-            return done.or(self.read_back(&request)).unwrap_or(Done::Heard);
+            return done.unwrap_or(Done::Heard);
         }
         // Settings are refused while the fingers move as well.
         assert!(!write.is_some_and(|write| write.is_of_image()), "{request:02X?} was refused");
         Done::Heard
-    }
-
-    /// What the PLC knows of CMDFLAGS, if it has asked for them as a register and they are 0.
-    fn read_back(&self, pdu: &[u8]) -> Option<Done> {
-        let image = self.image();
-        (pdu.starts_with(&[3, 0, 0]) && image.flags.is_empty()).then_some(Done::ReadBack(image))
-    }
-
-    fn image(&self) -> OutputImage {
-        let mut image = self.image;
-        if self.setting(SWAP_BYTES) != 0 {
-            swap(&mut image);
-        }
-        OutputImage::from_bytes(image)
     }
 
     /// The write that a request asks for, as the specification draws it; none if it is none, or no good one.
@@ -334,7 +318,11 @@ impl Overheard {
                 }
             }
         }
-        Some(Done::Image(self.image()))
+        let mut image = self.image;
+        if self.setting(SWAP_BYTES) != 0 {
+            swap(&mut image);
+        }
+        Some(Done::Image(OutputImage::from_bytes(image)))
     }
 }
 
