@@ -174,7 +174,8 @@ impl<const N: usize> Store<N> {
         }
     }
 
-    /// Returns the newest whole record. Reads both pages, which takes its time: some 3 ms for 4 KiB at 80 MHz.
+    /// Returns the newest whole record. Reads both pages from end to end, up to three times: to be called at the start, not
+    /// in a turn.
     ///
     /// # Errors
     /// [`LoadError`]; all but [`LoadError::Saving`] leave the store ready to save.
