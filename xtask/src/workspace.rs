@@ -63,6 +63,10 @@ impl Workspace {
         if subcommand != "fmt" {
             command.arg("--locked");
         }
+        // What a machine builds once needs no notes for the next time, which take it a tenth of the time.
+        if env::var_os("CI").is_some() {
+            command.env("CARGO_INCREMENTAL", "0");
+        }
         command
     }
 
