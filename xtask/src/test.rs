@@ -143,9 +143,10 @@ impl Checks<'_> {
 
     /// The examples in the docs are a check of their own: `--include-ignored` would run those marked `ignore`.
     fn tests(&self, filter: &[OsString]) -> Result<()> {
-        let targets = ["--workspace", "--lib", "--bins", "--tests", "--examples"];
-        // Tests run the examples; `cargo test` builds their tests alone.
-        process::run(self.workspace.cargo("build").args(targets))?;
+        let targets = ["--workspace", "--lib", "--bins", "--tests"];
+        // Tests run the examples. `cargo test --examples` would link each once more, and most have no tests: of those that have,
+        // the manifest says `test = true`.
+        process::run(self.workspace.cargo("build").args(targets).arg("--examples"))?;
         let mut tests = self.workspace.cargo("test");
         tests.env(IMAGE_VARIABLE, &self.image.path);
         tests.env(PYTHON_VARIABLE, &self.masters.python).env(NODE_VARIABLE, &self.masters.node);
@@ -215,9 +216,43 @@ impl Record {
 
 #[cfg(test)]
 mod tests {
+    use std::{fs, path::Path};
+
     use anyhow::bail;
+    use serde_json::Value;
 
     use super::*;
+
+    fn has_tests(source: &Path) -> bool {
+        let Ok(entries) = fs::read_dir(source) else {
+            return fs::read_to_string(source).unwrap().contains("#[test]");
+        };
+        entries.into_iter().any(|entry| has_tests(&entry.unwrap().path()))
+    }
+
+    /// `cargo test --tests` passes over the others without a word.
+    #[test]
+    fn examples_with_tests_say_so_in_their_manifest() {
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo.args(["metadata", "--no-deps", "--format-version", "1", "--locked", "--offline"]);
+        let text = process::answer(cargo.current_dir(env!("CARGO_MANIFEST_DIR"))).unwrap();
+        let metadata: Value = serde_json::from_str(&text).unwrap();
+        let packages = metadata["packages"].as_array().unwrap();
+        let targets = packages.iter().flat_map(|package| package["targets"].as_array().unwrap());
+        let examples: Vec<&Value> =
+            targets.filter(|target| target["kind"] == serde_json::json!(["example"])).collect();
+        assert!(examples.len() >= 10, "{examples:?}");
+        for example in examples {
+            let path = Path::new(example["src_path"].as_str().unwrap());
+            let source = if path.ends_with("main.rs") { path.parent().unwrap() } else { path };
+            assert_eq!(
+                example["test"] == true,
+                has_tests(source),
+                "`test` of the example {}",
+                path.display()
+            );
+        }
+    }
 
     #[test]
     fn the_summary_names_what_ran_what_failed_and_what_was_not_checked() {
