@@ -151,8 +151,8 @@ impl Checks<'_> {
         tests.env(IMAGE_VARIABLE, &self.image.path);
         tests.env(PYTHON_VARIABLE, &self.masters.python).env(NODE_VARIABLE, &self.masters.node);
         tests.args(targets).args(["--", "--include-ignored"]);
-        // Those with an emulator wait more than they compute.
-        let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(2);
+        // Those with an emulator wait more than they compute: with two threads a core it stands idle for half of the time.
+        let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(4);
         tests.env("RUST_TEST_THREADS", threads.to_string());
         if self.extent == Extent::Whole {
             tests.env("WSG_WHOLE", "1");
