@@ -2,6 +2,7 @@
 
 use crate::arbiter::{Arbiter, ControlSource};
 use crate::config::{Config, MAX_REPLY_LEN};
+use crate::indicator::Indication;
 use crate::io::{Inputs, Outputs};
 use crate::liveness::{Liveness, Looked};
 use crate::log;
@@ -70,6 +71,7 @@ impl Bridge {
                 was_connected: false,
                 link_is_lost: false,
                 bus_timeouts: 0,
+                bus_is_silent: false,
                 can: CanReports::NONE,
                 reset_cause: ResetCause::Unknown,
                 motion_end: MotionEnd::new(),
@@ -194,6 +196,15 @@ impl Bridge {
         self.facts.can = reports;
     }
 
+    /// What the board's LED tells, as of the last turn.
+    #[must_use]
+    pub const fn indication(&self) -> Indication {
+        let is_missed = !matches!(self.arbiter.control_source(), ControlSource::Wires);
+        let is_bus_lost = (self.facts.bus_is_silent && is_missed) || self.facts.can.is_off();
+        let has_error = self.wires.shown().contains(Outputs::ERROR);
+        Indication::of(self.facts.link(&self.session), is_bus_lost, has_error)
+    }
+
     /// What has been met so far that could not be used.
     #[must_use]
     pub const fn counters(&self) -> Counters {
@@ -281,6 +292,7 @@ impl Bridge {
             let mut view = View { controller, session, parser, arbiter, facts, settings };
             let Some(event) = bus.receive(now, &mut view) else { break };
             self.measure();
+            self.facts.bus_is_silent = event == PlcEvent::Left { silent: true };
             match event {
                 PlcEvent::Output(image) => {
                     let known = self.session.known();

@@ -3,6 +3,7 @@
 //! The bridge here is the library that the image is made of; what only the board has (interrupts, registers, the size of
 //! its queues) is tested in the emulator.
 
+use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_protocol::CommandId;
@@ -70,6 +71,12 @@ impl Bench {
     #[must_use]
     pub fn counters(&self) -> wsg_bridge_fw::Counters {
         self.bridge.counters()
+    }
+
+    /// What the LED tells.
+    #[must_use]
+    pub fn indication(&self) -> Indication {
+        self.bridge.indication()
     }
 
     /// Resets the bridge: it has forgotten everything.

@@ -117,6 +117,10 @@ pub const OUTPUT_PINS: u16 = {
 
 const _: () = assert!(OUTPUT_PINS.count_ones() as usize == Outputs::COUNT);
 
+/// The port and pin of the board's green LED2, lit when high: it shows the bridge's
+/// [`Indication`](wsg_bridge_fw::indicator::Indication).
+pub const INDICATOR: (Port, u8) = (Port::B, 14);
+
 /// The levels of [`OUTPUT_PORT`] that show `outputs`; unused pins are 0.
 #[must_use]
 pub fn port_from_outputs(outputs: Outputs) -> u16 {
@@ -141,7 +145,9 @@ mod tests {
 
     #[test]
     fn no_pin_is_used_twice() {
+        assert_ne!(INDICATOR.0, OUTPUT_PORT);
         for (n, wire) in INPUTS.iter().enumerate() {
+            assert_ne!((wire.port, wire.pin), INDICATOR);
             assert!(INPUTS.iter().skip(n + 1).all(|other| (wire.port, wire.pin) != (other.port, other.pin)));
             assert!(wire.port != OUTPUT_PORT || OUTPUT_PINS & (1 << wire.pin) == 0);
         }

@@ -20,6 +20,8 @@ pub(crate) struct Facts {
     pub(crate) link_is_lost: bool,
     /// How often a PLC on the bus was silent for too long.
     pub(crate) bus_timeouts: u16,
+    /// A PLC on the bus, whether it commanded or not, was silent for too long, and has not come back.
+    pub(crate) bus_is_silent: bool,
     pub(crate) can: CanReports,
     pub(crate) reset_cause: ResetCause,
     pub(crate) motion_end: MotionEnd,

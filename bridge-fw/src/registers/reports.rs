@@ -262,6 +262,11 @@ impl CanReports {
     /// There is no CAN.
     pub const NONE: Self = Self([0; 6]);
 
+    /// Whether the controller is off the bus: bus-off, recovering or given up.
+    pub(crate) const fn is_off(&self) -> bool {
+        self.0[0] & 0x7F != 0
+    }
+
     /// How often the controller went bus-off.
     pub(crate) const fn bus_offs(&self) -> u16 {
         self.0[3]

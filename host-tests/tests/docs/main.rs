@@ -9,6 +9,7 @@ mod decisions;
 mod drawings;
 mod figures;
 mod grip_cycle;
+mod leds;
 mod pointers;
 mod states;
 mod trace_excerpt;

@@ -6,6 +6,9 @@ use stm32_metapac::{FLASH, RCC};
 /// Clock of the core and, undivided, of all buses.
 pub const HCLK_HZ: u32 = 80_000_000;
 
+/// Clock of the core from reset until [`start`] has switched.
+pub const RESET_HZ: u32 = 4_000_000;
+
 /// HSI16 rather than the MSI the MCU starts with: 1 % over temperature without a crystal, which a
 /// UART needs.
 const HSI_HZ: u32 = 16_000_000;

@@ -1,10 +1,10 @@
-//! The PLC's wires, the gripper's line and the bus on their pins (RM0351, chapter 8).
+//! The PLC's wires, the LED, the gripper's line and the bus on their pins (RM0351, chapter 8).
 
 use stm32_metapac::gpio::Gpio;
 use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, RCC};
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 
-use crate::{INPUTS, OUTPUT_PINS, OUTPUT_PORT, Port, port_from_outputs};
+use crate::{INDICATOR, INPUTS, OUTPUT_PINS, OUTPUT_PORT, Port, port_from_outputs};
 
 /// Pins of the gripper's line, UART4, on port A: transmitter, receiver, and their function there.
 const UART4_TX: u8 = 0;
@@ -48,6 +48,8 @@ pub fn init() -> Pins {
     for pin in (0..16).filter(|pin| OUTPUT_PINS & (1 << pin) != 0) {
         set_up(OUTPUT_PORT, pin, MODE_OUTPUT, PULL_NONE);
     }
+    let (port, pin) = INDICATOR;
+    set_up(port, pin, MODE_OUTPUT, PULL_NONE);
     for wire in &INPUTS {
         set_up(wire.port, wire.pin, MODE_INPUT, PULL_DOWN);
     }
@@ -64,6 +66,15 @@ pub fn init() -> Pins {
         hand_over(Port::B, pin, AF_CAN1, PULL_UP);
     }
     pins
+}
+
+impl Pins {
+    /// Lights the LED, or not.
+    #[inline]
+    pub fn indicate(&mut self, is_lit: bool) {
+        let (port, pin) = INDICATOR;
+        registers(port).bsrr().write(|w| w.0 = 1 << if is_lit { pin } else { pin + 16 });
+    }
 }
 
 impl InputPort for Pins {

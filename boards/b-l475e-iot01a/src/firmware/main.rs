@@ -27,8 +27,10 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use wsg_b_l475e_iot01a::NAME;
 use wsg_b_l475e_iot01a::drivers::can1::{self, Can1};
-use wsg_b_l475e_iot01a::drivers::{clock, pins, uart};
+use wsg_b_l475e_iot01a::drivers::pins::{self, Pins};
+use wsg_b_l475e_iot01a::drivers::{clock, uart};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{InputPort, OutputPort};
 use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, Station};
 
@@ -46,12 +48,12 @@ fn main() -> ! {
     if clock::start().is_err() {
         log::no_clock();
         // No PLL, no baud rate to talk to the gripper with.
-        stay_not_ready();
+        stay_not_ready(&mut pins, clock::RESET_HZ);
     }
     let Ok(config) = Config::from_record(&settings::read()) else {
         log::wrong_settings();
         // With other recipes than were asked for, no gripper should be moved.
-        stay_not_ready();
+        stay_not_ready(&mut pins, clock::HCLK_HZ);
     };
     STATION.start(&config, Board { name: NAME, serial: serial_number::read() }, reset_cause);
     tick::start(core.SYST);
@@ -72,6 +74,7 @@ fn main() -> ! {
         let now_ms = tick::now_ms();
         let outputs = STATION.turn(now_ms, pins.read(), &mut gripper_line, &mut modbus_line);
         pins.write(outputs);
+        pins.indicate(STATION.bridge().indication().is_lit(now_ms));
         if STATION.uses_can() {
             STATION.can().controller().rearm();
         }
@@ -86,10 +89,13 @@ fn main() -> ! {
     }
 }
 
-/// Outputs stay low, and the watchdog, not fed from here, starts over.
-fn stay_not_ready() -> ! {
+/// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.
+fn stay_not_ready(pins: &mut Pins, core_hz: u32) -> ! {
+    let mut now_ms = 0u32;
     loop {
-        cortex_m::asm::nop();
+        pins.indicate(Indication::NotStarted.is_lit(now_ms));
+        cortex_m::asm::delay(core_hz / 1_000);
+        now_ms = now_ms.wrapping_add(1);
     }
 }
 

@@ -1,8 +1,13 @@
 //! The flashed image between a PLC and a virtual gripper, in the emulator.
 
+use std::time::Instant;
+
+use host_tests::emulator::Emulator;
 use host_tests::extent;
 use host_tests::rig::{PATIENCE, Rig, motions, names};
 use host_tests::trace::{Entry, Sequences, Trace, frame_id};
+use wsg_b_l475e_iot01a::INDICATOR;
+use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::session::FastStopPattern;
 use wsg_protocol::{CommandId, FrameEncoder, Reply, Status, SystemFlags};
@@ -310,5 +315,33 @@ fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_
         assert!((2..=1 + burst).contains(&sent), "the first burst is enough: {sent}");
         rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::ERROR)).unwrap();
         rig.release_fast_stop().unwrap();
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn led_tells_that_the_gripper_has_never_answered() {
+    let board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
+    let (port, pin) = INDICATOR;
+    // RM0351, 2.2.2 and 8.4: the port's registers MODER and ODR.
+    let moder = 0x4800_0000 + 0x400 * (u32::from(port.letter()) - u32::from('A'));
+    let odr = moder + 0x14;
+    assert_eq!(board.readl(moder).unwrap() >> (2 * pin) & 0b11, 0b01, "the pin is an output");
+
+    let (mut was_lit, mut was_dark) = (false, false);
+    let bound = Instant::now() + PATIENCE;
+    while !(was_lit && was_dark) {
+        assert!(Instant::now() < bound, "lit: {was_lit}, dark: {was_dark}");
+        let before = board.now_ms().unwrap();
+        let is_lit = board.readl(odr).unwrap() & 1 << pin != 0;
+        let after = board.now_ms().unwrap();
+        // The pin is written at the end of a turn of the main loop, with the time of its beginning.
+        let mut turns = before.saturating_sub(2)..=after;
+        assert!(
+            turns.any(|ms| Indication::NeverAnswered.is_lit(ms) == is_lit),
+            "lit: {is_lit}, between {before} and {after} ms"
+        );
+        was_lit |= is_lit;
+        was_dark |= !is_lit;
     }
 }

@@ -1,0 +1,170 @@
+//! What a board's LED tells somebody who has no PLC at hand: patterns over time, which [`Bridge::indication`](crate::Bridge::indication)
+//! chooses.
+//!
+//! Not here: the LED, which is the board's, and LINK_OK, which is a wire.
+
+use crate::registers::Link;
+
+/// A pattern begins anew after so long.
+const PERIOD_MS: u32 = 2_000;
+/// A flash, and the dark before it. Four of them leave more than twice as long a pause as is between two.
+const FLASH_MS: u32 = 150;
+const DARK_MS: u32 = 200;
+/// The gap in the light of a bridge that runs.
+const GAP_MS: u32 = 100;
+/// Half of a flicker: within 100 ms a watchdog ends it and it begins anew, which looks the same.
+const FLICKER_MS: u32 = 50;
+
+/// What the LED tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Indication {
+    /// The gripper answers, and there is no error.
+    Running,
+    /// The gripper has not answered since power-up.
+    NeverAnswered,
+    /// The gripper answered, and does not any more.
+    GripperSilent,
+    /// The PLC's bus is lost: its master fell silent, or the CAN controller is off the bus.
+    BusLost,
+    /// The wire ERROR is high for another reason.
+    Error,
+    /// The bridge cannot start.
+    NotStarted,
+}
+
+/// A pattern of the table, for those who read it from the LED.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IndicationText {
+    /// What it tells.
+    pub indication: Indication,
+    /// What is seen.
+    pub seen: &'static str,
+    /// What that means.
+    pub meaning: &'static str,
+    /// What to do.
+    pub remedy: &'static str,
+}
+
+/// All patterns. Where several apply, the first is shown.
+pub const INDICATIONS: [IndicationText; 6] = [
+    text(
+        Indication::NotStarted,
+        "flickers",
+        "the bridge cannot start: no clock, or settings in the image that are out of range",
+        "flash the image again; if it stays, the board is broken",
+    ),
+    text(
+        Indication::NeverAnswered,
+        "1 flash",
+        "the gripper has not answered since power-up",
+        "the gripper's supply, its line, its setting for the interface; the setting `GRIPPER_LINE`",
+    ),
+    text(
+        Indication::GripperSilent,
+        "2 flashes",
+        "the gripper answered, and does not any more",
+        "the gripper's supply, plugs and cable",
+    ),
+    text(
+        Indication::BusLost,
+        "3 flashes",
+        "the PLC's bus is lost: its master was silent for `BUS_TIMEOUT`, or CAN is bus-off. A master is not missed that was never there, or while the wires command",
+        "the bus's wiring, rate and termination, and its master",
+    ),
+    text(
+        Indication::Error,
+        "4 flashes",
+        "`ERROR` is high for another reason; from power-up on until `STOP_ACK`",
+        "`ERROR_CAUSE` over a bus, or the table above; then an edge on `STOP_ACK`",
+    ),
+    text(
+        Indication::Running,
+        "lit, with a short gap",
+        "the gripper answers, and there is no error",
+        "nothing",
+    ),
+];
+
+const fn text(
+    indication: Indication,
+    seen: &'static str,
+    meaning: &'static str,
+    remedy: &'static str,
+) -> IndicationText {
+    IndicationText { indication, seen, meaning, remedy }
+}
+
+impl Indication {
+    /// What a bridge tells that has started.
+    pub(crate) const fn of(link: Link, is_bus_lost: bool, has_error: bool) -> Self {
+        match (link, is_bus_lost, has_error) {
+            (Link::Never, ..) => Self::NeverAnswered,
+            (Link::Silent, ..) => Self::GripperSilent,
+            (Link::Up, true, _) => Self::BusLost,
+            (Link::Up, false, true) => Self::Error,
+            (Link::Up, false, false) => Self::Running,
+        }
+    }
+
+    /// Whether the LED is lit at this moment, in milliseconds since any other.
+    ///
+    /// Each pattern begins dark: a bridge that starts over and over again does not look like one that runs.
+    ///
+    /// ```
+    /// use wsg_bridge_fw::indicator::Indication;
+    ///
+    /// assert!(Indication::Running.is_lit(1_000));
+    /// ```
+    #[must_use]
+    pub const fn is_lit(self, now_ms: u32) -> bool {
+        let at_ms = now_ms % PERIOD_MS;
+        let flashes = match self {
+            Self::Running => return at_ms >= GAP_MS,
+            Self::NotStarted => return at_ms % (2 * FLICKER_MS) >= FLICKER_MS,
+            Self::NeverAnswered => 1,
+            Self::GripperSilent => 2,
+            Self::BusLost => 3,
+            Self::Error => 4,
+        };
+        at_ms / (DARK_MS + FLASH_MS) < flashes && at_ms % (DARK_MS + FLASH_MS) >= DARK_MS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    #[test]
+    fn what_is_first_in_the_table_is_shown_first() {
+        let rank = |wanted| INDICATIONS.iter().position(|text| text.indication == wanted).unwrap();
+        for link in [Link::Never, Link::Silent, Link::Up] {
+            for (is_bus_lost, has_error) in [(false, false), (false, true), (true, false), (true, true)] {
+                let applies = [
+                    (link == Link::Never, Indication::NeverAnswered),
+                    (link == Link::Silent, Indication::GripperSilent),
+                    (is_bus_lost, Indication::BusLost),
+                    (has_error, Indication::Error),
+                    (true, Indication::Running),
+                ];
+                let applies = applies.into_iter().filter(|(applies, _)| *applies);
+                let wanted = applies.map(|(_, indication)| indication).min_by_key(|it| rank(*it));
+                assert_eq!(Some(Indication::of(link, is_bus_lost, has_error)), wanted);
+            }
+        }
+    }
+
+    #[test]
+    fn bridge_that_cannot_start_flickers_ten_times_a_second() {
+        let levels: Vec<bool> = (0..1_000).map(|ms| Indication::NotStarted.is_lit(ms)).collect();
+        assert_eq!(levels.windows(2).filter(|pair| !pair[0] && pair[1]).count(), 10);
+        assert_eq!(levels.iter().filter(|is_lit| **is_lit).count(), 500);
+    }
+
+    #[test]
+    fn every_pattern_begins_dark() {
+        for text in INDICATIONS {
+            assert!((0..50).all(|ms| !text.indication.is_lit(ms)), "{text:?}");
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! The LED, in virtual time, read as a person reads it: by counting flashes between longer pauses.
+
+use host_tests::bench::Bench;
+use host_tests::modbus_bench::{self, quick};
+use host_tests::wires::Wires;
+use wsg_bridge_fw::Config;
+use wsg_bridge_fw::indicator::{INDICATIONS, Indication};
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::registers::CanReports;
+
+/// The dark that ends a group of flashes for a person.
+const PAUSE_MS: usize = 500;
+
+/// How somebody would put what they saw, in the words of the table.
+fn seen(levels: &[bool]) -> String {
+    let lit = levels.iter().filter(|is_lit| **is_lit).count();
+    if lit * 2 > levels.len() {
+        let gaps = levels.windows(2).filter(|pair| pair[0] && !pair[1]).count();
+        return if gaps > 1 { "lit, with a short gap".into() } else { "lit".into() };
+    }
+    let runs: Vec<&[bool]> = levels.chunk_by(|a, b| a == b).collect();
+    let is_pause = |run: &&[bool]| !run[0] && run.len() > PAUSE_MS;
+    // The first group may have begun before somebody looked, and the last may go on.
+    let groups: Vec<usize> =
+        runs.split(is_pause).map(|group| group.iter().filter(|run| run[0]).count()).collect();
+    let whole = &groups[1..groups.len().saturating_sub(1).max(1)];
+    assert!(
+        whole.len() > 1 && whole.iter().all(|count| *count == whole[0]),
+        "flashes come in groups of {groups:?}"
+    );
+    match whole[0] {
+        1 => "1 flash".into(),
+        count => format!("{count} flashes"),
+    }
+}
+
+/// Looks at the LED of a bench for a while.
+fn look<B: Wires>(bench: &mut B, indication: impl Fn(&B) -> Indication) -> String {
+    let level = |ms| {
+        bench.step();
+        indication(bench).is_lit(ms)
+    };
+    seen(&(0..10_000).map(level).collect::<Vec<_>>())
+}
+
+fn look_at_wires(bench: &mut Bench) -> String {
+    look(bench, Bench::indication)
+}
+
+fn look_at_modbus(bench: &mut modbus_bench::Bench) -> String {
+    look(bench, |bench| bench.bridge().indication())
+}
+
+#[test]
+fn each_pattern_is_seen_as_the_table_says() {
+    for text in INDICATIONS.iter().filter(|text| text.indication != Indication::NotStarted) {
+        for begin in [0, 137, 1_000, 1_999] {
+            let levels: Vec<bool> = (begin..begin + 10_000).map(|ms| text.indication.is_lit(ms)).collect();
+            assert_eq!(seen(&levels), text.seen);
+        }
+    }
+}
+
+#[test]
+fn wires_power_up_homing_and_a_cut_line_are_told() {
+    let mut bench = Bench::new(quick());
+    bench.far.to_bridge = Some(Box::new(Vec::clear));
+    assert_eq!(look_at_wires(&mut bench), "1 flash");
+
+    bench.far.to_bridge = None;
+    bench.set(Inputs::FAST_STOP_OK, true);
+    bench.pass(1_000);
+    assert_eq!(look_at_wires(&mut bench), "4 flashes", "the FAST STOP of power-up");
+
+    bench.get_homed();
+    assert_eq!(look_at_wires(&mut bench), "lit, with a short gap");
+
+    bench.far.to_bridge = Some(Box::new(Vec::clear));
+    bench.pass(3_000);
+    assert_eq!(look_at_wires(&mut bench), "2 flashes");
+}
+
+#[test]
+fn a_master_that_falls_silent_is_missed_until_it_comes_back() {
+    let mut bench = modbus_bench::Bench::homed(quick());
+    bench.pass(u32::from(Config::DEFAULT.bus.timeout_ms) + 100);
+    assert_eq!(look_at_modbus(&mut bench), "3 flashes");
+
+    bench.write(0, &[0, 0, 0, 0]);
+    assert_ne!(bench.bridge().indication(), Indication::BusLost);
+}
+
+#[test]
+fn a_master_that_was_never_there_or_while_the_wires_command_is_not_missed() {
+    let mut bench = modbus_bench::Bench::new(Config::DEFAULT, quick());
+    bench.get_homed();
+    assert_eq!(look_at_modbus(&mut bench), "lit, with a short gap");
+
+    bench.write(0, &[0, 0, 0, 0]);
+    assert_eq!(look_at_modbus(&mut bench), "lit, with a short gap");
+}
+
+#[test]
+fn a_controller_off_the_bus_is_told_as_long_as_it_is() {
+    let mut bench = modbus_bench::Bench::new(Config::DEFAULT, quick());
+    bench.get_homed();
+    for state in [1, 2, 3] {
+        bench.bridge_mut().set_can_reports(CanReports([state, 0, 0, 1, 0, 0]));
+        assert_eq!(bench.bridge().indication(), Indication::BusLost, "CAN_STATE {state}");
+    }
+    // Error passive is not off.
+    bench.bridge_mut().set_can_reports(CanReports([128, 0, 0, 1, 0, 0]));
+    assert_eq!(bench.bridge().indication(), Indication::Running);
+}
