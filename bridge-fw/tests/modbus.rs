@@ -267,6 +267,30 @@ fn end_of_a_motion_comes_with_the_width_and_force_from_after_it() {
 }
 
 #[test]
+fn what_went_wrong_is_answered_in_the_turn_in_which_the_wires_show_it() {
+    let blocked = || {
+        let mut bench = Bench::homed(with_part());
+        bench.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
+        bench
+    };
+    let mut bench = blocked();
+    let is_shown = |outputs: Outputs| outputs.contains(Outputs::ERROR);
+    let shown_after = (1..20_000).find(|_| bench.until(1, is_shown)).unwrap();
+    let shown_at = bench.now();
+    let mut answers = 0;
+    for ahead_ms in 0..10 {
+        let mut bench = blocked();
+        bench.pass(shown_after - ahead_ms);
+        let status = bench.status();
+        if bench.now() == shown_at {
+            answers += 1;
+            assert_eq!(status, Status::AxisBlocked.code());
+        }
+    }
+    assert_eq!(answers, 1, "one of them is answered in that turn");
+}
+
+#[test]
 fn fast_stop_wire_stops_a_motion_of_the_bus_and_the_bus_may_acknowledge() {
     let mut bench = Bench::homed(quick());
     bench.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);

@@ -83,6 +83,7 @@ fn what_went_wrong_is_shown_at_once() {
 fn next_motion_is_shown_at_once() {
     let mut end = ended();
     let next = InputImage { state: GripperFlags::RELEASING, ..RUNNING };
+    assert_eq!(end.shown(next), next, "to a master that reads in the turn in which it commands");
     assert!(!end.look(at(2), &next));
     assert_eq!(end.shown(next), next);
     assert!(end.look(at(3), &DONE), "and its end waits for values of its own");
