@@ -98,6 +98,7 @@ Environment
   WSG_NO_RUSTUP=1    as if rustup's server were out of reach: rustup is not called, a thumb
                      target that it installed is not used, and Debian's Rust packages build
                      for the target instead
+  CI                 where it is set, cargo notes nothing for the next build (CARGO_INCREMENTAL=0)
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
   WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH
                      the same for images whose settings put them on CAN
