@@ -24,12 +24,13 @@ const NAME: &str = "A device with a name";
 
 const GENERIC: u8 = 1;
 const COMMUNICATION: u8 = 1 << 4;
-const FAULTS: [Fault; 5] = [
+const FAULTS: [Fault; 6] = [
     Fault { code: 0xFF01, register: 1 << 7, cause: Cause::Application },
     Fault { code: 0x8130, register: COMMUNICATION, cause: Cause::MasterSilent },
     Fault { code: 0x8140, register: COMMUNICATION, cause: Cause::BusOff },
     Fault { code: 0x8210, register: COMMUNICATION, cause: Cause::PdoLength },
     Fault { code: 0x4210, register: 1 << 3, cause: Cause::Application },
+    Fault { code: 0x1000, register: GENERIC, cause: Cause::Application },
 ];
 static PROFILE: Profile<2, 2> = Profile {
     rpdos: [Rpdo { len: 8, keep: [STOP, 0, 0, 0, 0, 0, 0, 0] }, Rpdo { len: 2, keep: [0; 8] }],
@@ -594,6 +595,22 @@ fn faults_are_told_in_the_order_of_the_table_and_so_is_their_end() {
 }
 
 #[test]
+fn faults_that_set_the_same_bit_of_the_register_keep_it() {
+    let mut bus = Bus::operational();
+    bus.show_faults(1 << 5);
+    assert_eq!(bus.take(0x080), [[0x00, 0x10, GENERIC, 1, 2, 3, 4, 5]]);
+    bus.show_faults(0);
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.pass(TIME_MS.into());
+    bus.show_faults(0);
+    bus.take(0x080);
+    // The master is silent, and the bus was off.
+    bus.device.bus_joined();
+    bus.turn();
+    assert_eq!(bus.take(0x080)[0], [0x40, 0x81, COMMUNICATION | GENERIC, 1, 2, 3, 4, 5]);
+}
+
+#[test]
 fn stopped_device_tells_no_faults_before_it_is_started() {
     let mut bus = Bus::operational();
     bus.nmt(0x02);
@@ -794,17 +811,21 @@ fn eds_file_is_that_of_the_table() {
     };
     let entries = [
         EdsEntry::new(named(0x1001, 0, "", "Error register")),
+        EdsEntry::new(named(0x1003, 0, "Errors", "Number of errors")),
         EdsEntry {
             default: Some(EdsValue::Text(NAME)),
             ..EdsEntry::new(named(0x1008, 0, "", "Manufacturer device name"))
         },
         EdsEntry::new(named(0x1014, 0, "", "COB-ID EMCY")),
+        EdsEntry::new(named(0x1015, 0, "", "Inhibit time EMCY")),
         EdsEntry::new(named(0x1016, 0, "Consumer heartbeat time", "Number of entries")),
         EdsEntry {
             default: Some(EdsValue::Number(0x7F_0000)),
             ..EdsEntry::new(named(0x1016, 1, "Consumer heartbeat time", "Master"))
         },
+        EdsEntry::new(named(0x1017, 0, "", "Heartbeat time")),
         EdsEntry::new(named(0x1018, 3, "Identity", "Revision number")),
+        EdsEntry::new(named(0x1029, 1, "Error behaviour", "Communication")),
         EdsEntry::new(named(0x1401, 1, "RPDO2", "COB-ID")),
         EdsEntry::new(named(0x1600, 0, "RPDO1 mapping", "Number of entries")),
         EdsEntry::new(named(0x1600, 1, "RPDO1 mapping", "First")),
@@ -816,7 +837,9 @@ fn eds_file_is_that_of_the_table() {
         EdsEntry::new(Object { mappable: true, ..named(0x2002, 1, "Values", "Byte") }),
         EdsEntry { limits: Some((1, 1_000)), ..EdsEntry::new(named(0x2002, 2, "Values", "Word")) },
     ];
-    let made = Eds { facts, entries: entries.into_iter(), config: CONFIG }.to_string();
+    // Another than none, to be told from it.
+    let config = Config { emergency_inhibit: 7, ..CONFIG };
+    let made = Eds { facts, entries: entries.into_iter(), config }.to_string();
     assert_eq!(made, include_str!("tests/test.eds"));
 }
 
@@ -865,6 +888,13 @@ fn rpdos_of_a_master_that_disabled_one_are_not_missed() {
     bus.download(0x1401, 1, &[0x10, 0x03, 0, 0x80]).unwrap();
     bus.pass(TIME_MS.into());
     assert_eq!(bus.events.last(), Some(&SILENT));
+}
+
+#[test]
+fn rpdo_that_gets_another_transmission_type_still_commands() {
+    let mut bus = Bus::operational();
+    bus.download(0x1400, 2, &[1]).unwrap();
+    assert_eq!(bus.events, [READ]);
 }
 
 #[test]
@@ -1077,6 +1107,25 @@ fn consumer_that_is_switched_off_watches_the_rpdos_alone() {
 }
 
 #[test]
+fn rpdos_are_enough_where_no_heartbeat_was_heard_or_none_is_watched() {
+    for (heartbeat, value) in [(true, [0; 4]), (false, [100, 0, MASTER as u8, 0])] {
+        let mut bus = Bus::operational();
+        if heartbeat {
+            bus.bring(0x700 | MASTER, &[5]);
+        }
+        bus.bring(0x310, &[0; 2]);
+        bus.download(0x1016, 1, &value).unwrap();
+        for _ in 0..20 {
+            bus.pass(50);
+            bus.bring(0x310, &[0; 2]);
+        }
+        assert!(!bus.events.contains(&SILENT), "{value:?}");
+        bus.pass(TIME_MS.into());
+        assert_eq!(bus.events.last(), Some(&SILENT), "{value:?}");
+    }
+}
+
+#[test]
 fn master_that_falls_silent_behind_switching_the_consumer_off_is_noticed() {
     let mut bus = Bus::operational();
     bus.bring(0x700 | MASTER, &[5]);
@@ -1203,6 +1252,43 @@ fn texts_are_read_in_segments() {
     }
 }
 
+/// An application that has no text of its own.
+struct Textless(Application);
+
+impl Dictionary for Textless {
+    type Key = Key;
+
+    fn find(&self, index: u16, sub: u8) -> Result<Entry<Key>, Abort> {
+        self.0.find(index, sub)
+    }
+
+    fn read(&self, key: Key) -> Result<u32, Abort> {
+        self.0.read(key)
+    }
+
+    fn write(&mut self, key: Key, value: u32) -> Result<(), Abort> {
+        self.0.write(key, value)
+    }
+
+    fn consumer_time_ms(&self) -> u16 {
+        self.0.consumer_time_ms()
+    }
+
+    fn set_consumer_time_ms(&mut self, time_ms: u16) -> Result<(), Abort> {
+        self.0.set_consumer_time_ms(time_ms)
+    }
+}
+
+#[test]
+fn application_without_texts_says_that_there_is_no_data() {
+    let mut bus = Bus::operational();
+    bus.bring(0x600 | NODE, &[0x40, 0x08, 0x10, 0, 0, 0, 0, 0]);
+    let Bus { mut device, application, now_ms, .. } = bus;
+    assert_eq!(device.poll_event(now_ms, &mut Textless(application)), Some(READ));
+    let answer = device.poll_transmit::<ClassicFrame>(now_ms).unwrap();
+    assert_eq!(answer.data()[4..], (Abort::NoData as u32).to_le_bytes());
+}
+
 #[test]
 fn transfer_in_segments_ends_where_the_client_loses_count_or_begins_another() {
     let begin = [0x40, 0x08, 0x10, 0, 0, 0, 0, 0];
@@ -1222,6 +1308,29 @@ fn transfer_in_segments_ends_where_the_client_loses_count_or_begins_another() {
     bus.nmt(0x02);
     bus.nmt(0x01);
     assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "the device was stopped");
+}
+
+#[test]
+fn transfer_outlives_a_start_and_no_stop() {
+    let mut bus = Bus::operational();
+    bus.sdo([0x40, 0x08, 0x10, 0, 0, 0, 0, 0]);
+    bus.nmt(0x80);
+    bus.nmt(0x01);
+    let answers = bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(answers[0][1..], NAME.as_bytes()[..7]);
+    // A request and the stop in one turn.
+    bus.bring(0x600 | NODE, &[0x2F, 0x02, 0x20, 1, 0xCD, 0, 0, 0]);
+    bus.nmt(0x02);
+    bus.nmt(0x80);
+    assert_eq!((bus.application.byte, bus.take(0x580)), (0, vec![]));
+}
+
+#[test]
+fn time_goes_forward_for_up_to_24_days() {
+    for then_ms in [0, u32::MAX] {
+        let since = |ms: u32| clock::since(then_ms.wrapping_add(ms), then_ms);
+        assert_eq!((since(0), since(0x7FFF_FFFF), since(0x8000_0000)), (0, 0x7FFF_FFFF, 0));
+    }
 }
 
 #[test]
