@@ -79,6 +79,24 @@ impl Images {
         }
     }
 
+    /// Shows this output image from now on, for a server that shows what another one was written. It does not count as
+    /// written.
+    ///
+    /// ```
+    /// use wsg_protocol::fieldbus::{Images, OutputImage};
+    ///
+    /// let mut images = Images::new(false);
+    /// images.set_output(&OutputImage { width: 12_20, ..OutputImage::ZERO });
+    /// assert_eq!(images.holding_register(1), Ok(12_20));
+    /// assert_eq!(images.take_written(), None);
+    /// ```
+    pub fn set_output(&mut self, image: &OutputImage) {
+        self.output = image.to_bytes();
+        if self.swap_bytes {
+            swap_numbers(&mut self.output, &OUTPUT_REGISTERS);
+        }
+    }
+
     /// The output image as it was written last.
     #[must_use]
     pub fn output(&self) -> OutputImage {
@@ -278,6 +296,27 @@ mod tests {
         assert_eq!(images.take_written(), Some(image));
         assert_eq!(images.take_written(), None);
         assert_eq!(images.output(), image, "it stays to be read");
+    }
+
+    #[test]
+    fn output_image_that_is_shown_reads_as_one_that_was_written_and_is_not_handed_over() {
+        let image = OutputImage {
+            flags: CommandFlags::MOVE,
+            user: 0x20,
+            width: 1220,
+            speed: 50_00,
+            force_limit: 40_00,
+        };
+        for swap_bytes in [false, true] {
+            let mut written = Images::new(swap_bytes);
+            let width = if swap_bytes { [0xC4, 0x04] } else { [0x04, 0xC4] };
+            written.write_registers(1, Words::new(&width)).unwrap();
+            let mut shown = Images::new(swap_bytes);
+            shown.set_output(&image);
+            assert_eq!(shown.holding_register(1), written.holding_register(1));
+            assert_eq!(shown.output(), image);
+            assert_eq!(shown.take_written(), None);
+        }
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub(crate) fn every_function() {
         Function: code, from_code, may_be_broadcast;
         Content: is_number;
         Images: new, coil, discrete_input, holding_register, input_register, write_coils, write_registers;
-        Images: output, set_input, set_swap_bytes, take_written;
+        Images: output, set_input, set_output, set_swap_bytes, take_written;
         rtu::Receiver: new, configure, push, silence, reset, is_idle;
         rtu::Server: new, configure, counters, is_idle, is_listen_only;
         rtu::Timing: of;
