@@ -64,6 +64,11 @@ impl Arbiter {
         self.control_source
     }
 
+    /// What the bus wrote last, whether or not it counts.
+    pub(crate) const fn bus_image(&self) -> &OutputImage {
+        &self.bus
+    }
+
     /// Whether the wires ask for FAST STOP.
     pub(crate) fn is_stopped_by_wires(&self) -> bool {
         self.wires.is_some_and(|wires| wires.flags.contains(CommandFlags::FASTSTOP))

@@ -44,7 +44,7 @@ pub struct Bridge {
     wires: Wires,
     arbiter: Arbiter,
     facts: Facts,
-    /// Width and force are subscribed to, because a bus shows them. Wires alone have no use for them.
+    /// Width and force are subscribed to, because a bus or the service port shows them. Wires alone have no use for them.
     is_measured: bool,
     liveness: Liveness,
     /// The frame that is being sent.
@@ -140,6 +140,18 @@ impl Bridge {
         self.wires.read(inputs).show(now, &shown);
         self.liveness.look(Looked::OUTPUTS);
         self.wires.shown()
+    }
+
+    /// Serves a service port, once a turn, before or behind [`poll`](Self::poll): one event at the most. What it changes of the
+    /// settings counts at once. It commands nothing: an output image of it is dropped, and so is its silence.
+    pub fn serve<P: PlcSide>(&mut self, now_ms: u32, service: &mut P) {
+        let Self { controller, session, parser, arbiter, facts, settings, .. } = self;
+        let mut view = View { controller, session, parser, arbiter, facts, settings };
+        let Some(event) = service.receive(Instant::from_millis(now_ms), &mut view) else { return };
+        self.measure();
+        if event == PlcEvent::Configured {
+            self.wires.configure(&self.settings);
+        }
     }
 
     /// Whether the gripper answers.
@@ -309,7 +321,7 @@ impl Bridge {
         self.liveness.look(Looked::BUS);
     }
 
-    /// Subscribes to what only a bus shows.
+    /// Subscribes to what only registers show.
     fn measure(&mut self) {
         if !core::mem::replace(&mut self.is_measured, true) {
             let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);

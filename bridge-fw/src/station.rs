@@ -14,12 +14,13 @@ use crate::registers::ResetCause;
 /// What runs on a board: the bridge, and whoever is on its lines.
 ///
 /// The gripper is on RS-232 or on CAN. The PLC is on the wires in any case, and on Modbus RTU or on CAN (CANopen) beside
-/// them. A board gives the lines and calls [`turn`](Self::turn) at least once a millisecond.
+/// them. The service port is there whatever the configuration says. A board gives the lines and calls [`turn`](Self::turn) at least once a millisecond.
 pub struct Station<C: CanController> {
     gripper_line: GripperLine,
     plc_bus: PlcBus,
     bridge: Bridge,
     modbus: Modbus,
+    service: Modbus,
     can: CanBus<C>,
     link: GripperLink,
     node: Node,
@@ -34,6 +35,7 @@ impl<C: CanController> Station<C> {
             plc_bus: config.plc_bus,
             bridge: Bridge::new(config),
             modbus: Modbus::new(&config),
+            service: Modbus::service(),
             can,
             link: GripperLink::new(config.can.gripper),
             node: Node::new(config.can.node),
@@ -55,13 +57,29 @@ impl<C: CanController> Station<C> {
     }
 
     /// One turn of the main loop: takes what the lines and wires brought, sends what is due, and returns the levels of the
-    /// wires to the PLC. Never waits.
-    pub fn turn<L: Read + ReadReady + Write + WriteReady, B: BusPort>(
+    /// wires to the PLC. Never waits. `service` is a line of its own for Modbus RTU, by [`BusConfig::SERVICE`].
+    ///
+    /// [`BusConfig::SERVICE`]: crate::BusConfig::SERVICE
+    pub fn turn<L: Read + ReadReady + Write + WriteReady>(
         &mut self,
         now_ms: u32,
         inputs: Inputs,
         serial: &mut L,
-        modbus: &mut B,
+        modbus: &mut dyn BusPort,
+        service: &mut dyn BusPort,
+    ) -> Outputs {
+        let outputs = self.poll(now_ms, inputs, serial, modbus);
+        // Behind what leaves: no wire waits for it, and the PLC's bus finds in the next turn what it changed.
+        self.bridge.serve(now_ms, &mut self.service.over(service));
+        outputs
+    }
+
+    fn poll<L: Read + ReadReady + Write + WriteReady>(
+        &mut self,
+        now_ms: u32,
+        inputs: Inputs,
+        serial: &mut L,
+        modbus: &mut dyn BusPort,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
         let Self { bridge, can, link, node, .. } = self;

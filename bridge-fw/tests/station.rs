@@ -21,6 +21,25 @@ struct Port {
     answers: Vec<Vec<u8>>,
 }
 
+impl Port {
+    /// Brings a request, without its checksum.
+    fn ask(&mut self, request: &[u8]) {
+        let mut silence_us = 100_000;
+        for byte in request.iter().copied().chain(crc(request).to_le_bytes()) {
+            self.waiting.push_back((Character::Byte(byte), std::mem::take(&mut silence_us)));
+        }
+        self.answers.clear();
+    }
+
+    /// The register in the answer.
+    fn answered(&mut self) -> Option<u16> {
+        match self.answers.pop()?[..] {
+            [_, _, 2, high, low, ..] => Some(u16::from_be_bytes([high, low])),
+            _ => None,
+        }
+    }
+}
+
 impl BusPort for Port {
     fn receive(&mut self) -> Option<(Character, u32)> {
         self.waiting.pop_front()
@@ -40,6 +59,7 @@ struct Bench {
     can: Double,
     serial: SerialLine,
     modbus: Port,
+    service: Port,
     now_ms: u32,
     /// Identifiers of the frames on CAN.
     on_can: Vec<u16>,
@@ -51,14 +71,23 @@ impl Bench {
         let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT));
         station.start(config, Board::UNKNOWN, ResetCause::Pin);
         let serial = SerialLine::with_room(1_000);
-        Self { station, can, serial, modbus: Port::default(), now_ms: 0, on_can: Vec::new() }
+        Self {
+            station,
+            can,
+            serial,
+            modbus: Port::default(),
+            service: Port::default(),
+            now_ms: 0,
+            on_can: Vec::new(),
+        }
     }
 
     /// Lets time pass, with the wires as they are when nobody wants anything.
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
             self.now_ms += 1;
-            self.station.turn(self.now_ms, Inputs::FAST_STOP_OK, &mut self.serial, &mut self.modbus);
+            let Self { station, serial, modbus, service, now_ms, .. } = self;
+            station.turn(*now_ms, Inputs::FAST_STOP_OK, serial, modbus, service);
             while let Some(frame) = self.can.take_winner() {
                 let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
                 self.on_can.push(id.as_raw());
@@ -69,18 +98,16 @@ impl Bench {
     /// Asks a unit for a register by Modbus RTU: FC 3 or 4.
     fn register(&mut self, unit: u8, function: u8, address: u16) -> Option<u16> {
         let [high, low] = address.to_be_bytes();
-        let mut request = vec![unit, function, high, low, 0, 1];
-        request.extend(crc(&request).to_le_bytes());
-        let mut silence_us = 100_000;
-        for byte in request {
-            self.modbus.waiting.push_back((Character::Byte(byte), std::mem::take(&mut silence_us)));
-        }
-        self.modbus.answers.clear();
+        self.modbus.ask(&[unit, function, high, low, 0, 1]);
         self.pass(3);
-        match self.modbus.answers.pop()?[..] {
-            [_, _, 2, high, low, ..] => Some(u16::from_be_bytes([high, low])),
-            _ => None,
-        }
+        self.modbus.answered()
+    }
+
+    /// The same over the service port.
+    fn service(&mut self, request: &[u8]) -> Option<u16> {
+        self.service.ask(request);
+        self.pass(3);
+        self.service.answered()
     }
 }
 
@@ -115,6 +142,22 @@ fn only_the_lines_that_the_settings_choose_are_used() {
 }
 
 #[test]
+fn service_port_is_there_whatever_the_settings_choose() {
+    for gripper_line in [GripperLine::Serial, GripperLine::Can] {
+        for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen] {
+            let changes = [("UNIT", 9), ("BUS_CHAR_TIMEOUT", 0), ("SWAP_BYTES", 1), ("MODBUS_RATE", 12)];
+            let config = Config { gripper_line, plc_bus, ..with(&changes) };
+            let mut bench = Bench::new(&config);
+            let what = format!("{gripper_line:?}, {plc_bus:?}");
+            assert_eq!(bench.service(&[1, 3, 0, 100, 0, 1]), Some(9), "{what}");
+            bench.service(&[1, 6, 0, 100, 0, 7]);
+            assert_eq!(bench.service(&[1, 3, 0, 100, 0, 1]), Some(7), "{what}");
+            assert_eq!(bench.service(&[9, 3, 0, 100, 0, 1]), None, "{what}: its unit is 1");
+        }
+    }
+}
+
+#[test]
 fn settings_of_the_record_count_from_the_start_on() {
     let mut bench = Bench::new(&with(&[("UNIT", 5), ("MODBUS_RATE", 1_152), ("RECIPE2_WIDTH", 33_00)]));
     bench.pass(10);
@@ -140,14 +183,15 @@ fn identifiers_and_nodes_of_the_record_are_those_on_the_bus() {
 #[test]
 fn wires_are_debounced_as_the_record_says() {
     for (debounce_ms, bounds) in [(2, 2..10), (200, 200..210)] {
-        let Bench { mut station, mut modbus, .. } = Bench::new(&with(&[("DEBOUNCE", debounce_ms)]));
+        let Bench { mut station, mut modbus, mut service, .. } =
+            Bench::new(&with(&[("DEBOUNCE", debounce_ms)]));
         let mut far = SerialGripper::new(wsg_sim::Config::default());
         let mut sent = |now_ms: u32| {
             // The FAST STOP of power-up is acknowledged from 1000 ms on; from 2000 ms on there is nothing but to stop.
             let acknowledges = (1_000..1_500).contains(&now_ms) || now_ms >= 2_000;
             let wires =
                 if acknowledges { Inputs::FAST_STOP_OK | Inputs::STOP_ACK } else { Inputs::FAST_STOP_OK };
-            station.turn(now_ms, wires, &mut far.line, &mut modbus);
+            station.turn(now_ms, wires, &mut far.line, &mut modbus, &mut service);
             far.advance(Time::from_millis(now_ms.into()));
             far.take_sent()
         };

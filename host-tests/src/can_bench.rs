@@ -325,7 +325,8 @@ impl CanBench {
     /// One turn of the main loop.
     fn turn(&mut self) {
         let Self { station, now_ms, inputs, .. } = self;
-        self.outputs = station.turn(*now_ms, *inputs, &mut SerialLine::with_room(0), &mut NoLine);
+        self.outputs =
+            station.turn(*now_ms, *inputs, &mut SerialLine::with_room(0), &mut NoLine, &mut NoLine);
     }
 
     fn reach_gripper(&mut self, now: Instant, time: Time, frame: ClassicFrame) {

@@ -1,4 +1,5 @@
-//! Bridge and virtual gripper in virtual time, with a Modbus master and wires that a test plays.
+//! Bridge and virtual gripper in virtual time, with a Modbus master on the bus, another on the service port, and wires that a
+//! test plays.
 
 use std::collections::VecDeque;
 
@@ -40,6 +41,10 @@ impl BusPort for Bus {
 pub struct Bench {
     bridge: Bridge,
     modbus: Modbus,
+    service: Modbus,
+    /// The line that is not the master's now: the service port, but inside [`Bench::by_service`].
+    other: Bus,
+    is_by_service: bool,
     /// The gripper and its line.
     far: SerialGripper,
     bus: Bus,
@@ -54,6 +59,9 @@ impl Bench {
         Self {
             bridge: Bridge::new(config),
             modbus: Modbus::new(&config),
+            service: Modbus::service(),
+            other: Bus { silence_us: 1_000_000, ..Bus::default() },
+            is_by_service: false,
             far: SerialGripper::new(gripper),
             bus: Bus { silence_us: 1_000_000, ..Bus::default() },
             now_ms: 0,
@@ -102,6 +110,26 @@ impl Bench {
     /// The gripper.
     pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
         &mut self.far.gripper
+    }
+
+    /// Lets a test do over the service port what it would do over the bus.
+    pub fn by_service<T>(&mut self, test: impl FnOnce(&mut Self) -> T) -> T {
+        self.change_line();
+        let result = test(self);
+        self.change_line();
+        result
+    }
+
+    fn change_line(&mut self) {
+        std::mem::swap(&mut self.bus, &mut self.other);
+        self.is_by_service = !self.is_by_service;
+    }
+
+    /// Serves the service port so often without a turn of the bridge.
+    pub fn serve_alone(&mut self, times: u32) {
+        let Self { bridge, service, bus, other, now_ms, is_by_service, .. } = self;
+        let port = if *is_by_service { bus } else { other };
+        (0..times).for_each(|_| bridge.serve(*now_ms, &mut service.over(port)));
     }
 
     /// Cuts the line from gripper to bridge, or mends it.
@@ -238,9 +266,13 @@ impl Wires for Bench {
 
     fn step(&mut self) {
         self.now_ms += 1;
-        self.bus.silence_us = self.bus.silence_us.saturating_add(1_000);
-        let Self { bridge, modbus, far, bus, inputs, now_ms, .. } = self;
+        for line in [&mut self.bus, &mut self.other] {
+            line.silence_us = line.silence_us.saturating_add(1_000);
+        }
+        let Self { bridge, modbus, service, far, bus, other, is_by_service, inputs, now_ms, .. } = self;
+        let (bus, port) = if *is_by_service { (other, bus) } else { (bus, other) };
         self.outputs = bridge.poll(*now_ms, *inputs, &mut far.line, &mut modbus.over(bus));
+        bridge.serve(*now_ms, &mut service.over(port));
         self.far.advance(self.now());
     }
 }

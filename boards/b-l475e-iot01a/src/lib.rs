@@ -2,7 +2,8 @@
 //!
 //! The firmware's pin file and the harness that plays the PLC in the emulator both read these
 //! tables. Taken besides: UART4 to the gripper on PA0 (TX, D1) and PA1 (RX, D0); LPUART1 to the bus on PC1
-//! (TX, A4), PC0 (RX, A5) and PB1 (driver enable, D6); CAN1 on PB8 (RX, D15) and PB9 (TX, D14).
+//! (TX, A4), PC0 (RX, A5) and PB1 (driver enable, D6); CAN1 on PB8 (RX, D15) and PB9 (TX, D14); USART1, the service port, on
+//! PB6 (TX) and PB7 (RX), which go to the ST-Link and to no connector.
 
 #![no_std]
 #![deny(unsafe_code)]

@@ -82,6 +82,19 @@ impl BusConfig {
         swap_bytes: false,
     };
 
+    /// The service port: 115 200 bit/s, 8N1, unit 1, and whatever settings say of the PLC's bus changes none of it. It
+    /// commands nothing, so its silence is no time-out.
+    pub const SERVICE: Self = Self {
+        baud: 115_200,
+        format: Format::None1,
+        unit: 1,
+        timeout_ms: 0,
+        reaction: SilenceReaction::Hold,
+        character_timeout_ms: 50,
+        broadcast: false,
+        swap_bytes: false,
+    };
+
     /// The silences of this rate and format.
     #[must_use]
     pub const fn timing(&self) -> Timing {

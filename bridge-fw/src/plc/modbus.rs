@@ -1,4 +1,5 @@
 //! Modbus RTU as a PLC side: requests in, output images out; the input image and the registers of the bridge in answers.
+//! The service port is the same without output images.
 
 mod port;
 mod uart;
@@ -7,8 +8,8 @@ pub use port::BusPort;
 pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 
 use super::{PlcEvent, PlcSide, Shown, View};
-use crate::config::Config;
-use crate::registers::{BusCounts, FIRST_REPORT, FIRST_SETTING, Link, RegisterError, Settings};
+use crate::config::{BusConfig, Config};
+use crate::registers::{BusCounts, FIRST_REPORT, FIRST_SETTING, Link, RegisterError};
 use bus_modbus::rtu::{self, Character, Event, Mode, Server};
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
 use wsg_protocol::Instant;
@@ -22,6 +23,10 @@ pub const IDENTIFICATION: Identification = Identification {
     regular: None,
 };
 
+/// Characters taken from a line in one go, at the most: a line that never falls silent must not keep the rest waiting. One
+/// millisecond at 230 400 bit/s brings 23.
+const MAX_CHARACTERS: usize = 64;
+
 /// What the line has brought.
 #[derive(Clone, Copy, Debug)]
 enum RxEvent {
@@ -31,9 +36,19 @@ enum RxEvent {
     Silence(u32),
 }
 
+/// What a server is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Role {
+    /// The PLC's bus: it writes the output image, and settings say how it is served.
+    Plc,
+    /// The service port: it reads the output image, and no setting changes how it is served.
+    Service,
+}
+
 /// The server of a Modbus line. The line itself stays outside: [`over`](Self::over) brings both together for a turn.
 #[derive(Clone, Debug, Hash)]
 pub struct Modbus {
+    role: Role,
     server: Server,
     images: Images,
     /// When a request for this unit came last; none once that is too long ago.
@@ -41,13 +56,25 @@ pub struct Modbus {
 }
 
 impl Modbus {
-    /// A server that begins as the configuration says.
+    /// A server for the PLC's bus that begins as the configuration says.
     #[must_use]
     pub const fn new(config: &Config) -> Self {
-        let settings = Settings::new(config);
+        Self::with_role(Role::Plc, &config.bus)
+    }
+
+    /// A server for the service port ([`BusConfig::SERVICE`]): it reads all that the PLC's bus reads and writes settings; a
+    /// write of the output image is exception 01, so it commands nothing.
+    #[must_use]
+    pub const fn service() -> Self {
+        Self::with_role(Role::Service, &BusConfig::SERVICE)
+    }
+
+    const fn with_role(role: Role, config: &BusConfig) -> Self {
+        let server = server_config(config.unit, config.character_timeout_ms, config.broadcast);
         Self {
-            server: Server::new(server_config(&settings), config.bus.timing()),
-            images: Images::new(settings.swap_bytes()),
+            role,
+            server: Server::new(server, config.timing()),
+            images: Images::new(config.swap_bytes),
             heard_at: None,
         }
     }
@@ -68,8 +95,25 @@ impl Modbus {
     }
 
     /// Serves this line: a PLC side for one turn.
-    pub const fn over<'a, P: BusPort>(&'a mut self, port: &'a mut P) -> ModbusLine<'a, P> {
+    pub const fn over<'a>(&'a mut self, port: &'a mut dyn BusPort) -> ModbusLine<'a> {
         ModbusLine { modbus: self, port }
+    }
+
+    /// Takes what counts for the next request, whoever changed it.
+    fn update(&mut self, view: &View<'_>) {
+        match self.role {
+            Role::Plc => {
+                let settings = &view.settings;
+                self.server.configure(server_config(
+                    settings.unit(),
+                    settings.character_timeout_ms(),
+                    settings.broadcast(),
+                ));
+                self.images.set_swap_bytes(settings.swap_bytes());
+            }
+            Role::Service => self.images.set_output(view.bus_image()),
+        }
+        self.images.set_input(&view.image());
     }
 
     /// Serves a request that `event` completes. `None` if it completes none.
@@ -78,11 +122,11 @@ impl Modbus {
         now: Instant,
         event: RxEvent,
         counts: BusCounts,
-        port: &mut impl BusPort,
+        port: &mut dyn BusPort,
         view: &mut View<'_>,
     ) -> Option<PlcEvent> {
-        let Self { server, images, .. } = self;
-        let mut device = BridgeDevice { images, view, counts, configured: false };
+        let Self { role, server, images, .. } = self;
+        let mut device = BridgeDevice { role: *role, images, view, counts, configured: false };
         let served = match event {
             RxEvent::Character(character, silence_us) => server.push(character, silence_us, &mut device),
             RxEvent::Silence(silence_us) => server.silence(silence_us, &mut device),
@@ -95,17 +139,16 @@ impl Modbus {
         }
         self.heard_at = Some(now);
         if configured {
-            self.server.configure(server_config(view.settings));
-            self.images.set_swap_bytes(view.settings.swap_bytes());
             return Some(PlcEvent::Configured);
         }
         Some(self.images.take_written().map_or(PlcEvent::Served, PlcEvent::Output))
     }
 
-    /// Whether the PLC has been silent for so long, in milliseconds; says so once.
+    /// Whether a PLC has been silent for so long, in milliseconds; says so once.
     fn has_fallen_silent(&mut self, now: Instant, timeout_ms: u32) -> bool {
-        let silent =
-            timeout_ms > 0 && self.heard_at.is_some_and(|heard_at| now.since(heard_at) >= timeout_ms);
+        let silent = self.role == Role::Plc
+            && timeout_ms > 0
+            && self.heard_at.is_some_and(|heard_at| now.since(heard_at) >= timeout_ms);
         if silent {
             self.heard_at = None;
         }
@@ -113,23 +156,23 @@ impl Modbus {
     }
 }
 
-/// What the settings say of the server.
-const fn server_config(settings: &Settings) -> rtu::Config {
-    let mode = match settings.character_timeout_ms() {
+/// The server's own configuration.
+const fn server_config(unit: u8, character_timeout_ms: u16, broadcast: bool) -> rtu::Config {
+    let mode = match character_timeout_ms {
         0 => Mode::Strict,
         ms => Mode::Tolerant { character_timeout_us: ms as u32 * 1_000 },
     };
-    rtu::Config { unit: settings.unit(), mode, broadcast: settings.broadcast() }
+    rtu::Config { unit, mode, broadcast }
 }
 
 /// A [`Modbus`] server and its line.
-#[derive(Debug)]
-pub struct ModbusLine<'a, P> {
+// By `dyn`: the code for the PLC's bus and that for the service port are one.
+pub struct ModbusLine<'a> {
     modbus: &'a mut Modbus,
-    port: &'a mut P,
+    port: &'a mut dyn BusPort,
 }
 
-impl<P: BusPort> ModbusLine<'_, P> {
+impl ModbusLine<'_> {
     /// What the line has brought; none when there is nothing to serve, which is nearly always.
     fn listen(&mut self) -> Option<RxEvent> {
         match self.port.receive() {
@@ -140,16 +183,16 @@ impl<P: BusPort> ModbusLine<'_, P> {
     }
 }
 
-impl<P: BusPort> PlcSide for ModbusLine<'_, P> {
+impl PlcSide for ModbusLine<'_> {
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         if let Some(mut event) = self.listen() {
-            self.modbus.images.set_input(&view.image());
+            self.modbus.update(view);
             let counts = self.modbus.counts();
-            loop {
+            for left in (0..MAX_CHARACTERS).rev() {
                 if let Some(event) = self.modbus.serve(now, event, counts, self.port, view) {
                     return Some(event);
                 }
-                if matches!(event, RxEvent::Silence(_)) {
+                if left == 0 || matches!(event, RxEvent::Silence(_)) {
                     break;
                 }
                 let Some(next) = self.listen() else { break };
@@ -166,6 +209,7 @@ impl<P: BusPort> PlcSide for ModbusLine<'_, P> {
 
 /// The bridge as a device, for one request.
 struct BridgeDevice<'a, 'b> {
+    role: Role,
     images: &'a mut Images,
     view: &'a mut View<'b>,
     counts: BusCounts,
@@ -173,6 +217,16 @@ struct BridgeDevice<'a, 'b> {
 }
 
 impl BridgeDevice<'_, '_> {
+    /// Whether so many items of the output image may be written, of `all` that there are. The service port moves nothing: 01,
+    /// or 02 as everywhere if one of them does not exist.
+    fn may_command(&self, first: u16, count: u16, all: u16) -> Result<(), Exception> {
+        match self.role {
+            Role::Service if first.saturating_add(count) <= all => Err(Exception::IllegalFunction),
+            Role::Service => Err(Exception::IllegalDataAddress),
+            Role::Plc => Ok(()),
+        }
+    }
+
     /// The input image is the gripper's: without one there is nothing to show.
     fn gripper_answers(&self) -> Result<(), Exception> {
         match self.view.link() {
@@ -218,11 +272,13 @@ impl Device for BridgeDevice<'_, '_> {
     }
 
     fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception> {
+        self.may_command(first, values.len(), Images::COILS)?;
         self.images.write_coils(first, values)
     }
 
     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception> {
         let Some(index) = first.checked_sub(FIRST_SETTING) else {
+            self.may_command(first, values.len() as u16, Images::COILS / 16)?;
             return self.images.write_registers(first, values);
         };
         self.view.write_settings(index, values.iter()).map_err(exception)?;

@@ -6,7 +6,7 @@ use crate::config::{BusConfig, MAX_REPLY_LEN};
 use crate::registers::{
     BusCounts, CanReports, Events, Link, RegisterError, ReportSource, ResetCause, Settings,
 };
-use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage};
+use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::session::Session;
 use wsg_protocol::{FrameParser, Status};
 
@@ -67,6 +67,13 @@ impl View<'_> {
     #[must_use]
     pub fn image(&self) -> InputImage {
         self.facts.motion_end.shown(self.facts.image(self.controller, self.session))
+    }
+
+    /// Returns the output image that the PLC's bus wrote last, zeros before it wrote any. It need not count: wires may
+    /// command.
+    #[must_use]
+    pub const fn bus_image(&self) -> &OutputImage {
+        self.arbiter.bus_image()
     }
 
     /// Returns whether the gripper answers.

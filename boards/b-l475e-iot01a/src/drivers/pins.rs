@@ -1,4 +1,4 @@
-//! The PLC's wires, the LED, the gripper's line and the bus on their pins (RM0351, chapter 8).
+//! The PLC's wires, the LED, the gripper's line, the buses and the service port on their pins (RM0351, chapter 8).
 
 use stm32_metapac::gpio::Gpio;
 use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, RCC};
@@ -16,6 +16,10 @@ const LPUART1_RX: u8 = 0;
 const LPUART1_TX: u8 = 1;
 const LPUART1_DE: u8 = 1;
 const AF_LPUART1: u32 = 8;
+
+/// Pins of the service port, USART1, on port B: transmitter, receiver, and their function there.
+const USART1_PINS: [u8; 2] = [6, 7];
+const AF_USART1: u32 = 7;
 
 /// Pins of CAN1 on port B: receiver, transmitter, and their function there.
 const CAN1_PINS: [u8; 2] = [8, 9];
@@ -61,6 +65,9 @@ pub fn init() -> Pins {
     hand_over(Port::C, LPUART1_RX, AF_LPUART1, PULL_UP);
     // Low, which is no driver, also while nobody drives it.
     hand_over(Port::B, LPUART1_DE, AF_LPUART1, PULL_DOWN);
+    for pin in USART1_PINS {
+        hand_over(Port::B, pin, AF_USART1, PULL_UP);
+    }
     for pin in CAN1_PINS {
         // Recessive is high.
         hand_over(Port::B, pin, AF_CAN1, PULL_UP);

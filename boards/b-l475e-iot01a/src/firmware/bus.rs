@@ -1,12 +1,15 @@
-//! The PLC's bus: LPUART1 for Modbus RTU, interrupt driven both ways (RM0351, chapter 41).
+//! Modbus RTU on two UARTs, interrupt driven both ways (RM0351, chapters 40 and 41): LPUART1 is the PLC's bus, USART1 the
+//! service port, which the board's ST-Link hands on over USB.
 //!
-//! The peripheral switches the transceiver's driver by itself (DE mode).
+//! LPUART1 switches the transceiver's driver by itself (DE mode).
 
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::rcc::vals::Lpuart1sel;
+use stm32_metapac::usart::Lpuart;
 use stm32_metapac::usart::vals::{M0, Ps, Stop};
-use stm32_metapac::{Interrupt, LPUART1, PWR, RCC, interrupt};
+use stm32_metapac::{Interrupt, LPUART1, PWR, RCC, USART1, interrupt};
 use wsg_b_l475e_iot01a::BusClock;
+use wsg_b_l475e_iot01a::drivers::clock::HCLK_HZ;
 use wsg_bridge_fw::plc::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 use wsg_bridge_fw::{BusConfig, Format};
 
@@ -16,22 +19,41 @@ use crate::tick;
 const RECEIVED_MAX: usize = 512;
 const TO_SEND_MAX: usize = 256;
 
-static BUFFERS: RtuBuffers<RECEIVED_MAX, TO_SEND_MAX> = RtuBuffers::new();
+/// One type for both lines, so that there is one copy of their code.
+type Buffers = RtuBuffers<RECEIVED_MAX, TO_SEND_MAX>;
 
-/// The bridge's end of the bus; nothing comes and goes before [`start`].
-pub(crate) type Bus = RtuPort<Registers, RECEIVED_MAX, TO_SEND_MAX>;
+static BUS: Buffers = RtuBuffers::new();
+static SERVICE: Buffers = RtuBuffers::new();
+
+/// An LPUART has the registers of a USART, at the same places, but two that are not used here.
+// SAFETY: the address is that of USART1's registers.
+const SERVICE_UART: Lpuart = unsafe { Lpuart::from_ptr(USART1.as_ptr()) };
+
+/// The service port's rate from the bus clock, rounded.
+const SERVICE_DIVIDER: u32 = (HCLK_HZ + BusConfig::SERVICE.baud / 2) / BusConfig::SERVICE.baud;
+/// The divider's own error is below 0.1 %: what tolerance the line has is left to the clock.
+const _: () =
+    assert!((HCLK_HZ / SERVICE_DIVIDER).abs_diff(BusConfig::SERVICE.baud) < BusConfig::SERVICE.baud / 1_000);
+
+/// The bridge's end of a line; nothing comes and goes before its start.
+pub(crate) type Line = RtuPort<Registers, RECEIVED_MAX, TO_SEND_MAX>;
 
 /// The end of the bus. To be asked for once.
-pub(crate) const fn line() -> Bus {
-    RtuPort::new(Registers(()), &BUFFERS)
+pub(crate) const fn line() -> Line {
+    RtuPort::new(Registers(Interrupt::LPUART1), &BUS)
+}
+
+/// The end of the service port. To be asked for once.
+pub(crate) const fn service_line() -> Line {
+    RtuPort::new(Registers(Interrupt::USART1), &SERVICE)
 }
 
 /// What the main loop needs of the registers.
-pub(crate) struct Registers(());
+pub(crate) struct Registers(Interrupt);
 
 impl RtuUart for Registers {
     fn pend(&mut self) {
-        NVIC::pend(Interrupt::LPUART1);
+        NVIC::pend(self.0);
     }
 
     fn now_us(&mut self) -> u32 {
@@ -43,7 +65,6 @@ impl RtuUart for Registers {
 /// silent.
 pub(crate) fn start(config: &BusConfig) {
     let Some((clock, divider)) = BusClock::for_rate(config.baud) else { return };
-    BUFFERS.start(config);
     match clock {
         // It runs for the PLL anyway. (The 80 MHz of the bus clock are too fast below 19 532 bit/s.)
         BusClock::Hsi16 => RCC.ccipr().modify(|w| w.set_lpuart1sel(Lpuart1sel::HSI)),
@@ -54,19 +75,31 @@ pub(crate) fn start(config: &BusConfig) {
     }
     RCC.apb1enr2().modify(|w| w.set_lpuart1en(true));
     let _ = RCC.apb1enr2().read();
+    LPUART1.cr3().write(|w| w.set_dem(true));
+    start_uart(LPUART1, Interrupt::LPUART1, &BUS, config, divider);
+}
 
-    LPUART1.brr().write(|w| w.0 = divider);
-    LPUART1.cr2().write(|w| {
+/// Starts the service port. The clock runs at [`HCLK_HZ`], the pins are set up.
+pub(crate) fn start_service() {
+    RCC.apb2enr().modify(|w| w.set_usart1en(true));
+    let _ = RCC.apb2enr().read();
+    start_uart(SERVICE_UART, Interrupt::USART1, &SERVICE, &BusConfig::SERVICE, SERVICE_DIVIDER);
+}
+
+#[inline(never)]
+fn start_uart(uart: Lpuart, interrupt: Interrupt, buffers: &Buffers, config: &BusConfig, divider: u32) {
+    buffers.start(config);
+    uart.brr().write(|w| w.0 = divider);
+    uart.cr2().write(|w| {
         w.set_stop(if matches!(config.format, Format::None2) { Stop::STOP2 } else { Stop::STOP1 });
     });
-    LPUART1.cr3().write(|w| w.set_dem(true));
     let with_parity = matches!(config.format, Format::Even1);
-    LPUART1.cr1().write(|w| {
+    uart.cr1().write(|w| {
         // The parity bit is the ninth.
         w.set_m0(if with_parity { M0::BIT9 } else { M0::BIT8 });
         w.set_pce(with_parity);
         w.set_ps(Ps::EVEN);
-        // The driver is on for 16 clocks, a microsecond, before and after what it sends.
+        // A driver is on for 16 clocks, a microsecond, before and after what it sends; without DE mode that is nothing.
         w.set_deat(16);
         w.set_dedt(16);
         w.set_ue(true);
@@ -76,7 +109,7 @@ pub(crate) fn start(config: &BusConfig) {
     });
     // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
     // atomics with the rest.
-    unsafe { NVIC::unmask(Interrupt::LPUART1) };
+    unsafe { NVIC::unmask(interrupt) };
 }
 
 /// Switches the crystal of 32.768 kHz on. It takes up to 2 s to swing; until then the bus is deaf, and nobody waits.
@@ -90,31 +123,41 @@ fn start_lse() {
     RCC.bdcr().modify(|w| w.set_lseon(true));
 }
 
-/// One byte each way per call; the interrupt stays pending while there is more.
 #[interrupt]
 fn LPUART1() {
-    let status = LPUART1.isr().read();
+    handle(LPUART1, &BUS);
+}
+
+#[interrupt]
+fn USART1() {
+    handle(SERVICE_UART, &SERVICE);
+}
+
+/// One byte each way per call; the interrupt stays pending while there is more.
+#[inline(never)]
+fn handle(uart: Lpuart, buffers: &Buffers) {
+    let status = uart.isr().read();
     if status.rxne() {
-        let byte = (LPUART1.rdr().read().0 & 0xFF) as u8;
+        let byte = (uart.rdr().read().0 & 0xFF) as u8;
         let damaged = status.fe() || status.pe() || status.ne() || status.ore();
-        BUFFERS.on_receive(byte, damaged, status.tc(), tick::now_us());
+        buffers.on_receive(byte, damaged, status.tc(), tick::now_us());
     } else if status.ore() {
         // A byte came between the look at the status and the fetching of the one before.
-        BUFFERS.on_overrun();
+        buffers.on_overrun();
     }
-    LPUART1.icr().write(|w| {
+    uart.icr().write(|w| {
         w.set_fe(status.fe());
         w.set_pe(status.pe());
         w.set_ne(status.ne());
         w.set_ore(status.ore());
     });
-    if let Some(byte) = BUFFERS.on_transmit(status.txe(), status.tc()) {
-        LPUART1.tdr().write(|w| w.0 = byte.into());
+    if let Some(byte) = buffers.on_transmit(status.txe(), status.tc()) {
+        uart.tdr().write(|w| w.0 = byte.into());
     }
-    let Interrupts { transmit_empty, transmission_complete } = BUFFERS.interrupts();
-    let control = LPUART1.cr1().read();
+    let Interrupts { transmit_empty, transmission_complete } = buffers.interrupts();
+    let control = uart.cr1().read();
     if control.txeie() != transmit_empty || control.tcie() != transmission_complete {
-        LPUART1.cr1().modify(|w| {
+        uart.cr1().modify(|w| {
             w.set_txeie(transmit_empty);
             w.set_tcie(transmission_complete);
         });

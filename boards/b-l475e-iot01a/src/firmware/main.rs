@@ -61,6 +61,8 @@ fn main() -> ! {
     if config.gripper_line == GripperLine::Serial {
         uart::start();
     }
+    let mut service_line = bus::service_line();
+    bus::start_service();
     let mut modbus_line = bus::line();
     if config.plc_bus == PlcBus::Modbus {
         bus::start(&config.bus);
@@ -72,7 +74,8 @@ fn main() -> ! {
 
     loop {
         let now_ms = tick::now_ms();
-        let outputs = STATION.turn(now_ms, pins.read(), &mut gripper_line, &mut modbus_line);
+        let outputs =
+            STATION.turn(now_ms, pins.read(), &mut gripper_line, &mut modbus_line, &mut service_line);
         pins.write(outputs);
         pins.indicate(STATION.bridge().indication().is_lit(now_ms));
         if STATION.uses_can() {

@@ -1,0 +1,285 @@
+//! The service port in virtual time: it reads everything, sets settings, and moves nothing.
+
+use bus_modbus::rtu::Character;
+use host_tests::chance::Chance;
+use host_tests::modbus_bench::*;
+use host_tests::wires::Wires;
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::plc::Modbus;
+use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
+use wsg_bridge_fw::{Bridge, BusConfig, BusPort, Config, ControlSource};
+use wsg_protocol::CommandId;
+
+fn setting(name: &str) -> u16 {
+    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).unwrap() as u16
+}
+
+fn report(name: &str) -> u16 {
+    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).unwrap() as u16
+}
+
+#[test]
+fn every_write_of_the_output_image_is_refused_and_nothing_comes_of_it() {
+    // A PLC that may be silent for ever.
+    let bus = BusConfig { timeout_ms: 0, ..BusConfig::DEFAULT };
+    let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
+    bench.command(HOMING, 0, 0, 0);
+    bench.take_sent();
+    bench.pass(2_000);
+    let heard = bench.take_sent();
+    let events = bench.input(report("EVENTS"), 1);
+    bench.by_service(|bench| {
+        for bit in 0..64 {
+            for value in [0xFF, 0] {
+                assert_eq!(bench.ask(&[5, 0, bit, value, 0]), [0x85, 1], "coil {bit}");
+            }
+            assert_eq!(bench.ask(&[15, 0, 0, 0, 64, 8, 1, 0, 0, 0, 0, 0, 0, bit]), [0x8F, 1]);
+        }
+        for flags in [MOVE, GRIP, RELEASE, HOMING, STOP_ACK, FASTSTOP, JOG_PLUS, 0] {
+            assert_eq!(bench.try_write(0, &[u16::from(flags) << 8, 20_00, 50_00, 40_00]), Some(1));
+            assert_eq!(bench.ask(&[6, 0, 0, flags, 0]), [0x86, 1]);
+            assert_eq!(bench.ask(&[22, 0, 0, 0, 0, flags, 0]), [0x96, 1]);
+            assert_eq!(bench.ask(&[23, 0, 0, 0, 1, 0, 0, 0, 1, 2, flags, 0]), [0x97, 1]);
+        }
+        assert_eq!(bench.try_write(3, &[1, 1]), Some(2), "the second does not exist");
+        assert_eq!(bench.try_write(4, &[1]), Some(2));
+        assert_eq!(bench.ask(&[15, 0, 60, 0, 5, 1, 0x1F]), [0x8F, 2]);
+        assert_eq!(bench.holding(0, 4), Ok(vec![0; 4]), "nothing was written");
+    });
+    bench.pass(2_000);
+    let sent = bench.take_sent();
+    assert_eq!(sent.iter().find(|id| !heard.contains(id)), None, "only what leaves by itself");
+    assert_eq!(bench.input(report("EVENTS"), 1), events);
+    assert_eq!(bench.bridge().control_source(), ControlSource::Bus, "which homed");
+}
+
+#[test]
+fn service_port_reads_what_the_bus_reads() {
+    let mut bench = Bench::homed(quick());
+    bench.command(MOVE, 33_00, 50_00, 40_00);
+    bench.write(0, &[0, 12_34, 50_01, 40_02]);
+    bench.pass(100);
+    let (image, output) = (bench.input(0, 6), bench.holding(0, 4));
+    assert!(image.is_ok());
+    let settings = bench.holding(FIRST_SETTING, SETTINGS.len() as u8);
+    let identification = bench.ask(&[43, 14, 1, 0]);
+    let bits = bench.ask(&[2, 0, 0, 0, 96]);
+    let coils = bench.ask(&[1, 0, 0, 0, 64]);
+    bench.by_service(|bench| {
+        assert_eq!(bench.input(0, 6), image);
+        assert_eq!(bench.holding(0, 4), output, "the image as the bus wrote it");
+        assert_eq!(bench.holding(FIRST_SETTING, SETTINGS.len() as u8), settings);
+        assert_eq!(bench.ask(&[43, 14, 1, 0]), identification);
+        assert_eq!(bench.ask(&[2, 0, 0, 0, 96]), bits);
+        assert_eq!(bench.ask(&[1, 0, 0, 0, 64]), coils);
+        assert_eq!(bench.input(report("BUS_RATE"), 2), Ok(vec![192, 0]), "the PLC's bus has these");
+        assert_eq!(bench.input(report("SERVER_MESSAGES"), 1), Ok(vec![7]), "and the port counts its own");
+    });
+}
+
+#[test]
+fn width_and_force_are_asked_for_once_the_service_port_is_used() {
+    let mut bench = Bench::new(Config::DEFAULT, quick());
+    bench.pass(1_000);
+    assert!(!bench.take_sent().contains(&CommandId::GetForce));
+    bench.by_service(|bench| bench.input(0, 1)).unwrap();
+    bench.pass(100);
+    assert!(bench.take_sent().contains(&CommandId::GetForce));
+}
+
+#[test]
+fn setting_that_is_written_there_counts_on_the_bus_and_the_wires_at_once() {
+    let mut bench = Bench::homed(quick());
+    bench.by_service(|bench| bench.write(setting("UNIT"), &[9]));
+    assert!(bench.ask(&[4, 0, 0, 0, 1]).is_empty(), "another unit's");
+    bench.send_raw(&Bench::frame(9, &[4, 0, 0, 0, 1]));
+    bench.pass(5);
+    assert_eq!(bench.answers(), 1);
+    bench.by_service(|bench| {
+        assert_eq!(bench.holding(setting("UNIT"), 1), Ok(vec![9]), "but this port's is 1");
+        bench.write(setting("UNIT"), &[1]);
+    });
+
+    bench.by_service(|bench| bench.write(setting("SWAP_BYTES"), &[1]));
+    let width = bench.by_service(|bench| bench.input(3, 1)).unwrap()[0];
+    assert_ne!(width, width.swap_bytes());
+    assert_eq!(bench.input(3, 1), Ok(vec![width.swap_bytes()]), "the bus's alone is swapped");
+    bench.by_service(|bench| bench.write(setting("SWAP_BYTES"), &[0]));
+
+    bench.by_service(|bench| bench.write(setting("BROADCAST"), &[1]));
+    bench.send_raw(&Bench::frame(0, &[6, 0, 1, 0x12, 0x34]));
+    bench.pass(5);
+    assert_eq!(bench.holding(1, 1), Ok(vec![0x1234]));
+    bench.by_service(|bench| {
+        bench.send_raw(&Bench::frame(0, &[6, 0, setting("DEBOUNCE") as u8, 0, 99]));
+        bench.pass(5);
+        assert_eq!(bench.holding(setting("DEBOUNCE"), 1), Ok(vec![2]), "not on this port");
+    });
+
+    bench.by_service(|bench| bench.write(setting("BUS_CHAR_TIMEOUT"), &[0]));
+    let is_answered = |bench: &mut Bench| {
+        let frame = Bench::frame(1, &[4, 0, 0, 0, 1]);
+        bench.pass(100);
+        bench.answers();
+        bench.send_raw(&frame[..4]);
+        bench.send_after(40_000, &frame[4..]);
+        bench.pass(100);
+        bench.answers() == 1
+    };
+    assert!(!is_answered(&mut bench), "the bus is strict");
+    assert!(bench.by_service(is_answered), "and the port forgives pauses");
+
+    bench.by_service(|bench| bench.write(setting("RECIPE0_WIDTH"), &[33_00]));
+    bench.pulse(Inputs::MOVE);
+    bench.pass(3_000);
+    assert!((bench.gripper().state().width - 33.0).abs() < 0.05, "{}", bench.gripper().state().width);
+    bench.by_service(|bench| bench.write(setting("DEBOUNCE"), &[20]));
+    bench.take_motions();
+    bench.pulse(Inputs::GRIP);
+    assert_eq!(bench.take_motions(), [], "5 ms are too short now");
+}
+
+#[test]
+fn settings_are_refused_there_as_on_the_bus() {
+    let mut bench = Bench::homed(quick());
+    bench.by_service(|bench| {
+        assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3));
+        assert_eq!(bench.try_write(FIRST_SETTING + SETTINGS.len() as u16, &[1]), Some(2));
+    });
+    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
+    assert_eq!(bench.by_service(|bench| bench.try_write(setting("DEBOUNCE"), &[5])), Some(6));
+}
+
+#[test]
+fn both_lines_are_served_at_the_same_time_and_silence_of_the_port_is_no_event() {
+    let mut bench = Bench::homed(quick());
+    bench.take_motions();
+    bench.write(0, &[u16::from(MOVE) << 8, 20_00, 10_00, 40_00]);
+    let events = bench.input(report("EVENTS"), 1);
+    let (mut on_bus, mut on_port) = (0, 0);
+    for _ in 0..300 {
+        // Both requests are whole in the same turn.
+        bench.send_raw(&Bench::frame(1, &[4, 0, 0, 0, 6]));
+        bench.by_service(|bench| bench.send_raw(&Bench::frame(1, &[4, 0, 100, 0, 40])));
+        bench.pass(4);
+        on_bus += bench.answers();
+        on_port += bench.by_service(Bench::answers);
+    }
+    assert_eq!((on_bus, on_port), (300, 300));
+    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+    // The port falls silent, the PLC does not.
+    for _ in 0..300 {
+        assert!(bench.input(0, 1).is_ok());
+        bench.pass(10);
+    }
+    assert_eq!(bench.input(report("EVENTS"), 1), events);
+    assert_eq!(bench.input(report("BUS_TIMEOUTS"), 1), Ok(vec![0]));
+}
+
+#[test]
+fn master_on_the_port_does_not_keep_a_silent_plc_alive() {
+    let mut bench = Bench::ready_with(Config::DEFAULT, wsg_sim::Config::default());
+    bench.command(HOMING, 0, 0, 0);
+    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 5_00, 40_00]);
+    bench.take_sent();
+    bench.by_service(|bench| {
+        for _ in 0..120 {
+            assert!(bench.input(0, 6).is_ok());
+            bench.pass(10);
+        }
+        assert_eq!(bench.input(report("BUS_TIMEOUTS"), 1), Ok(vec![1]));
+    });
+    assert!(bench.take_sent().contains(&CommandId::Stop));
+}
+
+/// A line that brings characters without an end, and looks as if a frame never ended.
+struct Babble(Chance);
+
+impl BusPort for Babble {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        Some((Character::Byte(self.0.below(256) as u8), if self.0.below(50) == 0 { 60_000 } else { 0 }))
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        0
+    }
+
+    fn send(&mut self, _: &[u8]) {}
+}
+
+#[test]
+fn garbage_without_an_end_changes_nothing_and_keeps_nobody_waiting() {
+    let mut bench = Bench::homed(quick());
+    let settings = bench.holding(FIRST_SETTING, SETTINGS.len() as u8);
+    bench.take_motions();
+    let mut chance = Chance::new(7);
+    for _ in 0..200 {
+        bench.by_service(|bench| {
+            let noise: Vec<u8> = (0..200).map(|_| chance.below(256) as u8).collect();
+            bench.send_after(60_000, &noise);
+        });
+        bench.pass(5);
+    }
+    assert_eq!(bench.take_motions(), []);
+    // An edge of a wire beside it counts as soon as without it.
+    let leaves_after = |bench: &mut Bench, noisy: bool| {
+        bench.take_motions();
+        bench.set(Inputs::MOVE, true);
+        let after = (1..50).find(|_| {
+            if noisy {
+                bench.by_service(|bench| bench.send_raw(&[0x55; 12]));
+            }
+            bench.pass(1);
+            !bench.take_motions().is_empty()
+        });
+        bench.set(Inputs::MOVE, false);
+        bench.pass(5_000);
+        after
+    };
+    let quiet = leaves_after(&mut bench, false);
+    assert!(quiet.is_some());
+    assert_eq!(leaves_after(&mut bench, true), quiet);
+    assert_eq!(bench.holding(FIRST_SETTING, SETTINGS.len() as u8), settings);
+
+    let mut bridge = Bridge::new(Config::DEFAULT);
+    let (mut service, mut babble) = (Modbus::service(), Babble(Chance::new(8)));
+    for now_ms in 0..1_000 {
+        bridge.serve(now_ms, &mut service.over(&mut babble));
+    }
+}
+
+#[test]
+fn a_million_writes_to_the_settings_move_nothing() {
+    const WRITES_PER_TURN: u32 = 20;
+    let mut bench = Bench::homed(quick());
+    bench.take_motions();
+    let mut chance = Chance::new(18);
+    let last = FIRST_SETTING + SETTINGS.len() as u16 + 2;
+    bench.by_service(|bench| {
+        for _ in 0..1_000_000 / WRITES_PER_TURN {
+            for _ in 0..WRITES_PER_TURN {
+                let first = FIRST_SETTING + chance.below(u64::from(last - FIRST_SETTING)) as u16;
+                let [a1, a0] = first.to_be_bytes();
+                let count = 1 + chance.below(4) as u8;
+                let mut pdu = vec![16, a1, a0, 0, count, 2 * count];
+                // Half of them in most ranges.
+                let most = if chance.below(2) == 0 { 3 } else { 0x1_0000 };
+                pdu.extend((0..count).flat_map(|_| (chance.below(most) as u16).to_be_bytes()));
+                bench.send_after(60_000, &Bench::frame(UNIT, &pdu));
+                // Where it begins the one before ends.
+                bench.serve_alone(1);
+            }
+            bench.step();
+        }
+        bench.pass(200);
+    });
+    assert!(bench.by_service(Bench::answers) > 900_000);
+    let motions = bench.take_motions();
+    assert_eq!(motions, []);
+    let reports = bench.by_service(|bench| bench.input(report("ERROR_CAUSE"), 1));
+    assert_eq!(reports, Ok(vec![0]));
+    for (at, setting) in SETTINGS.iter().enumerate() {
+        let value = bench.by_service(|bench| bench.holding(FIRST_SETTING + at as u16, 1)).unwrap()[0];
+        assert!((setting.least..=setting.most).contains(&value), "{}: {value}", setting.name);
+    }
+}
