@@ -2,7 +2,7 @@
 //!
 //! ```sh
 //! cargo xtask build                                   # prints the image's path
-//! cargo run -p host-tests --example bus -- IMAGE 2>frames     # prints the terminal for the master
+//! cargo run -p host-tests --example bus -- IMAGE 2>frames     # prints the terminals for masters
 //! ```
 //!
 //! A part of 20 mm is between the fingers. The FAST STOP wire is high, and was low at power-up: the first command is
@@ -21,7 +21,9 @@ fn main() -> Result<()> {
     let mut board = Emulator::start(image.as_ref())?;
     board.set_input(Inputs::FAST_STOP_OK, true)?;
     let terminal = Terminal::to(board.take_modbus_line().context("the bus is taken")?)?;
-    println!("{}  (Modbus RTU, unit 1, no parity; Ctrl-C ends it)", terminal.path);
+    let service = Terminal::to(board.take_service_line().context("the service port is taken")?)?;
+    println!("{}  (the bus: Modbus RTU, unit 1, no parity; Ctrl-C ends it)", terminal.path);
+    println!("{}  (the service port: Modbus RTU, unit 1, no parity)", service.path);
     // The frames apart from the path, which they would hide: `2>frames` keeps them.
     let trace = Trace::new(vec![Box::new(std::io::stderr())]);
     let config = Config { part: Part::of_width(20.0), ..Config::default() };

@@ -1,8 +1,8 @@
 //! The firmware image on an emulated B-L475E-IOT01A: power it, wire it, watch it.
 //!
 //! QEMU runs the ELF that is flashed. The PLC's input wires are driven through qtest, its output
-//! wires are watched in QEMU's trace, the gripper's line (UART4) and the bus (LPUART1) are sockets. Nothing
-//! here sleeps, and every wait has a bound. To reset the board drop the [`Emulator`] and start another.
+//! wires are watched in QEMU's trace, the gripper's line (UART4), the bus (LPUART1) and the service port (USART1) are sockets.
+//! Nothing here sleeps, and every wait has a bound. To reset the board drop the [`Emulator`] and start another.
 //!
 //! QEMU ends with the process that started it, however that ends.
 //!
@@ -41,6 +41,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// The sockets' names, each in a directory of its own.
 const GRIPPER_LINE: &str = "uart4";
 const MODBUS_LINE: &str = "lpuart1";
+const SERVICE_LINE: &str = "usart1";
 
 /// Part of the name of the board file's millisecond counter.
 const CLOCK_SYMBOL: &str = "4tick6NOW_MS";
@@ -60,6 +61,7 @@ pub struct Emulator {
     inputs: Mutex<Inputs>,
     gripper_line: Option<UnixStream>,
     modbus_line: Option<UnixStream>,
+    service_line: Option<UnixStream>,
     /// Where the firmware counts its milliseconds.
     clock_address: Option<u32>,
     watch: Arc<Watch>,
@@ -104,6 +106,7 @@ impl Emulator {
     pub fn start_with(elf: &Path, extras: Extras<'_>) -> Result<Self> {
         let uart4 = SocketAddress::bind(GRIPPER_LINE)?;
         let lpuart1 = SocketAddress::bind(MODBUS_LINE)?;
+        let usart1 = SocketAddress::bind(SERVICE_LINE)?;
         let (qtest, qtest_server) = UnixStream::pair()?;
         let mut command = Command::new(QEMU);
         command
@@ -114,9 +117,10 @@ impl Emulator {
             .args(["-chardev", "socket,id=qtest,fd=0", "-qtest", "chardev:qtest", "-qtest-log", "none"])
             .args(["-chardev", &format!("socket,id=uart4,path={}", uart4.path().display())])
             .args(["-chardev", &format!("socket,id=lpuart1,path={}", lpuart1.path().display())])
+            .args(["-chardev", &format!("socket,id=usart1,path={}", usart1.path().display())])
             // USART1 to USART3, UART4, UART5, LPUART1.
             .args(
-                ["null", "null", "null", "chardev:uart4", "null", "chardev:lpuart1"]
+                ["chardev:usart1", "null", "null", "chardev:uart4", "null", "chardev:lpuart1"]
                     .iter()
                     .flat_map(|to| ["-serial", to]),
             )
@@ -167,6 +171,7 @@ impl Emulator {
             inputs: Mutex::new(Inputs::empty()),
             gripper_line: None,
             modbus_line: None,
+            service_line: None,
             clock_address,
             watch: Arc::default(),
         };
@@ -182,6 +187,7 @@ impl Emulator {
         // QEMU connected before the firmware ran, so there is nothing to wait for.
         emulator.gripper_line = Some(uart4.accept()?);
         emulator.modbus_line = Some(lpuart1.accept()?);
+        emulator.service_line = Some(usart1.accept()?);
         Ok(emulator)
     }
 
@@ -214,6 +220,12 @@ impl Emulator {
     /// Bytes come through as fast as the firmware takes them, and pauses between them as long as the host makes them.
     pub fn take_modbus_line(&mut self) -> Option<UnixStream> {
         self.modbus_line.take()
+    }
+
+    /// The service port, where the USB cable's end is on the board; otherwise as
+    /// [`take_modbus_line`](Self::take_modbus_line).
+    pub fn take_service_line(&mut self) -> Option<UnixStream> {
+        self.service_line.take()
     }
 
     /// Drives all input wires; those that change do so one after the other, in the order of their bits.

@@ -25,12 +25,13 @@ pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 
 const PROFILE: &str = "firmware";
 
-/// Who can be on CAN, by settings, and the variable that tells the emulator tests which image has it so; each at another
-/// rate.
-pub(crate) const ON_CAN: [(&str, &[(&str, u16)]); 3] = [
+/// What settings can choose besides what is delivered, and the variable that tells the emulator tests which image has it so:
+/// who is on CAN, each at another rate, and no bus.
+pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 4] = [
     ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1), ("CAN_RATE", 1000)]),
     ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2), ("CAN_RATE", 250)]),
     ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2)]),
+    ("WSG_FIRMWARE_ELF_NO_BUS", &[("PLC_BUS", 0)]),
 ];
 
 /// What an image is made of besides the board's own; nothing in the one that is flashed as delivered.

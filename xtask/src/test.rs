@@ -32,7 +32,7 @@ pub(crate) fn run(
 ) -> Result<()> {
     let masters = setup::masters(workspace);
     let mut can_images = Vec::new();
-    for (variable, settings) in firmware::ON_CAN {
+    for (variable, settings) in firmware::CHOICES {
         let settings =
             settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
         let variant = Variant { settings, ..Variant::default() };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use host_tests::document::{read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 19] = [
+const DOCUMENTS: [&str; 20] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
@@ -18,6 +18,7 @@ const DOCUMENTS: [&str; 19] = [
     "docs/wiring.md",
     "docs/protocol.md",
     "docs/registers.md",
+    "docs/service-port.md",
     "docs/states.md",
     "docs/decisions.md",
     "protocol/README.md",

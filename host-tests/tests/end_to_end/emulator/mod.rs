@@ -5,6 +5,7 @@ mod line_errors;
 mod line_rates;
 mod masters;
 mod modbus;
+mod service_port;
 mod watchdog;
 mod wires;
 

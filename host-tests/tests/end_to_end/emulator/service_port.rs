@@ -1,0 +1,77 @@
+//! The service port of the flashed image, USART1, with a master that others wrote: whatever bus the PLC is on.
+
+use host_tests::can_bus::CanBus;
+use host_tests::emulator::{Emulator, Extras};
+use host_tests::gripper_end::GripperEnd;
+use host_tests::masters::{self, said};
+use host_tests::rig::motions;
+use host_tests::terminal::Terminal;
+use host_tests::trace::Trace;
+use wsg_sim::Config;
+
+use super::image;
+
+/// `mbpoll` as the manual has it: unit 1, 115 200 bit/s, 8N1, references from 0, once.
+fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> String {
+    let line = ["-m", "rtu", "-a", "1", "-b", "115200", "-P", "none", "-o", "5", "-0", "-1", "-q"];
+    for _ in 0..5 {
+        let text = said(&masters::mbpoll(&[&line, arguments, &[&terminal.path], values].concat()));
+        if !text.contains("timed out") && !text.contains("Invalid CRC") {
+            return text;
+        }
+    }
+    panic!("no answer to {arguments:?}");
+}
+
+/// What a person with a USB cable does, to a board whose gripper is on RS-232.
+fn reads_and_sets(mut board: Emulator, plc_bus: &str) {
+    let trace = Trace::new(vec![]);
+    let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), Config::default(), &trace).unwrap();
+    let terminal = Terminal::to(board.take_service_line().unwrap()).unwrap();
+    let poll = |arguments: &[&str], values: &[&str]| poll(&terminal, arguments, values);
+
+    let version = poll(&["-t", "3", "-r", "100", "-c", "1"], &[]);
+    assert!(version.contains("[100]: \t"), "{plc_bus}: {version}");
+    // A gripper that is there answers in less than the patience of one poll.
+    let image =
+        (0..50).map(|_| poll(&["-t", "3", "-r", "0", "-c", "6"], &[])).find(|it| it.contains("[5]: \t"));
+    assert!(image.is_some(), "{plc_bus}: no input image");
+
+    let written = poll(&["-t", "4", "-r", "106"], &["7"]);
+    assert!(written.contains("Written 1 references"), "{plc_bus}: {written}");
+    let debounce = poll(&["-t", "4", "-r", "106", "-c", "1"], &[]);
+    assert!(debounce.contains("[106]: \t7"), "{plc_bus}: {debounce}");
+    // Whoever takes the bus's unit and pauses away does not lock the port.
+    poll(&["-t", "4", "-r", "100"], &["9"]);
+    poll(&["-t", "4", "-r", "103"], &["0"]);
+    let unit = poll(&["-t", "4", "-r", "100", "-c", "1"], &[]);
+    assert!(unit.contains("[100]: \t9"), "{plc_bus}: {unit}");
+
+    for (table, values) in [("4", &["0x0800", "0", "5000", "4000"][..]), ("0", &["1"])] {
+        let refused = poll(&["-t", table, "-r", if table == "0" { "3" } else { "0" }], values);
+        assert!(refused.contains("Illegal function"), "{plc_bus}: {refused}");
+    }
+    assert_eq!(motions(&trace.since(0)), [], "{plc_bus}");
+    drop(gripper);
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
+fn mbpoll_reads_and_sets_over_the_service_port_without_a_plc_bus() {
+    reads_and_sets(Emulator::start(&image("WSG_FIRMWARE_ELF_NO_BUS")).unwrap(), "no bus");
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
+fn mbpoll_reads_and_sets_over_the_service_port_beside_modbus() {
+    reads_and_sets(Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap(), "Modbus");
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
+fn mbpoll_reads_and_sets_over_the_service_port_beside_canopen() {
+    let bus = CanBus::new(250_000);
+    let extras = Extras { models: vec![Box::new(bus)], ..Extras::default() };
+    let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF_CAN_PLC"), extras).unwrap();
+    reads_and_sets(board, "CANopen");
+}
