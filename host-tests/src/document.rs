@@ -86,6 +86,13 @@ pub fn with_part(text: &str, name: &str, part: &str) -> Option<String> {
     Some(format!("{}\n{}\n{}", &text[..start], part.trim(), &text[end..]))
 }
 
+/// Returns what a link to a heading of these words has behind its `#`.
+#[must_use]
+pub fn anchor_of(heading: &str) -> String {
+    let kept = heading.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+    kept.map(|c| if c == ' ' { '-' } else { c.to_ascii_lowercase() }).collect()
+}
+
 /// Formats a Markdown table.
 #[must_use]
 pub fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {

@@ -1,4 +1,4 @@
-//! The demonstration: the image in the emulator, between a PLC and a virtual gripper.
+//! The image for people: in the emulator between a PLC and a virtual gripper, and in the folder that a PLC engineer gets.
 
 use std::{ffi::OsString, process::ExitStatus};
 
@@ -11,4 +11,11 @@ pub(crate) fn run(workspace: &Workspace, image: &Image, arguments: &[OsString]) 
     let mut cargo = workspace.cargo_in_current_dir("run");
     cargo.args(["-q", "-p", "host-tests", "--bin", "demo", "--", "--elf"]).arg(&image.path).args(arguments);
     process::run_for_status(&mut cargo)
+}
+
+/// Makes the folder that a PLC engineer gets, with `image` in it.
+pub(crate) fn dist(workspace: &Workspace, image: &Image) -> Result<()> {
+    let mut cargo = workspace.cargo("run");
+    cargo.args(["-q", "-p", "dist", "--", "--elf"]).arg(&image.path);
+    process::run(cargo.arg("--to").arg(workspace.target_dir.join("dist")))
 }

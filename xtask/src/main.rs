@@ -89,6 +89,7 @@ Commands
   miri               the bridge's host tests under Miri; nightly Rust
   coverage           lines of protocol and buses that their tests reach; cargo-llvm-cov
   figures            measure all that docs/figures.md tells, and write it
+  dist               make the folder that a PLC engineer gets; the same bytes wherever it is made
   flash              write the image to a board with probe-rs and start it
                      [--set NAME=VALUE] [--features X] as for build
   help               this page
@@ -164,6 +165,12 @@ fn run() -> Result<ExitCode> {
             let is_strict = filter.first().is_some_and(|first| first == "--strict");
             filter.drain(..usize::from(is_strict));
             test::run(&workspace, &toolchain, &image, &filter, Extent::Quick, is_strict)?;
+        }
+        "dist" => {
+            no_more(arguments)?;
+            let workspace = Workspace::from_env()?;
+            let image = firmware::build(&workspace, &setup::thumb(&workspace)?, &Variant::default())?;
+            demo::dist(&workspace, &image)?;
         }
         "matrix" => {
             no_more(arguments)?;

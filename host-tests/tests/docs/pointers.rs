@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use host_tests::document::{read, root};
+use host_tests::document::{anchor_of, read, root};
 
 /// The documents that are held here.
 const DOCUMENTS: [&str; 20] = [
@@ -48,8 +48,7 @@ fn links_lead_to_files_of_this_repository() {
 /// What a link to this heading has behind its `#`; none for any other line.
 fn anchor(line: &str) -> Option<String> {
     let heading = line.strip_prefix('#')?.trim_start_matches('#').strip_prefix(' ')?;
-    let kept = heading.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
-    Some(kept.map(|c| if c == ' ' { '-' } else { c.to_ascii_lowercase() }).collect())
+    Some(anchor_of(heading))
 }
 
 #[test]

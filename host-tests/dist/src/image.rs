@@ -1,0 +1,88 @@
+//! The image as the bytes of the flash, which the drive of a debug probe takes.
+
+use anyhow::{Context, Result, ensure};
+use object::{
+    Endianness,
+    elf::PT_LOAD,
+    read::elf::{ElfFile32, ProgramHeader},
+};
+
+/// What flash holds that nothing was written to.
+const ERASED: u8 = 0xFF;
+
+/// A program for the board is far smaller; what is longer has a part at a wrong address.
+const MOST_BYTES: usize = 1 << 20;
+
+/// Returns the bytes from the first address of the flash on, as an ELF file has them loaded.
+///
+/// # Errors
+/// The file is no 32-bit ELF file, has nothing to load, or its parts are too far apart or overlap.
+pub(crate) fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
+    let file = ElfFile32::<Endianness>::parse(elf)?;
+    let endian = file.endian();
+    let mut parts = Vec::new();
+    for header in file.elf_program_headers() {
+        let data = header.data(endian, elf).ok().context("a part of the image is not in its file")?;
+        if header.p_type(endian) == PT_LOAD && !data.is_empty() {
+            // Data is copied to RAM at the start; in the flash it lies at its physical address.
+            parts.push((header.p_paddr(endian), data));
+        }
+    }
+    parts.sort_by_key(|(address, _)| *address);
+    let (first, _) = parts.first().context("the image has nothing to load")?;
+    let first = *first;
+    let mut bytes = Vec::new();
+    for (address, data) in parts {
+        let offset = (address - first) as usize;
+        ensure!(offset >= bytes.len(), "two parts of the image overlap at {address:08X}h");
+        ensure!(
+            offset + data.len() <= MOST_BYTES,
+            "the image has a part at {address:08X}h, beyond the flash"
+        );
+        bytes.resize(offset, ERASED);
+        bytes.extend_from_slice(data);
+    }
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An ELF file for a 32-bit machine with these segments: physical address, size in memory, data.
+    fn elf(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
+        let heads = 52 + 32 * segments.len() as u32;
+        let mut file = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
+        let halves = |file: &mut Vec<u8>, values: &[u16]| {
+            values.iter().for_each(|value| file.extend(value.to_le_bytes()));
+        };
+        let words = |file: &mut Vec<u8>, values: &[u32]| {
+            values.iter().for_each(|value| file.extend(value.to_le_bytes()));
+        };
+        // ET_EXEC for EM_ARM.
+        halves(&mut file, &[2, 40]);
+        words(&mut file, &[1, 0, 52, 0, 0]);
+        halves(&mut file, &[52, 32, segments.len() as u16, 40, 0, 0]);
+        let mut at = heads;
+        for (address, size, data) in segments {
+            words(&mut file, &[PT_LOAD.0, at, 0x2000_0000, *address, data.len() as u32, *size, 4, 4]);
+            at += data.len() as u32;
+        }
+        segments.iter().for_each(|(_, _, data)| file.extend_from_slice(data));
+        file
+    }
+
+    #[test]
+    fn parts_lie_at_their_addresses_in_the_flash_and_gaps_are_erased() {
+        let image = elf(&[(0x0800_0006, 2, b"de"), (0x0800_0000, 3, b"abc"), (0x2000_0000, 9, b"")]);
+        assert_eq!(bytes_of_flash(&image).unwrap(), b"abc\xff\xff\xffde");
+    }
+
+    #[test]
+    fn parts_that_overlap_or_are_far_away_are_refused() {
+        assert!(bytes_of_flash(&elf(&[(0x0800_0000, 3, b"abc"), (0x0800_0002, 1, b"d")])).is_err());
+        assert!(bytes_of_flash(&elf(&[(0x0800_0000, 3, b"abc"), (0x2000_0000, 1, b"d")])).is_err());
+        assert!(bytes_of_flash(&elf(&[(0x0800_0000, 9, b"")])).is_err());
+        assert!(bytes_of_flash(b"no image").is_err());
+    }
+}

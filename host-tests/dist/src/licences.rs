@@ -1,0 +1,185 @@
+//! The licences of everything that is linked into the image.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    env,
+    fmt::Write as _,
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use anyhow::{Context, Result, ensure};
+use host_tests::document::root;
+use serde_json::Value;
+
+/// The crate that the image is built from, how, and for what.
+const IMAGE: [&str; 6] =
+    ["--package", "wsg-b-l475e-iot01a", "--features", "firmware", "--target", "thumbv7em-none-eabihf"];
+
+/// How the files are called that hold a licence or a notice that goes with it.
+const FILES: [&str; 4] = ["LICENSE", "COPYING", "UNLICENSE", "NOTICE"];
+
+/// A part of the image.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Part {
+    name: String,
+    version: String,
+    licence: String,
+    authors: String,
+    /// The folder with its sources.
+    folder: PathBuf,
+}
+
+/// Names every part of the image with its licence, and gives the texts of these.
+///
+/// # Errors
+/// Cargo cannot be asked, or a part has no licence.
+pub(crate) fn text() -> Result<String> {
+    text_of(&parts()?)
+}
+
+fn text_of(parts: &[Part]) -> Result<String> {
+    let mut text = String::from(
+        "This folder is under the MIT licence or the Apache License 2.0, as you like. The texts are below.\n\n\
+         The image contains these parts of others. Where there is an \"OR\", one of them is enough.\n\n",
+    );
+    let mut used: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+    let mut texts = |name: &str, folder: &Path| -> Result<bool> {
+        let found = licence_files(folder)?;
+        let has_some = !found.is_empty();
+        for file in found {
+            used.entry(file).or_default().insert(name.to_owned());
+        }
+        Ok(has_some)
+    };
+    texts("this project", &root())?;
+    for part in parts {
+        let name = format!("{} {}", part.name, part.version);
+        write!(text, "  {name}: {}", part.licence)?;
+        if !texts(&name, &part.folder)? {
+            write!(text, " (by {}; comes without a text, the standard one is below)", part.authors)?;
+        }
+        text.push('\n');
+    }
+    text.push_str(
+        "  core and compiler_builtins of Rust: MIT OR Apache-2.0 (by the Rust project's contributors; parts of \
+         compiler_builtins: Apache-2.0 WITH LLVM-exception)\n",
+    );
+    for (licence, names) in used {
+        let names: Vec<_> = names.into_iter().collect();
+        write!(text, "\n{}\n{}\n\n{licence}\n", "=".repeat(80), names.join(", "))?;
+    }
+    Ok(text)
+}
+
+/// Parts of others in the image, in the order of their names.
+fn parts() -> Result<Vec<Part>> {
+    // Only a tree has the features that the image has, and leaves out what runs while it is built.
+    let mut tree = vec!["tree", "--prefix", "none", "--edges", "normal,no-proc-macro", "--format", "{p}"];
+    tree.extend(IMAGE);
+    let tree = cargo(&tree)?;
+    let linked: BTreeSet<(&str, &str)> = tree
+        .lines()
+        .filter_map(|line| line.split_once(" v"))
+        .map(|(name, rest)| (name, word(rest)))
+        .collect();
+    let metadata: Value = serde_json::from_str(&cargo(&["metadata", "--format-version", "1"])?)?;
+    let packages = metadata["packages"].as_array().context("cargo metadata lists no packages")?;
+    let mut parts = Vec::new();
+    for package in packages {
+        let field = |name: &str| package[name].as_str().unwrap_or_default();
+        // Without a source it is this project's own.
+        if package["source"].is_null() || !linked.contains(&(field("name"), field("version"))) {
+            continue;
+        }
+        ensure!(!field("license").is_empty(), "{} names no licence", field("name"));
+        let authors = package["authors"].as_array().into_iter().flatten().filter_map(Value::as_str);
+        parts.push(Part {
+            name: field("name").to_owned(),
+            version: field("version").to_owned(),
+            licence: field("license").to_owned(),
+            authors: authors.collect::<Vec<_>>().join(", "),
+            folder: Path::new(field("manifest_path")).parent().unwrap_or(Path::new("")).to_owned(),
+        });
+    }
+    parts.sort();
+    Ok(parts)
+}
+
+fn word(text: &str) -> &str {
+    text.split(' ').next().unwrap_or_default()
+}
+
+/// The texts of a folder's licences, each a file, or a file in a folder of licences.
+fn licence_files(folder: &Path) -> Result<Vec<String>> {
+    let mut texts = Vec::new();
+    let entries = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    for path in entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>()? {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_uppercase();
+        if !FILES.iter().any(|file| name.starts_with(file)) {
+            continue;
+        }
+        if path.is_dir() {
+            for entry in fs::read_dir(&path)? {
+                texts.push(fs::read_to_string(entry?.path())?);
+            }
+        } else {
+            texts.push(fs::read_to_string(&path)?);
+        }
+    }
+    Ok(texts.iter().map(|text| tidy(text)).collect())
+}
+
+/// The same text, whatever ends its lines: so that those of two parts are found to be one.
+fn tidy(text: &str) -> String {
+    let lines: Vec<_> = text.lines().map(str::trim_end).collect();
+    lines.join("\n").trim_matches('\n').to_owned()
+}
+
+fn cargo(arguments: &[&str]) -> Result<String> {
+    let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    let output =
+        cargo.current_dir(root()).arg("--locked").args(arguments).output().context("cannot run cargo")?;
+    let what = arguments.first().unwrap_or(&"");
+    ensure!(output.status.success(), "cargo {what}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).with_context(|| format!("what cargo {what} says is no text"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_part_of_the_image_is_named_and_has_a_text() {
+        let text = text().unwrap();
+
+        for part in ["cortex-m ", "heapless ", "embedded-io ", "stm32-metapac ", "crc "] {
+            assert!(text.contains(&format!("\n  {part}")), "{part}");
+        }
+        // Only built with, or only for the host.
+        for other in ["syn ", "proptest ", "anyhow ", "object "] {
+            assert!(!text.contains(&format!("\n  {other}")), "{other}");
+        }
+        assert!(text.contains("Permission is hereby granted") && text.contains("Apache License"));
+        assert!(!text.contains(root().to_str().unwrap()));
+    }
+
+    #[test]
+    fn a_text_that_two_parts_share_is_there_once() {
+        let folder = env::temp_dir().join(format!("wsg-dist-licences-{}", std::process::id()));
+        let part = |name: &str, text: &str| {
+            let folder = folder.join(name);
+            fs::create_dir_all(&folder).unwrap();
+            fs::write(folder.join("LICENSE-X"), text).unwrap();
+            let [name, version, licence, authors] = [name, "1.0", "X", "nobody"].map(str::to_owned);
+            Part { name, version, licence, authors, folder }
+        };
+
+        let text = text_of(&[part("a", "do as you like\n"), part("b", "do as you like\r\n\r\n")]).unwrap();
+
+        fs::remove_dir_all(&folder).unwrap();
+        assert_eq!(text.matches("do as you like").count(), 1);
+        assert!(text.contains("\na 1.0, b 1.0\n"), "{text}");
+    }
+}

@@ -1,0 +1,134 @@
+//! The folder that a PLC engineer gets: the image, what a master's tools read, the manual, the licences. Run it by
+//! `cargo xtask dist`. The same sources give the same bytes, wherever they lie.
+
+mod image;
+mod licences;
+mod manual;
+mod register_map;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::ExitCode,
+};
+
+use anyhow::{Context, Result, ensure};
+use host_tests::document::root;
+use lexopt::{Arg, Parser};
+use sha2::{Digest, Sha256};
+
+/// Files of `docs` that are in the folder as they are.
+const COPIED: [&str; 4] = ["wsg-bridge.eds", "WSGB5555.gsd", "FB_WSG_GRIP.st", "PRG_WSG_MODBUS.st"];
+
+const REGISTERS: &str = "registers.csv";
+const SUMS: &str = "SHA256SUMS";
+
+/// Files that the manual may point at.
+const FILES: [&str; 5] = [COPIED[0], COPIED[1], COPIED[2], COPIED[3], REGISTERS];
+
+const README: &str = "\
+wsg-bridge: a bridge between a PLC and a servo gripper of the WSG series.
+It is not a safety device.
+
+Begin with manual.html. Any browser opens it, without a network.
+
+wsg-bridge.bin       the image: drop it on the drive that the board is over USB
+wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer
+manual.html          the manual
+registers.csv        all Modbus registers, coils and discrete inputs
+wsg-bridge.eds       CANopen: the device for a master's tool
+WSGB5555.gsd         PROFIBUS: the device for a master's tool
+FB_WSG_GRIP.st       a function block in IEC 61131-3 structured text
+PRG_WSG_MODBUS.st    a program that connects it to Modbus registers
+LICENCES.txt         what the image is made of, and under which licences
+SHA256SUMS           checksums of these files: sha256sum -c SHA256SUMS
+";
+
+fn main() -> ExitCode {
+    match run(Parser::from_env()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// `--elf IMAGE --to FOLDER`.
+fn run(mut arguments: Parser) -> Result<()> {
+    let (mut elf, mut folder) = (None, None);
+    while let Some(argument) = arguments.next()? {
+        match argument {
+            Arg::Long("elf") => elf = Some(PathBuf::from(arguments.value()?)),
+            Arg::Long("to") => folder = Some(PathBuf::from(arguments.value()?)),
+            other => return Err(other.unexpected().into()),
+        }
+    }
+    let (elf, folder) = elf.zip(folder).context("give --elf IMAGE and --to FOLDER")?;
+    let elf = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
+    write(&folder, &contents(elf)?)?;
+    println!("{}", folder.display());
+    Ok(())
+}
+
+/// The files by their names, the sums last.
+fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
+    let mut files = vec![
+        ("README.txt", README.replace('\n', "\r\n").into_bytes()),
+        ("wsg-bridge.bin", image::bytes_of_flash(&elf)?),
+        ("wsg-bridge.elf", elf),
+        ("manual.html", manual::html(&FILES)?.into_bytes()),
+        (REGISTERS, register_map::csv().into_bytes()),
+        ("LICENCES.txt", licences::text()?.into_bytes()),
+    ];
+    for name in COPIED {
+        files.push((name, fs::read(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?));
+    }
+    files.sort();
+    let mut sums = String::new();
+    for (name, bytes) in &files {
+        let sum: String = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        sums.push_str(&format!("{sum}  {name}\n"));
+    }
+    files.push((SUMS, sums.into_bytes()));
+    Ok(files)
+}
+
+/// Writes the files as the only ones of the folder.
+fn write(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<()> {
+    if folder.exists() {
+        ensure!(folder.join(SUMS).exists(), "{} was not made by this program: it stays", folder.display());
+        fs::remove_dir_all(folder).with_context(|| format!("cannot empty {}", folder.display()))?;
+    }
+    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    for (name, bytes) in files {
+        fs::write(folder.join(name), bytes).with_context(|| format!("cannot write {name}"))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folder_holds_the_files_and_nothing_from_before() {
+        let folder = std::env::temp_dir().join(format!("wsg-dist-{}", std::process::id()));
+        write(&folder, &[("old", b"1".to_vec()), (SUMS, b"2".to_vec())]).unwrap();
+        write(&folder, &[("new", b"3".to_vec())]).unwrap();
+        // Without sums it could be anybody's.
+        let refused = write(&folder, &[(SUMS, b"4".to_vec())]).is_err();
+        let left: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+
+        fs::remove_dir_all(&folder).unwrap();
+        assert_eq!(left, ["new"]);
+        assert!(refused);
+    }
+
+    #[test]
+    fn readme_names_every_file() {
+        for name in FILES {
+            assert!(README.contains(&format!("\n{name} ")), "{name}");
+        }
+    }
+}

@@ -1,0 +1,325 @@
+//! The manual: the documents for people with a PLC as one HTML file that loads nothing.
+//!
+//! Links between these documents lead to places in the file, pictures are in it. A link to another document of the
+//! repository is left out, and its text stays. What stands between `<!-- manual: off -->` and `<!-- manual: on -->` is for
+//! people who build the image, and is left out as well.
+
+use std::{collections::BTreeMap, fmt::Write as _, fs};
+
+use anyhow::{Context, Result, bail, ensure};
+use host_tests::document::{anchor_of, root};
+use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
+
+/// The documents, in the order in which they are read.
+pub(crate) const DOCUMENTS: [&str; 7] = [
+    "commissioning.md",
+    "wiring.md",
+    "registers.md",
+    "can.md",
+    "grip-cycle.md",
+    "function-block.md",
+    "states.md",
+];
+
+const OFF: &str = "<!-- manual: off -->";
+const ON: &str = "<!-- manual: on -->";
+
+const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">\n\
+<title>wsg-bridge: manual</title>\n<style>\n\
+body { font: 16px/1.5 sans-serif; color: #222; background: #fff; max-width: 60em; margin: 0 auto; padding: 1em; }\n\
+section { border-top: 2px solid #444; margin-top: 3em; }\n\
+.wide { overflow-x: auto; }\n\
+table { border-collapse: collapse; font-size: 0.9em; margin: 1em 0; }\n\
+td, th { border: 1px solid #bbb; padding: 0.25em 0.5em; text-align: left; vertical-align: top; }\n\
+th { background: #eee; }\n\
+pre { background: #f4f4f4; padding: 0.75em; overflow-x: auto; }\n\
+code { font-family: monospace; }\n\
+img { max-width: 100%; }\n\
+@media print { section { break-before: page; } body { max-width: none; font-size: 11px; } }\n\
+</style>\n</head>\n<body>\n";
+
+/// Returns the manual.
+///
+/// # Errors
+/// A document or a picture cannot be read, or a link leads nowhere.
+pub(crate) fn html(files: &[&str]) -> Result<String> {
+    let mut documents = BTreeMap::new();
+    for name in DOCUMENTS {
+        let text =
+            fs::read_to_string(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?;
+        documents.insert(name, without_parts_for_builders(&text).with_context(|| format!("docs/{name}"))?);
+    }
+    let mut contents = String::new();
+    let mut chapters = String::new();
+    for name in DOCUMENTS {
+        let chapter = Chapter { name, files };
+        let events = chapter.events(documents.get(name).map_or("", String::as_str))?;
+        chapter.list(&events, &mut contents)?;
+        writeln!(chapters, "<section id=\"{}\">", chapter.id(""))?;
+        html::push_html(&mut chapters, events.into_iter());
+        chapters.push_str("</section>\n");
+    }
+    let version = env!("CARGO_PKG_VERSION");
+    let manual = format!(
+        "{HEAD}<h1>wsg-bridge {version}: manual</h1>\n<nav>\n{contents}</nav>\n{chapters}</body>\n</html>\n"
+    );
+    check(&manual, files)?;
+    Ok(manual)
+}
+
+fn without_parts_for_builders(text: &str) -> Result<String> {
+    let mut kept = String::new();
+    let mut rest = text;
+    while let Some((before, after)) = rest.split_once(OFF) {
+        kept.push_str(before);
+        (_, rest) = after.split_once(ON).with_context(|| format!("there is no {ON}"))?;
+    }
+    ensure!(!rest.contains(ON), "there is no {OFF} in front of {ON}");
+    Ok(kept + rest)
+}
+
+/// A document, and the files beside the manual.
+struct Chapter<'a> {
+    name: &'a str,
+    files: &'a [&'a str],
+}
+
+/// Where a link of a document leads.
+enum Target {
+    /// To this address.
+    To(String),
+    /// To what the manual leaves out.
+    Elsewhere,
+}
+
+impl Chapter<'_> {
+    /// The name of a place in the manual.
+    fn id(&self, heading: &str) -> String {
+        id(self.name, heading)
+    }
+
+    fn events<'t>(&self, text: &'t str) -> Result<Vec<Event<'t>>> {
+        let mut events = Vec::new();
+        let mut ids: Vec<String> = Vec::new();
+        let mut link_is_kept = true;
+        for event in Parser::new_ext(text, Options::ENABLE_TABLES) {
+            let event = match event {
+                Event::Html(html) | Event::InlineHtml(html) => {
+                    ensure!(html.trim_start().starts_with("<!--"), "docs/{} has HTML: {html}", self.name);
+                    continue;
+                }
+                Event::Start(Tag::Link { link_type, dest_url, title, id }) => match self.target(&dest_url)? {
+                    Target::To(address) => {
+                        link_is_kept = true;
+                        Event::Start(Tag::Link { link_type, dest_url: address.into(), title, id })
+                    }
+                    Target::Elsewhere => {
+                        link_is_kept = false;
+                        continue;
+                    }
+                },
+                Event::End(TagEnd::Link) if !link_is_kept => continue,
+                Event::Start(Tag::Image { link_type, dest_url, title, id }) => {
+                    let dest_url = picture(&dest_url)?.into();
+                    Event::Start(Tag::Image { link_type, dest_url, title, id })
+                }
+                Event::Start(Tag::Table(alignments)) => {
+                    events.push(Event::Html(CowStr::Borrowed("<div class=\"wide\">\n")));
+                    Event::Start(Tag::Table(alignments))
+                }
+                Event::End(TagEnd::Table) => {
+                    events.push(Event::End(TagEnd::Table));
+                    Event::Html(CowStr::Borrowed("</div>\n"))
+                }
+                Event::End(TagEnd::Heading(level)) => {
+                    let (start, words) = heading(&events);
+                    let mut id = self.id(&anchor_of(&words));
+                    // As repository hosts count them.
+                    let same = ids.iter().filter(|other| **other == id).count();
+                    ids.push(id.clone());
+                    if same > 0 {
+                        write!(id, "-{same}")?;
+                    }
+                    if let Some(Event::Start(Tag::Heading { id: place, .. })) = events.get_mut(start) {
+                        *place = Some(id.into());
+                    }
+                    Event::End(TagEnd::Heading(level))
+                }
+                other => other,
+            };
+            events.push(event);
+        }
+        Ok(events)
+    }
+
+    /// Adds the headings of the first two levels to the table of contents.
+    fn list(&self, events: &[Event<'_>], contents: &mut String) -> Result<()> {
+        let mut entries = Vec::new();
+        for (end, event) in events.iter().enumerate() {
+            if let Event::End(TagEnd::Heading(level)) = event
+                && (*level as usize) <= 2
+            {
+                let (start, words) = heading(&events[..end]);
+                if let Some(Event::Start(Tag::Heading { id: Some(id), .. })) = events.get(start) {
+                    entries.push((*level as usize, id.to_string(), escaped(&words)));
+                }
+            }
+        }
+        for (level, id, words) in entries {
+            let (open, close) = if level == 1 { ("<p><b>", "</b></p>") } else { ("", "<br>") };
+            writeln!(contents, "{open}<a href=\"#{id}\">{words}</a>{close}")?;
+        }
+        Ok(())
+    }
+
+    fn target(&self, link: &str) -> Result<Target> {
+        if link.starts_with("https://") {
+            return Ok(Target::To(link.to_owned()));
+        }
+        let (file, heading) = link.split_once('#').unwrap_or((link, ""));
+        let file = if file.is_empty() { self.name } else { file };
+        if DOCUMENTS.contains(&file) {
+            return Ok(Target::To(format!("#{}", id(file, heading))));
+        }
+        if self.files.contains(&file) {
+            return Ok(Target::To(file.to_owned()));
+        }
+        ensure!(root().join("docs").join(file).exists(), "docs/{} points at {link}", self.name);
+        Ok(Target::Elsewhere)
+    }
+}
+
+fn id(document: &str, heading: &str) -> String {
+    let stem = document.strip_suffix(".md").unwrap_or(document);
+    if heading.is_empty() { stem.to_owned() } else { format!("{stem}--{heading}") }
+}
+
+/// Where the last heading begins, and its words.
+fn heading(events: &[Event<'_>]) -> (usize, String) {
+    let is_start = |event: &Event<'_>| matches!(event, Event::Start(Tag::Heading { .. }));
+    let start = events.iter().rposition(is_start).unwrap_or(0);
+    let mut words = String::new();
+    for event in &events[start..] {
+        if let Event::Text(text) | Event::Code(text) = event {
+            words.push_str(text);
+        }
+    }
+    (start, words)
+}
+
+/// A drawing as an address that holds all of it.
+fn picture(file: &str) -> Result<String> {
+    ensure!(file.ends_with(".svg"), "{file} is no drawing");
+    let drawing = fs::read(root().join("docs").join(file)).with_context(|| format!("docs/{file}"))?;
+    let mut address = String::from("data:image/svg+xml;charset=utf-8,");
+    for byte in drawing {
+        if byte.is_ascii_alphanumeric() || b"-_.".contains(&byte) {
+            address.push(byte.into());
+        } else {
+            write!(address, "%{byte:02X}")?;
+        }
+    }
+    Ok(address)
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+/// Fails where a link leads nowhere, a place has two owners, or something is loaded from elsewhere.
+fn check(manual: &str, files: &[&str]) -> Result<()> {
+    let ids: Vec<&str> = attributes(manual, " id=\"").collect();
+    for (n, id) in ids.iter().enumerate() {
+        ensure!(!ids[n + 1..].contains(id), "the manual has two places {id}");
+    }
+    for link in attributes(manual, " href=\"") {
+        let is_there = match link.strip_prefix('#') {
+            Some(id) => ids.contains(&id),
+            None => link.starts_with("https://") || files.contains(&link),
+        };
+        ensure!(is_there, "a link of the manual leads nowhere: {link}");
+    }
+    for address in attributes(manual, " src=\"") {
+        ensure!(address.starts_with("data:"), "the manual loads {address}");
+    }
+    for loads in ["<script", "<link", "<iframe", "<object", "@import", "url("] {
+        if manual.contains(loads) {
+            bail!("the manual has {loads}, which loads something");
+        }
+    }
+    Ok(())
+}
+
+fn attributes<'a>(html: &'a str, name: &'a str) -> impl Iterator<Item = &'a str> {
+    html.split(name).skip(1).filter_map(|rest| rest.split('"').next())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FILES;
+
+    fn rendered(text: &str) -> Result<String> {
+        let events = Chapter { name: "states.md", files: &["a.eds"] }.events(text)?;
+        let mut html = String::new();
+        html::push_html(&mut html, events.into_iter());
+        Ok(html)
+    }
+
+    #[test]
+    fn manual_has_every_document_no_tools_of_builders_and_is_the_same_again() {
+        let manual = html(&FILES).unwrap();
+
+        for document in DOCUMENTS {
+            assert!(manual.contains(&format!("<section id=\"{}\">", id(document, ""))), "{document}");
+        }
+        for word in ["cargo", "xtask", "Rust", ".rs", "rustup", "crate", "host-tests"] {
+            assert!(!manual.contains(word), "the manual speaks of {word}");
+        }
+        assert!(manual.contains("src=\"data:image/svg+xml;"));
+        assert!(manual == html(&FILES).unwrap());
+    }
+
+    #[test]
+    fn links_lead_into_the_manual_or_to_the_files_beside_it() {
+        let html =
+            rendered("# A b\n[c](wiring.md#the-bus) [d](#a-b) [e](a.eds) [f](protocol.md#x) [g](https://h)")
+                .unwrap();
+        for part in [
+            "<h1 id=\"states--a-b\">",
+            "<a href=\"#wiring--the-bus\">c</a>",
+            "<a href=\"#states--a-b\">d</a>",
+            "<a href=\"a.eds\">e</a> f ",
+            "<a href=\"https://h\">g</a>",
+        ] {
+            assert!(html.contains(part), "{part} is not in {html}");
+        }
+        assert!(rendered("[a](no-such-file.md)").is_err());
+        assert!(rendered("<b>bold</b>").is_err());
+        assert!(!rendered("<!-- generated: x -->\na\n\n<!-- end -->\n").unwrap().contains("<!--"));
+    }
+
+    #[test]
+    fn what_leads_nowhere_or_loads_something_is_found() {
+        assert!(check("<h1 id=\"a\"></h1><a href=\"#a\"></a><img src=\"data:x\">", &[]).is_ok());
+        for wrong in [
+            "<a href=\"#a\"></a>",
+            "<a href=\"b.eds\"></a>",
+            "<h1 id=\"a\"></h1><h2 id=\"a\"></h2>",
+            "<img src=\"https://a/b.svg\">",
+            "<script>",
+        ] {
+            assert!(check(wrong, &[]).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn parts_for_builders_are_left_out() {
+        let text = format!("a {OFF} b {ON} c {OFF} d {ON} e");
+        assert_eq!(without_parts_for_builders(&text).unwrap(), "a  c  e");
+        assert!(without_parts_for_builders(&format!("a {OFF} b")).is_err());
+        assert!(without_parts_for_builders(&format!("a {ON} b")).is_err());
+    }
+}

@@ -1,0 +1,93 @@
+//! The folder as a whole, made from the image that is tested.
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use host_tests::document::root;
+
+const IMAGE: &str = "WSG_FIRMWARE_ELF";
+
+/// Runs the program; returns the files by their names.
+fn folder(elf: &Path, to: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut dist = Command::new(env!("CARGO_BIN_EXE_dist"));
+    assert!(dist.arg("--elf").arg(elf).arg("--to").arg(to).status().unwrap().success());
+    files(to)
+}
+
+fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
+    let mut files: Vec<_> = entries
+        .map(|entry| (entry.file_name().into_string().unwrap(), fs::read(entry.path()).unwrap()))
+        .collect();
+    files.sort();
+    files
+}
+
+fn image() -> PathBuf {
+    env::var_os(IMAGE).expect("`cargo xtask test` says where the image is").into()
+}
+
+fn scratch(name: &str) -> PathBuf {
+    env::temp_dir().join(format!("wsg-dist-{name}-{}", std::process::id()))
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask test"]
+fn folder_names_no_place_of_the_machine_and_is_the_same_again() {
+    let to = scratch("folder");
+    let first = folder(&image(), &to);
+    let again = folder(&image(), &to);
+
+    fs::remove_dir_all(&to).unwrap();
+    assert!(first == again, "made twice, it differs");
+    let cargo = env::home_dir().unwrap().join(".cargo");
+    for place in [root(), cargo] {
+        let place = place.to_str().unwrap().as_bytes();
+        for (name, bytes) in &first {
+            assert!(
+                !bytes.windows(place.len()).any(|part| part == place),
+                "{name} names a place of this machine"
+            );
+        }
+    }
+    let of = |name: &str| &first.iter().find(|(other, _)| other == name).unwrap().1;
+    // The vector table: the stack's first address, and where the program starts.
+    let bin = of("wsg-bridge.bin");
+    assert_eq!((bin[3], bin[7]), (0x20, 0x08));
+    assert_eq!(of("wsg-bridge.elf"), &fs::read(image()).unwrap());
+    assert_eq!(String::from_utf8_lossy(of("SHA256SUMS")).lines().count(), first.len() - 1);
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask test"]
+fn sources_in_another_folder_give_the_same_bytes() {
+    if env::var_os("WSG_WHOLE").is_none() {
+        println!("only in cargo xtask ci: it builds the image again");
+        return;
+    }
+    let (here, there) = (scratch("here"), scratch("there-and-with-a-longer-name"));
+    let mut list = Command::new("git");
+    list.current_dir(root()).args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"]);
+    let listed = String::from_utf8(list.output().unwrap().stdout).unwrap();
+    for file in listed.split_terminator('\0').filter(|file| root().join(file).is_file()) {
+        let copy = there.join(file);
+        fs::create_dir_all(copy.parent().unwrap()).unwrap();
+        fs::copy(root().join(file), copy).unwrap();
+    }
+
+    let first = folder(&image(), &here);
+    let mut dist = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    dist.current_dir(&there).args(["xtask", "dist"]).env("CARGO_TARGET_DIR", there.join("target"));
+    let is_made = dist.status().unwrap().success();
+    let second = if is_made { files(&there.join("target/dist")) } else { Vec::new() };
+
+    fs::remove_dir_all(&here).unwrap();
+    fs::remove_dir_all(&there).unwrap();
+    assert!(is_made);
+    let differing: Vec<_> =
+        first.iter().filter(|file| !second.contains(file)).map(|(name, _)| name).collect();
+    assert!(differing.is_empty() && first.len() == second.len(), "not the same: {differing:?}");
+}
