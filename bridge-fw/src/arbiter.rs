@@ -8,10 +8,13 @@
 //! 3. What the bus writes first, after power-up or after it was silent, gives no edge: a flag that is 1 there counts
 //!    after it was written 0. FASTSTOP counts at once. What the bus reads changes nothing of that: one that
 //!    holds a flag across a reset of the bridge may read zeros before it writes.
-//! 4. WIDTH, SPEED and FORCELIMIT are those of the side that gave the last motion command; while the fingers move the
+//! 4. While the stored settings are refused, motion and jog flags of the bus do not count; one that is 1 meanwhile counts
+//!    after it was written 0.
+//! 5. WIDTH, SPEED and FORCELIMIT are those of the side that gave the last motion command; while the fingers move the
 //!    other side's change nothing.
 
-use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+use crate::config::Recipe;
+use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, OutputImage};
 
 /// The flags of the command wires.
 const MOTIONS: CommandFlags =
@@ -43,6 +46,8 @@ pub(crate) struct Arbiter {
     bus_is_new: bool,
     /// Flags of the bus that do not count until they are written 0.
     masked: CommandFlags,
+    /// Nothing that moves fingers counts.
+    refuses: bool,
     control_source: ControlSource,
     /// WIDTH, SPEED and FORCELIMIT that count; its flags mean nothing.
     parameters: OutputImage,
@@ -55,6 +60,7 @@ impl Arbiter {
             bus: OutputImage::ZERO,
             bus_is_new: true,
             masked: CommandFlags::empty(),
+            refuses: false,
             control_source: ControlSource::Nobody,
             parameters: OutputImage::ZERO,
         }
@@ -67,6 +73,24 @@ impl Arbiter {
     /// What the bus wrote last, whether or not it counts.
     pub(crate) const fn bus_image(&self) -> &OutputImage {
         &self.bus
+    }
+
+    /// Says whether what moves fingers shall not count, from the bus's next image on.
+    pub(crate) const fn set_refuses(&mut self, refuses: bool) {
+        self.refuses = refuses;
+    }
+
+    /// Gives an image of the bus the parameters of a recipe: those of the command whose flag rises, else those that
+    /// counted last, so that the same image never changes them during a motion.
+    pub(crate) fn with_recipe(&self, image: &mut OutputImage, recipe: Recipe, unit: ForceUnit, moving: bool) {
+        let OutputImage { width, speed, force_limit, .. } = self.parameters;
+        (image.width, image.speed, image.force_limit) = (width, speed, force_limit);
+        let rising = image.flags.difference(self.bus.flags).intersection(MOVERS);
+        if let Some(command) = rising.lowest()
+            && !moving
+        {
+            recipe.fill(image, command, unit);
+        }
     }
 
     /// Whether the wires ask for FAST STOP.
@@ -111,7 +135,7 @@ impl Arbiter {
         }
         let wires = self.wires.unwrap_or_default();
         let stopped = image.flags.contains(CommandFlags::STOP_ACK);
-        if wires.flags.intersects(MOTIONS) || stopped {
+        if wires.flags.intersects(MOTIONS) || stopped || self.refuses {
             self.masked |= rising.intersection(MOVERS);
         }
         let commands = self.bus_flags().intersects(rising.intersection(MOVERS));

@@ -7,8 +7,11 @@ use crate::io::{Inputs, Outputs};
 use crate::liveness::{Liveness, Looked};
 use crate::log;
 use crate::plc::wires::{self, Wires};
-use crate::plc::{Facts, MotionEnd, PlcEvent, PlcSide, Shown, View};
-use crate::registers::{CanReports, EventCode, Events, Link, ResetCause, Settings};
+use crate::plc::{Facts, MotionEnd, PlcEvent, PlcSide, Shown, View, force_unit};
+use crate::registers::{
+    CanReports, EventCode, Events, Link, Record, ResetCause, SaveState, Settings, SettingsFrom, StoreCommand,
+    StoreReports,
+};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::{Controller, InputImage};
 use wsg_protocol::session::{self, Event, Session, Topic};
@@ -64,7 +67,7 @@ impl Bridge {
             received_at: Instant::from_millis(0),
             session: Session::new(config.session),
             controller: Controller::new(),
-            wires: Wires::new(config.debounce_ms, config.min_busy_ms, config.recipes),
+            wires: Wires::new(config.debounce_ms, config.min_busy_ms),
             arbiter: Arbiter::new(),
             facts: Facts {
                 bus_config: config.bus,
@@ -77,6 +80,7 @@ impl Bridge {
                 motion_end: MotionEnd::new(),
                 error_cause: 0,
                 events: Events::new(),
+                store: StoreReports { from: SettingsFrom::Delivered, save: SaveState::Nothing },
             },
             is_measured: false,
             liveness: Liveness::new(),
@@ -86,11 +90,48 @@ impl Bridge {
         }
     }
 
-    /// Takes another configuration, but for the time-outs towards the gripper. Before the first turn alone.
-    pub(crate) fn configure(&mut self, config: &Config) {
+    /// Takes another configuration, but for the time-outs towards the gripper, and where it is from. Before the first turn
+    /// alone. Settings that are refused let nothing move until others are stored.
+    pub(crate) fn configure(&mut self, config: &Config, from: SettingsFrom) {
         self.settings = Settings::new(config);
         self.wires.configure(&self.settings);
         self.facts.bus_config = config.bus;
+        self.facts.store.from = from;
+        self.arbiter.set_refuses(from.is_refusal());
+        if from.is_refusal() {
+            self.facts.events.happened(EventCode::SettingsRefused, from as u16);
+        }
+    }
+
+    /// The settings as they are now.
+    pub(crate) const fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Takes what was asked to be done with the settings. The fingers stood when it was asked for, and nothing that comes later
+    /// in that turn begins a motion.
+    pub(crate) const fn take_store_command(&mut self) -> Option<StoreCommand> {
+        self.settings.take_asked()
+    }
+
+    /// Takes these settings; they are not stored.
+    pub(crate) fn take_settings(&mut self, settings: &Record) {
+        self.settings.take(settings);
+        self.wires.configure(&self.settings);
+    }
+
+    /// Says how the last save goes.
+    pub(crate) fn set_save_state(&mut self, save: SaveState) {
+        match save {
+            SaveState::Saved => {
+                self.settings.are_stored();
+                self.facts.store.from = SettingsFrom::Stored;
+                self.arbiter.set_refuses(false);
+            }
+            SaveState::Failed => self.facts.events.happened(EventCode::SaveFailed, 0),
+            SaveState::Nothing | SaveState::Saving => {}
+        }
+        self.facts.store.save = save;
     }
 
     /// One turn: takes what the line, the wires and the bus brought, sends what is due, and returns the levels of the wires to
@@ -132,7 +173,9 @@ impl Bridge {
             error_cause: 0,
             refused_meanwhile: self.controller.has_refused_meanwhile(),
             motion_is_open,
-            ignores_motions: motion_is_open || self.controller.ignores_motions(self.session.known()),
+            ignores_motions: motion_is_open
+                || self.controller.ignores_motions(self.session.known())
+                || self.facts.store.from.is_refusal(),
         };
         shown.error_cause = self.cause_of_error(&shown);
         self.facts.error_cause = shown.error_cause;
@@ -306,14 +349,24 @@ impl Bridge {
             self.measure();
             self.facts.bus_is_silent = event == PlcEvent::Left { silent: true };
             match event {
-                PlcEvent::Output(image) => {
+                PlcEvent::Output(mut image) => {
                     let known = self.session.known();
+                    if let Some(recipe) = self.settings.bus_recipe() {
+                        let moving = self.controller.is_moving(known);
+                        self.arbiter.with_recipe(&mut image, recipe, force_unit(known), moving);
+                    }
                     if let Some(image) = self.arbiter.take_bus(image, self.controller.is_moving(known)) {
                         self.controller.set_output(&image, known);
                     }
                     self.note_incidents();
                 }
-                PlcEvent::Configured => self.wires.configure(&self.settings),
+                PlcEvent::Configured => {
+                    self.wires.configure(&self.settings);
+                    if self.settings.is_asked() {
+                        // It is done before anything else comes.
+                        break;
+                    }
+                }
                 PlcEvent::Left { silent } => self.lose_bus(silent),
                 PlcEvent::Served => {}
             }
@@ -381,6 +434,8 @@ impl Bridge {
             0
         } else if shown.image.system.contains(SystemFlags::FAST_STOP) {
             self.facts.events.cause_of_error(true)
+        } else if self.facts.store.from.is_refusal() {
+            EventCode::SettingsRefused as u8
         } else if shown.link != Link::Up {
             EventCode::GripperSilent as u8
         } else {

@@ -68,8 +68,10 @@ pub struct Config {
     pub min_busy_ms: u32,
     /// After how long without a byte half a frame is given up, in milliseconds.
     pub half_frame_ms: u32,
-    /// What the recipe wires choose from.
+    /// What the recipe wires choose from, and BUS_RECIPE.
     pub recipes: [Recipe; RECIPE_COUNT],
+    /// The number of the recipe that the bus's commands take; none: they take the parameters that it writes.
+    pub bus_recipe: Option<u8>,
     /// Time-outs towards the gripper.
     pub session: session::Config,
     /// Where the gripper is.
@@ -102,6 +104,7 @@ impl Config {
         min_busy_ms: 50,
         half_frame_ms: 20,
         recipes: RECIPES,
+        bus_recipe: None,
         session: SESSION,
         gripper_line: GripperLine::Serial,
         plc_bus: PlcBus::Modbus,

@@ -33,6 +33,7 @@ pub mod plc;
 pub mod registers;
 mod station;
 pub mod storage;
+mod stored_settings;
 
 pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Counters};

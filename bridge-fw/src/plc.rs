@@ -14,7 +14,7 @@ pub use view::View;
 
 pub(crate) use debounce::Debounce;
 pub(crate) use motion_end::MotionEnd;
-pub(crate) use view::Facts;
+pub(crate) use view::{Facts, force_unit};
 
 use crate::registers::Link;
 use wsg_protocol::Instant;

@@ -6,15 +6,19 @@ mod events;
 mod record;
 mod reports;
 mod settings;
+mod store_commands;
 
 pub use events::{EVENTS, EVENTS_KEPT, EventCode, EventText};
-pub use record::{RECORD_LEN, Record, START_SETTINGS, WrongSetting, record_settings};
 pub use reports::{BusCounts, CanReports, FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
-pub use settings::{FIRST_SETTING, SETTINGS, Setting};
+pub use settings::{FIRST_SETTING, FIRST_START_SETTING, Record, SETTINGS, Setting, WrongSetting};
+pub use store_commands::{
+    COMMAND_KEY, COMMANDS, CommandRegister, FIRST_COMMAND, SaveState, SettingsFrom, StoreCommand,
+};
 
 pub(crate) use events::Events;
 pub(crate) use reports::ReportSource;
 pub(crate) use settings::Settings;
+pub(crate) use store_commands::StoreReports;
 
 /// Why a register was not read or written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,6 +30,8 @@ pub enum RegisterError {
     Value,
     /// Settings do not change while the fingers move.
     Moving,
+    /// Settings do not change while they are being stored.
+    Saving,
 }
 
 impl core::fmt::Display for RegisterError {
@@ -34,6 +40,7 @@ impl core::fmt::Display for RegisterError {
             Self::Missing => "there is no such register",
             Self::Value => "the value is out of the register's range",
             Self::Moving => "settings do not change while the fingers move",
+            Self::Saving => "settings do not change while they are being stored",
         })
     }
 }
@@ -48,9 +55,11 @@ mod tests {
 
     #[test]
     fn each_refusal_has_words_of_its_own() {
-        let words =
-            [RegisterError::Missing, RegisterError::Value, RegisterError::Moving].map(|it| it.to_string());
+        let all =
+            [RegisterError::Missing, RegisterError::Value, RegisterError::Moving, RegisterError::Saving];
+        let words = all.map(|it| it.to_string());
         assert_eq!(words[0], "there is no such register");
         assert!(words[1].contains("range") && words[2].contains("move"), "{words:?}");
+        assert!(words[3].contains("stored"), "{words:?}");
     }
 }

@@ -9,7 +9,9 @@ use crate::config::{Board, Config, GripperLine, PlcBus};
 use crate::gripper::GripperLink;
 use crate::io::{Inputs, Outputs};
 use crate::plc::{BusPort, Modbus};
-use crate::registers::ResetCause;
+use crate::registers::{Record, ResetCause, WrongSetting};
+use crate::storage::NorFlash;
+use crate::stored_settings::StoredSettings;
 
 /// What runs on a board: the bridge, and whoever is on its lines.
 ///
@@ -21,6 +23,7 @@ pub struct Station<C: CanController> {
     bridge: Bridge,
     modbus: Modbus,
     service: Modbus,
+    settings: StoredSettings,
     can: CanBus<C>,
     link: GripperLink,
     node: Node,
@@ -36,10 +39,22 @@ impl<C: CanController> Station<C> {
             bridge: Bridge::new(config),
             modbus: Modbus::new(&config),
             service: Modbus::service(),
+            settings: StoredSettings::new(),
             can,
             link: GripperLink::new(config.can.gripper),
             node: Node::new(config.can.node),
         }
+    }
+
+    /// Returns the configuration to start with: the one that is stored in flash, or where there is none, or none that can be used,
+    /// the one that the image was `delivered` with.
+    ///
+    /// # Errors
+    /// [`WrongSetting`] if the image was delivered with settings that no bridge can have. Nothing must be moved then: other
+    /// recipes were asked for.
+    #[inline(never)]
+    pub fn load(&mut self, delivered: &Record, flash: &impl NorFlash) -> Result<Config, WrongSetting> {
+        self.settings.load(delivered, flash)
     }
 
     /// Takes the configuration, what it runs on, and why the MCU was reset. Before the first turn alone.
@@ -48,8 +63,8 @@ impl<C: CanController> Station<C> {
     pub fn start(&mut self, config: &Config, board: Board, reset_cause: ResetCause) {
         self.gripper_line = config.gripper_line;
         self.plc_bus = config.plc_bus;
-        self.bridge.configure(config);
         self.bridge.set_reset_cause(reset_cause);
+        self.bridge.configure(config, self.settings.from());
         self.modbus = Modbus::new(config);
         self.link = GripperLink::new(config.can.gripper);
         self.node = Node::new(config.can.node);
@@ -67,10 +82,12 @@ impl<C: CanController> Station<C> {
         serial: &mut L,
         modbus: &mut dyn BusPort,
         service: &mut dyn BusPort,
+        flash: &mut impl NorFlash,
     ) -> Outputs {
         let outputs = self.poll(now_ms, inputs, serial, modbus);
         // Behind what leaves: no wire waits for it, and the PLC's bus finds in the next turn what it changed.
         self.bridge.serve(now_ms, &mut self.service.over(service));
+        self.settings.turn(Instant::from_millis(now_ms), &mut self.bridge, flash);
         outputs
     }
 

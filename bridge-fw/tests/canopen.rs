@@ -622,7 +622,7 @@ fn sdo_requests_that_are_cut_and_aborts_of_the_client_get_no_answer() {
 }
 
 /// Objects of CiA 301 (7.5.2): index, subindices, type, whether a master may write them.
-const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool); 38] = {
+const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool); 42] = {
     use DataType::{Text, U8, U16, U32};
     [
         (0x1000, 0..=0, U32, false),
@@ -633,6 +633,10 @@ const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool
         (0x1008, 0..=0, Text, false),
         (0x1009, 0..=0, Text, false),
         (0x100A, 0..=0, Text, false),
+        (0x1010, 0..=0, U8, false),
+        (0x1010, 1..=1, U32, true),
+        (0x1011, 0..=0, U8, false),
+        (0x1011, 1..=1, U32, true),
         (0x1014, 0..=0, U32, true),
         (0x1015, 0..=0, U16, true),
         (0x1016, 0..=0, U8, false),
@@ -712,7 +716,12 @@ fn every_object_is_read_and_written_as_its_type_and_access_let_it() {
                 Value::Unsigned32(0)
             }
         };
-        let written = if writable { Ok(()) } else { Err(0x0601_0002) };
+        let written = match (index, writable) {
+            // They take a signature.
+            (0x1010 | 0x1011, true) => Err(0x0800_0020),
+            (_, true) => Ok(()),
+            (_, false) => Err(0x0601_0002),
+        };
         assert_eq!(master.download(index, sub, value), written, "{what}: the same again");
         let refused = if writable { Err(0x0607_0010) } else { Err(0x0601_0002) };
         assert_eq!(master.download(index, sub, longer), refused, "{what}: another length");
@@ -727,6 +736,25 @@ fn every_object_is_read_and_written_as_its_type_and_access_let_it() {
     subindices.sort_unstable();
     subindices.dedup();
     assert_eq!(subindices.len(), count, "no object twice");
+}
+
+#[test]
+fn settings_are_stored_by_1010h_and_the_delivered_ones_by_1011h() {
+    let mut master = Master::new(Config::default());
+    master.pass(500);
+    let (save, load) = (Value::Unsigned32(0x6576_6173), Value::Unsigned32(0x6461_6F6C));
+    let sub = setting("DEBOUNCE");
+    for (object, signature, wrong) in [(0x1010, save, load), (0x1011, load, save)] {
+        assert_eq!(master.upload(object, 1, Theirs::Unsigned32), Ok(Value::Unsigned32(1)), "on command");
+        assert_eq!(master.download(object, 1, wrong), Err(0x0800_0020));
+        assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
+        assert_eq!(master.download(object, 1, signature), Ok(()));
+        master.pass(300);
+        assert_eq!(master.read_u16(REPORTS_INDEX, report("SAVE_STATE")), 2);
+        assert_eq!(master.read_u16(REPORTS_INDEX, report("SETTINGS_CHANGED")), 0);
+        let is_delivered = object == 0x1011;
+        assert_eq!(master.read_u16(SETTINGS_INDEX, sub), if is_delivered { 2 } else { 9 });
+    }
 }
 
 #[test]

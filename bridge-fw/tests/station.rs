@@ -1,65 +1,25 @@
 //! A station uses the lines that its settings choose, and no other, with what its settings say.
 
-use std::collections::VecDeque;
-
-use bus_modbus::rtu::{Character, crc};
 use embedded_can::{Frame, Id};
 use host_tests::can_bench::Double;
+use host_tests::flash_model::FlashModel;
+use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, NmtState};
 use wsg_bridge_fw::io::Inputs;
-use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS, record_settings};
-use wsg_bridge_fw::{Board, BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS};
+use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::CommandId;
 use wsg_protocol::can::Identifiers;
 use wsg_sim::Time;
-
-/// A line for Modbus RTU.
-#[derive(Default)]
-struct Port {
-    waiting: VecDeque<(Character, u32)>,
-    answers: Vec<Vec<u8>>,
-}
-
-impl Port {
-    /// Brings a request, without its checksum.
-    fn ask(&mut self, request: &[u8]) {
-        let mut silence_us = 100_000;
-        for byte in request.iter().copied().chain(crc(request).to_le_bytes()) {
-            self.waiting.push_back((Character::Byte(byte), std::mem::take(&mut silence_us)));
-        }
-        self.answers.clear();
-    }
-
-    /// The register in the answer.
-    fn answered(&mut self) -> Option<u16> {
-        match self.answers.pop()?[..] {
-            [_, _, 2, high, low, ..] => Some(u16::from_be_bytes([high, low])),
-            _ => None,
-        }
-    }
-}
-
-impl BusPort for Port {
-    fn receive(&mut self) -> Option<(Character, u32)> {
-        self.waiting.pop_front()
-    }
-
-    fn silence_us(&mut self) -> u32 {
-        100_000
-    }
-
-    fn send(&mut self, frame: &[u8]) {
-        self.answers.push(frame.to_vec());
-    }
-}
 
 struct Bench {
     station: Station<Double>,
     can: Double,
     serial: SerialLine,
-    modbus: Port,
-    service: Port,
+    modbus: RtuDouble,
+    service: RtuDouble,
+    flash: FlashModel,
     now_ms: u32,
     /// Identifiers of the frames on CAN.
     on_can: Vec<u16>,
@@ -75,8 +35,9 @@ impl Bench {
             station,
             can,
             serial,
-            modbus: Port::default(),
-            service: Port::default(),
+            modbus: RtuDouble::default(),
+            service: RtuDouble::default(),
+            flash: FlashModel::new(),
             now_ms: 0,
             on_can: Vec::new(),
         }
@@ -86,8 +47,8 @@ impl Bench {
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
             self.now_ms += 1;
-            let Self { station, serial, modbus, service, now_ms, .. } = self;
-            station.turn(*now_ms, Inputs::FAST_STOP_OK, serial, modbus, service);
+            let Self { station, serial, modbus, service, flash, now_ms, .. } = self;
+            station.turn(*now_ms, Inputs::FAST_STOP_OK, serial, modbus, service, flash);
             while let Some(frame) = self.can.take_winner() {
                 let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
                 self.on_can.push(id.as_raw());
@@ -114,7 +75,7 @@ impl Bench {
 fn with(changes: &[(&str, u16)]) -> Config {
     let mut record: Record = Config::DEFAULT.record();
     for (name, value) in changes {
-        record[record_settings().position(|setting| setting.name == *name).unwrap()] = *value;
+        record[SETTINGS.iter().position(|setting| setting.name == *name).unwrap()] = *value;
     }
     Config::from_record(&record).unwrap()
 }
@@ -183,7 +144,7 @@ fn identifiers_and_nodes_of_the_record_are_those_on_the_bus() {
 #[test]
 fn wires_are_debounced_as_the_record_says() {
     for (debounce_ms, bounds) in [(2, 2..10), (200, 200..210)] {
-        let Bench { mut station, mut modbus, mut service, .. } =
+        let Bench { mut station, mut modbus, mut service, mut flash, .. } =
             Bench::new(&with(&[("DEBOUNCE", debounce_ms)]));
         let mut far = SerialGripper::new(wsg_sim::Config::default());
         let mut sent = |now_ms: u32| {
@@ -191,7 +152,7 @@ fn wires_are_debounced_as_the_record_says() {
             let acknowledges = (1_000..1_500).contains(&now_ms) || now_ms >= 2_000;
             let wires =
                 if acknowledges { Inputs::FAST_STOP_OK | Inputs::STOP_ACK } else { Inputs::FAST_STOP_OK };
-            station.turn(now_ms, wires, &mut far.line, &mut modbus, &mut service);
+            station.turn(now_ms, wires, &mut far.line, &mut modbus, &mut service, &mut flash);
             far.advance(Time::from_millis(now_ms.into()));
             far.take_sent()
         };

@@ -15,6 +15,7 @@ use wsg_protocol::can::{Endpoint, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 
+use crate::flash_model::FlashModel;
 use crate::serial_gripper::SerialLine;
 use crate::wires::Wires;
 
@@ -190,6 +191,7 @@ impl BusPort for NoLine {
 /// Bridge and gripper on a bus, and a PLC on wires that a test plays.
 pub struct CanBench {
     station: Station<Double>,
+    flash: FlashModel,
     double: Double,
     /// What a PLC on the bus hears, and what it says next.
     to_plc: Vec<(u32, ClassicFrame)>,
@@ -217,7 +219,7 @@ impl CanBench {
     /// A bench with all wires of the PLC low.
     ///
     /// # Panics
-    /// Never: a new gripper takes a client.
+    /// Never: a new gripper takes a client, and the delivered settings are good ones.
     #[must_use]
     pub fn new(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
         Self::with(config, policy, Config { plc_bus: PlcBus::Off, ..Config::DEFAULT })
@@ -229,9 +231,12 @@ impl CanBench {
         let port = gripper.connect(PortKind::Can).expect("a new gripper takes a client");
         let double = Double::default();
         let mut station = Station::new(CanBus::new(double.clone(), policy));
+        let flash = FlashModel::new();
+        station.load(&Config::DEFAULT.record(), &flash).expect("the delivered settings are good ones");
         station.start(&Config { gripper_line: GripperLine::Can, ..bridge }, BOARD, ResetCause::Unknown);
         Self {
             station,
+            flash,
             double,
             to_plc: Vec::new(),
             from_plc: VecDeque::new(),
@@ -324,9 +329,9 @@ impl CanBench {
 
     /// One turn of the main loop.
     fn turn(&mut self) {
-        let Self { station, now_ms, inputs, .. } = self;
-        self.outputs =
-            station.turn(*now_ms, *inputs, &mut SerialLine::with_room(0), &mut NoLine, &mut NoLine);
+        let Self { station, now_ms, inputs, flash, .. } = self;
+        let line = &mut SerialLine::with_room(0);
+        self.outputs = station.turn(*now_ms, *inputs, line, &mut NoLine, &mut NoLine, flash);
     }
 
     fn reach_gripper(&mut self, now: Instant, time: Time, frame: ClassicFrame) {

@@ -76,6 +76,7 @@ pub mod qtest;
 pub mod registers;
 #[cfg(unix)]
 pub mod rig;
+pub mod rtu_double;
 pub mod serial_gripper;
 #[cfg(unix)]
 pub mod terminal;

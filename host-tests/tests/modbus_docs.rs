@@ -8,7 +8,8 @@ use host_tests::modbus_bench::Bench;
 use host_tests::plc_names::{command_flags, gripper_flags, register_bit, system_flags};
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{
-    EVENTS, FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS, START_SETTINGS, record_settings,
+    COMMAND_KEY, COMMANDS, EVENTS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, FIRST_START_SETTING, REPORTS,
+    SETTINGS, Setting,
 };
 use wsg_protocol::fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 
@@ -158,12 +159,11 @@ fn discrete_inputs() -> String {
     bits(DISCRETE_INPUTS, INPUT, all, (48, 95, "WIDTH, Gripping Force and Status Code"))
 }
 
-fn settings() -> String {
-    // As a PLC reads them.
-    let delivered = Bench::ready().holding(FIRST_SETTING, SETTINGS.len() as u8).unwrap();
+/// Settings and their values as delivered.
+fn settings_table(settings: impl IntoIterator<Item = ((u16, &'static Setting), u16)>) -> String {
     table(
         ["address", "40001-based", "name", "unit", "from", "to", "as delivered", "meaning"],
-        (FIRST_SETTING..).zip(&SETTINGS).zip(delivered).map(|((address, setting), delivered)| {
+        settings.into_iter().map(|((address, setting), delivered)| {
             let [address, numbered] = both(address.into(), HOLDING);
             [
                 address,
@@ -179,19 +179,28 @@ fn settings() -> String {
     )
 }
 
+/// All of them, with the values that a PLC reads.
+fn delivered() -> Vec<((u16, &'static Setting), u16)> {
+    let mut bench = Bench::ready();
+    let delivered = (FIRST_SETTING..).zip(&SETTINGS).map(|it| (it, bench.holding(it.0, 1).unwrap()[0]));
+    delivered.collect()
+}
+
+fn settings() -> String {
+    settings_table(delivered().into_iter().take(FIRST_START_SETTING))
+}
+
 fn start_settings() -> String {
-    let delivered = Config::DEFAULT.record();
+    settings_table(delivered().into_iter().skip(FIRST_START_SETTING))
+}
+
+fn commands() -> String {
     table(
-        ["name", "unit", "from", "to", "as delivered", "meaning"],
-        START_SETTINGS.iter().zip(delivered).map(|(setting, delivered)| {
-            [
-                format!("`{}`", setting.name),
-                setting.unit.into(),
-                setting.least.to_string(),
-                setting.most.to_string(),
-                delivered.to_string(),
-                setting.meaning.into(),
-            ]
+        ["address", "40001-based", "name", "takes", "what it does"],
+        (FIRST_COMMAND..).zip(&COMMANDS).map(|(address, command)| {
+            let [address, numbered] = both(address.into(), HOLDING);
+            let key = format!("{COMMAND_KEY} ({COMMAND_KEY:04X}h)");
+            [address, numbered, format!("`{}`", command.name), key, command.meaning.into()]
         }),
     )
 }
@@ -236,6 +245,7 @@ fn registers_in_the_document_are_those_of_the_code() {
         ("discrete", discrete_inputs()),
         ("settings", settings()),
         ("start-settings", start_settings()),
+        ("commands", commands()),
         ("reports", reports()),
         ("events", events()),
     ] {
@@ -245,8 +255,10 @@ fn registers_in_the_document_are_those_of_the_code() {
 
 #[test]
 fn names_of_registers_are_unique() {
-    let names: Vec<_> = record_settings()
+    let names: Vec<_> = SETTINGS
+        .iter()
         .map(|setting| setting.name)
+        .chain(COMMANDS.iter().map(|command| command.name))
         .chain(REPORTS.iter().map(|report| report.name))
         .collect();
     for (n, name) in names.iter().enumerate() {

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use object::{Object, ObjectSection, ObjectSymbol, read::elf::ElfFile32};
 use wsg_bridge_fw::{
     Config,
-    registers::{RECORD_LEN, Record, record_settings},
+    registers::{Record, SETTINGS},
 };
 
 /// The image's record of settings, as its board calls it.
@@ -24,9 +24,9 @@ pub(crate) struct Change {
 impl Change {
     /// The setting of this name.
     pub(crate) fn new(name: &str, value: u16) -> Result<Self> {
-        let found = record_settings().enumerate().find(|(_, setting)| setting.name == name);
+        let found = SETTINGS.iter().enumerate().find(|(_, setting)| setting.name == name);
         let (at, setting) = found.with_context(|| {
-            let names: Vec<_> = record_settings().map(|setting| setting.name).collect();
+            let names: Vec<_> = SETTINGS.iter().map(|setting| setting.name).collect();
             format!("there is no setting {name}; there are {}", names.join(", "))
         })?;
         Ok(Self { name: setting.name, at, value })
@@ -55,9 +55,9 @@ pub(crate) fn apply(elf: &mut [u8], changes: &[Change]) -> Result<()> {
         return Ok(());
     }
     let offset = offset_of_record(elf)?;
-    let bytes = elf.get_mut(offset..offset + 2 * RECORD_LEN).context("the record of settings is cut")?;
+    let bytes = elf.get_mut(offset..offset + 2 * SETTINGS.len()).context("the record of settings is cut")?;
     let words = bytes.as_chunks_mut::<2>().0;
-    let mut record = [0; RECORD_LEN];
+    let mut record = [0; SETTINGS.len()];
     for (value, word) in record.iter_mut().zip(words.iter()) {
         *value = u16::from_le_bytes(*word);
     }
@@ -88,7 +88,7 @@ fn offset_of_record(elf: &[u8]) -> Result<usize> {
     let symbol = file
         .symbol_by_name(SYMBOL)
         .with_context(|| format!("the image has no settings: there is no symbol {SYMBOL}"))?;
-    let len = 2 * RECORD_LEN as u64;
+    let len = 2 * SETTINGS.len() as u64;
     if symbol.size() != len {
         bail!("the image has {} bytes of settings, and this tool knows {len}", symbol.size());
     }
@@ -117,7 +117,7 @@ mod tests {
             assert_eq!(Change::parse(text).unwrap_err().to_string(), said);
         }
         let unknown = Change::parse("BAUD=9600").unwrap_err().to_string();
-        assert!(unknown.starts_with("there is no setting BAUD; there are PLC_BUS, "), "{unknown}");
+        assert!(unknown.starts_with("there is no setting BAUD; there are UNIT, "), "{unknown}");
     }
 
     #[test]

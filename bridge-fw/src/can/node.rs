@@ -33,7 +33,7 @@ use super::bus::MAX_RECEIVED_PER_POLL;
 use super::{BusReport, CanNode};
 use crate::config::{Board, NodeConfig, TPDOS};
 use crate::plc::{PlcEvent, PlcSide, Shown, View};
-use crate::registers::{Link, Settings};
+use crate::registers::Link;
 
 /// What can happen in one turn: each frame is one thing at the most, and then the bus may go.
 const EVENTS_MAX: usize = MAX_RECEIVED_PER_POLL + 1;
@@ -49,8 +49,6 @@ static PROFILE: Profile<1, TPDOS> = Profile {
 #[derive(Debug)]
 pub struct Node {
     device: Device<1, TPDOS, EVENTS_MAX>,
-    /// The settings as they were at power-up.
-    initial: Option<Settings>,
     report: BusReport,
     board: Board,
 }
@@ -59,12 +57,7 @@ impl Node {
     /// A device that has not announced itself.
     #[must_use]
     pub const fn new(config: NodeConfig) -> Self {
-        Self {
-            device: Device::new(&PROFILE, config),
-            initial: None,
-            report: BusReport::NOTHING,
-            board: Board::UNKNOWN,
-        }
+        Self { device: Device::new(&PROFILE, config), report: BusReport::NOTHING, board: Board::UNKNOWN }
     }
 
     /// Takes what a master reads of the board.
@@ -89,9 +82,6 @@ impl PlcSide for Node {
     const MAX_EVENTS_PER_TURN: usize = EVENTS_MAX + 3;
 
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
-        if self.initial.is_none() {
-            self.initial = Some(view.settings.clone());
-        }
         let mut objects = Objects { view, report: &self.report, board: self.board };
         Some(match self.device.poll_event(now.as_millis(), &mut objects)? {
             Event::Rpdo { data, .. } => PlcEvent::Output(output_image(data)),
@@ -99,8 +89,8 @@ impl PlcSide for Node {
             Event::Sdo { written: false } => PlcEvent::Served,
             Event::Left { master_silent } => PlcEvent::Left { silent: master_silent },
             Event::Reset { application } => {
-                if let Some(initial) = self.initial.as_ref().filter(|_| application) {
-                    view.settings.clone_from(initial);
+                if application {
+                    view.reset_settings();
                 }
                 PlcEvent::Configured
             }

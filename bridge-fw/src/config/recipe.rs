@@ -1,6 +1,8 @@
-//! Recipes: what the command wires mean in millimetres and newtons.
+//! Recipes: what motion commands mean in millimetres and newtons.
 
-/// Parameters of the motion commands, chosen by the wires RECIPE0 and RECIPE1.
+use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, OutputImage};
+
+/// Parameters of the motion commands, chosen by the wires RECIPE0 and RECIPE1, or by BUS_RECIPE for the bus's.
 ///
 /// The units are those of the fieldbus registers, so no value has to be rounded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -15,17 +17,58 @@ pub struct Recipe {
     pub release_width: i16,
 }
 
-/// How many recipes two wires can choose from.
-pub const RECIPE_COUNT: usize = 4;
+impl Recipe {
+    /// As settings hold it.
+    pub(crate) const fn registers(self) -> [u16; 4] {
+        let Self { width, speed, force, release_width } = self;
+        [width.cast_unsigned(), speed, force.cast_unsigned(), release_width.cast_unsigned()]
+    }
+
+    pub(crate) const fn from_registers([width, speed, force, release_width]: [u16; 4]) -> Self {
+        Self {
+            width: width.cast_signed(),
+            speed,
+            force: force.cast_signed(),
+            release_width: release_width.cast_signed(),
+        }
+    }
+
+    /// Puts the parameters of this command into an image. `unit`: of the gripper's force registers.
+    pub(crate) const fn fill(self, image: &mut OutputImage, command: CommandFlags, unit: ForceUnit) {
+        image.width = if command.contains(CommandFlags::RELEASE) { self.release_width } else { self.width };
+        image.speed = self.speed;
+        image.force_limit = match unit {
+            ForceUnit::Hundredth => self.force,
+            ForceUnit::Tenth => self.force / 10,
+        };
+    }
+}
+
+/// How many recipes there are. Two wires can choose from the first four.
+pub const RECIPE_COUNT: usize = 16;
+
+/// A 20 mm part.
+const FIRST: Recipe = Recipe { width: 20_00, speed: 50_00, force: 40_00, release_width: 40_00 };
 
 /// The recipes as delivered, inside the limits of a WSG 50-110 (5 to 420 mm/s, 5 to 80 N, stroke 110 mm).
 pub const RECIPES: [Recipe; RECIPE_COUNT] = [
-    // A 20 mm part.
-    Recipe { width: 20_00, speed: 50_00, force: 40_00, release_width: 40_00 },
+    FIRST,
     // Wide open, quickly: for pre-positioning.
     Recipe { width: 80_00, speed: 200_00, force: 40_00, release_width: 80_00 },
     // A small part, gently.
     Recipe { width: 10_00, speed: 20_00, force: 10_00, release_width: 25_00 },
     // A 50 mm part, firmly.
     Recipe { width: 50_00, speed: 100_00, force: 80_00, release_width: 70_00 },
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
+    FIRST,
 ];

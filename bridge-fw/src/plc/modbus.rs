@@ -9,7 +9,9 @@ pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 
 use super::{PlcEvent, PlcSide, Shown, View};
 use crate::config::{BusConfig, Config};
-use crate::registers::{BusCounts, FIRST_REPORT, FIRST_SETTING, Link, RegisterError};
+use crate::registers::{
+    BusCounts, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, Link, RegisterError, StoreCommand,
+};
 use bus_modbus::rtu::{self, Character, Event, Mode, Server};
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
 use wsg_protocol::Instant;
@@ -227,6 +229,13 @@ impl BridgeDevice<'_, '_> {
         }
     }
 
+    /// Writes to a command register, one at a time.
+    fn command(&mut self, index: u16, values: Words<'_>) -> Result<(), RegisterError> {
+        let mut keys = values.iter();
+        let (Some(key), None) = (keys.next(), keys.next()) else { return Err(RegisterError::Value) };
+        self.view.command_store(StoreCommand::of_register(index, key)?)
+    }
+
     /// The input image is the gripper's: without one there is nothing to show.
     fn gripper_answers(&self) -> Result<(), Exception> {
         match self.view.link() {
@@ -242,7 +251,7 @@ const fn exception(error: RegisterError) -> Exception {
     match error {
         RegisterError::Missing => Exception::IllegalDataAddress,
         RegisterError::Value => Exception::IllegalDataValue,
-        RegisterError::Moving => Exception::ServerDeviceBusy,
+        RegisterError::Moving | RegisterError::Saving => Exception::ServerDeviceBusy,
     }
 }
 
@@ -257,6 +266,9 @@ impl Device for BridgeDevice<'_, '_> {
     }
 
     fn holding_register(&self, address: u16) -> Result<u16, Exception> {
+        if let Some(index) = address.checked_sub(FIRST_COMMAND) {
+            return COMMANDS.get(usize::from(index)).map(|_| 0).ok_or(Exception::IllegalDataAddress);
+        }
         match address.checked_sub(FIRST_SETTING) {
             None => self.images.holding_register(address),
             Some(index) => self.view.setting(index).map_err(exception),
@@ -281,7 +293,11 @@ impl Device for BridgeDevice<'_, '_> {
             self.may_command(first, values.len() as u16, Images::COILS / 16)?;
             return self.images.write_registers(first, values);
         };
-        self.view.write_settings(index, values.iter()).map_err(exception)?;
+        match first.checked_sub(FIRST_COMMAND) {
+            None => self.view.write_settings(index, values.iter()),
+            Some(index) => self.command(index, values),
+        }
+        .map_err(exception)?;
         self.configured = true;
         Ok(())
     }

@@ -4,10 +4,11 @@ use super::motion_end::MotionEnd;
 use crate::arbiter::{Arbiter, ControlSource};
 use crate::config::{BusConfig, MAX_REPLY_LEN};
 use crate::registers::{
-    BusCounts, CanReports, Events, Link, RegisterError, ReportSource, ResetCause, Settings,
+    BusCounts, CanReports, Events, Link, RegisterError, ReportSource, ResetCause, SaveState, Settings,
+    StoreCommand, StoreReports,
 };
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage, OutputImage};
-use wsg_protocol::session::Session;
+use wsg_protocol::session::{Known, Session};
 use wsg_protocol::{FrameParser, Status};
 
 /// What the bridge knows besides what its parts know.
@@ -28,6 +29,7 @@ pub(crate) struct Facts {
     /// Why ERROR was high at the end of the last turn, by the code of an event; 0: it was low.
     pub(crate) error_cause: u8,
     pub(crate) events: Events,
+    pub(crate) store: StoreReports,
 }
 
 impl Facts {
@@ -46,9 +48,17 @@ impl Facts {
         if self.link_is_lost {
             image.state = GripperFlags::ERROR;
             image.status = Status::IoError;
+        } else if self.store.from.is_refusal() && session.is_connected() {
+            image.state = GripperFlags::ERROR;
+            image.status = Status::InconsistentData;
         }
         image
     }
+}
+
+/// The unit of the gripper's force registers.
+pub(crate) fn force_unit(known: &Known) -> ForceUnit {
+    known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device))
 }
 
 /// The bridge as a [`PlcSide`](super::PlcSide) sees it: the images, and the registers (`docs/registers.md`).
@@ -91,7 +101,7 @@ impl View<'_> {
     /// Returns the unit of the gripper's force registers.
     #[must_use]
     pub fn force_unit(&self) -> ForceUnit {
-        self.session.known().info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device))
+        force_unit(self.session.known())
     }
 
     /// Returns the setting at `index`, counted from the first.
@@ -106,18 +116,48 @@ impl View<'_> {
     ///
     /// # Errors
     /// [`RegisterError::Missing`], [`RegisterError::Value`]; [`RegisterError::Moving`] if they would be taken while the fingers
-    /// stand.
+    /// stand, [`RegisterError::Saving`] if they would be taken a moment later.
     pub fn write_settings(
         &mut self,
         first: u16,
         values: impl Iterator<Item = u16> + Clone,
     ) -> Result<(), RegisterError> {
-        if self.is_moving() {
-            // What exists and what it takes is said before that it is not the time.
-            self.settings.check(first, values)?;
-            return Err(RegisterError::Moving);
-        }
+        // What exists and what it takes is said before that it is not the time.
+        self.settings.check(first, values.clone())?;
+        self.may_change_settings()?;
         self.settings.write(first, values)
+    }
+
+    /// Takes the stored settings, or has others stored at the end of this turn. Return
+    /// [`PlcEvent::Configured`](super::PlcEvent) then.
+    ///
+    /// # Errors
+    /// As for [`write_settings`](Self::write_settings).
+    pub fn command_store(&mut self, command: StoreCommand) -> Result<(), RegisterError> {
+        self.may_change_settings()?;
+        match command {
+            StoreCommand::Restore => self.settings.restore(),
+            StoreCommand::Save | StoreCommand::Defaults => self.settings.ask(command),
+        }
+        Ok(())
+    }
+
+    /// Takes the stored settings, whatever the fingers do: what a master's reset of the device asks for. Those that are being
+    /// stored stay.
+    pub(crate) fn reset_settings(&mut self) {
+        if self.facts.store.save != SaveState::Saving {
+            self.settings.restore();
+        }
+    }
+
+    fn may_change_settings(&self) -> Result<(), RegisterError> {
+        if self.is_moving() {
+            Err(RegisterError::Moving)
+        } else if self.facts.store.save == SaveState::Saving {
+            Err(RegisterError::Saving)
+        } else {
+            Ok(())
+        }
     }
 
     /// Returns the report at `index`, counted from the first. `bus`: the side's own counters.
@@ -137,6 +177,8 @@ impl View<'_> {
             reset_cause: self.facts.reset_cause,
             error_cause: self.facts.error_cause,
             events: &self.facts.events,
+            store: self.facts.store,
+            settings_are_changed: self.settings.are_changed(),
         }
         .register(index)
     }

@@ -1,7 +1,7 @@
 //! Digital I/O as a PLC side: wires in, output image out; input image in, wires out.
 
 use super::{Debounce, MOTION_STATES, PlcEvent, PlcSide, Shown, View};
-use crate::config::{RECIPE_COUNT, Recipe};
+use crate::config::Recipe;
 use crate::io::{Inputs, Outputs};
 use crate::registers::{Link, Settings};
 use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
@@ -20,7 +20,6 @@ const COMMANDS: [(Inputs, CommandFlags); 5] = [
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Wires {
     debounce: Debounce,
-    recipes: [Recipe; RECIPE_COUNT],
     /// The wires as they count now; none before they have settled after power-up.
     levels: Option<Inputs>,
     image: OutputImage,
@@ -34,10 +33,9 @@ pub(crate) struct Wires {
 impl Wires {
     /// Wires that are debounced for `debounce_ms` milliseconds, and a BUSY that lasts `min_busy_ms` at least.
     #[must_use]
-    pub(crate) const fn new(debounce_ms: u32, min_busy_ms: u32, recipes: [Recipe; RECIPE_COUNT]) -> Self {
+    pub(crate) const fn new(debounce_ms: u32, min_busy_ms: u32) -> Self {
         Self {
             debounce: Debounce::new(debounce_ms),
-            recipes,
             levels: None,
             image: OutputImage::ZERO,
             min_busy_ms,
@@ -55,9 +53,6 @@ impl Wires {
     pub(crate) fn configure(&mut self, settings: &Settings) {
         self.debounce.set_period(settings.debounce_ms());
         self.min_busy_ms = settings.min_busy_ms();
-        for (number, recipe) in self.recipes.iter_mut().enumerate() {
-            *recipe = settings.recipe(number).unwrap_or(*recipe);
-        }
     }
 
     /// Takes a reading of the wires; the output image when it has changed.
@@ -68,7 +63,7 @@ impl Wires {
         &mut self,
         now: Instant,
         reading: Inputs,
-        unit: impl FnOnce() -> ForceUnit,
+        recipe: impl FnOnce(usize) -> Option<(Recipe, ForceUnit)>,
     ) -> Option<&OutputImage> {
         let Some(levels) = self.debounce.update(now, reading) else { return self.early_fast_stop() };
         let before = self.levels.replace(levels);
@@ -83,7 +78,7 @@ impl Wires {
         let rising = flags.difference(self.image.flags);
         self.image.flags = flags;
         if self.is_ready() {
-            self.take_recipe(rising, levels, unit);
+            self.take_recipe(rising, levels, recipe);
         }
         Some(&self.image)
     }
@@ -147,19 +142,20 @@ impl Wires {
         busy
     }
 
-    fn take_recipe(&mut self, rising: CommandFlags, levels: Inputs, unit: impl FnOnce() -> ForceUnit) {
+    fn take_recipe(
+        &mut self,
+        rising: CommandFlags,
+        levels: Inputs,
+        recipe: impl FnOnce(usize) -> Option<(Recipe, ForceUnit)>,
+    ) {
         let with_recipe = CommandFlags::MOVE | CommandFlags::GRIP | CommandFlags::RELEASE;
         // As the controller does: of several the lowest bit counts.
         let Some(command) = rising.intersection(with_recipe).lowest() else { return };
         let number =
             usize::from(levels.contains(Inputs::RECIPE0)) + 2 * usize::from(levels.contains(Inputs::RECIPE1));
-        let Some(recipe) = self.recipes.get(number) else { return };
-        self.image.width = if command == CommandFlags::RELEASE { recipe.release_width } else { recipe.width };
-        self.image.speed = recipe.speed;
-        self.image.force_limit = match unit() {
-            ForceUnit::Hundredth => recipe.force,
-            ForceUnit::Tenth => recipe.force / 10,
-        };
+        if let Some((recipe, unit)) = recipe(number) {
+            recipe.fill(&mut self.image, command, unit);
+        }
     }
 }
 
@@ -174,7 +170,8 @@ impl PlcSide for WiresRead<'_> {
     const MAX_EVENTS_PER_TURN: usize = 1;
 
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
-        let image = self.wires.update(now, self.reading, || view.force_unit())?;
+        let recipe = |number| view.settings.recipe(number).map(|recipe| (recipe, view.force_unit()));
+        let image = self.wires.update(now, self.reading, recipe)?;
         Some(PlcEvent::Output(*image))
     }
 
@@ -206,7 +203,6 @@ fn is_error(gripper: &InputImage) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::RECIPES;
 
     const NOTHING: InputImage = InputImage::from_bytes([0; InputImage::LEN]);
 
@@ -216,9 +212,9 @@ mod tests {
     }
 
     fn shown_of(inputs: Inputs, image: InputImage) -> Outputs {
-        let mut wires = Wires::new(0, 0, RECIPES);
+        let mut wires = Wires::new(0, 0);
         for ms in 0..10 {
-            wires.update(Instant::from_millis(ms), inputs, ForceUnit::default);
+            wires.update(Instant::from_millis(ms), inputs, |_| None);
         }
         let shown = Shown {
             image,

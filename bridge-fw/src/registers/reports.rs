@@ -1,7 +1,7 @@
 //! Counters and versions as input registers.
 
-use super::RegisterError;
 use super::events::{EVENT_LEN, EVENTS_KEPT, Events};
+use super::{RegisterError, StoreReports};
 use crate::arbiter::ControlSource;
 use crate::config::BusConfig;
 use wsg_protocol::frame;
@@ -11,7 +11,7 @@ use wsg_protocol::session::Session;
 pub const FIRST_REPORT: u16 = 100;
 
 /// The version of the register map: the last register or meaning that was added or changed.
-pub const MAP_VERSION: u16 = 4;
+pub const MAP_VERSION: u16 = 5;
 
 /// An input register that reports on the bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,6 +64,9 @@ enum Subject {
     FastStop(u8),
     /// A field of one of the last events.
     Event(u8, u8),
+    SettingsFrom,
+    SaveState,
+    SettingsChanged,
 }
 
 /// The names and meanings of the last events' registers, by their numbers.
@@ -92,7 +95,43 @@ const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> 
 }
 
 /// The reports, from [`FIRST_REPORT`] on. Counters stop at 65 535.
-pub const REPORTS: [Report; 39 + EVENTS_KEPT * EVENT_LEN] = with_events([
+pub const REPORTS: [Report; BEFORE_EVENTS.len() + EVENTS_KEPT * EVENT_LEN + BEHIND_EVENTS.len()] = {
+    let mut all = [BEFORE_EVENTS[0]; BEFORE_EVENTS.len() + EVENTS_KEPT * EVENT_LEN + BEHIND_EVENTS.len()];
+    let mut at = 0;
+    while at < all.len() {
+        #[expect(clippy::indexing_slicing, reason = "a constant: wrong lengths do not compile")]
+        {
+            let event = at.wrapping_sub(BEFORE_EVENTS.len());
+            all[at] = if at < BEFORE_EVENTS.len() {
+                BEFORE_EVENTS[at]
+            } else if event < EVENTS_KEPT * EVENT_LEN {
+                EVENT_REPORTS[event / EVENT_LEN][event % EVENT_LEN]
+            } else {
+                BEHIND_EVENTS[event - EVENTS_KEPT * EVENT_LEN]
+            };
+        }
+        at += 1;
+    }
+    all
+};
+
+/// What stands behind the events.
+const BEHIND_EVENTS: [Report; 3] = [
+    report(
+        "SETTINGS_FROM",
+        Subject::SettingsFrom,
+        "where the settings are from: 0 the image, 1 stored, 2 stored by older firmware; refused, and the image's instead: 3 newer firmware's, 4 a wrong value, 5 damaged; 6 no flash",
+    ),
+    report(
+        "SAVE_STATE",
+        Subject::SaveState,
+        "the last SAVE or DEFAULTS: 0 none since the start, 1 runs, 2 stored, 3 failed: what was stored before still is",
+    ),
+    report("SETTINGS_CHANGED", Subject::SettingsChanged, "1: a setting was changed and not stored"),
+];
+
+/// What stands before them.
+const BEFORE_EVENTS: [Report; 39] = [
     report("MAP_VERSION", Subject::MapVersion, "version of this register map"),
     report(
         "BRIDGE_VERSION",
@@ -160,22 +199,7 @@ pub const REPORTS: [Report; 39 + EVENTS_KEPT * EVENT_LEN] = with_events([
     report("FAST_STOP_COMMAND", Subject::FastStop(1), "the command that it ended, by its id; 0: none"),
     report("FAST_STOP_VALUE", Subject::FastStop(2), "its value, see the table of events"),
     report("FAST_STOP_AGE", Subject::FastStop(3), "how long ago it was asked for, in s"),
-]);
-
-/// The reports, and behind them those of the last events.
-const fn with_events<const N: usize, const M: usize>(reports: [Report; N]) -> [Report; M] {
-    let mut all = [report("", Subject::MapVersion, ""); M];
-    let mut at = 0;
-    while at < M {
-        #[expect(clippy::indexing_slicing, reason = "a constant: wrong lengths do not compile")]
-        {
-            let event = at.wrapping_sub(N);
-            all[at] = if at < N { reports[at] } else { EVENT_REPORTS[event / EVENT_LEN][event % EVENT_LEN] };
-        }
-        at += 1;
-    }
-    all
-}
+];
 
 /// The subjects alone, so that the words of the table stay out of the image.
 const SUBJECTS: [Subject; REPORTS.len()] = {
@@ -252,6 +276,8 @@ pub(crate) struct ReportSource<'a> {
     pub(crate) reset_cause: ResetCause,
     pub(crate) error_cause: u8,
     pub(crate) events: &'a Events,
+    pub(crate) store: StoreReports,
+    pub(crate) settings_are_changed: bool,
 }
 
 /// What is reported about CAN: state, transmit and receive errors, bus-offs, overruns, dropped frames, as registers.
@@ -323,6 +349,9 @@ impl ReportSource<'_> {
             Subject::EventCount => self.events.count(),
             Subject::FastStop(field) => self.events.fast_stop_register(field),
             Subject::Event(number, field) => self.events.register(number, field),
+            Subject::SettingsFrom => self.store.from as u16,
+            Subject::SaveState => self.store.save as u16,
+            Subject::SettingsChanged => self.settings_are_changed.into(),
         })
     }
 }

@@ -1,7 +1,8 @@
-//! The configuration as holding registers. It lives in RAM: power-up brings back what the image was delivered with.
+//! The settings of a bridge as holding registers: one table, for the PLC's bus, for flash and for `--set`.
 
-use super::RegisterError;
-use crate::config::{BusConfig, Config, RECIPE_COUNT, Recipe};
+use super::{RegisterError, StoreCommand};
+use crate::config::{CanConfig, Config, NodeConfig, PlcBus, RECIPE_COUNT, Recipe, collides_with_canopen};
+use wsg_protocol::can::Identifiers;
 use wsg_protocol::fieldbus::SilenceReaction;
 
 /// A holding register that holds a setting.
@@ -24,7 +25,7 @@ pub const FIRST_SETTING: u16 = 100;
 
 /// Where each setting stands among [`SETTINGS`].
 #[derive(Clone, Copy)]
-enum Place {
+pub(super) enum Place {
     Unit,
     Timeout,
     Reaction,
@@ -36,11 +37,28 @@ enum Place {
     HalfFrame,
     /// The first of the registers of the recipes, [`RECIPE_LEN`] for each.
     Recipes,
+    BusRecipe = Self::Recipes as isize + (RECIPE_COUNT * RECIPE_LEN) as isize,
+    PlcBus,
+    GripperLine,
+    ModbusRate,
+    ModbusFormat,
+    CanRate,
+    CanId,
+    CanNode,
+    CanMaster,
 }
+
+const COUNT: usize = Place::CanMaster as usize + 1;
 
 const RECIPE_LEN: usize = 4;
 
-pub(super) const fn setting(
+/// The value of BUS_RECIPE that stands for none.
+const NO_RECIPE: u16 = RECIPE_COUNT as u16;
+
+/// Those of [`SETTINGS`] from here on count from a start of the bridge on, and not while it runs.
+pub const FIRST_START_SETTING: usize = Place::PlcBus as usize;
+
+const fn setting(
     name: &'static str,
     unit: &'static str,
     (least, most): (u16, u16),
@@ -49,101 +67,150 @@ pub(super) const fn setting(
     Setting { name, unit, least, most, meaning }
 }
 
+/// The names and meanings of the recipes' registers, by their numbers.
+macro_rules! recipe_settings {
+    ($first:literal $($number:literal)*) => {[
+        recipe_settings!(@ $first
+            "where GRIP and MOVE go" "of every motion" "force limit of GRIP" "where RELEASE goes"),
+        $(recipe_settings!(@ $number "as for recipe 0" "" "" "")),*
+    ]};
+    (@ $number:literal $width:literal $speed:literal $force:literal $release:literal) => {[
+        setting(concat!("RECIPE", $number, "_WIDTH"), "1/100 mm", WIDTH, $width),
+        setting(concat!("RECIPE", $number, "_SPEED"), "1/100 mm/s", SPEED, $speed),
+        setting(concat!("RECIPE", $number, "_FORCE"), "1/100 N", FORCE, $force),
+        setting(concat!("RECIPE", $number, "_RELEASE"), "1/100 mm", WIDTH, $release),
+    ]};
+}
+
+const WIDTH: (u16, u16) = (0, i16::MAX as u16);
+const SPEED: (u16, u16) = (1, u16::MAX);
+const FORCE: (u16, u16) = (1, i16::MAX as u16);
+
+const RECIPE_SETTINGS: [[Setting; RECIPE_LEN]; RECIPE_COUNT] =
+    recipe_settings!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+
+/// What stands before the recipes.
+const BEFORE_RECIPES: [Setting; Place::Recipes as usize] = [
+    setting("UNIT", "", (1, 247), "the bridge's address on the bus, from the next request on"),
+    setting("BUS_TIMEOUT", "ms", (0, u16::MAX), "how long a PLC that commanded may be silent; 0: for ever"),
+    setting(
+        "BUS_REACTION",
+        "",
+        (0, 2),
+        "what is done then: 0 hold, 1 stop, 2 FAST STOP; a jog ends in any case",
+    ),
+    setting(
+        "BUS_CHAR_TIMEOUT",
+        "ms",
+        (0, 1_000),
+        "how long a pause inside a request may be; 0: T1.5, by the specification",
+    ),
+    setting("BROADCAST", "", (0, 1), "1: broadcast writes count"),
+    setting("SWAP_BYTES", "", (0, 1), "1: the bytes of the numbers in registers 0 to 5 change places"),
+    setting(
+        "DEBOUNCE",
+        "ms",
+        (0, 1_000),
+        "how long a wire must keep its level; a low FAST_STOP_OK counts at once, whatever is set here",
+    ),
+    setting("MIN_BUSY", "ms", (0, 10_000), "how long the wire BUSY is high at the least"),
+    setting(
+        "HALF_FRAME",
+        "ms",
+        (1, 1_000),
+        "after how long without a byte half a frame of the gripper is given up",
+    ),
+];
+
+/// What stands behind them.
+const BEHIND_RECIPES: [Setting; COUNT - Place::BusRecipe as usize] = [
+    setting(
+        "BUS_RECIPE",
+        "",
+        (0, NO_RECIPE),
+        "0 to 15: commands of the bus take this recipe's values; 16: WIDTH, SPEED and FORCELIMIT that it writes",
+    ),
+    setting("PLC_BUS", "", (0, PlcBus::ALL.len() as u16 - 1), PlcBus::NUMBERS),
+    setting("GRIPPER_LINE", "", (0, 1), "the gripper's line: 0 RS-232, 1 CAN"),
+    setting("MODBUS_RATE", "100 bit/s", (12, 2_304), "the rate of Modbus RTU"),
+    setting("MODBUS_FORMAT", "", (0, 2), "a character of Modbus RTU: 0 8E1, 1 8N1, 2 8N2"),
+    setting("CAN_RATE", "kbit/s", (125, 1_000), "the rate of CAN: 125, 250, 500 or 1000"),
+    setting(
+        "CAN_ID",
+        "",
+        (0, 0x7FE),
+        "the identifier that the gripper listens to; it sends on the next one. None of both may be one of CANopen's",
+    ),
+    setting("CAN_NODE", "", (1, 127), "the bridge's node-ID; not CAN_MASTER's"),
+    setting("CAN_MASTER", "", (1, 127), "the node-ID of the CANopen master, whose heartbeat is watched"),
+];
+
 /// The settings, from [`FIRST_SETTING`] on.
-pub const SETTINGS: [Setting; Place::Recipes as usize + RECIPE_COUNT * RECIPE_LEN] = {
-    const WIDTH: (u16, u16) = (0, i16::MAX as u16);
-    const SPEED: (u16, u16) = (1, u16::MAX);
-    const FORCE: (u16, u16) = (1, i16::MAX as u16);
-    [
-        setting("UNIT", "", (1, 247), "the bridge's address on the bus, from the next request on"),
-        setting(
-            "BUS_TIMEOUT",
-            "ms",
-            (0, u16::MAX),
-            "how long a PLC that commanded may be silent; 0: for ever",
-        ),
-        setting(
-            "BUS_REACTION",
-            "",
-            (0, 2),
-            "what is done then: 0 hold, 1 stop, 2 FAST STOP; a jog ends in any case",
-        ),
-        setting(
-            "BUS_CHAR_TIMEOUT",
-            "ms",
-            (0, 1_000),
-            "how long a pause inside a request may be; 0: T1.5, by the specification",
-        ),
-        setting("BROADCAST", "", (0, 1), "1: broadcast writes count"),
-        setting("SWAP_BYTES", "", (0, 1), "1: the bytes of the numbers in registers 0 to 5 change places"),
-        setting(
-            "DEBOUNCE",
-            "ms",
-            (0, 1_000),
-            "how long a wire must keep its level; a low FAST_STOP_OK counts at once, whatever is set here",
-        ),
-        setting("MIN_BUSY", "ms", (0, 10_000), "how long the wire BUSY is high at the least"),
-        setting(
-            "HALF_FRAME",
-            "ms",
-            (1, 1_000),
-            "after how long without a byte half a frame of the gripper is given up",
-        ),
-        setting("RECIPE0_WIDTH", "1/100 mm", WIDTH, "where GRIP and MOVE go"),
-        setting("RECIPE0_SPEED", "1/100 mm/s", SPEED, "of every motion"),
-        setting("RECIPE0_FORCE", "1/100 N", FORCE, "force limit of GRIP"),
-        setting("RECIPE0_RELEASE", "1/100 mm", WIDTH, "where RELEASE goes"),
-        setting("RECIPE1_WIDTH", "1/100 mm", WIDTH, "as for recipe 0"),
-        setting("RECIPE1_SPEED", "1/100 mm/s", SPEED, ""),
-        setting("RECIPE1_FORCE", "1/100 N", FORCE, ""),
-        setting("RECIPE1_RELEASE", "1/100 mm", WIDTH, ""),
-        setting("RECIPE2_WIDTH", "1/100 mm", WIDTH, "as for recipe 0"),
-        setting("RECIPE2_SPEED", "1/100 mm/s", SPEED, ""),
-        setting("RECIPE2_FORCE", "1/100 N", FORCE, ""),
-        setting("RECIPE2_RELEASE", "1/100 mm", WIDTH, ""),
-        setting("RECIPE3_WIDTH", "1/100 mm", WIDTH, "as for recipe 0"),
-        setting("RECIPE3_SPEED", "1/100 mm/s", SPEED, ""),
-        setting("RECIPE3_FORCE", "1/100 N", FORCE, ""),
-        setting("RECIPE3_RELEASE", "1/100 mm", WIDTH, ""),
-    ]
+pub const SETTINGS: [Setting; COUNT] = {
+    let mut all = [BEFORE_RECIPES[0]; COUNT];
+    let mut at = 0;
+    while at < all.len() {
+        #[expect(clippy::indexing_slicing, reason = "a constant: wrong lengths do not compile")]
+        {
+            all[at] = if at < Place::Recipes as usize {
+                BEFORE_RECIPES[at]
+            } else if at < Place::BusRecipe as usize {
+                let at = at - Place::Recipes as usize;
+                RECIPE_SETTINGS[at / RECIPE_LEN][at % RECIPE_LEN]
+            } else {
+                BEHIND_RECIPES[at - Place::BusRecipe as usize]
+            };
+        }
+        at += 1;
+    }
+    all
 };
 
-/// The ranges alone, so that the words of the table stay out of the image.
-const RANGES: [(u16, u16); SETTINGS.len()] = ranges(&SETTINGS);
+/// The values of all settings, in the order of [`SETTINGS`].
+pub type Record = [u16; SETTINGS.len()];
 
-/// The ranges of a table of settings.
-pub(super) const fn ranges<const N: usize>(table: &[Setting; N]) -> [(u16, u16); N] {
-    let mut ranges = [(0, 0); N];
+/// Settings of a record that no bridge can have: one of them has a value that it does not take, be it only beside another's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WrongSetting {
+    /// Its place in the record.
+    pub at: usize,
+}
+
+impl core::fmt::Display for WrongSetting {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match SETTINGS.get(self.at) {
+            Some(Setting { name, least, most, meaning, .. }) => {
+                write!(f, "{name} takes {least} to {most}: {meaning}")
+            }
+            None => f.write_str("there is no such setting"),
+        }
+    }
+}
+
+impl core::error::Error for WrongSetting {}
+
+/// The ranges alone, so that the words of the table stay out of the image.
+pub(super) const RANGES: [(u16, u16); SETTINGS.len()] = {
+    let mut ranges = [(0, 0); SETTINGS.len()];
     let mut at = 0;
-    while at < N {
+    while at < ranges.len() {
         #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
         {
-            ranges[at] = (table[at].least, table[at].most);
+            ranges[at] = (SETTINGS[at].least, SETTINGS[at].most);
         }
         at += 1;
     }
     ranges
-}
+};
 
-/// These values, each brought into its range.
-pub(super) const fn into_ranges<const N: usize>(mut values: [u16; N], ranges: &[(u16, u16); N]) -> [u16; N] {
-    let mut at = 0;
-    while at < N {
-        #[expect(clippy::indexing_slicing, reason = "both tables are of this length")]
-        {
-            let (least, most) = ranges[at];
-            values[at] = if values[at] < least { least } else { values[at] };
-            values[at] = if values[at] > most { most } else { values[at] };
-        }
-        at += 1;
-    }
-    values
-}
-
-/// The values of [`SETTINGS`]: always inside their ranges.
-#[derive(Clone, Debug, Hash)]
+/// The values of [`SETTINGS`]: always inside their ranges, and such as go together.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Settings {
-    values: [u16; SETTINGS.len()],
+    values: Record,
+    /// Those that count from the next start on.
+    stored: Record,
+    /// What shall be done with them at the end of the turn.
+    asked: Option<StoreCommand>,
 }
 
 impl Settings {
@@ -152,49 +219,22 @@ impl Settings {
 
     /// What the configuration says, each value brought into its range.
     pub(crate) const fn new(config: &Config) -> Self {
-        let bus = &config.bus;
-        let [r0, r1, r2, r3] = &config.recipes;
-        // In the order of `Place` and of the table.
-        let values = [
-            bus.unit as u16,
-            bus.timeout_ms,
-            code(bus.reaction),
-            bus.character_timeout_ms,
-            bus.broadcast as u16,
-            bus.swap_bytes as u16,
-            saturate(config.debounce_ms),
-            saturate(config.min_busy_ms),
-            saturate(config.half_frame_ms),
-            r0.width.cast_unsigned(),
-            r0.speed,
-            r0.force.cast_unsigned(),
-            r0.release_width.cast_unsigned(),
-            r1.width.cast_unsigned(),
-            r1.speed,
-            r1.force.cast_unsigned(),
-            r1.release_width.cast_unsigned(),
-            r2.width.cast_unsigned(),
-            r2.speed,
-            r2.force.cast_unsigned(),
-            r2.release_width.cast_unsigned(),
-            r3.width.cast_unsigned(),
-            r3.speed,
-            r3.force.cast_unsigned(),
-            r3.release_width.cast_unsigned(),
-        ];
-        Self { values: into_ranges(values, &RANGES) }
+        let values = config.record();
+        Self { values, stored: values, asked: None }
     }
 
-    /// These values, if each is in its range; else the place of the first that is not.
-    pub(super) fn from_values(values: [u16; SETTINGS.len()]) -> Result<Self, usize> {
-        match values.iter().zip(RANGES).position(|(value, (least, most))| !(least..=most).contains(value)) {
-            None => Ok(Self { values }),
-            Some(at) => Err(at),
+    /// Whether a bridge can have these values.
+    pub(crate) fn check_record(values: &Record) -> Result<(), WrongSetting> {
+        let is_wrong = |(value, (least, most)): (&u16, &(u16, u16))| !(least..=most).contains(&value);
+        if let Some(at) = values.iter().zip(&RANGES).position(is_wrong) {
+            return Err(WrongSetting { at });
         }
+        let wrong = wrong_together(|place| value_of(values, place));
+        wrong.map_or(Ok(()), |place| Err(WrongSetting { at: place as usize }))
     }
 
     /// All values, in the order of [`SETTINGS`].
-    pub(super) const fn values(&self) -> &[u16; SETTINGS.len()] {
+    pub(crate) const fn record(&self) -> &Record {
         &self.values
     }
 
@@ -204,12 +244,26 @@ impl Settings {
     }
 
     /// Whether registers from this one on exist and take these values.
-    pub(crate) fn check(&self, first: u16, values: impl Iterator<Item = u16>) -> Result<(), RegisterError> {
-        let mut ranges = RANGES.get(usize::from(first)..).unwrap_or_default().iter();
+    pub(crate) fn check(
+        &self,
+        first: u16,
+        values: impl Iterator<Item = u16> + Clone,
+    ) -> Result<(), RegisterError> {
+        let first = usize::from(first);
+        let mut ranges = RANGES.get(first..).unwrap_or_default().iter();
         let mut fits = true;
-        for value in values {
+        let mut end = first;
+        for value in values.clone() {
             let (least, most) = *ranges.next().ok_or(RegisterError::Missing)?;
             fits &= (least..=most).contains(&value);
+            end = end.wrapping_add(1);
+        }
+        if end > FIRST_START_SETTING {
+            let after = |place: Place| {
+                let written = (place as usize).checked_sub(first).and_then(|n| values.clone().nth(n));
+                written.unwrap_or(self.value(place))
+            };
+            fits &= wrong_together(after).is_none();
         }
         if fits { Ok(()) } else { Err(RegisterError::Value) }
     }
@@ -228,34 +282,40 @@ impl Settings {
         Ok(())
     }
 
-    const fn value(&self, place: Place) -> u16 {
-        #[expect(clippy::indexing_slicing, reason = "every place is in the table")]
-        self.values[place as usize]
+    /// Takes these values; they are not stored.
+    pub(crate) const fn take(&mut self, values: &Record) {
+        self.values = *values;
     }
 
-    /// The configuration that has these settings, and everything else from `rest`.
-    pub(super) fn config(&self, rest: Config) -> Config {
-        let bus = BusConfig {
-            unit: self.unit(),
-            timeout_ms: self.value(Place::Timeout),
-            reaction: self.reaction(),
-            character_timeout_ms: self.character_timeout_ms(),
-            broadcast: self.broadcast(),
-            swap_bytes: self.swap_bytes(),
-            ..rest.bus
-        };
-        let mut recipes = rest.recipes;
-        for (number, recipe) in recipes.iter_mut().enumerate() {
-            *recipe = self.recipe(number).unwrap_or(*recipe);
-        }
-        Config {
-            debounce_ms: self.debounce_ms(),
-            min_busy_ms: self.min_busy_ms(),
-            half_frame_ms: self.half_frame_ms(),
-            recipes,
-            bus,
-            ..rest
-        }
+    /// Takes the stored values.
+    pub(crate) const fn restore(&mut self) {
+        self.values = self.stored;
+    }
+
+    /// They are stored as they are.
+    pub(crate) const fn are_stored(&mut self) {
+        self.stored = self.values;
+    }
+
+    pub(crate) fn are_changed(&self) -> bool {
+        self.values != self.stored
+    }
+
+    /// Has them stored, or the delivered ones taken and stored, at the end of the turn.
+    pub(crate) const fn ask(&mut self, command: StoreCommand) {
+        self.asked = Some(command);
+    }
+
+    pub(crate) const fn is_asked(&self) -> bool {
+        self.asked.is_some()
+    }
+
+    pub(crate) const fn take_asked(&mut self) -> Option<StoreCommand> {
+        self.asked.take()
+    }
+
+    pub(super) const fn value(&self, place: Place) -> u16 {
+        value_of(&self.values, place)
     }
 
     pub(crate) const fn swap_bytes(&self) -> bool {
@@ -267,11 +327,7 @@ impl Settings {
     }
 
     pub(crate) fn reaction(&self) -> SilenceReaction {
-        match self.value(Place::Reaction) {
-            0 => SilenceReaction::Hold,
-            1 => SilenceReaction::Stop,
-            _ => SilenceReaction::FastStop,
-        }
+        reaction_of(self.value(Place::Reaction))
     }
 
     pub(crate) fn debounce_ms(&self) -> u32 {
@@ -287,14 +343,12 @@ impl Settings {
     }
 
     pub(crate) fn recipe(&self, number: usize) -> Option<Recipe> {
-        let recipes = self.values.get(Place::Recipes as usize..)?;
-        let &[width, speed, force, release_width] = recipes.as_chunks::<RECIPE_LEN>().0.get(number)?;
-        Some(Recipe {
-            width: width.cast_signed(),
-            speed,
-            force: force.cast_signed(),
-            release_width: release_width.cast_signed(),
-        })
+        recipe_of(&self.values, number)
+    }
+
+    /// The recipe that the bus's commands take, if they take one.
+    pub(crate) fn bus_recipe(&self) -> Option<Recipe> {
+        self.recipe(self.value(Place::BusRecipe).into())
     }
 
     pub(crate) const fn unit(&self) -> u8 {
@@ -310,16 +364,38 @@ impl Settings {
     }
 }
 
-const fn code(reaction: SilenceReaction) -> u16 {
-    match reaction {
-        SilenceReaction::Hold => 0,
-        SilenceReaction::Stop => 1,
-        SilenceReaction::FastStop => 2,
+/// The value at this place of a record.
+pub(super) const fn value_of(values: &Record, place: Place) -> u16 {
+    #[expect(clippy::indexing_slicing, reason = "every place is in the table")]
+    values[place as usize]
+}
+
+/// What BUS_REACTION means.
+pub(super) const fn reaction_of(value: u16) -> SilenceReaction {
+    match value {
+        0 => SilenceReaction::Hold,
+        1 => SilenceReaction::Stop,
+        _ => SilenceReaction::FastStop,
     }
 }
 
-pub(super) const fn saturate(value: u32) -> u16 {
-    if value > u16::MAX as u32 { u16::MAX } else { value as u16 }
+/// A recipe of a record, by its number.
+pub(super) fn recipe_of(values: &Record, number: usize) -> Option<Recipe> {
+    let recipes = values.get(Place::Recipes as usize..Place::BusRecipe as usize)?;
+    recipes.as_chunks::<RECIPE_LEN>().0.get(number).copied().map(Recipe::from_registers)
+}
+
+/// The first setting whose value is in its range and yet wrong, by itself or beside others.
+fn wrong_together(value: impl Fn(Place) -> u16) -> Option<Place> {
+    if !matches!(value(Place::CanRate), 125 | 250 | 500 | 1_000) {
+        return Some(Place::CanRate);
+    }
+    if Identifiers::from_base(value(Place::CanId)).is_none_or(collides_with_canopen) {
+        return Some(Place::CanId);
+    }
+    let [node, master] = [Place::CanNode, Place::CanMaster].map(|place| value(place) as u8);
+    let node = NodeConfig { node, master, ..CanConfig::DEFAULT.node };
+    (!node.is_valid()).then_some(Place::CanNode)
 }
 
 #[cfg(test)]
@@ -334,6 +410,7 @@ mod tests {
             assert_eq!(settings.recipe(number), Some(*recipe));
         }
         assert_eq!(settings.recipe(RECIPE_COUNT), None);
+        assert_eq!(settings.bus_recipe(), None);
         assert_eq!(settings.reaction(), SilenceReaction::Stop);
         assert_eq!((settings.debounce_ms(), settings.min_busy_ms(), settings.half_frame_ms()), (2, 50, 20));
         assert_eq!(settings.unit(), 1);
@@ -355,7 +432,9 @@ mod tests {
     fn every_setting_takes_its_range_and_nothing_else() {
         for (index, setting) in SETTINGS.iter().enumerate() {
             let mut settings = Settings::new(&Config::DEFAULT);
-            for value in [setting.least, setting.most] {
+            // What these take depends on each other and on CANopen.
+            let is_free = !matches!(setting.name, "CAN_ID" | "CAN_NODE" | "CAN_MASTER");
+            for value in [setting.least, setting.most].into_iter().filter(|_| is_free) {
                 assert_eq!(settings.write(index as u16, [value].into_iter()), Ok(()));
                 assert_eq!(settings.register(index as u16), Ok(value), "{}", setting.name);
             }
@@ -364,6 +443,21 @@ mod tests {
                 assert_eq!(refused, Err(RegisterError::Value), "{}", setting.name);
             }
         }
+    }
+
+    #[test]
+    fn values_that_do_not_go_together_are_refused_and_both_at_once_are_not() {
+        let mut settings = Settings::new(&Config::DEFAULT);
+        for (place, value) in
+            [(Place::CanRate, 300), (Place::CanId, 0x100), (Place::CanNode, 0x7F), (Place::CanMaster, 0x10)]
+        {
+            let refused = settings.write(place as u16, [value].into_iter());
+            assert_eq!(refused, Err(RegisterError::Value), "{value}");
+        }
+        assert_eq!(settings.write(Place::CanNode as u16, [0x7F, 0x10].into_iter()), Ok(()));
+        assert!(settings.are_changed());
+        let record = *settings.record();
+        assert_eq!(Settings::check_record(&record), Ok(()));
     }
 
     #[test]

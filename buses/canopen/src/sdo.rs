@@ -20,6 +20,8 @@ pub enum Abort {
     NoSubindex = 0x0609_0011,
     /// The value is not allowed.
     Value = 0x0609_0030,
+    /// Data cannot be stored: the signature is wrong.
+    Store = 0x0800_0020,
     /// Only something else than a master's SDO changes it.
     LocalControl = 0x0800_0021,
     /// Not in the present device state.

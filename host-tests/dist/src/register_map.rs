@@ -2,7 +2,9 @@
 
 use host_tests::plc_names::{command_flags, gripper_flags, system_flags};
 use wsg_bridge_fw::Config;
-use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS, record_settings};
+use wsg_bridge_fw::registers::{
+    COMMAND_KEY, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS,
+};
 use wsg_protocol::fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 
 const HEAD: [&str; 10] =
@@ -28,12 +30,10 @@ pub(crate) fn csv() -> String {
 
 fn rows() -> Vec<Row> {
     let mut rows = images();
-    // As delivered, by name: the record of settings has an order of its own.
-    let delivered: Vec<_> = record_settings().zip(Config::DEFAULT.record()).collect();
-    for (address, setting) in (u32::from(FIRST_SETTING)..).zip(&SETTINGS) {
-        let value = delivered.iter().find(|(other, _)| other.name == setting.name).map(|(_, value)| *value);
+    let settings = SETTINGS.iter().zip(Config::DEFAULT.record());
+    for (address, (setting, delivered)) in (u32::from(FIRST_SETTING)..).zip(settings) {
         let limits = [setting.least.to_string(), setting.most.to_string()];
-        let value = value.map_or_else(String::new, |value| value.to_string());
+        let value = delivered.to_string();
         rows.push(row(
             HOLDING,
             address,
@@ -44,6 +44,10 @@ fn rows() -> Vec<Row> {
             &value,
             setting.meaning,
         ));
+    }
+    for (address, command) in (u32::from(FIRST_COMMAND)..).zip(&COMMANDS) {
+        let key = [COMMAND_KEY.to_string(), COMMAND_KEY.to_string()];
+        rows.push(row(HOLDING, address, command.name, "write", "", key, "", command.meaning));
     }
     for (address, report) in (u32::from(FIRST_REPORT)..).zip(&REPORTS) {
         rows.push(row(INPUT, address, report.name, "read", "", none(), "", report.meaning));
@@ -145,8 +149,10 @@ mod tests {
             rows.iter().filter(|row| row[0] == table.0).map(|row| row[1].parse().unwrap()).collect()
         };
         let run = |first: u16, len: usize| (first.into()..).take(len);
-        let holding: Vec<u32> =
-            run(0, OUTPUT_REGISTERS.len()).chain(run(FIRST_SETTING, SETTINGS.len())).collect();
+        let holding: Vec<u32> = run(0, OUTPUT_REGISTERS.len())
+            .chain(run(FIRST_SETTING, SETTINGS.len()))
+            .chain(run(FIRST_COMMAND, COMMANDS.len()))
+            .collect();
         let input: Vec<u32> = run(0, INPUT_REGISTERS.len()).chain(run(FIRST_REPORT, REPORTS.len())).collect();
         assert_eq!((of(HOLDING), of(INPUT)), (holding, input));
         assert_eq!(of(COILS), Vec::from_iter(0..8));

@@ -16,7 +16,7 @@ pub(super) const TIMING: Timing = Timing::of(19_200, 11);
 pub(super) const BROADCAST: u8 = 0;
 
 /// Settings are registers from here on; these are followed (docs/registers.md).
-const SETTINGS: std::ops::Range<usize> = 100..125;
+const SETTINGS: std::ops::Range<usize> = 100..182;
 const UNIT: usize = 100;
 const BUS_TIMEOUT: usize = 101;
 const BUS_CHAR_TIMEOUT: usize = 103;
@@ -26,6 +26,11 @@ const DEBOUNCE: usize = 106;
 const MIN_BUSY: usize = 107;
 const HALF_FRAME: usize = 108;
 const FIRST_RECIPE: usize = 109;
+
+const BUS_RECIPE: usize = 173;
+const NO_RECIPE: u16 = 16;
+/// SAVE, RESTORE and DEFAULTS.
+const COMMANDS: std::ops::Range<usize> = 200..203;
 
 /// Force Listen Only Mode, behind which a unit says nothing and does nothing.
 const LISTEN_ONLY: [u8; 5] = [8, 0, 4, 0, 0];
@@ -105,6 +110,8 @@ struct Piece {
 pub(super) struct Overheard {
     image: [u8; OutputImage::LEN],
     settings: [u16; SETTINGS.end - SETTINGS.start],
+    /// What RESTORE brings back.
+    initial: [u16; SETTINGS.end - SETTINGS.start],
     /// The pieces that have ended, since the last request that was carried out.
     ended: Vec<Piece>,
     current: Option<Piece>,
@@ -127,11 +134,17 @@ impl Overheard {
         for (register, value) in built {
             settings[register - SETTINGS.start] = value;
         }
-        for (place, recipe) in settings[FIRST_RECIPE - SETTINGS.start..].chunks_exact_mut(4).zip(RECIPES) {
+        // What counts from a start on is not followed, but that it reads as it was written.
+        settings[BUS_RECIPE - SETTINGS.start..]
+            .copy_from_slice(&config.record()[BUS_RECIPE - SETTINGS.start..]);
+        for (place, recipe) in settings[FIRST_RECIPE - SETTINGS.start..BUS_RECIPE - SETTINGS.start]
+            .chunks_exact_mut(4)
+            .zip(RECIPES)
+        {
             let Recipe { width, speed, force, release_width } = recipe;
             place.copy_from_slice(&[width as u16, speed, force as u16, release_width as u16]);
         }
-        Self { image: [0; OutputImage::LEN], settings, ended: Vec::new(), current: None }
+        Self { image: [0; OutputImage::LEN], settings, initial: settings, ended: Vec::new(), current: None }
     }
 
     pub(super) fn unit(&self) -> u8 {
@@ -277,6 +290,7 @@ impl Overheard {
                 let (at, and, or) = (usize::from(word(a1, a0)), word(and1, and0), word(or1, or0));
                 let before = match self.image.get(2 * at..2 * at + 2) {
                     Some(pair) => word(pair[0], pair[1]),
+                    None if COMMANDS.contains(&at) => 0,
                     None => *self.settings.get(at.checked_sub(SETTINGS.start)?)?,
                 };
                 Write::Words(at, vec![before & and | or & !and])
@@ -305,7 +319,14 @@ impl Overheard {
             }
             Write::Words(first, values) if first >= SETTINGS.start => {
                 let before = self.setting(SWAP_BYTES);
-                self.settings[first - SETTINGS.start..][..values.len()].copy_from_slice(&values);
+                if first == COMMANDS.start + 1 {
+                    self.settings = self.initial;
+                } else if !COMMANDS.contains(&first) {
+                    self.settings[first - SETTINGS.start..][..values.len()].copy_from_slice(&values);
+                }
+                if self.setting(BUS_RECIPE) != NO_RECIPE {
+                    return Some(Done::Unknown);
+                }
                 if self.setting(SWAP_BYTES) != before {
                     swap(&mut self.image);
                 }
@@ -344,7 +365,8 @@ impl Write {
 /// Whether there are such holding registers, all of one kind.
 fn exist(first: usize, count: usize) -> bool {
     let last = first + count;
-    count > 0 && (last <= 4 || first >= SETTINGS.start && last <= SETTINGS.end)
+    let is_in = |range: &std::ops::Range<usize>| range.contains(&first) && last <= range.end;
+    count > 0 && (last <= 4 || is_in(&SETTINGS) || is_in(&COMMANDS))
 }
 
 /// Turns the bytes of WIDTH, SPEED and FORCELIMIT round.

@@ -27,12 +27,14 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use wsg_b_l475e_iot01a::NAME;
 use wsg_b_l475e_iot01a::drivers::can1::{self, Can1};
+use wsg_b_l475e_iot01a::drivers::flash::{self, SettingsPages};
 use wsg_b_l475e_iot01a::drivers::pins::{self, Pins};
 use wsg_b_l475e_iot01a::drivers::{clock, uart};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{InputPort, OutputPort};
-use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, Station};
+use wsg_bridge_fw::registers::WrongSetting;
+use wsg_bridge_fw::{Board, GripperLine, PlcBus, ResetCause, Station};
 
 #[entry]
 fn main() -> ! {
@@ -50,32 +52,22 @@ fn main() -> ! {
         // No PLL, no baud rate to talk to the gripper with.
         stay_not_ready(&mut pins, clock::RESET_HZ);
     }
-    let Ok(config) = Config::from_record(&settings::read()) else {
+    let mut flash = flash::settings_pages();
+    tick::start(core.SYST);
+    if start(STATION, &flash, reset_cause).is_err() {
         log::wrong_settings();
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready(&mut pins, clock::HCLK_HZ);
-    };
-    STATION.start(&config, Board { name: NAME, serial: serial_number::read() }, reset_cause);
-    tick::start(core.SYST);
+    }
     let mut gripper_line = uart::line();
-    if config.gripper_line == GripperLine::Serial {
-        uart::start();
-    }
     let mut service_line = bus::service_line();
-    bus::start_service();
     let mut modbus_line = bus::line();
-    if config.plc_bus == PlcBus::Modbus {
-        bus::start(&config.bus);
-    }
-    if STATION.uses_can() {
-        STATION.can().controller().start(&config.can);
-    }
     log::running();
 
     loop {
         let now_ms = tick::now_ms();
-        let outputs =
-            STATION.turn(now_ms, pins.read(), &mut gripper_line, &mut modbus_line, &mut service_line);
+        let (bus, service) = (&mut modbus_line, &mut service_line);
+        let outputs = STATION.turn(now_ms, pins.read(), &mut gripper_line, bus, service, &mut flash);
         pins.write(outputs);
         pins.indicate(STATION.bridge().indication().is_lit(now_ms));
         if STATION.uses_can() {
@@ -90,6 +82,28 @@ fn main() -> ! {
             tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can1::has_received())
         });
     }
+}
+
+/// Starts the bridge with its settings, and the lines that they choose. Apart: the configuration would be on the stack for ever.
+#[inline(never)]
+fn start(
+    station: &mut Station<Can1>,
+    flash: &SettingsPages,
+    reset_cause: ResetCause,
+) -> Result<(), WrongSetting> {
+    let config = station.load(&settings::delivered(), flash)?;
+    station.start(&config, Board { name: NAME, serial: serial_number::read() }, reset_cause);
+    if config.gripper_line == GripperLine::Serial {
+        uart::start();
+    }
+    bus::start_service();
+    if config.plc_bus == PlcBus::Modbus {
+        bus::start(&config.bus);
+    }
+    if station.uses_can() {
+        station.can().controller().start(&config.can);
+    }
+    Ok(())
 }
 
 /// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.

@@ -9,8 +9,8 @@ use wsg_bridge_fw::registers::Record;
 #[unsafe(no_mangle)]
 static WSG_SETTINGS: Record = Config::DEFAULT.record();
 
-/// Reads the settings.
-pub(crate) fn read() -> Record {
+/// Reads them.
+pub(crate) fn delivered() -> Record {
     // Volatile: the compiler must not take them for what stands above.
     // SAFETY: a reference may be read through.
     unsafe { core::ptr::read_volatile(&raw const WSG_SETTINGS) }

@@ -5,7 +5,7 @@ use bus_canopen::{Abort, DataType, Dictionary, Entry, Pdo, Source, entries, find
 use crate::can::BusReport;
 use crate::config::Board;
 use crate::plc::View;
-use crate::registers::{BusCounts, REPORTS, RegisterError, SETTINGS, Settings};
+use crate::registers::{BusCounts, REPORTS, RegisterError, SETTINGS, Settings, StoreCommand};
 
 /// A value that is the bridge's: one about the bus, a setting or a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +27,8 @@ enum Value {
     FramesMiscut,
     FramesExpired,
     LinkBroken,
+    /// What takes this signature: it does something with the settings as a whole.
+    Store(StoreCommand),
     /// A register of the settings, counted from 0.
     Setting(u16),
     /// A report, counted from 0.
@@ -56,7 +58,7 @@ const REVISION: u32 = 1 << 16;
 pub(super) const COUNT: &str = "Number of entries";
 
 /// Objects 1000h to 2002h. The settings and reports behind them have tables of their own.
-pub const OBJECTS: [Object; 81] = {
+pub const OBJECTS: [Object; 85] = {
     use DataType::{I16, Text, U8, U16, U32};
     use Pdo::{Receive, Transmit};
     use Source as S;
@@ -73,6 +75,8 @@ pub const OBJECTS: [Object; 81] = {
     const OUTPUT: &str = "Output image";
     const INPUT: &str = "Input image";
     const BUS: &str = "CAN";
+    const STORE: &str = "Store parameters";
+    const RESTORE: &str = "Restore default parameters";
     /// A field of RPDO1, by its first byte.
     const fn received(at: u8) -> Source<Key> {
         Source::Rpdo { number: 0, at }
@@ -134,6 +138,10 @@ pub const OBJECTS: [Object; 81] = {
         ro(0x1008, 0, Text, own(V::DeviceName), "", "Manufacturer device name"),
         ro(0x1009, 0, Text, own(V::HardwareVersion), "", "Manufacturer hardware version"),
         ro(0x100A, 0, Text, own(V::SoftwareVersion), "", "Manufacturer software version"),
+        ro(0x1010, 0, U8, S::Fixed(1), STORE, COUNT),
+        rw(0x1010, 1, U32, own(V::Store(StoreCommand::Save)), STORE, "All settings (2100h): \"save\""),
+        ro(0x1011, 0, U8, S::Fixed(1), RESTORE, COUNT),
+        rw(0x1011, 1, U32, own(V::Store(StoreCommand::Defaults)), RESTORE, "All settings (2100h): \"load\""),
         rw(0x1014, 0, U32, S::PlusNode(0x80), "", "COB-ID EMCY"),
         rw(0x1015, 0, U16, S::EmergencyInhibitTime, "", "Inhibit time EMCY in 100 us"),
         ro(0x1016, 0, U8, S::Fixed(1), "Consumer heartbeat time", COUNT),
@@ -261,6 +269,8 @@ impl Dictionary for Objects<'_, '_> {
                 self.view.report(number, BusCounts::default()).map(u32::from).map_err(abort_of)
             }
             Value::SerialNumber => Ok(self.board.serial),
+            // Bit 0: on command, and not by itself.
+            Value::Store(_) => Ok(1),
             _ => Ok(bus_value(self.report, value)),
         }
     }
@@ -277,6 +287,9 @@ impl Dictionary for Objects<'_, '_> {
     fn write(&mut self, Key(value): Key, number: u32) -> Result<(), Abort> {
         match value {
             Value::Setting(at) => self.write_setting(at, number as u16),
+            // CiA 301 has this abort for a wrong signature.
+            Value::Store(command) if number != signature(command) => Err(Abort::Store),
+            Value::Store(command) => self.view.command_store(command).map_err(abort_of),
             _ => Err(Abort::ReadOnly),
         }
     }
@@ -296,12 +309,20 @@ impl Objects<'_, '_> {
     }
 }
 
+/// What CiA 301 has written to 1010h ("save") and 1011h ("load"), the first letter in the lowest byte.
+const fn signature(command: StoreCommand) -> u32 {
+    u32::from_le_bytes(match command {
+        StoreCommand::Save => *b"save",
+        StoreCommand::Restore | StoreCommand::Defaults => *b"load",
+    })
+}
+
 /// The abort that says so.
 const fn abort_of(error: RegisterError) -> Abort {
     match error {
         RegisterError::Missing => Abort::NoSubindex,
         RegisterError::Value => Abort::Value,
-        RegisterError::Moving => Abort::DeviceState,
+        RegisterError::Moving | RegisterError::Saving => Abort::DeviceState,
     }
 }
 

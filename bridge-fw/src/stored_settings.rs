@@ -1,0 +1,86 @@
+//! The settings in flash: which of them count at the start, and what SAVE, RESTORE and DEFAULTS do.
+
+use crate::bridge::Bridge;
+use crate::config::Config;
+use crate::registers::{Record, SETTINGS, SaveState, Settings, SettingsFrom, StoreCommand, WrongSetting};
+use crate::storage::{LoadError, NorFlash, Progress, Store};
+use wsg_protocol::Instant;
+
+/// The version of the record's format. A setting that is added behind the others leaves it as it is.
+const VERSION: u16 = 1;
+
+/// Bytes of a record: each setting in the order of its register, the low byte first.
+const LEN: usize = 2 * SETTINGS.len();
+
+/// The settings that count after the next start, and those that the image was delivered with.
+pub(crate) struct StoredSettings {
+    store: Store<LEN>,
+    delivered: Record,
+    from: SettingsFrom,
+}
+
+impl StoredSettings {
+    pub(crate) const fn new() -> Self {
+        Self { store: Store::new(), delivered: [0; SETTINGS.len()], from: SettingsFrom::Delivered }
+    }
+
+    /// Where the configuration is from that [`load`](Self::load) returned.
+    pub(crate) const fn from(&self) -> SettingsFrom {
+        self.from
+    }
+
+    /// Returns the configuration to start with.
+    ///
+    /// # Errors
+    /// [`WrongSetting`] if the image was delivered with settings that no bridge can have.
+    pub(crate) fn load(&mut self, delivered: &Record, flash: &impl NorFlash) -> Result<Config, WrongSetting> {
+        Settings::check_record(delivered)?;
+        self.delivered = *delivered;
+        self.from = match self.store.load(flash) {
+            Ok(record) if record.version == VERSION => {
+                let words = record.payload.as_chunks::<2>().0;
+                // What older firmware did not know is as delivered.
+                let mut stored = *delivered;
+                for (value, word) in stored.iter_mut().zip(words) {
+                    *value = u16::from_le_bytes(*word);
+                }
+                let is_whole = words.len() == SETTINGS.len();
+                if let Ok(config) = Config::from_record(&stored) {
+                    self.from = if is_whole { SettingsFrom::Stored } else { SettingsFrom::StoredByOlder };
+                    return Ok(config);
+                }
+                SettingsFrom::RefusedWrong
+            }
+            Ok(_) | Err(LoadError::TooLong { .. }) => SettingsFrom::RefusedNewer,
+            Err(LoadError::Empty) => SettingsFrom::Delivered,
+            Err(LoadError::NoFlash) => SettingsFrom::NoFlash,
+            Err(LoadError::Damaged | LoadError::Saving) => SettingsFrom::RefusedDamaged,
+        };
+        Config::from_record(delivered)
+    }
+
+    /// Does what was asked for in this turn, and lets a save go on.
+    pub(crate) fn turn(&mut self, now: Instant, bridge: &mut Bridge, flash: &mut impl NorFlash) {
+        let command = bridge.take_store_command();
+        if command == Some(StoreCommand::Defaults) {
+            bridge.take_settings(&self.delivered);
+        }
+        if command.is_some() {
+            self.begin(bridge);
+        }
+        match self.store.poll(flash, now) {
+            Progress::Idle | Progress::Saving => {}
+            Progress::Saved => bridge.set_save_state(SaveState::Saved),
+            Progress::Failed(_) => bridge.set_save_state(SaveState::Failed),
+        }
+    }
+
+    fn begin(&mut self, bridge: &mut Bridge) {
+        let mut payload = [0; LEN];
+        for (word, value) in payload.as_chunks_mut::<2>().0.iter_mut().zip(bridge.settings().record()) {
+            *word = value.to_le_bytes();
+        }
+        let is_begun = self.store.begin(VERSION, &payload).is_ok();
+        bridge.set_save_state(if is_begun { SaveState::Saving } else { SaveState::Failed });
+    }
+}

@@ -1,0 +1,385 @@
+//! Settings that stay: SAVE, RESTORE, DEFAULTS, what a start finds in flash, and recipes for the bus.
+
+use host_tests::can_bench::Double;
+use host_tests::chance::Chance;
+use host_tests::flash_model::{Fault, FlashModel, Tear};
+use host_tests::rtu_double::RtuDouble;
+use host_tests::serial_gripper::{SerialGripper, motions};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::registers::{
+    COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS,
+};
+use wsg_bridge_fw::storage::{NorFlash, Page, Progress, Store};
+use wsg_bridge_fw::{Board, Config, ResetCause, Station};
+use wsg_protocol::fieldbus::CommandFlags;
+use wsg_protocol::{CommandId, Instant};
+use wsg_sim::Time;
+
+/// A bridge with its flash, a gripper, and a master on the service port and the PLC's bus.
+struct Plant {
+    station: Station<Double>,
+    gripper: SerialGripper,
+    flash: FlashModel,
+    service: RtuDouble,
+    bus: RtuDouble,
+    inputs: Inputs,
+    outputs: Outputs,
+    now_ms: u32,
+    sent: Vec<CommandId>,
+    config: Config,
+}
+
+impl Plant {
+    fn start(flash: FlashModel) -> Self {
+        Self::delivered_with(&Config::DEFAULT.record(), flash)
+    }
+
+    fn delivered_with(delivered: &Record, mut flash: FlashModel) -> Self {
+        flash.reboot();
+        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT));
+        let config = station.load(delivered, &flash).unwrap();
+        station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
+        Self {
+            station,
+            gripper: SerialGripper::new(wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }),
+            flash,
+            service: RtuDouble::default(),
+            bus: RtuDouble::default(),
+            inputs: Inputs::FAST_STOP_OK,
+            outputs: Outputs::empty(),
+            now_ms: 0,
+            sent: Vec::new(),
+            config,
+        }
+    }
+
+    /// The same board after its power was off. The gripper's was as well.
+    fn restart(self) -> Self {
+        Self::start(self.flash)
+    }
+
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            self.now_ms += 1;
+            let Self { station, gripper, flash, service, bus, inputs, now_ms, .. } = self;
+            self.outputs = station.turn(*now_ms, *inputs, &mut gripper.line, bus, service, flash);
+            gripper.advance(Time::from_millis((*now_ms).into()));
+            self.sent.extend(gripper.take_sent());
+        }
+    }
+
+    /// Reads registers over the service port, or writes them: the exception, if it is refused.
+    fn ask(&mut self, request: &[u8]) -> Result<Vec<u8>, u8> {
+        self.service.ask(&[&[1], request].concat());
+        self.pass(5);
+        let answer = self.service.answer().expect("an answer");
+        if answer[1] & 0x80 == 0 { Ok(answer[2..answer.len() - 2].to_vec()) } else { Err(answer[2]) }
+    }
+
+    fn read(&mut self, function: u8, address: u16) -> u16 {
+        let [high, low] = address.to_be_bytes();
+        let answer = self.ask(&[function, high, low, 0, 1]).unwrap();
+        u16::from_be_bytes([answer[1], answer[2]])
+    }
+
+    fn write(&mut self, address: u16, value: u16) -> Result<(), u8> {
+        let ([a1, a0], [v1, v0]) = (address.to_be_bytes(), value.to_be_bytes());
+        self.ask(&[6, a1, a0, v1, v0]).map(drop)
+    }
+
+    fn setting(&mut self, name: &str) -> u16 {
+        self.read(3, setting(name))
+    }
+
+    fn set(&mut self, name: &str, value: u16) {
+        assert_eq!(self.write(setting(name), value), Ok(()), "{name}");
+    }
+
+    fn report(&mut self, name: &str) -> u16 {
+        self.read(4, FIRST_REPORT + REPORTS.iter().position(|it| it.name == name).unwrap() as u16)
+    }
+
+    fn command(&mut self, name: &str) -> Result<(), u8> {
+        self.write(command(name), COMMAND_KEY)
+    }
+
+    /// Writes the output image over the PLC's bus.
+    fn write_image(&mut self, flags: CommandFlags, [width, speed, force]: [u16; 3]) {
+        let mut request = vec![1, 16, 0, 0, 0, 4, 8, flags.bits(), 0];
+        request.extend([width, speed, force].into_iter().flat_map(u16::to_be_bytes));
+        self.bus.ask(&request);
+        self.pass(10);
+        assert!(self.bus.answer().is_some_and(|answer| answer[1] == 16));
+    }
+
+    /// Acknowledges the FAST STOP of power-up and homes, by wires.
+    fn get_ready(&mut self) {
+        self.pass(300);
+        for wire in [Inputs::STOP_ACK, Inputs::HOME] {
+            self.inputs |= wire;
+            self.pass(100);
+            self.inputs -= wire;
+            self.pass(1_500);
+        }
+        assert!(self.outputs.contains(Outputs::READY | Outputs::REFERENCED), "{:?}", self.outputs);
+        self.sent.clear();
+    }
+
+    fn has_moved(&self) -> bool {
+        !motions(self.sent.clone()).is_empty()
+    }
+}
+
+fn setting(name: &str) -> u16 {
+    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).expect("a setting") as u16
+}
+
+fn command(name: &str) -> u16 {
+    FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).expect("a command") as u16
+}
+
+/// Flash in which this was saved.
+fn with_record(version: u16, words: &[u16]) -> FlashModel {
+    let mut flash = FlashModel::new();
+    let mut store = Store::<400>::new();
+    let _ = store.load(&flash);
+    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+    store.begin(version, &bytes).unwrap();
+    while store.poll(&mut flash, Instant::from_millis(0)) == Progress::Saving {}
+    flash
+}
+
+#[test]
+fn what_was_saved_counts_after_a_power_cycle_and_nothing_else() {
+    let mut plant = Plant::start(FlashModel::new());
+    assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SAVE_STATE")), (0, 0));
+    let recipes: Vec<u16> = (0..64).map(|n| 1_000 + n).collect();
+    for (n, value) in recipes.iter().enumerate() {
+        assert_eq!(plant.write(setting("RECIPE0_WIDTH") + n as u16, *value), Ok(()));
+    }
+    plant.set("PLC_BUS", 2);
+    plant.set("CAN_RATE", 250);
+    plant.set("CAN_NODE", 5);
+    assert_eq!(plant.report("SETTINGS_CHANGED"), 1);
+    assert_eq!(plant.command("SAVE"), Ok(()));
+    plant.pass(500);
+    assert_eq!((plant.report("SAVE_STATE"), plant.report("SETTINGS_CHANGED")), (2, 0));
+    plant.set("RECIPE15_RELEASE", 7_777);
+    assert_eq!(plant.config.plc_bus as u16, 1, "a start setting counts from a start on");
+
+    let mut plant = plant.restart();
+    assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SETTINGS_CHANGED")), (1, 0));
+    let there: Vec<u16> = (0..64).map(|n| plant.read(3, setting("RECIPE0_WIDTH") + n)).collect();
+    assert_eq!(there, recipes, "and what was changed behind the save is not there");
+    let Config { plc_bus, can, .. } = plant.config;
+    assert_eq!((plc_bus as u16, can.kbit_rate, can.node.node), (2, 250, 5));
+}
+
+#[test]
+fn restore_takes_what_is_stored_and_defaults_what_was_delivered() {
+    let mut delivered = Config::DEFAULT.record();
+    delivered[usize::from(setting("DEBOUNCE") - FIRST_SETTING)] = 9;
+    let mut plant = Plant::delivered_with(&delivered, FlashModel::new());
+    plant.set("DEBOUNCE", 50);
+    assert_eq!(plant.command("RESTORE"), Ok(()));
+    assert_eq!(plant.setting("DEBOUNCE"), 9, "nothing is stored but what was delivered");
+    plant.set("DEBOUNCE", 60);
+    assert_eq!(plant.command("SAVE"), Ok(()));
+    plant.pass(500);
+    plant.set("DEBOUNCE", 70);
+    assert_eq!(plant.command("RESTORE"), Ok(()));
+    assert_eq!(plant.setting("DEBOUNCE"), 60);
+    assert_eq!(plant.command("DEFAULTS"), Ok(()));
+    plant.pass(500);
+    assert_eq!((plant.setting("DEBOUNCE"), plant.report("SAVE_STATE")), (9, 2));
+    let mut plant = Plant::delivered_with(&Config::DEFAULT.record(), plant.flash);
+    assert_eq!((plant.setting("DEBOUNCE"), plant.report("SETTINGS_FROM")), (9, 1), "they are stored");
+}
+
+#[test]
+fn command_registers_take_their_key_alone_while_the_fingers_stand() {
+    let mut plant = Plant::start(FlashModel::new());
+    plant.get_ready();
+    for name in ["SAVE", "RESTORE", "DEFAULTS"] {
+        assert_eq!(plant.read(3, command(name)), 0);
+        for wrong in [0, 1, COMMAND_KEY - 1, COMMAND_KEY.swap_bytes(), u16::MAX] {
+            assert_eq!(plant.write(command(name), wrong), Err(3), "{name} {wrong}");
+        }
+    }
+    let [high, low] = command("SAVE").to_be_bytes();
+    let [k1, k0] = COMMAND_KEY.to_be_bytes();
+    assert_eq!(plant.ask(&[16, high, low, 0, 2, 4, k1, k0, k1, k0]), Err(3), "two at once");
+    assert_eq!(plant.report("SAVE_STATE"), 0);
+
+    plant.inputs |= Inputs::MOVE;
+    plant.pass(20);
+    assert!(plant.outputs.contains(Outputs::BUSY));
+    for name in ["SAVE", "RESTORE", "DEFAULTS"] {
+        assert_eq!(plant.command(name), Err(6), "{name} while the fingers move");
+    }
+    plant.pass(2_000);
+    // Each operation takes long.
+    plant.flash.busy_polls = 20;
+    assert_eq!(plant.command("SAVE"), Ok(()));
+    assert_eq!(plant.report("SAVE_STATE"), 1);
+    assert_eq!(plant.command("SAVE"), Err(6));
+    assert_eq!(plant.write(setting("DEBOUNCE"), 3), Err(6));
+    plant.pass(3_000);
+    assert_eq!(plant.report("SAVE_STATE"), 2);
+    assert_eq!(plant.flash.erases, [1, 0], "saved once");
+}
+
+#[test]
+fn a_power_cut_leaves_the_old_or_the_new_settings_and_moves_nothing() {
+    let mut saved = Plant::start(FlashModel::new());
+    saved.set("RECIPE0_WIDTH", 1_111);
+    saved.set("RECIPE15_RELEASE", 1_111);
+    assert_eq!(saved.command("SAVE"), Ok(()));
+    saved.pass(500);
+    let first = saved.flash;
+    for tear in Tear::ALL {
+        for cut in 0..40 {
+            let mut plant = Plant::start(first.clone());
+            plant.set("RECIPE0_WIDTH", 2_222);
+            plant.set("RECIPE15_RELEASE", 2_222);
+            plant.flash.cut = Some((plant.flash.operations + cut, tear));
+            assert_eq!(plant.command("SAVE"), Ok(()));
+            plant.pass(100);
+            let was_cut = plant.flash.is_off();
+            let mut plant = plant.restart();
+            plant.pass(50);
+            let pair = [plant.setting("RECIPE0_WIDTH"), plant.setting("RECIPE15_RELEASE")];
+            assert!([[1_111; 2], [2_222; 2]].contains(&pair), "{tear:?} at {cut}: {pair:?}");
+            assert!(was_cut || pair == [2_222; 2], "{tear:?} at {cut}");
+            assert_eq!(plant.report("SETTINGS_FROM"), 1);
+            assert!(!plant.has_moved());
+        }
+    }
+}
+
+#[test]
+fn settings_that_cannot_be_used_let_nothing_move_until_others_are_stored() {
+    let delivered = Config::DEFAULT.record();
+    let mut wrong = delivered;
+    wrong[usize::from(setting("CAN_RATE") - FIRST_SETTING)] = 300;
+    let mut damaged = FlashModel::new();
+    damaged.set(Page::First, 3, None);
+    let longer = [&delivered[..], &[1]].concat();
+    for (flash, from) in [
+        (with_record(2, &delivered), 3),
+        (with_record(1, &longer), 3),
+        (with_record(1, &wrong), 4),
+        (damaged, 5),
+    ] {
+        let mut plant = Plant::start(flash);
+        plant.pass(300);
+        plant.inputs |= Inputs::STOP_ACK;
+        plant.pass(100);
+        plant.inputs -= Inputs::STOP_ACK;
+        plant.pass(200);
+        assert_eq!(plant.report("SETTINGS_FROM"), from);
+        assert_eq!(plant.report("ERROR_CAUSE"), EventCode::SettingsRefused as u16);
+        assert_eq!(plant.outputs & (Outputs::READY | Outputs::ERROR), Outputs::ERROR);
+        plant.inputs |= Inputs::HOME;
+        plant.pass(200);
+        plant.write_image(CommandFlags::empty(), [20_00, 50_00, 40_00]);
+        plant.write_image(CommandFlags::HOMING | CommandFlags::JOG_PLUS, [20_00, 50_00, 40_00]);
+        plant.pass(200);
+        assert!(!plant.has_moved(), "{:?}", plant.sent);
+
+        // DEFAULTS ends it, and what was held meanwhile gives no edge.
+        assert_eq!(plant.command("DEFAULTS"), Ok(()));
+        plant.pass(500);
+        assert_eq!((plant.report("SAVE_STATE"), plant.report("SETTINGS_FROM")), (2, 1));
+        plant.write_image(CommandFlags::HOMING | CommandFlags::JOG_PLUS, [20_00, 50_00, 40_00]);
+        plant.pass(500);
+        assert!(!plant.has_moved(), "{:?}", plant.sent);
+        plant.inputs -= Inputs::HOME;
+        plant.pass(200);
+        plant.inputs |= Inputs::HOME;
+        plant.pass(200);
+        assert!(plant.sent.contains(&CommandId::Homing), "an edge is one again");
+    }
+}
+
+#[test]
+fn older_firmwares_settings_are_taken_and_the_others_are_as_delivered() {
+    let mut older = Config::DEFAULT.record();
+    older[0] = 44;
+    let mut plant = Plant::start(with_record(1, &older[..50]));
+    assert_eq!((plant.setting("UNIT"), plant.report("SETTINGS_FROM")), (44, 2));
+    assert_eq!(plant.setting("CAN_NODE"), 0x10);
+}
+
+#[test]
+fn flash_that_fails_is_said_and_the_settings_in_ram_stay() {
+    for (fault, from) in [(Fault::Swallows(0), 6), (Fault::Protected, 0), (Fault::Stuck, 0)] {
+        let mut flash = FlashModel::new();
+        flash.fault = Some(fault);
+        let mut plant = Plant::start(flash);
+        plant.set("DEBOUNCE", 7);
+        assert_eq!(plant.report("SETTINGS_FROM"), from, "{fault:?}");
+        assert_eq!(plant.command("SAVE"), Ok(()));
+        plant.pass(1_000);
+        assert_eq!(plant.report("SAVE_STATE"), 3, "{fault:?}");
+        assert_eq!((plant.setting("DEBOUNCE"), plant.report("SETTINGS_CHANGED")), (7, 1));
+        assert_eq!(plant.report("EVENT1_CODE"), EventCode::SaveFailed as u16);
+    }
+}
+
+#[test]
+fn random_writes_leave_settings_that_a_start_takes_and_move_nothing() {
+    let mut plant = Plant::start(FlashModel::new());
+    let mut chance = Chance::new(18);
+    for round in 0..2_000 {
+        let address = 95 + chance.below(115) as u16;
+        let value = match chance.below(4) {
+            0 => COMMAND_KEY,
+            1 => chance.below(20) as u16,
+            2 => chance.below(2_000) as u16,
+            _ => chance.number() as u16,
+        };
+        let _ = plant.write(address, value);
+        if round % 50 == 0 {
+            plant.pass(100);
+            let _ = plant.command("SAVE");
+            plant.pass(200);
+            let from = plant.restart();
+            plant = from;
+            assert!([0, 1].contains(&plant.report("SETTINGS_FROM")));
+        }
+        assert!(!plant.has_moved());
+    }
+    assert!(plant.flash.operations > 100);
+    assert_eq!(FlashModel::PAGE_LEN, 256);
+}
+
+#[test]
+fn commands_of_the_bus_take_the_recipe_that_was_chosen() {
+    let mut plant = Plant::start(FlashModel::new());
+    plant.get_ready();
+    for (name, value) in [("WIDTH", 33_00), ("SPEED", 150_00), ("FORCE", 20_00), ("RELEASE", 66_00)]
+        .map(|(n, v)| (format!("RECIPE12_{n}"), v))
+    {
+        plant.set(&name, value);
+    }
+    plant.set("BUS_TIMEOUT", 0);
+    plant.set("BUS_RECIPE", 12);
+    let width = |plant: &mut Plant| plant.read(4, 3);
+    plant.write_image(CommandFlags::empty(), [0; 3]);
+    plant.write_image(CommandFlags::MOVE, [0; 3]);
+    // The flag goes, and other parameters come, while the fingers move: nothing of that is a parameter that changes.
+    plant.write_image(CommandFlags::empty(), [1, 2, 3]);
+    plant.pass(2_000);
+    assert_eq!(width(&mut plant), 33_00);
+    plant.write_image(CommandFlags::RELEASE, [0; 3]);
+    plant.write_image(CommandFlags::empty(), [0; 3]);
+    plant.pass(2_000);
+    assert_eq!(width(&mut plant), 66_00);
+    assert!(!plant.sent.contains(&CommandId::FastStop), "{:?}", plant.sent);
+    plant.set("BUS_RECIPE", 16);
+    plant.write_image(CommandFlags::MOVE, [44_00, 50_00, 40_00]);
+    plant.pass(2_000);
+    assert_eq!(width(&mut plant), 44_00);
+}
