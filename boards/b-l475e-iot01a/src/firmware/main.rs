@@ -34,7 +34,7 @@ use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{InputPort, OutputPort};
 use wsg_bridge_fw::registers::WrongSetting;
-use wsg_bridge_fw::{Board, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
 
 #[entry]
 fn main() -> ! {
@@ -91,8 +91,10 @@ fn start(
     flash: &SettingsPages,
     reset_cause: ResetCause,
 ) -> Result<(), WrongSetting> {
-    let config = station.load(&settings::delivered(), flash)?;
-    station.start(&config, Board { name: NAME, serial: serial_number::read() }, reset_cause);
+    // By reference: taken out of the result it would be there twice.
+    let loaded = load(station, flash);
+    let config = loaded.as_ref().map_err(|wrong| *wrong)?;
+    station.start(config, Board { name: NAME, serial: serial_number::read() }, reset_cause);
     if config.gripper_line == GripperLine::Serial {
         uart::start();
     }
@@ -104,6 +106,11 @@ fn start(
         station.can().controller().start(&config.can);
     }
     Ok(())
+}
+
+#[inline(never)]
+fn load(station: &mut Station<Can1>, flash: &SettingsPages) -> Result<Config, WrongSetting> {
+    station.load(&settings::delivered(), flash)
 }
 
 /// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.
