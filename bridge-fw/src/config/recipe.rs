@@ -47,28 +47,16 @@ impl Recipe {
 /// How many recipes there are. Two wires can choose from the first four.
 pub const RECIPE_COUNT: usize = 16;
 
-/// A 20 mm part.
-const FIRST: Recipe = Recipe { width: 20_00, speed: 50_00, force: 40_00, release_width: 40_00 };
-
 /// The recipes as delivered, inside the limits of a WSG 50-110 (5 to 420 mm/s, 5 to 80 N, stroke 110 mm).
-pub const RECIPES: [Recipe; RECIPE_COUNT] = [
-    FIRST,
+pub const RECIPES: [Recipe; RECIPE_COUNT] = {
+    // A 20 mm part, in all but these three.
+    let mut recipes =
+        [Recipe { width: 20_00, speed: 50_00, force: 40_00, release_width: 40_00 }; RECIPE_COUNT];
     // Wide open, quickly: for pre-positioning.
-    Recipe { width: 80_00, speed: 200_00, force: 40_00, release_width: 80_00 },
+    recipes[1] = Recipe { width: 80_00, speed: 200_00, force: 40_00, release_width: 80_00 };
     // A small part, gently.
-    Recipe { width: 10_00, speed: 20_00, force: 10_00, release_width: 25_00 },
+    recipes[2] = Recipe { width: 10_00, speed: 20_00, force: 10_00, release_width: 25_00 };
     // A 50 mm part, firmly.
-    Recipe { width: 50_00, speed: 100_00, force: 80_00, release_width: 70_00 },
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-    FIRST,
-];
+    recipes[3] = Recipe { width: 50_00, speed: 100_00, force: 80_00, release_width: 70_00 };
+    recipes
+};
