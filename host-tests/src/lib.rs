@@ -14,7 +14,8 @@
 //! | [`mod@explore`] | every order of events, on the bridge as it is flashed |
 //! | [`fault_sweep`] | every fault of a bit or a byte around a FAST STOP, and how long the gripper takes to stop |
 //! | [`faulty_link`] | a line on which bytes go wrong, round any byte link |
-//! | [`flash_model`] | two pages of flash, and what goes wrong with them |
+//! | [`flash_model`] | the settings' flash for the library: two pages, and what goes wrong with them |
+//! | [`flash_pages`] | what two pages of flash hold, and what a power cut leaves of them |
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
 //! | [`mod@example`] | where cargo puts an example |
 //! | [`gdb`] | the client's side of the gdb remote protocol |
@@ -55,6 +56,7 @@ pub mod extent;
 pub mod fault_sweep;
 pub mod faulty_link;
 pub mod flash_model;
+pub mod flash_pages;
 pub mod fuzz_bodies;
 #[cfg(unix)]
 pub mod gdb;
