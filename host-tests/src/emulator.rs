@@ -344,6 +344,12 @@ impl Machine for BesideGdb {
         lock(&self.0).set_gpio_in(CORE, line, level)
     }
 
+    fn raise_nmi(&mut self) -> Result<()> {
+        let mut qtest = lock(&self.0);
+        // The core keeps it pending.
+        [true, false].into_iter().try_for_each(|level| qtest.set_irq_in(CORE, "NMI", 0, level))
+    }
+
     fn load(&mut self, address: u32) -> Result<u32> {
         lock(&self.0).readl(address)
     }

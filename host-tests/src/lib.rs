@@ -14,6 +14,7 @@
 //! | [`mod@explore`] | every order of events, on the bridge as it is flashed |
 //! | [`fault_sweep`] | every fault of a bit or a byte around a FAST STOP, and how long the gripper takes to stop |
 //! | [`faulty_link`] | a line on which bytes go wrong, round any byte link |
+//! | [`flash_controller`] | the flash interface of the STM32L4 on the settings' pages, by its manual |
 //! | [`flash_model`] | the settings' flash for the library: two pages, and what goes wrong with them |
 //! | [`flash_pages`] | what two pages of flash hold, and what a power cut leaves of them |
 //! | [`fuzz_bodies`] | what must hold for any bytes at all |
@@ -55,6 +56,8 @@ pub mod explore;
 pub mod extent;
 pub mod fault_sweep;
 pub mod faulty_link;
+#[cfg(unix)]
+pub mod flash_controller;
 pub mod flash_model;
 pub mod flash_pages;
 pub mod fuzz_bodies;

@@ -31,8 +31,15 @@ impl Qtest {
     /// # Errors
     /// When QEMU knows no such device, or does not answer.
     pub fn set_gpio_in(&mut self, qom_path: &str, line: u8, high: bool) -> Result<()> {
-        let level = u8::from(high);
-        self.command(&format!("set_irq_in {qom_path} unnamed-gpio-in {line} {level}")).map(drop)
+        self.set_irq_in(qom_path, "unnamed-gpio-in", line, high)
+    }
+
+    /// Drives input `line` of the inputs of this name of the device at `qom_path` high or low.
+    ///
+    /// # Errors
+    /// When QEMU knows no such device, or does not answer.
+    pub fn set_irq_in(&mut self, qom_path: &str, name: &str, line: u8, high: bool) -> Result<()> {
+        self.command(&format!("set_irq_in {qom_path} {name} {line} {}", u8::from(high))).map(drop)
     }
 
     /// Reads the 32-bit word at `address`, as the core would; a register's side effects happen.

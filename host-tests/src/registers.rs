@@ -106,6 +106,12 @@ pub trait Machine {
     /// When it has ended.
     fn set_interrupt(&mut self, line: u8, level: bool) -> Result<()>;
 
+    /// Raises the interrupt that cannot be masked, once: it is taken before the next instruction.
+    ///
+    /// # Errors
+    /// When it has ended.
+    fn raise_nmi(&mut self) -> Result<()>;
+
     /// Reads a word, as the core would.
     ///
     /// # Errors

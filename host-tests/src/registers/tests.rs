@@ -115,6 +115,10 @@ impl Machine for Interrupts {
         Ok(())
     }
 
+    fn raise_nmi(&mut self) -> Result<()> {
+        Ok(())
+    }
+
     fn load(&mut self, _: u32) -> Result<u32> {
         Ok(0)
     }

@@ -6,6 +6,7 @@ mod line_rates;
 mod masters;
 mod modbus;
 mod service_port;
+mod stored_settings;
 mod watchdog;
 mod wires;
 

@@ -1,0 +1,626 @@
+//! The flash interface of the STM32L4 (RM0351, chapter 3): its registers, and the two pages of bank 2 that hold the settings.
+//!
+//! RM0351's own text was not at hand. Registers and bits are those of ST's register header for the STM32L475; the rules are
+//! those of RM0440, whose STM32G4 has the same interface under the same section numbers, as long as it has two banks.
+//! Fast programming, mass erase and option bytes are refused.
+//!
+//! What the manual forbids a driver is kept in [`FlashController::violations`], also where the hardware would only be slow.
+//! Where the manual leaves it open whether a second load of an unreadable double word raises a second NMI (3.3.2: the current
+//! buffer may still hold it), each one does.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::ops::Range;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Result, bail, ensure};
+use wsg_bridge_fw::storage::Page;
+
+use crate::flash_pages::{FlashPages, Operation, PAGE_LEN, Tear};
+use crate::load_store::Width;
+use crate::registers::{Machine, RegisterModel, ensure_word};
+
+/// Where its registers are, and offsets (RM0351, table 1; 3.7).
+const FLASH: u32 = 0x4002_2000;
+const LEN: u32 = 0x400;
+const ACR: u32 = 0x00;
+const KEYR: u32 = 0x08;
+const SR: u32 = 0x10;
+const CR: u32 = 0x14;
+const ECCR: u32 = 0x18;
+
+/// The two pages: the last ones of 1 MiB.
+const MEMORY: Range<u32> = 0x080F_F000..0x0810_0000;
+
+/// The number of the first of them, with BKER above PNB.
+const FIRST_PAGE_NUMBER: u32 = 510;
+
+/// Bits of ACR (3.7.1): instruction and data cache, and what empties them.
+const ICEN: u32 = 1 << 9;
+const DCEN: u32 = 1 << 10;
+const ICRST: u32 = 1 << 11;
+const DCRST: u32 = 1 << 12;
+const ACR_BITS: u32 = 0x0000_7F07;
+const ACR_RESET: u32 = 0x0000_0600;
+
+/// What unlocks CR (3.3.5).
+const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+
+/// Bits of SR (3.7.5) beside those of [`ErrorFlag`].
+const EOP: u32 = 1 << 0;
+const BSY: u32 = 1 << 16;
+
+/// Bits of CR (3.7.6).
+const PG: u32 = 1 << 0;
+const PER: u32 = 1 << 1;
+const PNB: u32 = 0xFF << 3;
+const BKER: u32 = 1 << 11;
+const STRT: u32 = 1 << 16;
+const EOPIE: u32 = 1 << 24;
+const ERRIE: u32 = 1 << 25;
+const OPTLOCK: u32 = 1 << 30;
+const LOCK: u32 = 1 << 31;
+const CR_BITS: u32 = PG | PER | PNB | BKER | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
+
+/// Bits of ECCR (3.7.7): where, in which bank, and what was found.
+const ADDR_ECC: u32 = 0x0007_FFFF;
+const BK_ECC: u32 = 1 << 19;
+const ECCIE: u32 = 1 << 24;
+const ECCC: u32 = 1 << 30;
+const ECCD: u32 = 1 << 31;
+
+/// The interrupt line of the interface, by its number at the core (RM0351, table 58).
+const LINE: u8 = 4;
+
+/// Typical times (data sheet of the STM32L475, table 61).
+const PROGRAM_TIME: Duration = Duration::from_micros(82);
+const ERASE_TIME: Duration = Duration::from_millis(22);
+
+/// Double words that the data cache holds (3.3.4): 8 rows of 4.
+const CACHED: usize = 32;
+
+/// A way in which an operation fails; its value is the bit of SR (3.7.5).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ErrorFlag {
+    /// OPERR: beside another one, with the interrupt for errors enabled.
+    Operation = 1 << 1,
+    /// PROGERR: the double word was not erased.
+    Programming = 1 << 3,
+    /// WRPERR: the page is write protected.
+    WriteProtection = 1 << 4,
+    /// PGAERR: two stores that make no double word.
+    Alignment = 1 << 5,
+    /// SIZERR: a store of a byte or a halfword.
+    Size = 1 << 6,
+    /// PGSERR: stores or bits that are not in their order, or after an error that was not cleared.
+    Sequence = 1 << 7,
+    /// MISERR: in fast programming.
+    Miss = 1 << 8,
+    /// FASTERR: in fast programming.
+    Fast = 1 << 9,
+}
+
+impl ErrorFlag {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Operation,
+        Self::Programming,
+        Self::WriteProtection,
+        Self::Alignment,
+        Self::Size,
+        Self::Sequence,
+        Self::Miss,
+        Self::Fast,
+    ];
+}
+
+/// What is wrong with the flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// Operations fail with this flag, and do nothing.
+    Reports(ErrorFlag),
+    /// No operation ends.
+    Stuck,
+    /// No key unlocks it, as after a wrong one.
+    LockedUp,
+}
+
+/// The interface with its registers; clones are the same one. What the pages hold survives a reset and a
+/// [power cycle](Self::power_cycle).
+#[derive(Clone, Debug)]
+pub struct FlashController(Arc<Mutex<State>>);
+
+/// The flash as a machine has it until its power goes: what that does meanwhile is nobody's concern any more.
+#[derive(Clone, Debug)]
+struct Powered {
+    flash: FlashController,
+    power_cycles: u32,
+}
+
+/// What the core sees where the registers are.
+#[derive(Debug)]
+struct Registers(Powered);
+
+/// What the core sees where the pages are.
+#[derive(Debug)]
+struct Memory(Powered);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Lock {
+    Locked,
+    FirstKey,
+    Open,
+    /// Until reset.
+    LockedUp,
+}
+
+#[derive(Debug)]
+struct State {
+    pages: FlashPages,
+    /// Those with one wrong bit, which is put right.
+    correctable: BTreeSet<usize>,
+    acr: u32,
+    sr: u32,
+    cr: u32,
+    eccr: u32,
+    lock: Lock,
+    first_word: Option<(u32, u32)>,
+    running: Option<(Operation, Duration)>,
+    /// Of the data cache: which double words, by their number in both pages, and what they hold.
+    cached: VecDeque<(usize, u64)>,
+    fault: Option<Fault>,
+    cut: Option<(u32, Tear)>,
+    is_off: bool,
+    power_cycles: u32,
+    operations: u32,
+    erases: u32,
+    violations: Vec<String>,
+}
+
+impl FlashController {
+    /// Erased pages, after power-on.
+    #[must_use]
+    pub fn new() -> Self {
+        Self(Arc::new(Mutex::new(State {
+            pages: FlashPages::new(),
+            correctable: BTreeSet::new(),
+            acr: ACR_RESET,
+            sr: 0,
+            cr: OPTLOCK | LOCK,
+            eccr: 0,
+            lock: Lock::Locked,
+            first_word: None,
+            running: None,
+            cached: VecDeque::new(),
+            fault: None,
+            cut: None,
+            is_off: false,
+            power_cycles: 0,
+            operations: 0,
+            erases: 0,
+            violations: Vec::new(),
+        })))
+    }
+
+    /// The models of a machine, until the next [power cycle](Self::power_cycle): registers and pages.
+    #[must_use]
+    pub fn models(&self) -> Vec<Box<dyn RegisterModel>> {
+        vec![Box::new(Registers(self.powered())), Box::new(Memory(self.powered()))]
+    }
+
+    fn powered(&self) -> Powered {
+        Powered { flash: self.clone(), power_cycles: self.lock().power_cycles }
+    }
+
+    /// What the driver did that the manual forbids.
+    #[must_use]
+    pub fn violations(&self) -> Vec<String> {
+        self.lock().violations.clone()
+    }
+
+    /// Operations begun until now.
+    #[must_use]
+    pub fn operations(&self) -> u32 {
+        self.lock().operations
+    }
+
+    /// Pages erased until now.
+    #[must_use]
+    pub fn erases(&self) -> u32 {
+        self.lock().erases
+    }
+
+    /// Lets something be wrong, or nothing.
+    pub fn set_fault(&self, fault: Option<Fault>) {
+        self.lock().fault = fault;
+    }
+
+    /// Cuts the power in the operation that is the `count`-th from now on, counted from 0; what it leaves is up to `tear`. The
+    /// board goes on until it is dropped, and finds the flash busy.
+    pub fn cut(&self, count: u32, tear: Tear) {
+        let state = &mut *self.lock();
+        state.cut = Some((state.operations + count, tear));
+    }
+
+    /// Whether the power was cut.
+    #[must_use]
+    pub fn is_off(&self) -> bool {
+        self.lock().is_off
+    }
+
+    /// Power goes and comes back: the pages keep what they hold, and all else is as after power-on.
+    pub fn power_cycle(&self) {
+        let state = &mut *self.lock();
+        (state.cut, state.is_off) = (None, false);
+        state.power_cycles += 1;
+        state.reset();
+    }
+
+    /// Reads a double word as the pages hold it; [`None`] if it cannot be read.
+    #[must_use]
+    pub fn double_word(&self, page: Page, index: usize) -> Option<u64> {
+        self.lock().pages.read(page, index).ok()
+    }
+
+    /// Sets what a double word holds; [`None`] if it cannot be read.
+    pub fn set(&self, page: Page, index: usize, value: Option<u64>) {
+        self.lock().pages.set(page, index, value);
+    }
+
+    /// Lets a double word have one wrong bit: it reads right, and is told of.
+    pub fn set_correctable(&self, page: Page, index: usize) {
+        self.lock().correctable.insert(number(page, index));
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Default for FlashController {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The number of a double word in both pages.
+const fn number(page: Page, index: usize) -> usize {
+    page as usize * PAGE_LEN + index
+}
+
+/// The double word at this address.
+fn place(address: u32) -> (Page, usize) {
+    let number = (address - MEMORY.start) as usize / 8;
+    (Page::ALL[number / PAGE_LEN], number % PAGE_LEN)
+}
+
+impl State {
+    /// What a reset leaves. An operation is broken off, which [`FlashController::cut`] is for; here it is as if it had not begun.
+    fn reset(&mut self) {
+        (self.acr, self.sr, self.cr, self.eccr) = (ACR_RESET, 0, OPTLOCK | LOCK, 0);
+        self.lock = Lock::Locked;
+        (self.first_word, self.running) = (None, None);
+        self.cached.clear();
+    }
+
+    fn is_busy(&self) -> bool {
+        self.running.is_some()
+    }
+
+    fn forbidden(&mut self, what: impl Into<String>) {
+        self.violations.push(what.into());
+    }
+
+    /// 3.3.7: OPERR is set with the interrupt enabled only.
+    fn fail(&mut self, flag: ErrorFlag) {
+        self.sr |= flag as u32;
+        if self.cr & ERRIE != 0 {
+            self.sr |= ErrorFlag::Operation as u32;
+        }
+    }
+
+    /// 3.3.6, 3.3.7: after an error that was not cleared nothing begins.
+    fn has_stale_error(&mut self) -> bool {
+        let is_stale = ErrorFlag::ALL.iter().any(|flag| self.sr & *flag as u32 != 0);
+        if is_stale {
+            self.fail(ErrorFlag::Sequence);
+        }
+        is_stale
+    }
+
+    fn store(&mut self, offset: u32, value: u32) -> Result<()> {
+        match offset {
+            ACR => self.store_acr(value),
+            KEYR => self.store_key(value),
+            // 3.7.5: each is cleared by a 1.
+            SR => self.sr &= !value,
+            CR => self.store_cr(value)?,
+            ECCR => self.eccr = self.eccr & !(value & (ECCC | ECCD) | ECCIE) | value & ECCIE,
+            _ => bail!("the register of FLASH at {offset:#04X} is not modelled"),
+        }
+        Ok(())
+    }
+
+    fn store_acr(&mut self, value: u32) {
+        let enabled = self.acr | value;
+        if value & DCRST != 0 && enabled & DCEN != 0 || value & ICRST != 0 && enabled & ICEN != 0 {
+            self.forbidden("3.3.7: a cache was flushed while it was enabled");
+        } else if value & DCRST != 0 {
+            self.cached.clear();
+        }
+        self.acr = value & ACR_BITS;
+    }
+
+    fn store_key(&mut self, value: u32) {
+        if self.fault == Some(Fault::LockedUp) {
+            return;
+        }
+        self.lock = match self.lock {
+            Lock::Locked if value == KEYS[0] => Lock::FirstKey,
+            Lock::FirstKey if value == KEYS[1] => {
+                self.cr &= !LOCK;
+                Lock::Open
+            }
+            _ => {
+                self.forbidden(format!(
+                    "3.3.5: {value:#010X} is the wrong key: a bus error, and no way but a reset"
+                ));
+                self.cr |= LOCK;
+                Lock::LockedUp
+            }
+        };
+    }
+
+    fn store_cr(&mut self, value: u32) -> Result<()> {
+        if self.is_busy() {
+            self.forbidden("3.3.5: a store to FLASH_CR while an operation runs stalls the core");
+        }
+        if self.cr & LOCK != 0 {
+            self.forbidden("3.3.5: a store to FLASH_CR while it is locked");
+            return Ok(());
+        }
+        ensure!(
+            value & !CR_BITS == 0,
+            "{value:#010X}: fast programming, mass erase and option bytes are not modelled"
+        );
+        let selection = PER | PNB | BKER;
+        if value & STRT != 0 && (self.cr ^ value) & selection != 0 {
+            self.forbidden("3.3.6: a page was selected and its erase started by one store");
+        }
+        // STRT is cleared by the hardware.
+        self.cr = value | self.cr & STRT;
+        if value & LOCK != 0 {
+            self.lock = Lock::Locked;
+        }
+        if value & PG == 0 {
+            self.first_word = None;
+        }
+        if value & PG != 0 && value & PER != 0 {
+            self.fail(ErrorFlag::Sequence);
+        }
+        if value & STRT != 0 {
+            self.start_erase();
+        }
+        Ok(())
+    }
+
+    fn start_erase(&mut self) {
+        let page = match ((self.cr & PNB) >> 3 | (self.cr & BKER) >> 3).checked_sub(FIRST_PAGE_NUMBER) {
+            _ if self.cr & PER == 0 => {
+                self.forbidden("3.3.6: an erase was started without PER");
+                None
+            }
+            _ if self.has_stale_error() => None,
+            Some(0) => Some(Page::First),
+            Some(1) => Some(Page::Second),
+            _ => {
+                self.forbidden(format!(
+                    "CR {:#010X}: erase of a page that does not hold the settings",
+                    self.cr
+                ));
+                None
+            }
+        };
+        match page {
+            Some(page) => {
+                self.begin(Operation::Erase(page), ERASE_TIME);
+                self.erases += 1;
+            }
+            None => self.cr &= !STRT,
+        }
+    }
+
+    fn store_memory(&mut self, address: u32, width: Width, value: u32) {
+        if self.is_busy() {
+            self.forbidden("3.3.5: a store to the bank that is programmed or erased stalls the core");
+        } else if width != Width::Word {
+            self.fail(ErrorFlag::Size);
+        } else if self.cr & PG == 0 {
+            self.fail(ErrorFlag::Sequence);
+        } else if !self.has_stale_error() {
+            match self.first_word.take() {
+                None if address.is_multiple_of(8) => self.first_word = Some((address, value)),
+                Some((first, low)) if first + 4 == address => {
+                    let (page, index) = place(first);
+                    let value = u64::from(low) | u64::from(value) << 32;
+                    self.begin(Operation::Program(page, index, value), PROGRAM_TIME);
+                }
+                _ => self.fail(ErrorFlag::Alignment),
+            }
+        }
+    }
+
+    fn begin(&mut self, operation: Operation, time: Duration) {
+        if self.acr & DCEN != 0 {
+            self.forbidden("erratum: the data cache was on while bank 2 was written and bank 1 read");
+        }
+        if let Some((at, tear)) = self.cut
+            && at == self.operations
+        {
+            let before = self.pages.clone();
+            // What it does not do it does not leave either.
+            let _ = self.pages.apply(operation);
+            self.pages.tear(&before, operation, tear);
+            self.is_off = true;
+        }
+        self.operations += 1;
+        self.running = Some((operation, time));
+    }
+
+    fn advance(&mut self, time: Duration) {
+        if let Some((operation, left)) = &mut self.running
+            && !self.is_off
+            && self.fault != Some(Fault::Stuck)
+        {
+            *left = left.saturating_sub(time);
+            if left.is_zero() {
+                let operation = *operation;
+                self.running = None;
+                self.cr &= !STRT;
+                self.end(operation);
+            }
+        }
+    }
+
+    fn end(&mut self, operation: Operation) {
+        if let Some(Fault::Reports(flag)) = self.fault {
+            return self.fail(flag);
+        }
+        if self.pages.apply(operation).is_err() {
+            return self.fail(ErrorFlag::Programming);
+        }
+        if self.cr & EOPIE != 0 {
+            self.sr |= EOP;
+        }
+        // 3.3.7: what is programmed is changed in the cache too, what is erased is not.
+        if let Operation::Program(page, index, value) = operation {
+            let cached = self.cached.iter_mut().find(|(of, _)| *of == number(page, index));
+            cached.into_iter().for_each(|(_, of_cache)| *of_cache = value);
+        }
+    }
+
+    /// Whether the interface's interrupt is raised.
+    fn interrupts(&self) -> bool {
+        let enabled = [(EOPIE, EOP), (ERRIE, ErrorFlag::Operation as u32)];
+        enabled.iter().any(|(enable, flag)| self.cr & enable != 0 && self.sr & flag != 0)
+            || self.eccr & (ECCIE | ECCC) == ECCIE | ECCC
+    }
+
+    /// What is loaded, and whether NMI is raised.
+    fn load_memory(&mut self, address: u32, width: Width) -> (u32, bool) {
+        if self.is_busy() {
+            self.forbidden("3.3.5: a load from the bank that is programmed or erased stalls the core");
+        }
+        let (page, index) = place(address);
+        let at = number(page, index);
+        let part = |double_word: u64| width.of((double_word >> (8 * (address % 8))) as u32);
+        let is_cache_on = self.acr & DCEN != 0;
+        if is_cache_on && let Some((_, value)) = self.cached.iter().find(|(of, _)| *of == at) {
+            return (part(*value), false);
+        }
+        match self.pages.read(page, index) {
+            Ok(value) => {
+                if self.correctable.contains(&at) {
+                    self.tell(ECCC, address);
+                }
+                if is_cache_on {
+                    self.cached.truncate(CACHED - 1);
+                    self.cached.push_front((at, value));
+                }
+                (part(value), false)
+            }
+            Err(_) => {
+                if self.eccr & (ECCC | ECCD) != 0 {
+                    self.forbidden(
+                        "3.3.2: a load while a flag of FLASH_ECCR was set: its error is not noticed",
+                    );
+                }
+                (part(0xBAD0_BAD1_BAD2_BAD3), self.tell(ECCD, address))
+            }
+        }
+    }
+
+    /// 3.3.2: the register is updated only while its flags are cleared; whether it was.
+    fn tell(&mut self, flag: u32, address: u32) -> bool {
+        let is_told = self.eccr & (ECCC | ECCD) == 0;
+        if is_told {
+            self.eccr = self.eccr & ECCIE | flag | BK_ECC | address & !0b111 & ADDR_ECC;
+        }
+        is_told
+    }
+}
+
+impl Powered {
+    fn state(&self) -> Result<MutexGuard<'_, State>> {
+        let state = self.flash.lock();
+        ensure!(state.power_cycles == self.power_cycles, "the flash has no power any more");
+        Ok(state)
+    }
+}
+
+impl RegisterModel for Registers {
+    fn addresses(&self) -> Range<u32> {
+        FLASH..FLASH + LEN
+    }
+
+    fn load(&mut self, address: u32, width: Width) -> Result<u32> {
+        ensure_word(address, width)?;
+        let state = self.0.state()?;
+        Ok(match address - FLASH {
+            ACR => state.acr,
+            KEYR => 0,
+            SR => state.sr | if state.is_busy() { BSY } else { 0 },
+            CR => state.cr,
+            ECCR => state.eccr,
+            offset => bail!("the register of FLASH at {offset:#04X} is not modelled"),
+        })
+    }
+
+    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
+        ensure_word(address, width)?;
+        self.0.state()?.store(address - FLASH, value)
+    }
+
+    fn advance(&mut self, time: Duration) {
+        if let Ok(mut state) = self.0.state() {
+            state.advance(time);
+        }
+    }
+
+    fn interrupts(&self) -> Vec<(u8, bool)> {
+        self.0.state().map_or(vec![], |state| vec![(LINE, state.interrupts())])
+    }
+
+    fn reset(&mut self) {
+        if let Ok(mut state) = self.0.state() {
+            state.reset();
+        }
+    }
+}
+
+impl RegisterModel for Memory {
+    fn addresses(&self) -> Range<u32> {
+        MEMORY
+    }
+
+    fn load(&mut self, address: u32, _: Width) -> Result<u32> {
+        bail!("a load of {address:#010X} may raise NMI at the machine")
+    }
+
+    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
+        self.0.state()?.store_memory(address, width, value);
+        Ok(())
+    }
+
+    fn load_through(&mut self, address: u32, width: Width, machine: &mut dyn Machine) -> Result<u32> {
+        ensure!(address.is_multiple_of(width.bytes()), "a load across words is not modelled");
+        let (value, raises_nmi) = self.0.state()?.load_memory(address, width);
+        if raises_nmi {
+            machine.raise_nmi()?;
+        }
+        Ok(value)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,332 @@
+use super::*;
+
+/// A machine that counts what the model asks of it.
+#[derive(Default)]
+struct Core {
+    nmis: u32,
+}
+
+impl Machine for Core {
+    fn set_interrupt(&mut self, _: u8, _: bool) -> Result<()> {
+        Ok(())
+    }
+
+    fn raise_nmi(&mut self) -> Result<()> {
+        self.nmis += 1;
+        Ok(())
+    }
+
+    fn load(&mut self, _: u32) -> Result<u32> {
+        Ok(0)
+    }
+
+    fn store(&mut self, _: u32, _: u32) -> Result<()> {
+        Ok(())
+    }
+}
+
+const FIRST: u32 = MEMORY.start;
+const SECOND: u32 = MEMORY.start + 0x800;
+
+fn store(flash: &FlashController, offset: u32, value: u32) {
+    Registers(flash.powered()).store(FLASH + offset, Width::Word, value).unwrap();
+}
+
+fn load(flash: &FlashController, offset: u32) -> u32 {
+    Registers(flash.powered()).load(FLASH + offset, Width::Word).unwrap()
+}
+
+fn poke(flash: &FlashController, address: u32, width: Width, value: u32) {
+    Memory(flash.powered()).store(address, width, value).unwrap();
+}
+
+/// What is loaded, and how often NMI is raised.
+fn peek(flash: &FlashController, address: u32) -> (u32, u32) {
+    let mut core = Core::default();
+    (Memory(flash.powered()).load_through(address, Width::Word, &mut core).unwrap(), core.nmis)
+}
+
+fn pass(flash: &FlashController, time: Duration) {
+    Registers(flash.powered()).advance(time);
+}
+
+fn interrupts(flash: &FlashController) -> Vec<(u8, bool)> {
+    Registers(flash.powered()).interrupts()
+}
+
+fn unlock(flash: &FlashController) {
+    KEYS.into_iter().for_each(|key| store(flash, KEYR, key));
+}
+
+/// Unlocked, with the data cache off.
+fn ready() -> FlashController {
+    let flash = FlashController::new();
+    store(&flash, ACR, ICEN);
+    unlock(&flash);
+    flash
+}
+
+fn program(flash: &FlashController, address: u32, value: u64) {
+    store(flash, CR, PG);
+    poke(flash, address, Width::Word, value as u32);
+    poke(flash, address + 4, Width::Word, (value >> 32) as u32);
+}
+
+fn erase(flash: &FlashController, page_number: u32) {
+    let selection = PER | (page_number & 0xFF) << 3 | (page_number >> 8) << 11;
+    store(flash, CR, selection);
+    store(flash, CR, selection | STRT);
+}
+
+#[test]
+fn a_double_word_is_programmed_after_82_us_and_reads_so_from_then_on() {
+    let flash = ready();
+    program(&flash, FIRST + 16, 0x0123_4567_89AB_CDEF);
+    pass(&flash, Duration::from_micros(81));
+    assert_eq!(load(&flash, SR), BSY);
+    pass(&flash, Duration::from_micros(1));
+    assert_eq!(load(&flash, SR), 0, "EOP is told with its interrupt enabled only");
+    assert_eq!((peek(&flash, FIRST + 16), peek(&flash, FIRST + 20)), ((0x89AB_CDEF, 0), (0x0123_4567, 0)));
+    assert_eq!(peek(&flash, FIRST + 24), (u32::MAX, 0));
+    assert!(flash.violations().is_empty());
+}
+
+#[test]
+fn a_page_is_erased_after_22_ms_and_the_other_is_not() {
+    for (number, erased, kept) in [(510, FIRST, SECOND), (511, SECOND, FIRST)] {
+        let flash = ready();
+        for page in Page::ALL {
+            flash.set(page, 255, Some(7));
+        }
+        erase(&flash, number);
+        pass(&flash, Duration::from_micros(21_999));
+        assert_eq!((load(&flash, SR), load(&flash, CR) & STRT), (BSY, STRT));
+        pass(&flash, Duration::from_micros(1));
+        assert_eq!((load(&flash, SR), load(&flash, CR) & STRT), (0, 0));
+        assert_eq!((peek(&flash, erased + 2040).0, peek(&flash, kept + 2040).0), (u32::MAX, 7));
+        assert_eq!((flash.erases(), flash.violations()), (1, vec![]));
+    }
+}
+
+#[test]
+fn it_is_locked_until_both_keys_come_in_their_order() {
+    let flash = FlashController::new();
+    assert_eq!(load(&flash, CR), OPTLOCK | LOCK);
+    store(&flash, CR, PG);
+    assert_eq!(flash.violations().len(), 1, "a store to a locked register");
+    unlock(&flash);
+    assert_eq!(load(&flash, CR), OPTLOCK);
+    store(&flash, CR, LOCK);
+    assert_ne!(load(&flash, CR) & LOCK, 0);
+    unlock(&flash);
+    assert_eq!(load(&flash, CR) & LOCK, 0);
+}
+
+#[test]
+fn a_wrong_key_locks_it_until_reset() {
+    for wrong in [[KEYS[1], KEYS[0]], [KEYS[0], KEYS[0]], [0, KEYS[1]]] {
+        let flash = FlashController::new();
+        wrong.into_iter().for_each(|key| store(&flash, KEYR, key));
+        assert!(flash.violations()[0].starts_with("3.3.5"), "{wrong:X?}");
+        unlock(&flash);
+        assert_ne!(load(&flash, CR) & LOCK, 0, "{wrong:X?}");
+        Registers(flash.powered()).reset();
+        unlock(&flash);
+        assert_eq!(load(&flash, CR) & LOCK, 0, "{wrong:X?}");
+    }
+    let flash = ready();
+    store(&flash, KEYR, KEYS[0]);
+    assert_eq!(flash.violations().len(), 1, "a key while it is open");
+}
+
+#[test]
+fn each_programming_error_sets_its_flag_and_changes_nothing() {
+    use Width::{Byte, Halfword, Word};
+    type Stores = &'static [(u32, Width)];
+    let cases: [(Stores, u32, ErrorFlag); 6] = [
+        (&[(FIRST, Byte)], PG, ErrorFlag::Size),
+        (&[(FIRST, Halfword)], PG, ErrorFlag::Size),
+        (&[(FIRST + 4, Word)], PG, ErrorFlag::Alignment),
+        (&[(FIRST, Word), (FIRST + 12, Word)], PG, ErrorFlag::Alignment),
+        (&[(FIRST, Word)], 0, ErrorFlag::Sequence),
+        (&[(FIRST, Word), (FIRST + 4, Word)], PG | PER, ErrorFlag::Sequence),
+    ];
+    for (stores, cr, flag) in cases {
+        let flash = ready();
+        store(&flash, CR, cr);
+        stores.iter().for_each(|(address, width)| poke(&flash, *address, *width, 0));
+        assert_eq!((load(&flash, SR), flash.operations()), (flag as u32, 0), "{stores:X?}");
+        assert_eq!(flash.double_word(Page::First, 0), Some(u64::MAX));
+        store(&flash, SR, flag as u32);
+        assert_eq!(load(&flash, SR), 0, "cleared by a 1");
+    }
+}
+
+#[test]
+fn what_is_not_erased_is_programmed_to_zero_alone() {
+    let flash = ready();
+    flash.set(Page::First, 0, Some(u64::MAX));
+    program(&flash, FIRST, 5);
+    pass(&flash, PROGRAM_TIME);
+    assert_eq!(load(&flash, SR), ErrorFlag::Programming as u32);
+    assert_eq!(flash.double_word(Page::First, 0), Some(u64::MAX), "all ones, and not erased");
+    store(&flash, SR, u32::MAX);
+    program(&flash, FIRST, 0);
+    pass(&flash, PROGRAM_TIME);
+    assert_eq!((load(&flash, SR), flash.double_word(Page::First, 0)), (0, Some(0)));
+}
+
+#[test]
+fn nothing_begins_while_an_error_flag_is_set() {
+    let flash = ready();
+    poke(&flash, FIRST, Width::Byte, 0);
+    let size_and_sequence = ErrorFlag::Size as u32 | ErrorFlag::Sequence as u32;
+    assert_eq!(load(&flash, SR), ErrorFlag::Size as u32);
+    program(&flash, FIRST, 5);
+    assert_eq!((load(&flash, SR), flash.operations()), (size_and_sequence, 0));
+    store(&flash, SR, ErrorFlag::Sequence as u32);
+    erase(&flash, 510);
+    assert_eq!((load(&flash, SR), flash.operations()), (size_and_sequence, 0));
+    store(&flash, SR, size_and_sequence);
+    erase(&flash, 510);
+    assert_eq!((load(&flash, SR), flash.operations()), (BSY, 1));
+}
+
+#[test]
+fn ends_and_errors_are_told_by_an_interrupt_where_that_is_enabled() {
+    let flash = ready();
+    store(&flash, CR, PG | EOPIE | ERRIE);
+    poke(&flash, FIRST, Width::Word, 1);
+    poke(&flash, FIRST + 4, Width::Word, 2);
+    assert_eq!(interrupts(&flash), [(4, false)]);
+    pass(&flash, PROGRAM_TIME);
+    assert_eq!((load(&flash, SR), interrupts(&flash)), (EOP, vec![(4, true)]));
+    store(&flash, SR, EOP);
+    assert_eq!(interrupts(&flash), [(4, false)]);
+    poke(&flash, FIRST, Width::Byte, 1);
+    let told = ErrorFlag::Size as u32 | ErrorFlag::Operation as u32;
+    assert_eq!((load(&flash, SR), interrupts(&flash)), (told, vec![(4, true)]));
+}
+
+#[test]
+fn a_forbidden_erase_is_kept_and_does_nothing() {
+    // Without BKER, and the pages beside.
+    for number in [254, 255, 509, 0] {
+        let flash = ready();
+        flash.set(Page::First, 0, Some(7));
+        erase(&flash, number);
+        assert_eq!((flash.violations().len(), load(&flash, SR), flash.operations()), (1, 0, 0), "{number}");
+        assert_eq!(flash.double_word(Page::First, 0), Some(7));
+    }
+    let flash = ready();
+    store(&flash, CR, PER | BKER | 254 << 3 | STRT);
+    assert!(flash.violations()[0].contains("by one store"));
+}
+
+#[test]
+fn a_data_cache_that_is_on_during_an_operation_is_kept() {
+    let flash = FlashController::new();
+    unlock(&flash);
+    program(&flash, FIRST, 5);
+    assert!(flash.violations()[0].contains("data cache"), "{:?}", flash.violations());
+}
+
+#[test]
+fn the_data_cache_holds_what_was_erased_until_it_is_flushed_while_off() {
+    let flash = ready();
+    flash.set(Page::First, 0, Some(7));
+    store(&flash, ACR, ICEN | DCEN);
+    assert_eq!(peek(&flash, FIRST).0, 7);
+    store(&flash, ACR, ICEN);
+    erase(&flash, 510);
+    pass(&flash, ERASE_TIME);
+    store(&flash, ACR, ICEN | DCEN);
+    assert_eq!(peek(&flash, FIRST).0, 7, "of before");
+    store(&flash, ACR, ICEN | DCEN | DCRST);
+    assert_eq!((peek(&flash, FIRST).0, flash.violations().len()), (7, 1), "flushed while on");
+    store(&flash, ACR, ICEN);
+    store(&flash, ACR, ICEN | DCRST);
+    store(&flash, ACR, ICEN | DCEN);
+    assert_eq!(peek(&flash, FIRST).0, u32::MAX);
+}
+
+#[test]
+fn accesses_that_would_stall_the_core_are_kept() {
+    let flash = ready();
+    program(&flash, FIRST, 5);
+    peek(&flash, SECOND);
+    poke(&flash, SECOND, Width::Word, 1);
+    store(&flash, CR, 0);
+    assert_eq!(flash.violations().len(), 3, "{:?}", flash.violations());
+}
+
+#[test]
+fn an_unreadable_double_word_raises_nmi_once_until_its_flag_is_cleared() {
+    let flash = ready();
+    flash.set(Page::Second, 3, None);
+    assert_eq!(peek(&flash, SECOND + 24).1, 1);
+    // Bank 2, and where in it.
+    assert_eq!(load(&flash, ECCR), ECCD | BK_ECC | 0x7_F818);
+    assert_eq!(peek(&flash, SECOND + 28).1, 0);
+    assert!(flash.violations()[0].starts_with("3.3.2"));
+    store(&flash, ECCR, ECCD);
+    assert_eq!(load(&flash, ECCR) & ECCD, 0);
+    assert_eq!(peek(&flash, SECOND + 28).1, 1);
+}
+
+#[test]
+fn a_corrected_bit_is_told_and_hides_an_unreadable_double_word() {
+    let flash = ready();
+    flash.set(Page::First, 0, Some(9));
+    flash.set_correctable(Page::First, 0);
+    flash.set(Page::First, 1, None);
+    assert_eq!(peek(&flash, FIRST), (9, 0));
+    assert_eq!(load(&flash, ECCR), ECCC | BK_ECC | 0x7_F000);
+    assert_eq!(peek(&flash, FIRST + 8).1, 0);
+    assert_eq!(flash.violations().len(), 1);
+}
+
+#[test]
+fn a_power_cut_leaves_the_flash_busy_and_the_pages_torn_for_the_next_power_on() {
+    for (tear, left) in
+        [(Tear::NotBegun, Some(u64::MAX)), (Tear::Complete, Some(5)), (Tear::Unreadable, None)]
+    {
+        let flash = ready();
+        flash.cut(1, tear);
+        program(&flash, FIRST, 4);
+        pass(&flash, PROGRAM_TIME);
+        assert!(!flash.is_off());
+        program(&flash, FIRST + 8, 5);
+        assert!(flash.is_off());
+        pass(&flash, Duration::from_secs(1));
+        assert_eq!(load(&flash, SR), BSY);
+        let mut before = Registers(flash.powered());
+        flash.power_cycle();
+        assert!(
+            before.store(FLASH + KEYR, Width::Word, KEYS[0]).is_err(),
+            "a machine that has lost its power"
+        );
+        assert_eq!((load(&flash, SR), load(&flash, CR), flash.is_off()), (0, OPTLOCK | LOCK, false));
+        assert_eq!((flash.double_word(Page::First, 0), flash.double_word(Page::First, 1)), (Some(4), left));
+    }
+}
+
+#[test]
+fn faults_are_those_of_worn_protected_and_locked_flash() {
+    for flag in ErrorFlag::ALL {
+        let flash = ready();
+        flash.set_fault(Some(Fault::Reports(flag)));
+        program(&flash, FIRST, 5);
+        pass(&flash, PROGRAM_TIME);
+        assert_eq!((load(&flash, SR), flash.double_word(Page::First, 0)), (flag as u32, Some(u64::MAX)));
+    }
+    let flash = ready();
+    flash.set_fault(Some(Fault::Stuck));
+    erase(&flash, 510);
+    pass(&flash, Duration::from_secs(10));
+    assert_eq!(load(&flash, SR), BSY);
+    let flash = FlashController::new();
+    flash.set_fault(Some(Fault::LockedUp));
+    unlock(&flash);
+    assert_ne!(load(&flash, CR) & LOCK, 0);
+}
