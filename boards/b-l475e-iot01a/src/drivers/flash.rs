@@ -78,10 +78,7 @@ impl NorFlash for SettingsPages {
     fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
         let low = with_exposed_provenance::<u32>(address(page, index).ok_or(Unreadable)?);
         // While a flag is set, the next wrong double word is not noticed (3.7.7).
-        FLASH.eccr().modify(|w| {
-            w.set_eccc(true);
-            w.set_eccd(true);
-        });
+        clear_ecc_flags();
         READ.store(READING, Ordering::SeqCst);
         // SAFETY: both words are in flash, aligned, and nothing but this driver writes them, by registers.
         let (low, high) = unsafe { (low.read_volatile(), low.wrapping_add(1).read_volatile()) };
@@ -183,15 +180,23 @@ fn clear_flags() {
     FLASH.sr().write_value(flags);
 }
 
+/// Writing a one clears a flag. The register's other bit that can be written is an interrupt's enable, which stays off.
+fn clear_ecc_flags() {
+    FLASH.eccr().write(|w| {
+        w.set_eccc(true);
+        w.set_eccd(true);
+    });
+}
+
 /// Flash with more wrong bits than can be corrected raises it: in the settings that is a power cut's work and no reason to
 /// start over, which would never end. Anywhere else the program is wrong.
 // SAFETY: the handler shares only an atomic with the program that was interrupted.
 #[exception]
 unsafe fn NonMaskableInt() {
-    if FLASH.eccr().read().eccd()
-        && READ.compare_exchange(READING, UNREADABLE, Ordering::SeqCst, Ordering::SeqCst).is_ok()
-    {
-        FLASH.eccr().modify(|w| w.set_eccd(true));
+    // Each of the two words of a double word may raise it. Nothing interrupts this handler, so a load and a store do.
+    if FLASH.eccr().read().eccd() && READ.load(Ordering::SeqCst) != NO_READ {
+        READ.store(UNREADABLE, Ordering::SeqCst);
+        clear_ecc_flags();
     } else {
         SCB::sys_reset();
     }

@@ -12,6 +12,7 @@ use host_tests::trace::Trace;
 use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS,
 };
+use wsg_bridge_fw::storage::Page;
 use wsg_sim::Config;
 
 use super::image;
@@ -62,6 +63,10 @@ impl Plant {
         self.read(3, FIRST_SETTING, SETTINGS.len() as u16)
     }
 
+    fn setting(&mut self, name: &str) -> u16 {
+        self.read(3, setting(name), 1)[0]
+    }
+
     fn write(&mut self, address: u16, value: u16) {
         let request = [&[6][..], &address.to_be_bytes(), &value.to_be_bytes()].concat();
         assert_eq!(self.service.ask(&request).unwrap(), request);
@@ -106,6 +111,9 @@ const DELIVERED: u16 = 0;
 const STORED: u16 = 1;
 const SAVED: u16 = 2;
 
+/// Double words of a record: one, two bytes a setting, one.
+const RECORD: usize = 2 + SETTINGS.len().div_ceil(4);
+
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn what_was_saved_is_there_after_a_power_cycle() {
@@ -118,4 +126,18 @@ fn what_was_saved_is_there_after_a_power_cycle() {
     let mut plant = plant.power_cycle();
     assert_eq!((plant.report("SETTINGS_FROM"), plant.settings()), (STORED, saved));
     plant.power_down();
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn an_unreadable_double_word_costs_its_record_and_no_start() {
+    let mut plant = Plant::power_up(FlashController::new());
+    plant.set("DEBOUNCE", 7);
+    assert_eq!(plant.save("SAVE"), SAVED);
+    plant.set("DEBOUNCE", 8);
+    assert_eq!(plant.save("SAVE"), SAVED);
+    let flash = plant.power_down();
+    flash.set(Page::First, RECORD + 3, None);
+    let mut plant = Plant::power_up(flash);
+    assert_eq!((plant.report("SETTINGS_FROM"), plant.setting("DEBOUNCE")), (STORED, 7), "of the save before");
 }
