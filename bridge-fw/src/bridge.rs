@@ -120,18 +120,22 @@ impl Bridge {
         self.wires.configure(&self.settings);
     }
 
-    /// Says how the last save goes.
-    pub(crate) fn set_save_state(&mut self, save: SaveState) {
-        match save {
-            SaveState::Saved => {
-                self.settings.are_stored();
-                self.facts.store.from = SettingsFrom::Stored;
-                self.arbiter.set_refuses(false);
-            }
-            SaveState::Failed => self.facts.events.happened(EventCode::SaveFailed, 0),
-            SaveState::Nothing | SaveState::Saving => {}
-        }
-        self.facts.store.save = save;
+    /// A save has begun.
+    pub(crate) const fn save_begins(&mut self) {
+        self.facts.store.save = SaveState::Saving;
+    }
+
+    /// The settings as they are were stored.
+    pub(crate) fn save_succeeded(&mut self) {
+        self.settings.are_stored();
+        self.facts.store = StoreReports { from: SettingsFrom::Stored, save: SaveState::Saved };
+        self.arbiter.set_refuses(false);
+    }
+
+    /// They were not; why is the value of [`EventCode::SaveFailed`].
+    pub(crate) fn save_failed(&mut self, why: u16) {
+        self.facts.events.happened(EventCode::SaveFailed, why);
+        self.facts.store.save = SaveState::Failed;
     }
 
     /// One turn: takes what the line, the wires and the bus brought, sends what is due, and returns the levels of the wires to

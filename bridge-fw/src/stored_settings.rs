@@ -2,8 +2,8 @@
 
 use crate::bridge::Bridge;
 use crate::config::Config;
-use crate::registers::{Record, SETTINGS, SaveState, Settings, SettingsFrom, StoreCommand, WrongSetting};
-use crate::storage::{LoadError, NorFlash, Progress, Store};
+use crate::registers::{Record, SETTINGS, Settings, SettingsFrom, StoreCommand, WrongSetting};
+use crate::storage::{FlashError, LoadError, NorFlash, Progress, SaveError, Store};
 use wsg_protocol::Instant;
 
 /// The version of the record's format. A setting that is added behind the others leaves it as it is.
@@ -70,8 +70,8 @@ impl StoredSettings {
         }
         match self.store.poll(flash, now) {
             Progress::Idle | Progress::Saving => {}
-            Progress::Saved => bridge.set_save_state(SaveState::Saved),
-            Progress::Failed(_) => bridge.set_save_state(SaveState::Failed),
+            Progress::Saved => bridge.save_succeeded(),
+            Progress::Failed(error) => bridge.save_failed(failure(error)),
         }
     }
 
@@ -80,7 +80,24 @@ impl StoredSettings {
         for (word, value) in payload.as_chunks_mut::<2>().0.iter_mut().zip(bridge.settings().record()) {
             *word = value.to_le_bytes();
         }
-        let is_begun = self.store.begin(VERSION, &payload).is_ok();
-        bridge.set_save_state(if is_begun { SaveState::Saving } else { SaveState::Failed });
+        match self.store.begin(VERSION, &payload) {
+            Ok(()) => bridge.save_begins(),
+            Err(_) => bridge.save_failed(WORN_OUT),
+        }
+    }
+}
+
+/// The value of the event SAVE_FAILED where a save did not even begin: none runs and there is room, so its numbers are used up.
+const WORN_OUT: u16 = 7;
+
+/// That value for a save that ended so; the table of events has them in words.
+const fn failure(error: SaveError) -> u16 {
+    match error {
+        SaveError::TimedOut | SaveError::Flash(FlashError::Busy) => 1,
+        SaveError::Flash(FlashError::Protected) => 2,
+        SaveError::Flash(FlashError::NotErased) => 3,
+        SaveError::Flash(FlashError::Failed) => 4,
+        SaveError::NotErased => 5,
+        SaveError::NotWritten => 6,
     }
 }

@@ -314,7 +314,9 @@ fn older_firmwares_settings_are_taken_and_the_others_are_as_delivered() {
 
 #[test]
 fn flash_that_fails_is_said_and_the_settings_in_ram_stay() {
-    for (fault, from) in [(Fault::Swallows(0), 6), (Fault::Protected, 0), (Fault::Stuck, 0)] {
+    let cases =
+        [(Fault::Stuck, 0, 1), (Fault::Protected, 0, 2), (Fault::Worn(3), 0, 5), (Fault::Swallows(0), 6, 5)];
+    for (fault, from, why) in cases {
         let mut flash = FlashModel::new();
         flash.fault = Some(fault);
         let mut plant = Plant::start(flash);
@@ -324,7 +326,8 @@ fn flash_that_fails_is_said_and_the_settings_in_ram_stay() {
         plant.pass(1_000);
         assert_eq!(plant.report("SAVE_STATE"), 3, "{fault:?}");
         assert_eq!((plant.setting("DEBOUNCE"), plant.report("SETTINGS_CHANGED")), (7, 1));
-        assert_eq!(plant.report("EVENT1_CODE"), EventCode::SaveFailed as u16);
+        let event = (plant.report("EVENT1_CODE"), plant.report("EVENT1_VALUE"));
+        assert_eq!(event, (EventCode::SaveFailed as u16, why), "{fault:?}");
     }
 }
 

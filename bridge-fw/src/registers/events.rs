@@ -67,7 +67,7 @@ define_events! {
     60 BusSilent "BUS_SILENT" "the PLC that commanded over the bus was silent for BUS_TIMEOUT" "BUS_REACTION" "the bus's wiring and its master; a longer BUS_TIMEOUT";
     61 BusOff "BUS_OFF" "the CAN controller went bus-off" "" "rate, termination and wiring of the CAN bus";
     70 SettingsRefused "SETTINGS_REFUSED" "the stored settings cannot be used, and those that count are not those that were set up: nothing moves" "SETTINGS_FROM" "set the bridge up again and SAVE, or DEFAULTS";
-    71 SaveFailed "SAVE_FAILED" "the settings were not stored; what was stored before still is" "" "SAVE again; if that fails too, the flash is worn or protected";
+    71 SaveFailed "SAVE_FAILED" "the settings were not stored; what was stored before still is" "why: the flash 1 stays busy, 2 is write protected, 3 was not erased, 4 reports another fault, 5 does not become erased, 6 reads otherwise than written, 7 has no number left for a save" "SAVE again; if that fails too, the flash is worn or protected";
 }
 
 impl EventCode {
