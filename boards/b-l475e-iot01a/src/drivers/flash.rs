@@ -56,7 +56,8 @@ impl SettingsPages {
         if FLASH.sr().read().bsy() {
             return Err(FlashError::Busy);
         }
-        clear_flags();
+        // Writing a one clears a flag.
+        FLASH.sr().write_value(errors());
         if FLASH.cr().read().lock() {
             for key in KEYS {
                 FLASH.keyr().write_value(key);
@@ -143,12 +144,9 @@ impl NorFlash for SettingsPages {
         } else {
             Ok(())
         };
-        clear_flags();
         FLASH.cr().modify(|w| {
             w.set_pg(false);
             w.set_per(false);
-            w.set_pnb(0);
-            w.set_bker(false);
         });
         FLASH.cr().modify(|w| w.set_lock(true));
         // It may hold what was there before. It is reset while it is off (3.7.1).
@@ -171,13 +169,6 @@ fn errors() -> Sr {
     errors.set_miserr(true);
     errors.set_fasterr(true);
     errors
-}
-
-/// Writing a one clears a flag.
-fn clear_flags() {
-    let mut flags = errors();
-    flags.set_eop(true);
-    FLASH.sr().write_value(flags);
 }
 
 /// Writing a one clears a flag. The register's other bit that can be written is an interrupt's enable, which stays off.
