@@ -80,19 +80,6 @@ impl Arbiter {
         self.refuses = refuses;
     }
 
-    /// Gives an image of the bus the parameters of a recipe: those of the command whose flag rises, else those that
-    /// counted last, so that the same image never changes them during a motion.
-    pub(crate) fn with_recipe(&self, image: &mut OutputImage, recipe: Recipe, unit: ForceUnit, moving: bool) {
-        let OutputImage { width, speed, force_limit, .. } = self.parameters;
-        (image.width, image.speed, image.force_limit) = (width, speed, force_limit);
-        let rising = image.flags.difference(self.bus.flags).intersection(MOVERS);
-        if let Some(command) = rising.lowest()
-            && !moving
-        {
-            recipe.fill(image, command, unit);
-        }
-    }
-
     /// Whether the wires ask for FAST STOP.
     pub(crate) fn is_stopped_by_wires(&self) -> bool {
         self.wires.is_some_and(|wires| wires.flags.contains(CommandFlags::FASTSTOP))
@@ -126,7 +113,15 @@ impl Arbiter {
     }
 
     /// Takes an image that the bus wrote. Gives the one for the controller, if the wires have settled.
-    pub(crate) fn take_bus(&mut self, image: OutputImage, moving: bool) -> Option<OutputImage> {
+    ///
+    /// With a `recipe` its values count in place of the image's: those for the command whose flag rises. Without such a flag,
+    /// and while the fingers move, those that counted last, so that they never change during a motion.
+    pub(crate) fn take_bus(
+        &mut self,
+        image: OutputImage,
+        recipe: Option<(Recipe, ForceUnit)>,
+        moving: bool,
+    ) -> Option<OutputImage> {
         let before = core::mem::replace(&mut self.bus, image);
         self.masked &= image.flags;
         let rising = image.flags.difference(before.flags);
@@ -138,12 +133,19 @@ impl Arbiter {
         if wires.flags.intersects(MOTIONS) || stopped || self.refuses {
             self.masked |= rising.intersection(MOVERS);
         }
-        let commands = self.bus_flags().intersects(rising.intersection(MOVERS));
+        let commanded = rising.intersection(MOVERS);
+        let commands = self.bus_flags().intersects(commanded);
         if commands && !moving {
             self.control_source = ControlSource::Bus;
         }
         if self.control_source == ControlSource::Bus {
-            self.parameters = image;
+            match (recipe, commanded.lowest()) {
+                (None, _) => self.parameters = image,
+                (Some((recipe, unit)), Some(command)) if !moving => {
+                    recipe.fill(&mut self.parameters, command, unit);
+                }
+                (Some(_), _) => {}
+            }
         }
         self.wires.map(|wires| self.merged(wires.flags))
     }
@@ -180,7 +182,7 @@ mod tests {
     fn idle() -> Arbiter {
         let mut arbiter = Arbiter::new();
         take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
-        arbiter.take_bus(image(CommandFlags::empty(), 2), false);
+        arbiter.take_bus(image(CommandFlags::empty(), 2), None, false);
         arbiter
     }
 
@@ -204,14 +206,14 @@ mod tests {
     #[test]
     fn bus_commands_while_all_command_wires_are_low() {
         let mut arbiter = idle();
-        assert_eq!(arbiter.take_bus(image(MOVE, 3), false), Some(image(MOVE, 3)));
+        assert_eq!(arbiter.take_bus(image(MOVE, 3), None, false), Some(image(MOVE, 3)));
         assert_eq!(arbiter.control_source(), ControlSource::Bus);
     }
 
     #[test]
     fn user_flags_are_those_of_the_bus_whoever_commands() {
         let mut arbiter = idle();
-        arbiter.take_bus(OutputImage { user: 0x20, ..image(CommandFlags::empty(), 3) }, false);
+        arbiter.take_bus(OutputImage { user: 0x20, ..image(CommandFlags::empty(), 3) }, None, false);
         let (_, merged) = take_wires(&mut arbiter, image(GRIP, 7), false);
         assert_eq!((merged.flags, merged.width, merged.user), (GRIP, 7, 0x20));
     }
@@ -219,7 +221,7 @@ mod tests {
     #[test]
     fn wire_commands_with_its_own_parameters() {
         let mut arbiter = idle();
-        arbiter.take_bus(image(CommandFlags::empty(), 3), false);
+        arbiter.take_bus(image(CommandFlags::empty(), 3), None, false);
         assert_eq!(take_wires(&mut arbiter, image(GRIP, 7), false), (None, image(GRIP, 7)));
         assert_eq!(arbiter.control_source(), ControlSource::Wires);
     }
@@ -228,17 +230,17 @@ mod tests {
     fn edge_of_the_bus_while_a_command_wire_is_high_is_lost() {
         let mut arbiter = idle();
         take_wires(&mut arbiter, image(GRIP, 7), false);
-        assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), GRIP);
+        assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), None, false)), GRIP);
         let (_, merged) = take_wires(&mut arbiter, image(CommandFlags::empty(), 7), false);
         assert_eq!(merged.flags, CommandFlags::empty(), "MOVE is still 1, and still lost");
-        arbiter.take_bus(image(CommandFlags::empty(), 3), false);
-        assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), MOVE);
+        arbiter.take_bus(image(CommandFlags::empty(), 3), None, false);
+        assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), None, false)), MOVE);
     }
 
     #[test]
     fn wire_gives_an_edge_although_the_bus_has_the_same_flag_set() {
         let mut arbiter = idle();
-        arbiter.take_bus(image(MOVE, 3), false);
+        arbiter.take_bus(image(MOVE, 3), None, false);
         let (let_go, merged) = take_wires(&mut arbiter, image(MOVE, 7), false);
         assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)), "the bus lets go first");
         assert_eq!(merged, image(MOVE, 7));
@@ -247,7 +249,7 @@ mod tests {
     #[test]
     fn jog_of_the_bus_ends_when_a_command_wire_rises() {
         let mut arbiter = idle();
-        arbiter.take_bus(image(CommandFlags::JOG_PLUS, 3), false);
+        arbiter.take_bus(image(CommandFlags::JOG_PLUS, 3), None, false);
         let (let_go, merged) = take_wires(&mut arbiter, image(GRIP, 7), true);
         assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)));
         assert_eq!(merged, image(GRIP, 3), "and the parameters do not change while the fingers move");
@@ -260,9 +262,9 @@ mod tests {
         for flag in [CommandFlags::STOP_ACK, CommandFlags::FASTSTOP] {
             let mut arbiter = idle();
             take_wires(&mut arbiter, image(GRIP, 7), false);
-            assert_eq!(flags(arbiter.take_bus(image(flag, 2), true)), GRIP | flag);
+            assert_eq!(flags(arbiter.take_bus(image(flag, 2), None, true)), GRIP | flag);
             let mut arbiter = idle();
-            arbiter.take_bus(image(MOVE, 2), false);
+            arbiter.take_bus(image(MOVE, 2), None, false);
             let (_, merged) = take_wires(&mut arbiter, image(flag, 7), true);
             assert_eq!(merged.flags, MOVE | flag);
         }
@@ -278,10 +280,17 @@ mod tests {
                 arbiter = Arbiter::new();
                 take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
             }
-            assert_eq!(flags(arbiter.take_bus(image(CommandFlags::all(), 3), false)), CommandFlags::FASTSTOP);
-            assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), CommandFlags::empty(), "never 0");
-            arbiter.take_bus(image(CommandFlags::empty(), 3), false);
-            assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), false)), MOVE);
+            assert_eq!(
+                flags(arbiter.take_bus(image(CommandFlags::all(), 3), None, false)),
+                CommandFlags::FASTSTOP
+            );
+            assert_eq!(
+                flags(arbiter.take_bus(image(MOVE, 3), None, false)),
+                CommandFlags::empty(),
+                "never 0"
+            );
+            arbiter.take_bus(image(CommandFlags::empty(), 3), None, false);
+            assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), None, false)), MOVE);
         }
     }
 
@@ -289,15 +298,15 @@ mod tests {
     fn motion_that_rises_beside_a_stop_flag_which_does_not_count_does_not_count_either() {
         let mut arbiter = Arbiter::new();
         take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
-        arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), false);
-        let merged = arbiter.take_bus(image(CommandFlags::STOP_ACK | MOVE, 3), false);
+        arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), None, false);
+        let merged = arbiter.take_bus(image(CommandFlags::STOP_ACK | MOVE, 3), None, false);
         assert_eq!(flags(merged), CommandFlags::empty());
     }
 
     #[test]
     fn silent_bus_lets_go_of_all_but_fast_stop() {
         let mut arbiter = idle();
-        arbiter.take_bus(image(MOVE | CommandFlags::JOG_PLUS | CommandFlags::FASTSTOP, 3), false);
+        arbiter.take_bus(image(MOVE | CommandFlags::JOG_PLUS | CommandFlags::FASTSTOP, 3), None, false);
         assert_eq!(flags(arbiter.lose_bus()), CommandFlags::FASTSTOP);
     }
 
@@ -306,8 +315,8 @@ mod tests {
         let mut arbiter = idle();
         take_wires(&mut arbiter, image(GRIP, 7), false);
         take_wires(&mut arbiter, image(CommandFlags::empty(), 7), true);
-        assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), true).unwrap().width, 7);
-        let second = arbiter.take_bus(image(MOVE, 3), true).unwrap();
+        assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), None, true).unwrap().width, 7);
+        let second = arbiter.take_bus(image(MOVE, 3), None, true).unwrap();
         assert_eq!((second.flags, second.width), (MOVE, 7), "the controller refuses it");
         assert_eq!(arbiter.control_source(), ControlSource::Wires);
     }
@@ -315,9 +324,9 @@ mod tests {
     #[test]
     fn parameters_of_the_bus_follow_during_its_own_motion() {
         let mut arbiter = idle();
-        arbiter.take_bus(image(MOVE, 3), false);
+        arbiter.take_bus(image(MOVE, 3), None, false);
         assert_eq!(
-            arbiter.take_bus(image(MOVE, 4), true),
+            arbiter.take_bus(image(MOVE, 4), None, true),
             Some(image(MOVE, 4)),
             "the controller makes it a FAST STOP"
         );
@@ -326,8 +335,8 @@ mod tests {
     #[test]
     fn nothing_reaches_the_controller_before_the_wires_have_settled() {
         let mut arbiter = Arbiter::new();
-        assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), false), None);
-        assert_eq!(arbiter.take_bus(image(CommandFlags::FASTSTOP, 3), false), None);
+        assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), None, false), None);
+        assert_eq!(arbiter.take_bus(image(CommandFlags::FASTSTOP, 3), None, false), None);
         let (_, merged) = take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
         assert_eq!(merged.flags, CommandFlags::FASTSTOP, "but what the bus wrote is not forgotten");
     }

@@ -353,13 +353,11 @@ impl Bridge {
             self.measure();
             self.facts.bus_is_silent = event == PlcEvent::Left { silent: true };
             match event {
-                PlcEvent::Output(mut image) => {
+                PlcEvent::Output(image) => {
                     let known = self.session.known();
-                    if let Some(recipe) = self.settings.bus_recipe() {
-                        let moving = self.controller.is_moving(known);
-                        self.arbiter.with_recipe(&mut image, recipe, force_unit(known), moving);
-                    }
-                    if let Some(image) = self.arbiter.take_bus(image, self.controller.is_moving(known)) {
+                    let recipe = self.settings.bus_recipe().map(|recipe| (recipe, force_unit(known)));
+                    let moving = self.controller.is_moving(known);
+                    if let Some(image) = self.arbiter.take_bus(image, recipe, moving) {
                         self.controller.set_output(&image, known);
                     }
                     self.note_incidents();

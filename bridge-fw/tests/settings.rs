@@ -374,6 +374,11 @@ fn commands_of_the_bus_take_the_recipe_that_was_chosen() {
     plant.write_image(CommandFlags::MOVE, [0; 3]);
     // The flag goes, and other parameters come, while the fingers move: nothing of that is a parameter that changes.
     plant.write_image(CommandFlags::empty(), [1, 2, 3]);
+    assert_eq!(
+        (1..4).map(|at| plant.read(3, at)).collect::<Vec<_>>(),
+        [1, 2, 3],
+        "the port shows what was written"
+    );
     plant.pass(2_000);
     assert_eq!(width(&mut plant), 33_00);
     plant.write_image(CommandFlags::RELEASE, [0; 3]);
