@@ -231,6 +231,29 @@ fn command_registers_take_their_key_alone_while_the_fingers_stand() {
 }
 
 #[test]
+fn what_the_bus_and_the_service_port_ask_for_in_the_same_turn_is_done_or_refused() {
+    let by_service = |plant: &mut Plant, address: u16, value: u16| {
+        let ([a1, a0], [v1, v0]) = (address.to_be_bytes(), value.to_be_bytes());
+        plant.service.ask(&[1, 6, a1, a0, v1, v0]);
+    };
+    for (address, value) in [(command("SAVE"), COMMAND_KEY), (setting("DEBOUNCE"), 7)] {
+        let mut plant = Plant::start(FlashModel::new());
+        plant.set("DEBOUNCE", 50);
+        let ([a1, a0], [k1, k0]) = (command("DEFAULTS").to_be_bytes(), COMMAND_KEY.to_be_bytes());
+        plant.bus.ask(&[1, 6, a1, a0, k1, k0]);
+        by_service(&mut plant, address, value);
+        plant.pass(1);
+        assert_eq!(plant.bus.answer().map(|answer| answer[1]), Some(6));
+        assert_eq!(plant.service.answer().map(|answer| answer[1..3].to_vec()), Some(vec![0x86, 6]));
+        plant.pass(500);
+        assert_eq!((plant.setting("DEBOUNCE"), plant.report("SAVE_STATE")), (2, 2));
+        by_service(&mut plant, address, value);
+        plant.pass(5);
+        assert_eq!(plant.service.answer().map(|answer| answer[1]), Some(6), "once it is done");
+    }
+}
+
+#[test]
 fn a_power_cut_leaves_the_old_or_the_new_settings_and_moves_nothing() {
     let mut saved = Plant::start(FlashModel::new());
     saved.set("RECIPE0_WIDTH", 1_111);

@@ -153,7 +153,7 @@ impl View<'_> {
     fn may_change_settings(&self) -> Result<(), RegisterError> {
         if self.is_moving() {
             Err(RegisterError::Moving)
-        } else if self.facts.store.save == SaveState::Saving {
+        } else if self.facts.store.save == SaveState::Saving || self.settings.is_asked() {
             Err(RegisterError::Saving)
         } else {
             Ok(())
