@@ -11,7 +11,7 @@
 //! | [`profibus`] | what the DP model says of each telegram, and no output without data exchange |
 //! | [`can`] | the reassembler finds what a reader of the whole capture finds |
 //! | [`storage`] | what is loaded was saved whole, and a save works on whatever the flash holds |
-//! | [`bridge`] | no motion without an edge, FAST STOP in time, and true outputs, whatever gripper, line, wires and Modbus bus do |
+//! | [`bridge`] | no motion without an edge, FAST STOP in time, true outputs, and settings as they were written, whatever gripper, line, wires, Modbus bus and service port do |
 //! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
 //!
 //! cargo-fuzz runs them (`cargo xtask fuzz`, targets in `host-tests/fuzz`); the test `fuzz_smoke` runs them on stable Rust
@@ -33,6 +33,7 @@ mod input;
 mod modbus;
 mod oracle;
 mod outputs;
+mod overheard;
 mod profibus;
 mod rtu_line;
 mod session;

@@ -10,6 +10,9 @@
 //! - A flag of the bus counts from its edge on, as long as it is 1 and the bus is heard. The edge of a motion or a jog is none
 //!   while a command wire is high, or beside STOP/ACK; a command wire that rises ends what counts of them.
 //! - Several motions at once are one: MOVE before GRIP before RELEASE before HOMING.
+//! - With a recipe for the bus (BUS_RECIPE) an edge of it has that one's parameters, RELEASE the release width, and what the
+//!   image has of them does not count.
+//! - While the settings that are stored are refused, no motion leaves.
 //! - A force limit leaves for its motion, and not after that came to nothing.
 //! - STOP/ACK undoes the motions that were asked for before it and beside it, FAST STOP everything. Behind a FAST STOP no
 //!   motion leaves before an acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection
@@ -87,6 +90,8 @@ pub(super) struct Asked {
     pub(super) jogs: bool,
     /// Since when a FAST STOP awaits its acknowledgement.
     pub(super) stopped_ms: Option<u32>,
+    /// The settings that are stored are refused.
+    pub(super) refuses: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -120,6 +125,7 @@ impl Asked {
             ends_jog: false,
             jogs: false,
             stopped_ms: None,
+            refuses: false,
         }
     }
 
@@ -158,15 +164,25 @@ impl Asked {
         self.take(self.wires, true);
     }
 
-    /// The bus has written an image.
-    pub(super) fn take_image(&mut self, image: OutputImage) {
+    /// The bus has written an image, and its commands take this recipe's values.
+    pub(super) fn take_image(&mut self, mut image: OutputImage, recipe: Option<Recipe>) {
+        if let Some(recipe) = recipe {
+            let OutputImage { flags, width, speed, force_limit, .. } = self.image.unwrap_or_default();
+            (image.width, image.speed, image.force_limit) = (width, speed, force_limit);
+            // The lowest bit counts of several; a jog goes by the recipe that counted when its flag rose.
+            if let Some(command) = (image.flags - flags).intersection(COMMANDS | JOG).lowest() {
+                let releases = command == CommandFlags::RELEASE;
+                image.width = if releases { recipe.release_width } else { recipe.width };
+                (image.speed, image.force_limit) = (recipe.speed, recipe.force);
+            }
+        }
         let Some(before) = self.image.replace(image) else {
             self.bus = image.flags & CommandFlags::FASTSTOP;
             return self.take(self.wires, false);
         };
         let mut rising = image.flags - before.flags;
-        if self.wires.unwrap_or_default().intersects(COMMANDS) || image.flags.contains(CommandFlags::STOP_ACK)
-        {
+        let is_masked = self.wires.unwrap_or_default().intersects(COMMANDS) || self.refuses;
+        if is_masked || image.flags.contains(CommandFlags::STOP_ACK) {
             rising -= COMMANDS | JOG;
         }
         self.bus = (self.bus & image.flags) | rising;
@@ -188,6 +204,7 @@ impl Asked {
         match id.kind() {
             Kind::Motion => {
                 assert!(self.stopped_ms.is_none(), "{id} behind a FAST STOP that is not acknowledged");
+                assert!(!self.refuses, "{id} while the stored settings are refused");
                 let is_limited_to = |force| force_limit.is_none_or(|limit| limit == force);
                 let has_edge = self.may_leave.iter().any(|edge| {
                     let is_limited = id != CommandId::GripPart || is_limited_to(edge.goes_by[2]);

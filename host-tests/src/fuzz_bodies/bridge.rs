@@ -1,23 +1,28 @@
-//! The whole bridge between wires, a Modbus bus and the gripper's line: any bytes on both lines, any wires.
+//! The whole bridge between wires, a Modbus bus, the service port and the gripper's line: any bytes on all lines, any wires.
 //!
 //! What must hold, whatever comes:
 //! - the [`Oracle`]'s rules: a command leaves only for an edge of a wire, or of an image that an intact request wrote while the
 //!   bus commanded; a FAST STOP leaves at once, or behind the frame that is being sent; the outputs are true;
 //! - the watchdog may be fed;
-//! - no frame with a wrong checksum leaves, on either line;
-//! - each answer on the bus has its request, intact and for the bridge's unit ([`Overheard`]); what is damaged, or for
-//!   another, does nothing.
+//! - no frame with a wrong checksum leaves, on any line;
+//! - each answer on the bus and the service port has its request, intact and for the bridge's unit ([`Overheard`]); what is
+//!   damaged, or for another, does nothing;
+//! - the service port commands nothing, and settings count the same whichever of the two wrote them: they read as they were
+//!   written, recipes are what commands go by, and what was saved is what the next start finds;
+//! - while stored settings are refused, nothing moves before others are stored.
 //!
 //! A case ends where that cannot be followed from outside: behind Force Listen Only Mode, a broadcast to the settings, and
 //! when broadcasts count on a line that is not strict.
 
 use std::convert::Infallible;
 
-use bus_modbus::rtu::Character;
+use bus_modbus::rtu::{Character, Timing};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::plc::Modbus;
-use wsg_bridge_fw::{Bridge, BusConfig, Config};
+use wsg_bridge_fw::registers::{COMMAND_KEY, Record};
+use wsg_bridge_fw::storage::Page;
+use wsg_bridge_fw::{Board, BusConfig, Config, ResetCause, Station};
 use wsg_protocol::fieldbus::CommandFlags;
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{CommandId, FrameParser, Status};
@@ -27,7 +32,10 @@ use super::gripper::{self, Gripper, Message};
 use super::input::Input;
 use super::modbus::sealed;
 use super::oracle::Oracle;
-use super::rtu_line::{BROADCAST, Done, Overheard, RtuLine, TIMING};
+use super::overheard::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Overheard, Port};
+use super::rtu_line::RtuLine;
+use crate::can_bench::Double;
+use crate::flash_model::FlashModel;
 use crate::serial_gripper::{BYTES_PER_MS, SerialLine};
 
 pub(super) const MOTION_WIRES: [Inputs; 4] = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
@@ -52,15 +60,27 @@ pub(super) const FLAGS: [CommandFlags; 12] = [
 pub(super) const PARAMETERS: [[u16; 3]; 3] =
     [[20_00, 50_00, 40_00], [50_00, 100_00, 40_00], [20_00, 1, 40_00]];
 
+/// Recipes: width, speed, force and release width. One of them the gripper does not take.
+const RECIPES: [[u16; 4]; 4] = [
+    [12_00, 40_00, 30_00, 60_00],
+    [33_00, 77_00, 55_00, 90_00],
+    [20_00, 50_00, 40_00, 41_00],
+    [20_00, 1, 40_00, 40_00],
+];
+
 /// Silences before a character: none, and around the two that matter.
-const SILENCES: [u32; 6] =
-    [0, TIMING.t1_5_us, TIMING.t1_5_us + 1, TIMING.t3_5_us - 1, TIMING.t3_5_us, 60_000];
+fn silences(port: Port) -> [u32; 6] {
+    let Timing { t1_5_us, t3_5_us } = port.timing();
+    [0, t1_5_us, t1_5_us + 1, t3_5_us - 1, t3_5_us, 60_000]
+}
 
 struct Model {
-    bridge: Bridge,
-    modbus: Modbus,
+    station: Station<Double>,
+    flash: FlashModel,
+    delivered: Record,
     line: GripperLine,
     bus: RtuLine,
+    service: RtuLine,
     now_ms: u32,
     wires: Inputs,
     overheard: Overheard,
@@ -73,13 +93,13 @@ struct Model {
 }
 
 /// The first byte says whether the bridge is ready (bit 0), whether the bus is strict and has broadcasts (bit 1), whether the
-/// gripper's line takes no more than it would at 115 200 bit/s (bit 2), and whether the fingers move at power-up (bit 4). Then
-/// each op is a byte that says what, and bytes that say how: wires, time, bytes on either line, how the gripper answers, a PLC
-/// that writes.
+/// gripper's line takes no more than it would at 115 200 bit/s (bit 2), whether the stored settings are damaged (bit 3), and
+/// whether the fingers move at power-up (bit 4). Then each op is a byte that says what, and bytes that say how: wires, time,
+/// bytes on any line, how the gripper answers, a PLC that writes. With bit 7 requests come over the service port.
 pub fn bridge(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
-    let mut model = Model::new(choice & 2 != 0, choice & 4 != 0);
+    let mut model = Model::new(choice & 2 != 0, choice & 4 != 0, choice & 8 != 0);
     if choice & 16 != 0 {
         model.gripper.run();
     }
@@ -87,7 +107,9 @@ pub fn bridge(data: &[u8]) {
         model.get_ready();
     }
     while !input.is_empty() && !model.is_over {
-        match input.byte() % 16 {
+        let op = input.byte();
+        let port = if op & 0x80 == 0 { Port::Bus } else { Port::Service };
+        match op % 16 {
             0 | 1 => model.wires = Inputs::from_bits_retain(input.byte()),
             2 => model.wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
             3 => {
@@ -116,46 +138,45 @@ pub fn bridge(data: &[u8]) {
                 for _ in 0..count {
                     let character =
                         if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
-                    model.bus.bring(character, input.pick(&SILENCES));
+                    model.line_of(port).bring(character, input.pick(&silences(port)));
                 }
             }
             9 => {
-                let unit = input.pick(&[model.overheard.unit(), BROADCAST, 5]);
+                let unit = input.pick(&[model.overheard.unit(port), BROADCAST, 5]);
                 let count = usize::from(input.byte() % 24);
                 let frame = [&[unit], input.bytes(count)].concat();
-                model.send(&sealed(&frame), &mut input);
+                model.send(port, &sealed(&frame), &mut input);
             }
             10 => {
-                let frame = model.image_frame(input.pick(&FLAGS), input.pick(&PARAMETERS));
-                model.send(&frame, &mut input);
+                let frame = model.image_frame(port, input.pick(&FLAGS), input.pick(&PARAMETERS));
+                model.send(port, &frame, &mut input);
             }
             11 => {
-                let unit = input.pick(&[model.overheard.unit(), BROADCAST]);
-                let value = u16::from(input.byte()).to_be_bytes();
-                let setting = 100 + input.byte() % 26;
-                model.send(&sealed(&[&[unit, 6, 0, setting], &value[..]].concat()), &mut input);
+                let unit = input.pick(&[model.overheard.unit(port), BROADCAST]);
+                let pdu = settings_pdu(op >> 5 & 3, &mut input);
+                model.send(port, &sealed(&[&[unit], &pdu[..]].concat()), &mut input);
             }
             12 => {
-                let unit = input.pick(&[model.overheard.unit(), BROADCAST]);
+                let unit = input.pick(&[model.overheard.unit(port), BROADCAST]);
                 let (coil, value) = (input.byte() % 66, input.pick(&[0, 0xFF, 1]));
-                model.send(&sealed(&[unit, 5, 0, coil, value, 0]), &mut input);
+                model.send(port, &sealed(&[unit, 5, 0, coil, value, 0]), &mut input);
             }
             13 if input.byte() & 7 == 0 => {
                 let first = input.byte() & 1;
-                let frame = [model.overheard.unit(), 3, 0, first, 0, 1 + input.byte() % 4];
-                model.send(&sealed(&frame), &mut input);
+                let frame = [model.overheard.unit(port), 3, 0, first, 0, 1 + input.byte() % 4];
+                model.send(port, &sealed(&frame), &mut input);
             }
             13 => {
                 let [and, or] = [input.pick(&FLAGS).bits(), input.pick(&FLAGS).bits()];
-                let frame = [model.overheard.unit(), 22, 0, 0, and, 0xFF, or, 0];
-                model.send(&sealed(&frame), &mut input);
+                let frame = [model.overheard.unit(port), 22, 0, 0, and, 0xFF, or, 0];
+                model.send(port, &sealed(&frame), &mut input);
             }
             14 => {
                 // An edge as a PLC gives it.
                 let parameters = input.pick(&PARAMETERS);
                 for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
-                    let frame = model.image_frame(flags, parameters);
-                    model.bring(&frame, None, None);
+                    let frame = model.image_frame(Port::Bus, flags, parameters);
+                    model.bring(Port::Bus, &frame, None, None);
                     model.pass(4);
                 }
             }
@@ -164,26 +185,58 @@ pub fn bridge(data: &[u8]) {
         model.pass(1);
     }
     model.pass(10);
+    model.check_saved();
+}
+
+/// A request about settings: one of them, a recipe or BUS_RECIPE is written, or a command; they are read.
+fn settings_pdu(how: u8, input: &mut Input<'_>) -> Vec<u8> {
+    let byte = input.byte();
+    match how {
+        0 => vec![6, 0, 100 + byte % 90, 0, input.byte()],
+        1 => {
+            let first = FIRST_RECIPE as u8 + 4 * (byte % 16);
+            let values = input.pick(&RECIPES).map(u16::to_be_bytes).concat();
+            [&[16, 0, first, 0, 4, 8][..], &values].concat()
+        }
+        2 if byte < 0x80 => vec![6, 0, BUS_RECIPE as u8, 0, byte % 18],
+        2 => vec![3, 0, 100 + byte % 82, 0, 1 + input.byte() % 82],
+        _ => {
+            let [high, low] = COMMAND_KEY.to_be_bytes();
+            vec![6, 0, 200 + byte % 3, high, if byte < 0xF0 { low } else { 0 }]
+        }
+    }
 }
 
 impl Model {
-    fn new(strict_with_broadcasts: bool, slow: bool) -> Self {
+    fn new(strict_with_broadcasts: bool, slow: bool, is_damaged: bool) -> Self {
         let mut config = Config::DEFAULT;
         if strict_with_broadcasts {
             config.bus = BusConfig { broadcast: true, character_timeout_ms: 0, ..config.bus };
         }
+        let mut flash = FlashModel::new();
+        if is_damaged {
+            flash.set(Page::First, 3, None);
+        }
+        let delivered = config.record();
+        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT));
+        let config = station.load(&delivered, &flash).expect("they go together");
+        station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
+        let mut oracle = Oracle::new(&config);
+        oracle.asked.refuses = is_damaged;
         Self {
-            bridge: Bridge::new(config),
-            modbus: Modbus::new(&config),
+            station,
+            flash,
+            delivered,
             line: GripperLine::new(if slow { BYTES_PER_MS } else { usize::MAX }),
             bus: RtuLine::default(),
+            service: RtuLine::default(),
             now_ms: 0,
             wires: Inputs::empty(),
-            overheard: Overheard::new(&config),
+            overheard: Overheard::new(&delivered),
             heard_ms: None,
             is_over: false,
             gripper: Gripper::new(),
-            oracle: Oracle::new(&config),
+            oracle,
         }
     }
 
@@ -193,12 +246,13 @@ impl Model {
         self.wires = Inputs::FAST_STOP_OK;
         self.pass(12);
         self.wires = Inputs::FAST_STOP_OK | Inputs::STOP_ACK;
-        let zeros = self.image_frame(CommandFlags::empty(), PARAMETERS[0]);
-        self.bring(&zeros, None, None);
+        let zeros = self.image_frame(Port::Bus, CommandFlags::empty(), PARAMETERS[0]);
+        self.bring(Port::Bus, &zeros, None, None);
         self.pass(4);
         self.wires = Inputs::FAST_STOP_OK;
         self.pass(4);
-        assert_eq!(self.oracle.shown.outputs, READY);
+        let shown = if self.oracle.asked.refuses { REFUSED } else { READY };
+        assert_eq!(self.oracle.shown.outputs, shown);
     }
 
     /// Something that the gripper did not say.
@@ -208,13 +262,20 @@ impl Model {
     }
 
     /// A write of registers 0 to 3.
-    fn image_frame(&self, flags: CommandFlags, parameters: [u16; 3]) -> Vec<u8> {
-        let head = [self.overheard.unit(), 16, 0, 0, 0, 4, 8, flags.bits(), 0];
+    fn image_frame(&self, port: Port, flags: CommandFlags, parameters: [u16; 3]) -> Vec<u8> {
+        let head = [self.overheard.unit(port), 16, 0, 0, 0, 4, 8, flags.bits(), 0];
         sealed(&[&head[..], &parameters.map(u16::to_be_bytes).concat()].concat())
     }
 
-    /// Puts a frame on the bus, now and then with a wrong bit, a damaged character or a pause in it.
-    fn send(&mut self, frame: &[u8], input: &mut Input<'_>) {
+    fn line_of(&mut self, port: Port) -> &mut RtuLine {
+        match port {
+            Port::Bus => &mut self.bus,
+            Port::Service => &mut self.service,
+        }
+    }
+
+    /// Puts a frame on a line, now and then with a wrong bit, a damaged character or a pause in it.
+    fn send(&mut self, port: Port, frame: &[u8], input: &mut Input<'_>) {
         let mut frame = frame.to_vec();
         let trouble = input.byte();
         let at = usize::from(input.byte()) % frame.len();
@@ -223,23 +284,24 @@ impl Model {
             1 => frame.truncate(at),
             _ => {}
         }
-        let pause = (trouble % 16 == 2).then(|| (at, input.pick(&SILENCES)));
-        self.bring(&frame, (trouble % 16 == 3).then_some(at), pause);
+        let pause = (trouble % 16 == 2).then(|| (at, input.pick(&silences(port))));
+        self.bring(port, &frame, (trouble % 16 == 3).then_some(at), pause);
         if trouble & 0x80 == 0 {
             // The silence that ends it; else the next frame does.
             self.pass(3);
         }
     }
 
-    fn bring(&mut self, frame: &[u8], damaged_at: Option<usize>, pause: Option<(usize, u32)>) {
+    fn bring(&mut self, port: Port, frame: &[u8], damaged_at: Option<usize>, pause: Option<(usize, u32)>) {
+        let line = self.line_of(port);
         for (at, byte) in frame.iter().enumerate() {
             let character = if damaged_at == Some(at) { Character::Damaged } else { Character::Byte(*byte) };
             let silence_us = match pause {
                 Some((pause_at, silence_us)) if pause_at == at => silence_us,
-                _ if at == 0 => self.bus.silence_us().max(TIMING.t3_5_us),
+                _ if at == 0 => line.silence_us().max(port.timing().t3_5_us),
                 _ => 0,
             };
-            self.bus.bring(character, silence_us);
+            line.bring(character, silence_us);
         }
     }
 
@@ -256,18 +318,19 @@ impl Model {
     fn turn(&mut self) {
         self.now_ms += 1;
         self.bus.pass_ms();
-        let Self { bridge, modbus, line, bus, .. } = self;
-        let was_connected = bridge.is_connected();
+        self.service.pass_ms();
+        let Self { station, flash, line, bus, service, .. } = self;
+        let was_connected = station.bridge().is_connected();
         line.left = line.per_ms;
-        let outputs = bridge.poll(self.now_ms, self.wires, line, &mut modbus.over(bus));
-        assert!(bridge.may_feed_watchdog(self.now_ms));
+        let outputs = station.turn(self.now_ms, self.wires, line, bus, service, flash);
+        assert!(station.bridge().may_feed_watchdog(self.now_ms));
         let oracle = &mut self.oracle;
         oracle.begin_turn(self.now_ms, &std::mem::take(&mut line.heard), self.wires);
         for event in self.bus.take_events() {
-            match self.overheard.take(event) {
+            match self.overheard.take(Port::Bus, &event) {
                 None => continue,
                 Some(Done::Heard) => {}
-                Some(Done::Image(image)) => oracle.asked.take_image(image),
+                Some(Done::Image(image, recipe)) => oracle.asked.take_image(image, recipe),
                 Some(Done::Unknown) => self.is_over = true,
             }
             self.heard_ms = Some(self.now_ms);
@@ -275,16 +338,13 @@ impl Model {
         if self.is_over {
             return;
         }
-        oracle.told.frame_timeout_ms = self.overheard.frame_timeout_ms();
         oracle.shown.min_busy_ms = self.overheard.min_busy_ms();
-        oracle.asked.debounce_ms = self.overheard.debounce_ms();
-        oracle.asked.recipes = self.overheard.recipes();
         let timeout_ms = self.overheard.timeout_ms();
         if timeout_ms > 0 && self.heard_ms.is_some_and(|heard_ms| self.now_ms - heard_ms >= timeout_ms) {
             self.heard_ms = None;
             oracle.asked.lose_bus();
         }
-        let connected = self.bridge.is_connected();
+        let connected = self.station.bridge().is_connected();
         if was_connected && !connected {
             self.line.cut();
         }
@@ -304,11 +364,46 @@ impl Model {
         for answer in self.gripper.speak(self.now_ms) {
             self.line.bring(&answer);
         }
+        self.serve();
+    }
+
+    /// What the service port did comes behind all else in a turn, and counts from the next on.
+    fn serve(&mut self) {
+        for event in self.service.take_events() {
+            match self.overheard.take(Port::Service, &event) {
+                None | Some(Done::Heard) => {}
+                Some(Done::Image(..)) => unreachable!("it does not command"),
+                Some(Done::Unknown) => self.is_over = true,
+            }
+        }
+        self.is_over |= matches!(self.overheard.end_turn(), Done::Unknown);
+        let (oracle, overheard) = (&mut self.oracle, &self.overheard);
+        oracle.told.frame_timeout_ms = overheard.frame_timeout_ms();
+        oracle.asked.debounce_ms = overheard.debounce_ms();
+        oracle.asked.recipes = overheard.recipes();
+        oracle.asked.refuses &= overheard.saved().is_none();
+    }
+
+    /// What was saved is what the next start finds.
+    fn check_saved(&mut self) {
+        if self.is_over || self.overheard.saved().is_none() {
+            return;
+        }
+        self.pass(SAVE_MS);
+        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT));
+        let found = station.load(&self.delivered, &self.flash).map(|config| config.record());
+        assert_eq!(found.as_ref().ok(), self.overheard.saved());
     }
 }
 
 /// What a bridge shows whose gripper takes commands.
 pub(super) const READY: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
+
+/// And one that refuses the stored settings.
+const REFUSED: Outputs = READY.difference(Outputs::READY).union(Outputs::ERROR);
+
+/// How long a save takes at the most, in turns: an erase and a double word for four settings, the same again in the other page.
+const SAVE_MS: u32 = 70;
 
 /// How long a FAST STOP may wait there for the frame before it, in milliseconds.
 const SLOW_PATIENCE_MS: u32 = 2;

@@ -661,7 +661,7 @@ impl Model {
         let mut reset = false;
         for heard in std::mem::take(&mut device.heard) {
             match heard {
-                Heard::Image(image) => asked.take_image(image),
+                Heard::Image(image) => asked.take_image(image, None),
                 Heard::Left => asked.lose_bus(),
                 Heard::Reset { whole } => {
                     reset = true;

@@ -1,0 +1,355 @@
+//! What a PLC and the computer on the service port may know of the bridge's registers: what they have written, by the answers
+//! that they got (docs/registers.md, docs/service-port.md).
+//!
+//! Broadcasts have no answers, so they are followed on a strict line alone (BUS_CHAR_TIMEOUT 0), where each silence of T3.5 ends a
+//! frame.
+
+use bus_modbus::rtu::Timing;
+use wsg_bridge_fw::registers::{COMMAND_KEY, Record};
+use wsg_bridge_fw::{RECIPE_COUNT, Recipe};
+use wsg_protocol::fieldbus::OutputImage;
+
+use super::rtu_line::{Event, Requests, Way};
+
+/// The bus's silences, and the service port's.
+const BUS_TIMING: Timing = Timing::of(19_200, 11);
+const SERVICE_TIMING: Timing = Timing::of(115_200, 10);
+
+pub(super) const BROADCAST: u8 = 0;
+
+/// Settings are registers from here on; these are followed.
+const SETTINGS: std::ops::Range<usize> = 100..182;
+const UNIT: usize = 100;
+const BUS_TIMEOUT: usize = 101;
+const BUS_CHAR_TIMEOUT: usize = 103;
+const BROADCASTS: usize = 104;
+const SWAP_BYTES: usize = 105;
+const DEBOUNCE: usize = 106;
+const MIN_BUSY: usize = 107;
+const HALF_FRAME: usize = 108;
+pub(super) const FIRST_RECIPE: usize = 109;
+pub(super) const BUS_RECIPE: usize = 173;
+
+/// SAVE, RESTORE and DEFAULTS.
+const COMMANDS: std::ops::Range<usize> = 200..203;
+const SAVE: usize = 200;
+const RESTORE: usize = 201;
+
+/// Force Listen Only Mode, behind which a unit says nothing and does nothing.
+const LISTEN_ONLY: [u8; 5] = [8, 0, 4, 0, 0];
+
+const ILLEGAL_FUNCTION: u8 = 1;
+
+/// A line for Modbus RTU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Port {
+    /// The PLC's bus.
+    Bus,
+    Service,
+}
+
+impl Port {
+    pub(super) const fn timing(self) -> Timing {
+        match self {
+            Self::Bus => BUS_TIMING,
+            Self::Service => SERVICE_TIMING,
+        }
+    }
+}
+
+/// What a request that was carried out comes to.
+pub(super) enum Done {
+    /// Whoever asked was heard.
+    Heard,
+    /// The PLC wrote this image, and its commands take this recipe's values.
+    Image(OutputImage, Option<Recipe>),
+    /// Something that is not followed any further.
+    Unknown,
+}
+
+/// The registers as those on the lines know them.
+pub(super) struct Overheard {
+    /// As the bus reads it.
+    image: [u8; OutputImage::LEN],
+    settings: Record,
+    /// What RESTORE brings back, and DEFAULTS.
+    stored: Record,
+    delivered: Record,
+    /// DEFAULTS was taken; it counts from the end of the turn on.
+    resets: bool,
+    /// SAVE or DEFAULTS was taken.
+    is_saved: bool,
+    bus: Requests,
+    service: Requests,
+}
+
+impl Overheard {
+    /// A bridge that was delivered so, and starts with that.
+    pub(super) fn new(delivered: &Record) -> Self {
+        Self {
+            image: [0; OutputImage::LEN],
+            settings: *delivered,
+            stored: *delivered,
+            delivered: *delivered,
+            resets: false,
+            is_saved: false,
+            bus: Requests::new(BUS_TIMING),
+            service: Requests::new(SERVICE_TIMING),
+        }
+    }
+
+    /// The unit that answers there.
+    pub(super) fn unit(&self, port: Port) -> u8 {
+        match port {
+            Port::Bus => self.setting(UNIT) as u8,
+            Port::Service => 1,
+        }
+    }
+
+    pub(super) fn timeout_ms(&self) -> u32 {
+        self.setting(BUS_TIMEOUT).into()
+    }
+
+    pub(super) fn debounce_ms(&self) -> u32 {
+        self.setting(DEBOUNCE).into()
+    }
+
+    pub(super) fn min_busy_ms(&self) -> u32 {
+        self.setting(MIN_BUSY).into()
+    }
+
+    pub(super) fn frame_timeout_ms(&self) -> u32 {
+        self.setting(HALF_FRAME).into()
+    }
+
+    pub(super) fn recipes(&self) -> [Recipe; RECIPE_COUNT] {
+        std::array::from_fn(|number| {
+            let [width, speed, force, release] =
+                std::array::from_fn(|n| self.setting(FIRST_RECIPE + 4 * number + n));
+            Recipe { width: width as i16, speed, force: force as i16, release_width: release as i16 }
+        })
+    }
+
+    /// What a bridge that starts finds in flash, once a save has ended; none if there was no save.
+    pub(super) fn saved(&self) -> Option<&Record> {
+        self.is_saved.then_some(&self.stored)
+    }
+
+    /// The turn is over.
+    pub(super) fn end_turn(&mut self) -> Done {
+        if !std::mem::take(&mut self.resets) {
+            return Done::Heard;
+        }
+        self.change_settings(|it| {
+            it.settings = it.delivered;
+            it.stored = it.delivered;
+        })
+    }
+
+    fn setting(&self, register: usize) -> u16 {
+        self.settings[register - SETTINGS.start]
+    }
+
+    fn way(&self, port: Port) -> Way {
+        let character_timeout_ms = match port {
+            Port::Bus => self.setting(BUS_CHAR_TIMEOUT),
+            Port::Service => 50,
+        };
+        Way { unit: self.unit(port), character_timeout_us: u32::from(character_timeout_ms) * 1_000 }
+    }
+
+    /// Takes what happened next on a line.
+    pub(super) fn take(&mut self, port: Port, event: &Event) -> Option<Done> {
+        let way = self.way(port);
+        let requests = match port {
+            Port::Bus => &mut self.bus,
+            Port::Service => &mut self.service,
+        };
+        if let Event::Answer(answer) = event {
+            let (request, answer) = requests.answered(answer, way.unit);
+            return Some(self.take_answer(port, &request, answer));
+        }
+        // The service port has no broadcasts, and listens only as well as it likes: what has no answer there does nothing.
+        let has_ended = requests.listen(event, way) && port == Port::Bus;
+        if has_ended { self.unanswered(way.unit) } else { None }
+    }
+
+    /// Something has ended on the bus, and may be what is never answered.
+    fn unanswered(&mut self, unit: u8) -> Option<Done> {
+        if self.bus.request(unit).is_some_and(|pdu| pdu == LISTEN_ONLY) {
+            return Some(Done::Unknown);
+        }
+        if self.setting(BROADCASTS) == 0 {
+            return None;
+        }
+        let pdu = self.bus.request(BROADCAST)?;
+        if !matches!(pdu[0], 5 | 6 | 15 | 16 | 22) {
+            return None;
+        }
+        // Whether a setting was taken shows in no answer.
+        let write = self.write(&pdu);
+        if self.bus.may_go_on() || write.as_ref().is_some_and(|write| !write.is_of_image()) {
+            return Some(Done::Unknown);
+        }
+        Some(self.carry_out(write).unwrap_or(Done::Heard))
+    }
+
+    fn take_answer(&mut self, port: Port, request: &[u8], answer: &[u8]) -> Done {
+        let write = self.write(request);
+        let is_of_image = write.as_ref().is_some_and(Write::is_of_image);
+        let what = || format!("{port:?}: {answer:02X?} to {request:02X?}");
+        if answer[0] & 0x80 == 0 {
+            assert!(port == Port::Bus || !is_of_image, "the service port commands: {}", what());
+            let done = self.carry_out(write);
+            assert!(done.is_some() || !WRITES.contains(&request[0]), "carried out: {}", what());
+            self.check_read(port, request, answer);
+            return done.unwrap_or(Done::Heard);
+        }
+        // Settings are refused while the fingers move as well.
+        assert!(port == Port::Service || !is_of_image, "refused: {}", what());
+        assert!(!is_of_image || answer[1] == ILLEGAL_FUNCTION, "{}", what());
+        Done::Heard
+    }
+
+    /// Holding registers that were read are as they were written.
+    fn check_read(&self, port: Port, request: &[u8], answer: &[u8]) {
+        let [3, a1, a0, ..] = *request else { return };
+        let words = answer[2..].chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+        for (at, value) in (usize::from(u16::from_be_bytes([a1, a0]))..).zip(words) {
+            assert_eq!(Some(value), self.register(port, at), "{port:?}: register {at}");
+        }
+    }
+
+    /// What a holding register reads there.
+    fn register(&self, port: Port, at: usize) -> Option<u16> {
+        let mut image = self.image;
+        if port == Port::Service && self.setting(SWAP_BYTES) != 0 {
+            swap(&mut image);
+        }
+        match image.get(2 * at..2 * at + 2) {
+            Some(pair) => Some(u16::from_be_bytes([pair[0], pair[1]])),
+            None if COMMANDS.contains(&at) => Some(0),
+            None => self.settings.get(at.checked_sub(SETTINGS.start)?).copied(),
+        }
+    }
+
+    /// The write that a request asks for, as the specification draws it; none if it is none, or no good one.
+    fn write(&self, pdu: &[u8]) -> Option<Write> {
+        let word = |high, low| u16::from_be_bytes([high, low]);
+        let words = |bytes: &[u8]| bytes.chunks_exact(2).map(|pair| word(pair[0], pair[1])).collect();
+        let write = match *pdu {
+            [5, a1, a0, value @ (0 | 0xFF), 0] => Write::Coils(word(a1, a0).into(), vec![value != 0]),
+            [6, a1, a0, v1, v0] => Write::Words(word(a1, a0).into(), vec![word(v1, v0)]),
+            [15, a1, a0, q1, q0, count, ref bytes @ ..] => {
+                let quantity = usize::from(word(q1, q0));
+                let bits =
+                    (0..quantity).map(|n| bytes.get(n / 8).is_some_and(|byte| byte >> (n % 8) & 1 != 0));
+                let agrees = usize::from(count) == bytes.len() && bytes.len() == quantity.div_ceil(8);
+                agrees.then(|| Write::Coils(word(a1, a0).into(), bits.collect()))?
+            }
+            [16, a1, a0, q1, q0, count, ref bytes @ ..]
+            | [23, _, _, _, _, a1, a0, q1, q0, count, ref bytes @ ..] => {
+                let agrees =
+                    usize::from(count) == bytes.len() && bytes.len() == 2 * usize::from(word(q1, q0));
+                agrees.then(|| Write::Words(word(a1, a0).into(), words(bytes)))?
+            }
+            [22, a1, a0, and1, and0, or1, or0] => {
+                let (at, and, or) = (usize::from(word(a1, a0)), word(and1, and0), word(or1, or0));
+                let before = self.register(Port::Bus, at)?;
+                Write::Words(at, vec![before & and | or & !and])
+            }
+            _ => return None,
+        };
+        let reads =
+            matches!(*pdu, [23, r1, r0, q1, q0, ..] if !exist(word(r1, r0).into(), word(q1, q0).into()));
+        let (first, count, bits) = match &write {
+            Write::Coils(first, values) => (*first, values.len(), true),
+            Write::Words(first, values) => (*first, values.len(), false),
+        };
+        let is_there =
+            if bits { (1..=64).contains(&count) && first + count <= 64 } else { exist(first, count) };
+        (is_there && !reads).then_some(write)
+    }
+
+    fn carry_out(&mut self, write: Option<Write>) -> Option<Done> {
+        match write? {
+            Write::Coils(first, values) => {
+                for (at, value) in (first..).zip(values) {
+                    let mask = 1 << (at % 8);
+                    self.image[at / 8] =
+                        if value { self.image[at / 8] | mask } else { self.image[at / 8] & !mask };
+                }
+            }
+            Write::Words(first, values) if COMMANDS.contains(&first) => {
+                assert_eq!(values, [COMMAND_KEY], "the key of {first}");
+                return Some(self.command(first));
+            }
+            Write::Words(first, values) if first >= SETTINGS.start => {
+                return Some(self.change_settings(|it| {
+                    it.settings[first - SETTINGS.start..][..values.len()].copy_from_slice(&values);
+                }));
+            }
+            Write::Words(first, values) => {
+                for (pair, value) in self.image.chunks_exact_mut(2).skip(first).zip(values) {
+                    pair.copy_from_slice(&value.to_be_bytes());
+                }
+            }
+        }
+        let mut image = self.image;
+        if self.setting(SWAP_BYTES) != 0 {
+            swap(&mut image);
+        }
+        let recipe = self.recipes().get(usize::from(self.setting(BUS_RECIPE))).copied();
+        Some(Done::Image(OutputImage::from_bytes(image), recipe))
+    }
+
+    /// SAVE, RESTORE or DEFAULTS is taken. Until the first or the last has ended, settings do not change.
+    fn command(&mut self, register: usize) -> Done {
+        assert!(!self.resets, "another command behind DEFAULTS, before it was done");
+        match register {
+            SAVE => self.stored = self.settings,
+            RESTORE => return self.change_settings(|it| it.settings = it.stored),
+            _ => self.resets = true,
+        }
+        self.is_saved = true;
+        Done::Heard
+    }
+
+    fn change_settings(&mut self, change: impl FnOnce(&mut Self)) -> Done {
+        assert!(!self.resets, "settings change behind DEFAULTS, before it was done");
+        let before = self.setting(SWAP_BYTES);
+        change(self);
+        if self.setting(SWAP_BYTES) != before {
+            swap(&mut self.image);
+        }
+        let is_followed = self.setting(BROADCASTS) == 0 || self.way(Port::Bus).is_strict();
+        if is_followed { Done::Heard } else { Done::Unknown }
+    }
+}
+
+/// Functions that write.
+const WRITES: [u8; 6] = [5, 6, 15, 16, 22, 23];
+
+/// Coils or registers from an address on, and what they shall be.
+enum Write {
+    Coils(usize, Vec<bool>),
+    Words(usize, Vec<u16>),
+}
+
+impl Write {
+    fn is_of_image(&self) -> bool {
+        matches!(self, Self::Coils(..) | Self::Words(..4, _))
+    }
+}
+
+/// Whether there are such holding registers, all of one kind.
+fn exist(first: usize, count: usize) -> bool {
+    let last = first + count;
+    let is_in = |range: &std::ops::Range<usize>| range.contains(&first) && last <= range.end;
+    count > 0 && (last <= 4 || is_in(&SETTINGS) || is_in(&COMMANDS))
+}
+
+/// Turns the bytes of WIDTH, SPEED and FORCELIMIT round.
+fn swap(image: &mut [u8; OutputImage::LEN]) {
+    image.chunks_exact_mut(2).skip(1).for_each(<[u8]>::reverse);
+}
