@@ -30,7 +30,7 @@ const README: &str = "\
 wsg-bridge: a bridge between a PLC and a servo gripper of the WSG series.
 It is not a safety device.
 
-Begin with manual.html. Any browser opens it, without a network.
+Begin with manual.html, \"Quick start\". Any browser opens it, without a network.
 
 wsg-bridge.bin       the image: drop it on the drive that the board is over USB
 wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer

@@ -11,9 +11,11 @@ use host_tests::document::{anchor_of, root};
 use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
 
 /// The documents, in the order in which they are read.
-pub(crate) const DOCUMENTS: [&str; 7] = [
+pub(crate) const DOCUMENTS: [&str; 9] = [
+    "quick-start.md",
     "commissioning.md",
     "wiring.md",
+    "service-port.md",
     "registers.md",
     "can.md",
     "grip-cycle.md",

@@ -11,6 +11,7 @@ mod figures;
 mod grip_cycle;
 mod leds;
 mod pointers;
+mod quick_start;
 mod states;
 mod trace_excerpt;
 mod wiring;

@@ -187,7 +187,9 @@ fn status_codes_in_sentences_have_their_numbers() {
     let mut numbered = 0;
     for document in documents.filter(|name| name.ends_with(".md")) {
         let text = read(&document);
-        for (at, _) in text.match_indices("E_") {
+        // Behind a letter it is part of another name.
+        let is_alone = |at: &usize| !text[..*at].ends_with(|c: char| c.is_ascii_alphanumeric() || c == '_');
+        for (at, _) in text.match_indices("E_").filter(|(at, _)| is_alone(at)) {
             let rest = &text[at..];
             let end = rest.find(|c: char| !(c.is_ascii_uppercase() || c == '_')).unwrap_or(rest.len());
             let (symbol, behind) = rest.split_at(end);

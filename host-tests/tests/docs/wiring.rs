@@ -4,7 +4,7 @@ use host_tests::document::{hold, table};
 use host_tests::fault_sweep::Sweep;
 use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Config, RECIPES};
+use wsg_bridge_fw::{Config, RECIPES, Recipe};
 
 /// Each input and what it is for.
 const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
@@ -59,20 +59,27 @@ fn wires() -> String {
 
 fn recipes() -> String {
     let hundredths = |value: i32| format!("{:.1}", f64::from(value) / 100.0);
-    let rows = RECIPES.iter().enumerate().map(|(number, recipe)| {
+    let by_wires = 1 << 2;
+    let row = |number: String, [bit_1, bit_0]: [String; 2], recipe: &Recipe| {
         [
-            number.to_string(),
-            (number >> 1).to_string(),
-            (number & 1).to_string(),
+            number,
+            bit_1,
+            bit_0,
             hundredths(recipe.width.into()),
             hundredths(recipe.speed.into()),
             hundredths(recipe.force.into()),
             hundredths(recipe.release_width.into()),
         ]
+    };
+    let rows = RECIPES.iter().enumerate().take(by_wires).map(|(number, recipe)| {
+        row(number.to_string(), [number >> 1, number & 1].map(|bit| bit.to_string()), recipe)
     });
+    let (last, others) = RECIPES[by_wires..].split_last().unwrap();
+    assert!(others.iter().all(|other| other == last), "one row stands for all of them");
+    let rest = format!("{by_wires} to {}", RECIPES.len() - 1);
     table(
         ["recipe", "`RECIPE1`", "`RECIPE0`", "width, mm", "speed, mm/s", "force, N", "release width, mm"],
-        rows,
+        rows.chain([row(rest, Default::default(), last)]),
     )
 }
 

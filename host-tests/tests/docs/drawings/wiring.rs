@@ -37,6 +37,9 @@ const LINES: [(&str, &str, &str, &str); 3] = [
     ("### CAN", "CAN", "transceiver 3.3 V", "PLC or gripper, CAN"),
 ];
 
+/// Where the pins of the service port are in the document.
+const SERVICE_PORT: &str = "## The service port";
+
 const BOX: &str = "fill=\"#eef3fa\" stroke=\"#446\" stroke-width=\"1.5\"";
 const PART: &str = "fill=\"#fff\" stroke=\"#889\"";
 const WIRE: &str = "fill=\"none\" stroke=\"#444\" stroke-width=\"1.2\"";
@@ -116,6 +119,26 @@ fn draw() -> String {
         svg.text((middle(FAR), centre + 5), Anchor::Middle, "font-size=\"12\" font-weight=\"bold\"", far);
         y += 32;
     }
+    // Without a transceiver: the cable is the board's.
+    let first = y + ROW;
+    for pin in pins(SERVICE_PORT) {
+        y += ROW;
+        svg.text((BOARD.1 - 8, y + 4), Anchor::End, PIN, &pin.connector);
+        svg.text((BOARD.1 - 45, y + 4), Anchor::End, PIN, &pin.mcu);
+    }
+    let centre = i32::midpoint(first, y);
+    svg.path(
+        &format!("M{} {centre}H{}", BOARD.1, FAR.0),
+        &format!("{WIRE} marker-start=\"url(#arrow)\" marker-end=\"url(#arrow)\""),
+    );
+    svg.text((middle(TRANSCEIVER), centre - 6), Anchor::Middle, SMALL, "USB cable");
+    block(&mut svg, FAR, centre - 20, 40, BOX);
+    svg.text(
+        (middle(FAR), centre + 5),
+        Anchor::Middle,
+        "font-size=\"12\" font-weight=\"bold\"",
+        "computer, service",
+    );
     svg.finish()
 }
 
