@@ -8,6 +8,8 @@
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
+use crate::document::read;
+
 /// The environment variable that says where the Python is that has them.
 pub const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
 
@@ -48,6 +50,42 @@ pub fn node(script: &str, arguments: &[&str]) -> Output {
 pub fn mbpoll(arguments: &[&str]) -> Output {
     let run = Command::new("mbpoll").args(arguments).output();
     run.unwrap_or_else(|error| panic!("mbpoll does not start ({error}): run `cargo xtask test`"))
+}
+
+/// `mbpoll` asks again where this machine was too busy; `sleep` waits for the end of a motion instead, as long as that takes.
+const PASTED_BEFORE: &str = r#"
+mbpoll() {
+  for again in 1 2 3 4 5; do
+    said=$(command mbpoll -o 5 "$@" 2>&1)
+    case $said in
+    *"timed out"* | *"Invalid CRC"*) ;;
+    *) printf '%s\n' "$said"; return ;;
+    esac
+  done
+  printf '%s\n' "$said"
+}
+sleep() {
+  while status=$(WAIT) && case $status in *26*) ;; *) false ;; esac; do :; done
+}
+"#;
+
+/// Pastes the commands of a document into a shell: those blocks that have `word` in them, as they are, but for `changes`. `status`
+/// reads the status code. Returns what was said.
+///
+/// # Panics
+/// When the document has no such block, a change finds nothing, or there is no shell.
+#[must_use]
+pub fn paste(document: &str, word: &str, changes: &[(&str, &str)], status: &str) -> String {
+    let text = read(document);
+    let blocks = text.split("```sh\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let mut pasted: String = blocks.filter(|block| block.contains(word)).collect();
+    assert!(!pasted.is_empty(), "{document} has no block with {word}");
+    for (from, to) in changes {
+        assert!(pasted.contains(from), "{document} has no {from}");
+        pasted = pasted.replace(from, to);
+    }
+    let script = format!("{}{pasted}", PASTED_BEFORE.replace("WAIT", status));
+    said(&Command::new("sh").args(["-c", &script]).output().expect("there is a shell"))
 }
 
 /// What a program said, on either output.

@@ -6,7 +6,7 @@
 //! where it finds or can install them, and says NOT CHECKED otherwise.
 
 use host_tests::example;
-use host_tests::masters::{mbpoll, node, python, said};
+use host_tests::masters::{mbpoll, node, paste, python, said};
 use std::net::SocketAddr;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
@@ -158,6 +158,19 @@ assert client.execute(1, cst.READ_DISCRETE_INPUTS, 28, 1) == (1,), "FAST STOP"
 fn jsmodbus_runs_a_grip_cycle_over_tcp() {
     let (_served, address) = gripper();
     assert_done(&node(include_str!("jsmodbus.js"), &["tcp", &address.port().to_string()]));
+}
+
+#[test]
+#[ignore = "needs mbpoll: see the top of this file"]
+fn mbpoll_commands_of_the_document_grip_when_pasted() {
+    let (_gripper, address) = gripper();
+    let port = format!("-p {}", address.port());
+    let status = format!("mbpoll -0 -1 -q {port} -t 3 -r 5 -c 1 127.0.0.1");
+    let said = paste("docs/simulator.md", "mbpoll", &[("-p 1502", &port)], &status);
+    // A part of 20 mm is between the fingers; the document has one of 22 mm.
+    for answer in ["[0]: \t0x1000", "[1]: \t0x0500", "[4]: \t0x0FA0", "[5]: \t0x0000"] {
+        assert!(said.contains(answer), "{answer}: {said}");
+    }
 }
 
 #[test]

@@ -75,3 +75,32 @@ fn mbpoll_reads_and_sets_over_the_service_port_beside_canopen() {
     let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF_CAN_PLC"), extras).unwrap();
     reads_and_sets(board, "CANopen");
 }
+
+#[test]
+#[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
+fn mbpoll_commands_of_the_documents_work_when_pasted() {
+    let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
+    let trace = Trace::new(vec![]);
+    let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), Config::default(), &trace).unwrap();
+    let terminal = Terminal::to(board.take_service_line().unwrap()).unwrap();
+    let answers = (0..50)
+        .map(|_| poll(&terminal, &["-t", "3", "-r", "107", "-c", "1"], &[]))
+        .any(|it| it.contains("\t2"));
+    assert!(answers, "the gripper does not answer");
+    let here = [("/dev/ttyACM0", terminal.path.as_str())];
+
+    let said = masters::paste("docs/quick-start.md", "$M", &here, "");
+    for answer in ["[107]: \t2", "[174]: \t2", "[133]: \t"] {
+        assert!(said.contains(answer), "{answer}: {said}");
+    }
+    assert_eq!(said.matches("Written 1 references").count(), 8, "{said}");
+
+    let said = masters::paste("docs/service-port.md", "$M", &here, "");
+    for answer in
+        ["[0]: \t", "[134]: \t", "[108]: \t", "Written 4 references", "Written 1 references", "[100]: \t5"]
+    {
+        assert!(said.contains(answer), "{answer}: {said}");
+    }
+    assert_eq!(motions(&trace.since(0)), []);
+    drop(gripper);
+}
