@@ -13,7 +13,7 @@ use wsg_bridge_fw::can::{
     NullNode, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::registers::{EventCode, FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
+use wsg_bridge_fw::registers::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
 use wsg_bridge_fw::{Bridge, ControlSource};
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
@@ -466,10 +466,6 @@ fn bus_off_is_told_when_it_is_over() {
     master.pass(2_000);
     let codes: Vec<u16> = master.emergencies().into_iter().map(|(code, _)| code).collect();
     assert!(codes.contains(&0x8140), "{codes:04X?}");
-    let events =
-        (1..=16).map(|number| master.read_u16(REPORTS_INDEX, report(&format!("EVENT{number}_CODE"))));
-    let events: Vec<u16> = events.collect();
-    assert!(events.contains(&(EventCode::BusOff as u16)), "{events:?}");
     assert_eq!(master.read_u16(0x2002, 4), 1);
     assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_BUS_OFFS")), 1);
     assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_STATE")), 0, "it is back");
@@ -807,20 +803,6 @@ fn rpdo_that_is_disabled_commands_nothing_and_stops_what_it_commanded() {
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
     assert_eq!(master.take_motions(), [CommandId::PrePosition]);
-}
-
-#[test]
-fn emergency_and_error_field_carry_the_cause() {
-    let mut master = Master::homed(None, 10.0);
-    master.take(0x080);
-    master.command(Cmd::FASTSTOP);
-    master.pass(200);
-    let emergency = master.take(0x080).remove(0).1;
-    let cause = EventCode::BusFlag as u8;
-    assert_eq!((emergency[0], emergency[1], emergency[7]), (0x01, 0xFF, cause));
-    let field = master.upload(0x1003, 1, Theirs::Unsigned32);
-    assert_eq!(field, Ok(Value::Unsigned32(u32::from(cause) << 16 | 0xFF01)));
-    assert_eq!(master.read_u16(REPORTS_INDEX, report("FAST_STOP_CAUSE")), u16::from(cause));
 }
 
 #[test]

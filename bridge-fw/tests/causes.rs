@@ -1,0 +1,524 @@
+//! Every event of the table is provoked once, on a station with the PLC on Modbus and on one with it on CANopen, and read back
+//! over that bus, by EMCY and its error field, and over the service port.
+
+use std::collections::BTreeSet;
+
+use bus_slcan::ClassicFrame;
+use canopen_rs::{Address, DataType, Value, sdo};
+use embedded_can::{Frame, Id, StandardId};
+use host_tests::can_bench::Double;
+use host_tests::flash_model::{Fault as FlashFault, FlashModel};
+use host_tests::rtu_double::RtuDouble;
+use host_tests::serial_gripper::SerialGripper;
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, REPORTS_INDEX};
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::registers::{
+    COMMAND_KEY, EVENTS, EventCode, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS,
+};
+use wsg_bridge_fw::storage::{Progress, Store};
+use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_protocol::fieldbus::CommandFlags as Cmd;
+use wsg_protocol::{CommandId, Instant, Status};
+use wsg_sim::{Fault, Finger, Jaw, Part, Time};
+
+/// 10.00 mm, 20.00 mm/s, 40.00 N.
+const SLOWLY: [u16; 3] = [10_00, 20_00, 40_00];
+
+/// A station, its gripper, and a PLC that writes its image again and again.
+struct Plant {
+    plc_bus: PlcBus,
+    station: Station<Double>,
+    gripper: SerialGripper,
+    flash: FlashModel,
+    modbus: RtuDouble,
+    service: RtuDouble,
+    can: Double,
+    inputs: Inputs,
+    now_ms: u32,
+    /// CMDFLAGS, WIDTH, SPEED, FORCELIMIT.
+    image: (Cmd, [u16; 3]),
+    talks: bool,
+    /// What the bridge said on CAN.
+    heard: Vec<(u16, Vec<u8>)>,
+}
+
+impl Plant {
+    fn new(config: Config, gripper: wsg_sim::Config, flash: FlashModel) -> Self {
+        Self::with_gripper(config, SerialGripper::new(gripper), flash, 0)
+    }
+
+    fn with_gripper(delivered: Config, gripper: SerialGripper, flash: FlashModel, now_ms: u32) -> Self {
+        let can = Double::default();
+        let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT));
+        let config = station.load(&delivered.record(), &flash).unwrap();
+        station.start(&config, Board::UNKNOWN, ResetCause::Watchdog);
+        let mut plant = Self {
+            plc_bus: config.plc_bus,
+            station,
+            gripper,
+            flash,
+            modbus: RtuDouble::default(),
+            service: RtuDouble::default(),
+            can,
+            inputs: Inputs::FAST_STOP_OK,
+            now_ms,
+            image: (Cmd::empty(), [0; 3]),
+            talks: false,
+            heard: Vec::new(),
+        };
+        plant.pass(500);
+        plant.talks = true;
+        plant.bring(0, &[1, DEFAULT_NODE.node]);
+        plant.write(Cmd::empty(), [0; 3]);
+        plant
+    }
+
+    fn ready(plc_bus: PlcBus, gripper: wsg_sim::Config) -> Self {
+        Self::new(Config { plc_bus, ..Config::DEFAULT }, gripper, FlashModel::new())
+    }
+
+    /// With referenced fingers, by the bus.
+    fn homed(plc_bus: PlcBus, gripper: wsg_sim::Config) -> Self {
+        let mut plant = Self::ready(plc_bus, gripper);
+        plant.command(Cmd::HOMING, [0; 3]);
+        plant
+    }
+
+    /// In the middle of a MOVE of the bus.
+    fn moving(plc_bus: PlcBus) -> Self {
+        let mut plant = Self::homed(plc_bus, wsg_sim::Config::default());
+        plant.write(Cmd::MOVE, SLOWLY);
+        plant.pass(300);
+        plant
+    }
+
+    fn with_fault(plc_bus: PlcBus, fault: Fault) -> Self {
+        let fingers = [Finger::Fmf, Finger::Fmf];
+        let mut plant = Self::homed(plc_bus, wsg_sim::Config { fingers, ..quick() });
+        let now = Time::from_millis(plant.now_ms.into());
+        plant.gripper.gripper.set_fault(fault, true, now);
+        plant.pass(100);
+        plant
+    }
+
+    /// The bridge alone is reset.
+    fn reset(self) -> Self {
+        let config = Config { plc_bus: self.plc_bus, ..Config::DEFAULT };
+        Self::with_gripper(config, self.gripper, self.flash, self.now_ms)
+    }
+
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            self.now_ms += 1;
+            if self.talks && self.now_ms.is_multiple_of(50) {
+                self.send_image();
+            }
+            let Self { station, gripper, flash, modbus, service, inputs, now_ms, .. } = self;
+            station.turn(*now_ms, *inputs, &mut gripper.line, modbus, service, flash);
+            gripper.advance(Time::from_millis((*now_ms).into()));
+            while let Some(frame) = self.can.take_winner() {
+                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
+                self.heard.push((id.as_raw(), frame.data().to_vec()));
+            }
+        }
+    }
+
+    fn bring(&mut self, id: u16, data: &[u8]) {
+        if self.plc_bus == PlcBus::Canopen {
+            self.can.bring(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+        }
+    }
+
+    fn send_image(&mut self) {
+        let (flags, numbers) = self.image;
+        match self.plc_bus {
+            PlcBus::Canopen => {
+                let mut data = vec![flags.bits(), 0];
+                data.extend(numbers.into_iter().flat_map(u16::to_le_bytes));
+                self.bring(0x200 | u16::from(DEFAULT_NODE.node), &data);
+            }
+            _ => {
+                let mut request = vec![1, 16, 0, 0, 0, 4, 8, flags.bits(), 0];
+                request.extend(numbers.into_iter().flat_map(u16::to_be_bytes));
+                self.modbus.ask(&request);
+            }
+        }
+    }
+
+    /// Writes the output image over the bus.
+    fn write(&mut self, flags: Cmd, numbers: [u16; 3]) {
+        self.image = (flags, numbers);
+        self.send_image();
+        self.pass(5);
+    }
+
+    /// An edge, and the end of what it began.
+    fn command(&mut self, flags: Cmd, numbers: [u16; 3]) {
+        self.write(flags, numbers);
+        self.write(Cmd::empty(), numbers);
+        for _ in 0..2_000 {
+            if self.over_service(4, 5, 1) != [Status::CmdPending.code()] {
+                return;
+            }
+            self.pass(10);
+        }
+        panic!("the command does not end");
+    }
+
+    fn pulse(&mut self, wire: Inputs) {
+        self.inputs |= wire;
+        self.pass(10);
+        self.inputs -= wire;
+        self.pass(10);
+    }
+
+    fn cut(&mut self) {
+        self.gripper.to_bridge = Some(Box::new(Vec::clear));
+    }
+
+    /// FC 3 or 4 over the service port.
+    fn over_service(&mut self, function: u8, first: u16, count: u8) -> Vec<u16> {
+        let [high, low] = first.to_be_bytes();
+        self.service.ask(&[1, function, high, low, 0, count]);
+        self.pass(5);
+        registers(&self.service.answer().expect("the service port answers"), count)
+    }
+
+    /// FC 6 over the service port.
+    fn set(&mut self, address: u16, value: u16) {
+        let request = [&[1, 6][..], &address.to_be_bytes(), &value.to_be_bytes()].concat();
+        self.service.ask(&request);
+        self.pass(5);
+        assert_eq!(self.service.answer().unwrap()[..6], request, "taken");
+    }
+
+    /// Reports over the PLC's bus.
+    fn over_bus(&mut self, first: u16, count: u8) -> Vec<u16> {
+        if self.plc_bus == PlcBus::Canopen {
+            let sub = u8::try_from(first - FIRST_REPORT + 1).unwrap();
+            let kind = DataType::Unsigned16;
+            let values = (sub..sub + count).map(|sub| self.upload(REPORTS_INDEX, sub, kind));
+            return values.map(|value| u16::try_from(value).unwrap()).collect();
+        }
+        let [high, low] = first.to_be_bytes();
+        // Not while an image is on its way.
+        let talks = std::mem::take(&mut self.talks);
+        self.pass(5);
+        self.modbus.ask(&[1, 4, high, low, 0, count]);
+        self.pass(5);
+        self.talks = talks;
+        registers(&self.modbus.answer().expect("the bus answers"), count)
+    }
+
+    /// An SDO upload.
+    fn upload(&mut self, index: u16, sub: u8, kind: DataType) -> u32 {
+        let node = u16::from(DEFAULT_NODE.node);
+        self.heard.retain(|(id, _)| *id != 0x580 | node);
+        self.bring(0x600 | node, &sdo::encode_upload_request(Address::new(index, sub)));
+        self.pass(5);
+        let answer = self.heard.iter().find(|(id, _)| *id == 0x580 | node).expect("an SDO answer");
+        let answer: &[u8; 8] = answer.1[..].try_into().unwrap();
+        match sdo::decode_upload_expedited_response(answer, kind).unwrap().1 {
+            Value::Unsigned8(value) => value.into(),
+            Value::Unsigned16(value) => value.into(),
+            Value::Unsigned32(value) => value,
+            other => panic!("{index:X}h sub {sub}: {other:?}"),
+        }
+    }
+
+    /// Code and cause of each EMCY.
+    fn emergencies(&self) -> Vec<(u16, u8)> {
+        let id = 0x080 | u16::from(DEFAULT_NODE.node);
+        let frames = self.heard.iter().filter(|(other, _)| *other == id);
+        frames.map(|(_, data)| (u16::from_le_bytes([data[0], data[1]]), data[7])).collect()
+    }
+
+    /// Code and cause of each entry of 1003h.
+    fn error_field(&mut self) -> Vec<(u16, u8)> {
+        let count = self.upload(0x1003, 0, DataType::Unsigned8);
+        let entries = (1..=count).map(|sub| self.upload(0x1003, sub as u8, DataType::Unsigned32));
+        entries.map(|entry| (entry as u16, (entry >> 16) as u8)).collect()
+    }
+}
+
+/// The registers of an answer to FC 3 or 4.
+fn registers(answer: &[u8], count: u8) -> Vec<u16> {
+    assert_eq!((answer[0], answer[2]), (1, 2 * count), "{answer:02X?}");
+    answer[3..]
+        .chunks_exact(2)
+        .take(count.into())
+        .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
+        .collect()
+}
+
+/// A gripper whose fingers travel ten times as fast.
+fn quick() -> wsg_sim::Config {
+    wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
+}
+
+fn setting(name: &str) -> u16 {
+    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).expect("a setting") as u16
+}
+
+fn report(name: &str) -> u16 {
+    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).expect("a report") as u16
+}
+
+/// Flash with a record of a later firmware.
+fn of_later_firmware(record: &Record) -> FlashModel {
+    let mut flash = FlashModel::new();
+    let mut store = Store::<400>::new();
+    let _ = store.load(&flash);
+    let bytes: Vec<u8> = record.iter().flat_map(|word| word.to_le_bytes()).collect();
+    store.begin(u16::MAX, &bytes).unwrap();
+    while store.poll(&mut flash, Instant::from_millis(0)) == Progress::Saving {}
+    flash
+}
+
+/// What is told of an event.
+struct Told {
+    code: EventCode,
+    command: Option<CommandId>,
+    value: u16,
+    /// ERROR_CAUSE; none: ERROR is low.
+    error: Option<EventCode>,
+    /// EMCY's code and the ERROR_CAUSE in it, of those that CANopen has an EMCY for.
+    emergency: Option<(u16, Option<EventCode>)>,
+}
+
+/// Provokes the event on a station with its PLC on this bus.
+type Provoke = fn(PlcBus) -> Plant;
+
+const MOVED: Option<CommandId> = Some(CommandId::PrePosition);
+const FAST_STOP: u16 = 0xFF01;
+
+/// A FAST STOP that the bridge asks for is told by EMCY with its cause.
+const fn fast_stop(code: EventCode, command: Option<CommandId>, value: u16) -> Told {
+    Told { code, command, value, error: Some(code), emergency: Some((FAST_STOP, Some(code))) }
+}
+
+/// A fault, told by EMCY with this code. ERROR may have another cause.
+const fn fault(code: EventCode, emergency: u16, error: EventCode) -> Told {
+    Told { emergency: Some((emergency, Some(error))), error: Some(error), ..refusal(code, None, 0) }
+}
+
+/// A command that came to nothing: no fault, hence no EMCY.
+const fn refusal(code: EventCode, command: Option<CommandId>, value: u16) -> Told {
+    Told { code, command, value, error: Some(code), emergency: None }
+}
+
+fn causes() -> Vec<(Told, Provoke)> {
+    use EventCode as E;
+    vec![
+        (Told { error: None, ..refusal(E::Start, None, ResetCause::Watchdog as u16) }, |bus| {
+            Plant::ready(bus, quick())
+        }),
+        (fast_stop(E::Wire, MOVED, 0), |bus| {
+            let mut plant = Plant::moving(bus);
+            plant.inputs -= Inputs::FAST_STOP_OK;
+            plant.pass(200);
+            plant
+        }),
+        (fast_stop(E::BusFlag, MOVED, 0), |bus| {
+            let mut plant = Plant::moving(bus);
+            plant.write(Cmd::FASTSTOP, SLOWLY);
+            plant.pass(200);
+            plant
+        }),
+        (fast_stop(E::ParameterChanged, MOVED, 11_00), |bus| {
+            let mut plant = Plant::moving(bus);
+            plant.write(Cmd::MOVE, [11_00, 20_00, 40_00]);
+            plant.pass(200);
+            plant
+        }),
+        (fast_stop(E::OutsideLimits, None, 60_000), |bus| {
+            let mut plant = Plant::homed(bus, quick());
+            plant.write(Cmd::GRIP, [20_00, 60_000, 40_00]);
+            plant.pass(200);
+            plant
+        }),
+        (fast_stop(E::PlcSilent, MOVED, 0), |bus| {
+            let mut plant = Plant::moving(bus);
+            plant.command(Cmd::STOP_ACK, SLOWLY);
+            plant.set(setting("BUS_REACTION"), 2);
+            plant.write(Cmd::MOVE, [60_00, 20_00, 40_00]);
+            plant.talks = false;
+            plant.pass(1_500);
+            plant
+        }),
+        (fast_stop(E::StopFailed, None, Status::Timeout.code()), |bus| {
+            let mut plant = Plant::moving(bus);
+            plant.cut();
+            plant.write(Cmd::STOP_ACK, SLOWLY);
+            plant.pass(200);
+            plant
+        }),
+        (fast_stop(E::ConnectionLost, MOVED, 0), |bus| {
+            let mut plant = Plant::homed(bus, wsg_sim::Config::default());
+            plant.write(Cmd::JOG_MINUS, SLOWLY);
+            plant.pass(300);
+            plant.cut();
+            plant.pass(1_500);
+            plant
+        }),
+        (fault(E::GripperFastStop, FAST_STOP, E::GripperFastStop), |bus| {
+            Plant::with_fault(bus, Fault::MotorCurrent)
+        }),
+        (fault(E::CurrFault, 0x2000, E::GripperFastStop), |bus| Plant::with_fault(bus, Fault::MotorCurrent)),
+        (fault(E::TempFault, 0x4200, E::GripperFastStop), |bus| {
+            Plant::with_fault(bus, Fault::OverTemperature)
+        }),
+        (fault(E::PowerFault, 0x3000, E::GripperFastStop), |bus| {
+            Plant::with_fault(bus, Fault::SupplyOutOfRange)
+        }),
+        (fault(E::FingerFault, 0x7000, E::FingerFault), |bus| {
+            Plant::with_fault(bus, Fault::FingerShortCircuit(Jaw::One))
+        }),
+        (fault(E::GripperSilent, 0xFF02, E::GripperSilent), |bus| {
+            let mut plant = Plant::homed(bus, quick());
+            plant.cut();
+            plant.pass(3_000);
+            plant
+        }),
+        (Told { error: Some(E::GripperSilent), ..refusal(E::NotConnected, None, 0) }, |bus| {
+            let mut plant = Plant::homed(bus, quick());
+            plant.cut();
+            plant.pass(3_000);
+            plant.write(Cmd::empty(), SLOWLY);
+            plant.write(Cmd::MOVE, SLOWLY);
+            plant
+        }),
+        (Told { error: Some(E::BusFlag), ..refusal(E::FastStopLasts, None, 0) }, |bus| {
+            let mut plant = Plant::homed(bus, quick());
+            plant.write(Cmd::FASTSTOP, SLOWLY);
+            plant.pass(50);
+            plant.write(Cmd::empty(), SLOWLY);
+            plant.write(Cmd::MOVE, SLOWLY);
+            plant
+        }),
+        (refusal(E::MotionRuns, MOVED, 0), |bus| {
+            let mut plant = Plant::moving(bus);
+            plant.write(Cmd::MOVE | Cmd::RELEASE, SLOWLY);
+            plant
+        }),
+        (refusal(E::NotReady, None, 0), |bus| {
+            // The fingers stand soon, and BUSY is high for longer.
+            let mut plant = Plant::homed(bus, quick());
+            plant.set(setting("MIN_BUSY"), 10_000);
+            plant.pulse(Inputs::MOVE);
+            plant.pass(3_000);
+            plant.pulse(Inputs::MOVE);
+            plant
+        }),
+        (refusal(E::PartHeld, None, 0), |bus| {
+            let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
+            let mut plant = Plant::homed(bus, gripper);
+            plant.command(Cmd::GRIP, [20_00, 50_00, 40_00]);
+            plant.write(Cmd::MOVE, [20_00, 50_00, 40_00]);
+            plant
+        }),
+        (refusal(E::Refused, MOVED, Status::NotInitialized.code()), |bus| {
+            let mut plant = Plant::ready(bus, quick());
+            plant.write(Cmd::MOVE, [20_00, 50_00, 40_00]);
+            plant.pass(100);
+            plant
+        }),
+        (Told { error: Some(E::GripperSilent), ..refusal(E::Unanswered, MOVED, 0) }, |bus| {
+            let mut plant = Plant::moving(bus);
+            plant.cut();
+            plant.pass(3_000);
+            plant
+        }),
+        (Told { error: Some(E::GripperSilent), ..refusal(E::Withdrawn, MOVED, 0) }, |bus| {
+            // A motion waits in the session for the width after the last one, and the line is cut.
+            let mut plant = Plant::homed(bus, quick());
+            let mut is_cut = false;
+            let done = [0xAA, 0xAA, 0xAA, CommandId::PrePosition.code(), 2, 0, 0, 0];
+            plant.gripper.to_bridge = Some(Box::new(move |bytes| {
+                if is_cut {
+                    bytes.clear();
+                }
+                is_cut |= bytes.windows(done.len()).any(|frame| frame == done);
+            }));
+            plant.command(Cmd::MOVE, [60_00, 50_00, 40_00]);
+            plant.write(Cmd::MOVE, SLOWLY);
+            plant.pass(1_000);
+            plant
+        }),
+        (refusal(E::MovedAtStart, None, 0), |bus| Plant::moving(bus).reset()),
+        (Told { error: None, emergency: Some((0x8130, None)), ..refusal(E::BusSilent, None, 1) }, |bus| {
+            let mut plant = Plant::moving(bus);
+            plant.talks = false;
+            plant.pass(2_000);
+            plant
+        }),
+        (fault(E::BusOff, 0x8140, E::GripperSilent), |plc_bus| {
+            // Somebody has to be on CAN: a gripper that does not answer.
+            let config = Config { plc_bus, gripper_line: GripperLine::Can, ..Config::DEFAULT };
+            let mut plant = Plant::new(config, quick(), FlashModel::new());
+            plant.can.go_off(0);
+            plant.pass(1_000);
+            plant
+        }),
+        (refusal(E::SettingsRefused, None, 3), |plc_bus| {
+            let config = Config { plc_bus, ..Config::DEFAULT };
+            Plant::new(config, quick(), of_later_firmware(&config.record()))
+        }),
+        (Told { error: None, ..refusal(E::SaveFailed, None, 0) }, |bus| {
+            let mut plant = Plant::homed(bus, quick());
+            plant.flash.fault = Some(FlashFault::Protected);
+            plant.set(FIRST_COMMAND, COMMAND_KEY);
+            plant.pass(1_000);
+            plant
+        }),
+    ]
+}
+
+#[test]
+fn every_cause_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
+    let mut provoked = BTreeSet::new();
+    for (told, provoke) in causes() {
+        for plc_bus in [PlcBus::Modbus, PlcBus::Canopen] {
+            assert_told(&told, &mut provoke(plc_bus), plc_bus);
+        }
+        provoked.insert(told.code as u8);
+    }
+    let missing: Vec<&str> = EVENTS
+        .iter()
+        .filter(|event| !provoked.contains(&(event.code as u8)))
+        .map(|event| event.name)
+        .collect();
+    assert!(missing.is_empty(), "never provoked: {missing:?}");
+}
+
+/// The event is told over this bus and the service port, and both tell the same.
+fn assert_told(told: &Told, plant: &mut Plant, plc_bus: PlcBus) {
+    let what = format!("{:?} with {plc_bus:?}", told.code);
+    let (first, last) = (report("ERROR_CAUSE"), report("EVENT16_AGE"));
+    let count = (last - first + 1) as u8;
+    let by_service = plant.over_service(4, first, count);
+    let by_bus = plant.over_bus(first, count);
+    let is_age = |at: usize| REPORTS[usize::from(first - FIRST_REPORT) + at].name.ends_with("_AGE");
+    for (at, pair) in by_service.iter().zip(&by_bus).enumerate() {
+        assert!(is_age(at) || pair.0 == pair.1, "{what}: register {}: {pair:?}", usize::from(first) + at);
+    }
+
+    let at = |name: &str| usize::from(report(name) - first);
+    let event = [told.code as u16, told.command.map_or(0, |id| id.code().into()), told.value];
+    let ring = by_bus[at("EVENT1_CODE")..].chunks_exact(4).take_while(|event| event[0] != 0);
+    let ring: Vec<_> = ring.map(|event| event[..3].to_vec()).collect();
+    assert!(ring.contains(&event.to_vec()), "{what}: {ring:?}");
+    assert_eq!(usize::from(by_bus[at("EVENTS")]), ring.len(), "{what}: {ring:?}");
+    let error = told.error.map_or(0, |code| code as u16);
+    assert_eq!(by_bus[at("ERROR_CAUSE")], error, "{what}: {ring:?}");
+    if matches!(told.emergency, Some((FAST_STOP, _))) {
+        assert_eq!(by_bus[at("FAST_STOP_CAUSE")..][..3], event, "{what}");
+    }
+    if let (PlcBus::Canopen, Some((code, cause))) = (plc_bus, told.emergency) {
+        let emergency = (code, cause.map_or(0, |code| code as u8));
+        let emergencies = plant.emergencies();
+        assert!(emergencies.contains(&emergency), "{what}: {emergencies:04X?}");
+        let field = plant.error_field();
+        assert!(field.contains(&emergency), "{what}: {field:04X?}");
+    }
+}
