@@ -379,22 +379,22 @@ impl Bridge {
     /// Subscribes to what only registers show.
     fn measure(&mut self) {
         if !core::mem::replace(&mut self.is_measured, true) {
-            let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
-            self.session.subscribe(Topic::Width, update);
-            self.session.subscribe(Topic::Force, update);
+            self.ask_for_measured();
         }
     }
 
-    /// Asks for width and force at the end of a motion, for a bus.
+    /// Subscribes to width and force, be it again: the gripper is asked for both as soon as the line has nothing more urgent.
+    fn ask_for_measured(&mut self) {
+        let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
+        self.session.subscribe(Topic::Width, update);
+        self.session.subscribe(Topic::Force, update);
+    }
+
+    /// Asks for width and force at the end of a motion, for a bus. No request: a motion that the PLC asks for now does not
+    /// wait for the answers.
     fn follow_motion(&mut self, now: Instant, image: &InputImage) {
-        if !self.is_measured || !self.facts.motion_end.look(now, image) {
-            return;
-        }
-        let update = AutoUpdate::once();
-        for command in [Command::GetOpeningWidth { update }, Command::GetForce { update }] {
-            if self.session.request(command).is_err() {
-                self.facts.motion_end.done(command.id());
-            }
+        if self.is_measured && self.facts.motion_end.look(now, image) {
+            self.ask_for_measured();
         }
     }
 

@@ -962,19 +962,21 @@ fn its_own_frames_are_those_that_it_sends() {
 
 #[test]
 fn frames_that_will_not_leave_are_sent_anew() {
+    const PDOS: [u16; 2] = [0x180, 0x280];
     let mut master = Master::homed(None, 10.0);
     master.pass(200);
-    // The controller refuses one: without a change the next is due 100 ms after it.
-    master.bench.double().refuse(true);
-    let refused = (0..150).any(|_| {
-        master.pass(1);
-        master.bench.bus().counters().refused > 0
-    });
-    assert!(refused);
-    master.bench.double().refuse(false);
     master.take(0x180);
+    while master.take(0x180).is_empty() {
+        master.pass(1);
+    }
+    // The controller refuses the next ones: without a change they are due 100 ms after these, and then in 100 ms more.
+    master.bench.double().refuse(true);
+    PDOS.map(|pdo| master.take(pdo));
+    master.pass(120);
+    assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [0, 0]);
+    master.bench.double().refuse(false);
     master.pass(5);
-    assert!(!master.take(0x180).is_empty());
+    assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [1, 1]);
 }
 
 #[test]

@@ -267,6 +267,39 @@ fn end_of_a_motion_comes_with_the_width_and_force_from_after_it() {
 }
 
 #[test]
+fn motion_that_is_asked_for_at_the_end_of_another_leaves_at_once_whatever_becomes_of_the_answers() {
+    /// Turns from the write to the motion, so long after the end of a grip; from the end on answers are lost for so long.
+    fn turns_to_leave(after_ms: u32, lost_ms: u32) -> u32 {
+        let mut bench = Bench::homed(with_part());
+        bench.write(0, &[u16::from(GRIP) << 8, 20_00, 50_00, 40_00]);
+        bench.write(0, &[0, 20_00, 50_00, 40_00]);
+        assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::HOLDING)));
+        for ms in 0..after_ms {
+            bench.set_cut(ms < lost_ms);
+            bench.pass(1);
+        }
+        bench.take_sent();
+        let release = [16, 0, 0, 0, 4, 8, RELEASE, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0];
+        bench.send_raw(&Bench::frame(1, &release));
+        (1..100)
+            .find(|_| {
+                bench.pass(1);
+                bench.take_sent().contains(&CommandId::ReleasePart)
+            })
+            .expect("the motion leaves")
+    }
+
+    let at_rest = turns_to_leave(100, 0);
+    for after_ms in 0..15 {
+        assert_eq!(turns_to_leave(after_ms, 0), at_rest, "{after_ms} ms behind the end");
+        for lost_ms in 1..=after_ms {
+            let turns = turns_to_leave(after_ms, lost_ms);
+            assert_eq!(turns, at_rest, "{after_ms} ms behind the end, {lost_ms} ms of answers lost");
+        }
+    }
+}
+
+#[test]
 fn what_went_wrong_is_answered_in_the_turn_in_which_the_wires_show_it() {
     let blocked = || {
         let mut bench = Bench::homed(with_part());

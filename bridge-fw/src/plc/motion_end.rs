@@ -22,7 +22,7 @@ pub(crate) struct MotionEnd {
     motion: Option<InputImage>,
     /// When width and force were asked for, after the motion.
     asked_at: Option<Instant>,
-    /// Which of [`MEASURED`] has not been answered.
+    /// Which of [`MEASURED`] has not been reported since.
     awaited: [bool; MEASURED.len()],
 }
 
@@ -59,19 +59,12 @@ impl MotionEnd {
         true
     }
 
-    /// Takes what the session noticed.
+    /// Takes what the session noticed. A value that comes behind the end is from after it, be it an update: the gripper sends in
+    /// the order in which it measures.
     pub(crate) fn see(&mut self, event: &Event<'_>) {
-        match event {
-            Event::Answered(reply) => self.done(reply.id()),
-            Event::Unanswered(id) | Event::Withdrawn(id) => self.done(*id),
-            _ => {}
-        }
-    }
-
-    /// One of them will not be asked for (any more).
-    pub(crate) fn done(&mut self, id: CommandId) {
+        let Event::Reported(value) = event else { return };
         for (awaited, measured) in self.awaited.iter_mut().zip(MEASURED) {
-            *awaited &= id != measured;
+            *awaited &= value.id() != measured;
         }
     }
 

@@ -1,5 +1,5 @@
 use super::*;
-use wsg_protocol::{Reply, Status, Value};
+use wsg_protocol::{Status, Value};
 
 const RUNNING: InputImage = image(GripperFlags::GRIPPING, SystemFlags::MOVING, Status::CmdPending, 500);
 const DONE: InputImage = image(GripperFlags::HOLDING, SystemFlags::empty(), Status::Success, 500);
@@ -26,10 +26,10 @@ fn end_waits_for_both_values_and_what_is_measured_does_not() {
     let mut end = ended();
     let fresh = InputImage { force: 4_000, ..DONE };
     assert_eq!(end.shown(fresh), InputImage { force: 4_000, ..RUNNING });
-    end.see(&Event::Answered(Reply::success(Value::GetOpeningWidth(20.0))));
+    end.see(&Event::Reported(Value::GetOpeningWidth(20.0)));
     assert!(!end.look(at(3), &fresh));
     assert_eq!(end.shown(fresh).status, Status::CmdPending);
-    end.see(&Event::Answered(Reply::success(Value::GetForce(40.0))));
+    end.see(&Event::Reported(Value::GetForce(40.0)));
     assert!(!end.look(at(4), &fresh));
     assert_eq!(end.shown(fresh), fresh);
     assert!(!end.is_awaited());
@@ -45,18 +45,12 @@ fn end_waits_10_ms_at_the_most() {
 }
 
 #[test]
-fn values_that_will_not_come_are_not_waited_for() {
-    let mut end = ended();
-    end.see(&Event::Unanswered(CommandId::GetForce));
-    end.see(&Event::Withdrawn(CommandId::GetOpeningWidth));
-    end.look(at(2), &DONE);
-    assert_eq!(end.shown(DONE), DONE);
-}
-
-#[test]
-fn answers_to_other_requests_end_nothing() {
-    let mut end = ended();
-    end.see(&Event::Answered(Reply::success(Value::GetSpeed(0.0))));
+fn other_values_and_those_from_before_the_end_end_nothing() {
+    let mut end = MotionEnd::new();
+    end.look(at(0), &RUNNING);
+    end.see(&Event::Reported(Value::GetOpeningWidth(21.0)));
+    end.look(at(1), &DONE);
+    end.see(&Event::Reported(Value::GetSpeed(0.0)));
     end.see(&Event::Reported(Value::GetForce(40.0)));
     end.look(at(2), &DONE);
     assert_eq!(end.shown(DONE).state, GripperFlags::GRIPPING);
