@@ -971,7 +971,9 @@ fn frames_that_will_not_leave_are_sent_anew() {
     }
     // The controller refuses the next ones: without a change they are due 100 ms after these, and then in 100 ms more.
     master.bench.double().refuse(true);
-    PDOS.map(|pdo| master.take(pdo));
+    for pdo in PDOS {
+        master.take(pdo);
+    }
     master.pass(120);
     assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [0, 0]);
     master.bench.double().refuse(false);

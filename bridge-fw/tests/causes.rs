@@ -429,22 +429,6 @@ fn causes() -> Vec<(Told, Provoke)> {
             plant.pass(3_000);
             plant
         }),
-        (Told { error: Some(E::GripperSilent), ..refusal(E::Withdrawn, MOVED, 0) }, |bus| {
-            // A motion waits in the session for the width after the last one, and the line is cut.
-            let mut plant = Plant::homed(bus, quick());
-            let mut is_cut = false;
-            let done = [0xAA, 0xAA, 0xAA, CommandId::PrePosition.code(), 2, 0, 0, 0];
-            plant.gripper.to_bridge = Some(Box::new(move |bytes| {
-                if is_cut {
-                    bytes.clear();
-                }
-                is_cut |= bytes.windows(done.len()).any(|frame| frame == done);
-            }));
-            plant.command(Cmd::MOVE, [60_00, 50_00, 40_00]);
-            plant.write(Cmd::MOVE, SLOWLY);
-            plant.pass(1_000);
-            plant
-        }),
         (refusal(E::MovedAtStart, None, 0), |bus| Plant::moving(bus).reset()),
         (Told { error: None, emergency: Some((0x8130, None)), ..refusal(E::BusSilent, None, 1) }, |bus| {
             let mut plant = Plant::moving(bus);
@@ -474,6 +458,8 @@ fn causes() -> Vec<(Told, Provoke)> {
     ]
 }
 
+/// But WITHDRAWN: over a serial line a motion waits for nothing that is lost with the connection. The controller's own tests
+/// have it.
 #[test]
 fn every_cause_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
     let mut provoked = BTreeSet::new();
@@ -485,7 +471,7 @@ fn every_cause_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
     }
     let missing: Vec<&str> = EVENTS
         .iter()
-        .filter(|event| !provoked.contains(&(event.code as u8)))
+        .filter(|event| !provoked.contains(&(event.code as u8)) && event.code != EventCode::Withdrawn)
         .map(|event| event.name)
         .collect();
     assert!(missing.is_empty(), "never provoked: {missing:?}");
