@@ -448,7 +448,8 @@ fn causes() -> Vec<(Told, Provoke)> {
             let config = Config { plc_bus, ..Config::DEFAULT };
             Plant::new(config, quick(), of_later_firmware(&config.record()))
         }),
-        (Told { error: None, ..refusal(E::SaveFailed, None, 0) }, |bus| {
+        // 2: write protected.
+        (Told { error: None, ..refusal(E::SaveFailed, None, 2) }, |bus| {
             let mut plant = Plant::homed(bus, quick());
             plant.flash.fault = Some(FlashFault::Protected);
             plant.set(FIRST_COMMAND, COMMAND_KEY);
