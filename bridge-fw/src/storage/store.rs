@@ -56,6 +56,8 @@ pub struct Store<const N: usize> {
     is_retry: bool,
     /// When the operation was started that runs.
     started: Instant,
+    /// Whether that operation was given up, and may run still.
+    is_given_up: bool,
 }
 
 /// What a save does.
@@ -171,6 +173,7 @@ impl<const N: usize> Store<N> {
             checksum: Checksum::new(),
             is_retry: false,
             started: Instant::from_millis(0),
+            is_given_up: false,
         }
     }
 
@@ -249,20 +252,25 @@ impl<const N: usize> Store<N> {
     /// Lets the save go on, and says where it is; for every turn of the main loop. Does not wait: it starts one
     /// operation of the flash at the most.
     pub fn poll<F: NorFlash>(&mut self, flash: &mut F, now: Instant) -> Progress {
-        let next = match self.step {
+        let ended = match self.step {
             Step::Idle => return Progress::Idle,
-            Step::Place => Ok(self.place(flash)),
-            Step::Erase | Step::Program(_) => match flash.poll() {
-                Ok(()) => self.after_operation(flash),
-                Err(nb::Error::WouldBlock) if now.since(self.started) <= OPERATION_TIMEOUT_MS => {
-                    return Progress::Saving;
-                }
-                Err(nb::Error::WouldBlock) => Err(SaveError::TimedOut),
-                Err(nb::Error::Other(error)) => Err(SaveError::Flash(error)),
-            },
+            Step::Place if !self.is_given_up => Ok(()),
+            _ => flash.poll(),
+        };
+        let next = match (self.step, ended) {
+            // A read would make the core wait for the operation.
+            (Step::Place, Err(nb::Error::WouldBlock)) => Err(SaveError::TimedOut),
+            (Step::Place, _) => Ok(self.place(flash)),
+            (_, Ok(())) => self.after_operation(flash),
+            (_, Err(nb::Error::WouldBlock)) if now.since(self.started) <= OPERATION_TIMEOUT_MS => {
+                return Progress::Saving;
+            }
+            (_, Err(nb::Error::WouldBlock)) => Err(SaveError::TimedOut),
+            (_, Err(nb::Error::Other(error))) => Err(SaveError::Flash(error)),
         };
         match next.and_then(|step| self.start(flash, step)) {
             Ok(step) => {
+                self.is_given_up = false;
                 self.step = step;
                 self.started = now;
                 if self.is_saving() { Progress::Saving } else { Progress::Saved }
@@ -387,7 +395,8 @@ impl<const N: usize> Store<N> {
     /// Tries again, once, and no more in the page of the newest record, should that have been the target.
     fn fail(&mut self, error: SaveError) -> Progress {
         self.free = usize::MAX;
-        if core::mem::replace(&mut self.is_retry, true) || error == SaveError::TimedOut {
+        self.is_given_up = error == SaveError::TimedOut;
+        if core::mem::replace(&mut self.is_retry, true) || self.is_given_up {
             self.step = Step::Idle;
             return Progress::Failed(error);
         }
