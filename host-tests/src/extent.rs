@@ -6,5 +6,11 @@ const VARIABLE: &str = "WSG_WHOLE";
 /// Returns `whole` in `cargo xtask ci`, and a fifth of it elsewhere, where somebody waits.
 #[must_use]
 pub fn of(whole: usize) -> usize {
-    if std::env::var_os(VARIABLE).is_some() { whole } else { whole / 5 }
+    if is_whole() { whole } else { whole / 5 }
+}
+
+/// Whether it is all of it.
+#[must_use]
+pub fn is_whole() -> bool {
+    std::env::var_os(VARIABLE).is_some()
 }

@@ -123,6 +123,8 @@ pub enum Fault {
     Stuck,
     /// No key unlocks it, as after a wrong one.
     LockedUp,
+    /// The program itself cannot be read, in bank 1, when it looks at the interface next.
+    UnreadableProgram,
 }
 
 /// The interface with its registers; clones are the same one. What the pages hold survives a reset and a
@@ -228,6 +230,18 @@ impl FlashController {
     #[must_use]
     pub fn erases(&self) -> u32 {
         self.lock().erases
+    }
+
+    /// Whether it is as a driver finds it after reset: no operation runs, FLASH_CR is locked, the caches are on.
+    #[must_use]
+    pub fn is_at_rest(&self) -> bool {
+        let state = self.lock();
+        !state.is_busy() && state.cr & LOCK != 0 && state.acr & (ICEN | DCEN) == ICEN | DCEN
+    }
+
+    /// Sets a flag that a driver did not cause: a debugger or a boot loader left it.
+    pub fn leave_flag(&self, flag: ErrorFlag) {
+        self.lock().sr |= flag as u32;
     }
 
     /// Lets something be wrong, or nothing.
@@ -391,6 +405,9 @@ impl State {
         self.cr = value | self.cr & STRT;
         if value & LOCK != 0 {
             self.lock = Lock::Locked;
+            if value & (PG | PER) != 0 {
+                self.forbidden("3.3.7: PG or PER was left set behind the last operation");
+            }
         }
         if value & PG == 0 {
             self.first_word = None;
@@ -540,6 +557,16 @@ impl State {
         }
     }
 
+    /// The program has just been found unreadable, once.
+    fn program_is_unreadable(&mut self) -> bool {
+        let is_unreadable = self.fault == Some(Fault::UnreadableProgram);
+        if is_unreadable {
+            self.fault = None;
+            self.eccr = self.eccr & ECCIE | ECCD;
+        }
+        is_unreadable
+    }
+
     /// 3.3.2: the register is updated only while its flags are cleared; whether it was.
     fn tell(&mut self, flag: u32, address: u32) -> bool {
         let is_told = self.eccr & (ECCC | ECCD) == 0;
@@ -579,6 +606,13 @@ impl RegisterModel for Registers {
     fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
         ensure_word(address, width)?;
         self.0.state()?.store(address - FLASH, value)
+    }
+
+    fn load_through(&mut self, address: u32, width: Width, machine: &mut dyn Machine) -> Result<u32> {
+        if self.0.state()?.program_is_unreadable() {
+            machine.raise_nmi()?;
+        }
+        self.load(address, width)
     }
 
     fn advance(&mut self, time: Duration) {

@@ -123,6 +123,31 @@ fn it_is_locked_until_both_keys_come_in_their_order() {
 }
 
 #[test]
+fn it_is_at_rest_when_locked_with_the_caches_on_and_no_bit_left() {
+    let flash = FlashController::new();
+    assert!(flash.is_at_rest());
+    unlock(&flash);
+    assert!(!flash.is_at_rest());
+    store(&flash, CR, PG | LOCK);
+    assert!(flash.is_at_rest());
+    assert!(flash.violations()[0].contains("left set"));
+    store(&flash, ACR, ICEN);
+    assert!(!flash.is_at_rest());
+}
+
+#[test]
+fn a_program_that_cannot_be_read_raises_nmi_once_at_the_next_look() {
+    let flash = FlashController::new();
+    flash.set_fault(Some(Fault::UnreadableProgram));
+    let mut core = Core::default();
+    let mut registers = Registers(flash.powered());
+    for _ in 0..2 {
+        assert_eq!(registers.load_through(FLASH + ECCR, Width::Word, &mut core).unwrap(), ECCD, "bank 1");
+    }
+    assert_eq!(core.nmis, 1);
+}
+
+#[test]
 fn a_wrong_key_locks_it_until_reset() {
     for wrong in [[KEYS[1], KEYS[0]], [KEYS[0], KEYS[0]], [0, KEYS[1]]] {
         let flash = FlashController::new();

@@ -12,7 +12,7 @@ use wsg_sim::Config;
 use super::image;
 
 /// `mbpoll` as the manual has it: unit 1, 115 200 bit/s, 8N1, references from 0, once.
-fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> String {
+pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> String {
     let line = ["-m", "rtu", "-a", "1", "-b", "115200", "-P", "none", "-o", "5", "-0", "-1", "-q"];
     for _ in 0..5 {
         let text = said(&masters::mbpoll(&[&line, arguments, &[&terminal.path], values].concat()));

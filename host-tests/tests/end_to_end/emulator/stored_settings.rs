@@ -1,27 +1,48 @@
 //! Settings in the flash of the flashed image, with a model of its flash interface: what is saved over the service port is
 //! there after a power cycle, whatever the flash does in between.
 
-use std::time::{Duration, Instant};
+use std::os::unix::net::UnixStream;
+use std::time::Instant;
 
+use host_tests::can_bus::CanBus;
+use host_tests::can_wire::WireFrame;
 use host_tests::emulator::{Emulator, Extras};
-use host_tests::flash_controller::FlashController;
+use host_tests::extent;
+use host_tests::flash_controller::{ErrorFlag, Fault, FlashController};
+use host_tests::flash_pages::{PAGE_LEN, Tear};
 use host_tests::gripper_end::GripperEnd;
 use host_tests::modbus_master::Master;
-use host_tests::rig::motions;
+use host_tests::registers::RegisterModel;
+use host_tests::rig::{PATIENCE, motions};
+use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{
-    COMMAND_KEY, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS,
+    COMMAND_KEY, COMMANDS, EVENTS_KEPT, EventCode, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS,
+    SETTINGS,
 };
 use wsg_bridge_fw::storage::Page;
+use wsg_bridge_fw::{Config as BridgeConfig, RECIPE_COUNT};
 use wsg_sim::Config;
 
 use super::image;
+use super::service_port::poll;
 
-const PATIENCE: Duration = Duration::from_secs(60);
+/// SETTINGS_FROM and SAVE_STATE (docs/registers.md).
+const DELIVERED: u16 = 0;
+const STORED: u16 = 1;
+const DAMAGED: u16 = 5;
+const SAVED: u16 = 2;
+const FAILED: u16 = 3;
+
+/// Double words of a record: one, two bytes a setting, one.
+const RECORD: usize = 2 + SETTINGS.len().div_ceil(4);
+
+const RECIPE_REGISTERS: usize = 4 * RECIPE_COUNT;
 
 /// A board with its flash, a gripper, and a master on the service port.
 struct Plant {
-    _board: Emulator,
+    board: Emulator,
     flash: FlashController,
     service: Master,
     _gripper: GripperEnd,
@@ -31,25 +52,38 @@ struct Plant {
 impl Plant {
     /// Power comes on.
     fn power_up(flash: FlashController) -> Self {
+        Self::power_up_with(flash, vec![])
+    }
+
+    /// The same with more peripherals.
+    fn power_up_with(flash: FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
         flash.power_cycle();
-        let extras = Extras { models: flash.models(), ..Extras::default() };
+        let models = flash.models().into_iter().chain(more).collect();
+        let extras = Extras { models, ..Extras::default() };
         let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
         let trace = Trace::new(vec![]);
         let line = board.take_gripper_line().unwrap();
         let gripper = GripperEnd::start(line, Config::default(), &trace).unwrap();
         let service = Master::new(board.take_service_line().unwrap(), 1);
-        Self { _board: board, flash, service, _gripper: gripper, trace }
+        Self { board, flash, service, _gripper: gripper, trace }
     }
 
-    /// Power goes and comes back. Until then nothing has moved, and the driver did nothing that it must not.
-    fn power_cycle(self) -> Self {
-        Self::power_up(self.power_down())
-    }
-
+    /// Power goes. Until then nothing has moved, and the driver did nothing that it must not.
     fn power_down(self) -> FlashController {
         assert_eq!(motions(&self.trace.since(0)), []);
         assert!(self.flash.violations().is_empty(), "{:?}", self.flash.violations());
         self.flash
+    }
+
+    /// The service port as a person with a computer has it. The master has none then.
+    fn on_cable(mut self) -> (Self, Terminal) {
+        let nothing = Master::new(UnixStream::pair().unwrap().0, 1);
+        let service = std::mem::replace(&mut self.service, nothing);
+        (self, Terminal::to(service.into_line().unwrap()).unwrap())
+    }
+
+    fn power_cycle(self) -> Self {
+        Self::power_up(self.power_down())
     }
 
     fn read(&mut self, function: u8, first: u16, count: u16) -> Vec<u16> {
@@ -63,35 +97,49 @@ impl Plant {
         self.read(3, FIRST_SETTING, SETTINGS.len() as u16)
     }
 
-    fn setting(&mut self, name: &str) -> u16 {
-        self.read(3, setting(name), 1)[0]
-    }
-
     fn write(&mut self, address: u16, value: u16) {
         let request = [&[6][..], &address.to_be_bytes(), &value.to_be_bytes()].concat();
         assert_eq!(self.service.ask(&request).unwrap(), request);
     }
 
-    fn set(&mut self, name: &str, value: u16) {
-        self.write(setting(name), value);
+    fn set_debounce(&mut self, value: u16) {
+        self.write(setting("DEBOUNCE"), value);
+    }
+
+    fn debounce(&mut self) -> u16 {
+        self.read(3, setting("DEBOUNCE"), 1)[0]
+    }
+
+    /// Sets each value of each recipe.
+    fn set_recipes(&mut self, value: u16) {
+        let head = [setting("RECIPE0_WIDTH"), RECIPE_REGISTERS as u16].map(u16::to_be_bytes).concat();
+        let values = [value; RECIPE_REGISTERS].map(u16::to_be_bytes).concat();
+        let request = [&[16], &head[..], &[values.len() as u8], &values].concat();
+        assert_eq!(self.service.ask(&request).unwrap(), request[..5]);
     }
 
     fn report(&mut self, name: &str) -> u16 {
-        self.read(4, FIRST_REPORT + REPORTS.iter().position(|it| it.name == name).unwrap() as u16, 1)[0]
+        self.read(4, report(name), 1)[0]
     }
 
-    /// SAVE or DEFAULTS, to its end: SAVE_STATE.
-    fn save(&mut self, command: &str) -> u16 {
-        self.command(command);
-        self.end_of_save()
+    /// Code, command, value and age of each event, the last one first.
+    fn events(&mut self) -> Vec<[u16; 4]> {
+        self.read(4, report("EVENT1_CODE"), 4 * EVENTS_KEPT as u16).as_chunks().0.to_vec()
+    }
+
+    /// Code and value of the last event.
+    fn last_event(&mut self) -> (u16, u16) {
+        let [code, _, value, _] = self.events()[0];
+        (code, value)
     }
 
     fn command(&mut self, name: &str) {
-        let at = COMMANDS.iter().position(|command| command.name == name).unwrap() as u16;
-        self.write(FIRST_COMMAND + at, COMMAND_KEY);
+        self.write(command(name), COMMAND_KEY);
     }
 
-    fn end_of_save(&mut self) -> u16 {
+    /// SAVE, to its end: SAVE_STATE.
+    fn save(&mut self) -> u16 {
+        self.command("SAVE");
         let bound = Instant::now() + PATIENCE;
         loop {
             match self.report("SAVE_STATE") {
@@ -100,31 +148,208 @@ impl Plant {
             }
         }
     }
+
+    /// SAVE, which the power cut of the flash interrupts.
+    fn save_until_cut(&mut self) {
+        self.command("SAVE");
+        let bound = Instant::now() + PATIENCE;
+        while !self.flash.is_off() {
+            assert!(Instant::now() < bound, "the save was to be cut");
+            self.board.now_ms().unwrap();
+        }
+    }
 }
 
 fn setting(name: &str) -> u16 {
     FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).unwrap() as u16
 }
 
-/// SETTINGS_FROM and SAVE_STATE (docs/registers.md).
-const DELIVERED: u16 = 0;
-const STORED: u16 = 1;
-const SAVED: u16 = 2;
+fn report(name: &str) -> u16 {
+    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).unwrap() as u16
+}
 
-/// Double words of a record: one, two bytes a setting, one.
-const RECORD: usize = 2 + SETTINGS.len().div_ceil(4);
+fn command(name: &str) -> u16 {
+    FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).unwrap() as u16
+}
+
+/// LPUART1's divider, of which QEMU keeps the lowest 16 bits, and the clock that it divides (RM0351, 41.4.5, 41.7.4).
+const LPUART1_BRR: u32 = 0x4000_800C;
+const HSI16_HZ: u32 = 16_000_000;
+
+/// The rate of the PLC's bus, in bit/s, is this, and it answers as this unit.
+fn assert_bus_runs(board: &mut Emulator, unit: u8, rate: u32) {
+    let divider = (256 * HSI16_HZ + rate / 2) / rate;
+    assert_eq!(board.readl(LPUART1_BRR).unwrap(), divider & 0xFFFF);
+    let mut bus = Master::new(board.take_modbus_line().unwrap(), unit);
+    let unit_setting = [&[3][..], &setting("UNIT").to_be_bytes(), &[0, 1]].concat();
+    assert_eq!(bus.ask(&unit_setting).unwrap(), [3, 2, 0, unit]);
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
+fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
+    let mbpoll = |cable: &Terminal, registers: &str, values: &[u16]| {
+        let values: Vec<String> = values.iter().map(u16::to_string).collect();
+        let values: Vec<&str> = values.iter().map(String::as_str).collect();
+        poll(cable, &registers.split(' ').collect::<Vec<_>>(), &values)
+    };
+    let write = |cable: &Terminal, first: u16, values: &[u16]| {
+        let said = mbpoll(cable, &format!("-t 4 -r {first}"), values);
+        assert!(said.contains(&format!("Written {} references", values.len())), "{said}");
+    };
+    // SAVE or DEFAULTS, to its end.
+    let store = |cable: &Terminal, name: &str| {
+        write(cable, command(name), &[COMMAND_KEY]);
+        let bound = Instant::now() + PATIENCE;
+        while !mbpoll(cable, "-t 3 -r 204 -c 1", &[]).contains("[204]: \t2") {
+            assert!(Instant::now() < bound, "{name} does not end");
+        }
+    };
+    let are_there = |cable: &Terminal, recipes: &[u16]| {
+        let said = mbpoll(cable, &format!("-t 4 -r {} -c 64", setting("RECIPE0_WIDTH")), &[]);
+        let first = usize::from(setting("RECIPE0_WIDTH"));
+        recipes.iter().enumerate().all(|(n, value)| said.contains(&format!("[{}]: \t{value}\n", first + n)))
+    };
+
+    let (plant, cable) = Plant::power_up(FlashController::new()).on_cable();
+    let recipes: Vec<u16> = (0..RECIPE_REGISTERS as u16).map(|n| 1_000 + n).collect();
+    write(&cable, setting("RECIPE0_WIDTH"), &recipes);
+    write(&cable, setting("UNIT"), &[9]);
+    write(&cable, setting("MODBUS_RATE"), &[384]);
+    store(&cable, "SAVE");
+
+    let (mut plant, cable) = plant.power_cycle().on_cable();
+    assert!(are_there(&cable, &recipes));
+    assert_bus_runs(&mut plant.board, 9, 38_400);
+    write(&cable, setting("PLC_BUS"), &[2]);
+    write(&cable, setting("CAN_RATE"), &[250]);
+    write(&cable, setting("CAN_NODE"), &[5]);
+    store(&cable, "SAVE");
+
+    let can = CanBus::new(250_000);
+    let master = can.join();
+    let plant = Plant::power_up_with(plant.power_down(), vec![Box::new(can.clone())]);
+    let (plant, cable) = plant.on_cable();
+    assert!(are_there(&cable, &recipes));
+    // Node 5's boot-up message, and an SDO of it (CiA 301, 7.2.8.3.3, 7.2.4.3.5).
+    let hears = |identifier, data: &[u8]| {
+        let wanted = WireFrame::standard(identifier, data);
+        while master.heard.recv_timeout(PATIENCE).expect("a frame of node 5").id != wanted.id {}
+    };
+    hears(0x705, &[0]);
+    master.send(WireFrame::standard(0x605, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]));
+    hears(0x585, &[]);
+    assert_eq!(can.controller().bit_timing().rate, 250_000);
+    store(&cable, "DEFAULTS");
+
+    let mut plant = plant.power_cycle();
+    let delivered = BridgeConfig::DEFAULT;
+    assert_eq!(plant.settings(), delivered.record());
+    assert_eq!(plant.report("SETTINGS_FROM"), STORED);
+    assert_bus_runs(&mut plant.board, delivered.bus.unit, delivered.bus.baud);
+    plant.power_down();
+}
+
+/// Operations of a save, and how each of the first 200 is cut: the whole of them, or some.
+fn cuts() -> Vec<(u32, Tear)> {
+    const OPERATIONS: u32 = 1 + RECORD as u32;
+    const LAST: u32 = OPERATIONS - 1;
+    if extent::is_whole() {
+        let tear = |n: u32| Tear::ALL[(n / OPERATIONS) as usize % Tear::ALL.len()];
+        return (0..200).map(|n| (n % OPERATIONS, tear(n))).collect();
+    }
+    vec![
+        (LAST, Tear::Complete),
+        (0, Tear::Mixed),
+        (1, Tear::SomeBits),
+        (RECORD as u32 / 2, Tear::Unreadable),
+        (LAST, Tear::Changing),
+        (LAST, Tear::SeemsErased),
+    ]
+}
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn what_was_saved_is_there_after_a_power_cycle() {
+fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() {
     let mut plant = Plant::power_up(FlashController::new());
     assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SAVE_STATE")), (DELIVERED, 0));
-    plant.set("DEBOUNCE", 7);
-    let saved = plant.settings();
-    assert_eq!(plant.save("SAVE"), SAVED);
-    plant.set("DEBOUNCE", 8);
+    plant.set_recipes(999);
+    assert_eq!(plant.save(), SAVED);
+    let mut old = plant.settings();
+    // With something at the ends of both pages each save begins with an erase: an operation, and then the double words.
+    let power_cycle = |plant: Plant| {
+        let flash = plant.power_down();
+        Page::ALL.into_iter().for_each(|page| flash.set(page, PAGE_LEN - 1, Some(0)));
+        Plant::power_up(flash)
+    };
+    plant = power_cycle(plant);
+    for (n, (operation, tear)) in (1_000..).zip(cuts()) {
+        let what = format!("operation {operation}, {tear:?}");
+        // Wires that are high from the start on are no edges.
+        plant.board.set_inputs(Inputs::FAST_STOP_OK | Inputs::HOME | Inputs::GRIP).unwrap();
+        plant.set_recipes(n);
+        let new = plant.settings();
+        plant.flash.cut(operation, tear);
+        plant.save_until_cut();
+
+        plant = power_cycle(plant);
+        assert_eq!(plant.report("SETTINGS_FROM"), STORED, "{what}");
+        let found = plant.settings();
+        let is_last = operation == RECORD as u32;
+        match tear {
+            Tear::Complete if is_last => assert_eq!(found, new, "{what}"),
+            Tear::Changing | Tear::Mixed if is_last => assert!(found == new || found == old, "{what}"),
+            _ => assert_eq!(found, old, "{what}"),
+        }
+        old = found;
+    }
+    plant.power_down();
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn each_fault_of_the_flash_is_told_and_leaves_what_was_stored() {
+    let mut plant = Plant::power_up(FlashController::new());
+    plant.set_debounce(7);
+    assert_eq!(plant.save(), SAVED);
+    assert!(plant.flash.is_at_rest());
+    // All ones where the next record goes, and not erased: the other page takes it.
+    plant.flash.set(Page::First, RECORD, Some(u64::MAX));
+    plant.set_debounce(8);
+    assert_eq!((plant.save(), plant.flash.erases()), (SAVED, 2));
+    // What a boot loader left.
+    plant.flash.leave_flag(ErrorFlag::Sequence);
+    plant.set_debounce(9);
+    assert_eq!((plant.save(), plant.flash.erases()), (SAVED, 2), "at the first attempt");
+
+    let reported = ErrorFlag::ALL.into_iter().map(|flag| {
+        let why = match flag {
+            ErrorFlag::WriteProtection => 2,
+            ErrorFlag::Programming => 3,
+            _ => 4,
+        };
+        (Fault::Reports(flag), why)
+    });
+    for (value, (fault, why)) in (10..).zip(reported.chain([(Fault::LockedUp, 2)])) {
+        plant.flash.set_fault(Some(fault));
+        plant.set_debounce(value);
+        assert_eq!((plant.save(), plant.report("SETTINGS_CHANGED")), (FAILED, 1), "{fault:?}");
+        assert_eq!(plant.last_event(), (EventCode::SaveFailed as u16, why), "{fault:?}");
+        assert!(plant.flash.is_at_rest(), "{fault:?}");
+    }
+    plant.flash.set_fault(None);
+    plant.set_debounce(30);
+    assert_eq!(plant.save(), SAVED, "it works again");
+    plant.flash.set_fault(Some(Fault::Stuck));
+    for value in 31..33 {
+        plant.set_debounce(value);
+        assert_eq!(plant.save(), FAILED);
+        assert_eq!(plant.last_event(), (EventCode::SaveFailed as u16, 1));
+    }
+    plant.flash.set_fault(None);
+
     let mut plant = plant.power_cycle();
-    assert_eq!((plant.report("SETTINGS_FROM"), plant.settings()), (STORED, saved));
+    assert_eq!((plant.report("SETTINGS_FROM"), plant.debounce()), (STORED, 30));
     plant.power_down();
 }
 
@@ -132,12 +357,40 @@ fn what_was_saved_is_there_after_a_power_cycle() {
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn an_unreadable_double_word_costs_its_record_and_no_start() {
     let mut plant = Plant::power_up(FlashController::new());
-    plant.set("DEBOUNCE", 7);
-    assert_eq!(plant.save("SAVE"), SAVED);
-    plant.set("DEBOUNCE", 8);
-    assert_eq!(plant.save("SAVE"), SAVED);
+    for value in [7, 8] {
+        plant.set_debounce(value);
+        assert_eq!(plant.save(), SAVED);
+    }
     let flash = plant.power_down();
+    // Bits that are put right leave a flag, behind which a wrong double word would not be noticed.
+    (0..RECORD).for_each(|index| flash.set_correctable(Page::First, index));
     flash.set(Page::First, RECORD + 3, None);
     let mut plant = Plant::power_up(flash);
-    assert_eq!((plant.report("SETTINGS_FROM"), plant.setting("DEBOUNCE")), (STORED, 7), "of the save before");
+    assert_eq!((plant.report("SETTINGS_FROM"), plant.debounce()), (STORED, 7), "of the save before");
+
+    let flash = plant.power_down();
+    flash.set(Page::First, 3, None);
+    let mut plant = Plant::power_up(flash);
+    assert_eq!(plant.report("SETTINGS_FROM"), DAMAGED);
+    let told = [EventCode::SettingsRefused as u16, 0, DAMAGED];
+    assert!(plant.events().iter().any(|event| event[..3] == told), "{:?}", plant.events());
+    assert_eq!(plant.settings(), BridgeConfig::DEFAULT.record());
+    plant.set_debounce(9);
+    assert_eq!(plant.save(), SAVED);
+    let mut plant = plant.power_cycle();
+    assert_eq!((plant.report("SETTINGS_FROM"), plant.debounce()), (STORED, 9));
+    plant.power_down();
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn a_program_that_cannot_be_read_resets_the_board() {
+    let mut plant = Plant::power_up(FlashController::new());
+    plant.flash.set_fault(Some(Fault::UnreadableProgram));
+    plant.command("SAVE");
+    let bound = Instant::now() + PATIENCE;
+    // QEMU ends with a reset that firmware does by itself.
+    while plant.board.now_ms().is_ok() {
+        assert!(Instant::now() < bound, "it goes on");
+    }
 }
