@@ -332,6 +332,46 @@ mod tests {
         );
     }
 
+    /// Width, speed and force limit that the controller is given.
+    fn parameters(merged: Option<OutputImage>) -> (i16, u16, i16) {
+        let OutputImage { width, speed, force_limit, .. } = merged.unwrap();
+        (width, speed, force_limit)
+    }
+
+    #[test]
+    fn recipe_counts_in_place_of_what_the_bus_writes_and_changes_nothing_during_a_motion() {
+        let recipe = Recipe { width: 11, speed: 12, force: 130, release_width: 14 };
+        let other = Recipe { width: 21, speed: 22, force: 230, release_width: 24 };
+        let by = |recipe| Some((recipe, ForceUnit::Hundredth));
+        let mut arbiter = idle();
+        let moved = arbiter.take_bus(image(MOVE, 3), by(recipe), false);
+        assert_eq!(parameters(moved), (11, 12, 130));
+        assert_eq!(arbiter.bus_image(), &image(MOVE, 3), "as it was written");
+        let released = arbiter.take_bus(image(CommandFlags::empty(), 4), by(other), true);
+        assert_eq!(parameters(released), (11, 12, 130), "no flag rises");
+        let refused = arbiter.take_bus(image(CommandFlags::RELEASE, 4), by(other), true);
+        assert_eq!(parameters(refused), (11, 12, 130), "the fingers move");
+        let held = arbiter.take_bus(image(CommandFlags::RELEASE, 4), by(other), false);
+        assert_eq!(parameters(held), (11, 12, 130), "it has not risen again");
+        arbiter.take_bus(image(CommandFlags::empty(), 4), by(other), false);
+        let opened = arbiter.take_bus(image(CommandFlags::RELEASE, 4), by(other), false);
+        assert_eq!(parameters(opened), (24, 22, 230));
+        arbiter.take_bus(image(CommandFlags::empty(), 4), by(other), false);
+        let both =
+            arbiter.take_bus(image(GRIP | CommandFlags::RELEASE, 4), Some((recipe, ForceUnit::Tenth)), false);
+        assert_eq!(parameters(both), (11, 12, 13), "GRIP is the one that runs");
+        assert_eq!(parameters(arbiter.take_bus(image(GRIP, 4), None, false)), (4, 50_00, 40_00));
+    }
+
+    #[test]
+    fn recipe_of_the_bus_changes_nothing_while_the_wires_command() {
+        let recipe = Recipe { width: 11, speed: 12, force: 13, release_width: 14 };
+        let mut arbiter = idle();
+        take_wires(&mut arbiter, image(GRIP, 7), false);
+        let merged = arbiter.take_bus(image(MOVE, 3), Some((recipe, ForceUnit::Hundredth)), false);
+        assert_eq!(merged, Some(image(GRIP, 7)));
+    }
+
     #[test]
     fn nothing_reaches_the_controller_before_the_wires_have_settled() {
         let mut arbiter = Arbiter::new();

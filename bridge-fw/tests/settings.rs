@@ -304,10 +304,12 @@ fn settings_that_cannot_be_used_let_nothing_move_until_others_are_stored() {
         assert_eq!(plant.report("SETTINGS_FROM"), from);
         assert_eq!(plant.report("ERROR_CAUSE"), EventCode::SettingsRefused as u16);
         assert_eq!(plant.outputs & (Outputs::READY | Outputs::ERROR), Outputs::ERROR);
-        plant.inputs |= Inputs::HOME;
-        plant.pass(200);
+        // By the bus alone, and then by both.
         plant.write_image(CommandFlags::empty(), [20_00, 50_00, 40_00]);
         plant.write_image(CommandFlags::HOMING | CommandFlags::JOG_PLUS, [20_00, 50_00, 40_00]);
+        plant.pass(200);
+        assert!(!plant.has_moved(), "{:?}", plant.sent);
+        plant.inputs |= Inputs::HOME;
         plant.pass(200);
         assert!(!plant.has_moved(), "{:?}", plant.sent);
 
