@@ -118,6 +118,10 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         self.address
     }
 
+    pub(crate) const fn set_address(&mut self, address: Address) {
+        self.address = address;
+    }
+
     pub(crate) fn state(&self) -> State {
         match &self.master {
             None => State::WaitPrm,

@@ -122,6 +122,11 @@ impl<const O: usize, const I: usize, const D: usize> Slave<O, I, D> {
         self.station.dp.master()
     }
 
+    /// Where it is found from now on, for an address that is known only after the slave was made.
+    pub const fn set_address(&mut self, address: Address) {
+        self.station.dp.set_address(address);
+    }
+
     /// Where it is found now.
     #[must_use]
     pub const fn address(&self) -> Address {
@@ -218,27 +223,30 @@ impl<const O: usize, const I: usize, const D: usize> Station<O, I, D> {
         let (master, station) = (request.source, request.destination);
         // Back to where the request came from.
         let points = request.ssap.zip(request.dsap).map(|(ssap, dsap)| [ssap, dsap]);
-        let low = [master, station, DATA_LOW];
-        match response {
-            Response::Acknowledge => put(answer, &[SC]),
-            Response::NoService => put(answer, &sd1(master, station, NO_SERVICE)),
-            Response::Exchange { high_priority: false } if I == 0 => put(answer, &[SC]),
+        let standard;
+        let (function_code, points, data): (_, _, [&[u8]; 2]) = match response {
+            Response::Acknowledge => return put(answer, &[SC]),
+            Response::NoService => return put(answer, &sd1(master, station, NO_SERVICE)),
+            Response::Exchange { high_priority: false } if I == 0 => return put(answer, &[SC]),
             Response::Exchange { high_priority: true } if I == 0 => {
-                put(answer, &sd1(master, station, DATA_HIGH))
+                return put(answer, &sd1(master, station, DATA_HIGH));
             }
             Response::Exchange { high_priority } => {
                 let function_code = if high_priority { DATA_HIGH } else { DATA_LOW };
-                write_sd2(answer, [master, station, function_code], None, dp.inputs().iter().copied())
+                (function_code, None, [dp.inputs(), &[]])
             }
-            Response::Inputs => write_sd2(answer, low, points, dp.inputs().iter().copied()),
-            Response::Outputs => write_sd2(answer, low, points, dp.outputs().iter().copied()),
+            Response::Inputs => (DATA_LOW, points, [dp.inputs(), &[]]),
+            Response::Outputs => (DATA_LOW, points, [dp.outputs(), &[]]),
             Response::Configuration => {
-                write_sd2(answer, low, points, dp.configuration().iter().take(MAX_DATA_LEN).copied())
+                let config = dp.configuration();
+                (DATA_LOW, points, [config.get(..MAX_DATA_LEN).unwrap_or(config), &[]])
             }
-            Response::Diagnosis(standard) => {
-                write_sd2(answer, low, points, standard.into_iter().chain(dp.diagnosis().iter().copied()))
+            Response::Diagnosis(first) => {
+                standard = first;
+                (DATA_LOW, points, [&standard, dp.diagnosis()])
             }
-        }
+        };
+        write_sd2(answer, [master, station, function_code], points, data)
     }
 }
 

@@ -134,23 +134,27 @@ pub(crate) const fn sd1(destination: u8, source: u8, function_code: u8) -> [u8; 
     [SD1, destination, source, function_code, sum, ED]
 }
 
-/// Writes an SD2 telegram with these service access points, if it has any, and these data, 246 bytes with them at the
-/// most. Returns its length.
+/// Writes an SD2 telegram with these service access points, if it has any, and these data one behind the other, 246 bytes with
+/// them at the most. Returns its length.
 pub(crate) fn write_sd2(
     bytes: &mut [u8; MAX_TELEGRAM_LEN],
     [destination, source, function_code]: [u8; 3],
     points: Option<[u8; 2]>,
-    data: impl Iterator<Item = u8>,
+    data: [&[u8]; 2],
 ) -> usize {
     let extension = if points.is_some() { EXTENSION } else { 0 };
     let addresses = [destination | extension, source | extension, function_code];
-    let content = addresses.into_iter().chain(points.into_iter().flatten()).chain(data);
+    let points = points.as_ref().map_or(&[][..], |points| points);
+    let [first, second] = data;
     let [h0, h1, h2, h3, body @ .., _, _] = bytes;
     let (mut len, mut sum) = (0u8, 0u8);
-    for (place, byte) in body.iter_mut().zip(content) {
-        *place = byte;
-        sum = sum.wrapping_add(byte);
-        len = len.wrapping_add(1);
+    let mut places = body.iter_mut();
+    for part in [&addresses[..], points, first, second] {
+        for (byte, place) in part.iter().zip(&mut places) {
+            *place = *byte;
+            sum = sum.wrapping_add(*byte);
+            len = len.wrapping_add(1);
+        }
     }
     (*h0, *h1, *h2, *h3) = (SD2, len, len, SD2);
     let end = usize::from(len).saturating_add(SD2_HEAD_LEN);

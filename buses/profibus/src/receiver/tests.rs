@@ -192,7 +192,7 @@ proptest! {
             let _ = receiver.push(character, silence_bits);
         }
         let mut bytes = [0; MAX_TELEGRAM_LEN];
-        let len = crate::telegram::write_sd2(&mut bytes, [7, 2, 0x6D], Some([60, 62]), data.iter().copied());
+        let len = crate::telegram::write_sd2(&mut bytes, [7, 2, 0x6D], Some([60, 62]), [&data, &[]]);
         for (at, byte) in bytes[..len].iter().enumerate() {
             let found = receiver.push(Character::Byte(*byte), if at == 0 { SYNC_BITS } else { 0 });
             if at + 1 < len {

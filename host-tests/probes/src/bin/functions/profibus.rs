@@ -9,7 +9,7 @@ pub(crate) fn every_function() {
     function!(identifiers_fit);
     functions! {
         Station: new, push, poll, poll_timeout, state, master, address, counters, outputs;
-        Station: show_inputs, show_diagnosis, announce_diagnosis;
+        Station: show_inputs, show_diagnosis, announce_diagnosis, set_address;
         Address: new;
         Baud: bit_s, max_tsdr_bits;
         BaudSearch: new, baud, is_found, poll;
