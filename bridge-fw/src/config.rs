@@ -2,10 +2,12 @@
 
 mod bus;
 mod can;
+mod profibus;
 mod recipe;
 
 pub use bus::{BusConfig, Format};
 pub use can::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canopen};
+pub use profibus::ProfibusConfig;
 pub use recipe::{RECIPE_COUNT, RECIPES, Recipe};
 
 pub(crate) use can::TPDOS;
@@ -34,14 +36,17 @@ pub enum PlcBus {
     Modbus,
     /// CANopen.
     Canopen,
+    /// PROFIBUS DP.
+    Profibus,
 }
 
 impl PlcBus {
     /// All of them, each at the place that is its number in the setting PLC_BUS.
-    pub(crate) const ALL: [Self; 3] = [Self::Off, Self::Modbus, Self::Canopen];
+    pub(crate) const ALL: [Self; 4] = [Self::Off, Self::Modbus, Self::Canopen, Self::Profibus];
 
     /// What the setting says of them.
-    pub(crate) const NUMBERS: &str = "the PLC's bus, beside the wires: 0 none, 1 Modbus RTU, 2 CANopen";
+    pub(crate) const NUMBERS: &str =
+        "the PLC's bus, beside the wires: 0 none, 1 Modbus RTU, 2 CANopen, 3 PROFIBUS DP";
 }
 
 /// The board that a bridge runs on, as a master can read it (CANopen 1009h and 1018h, 4).
@@ -82,6 +87,8 @@ pub struct Config {
     pub bus: BusConfig,
     /// The CAN bus, for whoever is on it.
     pub can: CanConfig,
+    /// The bridge on PROFIBUS.
+    pub profibus: ProfibusConfig,
 }
 
 /// Towards the gripper: settings are read back, because a force limit that a damaged frame changed would hurt; and a Stop
@@ -110,5 +117,6 @@ impl Config {
         plc_bus: PlcBus::Modbus,
         bus: BusConfig::DEFAULT,
         can: CanConfig::DEFAULT,
+        profibus: ProfibusConfig::DEFAULT,
     };
 }

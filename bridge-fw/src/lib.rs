@@ -38,7 +38,8 @@ mod stored_settings;
 pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Counters};
 pub use config::{
-    Board, BusConfig, Config, Format, GripperLine, MAX_REPLY_LEN, PlcBus, RECIPE_COUNT, RECIPES, Recipe,
+    Board, BusConfig, Config, Format, GripperLine, MAX_REPLY_LEN, PlcBus, ProfibusConfig, RECIPE_COUNT,
+    RECIPES, Recipe,
 };
 pub use plc::{BusPort, NoBus};
 pub use registers::ResetCause;

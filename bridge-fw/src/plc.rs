@@ -1,15 +1,17 @@
 //! PLC sides: whatever a PLC commands the bridge by, behind one contract.
 //!
-//! The wires are always there; beside them one bus at the most: [`Modbus`], or CANopen (`can::Node`). Which of the two counts is
-//! decided in `arbiter`. A new bus is a new module here that implements [`PlcSide`].
+//! The wires are always there; beside them one bus at the most: [`Modbus`], [`Profibus`], or CANopen (`can::Node`). Which of the
+//! two counts is decided in `arbiter`. A new bus is a new module here that implements [`PlcSide`].
 
 mod debounce;
 mod modbus;
 mod motion_end;
+mod profibus;
 mod view;
 pub(crate) mod wires;
 
 pub use modbus::{BusPort, IDENTIFICATION, Interrupts, Modbus, ModbusLine, RtuBuffers, RtuPort, RtuUart};
+pub use profibus::{Action, DpBuffers, DpResponder, Profibus, UartStatus};
 pub use view::View;
 
 pub(crate) use debounce::Debounce;

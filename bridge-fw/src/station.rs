@@ -8,20 +8,22 @@ use crate::can::{BusReport, CanBus, CanController, CanNode, LinkCounters, Node, 
 use crate::config::{Board, Config, GripperLine, PlcBus};
 use crate::gripper::GripperLink;
 use crate::io::{Inputs, Outputs};
-use crate::plc::{BusPort, Modbus};
+use crate::plc::{BusPort, DpBuffers, Modbus, ModbusLine, PlcEvent, PlcSide, Profibus, Shown, View};
 use crate::registers::{Record, ResetCause, WrongSetting};
 use crate::storage::NorFlash;
 use crate::stored_settings::StoredSettings;
 
 /// What runs on a board: the bridge, and whoever is on its lines.
 ///
-/// The gripper is on RS-232 or on CAN. The PLC is on the wires in any case, and on Modbus RTU or on CAN (CANopen) beside
-/// them. The service port is there whatever the configuration says. A board gives the lines and calls [`turn`](Self::turn) at least once a millisecond.
+/// The gripper is on RS-232 or on CAN. The PLC is on the wires in any case, and on Modbus RTU, on PROFIBUS or on CAN (CANopen)
+/// beside them. The service port is there whatever the configuration says. A board gives the lines and calls
+/// [`turn`](Self::turn) at least once a millisecond.
 pub struct Station<C: CanController> {
     gripper_line: GripperLine,
     plc_bus: PlcBus,
     bridge: Bridge,
     modbus: Modbus,
+    profibus: Profibus,
     service: Modbus,
     settings: StoredSettings,
     can: CanBus<C>,
@@ -30,14 +32,16 @@ pub struct Station<C: CanController> {
 }
 
 impl<C: CanController> Station<C> {
-    /// A station as [`Config::DEFAULT`] says. `can` is used only where somebody is on CAN.
-    pub const fn new(can: CanBus<C>) -> Self {
+    /// A station as [`Config::DEFAULT`] says. `can` is used only where somebody is on CAN, and `profibus` where the PLC is on
+    /// PROFIBUS.
+    pub const fn new(can: CanBus<C>, profibus: &'static DpBuffers) -> Self {
         let config = Config::DEFAULT;
         Self {
             gripper_line: config.gripper_line,
             plc_bus: config.plc_bus,
             bridge: Bridge::new(config),
             modbus: Modbus::new(&config),
+            profibus: Profibus::new(profibus),
             service: Modbus::service(),
             settings: StoredSettings::new(),
             can,
@@ -66,6 +70,7 @@ impl<C: CanController> Station<C> {
         self.bridge.set_reset_cause(reset_cause);
         self.bridge.configure(config, self.settings.from());
         self.modbus = Modbus::new(config);
+        self.profibus.start(config.profibus);
         self.link = GripperLink::new(config.can.gripper);
         self.node = Node::new(config.can.node);
         self.node.set_board(board);
@@ -99,10 +104,15 @@ impl<C: CanController> Station<C> {
         modbus: &mut dyn BusPort,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
-        let Self { bridge, can, link, node, .. } = self;
+        let Self { bridge, can, link, node, profibus, .. } = self;
+        let mut on_port = if self.plc_bus == PlcBus::Profibus {
+            OnPort::Profibus(profibus)
+        } else {
+            OnPort::Modbus(self.modbus.over(modbus))
+        };
         match (self.gripper_line, self.plc_bus) {
-            (GripperLine::Serial, PlcBus::Off | PlcBus::Modbus) => {
-                bridge.poll(now_ms, inputs, serial, &mut self.modbus.over(modbus))
+            (GripperLine::Serial, PlcBus::Off | PlcBus::Modbus | PlcBus::Profibus) => {
+                bridge.poll(now_ms, inputs, serial, &mut on_port)
             }
             (GripperLine::Serial, PlcBus::Canopen) => {
                 can.listen(now, &mut NullNode, node);
@@ -113,9 +123,9 @@ impl<C: CanController> Station<C> {
                 can.talk(now, &mut NullNode, node);
                 outputs
             }
-            (GripperLine::Can, PlcBus::Off | PlcBus::Modbus) => {
+            (GripperLine::Can, PlcBus::Off | PlcBus::Modbus | PlcBus::Profibus) => {
                 listen(now, bridge, can, link, &mut NullNode);
-                let outputs = bridge.poll(now_ms, inputs, link, &mut self.modbus.over(modbus));
+                let outputs = bridge.poll(now_ms, inputs, link, &mut on_port);
                 talk(now, bridge, can, link, &mut NullNode);
                 outputs
             }
@@ -132,6 +142,11 @@ impl<C: CanController> Station<C> {
     /// Whether somebody is on CAN.
     pub const fn uses_can(&self) -> bool {
         matches!(self.gripper_line, GripperLine::Can) || matches!(self.plc_bus, PlcBus::Canopen)
+    }
+
+    /// Whether the PLC is on PROFIBUS: then the handler of its line is to run after each turn.
+    pub const fn uses_profibus(&self) -> bool {
+        matches!(self.plc_bus, PlcBus::Profibus)
     }
 
     /// The bridge.
@@ -152,6 +167,28 @@ impl<C: CanController> Station<C> {
     /// The bridge as a device on it.
     pub const fn node(&self) -> &Node {
         &self.node
+    }
+}
+
+/// The bus on the serial port of the PLC. One type for both, so that the bridge's turn is not in the image for each.
+enum OnPort<'a> {
+    Modbus(ModbusLine<'a>),
+    Profibus(&'a mut Profibus),
+}
+
+impl PlcSide for OnPort<'_> {
+    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+        match self {
+            Self::Modbus(side) => side.receive(now, view),
+            Self::Profibus(side) => side.receive(now, view),
+        }
+    }
+
+    fn show(&mut self, now: Instant, shown: &Shown) {
+        match self {
+            Self::Modbus(side) => side.show(now, shown),
+            Self::Profibus(side) => side.show(now, shown),
+        }
     }
 }
 

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use bus_slcan::ClassicFrame;
 use canopen_rs::{Address, DataType, Value, sdo};
 use embedded_can::{Frame, Id, StandardId};
-use host_tests::can_bench::Double;
+use host_tests::can_bench::{Double, NO_PROFIBUS};
 use host_tests::flash_model::{Fault as FlashFault, FlashModel};
 use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::SerialGripper;
@@ -49,7 +49,7 @@ impl Plant {
 
     fn with_gripper(delivered: Config, gripper: SerialGripper, flash: FlashModel, now_ms: u32) -> Self {
         let can = Double::default();
-        let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT));
+        let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let config = station.load(&delivered.record(), &flash).unwrap();
         station.start(&config, Board::UNKNOWN, ResetCause::Watchdog);
         let mut plant = Self {

@@ -1,6 +1,6 @@
 //! Settings that stay: SAVE, RESTORE, DEFAULTS, what a start finds in flash, and recipes for the bus.
 
-use host_tests::can_bench::Double;
+use host_tests::can_bench::{Double, NO_PROFIBUS};
 use host_tests::chance::Chance;
 use host_tests::flash_model::{Fault, FlashModel, Tear};
 use host_tests::rtu_double::RtuDouble;
@@ -37,7 +37,8 @@ impl Plant {
 
     fn delivered_with(delivered: &Record, mut flash: FlashModel) -> Self {
         flash.reboot();
-        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT));
+        let can = CanBus::new(Double::default(), BusOffPolicy::DEFAULT);
+        let mut station = Station::new(can, &NO_PROFIBUS);
         let config = station.load(delivered, &flash).unwrap();
         station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
         Self {
@@ -335,6 +336,28 @@ fn older_firmwares_settings_are_taken_and_the_others_are_as_delivered() {
     let mut plant = Plant::start(with_record(1, &older[..50]));
     assert_eq!((plant.setting("UNIT"), plant.report("SETTINGS_FROM")), (44, 2));
     assert_eq!(plant.setting("CAN_NODE"), 0x10);
+}
+
+#[test]
+fn settings_of_map_version_5_are_taken_and_those_of_profibus_are_as_delivered() {
+    let at = |name| usize::from(setting(name) - FIRST_SETTING);
+    let mut delivered = Config::DEFAULT.record();
+    delivered[at("PROFIBUS_ADDRESS")] = 9;
+    delivered[at("PROFIBUS_RATE")] = 5_000;
+    let mut older = Config::DEFAULT.record();
+    older[at("CAN_MASTER")] = 0x7E;
+    // Registers 100 to 181.
+    let mut plant = Plant::delivered_with(&delivered, with_record(1, &older[..82]));
+    assert_eq!((plant.setting("CAN_MASTER"), plant.report("SETTINGS_FROM")), (0x7E, 2));
+    assert_eq!((plant.setting("PROFIBUS_ADDRESS"), plant.setting("PROFIBUS_RATE")), (9, 5_000));
+    assert_eq!(plant.command("SAVE"), Ok(()));
+    plant.pass(500);
+    let mut plant = plant.restart();
+    assert_eq!(
+        (plant.report("SETTINGS_FROM"), plant.setting("PROFIBUS_ADDRESS")),
+        (1, 9),
+        "stored with the others"
+    );
 }
 
 #[test]

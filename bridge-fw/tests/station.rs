@@ -28,7 +28,8 @@ struct Bench {
 impl Bench {
     fn new(config: &Config) -> Self {
         let can = Double::default();
-        let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT));
+        let mut station =
+            Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT), Box::leak(Box::default()));
         station.start(config, Board::UNKNOWN, ResetCause::Pin);
         let serial = SerialLine::with_room(1_000);
         Self {

@@ -10,6 +10,7 @@ use embedded_can::{Frame, Id};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig, CanController, Health, Node, NodeConfig};
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::DpBuffers;
 use wsg_bridge_fw::{Board, BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::can::{Endpoint, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
@@ -21,6 +22,9 @@ use crate::wires::Wires;
 
 /// Frames that a bus at 500 kbit/s carries in a millisecond.
 const FRAMES_PER_MS: usize = 4;
+
+/// Of a station without PROFIBUS; all may have the same.
+pub static NO_PROFIBUS: DpBuffers = DpBuffers::new();
 
 /// Mailboxes of the controller.
 const MAILBOXES: usize = 3;
@@ -230,7 +234,7 @@ impl CanBench {
         let mut gripper = VirtualGripper::with_ports(config);
         let port = gripper.connect(PortKind::Can).expect("a new gripper takes a client");
         let double = Double::default();
-        let mut station = Station::new(CanBus::new(double.clone(), policy));
+        let mut station = Station::new(CanBus::new(double.clone(), policy), &NO_PROFIBUS);
         let flash = FlashModel::new();
         station.load(&Config::DEFAULT.record(), &flash).expect("the delivered settings are good ones");
         station.start(&Config { gripper_line: GripperLine::Can, ..bridge }, BOARD, ResetCause::Unknown);

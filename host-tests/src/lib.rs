@@ -28,6 +28,7 @@
 //! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`plc_names`] | flags, states and status codes, for the documents |
+//! | [`profibus_bench`] | the bridge library and a virtual gripper in virtual time, with a PROFIBUS master |
 //! | [`registers`] | peripherals that QEMU lacks, served by models |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
@@ -75,6 +76,7 @@ pub mod modbus_bench;
 #[cfg(unix)]
 pub mod modbus_master;
 pub mod plc_names;
+pub mod profibus_bench;
 #[cfg(unix)]
 pub mod qtest;
 #[cfg(unix)]

@@ -1,7 +1,7 @@
 //! All settings as one record: what an image is delivered with, what is stored, and what counts from the next start on.
 
 use super::settings::{Place, RANGES, Record, Settings, WrongSetting, reaction_of, recipe_of, value_of};
-use crate::config::{BusConfig, Config, Format, GripperLine, PlcBus, RECIPE_COUNT};
+use crate::config::{BusConfig, Config, Format, GripperLine, PlcBus, ProfibusConfig, RECIPE_COUNT};
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::fieldbus::SilenceReaction;
 
@@ -26,6 +26,7 @@ impl Config {
             plc_bus,
             bus,
             can,
+            profibus,
             ..
         } = self;
         let mut record = [0; RANGES.len()];
@@ -63,6 +64,8 @@ impl Config {
             record[Place::CanId as usize] = can.gripper.base();
             record[Place::CanNode as usize] = can.node.node as u16;
             record[Place::CanMaster as usize] = can.node.master as u16;
+            record[Place::ProfibusAddress as usize] = profibus.address as u16;
+            record[Place::ProfibusRate as usize] = profibus.rate_setting();
             let mut at = 0;
             while at < recipes.len() {
                 let registers = recipes[at].registers();
@@ -101,6 +104,10 @@ impl Config {
         config.can.kbit_rate = value(Place::CanRate);
         config.can.node.node = value(Place::CanNode) as u8;
         config.can.node.master = value(Place::CanMaster) as u8;
+        config.profibus = ProfibusConfig {
+            address: value(Place::ProfibusAddress) as u8,
+            rate: ProfibusConfig::rate_of(value(Place::ProfibusRate)).ok_or(wrong(Place::ProfibusRate))?,
+        };
         config.bus = BusConfig {
             baud: u32::from(value(Place::ModbusRate)) * 100,
             format: match value(Place::ModbusFormat) {

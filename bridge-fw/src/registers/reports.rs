@@ -11,7 +11,7 @@ use wsg_protocol::session::Session;
 pub const FIRST_REPORT: u16 = 100;
 
 /// The version of the register map: the last register or meaning that was added or changed.
-pub const MAP_VERSION: u16 = 5;
+pub const MAP_VERSION: u16 = 6;
 
 /// An input register that reports on the bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

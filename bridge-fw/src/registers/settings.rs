@@ -1,7 +1,9 @@
 //! The settings of a bridge as holding registers: one table, for the PLC's bus, for flash and for `--set`.
 
 use super::{RegisterError, StoreCommand};
-use crate::config::{CanConfig, Config, NodeConfig, PlcBus, RECIPE_COUNT, Recipe, collides_with_canopen};
+use crate::config::{
+    CanConfig, Config, NodeConfig, PlcBus, ProfibusConfig, RECIPE_COUNT, Recipe, collides_with_canopen,
+};
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::fieldbus::SilenceReaction;
 
@@ -46,9 +48,11 @@ pub(super) enum Place {
     CanId,
     CanNode,
     CanMaster,
+    ProfibusAddress,
+    ProfibusRate,
 }
 
-const COUNT: usize = Place::CanMaster as usize + 1;
+const COUNT: usize = Place::ProfibusRate as usize + 1;
 
 const RECIPE_LEN: usize = 4;
 
@@ -143,6 +147,13 @@ const BEHIND_RECIPES: [Setting; COUNT - Place::BusRecipe as usize] = [
     ),
     setting("CAN_NODE", "", (1, 127), "the bridge's node-ID; not CAN_MASTER's"),
     setting("CAN_MASTER", "", (1, 127), "the node-ID of the CANopen master, whose heartbeat is watched"),
+    setting("PROFIBUS_ADDRESS", "", (0, 125), "the bridge's address on PROFIBUS"),
+    setting(
+        "PROFIBUS_RATE",
+        "100 bit/s",
+        (0, 15_000),
+        "the rate of PROFIBUS: 96, 192, 454 (45.45 kbit/s), 937 (93.75 kbit/s), 1875, 5000 or 15000; 0: that of the bus, which is searched",
+    ),
 ];
 
 /// The settings, from [`FIRST_SETTING`] on.
@@ -393,6 +404,9 @@ fn wrong_together(value: impl Fn(Place) -> u16) -> Option<Place> {
     if Identifiers::from_base(value(Place::CanId)).is_none_or(collides_with_canopen) {
         return Some(Place::CanId);
     }
+    if ProfibusConfig::rate_of(value(Place::ProfibusRate)).is_none() {
+        return Some(Place::ProfibusRate);
+    }
     let [node, master] = [Place::CanNode, Place::CanMaster].map(|place| value(place) as u8);
     let node = NodeConfig { node, master, ..CanConfig::DEFAULT.node };
     (!node.is_valid()).then_some(Place::CanNode)
@@ -448,9 +462,13 @@ mod tests {
     #[test]
     fn values_that_do_not_go_together_are_refused_and_both_at_once_are_not() {
         let mut settings = Settings::new(&Config::DEFAULT);
-        for (place, value) in
-            [(Place::CanRate, 300), (Place::CanId, 0x100), (Place::CanNode, 0x7F), (Place::CanMaster, 0x10)]
-        {
+        for (place, value) in [
+            (Place::CanRate, 300),
+            (Place::CanId, 0x100),
+            (Place::CanNode, 0x7F),
+            (Place::CanMaster, 0x10),
+            (Place::ProfibusRate, 97),
+        ] {
             let refused = settings.write(place as u16, [value].into_iter());
             assert_eq!(refused, Err(RegisterError::Value), "{value}");
         }

@@ -34,7 +34,7 @@ use super::modbus::sealed;
 use super::oracle::Oracle;
 use super::overheard::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Overheard, Port};
 use super::rtu_line::RtuLine;
-use crate::can_bench::Double;
+use crate::can_bench::{Double, NO_PROFIBUS};
 use crate::flash_model::FlashModel;
 use crate::serial_gripper::{BYTES_PER_MS, SerialLine};
 
@@ -218,7 +218,7 @@ impl Model {
             flash.set(Page::First, 3, None);
         }
         let delivered = config.record();
-        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT));
+        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let config = station.load(&delivered, &flash).expect("they go together");
         station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
         let mut oracle = Oracle::new(&config);
@@ -390,7 +390,7 @@ impl Model {
             return;
         }
         self.pass(SAVE_MS);
-        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT));
+        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let found = station.load(&self.delivered, &self.flash).map(|config| config.record());
         assert_eq!(found.as_ref().ok(), self.overheard.saved());
     }

@@ -18,7 +18,7 @@ const SERVICE_TIMING: Timing = Timing::of(115_200, 10);
 pub(super) const BROADCAST: u8 = 0;
 
 /// Settings are registers from here on; these are followed.
-const SETTINGS: std::ops::Range<usize> = 100..182;
+const SETTINGS: std::ops::Range<usize> = 100..184;
 const UNIT: usize = 100;
 const BUS_TIMEOUT: usize = 101;
 const BUS_CHAR_TIMEOUT: usize = 103;

@@ -1,16 +1,24 @@
-//! Modbus RTU on two UARTs, interrupt driven both ways (RM0351, chapters 40 and 41): LPUART1 is the PLC's bus, USART1 the
-//! service port, which the board's ST-Link hands on over USB.
+//! Two UARTs, interrupt driven both ways (RM0351, chapters 40 and 41): LPUART1 is the PLC's bus, with Modbus RTU or PROFIBUS,
+//! USART1 the service port, which the board's ST-Link hands on over USB, with Modbus RTU.
 //!
-//! LPUART1 switches the transceiver's driver by itself (DE mode).
+//! LPUART1 switches the transceiver's driver by itself (DE mode). PROFIBUS is answered in the handler, which has less than 87 µs
+//! for it: then the next byte of the gripper's line is complete, and all interrupts have the same priority.
 
+mod dp_timer;
+
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use bus_profibus::Character;
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::rcc::vals::Lpuart1sel;
 use stm32_metapac::usart::Lpuart;
+use stm32_metapac::usart::regs::Isr;
 use stm32_metapac::usart::vals::{M0, Ps, Stop};
 use stm32_metapac::{Interrupt, LPUART1, PWR, RCC, USART1, interrupt};
 use wsg_b_l475e_iot01a::BusClock;
 use wsg_b_l475e_iot01a::drivers::clock::HCLK_HZ;
-use wsg_bridge_fw::plc::{Interrupts, RtuBuffers, RtuPort, RtuUart};
+use wsg_bridge_fw::plc::{DpBuffers, DpResponder, Interrupts, RtuBuffers, RtuPort, RtuUart, UartStatus};
 use wsg_bridge_fw::{BusConfig, Format};
 
 use crate::tick;
@@ -25,6 +33,12 @@ type Buffers = RtuBuffers<RECEIVED_MAX, TO_SEND_MAX>;
 static BUS: Buffers = RtuBuffers::new();
 static SERVICE: Buffers = RtuBuffers::new();
 
+/// What the handler of PROFIBUS and the main loop share.
+pub(crate) static PROFIBUS: DpBuffers = DpBuffers::new();
+
+/// Whether the bus is PROFIBUS and not Modbus RTU; set once, before its interrupt is unmasked.
+static IS_PROFIBUS: AtomicBool = AtomicBool::new(false);
+
 /// An LPUART has the registers of a USART, at the same places, but two that are not used here.
 // SAFETY: the address is that of USART1's registers.
 const SERVICE_UART: Lpuart = unsafe { Lpuart::from_ptr(USART1.as_ptr()) };
@@ -35,7 +49,7 @@ const SERVICE_DIVIDER: u32 = (HCLK_HZ + BusConfig::SERVICE.baud / 2) / BusConfig
 const _: () =
     assert!((HCLK_HZ / SERVICE_DIVIDER).abs_diff(BusConfig::SERVICE.baud) < BusConfig::SERVICE.baud / 1_000);
 
-/// The bridge's end of a line; nothing comes and goes before its start.
+/// The bridge's end of Modbus RTU on a line; nothing comes and goes before its start.
 pub(crate) type Line = RtuPort<Registers, RECEIVED_MAX, TO_SEND_MAX>;
 
 /// The end of the bus. To be asked for once.
@@ -61,45 +75,81 @@ impl RtuUart for Registers {
     }
 }
 
-/// Starts the bus. The clock runs, the pins are set up. At a rate that this board cannot do (settings hold none) it stays
-/// silent.
+/// Starts Modbus RTU on the bus. The clock runs, the pins are set up. At a rate that this board cannot do (settings hold none)
+/// it stays silent.
 pub(crate) fn start(config: &BusConfig) {
-    let Some((clock, divider)) = BusClock::for_rate(config.baud) else { return };
-    match clock {
-        // It runs for the PLL anyway. (The 80 MHz of the bus clock are too fast below 19 532 bit/s.)
-        BusClock::Hsi16 => RCC.ccipr().modify(|w| w.set_lpuart1sel(Lpuart1sel::HSI)),
-        BusClock::Lse => {
-            start_lse();
-            RCC.ccipr().modify(|w| w.set_lpuart1sel(Lpuart1sel::LSE));
-        }
+    BUS.start(config);
+    if set_up_bus(config.baud, config.format) {
+        unmask(Interrupt::LPUART1);
     }
-    RCC.apb1enr2().modify(|w| w.set_lpuart1en(true));
-    let _ = RCC.apb1enr2().read();
-    LPUART1.cr3().write(|w| w.set_dem(true));
-    start_uart(LPUART1, Interrupt::LPUART1, &BUS, config, divider);
+}
+
+/// Starts PROFIBUS on the bus instead: the handler begins with the first [`serve_profibus`].
+pub(crate) fn start_profibus() {
+    IS_PROFIBUS.store(true, Ordering::Relaxed);
+    dp_timer::start();
+    unmask(Interrupt::LPUART1);
+}
+
+/// Has the handler take what the main loop's turn has brought. Once a millisecond is enough: each run ends the main loop's
+/// sleep.
+pub(crate) fn serve_profibus() {
+    NVIC::pend(Interrupt::LPUART1);
 }
 
 /// Starts the service port. The clock runs at [`HCLK_HZ`], the pins are set up.
 pub(crate) fn start_service() {
     RCC.apb2enr().modify(|w| w.set_usart1en(true));
     let _ = RCC.apb2enr().read();
-    start_uart(SERVICE_UART, Interrupt::USART1, &SERVICE, &BusConfig::SERVICE, SERVICE_DIVIDER);
+    SERVICE.start(&BusConfig::SERVICE);
+    set_up(SERVICE_UART, BusConfig::SERVICE.format, SERVICE_DIVIDER);
+    unmask(Interrupt::USART1);
+}
+
+fn unmask(interrupt: Interrupt) {
+    // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
+    // atomics with the rest.
+    unsafe { NVIC::unmask(interrupt) };
+}
+
+/// Sets the bus up for a rate and a format, before its start or anew; whether this board can do that.
+// Once in the image.
+#[inline(never)]
+fn set_up_bus(baud: u32, format: Format) -> bool {
+    let Some((clock, divider)) = BusClock::for_rate(baud) else { return false };
+    RCC.apb1enr2().modify(|w| w.set_lpuart1en(true));
+    let _ = RCC.apb1enr2().read();
+    // Rate and format change while it is off.
+    LPUART1.cr1().write(|_| {});
+    let select = match clock {
+        BusClock::Lse => {
+            start_lse();
+            Lpuart1sel::LSE
+        }
+        // It runs for the PLL anyway.
+        BusClock::Hsi16 => Lpuart1sel::HSI,
+        BusClock::Pclk1 => Lpuart1sel::PCLK1,
+    };
+    RCC.ccipr().modify(|w| w.set_lpuart1sel(select));
+    LPUART1.cr3().write(|w| w.set_dem(true));
+    set_up(LPUART1, format, divider);
+    true
 }
 
 #[inline(never)]
-fn start_uart(uart: Lpuart, interrupt: Interrupt, buffers: &Buffers, config: &BusConfig, divider: u32) {
-    buffers.start(config);
+fn set_up(uart: Lpuart, format: Format, divider: u32) {
     uart.brr().write(|w| w.0 = divider);
     uart.cr2().write(|w| {
-        w.set_stop(if matches!(config.format, Format::None2) { Stop::STOP2 } else { Stop::STOP1 });
+        w.set_stop(if matches!(format, Format::None2) { Stop::STOP2 } else { Stop::STOP1 });
     });
-    let with_parity = matches!(config.format, Format::Even1);
+    let with_parity = matches!(format, Format::Even1);
     uart.cr1().write(|w| {
         // The parity bit is the ninth.
         w.set_m0(if with_parity { M0::BIT9 } else { M0::BIT8 });
         w.set_pce(with_parity);
         w.set_ps(Ps::EVEN);
-        // A driver is on for 16 clocks, a microsecond, before and after what it sends; without DE mode that is nothing.
+        // A driver is on for 16 clocks before and after what it sends: a microsecond of HSI16, a third of a bit at 1.5 Mbit/s.
+        // Without DE mode that is nothing.
         w.set_deat(16);
         w.set_dedt(16);
         w.set_ue(true);
@@ -107,9 +157,6 @@ fn start_uart(uart: Lpuart, interrupt: Interrupt, buffers: &Buffers, config: &Bu
         w.set_te(true);
         w.set_rxneie(true);
     });
-    // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
-    // atomics with the rest.
-    unsafe { NVIC::unmask(interrupt) };
 }
 
 /// Switches the crystal of 32.768 kHz on. It takes up to 2 s to swing; until then the bus is deaf, and nobody waits.
@@ -125,36 +172,83 @@ fn start_lse() {
 
 #[interrupt]
 fn LPUART1() {
-    handle(LPUART1, &BUS);
+    // Made here: as a static that has its value from the start it would take its size of flash.
+    static mut RESPONDER: MaybeUninit<DpResponder> = MaybeUninit::uninit();
+    static mut IS_MADE: bool = false;
+    if !IS_PROFIBUS.load(Ordering::Relaxed) {
+        serve_modbus(LPUART1, &BUS);
+        return;
+    }
+    if !core::mem::replace(IS_MADE, true) {
+        RESPONDER.write(DpResponder::new(&PROFIBUS));
+    }
+    // SAFETY: it was written in this call or in one before.
+    serve_master(unsafe { RESPONDER.assume_init_mut() });
 }
 
 #[interrupt]
 fn USART1() {
-    handle(SERVICE_UART, &SERVICE);
+    serve_modbus(SERVICE_UART, &SERVICE);
 }
 
 /// One byte each way per call; the interrupt stays pending while there is more.
 #[inline(never)]
-fn handle(uart: Lpuart, buffers: &Buffers) {
+fn serve_modbus(uart: Lpuart, buffers: &Buffers) {
     let status = uart.isr().read();
     if status.rxne() {
         let byte = (uart.rdr().read().0 & 0xFF) as u8;
-        let damaged = status.fe() || status.pe() || status.ne() || status.ore();
-        buffers.on_receive(byte, damaged, status.tc(), tick::now_us());
+        buffers.on_receive(byte, is_damaged(status), status.tc(), tick::now_us());
     } else if status.ore() {
         // A byte came between the look at the status and the fetching of the one before.
         buffers.on_overrun();
     }
+    clear_errors(uart, status);
+    if let Some(byte) = buffers.on_transmit(status.txe(), status.tc()) {
+        uart.tdr().write(|w| w.0 = byte.into());
+    }
+    enable(uart, buffers.interrupts());
+}
+
+/// One character each way, as above.
+fn serve_master(responder: &mut DpResponder) {
+    let status = LPUART1.isr().read();
+    let received = if status.rxne() {
+        let byte = (LPUART1.rdr().read().0 & 0xFF) as u8;
+        Some(if is_damaged(status) { Character::Damaged } else { Character::Byte(byte) })
+    } else {
+        // As above.
+        status.ore().then_some(Character::Damaged)
+    };
+    clear_errors(LPUART1, status);
+    let status = UartStatus { received, has_room: status.txe(), is_complete: status.tc() };
+    let action = responder.step(status, tick::now_ms(), tick::now_us());
+    if let Some(rate) = action.rate {
+        set_up_bus(rate.bit_s(), Format::Even1);
+    }
+    if let Some(byte) = action.send {
+        LPUART1.tdr().write(|w| w.0 = byte.into());
+    }
+    if let Some(wait_us) = action.wait_us {
+        dp_timer::wake_in(wait_us);
+    }
+    enable(LPUART1, action.interrupts);
+}
+
+fn is_damaged(status: Isr) -> bool {
+    status.fe() || status.pe() || status.ne() || status.ore()
+}
+
+fn clear_errors(uart: Lpuart, status: Isr) {
     uart.icr().write(|w| {
         w.set_fe(status.fe());
         w.set_pe(status.pe());
         w.set_ne(status.ne());
         w.set_ore(status.ore());
     });
-    if let Some(byte) = buffers.on_transmit(status.txe(), status.tc()) {
-        uart.tdr().write(|w| w.0 = byte.into());
-    }
-    let Interrupts { transmit_empty, transmission_complete } = buffers.interrupts();
+}
+
+#[inline(never)]
+fn enable(uart: Lpuart, Interrupts { transmit_empty, transmission_complete }: Interrupts) {
     let control = uart.cr1().read();
     if control.txeie() != transmit_empty || control.tcie() != transmission_complete {
         uart.cr1().modify(|w| {

@@ -39,7 +39,8 @@ use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
 #[entry]
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
-    static mut STATION: Station<Can1> = Station::new(CanBus::new(Can1::new(), BusOffPolicy::DEFAULT));
+    static mut STATION: Station<Can1> =
+        Station::new(CanBus::new(Can1::new(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
 
     // Outputs first: they show "not ready" through everything that may go wrong below.
     let mut pins = pins::init();
@@ -64,6 +65,7 @@ fn main() -> ! {
     let mut modbus_line = bus::line();
     log::running();
 
+    let mut served_ms = 0;
     loop {
         let now_ms = tick::now_ms();
         let (bus, service) = (&mut modbus_line, &mut service_line);
@@ -72,6 +74,9 @@ fn main() -> ! {
         pins.indicate(STATION.bridge().indication().is_lit(now_ms));
         if STATION.uses_can() {
             STATION.can().controller().rearm();
+        }
+        if STATION.uses_profibus() && core::mem::replace(&mut served_ms, now_ms) != now_ms {
+            bus::serve_profibus();
         }
         if STATION.bridge().may_feed_watchdog(now_ms) {
             watchdog.feed();
@@ -99,8 +104,10 @@ fn start(
         uart::start();
     }
     bus::start_service();
-    if config.plc_bus == PlcBus::Modbus {
-        bus::start(&config.bus);
+    match config.plc_bus {
+        PlcBus::Modbus => bus::start(&config.bus),
+        PlcBus::Profibus => bus::start_profibus(),
+        PlcBus::Off | PlcBus::Canopen => {}
     }
     if station.uses_can() {
         station.can().controller().start(&config.can);

@@ -4,7 +4,7 @@ use std::vec::Vec;
 use proptest::prelude::*;
 
 use super::*;
-use crate::config::{BusConfig, CanConfig};
+use crate::config::{BusConfig, CanConfig, ProfibusConfig};
 use crate::registers::SETTINGS;
 
 const DEFAULT: Record = Config::DEFAULT.record();
@@ -21,7 +21,7 @@ fn the_default_configuration_survives_its_record() {
     assert_eq!(config.record(), DEFAULT);
     assert_eq!((config.plc_bus, config.gripper_line), (PlcBus::Modbus, GripperLine::Serial));
     assert_eq!(config.bus, Config::DEFAULT.bus);
-    assert_eq!(config.can, CanConfig::DEFAULT);
+    assert_eq!((config.can, config.profibus), (CanConfig::DEFAULT, ProfibusConfig::DEFAULT));
     assert_eq!(config.recipes, Config::DEFAULT.recipes);
 }
 
@@ -37,7 +37,7 @@ proptest! {
     /// Every record is refused, or is that of the configuration it makes: nothing in it is passed over.
     #[test]
     fn what_is_taken_is_taken_whole(record in SETTINGS.iter()
-        .map(|setting| prop_oneof![4 => setting.least..=setting.most, 1 => Just(setting.most)])
+        .map(|setting| prop_oneof![4 => setting.least..=setting.most, 1 => Just(setting.least), 1 => Just(setting.most)])
         .collect::<Vec<_>>())
     {
         let record: Record = record.try_into().unwrap();
@@ -77,10 +77,22 @@ fn the_gripper_gets_none_of_the_identifiers_of_canopen() {
 
 #[test]
 fn each_bus_of_the_plc_has_its_number() {
-    for (number, bus) in [(0, PlcBus::Off), (1, PlcBus::Modbus), (2, PlcBus::Canopen)] {
+    for (number, bus) in [(0, PlcBus::Off), (1, PlcBus::Modbus), (2, PlcBus::Canopen), (3, PlcBus::Profibus)]
+    {
         let config = Config::from_record(&with("PLC_BUS", number)).unwrap();
         assert_eq!((config.plc_bus, config.record()), (bus, with("PLC_BUS", number)));
     }
+}
+
+#[test]
+fn profibus_has_seven_rates_and_the_search_for_one() {
+    let rate = |value| Config::from_record(&with("PROFIBUS_RATE", value)).map(|config| config.profibus.rate);
+    assert_eq!(rate(0), Ok(None));
+    let rates = [96, 192, 454, 937, 1_875, 5_000, 15_000].map(|value| rate(value).unwrap());
+    assert_eq!(rates, ProfibusConfig::RATES.map(Some));
+    assert!(rate(455).is_err());
+    let error = rate(1_152).unwrap_err().to_string();
+    assert!(error.starts_with("PROFIBUS_RATE takes 0 to 15000: the rate of PROFIBUS: 96, 192,"), "{error}");
 }
 
 #[test]

@@ -1,0 +1,127 @@
+//! PROFIBUS DP as a PLC side (fieldbus, chapters 2, 5 and 6): what the master wrote as output images, input image and diagnosis
+//! back. The slave itself is `bus_profibus`'s.
+//!
+//! A master waits for its answer for 60 to 150 bit times, which is 100 µs at 1.5 Mbit/s, and a turn of the main loop takes
+//! a millisecond. So the slave belongs to the interrupt handler of its UART ([`DpResponder`]), and moves nothing: every image
+//! that differs from the one before waits in [`DpBuffers`] until the main loop takes it ([`Profibus`]), and passes the arbiter
+//! there as that of any other bus.
+
+mod responder;
+
+pub use responder::{Action, DpBuffers, DpResponder, UartStatus};
+
+use bus_profibus::{Baud, BaudSearch};
+use wsg_protocol::Instant;
+use wsg_protocol::fieldbus::OutputImage;
+
+use self::responder::FromMaster;
+use super::{PlcEvent, PlcSide, Shown, View};
+use crate::config::ProfibusConfig;
+
+/// The main loop's end of PROFIBUS.
+///
+/// When the master releases the bridge, clears its outputs, lets its watchdog expire or is silent for BUS_TIMEOUT, the bridge
+/// reacts as BUS_REACTION says.
+#[derive(Debug)]
+pub struct Profibus {
+    buffers: &'static DpBuffers,
+    search: BaudSearch,
+    /// What the master wrote last; none while it does not command.
+    written: Option<OutputImage>,
+    /// When it did, changed or not; none once that is too long ago.
+    heard_at: Option<Instant>,
+    /// As `buffers` had it when this was looked at last.
+    exchanges: u32,
+}
+
+impl Profibus {
+    /// The end of these buffers, of which there is one.
+    #[must_use]
+    pub const fn new(buffers: &'static DpBuffers) -> Self {
+        Self {
+            buffers,
+            search: BaudSearch::new(&ProfibusConfig::RATES, 0),
+            written: None,
+            heard_at: None,
+            exchanges: 0,
+        }
+    }
+
+    /// Takes address and rate, which the handler takes with its next step. Before the first turn alone.
+    pub fn start(&mut self, config: ProfibusConfig) {
+        static RATES: [Baud; 7] = ProfibusConfig::RATES;
+        let is_set = |rate: &Baud| config.rate.is_none_or(|set| set == *rate);
+        let first = RATES.iter().position(is_set).unwrap_or_default();
+        let last = RATES.iter().rposition(is_set).unwrap_or_default();
+        self.search = BaudSearch::new(RATES.get(first..=last).unwrap_or_default(), 0);
+        self.buffers.set_address(config.address);
+        self.set_rate(self.search.baud());
+    }
+
+    fn set_rate(&self, rate: Option<Baud>) {
+        if let Some(rate) = rate {
+            self.buffers.set_rate(rate);
+        }
+    }
+
+    /// What the master did, as far as it has not been said.
+    fn take(&mut self, now: Instant) -> Option<PlcEvent> {
+        while let Some(event) = self.buffers.take() {
+            match event {
+                FromMaster::Output(bytes) => {
+                    self.heard_at = Some(now);
+                    let image = OutputImage::from_bytes(bytes);
+                    self.written = Some(image);
+                    return Some(PlcEvent::Output(image));
+                }
+                FromMaster::Left { silent } => {
+                    self.written = None;
+                    // Else it has been silent for BUS_TIMEOUT already.
+                    if self.heard_at.take().is_some() {
+                        return Some(PlcEvent::Left { silent });
+                    }
+                }
+            }
+        }
+        None
+    }
+
+    /// A master that has written the same again; the image, if it was away for BUS_TIMEOUT.
+    fn hear(&mut self, now: Instant) -> Option<PlcEvent> {
+        let exchanges = self.buffers.exchanges();
+        if core::mem::replace(&mut self.exchanges, exchanges) == exchanges {
+            return None;
+        }
+        let written = self.written?;
+        self.heard_at.replace(now).is_none().then_some(PlcEvent::Output(written))
+    }
+
+    /// Whether a master without a watchdog has been silent for so long, in milliseconds; says so once.
+    fn has_fallen_silent(&mut self, now: Instant, timeout_ms: u32) -> bool {
+        let silent =
+            timeout_ms > 0 && self.heard_at.is_some_and(|heard_at| now.since(heard_at) >= timeout_ms);
+        if silent {
+            self.heard_at = None;
+        }
+        silent
+    }
+}
+
+impl PlcSide for Profibus {
+    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+        if let Some(event) = self.take(now) {
+            return Some(event);
+        }
+        if let Some(event) = self.hear(now) {
+            return Some(event);
+        }
+        let is_silent = self.has_fallen_silent(now, view.settings.timeout_ms());
+        is_silent.then_some(PlcEvent::Left { silent: true })
+    }
+
+    fn show(&mut self, now: Instant, shown: &Shown) {
+        self.buffers.show(shown.image.to_bytes());
+        let next = self.search.poll(now.as_millis(), self.buffers.telegrams());
+        self.set_rate(next);
+    }
+}

@@ -1,0 +1,175 @@
+use std::boxed::Box;
+use std::vec::Vec;
+
+use super::*;
+
+const IDLE: UartStatus = UartStatus { received: None, has_room: true, is_complete: true };
+/// FDL_Status for station 7, from master 2; its answer.
+const REQUEST: [u8; 6] = [0x10, 0x07, 0x02, 0x49, 0x52, 0x16];
+const ANSWER: [u8; 6] = [0x10, 0x02, 0x07, 0x00, 0x09, 0x16];
+
+fn at(rate: Baud) -> (DpResponder, &'static DpBuffers) {
+    let buffers: &'static DpBuffers = Box::leak(Box::default());
+    buffers.set_rate(rate);
+    let mut responder = DpResponder::new(buffers);
+    assert_eq!(responder.step(IDLE, 0, 0).rate, Some(rate));
+    (responder, buffers)
+}
+
+fn receive(responder: &mut DpResponder, character: Character, now_us: u32) -> Action {
+    responder.step(UartStatus { received: Some(character), ..IDLE }, now_us / 1_000, now_us)
+}
+
+/// Brings a telegram whose last character ends at a time; in how many microseconds an answer is due.
+fn bring(responder: &mut DpResponder, bytes: &[u8], character_us: u32, end_us: u32) -> Option<u32> {
+    let begin_us = end_us - character_us * (bytes.len() as u32 - 1);
+    let times = (begin_us..).step_by(character_us as usize);
+    let mut wait_us = None;
+    for (byte, now_us) in bytes.iter().zip(times) {
+        wait_us = receive(responder, Character::Byte(*byte), now_us).wait_us;
+    }
+    wait_us
+}
+
+#[test]
+fn answer_begins_11_bit_times_after_the_stop_bit_and_no_microsecond_more_than_its_clock_needs() {
+    for rate in ProfibusConfig::RATES {
+        let (mut responder, _) = at(rate);
+        let us = |bits: u32| (bits * 1_000_000).div_ceil(rate.bit_s());
+        let wait_us = bring(&mut responder, &REQUEST, us(11), 1_000_000).unwrap();
+        assert!((us(12)..=us(12) + 3).contains(&wait_us), "{rate:?}: {wait_us} us");
+        assert!(wait_us < us(u32::from(rate.max_tsdr_bits())));
+        assert_eq!(responder.step(IDLE, 1_000, 1_000_000 + wait_us - 1).send, None, "{rate:?}: too early");
+        assert_eq!(responder.step(IDLE, 1_000, 1_000_000 + wait_us).send, Some(0x10));
+    }
+}
+
+#[test]
+fn bytes_of_an_answer_leave_as_there_is_room_and_their_echo_is_nothing() {
+    let (mut responder, _) = at(Baud::K500);
+    let mut now_us = 1_000_000;
+    now_us += bring(&mut responder, &REQUEST, 22, now_us).unwrap();
+    let mut sent = Vec::new();
+    let mut action = responder.step(IDLE, 0, now_us);
+    while let Some(byte) = action.send {
+        sent.push(byte);
+        assert_eq!(action.interrupts.transmit_empty, sent.len() < ANSWER.len());
+        assert_eq!(action.interrupts.transmission_complete, sent.len() == ANSWER.len());
+        let full = UartStatus { has_room: false, is_complete: false, ..IDLE };
+        assert_eq!(responder.step(full, 0, now_us).send, None);
+        now_us += 22;
+        let echo = UartStatus { received: Some(Character::Byte(byte)), is_complete: false, ..IDLE };
+        action = responder.step(echo, 0, now_us);
+    }
+    assert_eq!(sent, ANSWER);
+    let quiet = Interrupts { transmit_empty: false, transmission_complete: false };
+    assert_eq!(responder.step(IDLE, 0, now_us).interrupts, quiet, "sent");
+    // The echo was no telegram, and the next request is.
+    assert!(bring(&mut responder, &REQUEST, 22, now_us + 1_000).is_some());
+}
+
+#[test]
+fn answer_that_is_due_is_dropped_when_another_speaks() {
+    let (mut responder, _) = at(Baud::K500);
+    assert!(bring(&mut responder, &REQUEST, 22, 1_000_000).is_some());
+    receive(&mut responder, Character::Byte(0x10), 1_000_010);
+    assert_eq!(responder.step(IDLE, 1_001, 1_001_000).send, None);
+}
+
+#[test]
+fn silence_before_a_telegram_ends_what_was_damaged_and_none_inside_it_is_taken() {
+    let (mut responder, _) = at(Baud::K500);
+    receive(&mut responder, Character::Damaged, 990_000);
+    // 32 bit times between two characters are 43 between their ends, 86 us; 33 are 88.
+    assert_eq!(bring(&mut responder, &REQUEST, 22, 990_000 + 5 * 22 + 86), None, "no silence");
+    let end_us = 990_000 + 2 * (5 * 22) + 86 + 91;
+    assert!(bring(&mut responder, &REQUEST, 22, end_us).is_some());
+    assert_eq!(bring(&mut responder, &REQUEST, 91, 2_000_000), None, "pauses inside");
+}
+
+#[test]
+fn another_rate_ends_what_was_on_its_way_and_is_told_once() {
+    let (mut responder, buffers) = at(Baud::K500);
+    assert!(bring(&mut responder, &REQUEST, 22, 1_000_000).is_some());
+    buffers.set_rate(Baud::M1_5);
+    let action = responder.step(IDLE, 1_001, 1_001_000);
+    assert_eq!((action.rate, action.send), (Some(Baud::M1_5), None));
+    assert_eq!(responder.step(IDLE, 1_002, 1_002_000).rate, None);
+    assert_eq!(bring(&mut responder, &REQUEST, 8, 1_100_000), Some(10), "12 bits at 1.5 Mbit/s, and a clock");
+}
+
+/// Puts a responder into data exchange, and gives what writes an image to it.
+fn exchanging(responder: &mut DpResponder) -> impl FnMut(&mut DpResponder, u8) + use<> {
+    let sum = |body: &[u8]| body.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte));
+    let mut now_us = 0;
+    let mut send = move |responder: &mut DpResponder, body: &[u8]| {
+        now_us += 10_000;
+        let len = body.len() as u8;
+        let telegram = [&[0x68, len, len, 0x68], body, &[sum(body), 0x16]].concat();
+        let begin_us = now_us;
+        let wait_us = bring(responder, &telegram, 22, begin_us).unwrap();
+        // Until the answer is sent.
+        let mut at_us = begin_us + wait_us;
+        while responder.step(IDLE, now_us / 1_000, at_us).send.is_some() {
+            at_us += 22;
+        }
+    };
+    send(responder, &[0x87, 0x82, 0x6C, 61, 62, 0x80, 0, 0, 11, 0x55, 0x55, 0]);
+    send(responder, &[0x87, 0x82, 0x5C, 62, 62, 0xA7, 0x9B]);
+    move |responder, byte| send(responder, &[0x07, 0x02, 0x6C, byte, 0, 0, 0, 0, 0, 0, 0])
+}
+
+fn taken(buffers: &DpBuffers) -> Vec<Option<u8>> {
+    let event = |event| match event {
+        FromMaster::Output([first, ..]) => Some(first),
+        FromMaster::Left { .. } => None,
+    };
+    core::iter::from_fn(|| buffers.take()).map(event).collect()
+}
+
+#[test]
+fn images_that_differ_are_handed_over_in_order_and_the_same_again_is_counted() {
+    let (mut responder, buffers) = at(Baud::K500);
+    let mut write = exchanging(&mut responder);
+    for byte in [0, 0, 1, 1, 1, 0, 2] {
+        write(&mut responder, byte);
+    }
+    assert_eq!(taken(buffers), [Some(0), Some(1), Some(0), Some(2)]);
+    assert_eq!(buffers.exchanges(), 7);
+}
+
+#[test]
+fn full_queue_costs_images_but_never_the_last_nor_that_the_master_left() {
+    let (mut responder, buffers) = at(Baud::K500);
+    let mut write = exchanging(&mut responder);
+    for byte in 0..100 {
+        write(&mut responder, byte);
+    }
+    let first: Vec<_> = (0..14).map(Some).collect();
+    assert_eq!(taken(buffers), first);
+    responder.step(IDLE, 0, 0);
+    assert_eq!(taken(buffers), [Some(99)], "what is on the bus");
+
+    for byte in 0..100 {
+        write(&mut responder, byte);
+    }
+    responder.note(Event::Cleared);
+    responder.tell();
+    assert_eq!(taken(buffers), first);
+    write(&mut responder, 200);
+    assert_eq!(taken(buffers), [None, Some(200)], "that it left comes before what it wrote when it was back");
+}
+
+#[test]
+fn inputs_are_those_that_were_shown_whole() {
+    let (mut responder, buffers) = at(Baud::K500);
+    let first: [u8; InputImage::LEN] = core::array::from_fn(|n| n as u8);
+    buffers.show(first);
+    assert_eq!(buffers.take_input(), Some(first));
+    assert_eq!(buffers.take_input(), None, "nothing new");
+    // The handler comes while the main loop writes.
+    buffers.is_fresh.store(false, Ordering::Relaxed);
+    buffers.input[0].store(0xFFFF_FFFF, Ordering::Relaxed);
+    responder.step(IDLE, 0, 0);
+    assert_eq!(buffers.take_input(), None);
+}

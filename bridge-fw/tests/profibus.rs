@@ -1,0 +1,392 @@
+//! The bridge over PROFIBUS in virtual time: what a master sees, who commands, and what must never happen.
+
+use bus_profibus::{Baud, Character};
+use host_tests::modbus_bench::quick;
+use host_tests::profibus_bench::*;
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::{BusConfig, Config, ControlSource, ProfibusConfig};
+use wsg_protocol::fieldbus::{
+    CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction,
+};
+use wsg_protocol::{CommandId, Status, SystemFlags};
+use wsg_sim::{Fault, Part, Time};
+
+/// 200 ms.
+const WATCHDOG: u8 = 20;
+const WATCHDOG_MS: u32 = 200;
+
+const NOTHING: [u8; 0] = [];
+
+fn with_part() -> wsg_sim::Config {
+    wsg_sim::Config { part: Part::of_width(20.0), ..quick() }
+}
+
+fn with_reaction(reaction: SilenceReaction) -> Config {
+    Config { bus: BusConfig { reaction, ..AT_500K.bus }, ..AT_500K }
+}
+
+/// A bench whose fingers are on a long way, by MOVE.
+fn moving(reaction: SilenceReaction) -> Bench {
+    let slow = wsg_sim::Config::default();
+    let mut bench = Bench::exchanging(with_reaction(reaction), slow, WATCHDOG);
+    bench.command(Flag::HOMING);
+    bench.image.width = 10_00;
+    bench.image.speed = 10_00;
+    bench.set(Flag::MOVE);
+    bench.pass(50);
+    assert_eq!(bench.board.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
+    bench
+}
+
+fn stops(bench: &mut Bench) -> Vec<CommandId> {
+    let sent = bench.board.take_sent().into_iter();
+    sent.filter(|id| matches!(id, CommandId::Stop | CommandId::FastStop)).collect()
+}
+
+/// What each reaction sends.
+const REACTIONS: [(SilenceReaction, &[CommandId]); 3] = [
+    (SilenceReaction::Hold, &[]),
+    (SilenceReaction::Stop, &[CommandId::Stop]),
+    (SilenceReaction::FastStop, &[CommandId::FastStop]),
+];
+
+#[test]
+fn grip_cycle_over_profibus() {
+    let mut bench = Bench::homed(with_part());
+    for _ in 0..10 {
+        bench.image = OutputImage { width: 80_00, speed: 200_00, ..bench.image };
+        bench.command(Flag::MOVE);
+        let input = bench.input();
+        assert_eq!((input.state, input.status, input.width), (Shown::IDLE, Status::Success, 80_00));
+        bench.image = OutputImage { width: 20_00, speed: 50_00, ..bench.image };
+        bench.command(Flag::GRIP);
+        let input = bench.input();
+        assert_eq!((input.state, input.status), (Shown::HOLDING, Status::Success));
+        assert!(input.width.abs_diff(20_00) <= 50 && input.force.abs_diff(40_00) <= 1_00, "{input:?}");
+        bench.image.width = 40_00;
+        bench.command(Flag::RELEASE);
+        let input = bench.input();
+        assert_eq!((input.state, input.status), (Shown::IDLE, Status::Success));
+    }
+    let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
+    assert_eq!(bench.board.take_motions(), cycle.repeat(10));
+    assert_eq!(bench.board.bridge().counters(), wsg_bridge_fw::Counters::default());
+    assert_eq!(bench.board.bridge().control_source(), ControlSource::Bus);
+}
+
+#[test]
+fn watchdog_of_the_master_stops_its_motion_at_its_limit_and_not_before() {
+    for (reaction, expected) in REACTIONS {
+        let mut bench = moving(reaction);
+        bench.exchange();
+        bench.pass_silent(WATCHDOG_MS - 3);
+        assert_eq!(stops(&mut bench), [], "too early");
+        bench.pass_silent(6);
+        assert_eq!(stops(&mut bench), expected, "{reaction:?}");
+        bench.pass_silent(3_000);
+        assert_eq!(stops(&mut bench), [], "once");
+    }
+}
+
+#[test]
+fn clear_and_data_exchange_without_data_are_handled_as_silence() {
+    let clear = |bench: &mut Bench, function: u8, number: u8| {
+        if number == 0 {
+            bench.control(0x02);
+        } else {
+            let answer =
+                bench.send(&[0x10, STATION, MASTER, function, sum(&[STATION, MASTER, function]), 0x16]);
+            assert_eq!(answer[..4], [0x68, 15, 15, 0x68], "Fail_Safe: {answer:02X?}");
+        }
+    };
+    for (reaction, expected) in REACTIONS {
+        for number in 0..2 {
+            let mut bench = moving(reaction);
+            // Again and again, as a master in the operating mode Clear does.
+            for function in [0x5D, 0x7D].into_iter().cycle().take(40) {
+                clear(&mut bench, function, number);
+                bench.pass_silent(5);
+            }
+            assert_eq!(stops(&mut bench), expected, "{reaction:?}, once");
+        }
+    }
+}
+
+#[test]
+fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
+    let mut bench = Bench::homed(quick());
+    bench.control(0x02);
+    bench.pass_silent(10);
+    bench.set(Flag::GRIP);
+    bench.pass(20);
+    assert_eq!(bench.board.take_motions(), []);
+    bench.set(Flag::empty());
+    bench.set(Flag::GRIP);
+    bench.pass(20);
+    assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
+}
+
+#[test]
+fn first_outputs_after_power_up_start_nothing() {
+    let mut bench = Bench::new(AT_500K, quick());
+    bench.pass_silent(200);
+    bench.start(WATCHDOG);
+    for _ in 0..5 {
+        bench.set(Flag::HOMING | Flag::JOG_PLUS);
+        bench.pass(20);
+    }
+    assert_eq!(bench.board.take_motions(), []);
+    bench.set(Flag::empty());
+    bench.set(Flag::HOMING);
+    bench.pass(20);
+    assert_eq!(bench.board.take_motions(), [CommandId::Homing]);
+}
+
+#[test]
+fn outputs_without_parameters_and_configuration_are_nothing() {
+    let mut bench = Bench::new(AT_500K, quick());
+    bench.pass_silent(200);
+    for flags in [Flag::empty(), Flag::HOMING, Flag::empty(), Flag::FASTSTOP] {
+        bench.image.flags = flags;
+        let refused = bench.exchange_of(MASTER);
+        assert_eq!(refused, [0x10, MASTER, STATION, 0x03, 0x0C, 0x16], "no service");
+    }
+    bench.board.take_sent();
+    bench.pass_silent(100);
+    assert_eq!(bench.board.take_motions(), []);
+    assert_eq!(bench.board.bridge().control_source(), ControlSource::Nobody);
+}
+
+#[test]
+fn jog_ends_when_the_master_leaves_whatever_the_reaction_is() {
+    type Leave = fn(&mut Bench);
+    let ways: [(&str, Leave); 5] = [
+        ("falls silent", |bench| bench.pass_silent(WATCHDOG_MS)),
+        ("clears", |bench| bench.control(0x02)),
+        ("unlocks", |bench| assert_eq!(bench.service(61, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), SC)),
+        ("sends parameters again", |bench| bench.start(WATCHDOG)),
+        ("sends outputs of another length", |bench| drop(bench.send(&sd2(&[STATION, MASTER, 0x6D, 1, 2])))),
+    ];
+    for (way, leave) in ways {
+        let mut bench = Bench::exchanging(with_reaction(SilenceReaction::Hold), quick(), WATCHDOG);
+        bench.command(Flag::HOMING);
+        bench.command(Flag::MOVE);
+        bench.image.speed = 5_00;
+        bench.set(Flag::JOG_PLUS);
+        bench.pass(50);
+        assert_eq!(bench.exchange().1.state, Shown::RELEASING);
+        assert_eq!(stops(&mut bench), []);
+        leave(&mut bench);
+        bench.pass_silent(20);
+        assert_eq!(stops(&mut bench), [CommandId::Stop], "a master that {way}");
+        // It is back, its button still pressed.
+        bench.start(WATCHDOG);
+        bench.pass(100);
+        assert_eq!(bench.board.take_motions(), [], "{way}");
+    }
+}
+
+#[test]
+fn master_without_a_watchdog_is_missed_after_bus_timeout_and_heard_when_it_is_back() {
+    let mut bench = Bench::exchanging(AT_500K, quick(), 0);
+    bench.command(Flag::HOMING);
+    bench.image.speed = 5_00;
+    bench.set(Flag::JOG_MINUS);
+    bench.pass(50);
+    bench.board.take_sent();
+    bench.exchange();
+    bench.pass_silent(Config::DEFAULT.bus.timeout_ms as u32 - 5);
+    assert_eq!(stops(&mut bench), [], "too early");
+    bench.pass_silent(10);
+    assert_eq!(stops(&mut bench), [CommandId::Stop]);
+    bench.pass(100);
+    assert_eq!(bench.board.take_motions(), [], "the flag is that from before");
+    bench.set(Flag::empty());
+    bench.pass(3);
+    bench.set(Flag::JOG_MINUS);
+    bench.pass(20);
+    assert_eq!(bench.board.take_motions(), [CommandId::PrePosition]);
+    // Its outputs were 0 when it went, and are 0 when it is back: the next flag is an edge.
+    bench.set(Flag::empty());
+    bench.pass(500);
+    bench.pass_silent(2_000);
+    bench.pass(5);
+    bench.board.take_sent();
+    bench.image.speed = 50_00;
+    bench.set(Flag::MOVE);
+    bench.pass(5);
+    assert_eq!(bench.board.take_motions(), [CommandId::PrePosition]);
+}
+
+#[test]
+fn bus_timeout_and_watchdog_count_as_one_silence() {
+    let mut bench = moving(SilenceReaction::Stop);
+    // A watchdog of 2.5 s, longer than BUS_TIMEOUT.
+    bench.start(250);
+    bench.set(Flag::empty());
+    bench.set(Flag::MOVE);
+    bench.pass(50);
+    bench.board.take_sent();
+    bench.pass_silent(1_100);
+    assert_eq!(stops(&mut bench), [CommandId::Stop]);
+    bench.pass_silent(3_000);
+    assert_eq!(stops(&mut bench), [], "once");
+}
+
+#[test]
+fn second_master_is_refused_and_changes_nothing() {
+    let mut bench = moving(SilenceReaction::FastStop);
+    let refused = [0x10, SECOND_MASTER, STATION, 0x03, 0x0D, 0x16];
+    let image = bench.image;
+    for _ in 0..20 {
+        assert_eq!(bench.service_of(SECOND_MASTER, 61, &[0x88, 1, 1, 11, 0x55, 0x55, 0]), refused);
+        assert_eq!(bench.service_of(SECOND_MASTER, 61, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), refused);
+        assert_eq!(bench.service_of(SECOND_MASTER, 62, &[0xA7, 0x9B]), refused);
+        bench.image = OutputImage { flags: Flag::FASTSTOP, ..image };
+        assert_eq!(bench.exchange_of(SECOND_MASTER), refused);
+        bench.image = image;
+        bench.exchange();
+    }
+    bench.pass(20);
+    assert_eq!(stops(&mut bench), []);
+    assert_eq!(bench.exchange().1.state, Shown::POSITIONING);
+}
+
+#[test]
+fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
+    let mut bench = Bench::exchanging(AT_500K, quick(), WATCHDOG);
+    assert_eq!(bench.exchange().0, 0x08, "low priority");
+    let now = Time::from_millis(bench.board.now_ms().into());
+    bench.board.gripper().set_fault(Fault::OverTemperature, true, now);
+    bench.pass(100);
+    let (function, input) = bench.exchange();
+    assert!(input.system.contains(SystemFlags::TEMP_FAULT));
+    assert_eq!(function, 0x0A, "high priority: a diagnosis is there");
+    let answer = bench.service(60, &[]);
+    let expected = Diagnosis { standard: [0x08, 0x0C, 0x00, MASTER], system: input.system }.to_bytes();
+    assert_eq!(answer[9..25], expected);
+    assert_eq!(bench.exchange().0, 0x08, "read");
+    // The end of a fault is no fault; once there is none, Diag.Ext_Diag is 0.
+    let now = Time::from_millis(bench.board.now_ms().into());
+    bench.board.gripper().set_fault(Fault::OverTemperature, false, now);
+    bench.pass(100);
+    bench.command(Flag::STOP_ACK);
+    bench.pass(100);
+    let (function, input) = bench.exchange();
+    assert!(!input.system.intersects(Diagnosis::TRIGGERS), "{input:?}");
+    assert_eq!((function, bench.service(60, &[])[9]), (0x08, 0x00));
+}
+
+#[test]
+fn gripper_that_is_not_there_shows_as_an_error() {
+    let mut bench = Bench::homed(quick());
+    bench.board.set_cut(true);
+    bench.pass(2_000);
+    let input = bench.exchange().1;
+    assert_eq!((input.state, input.status), (Shown::ERROR, Status::IoError));
+}
+
+#[test]
+fn fast_stop_for_one_exchange_counts_however_fast_the_bus_is() {
+    let profibus = ProfibusConfig { rate: Some(Baud::M1_5), ..ProfibusConfig::DEFAULT };
+    let slow = wsg_sim::Config::default();
+    let mut bench = Bench::exchanging(Config { profibus, ..AT_500K }, slow, WATCHDOG);
+    bench.command(Flag::HOMING);
+    bench.image.speed = 10_00;
+    bench.set(Flag::MOVE);
+    bench.pass(20);
+    let turn = bench.board.now_ms();
+    bench.set(Flag::MOVE | Flag::FASTSTOP);
+    bench.set(Flag::empty());
+    assert!(bench.board.now_ms() - turn <= 1, "both in a millisecond or the next");
+    bench.pass(20);
+    assert_eq!(stops(&mut bench), [CommandId::FastStop]);
+    assert!(bench.exchange().1.system.contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn repeated_outputs_are_one_edge() {
+    let mut bench = Bench::homed(quick());
+    bench.image.flags = Flag::GRIP;
+    let body = [&[STATION, MASTER, 0x7D][..], &bench.image.to_bytes()].concat();
+    let telegram = [&[0xA2], &body[..], &[sum(&body), 0x16]].concat();
+    // Another request in between, so that the frame count bit is known.
+    assert_eq!(bench.send(&sd2(&[STATION | 0x80, MASTER | 0x80, 0x5D, 60, 62])).len(), 27);
+    let first = bench.send(&telegram);
+    for _ in 0..5 {
+        assert_eq!(bench.send(&telegram), first, "the stored answer");
+    }
+    bench.pass_silent(20);
+    assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
+}
+
+#[test]
+fn damaged_characters_move_nothing_and_the_next_telegram_counts() {
+    let mut bench = Bench::homed(quick());
+    bench.image.flags = Flag::GRIP;
+    let body = [&[STATION, MASTER, 0x5D][..], &bench.image.to_bytes()].concat();
+    let telegram = [&[0xA2], &body[..], &[sum(&body), 0x16]].concat();
+    for damaged in 0..telegram.len() {
+        let mut characters: Vec<_> = telegram.iter().map(|byte| Character::Byte(*byte)).collect();
+        characters[damaged] = Character::Damaged;
+        assert_eq!(bench.send_characters(&characters), NOTHING, "character {damaged}");
+        let mut changed = telegram.clone();
+        changed[damaged] ^= 0x10;
+        assert_eq!(bench.send(&changed), NOTHING, "byte {damaged}");
+    }
+    bench.pass_silent(10);
+    assert_eq!(bench.board.take_motions(), []);
+    bench.image.flags = Flag::empty();
+    bench.exchange();
+    bench.set(Flag::GRIP);
+    bench.pass(10);
+    assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
+}
+
+#[test]
+fn wires_command_beside_profibus() {
+    let mut bench = Bench::homed(quick());
+    bench.board.inputs().insert(Inputs::MOVE);
+    bench.pass(20);
+    assert_eq!(bench.board.take_motions(), [CommandId::PrePosition]);
+    bench.pass(2_000);
+    bench.set(Flag::GRIP);
+    bench.pass(20);
+    assert_eq!(bench.board.take_motions(), [], "a command wire is high");
+    assert_eq!(bench.board.bridge().control_source(), ControlSource::Wires);
+    bench.board.inputs().remove(Inputs::FAST_STOP_OK);
+    bench.pass(20);
+    assert!(bench.exchange().1.system.contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn bridge_is_where_its_setting_says() {
+    let profibus = ProfibusConfig { address: 125, ..AT_500K.profibus };
+    let mut bench = Bench::new(Config { profibus, ..AT_500K }, quick());
+    bench.pass_silent(10);
+    let status = |station: u8| [0x10, station, MASTER, 0x49, sum(&[station, MASTER, 0x49]), 0x16];
+    assert_eq!(bench.send(&status(7)), NOTHING);
+    assert_eq!(bench.send(&status(125)), [0x10, MASTER, 125, 0x00, 127, 0x16]);
+}
+
+#[test]
+fn rate_that_is_not_set_is_searched_until_telegrams_come() {
+    let mut bench = Bench::new(Config { profibus: ProfibusConfig::DEFAULT, ..AT_500K }, quick());
+    assert_eq!(bench.board.rate(), Some(Baud::K9_6));
+    let mut tried = vec![];
+    while bench.board.rate() != Some(Baud::K500) {
+        if tried.last() != Some(&bench.board.rate()) {
+            tried.push(bench.board.rate());
+        }
+        bench.pass_silent(1);
+        assert!(bench.board.now_ms() < 5_000, "{tried:?}");
+    }
+    let slower = &ProfibusConfig::RATES[..5];
+    assert_eq!(tried, slower.iter().copied().map(Some).collect::<Vec<_>>(), "one after the other");
+    bench.start(WATCHDOG);
+    bench.pass(6_000);
+    assert_eq!(bench.board.rate(), Some(Baud::K500));
+    // Five seconds of silence, and it goes on.
+    bench.pass_silent(5_010);
+    assert_eq!(bench.board.rate(), Some(Baud::M1_5));
+}

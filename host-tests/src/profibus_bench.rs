@@ -1,0 +1,362 @@
+//! Bridge and virtual gripper in virtual time, with a PROFIBUS master and wires that a test plays. The line between them is that
+//! of a UART: characters with their times, and a handler that runs for each.
+
+use bus_profibus::{Baud, Character};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::{DpBuffers, DpResponder, Profibus, UartStatus};
+use wsg_bridge_fw::{Bridge, Config, PlcBus, ProfibusConfig};
+use wsg_protocol::CommandId;
+use wsg_protocol::fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
+use wsg_sim::{Time, VirtualGripper};
+
+use crate::serial_gripper::{SerialGripper, motions};
+
+/// The station as delivered.
+pub const STATION: u8 = 7;
+/// A master, and another.
+pub const MASTER: u8 = 2;
+/// See [`MASTER`].
+pub const SECOND_MASTER: u8 = 3;
+/// Short acknowledgement.
+pub const SC: [u8; 1] = [0xE5];
+
+/// Bits of a character.
+const CHARACTER_BITS: u32 = 11;
+/// The silence before a request (T_SYN).
+const SYNC_BITS: u32 = 33;
+
+/// PROFIBUS at 500 kbit/s, which is also what the master runs at.
+pub const AT_500K: Config = Config {
+    plc_bus: PlcBus::Profibus,
+    profibus: ProfibusConfig { rate: Some(Baud::K500), ..ProfibusConfig::DEFAULT },
+    ..Config::DEFAULT
+};
+
+/// The bridge with its handler: what runs on a board with PROFIBUS.
+pub struct Board {
+    bridge: Bridge,
+    profibus: Profibus,
+    handler: DpResponder,
+    far: SerialGripper,
+    now_ms: u32,
+    inputs: Inputs,
+    outputs: Outputs,
+    /// The rate that the handler has asked for.
+    rate: Option<Baud>,
+}
+
+impl Board {
+    /// A board whose wires are low, but the one of FAST STOP.
+    #[must_use]
+    pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
+        let buffers: &'static DpBuffers = Box::leak(Box::default());
+        let mut profibus = Profibus::new(buffers);
+        profibus.start(config.profibus);
+        Self {
+            bridge: Bridge::new(config),
+            profibus,
+            handler: DpResponder::new(buffers),
+            far: SerialGripper::new(gripper),
+            now_ms: 0,
+            inputs: Inputs::FAST_STOP_OK,
+            outputs: Outputs::empty(),
+            rate: None,
+        }
+    }
+
+    /// A turn of the main loop, a millisecond after the one before, and the handler behind it.
+    pub fn turn(&mut self) {
+        self.now_ms += 1;
+        let Self { bridge, profibus, far, inputs, now_ms, .. } = self;
+        self.outputs = bridge.poll(*now_ms, *inputs, &mut far.line, profibus);
+        self.far.advance(Time::from_millis(self.now_ms.into()));
+    }
+
+    /// The handler, at a time in microseconds of this millisecond or later.
+    pub fn interrupt(&mut self, status: UartStatus, now_us: u32) -> wsg_bridge_fw::plc::Action {
+        let action = self.handler.step(status, self.now_ms, now_us);
+        self.rate = action.rate.or(self.rate);
+        action
+    }
+
+    /// The rate of the line.
+    #[must_use]
+    pub fn rate(&self) -> Option<Baud> {
+        self.rate
+    }
+
+    /// The time in milliseconds.
+    #[must_use]
+    pub fn now_ms(&self) -> u32 {
+        self.now_ms
+    }
+
+    /// The bridge.
+    #[must_use]
+    pub fn bridge(&self) -> &Bridge {
+        &self.bridge
+    }
+
+    /// The gripper.
+    pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
+        &mut self.far.gripper
+    }
+
+    /// Cuts the line from gripper to bridge, or mends it.
+    pub fn set_cut(&mut self, cut: bool) {
+        self.far.to_bridge = if cut { Some(Box::new(Vec::clear)) } else { None };
+    }
+
+    /// The wires from the PLC.
+    pub fn inputs(&mut self) -> &mut Inputs {
+        &mut self.inputs
+    }
+
+    /// The wires to the PLC.
+    #[must_use]
+    pub fn outputs(&self) -> Outputs {
+        self.outputs
+    }
+
+    /// The commands that the bridge has sent since this was last asked.
+    pub fn take_sent(&mut self) -> Vec<CommandId> {
+        self.far.take_sent()
+    }
+
+    /// The motion commands among them.
+    pub fn take_motions(&mut self) -> Vec<CommandId> {
+        motions(self.take_sent())
+    }
+}
+
+/// A master at a board, and the time.
+pub struct Bench {
+    /// The board.
+    pub board: Board,
+    /// What the master writes.
+    pub image: OutputImage,
+    fcb: bool,
+    now_us: u32,
+    rate: u32,
+}
+
+impl Bench {
+    /// A board, and a master that has said nothing yet.
+    #[must_use]
+    pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
+        let mut board = Board::new(config, gripper);
+        board.interrupt(UartStatus::default(), 0);
+        let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
+        let rate = config.profibus.rate.map_or(500_000, Baud::bit_s);
+        Self { board, image, fcb: false, now_us: 0, rate }
+    }
+
+    /// A board whose gripper answers, in data exchange with a watchdog of so many times 10 ms, or none; the master has written
+    /// its parameters and no flag.
+    #[must_use]
+    pub fn exchanging(config: Config, gripper: wsg_sim::Config, watchdog: u8) -> Self {
+        let mut bench = Self::new(config, gripper);
+        bench.pass_silent(200);
+        bench.start(watchdog);
+        bench.exchange();
+        bench.pass(10);
+        bench
+    }
+
+    /// The same, with fingers that are referenced.
+    ///
+    /// # Panics
+    /// When they do not get so.
+    #[must_use]
+    pub fn homed(gripper: wsg_sim::Config) -> Self {
+        let mut bench = Self::exchanging(AT_500K, gripper, 20);
+        bench.command(CommandFlags::HOMING);
+        let input = bench.exchange().1;
+        assert_eq!(input.state, GripperFlags::IDLE);
+        assert!(input.system.contains(wsg_protocol::SystemFlags::REFERENCED));
+        bench.board.take_sent();
+        bench
+    }
+
+    /// Lets microseconds pass; the main loop turns each millisecond, and the handler runs behind it.
+    fn pass_us(&mut self, us: u32) {
+        for _ in 0..us {
+            self.now_us += 1;
+            if self.now_us.is_multiple_of(1_000) {
+                self.board.turn();
+                let idle = UartStatus { has_room: true, is_complete: true, ..UartStatus::default() };
+                let action = self.board.interrupt(idle, self.now_us);
+                assert_eq!(action.send, None, "nobody has asked");
+            }
+        }
+    }
+
+    fn bits_us(&self, bits: u32) -> u32 {
+        (bits * 1_000_000).div_ceil(self.rate)
+    }
+
+    /// Puts characters on the line one after the other; whether an answer is due behind the last.
+    fn put(&mut self, characters: &[Character]) -> Option<u32> {
+        let mut wait_us = None;
+        for character in characters {
+            self.pass_us(self.bits_us(CHARACTER_BITS));
+            let status = UartStatus { received: Some(*character), has_room: true, is_complete: true };
+            let action = self.board.interrupt(status, self.now_us);
+            assert_eq!(action.send, None, "before the least T_SDR");
+            wait_us = action.wait_us;
+        }
+        wait_us
+    }
+
+    /// Sends bytes after a silence, and gives the answer; empty if there is none.
+    ///
+    /// # Panics
+    /// When an answer begins before 11 bit times are over, or later than max T_SDR.
+    pub fn send(&mut self, bytes: &[u8]) -> Vec<u8> {
+        let characters: Vec<_> = bytes.iter().map(|byte| Character::Byte(*byte)).collect();
+        self.send_characters(&characters)
+    }
+
+    /// The same, with characters that may be damaged.
+    ///
+    /// # Panics
+    /// See [`send`](Self::send).
+    pub fn send_characters(&mut self, characters: &[Character]) -> Vec<u8> {
+        self.pass_us(self.bits_us(SYNC_BITS + 4));
+        let Some(wait_us) = self.put(characters) else { return vec![] };
+        assert!(wait_us >= self.bits_us(11), "{wait_us} us");
+        let mut answer = Vec::new();
+        // The timer. The main loop does not turn in between, so the answer leaves by that alone.
+        self.now_us += wait_us;
+        let mut status = UartStatus { has_room: true, is_complete: true, ..UartStatus::default() };
+        loop {
+            let action = self.board.interrupt(status, self.now_us);
+            let Some(byte) = action.send else { break };
+            answer.push(byte);
+            let rest = action.interrupts;
+            assert!(rest.transmit_empty != rest.transmission_complete, "either of both");
+            self.now_us += self.bits_us(CHARACTER_BITS);
+            // The transceiver may echo.
+            let echo = UartStatus { received: Some(Character::Byte(byte)), ..UartStatus::default() };
+            assert_eq!(self.board.interrupt(echo, self.now_us).send, None);
+            status = UartStatus { has_room: true, is_complete: rest.transmission_complete, ..status };
+        }
+        // What time the answer took, the main loop makes up for.
+        while self.board.now_ms() < self.now_us / 1_000 {
+            self.board.turn();
+            self.board.interrupt(UartStatus::default(), self.now_us);
+        }
+        answer
+    }
+
+    /// The function code of the next request of a master.
+    fn next(&mut self) -> u8 {
+        self.fcb = !self.fcb;
+        if self.fcb { 0x7D } else { 0x5D }
+    }
+
+    /// A service with data, of a master.
+    pub fn service_of(&mut self, master: u8, point: u8, data: &[u8]) -> Vec<u8> {
+        let head = [STATION | 0x80, master | 0x80, self.next(), point, 62];
+        self.send(&sd2(&[&head[..], data].concat()))
+    }
+
+    /// A service with data.
+    pub fn service(&mut self, point: u8, data: &[u8]) -> Vec<u8> {
+        self.service_of(MASTER, point, data)
+    }
+
+    /// Parameters with a watchdog of so many times 10 ms, 0 without one, and the configuration.
+    ///
+    /// # Panics
+    /// When they are not acknowledged.
+    pub fn start(&mut self, watchdog: u8) {
+        let status = if watchdog == 0 { 0x80 } else { 0x88 };
+        assert_eq!(self.service(61, &[status, 1, watchdog, 11, 0x55, 0x55, 0]), SC);
+        assert_eq!(self.service(62, &[0xA7, 0x9B]), SC);
+    }
+
+    /// Global_Control, to all.
+    ///
+    /// # Panics
+    /// When it is answered.
+    pub fn control(&mut self, command: u8) {
+        let answer = self.send(&sd2(&[0xFF, MASTER | 0x80, 0x46, 58, 62, command, 0]));
+        assert!(answer.is_empty(), "nobody answers a broadcast");
+    }
+
+    /// Data_Exchange as SD3, of a master: the answer.
+    pub fn exchange_of(&mut self, master: u8) -> Vec<u8> {
+        let body = [&[STATION, master, self.next()][..], &self.image.to_bytes()].concat();
+        self.send(&[&[0xA2], &body[..], &[sum(&body), 0x16]].concat())
+    }
+
+    /// Data_Exchange; the answer's function code and the inputs.
+    ///
+    /// # Panics
+    /// When the answer is none of Data_Exchange.
+    pub fn exchange(&mut self) -> (u8, InputImage) {
+        let answer = self.exchange_of(MASTER);
+        assert_eq!(answer[..6], [0x68, 15, 15, 0x68, MASTER, STATION], "{answer:02X?}");
+        assert_eq!(answer[19..], [sum(&answer[4..19]), 0x16]);
+        let Ok(inputs) = answer[7..19].try_into() else { unreachable!("twelve bytes") };
+        (answer[6], InputImage::from_bytes(inputs))
+    }
+
+    /// Writes these flags.
+    pub fn set(&mut self, flags: CommandFlags) {
+        self.image.flags = flags;
+        self.exchange();
+    }
+
+    /// What the master reads, a turn later.
+    pub fn input(&mut self) -> InputImage {
+        self.exchange();
+        self.pass_us(2_000);
+        self.exchange().1
+    }
+
+    /// Exchanges in every millisecond or two.
+    pub fn pass(&mut self, ms: u32) {
+        let end = self.board.now_ms() + ms;
+        while self.board.now_ms() < end {
+            self.pass_us(1_000);
+            self.exchange();
+        }
+    }
+
+    /// Lets time pass without a master.
+    pub fn pass_silent(&mut self, ms: u32) {
+        self.pass_us(ms * 1_000);
+    }
+
+    /// A command: its flag, then none, until the status is another than E_CMD_PENDING.
+    ///
+    /// # Panics
+    /// When it does not end.
+    pub fn command(&mut self, flags: CommandFlags) {
+        self.set(flags);
+        self.pass(2);
+        self.set(CommandFlags::empty());
+        for _ in 0..20_000 {
+            if self.exchange().1.status != wsg_protocol::Status::CmdPending {
+                return;
+            }
+            self.pass(5);
+        }
+        panic!("the command does not end");
+    }
+}
+
+/// The check sum of a body.
+#[must_use]
+pub fn sum(body: &[u8]) -> u8 {
+    body.iter().fold(0, |sum, byte| sum.wrapping_add(*byte))
+}
+
+/// A telegram with start delimiter 2.
+#[must_use]
+pub fn sd2(body: &[u8]) -> Vec<u8> {
+    let len = body.len() as u8;
+    [&[0x68, len, len, 0x68], body, &[sum(body), 0x16]].concat()
+}
