@@ -26,12 +26,13 @@ pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 const PROFILE: &str = "firmware";
 
 /// What settings can choose besides what is delivered, and the variable that tells the emulator tests which image has it so:
-/// who is on CAN, each at another rate, and no bus.
-pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 4] = [
+/// who is on CAN, each at another rate, no bus, and PROFIBUS at the slowest, because the emulator makes pauses.
+pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 5] = [
     ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1), ("CAN_RATE", 1000)]),
     ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2), ("CAN_RATE", 250)]),
     ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2)]),
     ("WSG_FIRMWARE_ELF_NO_BUS", &[("PLC_BUS", 0)]),
+    ("WSG_FIRMWARE_ELF_PROFIBUS", &[("PLC_BUS", 3), ("PROFIBUS_RATE", 96)]),
 ];
 
 /// What an image is made of besides the board's own; nothing in the one that is flashed as delivered.

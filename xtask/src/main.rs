@@ -101,10 +101,9 @@ Environment
                      for the target instead
   CI                 where it is set, cargo notes nothing for the next build (CARGO_INCREMENTAL=0)
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
-  WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH
-                     the same for images whose settings put them on CAN
-  WSG_FIRMWARE_ELF_NO_BUS
-                     the same for one whose settings switch the PLC's bus off
+  WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH,
+  WSG_FIRMWARE_ELF_NO_BUS, WSG_FIRMWARE_ELF_PROFIBUS
+                     the same for images whose settings put them on these
   WSG_WHOLE=1        set by ci: tests that take long are run in full
   WSG_MODBUS_PYTHON, WSG_MODBUS_NODE
                      set by test for those with masters: the Python, and the folder, that have them

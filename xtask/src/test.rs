@@ -31,12 +31,12 @@ pub(crate) fn run(
     is_strict: bool,
 ) -> Result<()> {
     let masters = setup::masters(workspace);
-    let mut can_images = Vec::new();
+    let mut chosen = Vec::new();
     for (variable, settings) in firmware::CHOICES {
         let settings =
             settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
         let variant = Variant { settings, ..Variant::default() };
-        can_images.push((variable, firmware::build(workspace, toolchain, &variant)?));
+        chosen.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
     let mut record = Record::default();
     let mut skipped = masters.missing.clone();
@@ -47,7 +47,7 @@ pub(crate) fn run(
         record.not_checked("GCL by hand with nc (no nc; Debian's package: netcat-openbsd)");
         skipped.push("conversation_by_hand_with_nc");
     }
-    let checks = Checks { workspace, toolchain, image, can_images, masters: &masters, skipped, extent };
+    let checks = Checks { workspace, toolchain, image, chosen, masters: &masters, skipped, extent };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
@@ -62,8 +62,8 @@ struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain,
     image: &'a Image,
-    /// Those with somebody on CAN, by the variables that name them.
-    can_images: Vec<(&'static str, Image)>,
+    /// Those with other settings than the delivered ones, by the variables that name them.
+    chosen: Vec<(&'static str, Image)>,
     masters: &'a Masters,
     /// Tests whose programs are not installed.
     skipped: Vec<&'a str>,
@@ -157,7 +157,7 @@ impl Checks<'_> {
         if self.extent == Extent::Whole {
             tests.env("WSG_WHOLE", "1");
         }
-        for (variable, image) in &self.can_images {
+        for (variable, image) in &self.chosen {
             tests.env(variable, &image.path);
         }
         for skipped in &self.skipped {

@@ -1,10 +1,11 @@
-//! The flashed image in the emulator: on wires, on both buses, and with masters that others wrote.
+//! The flashed image in the emulator: on wires, on its buses, and with masters that others wrote.
 
 mod can;
 mod line_errors;
 mod line_rates;
 mod masters;
 mod modbus;
+mod profibus;
 mod service_port;
 mod stored_settings;
 mod watchdog;

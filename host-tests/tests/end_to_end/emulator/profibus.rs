@@ -1,0 +1,161 @@
+//! The flashed image between a PROFIBUS master and a virtual gripper, in the emulator, over LPUART1. The master is `profirust`'s.
+//!
+//! The emulator has no rates, no silences of bit times and no timer: an answer leaves with the next turn of the main loop, so
+//! the master's slot time is 12 ms.
+
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::time::{Duration, Instant};
+
+use host_tests::emulator::Emulator;
+use host_tests::gripper_end::GripperEnd;
+use host_tests::rig::motions;
+use host_tests::trace::Trace;
+use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
+use profirust::fdl::{FdlActiveStation, ParametersBuilder};
+use profirust::phy::ProfibusPhy;
+use wsg_bridge_fw::io::Inputs;
+use wsg_protocol::fieldbus::profibus::PROFILE;
+use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
+use wsg_protocol::{CommandId, Status, SystemFlags};
+use wsg_sim::{Config, Part};
+
+use super::image;
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(120);
+
+/// The board's line as the master's.
+struct Line {
+    line: UnixStream,
+    received: Vec<u8>,
+}
+
+impl Line {
+    /// Takes what is there, or waits for it up to a millisecond.
+    fn listen(&mut self) {
+        let mut chunk = [0; 256];
+        match self.line.read(&mut chunk) {
+            Ok(count) => self.received.extend_from_slice(&chunk[..count]),
+            Err(error) => assert!(
+                matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted),
+                "{error}"
+            ),
+        }
+    }
+}
+
+impl ProfibusPhy for Line {
+    fn poll_transmission(&mut self, _: profirust::time::Instant) -> bool {
+        false
+    }
+
+    fn transmit_data<F: FnOnce(&mut [u8]) -> (usize, R), R>(
+        &mut self,
+        _: profirust::time::Instant,
+        fill: F,
+    ) -> R {
+        let mut buffer = [0; 256];
+        let (len, result) = fill(&mut buffer);
+        self.line.write_all(&buffer[..len]).unwrap();
+        result
+    }
+
+    fn receive_data<F: FnOnce(&[u8]) -> (usize, R), R>(&mut self, _: profirust::time::Instant, take: F) -> R {
+        let (taken, result) = take(&self.received);
+        self.received.drain(..taken);
+        result
+    }
+}
+
+struct Plant {
+    _board: Emulator,
+    trace: Trace,
+    _gripper: GripperEnd,
+    line: Line,
+    fdl: FdlActiveStation,
+    master: DpMaster<'static>,
+    station: PeripheralHandle,
+    image: OutputImage,
+}
+
+impl Plant {
+    fn start(config: Config) -> Self {
+        let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF_PROFIBUS")).unwrap();
+        board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
+        let trace = Trace::new(vec![]);
+        let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+        let line = board.take_modbus_line().unwrap();
+        line.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        let options = PeripheralOptions {
+            ident_number: PROFILE.ident,
+            user_parameters: Some(&[]),
+            config: Some(PROFILE.config),
+            ..PeripheralOptions::default()
+        };
+        let mut master = DpMaster::new(vec![]);
+        let (inputs, outputs) = (vec![0; InputImage::LEN], vec![0; OutputImage::LEN]);
+        let station = master.add(Peripheral::new(7, options, inputs, outputs).with_diag_buffer(vec![0; 64]));
+        master.enter_operate();
+        let parameters = ParametersBuilder::new(2, profirust::Baudrate::B500000)
+            .slot_bits(6_000)
+            .max_retry_limit(15)
+            .highest_station_address(3)
+            .build_verified(&master);
+        let mut fdl = FdlActiveStation::new(parameters);
+        fdl.set_online();
+        let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
+        let line = Line { line, received: vec![] };
+        Self { _board: board, trace, _gripper: gripper, line, fdl, master, station, image }
+    }
+
+    /// Exchanges outputs with these flags until the inputs are as they have to become.
+    fn command(&mut self, flags: Flag, is_done: impl Fn(&InputImage) -> bool) -> InputImage {
+        self.image.flags = flags;
+        let start = Instant::now();
+        let (mut shown, mut exchanges) = (None, 0);
+        loop {
+            assert!(start.elapsed() < BOUND, "{flags:?}: {shown:?}");
+            let station = self.master.get_mut(self.station);
+            station.pi_q_mut().copy_from_slice(&self.image.to_bytes());
+            self.fdl.poll(profirust::time::Instant::now(), &mut self.line, &mut self.master);
+            let event = self.master.take_last_events().peripheral;
+            if let Some((_, profirust::dp::PeripheralEvent::DataExchanged)) = event {
+                let inputs = self.master.get_mut(self.station).pi_i();
+                let input = InputImage::from_bytes(inputs.try_into().unwrap());
+                exchanges += 1;
+                // What the first ones read is from before the flag.
+                if exchanges > 3 && is_done(&input) {
+                    return input;
+                }
+                shown = Some(input);
+            }
+            self.line.listen();
+        }
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn master_of_profirust_runs_grip_cycles_on_the_emulated_board() {
+    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
+    let mut plant = Plant::start(config);
+    let shows = |state| move |input: &InputImage| (input.state, input.status) == (state, Status::Success);
+    let is_stopped = |input: &InputImage| input.system.contains(SystemFlags::FAST_STOP);
+    // The wire of FAST STOP was low until just now.
+    plant.command(Flag::empty(), is_stopped);
+    plant.command(Flag::STOP_ACK, |input| !is_stopped(input));
+    plant.command(Flag::empty(), |_| true);
+    plant.command(Flag::HOMING, |input| {
+        input.system.contains(SystemFlags::REFERENCED) && shows(Shown::IDLE)(input)
+    });
+    for _ in 0..3 {
+        plant.command(Flag::empty(), |_| true);
+        plant.command(Flag::GRIP, shows(Shown::HOLDING));
+        plant.command(Flag::empty(), shows(Shown::HOLDING));
+        plant.command(Flag::RELEASE, shows(Shown::IDLE));
+    }
+    let cycle = [CommandId::GripPart, CommandId::ReleasePart];
+    let expected = [&[CommandId::Homing][..], &cycle.repeat(3)].concat();
+    assert_eq!(motions(&plant.trace.since(0)), expected);
+}
