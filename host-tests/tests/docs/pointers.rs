@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use host_tests::document::{anchor_of, read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 21] = [
+const DOCUMENTS: [&str; 22] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
@@ -15,6 +15,7 @@ const DOCUMENTS: [&str; 21] = [
     "docs/demo.md",
     "docs/function-block.md",
     "docs/grip-cycle.md",
+    "docs/profibus.md",
     "docs/wiring.md",
     "docs/protocol.md",
     "docs/quick-start.md",
