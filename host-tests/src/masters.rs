@@ -1,9 +1,9 @@
 //! Third-party Modbus masters, for tests: `mbpoll` (Debian), `pymodbus`, `minimalmodbus`, `modbus-tk` (PyPI, versions in
-//! `requirements.txt`), `jsmodbus` (npm, `package-lock.json`); and from PyPI `canopen`, a master of CANopen, and `dcf-tools`, which
-//! reads EDS files.
+//! `requirements.txt`), `jsmodbus` (npm, `package-lock.json`); and from PyPI `canopen`, a master of CANopen, `pyprofibus`, one of
+//! PROFIBUS, and `dcf-tools`, which reads EDS files.
 //!
 //! `cargo xtask test` installs them, and leaves out the tests of those that it cannot have, by the name: a test that
-//! needs one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk`, `jsmodbus` or `canopen` in its own. Run without it, such a test fails.
+//! needs one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk`, `jsmodbus`, `canopen` or `pyprofibus` in its own. Run without it, such a test fails.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};

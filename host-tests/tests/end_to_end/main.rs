@@ -10,3 +10,5 @@ mod eds;
 mod emulator;
 mod faults;
 mod modbus_tcp;
+#[cfg(unix)]
+mod profibus;

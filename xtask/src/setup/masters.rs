@@ -1,4 +1,4 @@
-//! Third-party masters of Modbus and CANopen: `mbpoll` from Debian, others from PyPI in a virtual environment of their own,
+//! Third-party masters of Modbus, CANopen and PROFIBUS: `mbpoll` from Debian, others from PyPI in a virtual environment of their own,
 //! and one from npm below the target folder, where there is Node.js. Only `test` asks for them. What cannot be had is no
 //! failure: `test` leaves its tests out, and says so.
 
@@ -25,7 +25,7 @@ const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
 const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The masters from PyPI, as they stand in the names of the tests that need them.
-const FROM_PYPI: [&str; 4] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen"];
+const FROM_PYPI: [&str; 5] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen", "pyprofibus"];
 
 /// The masters on this machine, as far as they are not missing.
 pub(crate) struct Masters {

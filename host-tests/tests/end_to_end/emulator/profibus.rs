@@ -1,4 +1,5 @@
-//! The flashed image between a PROFIBUS master and a virtual gripper, in the emulator, over LPUART1. The master is `profirust`'s.
+//! The flashed image between a PROFIBUS master and a virtual gripper, in the emulator, over LPUART1. The masters are those of
+//! `profirust` and `pyprofibus`.
 //!
 //! The emulator has no rates, no silences of bit times and no timer: an answer leaves with the next turn of the main loop, so
 //! the master's slot time is 12 ms.
@@ -9,7 +10,9 @@ use std::time::{Duration, Instant};
 
 use host_tests::emulator::Emulator;
 use host_tests::gripper_end::GripperEnd;
+use host_tests::masters::{self, said};
 use host_tests::rig::motions;
+use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
@@ -79,13 +82,20 @@ struct Plant {
     image: OutputImage,
 }
 
+/// A board on PROFIBUS, its gripper with a part of 20 mm, and the master's end of the bus.
+fn board() -> (Emulator, Trace, GripperEnd, UnixStream) {
+    let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF_PROFIBUS")).unwrap();
+    board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
+    let trace = Trace::new(vec![]);
+    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
+    let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+    let line = board.take_modbus_line().unwrap();
+    (board, trace, gripper, line)
+}
+
 impl Plant {
-    fn start(config: Config) -> Self {
-        let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF_PROFIBUS")).unwrap();
-        board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-        let trace = Trace::new(vec![]);
-        let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
-        let line = board.take_modbus_line().unwrap();
+    fn start() -> Self {
+        let (board, trace, gripper, line) = board();
         line.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
         let options = PeripheralOptions {
             ident_number: PROFILE.ident,
@@ -138,8 +148,7 @@ impl Plant {
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn master_of_profirust_runs_grip_cycles_on_the_emulated_board() {
-    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
-    let mut plant = Plant::start(config);
+    let mut plant = Plant::start();
     let shows = |state| move |input: &InputImage| (input.state, input.status) == (state, Status::Success);
     let is_stopped = |input: &InputImage| input.system.contains(SystemFlags::FAST_STOP);
     // The wire of FAST STOP was low until just now.
@@ -158,4 +167,15 @@ fn master_of_profirust_runs_grip_cycles_on_the_emulated_board() {
     let cycle = [CommandId::GripPart, CommandId::ReleasePart];
     let expected = [&[CommandId::Homing][..], &cycle.repeat(3)].concat();
     assert_eq!(motions(&plant.trace.since(0)), expected);
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware image and pyprofibus: run `cargo xtask test`"]
+fn pyprofibus_runs_a_grip_cycle_on_the_emulated_board() {
+    let (_board, trace, _gripper, line) = board();
+    let terminal = Terminal::to(line).unwrap();
+    let output = masters::python(include_str!("../pyprofibus.py"), &[&terminal.path]);
+    assert!(output.status.success(), "{}", said(&output));
+    let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
+    assert_eq!(motions(&trace.since(0)), expected, "{}", said(&output));
 }

@@ -10,6 +10,7 @@ mod counting;
 mod edge;
 mod frames;
 mod modbus;
+mod profibus;
 mod round_trip;
 
 use cortex_m_rt::entry;
@@ -26,6 +27,7 @@ fn main() -> ! {
         frames::count(&counter);
         round_trip::count(&counter);
         modbus::count(&counter);
+        profibus::count(&counter);
         edge::count(&counter);
         debug::exit(debug::EXIT_SUCCESS);
     }

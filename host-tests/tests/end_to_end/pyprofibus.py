@@ -1,0 +1,60 @@
+# A grip cycle with the master of pyprofibus, over the pseudo terminal that is named. That refuses parity.
+import sys
+import time
+
+import serial
+
+serial.PARITY_EVEN = serial.PARITY_NONE
+from pyprofibus.dp import DpCfgDataElement
+from pyprofibus.dp_master import DPM1, DpSlaveDesc
+from pyprofibus.phy_serial import CpPhySerial
+
+phy = CpPhySerial(port=sys.argv[1])
+phy.setConfig(baudrate=19200)
+master = DPM1(phy, masterAddr=2)
+gripper = DpSlaveDesc()
+gripper.slaveAddr = gripper.setPrmTelegram.da = gripper.chkCfgTelegram.da = 7
+gripper.identNumber = gripper.setPrmTelegram.identNumber = 0x5555
+# As the slave sees them.
+gripper.inputSize, gripper.outputSize = 8, 12
+gripper.setCfgDataElements([DpCfgDataElement(identifier) for identifier in (0xA7, 0x9B)])
+gripper.setSyncMode(False)
+gripper.setFreezeMode(False)
+# However busy the machine is.
+gripper.setWatchdog(10_000)
+master.addSlave(gripper)
+master.initialize()
+
+
+def run(flags, is_done, what):
+    """Writes these flags until the input image is as it has to become."""
+    end = time.monotonic() + 120
+    exchanges, image = 0, None
+    while time.monotonic() < end:
+        # WIDTH 20 mm, SPEED 100 mm/s, FORCELIMIT 40 N.
+        gripper.setMasterOutData(bytearray([flags, 0, 0x07, 0xD0, 0x27, 0x10, 0x0F, 0xA0]))
+        master.run()
+        data = gripper.getMasterInData()
+        if data is None:
+            continue
+        image = bytes(data)
+        exchanges += 1
+        # What the first ones bring is from before the flags.
+        if exchanges > 3 and is_done(image):
+            return
+    sys.exit(f"waited in vain for {what}: {image!r}")
+
+
+def shows(state):
+    return lambda image: image[0] == state and image[10:12] == b"\0\0"
+
+
+IDLE, HOLDING = 0x01, 0x10
+run(0x00, lambda image: True, "inputs")
+run(0x10, lambda image: not image[3] & 0x10, "FAST STOP to end")
+run(0x00, lambda image: True, "inputs")
+run(0x08, lambda image: image[2] & 1 and shows(IDLE)(image), "HOMING")
+run(0x00, lambda image: True, "inputs")
+run(0x02, shows(HOLDING), "GRIP")
+run(0x00, shows(HOLDING), "HOLDING")
+run(0x04, shows(IDLE), "RELEASE")
