@@ -1,5 +1,6 @@
 //! A station uses the lines that its settings choose, and no other, with what its settings say.
 
+use bus_profibus::{Baud, Character};
 use embedded_can::{Frame, Id};
 use host_tests::can_bench::Double;
 use host_tests::flash_model::FlashModel;
@@ -7,6 +8,7 @@ use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, NmtState};
 use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::plc::{Action, DpBuffers, DpResponder, UartStatus};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS};
 use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::CommandId;
@@ -15,6 +17,9 @@ use wsg_sim::Time;
 
 struct Bench {
     station: Station<Double>,
+    /// The handler of PROFIBUS, and the rate that it has asked for.
+    handler: DpResponder,
+    rate: Option<Baud>,
     can: Double,
     serial: SerialLine,
     modbus: RtuDouble,
@@ -28,12 +33,14 @@ struct Bench {
 impl Bench {
     fn new(config: &Config) -> Self {
         let can = Double::default();
-        let mut station =
-            Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT), Box::leak(Box::default()));
+        let buffers: &'static DpBuffers = Box::leak(Box::default());
+        let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT), buffers);
         station.start(config, Board::UNKNOWN, ResetCause::Pin);
         let serial = SerialLine::with_room(1_000);
         Self {
             station,
+            handler: DpResponder::new(buffers),
+            rate: None,
             can,
             serial,
             modbus: RtuDouble::default(),
@@ -50,11 +57,27 @@ impl Bench {
             self.now_ms += 1;
             let Self { station, serial, modbus, service, flash, now_ms, .. } = self;
             station.turn(*now_ms, Inputs::FAST_STOP_OK, serial, modbus, service, flash);
+            if self.station.uses_profibus() {
+                self.rate = self.handle(None, self.now_ms * 1_000).rate.or(self.rate);
+            }
             while let Some(frame) = self.can.take_winner() {
                 let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
                 self.on_can.push(id.as_raw());
             }
         }
+    }
+
+    fn handle(&mut self, received: Option<Character>, now_us: u32) -> Action {
+        self.handler.step(UartStatus { received, has_room: true, is_complete: true }, self.now_ms, now_us)
+    }
+
+    /// Whether FDL_Status of this station is answered.
+    fn is_on_profibus(&mut self, station: u8) -> bool {
+        self.now_ms += 1_000;
+        let bytes = [0x10, station, 2, 0x49, station.wrapping_add(2 + 0x49), 0x16];
+        // At 19 200 bit/s.
+        let mut times = (self.now_ms * 1_000..).step_by(573);
+        bytes.map(|byte| self.handle(Some(Character::Byte(byte)), times.next().unwrap()).wait_us)[5].is_some()
     }
 
     /// Asks a unit for a register by Modbus RTU: FC 3 or 4.
@@ -86,7 +109,7 @@ fn only_the_lines_that_the_settings_choose_are_used() {
     let to_gripper = Identifiers::DEFAULT.controller().transmit.as_raw();
     let boot_up = 0x700 | u16::from(DEFAULT_NODE.node);
     for gripper_line in [GripperLine::Serial, GripperLine::Can] {
-        for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen] {
+        for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen, PlcBus::Profibus] {
             let mut bench = Bench::new(&Config { gripper_line, plc_bus, ..Config::DEFAULT });
             bench.pass(50);
             let is_on_can = gripper_line == GripperLine::Can;
@@ -98,7 +121,13 @@ fn only_the_lines_that_the_settings_choose_are_used() {
             assert_eq!(bench.station.node().state() == NmtState::PreOperational, is_canopen, "{what}");
             assert_eq!(bench.station.uses_can(), is_on_can || is_canopen, "{what}");
             let is_answered = bench.register(1, 3, FIRST_SETTING).is_some();
-            assert_eq!(is_answered, !is_canopen, "{what}: a board starts no line that is off");
+            let is_profibus = plc_bus == PlcBus::Profibus;
+            assert_eq!(
+                is_answered,
+                !is_canopen && !is_profibus,
+                "{what}: a board starts no line that is off"
+            );
+            assert_eq!((bench.station.uses_profibus(), bench.rate.is_some()), (is_profibus, is_profibus));
         }
     }
 }
@@ -106,7 +135,7 @@ fn only_the_lines_that_the_settings_choose_are_used() {
 #[test]
 fn service_port_is_there_whatever_the_settings_choose() {
     for gripper_line in [GripperLine::Serial, GripperLine::Can] {
-        for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen] {
+        for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen, PlcBus::Profibus] {
             let changes = [("UNIT", 9), ("BUS_CHAR_TIMEOUT", 0), ("SWAP_BYTES", 1), ("MODBUS_RATE", 12)];
             let config = Config { gripper_line, plc_bus, ..with(&changes) };
             let mut bench = Bench::new(&config);
@@ -140,6 +169,15 @@ fn identifiers_and_nodes_of_the_record_are_those_on_the_bus() {
     bench.on_can.sort_unstable();
     bench.on_can.dedup();
     assert!(bench.on_can.starts_with(&[0x140]) && bench.on_can.contains(&0x705), "{:x?}", bench.on_can);
+}
+
+#[test]
+fn address_and_rate_of_the_record_are_those_on_profibus() {
+    let changes = [("PLC_BUS", 3), ("PROFIBUS_ADDRESS", 9), ("PROFIBUS_RATE", 192)];
+    let mut bench = Bench::new(&with(&changes));
+    bench.pass(1_000);
+    assert_eq!(bench.rate, Some(Baud::K19_2), "and no other is tried");
+    assert!(!bench.is_on_profibus(7) && bench.is_on_profibus(9));
 }
 
 #[test]
