@@ -127,6 +127,18 @@ fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
 }
 
 #[test]
+fn outputs_after_clear_that_are_those_from_before_it_make_the_next_flag_an_edge() {
+    let mut bench = Bench::homed(quick());
+    bench.control(0x02);
+    bench.pass_silent(10);
+    bench.exchange();
+    bench.pass(3);
+    bench.set(Flag::GRIP);
+    bench.pass(20);
+    assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
+}
+
+#[test]
 fn first_outputs_after_power_up_start_nothing() {
     let mut bench = Bench::new(AT_500K, quick());
     bench.pass_silent(200);
