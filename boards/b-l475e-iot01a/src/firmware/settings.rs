@@ -11,7 +11,12 @@ static WSG_SETTINGS: Record = Config::DEFAULT.record();
 
 /// Reads them.
 pub(crate) fn delivered() -> Record {
-    // Volatile: the compiler must not take them for what stands above.
-    // SAFETY: a reference may be read through.
-    unsafe { core::ptr::read_volatile(&raw const WSG_SETTINGS) }
+    let mut record = [0; _];
+    // One by one: read as a whole they would be on the stack twice.
+    for (value, delivered) in record.iter_mut().zip(&WSG_SETTINGS) {
+        // Volatile: the compiler must not take them for what stands above.
+        // SAFETY: a reference may be read through.
+        *value = unsafe { core::ptr::read_volatile(delivered) };
+    }
+    record
 }
