@@ -48,6 +48,7 @@ pub struct DpBuffers {
     /// The input image, for the handler as long as `is_fresh`; that keeps a copy.
     input: [AtomicU32; 3],
     is_fresh: AtomicBool,
+    /// Counts from the first rate on.
     address: AtomicU8,
     /// In bit/s; 0 before the start.
     rate: AtomicU32,
@@ -63,7 +64,7 @@ pub(super) enum FromMaster {
 }
 
 impl DpBuffers {
-    /// A slave that has not started.
+    /// A slave that has not started. All zeros: else a static would take its size of flash as well.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -72,7 +73,7 @@ impl DpBuffers {
             telegrams: AtomicU32::new(0),
             input: [const { AtomicU32::new(0) }; 3],
             is_fresh: AtomicBool::new(false),
-            address: AtomicU8::new(ADDRESS.station),
+            address: AtomicU8::new(0),
             rate: AtomicU32::new(0),
         }
     }

@@ -10,6 +10,7 @@ const ANSWER: [u8; 6] = [0x10, 0x02, 0x07, 0x00, 0x09, 0x16];
 
 fn at(rate: Baud) -> (DpResponder, &'static DpBuffers) {
     let buffers: &'static DpBuffers = Box::leak(Box::default());
+    buffers.set_address(ADDRESS.station);
     buffers.set_rate(rate);
     let mut responder = DpResponder::new(buffers);
     assert_eq!(responder.step(IDLE, 0, 0).rate, Some(rate));
