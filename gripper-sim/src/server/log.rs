@@ -45,13 +45,43 @@ struct Client {
 }
 
 enum Requests {
-    Frames(Box<Deframer>),
+    Frames(Box<Frames>),
     /// Of the text protocol: what came of a line that has no end yet.
     Lines(Vec<u8>),
     /// Of Modbus/TCP.
     Registers(Box<Receiver>),
     /// Of PROFIBUS: bytes as they come.
     Telegrams,
+}
+
+/// What finds frames once more, with the checksums that they came with.
+struct Frames {
+    deframer: Deframer,
+    /// The last two bytes that were taken: the checksum of a frame that ends there.
+    last: [u8; CHECKSUM_LEN],
+    /// Whether a frame may have come with another checksum than its own.
+    is_unchecked: bool,
+}
+
+impl Frames {
+    fn new(config: &Config) -> Self {
+        Self {
+            deframer: Deframer::new(config.check_checksum, config.frame_timeout_ms),
+            last: [0; CHECKSUM_LEN],
+            is_unchecked: !config.check_checksum,
+        }
+    }
+}
+
+/// The checksum of a frame, as it came.
+#[derive(Clone, Copy, Debug)]
+enum Checksum {
+    /// The right one.
+    Right,
+    /// These bytes.
+    Sent([u8; CHECKSUM_LEN]),
+    /// It was inside another frame, which proved to be none.
+    Unknown,
 }
 
 /// Gives lines their form.
@@ -98,9 +128,7 @@ impl Log {
 
     pub(super) fn connect(&mut self, id: PortId, kind: PortKind, name: Arc<str>, config: &Config) {
         let requests = match kind.protocol() {
-            Protocol::Binary => {
-                Requests::Frames(Box::new(Deframer::new(config.check_checksum, config.frame_timeout_ms)))
-            }
+            Protocol::Binary => Requests::Frames(Box::new(Frames::new(config))),
             Protocol::Text => Requests::Lines(Vec::new()),
             Protocol::Modbus => Requests::Registers(Box::default()),
             Protocol::Profibus => Requests::Telegrams,
@@ -117,13 +145,22 @@ impl Log {
         let Self { output, clients } = self;
         let Some(client) = clients.get_mut(&id) else { return };
         match &mut client.requests {
-            Requests::Frames(deframer) => {
+            Requests::Frames(frames) => {
+                let Frames { deframer, last, is_unchecked } = &mut **frames;
                 let mut rest = bytes;
                 loop {
                     let (taken, event) = deframer.push_slice(rest);
+                    for byte in rest.iter().take(taken) {
+                        *last = [last[1], *byte];
+                    }
                     rest = rest.get(taken..).unwrap_or(&[]);
+                    let checksum = match taken {
+                        _ if !*is_unchecked => Checksum::Right,
+                        0 => Checksum::Unknown,
+                        _ => Checksum::Sent(*last),
+                    };
                     match event {
-                        Some(event) => output.event(now, &client.name, event),
+                        Some(event) => output.event(now, &client.name, event, checksum),
                         None if rest.is_empty() => break,
                         None => {}
                     }
@@ -159,9 +196,10 @@ impl Log {
     pub(super) fn expire(&mut self, now: Time) {
         let Self { output, clients } = self;
         for client in clients.values_mut() {
-            let Requests::Frames(deframer) = &mut client.requests else { continue };
-            while let Some(event) = deframer.expire(now) {
-                output.event(now, &client.name, event);
+            let Requests::Frames(frames) = &mut client.requests else { continue };
+            let checksum = if frames.is_unchecked { Checksum::Unknown } else { Checksum::Right };
+            while let Some(event) = frames.deframer.expire(now) {
+                output.event(now, &client.name, event, checksum);
             }
         }
     }
@@ -174,7 +212,7 @@ impl Log {
             Some(Requests::Lines(_)) => output.line(now, direction, line, bytes),
             Some(Requests::Registers(_)) => output.modbus(now, direction, line, bytes),
             Some(Requests::Telegrams) => output.bytes(now, direction, line, bytes),
-            Some(Requests::Frames(_)) | None => output.frame(now, direction, line, bytes),
+            Some(Requests::Frames(_)) | None => output.frame(now, direction, line, &hex(bytes), bytes),
         }
     }
 
@@ -185,19 +223,24 @@ impl Log {
 }
 
 impl Output {
-    fn event(&mut self, now: Time, line: &str, event: Event<'_>) {
+    fn event(&mut self, now: Time, line: &str, event: Event<'_>, checksum: Checksum) {
         match event {
             Event::Frame(frame) => {
                 let whole: Vec<u8> = FrameEncoder::new(frame.id, frame.payload).collect();
-                self.frame(now, Direction::ToGripper, line, &whole);
+                let before = whole.get(..whole.len().saturating_sub(CHECKSUM_LEN)).unwrap_or(&[]);
+                let shown = match checksum {
+                    Checksum::Right => hex(&whole),
+                    Checksum::Sent(bytes) => hex(before) + &hex(&bytes),
+                    Checksum::Unknown => hex(before) + "?? ?? ",
+                };
+                self.frame(now, Direction::ToGripper, line, &shown, &whole);
             }
             Event::BadChecksum { id, size } => self.refused(now, line, "wrong checksum", id, size),
             Event::Oversize { id, size } => self.refused(now, line, "too long", id, size),
         }
     }
 
-    fn frame(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
-        let hex = hex(bytes);
+    fn frame(&mut self, now: Time, direction: Direction, line: &str, hex: &str, bytes: &[u8]) {
         let id = bytes.get(PREAMBLE_LEN).copied().unwrap_or(0);
         let payload = bytes.get(PAYLOAD_AT..bytes.len().saturating_sub(CHECKSUM_LEN)).unwrap_or(&[]);
         let frame = Frame { id, payload };

@@ -383,6 +383,27 @@ fn log_tells_time_direction_line_bytes_and_meaning() {
     assert!(lines[4].ends_with("33h Get Force Limit E_SUCCESS 40.0"), "{log}");
 }
 
+#[test]
+fn log_shows_the_checksum_that_was_sent_and_no_other() {
+    let path = scratch("unchecked-log");
+    let log = Log::to_file(&path).unwrap();
+    let config = Config { check_checksum: false, ..Config::default() };
+    let served = ServerThread::start(config, &tcp_lines(), Some(log)).unwrap();
+    let mut client = connect(&served);
+    // Without a checksum, and the next one with one of zeros: two bytes of its preamble are the first one's.
+    let mut stop = frame(Command::Stop);
+    stop.truncate(6);
+    client.0.write_all(&[&stop[..], &stop, &[0, 0], &stop, &[0x12, 0x34]].concat()).unwrap();
+    assert_eq!([client.recv(), client.recv()], [(0x22, Status::Success); 2]);
+    drop(client);
+    served.stop().unwrap();
+    let log = std::fs::read_to_string(&path).unwrap();
+    std::fs::remove_file(&path).unwrap();
+    let sent: Vec<&str> =
+        log.lines().filter_map(|line| line.split_once(" -> ")).map(|(_, sent)| sent).collect();
+    assert_eq!(sent, ["AA AA AA 22 00 00 AA AA  22h Stop", "AA AA AA 22 00 00 12 34  22h Stop"], "{log}");
+}
+
 /// Runs the binary to its end; its exit status, standard output and standard error.
 fn sim(arguments: &[&str]) -> (Option<i32>, String, String) {
     let output = Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(arguments).output().unwrap();

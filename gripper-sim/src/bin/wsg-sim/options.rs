@@ -32,7 +32,7 @@ Lines (without any: --tcp 127.0.0.1:1000)
   --modbus-swap-bytes      low byte first in the numbers of the Modbus registers
   --profibus LINE          PROFIBUS DP slave, with LINE as for --serial; docs/WSGB5555.gsd describes it to a master
   --profibus-address N     the slave's address, 0 to 125 (default 7)
-  --no-checksum-check      take frames whatever their checksum
+  --no-checksum-check      take frames whatever their checksum, whose two bytes must be there
   --answer-bad-checksum    answer E_CHECKSUM_ERROR to a wrong checksum (otherwise: silence)
   --no-disconnect-error    no FAST STOP when a TCP connection ends unannounced
 
