@@ -147,9 +147,10 @@ impl Axis {
         self.block
     }
 
-    /// The force on the fingers in N.
+    /// The force on the fingers in N: none while the motor is off, which lets them yield to a squeezed part.
     pub(crate) fn force(&self) -> f64 {
         match (self.drive, self.block) {
+            (None, _) => 0.0,
             (Some(travel), Some(Block { obstacle: Obstacle::EndStop | Obstacle::Jam, .. })) => travel.force,
             _ => self.penetration() * self.part.map_or(0.0, |part| f64::from(part.stiffness)),
         }
@@ -408,11 +409,12 @@ mod tests {
     }
 
     #[test]
-    fn part_pushes_idle_fingers_back_until_the_force_is_gone() {
+    fn part_pushes_idle_fingers_back_and_their_force_is_gone_at_once() {
         let mut axis = axis(Part::new(20.0, 10.0));
         axis.start(TRAVEL);
         run(&mut axis);
         axis.halt();
+        assert_eq!((axis.width(), axis.force()), (16.0, 0.0));
         let steps = run(&mut axis);
         assert!(steps <= 12, "{steps} ms");
         assert_eq!((axis.width(), axis.force()), (20.0, 0.0));

@@ -1,8 +1,8 @@
 //! Motion commands: what moves, how it ends, what is refused (command set, 3.2 and appendix C).
 
 use crate::common::{Rig, Sent, go_by, go_to, go_to_or_stop, grip, release, texts};
-use wsg_protocol::{Command, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
-use wsg_sim::{Config, Direction, Fault, Model, Part};
+use wsg_protocol::{AutoUpdate, Command, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
+use wsg_sim::{Config, Direction, Fault, Finger, Model, Part};
 
 #[test]
 fn homing_takes_under_four_seconds_on_every_model_and_in_both_directions() {
@@ -334,6 +334,24 @@ fn stop_aborts_a_motion_and_needs_no_acknowledgement() {
     assert!(rig.flags().contains(SystemFlags::AXIS_STOPPED));
     assert_eq!(rig.run(go_to(30.0)), Status::Success);
     assert!(!rig.flags().contains(SystemFlags::AXIS_STOPPED));
+}
+
+#[test]
+fn force_is_0_when_it_is_asked_for_right_behind_what_switches_the_motor_off() {
+    const FORCE: Command<'_> = Command::GetForce { update: AutoUpdate::once() };
+    for fingers in [[Finger::None; 2], [Finger::Fmf; 2]] {
+        let config = Config { part: Part::new(20.0, 10.0), fingers, ..Config::default() };
+        for stop in [Command::Stop, Command::FastStop] {
+            let mut rig = Rig::homed_with(config);
+            assert_eq!(rig.run(grip(20.0)), Status::Success);
+            assert_eq!(rig.ask(FORCE).f32(), 40.0);
+            assert_eq!(rig.status(stop), Status::Success);
+            assert_eq!(rig.ask(FORCE).f32(), 0.0, "{stop}");
+        }
+        let mut rig = Rig::homed_with(config);
+        assert_eq!(rig.run(go_to_or_stop(10.0)), Status::AxisBlocked);
+        assert_eq!(rig.ask(FORCE).f32(), 0.0);
+    }
 }
 
 #[test]
