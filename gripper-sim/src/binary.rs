@@ -6,7 +6,7 @@ use crate::deframer::Deframer;
 use crate::device::Device;
 use crate::port::{Completion, FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
 use crate::time::{Time, earlier};
-use crate::updates::{Readings, Subscriptions};
+use crate::updates::{Readings, Silence, Subscriptions};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{AutoUpdate, Command, CommandId, Event, Frame, FrameEncoder, Reply, Status};
 
@@ -32,6 +32,7 @@ struct Line {
     id: PortId,
     kind: PortKind,
     subscriptions: Subscriptions,
+    silence: Silence,
     /// Whether the client has announced its disconnection.
     announced: bool,
     /// Whether a frame with a wrong checksum is answered.
@@ -49,6 +50,7 @@ impl Client {
                 id,
                 kind,
                 subscriptions: Subscriptions::default(),
+                silence: Silence::new(kind, config),
                 announced: false,
                 answer_bad_checksum: config.answer_bad_checksum,
                 queue: FrameQueue::new(),
@@ -78,6 +80,7 @@ impl Client {
     /// Takes bytes up to the first event, or some of them, and handles the event; returns how many bytes it took and
     /// whether there was an event.
     pub(crate) fn receive(&mut self, device: &mut Device, now: Time, bytes: &[u8]) -> (usize, bool) {
+        self.line.silence.end(now);
         let (taken, event) = self.deframer.push_slice(bytes);
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
@@ -87,15 +90,25 @@ impl Client {
         self.deframer.pause(now, self.line.kind.is_datagram());
     }
 
+    /// Ends its subscriptions: somebody else is at the other end of the line.
+    pub(crate) fn end_updates(&mut self) {
+        self.line.subscriptions.clear();
+    }
+
     /// Ends the wait for the rest of a frame if its time is over, and handles an event in what it held; returns whether
-    /// there was one. Call until there is none.
+    /// there was one. Call until there is none. Subscriptions of a client that is silent for too long end, too.
     pub(crate) fn expire(&mut self, device: &mut Device, now: Time) -> bool {
+        if self.line.silence.is_too_long(now) {
+            self.line.subscriptions.clear();
+        }
         let event = self.deframer.expire(now);
         event.map(|event| self.line.handle(device, now, event)).is_some()
     }
 
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
-        earlier(self.line.subscriptions.next_due(now), self.deframer.due())
+        let Line { subscriptions, silence, .. } = &self.line;
+        let end = if subscriptions.are_none() { None } else { silence.due() };
+        earlier(earlier(subscriptions.next_due(now), end), self.deframer.due())
     }
 
     /// Sends the second answer to a command.

@@ -102,8 +102,21 @@ impl Client {
     pub(crate) fn expire(&mut self, device: &mut Device, fieldbus: &mut Fieldbus, now: Time) -> bool {
         match self {
             Self::Binary(client) => client.expire(device, now),
-            Self::Text(_) | Self::Modbus(_) => false,
+            Self::Text(client) => {
+                client.expire(now);
+                false
+            }
+            Self::Modbus(_) => false,
             Self::Profibus(client) => client.expire(device, fieldbus, now),
+        }
+    }
+
+    /// Ends what it has subscribed to.
+    pub(crate) fn end_updates(&mut self) {
+        match self {
+            Self::Binary(client) => client.end_updates(),
+            Self::Text(client) => client.end_updates(),
+            Self::Modbus(_) | Self::Profibus(_) => {}
         }
     }
 

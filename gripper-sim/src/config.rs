@@ -47,6 +47,9 @@ pub struct Config {
     pub modbus_swap_bytes: bool,
     /// The address on PROFIBUS, 0 to 125 (fieldbus, 2.2).
     pub profibus_address: u8,
+    /// After how many seconds without a byte from its client the automatic updates on a line end whose client may go
+    /// unnoticed: UDP, serial lines and CAN. 0: never, as far as the manual says.
+    pub updates_idle_s: u16,
     /// After how many milliseconds without a further byte half a frame is dropped.
     pub frame_timeout_ms: u16,
 }
@@ -75,6 +78,7 @@ impl Default for Config {
             part_width_tolerance: 5.0,
             modbus_swap_bytes: false,
             profibus_address: wsg_protocol::fieldbus::profibus::ADDRESS.station,
+            updates_idle_s: 0,
             frame_timeout_ms: 500,
         }
     }

@@ -9,8 +9,8 @@ mod requests;
 use crate::config::Config;
 use crate::device::Device;
 use crate::port::{Completion, FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
-use crate::time::Time;
-use crate::updates::Readings;
+use crate::time::{Time, earlier};
+use crate::updates::{Readings, Silence};
 use autosend::Autosends;
 use heapless::{Deque, String};
 use requests::Outcome;
@@ -42,6 +42,7 @@ struct Line {
     part_width_tolerance: f32,
     clamping_travel: f32,
     autosends: Autosends,
+    silence: Silence,
     queue: Deque<u8, QUEUE_LEN>,
     updates_lost: u32,
     replies_lost: u32,
@@ -59,6 +60,7 @@ impl Client {
                 part_width_tolerance: config.part_width_tolerance,
                 clamping_travel: config.clamping_travel,
                 autosends: Autosends::default(),
+                silence: Silence::new(kind, config),
                 queue: Deque::new(),
                 updates_lost: 0,
                 replies_lost: 0,
@@ -87,6 +89,7 @@ impl Client {
     /// Takes bytes up to the first line, or some of them, and answers the line; returns how many bytes it took and
     /// whether there was a line.
     pub(crate) fn receive(&mut self, device: &mut Device, now: Time, bytes: &[u8]) -> (usize, bool) {
+        self.line.silence.end(now);
         let (taken, event) = self.reader.push_slice(bytes);
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
@@ -117,7 +120,21 @@ impl Client {
     }
 
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
-        self.line.autosends.next_due(now)
+        let Line { autosends, silence, .. } = &self.line;
+        let end = if autosends.are_none() { None } else { silence.due() };
+        earlier(autosends.next_due(now), end)
+    }
+
+    /// Ends its subscriptions: somebody else is at the other end of the line.
+    pub(crate) fn end_updates(&mut self) {
+        self.line.autosends.clear();
+    }
+
+    /// Ends the subscriptions of a client that is silent for too long.
+    pub(crate) fn expire(&mut self, now: Time) {
+        if self.line.silence.is_too_long(now) {
+            self.line.autosends.clear();
+        }
     }
 
     pub(crate) fn has_line(&self) -> bool {

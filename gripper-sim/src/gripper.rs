@@ -118,6 +118,14 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.settle();
     }
 
+    /// Ends the automatic updates of a client, for a line on which somebody else goes on, such as UDP.
+    pub fn end_updates(&mut self, id: PortId, now: Time) {
+        self.advance(now);
+        if let Some(client) = client_in(&mut self.clients, id) {
+            client.end_updates();
+        }
+    }
+
     /// Takes bytes from the client: frames, lines of the text protocol, frames of Modbus/TCP, or telegrams of PROFIBUS, as its
     /// kind is.
     ///

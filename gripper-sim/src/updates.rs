@@ -1,5 +1,7 @@
-//! Automatic updates (command set, 3.4.1 to 3.4.6): what is sent by itself, when, and at which change.
+//! Automatic updates (command set, 3.4.1 to 3.4.6): what is sent by itself, when, at which change, and until when.
 
+use crate::config::Config;
+use crate::port::PortKind;
 use crate::time::Time;
 use wsg_protocol::{AutoUpdate, CommandId, GripperState, SystemFlags, Temperature, UpdateFlags, Value};
 
@@ -115,6 +117,10 @@ impl Subscriptions {
         *self = Self::default();
     }
 
+    pub(crate) fn are_none(&self) -> bool {
+        self.0.iter().all(Option::is_none)
+    }
+
     /// When there may be something to send again, other than because something happens.
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
         self.0.iter().flatten().map(|subscription| subscription.due).filter(|due| *due > now).min()
@@ -138,6 +144,35 @@ impl Subscriptions {
             }
             subscription.due = now.plus_millis(subscription.period_ms.into());
         }
+    }
+}
+
+/// Until when a client is sent updates that sends nothing itself, where nothing tells of its end.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Silence {
+    /// 0: for ever.
+    limit_s: u16,
+    heard: Time,
+}
+
+impl Silence {
+    pub(crate) const fn new(kind: PortKind, config: &Config) -> Self {
+        let limit_s = if kind.is_connection() { 0 } else { config.updates_idle_s };
+        Self { limit_s, heard: Time::ZERO }
+    }
+
+    /// The client has sent something.
+    pub(crate) const fn end(&mut self, now: Time) {
+        self.heard = now;
+    }
+
+    /// When its subscriptions end.
+    pub(crate) fn due(&self) -> Option<Time> {
+        (self.limit_s > 0).then(|| self.heard.plus_millis(u64::from(self.limit_s) * 1_000))
+    }
+
+    pub(crate) fn is_too_long(&self, now: Time) -> bool {
+        self.due().is_some_and(|due| due <= now)
     }
 }
 

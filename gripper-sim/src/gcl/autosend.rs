@@ -39,6 +39,10 @@ impl Autosends {
         *self = Self::default();
     }
 
+    pub(super) fn are_none(&self) -> bool {
+        self.0.iter().all(Option::is_none)
+    }
+
     /// When there may be something to send again, other than because something happens.
     pub(super) fn next_due(&self, now: Time) -> Option<Time> {
         self.0.iter().flatten().map(|subscription| subscription.due).filter(|due| *due > now).min()

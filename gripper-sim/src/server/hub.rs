@@ -279,6 +279,11 @@ impl Client {
         hub.request_counts.set(counts);
     }
 
+    /// Somebody else is at the other end of the line: what was subscribed to is not for them.
+    pub(super) fn end_updates(&self) {
+        self.hub.with_gripper(|gripper, now| gripper.end_updates(self.connected.id, now));
+    }
+
     /// Ready when something may reach the gripper over a line that is bad.
     pub(super) async fn request_waits(&self) {
         let arrival = self.requests.borrow().next_arrival();

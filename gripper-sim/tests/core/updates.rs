@@ -135,6 +135,44 @@ fn updates_belong_to_their_connection_and_end_with_it() {
 }
 
 #[test]
+fn updates_of_a_client_that_falls_silent_end_after_the_time_that_is_set() {
+    const PERIOD_MS: u16 = 100;
+    for (kind, ends) in
+        [(PortKind::Udp, true), (PortKind::Serial, true), (PortKind::Can, true), (PortKind::Tcp, false)]
+    {
+        let mut rig = Rig::on(kind, Config { updates_idle_s: 2, ..Config::default() });
+        let force = Command::GetForce { update: AutoUpdate::every(PERIOD_MS) };
+        rig.ask(force);
+        assert_eq!(rig.wait(1_500).len(), 15);
+        // Whatever it sends counts, and an answer it is that comes first.
+        rig.ask(Command::GetForceLimit);
+        assert!(rig.wait(1_950).len() >= 19, "{kind}");
+        rig.wait(100);
+        assert_eq!(rig.wait(1_000).is_empty(), ends, "{kind}");
+        // It can subscribe again.
+        rig.ask(force);
+        assert!(rig.wait(1_000).len() >= 9, "{kind}");
+    }
+}
+
+#[test]
+fn text_updates_of_a_client_that_falls_silent_end_after_the_time_that_is_set() {
+    let mut rig = Rig::on(PortKind::GclUdp, Config { updates_idle_s: 2, ..Config::default() });
+    rig.send_bytes(b"AUTOSEND(\"FORCE\",100)\n");
+    rig.frames();
+    assert_eq!(rig.wait(1_950).len(), 19);
+    rig.wait(100);
+    assert!(rig.wait(1_000).is_empty());
+}
+
+#[test]
+fn updates_go_on_for_ever_as_delivered() {
+    let mut rig = Rig::on(PortKind::Udp, Config::default());
+    rig.ask(Command::GetForce { update: AutoUpdate::every(60_000) });
+    assert_eq!(rig.wait(600_000).len(), 10);
+}
+
+#[test]
 fn updates_happen_at_their_own_time_however_late_the_caller_is() {
     let config = Config { part: Part::of_width(20.0), ..Config::default() };
     let script = |step_ms: u64| {

@@ -4,7 +4,7 @@ use crate::common::program::Program;
 use crate::common::uninterrupted;
 use std::io::Write;
 use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use wsg_sim::server::{Lines, Log, ServerThread};
 use wsg_sim::{Config, Part};
 
@@ -109,6 +109,30 @@ fn datagrams_are_answered_to_the_port_that_asked() {
         let (len, from) = uninterrupted::recv_from(&socket, &mut buffer).expect("an answer in time");
         assert_eq!(&buffer[..len], b"DEVTYPE=\"WSG 50-110\"\n");
         assert_eq!(Some(from), served.gcl_udp_address());
+    }
+}
+
+#[test]
+fn datagram_of_somebody_else_ends_the_updates_of_who_asked_before() {
+    let lines = Lines { gcl_udp: any_port(), ..Lines::default() };
+    let served = ServerThread::start(Config::default(), &lines, None).expect("the server is up");
+    let gripper = served.gcl_udp_address().unwrap();
+    let [before, behind] = [(); 2].map(|()| {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        socket.set_read_timeout(Some(BOUND)).unwrap();
+        socket
+    });
+    let mut buffer = [0; 512];
+    uninterrupted::send_to(&before, b"AUTOSEND(\"FORCE\",10)", gripper).unwrap();
+    // Its acknowledgement, and updates.
+    for _ in 0..3 {
+        uninterrupted::recv_from(&before, &mut buffer).expect("a datagram in time");
+    }
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_millis(100) {
+        uninterrupted::send_to(&behind, b"SN?", gripper).unwrap();
+        let (len, _) = uninterrupted::recv_from(&behind, &mut buffer).expect("an answer in time");
+        assert_eq!(buffer[..len].trim_ascii_end(), b"SN=1");
     }
 }
 

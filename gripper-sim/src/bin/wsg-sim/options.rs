@@ -34,6 +34,8 @@ Lines (without any: --tcp 127.0.0.1:1000)
   --profibus-address N     the slave's address, 0 to 125 (default 7)
   --no-checksum-check      take frames whatever their checksum, whose two bytes must be there
   --answer-bad-checksum    answer E_CHECKSUM_ERROR to a wrong checksum (otherwise: silence)
+  --updates-idle SECONDS   end the automatic updates of a client by UDP, serial line or CAN that has sent nothing
+                           for so long (default 0: never)
   --no-disconnect-error    no FAST STOP when a TCP connection ends unannounced
 
 Gripper
@@ -130,6 +132,9 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
                 profibus_address = Some(value(&mut parser, &name, "an address from 0 to 125", station)?);
             }
             "no-checksum-check" => config.check_checksum = false,
+            "updates-idle" => {
+                config.updates_idle_s = value(&mut parser, &name, "a number from 0 to 65535", parsed)?;
+            }
             "answer-bad-checksum" => config.answer_bad_checksum = true,
             "no-disconnect-error" => config.disconnect_error = false,
             "model" => config.model = value(&mut parser, &name, MODELS, Model::from_name)?,
@@ -370,7 +375,7 @@ mod tests {
     fn every_option_arrives() {
         let all = "--model wsg32 --serial-number 7 --tag cell --tcp 127.0.0.1:0 --udp 127.0.0.1:1500 \
                    --udp-remote-port 9 --serial pty --part 20:50 --finger1 fmf --finger2 dsa --no-checksum-check \
-                   --answer-bad-checksum --no-disconnect-error --homing-default in --time-scale 2.5 --log - --seed 9 \
+                   --answer-bad-checksum --updates-idle 60 --no-disconnect-error --homing-default in --time-scale 2.5 --log - --seed 9 \
                    --control 127.0.0.1:8080";
         let options = options_of(all);
         let expected = Config {
@@ -382,6 +387,7 @@ mod tests {
             time_scale: 2.5,
             check_checksum: false,
             answer_bad_checksum: true,
+            updates_idle_s: 60,
             disconnect_error: false,
             fingers: [Finger::Fmf, Finger::Dsa],
             ..Config::default()
