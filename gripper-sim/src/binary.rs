@@ -45,7 +45,7 @@ struct Line {
 impl Client {
     pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
         Self {
-            deframer: Deframer::new(config.check_checksum, config.frame_timeout_ms),
+            deframer: Deframer::new(kind, config),
             line: Line {
                 id,
                 kind,
@@ -69,7 +69,7 @@ impl Client {
         self.line.kind.is_connection() && !self.line.announced
     }
 
-    pub(crate) const fn counters(&self) -> PortCounters {
+    pub(crate) fn counters(&self) -> PortCounters {
         PortCounters {
             parser: self.deframer.counters(),
             updates_lost: self.line.updates_lost,
@@ -81,13 +81,13 @@ impl Client {
     /// whether there was an event.
     pub(crate) fn receive(&mut self, device: &mut Device, now: Time, bytes: &[u8]) -> (usize, bool) {
         self.line.silence.end(now);
-        let (taken, event) = self.deframer.push_slice(bytes);
+        let (taken, event) = self.deframer.push_slice(now, bytes);
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
 
     /// Notes that no more bytes follow for now.
     pub(crate) fn pause(&mut self, now: Time) {
-        self.deframer.pause(now, self.line.kind.is_datagram());
+        self.deframer.pause(now);
     }
 
     /// Ends its subscriptions: somebody else is at the other end of the line.

@@ -1,11 +1,16 @@
-//! From the bytes of one client to frames: the protocol's parser, with the time that half a frame is waited for.
+//! From the bytes of one client to frames: the protocol's parser, with the time that half a frame is waited for; over CAN the
+//! protocol's reassembler.
 //!
 //! Where checksums are not evaluated their two bytes must be there all the same (command set, 1.4.1). A client that leaves
 //! them out loses the first two bytes of its next frame to them, as at the real gripper.
 
+use crate::config::Config;
+use crate::port::PortKind;
 use crate::time::Time;
+use embedded_can::{Id, StandardId};
+use wsg_protocol::can::{FULL, MAX_FRAMES, Reassembler};
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
-use wsg_protocol::{Event, FrameCounters, FrameParser};
+use wsg_protocol::{Event, Frame, FrameCounters, FrameParser, Instant};
 
 /// The most payload in a frame that is taken.
 const MAX_PAYLOAD: usize = MAX_MESSAGE_LEN - OVERHEAD;
@@ -13,32 +18,75 @@ const MAX_PAYLOAD: usize = MAX_MESSAGE_LEN - OVERHEAD;
 /// Finds the frames in what one client sends.
 #[derive(Clone, Debug)]
 pub(crate) struct Deframer {
-    parser: FrameParser<MAX_PAYLOAD>,
+    finder: Finder,
+    is_datagram: bool,
     timeout_ms: u16,
     /// When what is held of a frame is given up.
     due: Option<Time>,
 }
 
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "the core allocates nothing, and neither is small")]
+enum Finder {
+    /// A stream, or datagrams.
+    Bytes(FrameParser<MAX_PAYLOAD>),
+    /// The data of CAN frames, each by itself.
+    Can(Reassembler<MAX_FRAMES>, Found),
+}
+
 impl Deframer {
-    pub(crate) const fn new(check_checksum: bool, timeout_ms: u16) -> Self {
-        let parser = if check_checksum { FrameParser::new() } else { FrameParser::ignoring_checksums() };
-        Self { parser, timeout_ms, due: None }
+    pub(crate) const fn new(kind: PortKind, config: &Config) -> Self {
+        let timeout_ms = config.frame_timeout_ms;
+        let finder = match kind {
+            // The reassembler knows no messages whose checksum is wrong: without checking their cut says nothing.
+            PortKind::Can if config.check_checksum => {
+                Finder::Can(Reassembler::new(Piece::ID, timeout_ms as u32), Found::NOTHING)
+            }
+            _ if config.check_checksum => Finder::Bytes(FrameParser::new()),
+            _ => Finder::Bytes(FrameParser::ignoring_checksums()),
+        };
+        Self { finder, is_datagram: kind.is_datagram(), timeout_ms, due: None }
     }
 
-    pub(crate) const fn counters(&self) -> FrameCounters {
-        self.parser.counters()
+    pub(crate) fn counters(&self) -> FrameCounters {
+        match &self.finder {
+            Finder::Bytes(parser) => parser.counters(),
+            Finder::Can(reassembler, _) => {
+                let counters = reassembler.counters();
+                FrameCounters {
+                    dropped: counters.dropped.saturating_mul(FULL as u16),
+                    bad_checksum: counters.bad_checksum,
+                    oversize: counters.oversize,
+                }
+            }
+        }
     }
 
     /// Takes bytes up to the first event, or some of them; how many: none where the event is about bytes that came before.
     /// When none are left and there is no event, all is told: call [`pause`](Self::pause) then.
-    pub(crate) fn push_slice(&mut self, bytes: &[u8]) -> (usize, Option<Event<'_>>) {
-        self.parser.push_slice(bytes)
+    pub(crate) fn push_slice(&mut self, now: Time, bytes: &[u8]) -> (usize, Option<Event<'_>>) {
+        match &mut self.finder {
+            Finder::Bytes(parser) => parser.push_slice(bytes),
+            Finder::Can(reassembler, found) => {
+                if found.is_empty()
+                    && let Some(piece) = Piece::first_of(bytes)
+                {
+                    reassembler.receive(instant(now), &piece, |event| found.keep(&event));
+                    return (piece.len, found.next());
+                }
+                (0, found.next())
+            }
+        }
     }
 
     /// No more bytes for now. When those so far were a datagram, none of its frames goes on in the next one.
-    pub(crate) fn pause(&mut self, now: Time, is_datagram: bool) {
-        let wait_ms = if is_datagram { 0 } else { self.timeout_ms };
-        self.due = self.parser.is_mid_frame().then(|| now.plus_millis(wait_ms.into()));
+    pub(crate) fn pause(&mut self, now: Time) {
+        let is_mid_frame = match &self.finder {
+            Finder::Bytes(parser) => parser.is_mid_frame(),
+            Finder::Can(reassembler, _) => reassembler.poll_timeout().is_some(),
+        };
+        let wait_ms = if self.is_datagram { 0 } else { self.timeout_ms };
+        self.due = is_mid_frame.then(|| now.plus_millis(wait_ms.into()));
     }
 
     /// When [`expire`](Self::expire) is to be called next.
@@ -51,11 +99,124 @@ impl Deframer {
         if self.due.is_none_or(|due| due > now) {
             return None;
         }
-        let event = self.parser.expire();
+        let event = match &mut self.finder {
+            Finder::Bytes(parser) => parser.expire(),
+            Finder::Can(reassembler, found) => {
+                if found.is_empty() {
+                    reassembler.handle_timeout(instant(now), |event| found.keep(&event));
+                }
+                found.next()
+            }
+        };
         if event.is_none() {
             self.due = None;
         }
         event
+    }
+}
+
+/// The reassembler's clock, which may wrap.
+const fn instant(now: Time) -> Instant {
+    Instant::from_millis((now.as_micros() / 1_000) as u32)
+}
+
+/// The data of one CAN frame. What it was sent with is seen to before.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    data: [u8; FULL],
+    len: usize,
+}
+
+impl Piece {
+    /// That of all pieces: whose frames are for this gripper is seen to before.
+    const ID: StandardId = StandardId::ZERO;
+
+    /// `None` of nothing.
+    fn first_of(bytes: &[u8]) -> Option<Self> {
+        let mut piece = Self { data: [0; FULL], len: 0 };
+        for (slot, byte) in piece.data.iter_mut().zip(bytes) {
+            *slot = *byte;
+            piece.len += 1;
+        }
+        (piece.len > 0).then_some(piece)
+    }
+}
+
+impl embedded_can::Frame for Piece {
+    fn new(_: impl Into<Id>, data: &[u8]) -> Option<Self> {
+        Self::first_of(data)
+    }
+
+    fn new_remote(_: impl Into<Id>, _: usize) -> Option<Self> {
+        None
+    }
+
+    fn is_extended(&self) -> bool {
+        false
+    }
+
+    fn is_remote_frame(&self) -> bool {
+        false
+    }
+
+    fn id(&self) -> Id {
+        Id::Standard(Self::ID)
+    }
+
+    fn dlc(&self) -> usize {
+        self.len
+    }
+
+    fn data(&self) -> &[u8] {
+        self.data.get(..self.len).unwrap_or(&[])
+    }
+}
+
+/// Events that one CAN frame has led to, to be taken one at a time: several where a frame before it was lost.
+#[derive(Clone, Debug)]
+struct Found {
+    /// A kind, an id and a size each, and the payload of a frame: shorter than the CAN frames that it was made of.
+    events: heapless::Vec<u8, MAX_MESSAGE_LEN>,
+    /// From where on they have not been taken.
+    next: usize,
+}
+
+impl Found {
+    const NOTHING: Self = Self { events: heapless::Vec::new(), next: 0 };
+    const FRAME: u8 = 0;
+    const BAD_CHECKSUM: u8 = 1;
+    const OVERSIZE: u8 = 2;
+
+    fn is_empty(&self) -> bool {
+        self.next == self.events.len()
+    }
+
+    fn keep(&mut self, event: &Event<'_>) {
+        if self.is_empty() {
+            (self.events, self.next) = (heapless::Vec::new(), 0);
+        }
+        let (kind, id, size, payload) = match *event {
+            Event::Frame(Frame { id, payload }) => (Self::FRAME, id, payload.len() as u16, payload),
+            Event::BadChecksum { id, size } => (Self::BAD_CHECKSUM, id, size, &[][..]),
+            Event::Oversize { id, size } => (Self::OVERSIZE, id, size, &[][..]),
+        };
+        let [low, high] = size.to_le_bytes();
+        // There is room: each is made of at least one CAN frame of eight bytes, and they all were held at a time.
+        let _ = self.events.extend_from_slice(&[kind, id, low, high]);
+        let _ = self.events.extend_from_slice(payload);
+    }
+
+    fn next(&mut self) -> Option<Event<'_>> {
+        let rest = self.events.get(self.next..).unwrap_or(&[]);
+        let [kind, id, low, high, behind @ ..] = rest else { return None };
+        let (id, size) = (*id, u16::from_le_bytes([*low, *high]));
+        let payload = if *kind == Self::FRAME { behind.get(..size.into()).unwrap_or(&[]) } else { &[] };
+        self.next += rest.len() - behind.len() + payload.len();
+        Some(match *kind {
+            Self::FRAME => Event::Frame(Frame { id, payload }),
+            Self::BAD_CHECKSUM => Event::BadChecksum { id, size },
+            _ => Event::Oversize { id, size },
+        })
     }
 }
 
@@ -66,8 +227,12 @@ mod tests {
 
     const TIMEOUT_MS: u16 = 500;
 
+    fn deframer(kind: PortKind, check_checksum: bool) -> Deframer {
+        Deframer::new(kind, &Config { check_checksum, frame_timeout_ms: TIMEOUT_MS, ..Config::default() })
+    }
+
     fn unchecked() -> Deframer {
-        Deframer::new(false, TIMEOUT_MS)
+        deframer(PortKind::Serial, false)
     }
 
     /// A frame, and how many bytes of its checksum are left.
@@ -82,7 +247,7 @@ mod tests {
         let mut ids = heapless::Vec::new();
         let mut rest = bytes;
         loop {
-            let (taken, event) = deframer.push_slice(rest);
+            let (taken, event) = deframer.push_slice(Time::ZERO, rest);
             rest = &rest[taken..];
             match event {
                 Some(Event::Frame(frame)) => ids.push(frame.id).unwrap(),
@@ -109,7 +274,7 @@ mod tests {
         let segment = [frame(0x24, b"ack", 0), frame(0x40, &[0, 0, 0], 0), frame(0x22, &[], 2)].concat();
         // Two bytes of the second one's preamble are the first one's checksum, so it is none; the third one is whole.
         assert_eq!(take(&mut deframer, &segment), [0x24, 0x22]);
-        deframer.pause(Time::ZERO, false);
+        deframer.pause(Time::ZERO);
         assert_eq!(deframer.due(), None);
     }
 
@@ -120,7 +285,7 @@ mod tests {
         {
             let mut deframer = unchecked();
             assert!(take(&mut deframer, lacking).is_empty());
-            deframer.pause(Time::ZERO, false);
+            deframer.pause(Time::ZERO);
             assert_eq!(deframer.due(), Some(Time::from_millis(TIMEOUT_MS.into())));
             assert!(ids_at(&mut deframer, Time::from_millis(TIMEOUT_MS.into())).is_empty());
             assert_eq!(deframer.due(), None);
@@ -141,18 +306,65 @@ mod tests {
         let mut zero = frame(0x22, &[], 0);
         zero.extend_from_slice(&[0, 0]).unwrap();
         assert_eq!(take(&mut deframer, &[zero.clone(), zero].concat()), [0x22, 0x22]);
-        deframer.pause(Time::ZERO, false);
+        deframer.pause(Time::ZERO);
         assert_eq!(deframer.due(), None);
     }
 
     #[test]
     fn frame_without_a_checksum_is_refused_where_checksums_count() {
-        let mut deframer = Deframer::new(true, TIMEOUT_MS);
+        let mut deframer = deframer(PortKind::Serial, true);
         let segment = [frame(0x22, &[], 0), frame(0x24, b"ack", 2)].concat();
         assert_eq!(take(&mut deframer, &segment), [0x24]);
         assert!(take(&mut deframer, &frame(0x22, &[], 0)).is_empty());
-        deframer.pause(Time::ZERO, false);
+        deframer.pause(Time::ZERO);
         assert_eq!(deframer.due(), Some(Time::from_millis(TIMEOUT_MS.into())));
         assert!(ids_at(&mut deframer, Time::from_millis(TIMEOUT_MS.into())).is_empty());
+    }
+
+    /// What a CAN frame that is lost leaves behind: a beginning that waits for its rest, and whole messages.
+    fn held_back() -> (heapless::Vec<u8, 64>, [heapless::Vec<u8, 64>; 2]) {
+        let mut beginning = frame(0x06, &[7; 40], 2);
+        beginning.truncate(FULL);
+        (beginning, [frame(0x22, &[], 2), frame(0x40, &[0, 0, 0], 2)])
+    }
+
+    #[test]
+    fn messages_behind_a_lost_can_frame_are_found_one_by_one_when_the_cut_proves_wrong() {
+        let mut deframer = deframer(PortKind::Can, true);
+        let (beginning, [stop, state]) = held_back();
+        for bytes in [&beginning, &stop] {
+            assert!(take(&mut deframer, bytes).is_empty());
+        }
+        // Its second CAN frame is a short one, which the message that was begun cannot have there.
+        assert_eq!(take(&mut deframer, &state), [0x22, 0x40]);
+    }
+
+    #[test]
+    fn half_a_message_over_can_is_given_up_and_what_it_held_back_is_found() {
+        let mut deframer = deframer(PortKind::Can, true);
+        let (beginning, [stop, _]) = held_back();
+        for bytes in [&beginning, &stop, &stop] {
+            assert!(take(&mut deframer, bytes).is_empty());
+        }
+        deframer.pause(Time::ZERO);
+        let due = deframer.due().unwrap();
+        assert_eq!(due, Time::from_millis(TIMEOUT_MS.into()));
+        assert_eq!(ids_at(&mut deframer, due), [0x22, 0x22]);
+        assert_eq!(deframer.due(), None);
+    }
+
+    #[test]
+    fn message_over_can_that_is_cut_otherwise_is_none() {
+        let mut deframer = deframer(PortKind::Can, true);
+        let message = frame(0x40, &[0, 0, 0], 2);
+        for cut in 1..message.len() {
+            let (one, other) = message.split_at(cut);
+            let ids = [take(&mut deframer, one), take(&mut deframer, other)].concat();
+            assert_eq!(ids.is_empty(), cut != FULL, "{cut}");
+            // A whole one behind it is found in any case.
+            take(&mut deframer, &frame(0x22, &[], 2));
+            deframer.pause(Time::ZERO);
+            ids_at(&mut deframer, Time::from_millis(TIMEOUT_MS.into()));
+        }
     }
 }

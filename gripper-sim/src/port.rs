@@ -22,7 +22,8 @@ pub enum PortKind {
     Udp,
     /// RS-232.
     Serial,
-    /// CAN, as a stream of bytes.
+    /// CAN: give the data of each CAN frame to [`receive`](crate::VirtualGripper::receive) by itself. A message begins and
+    /// ends with a CAN frame, and all its frames but the last are full; what is cut otherwise is none.
     Can,
     /// The text protocol (GCL) over TCP/IP.
     GclTcp,

@@ -64,9 +64,9 @@ struct Frames {
 }
 
 impl Frames {
-    fn new(config: &Config) -> Self {
+    fn new(kind: PortKind, config: &Config) -> Self {
         Self {
-            deframer: Deframer::new(config.check_checksum, config.frame_timeout_ms),
+            deframer: Deframer::new(kind, config),
             last: [0; CHECKSUM_LEN],
             is_unchecked: !config.check_checksum,
         }
@@ -128,7 +128,7 @@ impl Log {
 
     pub(super) fn connect(&mut self, id: PortId, kind: PortKind, name: Arc<str>, config: &Config) {
         let requests = match kind.protocol() {
-            Protocol::Binary => Requests::Frames(Box::new(Frames::new(config))),
+            Protocol::Binary => Requests::Frames(Box::new(Frames::new(kind, config))),
             Protocol::Text => Requests::Lines(Vec::new()),
             Protocol::Modbus => Requests::Registers(Box::default()),
             Protocol::Profibus => Requests::Telegrams,
@@ -149,7 +149,7 @@ impl Log {
                 let Frames { deframer, last, is_unchecked } = &mut **frames;
                 let mut rest = bytes;
                 loop {
-                    let (taken, event) = deframer.push_slice(rest);
+                    let (taken, event) = deframer.push_slice(now, rest);
                     for byte in rest.iter().take(taken) {
                         *last = [last[1], *byte];
                     }
@@ -165,7 +165,7 @@ impl Log {
                         None => {}
                     }
                 }
-                deframer.pause(now, client.is_datagram);
+                deframer.pause(now);
                 self.expire(now);
             }
             Requests::Lines(line) => {

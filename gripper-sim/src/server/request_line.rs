@@ -57,7 +57,8 @@ impl RequestLine {
 
     /// Takes what the client sent; tells the fate of each frame. What finds no room is lost.
     pub(super) fn take(&mut self, faults: &LineFaults, now: Time, bytes: &[u8], mut tell: impl FnMut(&Fate)) {
-        if self.kind.is_datagram() {
+        if self.kind.is_datagram() || self.kind == PortKind::Can {
+            // Datagrams, and CAN frames one by one, are what the line is bad for.
             return self.pass(faults, now, bytes, &mut tell);
         }
         let mut all = std::mem::take(&mut self.held);

@@ -190,6 +190,20 @@ fn slcan_frames_for_others_are_not_for_the_gripper() {
 }
 
 #[test]
+fn slcan_message_that_is_cut_otherwise_is_none_and_the_next_one_is_found() {
+    let served = serve(Config::default(), SerialLine::Pty);
+    let mut controller = controller(&served);
+    let stop: Vec<u8> = FrameEncoder::new(0x23, Command::FastStop).collect();
+    for pieces in [[&stop[..4], &stop[4..]], [&stop[..7], &stop[7..]]] {
+        for piece in pieces {
+            controller.send_frame(identifiers().controller().transmit, piece);
+        }
+    }
+    controller.send(Command::GetSystemState { update: wsg_protocol::AutoUpdate::once() });
+    assert_eq!(controller.recv(), (0x40, vec![0, 0, 0, 0, 0, 0]), "no FAST STOP");
+}
+
+#[test]
 fn slcan_channel_that_is_closed_lets_nothing_through() {
     let served = serve(Config::default(), SerialLine::Pty);
     let mut controller = controller(&served);
