@@ -80,7 +80,7 @@ impl Client {
         match self {
             Self::Binary(client) => client.receive(device, now, bytes),
             Self::Text(client) => client.receive(device, now, bytes),
-            Self::Modbus(client) => client.receive(device, fieldbus, bytes),
+            Self::Modbus(client) => client.receive(device, fieldbus, now, bytes),
             Self::Profibus(client) => client.receive(device, fieldbus, now, bytes),
         }
     }

@@ -3,6 +3,7 @@
 use crate::axis::{Direction, Part};
 use crate::finger::Finger;
 use crate::model::Model;
+use wsg_protocol::fieldbus::SilenceReaction;
 use wsg_protocol::{DecodeError, DeviceTag};
 
 /// The settings of a [`VirtualGripper`](crate::VirtualGripper). The default is a WSG 50-110 as it leaves the factory,
@@ -45,6 +46,11 @@ pub struct Config {
     /// Whether the two bytes of each number in the Modbus registers change places, for a PLC that takes "low byte first"
     /// (fieldbus, 4) by the letter; flags stay.
     pub modbus_swap_bytes: bool,
+    /// How long a Modbus master that has written may be silent, in milliseconds; 0: for ever. A PROFIBUS master brings a
+    /// watchdog of its own.
+    pub bus_timeout_ms: u16,
+    /// What is done then; a jog ends in any case.
+    pub bus_reaction: SilenceReaction,
     /// The address on PROFIBUS, 0 to 125 (fieldbus, 2.2).
     pub profibus_address: u8,
     /// After how many seconds without a byte from its client the automatic updates on a line end whose client may go
@@ -77,6 +83,8 @@ impl Default for Config {
             clamping_travel: 5.0,
             part_width_tolerance: 5.0,
             modbus_swap_bytes: false,
+            bus_timeout_ms: 0,
+            bus_reaction: SilenceReaction::Stop,
             profibus_address: wsg_protocol::fieldbus::profibus::ADDRESS.station,
             updates_idle_s: 0,
             frame_timeout_ms: 500,

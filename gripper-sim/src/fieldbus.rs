@@ -9,7 +9,7 @@ use crate::device::Device;
 use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
 use bus_modbus::{Bits, Exception, Identification, MAX_PDU_LEN, Words};
-use wsg_protocol::fieldbus::{Controller, Images, InputImage, OutputImage, SilenceReaction};
+use wsg_protocol::fieldbus::{CommandFlags, Controller, Images, InputImage, OutputImage, SilenceReaction};
 use wsg_protocol::session::{Event, Known};
 use wsg_protocol::{Reply, Status, Value};
 
@@ -30,6 +30,12 @@ pub(crate) struct Fieldbus {
     writer: Option<PortId>,
     /// Whether anything has been written: before, the controller waits for nothing.
     in_use: bool,
+    /// When a Modbus master asked for something last, since one has written.
+    heard: Option<Time>,
+    /// Flags that do not count until they are written 0.
+    masked: CommandFlags,
+    /// What a Modbus master writes next is the first since they fell silent.
+    is_new: bool,
 }
 
 impl Fieldbus {
@@ -38,7 +44,15 @@ impl Fieldbus {
         // There is no line between the two that could be cut.
         controller.handle(&Event::Connected, &known(device));
         let images = Images::new(device.config().modbus_swap_bytes);
-        Self { images, controller, writer: None, in_use: false }
+        Self {
+            images,
+            controller,
+            writer: None,
+            in_use: false,
+            heard: None,
+            masked: CommandFlags::empty(),
+            is_new: false,
+        }
     }
 
     /// Answers a request PDU of this client, and lets what it writes take effect. What it leads to is due at the next
@@ -46,14 +60,19 @@ impl Fieldbus {
     pub(crate) fn serve(
         &mut self,
         device: &Device,
-        client: PortId,
+        asked: Request,
         request: &[u8],
         response: &mut [u8; MAX_PDU_LEN],
     ) -> usize {
         self.images.set_input(&self.input(device));
         let len = bus_modbus::serve(request, &mut Registers(&mut self.images), response);
-        if let Some(image) = self.images.take_written() {
-            self.write(device, client, &image, true);
+        let written = self.images.take_written();
+        if self.heard.is_some() || written.is_some() {
+            self.heard = Some(asked.now);
+        }
+        if let Some(image) = written {
+            let is_first = core::mem::take(&mut self.is_new);
+            self.write(device, asked.port, &image, is_first);
         }
         len
     }
@@ -63,15 +82,15 @@ impl Fieldbus {
         self.controller.input(&known(device))
     }
 
-    /// Takes an image that this client wrote as a whole. What it leads to is due at the next [`follow`](Self::follow). A motion
-    /// whose flag rises in it begins only if `may_begin`.
-    pub(crate) fn write(&mut self, device: &Device, client: PortId, image: &OutputImage, may_begin: bool) {
-        let known = known(device);
-        if may_begin {
-            self.controller.set_output(image, &known);
-        } else {
-            self.controller.set_output_refusing_motions(image, &known);
+    /// Takes an image that this client wrote as a whole. What it leads to is due at the next [`follow`](Self::follow). Flags in
+    /// its first one count after they were 0, but FASTSTOP.
+    pub(crate) fn write(&mut self, device: &Device, client: PortId, image: &OutputImage, is_first: bool) {
+        self.masked &= image.flags;
+        if is_first {
+            self.masked |= image.flags.difference(CommandFlags::FASTSTOP);
         }
+        let counting = OutputImage { flags: image.flags.difference(self.masked), ..*image };
+        self.controller.set_output(&counting, &known(device));
         self.writer = Some(client);
         self.in_use = true;
     }
@@ -83,6 +102,24 @@ impl Fieldbus {
             self.writer = None;
             self.controller.silence(SilenceReaction::Hold, &known(device));
         }
+    }
+
+    /// When the Modbus masters have been silent for too long.
+    pub(crate) fn next_due(&self, device: &Device) -> Option<Time> {
+        let timeout_ms = device.config().bus_timeout_ms;
+        self.heard.filter(|_| timeout_ms > 0).map(|heard| heard.plus_millis(timeout_ms.into()))
+    }
+
+    /// Does what is to be done when the Modbus masters have been silent for too long; whether they have.
+    pub(crate) fn expire(&mut self, device: &Device, now: Time) -> bool {
+        let is_due = self.next_due(device).is_some_and(|due| due <= now);
+        if is_due {
+            self.is_new = true;
+            self.writer = None;
+            self.heard = None;
+            self.controller.silence(device.config().bus_reaction, &known(device));
+        }
+        is_due
     }
 
     /// The second answer to a command.

@@ -189,6 +189,9 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             self.device.run_due(before, self.now);
             self.settle();
             self.expire_half_frames();
+            if self.fieldbus.expire(&self.device, self.now) {
+                self.settle();
+            }
         }
         self.now = self.now.max(now);
     }
@@ -279,7 +282,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     fn next_event(&self, pick: impl FnOnce(NextEvent) -> Option<Time>) -> Option<Time> {
         let device = pick(self.device.next_event(self.now));
         let clients = self.clients.iter().flatten().filter_map(|client| client.next_due(self.now)).min();
-        earlier(device, clients)
+        earlier(earlier(device, clients), self.fieldbus.next_due(&self.device))
     }
 
     fn client(&self, id: PortId) -> Option<&Client> {

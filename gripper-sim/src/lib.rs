@@ -57,3 +57,4 @@ pub use gripper::{DEFAULT_PORTS, State, VirtualGripper};
 pub use model::{Model, Parameters};
 pub use port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
 pub use time::Time;
+pub use wsg_protocol::fieldbus::SilenceReaction;

@@ -2,7 +2,8 @@
 
 use crate::device::Device;
 use crate::fieldbus::Fieldbus;
-use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId};
+use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, Request};
+use crate::time::Time;
 use bus_modbus::tcp::{self, Event, HEADER_LEN, Receiver};
 use heapless::Deque;
 use wsg_protocol::FrameCounters;
@@ -63,10 +64,11 @@ impl Client {
         &mut self,
         device: &Device,
         fieldbus: &mut Fieldbus,
+        now: Time,
         bytes: &[u8],
     ) -> (usize, bool) {
         let (taken, event) = self.receiver.push_slice(bytes);
-        (taken, event.map(|event| self.line.handle(device, fieldbus, event)).is_some())
+        (taken, event.map(|event| self.line.handle(device, fieldbus, now, event)).is_some())
     }
 
     pub(crate) fn has_frame(&self) -> bool {
@@ -87,12 +89,13 @@ impl Client {
 }
 
 impl Line {
-    fn handle(&mut self, device: &Device, fieldbus: &mut Fieldbus, event: Event<'_>) {
+    fn handle(&mut self, device: &Device, fieldbus: &mut Fieldbus, now: Time, event: Event<'_>) {
         match event {
             Event::Request(request) => {
                 let mut frame = [0; tcp::MAX_FRAME_LEN];
-                let id = self.id;
-                let answer = request.answer(&mut frame, |pdu, place| fieldbus.serve(device, id, pdu, place));
+                let asked = Request { port: self.id, now };
+                let answer =
+                    request.answer(&mut frame, |pdu, place| fieldbus.serve(device, asked, pdu, place));
                 self.send(answer);
             }
             Event::Foreign { len } => self.dropped = self.dropped.saturating_add(len),

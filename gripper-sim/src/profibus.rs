@@ -130,8 +130,8 @@ impl Client {
         match event {
             Event::Outputs => {
                 let image = OutputImage::from_bytes(*self.slave.outputs());
-                let may_begin = core::mem::replace(&mut self.has_outputs, true);
-                fieldbus.write(device, self.id, &image, may_begin);
+                let is_first = !core::mem::replace(&mut self.has_outputs, true);
+                fieldbus.write(device, self.id, &image, is_first);
             }
             // Nobody commands; what runs goes on, and a jog ends.
             Event::Cleared | Event::Left(_) => {

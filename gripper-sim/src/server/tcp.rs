@@ -4,6 +4,8 @@ use super::hub::Hub;
 use super::stream::{self, Pace};
 use crate::port::PortKind;
 use anyhow::Result;
+use socket2::{SockRef, TcpKeepalive};
+use std::io;
 use std::net::SocketAddr;
 use std::rc::Rc;
 use std::time::Duration;
@@ -13,6 +15,13 @@ use tokio::time::sleep;
 
 /// How long no connection is accepted after the system refused one, for want of descriptors for example.
 const RECOVERY: Duration = Duration::from_millis(100);
+
+/// How long a Modbus/TCP connection is silent before the system asks whether its master is still there.
+const KEEP_ALIVE_AFTER: Duration = Duration::from_secs(60);
+/// How long it waits for an answer.
+const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(10);
+/// How often it asks in vain before the connection ends.
+const KEEP_ALIVE_RETRIES: u32 = 3;
 
 /// `kind` says which protocol is spoken.
 pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, kind: PortKind) -> Result<()> {
@@ -29,9 +38,44 @@ pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, kind: PortKind) -
 async fn serve_client(hub: Rc<Hub>, mut stream: TcpStream, peer: SocketAddr, kind: PortKind) {
     // One too many: the connection is closed at once.
     let Some(client) = hub.connect(kind, &peer.to_string()) else { return };
+    if kind == PortKind::ModbusTcp {
+        // Where the system cannot do that, the end of a connection is noticed later.
+        let _ = keep_alive(&stream);
+    }
     if stream.set_nodelay(true).is_ok() {
         let (reader, writer) = stream.split();
         // However it ends, the client is gone; that is all there is to say about it.
         let _ = stream::serve(&client, reader, writer, Pace::OfTheReader).await;
+    }
+}
+
+/// Has the system notice a master that lost its power or its network: its connection ends, and with it a jog (guide,
+/// 4.3.2).
+fn keep_alive(stream: &TcpStream) -> io::Result<()> {
+    let keep_alive = TcpKeepalive::new()
+        .with_time(KEEP_ALIVE_AFTER)
+        .with_interval(KEEP_ALIVE_INTERVAL)
+        .with_retries(KEEP_ALIVE_RETRIES);
+    SockRef::from(stream).set_tcp_keepalive(&keep_alive)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn system_asks_whether_a_silent_master_is_still_there() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let (master, accepted) = tokio::join!(TcpStream::connect(address), listener.accept());
+        let _master = master.unwrap();
+        let (stream, _) = accepted.unwrap();
+        assert!(!SockRef::from(&stream).keepalive().unwrap());
+        keep_alive(&stream).unwrap();
+        let socket = SockRef::from(&stream);
+        assert!(socket.keepalive().unwrap());
+        assert_eq!(socket.tcp_keepalive_time().unwrap(), KEEP_ALIVE_AFTER);
+        assert_eq!(socket.tcp_keepalive_interval().unwrap(), KEEP_ALIVE_INTERVAL);
+        assert_eq!(socket.tcp_keepalive_retries().unwrap(), KEEP_ALIVE_RETRIES);
     }
 }

@@ -3,7 +3,10 @@
 
 use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{GripperState, Status, SystemFlags};
-use wsg_sim::{Config, Direction, Fault, MAX_FRAME_LEN, Model, Part, PortId, PortKind, Time, VirtualGripper};
+use wsg_sim::{
+    Config, Direction, Fault, MAX_FRAME_LEN, Model, Part, PortId, PortKind, SilenceReaction, Time,
+    VirtualGripper,
+};
 
 /// Parameters inside the limits of a WSG 50.
 const PARAMETERS: OutputImage =
@@ -36,6 +39,19 @@ impl Plc {
         let mut plc = Self::new(Config { homing_default: Direction::Plus, ..config });
         plc.raise(Flag::HOMING);
         plc.wait(4_000);
+        plc.lower(Flag::HOMING);
+        assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+        plc
+    }
+
+    /// Homed, and with a bus time-out of 500 ms.
+    fn watched(bus_reaction: SilenceReaction) -> Self {
+        let mut plc = Self::new(Config { bus_timeout_ms: 500, bus_reaction, ..Config::default() });
+        plc.raise(Flag::HOMING);
+        for _ in 0..40 {
+            plc.wait(100);
+            plc.read();
+        }
         plc.lower(Flag::HOMING);
         assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
         plc
@@ -484,6 +500,73 @@ fn motion_goes_on_when_the_last_master_is_gone() {
     // The image stays, so the same flag is no edge.
     plc.change(|image| image.width = 80_00);
     plc.assert_stands();
+}
+
+#[test]
+fn silent_master_ends_a_jog_whatever_the_reaction_is_and_nothing_begins_when_it_is_back() {
+    for reaction in [SilenceReaction::Hold, SilenceReaction::Stop] {
+        let mut plc = Plc::watched(reaction);
+        plc.change(|image| image.speed = 10_00);
+        plc.raise(Flag::JOG_MINUS);
+        plc.wait(400);
+        // Reading is life, too.
+        plc.read();
+        // The gripper wakes by itself.
+        assert!(plc.gripper.next_wake().is_some());
+        plc.wait(499);
+        assert!(plc.gripper.state().speed < 0.0, "{reaction:?}: not yet");
+        plc.wait(1);
+        assert_eq!(plc.gripper.state().speed, 0.0, "{reaction:?}");
+        // Jog and motion of what is written next count after they were 0.
+        plc.write();
+        plc.assert_stands();
+        plc.change(|image| image.flags = Flag::GRIP);
+        plc.assert_stands();
+        plc.change(|image| image.flags = Flag::empty());
+        plc.raise(Flag::GRIP);
+        plc.wait(100);
+        assert!(plc.gripper.state().speed < 0.0, "{reaction:?}: an edge does");
+    }
+}
+
+#[test]
+fn silent_master_holds_stops_or_fast_stops_a_motion_as_set() {
+    for (reaction, moves, is_fast_stopped) in [
+        (SilenceReaction::Hold, true, false),
+        (SilenceReaction::Stop, false, false),
+        (SilenceReaction::FastStop, false, true),
+    ] {
+        let mut plc = Plc::watched(reaction);
+        plc.change(|image| (image.width, image.speed) = (0, 10_00));
+        plc.raise(Flag::MOVE);
+        plc.wait(499);
+        assert!(plc.gripper.state().speed < 0.0);
+        plc.wait(1);
+        assert_eq!(plc.gripper.state().speed < 0.0, moves, "{reaction:?}");
+        assert_eq!(plc.flags().contains(SystemFlags::FAST_STOP), is_fast_stopped, "{reaction:?}");
+        // It is done once: who reads and writes nothing is not missed again.
+        plc.wait(5_000);
+        assert_eq!(plc.flags().contains(SystemFlags::FAST_STOP), is_fast_stopped, "{reaction:?}");
+    }
+}
+
+#[test]
+fn master_that_never_wrote_or_is_not_watched_is_not_missed() {
+    let mut gripper = VirtualGripper::new(Config {
+        bus_timeout_ms: 500,
+        bus_reaction: SilenceReaction::FastStop,
+        ..Config::default()
+    });
+    let port = gripper.connect(PortKind::ModbusTcp).unwrap();
+    let mut plc = Plc { gripper, port, image: PARAMETERS, now: Time::ZERO };
+    plc.read();
+    plc.wait(5_000);
+    assert_eq!(plc.flags(), SystemFlags::empty());
+    let mut plc = Plc::homed(None);
+    plc.change(|image| image.speed = 5_00);
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(20_000);
+    assert!(plc.gripper.state().speed < 0.0, "as delivered");
 }
 
 #[test]

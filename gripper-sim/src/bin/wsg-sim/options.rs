@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use wsg_protocol::can::Identifiers;
 use wsg_sim::server::{CanBus, CanLine, Lines, SerialLine, UdpLine};
-use wsg_sim::{Config, Direction, Finger, Model, Part, Tag};
+use wsg_sim::{Config, Direction, Finger, Model, Part, SilenceReaction, Tag};
 
 /// What `--help` shows.
 pub(crate) const USAGE: &str = "\
@@ -30,6 +30,8 @@ Lines (without any: --tcp 127.0.0.1:1000)
   --gcl-udp ADDR           listen for the text protocol over UDP on ADDR, and answer to the port that asked
   --modbus ADDR            listen for Modbus/TCP on ADDR, such as 127.0.0.1:1502 (port 502 on the real gripper)
   --modbus-swap-bytes      low byte first in the numbers of the Modbus registers
+  --bus-timeout MS         how long a Modbus master that has written may be silent (default 0: for ever)
+  --bus-reaction WHAT      what is done then: hold, stop (default) or fast-stop; a jog ends in any case
   --profibus LINE          PROFIBUS DP slave, with LINE as for --serial; docs/WSGB5555.gsd describes it to a master
   --profibus-address N     the slave's address, 0 to 125 (default 7)
   --no-checksum-check      take frames whatever their checksum, whose two bytes must be there
@@ -94,7 +96,7 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     let mut udp_address: Option<SocketAddr> = None;
     let mut udp_remote_port = None;
     let (mut can_bus, mut can_id) = (None, None);
-    let mut profibus_address = None;
+    let (mut profibus_address, mut bus_reaction) = (None, None);
     while let Some(argument) = parser.next()? {
         let Arg::Long(name) = argument else {
             return Err(anyhow!(argument.unexpected()).context("expected options as --help lists them"));
@@ -124,6 +126,12 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
             "gcl-udp" => lines.gcl_udp = Some(value(&mut parser, &name, ADDRESS, parsed)?),
             "modbus" => lines.modbus = Some(value(&mut parser, &name, ADDRESS, parsed)?),
             "modbus-swap-bytes" => config.modbus_swap_bytes = true,
+            "bus-timeout" => {
+                config.bus_timeout_ms = value(&mut parser, &name, "a number from 0 to 65535", parsed)?;
+            }
+            "bus-reaction" => {
+                bus_reaction = Some(value(&mut parser, &name, "hold, stop or fast-stop", reaction)?);
+            }
             "profibus" => {
                 lines.profibus =
                     Some(value(&mut parser, &name, "pty, unix:PATH or a device's path", serial)?);
@@ -196,6 +204,15 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     };
     if config.modbus_swap_bytes && lines.modbus.is_none() {
         bail!("--modbus-swap-bytes is of no use without --modbus ADDR");
+    }
+    if config.bus_timeout_ms > 0 && lines.modbus.is_none() {
+        bail!("--bus-timeout is of no use without --modbus ADDR");
+    }
+    if let Some(reaction) = bus_reaction {
+        if config.bus_timeout_ms == 0 {
+            bail!("--bus-reaction is of no use without --bus-timeout MS");
+        }
+        config.bus_reaction = reaction;
     }
     if let Some(address) = profibus_address {
         if lines.profibus.is_none() {
@@ -290,6 +307,15 @@ fn direction(text: &str) -> Option<Direction> {
     }
 }
 
+fn reaction(text: &str) -> Option<SilenceReaction> {
+    match text {
+        "hold" => Some(SilenceReaction::Hold),
+        "stop" => Some(SilenceReaction::Stop),
+        "fast-stop" => Some(SilenceReaction::FastStop),
+        _ => None,
+    }
+}
+
 /// `none` is a part that is read well: no part.
 fn part(text: &str) -> Option<Option<Part>> {
     if text == "none" {
@@ -369,6 +395,8 @@ mod tests {
         assert_eq!((options.lines.tcp, options.lines.modbus), (None, "127.0.0.1:1502".parse().ok()));
         assert!(options.config.modbus_swap_bytes);
         assert!(!options_of("--modbus 127.0.0.1:1502").config.modbus_swap_bytes);
+        let config = options_of("--modbus 127.0.0.1:1502 --bus-timeout 500 --bus-reaction fast-stop").config;
+        assert_eq!((config.bus_timeout_ms, config.bus_reaction), (500, SilenceReaction::FastStop));
     }
 
     #[test]
