@@ -456,6 +456,24 @@ fn jog_ends_idle_at_the_end_of_the_stroke() {
 }
 
 #[test]
+fn jog_that_meets_a_block_ends_idle_and_its_status_says_why() {
+    let mut plc = Plc::homed(Part::of_width(20.0));
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(3_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::AxisBlocked));
+    assert_eq!(plc.gripper.state().gripper, GripperState::Error, "command 41h has the command set's");
+    plc.wait(1_000);
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::AxisBlocked), "until the next command");
+    plc.lower(Flag::JOG_MINUS);
+    // An error of a motion behind it shows as ever.
+    plc.change(|image| image.width = 80_00);
+    plc.raise(Flag::MOVE);
+    plc.gripper.set_fault(Fault::AxisBlocked, true, plc.now);
+    plc.wait(500);
+    assert_eq!(plc.shows(), (Shown::ERROR, Status::AxisBlocked));
+}
+
+#[test]
 fn jog_ends_when_the_connection_that_wrote_last_is_gone() {
     let mut plc = Plc::homed(None);
     let other = plc.gripper.connect(PortKind::ModbusTcp).unwrap();

@@ -312,6 +312,8 @@ impl Controller {
             }
             Event::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, Cause::Unanswered, known),
             Event::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, Cause::Withdrawn, known),
+            // A jog ends idle, whatever the gripper makes of its error (fieldbus, 6.7).
+            Event::Reported(Value::GetGripperState(GripperState::Error)) if self.jog.failed => {}
             Event::Reported(Value::GetGripperState(_)) => self.settled = None,
             Event::Reported(Value::GetSystemState(flags)) => {
                 self.supervise_fast_stop(*flags);
@@ -623,6 +625,7 @@ impl Controller {
         self.shown = Some(command.id());
         (self.status, self.refused) = (Status::CmdPending, None);
         self.failed = false;
+        self.jog.failed = false;
         self.settled = None;
     }
 

@@ -53,12 +53,14 @@ pub(super) enum Stage {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Jog {
     pub(super) stage: Stage,
+    /// The last one ended with an error, and nothing was asked for since: the gripper's ERROR is its own.
+    pub(super) failed: bool,
     armed: bool,
 }
 
 impl Jog {
     pub(super) const fn new() -> Self {
-        Self { stage: Stage::Off, armed: false }
+        Self { stage: Stage::Off, failed: false, armed: false }
     }
 
     pub(super) fn is_on(&self) -> bool {

@@ -68,6 +68,7 @@ impl Controller {
     #[inline(never)]
     pub(super) fn end_jog(&mut self, status: Status) {
         self.jog.stage = Stage::Off;
+        self.jog.failed = status != Status::Success;
         self.jog.disarm(self.image.as_ref());
         self.motion = None;
         self.settled = Some(GripperState::Idle);

@@ -84,6 +84,32 @@ fn both_jog_flags_stop_and_the_one_that_stays_goes_on() {
 }
 
 #[test]
+fn error_that_the_gripper_reports_behind_a_failed_jog_is_the_jogs_until_something_is_asked_for() {
+    let mut plc = Plc::ready();
+    let commands = plc.raise(CommandFlags::JOG_PLUS);
+    assert_eq!(commands.len(), 1);
+    plc.answer(CommandId::SetForceLimit, Status::Success);
+    plc.begins(CommandId::PrePosition);
+    plc.report(GripperState::Positioning);
+    plc.answer(CommandId::PrePosition, Status::AxisBlocked);
+    plc.report(GripperState::Error);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AxisBlocked));
+    plc.lower(CommandFlags::JOG_PLUS);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AxisBlocked));
+    // An error of somebody else's motion is none of it.
+    plc.report(GripperState::Positioning);
+    plc.report(GripperState::Error);
+    assert_eq!(plc.shows().0, GripperFlags::ERROR);
+    // And one of the PLC's own shows.
+    plc.raise(CommandFlags::HOMING);
+    plc.begins(CommandId::Homing);
+    plc.report(GripperState::Positioning);
+    plc.answer(CommandId::Homing, Status::AxisBlocked);
+    plc.report(GripperState::Error);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::AxisBlocked));
+}
+
+#[test]
 fn jog_flags_that_rise_together_move_nothing() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::JOG_PLUS | CommandFlags::JOG_MINUS), []);
