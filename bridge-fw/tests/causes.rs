@@ -417,6 +417,12 @@ fn causes() -> Vec<(Told, Provoke)> {
             plant.write(Cmd::MOVE, [20_00, 50_00, 40_00]);
             plant
         }),
+        (refusal(E::NotIdle, None, 0), |bus| {
+            let mut plant = Plant::homed(bus, quick());
+            plant.command(Cmd::GRIP, [20_00, 50_00, 40_00]);
+            plant.write(Cmd::MOVE, [20_00, 50_00, 40_00]);
+            plant
+        }),
         (refusal(E::Refused, MOVED, Status::NotInitialized.code()), |bus| {
             let mut plant = Plant::ready(bus, quick());
             plant.write(Cmd::MOVE, [20_00, 50_00, 40_00]);

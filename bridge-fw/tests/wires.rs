@@ -235,7 +235,8 @@ fn line_cut_during_a_motion_says_that_the_outcome_is_not_known() {
     assert!(bench.until(5_000, |outputs| outputs.contains(Outputs::READY)));
     assert!(bench.outputs().contains(Outputs::ERROR), "still not known");
     bench.set(Inputs::RECIPE0, true);
-    assert_eq!(bench.command(Inputs::MOVE), IDLE, "the next command clears it");
+    bench.pulse(Inputs::STOP_ACK);
+    assert_eq!(bench.command(Inputs::MOVE), IDLE, "an acknowledgement clears it");
 }
 
 #[test]
@@ -256,6 +257,7 @@ fn result_with_a_wrong_checksum_is_noticed_and_recovered_from() {
     assert!(outputs.contains(Outputs::ERROR | Outputs::LINK_OK), "{outputs:?}");
     assert_eq!(bench.counters().line.bad_checksum, 1);
     bench.set(Inputs::RECIPE0, false);
+    bench.pulse(Inputs::STOP_ACK);
     assert_eq!(bench.command(Inputs::MOVE), IDLE);
     assert_eq!(bench.take_motions(), [CommandId::PrePosition; 2], "one for each edge");
 }
@@ -590,6 +592,7 @@ fn bridge_that_is_reset_while_the_fingers_move_stops_them_and_shows_error() {
         bench.pass(100);
         assert!(bench.outputs().contains(Outputs::ERROR), "{:?}", bench.outputs());
         assert_eq!(bench.gripper().state().width, stands);
+        bench.pulse(Inputs::STOP_ACK);
         assert_eq!(bench.command(Inputs::MOVE), IDLE);
     }
 }

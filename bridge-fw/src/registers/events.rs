@@ -59,6 +59,7 @@ define_events! {
     36 Unanswered "UNANSWERED" "the gripper did not answer a command: nobody knows whether it was carried out" "" "look at the line; see where the fingers are before the next command";
     37 Withdrawn "WITHDRAWN" "something overtook the command before it left" "" "give it again";
     38 MovedAtStart "MOVED_AT_START" "the gripper moved when the bridge started, and was stopped" "" "see where the fingers are, then home";
+    39 NotIdle "NOT_IDLE" "MOVE was asked for while GSTATE was NO_PART, PART_LOST or ERROR" "" "RELEASE first; after an error STOP/ACK";
     50 GripperSilent "GRIPPER_SILENT" "the gripper fell silent" "" "its supply, its line, its setting for the interface";
     51 TempFault "TEMP_FAULT" "the gripper is too hot" "" "let it cool down; less force or fewer cycles";
     52 PowerFault "POWER_FAULT" "the gripper's supply is out of range" "" "look at its supply";
@@ -87,6 +88,7 @@ impl EventCode {
             Cause::MotionRuns => Self::MotionRuns,
             Cause::NotReady => Self::NotReady,
             Cause::PartHeld => Self::PartHeld,
+            Cause::NotIdle => Self::NotIdle,
             Cause::Gripper => Self::Refused,
             Cause::Unanswered => Self::Unanswered,
             Cause::Withdrawn => Self::Withdrawn,

@@ -456,6 +456,37 @@ fn jog_ends_idle_at_the_end_of_the_stroke() {
 }
 
 #[test]
+fn move_at_the_virtual_gripper_begins_only_when_gstate_is_idle() {
+    // No part was found; one is lost; a motion has failed.
+    let mut no_part = Plc::homed(None);
+    no_part.raise(Flag::GRIP);
+    no_part.wait(3_000);
+    let mut part_lost = Plc::holding();
+    part_lost.gripper.set_part(None, part_lost.now);
+    let mut failed = Plc::homed(Part::of_width(50.0));
+    failed.raise(Flag::MOVE);
+    failed.wait(3_000);
+    for (mut plc, shown) in [(no_part, Shown::NO_PART), (part_lost, Shown::PART_LOST), (failed, Shown::ERROR)]
+    {
+        plc.wait(100);
+        assert_eq!(plc.shows().0, shown);
+        plc.change(|image| (image.flags, image.width) = (Flag::empty(), 80_00));
+        plc.raise(Flag::MOVE);
+        assert_eq!(plc.shows(), (shown, Status::AccessDenied));
+        plc.assert_stands();
+        plc.lower(Flag::MOVE);
+        plc.raise(Flag::RELEASE);
+        plc.wait(3_000);
+        plc.lower(Flag::RELEASE);
+        assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+        plc.change(|image| image.width = 90_00);
+        plc.raise(Flag::MOVE);
+        plc.wait(3_000);
+        assert_eq!(plc.width(), 90.0);
+    }
+}
+
+#[test]
 fn jog_that_meets_a_block_ends_idle_and_its_status_says_why() {
     let mut plc = Plc::homed(Part::of_width(20.0));
     plc.raise(Flag::JOG_MINUS);

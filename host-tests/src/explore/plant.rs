@@ -258,9 +258,11 @@ impl Plant {
     fn judge_command(&self, motion: Motion, was_ready: bool, before: Outputs) -> Kept {
         let shows = |output| self.outputs.contains(output);
         if was_ready {
-            // MOVE is refused while a part is held.
-            let is_refused = motion == Motion::Move && before.contains(Outputs::HOLDING);
-            return if is_refused {
+            // MOVE is refused unless GSTATE is IDLE. ERROR also shows that a command was refused in IDLE.
+            let is_refused =
+                motion == Motion::Move && before.intersects(Outputs::HOLDING | Outputs::PART_FAULT);
+            let may_be_refused = motion == Motion::Move && before.contains(Outputs::ERROR);
+            return if is_refused || (may_be_refused && shows(Outputs::ERROR)) {
                 keep(Promise::RefusedCommandShowsError, shows(Outputs::ERROR))
             } else {
                 keep(Promise::ReadyCommandIsTaken, shows(Outputs::BUSY))

@@ -23,10 +23,16 @@ fn in_state(name: &str) -> &'static str {
     match name {
         "IDLE" => "give the next command; with FAST_STOP in SYSSTATE acknowledge first",
         "GRIPPING" | "RELEASING" | "POSITIONING" => "wait; leave WIDTH, SPEED and FORCELIMIT as they are",
-        "NO_PART" => "a result, not an error: RELEASE, then try again or report the missing part",
-        "PART_LOST" => "stop the machine's motion, RELEASE, look for the part; a higher FORCELIMIT may help",
+        "NO_PART" => {
+            "a result, not an error: RELEASE, then try again or report the missing part; MOVE is refused"
+        }
+        "PART_LOST" => {
+            "stop the machine's motion, RELEASE, look for the part; a higher FORCELIMIT may help; MOVE is refused"
+        }
         "HOLDING" => "go on with the part; RELEASE is the way to open, MOVE is refused",
-        "ERROR" => "look at the status code, remove the reason, then a rising edge of STOP/ACK",
+        "ERROR" => {
+            "look at the status code, remove the reason, then a rising edge of STOP/ACK; MOVE is refused before"
+        }
         name => panic!("nothing is said about {name}"),
     }
 }

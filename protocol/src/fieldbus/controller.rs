@@ -43,7 +43,8 @@ const INCIDENTS_LEN: usize = 4;
 /// - A Stop that is not answered in time, while the fingers are not known to stand, becomes a FAST STOP.
 /// - GRIP leaves only behind the answer to its own force limit. Let the session read settings back
 ///   ([`Config::verify_settings`](crate::session::Config::verify_settings)).
-/// - MOVE is refused while a part is held: RELEASE is the way to open then (fieldbus, 6.1).
+/// - MOVE begins only when GSTATE is IDLE (fieldbus, 6.1). While a part is held, or behind one that was not found or got lost,
+///   RELEASE is the way to open; behind an error STOP/ACK comes first.
 /// - MOVE stops on a block: fingers that clamp and later snap to the target would move without a command.
 /// - Without a connection a motion is refused, never kept for later.
 /// - A motion that is asked for while another runs is refused: the status is E_ALREADY_RUNNING while its flag is 1, and that of the
@@ -590,8 +591,9 @@ impl Controller {
             let is_locked = has_flag(known, SystemFlags::LOCKS);
             let status = if is_locked { Status::AccessDenied } else { Status::AlreadyRunning };
             self.show(status, Cause::NotReady);
-        } else if lowest == CommandFlags::MOVE && self.state(known) == GripperFlags::HOLDING {
-            self.show(Status::AccessDenied, Cause::PartHeld);
+        } else if lowest == CommandFlags::MOVE && self.state(known) != GripperFlags::IDLE {
+            let is_held = self.state(known) == GripperFlags::HOLDING;
+            self.show(Status::AccessDenied, if is_held { Cause::PartHeld } else { Cause::NotIdle });
         } else if lowest != CommandFlags::HOMING
             && !within_limits(image.speed_mm_s(), image.force_limit_n(force_unit(known)), known)
         {

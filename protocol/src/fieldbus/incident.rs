@@ -30,6 +30,8 @@ pub enum Cause {
     NotReady,
     /// MOVE or a jog came while a part is held: RELEASE is the way to open.
     PartHeld,
+    /// MOVE came while GSTATE was neither IDLE nor HOLDING: no part was found, one was lost, or there was an error.
+    NotIdle,
     /// The gripper refused the command or ended it with an error. The value is its status.
     Gripper,
     /// The gripper did not answer, be it to a motion that may run: nobody knows its outcome.

@@ -219,6 +219,12 @@ fn is_shared(seen: &BTreeSet<Transition>, states: &[&str], (reason, to): (&str, 
     others.clone().filter(|from| seen.contains(&(from, reason, to))).count() + 1 >= others.count()
 }
 
+/// What a command does in IDLE and in no other state in which the fingers stand.
+fn is_of_idle_alone(seen: &BTreeSet<Transition>, (reason, to): (&str, &str)) -> bool {
+    let mut from = STANDING.iter().filter(|from| seen.contains(&(from, reason, to)));
+    MOVING.contains(&to) && from.next() == Some(&"IDLE") && from.next().is_none()
+}
+
 fn draw(seen: &BTreeSet<Transition>) -> String {
     let mut svg = Svg::new(860, 500, "How GSTATE goes on: commands and the ends of motions");
     let words = "fill=\"#444\" font-size=\"12\"";
@@ -243,10 +249,13 @@ fn draw(seen: &BTreeSet<Transition>) -> String {
         .filter(|edge| MOVING.contains(&edge.1) && is_shared(seen, &STANDING, *edge))
         .collect();
     for state in MOVING {
-        let names: Vec<&str> = COMMANDS
+        let names: Vec<String> = COMMANDS
             .iter()
-            .filter(|(name, _)| shared.contains(&(*name, state)))
-            .map(|(name, _)| *name)
+            .filter_map(|(name, _)| match (*name, state) {
+                edge if shared.contains(&edge) => Some((*name).to_owned()),
+                edge if is_of_idle_alone(seen, edge) => Some(format!("{name} in IDLE")),
+                _ => None,
+            })
             .collect();
         let (x, y) = place(state);
         let (from, to) = (FRAME.0 + FRAME.2, x - BOX.0);
@@ -268,6 +277,7 @@ fn draw(seen: &BTreeSet<Transition>) -> String {
     let mut left: Vec<(&str, &str, Vec<&str>)> = Vec::new();
     for (from, reason, to) in seen {
         let is_drawn = shared.contains(&(*reason, *to))
+            || is_of_idle_alone(seen, (*reason, *to))
             || [("FASTSTOP", FAST_STOP), ("STOP/ACK", "IDLE")].contains(&(*reason, *to));
         if is_drawn {
             continue;

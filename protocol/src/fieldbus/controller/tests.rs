@@ -756,6 +756,40 @@ fn move_is_refused_while_a_part_is_held() {
 }
 
 #[test]
+fn move_begins_only_when_gstate_is_idle_and_every_other_motion_in_any_state_of_rest() {
+    let states = [
+        (GripperState::NoPart, GripperFlags::NO_PART),
+        (GripperState::PartLost, GripperFlags::PART_LOST),
+        (GripperState::Error, GripperFlags::ERROR),
+    ];
+    for (state, shown) in states {
+        let mut plc = Plc::ready();
+        plc.report(state);
+        assert_eq!(plc.raise(CommandFlags::MOVE), []);
+        assert_eq!(plc.shows(), (shown, Status::AccessDenied));
+        assert_eq!(incidents(&mut plc), incident(Cause::NotIdle, None, 0));
+        plc.lower(CommandFlags::MOVE);
+        // STOP/ACK leads out of all of them.
+        plc.raise(CommandFlags::STOP_ACK);
+        plc.answer(CommandId::Stop, Status::Success);
+        plc.answer(CommandId::Acknowledge, Status::Success);
+        plc.report(GripperState::Idle);
+        plc.lower(CommandFlags::STOP_ACK);
+        assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
+
+        for (flag, sent) in [
+            (CommandFlags::GRIP, CommandId::SetForceLimit),
+            (CommandFlags::RELEASE, CommandId::ReleasePart),
+            (CommandFlags::HOMING, CommandId::Homing),
+        ] {
+            let mut plc = Plc::ready();
+            plc.report(state);
+            assert_eq!(plc.raise(flag)[0].id(), sent, "{state}");
+        }
+    }
+}
+
+#[test]
 fn motion_without_a_connection_is_refused_and_not_kept() {
     let mut plc = Plc::ready();
     plc.disconnect();
@@ -963,7 +997,7 @@ fn gripper_that_moves_at_the_first_contact_is_stopped_and_error_says_so() {
     plc.answer(CommandId::Stop, Status::Success);
     plc.connect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::CmdAborted));
-    assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE], "it is no lock");
+    assert_eq!(plc.raise(CommandFlags::HOMING), [HOMING], "it is no lock");
 }
 
 #[test]
@@ -1182,8 +1216,8 @@ fn result_that_is_none_is_no_incident() {
     plc.answer(CommandId::GripPart, Status::CmdFailed);
     assert_eq!(incidents(&mut plc), [], "no part");
     plc.lower(CommandFlags::GRIP);
-    plc.raise(CommandFlags::MOVE);
-    plc.answer(CommandId::PrePosition, Status::Success);
+    plc.raise(CommandFlags::RELEASE);
+    plc.answer(CommandId::ReleasePart, Status::Success);
     plc.raise(CommandFlags::STOP_ACK);
     plc.answer(CommandId::Stop, Status::Success);
     assert_eq!(incidents(&mut plc), []);
