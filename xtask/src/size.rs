@@ -8,7 +8,7 @@ use footprint::Footprint;
 use crate::{firmware::Image, gate::Gate, probe::Probes};
 
 // 64 KiB before settings stayed and the service port came; 4 KB of it are the start values of the static RAM.
-const FLASH_LIMIT: u64 = 68 * 1024;
+const FLASH_LIMIT: u64 = 80 * 1024;
 const STATIC_RAM_LIMIT: u64 = 12 * 1024;
 
 /// Parser and encoder, with the table of 512 bytes and with that of 32.

@@ -14,7 +14,7 @@ const PART: &str = "figures";
 const TOLERANCE: u64 = 10;
 
 /// The rows that the image decides, and how the limit stands in xtask/src/size.rs.
-const FLASH: (&str, &str, &str) = ("firmware image, flash", "68 KiB", "FLASH_LIMIT: u64 = 68 * 1024");
+const FLASH: (&str, &str, &str) = ("firmware image, flash", "80 KiB", "FLASH_LIMIT: u64 = 80 * 1024");
 const STATIC_RAM: (&str, &str, &str) =
     ("firmware image, static RAM", "12 KiB", "STATIC_RAM_LIMIT: u64 = 12 * 1024");
 
