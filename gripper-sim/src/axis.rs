@@ -163,6 +163,11 @@ impl Axis {
         self.block = None;
     }
 
+    /// Goes on at this speed, which the fingers had before they were started anew in the same direction.
+    pub(crate) const fn keep_speed(&mut self, speed: f64) {
+        self.speed = speed;
+    }
+
     /// Changes the target under way.
     pub(crate) fn retarget(&mut self, target: f64) {
         if let Some(travel) = &mut self.drive {

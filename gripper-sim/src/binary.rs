@@ -8,7 +8,7 @@ use crate::port::{Completion, FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, 
 use crate::time::{Time, earlier};
 use crate::updates::{Readings, Silence, Subscriptions};
 use wsg_protocol::frame::OVERHEAD;
-use wsg_protocol::{AutoUpdate, Command, CommandId, Event, Frame, FrameEncoder, Reply, Status};
+use wsg_protocol::{AutoUpdate, Command, CommandId, Event, Frame, FrameEncoder, Payload, Reply, Status};
 
 /// Bytes of frames that wait for a client to read them.
 const QUEUE_LEN: usize = 2_048;
@@ -116,11 +116,18 @@ impl Client {
         self.line.reply(Reply::status_only(done.id, done.status));
     }
 
+    /// Sends an answer of a script.
+    pub(crate) fn answer_script(&mut self, id: u8, payload: &[u8]) {
+        self.line.push(FrameEncoder::new(id, payload));
+    }
+
     /// Sends the updates that are due.
     pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
         let Line { subscriptions, queue, updates_lost, .. } = &mut self.line;
         subscriptions.publish(now, readings, |value| {
-            let found_room = queue.push(Reply::success(value), QUEUE_LEN - RESERVED_FOR_REPLIES);
+            let reply = Reply::success(value);
+            let frame = FrameEncoder::new(reply.id().code(), reply);
+            let found_room = queue.push(frame, QUEUE_LEN - RESERVED_FOR_REPLIES);
             if !found_room {
                 *updates_lost = updates_lost.saturating_add(1);
             }
@@ -167,6 +174,11 @@ impl Line {
             _ if id == CommandId::FastStop => &[],
             _ => frame.payload,
         };
+        match device.script_mut().keep(self.id, frame.id, frame.payload) {
+            Some(Ok(())) => return,
+            Some(Err(status)) => return self.refuse(device, id, status),
+            None => {}
+        }
         let command = match Command::decode(&Frame { id: frame.id, payload }) {
             Ok(command) => command,
             Err(refusal) => return self.refuse(device, id, id.status_of(refusal)),
@@ -201,7 +213,11 @@ impl Line {
     }
 
     fn reply(&mut self, reply: Reply<'_>) {
-        if !self.queue.push(reply, QUEUE_LEN) {
+        self.push(FrameEncoder::new(reply.id().code(), reply));
+    }
+
+    fn push<P: Payload>(&mut self, frame: FrameEncoder<P>) {
+        if !self.queue.push(frame, QUEUE_LEN) {
             self.replies_lost = self.replies_lost.saturating_add(1);
         }
     }
@@ -246,8 +262,7 @@ impl FrameQueue {
     }
 
     /// Appends a frame unless the queue would hold more than `limit` bytes; whether it did.
-    fn push(&mut self, reply: Reply<'_>, limit: usize) -> bool {
-        let frame = FrameEncoder::new(reply.id().code(), reply);
+    fn push<P: Payload>(&mut self, frame: FrameEncoder<P>, limit: usize) -> bool {
         if self.len + frame.frame_len() > limit {
             return false;
         }

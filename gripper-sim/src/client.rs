@@ -138,6 +138,13 @@ impl Client {
         }
     }
 
+    /// Sends an answer of a script; its commands are those of the binary protocol.
+    pub(crate) fn answer_script(&mut self, id: u8, payload: &[u8]) {
+        if let Self::Binary(client) = self {
+            client.answer_script(id, payload);
+        }
+    }
+
     /// Sends the updates that are due.
     pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
         match self {

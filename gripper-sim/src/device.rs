@@ -7,9 +7,10 @@ mod commands;
 use crate::axis::Part;
 use crate::config::{Config, Tag};
 use crate::faults::Fault;
-use crate::finger::{FingerPort, Jaw};
+use crate::finger::{Finger, FingerPort, Jaw};
 use crate::motion::{GripOrder, MotionControl};
 use crate::port::{Completion, PortId, Request};
+use crate::script::{Script, ScriptState};
 use crate::thermal::Thermal;
 use crate::time::{Time, earlier};
 use crate::updates::Readings;
@@ -38,6 +39,7 @@ pub(crate) struct Device {
     /// The last command was a Stop or FAST STOP: a motion that it ended has not failed.
     was_stopped: bool,
     tag: Tag,
+    script: Script,
 }
 
 impl Device {
@@ -53,6 +55,7 @@ impl Device {
             command_failure: false,
             was_stopped: false,
             tag: config.tag,
+            script: Script::default(),
             config,
         }
     }
@@ -133,6 +136,13 @@ impl Device {
         }
     }
 
+    /// The finger on this side, and the force on it in N as it measures it.
+    pub(crate) fn finger_reading(&self, jaw: Jaw) -> (Finger, Option<f32>) {
+        let finger = self.finger(jaw);
+        let force = finger.measures_force().then(|| finger.measured(self.force_per_jaw()) as f32);
+        (finger.kind(), force)
+    }
+
     /// The system state flags (command set, appendix B).
     pub(crate) fn flags(&self) -> SystemFlags {
         let mut flags = self.motion.flags();
@@ -144,6 +154,8 @@ impl Device {
             (SystemFlags::CURR_FAULT, self.motor_fault),
             (SystemFlags::FINGER_FAULT, self.fingers.iter().any(FingerPort::has_fault)),
             (SystemFlags::CMD_FAILURE, self.command_failure),
+            (SystemFlags::SCRIPT_RUNNING, self.script.state() == ScriptState::Running),
+            (SystemFlags::SCRIPT_FAILURE, self.script.state() == ScriptState::Failed),
         ] {
             flags.set(flag, is_set);
         }
@@ -182,6 +194,15 @@ impl Device {
     /// RELEASE of the text protocol.
     pub(crate) fn release_by(&mut self, request: Request, distance: f32, speed: f32) -> Status {
         self.motion.start_release_by(request, distance, speed)
+    }
+
+    /// Velocity mode of scripts.
+    pub(crate) fn run_at(&mut self, request: Request, speed: f32) -> Status {
+        self.motion.run_at(request, speed)
+    }
+
+    pub(crate) const fn script_mut(&mut self) -> &mut Script {
+        &mut self.script
     }
 
     /// Ends a running motion and nothing else.

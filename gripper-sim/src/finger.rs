@@ -83,6 +83,10 @@ impl FingerPort {
         Self { finger, powered: true, short_circuit: false, communication_fault: false, tare: 0.0 }
     }
 
+    pub(crate) const fn kind(&self) -> Finger {
+        self.finger
+    }
+
     pub(crate) const fn info(&self) -> FingerInfo {
         match self.finger {
             Finger::None | Finger::Generic => FingerInfo { finger: FingerType::Generic, data_len: 0 },

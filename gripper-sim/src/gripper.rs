@@ -6,9 +6,12 @@ use crate::config::Config;
 use crate::device::{Device, NextEvent};
 use crate::faults::Fault;
 use crate::fieldbus::Fieldbus;
-use crate::port::{FrameBuffer, PortCounters, PortId, PortKind};
+use crate::finger::{Finger, Jaw};
+use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
+use crate::script::{ScriptRequest, ScriptState};
 use crate::time::{Time, earlier};
-use wsg_protocol::{GripperState, GrippingStatistics, SystemFlags, Temperature};
+use wsg_protocol::frame::OVERHEAD;
+use wsg_protocol::{Command, GripperState, GrippingStatistics, Status, SystemFlags, Temperature};
 
 /// A gripper that up to `PORTS` clients talk to.
 ///
@@ -221,6 +224,76 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.advance(now);
         self.device.set_fault(fault, on);
         self.settle();
+    }
+
+    /// Says whether a script runs on the gripper. When it ends, the commands that it has claimed are unknown again.
+    pub fn set_script_state(&mut self, state: ScriptState, now: Time) {
+        self.advance(now);
+        self.device.script_mut().set_state(state);
+        self.settle();
+    }
+
+    /// Claims commands of this id for the script: from now on [`take_script_request`](Self::take_script_request) gives them.
+    /// Returns whether scripts may claim it ([`SCRIPT_IDS`](crate::SCRIPT_IDS)).
+    pub fn claim_for_script(&mut self, id: u8) -> bool {
+        self.device.script_mut().claim(id)
+    }
+
+    /// The next command for the script.
+    ///
+    /// ```
+    /// use wsg_sim::{Config, PortKind, ScriptState, Time, VirtualGripper};
+    ///
+    /// let mut gripper = VirtualGripper::new(Config::default());
+    /// let client = gripper.connect(PortKind::Serial).unwrap();
+    /// gripper.set_script_state(ScriptState::Running, Time::ZERO);
+    /// assert!(gripper.claim_for_script(0xB0));
+    /// let request: Vec<u8> = wsg_protocol::FrameEncoder::new(0xB0, &[1][..]).collect();
+    /// gripper.receive(client, Time::ZERO, &request);
+    /// let request = gripper.take_script_request().unwrap();
+    /// assert_eq!((request.id, &request.payload[..]), (0xB0, &[1][..]));
+    /// assert!(gripper.answer_for_script(request.port, request.id, &[0, 0]));
+    /// let mut buffer = [0; wsg_sim::MAX_FRAME_LEN];
+    /// assert_eq!(gripper.transmit(client, &mut buffer).unwrap()[3..8], [0xB0, 2, 0, 0, 0]);
+    /// ```
+    pub fn take_script_request(&mut self) -> Option<ScriptRequest> {
+        self.device.script_mut().take()
+    }
+
+    /// Sends an answer of the script, status and all, to a client that may be gone by now. Returns whether it is short enough
+    /// for a frame of the gripper.
+    pub fn answer_for_script(&mut self, port: PortId, id: u8, payload: &[u8]) -> bool {
+        let fits = payload.len() + OVERHEAD <= MAX_FRAME_LEN;
+        if fits && let Some(client) = client_in(&mut self.clients, port) {
+            client.answer_script(id, payload);
+        }
+        fits
+    }
+
+    /// Carries out a command of the script, whose end it has to look for itself; its first status.
+    pub fn command_for_script(&mut self, command: &Command<'_>, now: Time) -> Status {
+        self.advance(now);
+        let request = Request { port: PortId::SCRIPT, now: self.now };
+        let status = self.device.execute(request, command).status();
+        self.settle();
+        status
+    }
+
+    /// Velocity mode of scripts: runs at this speed in mm/s, negative while the fingers close, until it is told another one, 0
+    /// included, until any other command, or the end of the stroke or of a soft limit; what blocks the fingers is pushed against
+    /// with the force limit. E_CMD_PENDING when it runs.
+    pub fn run_for_script(&mut self, speed: f32, now: Time) -> Status {
+        self.advance(now);
+        let request = Request { port: PortId::SCRIPT, now: self.now };
+        let status = self.device.run_at(request, speed);
+        self.settle();
+        status
+    }
+
+    /// The finger on this side: its kind, and the force on it in N as its sensor measures it, if it has one.
+    #[must_use]
+    pub fn finger(&self, jaw: Jaw) -> (Finger, Option<f32>) {
+        self.device.finger_reading(jaw)
     }
 
     /// How things stand at [`now`](Self::now).

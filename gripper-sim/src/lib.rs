@@ -15,6 +15,7 @@
 //! | `updates`, `deframer`, `binary` | the binary protocol: its connections, and what clients make of the manual's rules |
 //! | `gcl` | the text protocol: its connections and requests |
 //! | `fieldbus`, `modbus`, `profibus` | the registers and their rules; Modbus/TCP and PROFIBUS, which carry them |
+//! | `script` | what scripts on the gripper share with its clients |
 //! | `client` | a client, whatever it speaks |
 //! | `gripper` | the contract with the caller |
 //! | `server` | TCP, UDP, serial lines (feature `std`) |
@@ -42,6 +43,7 @@ mod model;
 mod motion;
 mod port;
 mod profibus;
+mod script;
 #[cfg(feature = "std")]
 pub mod server;
 mod settings;
@@ -56,5 +58,6 @@ pub use finger::{Finger, Jaw};
 pub use gripper::{DEFAULT_PORTS, State, VirtualGripper};
 pub use model::{Model, Parameters};
 pub use port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
+pub use script::{MAX_REQUEST_LEN, SCRIPT_IDS, ScriptRequest, ScriptState};
 pub use time::Time;
 pub use wsg_protocol::fieldbus::SilenceReaction;

@@ -36,15 +36,20 @@ pub(crate) struct Motion {
     id: CommandId,
     port: PortId,
     task: Task,
-    deadline: Time,
+    /// When it has lasted too long; velocity mode cannot.
+    deadline: Option<Time>,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Task {
     Homing(Direction, HomingPhase),
-    PrePosition { stop_on_block: bool },
+    PrePosition {
+        stop_on_block: bool,
+    },
     Grip(Grip),
     Release,
+    /// Velocity mode of scripts: any other command takes its place.
+    Run,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -302,6 +307,39 @@ impl MotionControl {
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
 
+    /// Velocity mode of scripts: runs at this speed in mm/s, negative while the fingers close, until it is told another, 0
+    /// included, until another command comes, or the stroke or a soft limit ends; against what blocks the fingers it pushes with
+    /// the force limit. It takes the place of a motion that runs. The speed that the fingers have stays where the direction does.
+    pub(crate) fn run_at(&mut self, request: Request, speed: f32) -> Status {
+        if self.fast_stop_latched {
+            return Status::AccessDenied;
+        }
+        if !self.referenced {
+            return Status::NotInitialized;
+        }
+        if self.motion.is_some_and(|motion| !matches!(motion.task, Task::Run)) {
+            self.end_motion(Status::CmdAborted);
+        }
+        if speed == 0.0 || !speed.is_finite() {
+            self.abort();
+            return Status::Success;
+        }
+        let here = self.width();
+        let (minus, plus) = match self.settings.soft_limits() {
+            Some(limits) => (f64::from(limits.minus).min(here), f64::from(limits.plus).max(here)),
+            None => (0.0, self.stroke()),
+        };
+        let target = if speed < 0.0 { minus } else { plus };
+        let travel = self.travel(target, speed.abs(), self.settings.force_limit().into());
+        let had = self.axis.speed();
+        let status =
+            self.start(request, CommandId::PrePosition, Task::Run, travel, GripperState::Positioning);
+        if had * f64::from(speed) > 0.0 {
+            self.axis.keep_speed(had);
+        }
+        status
+    }
+
     /// Stop (22h): ends any motion, and the monitoring of a part that is held.
     pub(crate) fn stop(&mut self) {
         self.axis.halt();
@@ -349,8 +387,8 @@ impl MotionControl {
         travel: Travel,
         state: GripperState,
     ) -> Status {
-        self.motion =
-            Some(Motion { id, port: request.port, task, deadline: self.deadline(request.now, &travel) });
+        let deadline = (!matches!(task, Task::Run)).then(|| self.deadline(request.now, &travel));
+        self.motion = Some(Motion { id, port: request.port, task, deadline });
         self.drive(travel);
         self.state = state;
         self.grip_direction = None;
@@ -375,9 +413,10 @@ impl MotionControl {
     }
 
     fn may_move(&self) -> Result<(), Status> {
+        let runs = self.motion.is_some_and(|motion| matches!(motion.task, Task::Run));
         if self.fast_stop_latched {
             Err(Status::AccessDenied)
-        } else if self.motion.is_some() || self.axis.is_moving() {
+        } else if (self.motion.is_some() || self.axis.is_moving()) && !runs {
             Err(Status::AlreadyRunning)
         } else {
             Ok(())

@@ -46,6 +46,12 @@ impl PortKind {
         matches!(self, Self::Udp | Self::GclUdp)
     }
 
+    /// Whether the binary protocol is spoken on it, to which the commands of scripts belong.
+    #[cfg(feature = "script")]
+    pub(crate) fn is_binary(self) -> bool {
+        self.protocol() == Protocol::Binary
+    }
+
     /// What is spoken on it.
     pub(crate) const fn protocol(self) -> Protocol {
         match self {
@@ -96,6 +102,8 @@ pub struct PortId {
 impl PortId {
     /// Nobody's: the register interface, whose answers go to no line.
     pub(crate) const FIELDBUS: Self = Self { index: u16::MAX, generation: 0 };
+    /// Nobody's: a script, which looks itself whether a motion has ended.
+    pub(crate) const SCRIPT: Self = Self { index: u16::MAX, generation: 1 };
 }
 
 /// What went wrong on a line so far.

@@ -13,6 +13,8 @@ mod lines;
 mod log;
 mod log_writer;
 mod request_line;
+#[cfg(feature = "script")]
+mod script;
 mod serial;
 mod slcan;
 mod stream;
@@ -66,6 +68,8 @@ pub struct Server {
     modbus: Option<TcpListener>,
     profibus: Option<SerialPort>,
     control: Option<(TcpListener, Vec<String>)>,
+    #[cfg(feature = "script")]
+    script: Option<script::Script>,
 }
 
 impl Server {
@@ -93,8 +97,23 @@ impl Server {
         let profibus = lines.profibus.as_ref().map(SerialPort::open).transpose()?;
         let control = listen(lines.control, "the control interface").await?;
         let control = control.map(|listener| (listener, lines.control_hosts.clone()));
+        #[cfg(feature = "script")]
+        let script = lines.script.as_deref().map(script::Script::read).transpose()?;
         let hub = Rc::new(Hub::new(config, lines.seed, log));
-        Ok(Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, control })
+        Ok(Self {
+            hub,
+            tcp,
+            udp,
+            serial,
+            can,
+            gcl,
+            gcl_udp,
+            modbus,
+            profibus,
+            control,
+            #[cfg(feature = "script")]
+            script,
+        })
     }
 
     /// The address that TCP listens on.
@@ -156,7 +175,9 @@ impl Server {
     /// # Errors
     /// That of the line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
-        let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, control } = self;
+        let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, control, .. } = self;
+        #[cfg(feature = "script")]
+        let script = self.script;
         let local = LocalSet::new();
         local
             .run_until(async move {
@@ -191,6 +212,10 @@ impl Server {
                 }
                 if let Some(port) = profibus {
                     tasks.spawn_local(port.serve(Rc::clone(&hub), Carried::Profibus));
+                }
+                #[cfg(feature = "script")]
+                if let Some(script) = script {
+                    tasks.spawn_local(script.serve(Rc::clone(&hub)));
                 }
                 if let Some((listener, hosts)) = control {
                     tasks.spawn_local(control::serve(hub, listener, hosts));

@@ -24,7 +24,7 @@ impl MotionControl {
     /// When something happens by itself.
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
         let step = self.needs_step().then(|| now.next_on_grid(STEP_MICROS));
-        earlier(step, self.motion.map(|motion| motion.deadline))
+        earlier(step, self.times_out_at())
     }
 
     /// Processes what is due at `now`; `before` is the time up to which everything has happened.
@@ -32,9 +32,13 @@ impl MotionControl {
         if self.needs_step() && before.next_on_grid(STEP_MICROS) <= now {
             self.step_axis();
         }
-        if self.motion.is_some_and(|motion| motion.deadline <= now) {
+        if self.times_out_at().is_some_and(|deadline| deadline <= now) {
             self.fail(Status::Timeout);
         }
+    }
+
+    fn times_out_at(&self) -> Option<Time> {
+        self.motion?.deadline
     }
 
     /// The part comes or goes.
@@ -93,6 +97,8 @@ impl MotionControl {
             Task::Grip(grip) => self.follow_grip(grip, motion),
             // What blocks a release may give way; there is no answer for it but the time-out.
             Task::Release => self.succeed_on_arrival(),
+            // The drive pushes on against what blocks it, with the force limit.
+            Task::Run => self.succeed_on_arrival(),
         }
     }
 

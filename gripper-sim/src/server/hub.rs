@@ -8,6 +8,8 @@ use crate::config::Config;
 use crate::faults::Fault;
 use crate::gripper::{State, VirtualGripper};
 use crate::port::{FrameBuffer, PortCounters, PortId, PortKind};
+#[cfg(feature = "script")]
+use crate::script::ScriptRequest;
 use crate::time::Time;
 use anyhow::Result;
 use std::cell::{Cell, RefCell};
@@ -39,6 +41,9 @@ pub(super) struct Hub {
     request_counts: Cell<LineCounts>,
     reply_counts: Cell<LineCounts>,
     faults: RefCell<Vec<Fault>>,
+    /// Something came in that may be for the script.
+    #[cfg(feature = "script")]
+    script_waits: Notify,
 }
 
 #[derive(Debug)]
@@ -82,6 +87,8 @@ impl Hub {
             request_counts: Cell::default(),
             reply_counts: Cell::default(),
             faults: RefCell::default(),
+            #[cfg(feature = "script")]
+            script_waits: Notify::new(),
         }
     }
 
@@ -210,11 +217,39 @@ impl Hub {
         self.line_faults.set(faults);
     }
 
+    /// Does something that may change when the gripper is to be woken next.
+    #[cfg(feature = "script")]
+    pub(super) fn act<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
+        let result = self.with_gripper(act);
+        self.rescheduled.notify_one();
+        result
+    }
+
+    /// The next command for the script, once there is one.
+    #[cfg(feature = "script")]
+    pub(super) async fn script_request(&self) -> ScriptRequest {
+        loop {
+            if let Some(request) = self.with_gripper(|gripper, _| gripper.take_script_request()) {
+                return request;
+            }
+            self.script_waits.notified().await;
+        }
+    }
+
+    /// What the client is connected by, or, when it is gone, the first that speaks the binary protocol.
+    #[cfg(feature = "script")]
+    pub(super) fn interface(&self, id: Option<PortId>) -> Option<String> {
+        let clients = self.clients.borrow();
+        let is_asked = clients.values().find(|client| Some(client.id) == id);
+        let client = is_asked.or_else(|| clients.values().find(|client| client.kind.is_binary()));
+        client.map(|client| client.kind.to_string())
+    }
+
     fn note(&self, what: std::fmt::Arguments<'_>) {
         self.note_of("control", what);
     }
 
-    fn note_of(&self, line: &str, what: std::fmt::Arguments<'_>) {
+    pub(super) fn note_of(&self, line: &str, what: std::fmt::Arguments<'_>) {
         if let Some(log) = &mut *self.log.borrow_mut() {
             log.note(self.now(), line, what);
         }
@@ -304,6 +339,8 @@ impl Client {
     fn hear(&self, bytes: &[u8]) {
         self.hub.with_gripper(|gripper, now| gripper.receive(self.connected.id, now, bytes));
         self.hub.rescheduled.notify_one();
+        #[cfg(feature = "script")]
+        self.hub.script_waits.notify_one();
     }
 
     /// Whether nothing more can be understood of what comes from it, and all that there was for it is sent.

@@ -29,6 +29,9 @@ pub struct Lines {
     /// Hosts that requests to the control interface may be for, by their header `Host`. `localhost` and the address that a
     /// request came to need not be named. What else a browser is led here by is refused, against DNS rebinding.
     pub control_hosts: Vec<String>,
+    /// A Lua script that runs on the gripper from the start on.
+    #[cfg(feature = "script")]
+    pub script: Option<PathBuf>,
     /// Decides which frames the faults hit that the control interface lets loose on the lines.
     pub seed: u64,
 }

@@ -8,5 +8,6 @@ mod gcl;
 mod gcl_session;
 mod motion;
 mod profibus;
+mod script;
 mod settings;
 mod updates;

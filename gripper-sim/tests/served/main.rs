@@ -10,3 +10,5 @@ mod control;
 mod gcl;
 mod modbus;
 mod profibus;
+#[cfg(feature = "script")]
+mod scripts;

@@ -49,6 +49,7 @@ Gripper
   --homing-default DIR     out (default) or in
   --part WIDTH[:STIFFNESS] a part of this width in mm (and stiffness in N/mm) between the fingers, or none (default)
   --time-scale X           the fingers travel X times as fast, 0.01 to 1000
+  --script FILE            run this Lua script on the gripper; docs/scripts.md lists what it can call
 
   --control ADDR           watch the gripper and make things go wrong, by HTTP with JSON on ADDR, such as
                            127.0.0.1:8080; a PORT alone is one of this machine
@@ -169,6 +170,10 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
             }
             "time-scale" => {
                 config.time_scale = value(&mut parser, &name, "a number from 0.01 to 1000", time_scale)?;
+            }
+            #[cfg(feature = "script")]
+            "script" => {
+                lines.script = Some(value(&mut parser, &name, "a file", |text| Some(text.into()))?);
             }
             "control-host" => lines.control_hosts.push(value(&mut parser, &name, HOST, host)?),
             "control" => lines.control = Some(value(&mut parser, &name, CONTROL, control)?),

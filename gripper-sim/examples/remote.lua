@@ -1,0 +1,64 @@
+-- Reads and moves the gripper at a rate that a control loop asks for.
+--
+-- B0h  measure. Its payload does not matter.
+-- B1h  move, and measure. 9 bytes: a flag, the width in mm, the speed in mm/s: goes there.
+--      25 bytes: a flag, the width in mm, the speed in mm/s, kp in 1/s, kd, and force limits in N for the way in and out:
+--      runs at the speed that takes the fingers to that width, until the next command.
+--      Flag 0: only measures.
+--
+-- Both answer: status, the lowest byte of the system state flags, width in mm, speed in mm/s, force in N, time in s. Numbers
+-- are IEEE 754 single, low byte first.
+local socket = require "socket"
+
+cmd.register(0xB0)
+cmd.register(0xB1)
+
+local started = socket.gettime()
+
+local function number(payload, at)
+  return bton({ payload[at], payload[at + 1], payload[at + 2], payload[at + 3] })
+end
+
+local function within(value, limit)
+  return math.max(-limit, math.min(limit, value))
+end
+
+local function follow(payload)
+  local width, speed = number(payload, 2), number(payload, 6)
+  local kp, kd = number(payload, 10), number(payload, 14)
+  local error = width - mc.position()
+  mc.force(number(payload, error < 0 and 18 or 22))
+  -- A speed of 0 stops the fingers.
+  mc.speed(within(kp * error - kd * mc.speed(), speed))
+end
+
+local function move(payload)
+  if payload[1] == 0 then return E_SUCCESS end
+  if #payload == 25 then
+    follow(payload)
+    return E_SUCCESS
+  end
+  if #payload ~= 9 then return E_CMD_FORMAT_ERROR end
+  if mc.busy() then mc.stop() end
+  return mc.move(number(payload, 2), number(payload, 6))
+end
+
+local function serve()
+  local id, payload = cmd.read()
+  local status = E_SUCCESS
+  if id == 0xB1 then
+    local ok, result = pcall(move, payload)
+    status = ok and result or E_INVALID_PARAMETER
+    if not ok then print(result) end
+  end
+  cmd.send(id, etob(status), gripper.state() % 256, ntob(mc.position()), ntob(mc.speed()), ntob(mc.aforce()),
+    ntob(socket.gettime() - started))
+end
+
+while true do
+  local ok, failure = pcall(serve)
+  if not ok then
+    print(failure)
+    sleep(100)
+  end
+end

@@ -1,0 +1,163 @@
+//! What scripts share with the gripper: claimed commands, and motions of the script, in virtual time.
+
+use crate::common::{Rig, go_to, grip};
+use wsg_protocol::{Command, FrameEncoder, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
+use wsg_sim::{Config, Fault, MAX_REQUEST_LEN, Part, PortKind, ScriptState};
+
+fn running(part: Option<Part>) -> Rig {
+    let mut rig = Rig::homed(part);
+    rig.gripper.set_script_state(ScriptState::Running, rig.now);
+    rig
+}
+
+fn call(rig: &mut Rig, id: u8, payload: &[u8]) {
+    let frame: Vec<u8> = FrameEncoder::new(id, payload).collect();
+    rig.send_bytes(&frame);
+}
+
+fn run(rig: &mut Rig, speed: f32) -> Status {
+    rig.gripper.run_for_script(speed, rig.now)
+}
+
+#[test]
+fn claimed_commands_wait_for_the_script_and_all_others_are_answered_as_ever() {
+    for kind in [PortKind::Tcp, PortKind::Udp, PortKind::Serial, PortKind::Can] {
+        let mut rig = Rig::on(kind, Config::default());
+        rig.gripper.set_script_state(ScriptState::Running, rig.now);
+        assert!(rig.gripper.claim_for_script(0xA0) && rig.gripper.claim_for_script(0xBF));
+        for id in [0x00, 0x20, 0x9F, 0xC0, 0xFF] {
+            assert!(!rig.gripper.claim_for_script(id), "{id:02X}h");
+        }
+        call(&mut rig, 0xBF, &[1, 2]);
+        call(&mut rig, 0xBE, &[]);
+        let frames = rig.frames();
+        assert_eq!(frames.len(), 1);
+        assert_eq!((frames[0].id(), frames[0].frame[6]), (0xBE, 14), "E_CMD_UNKNOWN");
+        let request = rig.gripper.take_script_request().unwrap();
+        assert_eq!((request.port, request.id, &request.payload[..]), (rig.port, 0xBF, &[1, 2][..]));
+        assert_eq!(rig.gripper.take_script_request(), None);
+        assert!(rig.gripper.answer_for_script(request.port, 0xBF, &[0, 0, 7]));
+        assert_eq!(rig.frames()[0].frame[3..9], [0xBF, 3, 0, 0, 0, 7]);
+    }
+}
+
+#[test]
+fn commands_that_find_no_room_are_answered_and_a_script_that_ended_leaves_none() {
+    let mut rig = running(None);
+    rig.gripper.claim_for_script(0xB0);
+    let mut waiting = 0;
+    let refused = loop {
+        call(&mut rig, 0xB0, &[]);
+        if let Some(answer) = rig.frames().pop() {
+            break answer;
+        }
+        waiting += 1;
+        assert!(waiting < 1_000, "there is a bound");
+    };
+    assert_eq!(refused.frame[6], 10, "E_INSUFFICIENT_RESOURCES");
+    assert!(rig.flags().contains(SystemFlags::SCRIPT_RUNNING | SystemFlags::CMD_FAILURE));
+    rig.gripper.take_script_request().unwrap();
+    call(&mut rig, 0xB0, &[0; MAX_REQUEST_LEN]);
+    assert_eq!(rig.frames(), []);
+    call(&mut rig, 0xB0, &[0; MAX_REQUEST_LEN + 1]);
+    assert_eq!(rig.frames()[0].frame[6], 15, "E_CMD_FORMAT_ERROR");
+
+    rig.gripper.set_script_state(ScriptState::Failed, rig.now);
+    assert_eq!(rig.gripper.take_script_request(), None);
+    call(&mut rig, 0xB0, &[]);
+    assert_eq!(rig.frames()[0].frame[6], 14, "E_CMD_UNKNOWN");
+    assert!(rig.flags().contains(SystemFlags::SCRIPT_FAILURE));
+    assert!(!rig.flags().contains(SystemFlags::SCRIPT_RUNNING));
+}
+
+#[test]
+fn velocity_mode_runs_at_its_speed_until_it_is_told_another() {
+    let mut rig = running(None);
+    assert_eq!(run(&mut rig, -50.0), Status::CmdPending);
+    rig.wait(200);
+    assert_eq!(rig.gripper.state().speed, -50.0);
+    // Said again and again, as a control loop does, it does not falter.
+    let before = rig.width();
+    for _ in 0..100 {
+        run(&mut rig, -50.0);
+        rig.wait(10);
+        assert_eq!(rig.gripper.state().speed, -50.0);
+    }
+    assert!((before - rig.width() - 50.0).abs() < 0.1, "{before} mm, {} mm", rig.width());
+    run(&mut rig, 20.0);
+    rig.wait(200);
+    assert_eq!(rig.gripper.state().speed, 20.0);
+    assert_eq!(run(&mut rig, 0.0), Status::Success);
+    let stopped = rig.width();
+    assert!(rig.wait(100).is_empty(), "nobody asked");
+    assert_eq!((rig.width(), rig.state()), (stopped, GripperState::Idle));
+}
+
+#[test]
+fn velocity_mode_ends_at_the_stroke_and_at_soft_limits_without_a_fast_stop() {
+    let mut rig = running(None);
+    run(&mut rig, -400.0);
+    rig.wait(2_000);
+    assert_eq!((rig.width(), rig.state()), (0.0, GripperState::Idle));
+    let limits = SoftLimits { minus: 20.0, plus: 60.0 };
+    assert_eq!(rig.run(go_to(40.0)), Status::Success);
+    assert_eq!(rig.status(Command::SetSoftLimits { limits }), Status::Success);
+    run(&mut rig, 300.0);
+    rig.wait(2_000);
+    assert_eq!((rig.width(), rig.state()), (60.0, GripperState::Idle));
+    assert!(!rig.flags().contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn velocity_mode_pushes_against_a_part_with_the_force_limit_for_as_long_as_it_lasts() {
+    let mut rig = running(Part::of_width(20.0));
+    assert_eq!(rig.status(Command::SetForceLimit { force: 30.0 }), Status::Success);
+    run(&mut rig, -100.0);
+    rig.wait(60_000);
+    assert_eq!(rig.force(), 30.0);
+    assert!(rig.flags().contains(SystemFlags::BLOCKED_MINUS) && !rig.flags().contains(SystemFlags::MOVING));
+    rig.set_part(None);
+    rig.wait(2_000);
+    assert_eq!(rig.width(), 0.0, "it goes on when the part is gone");
+}
+
+#[test]
+fn any_command_takes_the_place_of_velocity_mode_and_it_takes_the_place_of_any_motion() {
+    let mut rig = running(Part::of_width(20.0));
+    run(&mut rig, -10.0);
+    rig.wait(50);
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    assert_eq!(rig.state(), GripperState::Holding);
+    assert_eq!(rig.status(go_to(100.0)), Status::CmdPending);
+    assert_eq!(run(&mut rig, 5.0), Status::CmdPending);
+    assert_eq!(rig.next().status(), Status::CmdAborted, "whoever had asked for the motion is told");
+    assert_eq!(rig.status(Command::Stop), Status::Success);
+    assert_eq!(rig.wait(50), [], "and nobody else is");
+    assert_eq!(rig.gripper.state().speed, 0.0);
+}
+
+#[test]
+fn motions_of_a_script_are_refused_as_those_of_clients_are() {
+    let mut rig = Rig::new(Config::default());
+    assert_eq!(run(&mut rig, 10.0), Status::NotInitialized);
+    assert_eq!(rig.gripper.command_for_script(&go_to(50.0), rig.now), Status::NotInitialized);
+    let homing = Command::Homing { direction: HomingDirection::Positive };
+    assert_eq!(rig.gripper.command_for_script(&homing, rig.now), Status::CmdPending);
+    assert_eq!(rig.wait(5_000), [], "the client did not ask");
+    assert!(rig.flags().contains(SystemFlags::REFERENCED));
+    rig.set_fault(Fault::MotorCurrent, true);
+    assert_eq!(run(&mut rig, 10.0), Status::AccessDenied);
+    assert_eq!(rig.width(), 110.0);
+}
+
+#[test]
+fn answer_to_a_client_that_is_gone_reaches_nobody() {
+    let mut rig = running(None);
+    rig.gripper.claim_for_script(0xB0);
+    call(&mut rig, 0xB0, &[]);
+    let request = rig.gripper.take_script_request().unwrap();
+    rig.gripper.disconnect(rig.port, rig.now);
+    rig.port = rig.gripper.connect(PortKind::Serial).unwrap();
+    assert!(rig.gripper.answer_for_script(request.port, request.id, &[0, 0]));
+    assert_eq!(rig.frames(), []);
+}

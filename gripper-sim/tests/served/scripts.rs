@@ -1,0 +1,359 @@
+//! Lua scripts on the gripper. Every wait is bounded by a time-out of the socket.
+
+use crate::common::parse;
+use crate::common::program::Program;
+use crate::common::uninterrupted;
+use std::io::{Read, Write};
+use std::net::{TcpStream, UdpSocket};
+use std::path::{Path, PathBuf};
+use std::process::Command as Process;
+use std::time::{Duration, Instant};
+use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, Status, SystemFlags};
+use wsg_sim::server::{Lines, Log, SerialLine, ServerThread, UdpLine};
+use wsg_sim::{Config, MAX_FRAME_LEN, Part};
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(60);
+/// So that homing takes no time to speak of.
+const QUICK: f32 = 100.0;
+
+/// A script in a file, gone with this.
+struct File(PathBuf);
+
+impl File {
+    fn new(name: &str, source: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("wsg-sim-{}-{name}.lua", std::process::id()));
+        std::fs::write(&path, source).unwrap();
+        Self(path)
+    }
+}
+
+impl Drop for File {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+fn remote() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/remote.lua")
+}
+
+fn lines(script: &Path) -> Lines {
+    Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), script: Some(script.to_owned()), ..Lines::default() }
+}
+
+struct Client<S>(S, Vec<u8>);
+
+impl<S: Read + Write> Client<S> {
+    /// The id and payload of the next frame.
+    fn recv(&mut self) -> (u8, Vec<u8>) {
+        loop {
+            if let Some(size) = self.1.get(4..6) {
+                let len = 8 + usize::from(u16::from_le_bytes(size.try_into().unwrap()));
+                if self.1.len() >= len {
+                    let frame: Vec<u8> = self.1.drain(..len).collect();
+                    return parse(&frame).pop().expect("an intact frame");
+                }
+            }
+            let mut chunk = [0; MAX_FRAME_LEN];
+            let len = uninterrupted::read(&mut self.0, &mut chunk).expect("an answer in time");
+            assert_ne!(len, 0, "the line ended");
+            self.1.extend_from_slice(&chunk[..len]);
+        }
+    }
+
+    fn call(&mut self, id: u8, payload: &[u8]) -> (Status, Vec<u8>) {
+        let frame: Vec<u8> = FrameEncoder::new(id, payload).collect();
+        self.0.write_all(&frame).unwrap();
+        let (answered, payload) = self.recv();
+        assert_eq!(answered, id);
+        (Status::from_code(u16::from_le_bytes([payload[0], payload[1]])), payload[2..].to_vec())
+    }
+
+    fn run(&mut self, command: Command<'_>) {
+        let frame: Vec<u8> = FrameEncoder::new(command.id().code(), command).collect();
+        self.0.write_all(&frame).unwrap();
+        assert_eq!(self.recv().1[..2], [26, 0], "pending");
+        assert_eq!(self.recv().1[..2], [0, 0], "done");
+    }
+
+    fn home(&mut self) {
+        self.run(Command::Homing { direction: HomingDirection::Positive });
+    }
+
+    fn flags(&mut self) -> SystemFlags {
+        let frame: Vec<u8> =
+            FrameEncoder::new(0x40, Command::GetSystemState { update: AutoUpdate::once() }).collect();
+        self.0.write_all(&frame).unwrap();
+        let (id, payload) = self.recv();
+        assert_eq!(id, 0x40);
+        SystemFlags::from_bits_retain(u32::from_le_bytes(payload[2..6].try_into().unwrap()))
+    }
+
+    /// Calls until the script has claimed the command.
+    fn call_when_claimed(&mut self, id: u8, payload: &[u8]) -> (Status, Vec<u8>) {
+        self.until(|client| {
+            let answer = client.call(id, payload);
+            (answer.0 != Status::CmdUnknown).then_some(answer)
+        })
+    }
+
+    fn until<T>(&mut self, mut look: impl FnMut(&mut Self) -> Option<T>) -> T {
+        let start = Instant::now();
+        loop {
+            if let Some(found) = look(self) {
+                return found;
+            }
+            assert!(start.elapsed() < BOUND, "not in time");
+        }
+    }
+}
+
+fn connect(served: &ServerThread) -> Client<TcpStream> {
+    let stream = TcpStream::connect_timeout(&served.tcp_address().expect("TCP is served"), BOUND).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    stream.set_nodelay(true).unwrap();
+    Client(stream, Vec::new())
+}
+
+/// Width, speed and force of an answer of `remote.lua`.
+fn measured(values: &[u8]) -> [f32; 3] {
+    assert_eq!(values.len(), 1 + 4 * 4, "a state byte and four numbers");
+    [1, 5, 9].map(|at| f32::from_le_bytes(values[at..at + 4].try_into().unwrap()))
+}
+
+fn floats(flag: u8, numbers: &[f32]) -> Vec<u8> {
+    let mut payload = vec![flag];
+    numbers.iter().for_each(|number| payload.extend(number.to_le_bytes()));
+    payload
+}
+
+#[test]
+fn script_measures_moves_and_controls_position_and_force_over_tcp() {
+    let part = Part::of_width(20.0);
+    let config = Config { part, ..Config::default() };
+    let served =
+        ServerThread::start(Config { time_scale: QUICK, ..config }, &lines(&remote()), None).unwrap();
+    let mut client = connect(&served);
+    client.home();
+    let (status, values) = client.call_when_claimed(0xB0, &[]);
+    assert_eq!(status, Status::Success);
+    assert_eq!((values[0] & 1, measured(&values)[0]), (1, 110.0), "referenced, and open");
+
+    assert_eq!(client.call(0xB1, &floats(1, &[60.0, 100.0])).0, Status::Success);
+    client.until(|client| (measured(&client.call(0xB0, &[]).1)[0] == 60.0).then_some(()));
+
+    // Onto the part, until its force is there; then the way is blocked.
+    let [width, _, force] = client.until(|client| {
+        let (_, values) = client.call(0xB1, &floats(1, &[15.0, 50.0, 5.0, 0.0, 30.0, 30.0]));
+        let measured = measured(&values);
+        (measured[0] < 20.0).then_some(measured)
+    });
+    assert!((19.6..20.0).contains(&width) && force <= 30.0, "{width} mm, {force} N");
+    assert_eq!(client.call(0xB1, &[1, 2]).0, Status::CmdFormatError);
+    assert_eq!(client.call(0xB2, &[]).0, Status::CmdUnknown, "nobody has claimed it");
+    served.stop().unwrap();
+}
+
+#[test]
+fn flags_tell_that_a_script_runs_and_that_it_failed_and_why_is_in_the_log() {
+    let script =
+        File::new("fails", "cmd.register(0xB0)\ncmd.send(cmd.read(), etob(0))\nlocal t = nil\nt.x = 1\n");
+    let log = std::env::temp_dir().join(format!("wsg-sim-{}-script-log", std::process::id()));
+    let served =
+        ServerThread::start(Config::default(), &lines(&script.0), Some(Log::to_file(&log).unwrap())).unwrap();
+    let mut client = connect(&served);
+    client.until(|client| client.flags().contains(SystemFlags::SCRIPT_RUNNING).then_some(()));
+    assert_eq!(client.call_when_claimed(0xB0, &[]).0, Status::Success);
+    client.until(|client| {
+        let flags = client.flags();
+        let is_over = flags.contains(SystemFlags::SCRIPT_FAILURE);
+        assert_ne!(is_over, flags.contains(SystemFlags::SCRIPT_RUNNING));
+        is_over.then_some(())
+    });
+    assert_eq!(client.call(0xB0, &[]).0, Status::CmdUnknown, "its commands are unknown again");
+    served.stop().unwrap();
+    let text = std::fs::read_to_string(&log).unwrap();
+    let _ = std::fs::remove_file(&log);
+    assert!(text.contains("failed") && text.contains("fails.lua:4:"), "{text}");
+}
+
+#[test]
+fn script_that_loops_for_ever_or_eats_memory_harms_nobody_else() {
+    for (name, source, fails) in [
+        ("loops", "while true do end", false),
+        ("loops-in-pcall", "while true do pcall(function() while true do end end) end", false),
+        ("hogs", "local t = {} while true do t[#t + 1] = string.rep('x', 1000) .. #t end", true),
+        ("recurses", "local function f() return f() + 1 end f()", true),
+    ] {
+        let script = File::new(name, source);
+        let served =
+            ServerThread::start(Config { time_scale: QUICK, ..Config::default() }, &lines(&script.0), None)
+                .unwrap();
+        let mut client = connect(&served);
+        client.home();
+        if fails {
+            client.until(|client| client.flags().contains(SystemFlags::SCRIPT_FAILURE).then_some(()));
+        } else {
+            assert!(client.flags().contains(SystemFlags::SCRIPT_RUNNING));
+        }
+        served.stop().unwrap();
+    }
+}
+
+#[test]
+fn script_that_claims_a_command_of_the_manual_is_told_so() {
+    let script = File::new("claims", "cmd.register(0x20)");
+    let log = std::env::temp_dir().join(format!("wsg-sim-{}-claims-log", std::process::id()));
+    let served = ServerThread::start(
+        Config { time_scale: QUICK, ..Config::default() },
+        &lines(&script.0),
+        Some(Log::to_file(&log).unwrap()),
+    )
+    .unwrap();
+    let mut client = connect(&served);
+    client.until(|client| client.flags().contains(SystemFlags::SCRIPT_FAILURE).then_some(()));
+    client.home();
+    served.stop().unwrap();
+    let text = std::fs::read_to_string(&log).unwrap();
+    let _ = std::fs::remove_file(&log);
+    assert!(text.contains("20h is no id for scripts; expected A0h to BFh"), "{text}");
+}
+
+#[test]
+fn calls_that_are_not_there_and_motions_that_are_refused_are_named_once() {
+    let source =
+        "for _ = 1, 3 do\n  local there = mc.grip\n  mc.move(50, 100)\nend\nprint('end', 7)\nsleep(1e9)";
+    let script = File::new("misses", source);
+    let log = std::env::temp_dir().join(format!("wsg-sim-{}-misses-log", std::process::id()));
+    let served =
+        ServerThread::start(Config::default(), &lines(&script.0), Some(Log::to_file(&log).unwrap())).unwrap();
+    let start = Instant::now();
+    let text = loop {
+        let text = std::fs::read_to_string(&log).unwrap();
+        if text.contains("end\t7") {
+            break text;
+        }
+        assert!(start.elapsed() < BOUND, "{text}");
+    };
+    assert_eq!(text.matches("line 2: mc.grip is not there").count(), 1, "{text}");
+    assert_eq!(text.matches("line 3: mc.move: E_NOT_INITIALIZED").count(), 1, "{text}");
+    served.stop().unwrap();
+    let _ = std::fs::remove_file(&log);
+}
+
+#[test]
+fn values_cross_as_the_calls_say() {
+    let source = r#"
+        cmd.register(0xA0)
+        cmd.register(0xBF)
+        while true do
+          local id, payload = cmd.read()
+          if payload[1] == 1 then cmd.send(id, etob(E_RANGE_ERROR), ntob(bton({0, 0, 0x20, 0xC1})), {1, {2, {3}}}, 4)
+          elseif payload[1] == 2 then cmd.send(id, etob(0), string.byte(cmd.interface(), 1, -1))
+          elseif payload[1] == 3 then
+            local ok, why = pcall(function() cmd.send(id, etob(0), 256) end)
+            cmd.send(id, etob(ok and 0 or E_INVALID_PARAMETER), {string.byte(why, 1, -1)})
+          elseif payload[1] == 4 then
+            cmd.send(id, etob(0), {string.byte(finger.type(0) .. finger.type(1), 1, -1)}, ntob(finger.data(1)),
+              finger.data(0) == nil and 1 or 0, math.nan ~= math.nan and 1 or 0, cmd.online() and 1 or 0)
+          else cmd.send(id, etob(E_SUCCESS), payload) end
+        end"#;
+    let script = File::new("values", source);
+    let config = Config { fingers: [wsg_sim::Finger::None, wsg_sim::Finger::Fmf], ..Config::default() };
+    let served = ServerThread::start(config, &lines(&script.0), None).unwrap();
+    let mut client = connect(&served);
+    let (status, values) = client.call_when_claimed(0xBF, &[1]);
+    assert_eq!(status, Status::RangeError);
+    assert_eq!(values, [&(-10.0f32).to_le_bytes()[..], &[1, 2, 3, 4]].concat());
+    assert_eq!(client.call(0xA0, &[2]), (Status::Success, b"tcp".to_vec()));
+    let (status, why) = client.call(0xA0, &[3]);
+    assert_eq!(status, Status::InvalidParameter);
+    let why = String::from_utf8(why).unwrap();
+    assert!(why.ends_with("values.lua:9: cmd.send: 256 is no byte; expected 0 to 255"), "{why}");
+    let fingers = [&b"genericfmf"[..], &0f32.to_le_bytes(), &[1, 1, 1]].concat();
+    assert_eq!(client.call(0xA0, &[4]), (Status::Success, fingers));
+    let longest: Vec<u8> = (0..=255).collect();
+    assert_eq!(client.call(0xA0, &longest), (Status::Success, longest.clone()));
+    let too_long = [&longest[..], &[0]].concat();
+    assert_eq!(client.call(0xA0, &too_long).0, Status::CmdFormatError);
+    served.stop().unwrap();
+}
+
+#[test]
+fn script_answers_whoever_asked_over_udp_and_a_serial_line() {
+    let [answers, asks] = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
+    answers.set_read_timeout(Some(BOUND)).unwrap();
+    let remote_port = answers.local_addr().unwrap().port();
+    let path = std::env::temp_dir().join(format!("wsg-sim-{}-script-serial", std::process::id()));
+    let lines = Lines {
+        udp: Some(UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port }),
+        serial: Some(SerialLine::Unix(path.clone())),
+        ..lines(&remote())
+    };
+    let served = ServerThread::start(Config::default(), &lines, None).unwrap();
+    let stream = std::os::unix::net::UnixStream::connect(&path).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    let mut serial = Client(stream, Vec::new());
+    assert_eq!(serial.call_when_claimed(0xB0, &[]).0, Status::Success);
+
+    let request: Vec<u8> = FrameEncoder::new(0xB0, &[0][..]).collect();
+    uninterrupted::send_to(&asks, &request, served.udp_address().unwrap()).unwrap();
+    let mut datagram = [0; MAX_FRAME_LEN];
+    let (len, _) = uninterrupted::recv_from(&answers, &mut datagram).unwrap();
+    let (id, payload) = parse(&datagram[..len]).pop().unwrap();
+    assert_eq!((id, payload.len()), (0xB0, 19));
+    assert_eq!(serial.call(0xB0, &[]).0, Status::Success, "each has its own answer");
+    served.stop().unwrap();
+}
+
+#[test]
+fn program_takes_a_script_and_says_in_one_line_that_it_cannot_be_read() {
+    let script = remote();
+    let mut program = Program::start(&["--tcp", "127.0.0.1:0", "--script", script.to_str().unwrap()]);
+    program.place_of("model");
+    let stream = TcpStream::connect(program.place_of("tcp")).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    assert_eq!(Client(stream, Vec::new()).call_when_claimed(0xB0, &[]).0, Status::Success);
+
+    let output =
+        Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(["--script", "/nowhere.lua"]).output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && error.lines().count() == 1, "{error}");
+    assert!(error.contains("the script /nowhere.lua cannot be read"), "{error}");
+}
+
+#[test]
+fn whatever_is_asked_of_the_example_it_answers_and_goes_on() {
+    let config = Config { part: Part::of_width(20.0), time_scale: QUICK, ..Config::default() };
+    let served = ServerThread::start(config, &lines(&remote()), None).unwrap();
+    let mut client = connect(&served);
+    client.home();
+    client.call_when_claimed(0xB0, &[]);
+    let mut runner = proptest::test_runner::TestRunner::new(proptest::test_runner::Config {
+        failure_persistence: None,
+        ..proptest::test_runner::Config::default()
+    });
+    let client = std::cell::RefCell::new(client);
+    let float = proptest::num::f32::ANY;
+    let request = (
+        0xB0u8..=0xB1,
+        proptest::collection::vec(proptest::prelude::any::<u8>(), 0..40),
+        proptest::option::of(proptest::collection::vec(float, 0..7)),
+    );
+    runner
+        .run(&request, |(id, mut payload, numbers)| {
+            if let Some(numbers) = numbers {
+                payload = floats(1, &numbers);
+            }
+            let mut client = client.borrow_mut();
+            let frame: Vec<u8> = FrameEncoder::new(id, &payload[..]).collect();
+            client.0.write_all(&frame).unwrap();
+            let (answered, answer) = client.recv();
+            proptest::prop_assert_eq!((answered, answer.len()), (id, 19));
+            Ok(())
+        })
+        .unwrap();
+    assert!(client.borrow_mut().flags().contains(SystemFlags::SCRIPT_RUNNING));
+    served.stop().unwrap();
+}
