@@ -1,7 +1,7 @@
 //! The settings' two pages: the last ones of flash bank 2 (RM0351, chapter 3).
 //!
-//! The program runs from bank 1, so it goes on while they are programmed or erased. Not run on hardware yet; an emulator
-//! without a flash controller reads 0 and swallows stores, which the store notices.
+//! The program runs from bank 1, so it goes on while they are programmed or erased. Run in the emulator with a model of the
+//! interface, not on hardware yet. The emulator alone reads 0 and swallows stores, which the store notices.
 
 use core::ptr::with_exposed_provenance;
 use core::sync::atomic::{AtomicU8, Ordering};
