@@ -170,6 +170,8 @@ struct State {
     running: Option<(Operation, Duration)>,
     /// Of the data cache: which double words, by their number in both pages, and what they hold.
     cached: VecDeque<(usize, u64)>,
+    /// Some of them were erased since.
+    is_cache_stale: bool,
     fault: Option<Fault>,
     cut: Option<(u32, Tear)>,
     is_off: bool,
@@ -194,6 +196,7 @@ impl FlashController {
             first_word: None,
             running: None,
             cached: VecDeque::new(),
+            is_cache_stale: false,
             fault: None,
             cut: None,
             is_off: false,
@@ -239,9 +242,12 @@ impl FlashController {
         !state.is_busy() && state.cr & LOCK != 0 && state.acr & (ICEN | DCEN) == ICEN | DCEN
     }
 
-    /// Sets a flag that a driver did not cause: a debugger or a boot loader left it.
-    pub fn leave_flag(&self, flag: ErrorFlag) {
-        self.lock().sr |= flag as u32;
+    /// Leaves FLASH_CR open and a flag set, as a boot loader or a debugger does.
+    pub fn leave_open(&self, flag: ErrorFlag) {
+        let state = &mut *self.lock();
+        state.sr |= flag as u32;
+        state.lock = Lock::Open;
+        state.cr &= !LOCK;
     }
 
     /// Lets something be wrong, or nothing.
@@ -315,6 +321,7 @@ impl State {
         self.lock = Lock::Locked;
         (self.first_word, self.running) = (None, None);
         self.cached.clear();
+        self.is_cache_stale = false;
     }
 
     fn is_busy(&self) -> bool {
@@ -361,6 +368,10 @@ impl State {
             self.forbidden("3.3.7: a cache was flushed while it was enabled");
         } else if value & DCRST != 0 {
             self.cached.clear();
+            self.is_cache_stale = false;
+        }
+        if value & DCEN != 0 && self.is_cache_stale {
+            self.forbidden("3.3.7: the data cache is on again and holds what was erased");
         }
         self.acr = value & ACR_BITS;
     }
@@ -510,9 +521,14 @@ impl State {
             self.sr |= EOP;
         }
         // 3.3.7: what is programmed is changed in the cache too, what is erased is not.
-        if let Operation::Program(page, index, value) = operation {
-            let cached = self.cached.iter_mut().find(|(of, _)| *of == number(page, index));
-            cached.into_iter().for_each(|(_, of_cache)| *of_cache = value);
+        match operation {
+            Operation::Program(page, index, value) => {
+                let cached = self.cached.iter_mut().find(|(of, _)| *of == number(page, index));
+                cached.into_iter().for_each(|(_, of_cache)| *of_cache = value);
+            }
+            Operation::Erase(page) => {
+                self.is_cache_stale |= self.cached.iter().any(|(of, _)| of / PAGE_LEN == page as usize);
+            }
         }
     }
 
@@ -552,7 +568,7 @@ impl State {
                         "3.3.2: a load while a flag of FLASH_ECCR was set: its error is not noticed",
                     );
                 }
-                (part(0xBAD0_BAD1_BAD2_BAD3), self.tell(ECCD, address))
+                (part(self.pages.bits(page, index)), self.tell(ECCD, address))
             }
         }
     }

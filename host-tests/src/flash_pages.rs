@@ -47,7 +47,8 @@ pub struct NotErased;
 enum DoubleWord {
     Erased,
     Programmed(u64),
-    Unreadable,
+    /// More wrong bits than can be put right; these come all the same.
+    Unreadable(u64),
     /// Between two values.
     Changing(u64, u64),
 }
@@ -56,8 +57,7 @@ impl DoubleWord {
     fn value(self) -> u64 {
         match self {
             Self::Erased => u64::MAX,
-            Self::Programmed(value) | Self::Changing(_, value) => value,
-            Self::Unreadable => 0x0123_4567_89AB_CDEF,
+            Self::Programmed(value) | Self::Unreadable(value) | Self::Changing(_, value) => value,
         }
     }
 }
@@ -91,7 +91,7 @@ impl FlashPages {
     /// [`Unreadable`] for more wrong bits than can be put right, and from [`PAGE_LEN`] on.
     pub fn read(&mut self, page: Page, index: usize) -> Result<u64, Unreadable> {
         match self.pages[page as usize].get(index) {
-            None | Some(DoubleWord::Unreadable) => Err(Unreadable),
+            None | Some(DoubleWord::Unreadable(_)) => Err(Unreadable),
             Some(DoubleWord::Changing(one, other)) => match self.chance.below(3) {
                 0 => Ok(*one),
                 1 => Ok(*other),
@@ -135,7 +135,7 @@ impl FlashPages {
                 Tear::NotBegun => before,
                 Tear::Complete | Tear::Mixed => *after,
                 Tear::SeemsErased => DoubleWord::Programmed(u64::MAX),
-                Tear::Unreadable => DoubleWord::Unreadable,
+                Tear::Unreadable => DoubleWord::Unreadable(after.value()),
                 Tear::SomeBits => {
                     let mask = self.chance.number();
                     DoubleWord::Programmed(before.value() & mask | after.value() & !mask)
@@ -145,9 +145,16 @@ impl FlashPages {
         }
     }
 
-    /// Sets what a double word holds; [`None`] if it cannot be read.
+    /// Sets what a double word holds; [`None`] if it cannot be read: its bits stay, and what guards them is wrong.
     pub fn set(&mut self, page: Page, index: usize, value: Option<u64>) {
-        self.pages[page as usize][index] = value.map_or(DoubleWord::Unreadable, DoubleWord::Programmed);
+        let double_word = &mut self.pages[page as usize][index];
+        *double_word = value.map_or(DoubleWord::Unreadable(double_word.value()), DoubleWord::Programmed);
+    }
+
+    /// The bits of a double word that cannot be read, as they come to a reader who does not look whether it can.
+    #[must_use]
+    pub fn bits(&self, page: Page, index: usize) -> u64 {
+        self.pages[page as usize][index].value()
     }
 
     /// Lets a double word read otherwise with each read: this, what it held, or not at all.

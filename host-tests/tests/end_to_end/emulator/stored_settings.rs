@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use host_tests::can_bus::CanBus;
 use host_tests::can_wire::WireFrame;
+use host_tests::chance::Chance;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::extent;
 use host_tests::flash_controller::{ErrorFlag, Fault, FlashController};
@@ -318,7 +319,7 @@ fn each_fault_of_the_flash_is_told_and_leaves_what_was_stored() {
     plant.set_debounce(8);
     assert_eq!((plant.save(), plant.flash.erases()), (SAVED, 2));
     // What a boot loader left.
-    plant.flash.leave_flag(ErrorFlag::Sequence);
+    plant.flash.leave_open(ErrorFlag::Sequence);
     plant.set_debounce(9);
     assert_eq!((plant.save(), plant.flash.erases()), (SAVED, 2), "at the first attempt");
 
@@ -368,8 +369,11 @@ fn an_unreadable_double_word_costs_its_record_and_no_start() {
     let mut plant = Plant::power_up(flash);
     assert_eq!((plant.report("SETTINGS_FROM"), plant.debounce()), (STORED, 7), "of the save before");
 
+    // And now the whole of the other page is damaged.
     let flash = plant.power_down();
     flash.set(Page::First, 3, None);
+    let mut chance = Chance::new(1);
+    (0..PAGE_LEN).for_each(|index| flash.set(Page::Second, index, Some(chance.number())));
     let mut plant = Plant::power_up(flash);
     assert_eq!(plant.report("SETTINGS_FROM"), DAMAGED);
     let told = [EventCode::SettingsRefused as u16, 0, DAMAGED];
