@@ -255,6 +255,26 @@ fn what_the_bus_and_the_service_port_ask_for_in_the_same_turn_is_done_or_refused
 }
 
 #[test]
+fn fast_stop_leaves_as_soon_during_a_save_as_without_one() {
+    let ms_to_fast_stop = |save: bool| {
+        let mut plant = Plant::start(FlashModel::new());
+        plant.get_ready();
+        plant.flash.fault = Some(Fault::Stuck);
+        if save {
+            assert_eq!(plant.command("SAVE"), Ok(()));
+        }
+        plant.inputs -= Inputs::FAST_STOP_OK;
+        let ms = (0..50).find(|_| {
+            plant.pass(1);
+            plant.sent.contains(&CommandId::FastStop)
+        });
+        assert_eq!(plant.report("SAVE_STATE"), u16::from(save), "the save runs still");
+        ms.expect("FAST STOP")
+    };
+    assert_eq!(ms_to_fast_stop(true), ms_to_fast_stop(false));
+}
+
+#[test]
 fn a_power_cut_leaves_the_old_or_the_new_settings_and_moves_nothing() {
     let mut saved = Plant::start(FlashModel::new());
     saved.set("RECIPE0_WIDTH", 1_111);
