@@ -303,6 +303,15 @@ fn a_failed_save_says_why_ends_and_leaves_the_old_record() {
 }
 
 #[test]
+fn each_failure_of_the_flash_has_words_of_its_own() {
+    let words = [FlashError::Busy, FlashError::Protected, FlashError::NotErased, FlashError::Failed]
+        .map(|error| error.to_string());
+    for (words, part) in words.iter().zip(["busy", "protected", "programmed already", "failed"]) {
+        assert!(words.contains(part), "{words}");
+    }
+}
+
+#[test]
 fn a_worn_first_page_is_replaced_by_the_second_when_nothing_is_stored() {
     let mut flash = FlashModel::new();
     let (mut store, _) = boot(&mut flash);

@@ -416,6 +416,7 @@ fn wrong_together(value: impl Fn(Place) -> u16) -> Option<Place> {
 mod tests {
     use super::*;
     use crate::config::RECIPES;
+    use std::string::ToString;
 
     #[test]
     fn settings_begin_as_the_configuration_says() {
@@ -476,6 +477,16 @@ mod tests {
         assert!(settings.are_changed());
         let record = *settings.record();
         assert_eq!(Settings::check_record(&record), Ok(()));
+    }
+
+    #[test]
+    fn wrong_setting_is_named_with_what_it_takes() {
+        let mut record = Config::DEFAULT.record();
+        record[Place::Reaction as usize] = 3;
+        let wrong = Config::from_record(&record).unwrap_err();
+        assert_eq!(wrong, WrongSetting { at: Place::Reaction as usize });
+        assert!(wrong.to_string().starts_with("BUS_REACTION takes 0 to 2: "), "{wrong}");
+        assert_eq!(WrongSetting { at: SETTINGS.len() }.to_string(), "there is no such setting");
     }
 
     #[test]
