@@ -405,6 +405,31 @@ fn a_record_that_reads_otherwise_each_time_is_loaded_whole_or_not_at_all() {
 }
 
 #[test]
+fn a_first_double_word_that_reads_as_one_record_or_another_never_mixes_them() {
+    // One record is the other's begin: its last double word is payload there.
+    let begin = b"8 bytes.";
+    let first = |payload: &[u8]| {
+        let mut flash = FlashModel::new();
+        let (mut store, _) = boot(&mut flash);
+        assert_eq!(save(&mut store, &mut flash, &(1, payload.to_vec())), Some(Ok(())));
+        (flash.read(Page::First, 0).unwrap(), flash)
+    };
+    let (short_first, flash) = first(begin);
+    let end = flash.read(Page::First, 2).unwrap().to_le_bytes();
+    let (short, long) = ((1, begin.to_vec()), (1, [&begin[..], &end[..]].concat()));
+    let (_, mut flash) = first(&long.1);
+    flash.set_changing(Page::First, 0, short_first);
+    let mut found = [0; 3];
+    for _ in 0..200 {
+        let loaded = boot(&mut flash).1;
+        let which = [Ok(short.clone()), Ok(long.clone()), Err(LoadError::Damaged)];
+        let which = which.iter().position(|it| *it == loaded);
+        found[which.unwrap_or_else(|| panic!("{loaded:X?}"))] += 1;
+    }
+    assert!(found[0] > 0 && found[1] > 0, "{found:?}");
+}
+
+#[test]
 fn a_payload_that_looks_like_records_is_none() {
     // The image of a record with a higher number, after a double word of something else.
     let (flash, _) = history(8, 100);
