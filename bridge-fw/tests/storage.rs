@@ -483,6 +483,20 @@ fn numbers_of_saves_come_to_an_end_with_words() {
     }
 }
 
+#[test]
+fn a_damaged_record_does_not_use_up_the_numbers_of_saves() {
+    // The first double word of a record with the last number there is, and nothing behind it.
+    let mut flash = FlashModel::new();
+    flash.set(Page::First, 0, Some(0xFF_FFFF << 40 | 8 << 8 | 0xA5));
+    let (mut store, found) = boot(&mut flash);
+    assert_eq!(found, Err(LoadError::Damaged));
+    for number in 0..3 {
+        let saved = settings(number, 8);
+        assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
+        assert_eq!(boot(&mut flash).1, Ok(saved));
+    }
+}
+
 /// The table in the documentation of `storage`: the page endures 10 000 erases.
 #[test]
 fn wear_is_shared_by_both_pages_and_as_documented() {
