@@ -290,6 +290,16 @@ fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
 }
 
 #[test]
+fn diagnosis_has_its_16_bytes_also_while_no_flag_is_known() {
+    let mut bench = Bench::new(AT_500K, quick());
+    bench.board.set_cut(true);
+    bench.pass_silent(10);
+    let answer = bench.service(60, &[]);
+    let standard = [0x02, 0x05, 0x00, 0xFF];
+    assert_eq!(answer[9..25], Diagnosis { standard, system: SystemFlags::empty() }.to_bytes(), "{answer:02X?}");
+}
+
+#[test]
 fn gripper_that_is_not_there_shows_as_an_error() {
     let mut bench = Bench::homed(quick());
     bench.board.set_cut(true);

@@ -13,6 +13,7 @@
 //! | [`storage`] | what is loaded was saved whole, and a save works on whatever the flash holds |
 //! | [`bridge`] | no motion without an edge, FAST STOP in time, true outputs, and settings as they were written, whatever gripper, line, wires, Modbus bus and service port do |
 //! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
+//! | [`bridge_profibus`] | the same, with masters on PROFIBUS, and each answer in time or not at all |
 //!
 //! cargo-fuzz runs them (`cargo xtask fuzz`, targets in `host-tests/fuzz`); the test `fuzz_smoke` runs them on stable Rust
 //! over the committed seeds and over [`generated`] inputs, `cargo xtask fuzz --inputs N` over more of these.
@@ -23,6 +24,7 @@ use std::thread;
 mod asked;
 mod bridge;
 mod bridge_can;
+mod bridge_profibus;
 mod can;
 mod controller;
 mod frames;
@@ -44,6 +46,7 @@ mod typed;
 
 pub use bridge::bridge;
 pub use bridge_can::bridge_can;
+pub use bridge_profibus::bridge_profibus;
 pub use can::can;
 pub use controller::controller;
 pub use frames::frames;
@@ -113,13 +116,14 @@ impl Drop for Case {
 }
 
 /// Every body.
-pub const ALL: [Body; 11] = [
+pub const ALL: [Body; 12] = [
     Body { name: "frames", run: frames, pieces: generate::BINARY },
     Body { name: "typed", run: typed, pieces: generate::BINARY },
     Body { name: "session", run: session, pieces: generate::BINARY },
     Body { name: "controller", run: controller, pieces: generate::BINARY },
     Body { name: "bridge", run: bridge, pieces: generate::BRIDGE },
     Body { name: "bridge_can", run: bridge_can, pieces: generate::BRIDGE_CAN },
+    Body { name: "bridge_profibus", run: bridge_profibus, pieces: generate::BRIDGE_PROFIBUS },
     Body { name: "gcl", run: gcl, pieces: generate::TEXT },
     Body { name: "can", run: can, pieces: generate::BINARY },
     Body { name: "modbus", run: modbus, pieces: generate::BINARY },

@@ -40,6 +40,11 @@ fn bridge_can_60_000_cases() {
 }
 
 #[test]
+fn bridge_profibus_60_000_cases() {
+    smoke("bridge_profibus");
+}
+
+#[test]
 fn can_60_000_cases() {
     smoke("can");
 }

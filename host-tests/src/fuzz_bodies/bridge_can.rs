@@ -745,10 +745,10 @@ struct Turn {
 }
 
 /// The gripper's link, and what the bridge reads of it and writes to it.
-struct Tap<'a, L> {
-    link: &'a mut L,
-    heard: &'a mut Vec<u8>,
-    sent: &'a mut Vec<u8>,
+pub(super) struct Tap<'a, L> {
+    pub(super) link: &'a mut L,
+    pub(super) heard: &'a mut Vec<u8>,
+    pub(super) sent: &'a mut Vec<u8>,
 }
 
 impl<L: ErrorType> ErrorType for Tap<'_, L> {

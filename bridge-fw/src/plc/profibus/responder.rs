@@ -213,8 +213,8 @@ pub struct DpResponder {
     told: Option<[u8; OutputImage::LEN]>,
     /// What it is still to be told: the master left, silently or not.
     left: Option<bool>,
-    /// The flags that the diagnosis was announced by.
-    flags: SystemFlags,
+    /// The flags that the diagnosis tells; none before the first inputs.
+    flags: Option<SystemFlags>,
 }
 
 impl DpResponder {
@@ -233,7 +233,7 @@ impl DpResponder {
             has_outputs: false,
             told: None,
             left: None,
-            flags: SystemFlags::empty(),
+            flags: None,
         }
     }
 
@@ -321,11 +321,11 @@ impl DpResponder {
         self.slave.show_inputs(&image);
         let [_, _, y0, y1, y2, y3, ..] = image;
         let flags = SystemFlags::from_bits_retain(u32::from_le_bytes([y0, y1, y2, y3]));
-        let before = core::mem::replace(&mut self.flags, flags);
-        if flags != before {
+        let before = self.flags.replace(flags);
+        if before != Some(flags) {
             self.slave.show_diagnosis(&Diagnosis::device_part(flags), flags.intersects(Diagnosis::TRIGGERS));
         }
-        if Diagnosis::is_due(before, flags) {
+        if Diagnosis::is_due(before.unwrap_or(SystemFlags::empty()), flags) {
             self.slave.announce_diagnosis();
         }
     }

@@ -1,0 +1,573 @@
+//! The whole bridge on PROFIBUS, beside wires, the gripper on RS-232: any characters and silences on the bus, any telegrams of two
+//! masters, any wires, a gripper that does what it likes.
+//!
+//! What must hold, whatever comes:
+//! - the [`Oracle`]'s rules: a command leaves only for an edge of a wire, or of outputs of the master that the slave belongs to,
+//!   in data exchange; a FAST STOP at once; the outputs are true;
+//! - the watchdog may be fed;
+//! - the main loop hears of the master what the slave says that it did, in order, each thing once: outputs that differ, that it
+//!   left, that it is back; and that it has been silent for BUS_TIMEOUT;
+//! - the line hears the slave's answers byte by byte, not before their time, and nothing else; none into what another says.
+//!
+//! The slave is [`bus_profibus`]'s, a second one beside that of the bridge, which gets the same characters with the silences as
+//! they are and not as a clock of microseconds measures them. That it is right the body `profibus` says.
+
+use std::ops::RangeInclusive;
+
+use bus_profibus::{Address, Baud, Cause, Character, Event};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::{DpBuffers, DpResponder, PlcEvent, PlcSide, Profibus, Shown, UartStatus, View};
+use wsg_bridge_fw::{Bridge, Config, PlcBus, ProfibusConfig};
+use wsg_protocol::fieldbus::profibus::{PROFILE, Slave};
+use wsg_protocol::fieldbus::{CommandFlags, Diagnosis, InputImage, OutputImage};
+use wsg_protocol::{CommandId, FrameParser, Instant, Status, SystemFlags};
+
+use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS, READY};
+use super::bridge_can::Tap;
+use super::gripper::{self, Gripper};
+use super::input::Input;
+use super::oracle::Oracle;
+use crate::profibus_bench::{sd2, sum};
+use crate::serial_gripper::SerialLine;
+
+const STATION: u8 = 7;
+const BROADCAST: u8 = 127;
+const MASTERS: [u8; 4] = [2, 2, 2, 3];
+
+/// Microseconds of a bit, and of a character, at 500 kbit/s.
+const BIT_US: u32 = 2;
+const CHARACTER_US: u32 = 11 * BIT_US;
+
+/// A character counts as received in the middle of its stop bit.
+const STOP_BITS: u32 = 1;
+
+/// Silences before a telegram, in bit times: enough, and not.
+const SILENCES: [u32; 5] = [40, 40, 40, 200, 10];
+
+/// What is near 33 bits a clock of microseconds does not tell apart.
+const UNCLEAR_US: RangeInclusive<u32> = 32 * BIT_US..=35 * BIT_US;
+
+const SET_SLAVE_ADDRESS: u8 = 55;
+const RD_INP: u8 = 56;
+const RD_OUTP: u8 = 57;
+const GLOBAL_CONTROL: u8 = 58;
+const GET_CFG: u8 = 59;
+const SLAVE_DIAG: u8 = 60;
+const SET_PRM: u8 = 61;
+const CHK_CFG: u8 = 62;
+
+thread_local! {
+    /// What handler and main loop share: one for all cases of a thread, for it is never given back.
+    static BUFFERS: &'static DpBuffers = Box::leak(Box::default());
+}
+
+/// What the master did, as the main loop is to hear of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Done {
+    Wrote(OutputImage),
+    Left { silent: bool },
+}
+
+/// The answer that is due, or is being sent.
+struct Answer {
+    bytes: Vec<u8>,
+    /// Not before this, in microseconds.
+    from_us: u32,
+    sent: usize,
+}
+
+struct Model {
+    bridge: Bridge,
+    profibus: Profibus,
+    handler: DpResponder,
+    slave: Slave,
+    line: SerialLine,
+    /// Finds messages in what the bridge says to the gripper.
+    said_to_gripper: FrameParser<64>,
+    now_us: u32,
+    wires: Inputs,
+    /// When the timer runs the handler, and when the transmitter has sent a byte.
+    timer_us: Option<u32>,
+    sent_us: Option<u32>,
+    /// When the last character on the line ended.
+    heard_us: u32,
+    /// The transceiver echoes.
+    echoes: bool,
+    answer: Option<Answer>,
+    /// Inputs that the handler has not taken, and the flags of those that it took last.
+    inputs: Option<InputImage>,
+    flags: SystemFlags,
+    /// The master commands; the outputs of it that the main loop knows, or will.
+    commands: bool,
+    told: Option<[u8; OutputImage::LEN]>,
+    /// What the main loop does not know yet, and whether the master has written since it looked.
+    done: Vec<Done>,
+    exchanged: bool,
+    /// What the main loop knows: the outputs, and when it heard of the master last; none: it fell silent.
+    written: Option<OutputImage>,
+    heard_ms: Option<u32>,
+    /// The frame count bit of the masters, and the last telegram.
+    fcb: bool,
+    last: Vec<u8>,
+    gripper: Gripper,
+    oracle: Oracle,
+}
+
+/// The first byte says whether the bridge is ready and in data exchange (bit 0), whether the transceiver echoes (bit 1), and
+/// whether the fingers move at power-up (bit 4). Then each op is a byte that says what, and bytes that say how: wires, time, the
+/// gripper, telegrams of masters. Without bit 7 a millisecond passes behind it.
+pub fn bridge_profibus(data: &[u8]) {
+    let mut input = Input::new(data);
+    let choice = input.byte();
+    let mut model = Model::new(choice & 2 != 0);
+    if choice & 16 != 0 {
+        model.gripper.run();
+    }
+    if choice & 1 != 0 {
+        model.get_ready();
+    }
+    while !input.is_empty() {
+        let op = input.byte();
+        match op % 16 {
+            0 | 1 => model.wires = Inputs::from_bits_retain(input.byte()),
+            2 => model.wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
+            3 => {
+                let count = usize::from(input.byte() % 40);
+                model.bring_to_bridge(input.bytes(count));
+            }
+            4 => {
+                let status = input.pick(&[
+                    Status::Success,
+                    Status::CmdPending,
+                    Status::CmdFailed,
+                    Status::AccessDenied,
+                ]);
+                model.bring_to_bridge(&gripper::status(input.pick(CommandId::ALL), status));
+            }
+            5 => model.gripper.change(model.now_ms(), &mut input),
+            6 => model.pass(u32::from(input.byte() % 32)),
+            7 => {
+                let count = usize::from(input.byte() % 24);
+                for _ in 0..count {
+                    let character =
+                        if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
+                    model.bring(character, input.pick(&[0, 0, 0, 20, 40]));
+                }
+            }
+            8 => {
+                let image = image(input.pick(&FLAGS), input.pick(&PARAMETERS));
+                let telegram = model.exchange(input.pick(&MASTERS), &image.to_bytes());
+                model.send(&telegram, &mut input);
+            }
+            9 => {
+                // An edge as a PLC gives it.
+                let parameters = input.pick(&PARAMETERS);
+                for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
+                    let telegram = model.exchange(MASTERS[0], &image(flags, parameters).to_bytes());
+                    model.put(&telegram);
+                    model.pass(2);
+                }
+            }
+            10 => {
+                let watchdog = input.byte();
+                model.start(input.pick(&MASTERS), watchdog, input.byte());
+            }
+            11 => {
+                let telegram = model.service(&mut input);
+                model.send(&telegram, &mut input);
+            }
+            12 => {
+                // Clear, Sync, Freeze and what no slave knows; to all, to this one, to groups.
+                let to = input.pick(&[BROADCAST, BROADCAST, STATION]) | 0x80;
+                let control = [input.pick(&[0x02, 0x02, 0x20, 0x08, 0x00, 0xFF]), input.pick(&[0, 0, 1, 2])];
+                let body =
+                    [to, input.pick(&MASTERS) | 0x80, 0x46, GLOBAL_CONTROL, 62, control[0], control[1]];
+                model.send(&sd2(&body), &mut input);
+            }
+            13 => {
+                // Again; or no outputs (Fail_Safe), or too few.
+                let telegram = match input.byte() % 3 {
+                    0 if !model.last.is_empty() => model.last.clone(),
+                    1 => model.exchange(input.pick(&MASTERS), &[]),
+                    _ => model.exchange(input.pick(&MASTERS), &[input.byte(); 7]),
+                };
+                model.send(&telegram, &mut input);
+            }
+            14 => {
+                let body = [STATION, input.pick(&MASTERS), input.pick(&[0x49, 0x4C, 0x43, 0x4E])];
+                model.put(&[&[0x10], &body[..], &[sum(&body), 0x16]].concat());
+            }
+            _ => model.pass(u32::from(input.byte())),
+        }
+        if op & 0x80 == 0 {
+            model.pass(1);
+        }
+    }
+    model.pass(10);
+    // The next case finds the buffers empty.
+    while !model.done.is_empty() || model.answer.is_some() || model.inputs.is_some() {
+        model.pass(1);
+    }
+}
+
+fn image(flags: CommandFlags, [width, speed, force_limit]: [u16; 3]) -> OutputImage {
+    OutputImage { flags, user: 0, width: width as i16, speed, force_limit: force_limit as i16 }
+}
+
+impl Model {
+    fn new(echoes: bool) -> Self {
+        let config = Config {
+            plc_bus: PlcBus::Profibus,
+            profibus: ProfibusConfig { rate: Some(Baud::K500), ..ProfibusConfig::DEFAULT },
+            ..Config::DEFAULT
+        };
+        let buffers = BUFFERS.with(|buffers| *buffers);
+        let mut profibus = Profibus::new(buffers);
+        profibus.start(config.profibus);
+        let mut handler = DpResponder::new(buffers);
+        assert_eq!(handler.step(UartStatus::default(), 0, 0).rate, Some(Baud::K500));
+        Self {
+            bridge: Bridge::new(config),
+            profibus,
+            handler,
+            slave: Slave::new(&PROFILE, Address::new(STATION)),
+            line: SerialLine::with_room(usize::MAX),
+            said_to_gripper: FrameParser::new(),
+            now_us: 0,
+            wires: Inputs::empty(),
+            timer_us: None,
+            sent_us: None,
+            heard_us: 0,
+            echoes,
+            answer: None,
+            inputs: None,
+            flags: SystemFlags::empty(),
+            commands: false,
+            told: None,
+            done: Vec::new(),
+            exchanged: false,
+            written: None,
+            heard_ms: None,
+            fcb: false,
+            last: Vec::new(),
+            gripper: Gripper::new(),
+            oracle: Oracle::new(&config),
+        }
+    }
+
+    fn now_ms(&self) -> u32 {
+        self.now_us / 1_000
+    }
+
+    /// What most of the interesting states lie behind: connected, FAST STOP acknowledged, data exchange, outputs of zeros.
+    fn get_ready(&mut self) {
+        self.gripper.answer();
+        self.wires = Inputs::FAST_STOP_OK;
+        self.pass(12);
+        self.wires = Inputs::FAST_STOP_OK | Inputs::STOP_ACK;
+        self.pass(4);
+        self.start(MASTERS[0], 200, 11);
+        let zeros = self.exchange(MASTERS[0], &image(CommandFlags::empty(), PARAMETERS[0]).to_bytes());
+        self.put(&zeros);
+        self.pass(2);
+        self.wires = Inputs::FAST_STOP_OK;
+        self.pass(4);
+        assert_eq!(self.oracle.shown.outputs, READY);
+        assert!(self.commands);
+    }
+
+    /// Something that the gripper did not say.
+    fn bring_to_bridge(&mut self, bytes: &[u8]) {
+        self.gripper.forge(self.now_ms(), bytes);
+        self.line.bring(bytes);
+    }
+
+    /// Parameters with a watchdog of so many times 10 ms, 0 without one, and the configuration.
+    fn start(&mut self, master: u8, watchdog: u8, min_tsdr: u8) {
+        let status = if watchdog == 0 { 0x80 } else { 0x88 };
+        let prm = [status, 1, watchdog, min_tsdr, 0x55, 0x55, 0x01];
+        for (point, data) in [(SET_PRM, &prm[..]), (CHK_CFG, PROFILE.config)] {
+            let code = self.next();
+            let telegram = sd2(&[&[STATION | 0x80, master | 0x80, code, point, 62], data].concat());
+            self.put(&telegram);
+            // Its answer, for which a master waits.
+            self.pass_us(255 * BIT_US + 2 * CHARACTER_US);
+        }
+    }
+
+    /// The function code of the next request.
+    fn next(&mut self) -> u8 {
+        self.fcb = !self.fcb;
+        if self.fcb { 0x7D } else { 0x5D }
+    }
+
+    /// Data_Exchange with these outputs.
+    fn exchange(&mut self, master: u8, outputs: &[u8]) -> Vec<u8> {
+        let body = [&[STATION, master, self.next()], outputs].concat();
+        match outputs.len() {
+            0 => [&[0x10], &body[..], &[sum(&body), 0x16]].concat(),
+            8 => [&[0xA2], &body[..], &[sum(&body), 0x16]].concat(),
+            _ => sd2(&body),
+        }
+    }
+
+    /// A service of a master.
+    fn service(&mut self, input: &mut Input<'_>) -> Vec<u8> {
+        let (point, data) = match input.byte() % 8 {
+            0 => {
+                let status = input.pick(&[0x88, 0x80, 0x40, 0x00, 0xA8, 0xB8]);
+                let ident = input.pick(&[0x55, 0x55, 0x56]);
+                (SET_PRM, vec![status, 1, input.byte(), input.byte(), 0x55, ident, input.pick(&[0, 1])])
+            }
+            1 => (CHK_CFG, input.pick(&[&[0xA7, 0x9B][..], &[0xA7, 0x9C], &[0xA7]]).to_vec()),
+            2 => (SET_SLAVE_ADDRESS, vec![9, 0x55, 0x55, 0]),
+            3 => (input.byte(), input.bytes(3).to_vec()),
+            _ => (input.pick(&[SLAVE_DIAG, RD_INP, RD_OUTP, GET_CFG]), vec![]),
+        };
+        let head = [STATION | 0x80, input.pick(&MASTERS) | 0x80, self.next(), point, 62];
+        sd2(&[&head[..], &data].concat())
+    }
+
+    /// Puts a telegram on the line behind a silence, now and then with a wrong bit, a damaged character or a pause in it.
+    fn send(&mut self, telegram: &[u8], input: &mut Input<'_>) {
+        self.last = telegram.to_vec();
+        let mut telegram = telegram.to_vec();
+        let (trouble, silence_bits) = (input.byte(), input.pick(&SILENCES));
+        let at = usize::from(input.byte()) % telegram.len();
+        match trouble % 16 {
+            0 => telegram[at] ^= 1 << (trouble >> 5),
+            1 => telegram.truncate(at),
+            _ => {}
+        }
+        for (place, byte) in telegram.iter().enumerate() {
+            let is_damaged = trouble % 16 == 2 && place == at;
+            let character = if is_damaged { Character::Damaged } else { Character::Byte(*byte) };
+            let pauses = trouble % 16 == 3 && place == at;
+            let silence_bits = if place == 0 { silence_bits } else { u32::from(pauses) * SILENCES[0] };
+            self.bring(character, silence_bits);
+        }
+    }
+
+    /// The same without any trouble.
+    fn put(&mut self, telegram: &[u8]) {
+        self.last = telegram.to_vec();
+        for (place, byte) in telegram.iter().enumerate() {
+            self.bring(Character::Byte(*byte), if place == 0 { SILENCES[0] } else { 0 });
+        }
+    }
+
+    /// A character behind so much silence, or more. While the slave sends, a master does not; it waits for the end.
+    fn bring(&mut self, character: Character, silence_bits: u32) {
+        self.pass_us(silence_bits * BIT_US + CHARACTER_US);
+        while self.sent_us.is_some() || UNCLEAR_US.contains(&self.silence_us()) {
+            self.pass_us(CHARACTER_US);
+        }
+        let silence_bits = self.silence_us() / BIT_US;
+        self.heard_us = self.now_us;
+        // An answer is not sent into what another says.
+        self.answer = None;
+        let now_ms = self.now_ms();
+        if let Some(outcome) = self.slave.push(character, silence_bits, now_ms) {
+            let from_us = |bits: u32| self.now_us + (bits + STOP_BITS) * BIT_US;
+            self.answer = outcome.answer.map(|answer| Answer {
+                bytes: answer.bytes.to_vec(),
+                from_us: from_us(answer.not_before_bits),
+                sent: 0,
+            });
+            let event = outcome.event;
+            event.into_iter().for_each(|event| self.note(event));
+        }
+        let status = UartStatus { received: Some(character), has_room: true, is_complete: true };
+        let action = self.handler.step(status, now_ms, self.now_us);
+        assert_eq!(action.send, None, "before its time");
+        assert_eq!(action.wait_us.is_some(), self.answer.is_some(), "an answer is due");
+        self.timer_us = action.wait_us.map(|wait_us| self.now_us + wait_us).or(self.timer_us);
+    }
+
+    /// The silence before a character that ends now.
+    fn silence_us(&self) -> u32 {
+        (self.now_us - self.heard_us).saturating_sub(CHARACTER_US)
+    }
+
+    fn pass(&mut self, ms: u32) {
+        self.pass_us(ms * 1_000);
+    }
+
+    /// Lets time pass: turns of the main loop, each with the handler behind it, the timer, the transmitter.
+    fn pass_us(&mut self, us: u32) {
+        let end_us = self.now_us + us;
+        loop {
+            let turn_us = (self.now_ms() + 1) * 1_000;
+            let next_us = [Some(turn_us), self.timer_us, self.sent_us].into_iter().flatten().min();
+            let next_us = next_us.filter(|next_us| *next_us <= end_us);
+            let Some(next_us) = next_us else { break };
+            self.now_us = next_us;
+            if next_us == turn_us {
+                self.turn();
+            }
+            let is_due = self.timer_us == Some(next_us) && self.answer.is_some();
+            self.timer_us = self.timer_us.filter(|timer_us| *timer_us != next_us);
+            self.handle();
+            assert!(!is_due || self.sent_us.is_some(), "an answer that does not leave when it is due");
+        }
+        self.now_us = end_us;
+    }
+
+    /// The handler runs, and nothing was received but perhaps the echo of what it sent.
+    fn handle(&mut self) {
+        let (now_ms, now_us) = (self.now_ms(), self.now_us);
+        let is_sending = self.sent_us.is_some();
+        let is_sent = self.sent_us == Some(now_us);
+        if let Some(Answer { bytes, sent, .. }) = self.answer.as_ref().filter(|_| is_sent && self.echoes) {
+            let received = Some(Character::Byte(bytes[sent - 1]));
+            let action = self.handler.step(UartStatus { received, ..UartStatus::default() }, now_ms, now_us);
+            assert_eq!((action.send, action.wait_us), (None, None), "the transmitter is full");
+        }
+        let is_free = is_sent || !is_sending;
+        let status = UartStatus { received: None, has_room: is_free, is_complete: is_free };
+        let action = self.handler.step(status, now_ms, now_us);
+        assert_eq!((action.rate, action.wait_us), (None, None));
+        match (action.send, &mut self.answer) {
+            (Some(byte), Some(answer)) => {
+                assert!(now_us >= answer.from_us, "{} us too early", answer.from_us - now_us);
+                assert_eq!(Some(&byte), answer.bytes.get(answer.sent), "of {:02X?}", answer.bytes);
+                answer.sent += 1;
+                self.sent_us = Some(now_us + CHARACTER_US);
+            }
+            (Some(_), None) => panic!("nothing is to be answered"),
+            (None, Some(answer)) if is_sent => {
+                assert_eq!(answer.sent, answer.bytes.len(), "it ends in the middle");
+                (self.answer, self.sent_us, self.heard_us) = (None, None, now_us);
+            }
+            (None, _) => {}
+        }
+        let rest = self.answer.as_ref().filter(|answer| answer.sent > 0);
+        let has_more = rest.map(|answer| answer.sent < answer.bytes.len());
+        let interrupts = (action.interrupts.transmit_empty, action.interrupts.transmission_complete);
+        assert_eq!(interrupts, has_more.map_or((false, false), |has_more| (has_more, !has_more)));
+        if self.answer.is_none() {
+            self.synchronise();
+        }
+    }
+
+    /// The slave gets the inputs, and takes notice of the time; as the handler's does when nothing is to be answered.
+    fn synchronise(&mut self) {
+        if let Some(inputs) = self.inputs.take() {
+            self.slave.show_inputs(&inputs.to_bytes());
+            let before = std::mem::replace(&mut self.flags, inputs.system);
+            let is_fault = self.flags.intersects(Diagnosis::TRIGGERS);
+            self.slave.show_diagnosis(&Diagnosis::device_part(self.flags), is_fault);
+            if Diagnosis::is_due(before, self.flags) {
+                self.slave.announce_diagnosis();
+            }
+        }
+        let event = self.slave.poll(self.now_ms());
+        event.into_iter().for_each(|event| self.note(event));
+    }
+
+    fn note(&mut self, event: Event) {
+        match event {
+            Event::Outputs => {
+                (self.commands, self.exchanged) = (true, true);
+                let outputs = *self.slave.outputs();
+                if self.told.replace(outputs) != Some(outputs) {
+                    self.done.push(Done::Wrote(OutputImage::from_bytes(outputs)));
+                }
+            }
+            Event::Cleared | Event::Left(_) => {
+                if std::mem::take(&mut self.commands) {
+                    self.told = None;
+                    self.done.push(Done::Left { silent: event == Event::Left(Cause::Watchdog) });
+                }
+            }
+            Event::Address(_) => panic!("no master changes it"),
+        }
+    }
+
+    /// One turn of the main loop.
+    fn turn(&mut self) {
+        let now_ms = self.now_ms();
+        let (mut heard, mut sent) = (vec![], vec![]);
+        let mut tap = Tap { link: &mut self.line, heard: &mut heard, sent: &mut sent };
+        let mut side = Side { profibus: &mut self.profibus, events: vec![], shown: None };
+        let outputs = self.bridge.poll(now_ms, self.wires, &mut tap, &mut side);
+        let (events, shown) = (side.events, side.shown);
+        self.inputs = shown;
+        assert!(self.bridge.may_feed_watchdog(now_ms));
+        self.oracle.begin_turn(now_ms, &heard, self.wires);
+        assert_eq!(events, self.hear(now_ms));
+        for event in events {
+            match event {
+                PlcEvent::Output(image) => self.oracle.asked.take_image(image, None),
+                PlcEvent::Left { .. } => self.oracle.asked.lose_bus(),
+                PlcEvent::Configured | PlcEvent::Served => unreachable!("it has no registers"),
+            }
+        }
+        self.end_turn(outputs, &sent);
+    }
+
+    /// What the main loop has to hear.
+    fn hear(&mut self, now_ms: u32) -> Vec<PlcEvent> {
+        let mut events = vec![];
+        for done in self.done.drain(..) {
+            match done {
+                Done::Wrote(image) => {
+                    (self.written, self.heard_ms) = (Some(image), Some(now_ms));
+                    events.push(PlcEvent::Output(image));
+                }
+                Done::Left { silent } => {
+                    self.written = None;
+                    if self.heard_ms.take().is_some() {
+                        events.push(PlcEvent::Left { silent });
+                    }
+                }
+            }
+        }
+        if std::mem::take(&mut self.exchanged)
+            && let Some(image) = self.written
+            && self.heard_ms.replace(now_ms).is_none()
+        {
+            // It was silent for BUS_TIMEOUT, and is back.
+            events.push(PlcEvent::Output(image));
+        }
+        let timeout_ms = u32::from(Config::DEFAULT.bus.timeout_ms);
+        if self.heard_ms.is_some_and(|heard_ms| now_ms - heard_ms >= timeout_ms) {
+            self.heard_ms = None;
+            events.push(PlcEvent::Left { silent: true });
+        }
+        events
+    }
+
+    fn end_turn(&mut self, outputs: Outputs, sent: &[u8]) {
+        let now_ms = self.now_ms();
+        self.oracle.begin_leaving(Some(1));
+        for message in gripper::messages(&mut self.said_to_gripper, sent) {
+            self.oracle.leaves(message.id, Some(&message.command()), &self.gripper);
+            self.gripper.hear(now_ms, &message);
+        }
+        self.oracle.end_turn(outputs, &self.gripper);
+        for answer in self.gripper.speak(now_ms) {
+            self.line.bring(&answer);
+        }
+    }
+}
+
+/// The main loop's end, and what it tells the bridge and is told.
+struct Side<'a> {
+    profibus: &'a mut Profibus,
+    events: Vec<PlcEvent>,
+    shown: Option<InputImage>,
+}
+
+impl PlcSide for Side<'_> {
+    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+        let event = self.profibus.receive(now, view);
+        self.events.extend(event);
+        event
+    }
+
+    fn show(&mut self, now: Instant, shown: &Shown) {
+        self.shown = Some(shown.image);
+        self.profibus.show(now, shown);
+    }
+}
