@@ -92,7 +92,7 @@ fn watchdog_of_the_master_stops_its_motion_at_its_limit_and_not_before() {
 fn clear_and_data_exchange_without_data_are_handled_as_silence() {
     let clear = |bench: &mut Bench, function: u8, number: u8| {
         if number == 0 {
-            bench.control(0x02);
+            bench.control(0x02, 0);
         } else {
             let answer =
                 bench.send(&[0x10, STATION, MASTER, function, sum(&[STATION, MASTER, function]), 0x16]);
@@ -115,7 +115,7 @@ fn clear_and_data_exchange_without_data_are_handled_as_silence() {
 #[test]
 fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
     let mut bench = Bench::homed(quick());
-    bench.control(0x02);
+    bench.control(0x02, 0);
     bench.pass_silent(10);
     bench.set(Flag::GRIP);
     bench.pass(20);
@@ -129,7 +129,7 @@ fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
 #[test]
 fn outputs_after_clear_that_are_those_from_before_it_make_the_next_flag_an_edge() {
     let mut bench = Bench::homed(quick());
-    bench.control(0x02);
+    bench.control(0x02, 0);
     bench.pass_silent(10);
     bench.exchange();
     bench.pass(3);
@@ -174,7 +174,7 @@ fn jog_ends_when_the_master_leaves_whatever_the_reaction_is() {
     type Leave = fn(&mut Bench);
     let ways: [(&str, Leave); 5] = [
         ("falls silent", |bench| bench.pass_silent(WATCHDOG_MS)),
-        ("clears", |bench| bench.control(0x02)),
+        ("clears", |bench| bench.control(0x02, 0)),
         ("unlocks", |bench| assert_eq!(bench.service(61, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), SC)),
         ("sends parameters again", |bench| bench.start(WATCHDOG)),
         ("sends outputs of another length", |bench| drop(bench.send(&sd2(&[STATION, MASTER, 0x6D, 1, 2])))),
@@ -265,6 +265,93 @@ fn second_master_is_refused_and_changes_nothing() {
 }
 
 #[test]
+fn wrong_parameters_or_configuration_are_told_and_nobody_commands() {
+    let right = ([0x88, 1, WATCHDOG, 11, 0x55, 0x55, 0], [0xA7, 0x9B]);
+    let (prm_fault, cfg_fault, not_supported) = (0x40, 0x04, 0x10);
+    let wrong = [
+        ("ident", [0x88, 1, WATCHDOG, 11, 0x55, 0x56, 0], right.1, prm_fault),
+        ("watchdog of 0", [0x88, 1, 0, 11, 0x55, 0x55, 0], right.1, prm_fault),
+        ("Sync", [0xA8, 1, WATCHDOG, 11, 0x55, 0x55, 0], right.1, not_supported),
+        ("Freeze", [0x98, 1, WATCHDOG, 11, 0x55, 0x55, 0], right.1, not_supported),
+        ("configuration", right.0, [0xA7, 0x9A], cfg_fault),
+    ];
+    for (what, parameters, config, fault) in wrong {
+        let mut bench = moving(SilenceReaction::Stop);
+        // In data exchange they end it, and out of it they do not begin it.
+        assert_eq!(bench.service(61, &parameters), SC);
+        bench.service(62, &config);
+        assert_eq!(bench.diagnosis()[0] & 0x56, 0x02 | fault, "{what}: not ready");
+        bench.image.flags = Flag::RELEASE;
+        assert_eq!(
+            bench.exchange_of(MASTER),
+            [0x10, MASTER, STATION, 0x03, 0x0C, 0x16],
+            "{what}: no service"
+        );
+        bench.pass_silent(20);
+        assert_eq!(stops(&mut bench), [CommandId::Stop], "{what}");
+        assert_eq!(bench.board.take_motions(), [], "{what}");
+        bench.start_with(&right.0, &right.1);
+        bench.image.flags = Flag::MOVE;
+        assert_eq!((bench.exchange().0, bench.diagnosis()[0] & 0x56), (0x08, 0), "{what}, and over");
+    }
+}
+
+#[test]
+fn sync_holds_no_outputs_back_and_freeze_no_inputs() {
+    let mut bench = moving(SilenceReaction::Hold);
+    // No parameters have asked for them; and those that ask are refused.
+    bench.control(0x20 | 0x08, 0);
+    bench.set(Flag::MOVE | Flag::FASTSTOP);
+    bench.pass_silent(10);
+    assert_eq!(stops(&mut bench), [CommandId::FastStop], "without another Sync");
+    assert!(bench.exchange().1.system.contains(SystemFlags::FAST_STOP), "without another Freeze");
+}
+
+#[test]
+fn clear_of_another_group_is_not_for_the_bridge() {
+    for (group, groups, expected) in [
+        (0x01, 0x02, &[][..]),
+        (0x00, 0x02, &[]),
+        (0x03, 0x02, &[CommandId::Stop]),
+        (0x01, 0x00, &[CommandId::Stop]),
+    ] {
+        let mut bench = moving(SilenceReaction::Stop);
+        bench.start_with(&[0x88, 1, WATCHDOG, 11, 0x55, 0x55, group], &[0xA7, 0x9B]);
+        bench.pass_silent(10);
+        // The parameters ended what was on its way.
+        bench.set(Flag::empty());
+        bench.set(Flag::MOVE);
+        bench.pass(50);
+        bench.board.take_sent();
+        bench.control(0x02, groups);
+        bench.pass_silent(10);
+        assert_eq!(stops(&mut bench), expected, "group {group:02X}h, of groups {groups:02X}h");
+    }
+}
+
+#[test]
+fn configuration_inputs_and_outputs_are_read_and_the_address_stays() {
+    let mut bench = Bench::homed(quick());
+    bench.image.width = 33_00;
+    let input = bench.input();
+    let data = |answer: Vec<u8>| answer[9..answer.len() - 2].to_vec();
+    for master in [MASTER, SECOND_MASTER] {
+        assert_eq!(data(bench.service_of(master, 59, &[])), [0xA7, 0x9B], "Get_Cfg");
+        assert_eq!(data(bench.service_of(master, 56, &[])), input.to_bytes(), "RD_Inp");
+        assert_eq!(data(bench.service_of(master, 57, &[])), bench.image.to_bytes(), "RD_Outp");
+    }
+    // Set_Slave_Address is refused by each, in data exchange and without a master.
+    let refused = [0x10, MASTER, STATION, 0x03, 0x0C, 0x16];
+    assert_eq!(bench.service(55, &[9, 0x55, 0x55, 0]), refused);
+    bench.exchange();
+    let mut bench = Bench::new(AT_500K, quick());
+    bench.pass_silent(10);
+    assert_eq!(bench.service(55, &[9, 0x55, 0x55, 0]), refused);
+    bench.start(WATCHDOG);
+    bench.exchange();
+}
+
+#[test]
 fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
     let mut bench = Bench::exchanging(AT_500K, quick(), WATCHDOG);
     assert_eq!(bench.exchange().0, 0x08, "low priority");
@@ -294,9 +381,7 @@ fn diagnosis_has_its_16_bytes_also_while_no_flag_is_known() {
     let mut bench = Bench::new(AT_500K, quick());
     bench.board.set_cut(true);
     bench.pass_silent(10);
-    let answer = bench.service(60, &[]);
-    let standard = [0x02, 0x05, 0x00, 0xFF];
-    assert_eq!(answer[9..25], Diagnosis { standard, system: SystemFlags::empty() }.to_bytes(), "{answer:02X?}");
+    assert_eq!(bench.diagnosis(), [0x02, 0x05, 0x00, 0xFF]);
 }
 
 #[test]

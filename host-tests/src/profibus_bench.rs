@@ -267,21 +267,36 @@ impl Bench {
     }
 
     /// Parameters with a watchdog of so many times 10 ms, 0 without one, and the configuration.
-    ///
-    /// # Panics
-    /// When they are not acknowledged.
     pub fn start(&mut self, watchdog: u8) {
         let status = if watchdog == 0 { 0x80 } else { 0x88 };
-        assert_eq!(self.service(61, &[status, 1, watchdog, 11, 0x55, 0x55, 0]), SC);
-        assert_eq!(self.service(62, &[0xA7, 0x9B]), SC);
+        self.start_with(&[status, 1, watchdog, 11, 0x55, 0x55, 0], &[0xA7, 0x9B]);
     }
 
-    /// Global_Control, to all.
+    /// These parameters and this configuration.
+    ///
+    /// # Panics
+    /// When they are not acknowledged, which they are whether they are taken or not.
+    pub fn start_with(&mut self, parameters: &[u8], config: &[u8]) {
+        assert_eq!(self.service(61, parameters), SC);
+        assert_eq!(self.service(62, config), SC);
+    }
+
+    /// The standard part of the diagnosis: three bytes of status, and the master.
+    ///
+    /// # Panics
+    /// When the diagnosis does not have 16 bytes.
+    pub fn diagnosis(&mut self) -> [u8; 4] {
+        let answer = self.service(60, &[]);
+        assert_eq!(answer.len(), 4 + 5 + 16 + 2, "{answer:02X?}");
+        std::array::from_fn(|n| answer[9 + n])
+    }
+
+    /// Global_Control to all, of these groups; 0: of all.
     ///
     /// # Panics
     /// When it is answered.
-    pub fn control(&mut self, command: u8) {
-        let answer = self.send(&sd2(&[0xFF, MASTER | 0x80, 0x46, 58, 62, command, 0]));
+    pub fn control(&mut self, command: u8, groups: u8) {
+        let answer = self.send(&sd2(&[0xFF, MASTER | 0x80, 0x46, 58, 62, command, groups]));
         assert!(answer.is_empty(), "nobody answers a broadcast");
     }
 
