@@ -11,13 +11,14 @@ use host_tests::document::{anchor_of, root};
 use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
 
 /// The documents, in the order in which they are read.
-pub(crate) const DOCUMENTS: [&str; 9] = [
+pub(crate) const DOCUMENTS: [&str; 10] = [
     "quick-start.md",
     "commissioning.md",
     "wiring.md",
     "service-port.md",
     "registers.md",
     "can.md",
+    "profibus.md",
     "grip-cycle.md",
     "function-block.md",
     "states.md",
