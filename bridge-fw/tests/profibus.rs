@@ -231,6 +231,19 @@ fn master_without_a_watchdog_is_missed_after_bus_timeout_and_heard_when_it_is_ba
 }
 
 #[test]
+fn master_without_a_watchdog_may_be_silent_for_ever_with_a_bus_timeout_of_0() {
+    let bus = BusConfig { timeout_ms: 0, ..AT_500K.bus };
+    let mut bench = Bench::exchanging(Config { bus, ..AT_500K }, quick(), 0);
+    bench.command(Flag::HOMING);
+    bench.image.speed = 5_00;
+    bench.set(Flag::JOG_MINUS);
+    bench.pass(50);
+    bench.board.take_sent();
+    bench.pass_silent(5_000);
+    assert_eq!(stops(&mut bench), []);
+}
+
+#[test]
 fn bus_timeout_and_watchdog_count_as_one_silence() {
     let mut bench = moving(SilenceReaction::Stop);
     // A watchdog of 2.5 s, longer than BUS_TIMEOUT.

@@ -1,12 +1,13 @@
-# A grip cycle with the master of pyprofibus, over the pseudo terminal that is named. That refuses parity.
+# A grip cycle with the master of pyprofibus, over the pseudo terminal that is named, which refuses parity; of the slave it knows
+# what the GSD file says.
 import sys
 import time
 
 import serial
 
 serial.PARITY_EVEN = serial.PARITY_NONE
-from pyprofibus.dp import DpCfgDataElement
 from pyprofibus.dp_master import DPM1, DpSlaveDesc
+from pyprofibus.gsd.interp import GsdInterp
 from pyprofibus.phy_serial import CpPhySerial
 
 phy = CpPhySerial(port=sys.argv[1])
@@ -14,10 +15,11 @@ phy.setConfig(baudrate=19200)
 master = DPM1(phy, masterAddr=2)
 gripper = DpSlaveDesc()
 gripper.slaveAddr = gripper.setPrmTelegram.da = gripper.chkCfgTelegram.da = 7
-gripper.identNumber = gripper.setPrmTelegram.identNumber = 0x5555
+gsd = GsdInterp.fromFile(sys.argv[2])
+gripper.identNumber = gripper.setPrmTelegram.identNumber = gsd.getIdentNumber()
 # As the slave sees them.
 gripper.inputSize, gripper.outputSize = 8, 12
-gripper.setCfgDataElements([DpCfgDataElement(identifier) for identifier in (0xA7, 0x9B)])
+gripper.setCfgDataElements(gsd.getCfgDataElements())
 gripper.setSyncMode(False)
 gripper.setFreezeMode(False)
 # However busy the machine is.

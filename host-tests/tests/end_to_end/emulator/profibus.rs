@@ -25,6 +25,7 @@ use wsg_protocol::{CommandId, Status, SystemFlags};
 use wsg_sim::{Config, Part};
 
 use super::image;
+use crate::profibus::gsd_file;
 
 /// The longest that anything may take here.
 const BOUND: Duration = Duration::from_secs(120);
@@ -174,7 +175,7 @@ fn master_of_profirust_runs_grip_cycles_on_the_emulated_board() {
 fn pyprofibus_runs_a_grip_cycle_on_the_emulated_board() {
     let (_board, trace, _gripper, line) = board();
     let terminal = Terminal::to(line).unwrap();
-    let output = masters::python(include_str!("../pyprofibus.py"), &[&terminal.path]);
+    let output = masters::python(include_str!("../pyprofibus.py"), &[&terminal.path, &gsd_file()]);
     assert!(output.status.success(), "{}", said(&output));
     let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
     assert_eq!(motions(&trace.since(0)), expected, "{}", said(&output));
