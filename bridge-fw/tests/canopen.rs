@@ -6,6 +6,7 @@ use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sd
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::{BOARD, CanBench, Double};
 use host_tests::document::hold_file;
+use host_tests::flash_model::Fault;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{
@@ -184,9 +185,28 @@ impl Master {
         }
     }
 
+    /// Writes to 1010h or 1011h, and waits for the answer as long as clients do.
+    fn store(&mut self, object: u16, signature: Value) -> Result<(), u32> {
+        self.take(0x580);
+        self.send(0x600 | u16::from(NODE.node), &sdo_request(object, signature));
+        for _ in 0..500 {
+            self.pass(1);
+            if let Some((_, answer)) = self.take(0x580).pop() {
+                let abort = sdo::decode_abort(answer[..].try_into().unwrap());
+                return abort.map_or(Ok(()), |(_, code)| Err(code));
+            }
+        }
+        panic!("no answer")
+    }
+
     fn take_motions(&mut self) -> Vec<CommandId> {
         self.bench.take_motions()
     }
+}
+
+/// A write to subindex 1.
+fn sdo_request(index: u16, value: Value) -> [u8; 8] {
+    sdo::encode_download_expedited(Address::new(index, 1), &value).unwrap()
 }
 
 fn setting(name: &str) -> u8 {
@@ -734,22 +754,51 @@ fn every_object_is_read_and_written_as_its_type_and_access_let_it() {
     assert_eq!(subindices.len(), count, "no object twice");
 }
 
+/// What is written to 1010h and 1011h.
+const SAVE: Value = Value::Unsigned32(0x6576_6173);
+const LOAD: Value = Value::Unsigned32(0x6461_6F6C);
+
 #[test]
 fn settings_are_stored_by_1010h_and_the_delivered_ones_by_1011h() {
     let mut master = Master::new(Config::default());
     master.pass(500);
-    let (save, load) = (Value::Unsigned32(0x6576_6173), Value::Unsigned32(0x6461_6F6C));
     let sub = setting("DEBOUNCE");
-    for (object, signature, wrong) in [(0x1010, save, load), (0x1011, load, save)] {
+    for (object, signature, wrong) in [(0x1010, SAVE, LOAD), (0x1011, LOAD, SAVE)] {
         assert_eq!(master.upload(object, 1, Theirs::Unsigned32), Ok(Value::Unsigned32(1)), "on command");
         assert_eq!(master.download(object, 1, wrong), Err(0x0800_0020));
         assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
-        assert_eq!(master.download(object, 1, signature), Ok(()));
-        master.pass(300);
-        assert_eq!(master.read_u16(REPORTS_INDEX, report("SAVE_STATE")), 2);
+        assert_eq!(master.store(object, signature), Ok(()));
+        assert_eq!(master.read_u16(REPORTS_INDEX, report("SAVE_STATE")), 2, "it is stored when that is said");
         assert_eq!(master.read_u16(REPORTS_INDEX, report("SETTINGS_CHANGED")), 0);
         let is_delivered = object == 0x1011;
         assert_eq!(master.read_u16(SETTINGS_INDEX, sub), if is_delivered { 2 } else { 9 });
+    }
+}
+
+#[test]
+fn save_that_fails_or_ends_late_is_said_by_its_sdo() {
+    let mut master = Master::new(Config::default());
+    master.pass(500);
+    let slow = 20;
+    master.bench.flash().busy_polls = slow;
+    master.send(0x600 | u16::from(NODE.node), &sdo_request(0x1010, SAVE));
+    master.pass(slow);
+    assert_eq!(master.take(0x580), [], "it runs");
+    assert_eq!(master.store(0x1010, SAVE), Err(0x0800_0022), "who asks again does not wait for it any more");
+    master.pass(3_000);
+    assert_eq!(master.take(0x580), []);
+    assert_eq!(master.read_u16(REPORTS_INDEX, report("SAVE_STATE")), 2);
+    for fault in [Fault::Protected, Fault::Stuck, Fault::Swallows(0)] {
+        for (object, signature) in [(0x1010, SAVE), (0x1011, LOAD)] {
+            let mut master = Master::new(Config::default());
+            master.pass(500);
+            master.bench.flash().fault = Some(fault);
+            let sub = setting("DEBOUNCE");
+            assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
+            assert_eq!(master.store(object, signature), Err(0x0606_0000), "{object:X}h, {fault:?}");
+            // Another write is none of the save that failed.
+            assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
+        }
     }
 }
 

@@ -318,6 +318,11 @@ impl CanBench {
         &mut self.gripper
     }
 
+    /// The flash.
+    pub fn flash(&mut self) -> &mut FlashModel {
+        &mut self.flash
+    }
+
     /// The moment, in milliseconds.
     #[must_use]
     pub fn now_ms(&self) -> u32 {

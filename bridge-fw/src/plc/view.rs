@@ -145,15 +145,20 @@ impl View<'_> {
     /// Takes the stored settings, whatever the fingers do: what a master's reset of the device asks for. Those that are being
     /// stored stay.
     pub(crate) fn reset_settings(&mut self) {
-        if self.facts.store.save != SaveState::Saving {
+        if self.save_state() != SaveState::Saving {
             self.settings.restore();
         }
+    }
+
+    /// How the last save goes, one included that begins at the end of this turn.
+    pub(crate) const fn save_state(&self) -> SaveState {
+        if self.settings.is_asked() { SaveState::Saving } else { self.facts.store.save }
     }
 
     fn may_change_settings(&self) -> Result<(), RegisterError> {
         if self.is_moving() {
             Err(RegisterError::Moving)
-        } else if self.facts.store.save == SaveState::Saving || self.settings.is_asked() {
+        } else if self.save_state() == SaveState::Saving {
             Err(RegisterError::Saving)
         } else {
             Ok(())

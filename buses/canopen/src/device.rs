@@ -101,6 +101,8 @@ pub struct Device<const R: usize, const T: usize, const Q: usize> {
     request: Option<[u8; 8]>,
     response: Option<[u8; 8]>,
     upload: Option<Upload>,
+    /// Index and subindex of what a client has written, while it goes on.
+    writing: Option<(u16, u8)>,
     /// The master whose heartbeat is watched is at work (1016h).
     watches_heartbeat: bool,
     error_behaviour: ErrorBehaviour,
@@ -132,6 +134,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             request: None,
             response: None,
             upload: None,
+            writing: None,
             watches_heartbeat: true,
             error_behaviour: ErrorBehaviour::PreOperational,
             heard_at: None,
@@ -201,6 +204,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         if let Some(request) = self.request.take() {
             return Some(Event::Sdo { written: self.answer(now_ms, &request, dictionary) });
         }
+        self.confirm(dictionary);
         let time_ms = u32::from(dictionary.consumer_time_ms());
         let is_silent = time_ms > 0 && self.heard_at.is_some_and(|at| since(now_ms, at) >= time_ms);
         if !is_silent {
@@ -259,7 +263,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     }
 
     fn forget_transfer(&mut self) {
-        (self.request, self.response, self.upload) = (None, None, None);
+        (self.request, self.response, self.upload, self.writing) = (None, None, None, None);
     }
 
     /// What is remembered with a fault.

@@ -35,6 +35,16 @@ pub trait Dictionary {
     /// Why it is refused; then nothing was written.
     fn write(&mut self, key: Self::Key, value: u32) -> Result<(), Abort>;
 
+    /// Whether what was written has ended, such as the store of parameters (1010h). `None`: it goes on, and the client is not
+    /// answered yet. Asked behind each write, and then in each [`poll_event`](crate::Device::poll_event), until it has ended or
+    /// the client asks for something else. It must end within the time that a client waits, which is often 500 ms.
+    ///
+    /// # Errors
+    /// Why it failed.
+    fn outcome(&self, _: Self::Key) -> Option<Result<(), Abort>> {
+        Some(Ok(()))
+    }
+
     /// Within which time the master must be heard again, in milliseconds; 0: it is not watched, neither by its heartbeat nor
     /// by its RPDOs.
     fn consumer_time_ms(&self) -> u16;

@@ -14,6 +14,8 @@ pub enum Abort {
     NoObject = 0x0602_0000,
     /// The object cannot be mapped to the PDO: mappings are fixed.
     Mapping = 0x0604_0041,
+    /// The hardware failed: nothing was stored.
+    Hardware = 0x0606_0000,
     /// The length does not match.
     Length = 0x0607_0010,
     /// The subindex does not exist.

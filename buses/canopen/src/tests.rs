@@ -44,6 +44,7 @@ enum Key {
     Word,
     Locked,
     Broken,
+    Slow,
     Name,
 }
 
@@ -51,7 +52,7 @@ const fn object(index: u16, sub: u8, kind: DataType, writable: bool, source: Sou
     Object { index, sub, kind, writable, mappable: false, name: "", record: "", source }
 }
 
-const OBJECTS: [Object<Key>; 40] = {
+const OBJECTS: [Object<Key>; 41] = {
     use DataType::{I16, Text, U8, U16, U32};
     use Pdo::{Receive, Transmit};
     use Source as S;
@@ -96,6 +97,7 @@ const OBJECTS: [Object<Key>; 40] = {
         object(0x2002, 2, U16, true, S::Application(Key::Word)),
         object(0x2002, 3, U16, true, S::Application(Key::Locked)),
         object(0x2002, 4, U16, false, S::Application(Key::Broken)),
+        object(0x2002, 5, U16, true, S::Application(Key::Slow)),
     ]
 };
 const ENTRIES: [Entry<Key>; OBJECTS.len()] = entries(&OBJECTS);
@@ -105,6 +107,8 @@ struct Application {
     word: u32,
     time_ms: u16,
     name: &'static str,
+    /// What becomes of a write to the slow object.
+    outcome: Option<Result<(), Abort>>,
 }
 
 impl Dictionary for Application {
@@ -119,7 +123,7 @@ impl Dictionary for Application {
             Key::Byte => Ok(self.byte),
             Key::Word => Ok(self.word),
             Key::Locked => Ok(7),
-            Key::Broken | Key::Name => Err(Abort::DeviceState),
+            Key::Broken | Key::Slow | Key::Name => Err(Abort::DeviceState),
         }
     }
 
@@ -131,9 +135,14 @@ impl Dictionary for Application {
         match key {
             Key::Byte => self.byte = value,
             Key::Word => self.word = value,
+            Key::Slow => {}
             Key::Locked | Key::Broken | Key::Name => return Err(Abort::DeviceState),
         }
         Ok(())
+    }
+
+    fn outcome(&self, key: Key) -> Option<Result<(), Abort>> {
+        if key == Key::Slow { self.outcome } else { Some(Ok(())) }
     }
 
     fn consumer_time_ms(&self) -> u16 {
@@ -161,7 +170,7 @@ struct Bus {
 
 impl Bus {
     fn new() -> Self {
-        let application = Application { byte: 0, word: 0, time_ms: TIME_MS, name: NAME };
+        let application = Application { byte: 0, word: 0, time_ms: TIME_MS, name: NAME, outcome: None };
         // Close to where the clock wraps.
         let now_ms = u32::MAX - 50;
         Self { device: Device::new(&PROFILE, CONFIG), application, now_ms, events: vec![], sent: vec![] }
@@ -1290,6 +1299,16 @@ fn application_without_texts_says_that_there_is_no_data() {
 }
 
 #[test]
+fn write_has_ended_where_the_application_says_nothing_else() {
+    let mut bus = Bus::operational();
+    bus.bring(0x600 | NODE, &SLOW);
+    let Bus { mut device, application, now_ms, .. } = bus;
+    assert_eq!(device.poll_event(now_ms, &mut Textless(application)), Some(Event::Sdo { written: true }));
+    let answer = device.poll_transmit::<ClassicFrame>(now_ms).unwrap();
+    assert_eq!(answer.data(), [0x60, 0x02, 0x20, 5, 0, 0, 0, 0]);
+}
+
+#[test]
 fn transfer_in_segments_ends_where_the_client_loses_count_or_begins_another() {
     let begin = [0x40, 0x08, 0x10, 0, 0, 0, 0, 0];
     let mut bus = Bus::operational();
@@ -1308,6 +1327,51 @@ fn transfer_in_segments_ends_where_the_client_loses_count_or_begins_another() {
     bus.nmt(0x02);
     bus.nmt(0x01);
     assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "the device was stopped");
+}
+
+/// A write to the slow object.
+const SLOW: [u8; 8] = [0x2B, 0x02, 0x20, 5, 1, 0, 0, 0];
+
+#[test]
+fn write_that_takes_its_time_is_answered_when_it_has_ended() {
+    for (outcome, answer) in [
+        (Ok(()), [0x60, 0x02, 0x20, 5, 0, 0, 0, 0]),
+        (Err(Abort::Hardware), [0x80, 0x02, 0x20, 5, 0, 0, 0x06, 0x06]),
+    ] {
+        let mut bus = Bus::operational();
+        assert!(bus.sdo(SLOW).is_empty());
+        bus.pass(30);
+        assert!(bus.take(0x580).is_empty(), "it goes on");
+        assert_eq!(bus.events, [Event::Sdo { written: true }], "once");
+        bus.application.outcome = Some(outcome);
+        bus.pass(1);
+        assert_eq!(bus.take(0x580), [answer]);
+        bus.pass(30);
+        assert!(bus.take(0x580).is_empty(), "once");
+    }
+}
+
+#[test]
+fn client_that_does_not_wait_for_a_write_gets_the_answer_to_what_it_asks_next_alone() {
+    let aborted = [0x80, 0x02, 0x20, 5, 0, 0, 0x04, 0x05];
+    for (next, answers) in [(aborted, 0), ([0x40, 0x02, 0x20, 2, 0, 0, 0, 0], 1)] {
+        let mut bus = Bus::operational();
+        bus.sdo(SLOW);
+        assert_eq!(bus.sdo(next).len(), answers);
+        bus.application.outcome = Some(Ok(()));
+        bus.pass(30);
+        assert!(bus.take(0x580).is_empty());
+    }
+    let ends: [fn(&mut Bus); 3] = [|bus| bus.nmt(0x02), |bus| bus.nmt(0x82), |bus| bus.device.bus_lost()];
+    for end in ends {
+        let mut bus = Bus::operational();
+        bus.sdo(SLOW);
+        end(&mut bus);
+        bus.application.outcome = Some(Ok(()));
+        bus.nmt(0x01);
+        bus.pass(30);
+        assert!(bus.take(0x580).is_empty());
+    }
 }
 
 #[test]

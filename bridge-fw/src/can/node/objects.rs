@@ -5,7 +5,7 @@ use bus_canopen::{Abort, DataType, Dictionary, Entry, Pdo, Source, entries, find
 use crate::can::BusReport;
 use crate::config::Board;
 use crate::plc::View;
-use crate::registers::{BusCounts, REPORTS, RegisterError, SETTINGS, Settings, StoreCommand};
+use crate::registers::{BusCounts, REPORTS, RegisterError, SETTINGS, SaveState, Settings, StoreCommand};
 
 /// A value that is the bridge's: one about the bus, a setting or a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -291,6 +291,14 @@ impl Dictionary for Objects<'_, '_> {
             Value::Store(command) if number != signature(command) => Err(Abort::Store),
             Value::Store(command) => self.view.command_store(command).map_err(abort_of),
             _ => Err(Abort::ReadOnly),
+        }
+    }
+
+    fn outcome(&self, Key(value): Key) -> Option<Result<(), Abort>> {
+        match (value, self.view.save_state()) {
+            (Value::Store(_), SaveState::Saving) => None,
+            (Value::Store(_), SaveState::Failed) => Some(Err(Abort::Hardware)),
+            _ => Some(Ok(())),
         }
     }
 

@@ -19,6 +19,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     ) -> bool {
         let (index, sub, request) = sdo::parse(request);
         let upload = self.upload.take();
+        // Whoever asks for something else does not wait any more.
+        self.writing = None;
         let outcome = match request {
             Request::Aborted => return false,
             Request::Other => Err(Abort::CommandSpecifier),
@@ -35,7 +37,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             }),
             Request::Write(len, value) => {
                 self.write(now_ms, index, sub, len, value, dictionary).inspect(|_| {
-                    self.response = Some(sdo::write_response(index, sub));
+                    self.writing = Some((index, sub));
+                    self.confirm(dictionary);
                 })
             }
         };
@@ -43,6 +46,21 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             self.response = Some(sdo::abort_response(index, sub, abort));
             false
         })
+    }
+
+    /// Answers a write once it has ended.
+    pub(super) fn confirm<D: Dictionary>(&mut self, dictionary: &D) {
+        let Some((index, sub)) = self.writing else { return };
+        let outcome = match dictionary.find(index, sub) {
+            Ok(Entry { source: Source::Application(key), .. }) => dictionary.outcome(key),
+            _ => Some(Ok(())),
+        };
+        let Some(outcome) = outcome else { return };
+        self.writing = None;
+        self.response = Some(match outcome {
+            Ok(()) => sdo::write_response(index, sub),
+            Err(abort) => sdo::abort_response(index, sub, abort),
+        });
     }
 
     /// The next segment of a text.

@@ -24,6 +24,10 @@ impl Dictionary for Objects {
         black_box(Ok(()))
     }
 
+    fn outcome(&self, _: u16) -> Option<Result<(), Abort>> {
+        black_box(None)
+    }
+
     fn consumer_time_ms(&self) -> u16 {
         black_box(0)
     }
