@@ -74,7 +74,7 @@ pub const INDICATIONS: [IndicationText; 6] = [
     text(
         Indication::Error,
         "4 flashes",
-        "`ERROR` is high for another reason; from power-up on until `STOP_ACK`",
+        "`ERROR` is high for another reason; after a power-up with `FAST_STOP_OK` low until `STOP_ACK`",
         "`ERROR_CAUSE` over a bus, or the table above; then an edge on `STOP_ACK`",
     ),
     text(

@@ -19,22 +19,27 @@ const NODE: NodeConfig = DEFAULT_NODE;
 fn identifiers() -> String {
     let pair = Identifiers::DEFAULT.controller();
     let node = u16::from(NODE.node);
-    let row = |id: u16, what: &str, from: &str| [format!("{id:03X}h"), what.to_owned(), from.to_owned()];
+    let row = |id: u16, sum: &str, what: &str, from: &str| {
+        [format!("{id:03X}h"), sum.to_owned(), what.to_owned(), from.to_owned()]
+    };
+    let of_node = |base: u16, what: &str, from: &str| {
+        row(base | node, &format!("{base:03X}h + `CAN_NODE`"), what, from)
+    };
     table(
-        ["identifier", "what", "from"],
+        ["as delivered", "is", "what", "from"],
         [
-            row(0, "NMT", "master"),
-            row(0x080, "SYNC, where a PDO waits for it", "master"),
-            row(0x080 | node, "EMCY", "bridge"),
-            row(pair.transmit.as_raw(), "messages to the gripper", "bridge"),
-            row(pair.receive.as_raw(), "messages of the gripper", "gripper"),
-            row(0x180 | node, "TPDO1: GSTATE, OF, SYSSTATE, Status Code", "bridge"),
-            row(0x200 | node, "RPDO1: the output image", "master"),
-            row(0x280 | node, "TPDO2: WIDTH, Gripping Force", "bridge"),
-            row(0x580 | node, "SDO answers", "bridge"),
-            row(0x600 | node, "SDO requests", "master"),
-            row(0x700 | node, "heartbeat, boot-up", "bridge"),
-            row(0x700 | u16::from(NODE.master), "heartbeat of the master", "master"),
+            row(0, "000h", "NMT", "master"),
+            row(0x080, "080h", "SYNC, where a PDO waits for it", "master"),
+            of_node(0x080, "EMCY", "bridge"),
+            row(pair.transmit.as_raw(), "`CAN_ID`", "messages to the gripper", "bridge"),
+            row(pair.receive.as_raw(), "`CAN_ID` + 1", "messages of the gripper", "gripper"),
+            of_node(0x180, "TPDO1: GSTATE, OF, SYSSTATE, Status Code", "bridge"),
+            of_node(0x200, "RPDO1: the output image", "master"),
+            of_node(0x280, "TPDO2: WIDTH, Gripping Force", "bridge"),
+            of_node(0x580, "SDO answers", "bridge"),
+            of_node(0x600, "SDO requests", "master"),
+            of_node(0x700, "heartbeat, boot-up", "bridge"),
+            row(0x700 | u16::from(NODE.master), "700h + `CAN_MASTER`", "heartbeat of the master", "master"),
         ],
     )
 }
@@ -99,14 +104,10 @@ fn times() -> String {
                 ms(wsg_bridge_fw::Config::DEFAULT.bus.timeout_ms.into()),
                 "1016h, or BUS_TIMEOUT".into(),
             ],
-            ["half a message of the gripper".into(), ms(HALF_MESSAGE_MS), "`HALF_MESSAGE_MS`".into()],
-            ["bus-off: delay before coming back".into(), ms(policy.delay_ms), "`BusOffPolicy`".into()],
-            ["bus-off: failures until given up".into(), policy.limit.to_string(), "`BusOffPolicy`".into()],
-            [
-                "bus-off: stable time that forgets failures".into(),
-                ms(policy.stable_ms),
-                "`BusOffPolicy`".into(),
-            ],
+            ["half a message of the gripper".into(), ms(HALF_MESSAGE_MS), "fixed".into()],
+            ["bus-off: delay before coming back".into(), ms(policy.delay_ms), "fixed".into()],
+            ["bus-off: failures until given up".into(), policy.limit.to_string(), "fixed".into()],
+            ["bus-off: stable time that forgets failures".into(), ms(policy.stable_ms), "fixed".into()],
         ],
     )
 }

@@ -8,8 +8,8 @@ use host_tests::modbus_bench::Bench;
 use host_tests::plc_names::{command_flags, gripper_flags, register_bit, system_flags};
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{
-    COMMAND_KEY, COMMANDS, EVENTS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, FIRST_START_SETTING, REPORTS,
-    SETTINGS, Setting,
+    COMMAND_KEY, COMMANDS, EVENTS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, FIRST_START_SETTING,
+    MAP_VERSION, REPORTS, SETTINGS, Setting,
 };
 use wsg_protocol::fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 
@@ -34,18 +34,22 @@ fn functions() -> String {
             let (name, what) = match function {
                 Function::ReadCoils => ("Read Coils", "coils"),
                 Function::ReadDiscreteInputs => ("Read Discrete Inputs", "discrete inputs"),
-                Function::ReadHoldingRegisters => ("Read Holding Registers", "output image, settings"),
+                Function::ReadHoldingRegisters => {
+                    ("Read Holding Registers", "output image, settings; commands read 0")
+                }
                 Function::ReadInputRegisters => {
                     ("Read Input Registers", "input image, counters and versions")
                 }
                 Function::WriteSingleCoil => ("Write Single Coil", "a coil"),
-                Function::WriteSingleRegister => ("Write Single Register", "output image, settings"),
+                Function::WriteSingleRegister => {
+                    ("Write Single Register", "output image, settings, commands")
+                }
                 Function::Diagnostics => {
                     ("Diagnostics", "subfunctions 00, 01, 02, 04, 0Ah to 12h, 14h; not as a broadcast")
                 }
                 Function::WriteMultipleCoils => ("Write Multiple Coils", "coils, as one"),
                 Function::WriteMultipleRegisters => {
-                    ("Write Multiple Registers", "output image or settings, as one")
+                    ("Write Multiple Registers", "output image or settings, as one; one command")
                 }
                 Function::ReportServerId => {
                     ("Report Server ID", "unit, FFh (it runs), product code and revision as text")
@@ -212,7 +216,12 @@ fn reports() -> String {
         (FIRST_REPORT..).zip(&REPORTS).filter(|(_, report)| !report.meaning.is_empty()).map(
             |(address, report)| {
                 let [address, numbered] = both(address.into(), INPUT);
-                [address, numbered, format!("`{}`", report.name), report.meaning.into()]
+                let value = if report.name == "MAP_VERSION" {
+                    format!(": {MAP_VERSION} here")
+                } else {
+                    String::new()
+                };
+                [address, numbered, format!("`{}`", report.name), format!("{}{value}", report.meaning)]
             },
         ),
     )

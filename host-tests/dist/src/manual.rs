@@ -1,6 +1,6 @@
 //! The manual: the documents for people with a PLC as one HTML file that loads nothing.
 //!
-//! Links between these documents lead to places in the file, pictures are in it. A link to another document of the
+//! Links between these documents lead to places in the file, and have a document's title where they have its name; pictures are in it. A link to another document of the
 //! repository is left out, and its text stays. What stands between `<!-- manual: off -->` and `<!-- manual: on -->` is for
 //! people who build the image, and is left out as well.
 
@@ -54,10 +54,13 @@ pub(crate) fn html(files: &[&str]) -> Result<String> {
             fs::read_to_string(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?;
         documents.insert(name, without_parts_for_builders(&text).with_context(|| format!("docs/{name}"))?);
     }
+    let titles =
+        documents.iter().filter_map(|(name, text)| Some((*name, text.lines().next()?.strip_prefix("# ")?)));
+    let titles: BTreeMap<_, _> = titles.collect();
     let mut contents = String::new();
     let mut chapters = String::new();
     for name in DOCUMENTS {
-        let chapter = Chapter { name, files };
+        let chapter = Chapter { name, files, titles: &titles };
         let events = chapter.events(documents.get(name).map_or("", String::as_str))?;
         chapter.list(&events, &mut contents)?;
         writeln!(chapters, "<section id=\"{}\">", chapter.id(""))?;
@@ -87,6 +90,8 @@ fn without_parts_for_builders(text: &str) -> Result<String> {
 struct Chapter<'a> {
     name: &'a str,
     files: &'a [&'a str],
+    /// The title of each document.
+    titles: &'a BTreeMap<&'a str, &'a str>,
 }
 
 /// Where a link of a document leads.
@@ -124,6 +129,13 @@ impl Chapter<'_> {
                     }
                 },
                 Event::End(TagEnd::Link) if !link_is_kept => continue,
+                Event::Text(words) => {
+                    let title = self
+                        .titles
+                        .get(&*words)
+                        .filter(|_| matches!(events.last(), Some(Event::Start(Tag::Link { .. }))));
+                    Event::Text(title.map_or(words, |title| format!("\u{201C}{title}\u{201D}").into()))
+                }
                 Event::Start(Tag::Image { link_type, dest_url, title, id }) => {
                     let dest_url = picture(&dest_url)?.into();
                     Event::Start(Tag::Image { link_type, dest_url, title, id })
@@ -265,7 +277,8 @@ mod tests {
     use crate::FILES;
 
     fn rendered(text: &str) -> Result<String> {
-        let events = Chapter { name: "states.md", files: &["a.eds"] }.events(text)?;
+        let titles = BTreeMap::from([("wiring.md", "Wiring")]);
+        let events = Chapter { name: "states.md", files: &["a.eds"], titles: &titles }.events(text)?;
         let mut html = String::new();
         html::push_html(&mut html, events.into_iter());
         Ok(html)
@@ -278,7 +291,7 @@ mod tests {
         for document in DOCUMENTS {
             assert!(manual.contains(&format!("<section id=\"{}\">", id(document, ""))), "{document}");
         }
-        for word in ["cargo", "xtask", "Rust", ".rs", "rustup", "crate", "host-tests"] {
+        for word in ["cargo", "xtask", "Rust", ".rs", "rustup", "crate", "host-tests", ".md"] {
             assert!(!manual.contains(word), "the manual speaks of {word}");
         }
         assert!(manual.contains("src=\"data:image/svg+xml;"));
@@ -288,7 +301,7 @@ mod tests {
     #[test]
     fn links_lead_into_the_manual_or_to_the_files_beside_it() {
         let html =
-            rendered("# A b\n[c](wiring.md#the-bus) [d](#a-b) [e](a.eds) [f](protocol.md#x) [g](https://h)")
+            rendered("# A b\n[c](wiring.md#the-bus) [d](#a-b) [e](a.eds) [f](protocol.md#x) [g](https://h) [wiring.md](wiring.md)")
                 .unwrap();
         for part in [
             "<h1 id=\"states--a-b\">",
@@ -296,6 +309,7 @@ mod tests {
             "<a href=\"#states--a-b\">d</a>",
             "<a href=\"a.eds\">e</a> f ",
             "<a href=\"https://h\">g</a>",
+            "<a href=\"#wiring\">\u{201C}Wiring\u{201D}</a>",
         ] {
             assert!(html.contains(part), "{part} is not in {html}");
         }

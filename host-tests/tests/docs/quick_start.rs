@@ -1,9 +1,18 @@
-//! The names, addresses and values of registers in docs/quick-start.md are those of the tables.
+//! The names, addresses and values of registers in docs/quick-start.md are those of the tables, and its frames lead to a grip.
 
+use bus_slcan::ClassicFrame;
+use embedded_can::{Frame, Id, StandardId};
+use host_tests::can_bench::CanBench;
 use host_tests::document::read;
+use host_tests::wires::Wires;
+use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
+use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS,
 };
+
+use wsg_protocol::CommandId;
+use wsg_sim::{Config, Part};
 
 const DOCUMENT: &str = "docs/quick-start.md";
 
@@ -58,4 +67,54 @@ fn commands_of_the_quick_start_name_their_register_and_write_what_it_takes() {
             _ => panic!("{line}"),
         }
     }
+}
+
+/// The frames of the document: identifier and bytes.
+fn frames(text: &str) -> Vec<(u16, Vec<u8>)> {
+    let blocks = text.split("```text\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let lines = blocks.flat_map(str::lines).map(|line| {
+        let (frame, _) = line.split_at(29);
+        let mut words = frame.split_whitespace();
+        let id = u16::from_str_radix(words.next().unwrap(), 16).unwrap();
+        (id, words.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect())
+    });
+    lines.collect()
+}
+
+#[test]
+fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
+    const NODE: NodeConfig = NodeConfig { node: 5, ..DEFAULT_NODE };
+    let part = Part::of_width(20.0);
+    let mut bench = CanBench::with_node(Config { part, time_scale: 10.0, ..Config::default() }, NODE);
+    let say = |bench: &mut CanBench, id: u16, data: &[u8]| {
+        bench.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+    };
+    let pass = |bench: &mut CanBench| {
+        if bench.now_ms().is_multiple_of(200) {
+            say(bench, 0x700 | u16::from(NODE.master), &[5]);
+        }
+        bench.pass(1);
+        bench.take_heard()
+    };
+    // The wire was low at power-up.
+    bench.set(Inputs::FAST_STOP_OK, false);
+    (0..300).for_each(|_| drop(pass(&mut bench)));
+    bench.set(Inputs::FAST_STOP_OK, true);
+    (0..100).for_each(|_| drop(pass(&mut bench)));
+    let frames = frames(&read(DOCUMENT));
+    assert!(frames.len() > 10, "{frames:02X?}");
+    for (id, data) in frames {
+        if id != 0x180 | u16::from(NODE.node) {
+            say(&mut bench, id, &data);
+            (0..50).for_each(|_| drop(pass(&mut bench)));
+            continue;
+        }
+        let is_told = (0..5_000).any(|_| {
+            let heard = pass(&mut bench);
+            let mut frames = heard.iter().map(|(_, frame)| (frame.id(), frame.data()));
+            frames.any(|frame| frame == (Id::from(StandardId::new(id).unwrap()), &data[..]))
+        });
+        assert!(is_told, "{id:03X} {data:02X?} does not come");
+    }
+    assert_eq!(bench.take_motions(), [CommandId::Homing, CommandId::GripPart]);
 }

@@ -93,6 +93,10 @@ fn about_status(status: Status) -> Option<(&'static str, &'static str)> {
             "STOP/ACK or FASTSTOP withdrew the command; or the bridge was restarted while the fingers moved",
             "nothing if you stopped it; otherwise see `RESET_CAUSE` and who stopped it (`COMMANDER`)",
         ),
+        Status::InconsistentData => (
+            "the stored settings cannot be used, and nothing moves: `SETTINGS_FROM` says why",
+            "set the bridge up again and `SAVE`, or `DEFAULTS`",
+        ),
         Status::IoError => (
             "no connection to the gripper",
             "supply, cable and interface setting of the gripper; `GRIPPER_LINK` and `LINE_CHECKSUM` tell more",
@@ -121,6 +125,17 @@ fn shown_after(status: Status) -> String {
     let flags: Vec<&str> =
         SENT.iter().filter(|(_, ids)| ids.iter().any(gives)).map(|(flag, _)| *flag).collect();
     if flags.len() == SENT.len() { "each command".to_owned() } else { flags.join(", ") }
+}
+
+#[test]
+fn commands_that_events_name_are_those_that_the_flags_send() {
+    let mut rows: Vec<_> =
+        SENT.iter().flat_map(|(flag, ids)| ids.iter().map(move |id| (id.code(), id.name(), *flag))).collect();
+    rows.sort_unstable();
+    let rows = rows
+        .into_iter()
+        .map(|(code, name, flag)| [format!("{code} ({code:02X}h)"), name.to_owned(), flag.to_owned()]);
+    hold(DOCUMENT, "command-ids", &table(["id", "command", "sent after"], rows));
 }
 
 #[test]
