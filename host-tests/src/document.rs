@@ -93,6 +93,23 @@ pub fn anchor_of(heading: &str) -> String {
     kept.map(|c| if c == ' ' { '-' } else { c.to_ascii_lowercase() }).collect()
 }
 
+/// Returns the CAN frames in the text blocks of a document: identifier and bytes, in hexadecimal, and words behind them.
+///
+/// # Panics
+/// If a line of such a block is none.
+#[must_use]
+pub fn can_frames(text: &str) -> Vec<(u16, Vec<u8>)> {
+    let blocks = text.split("```text\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let lines = blocks.flat_map(str::lines).map(|line| {
+        // The words are a column of their own.
+        let mut numbers = line.get(..29).unwrap_or(line).split_whitespace();
+        let number = |word| u16::from_str_radix(word, 16).unwrap_or_else(|_| panic!("no frame: {line}"));
+        let id = number(numbers.next().unwrap_or_default());
+        (id, numbers.map(|byte| number(byte).to_le_bytes()[0]).collect())
+    });
+    lines.collect()
+}
+
 /// Formats a Markdown table.
 #[must_use]
 pub fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {

@@ -8,8 +8,6 @@
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
-use crate::document::read;
-
 /// The environment variable that says where the Python is that has them.
 pub const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
 
@@ -69,19 +67,18 @@ sleep() {
 }
 "#;
 
-/// Pastes the commands of a document into a shell: those blocks that have `word` in them, as they are, but for `changes`. `status`
-/// reads the status code. Returns what was said.
+/// Pastes the commands of a text with Markdown into a shell: those blocks that have `word` in them, as they are, but for `changes`.
+/// `status` reads the status code. Returns what was said.
 ///
 /// # Panics
-/// When the document has no such block, a change finds nothing, or there is no shell.
+/// When the text has no such block, a change finds nothing, or there is no shell.
 #[must_use]
-pub fn paste(document: &str, word: &str, changes: &[(&str, &str)], status: &str) -> String {
-    let text = read(document);
+pub fn paste(text: &str, word: &str, changes: &[(&str, &str)], status: &str) -> String {
     let blocks = text.split("```sh\n").skip(1).filter_map(|rest| rest.split("```").next());
     let mut pasted: String = blocks.filter(|block| block.contains(word)).collect();
-    assert!(!pasted.is_empty(), "{document} has no block with {word}");
+    assert!(!pasted.is_empty(), "no block has {word}");
     for (from, to) in changes {
-        assert!(pasted.contains(from), "{document} has no {from}");
+        assert!(pasted.contains(from), "no block has {from}");
         pasted = pasted.replace(from, to);
     }
     let script = format!("{}{pasted}", PASTED_BEFORE.replace("WAIT", status));

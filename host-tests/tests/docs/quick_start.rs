@@ -3,7 +3,7 @@
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::CanBench;
-use host_tests::document::read;
+use host_tests::document::{can_frames, read};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;
@@ -69,18 +69,6 @@ fn commands_of_the_quick_start_name_their_register_and_write_what_it_takes() {
     }
 }
 
-/// The frames of the document: identifier and bytes.
-fn frames(text: &str) -> Vec<(u16, Vec<u8>)> {
-    let blocks = text.split("```text\n").skip(1).filter_map(|rest| rest.split("```").next());
-    let lines = blocks.flat_map(str::lines).map(|line| {
-        let (frame, _) = line.split_at(29);
-        let mut words = frame.split_whitespace();
-        let id = u16::from_str_radix(words.next().unwrap(), 16).unwrap();
-        (id, words.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect())
-    });
-    lines.collect()
-}
-
 #[test]
 fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
     const NODE: NodeConfig = NodeConfig { node: 5, ..DEFAULT_NODE };
@@ -101,7 +89,7 @@ fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
     (0..300).for_each(|_| drop(pass(&mut bench)));
     bench.set(Inputs::FAST_STOP_OK, true);
     (0..100).for_each(|_| drop(pass(&mut bench)));
-    let frames = frames(&read(DOCUMENT));
+    let frames = can_frames(&read(DOCUMENT));
     assert!(frames.len() > 10, "{frames:02X?}");
     for (id, data) in frames {
         if id != 0x180 | u16::from(NODE.node) {

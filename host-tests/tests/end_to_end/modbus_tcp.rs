@@ -5,6 +5,7 @@
 //! The tests with `mbpoll`, `pymodbus`, `modbus_tk` and `jsmodbus` in their names need those programs; `cargo xtask test` runs them
 //! where it finds or can install them, and says NOT CHECKED otherwise.
 
+use host_tests::document::read;
 use host_tests::example;
 use host_tests::masters::{mbpoll, node, paste, python, said};
 use std::net::SocketAddr;
@@ -166,7 +167,7 @@ fn mbpoll_commands_of_the_document_grip_when_pasted() {
     let (_gripper, address) = gripper();
     let port = format!("-p {}", address.port());
     let status = format!("mbpoll -0 -1 -q {port} -t 3 -r 5 -c 1 127.0.0.1");
-    let said = paste("docs/simulator.md", "mbpoll", &[("-p 1502", &port)], &status);
+    let said = paste(&read("docs/simulator.md"), "mbpoll", &[("-p 1502", &port)], &status);
     // A part of 20 mm is between the fingers; the document has one of 22 mm.
     for answer in ["[0]: \t0x1000", "[1]: \t0x0500", "[4]: \t0x0FA0", "[5]: \t0x0000"] {
         assert!(said.contains(answer), "{answer}: {said}");

@@ -6,6 +6,7 @@ mod line_rates;
 mod masters;
 mod modbus;
 mod profibus;
+mod quick_start;
 mod service_port;
 mod stored_settings;
 mod watchdog;

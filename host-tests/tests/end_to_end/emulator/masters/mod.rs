@@ -5,6 +5,7 @@
 
 use std::time::{Duration, Instant};
 
+use host_tests::document::read;
 use host_tests::emulator::Emulator;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
@@ -140,7 +141,7 @@ fn mbpoll_commands_of_the_document_grip_when_pasted() {
     let plant = plant();
     let changes = [("/dev/ttyUSB0", plant.terminal.path.as_str()), ("-P even", "-P none")];
     let status = "$M -t 3 -r 5 -c 1 $T";
-    let said = masters::paste("docs/commissioning.md", "$M", &changes, status);
+    let said = masters::paste(&read("docs/commissioning.md"), "$M", &changes, status);
     assert!(said.contains("[0]: \t4096") && said.contains("[4]: \t4000"), "{said}");
     assert_eq!(said.matches("Written").count(), 7, "{said}");
     assert_one_cycle(&plant, &said);

@@ -1,0 +1,121 @@
+//! docs/quick-start.md from its third step to its last, on the flashed image with its delivered settings and an empty flash: the
+//! commands are pasted, the power goes off and on, and a master sends the frames.
+
+use std::time::Instant;
+
+use host_tests::can_bus::{CanBus, Station};
+use host_tests::can_wire::WireFrame;
+use host_tests::document::{can_frames, read};
+use host_tests::emulator::{Emulator, Extras};
+use host_tests::flash_controller::FlashController;
+use host_tests::gripper_end::GripperEnd;
+use host_tests::masters::paste;
+use host_tests::registers::RegisterModel;
+use host_tests::rig::{MOTION_PATIENCE, PATIENCE, motions};
+use host_tests::terminal::Terminal;
+use host_tests::trace::Trace;
+use wsg_bridge_fw::io::Inputs;
+use wsg_protocol::CommandId;
+use wsg_sim::{Config, Part};
+
+use super::image;
+use super::service_port::poll;
+
+const DOCUMENT: &str = "docs/quick-start.md";
+
+/// What the bridge sends in the document.
+const TPDO1: u16 = 0x185;
+
+/// A board with a gripper and a cable at its service port.
+struct Plant {
+    board: Emulator,
+    _gripper: GripperEnd,
+    cable: Terminal,
+    trace: Trace,
+}
+
+impl Plant {
+    /// Power comes on.
+    fn power_up(flash: &FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
+        flash.power_cycle();
+        let models = flash.models().into_iter().chain(more).collect();
+        let extras = Extras { models, ..Extras::default() };
+        let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+        let trace = Trace::new(vec![]);
+        let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
+        let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+        let cable = Terminal::to(board.take_service_line().unwrap()).unwrap();
+        let plant = Self { board, _gripper: gripper, cable, trace };
+        plant.wait(107, 2);
+        plant
+    }
+
+    /// Until this input register has this value.
+    fn wait(&self, register: u16, value: u16) {
+        let bound = Instant::now() + PATIENCE;
+        let address = register.to_string();
+        while !poll(&self.cable, &["-t", "3", "-r", &address, "-c", "1"], &[])
+            .contains(&format!("\t{value}\n"))
+        {
+            assert!(Instant::now() < bound, "register {register} does not become {value}");
+        }
+    }
+
+    /// Pastes the commands of this text; what was said.
+    fn paste(&self, text: &str) -> String {
+        paste(text, "$M", &[("/dev/ttyACM0", &self.cable.path)], "")
+    }
+}
+
+fn hears(master: &Station, wanted: &WireFrame) {
+    let bound = Instant::now() + MOTION_PATIENCE;
+    while master.heard.recv_timeout(PATIENCE).expect("a frame") != *wanted {
+        assert!(Instant::now() < bound, "{wanted:?} does not come");
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
+fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_settings_to_a_grip() {
+    let text = read(DOCUMENT);
+    let (before, after) = text.split_once("\n## 7. ").expect("the step with the power cycle");
+    // The shell stays open.
+    let variables = before.lines().filter(|line| line.starts_with("M=") || line.starts_with("T="));
+    let variables: String = variables.map(|line| format!("{line}\n")).collect();
+
+    let flash = FlashController::new();
+    let plant = Plant::power_up(&flash, vec![]);
+    let said = plant.paste(before);
+    assert!(said.contains("[107]: \t2"), "{said}");
+    assert_eq!(said.matches("Written 1 references").count(), 8, "{said}");
+    plant.wait(204, 2);
+    plant.wait(205, 0);
+    assert_eq!(motions(&plant.trace.since(0)), []);
+    drop(plant);
+
+    let can = CanBus::new(250_000);
+    let master = can.join();
+    let plant = Plant::power_up(&flash, vec![Box::new(can)]);
+    hears(&master, &WireFrame::standard(0x705, &[0]));
+    plant.board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
+    // The wire settles.
+    let start = plant.board.now_ms().unwrap();
+    while plant.board.now_ms().unwrap().wrapping_sub(start) < 50 {}
+    // No master on a busy machine is as punctual as a PLC.
+    let written = poll(&plant.cable, &["-t", "4", "-r", "101"], &["60000"]);
+    assert!(written.contains("Written 1 references"), "{written}");
+    for (id, data) in can_frames(after) {
+        let frame = WireFrame::standard(id, &data);
+        if id == TPDO1 {
+            hears(&master, &frame);
+        } else {
+            master.send(frame);
+        }
+    }
+    let said = plant.paste(&after.replacen("```sh\n", &format!("```sh\n{variables}"), 1));
+    for answer in ["[203]: \t1", "[174]: \t2", "[133]: \t0"] {
+        assert!(said.contains(answer), "{answer}: {said}");
+    }
+    assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing, CommandId::GripPart]);
+    assert!(flash.violations().is_empty(), "{:?}", flash.violations());
+}
