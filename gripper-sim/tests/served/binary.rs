@@ -2,11 +2,12 @@
 
 use crate::common::program::Program;
 use crate::common::{grip, parse, uninterrupted};
-use std::io::{self, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
-use std::process::Command as Process;
+use std::process::{Command as Process, Stdio};
 use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -431,6 +432,40 @@ fn binary_refuses_what_cannot_be_served_in_one_line() {
     }
     let (code, stdout, _) = sim(&["--help"]);
     assert!(code == Some(0) && stdout.contains("--time-scale"));
+}
+
+#[test]
+fn port_1000_is_replaced_for_an_ordinary_user_and_a_low_port_that_is_asked_for_says_what_to_do() {
+    let lowest = std::fs::read_to_string("/proc/sys/net/ipv4/ip_unprivileged_port_start");
+    if lowest.is_ok_and(|port| port.trim().parse().is_ok_and(|port: u16| port <= 1_000)) {
+        // Here nobody needs rights.
+        return;
+    }
+    // Where nobody may run it.
+    let program = scratch("ordinary");
+    std::fs::copy(env!("CARGO_BIN_EXE_wsg-sim"), &program).unwrap();
+    let ordinary = |arguments: &[&str]| {
+        let mut command = Process::new(&program);
+        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        if rustix::process::geteuid().is_root() {
+            command.uid(65_534).gid(65_534);
+        }
+        command.spawn().unwrap()
+    };
+    let output = ordinary(&["--tcp", "127.0.0.1:999"]).wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{said}");
+    assert!(said.contains("ports below 1024 need rights; try --tcp 127.0.0.1:11000"), "{said}");
+
+    let mut child = ordinary(&[]);
+    let mut said = String::new();
+    let mut errors = BufReader::new(child.stderr.take().unwrap());
+    errors.read_line(&mut said).unwrap();
+    // It may have ended because that port is taken.
+    let _ = child.kill();
+    child.wait().unwrap();
+    std::fs::remove_file(&program).unwrap();
+    assert!(said.contains("port 1000 needs rights that you lack: serving 127.0.0.1:11000 instead"), "{said}");
 }
 
 #[test]

@@ -5,12 +5,16 @@ mod options;
 use anyhow::{Context, Result};
 use options::{LogTo, Options, Request, USAGE};
 use std::io::{self, Write};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::process::ExitCode;
+use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use wsg_sim::server::{Log, Server};
 
 /// Exit status for options that are wrong.
 const WRONG_USE: u8 = 2;
+/// Takes the place of the gripper's own port where that needs rights.
+const UNPRIVILEGED_TCP: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 11_000));
 
 fn main() -> ExitCode {
     let options = match options::parse(lexopt::Parser::from_env()) {
@@ -33,7 +37,7 @@ fn serve(options: Options) -> Result<()> {
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        let server = Server::bind(options.config, &options.lines, log).await?;
+        let server = bind(&options, log).await?;
         announce(&options, &server).context("standard output cannot be written")?;
         let (mut interrupt, mut terminate) =
             (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
@@ -45,6 +49,42 @@ fn serve(options: Options) -> Result<()> {
         };
         server.run(end).await
     })
+}
+
+/// Opens the lines. The gripper's own port needs rights that an ordinary user lacks on many systems: where no line was asked
+/// for, another port takes its place.
+async fn bind(options: &Options, log: Option<Log>) -> Result<Server> {
+    let mut lines = options.lines.clone();
+    if options.is_default_line
+        && let Some(address) = lines.tcp
+        && !may_listen(address).await
+    {
+        lines.tcp = Some(UNPRIVILEGED_TCP);
+        eprintln!(
+            "wsg-sim: port {} needs rights that you lack: serving {UNPRIVILEGED_TCP} instead, \
+             as --tcp {UNPRIVILEGED_TCP} does",
+            address.port()
+        );
+    }
+    let is_low = lines.tcp.is_some_and(|address| address.port() < 1_024);
+    Server::bind(options.config, &lines, log).await.map_err(|error| {
+        let is_denied = error
+            .downcast_ref::<io::Error>()
+            .is_some_and(|error| error.kind() == io::ErrorKind::PermissionDenied);
+        if is_denied && is_low {
+            error.context(format!("ports below 1024 need rights; try --tcp {UNPRIVILEGED_TCP}"))
+        } else {
+            error
+        }
+    })
+}
+
+/// Whether the system lets this program listen there. What else is wrong shows when it does.
+async fn may_listen(address: SocketAddr) -> bool {
+    match TcpListener::bind(address).await {
+        Err(error) => error.kind() != io::ErrorKind::PermissionDenied,
+        Ok(_) => true,
+    }
 }
 
 /// Says what is served where, one line each, for people and for scripts that wait for it.

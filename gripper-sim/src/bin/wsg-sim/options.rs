@@ -15,7 +15,7 @@ A virtual gripper of the WSG series.
 
 Usage: wsg-sim [OPTION]...
 
-Lines (without any: --tcp 127.0.0.1:1000)
+Lines (without any: --tcp 127.0.0.1:1000, or 11000 where port 1000 needs rights that you lack)
   --tcp ADDR               listen for TCP on ADDR, such as 127.0.0.1:1000
   --udp ADDR               listen for UDP on ADDR, such as 127.0.0.1:1500
   --udp-remote-port PORT   answer UDP requests to this port (default 1501)
@@ -79,6 +79,8 @@ pub(crate) enum Request {
 pub(crate) struct Options {
     pub(crate) config: Config,
     pub(crate) lines: Lines,
+    /// No line was asked for: the gripper's own is served.
+    pub(crate) is_default_line: bool,
     pub(crate) log: Option<LogTo>,
 }
 
@@ -231,10 +233,11 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     let Lines { tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, .. } = &lines;
     let has_address = [tcp, gcl, gcl_udp, modbus].into_iter().any(Option::is_some);
     let has_line = serial.is_some() || profibus.is_some();
-    if !has_address && !has_line && udp.is_none() && can.is_none() {
+    let is_default_line = !has_address && !has_line && udp.is_none() && can.is_none();
+    if is_default_line {
         lines.tcp = Some(DEFAULT_TCP);
     }
-    Ok(Request::Serve(Box::new(Options { config, lines, log })))
+    Ok(Request::Serve(Box::new(Options { config, lines, is_default_line, log })))
 }
 
 const ADDRESS: &str = "an address with a port, such as 127.0.0.1:1000";
