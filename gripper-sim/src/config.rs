@@ -39,10 +39,23 @@ pub struct Config {
     pub disconnect_error: bool,
     /// What is mounted on the two base jaws.
     pub fingers: [Finger; 2],
-    /// How far beyond the nominal width a grip may go to build up its force, in mm (command set, 3.2.6).
+    /// How far beyond the nominal width a grip may go to build up its force, in mm (command set, 3.2.6). With the stroke or
+    /// more any part is the right one, wherever it is met: clients grip at 0 mm then, and hold it.
     pub clamping_travel: f32,
     /// How much before the nominal width a part may be met, in mm; one met earlier is the wrong part.
     pub part_width_tolerance: f32,
+    /// The force limit after switching on in N, summed over both fingers; `None`: the model's. Kept within its limits.
+    pub force_limit: Option<f32>,
+    /// The acceleration after switching on in mm/s²; `None`: the model's. Kept within its limits.
+    pub acceleration: Option<f32>,
+    /// Speed of homing in mm/s; `None`: the model's. Kept within its limits.
+    pub homing_speed: Option<f32>,
+    /// Speed in mm/s of MOVE and GRIP of the text protocol when the request leaves it open (GCL, 2.2.2 and 2.2.3).
+    pub speed: f32,
+    /// Distance in mm of RELEASE of the text protocol when the request leaves it open (GCL, 2.2.4).
+    pub release_distance: f32,
+    /// Speed in mm/s of RELEASE of the text protocol when the request leaves it open; `None`: the greatest.
+    pub release_speed: Option<f32>,
     /// Whether the two bytes of each number in the Modbus registers change places, for a PLC that takes "low byte first"
     /// (fieldbus, 4) by the letter; flags stay.
     pub modbus_swap_bytes: bool,
@@ -82,6 +95,12 @@ impl Default for Config {
             fingers: [Finger::None; 2],
             clamping_travel: 5.0,
             part_width_tolerance: 5.0,
+            force_limit: None,
+            acceleration: None,
+            homing_speed: None,
+            speed: 100.0,
+            release_distance: 10.0,
+            release_speed: None,
             modbus_swap_bytes: false,
             bus_timeout_ms: 0,
             bus_reaction: SilenceReaction::Stop,

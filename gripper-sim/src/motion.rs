@@ -91,6 +91,8 @@ enum EarlyBlock {
 pub(crate) struct MotionControl {
     parameters: &'static Parameters,
     homing_default: Direction,
+    /// In mm/s.
+    homing_speed: f64,
     /// How far a grip goes on from the nominal width, in mm, unless its request says so.
     clamping_travel: f64,
     /// How much before the nominal width a part may be met, in mm, unless the request says so.
@@ -123,10 +125,14 @@ impl MotionControl {
         Self {
             parameters,
             homing_default: config.homing_default,
+            homing_speed: config
+                .homing_speed
+                .map_or(parameters.homing_speed, |speed| speed.clamp(limits.min_speed, limits.max_speed))
+                .into(),
             clamping_travel: config.clamping_travel.into(),
             part_width_tolerance: config.part_width_tolerance.into(),
             time_scale: time_scale.into(),
-            settings: Settings::new(parameters),
+            settings: Settings::new(config),
             axis: Axis::new(limits.stroke.into(), limits.max_speed.into(), config.part),
             origin: 0.0,
             referenced: false,
@@ -239,7 +245,7 @@ impl MotionControl {
         // Without a reference the gripper believes in nothing; the whole stroke and more lies ahead of it.
         let reach = self.stroke() + BEYOND_THE_END;
         let target = self.width() + direction.sign() * reach;
-        let travel = self.homing_travel(target, self.parameters.homing_speed.into());
+        let travel = self.homing_travel(target, self.homing_speed);
         let task = Task::Homing(direction, HomingPhase::Seek);
         self.start(request, CommandId::Homing, task, travel, GripperState::Positioning)
     }

@@ -22,7 +22,7 @@ mod tcp;
 mod thread;
 mod udp;
 
-pub use lines::{CanBus, CanLine, Lines, SerialLine, UdpLine};
+pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 pub use log::Log;
 pub use thread::ServerThread;
 
@@ -99,7 +99,7 @@ impl Server {
         let control = control.map(|listener| (listener, lines.control_hosts.clone()));
         #[cfg(feature = "script")]
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
-        let hub = Rc::new(Hub::new(config, lines.seed, log));
+        let hub = Rc::new(Hub::new(config, lines.profile, lines.seed, log));
         Ok(Self {
             hub,
             tcp,

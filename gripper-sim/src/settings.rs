@@ -1,6 +1,6 @@
 //! What clients set for the motions to come (command set, 3.3).
 
-use crate::model::Parameters;
+use crate::config::Config;
 use wsg_protocol::{SoftLimits, Status, SystemLimits};
 
 /// The motion settings, always within what the model can do.
@@ -15,14 +15,18 @@ pub(crate) struct Settings {
 
 impl Settings {
     /// Those after switching on.
-    pub(crate) const fn new(parameters: &Parameters) -> Self {
-        Self {
+    pub(crate) fn new(config: &Config) -> Self {
+        let parameters = config.model.parameters();
+        let mut settings = Self {
             system_limits: parameters.limits,
-            acceleration: parameters.default_acceleration,
-            force_limit: parameters.default_force,
+            acceleration: 0.0,
+            force_limit: 0.0,
             overdrive: false,
             soft_limits: None,
-        }
+        };
+        settings.set_acceleration(config.acceleration.unwrap_or(parameters.default_acceleration));
+        settings.set_force_limit(config.force_limit.unwrap_or(parameters.default_force));
+        settings
     }
 
     /// The acceleration in mm/s².

@@ -2,6 +2,7 @@
 //! (VERBOSE, PWT, CLT, AUTOSEND), BYE, and GRIP and RELEASE as they differ exist here only.
 
 use super::{Line, celsius};
+use crate::config::Config;
 use crate::device::Device;
 use crate::finger::Jaw;
 use crate::motion::GripOrder;
@@ -14,11 +15,6 @@ use wsg_protocol::gcl::{
 };
 use wsg_protocol::types::AckKey;
 use wsg_protocol::{Command, DeviceTag, FingerType, PrePositionFlags, Status, SystemFlags, Value as Reading};
-
-/// Speed in mm/s of MOVE and GRIP when the request leaves it open. Assumed; a setting of the web interface.
-const PRESET_SPEED: f32 = 100.0;
-/// Distance in mm of RELEASE when the request leaves it open. Assumed; a setting of the web interface.
-const PRESET_DISTANCE: f32 = 10.0;
 
 /// What a request comes to.
 pub(super) enum Outcome<'a> {
@@ -80,14 +76,15 @@ pub(super) fn carry_out<'a>(
         Request::Move(to) => Command::PrePosition {
             flags: PrePositionFlags::STOP_ON_BLOCK,
             width: to.width,
-            speed: to.speed.unwrap_or(PRESET_SPEED),
+            speed: to.speed.unwrap_or(device.config().speed),
         },
         Request::Grip(grip) => return start_grip(device, line, asked, grip).into(),
         Request::Release(release) => {
-            let fastest = device.limits().max_speed;
+            let Config { release_distance, release_speed, .. } = *device.config();
+            let preset = release_speed.unwrap_or(device.limits().max_speed);
             let (distance, speed) = match release {
-                Release::Preset => (PRESET_DISTANCE, fastest),
-                Release::By { distance } => (distance, fastest),
+                Release::Preset => (release_distance, preset),
+                Release::By { distance } => (distance, preset),
                 Release::ByAtSpeed { distance, speed } => (distance, speed),
             };
             return device.release_by(asked, distance, speed).into();
@@ -181,7 +178,7 @@ fn start_grip(device: &mut Device, line: &Line, asked: Asked, grip: Grip) -> Sta
         // Of this grip alone: what the binary protocol has set stays.
         force: force.map_or(device.force_limit(), |force| device.possible_force(force)),
         width,
-        speed: speed.unwrap_or(PRESET_SPEED),
+        speed: speed.unwrap_or(device.config().speed),
         tolerance: line.part_width_tolerance,
         clamping_travel: line.clamping_travel,
     };

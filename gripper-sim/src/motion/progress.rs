@@ -148,7 +148,9 @@ impl MotionControl {
         let sign = grip.direction.sign();
         let past = |mark: f64| (width - mark) * sign >= -NOTHING;
         if let Some(block) = self.axis.block() {
-            if past(grip.nominal - sign * grip.tolerance) {
+            // With a clamping travel as long as the stroke there is no wrong place for a part.
+            let is_anywhere = block.obstacle == Obstacle::Part && grip.clamping_travel >= self.stroke();
+            if is_anywhere || past(grip.nominal - sign * grip.tolerance) {
                 self.state = GripperState::Holding;
                 self.end_motion(Status::Success);
             } else if grip.early_block == EarlyBlock::AxisBlocked {

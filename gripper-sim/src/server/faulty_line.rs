@@ -184,9 +184,26 @@ pub(super) enum Passage {
     Held(Fate),
 }
 
+/// How soon frames arrive on a line that is whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Pace {
+    /// How late each comes, in ms.
+    pub(super) delay_ms: u16,
+    /// How far apart two are at least, in ms.
+    pub(super) gap_ms: u16,
+}
+
+impl Pace {
+    /// At once.
+    pub(super) const NONE: Self = Self { delay_ms: 0, gap_ms: 0 };
+}
+
 /// The line to one client, or from it.
 #[derive(Debug)]
 pub(super) struct FaultyLine {
+    pace: Pace,
+    /// Before which nothing more arrives.
+    next_at: Time,
     seed: u64,
     /// Frames so far.
     frames: u64,
@@ -196,7 +213,18 @@ pub(super) struct FaultyLine {
 impl FaultyLine {
     /// The line of the connection with this number.
     pub(super) const fn new(seed: u64, connection: u64) -> Self {
-        Self { seed: mixed(mixed(seed) ^ connection), frames: 0, waiting: VecDeque::new() }
+        Self {
+            pace: Pace::NONE,
+            next_at: Time::ZERO,
+            seed: mixed(mixed(seed) ^ connection),
+            frames: 0,
+            waiting: VecDeque::new(),
+        }
+    }
+
+    /// The same with this pace.
+    pub(super) fn paced(self, pace: Pace) -> Self {
+        Self { pace, ..self }
     }
 
     /// Whether [`pass`](Self::pass) has room for what becomes of a frame.
@@ -219,7 +247,7 @@ impl FaultyLine {
     /// Takes the gripper's next frame.
     pub(super) fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8]) -> Passage {
         let fate = self.fate(faults, frame.len());
-        if fate.is_harmless() && self.waiting.is_empty() {
+        if fate.is_harmless() && self.waiting.is_empty() && self.pace == Pace::NONE {
             return Passage::Through;
         }
         self.hold(&fate, now, frame);
@@ -230,8 +258,11 @@ impl FaultyLine {
     /// others wait.
     pub(super) fn hold(&mut self, fate: &Fate, now: Time, frame: &[u8]) {
         if !fate.dropped {
-            let due = now.plus_millis(fate.delayed.unwrap_or(0).into());
+            let Pace { delay_ms, gap_ms } = self.pace;
+            let late_ms = u64::from(fate.delayed.unwrap_or(0)) + u64::from(delay_ms);
+            let due = now.plus_millis(late_ms).max(self.next_at);
             let due = self.waiting.back().map_or(due, |(before, _)| due.max(*before));
+            self.next_at = due.plus_millis(gap_ms.into());
             let bytes = fate.apply(frame);
             if fate.duplicated {
                 self.waiting.push_back((due, bytes.clone()));
@@ -319,6 +350,19 @@ mod tests {
 
     fn arrivals(line: &mut FaultyLine, now: Time) -> Vec<Vec<u8>> {
         std::iter::from_fn(|| line.arrive(now)).collect()
+    }
+
+    #[test]
+    fn frames_of_a_paced_line_come_late_and_apart() {
+        let mut line = FaultyLine::new(0, 0).paced(Pace { delay_ms: 22, gap_ms: 5 });
+        let arrivals_at = |line: &mut FaultyLine, ms| arrivals(line, Time::from_millis(ms)).len();
+        for _ in 0..2 {
+            assert!(matches!(line.pass(&LineFaults::NONE, Time::ZERO, &FRAME), Passage::Held(_)));
+        }
+        assert_eq!([21, 22, 26, 27].map(|ms| arrivals_at(&mut line, ms)), [0, 1, 0, 1]);
+        // 5 ms behind one that has arrived already.
+        line.pass(&LineFaults::NONE, Time::from_millis(5), &FRAME);
+        assert_eq!([31, 32].map(|ms| arrivals_at(&mut line, ms)), [0, 1]);
     }
 
     #[test]

@@ -1,13 +1,14 @@
 //! The gripper in real time, shared by the tasks of its lines.
 
-use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Passage};
+use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Pace, Passage};
+use super::lines::Profile;
 use super::log::Log;
 use super::request_line::RequestLine;
 use crate::axis::Part;
 use crate::config::Config;
 use crate::faults::Fault;
 use crate::gripper::{State, VirtualGripper};
-use crate::port::{FrameBuffer, PortCounters, PortId, PortKind};
+use crate::port::{FrameBuffer, PortCounters, PortId, PortKind, Protocol};
 #[cfg(feature = "script")]
 use crate::script::ScriptRequest;
 use crate::time::Time;
@@ -24,6 +25,10 @@ const MAX_CLIENTS: usize = 128;
 /// How long a Modbus/TCP connection may be idle. A master that lost its power closes nothing.
 const IDLE_LIMIT: Duration = Duration::from_secs(300);
 
+/// What a real gripper's command interface takes: three requests in turn are answered 15 times a second, by field reports.
+/// How that is shared between the two figures is assumed.
+const REAL_PACE: Pace = Pace { delay_ms: 22, gap_ms: 5 };
+
 /// The gripper, its clock, and who waits for frames.
 #[derive(Debug)]
 pub(super) struct Hub {
@@ -35,6 +40,7 @@ pub(super) struct Hub {
     rescheduled: Notify,
     log: RefCell<Option<Log>>,
     config: Config,
+    profile: Profile,
     seed: u64,
     connections: Cell<u64>,
     line_faults: Cell<LineFaults>,
@@ -73,9 +79,10 @@ pub(super) struct Report {
 }
 
 impl Hub {
-    pub(super) fn new(config: Config, seed: u64, log: Option<Log>) -> Self {
+    pub(super) fn new(config: Config, profile: Profile, seed: u64, log: Option<Log>) -> Self {
         Self {
             config,
+            profile,
             gripper: RefCell::new(Box::new(VirtualGripper::with_ports(config))),
             started: Instant::now(),
             clients: RefCell::default(),
@@ -138,7 +145,10 @@ impl Hub {
             displaced: Notify::new(),
         });
         self.clients.borrow_mut().insert(number, Rc::clone(&connected));
-        let line = RefCell::new(FaultyLine::new(self.seed, number));
+        let is_paced =
+            self.profile == Profile::Real && matches!(kind.protocol(), Protocol::Binary | Protocol::Text);
+        let pace = if is_paced { REAL_PACE } else { Pace::NONE };
+        let line = RefCell::new(FaultyLine::new(self.seed, number).paced(pace));
         let requests = RefCell::new(RequestLine::new(kind, self.seed, number));
         Some(Client { hub: Rc::clone(self), connected, line, requests })
     }
@@ -442,7 +452,7 @@ mod tests {
     use tokio::time::advance;
 
     fn hub() -> Rc<Hub> {
-        Rc::new(Hub::new(Config::default(), 0, None))
+        Rc::new(Hub::new(Config::default(), Profile::Instant, 0, None))
     }
 
     async fn is_dismissed(client: &Client) -> bool {

@@ -32,8 +32,21 @@ pub struct Lines {
     /// A Lua script that runs on the gripper from the start on.
     #[cfg(feature = "script")]
     pub script: Option<PathBuf>,
+    /// How soon the command interface answers.
+    pub profile: Profile,
     /// Decides which frames the faults hit that the control interface lets loose on the lines.
     pub seed: u64,
+}
+
+/// How soon the command interface (the binary protocol and GCL) answers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Profile {
+    /// At once.
+    #[default]
+    Instant,
+    /// As real grippers do by field reports: a client that asks for three values in turn, one request at a time, gets
+    /// them 15 times a second. Each frame comes 22 ms late and 5 ms behind the one before it at the soonest.
+    Real,
 }
 
 /// A UDP address, and where answers go.

@@ -100,6 +100,7 @@ mod tests {
     use crate::config::Config;
     use crate::port::PortKind;
     use crate::server::hub::Hub;
+    use crate::server::lines::Profile;
     use std::pin::Pin;
     use std::rc::Rc;
     use std::task::{Context, Poll};
@@ -158,7 +159,7 @@ mod tests {
 
     #[tokio::test]
     async fn signals_and_calls_that_move_one_byte_lose_nothing() {
-        let hub = Rc::new(Hub::new(Config::default(), 0, None));
+        let hub = Rc::new(Hub::new(Config::default(), Profile::Instant, 0, None));
         let client = hub.connect(PortKind::Tcp, "nervous").unwrap();
         let stop = Command::Stop;
         let says = FrameEncoder::new(stop.id().code(), stop).collect();

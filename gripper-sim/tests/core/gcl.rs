@@ -84,6 +84,26 @@ fn part(width: f32) -> Option<Part> {
 }
 
 #[test]
+fn release_takes_the_presets_that_are_set() {
+    let config = Config {
+        part: Part::of_width(20.0),
+        release_distance: 30.0,
+        release_speed: Some(10.0),
+        ..Config::default()
+    };
+    let mut desk = Desk::new(config);
+    desk.ask("HOME(1)");
+    assert_eq!(desk.wait(5_000), ["FIN HOME"]);
+    desk.ask("GRIP(40,20)");
+    assert_eq!(desk.wait(5_000), ["FIN GRIP"]);
+    let held = desk.gripper.state().width;
+    assert_eq!(desk.ask("RELEASE()"), ["ACK RELEASE"]);
+    assert!(desk.wait(2_900).is_empty(), "30 mm at 10 mm/s");
+    assert_eq!(desk.wait(300), ["FIN RELEASE"]);
+    assert!((desk.gripper.state().width - held - 30.0).abs() < 0.01);
+}
+
+#[test]
 fn gripper_says_what_it_is() {
     let mut desk = Desk::new(Config { serial_number: 12_345_678, ..Config::default() });
     assert_eq!(desk.one("devtype?"), "DEVTYPE=\"WSG 50-110\"");

@@ -337,6 +337,56 @@ fn stop_aborts_a_motion_and_needs_no_acknowledgement() {
 }
 
 #[test]
+fn grip_at_0_holds_any_part_with_a_clamping_travel_as_long_as_the_stroke() {
+    for (clamping_travel, result, state) in [
+        (5.0, Status::CmdFailed, GripperState::NoPart),
+        (110.0, Status::Success, GripperState::Holding),
+        (500.0, Status::Success, GripperState::Holding),
+    ] {
+        for width in [5.5, 20.0, 80.0] {
+            let part = Part::of_width(width);
+            let mut rig = Rig::homed_with(Config { clamping_travel, part, ..Config::default() });
+            assert_eq!(rig.run(grip(0.0)), result, "{clamping_travel} mm, {width} mm wide");
+            assert_eq!(rig.state(), state);
+        }
+    }
+    // Nothing between the fingers is no part all the same.
+    let mut rig = Rig::homed_with(Config { clamping_travel: 500.0, ..Config::default() });
+    assert_eq!(rig.run(grip(0.0)), Status::CmdFailed);
+    assert_eq!(rig.state(), GripperState::NoPart);
+}
+
+#[test]
+fn part_width_tolerance_decides_what_is_the_wrong_part() {
+    for (part_width_tolerance, result) in [(5.0, Status::CmdFailed), (10.0, Status::Success)] {
+        let part = Part::of_width(28.0);
+        let mut rig = Rig::homed_with(Config { part_width_tolerance, part, ..Config::default() });
+        assert_eq!(rig.run(grip(20.0)), result);
+    }
+}
+
+#[test]
+fn presets_of_force_acceleration_and_homing_count_within_the_models_limits() {
+    let presets = |value| Config {
+        force_limit: Some(value),
+        acceleration: Some(value),
+        homing_speed: Some(value),
+        ..Config::default()
+    };
+    let mut rig = Rig::new(presets(1.0));
+    assert_eq!(rig.ask(Command::GetForceLimit).f32(), 5.0);
+    assert_eq!(rig.ask(Command::GetAcceleration).f32(), 100.0);
+    // 55 mm at 5 mm/s.
+    rig.home();
+    assert!(rig.now.as_micros() > 11_000_000, "{}", rig.now);
+    let mut rig = Rig::new(presets(100_000.0));
+    assert_eq!(rig.ask(Command::GetForceLimit).f32(), 80.0);
+    assert_eq!(rig.ask(Command::GetAcceleration).f32(), 5_000.0);
+    rig.home();
+    assert!(rig.now.as_micros() < 1_000_000, "{}", rig.now);
+}
+
+#[test]
 fn force_is_0_when_it_is_asked_for_right_behind_what_switches_the_motor_off() {
     const FORCE: Command<'_> = Command::GetForce { update: AutoUpdate::once() };
     for fingers in [[Finger::None; 2], [Finger::Fmf; 2]] {

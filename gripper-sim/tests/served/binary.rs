@@ -12,7 +12,7 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, LoopData, Status, SystemFlags};
-use wsg_sim::server::{Lines, Log, SerialLine, ServerThread, UdpLine};
+use wsg_sim::server::{Lines, Log, Profile, SerialLine, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
 /// The longest that anything may take here.
@@ -105,6 +105,20 @@ fn tcp_pending_and_result_are_separate_segments() {
     assert_eq!(client.run(HOMING), Status::Success);
     assert_eq!(client.run(grip(20.0)), Status::Success);
     assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::Success);
+}
+
+#[test]
+fn real_profile_answers_three_requests_in_turn_15_times_a_second_at_the_most() {
+    let lines = Lines { profile: Profile::Real, ..tcp_lines() };
+    let served = serve(Config::default(), lines);
+    let mut client = connect(&served);
+    let start = Instant::now();
+    for _ in 0..5 {
+        for query in [Command::GetForceLimit, Command::GetSystemLimits, Command::GetTemperature] {
+            assert_eq!(client.ask(query), Status::Success);
+        }
+    }
+    assert!(start.elapsed() >= Duration::from_millis(5 * 66), "{:?}", start.elapsed());
 }
 
 #[test]

@@ -3,7 +3,7 @@
 mod options;
 
 use anyhow::{Context, Result};
-use options::{LogTo, Options, Request, USAGE};
+use options::{LogTo, Options, Request};
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::process::ExitCode;
@@ -19,7 +19,7 @@ const UNPRIVILEGED_TCP: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::
 fn main() -> ExitCode {
     let options = match options::parse(lexopt::Parser::from_env()) {
         Ok(Request::Serve(options)) => *options,
-        Ok(Request::Help) => return print(USAGE),
+        Ok(Request::Help) => return print(&options::usage()),
         Ok(Request::Version) => return print(concat!("wsg-sim ", env!("CARGO_PKG_VERSION"), "\n")),
         Err(error) => return fail(&error, WRONG_USE),
     };
