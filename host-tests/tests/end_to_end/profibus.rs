@@ -37,7 +37,7 @@ fn parser_of_pyprofibus_reads_what_the_tables_say() {
         .map(|line| line.split(' ').map(|number| number.parse().unwrap()).collect())
         .collect();
     let flags = [PROFILE.freeze, PROFILE.sync, PROFILE.set_address, PROFILE.fail_safe, true].map(usize::from);
-    let facts = [&[usize::from(PROFILE.ident), usize::from(Diagnosis::LEN)], &flags[..], &[0]].concat();
+    let facts = [&[usize::from(PROFILE.ident), Diagnosis::LEN], &flags[..], &[0]].concat();
     let config = PROFILE.config.iter().map(|byte| usize::from(*byte)).collect();
     assert_eq!(lines, [facts, config], "{}", said(&output));
 }
