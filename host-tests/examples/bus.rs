@@ -6,19 +6,22 @@
 //! ```
 //!
 //! A part of 20 mm is between the fingers. The FAST STOP wire is high, and was low at power-up: the first command is
-//! STOP/ACK.
+//! STOP/ACK. The flash is empty at the start: SAVE stores, until the program ends.
 
 use anyhow::Result;
 
 #[cfg(unix)]
 fn main() -> Result<()> {
     use anyhow::Context;
-    use host_tests::{emulator::Emulator, gripper_end::GripperEnd, terminal::Terminal, trace::Trace};
+    use host_tests::emulator::{Emulator, Extras};
+    use host_tests::flash_controller::FlashController;
+    use host_tests::{gripper_end::GripperEnd, terminal::Terminal, trace::Trace};
     use wsg_bridge_fw::io::Inputs;
     use wsg_sim::{Config, Part};
 
     let image = std::env::args_os().nth(1).context("which image? `cargo xtask build` prints its path")?;
-    let mut board = Emulator::start(image.as_ref())?;
+    let models = FlashController::new().models();
+    let mut board = Emulator::start_with(image.as_ref(), Extras { models, ..Extras::default() })?;
     board.set_input(Inputs::FAST_STOP_OK, true)?;
     let terminal = Terminal::to(board.take_modbus_line().context("the bus is taken")?)?;
     let service = Terminal::to(board.take_service_line().context("the service port is taken")?)?;
