@@ -96,6 +96,13 @@ fn profibus_has_seven_rates_and_the_search_for_one() {
 }
 
 #[test]
+fn the_bus_has_one_of_the_recipes_or_none() {
+    for (number, recipe) in [(0, Some(0)), (15, Some(15)), (16, None)] {
+        assert_eq!(Config::from_record(&with("BUS_RECIPE", number)).unwrap().bus_recipe, recipe);
+    }
+}
+
+#[test]
 fn bridge_and_master_are_two_nodes() {
     assert!(Config::from_record(&with("CAN_NODE", 0x7F)).is_err());
     assert_eq!(Config::from_record(&with("CAN_NODE", 5)).unwrap().can.node.node, 5);
