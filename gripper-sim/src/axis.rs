@@ -143,6 +143,10 @@ impl Axis {
         self.part
     }
 
+    pub(crate) const fn part_is_between(&self) -> bool {
+        self.seated
+    }
+
     pub(crate) const fn block(&self) -> Option<Block> {
         self.block
     }

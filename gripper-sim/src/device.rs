@@ -128,6 +128,10 @@ impl Device {
         self.motion.part()
     }
 
+    pub(crate) const fn part_is_between(&self) -> bool {
+        self.motion.part_is_between()
+    }
+
     pub(crate) const fn finger(&self, jaw: Jaw) -> &FingerPort {
         let [one, two] = &self.fingers;
         match jaw {

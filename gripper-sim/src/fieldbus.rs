@@ -30,6 +30,8 @@ pub(crate) struct Fieldbus {
     writer: Option<PortId>,
     /// Whether anything has been written: before, the controller waits for nothing.
     in_use: bool,
+    /// What was written last, whoever did.
+    written: OutputImage,
     /// When a Modbus master asked for something last, since one has written.
     heard: Option<Time>,
     /// Flags that do not count until they are written 0.
@@ -49,6 +51,7 @@ impl Fieldbus {
             controller,
             writer: None,
             in_use: false,
+            written: OutputImage::ZERO,
             heard: None,
             masked: CommandFlags::empty(),
             is_new: false,
@@ -82,9 +85,15 @@ impl Fieldbus {
         self.controller.input(&known(device))
     }
 
+    /// What a master wrote last.
+    pub(crate) const fn written(&self) -> &OutputImage {
+        &self.written
+    }
+
     /// Takes an image that this client wrote as a whole. What it leads to is due at the next [`follow`](Self::follow). Flags in
     /// its first one count after they were 0, but FASTSTOP.
     pub(crate) fn write(&mut self, device: &Device, client: PortId, image: &OutputImage, is_first: bool) {
+        self.written = *image;
         self.masked &= image.flags;
         if is_first {
             self.masked |= image.flags.difference(CommandFlags::FASTSTOP);

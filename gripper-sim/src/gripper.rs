@@ -10,6 +10,7 @@ use crate::finger::{Finger, Jaw};
 use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
 use crate::script::{ScriptRequest, ScriptState};
 use crate::time::{Time, earlier};
+use wsg_protocol::fieldbus::{InputImage, OutputImage};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, GripperState, GrippingStatistics, Status, SystemFlags, Temperature};
 
@@ -77,6 +78,8 @@ pub struct State {
     pub statistics: GrippingStatistics,
     /// The part, between the fingers or waiting for them to open far enough.
     pub part: Option<Part>,
+    /// Whether it is between them.
+    pub part_is_between: bool,
 }
 
 impl VirtualGripper {
@@ -270,11 +273,13 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         fits
     }
 
-    /// Carries out a command of the script, whose end it has to look for itself; its first status.
-    pub fn command_for_script(&mut self, command: &Command<'_>, now: Time) -> Status {
+    /// Carries out a command of a hand beside the gripper, as the web interface of the real one does, or of a script; its first
+    /// status. What a motion comes to shows in the state.
+    pub fn command(&mut self, command: &Command<'_>, now: Time) -> Status {
         self.advance(now);
-        let request = Request { port: PortId::SCRIPT, now: self.now };
+        let request = Request { port: PortId::HAND, now: self.now };
         let status = self.device.execute(request, command).status();
+        self.device.note_result(command.id().kind(), status);
         self.settle();
         status
     }
@@ -284,7 +289,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// with the force limit. E_CMD_PENDING when it runs.
     pub fn run_for_script(&mut self, speed: f32, now: Time) -> Status {
         self.advance(now);
-        let request = Request { port: PortId::SCRIPT, now: self.now };
+        let request = Request { port: PortId::HAND, now: self.now };
         let status = self.device.run_at(request, speed);
         self.settle();
         status
@@ -294,6 +299,12 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     #[must_use]
     pub fn finger(&self, jaw: Jaw) -> (Finger, Option<f32>) {
         self.device.finger_reading(jaw)
+    }
+
+    /// Both images of the register interface: what a master wrote last, and what one reads now.
+    #[must_use]
+    pub fn fieldbus_images(&self) -> (OutputImage, InputImage) {
+        (*self.fieldbus.written(), self.fieldbus.input(&self.device))
     }
 
     /// How things stand at [`now`](Self::now).
@@ -311,6 +322,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             temperature: device.temperature(),
             statistics: device.statistics(),
             part: device.part(),
+            part_is_between: device.part_is_between(),
         }
     }
 

@@ -203,6 +203,10 @@ impl MotionControl {
         self.axis.part()
     }
 
+    pub(crate) const fn part_is_between(&self) -> bool {
+        self.axis.part_is_between()
+    }
+
     /// The system state flags that tell of the axis and its motions (command set, appendix B).
     pub(crate) fn flags(&self) -> SystemFlags {
         let blocked = self.axis.block().map(|block| block.direction);

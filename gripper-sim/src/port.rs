@@ -100,10 +100,11 @@ pub struct PortId {
 }
 
 impl PortId {
+    /// Nobody's: a hand beside the gripper, or a script on it, which are told nothing more.
+    pub(crate) const HAND: Self = Self { index: u16::MAX, generation: 1 };
+
     /// Nobody's: the register interface, whose answers go to no line.
     pub(crate) const FIELDBUS: Self = Self { index: u16::MAX, generation: 0 };
-    /// Nobody's: a script, which looks itself whether a motion has ended.
-    pub(crate) const SCRIPT: Self = Self { index: u16::MAX, generation: 1 };
 }
 
 /// What went wrong on a line so far.

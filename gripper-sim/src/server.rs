@@ -99,6 +99,8 @@ impl Server {
         let control = control.map(|listener| (listener, lines.control_hosts.clone()));
         #[cfg(feature = "script")]
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
+        // Pages watch the log, too.
+        let log = log.or_else(|| control.is_some().then(Log::to_nowhere));
         let hub = Rc::new(Hub::new(config, lines.profile, lines.seed, log));
         Ok(Self {
             hub,

@@ -1,7 +1,12 @@
-//! The control interface: a hand beside the gripper, by HTTP with JSON. `docs/simulator.md` describes it to users.
+//! The control interface: a hand beside the gripper, by HTTP with JSON, and a page to watch it. `docs/simulator.md` describes
+//! it to users.
 //!
-//! One request to a connection, and everything about one is bounded: its size, its time, and how many there are. Who may
-//! ask is decided by `Host` and `Origin`, which a browser sets and a web page cannot.
+//! One request to a connection, and everything about one is bounded: its size, its time, and how many there are; the events of
+//! a page go on, and are bounded in their own way. Who may ask is decided by `Host` and `Origin`, which a browser sets and a web page cannot.
+
+mod commands;
+mod events;
+mod page;
 
 use super::faulty_line::{Direction, LineCounts, LineFaults};
 use super::hub::{Hub, Report};
@@ -9,9 +14,14 @@ use crate::axis::Part;
 use crate::faults::Fault;
 use crate::finger::{Finger, Jaw};
 use anyhow::Result;
-use http_body_util::{BodyExt, Full, LengthLimitError, Limited};
+use commands::{COMMAND_EXPECTED, CommandBody};
+use events::{Events, Link, MAX_STREAMS, Watchers, event};
+use http_body_util::{BodyExt, Either, Full, LengthLimitError, Limited};
 use hyper::body::{Bytes, Incoming};
-use hyper::header::{ALLOW, CONTENT_TYPE, HOST, HeaderMap, HeaderValue, ORIGIN};
+use hyper::header::{
+    ALLOW, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST, HeaderMap, HeaderName, HeaderValue,
+    ORIGIN, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+};
 use hyper::http::uri::Authority;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -25,8 +35,9 @@ use std::rc::Rc;
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, spawn_local, yield_now};
-use tokio::time::{sleep, timeout};
-use wsg_protocol::SystemFlags;
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
+use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
+use wsg_protocol::{Status, SystemFlags};
 
 /// The longest body that is read, in bytes.
 const MAX_BODY_LEN: usize = 4_096;
@@ -36,6 +47,10 @@ const MAX_HEAD_LEN: usize = 16_384;
 const MAX_CONNECTIONS: usize = 32;
 /// How long a connection may last.
 const TIME_LIMIT: Duration = Duration::from_secs(5);
+/// How often pages are told what has changed.
+const PERIOD: Duration = Duration::from_millis(50);
+/// How often they are told that nothing has.
+const HEARTBEAT: Duration = Duration::from_millis(500);
 /// How long no connection is accepted after the system refused one.
 const RECOVERY: Duration = Duration::from_millis(100);
 
@@ -47,14 +62,22 @@ const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt"
 /// `names`: the hosts that requests may be for, beside this machine's own address and `localhost`.
 pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
     let names: Rc<[String]> = names.into();
+    let watchers = Rc::new(Watchers::default());
+    spawn_local(publish(Rc::clone(&hub), Rc::clone(&watchers)));
     let mut connections = Connections::default();
     loop {
         match listener.accept().await {
             Ok((stream, _)) => {
-                let (hub, names) = (Rc::clone(&hub), Rc::clone(&names));
-                connections.open(async move {
-                    // Whoever takes longer, or speaks something else, is dropped.
-                    let _ = timeout(TIME_LIMIT, serve_connection(hub, names, stream)).await;
+                let link = Link::new();
+                let site =
+                    Site { hub: Rc::clone(&hub), names: Rc::clone(&names), watchers: Rc::clone(&watchers) };
+                connections.open(Rc::clone(&link), async move {
+                    tokio::select! {
+                        // Whoever speaks something else is dropped.
+                        _ = serve_connection(site, Rc::clone(&link), stream) => {}
+                        // And whoever takes longer.
+                        () = run_out(&link) => {}
+                    }
                 });
                 // A request that came with its connection is answered before others can push it out.
                 yield_now().await;
@@ -64,28 +87,75 @@ pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, names: Vec<String
     }
 }
 
+/// What every request is about.
+#[derive(Clone, Debug)]
+struct Site {
+    hub: Rc<Hub>,
+    names: Rc<[String]>,
+    watchers: Rc<Watchers>,
+}
+
+/// Ready when a connection has lasted too long: a request has a time limit, and events are to be taken.
+async fn run_out(link: &Link) {
+    sleep(TIME_LIMIT).await;
+    if link.streams() {
+        link.is_given_up().await;
+    }
+}
+
+/// Tells pages how things stand, as long as any watch.
+async fn publish(hub: Rc<Hub>, watchers: Rc<Watchers>) {
+    loop {
+        watchers.come().await;
+        hub.watch_log(true);
+        let mut ticks = interval(PERIOD);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let mut told = (String::new(), Instant::now());
+        while !watchers.are_none() {
+            ticks.tick().await;
+            let report = hub.report();
+            let body = StateBody { time_s: 0.0, ..StateBody::of(&hub, &report) };
+            // There is nothing in it that has no JSON.
+            let state = serde_json::to_string(&body).unwrap_or_default();
+            if state != told.0 || told.1.elapsed() >= HEARTBEAT {
+                let time_s = report.now.as_micros() as f64 / 1e6;
+                watchers.send(&event("state", &format!("{{\"time_s\":{time_s},\"state\":{state}}}")));
+                told = (state, Instant::now());
+            }
+            let log = hub.take_watched();
+            if !log.lines.is_empty() {
+                let lines = serde_json::json!({ "lines": log.lines, "lost": log.lost });
+                watchers.send(&event("log", &lines.to_string()));
+            }
+        }
+        hub.watch_log(false);
+    }
+}
+
 /// Those that are open, the oldest first.
 #[derive(Debug, Default)]
-struct Connections(VecDeque<JoinHandle<()>>);
+struct Connections(VecDeque<(Rc<Link>, JoinHandle<()>)>);
 
 impl Connections {
     /// Serves another one. Where there are too many, the oldest is dropped: it has had the longest time for its request,
     /// and one that came whole is answered already.
-    fn open(&mut self, connection: impl Future<Output = ()> + 'static) {
+    fn open(&mut self, link: Rc<Link>, connection: impl Future<Output = ()> + 'static) {
         let Self(open) = self;
-        open.retain(|connection| !connection.is_finished());
-        if open.len() >= MAX_CONNECTIONS
-            && let Some(oldest) = open.pop_front()
+        open.retain(|(_, connection)| !connection.is_finished());
+        // Streams are bounded by themselves.
+        let asks = |(link, _): &(Rc<Link>, JoinHandle<()>)| !link.streams();
+        if open.iter().filter(|connection| asks(connection)).count() >= MAX_CONNECTIONS
+            && let Some((_, oldest)) = open.iter().position(asks).and_then(|at| open.remove(at))
         {
             oldest.abort();
         }
-        open.push_back(spawn_local(connection));
+        open.push_back((link, spawn_local(connection)));
     }
 }
 
-async fn serve_connection(hub: Rc<Hub>, names: Rc<[String]>, stream: TcpStream) -> Result<()> {
+async fn serve_connection(site: Site, link: Rc<Link>, stream: TcpStream) -> Result<()> {
     let here = stream.local_addr()?.ip().to_canonical();
-    let service = service_fn(move |request| answer(Rc::clone(&hub), here, Rc::clone(&names), request));
+    let service = service_fn(move |request| answer(site.clone(), Rc::clone(&link), here, request));
     let served = http1::Builder::new()
         .keep_alive(false)
         .max_buf_size(MAX_HEAD_LEN)
@@ -93,33 +163,75 @@ async fn serve_connection(hub: Rc<Hub>, names: Rc<[String]>, stream: TcpStream) 
     Ok(served.await?)
 }
 
+type Answer = Response<Either<Full<Bytes>, Events>>;
+
 async fn answer(
-    hub: Rc<Hub>,
+    site: Site,
+    link: Rc<Link>,
     here: IpAddr,
-    names: Rc<[String]>,
     request: Request<Incoming>,
-) -> Result<Response<Full<Bytes>>, Infallible> {
+) -> Result<Answer, Infallible> {
     let answer = async {
-        check_host(request.headers(), here, &names)?;
-        act(&hub, request).await
+        check_host(request.headers(), here, &site.names)?;
+        check_origin(request.headers())?;
+        act(&site, link, request).await
     };
-    let answer = answer.await.and_then(|()| {
-        let report = hub.report();
-        serde_json::to_vec(&StateBody::of(&hub, &report))
-            .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
-    });
-    let (status, body, allowed) = match answer {
-        Ok(body) => (StatusCode::OK, body, None),
-        Err(HttpError { status, error, allowed }) => {
-            (status, serde_json::json!({ "error": error }).to_string().into_bytes(), allowed)
+    let mut response = answer.await.unwrap_or_else(|HttpError { status, error, allowed }| {
+        let mut response = json(&serde_json::json!({ "error": error }).to_string());
+        *response.status_mut() = status;
+        if let Some(method) = allowed {
+            response.headers_mut().insert(ALLOW, HeaderValue::from_static(method));
         }
-    };
-    let mut response = Response::new(Full::new(Bytes::from([&body, &b"\n"[..]].concat())));
-    *response.status_mut() = status;
-    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static("application/json"));
-    if let Some(method) = allowed {
-        response.headers_mut().insert(ALLOW, HeaderValue::from_static(method));
+        response
+    });
+    for (name, value) in PRIVATE {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
+    Ok(response)
+}
+
+/// What goes with every answer: it is kept nowhere, taken for nothing else, and told to nobody.
+const PRIVATE: [(HeaderName, &str); 3] =
+    [(CACHE_CONTROL, "no-store"), (X_CONTENT_TYPE_OPTIONS, "nosniff"), (REFERRER_POLICY, "no-referrer")];
+
+fn json(body: &str) -> Answer {
+    whole(format!("{body}\n"), HeaderValue::from_static("application/json"))
+}
+
+fn whole(body: String, content_type: HeaderValue) -> Answer {
+    let mut response = Response::new(Either::Left(Full::new(Bytes::from(body))));
+    response.headers_mut().insert(CONTENT_TYPE, content_type);
+    response
+}
+
+/// How things stand.
+fn state(hub: &Hub) -> Result<Answer, HttpError> {
+    let report = hub.report();
+    let body = serde_json::to_string(&StateBody::of(hub, &report));
+    let body = body.map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
+    Ok(json(&body))
+}
+
+/// The page itself.
+fn show_page() -> Result<Answer, HttpError> {
+    let (page, policy) = page::page();
+    let mut response = whole(page, HeaderValue::from_static("text/html; charset=utf-8"));
+    let policy = HeaderValue::from_str(&policy)
+        .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
+    response.headers_mut().insert(CONTENT_SECURITY_POLICY, policy);
+    Ok(response)
+}
+
+/// The events of a page, from what it has to know first.
+fn show_events(site: &Site, link: Rc<Link>) -> Result<Answer, HttpError> {
+    let hello = HelloBody::of(&site.hub);
+    let hello = serde_json::to_string(&hello).unwrap_or_default();
+    let events = site.watchers.open(event("hello", &hello), link).ok_or_else(|| {
+        let error = format!("{MAX_STREAMS} pages watch already; expected one of them to be closed first");
+        HttpError::new(StatusCode::SERVICE_UNAVAILABLE, error)
+    })?;
+    let mut response = Response::new(Either::Right(events));
+    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
     Ok(response)
 }
 
@@ -169,30 +281,53 @@ fn check_host(headers: &HeaderMap, here: IpAddr, names: &[String]) -> Result<(),
     Err(HttpError::new(StatusCode::MISDIRECTED_REQUEST, error))
 }
 
-/// Does what the request asks for; the answer to all of them is the state.
-async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), HttpError> {
-    if request.headers().contains_key(ORIGIN) {
-        // Otherwise any page in a browser on this machine could stop the gripper.
-        let error = "the request comes from a web page, by its header Origin; expected one from a program";
-        return Err(HttpError::new(StatusCode::FORBIDDEN, error.to_owned()));
+/// Refuses a request of another web page than this server's own. A program sends no `Origin`.
+fn check_origin(headers: &HeaderMap) -> Result<(), HttpError> {
+    let mut origins = headers.get_all(ORIGIN).iter();
+    let Some(origin) = origins.next() else { return Ok(()) };
+    let host = headers.get(HOST).map_or(&[][..], HeaderValue::as_bytes);
+    let is_own = origin
+        .as_bytes()
+        .strip_prefix(b"http://")
+        .is_some_and(|authority| authority.eq_ignore_ascii_case(host));
+    if is_own && origins.next().is_none() {
+        return Ok(());
     }
+    // Otherwise any page in a browser on this machine could stop the gripper.
+    let error = "the request comes from another web page, by its header Origin; expected one from this server's own page, or \
+                 from a program";
+    Err(HttpError::new(StatusCode::FORBIDDEN, error.to_owned()))
+}
+
+/// Each path and its method.
+const PATHS: [(&str, Method); 7] = [
+    ("/", Method::GET),
+    ("/events", Method::GET),
+    ("/state", Method::GET),
+    ("/command", Method::POST),
+    ("/part", Method::POST),
+    ("/fault", Method::POST),
+    ("/line", Method::POST),
+];
+
+/// Does what the request asks for; but for the page and its events the answer is the state.
+async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<Answer, HttpError> {
+    let hub = &site.hub;
     let path = request.uri().path().to_owned();
-    let method = match path.as_str() {
-        "/state" => Method::GET,
-        "/part" | "/fault" | "/line" => Method::POST,
-        _ => {
-            let error = format!(
-                "the path {path:?} is unknown; expected GET /state, POST /part, POST /fault or POST /line"
-            );
-            return Err(HttpError::new(StatusCode::NOT_FOUND, error));
-        }
+    let Some((_, method)) = PATHS.iter().find(|(known, _)| *known == path) else {
+        let known = PATHS.map(|(path, method)| format!("{method} {path}")).join(", ");
+        let error = format!("the path {path:?} is unknown; expected one of {known}");
+        return Err(HttpError::new(StatusCode::NOT_FOUND, error));
     };
     if request.method() != method {
         let error = format!("{path} does not take {}; expected {method}", request.method());
-        let allowed = Some(if method == Method::GET { "GET" } else { "POST" });
+        let allowed = Some(if *method == Method::GET { "GET" } else { "POST" });
         return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed });
     }
     match path.as_str() {
+        "/" => return show_page(),
+        "/events" => return show_events(site, link),
+        "/command" => command(hub, &read(request, COMMAND_EXPECTED).await?)?,
         "/part" => hub.set_part(part(read(request, PART_EXPECTED).await?)?),
         "/fault" => {
             let FaultBody { fault, finger, on } = read(request, FAULT_EXPECTED).await?;
@@ -200,6 +335,21 @@ async fn act(hub: &Hub, request: Request<Incoming>) -> Result<(), HttpError> {
         }
         "/line" => hub.set_line_faults(line_faults(&read(request, LINE_EXPECTED).await?)?),
         _ => {}
+    }
+    state(hub)
+}
+
+/// Carries out what a button asks for; the gripper may refuse it.
+fn command(hub: &Hub, body: &CommandBody) -> Result<(), HttpError> {
+    let commands = body.commands(hub.config()).ok_or_else(|| {
+        HttpError::wrong(format!("the command has other numbers than it takes; expected {COMMAND_EXPECTED}"))
+    })?;
+    for command in &commands {
+        let status = hub.command(command);
+        if !matches!(status, Status::Success | Status::CmdPending) {
+            let error = format!("the gripper refuses {command}: {status}");
+            return Err(HttpError::new(StatusCode::CONFLICT, error));
+        }
     }
     Ok(())
 }
@@ -369,10 +519,84 @@ struct StateBody<'a> {
     temperature_c: f32,
     gripping_statistics: StatisticsBody,
     part: Option<PartBody>,
+    part_is_between: bool,
+    fieldbus: FieldbusBody,
     faults: Vec<ActiveFaultBody>,
     line: LineBody,
     line_counts: LineCountsByDirection,
     clients: Vec<ClientBody<'a>>,
+}
+
+/// What a page has to know first.
+#[derive(Debug, Serialize)]
+struct HelloBody {
+    model: &'static str,
+    limits: LimitsBody,
+    names: NamesBody,
+}
+
+#[derive(Debug, Serialize)]
+struct LimitsBody {
+    stroke_mm: f32,
+    min_speed_mm_per_s: f32,
+    max_speed_mm_per_s: f32,
+    min_force_n: f32,
+    nominal_force_n: f32,
+    overdrive_force_n: f32,
+}
+
+/// The name of each bit, the lowest first; empty where there is none.
+#[derive(Debug, Serialize)]
+struct NamesBody {
+    command: Vec<&'static str>,
+    gripper: Vec<&'static str>,
+    system: Vec<&'static str>,
+}
+
+impl HelloBody {
+    fn of(hub: &Hub) -> Self {
+        let model = hub.config().model;
+        let limits = &model.parameters().limits;
+        let names_by_bit = |names: &mut dyn Iterator<Item = (&'static str, u32)>| {
+            let mut by_bit = vec![""; 8];
+            for (name, bits) in names {
+                let at = bits.trailing_zeros() as usize;
+                by_bit.resize(by_bit.len().max(at + 1), "");
+                by_bit[at] = name;
+            }
+            by_bit
+        };
+        Self {
+            model: model.name(),
+            limits: LimitsBody {
+                stroke_mm: limits.stroke,
+                min_speed_mm_per_s: limits.min_speed,
+                max_speed_mm_per_s: limits.max_speed,
+                min_force_n: limits.min_force,
+                nominal_force_n: limits.nominal_force,
+                overdrive_force_n: limits.overdrive_force,
+            },
+            names: NamesBody {
+                command: names_by_bit(
+                    &mut CommandFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into())),
+                ),
+                gripper: names_by_bit(
+                    &mut GripperFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into())),
+                ),
+                system: names_by_bit(
+                    &mut SystemFlags::all().iter_names().map(|(name, flag)| (name, flag.bits())),
+                ),
+            },
+        }
+    }
+}
+
+/// Both images, byte by byte (fieldbus, 5).
+#[derive(Debug, Serialize)]
+struct FieldbusBody {
+    output: [u8; 8],
+    input: [u8; 12],
+    status: String,
 }
 
 #[derive(Debug, Serialize)]
@@ -424,7 +648,16 @@ impl LineCountsBody {
 
 impl<'a> StateBody<'a> {
     fn of(hub: &Hub, report: &'a Report) -> Self {
-        let Report { now, state, faults, line_faults, request_counts, reply_counts, clients } = report;
+        let Report {
+            now,
+            state,
+            images: (output, input),
+            faults,
+            line_faults,
+            request_counts,
+            reply_counts,
+            clients,
+        } = report;
         let LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *line_faults;
         Self {
             model: hub.config().model.name(),
@@ -445,6 +678,12 @@ impl<'a> StateBody<'a> {
             part: state
                 .part
                 .map(|part| PartBody { width_mm: part.width(), stiffness_n_per_mm: Some(part.stiffness()) }),
+            part_is_between: state.part_is_between,
+            fieldbus: FieldbusBody {
+                output: output.to_bytes(),
+                input: input.to_bytes(),
+                status: input.status.to_string(),
+            },
             faults: faults.iter().map(active_fault).collect(),
             line: LineBody {
                 direction: match direction {
@@ -508,7 +747,7 @@ mod tests {
         let open = |count: usize, connections: &mut Connections| {
             for _ in 0..count {
                 let held = Rc::clone(&held);
-                connections.open(async move {
+                connections.open(Link::new(), async move {
                     let _held = held;
                     pending().await
                 });
@@ -516,13 +755,13 @@ mod tests {
         };
         let local = LocalSet::new();
         let all = local.run_until(async {
-            connections.open(async {});
+            connections.open(Link::new(), async {});
             open(MAX_CONNECTIONS - 1, &mut connections);
             yield_now().await;
             open(1, &mut connections);
             yield_now().await;
             assert_eq!(Rc::strong_count(&held) - 1, MAX_CONNECTIONS, "the first one was over");
-            let oldest = connections.0[0].abort_handle();
+            let oldest = connections.0[0].1.abort_handle();
             open(1, &mut connections);
             yield_now().await;
             assert!(oldest.is_finished());

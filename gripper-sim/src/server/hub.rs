@@ -2,7 +2,7 @@
 
 use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Pace, Passage};
 use super::lines::Profile;
-use super::log::Log;
+use super::log::{Log, Watched};
 use super::request_line::RequestLine;
 use crate::axis::Part;
 use crate::config::Config;
@@ -19,6 +19,8 @@ use std::rc::Rc;
 use std::sync::Arc;
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
+use wsg_protocol::fieldbus::{InputImage, OutputImage};
+use wsg_protocol::{Command, Status};
 
 /// How many clients a server takes at a time.
 const MAX_CLIENTS: usize = 128;
@@ -70,6 +72,7 @@ struct Connected {
 pub(super) struct Report {
     pub(super) now: Time,
     pub(super) state: State,
+    pub(super) images: (OutputImage, InputImage),
     /// Those that have been injected.
     pub(super) faults: Vec<Fault>,
     pub(super) line_faults: LineFaults,
@@ -193,6 +196,7 @@ impl Hub {
         Report {
             now,
             state,
+            images: gripper.fieldbus_images(),
             faults: self.faults.borrow().clone(),
             line_faults: self.line_faults.get(),
             request_counts: self.request_counts.get(),
@@ -219,6 +223,26 @@ impl Hub {
         }
         self.with_gripper(|gripper, now| gripper.set_fault(fault, on, now));
         self.rescheduled.notify_one();
+    }
+
+    /// Carries out a command of a hand beside the gripper; its first status.
+    pub(super) fn command(&self, command: &Command<'_>) -> Status {
+        let status = self.with_gripper(|gripper, now| gripper.command(command, now));
+        self.note(format_args!("{command}: {status}"));
+        self.rescheduled.notify_one();
+        status
+    }
+
+    /// Begins or ends to keep lines of the log for pages.
+    pub(super) fn watch_log(&self, on: bool) {
+        if let Some(log) = &mut *self.log.borrow_mut() {
+            log.watch(on);
+        }
+    }
+
+    /// The lines that pages have not been shown.
+    pub(super) fn take_watched(&self) -> Watched {
+        self.log.borrow_mut().as_mut().map(Log::take_watched).unwrap_or_default()
     }
 
     /// What goes wrong on every line from the next frame on.

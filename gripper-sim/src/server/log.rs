@@ -85,7 +85,23 @@ enum Checksum {
 }
 
 /// Gives lines their form.
-struct Output(LogWriter);
+struct Output {
+    /// `None`: nobody asked for a log.
+    writer: Option<LogWriter>,
+    /// For pages that watch, if any do.
+    watched: Option<Watched>,
+}
+
+/// Lines that wait to be shown.
+#[derive(Debug, Default)]
+pub(super) struct Watched {
+    pub(super) lines: Vec<String>,
+    /// How many found no room.
+    pub(super) lost: u64,
+}
+
+/// The most lines that wait to be shown: more than anybody reads.
+const MAX_WATCHED: usize = 200;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Direction {
@@ -107,7 +123,25 @@ impl Log {
     /// gripper. What finds no room is left out, and how much that was is said.
     #[must_use]
     pub fn to(output: impl Write + Send + 'static) -> Self {
-        Self { output: Output(LogWriter::new(output)), clients: HashMap::new() }
+        Self {
+            output: Output { writer: Some(LogWriter::new(output)), watched: None },
+            clients: HashMap::new(),
+        }
+    }
+
+    /// A log that is written nowhere, for pages to watch.
+    pub(super) fn to_nowhere() -> Self {
+        Self { output: Output { writer: None, watched: None }, clients: HashMap::new() }
+    }
+
+    /// Begins or ends to keep lines for pages.
+    pub(super) fn watch(&mut self, on: bool) {
+        self.output.watched = on.then(Watched::default);
+    }
+
+    /// What pages have not been shown.
+    pub(super) fn take_watched(&mut self) -> Watched {
+        self.output.watched.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
     /// A log on standard output.
@@ -206,6 +240,9 @@ impl Log {
 
     /// One frame with its meaning, or one line of the text protocol as it is.
     pub(super) fn sent(&mut self, now: Time, id: PortId, line: &str, bytes: &[u8]) {
+        if !self.output.is_wanted() {
+            return;
+        }
         let requests = self.clients.get(&id).map(|client| &client.requests);
         let (output, direction) = (&mut self.output, Direction::FromGripper);
         match requests {
@@ -224,6 +261,9 @@ impl Log {
 
 impl Output {
     fn event(&mut self, now: Time, line: &str, event: Event<'_>, checksum: Checksum) {
+        if !self.is_wanted() {
+            return;
+        }
         match event {
             Event::Frame(frame) => {
                 let whole: Vec<u8> = FrameEncoder::new(frame.id, frame.payload).collect();
@@ -302,7 +342,25 @@ impl Output {
 
     /// One line, with its end.
     fn write(&mut self, text: std::fmt::Arguments<'_>) {
-        self.0.write(text.to_string());
+        if !self.is_wanted() {
+            return;
+        }
+        let line = text.to_string();
+        if let Some(Watched { lines, lost }) = &mut self.watched {
+            if lines.len() < MAX_WATCHED {
+                lines.push(line.trim_end().to_owned());
+            } else {
+                *lost += 1;
+            }
+        }
+        if let Some(writer) = &mut self.writer {
+            writer.write(line);
+        }
+    }
+
+    /// Whether anybody takes lines: otherwise they need no form.
+    const fn is_wanted(&self) -> bool {
+        self.writer.is_some() || self.watched.is_some()
     }
 }
 

@@ -140,9 +140,9 @@ fn any_command_takes_the_place_of_velocity_mode_and_it_takes_the_place_of_any_mo
 fn motions_of_a_script_are_refused_as_those_of_clients_are() {
     let mut rig = Rig::new(Config::default());
     assert_eq!(run(&mut rig, 10.0), Status::NotInitialized);
-    assert_eq!(rig.gripper.command_for_script(&go_to(50.0), rig.now), Status::NotInitialized);
+    assert_eq!(rig.gripper.command(&go_to(50.0), rig.now), Status::NotInitialized);
     let homing = Command::Homing { direction: HomingDirection::Positive };
-    assert_eq!(rig.gripper.command_for_script(&homing, rig.now), Status::CmdPending);
+    assert_eq!(rig.gripper.command(&homing, rig.now), Status::CmdPending);
     assert_eq!(rig.wait(5_000), [], "the client did not ask");
     assert!(rig.flags().contains(SystemFlags::REFERENCED));
     rig.set_fault(Fault::MotorCurrent, true);

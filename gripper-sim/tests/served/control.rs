@@ -3,7 +3,7 @@
 
 use crate::common::{go_to, grip, parse, uninterrupted};
 use serde_json::{Value, json};
-use std::io::{ErrorKind, Read, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};
 use wsg_protocol::{Command, FrameEncoder, HomingDirection, LoopData, Status};
@@ -67,6 +67,15 @@ impl Rig {
             "{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len}\r\n\r\n{body}"
         ));
         (status, serde_json::from_str(&body).expect("every answer is JSON"))
+    }
+
+    /// The status of an answer that may go on for ever.
+    fn request_status(&self, path: &str) -> u16 {
+        let mut stream = self.control();
+        stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").as_bytes()).unwrap();
+        let mut head = String::new();
+        BufReader::new(stream).read_line(&mut head).expect("an answer in time");
+        head.split(' ').nth(1).unwrap().parse().unwrap()
     }
 
     /// What is asked for is done; the state.
@@ -252,7 +261,12 @@ fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
         ("POST", "/line", &long, 413, "too long", "4096"),
         ("GET", "/part", "", 405, "GET", "POST"),
         ("DELETE", "/state", "", 405, "DELETE", "GET"),
-        ("GET", "/", "", 404, "\"/\"", "GET /state"),
+        ("GET", "/nowhere", "", 404, "\"/nowhere\"", "GET /state"),
+        ("POST", "/command", r#"{"command":"dance"}"#, 400, "dance", "fast_stop"),
+        ("POST", "/command", r#"{"command":"move"}"#, 400, "other numbers", "width_mm"),
+        ("POST", "/command", r#"{"command":"stop","width_mm":5}"#, 400, "other numbers", "width_mm"),
+        ("POST", "/command", r#"{"command":"move","width_mm":1e39}"#, 400, "other numbers", "width_mm"),
+        ("POST", "/command", r#"{"command":"move","width_mm":5}"#, 409, "E_NOT_INITIALIZED", "refuses"),
     ] {
         let (got, answer) = rig.request(method, path, body);
         let error = answer["error"].as_str().unwrap_or_else(|| panic!("{method} {path} {body}: {answer}"));
@@ -272,13 +286,171 @@ fn refused_method_says_which_one_is_allowed() {
 }
 
 #[test]
-fn web_pages_are_refused() {
+fn other_web_pages_are_refused_and_the_own_one_is_not() {
     let rig = Rig::new(Config::default());
-    let request = "POST /fault HTTP/1.1\r\nHost: localhost\r\nOrigin: http://example.com\r\nContent-Length: 36\r\n\r\n\
-                   {\"fault\":\"motor_current\",\"on\":true}\n";
-    let (status, _, body) = rig.http(request);
-    assert!(status == 403 && body.contains("Origin"), "{status} {body}");
+    let host = rig.server.control_address().unwrap().to_string();
+    let status = |method: &str, path: &str, origin: &str| {
+        let body = r#"{"fault":"motor_current","on":false}"#;
+        let (status, _, body) = rig.http(&format!(
+            "{method} {path} HTTP/1.1\r\nHost: {host}\r\nOrigin: {origin}\r\nContent-Length: {}\r\n\r\n{body}",
+            body.len()
+        ));
+        assert!(status == 200 || body.contains("Origin"), "{status} {body}");
+        status
+    };
+    for origin in [
+        "http://example.com",
+        "null",
+        "http://localhost",
+        "http://localhost:1",
+        &format!("https://{host}"),
+        &format!("http://{host}.example.com"),
+    ] {
+        for (method, path) in [("POST", "/fault"), ("POST", "/command"), ("GET", "/events"), ("GET", "/")] {
+            assert_eq!(status(method, path, origin), 403, "{origin} {path}");
+        }
+    }
+    assert_eq!(status("POST", "/fault", &format!("http://{host}")), 200);
     assert!(rig.flags().is_empty());
+}
+
+/// The events of a page, one after the other.
+struct Watching(BufReader<TcpStream>);
+
+impl Watching {
+    /// A page that watches, once its answer has begun.
+    fn new(rig: &Rig) -> Self {
+        let mut stream = rig.control();
+        stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+        let mut watching = Self(BufReader::new(stream));
+        assert_eq!(watching.line(), "HTTP/1.1 200 OK");
+        watching
+    }
+
+    fn line(&mut self) -> String {
+        let mut line = String::new();
+        self.0.read_line(&mut line).expect("a line in time");
+        assert!(!line.is_empty(), "the stream has ended");
+        line.trim_end().to_owned()
+    }
+
+    fn next(&mut self) -> (String, Value) {
+        loop {
+            if let Some(kind) = self.line().strip_prefix("event: ") {
+                let data = self.line();
+                let json = data.strip_prefix("data: ").expect("data behind the kind");
+                return (kind.to_owned(), serde_json::from_str(json).expect("JSON"));
+            }
+        }
+    }
+
+    /// Skips events up to one that is looked for.
+    fn until(&mut self, is_it: impl Fn(&str, &Value) -> bool) -> Value {
+        let start = Instant::now();
+        loop {
+            let (kind, data) = self.next();
+            if is_it(&kind, &data) {
+                return data;
+            }
+            assert!(start.elapsed() < BOUND, "{kind} {data}");
+        }
+    }
+}
+
+#[test]
+fn page_comes_with_a_policy_and_its_script_has_the_policys_nonce() {
+    let (status, head, body) = Rig::new(Config::default()).http("GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    assert_eq!(status, 200);
+    let policy = head.lines().find_map(|line| line.strip_prefix("content-security-policy: ")).unwrap();
+    assert!(
+        policy.starts_with("default-src 'none'; ") && policy.contains("frame-ancestors 'none'"),
+        "{policy}"
+    );
+    let nonce = policy.split_once("script-src 'nonce-").unwrap().1.split_once('\'').unwrap().0;
+    assert!(body.contains(&format!("<script nonce=\"{nonce}\">")), "{body}");
+    assert!(
+        head.contains("cache-control: no-store") && head.contains("x-content-type-options: nosniff"),
+        "{head}"
+    );
+}
+
+#[test]
+fn pages_home_and_grip_by_commands_and_all_see_the_fingers_move_and_the_part_go() {
+    let rig = Rig::new(Config { time_scale: 5.0, ..Config::default() });
+    let mut pages = [(); 2].map(|()| Watching::new(&rig));
+    for page in &mut pages {
+        let (kind, hello) = page.next();
+        assert_eq!((kind.as_str(), &hello["limits"]["stroke_mm"]), ("hello", &json!(110.0)));
+        assert_eq!(hello["names"]["system"][12], "FAST_STOP");
+    }
+    rig.post("/command", &json!({"command":"home"}));
+    for page in &mut pages {
+        // Somewhere on the way, and there.
+        page.until(|_, data| data["state"]["speed_mm_per_s"].as_f64().is_some_and(|speed| speed > 0.0));
+        let done = page.until(|_, data| data["state"]["system_state"][0] == "REFERENCED");
+        assert_eq!(done["state"]["width_mm"], 110.0);
+    }
+    rig.post("/part", &json!({"width_mm":20}));
+    rig.post("/command", &json!({"command":"grip","width_mm":20,"speed_mm_per_s":200,"force_n":30}));
+    for page in &mut pages {
+        let held = page.until(|_, data| data["state"]["gripper_state"] == "HOLDING");
+        assert_eq!(
+            (&held["state"]["force_n"], &held["state"]["fieldbus"]["input"][0]),
+            (&json!(30.0), &json!(1 << 4))
+        );
+        assert_eq!(held["state"]["part_is_between"], true);
+    }
+    rig.post("/part", &Value::Null);
+    rig.post("/command", &json!({"command":"fast_stop"}));
+    for page in &mut pages {
+        page.until(|_, data| data["state"]["gripping_statistics"]["part_lost"] == 1);
+        page.until(|_, data| data["state"]["system_state"].to_string().contains("FAST_STOP"));
+    }
+    let (status, refused) = rig.request("POST", "/command", r#"{"command":"release","width_mm":50}"#);
+    assert!(status == 409 && refused["error"].as_str().unwrap().contains("E_ACCESS_DENIED"), "{refused}");
+    rig.post("/command", &json!({"command":"acknowledge"}));
+    assert_eq!(rig.state()["gripper_state"], "IDLE");
+}
+
+#[test]
+fn page_shows_decoded_frames_of_clients_without_a_log_file() {
+    let mut rig = Rig::new(Config::default());
+    let mut page = Watching::new(&rig);
+    page.until(|kind, _| kind == "state");
+    assert_eq!(rig.ask(Command::GetForceLimit), Status::Success);
+    let shown = |text: &str| {
+        let text = text.to_owned();
+        move |kind: &str, data: &Value| kind == "log" && data["lines"].to_string().contains(&text)
+    };
+    let lines = page.until(shown("33h Get Force Limit E_SUCCESS 40.0"));
+    assert_eq!(lines["lost"], 0);
+}
+
+#[test]
+fn pages_are_bounded_in_number_and_requests_are_answered_beside_all_of_them() {
+    let rig = Rig::new(Config::default());
+    let mut pages: Vec<Watching> = (0..64).map(|_| Watching::new(&rig)).collect();
+    let (status, answer) = rig.request("GET", "/events", "");
+    assert!(status == 503 && answer["error"].as_str().unwrap().contains("64 pages"), "{answer}");
+    // More requests than are served at a time, none of which a page has to make room for.
+    for _ in 0..100 {
+        rig.state();
+    }
+    for page in &mut pages {
+        page.until(|kind, _| kind == "state");
+    }
+    // Longer than a request may take.
+    let start = Instant::now();
+    let page = &mut pages[0];
+    while start.elapsed() < Duration::from_secs(6) {
+        page.until(|kind, _| kind == "state");
+    }
+    drop(pages);
+    let start = Instant::now();
+    // The place of a page that is gone is given again once the system says so.
+    while rig.request_status("/events") != 200 {
+        assert!(start.elapsed() < BOUND);
+    }
 }
 
 #[test]

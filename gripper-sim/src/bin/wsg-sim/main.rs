@@ -117,6 +117,7 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
     }
     if let Some(address) = server.control_address() {
         writeln!(out, "control {address}")?;
+        writeln!(out, "page http://{address}/")?;
     }
     out.flush()
 }

@@ -113,7 +113,7 @@ fn state(hub: &Hub) -> State {
 }
 
 fn command(hub: &Hub, command: &Command<'_>) -> Status {
-    hub.act(|gripper, now| gripper.command_for_script(command, now))
+    hub.act(|gripper, now| gripper.command(command, now))
 }
 
 /// Makes a function that raises what another one returns, as scripts know errors: a text, with the place in the script.

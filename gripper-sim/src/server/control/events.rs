@@ -1,0 +1,170 @@
+//! Streams of events for pages that watch (server-sent events): bounded in number, and in what waits for each.
+
+use hyper::body::{Body, Bytes, Frame};
+use std::cell::{Cell, RefCell};
+use std::convert::Infallible;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::task::{Context, Poll};
+use tokio::sync::Notify;
+use tokio::sync::mpsc::{Receiver, Sender, channel, error::TrySendError};
+use tokio::time::{Duration, Instant};
+
+/// How many streams there are at a time.
+pub(super) const MAX_STREAMS: usize = 64;
+/// Events that wait for one reader. What it has no room for is lost to it; the next state says all that it missed.
+const MAX_WAITING: usize = 16;
+/// How long a reader may take nothing before its stream ends: something is sent far more often.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Those who watch.
+#[derive(Debug, Default)]
+pub(super) struct Watchers {
+    open: RefCell<Vec<Sender<Bytes>>>,
+    came: Notify,
+}
+
+impl Watchers {
+    /// A stream that begins with `first`; `None` when there are too many.
+    pub(super) fn open(&self, first: Bytes, link: Rc<Link>) -> Option<Events> {
+        let mut open = self.open.borrow_mut();
+        open.retain(|watcher| !watcher.is_closed());
+        if open.len() >= MAX_STREAMS {
+            return None;
+        }
+        let (sender, waiting) = channel(MAX_WAITING);
+        // It is empty.
+        let _ = sender.try_send(first);
+        open.push(sender);
+        self.came.notify_one();
+        link.stream();
+        Some(Events { waiting, link })
+    }
+
+    /// Ready when somebody watches.
+    pub(super) async fn come(&self) {
+        while self.are_none() {
+            self.came.notified().await;
+        }
+    }
+
+    pub(super) fn are_none(&self) -> bool {
+        self.open.borrow().iter().all(Sender::is_closed)
+    }
+
+    /// Gives everybody an event who has room for it.
+    pub(super) fn send(&self, event: &Bytes) {
+        let took = |watcher: &Sender<Bytes>| watcher.try_send(event.clone());
+        self.open.borrow_mut().retain(|watcher| !matches!(took(watcher), Err(TrySendError::Closed(_))));
+    }
+}
+
+/// An event of this kind, as it goes over the line; `json` has no line breaks.
+pub(super) fn event(kind: &str, json: &str) -> Bytes {
+    Bytes::from(format!("event: {kind}\ndata: {json}\n\n"))
+}
+
+/// What a connection and the stream in its answer have in common.
+#[derive(Debug)]
+pub(super) struct Link {
+    streams: Cell<bool>,
+    taken_at: Cell<Instant>,
+}
+
+impl Link {
+    pub(super) fn new() -> Rc<Self> {
+        Rc::new(Self { streams: Cell::new(false), taken_at: Cell::new(Instant::now()) })
+    }
+
+    fn stream(&self) {
+        self.streams.set(true);
+        self.taken_at.set(Instant::now());
+    }
+
+    /// Whether its answer is a stream, which has no end.
+    pub(super) fn streams(&self) -> bool {
+        self.streams.get()
+    }
+
+    /// Ready when the reader has taken nothing for too long.
+    pub(super) async fn is_given_up(&self) {
+        while self.taken_at.get().elapsed() < PATIENCE {
+            tokio::time::sleep_until(self.taken_at.get() + PATIENCE).await;
+        }
+    }
+}
+
+/// The body of an answer that goes on for ever.
+#[derive(Debug)]
+pub(super) struct Events {
+    waiting: Receiver<Bytes>,
+    link: Rc<Link>,
+}
+
+impl Body for Events {
+    type Data = Bytes;
+    type Error = Infallible;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+        self.link.taken_at.set(Instant::now());
+        self.waiting.poll_recv(context).map(|event| event.map(|bytes| Ok(Frame::data(bytes))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::future::poll_fn;
+
+    async fn next(events: &mut Events) -> Option<Bytes> {
+        let frame = poll_fn(|context| Pin::new(&mut *events).poll_frame(context)).await?;
+        frame.ok()?.into_data().ok()
+    }
+
+    #[tokio::test]
+    async fn streams_are_bounded_in_number_and_one_that_ends_makes_room() {
+        let watchers = Watchers::default();
+        let open = || watchers.open(event("hello", "{}"), Link::new());
+        let mut all: Vec<Events> = (0..MAX_STREAMS).map(|_| open().unwrap()).collect();
+        assert!(open().is_none());
+        all.pop();
+        assert!(open().is_some());
+    }
+
+    #[tokio::test]
+    async fn reader_that_takes_nothing_loses_events_and_others_do_not() {
+        let watchers = Watchers::default();
+        let open = || watchers.open(event("hello", "{}"), Link::new()).unwrap();
+        let (mut slow, mut quick) = (open(), open());
+        for number in 0..100 {
+            assert!(next(&mut quick).await.is_some());
+            watchers.send(&event("state", &number.to_string()));
+        }
+        let mut waiting = 0;
+        while let Ok(event) = slow.waiting.try_recv() {
+            assert!(waiting > 0 || event.starts_with(b"event: hello\n"));
+            waiting += 1;
+        }
+        assert_eq!(waiting, MAX_WAITING);
+        watchers.send(&event("state", "100"));
+        assert_eq!(next(&mut slow).await.unwrap(), "event: state\ndata: 100\n\n");
+        drop((slow, quick));
+        assert!(watchers.are_none());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn reader_that_takes_nothing_for_ten_seconds_is_given_up() {
+        let link = Link::new();
+        let watchers = Watchers::default();
+        let mut events = watchers.open(event("hello", "{}"), Rc::clone(&link)).unwrap();
+        assert!(link.streams());
+        let start = Instant::now();
+        tokio::time::advance(Duration::from_secs(9)).await;
+        next(&mut events).await.unwrap();
+        link.is_given_up().await;
+        assert!(start.elapsed() >= Duration::from_secs(19), "{:?}", start.elapsed());
+    }
+}
