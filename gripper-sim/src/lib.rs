@@ -61,3 +61,8 @@ pub use port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
 pub use script::{MAX_REQUEST_LEN, SCRIPT_IDS, ScriptRequest, ScriptState};
 pub use time::Time;
 pub use wsg_protocol::fieldbus::SilenceReaction;
+
+/// The example in the document compiles and runs.
+#[cfg(all(doctest, feature = "std"))]
+#[doc = include_str!("../../docs/simulator.md")]
+struct Document;
