@@ -6,7 +6,7 @@ use host_tests::wires::Wires;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus};
-use wsg_protocol::{CommandId, DeviceTag, FrameEncoder, Kind, Reply, Status, SystemFlags, Value};
+use wsg_protocol::{Command, CommandId, DeviceTag, FrameEncoder, Kind, Reply, Status, SystemFlags, Value};
 use wsg_sim::{Config, Fault, Part, Time};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
@@ -29,6 +29,65 @@ fn grip_cycle_shows_what_the_gripper_does() {
     assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     assert_eq!(bench.command(Inputs::RELEASE), IDLE);
     assert_eq!(bench.take_motions(), [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart]);
+}
+
+/// Raises a command wire; what leaves until the frame of this motion is complete, and after how many turns.
+fn raise(bench: &mut Bench, wire: Inputs, motion: CommandId) -> (u32, Vec<CommandId>) {
+    bench.take_sent();
+    bench.set(wire, true);
+    let mut sent = vec![];
+    for turn in 1..100 {
+        bench.step();
+        sent.extend(bench.take_sent());
+        if sent.contains(&motion) {
+            return (turn, sent);
+        }
+    }
+    panic!("{motion} does not leave: {sent:?}");
+}
+
+/// Waits for the end of a motion, with its wire back.
+fn finish(bench: &mut Bench, wire: Inputs) {
+    bench.set(wire, false);
+    assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::BUSY)));
+    assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::READY)));
+}
+
+#[test]
+fn grip_leaves_at_once_whenever_its_force_limit_is_known() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.command(Inputs::GRIP);
+    for pause_ms in 0..300 {
+        let (release_turns, _) = raise(&mut bench, Inputs::RELEASE, CommandId::ReleasePart);
+        finish(&mut bench, Inputs::RELEASE);
+        bench.pass(pause_ms);
+        let (turns, sent) = raise(&mut bench, Inputs::GRIP, CommandId::GripPart);
+        assert!(!sent.contains(&CommandId::SetForceLimit), "after {pause_ms} ms: {sent:?}");
+        // The frame is as long as that of RELEASE. One of the session's own may be on the line.
+        assert!(turns <= release_turns, "after {pause_ms} ms: {turns} turns instead of {release_turns}");
+        finish(&mut bench, Inputs::GRIP);
+    }
+}
+
+#[test]
+fn force_limit_that_somebody_else_changed_is_set_again() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.command(Inputs::GRIP);
+    bench.command(Inputs::RELEASE);
+    let force = bench.gripper().state().force_limit;
+    let other = Command::SetForceLimit { force: force + 1.0 };
+    let mut bytes = FrameEncoder::new(other.id().code(), other).collect::<Vec<u8>>();
+    // Between two frames of the bridge's own.
+    bench.far.to_gripper = Some(Box::new(move |line| {
+        if line.is_empty() {
+            line.append(&mut bytes);
+        }
+    }));
+    bench.pass(150);
+    assert_eq!(bench.gripper().state().force_limit, force + 1.0);
+    let (_, sent) = raise(&mut bench, Inputs::GRIP, CommandId::GripPart);
+    assert!(sent.contains(&CommandId::SetForceLimit), "{sent:?}");
+    assert_eq!(bench.gripper().state().force_limit, force);
 }
 
 #[test]

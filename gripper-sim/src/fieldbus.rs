@@ -174,6 +174,8 @@ fn known(device: &Device) -> Known {
         width: Some(device.reported_width()),
         speed: Some(device.speed() as f32),
         force: Some(device.reported_force()),
+        // So it is set ahead of each motion that has one.
+        force_limit: None,
     }
 }
 

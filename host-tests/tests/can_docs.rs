@@ -165,6 +165,8 @@ fn load() -> Vec<(String, usize, bool, bool)> {
     let refresh = usize::try_from(wsg_protocol::session::Config::DEFAULT.refresh_ms).unwrap();
     let asked = AutoUpdate::on_change(AutoUpdate::MIN_PERIOD_MS);
     let subscription = message_bits(0x40, Command::GetSystemState { update: asked });
+    let limit = message_bits(0x33, Command::GetForceLimit)
+        + message_bits(0x33, Reply::success(Value::GetForceLimit(0.0)));
     let grip = Command::GripPart { width: 0.0, speed: 0.0 };
     let motion = message_bits(0x32, Command::SetForceLimit { force: 0.0 })
         + message_bits(0x32, Reply::status_only(CommandId::SetForceLimit, Status::Success))
@@ -181,6 +183,7 @@ fn load() -> Vec<(String, usize, bool, bool)> {
             true,
             true,
         ),
+        ("gripper: the force limit asked for again".into(), limit * per_second(refresh / 2), true, true),
         ("gripper: a Grip Part a second, force limit before it".into(), motion, true, false),
         (format!("PLC: TPDO1, every {} ms", NODE.inhibit[0] / 10), pdo(0, 8), false, false),
         (format!("PLC: TPDO2, every {} ms", NODE.inhibit[1] / 10), pdo(1, 4), false, false),

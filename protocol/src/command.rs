@@ -58,6 +58,8 @@ macro_rules! define_commands {
             }
 
             /// The command with this id byte.
+            // Asked in several places: once in the image.
+            #[inline(never)]
             #[must_use]
             pub const fn from_code(code: u8) -> Self {
                 match code {
@@ -103,6 +105,8 @@ macro_rules! define_commands {
             }
 
             /// The status codes that the manual lists for its second answer; none when there is no second one.
+            // Asked in several places: once in the image.
+            #[inline(never)]
             #[must_use]
             pub const fn completion_statuses(self) -> &'static [Status] {
                 match self {

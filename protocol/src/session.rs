@@ -23,6 +23,8 @@
 //!   one. Nothing else is sent meanwhile. The session never acknowledges it.
 //! - **Acknowledge**: overtakes what waits, like Stop: no motion that was requested before it is sent after it.
 //! - **Settings** are read back when [`Config::verify_settings`] is set: what is not what was set is [`MISMATCH`].
+//!   A force limit that was read back is asked for again and again, until anything may have changed it
+//!   ([`Known::force_limit`]).
 //! - **Updates**: what is subscribed to by [`Config`] or [`Session::subscribe`] is subscribed to again after a reconnect.
 //! - **Silence**: the connection is given up, all knowledge of the gripper with it, and what was waiting to be sent is
 //!   withdrawn: nothing that was asked for before a reconnect leaves after it.

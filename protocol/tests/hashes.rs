@@ -84,6 +84,7 @@ fn known_values_differ_by_each() {
         Known { width: Some(1.0), ..nothing },
         Known { speed: Some(1.0), ..nothing },
         Known { force: Some(1.0), ..nothing },
+        Known { force_limit: Some(1.0), ..nothing },
     ]));
 }
 

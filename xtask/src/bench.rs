@@ -35,6 +35,10 @@ const REQUESTS: [(&str, &str, f64); 2] = [
 /// wire.
 const EDGES: &str = "Os/edge-to-first-byte/";
 const EDGE_LIMIT_US: f64 = 50.0;
+/// The same for a GRIP whose force limit is known, and the bytes of its frame; with their time on the line.
+const GRIP: &str = "Os/edge-to-last-byte/grip";
+const GRIP_LIMIT_US: f64 = 1_600.0;
+const BYTE_US: f64 = 10.0 / 0.1152;
 const CORE_MHZ: f64 = 80.0;
 /// The emulator counts instructions, not cycles. Assumed, not measured: two cycles for each, since a turn of the main loop
 /// is longer than the flash cache, and a line that it lacks costs four wait states. Entry into and return from three
@@ -131,24 +135,26 @@ fn qemu(elf: &std::path::Path) -> Command {
 }
 
 fn gates(counts: &Counts) -> Result<Vec<Gate>> {
-    let each = |name: &str| {
-        let count = counts.get(name).with_context(|| format!("the bench has not counted {name}"))?;
-        Ok::<_, anyhow::Error>(count.instructions as f64 / count.of as f64)
+    let of = |name: &str| {
+        let found = counts.iter().filter(|(counted, _)| counted.starts_with(name)).map(|(_, count)| *count);
+        found
+            .max_by_key(|count| count.instructions)
+            .with_context(|| format!("the bench has not counted {name}"))
     };
-    let worst = |of: &str| {
-        let each = counts.iter().filter(|(name, _)| name.starts_with(of));
-        let each = each.map(|(_, count)| count.instructions as f64 / count.of as f64);
-        each.reduce(f64::max).with_context(|| format!("the bench has not counted {of}"))
-    };
-    let edge_cycles = worst(EDGES)? * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES;
+    let us =
+        |count: Count| (count.instructions as f64 * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES) / CORE_MHZ;
     let mut gates = Vec::new();
     for (unit, figures) in [(Unit::InstructionsPerByte, PER_BYTE), (Unit::Instructions, REQUESTS)] {
-        for (what, count, limit) in figures {
-            gates.push(Gate::new(what, each(count)?, limit, unit));
+        for (what, name, limit) in figures {
+            let count = of(name)?;
+            gates.push(Gate::new(what, count.instructions as f64 / count.of as f64, limit, unit));
         }
     }
-    let edge_us = edge_cycles / CORE_MHZ;
+    let grip = "PLC edge to the last byte of GRIP at 115 200 bit/s, debounced, force limit known";
+    let grip_us = us(of(GRIP)?) + of(GRIP)?.of as f64 * BYTE_US;
+    let edge_us = us(of(EDGES)?);
     gates.push(Gate::new("PLC edge to first byte, debounced", edge_us, EDGE_LIMIT_US, Unit::Microseconds));
+    gates.push(Gate::new(grip, grip_us, GRIP_LIMIT_US, Unit::Microseconds));
     Ok(gates)
 }
 
@@ -271,7 +277,8 @@ mod tests {
     fn a_slow_byte_path_a_slow_request_and_a_slow_edge_are_past_their_limits() {
         let counts = parse(
             "O3/byte-path/64 100 72\nOs/byte-path/64 2305 72\nO3/bulk-path/64 700 72\n\
-             O3/modbus-8-registers 601 1\nOs/profibus-data-exchange 4001 1\nOs/edge-to-first-byte/move 4000 1",
+             O3/modbus-8-registers 601 1\nOs/profibus-data-exchange 4001 1\nOs/edge-to-first-byte/move 4000 1\n\
+             Os/edge-to-last-byte/grip 4000 18",
         );
         let gates = gates(&counts.unwrap()).unwrap();
 
@@ -279,7 +286,8 @@ mod tests {
         assert_eq!(
             failed,
             "past the limit: instructions per byte, byte by byte at 64 B of payload, as flashed, instructions of a MODBUS \
-             request for 8 registers, instructions of PROFIBUS Data_Exchange to answer, as flashed, PLC edge to first byte, debounced"
+             request for 8 registers, instructions of PROFIBUS Data_Exchange to answer, as flashed, PLC edge to first byte, \
+             debounced, PLC edge to the last byte of GRIP at 115 200 bit/s, debounced, force limit known"
         );
     }
 }

@@ -41,7 +41,8 @@ const INCIDENTS_LEN: usize = 4;
 ///   E_SUCCESS, and by system flags that show it behind that. A gripper whose flags do not show it is sent another one.
 /// - STOP/ACK withdraws every motion that was asked for before it.
 /// - A Stop that is not answered in time, while the fingers are not known to stand, becomes a FAST STOP.
-/// - GRIP leaves only behind the answer to its own force limit. Let the session read settings back
+/// - GRIP leaves only behind the answer to its own force limit, or at once while the gripper is known to have that limit
+///   ([`Known::force_limit`]). Let the session read settings back
 ///   ([`Config::verify_settings`](crate::session::Config::verify_settings)).
 /// - MOVE begins only when GSTATE is IDLE (fieldbus, 6.1). While a part is held, or behind one that was not found or got lost,
 ///   RELEASE is the way to open; behind an error STOP/ACK comes first.
@@ -614,11 +615,12 @@ impl Controller {
             _ => Command::Homing { direction: HomingDirection::Default },
         };
         let force = (flag == CommandFlags::GRIP).then(|| image.force_limit_n(force_unit(known)));
-        self.begin_motion(command, force);
+        self.begin_motion(command, force, known);
     }
 
-    /// Sends a motion, its force limit first if it has one.
-    fn begin_motion(&mut self, command: Command<'static>, force: Option<f32>) {
+    /// Sends a motion, its force limit first if it has one that the gripper is not known to have. What waits may change it.
+    fn begin_motion(&mut self, command: Command<'static>, force: Option<f32>, known: &Known) {
+        let force = force.filter(|_| known.force_limit != force || !self.outgoing.is_empty());
         if force.is_some() {
             self.force_limits_open = self.force_limits_open.saturating_add(1);
         }

@@ -166,6 +166,7 @@ impl Dialect for Binary {
     type Subscriptions = Subscriptions<Update, { Topic::ALL.len() }>;
 
     const NOTHING: Known = Known::NOTHING;
+    const UPKEEP: Option<CommandId> = Some(CommandId::GetForceLimit);
 
     /// The two states, what device, what limits, then the other subscriptions.
     fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Command<'static>> {
@@ -232,10 +233,34 @@ impl Dialect for Binary {
     fn read_back_answer<'a>(
         setting: &Command<'static>,
         read: &Self::Answer<'a>,
-        known: &Known,
+        known: &mut Known,
     ) -> Self::Answer<'a> {
-        let agrees = read.value().is_some_and(|value| read_back::agrees(setting, &value, known));
-        Reply::status_only(setting.id(), if agrees { Status::Success } else { MISMATCH })
+        let value = read.value().filter(|value| read_back::agrees(setting, value, known));
+        if let Some(Value::GetForceLimit(read)) = value {
+            known.confirm_force_limit(read);
+        }
+        Reply::status_only(setting.id(), if value.is_some() { Status::Success } else { MISMATCH })
+    }
+
+    fn upkeep(known: &Known) -> Option<Command<'static>> {
+        known.force_limit.map(|_| Command::GetForceLimit)
+    }
+
+    fn is_upkeep(request: &Command<'static>) -> bool {
+        matches!(request, Command::GetForceLimit)
+    }
+
+    /// A motion is the one request that does not wait for the answer to another one: not even a query may lie between what
+    /// is known and the motion that relies on it. An unknown command may be a script's.
+    fn leaves_settings(id: CommandId) -> bool {
+        matches!(
+            id,
+            CommandId::Homing | CommandId::PrePosition | CommandId::GripPart | CommandId::ReleasePart
+        )
+    }
+
+    fn forget_settings(known: &mut Known) {
+        known.force_limit = None;
     }
 }
 

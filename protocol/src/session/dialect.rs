@@ -24,6 +24,9 @@ pub trait Dialect: Copy + Debug {
     /// What is known of a gripper that has said nothing.
     const NOTHING: Self::Known;
 
+    /// The command of each [`upkeep`](Self::upkeep).
+    const UPKEEP: Option<NameOf<Self>> = None;
+
     /// Returns the request of a step of connecting, in order; `None` after the last one.
     fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Self::Request>;
 
@@ -66,14 +69,32 @@ pub trait Dialect: Copy + Debug {
         None
     }
 
-    /// Returns the answer to a setting that was read back.
+    /// Returns the answer to a setting that was read back, and keeps the setting if it is one that is kept.
     fn read_back_answer<'a>(
         _setting: &Self::Request,
         read: &Self::Answer<'a>,
-        _known: &Self::Known,
+        _known: &mut Self::Known,
     ) -> Self::Answer<'a> {
         *read
     }
+
+    /// Returns the query that shows whether a setting that is known still holds, if one is known.
+    fn upkeep(_known: &Self::Known) -> Option<Self::Request> {
+        None
+    }
+
+    /// Whether this is an [`upkeep`](Self::upkeep).
+    fn is_upkeep(_request: &Self::Request) -> bool {
+        false
+    }
+
+    /// Whether a request of this name leaves all settings as they are, and nothing that comes behind it waits.
+    fn leaves_settings(_name: NameOf<Self>) -> bool {
+        true
+    }
+
+    /// Forgets the settings that are known.
+    fn forget_settings(_known: &mut Self::Known) {}
 }
 
 /// The names of a dialect's commands.

@@ -83,6 +83,12 @@ pub struct Engine<D: Dialect> {
     refresh_step: u8,
     subscriptions: D::Subscriptions,
     known: D::Known,
+    /// When the query was opened that showed the settings that are known.
+    confirmed: Instant,
+    /// When the query was opened that is to show that they still hold.
+    upkeep_opened: Instant,
+    /// When that query is due, or answered in vain; none while no setting is known.
+    upkeep_at: Option<Instant>,
     counters: SessionCounters,
 }
 
@@ -127,6 +133,9 @@ impl<D: Dialect> Engine<D> {
             refresh_step: 0,
             subscriptions,
             known: D::NOTHING,
+            confirmed: Instant::from_millis(0),
+            upkeep_opened: Instant::from_millis(0),
+            upkeep_at: None,
             counters: SessionCounters { unsolicited: 0, refused: 0, repeated: 0, disconnects: 0 },
         }
     }
@@ -170,6 +179,9 @@ impl<D: Dialect> Engine<D> {
     /// Takes a request that was checked. Its outcome comes as an [`EventOf`].
     pub(crate) fn enqueue(&mut self, request: Request<D::Request>) -> Result<(), RequestError<D::Invalid>> {
         let name = request.name();
+        if !D::leaves_settings(name) {
+            D::forget_settings(&mut self.known);
+        }
         if name == D::Request::FAST_STOP.name() {
             // Owed until the gripper confirms it, connected or not.
             let stop_failed = self.stop.was_late();
@@ -279,7 +291,13 @@ impl<D: Dialect> Engine<D> {
             Routed::Pending(name) => Some(EventOf::Pending(name)),
             Routed::Answered => Some(EventOf::Answered(*answer)),
             Routed::ReadBack(setting) => {
-                Some(EventOf::Answered(D::read_back_answer(&setting, answer, &self.known)))
+                let outcome = D::read_back_answer(&setting, answer, &mut self.known);
+                // What waits may change it; and one of two answers may be from before the setting.
+                if self.is_urgent() || !self.queue.is_empty() || self.doubled.is_some() {
+                    D::forget_settings(&mut self.known);
+                }
+                self.confirm(self.confirmed);
+                Some(EventOf::Answered(outcome))
             }
             Routed::Reported => D::value(answer).map(|value| EventOf::Reported(*value)),
         }
@@ -345,7 +363,9 @@ impl<D: Dialect> Engine<D> {
         let link = match self.link {
             // A FAST STOP that is owed comes first; its own time-out runs then.
             Link::Down { retry_at } if !self.is_urgent() => retry_at,
-            Link::Up if self.refresh.is_idle() => Some(self.refresh_at),
+            Link::Up if self.refresh.is_idle() => {
+                Some(self.upkeep_at.map_or(self.refresh_at, |at| at.earlier_of(self.refresh_at)))
+            }
             _ => None,
         };
         let running = self.running.iter().flatten().map(|running| self.result_deadline(running));
@@ -425,6 +445,15 @@ impl<D: Dialect> Engine<D> {
             }
             return Some(Routed::Answered);
         }
+        if D::UPKEEP == Some(name) && self.upkeep_is_sent() {
+            // Ahead of a setting's read-back: the first answer may be from before the setting.
+            self.refresh.close();
+            self.confirm(self.upkeep_opened);
+            if status != Status::Success {
+                D::forget_settings(&mut self.known);
+            }
+            return Some(Routed::Taken);
+        }
         if self.request.awaits_answer(name) && self.request.own().is_none_or(|own| D::fits(own, answer)) {
             return Some(self.route_first_answer(now, name, status));
         }
@@ -444,7 +473,7 @@ impl<D: Dialect> Engine<D> {
             return Routed::Unsolicited;
         }
         if status != Status::CmdPending {
-            return self.finish_request(name, status);
+            return self.finish_request(now, name, status);
         }
         if !D::is_asynchronous(name) {
             return Routed::Unsolicited;
@@ -459,7 +488,7 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// The request is answered; a setting may have to be read back first.
-    fn finish_request(&mut self, name: NameOf<D>, status: Status) -> Routed<D::Request> {
+    fn finish_request(&mut self, now: Instant, name: NameOf<D>, status: Status) -> Routed<D::Request> {
         let request = self.request.own().copied();
         self.doubled = self.request.doubled().or(self.doubled);
         self.request.close();
@@ -471,6 +500,7 @@ impl<D: Dialect> Engine<D> {
             && let Some(query) = self.dialect.read_back(&setting)
         {
             self.reading_back = Some(setting);
+            self.confirmed = now;
             self.request.open(Request::Own(query));
             return Routed::Taken;
         }
@@ -523,6 +553,9 @@ impl<D: Dialect> Engine<D> {
             if self.link == Link::Up && self.fast_stop_deadline().is_some_and(|at| now.has_reached(at)) {
                 self.link = Link::Closing { farewell: false };
             }
+        }
+        if self.upkeep_at.is_some_and(|at| now.has_reached(at)) {
+            self.keep_up(now);
         }
         let attempts = if self.is_connected() { self.timing.attempts } else { 1 };
         if !self.is_connected() && self.stop.is_overdue(now) {
@@ -674,6 +707,40 @@ impl<D: Dialect> Engine<D> {
                 self.refresh_step = if goes_on { next } else { 0 };
             }
             Link::Up | Link::Closing { .. } | Link::Ended => {}
+        }
+    }
+
+    /// Whether the refresh is an upkeep, and awaits its answer: it is sent once.
+    fn upkeep_is_sent(&self) -> bool {
+        self.refresh.deadline().is_some() && self.refresh.own().is_some_and(D::is_upkeep)
+    }
+
+    /// The settings that are known were shown by a query of that time. They are asked for again when half of the time is over for
+    /// which they count.
+    fn confirm(&mut self, opened: Instant) {
+        self.confirmed = opened;
+        self.upkeep_at = Some(opened.plus(self.timing.refresh_ms / 2));
+    }
+
+    /// Asks for the settings that are known, and forgets them when they were not confirmed in time.
+    // Seldom due.
+    #[inline(never)]
+    fn keep_up(&mut self, now: Instant) {
+        let is_late = self.upkeep_is_sent() && self.refresh.is_overdue(now);
+        if is_late {
+            // Not sent again: of two answers the later one could pass for that to a read-back.
+            self.refresh.close();
+        }
+        if is_late || now.has_reached(self.confirmed.plus(self.timing.refresh_ms)) {
+            D::forget_settings(&mut self.known);
+        }
+        match D::upkeep(&self.known) {
+            Some(query) if self.refresh.is_idle() => {
+                self.upkeep_opened = now;
+                self.refresh.open(Request::Own(query));
+            }
+            None if !self.refresh.own().is_some_and(D::is_upkeep) => self.upkeep_at = None,
+            _ => {}
         }
     }
 

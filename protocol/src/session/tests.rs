@@ -1,5 +1,7 @@
 //! The session in virtual time, against a gripper whose answers each test writes down.
 
+mod force_limit;
+
 use super::*;
 use crate::types::{
     DeviceType, FirmwareVersion, GripperState, HomingDirection, SystemFlags, SystemInfo, SystemLimits,
@@ -1130,6 +1132,7 @@ fn everything_that_the_gripper_tells_of_itself_is_known() {
         width: Some(12.5),
         speed: Some(-40.5),
         force: Some(3.5),
+        force_limit: None,
     };
     assert_eq!(rig.session.known(), &known);
 }

@@ -268,6 +268,7 @@ pub(super) fn known(lines: &lines::Known) -> Known {
         width: lines.width,
         speed: lines.speed,
         force: lines.force,
+        force_limit: None,
     }
 }
 

@@ -47,7 +47,7 @@ impl Controller {
         } else if self.state(known) == GripperFlags::HOLDING {
             self.show(Status::AccessDenied, Cause::PartHeld);
         } else if let Some((command, force)) = jog_command(drive, known) {
-            self.begin_motion(command, Some(force));
+            self.begin_motion(command, Some(force), known);
             self.jog.stage = Stage::Runs(drive);
             return;
         } else {

@@ -66,6 +66,7 @@ impl Plc {
             width: Some(50.0),
             speed: Some(0.0),
             force: Some(0.0),
+            force_limit: None,
         };
         self.controller.handle(&Event::Connected, &self.known);
     }
@@ -942,6 +943,48 @@ fn grip_leaves_only_behind_the_answer_to_its_own_force_limit() {
             assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
         }
     }
+}
+
+#[test]
+fn grip_leaves_at_once_while_the_gripper_is_known_to_have_its_force_limit() {
+    let mut plc = Plc::ready();
+    plc.known.force_limit = Some(40.0);
+    assert_eq!(plc.raise(CommandFlags::GRIP), [GRIP]);
+    assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
+    plc.begins(CommandId::GripPart);
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), [], "of somebody else");
+    assert_eq!(plc.answer(CommandId::GripPart, Status::Success), []);
+    assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Success));
+
+    for other in [None, Some(39.99), Some(40.01)] {
+        let mut plc = Plc::ready();
+        plc.known.force_limit = other;
+        assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE], "{other:?}");
+    }
+}
+
+#[test]
+fn jog_begins_at_once_while_the_gripper_is_known_to_have_its_force_limit() {
+    let mut plc = Plc::ready();
+    plc.known.force_limit = Some(40.0);
+    let jog = Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width: 110.0, speed: 50.0 };
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [jog]);
+    plc.begins(CommandId::PrePosition);
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
+    assert_eq!(plc.answer(CommandId::PrePosition, Status::CmdAborted), []);
+    assert_eq!(plc.answer(CommandId::Stop, Status::Success), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+}
+
+#[test]
+fn force_limit_is_set_anew_behind_a_command_that_has_not_left() {
+    let mut plc = Plc::ready();
+    plc.known.force_limit = Some(40.0);
+    plc.image.flags = CommandFlags::STOP_ACK;
+    plc.controller.set_output(&plc.image, &plc.known);
+    plc.image.flags = CommandFlags::empty();
+    plc.controller.set_output(&plc.image, &plc.known);
+    assert_eq!(plc.raise(CommandFlags::GRIP), [Command::Stop, FORCE]);
 }
 
 #[test]

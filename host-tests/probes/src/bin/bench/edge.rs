@@ -1,4 +1,5 @@
-//! From an edge of the PLC to the first byte on the gripper's line, on the board's own drivers.
+//! From an edge of the PLC to the first byte on the gripper's line, on the board's own drivers; for a GRIP whose force limit is
+//! known, with the bytes of its frame, which is the first that leaves.
 
 use core::cell::Cell;
 
@@ -13,7 +14,7 @@ use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_protocol::CommandId;
 use wsg_protocol::frame::PREAMBLE_LEN;
-use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
+use wsg_sim::{MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
 use crate::counting::{self, Counter, Moment};
 
@@ -65,19 +66,33 @@ impl Write for Line {
     }
 }
 
-/// When the PLC's wire changes.
-const EDGE_MS: u32 = 700;
+/// What a PLC does before the edge: when it raises a wire, for 100 ms.
+type Script = [(u32, Inputs)];
 
-/// Each wire that gives a command, and the command that its edge lets out first.
-const EDGES: [(&str, Inputs, CommandId); 6] = [
-    ("edge-to-first-byte/home", Inputs::HOME, CommandId::Homing),
-    ("edge-to-first-byte/move", Inputs::MOVE, CommandId::PrePosition),
+/// When the PLC's wire changes: so long after the last one of the script.
+const REST_MS: u32 = 400;
+
+/// FAST STOP is acknowledged.
+const READY: &Script = &[(300, Inputs::STOP_ACK)];
+
+/// The force limit was set by a GRIP, and was read again since.
+const LIMITED: &Script =
+    &[(300, Inputs::STOP_ACK), (500, Inputs::HOME), (700, Inputs::GRIP), (900, Inputs::RELEASE)];
+
+/// Each wire that gives a command, what went before, and the command that its edge lets out first.
+const EDGES: [(&str, Inputs, &Script, CommandId); 7] = [
+    ("edge-to-first-byte/home", Inputs::HOME, READY, CommandId::Homing),
+    ("edge-to-first-byte/move", Inputs::MOVE, READY, CommandId::PrePosition),
     // The force limit goes ahead of the motion.
-    ("edge-to-first-byte/grip", Inputs::GRIP, CommandId::SetForceLimit),
-    ("edge-to-first-byte/release", Inputs::RELEASE, CommandId::ReleasePart),
-    ("edge-to-first-byte/stop", Inputs::STOP_ACK, CommandId::Stop),
-    ("edge-to-first-byte/fast-stop", Inputs::FAST_STOP_OK, CommandId::FastStop),
+    ("edge-to-first-byte/grip", Inputs::GRIP, READY, CommandId::SetForceLimit),
+    ("edge-to-first-byte/release", Inputs::RELEASE, READY, CommandId::ReleasePart),
+    ("edge-to-first-byte/stop", Inputs::STOP_ACK, READY, CommandId::Stop),
+    ("edge-to-first-byte/fast-stop", Inputs::FAST_STOP_OK, READY, CommandId::FastStop),
+    (LAST_BYTE, Inputs::GRIP, LIMITED, CommandId::GripPart),
 ];
+
+/// Counted as the others are; the bytes that leave in that turn stand beside it.
+const LAST_BYTE: &str = "edge-to-last-byte/grip";
 
 /// Counts the turn of the main loop in which an edge counts, from its beginning to the first byte.
 // Apart from the others, whose registers would be its own.
@@ -87,23 +102,35 @@ pub(crate) fn count(counter: &Counter) {
     uart::start();
     let mut line =
         Line { board: uart::line(), sent: Vec::new(), answers: Deque::new(), first_byte: Cell::new(None) };
-    for (name, wire, command) in EDGES {
-        hprintln!("{} {} 1", name, count_one(counter, &mut pins, &mut line, wire, command));
+    for (name, wire, script, command) in EDGES {
+        let (instructions, bytes) = count_one(counter, &mut pins, &mut line, wire, script, command);
+        hprintln!("{} {} {}", name, instructions, if name == LAST_BYTE { bytes } else { 1 });
     }
 }
 
-fn count_one(counter: &Counter, pins: &mut Pins, line: &mut Line, wire: Inputs, command: CommandId) -> u32 {
-    let mut gripper = VirtualGripper::<1>::with_ports(wsg_sim::Config::default());
+/// Instructions to the first byte, and the bytes that leave in that turn: the frame of this command is the first of them.
+fn count_one(
+    counter: &Counter,
+    pins: &mut Pins,
+    line: &mut Line,
+    wire: Inputs,
+    script: &Script,
+    command: CommandId,
+) -> (u32, usize) {
+    let config =
+        wsg_sim::Config { time_scale: 100.0, part: Part::of_width(20.0), ..wsg_sim::Config::default() };
+    let mut gripper = VirtualGripper::<1>::with_ports(config);
     let Some(port) = gripper.connect(PortKind::Serial) else { unreachable!("a new gripper takes a client") };
     let mut bridge = Bridge::new(Config::DEFAULT);
     let mut buffer = [0; MAX_FRAME_LEN];
     line.answers.clear();
+    let edge_ms = script.last().map_or(0, |(raised_ms, _)| raised_ms + REST_MS);
     for ms in 1..2_000 {
-        let levels = match ms {
-            300..400 => Inputs::FAST_STOP_OK | Inputs::STOP_ACK,
-            ..EDGE_MS => Inputs::FAST_STOP_OK,
-            _ => Inputs::FAST_STOP_OK.symmetric_difference(wire),
-        };
+        let pressed = script.iter().filter(|(raised_ms, _)| (*raised_ms..raised_ms + 100).contains(&ms));
+        let mut levels = pressed.fold(Inputs::FAST_STOP_OK, |levels, (_, wire)| levels | *wire);
+        if ms >= edge_ms {
+            levels.toggle(wire);
+        }
         line.first_byte.set(None);
         let begun = counter.now();
         // What reading the pins costs is counted; the levels are the script's.
@@ -111,13 +138,16 @@ fn count_one(counter: &Counter, pins: &mut Pins, line: &mut Line, wire: Inputs, 
         let outputs = bridge.poll(ms, levels | (read & Inputs::empty()), line, &mut NoBus);
         pins.write(outputs);
         if let Some(sent) = line.first_byte.get()
-            && ms >= EDGE_MS
+            && ms >= edge_ms
             && line.sent.get(PREAMBLE_LEN) == Some(&command.code())
         {
+            let bytes = line.sent.len();
             line.sent.clear();
-            return begun.instructions_to(sent);
+            return (begun.instructions_to(sent), bytes);
         }
-        assert!(ms != EDGE_MS - 1 || outputs.contains(Outputs::READY), "READY before the edge");
+        let sets_limit = line.sent.get(PREAMBLE_LEN) == Some(&CommandId::SetForceLimit.code());
+        assert!(!sets_limit || ms < edge_ms || command != CommandId::GripPart, "the limit is known");
+        assert!(ms != edge_ms - 1 || outputs.contains(Outputs::READY), "READY before the edge");
 
         let time = Time::from_millis(ms.into());
         gripper.receive(port, time, &line.sent);

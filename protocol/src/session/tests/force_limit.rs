@@ -1,0 +1,405 @@
+//! The force limit that is known: how it becomes known, how it is kept so, and each way in which it counts no longer.
+
+use super::*;
+
+const FORCE_40: Command<'static> = Command::SetForceLimit { force: 40.0 };
+const REFRESH_MS: u32 = Config::DEFAULT.refresh_ms;
+
+impl Rig {
+    fn limit(&self) -> Option<f32> {
+        self.session.known().force_limit
+    }
+
+    /// The gripper tells its force limit.
+    fn tell(&mut self, force: f32) {
+        self.reply(Reply::success(Value::GetForceLimit(force)));
+    }
+
+    /// Sets the force limit and has it read back.
+    fn set(&mut self, force: f32, read: f32) {
+        self.session.request(Command::SetForceLimit { force }).unwrap();
+        assert_eq!(self.sent(), [Command::SetForceLimit { force }]);
+        self.status(CommandId::SetForceLimit, Status::Success);
+        assert_eq!(self.sent(), [Command::GetForceLimit]);
+        self.tell(read);
+    }
+
+    /// Lets `ms` pass with a gripper that answers everything and has this force limit; how often that was asked for.
+    fn pass_with(&mut self, ms: u32, force: f32) -> usize {
+        let mut asked = 0;
+        for _ in 0..ms {
+            for command in self.pass(1) {
+                match command {
+                    Command::GetForceLimit => {
+                        asked += 1;
+                        self.tell(force);
+                    }
+                    other => self.answer(other.id()),
+                }
+            }
+        }
+        asked
+    }
+
+    /// Lets time pass until the session asks whether the force limit still holds.
+    fn until_asked(&mut self) -> u32 {
+        for ms in 1..REFRESH_MS {
+            for command in self.pass(1) {
+                if command == Command::GetForceLimit {
+                    return ms;
+                }
+                self.answer(command.id());
+            }
+        }
+        panic!("it does not ask");
+    }
+}
+
+/// A gripper that is known to be limited to 40 N.
+fn limited() -> Rig {
+    let mut rig = verifying();
+    rig.set(40.0, 40.0);
+    assert_eq!(rig.limit(), Some(40.0));
+    rig.events.clear();
+    rig
+}
+
+#[test]
+fn force_limit_is_known_as_it_was_read_back() {
+    let mut rig = verifying();
+    assert_eq!(rig.limit(), None);
+    rig.session.request(FORCE_40).unwrap();
+    rig.sent();
+    rig.status(CommandId::SetForceLimit, Status::Success);
+    assert_eq!(rig.limit(), None, "confirmed is not read back");
+    rig.sent();
+    rig.tell(40.0);
+    assert_eq!(rig.limit(), Some(40.0));
+
+    for (set, read, known) in [(100.0, 80.0, Some(80.0)), (40.0, 40.02, Some(40.02)), (40.0, 41.0, None)] {
+        let mut rig = verifying();
+        rig.set(set, read);
+        assert_eq!(rig.limit(), known, "{set} read as {read}");
+    }
+}
+
+#[test]
+fn force_limit_that_was_not_set_or_not_read_back_is_not_known() {
+    let mut rig = verifying();
+    rig.session.request(Command::GetForceLimit).unwrap();
+    rig.sent();
+    rig.tell(40.0);
+    assert_eq!(rig.limit(), None, "asked for");
+    rig.tell(40.0);
+    assert_eq!(rig.limit(), None, "unasked");
+
+    let mut rig = Rig::connected();
+    rig.session.request(FORCE_40).unwrap();
+    rig.sent();
+    rig.status(CommandId::SetForceLimit, Status::Success);
+    assert_eq!(rig.limit(), None, "settings are not read back");
+}
+
+#[test]
+fn force_limit_is_asked_for_again_and_stays_known_beside_motions_and_the_other_values() {
+    let mut rig = limited();
+    rig.session.request(GRIP).unwrap();
+    rig.sent();
+    rig.status(CommandId::GripPart, Status::CmdPending);
+    let mut asked = rig.pass_with(2 * REFRESH_MS, 40.0);
+    rig.status(CommandId::GripPart, Status::Success);
+    asked += rig.pass_with(18 * REFRESH_MS, 40.0);
+    assert!((39..=40).contains(&asked), "{asked}");
+    assert_eq!(rig.limit(), Some(40.0));
+    assert_eq!(rig.session.counters().unsolicited, 0);
+    assert_eq!(rig.noticed("Reported(GetForceLimit"), 0, "nobody subscribed to it");
+    let states = rig.noticed("Reported(GetSystemState") + rig.noticed("Reported(GetGripperState");
+    assert!((19..=20).contains(&states), "{states}");
+}
+
+#[test]
+fn moment_at_which_the_force_limit_is_asked_for_is_told_in_advance() {
+    let mut rig = limited();
+    let mut due = None;
+    let asked = (0..REFRESH_MS).any(|_| {
+        due = rig.session.poll_timeout();
+        rig.pass(1).contains(&Command::GetForceLimit)
+    });
+    assert_eq!((asked, due), (true, Some(rig.now)));
+    rig.tell(40.0);
+    assert!(!rig.session.poll_timeout().is_some_and(|due| rig.now.has_reached(due)));
+}
+
+#[test]
+fn force_limit_that_is_not_asked_for_any_more_wakes_nobody() {
+    let mut rig = limited();
+    rig.session.request(Command::GetTemperature).unwrap();
+    for command in rig.sent() {
+        rig.answer(command.id());
+    }
+    for _ in 0..2 * REFRESH_MS {
+        assert!(!rig.session.poll_timeout().is_some_and(|due| rig.now.has_reached(due)));
+        for command in rig.pass(1) {
+            assert_ne!(command, Command::GetForceLimit);
+            rig.answer(command.id());
+        }
+    }
+}
+
+#[test]
+fn every_request_but_a_motion_ends_it() {
+    let script = Command::Unknown { id: 0xB0, payload: &[] };
+    let tag = Command::SetDeviceTag { tag: crate::DeviceTag::new("x").unwrap() };
+    let once = AutoUpdate::once();
+    for request in [
+        FORCE_40,
+        Command::SetAcceleration { acceleration: 1_000.0 },
+        Command::OverdriveMode { enabled: false },
+        Command::TareForceSensor,
+        tag,
+        script,
+        Command::GetTemperature,
+        Command::GetForceLimit,
+        Command::GetForce { update: once },
+        Command::Stop,
+        Command::FastStop,
+        Command::ACKNOWLEDGE,
+    ] {
+        let mut rig = limited();
+        rig.session.request(request).unwrap();
+        assert_eq!(rig.limit(), None, "{request:?}");
+    }
+    let mut rig = limited();
+    rig.session.request_borrowed(&script).unwrap();
+    assert_eq!(rig.limit(), None, "borrowed");
+
+    let (width, speed) = (20.0, 50.0);
+    let flags = crate::PrePositionFlags::STOP_ON_BLOCK;
+    for motion in
+        [GRIP, HOMING, Command::ReleasePart { width, speed }, Command::PrePosition { flags, width, speed }]
+    {
+        let mut rig = limited();
+        rig.session.request(motion).unwrap();
+        assert_eq!(rig.sent(), [motion]);
+        assert_eq!(rig.limit(), Some(40.0), "{motion:?}");
+    }
+}
+
+#[test]
+fn it_is_not_known_again_while_something_waits_that_may_change_it() {
+    // Another limit, which is sent behind the read-back.
+    let mut rig = verifying();
+    rig.session.request(FORCE_40).unwrap();
+    rig.sent();
+    rig.status(CommandId::SetForceLimit, Status::Success);
+    rig.session.request(Command::SetForceLimit { force: 10.0 }).unwrap();
+    rig.sent();
+    rig.tell(40.0);
+    assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1);
+    assert_eq!(rig.limit(), None);
+
+    // A Stop, which holds what is asked for behind it.
+    let mut rig = verifying();
+    rig.session.request(FORCE_40).unwrap();
+    rig.sent();
+    rig.status(CommandId::SetForceLimit, Status::Success);
+    rig.session.request(Command::Stop).unwrap();
+    rig.sent();
+    rig.tell(40.0);
+    assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1);
+    assert_eq!(rig.limit(), None);
+}
+
+#[test]
+fn it_is_not_known_when_one_of_two_answers_may_be_from_before_it_was_set() {
+    let mut rig = verifying();
+    rig.session.request(FORCE_40).unwrap();
+    rig.sent();
+    rig.status(CommandId::SetForceLimit, Status::Success);
+    let asked = rig.pass(Config::DEFAULT.reply_timeout_ms).into_iter();
+    assert_eq!(asked.filter(|command| *command == Command::GetForceLimit).count(), 2);
+    rig.tell(40.0);
+    assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1);
+    assert_eq!(rig.limit(), None);
+}
+
+#[test]
+fn flag_that_no_motion_changes_ends_it() {
+    let motions = [
+        SystemFlags::MOVING,
+        SystemFlags::BLOCKED_MINUS,
+        SystemFlags::BLOCKED_PLUS,
+        SystemFlags::SOFT_LIMIT_MINUS,
+        SystemFlags::SOFT_LIMIT_PLUS,
+        SystemFlags::AXIS_STOPPED,
+        SystemFlags::TARGET_POS_REACHED,
+    ];
+    for bit in 0..u32::BITS {
+        let flag = SystemFlags::from_bits_retain(1 << bit);
+        let mut rig = limited();
+        let changed = SystemFlags::REFERENCED.symmetric_difference(flag);
+        rig.reply(Reply::success(Value::GetSystemState(changed)));
+        let stays = motions.contains(&flag);
+        assert_eq!(rig.limit().is_some(), stays, "{flag:?}");
+        // Also when it goes.
+        let mut rig = verifying();
+        rig.reply(Reply::success(Value::GetSystemState(changed)));
+        rig.set(40.0, 40.0);
+        rig.reply(Reply::success(Value::GetSystemState(SystemFlags::REFERENCED)));
+        assert_eq!(rig.limit().is_some(), stays, "{flag:?}");
+    }
+}
+
+#[test]
+fn it_is_not_known_while_a_script_runs() {
+    let mut rig = verifying();
+    rig.reply(Reply::success(Value::GetSystemState(SystemFlags::REFERENCED | SystemFlags::SCRIPT_RUNNING)));
+    rig.set(40.0, 40.0);
+    assert_eq!(rig.events.last().unwrap(), &answered(CommandId::SetForceLimit, Status::Success));
+    assert_eq!(rig.limit(), None);
+}
+
+#[test]
+fn other_limit_that_is_read_ends_it_whoever_asked() {
+    let mut rig = limited();
+    rig.tell(40.1);
+    assert_eq!(rig.limit(), None, "unasked");
+
+    let mut rig = limited();
+    rig.until_asked();
+    rig.tell(39.9);
+    assert_eq!(rig.limit(), None, "asked for by the session");
+    rig.tell(40.0);
+    assert_eq!(rig.pass_with(2 * REFRESH_MS, 40.0), 0, "and only a limit that is set is known again");
+    assert_eq!(rig.limit(), None);
+
+    let mut rig = limited();
+    rig.until_asked();
+    rig.status(CommandId::GetForceLimit, Status::AccessDenied);
+    assert_eq!(rig.limit(), None, "refused");
+}
+
+#[test]
+fn limit_that_is_not_read_again_in_time_is_not_known_any_more() {
+    let mut rig = limited();
+    let opened = rig.until_asked();
+    assert_eq!(opened, REFRESH_MS / 2);
+    rig.pass(REFRESH_MS - opened - 1);
+    assert_eq!(rig.limit(), Some(40.0));
+    rig.pass(1);
+    assert_eq!(rig.limit(), None);
+
+    // It counts from the question on, not from the answer.
+    let mut rig = limited();
+    let opened = rig.until_asked();
+    rig.pass(100);
+    rig.tell(40.0);
+    let asked = rig.until_asked();
+    assert_eq!(opened + 100 + asked, REFRESH_MS);
+    rig.pass(REFRESH_MS - 100 - asked - 1);
+    assert_eq!(rig.limit(), Some(40.0));
+    rig.pass(1);
+    assert_eq!(rig.limit(), None);
+}
+
+#[test]
+fn time_of_a_read_back_counts_from_its_question_too() {
+    let mut rig = verifying();
+    rig.session.request(FORCE_40).unwrap();
+    rig.sent();
+    rig.status(CommandId::SetForceLimit, Status::Success);
+    assert_eq!(rig.sent(), [Command::GetForceLimit]);
+    rig.pass(100);
+    rig.tell(40.0);
+    assert_eq!(rig.limit(), Some(40.0));
+    assert_eq!(rig.until_asked(), REFRESH_MS / 2 - 100);
+}
+
+#[test]
+fn limit_is_not_known_any_more_when_the_line_takes_nothing() {
+    let mut rig = limited();
+    for _ in 0..REFRESH_MS {
+        rig.now = rig.now.plus(1);
+        assert_eq!(rig.session.tick(rig.now), None);
+    }
+    assert_eq!(rig.limit(), None);
+}
+
+#[test]
+fn question_that_is_not_answered_is_not_repeated_and_the_others_go_on() {
+    let mut rig = limited();
+    rig.until_asked();
+    let mut others = 0;
+    for _ in 0..4 * REFRESH_MS {
+        for command in rig.pass(1) {
+            assert_ne!(command, Command::GetForceLimit);
+            others += 1;
+            rig.answer(command.id());
+        }
+    }
+    assert!(rig.session.is_connected() && (3..=4).contains(&others), "{others}");
+    assert_eq!(rig.session.counters().repeated, 0);
+    rig.set(40.0, 40.0);
+    assert_eq!(rig.limit(), Some(40.0), "and a limit that is set is known again");
+}
+
+#[test]
+fn short_answer_time_ends_it_earlier() {
+    let mut rig = Rig::with(Config { verify_settings: true, reply_timeout_ms: 50, ..Config::DEFAULT });
+    rig.connect();
+    rig.set(40.0, 40.0);
+    rig.until_asked();
+    rig.pass(49);
+    assert_eq!(rig.limit(), Some(40.0));
+    rig.pass(1);
+    assert_eq!(rig.limit(), None);
+}
+
+#[test]
+fn late_answer_to_an_earlier_question_is_none_to_a_read_back() {
+    for first in [40.0, 10.0] {
+        let mut rig = limited();
+        rig.until_asked();
+        rig.session.request(Command::SetForceLimit { force: 10.0 }).unwrap();
+        assert_eq!(rig.sent(), [Command::SetForceLimit { force: 10.0 }]);
+        rig.status(CommandId::SetForceLimit, Status::Success);
+        assert_eq!(rig.sent(), [Command::GetForceLimit]);
+        rig.tell(first);
+        assert_eq!(rig.events, [""; 0], "{first} N may be from before");
+        assert_eq!(rig.limit(), None);
+        rig.tell(10.0);
+        assert_eq!(rig.events, [answered(CommandId::SetForceLimit, Status::Success)]);
+        assert_eq!(rig.limit(), Some(10.0));
+        assert_eq!(rig.session.counters().unsolicited, 0);
+    }
+}
+
+#[test]
+fn question_that_waits_for_room_takes_no_answer_to_a_read_back() {
+    let mut rig = limited();
+    for _ in 0..REFRESH_MS / 2 {
+        rig.now = rig.now.plus(1);
+        rig.session.tick(rig.now);
+    }
+    // The question is due and has not left.
+    rig.session.request(FORCE_40).unwrap();
+    rig.session.tick(rig.now);
+    assert_eq!(rig.session.poll_transmit(rig.now), Some(FORCE_40));
+    rig.status(CommandId::SetForceLimit, Status::Success);
+    rig.session.tick(rig.now);
+    assert_eq!(rig.session.poll_transmit(rig.now), Some(Command::GetForceLimit));
+    rig.tell(40.0);
+    assert_eq!(rig.events, [answered(CommandId::SetForceLimit, Status::Success)]);
+    assert_eq!(rig.limit(), Some(40.0));
+}
+
+#[test]
+fn nothing_of_it_outlives_the_connection() {
+    let mut rig = limited();
+    rig.session.disconnect();
+    rig.pass(1);
+    assert_eq!(rig.limit(), None);
+    rig.connect();
+    rig.pass_with(2 * REFRESH_MS, 40.0);
+    assert_eq!(rig.limit(), None);
+}
