@@ -33,6 +33,7 @@ use super::service_port::poll;
 const DELIVERED: u16 = 0;
 const STORED: u16 = 1;
 const DAMAGED: u16 = 5;
+const SAVING: u16 = 1;
 const SAVED: u16 = 2;
 const FAILED: u16 = 3;
 
@@ -144,19 +145,29 @@ impl Plant {
         let bound = Instant::now() + PATIENCE;
         loop {
             match self.report("SAVE_STATE") {
-                1 => assert!(Instant::now() < bound, "the save does not end"),
+                SAVING => assert!(Instant::now() < bound, "the save does not end"),
                 state => return state,
             }
         }
     }
 
     /// SAVE, which the power cut of the flash interrupts.
-    fn save_until_cut(&mut self) {
+    fn save_until_cut(&mut self, what: &str) {
         self.command("SAVE");
         let bound = Instant::now() + PATIENCE;
-        while !self.flash.is_off() {
-            assert!(Instant::now() < bound, "the save was to be cut");
-            self.board.now_ms().unwrap();
+        loop {
+            let state = self.report("SAVE_STATE");
+            if self.flash.is_off() {
+                return;
+            }
+            let operations = self.flash.operations();
+            assert_eq!(
+                state,
+                SAVING,
+                "{what}: not cut after {operations} operations, {:?}",
+                self.events()[0]
+            );
+            assert!(Instant::now() < bound, "{what}: the save does not get there, {operations} operations");
         }
     }
 }
@@ -291,7 +302,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
         plant.set_recipes(n);
         let new = plant.settings();
         plant.flash.cut(operation, tear);
-        plant.save_until_cut();
+        plant.save_until_cut(&what);
 
         plant = power_cycle(plant);
         assert_eq!(plant.report("SETTINGS_FROM"), STORED, "{what}");
@@ -303,6 +314,13 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
             _ => assert_eq!(found, old, "{what}"),
         }
         old = found;
+        if is_last && matches!(tear, Tear::Changing | Tear::Mixed) {
+            // Whether that record reads whole another time is left to chance: the next one takes its place.
+            plant.set_recipes(n + 1_000);
+            assert_eq!(plant.save(), SAVED, "{what}");
+            old = plant.settings();
+            plant = power_cycle(plant);
+        }
     }
     plant.power_down();
 }
