@@ -5,7 +5,7 @@
 //! frame.
 
 use bus_modbus::rtu::Timing;
-use wsg_bridge_fw::registers::{COMMAND_KEY, Record};
+use wsg_bridge_fw::registers::{self, COMMAND_KEY, Record};
 use wsg_bridge_fw::{RECIPE_COUNT, Recipe};
 use wsg_protocol::fieldbus::OutputImage;
 
@@ -18,7 +18,7 @@ const SERVICE_TIMING: Timing = Timing::of(115_200, 10);
 pub(super) const BROADCAST: u8 = 0;
 
 /// Settings are registers from here on; these are followed.
-const SETTINGS: std::ops::Range<usize> = 100..184;
+const SETTINGS: std::ops::Range<usize> = 100..100 + registers::SETTINGS.len();
 const UNIT: usize = 100;
 const BUS_TIMEOUT: usize = 101;
 const BUS_CHAR_TIMEOUT: usize = 103;
