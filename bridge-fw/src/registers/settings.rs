@@ -452,6 +452,7 @@ mod tests {
             for value in [setting.least, setting.most].into_iter().filter(|_| is_free) {
                 assert_eq!(settings.write(index as u16, [value].into_iter()), Ok(()));
                 assert_eq!(settings.register(index as u16), Ok(value), "{}", setting.name);
+                assert!(Config::from_record(settings.record()).is_ok(), "a start takes it: {}", setting.name);
             }
             for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
                 let refused = settings.write(index as u16, [value].into_iter());
