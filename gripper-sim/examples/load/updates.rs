@@ -3,6 +3,7 @@
 use crate::figures::{Durations, Verdict};
 use crate::sim::{Setup, Sim, ask, frame, own_wait_s};
 use anyhow::{Result, ensure};
+use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -27,12 +28,15 @@ const FLAT_KIB: u64 = 1_024;
 /// When each update of one value arrived, in microseconds.
 type Arrivals = Vec<u32>;
 
-pub(crate) fn run(lasting: Duration) -> Result<()> {
+pub(crate) fn run(lasting: Duration, pages: usize) -> Result<()> {
     let sim = Sim::start(Setup { udp_remote_port: 1, ..Setup::default() })?;
     let mut mover = sim.connect()?;
     ask(&mut mover, Command::ACKNOWLEDGE, 1)?;
     ask(&mut mover, Command::Homing { direction: HomingDirection::Positive }, 2)?;
-    println!("{CONNECTIONS} connections, {} values every {PERIOD:?}, for {lasting:?}", VALUES.len());
+    println!(
+        "{CONNECTIONS} connections, {} values every {PERIOD:?}, for {lasting:?}, {pages} pages watch",
+        VALUES.len()
+    );
 
     let ended = AtomicBool::new(false);
     let (series, cpu_s, waited_s, (early_kib, late_kib)) = thread::scope(|scope| -> Result<_> {
@@ -54,7 +58,7 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
             thread::sleep(lasting.mul_f64(0.6));
             Ok((early, sim.rss_kib()?))
         });
-        let series = subscribe(&sim, lasting);
+        let series = subscribe(&sim, lasting, pages);
         let cpu_s = sim.cpu_s()? - before_s;
         let waited_s = sim.waited_s()? + own_wait_s()?;
         ended.store(true, Ordering::Relaxed);
@@ -84,10 +88,14 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
 }
 
 /// Opens the connections and reads until the time is over; a series for each value of each connection.
-fn subscribe(sim: &Sim, lasting: Duration) -> Result<Vec<Arrivals>> {
+fn subscribe(sim: &Sim, lasting: Duration, pages: usize) -> Result<Vec<Arrivals>> {
     let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let start = Instant::now();
+        let mut watching = JoinSet::new();
+        for _ in 0..pages {
+            watching.spawn(watch(sim.control, start + lasting));
+        }
         let mut clients = JoinSet::new();
         for _ in 0..CONNECTIONS {
             let stream = sim.connect()?;
@@ -98,8 +106,30 @@ fn subscribe(sim: &Sim, lasting: Duration) -> Result<Vec<Arrivals>> {
         while let Some(client) = clients.join_next().await {
             series.extend(client??);
         }
+        while let Some(page) = watching.join_next().await {
+            page??;
+        }
         Ok(series)
     })
+}
+
+/// A page that watches; it must be told how things stand ten times a second, until the time is over.
+async fn watch(control: SocketAddr, end: Instant) -> Result<()> {
+    let mut stream = tokio::net::TcpStream::connect(control).await?;
+    stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").await?;
+    let start = Instant::now();
+    let mut buffer = vec![0; 64 * 1_024];
+    let mut states = 0;
+    while Instant::now() < end {
+        let len = stream.read(&mut buffer).await?;
+        ensure!(len > 0, "a page's stream has ended");
+        let read = buffer.get(..len).unwrap_or(&[]);
+        // One that is cut in two by the buffer is not counted.
+        states += read.windows(12).filter(|window| window == b"event: state").count();
+    }
+    let rate = states as f64 / start.elapsed().as_secs_f64();
+    ensure!(rate > 10.0, "a page was told how things stand {rate:.1} times a second");
+    Ok(())
 }
 
 async fn read_updates(
