@@ -9,8 +9,8 @@ use crate::log;
 use crate::plc::wires::{self, Wires};
 use crate::plc::{Facts, MotionEnd, PlcEvent, PlcSide, Shown, View, force_unit};
 use crate::registers::{
-    CanReports, EventCode, Events, Link, Record, ResetCause, SaveState, Settings, SettingsFrom, StoreCommand,
-    StoreReports,
+    CanReports, EventCode, Events, Link, ProfibusReports, Record, ResetCause, SaveState, Settings,
+    SettingsFrom, StoreCommand, StoreReports,
 };
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::fieldbus::{Controller, InputImage};
@@ -76,6 +76,7 @@ impl Bridge {
                 bus_timeouts: 0,
                 bus_is_silent: false,
                 can: CanReports::NONE,
+                profibus: ProfibusReports::NONE,
                 reset_cause: ResetCause::Unknown,
                 motion_end: MotionEnd::new(),
                 error_cause: 0,
@@ -253,6 +254,11 @@ impl Bridge {
             self.facts.events.happened(EventCode::BusOff, 0);
         }
         self.facts.can = reports;
+    }
+
+    /// Takes what is known of PROFIBUS, for the registers that report it.
+    pub fn set_profibus_reports(&mut self, reports: ProfibusReports) {
+        self.facts.profibus = reports;
     }
 
     /// What the board's LED tells, as of the last turn.

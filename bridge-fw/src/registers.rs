@@ -9,7 +9,9 @@ mod settings;
 mod store_commands;
 
 pub use events::{EVENTS, EVENTS_KEPT, EventCode, EventText};
-pub use reports::{BusCounts, CanReports, FIRST_REPORT, Link, MAP_VERSION, REPORTS, Report, ResetCause};
+pub use reports::{
+    BusCounts, CanReports, FIRST_REPORT, Link, MAP_VERSION, ProfibusReports, REPORTS, Report, ResetCause,
+};
 pub use settings::{FIRST_SETTING, FIRST_START_SETTING, Record, SETTINGS, Setting, WrongSetting};
 pub use store_commands::{
     COMMAND_KEY, COMMANDS, CommandRegister, FIRST_COMMAND, SaveState, SettingsFrom, StoreCommand,

@@ -106,6 +106,7 @@ impl<C: CanController> Station<C> {
         let now = Instant::from_millis(now_ms);
         let Self { bridge, can, link, node, profibus, .. } = self;
         let mut on_port = if self.plc_bus == PlcBus::Profibus {
+            bridge.set_profibus_reports(profibus.reports());
             OnPort::Profibus(profibus)
         } else {
             OnPort::Modbus(self.modbus.over(modbus))

@@ -4,6 +4,7 @@ use bus_profibus::{Baud, Character};
 use embedded_can::{Frame, Id};
 use host_tests::can_bench::Double;
 use host_tests::flash_model::FlashModel;
+use host_tests::profibus_bench::sd2;
 use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, NmtState};
@@ -73,11 +74,22 @@ impl Bench {
 
     /// Whether FDL_Status of this station is answered.
     fn is_on_profibus(&mut self, station: u8) -> bool {
+        self.telegram(&[0x10, station, 2, 0x49, station.wrapping_add(2 + 0x49), 0x16])
+    }
+
+    /// Brings a telegram at 19 200 bit/s, behind a silence; whether it is answered.
+    fn telegram(&mut self, bytes: &[u8]) -> bool {
         self.now_ms += 1_000;
-        let bytes = [0x10, station, 2, 0x49, station.wrapping_add(2 + 0x49), 0x16];
-        // At 19 200 bit/s.
-        let mut times = (self.now_ms * 1_000..).step_by(573);
-        bytes.map(|byte| self.handle(Some(Character::Byte(byte)), times.next().unwrap()).wait_us)[5].is_some()
+        let mut now_us = self.now_ms * 1_000;
+        let mut wait_us = None;
+        for byte in bytes {
+            now_us += 573;
+            wait_us = self.handle(Some(Character::Byte(*byte)), now_us).wait_us;
+        }
+        let Some(wait_us) = wait_us else { return false };
+        now_us += wait_us;
+        while self.handle(None, now_us).send.is_some() {}
+        true
     }
 
     /// Asks a unit for a register by Modbus RTU: FC 3 or 4.
@@ -178,6 +190,33 @@ fn address_and_rate_of_the_record_are_those_on_profibus() {
     bench.pass(1_000);
     assert_eq!(bench.rate, Some(Baud::K19_2), "and no other is tried");
     assert!(!bench.is_on_profibus(7) && bench.is_on_profibus(9));
+}
+
+#[test]
+fn service_port_tells_how_far_profibus_is() {
+    let mut bench = Bench::new(&with(&[("PLC_BUS", 3), ("PROFIBUS_RATE", 192)]));
+    bench.pass(10);
+    let first = FIRST_REPORT + REPORTS.iter().position(|it| it.name == "PROFIBUS_STATE").unwrap() as u16;
+    let tell = |bench: &mut Bench| {
+        bench.pass(2);
+        [0, 1, 2, 3].map(|n| {
+            let [high, low] = (first + n).to_be_bytes();
+            bench.service(&[1, 4, high, low, 0, 1]).unwrap()
+        })
+    };
+    assert_eq!(tell(&mut bench), [1, 192, 0, 0], "nothing is heard");
+    assert!(bench.is_on_profibus(7));
+    assert_eq!(tell(&mut bench), [2, 192, 1, 0]);
+    assert!(!bench.telegram(&[0x10, 7, 2, 0x49, 0x53, 0x16]), "a wrong check sum");
+    assert_eq!(tell(&mut bench), [2, 192, 1, 1]);
+    assert!(bench.telegram(&sd2(&[0x87, 0x82, 0x6D, 61, 62, 0x80, 0, 0, 11, 0x55, 0x55, 0])));
+    assert_eq!(tell(&mut bench), [3, 192, 2, 1]);
+    assert!(bench.telegram(&sd2(&[0x87, 0x82, 0x5D, 62, 62, 0xA7, 0x9B])));
+    assert_eq!(tell(&mut bench), [4, 192, 3, 1]);
+    bench.pass(6_000);
+    assert_eq!(tell(&mut bench)[0], 1, "nothing any more");
+    let mut bench = Bench::new(&Config::DEFAULT);
+    assert_eq!(tell(&mut bench), [0; 4], "another bus");
 }
 
 #[test]

@@ -17,6 +17,10 @@ use wsg_protocol::fieldbus::OutputImage;
 use self::responder::FromMaster;
 use super::{PlcEvent, PlcSide, Shown, View};
 use crate::config::ProfibusConfig;
+use crate::registers::ProfibusReports;
+
+/// The value of PROFIBUS_STATE where no telegram is heard; those behind it are the slave's states.
+const NOT_HEARD: u8 = 1;
 
 /// The main loop's end of PROFIBUS.
 ///
@@ -32,6 +36,24 @@ pub struct Profibus {
     heard_at: Option<Instant>,
     /// As `buffers` had it when this was looked at last.
     exchanges: u32,
+    telegrams: Count,
+    damaged: Count,
+}
+
+/// A count that stops at its end, of one that wraps.
+#[derive(Debug)]
+struct Count {
+    total: u16,
+    seen: u32,
+}
+
+impl Count {
+    const ZERO: Self = Self { total: 0, seen: 0 };
+
+    fn follow(&mut self, count: u32) {
+        let more = count.wrapping_sub(core::mem::replace(&mut self.seen, count));
+        self.total = self.total.saturating_add(u16::try_from(more).unwrap_or(u16::MAX));
+    }
 }
 
 impl Profibus {
@@ -44,6 +66,8 @@ impl Profibus {
             written: None,
             heard_at: None,
             exchanges: 0,
+            telegrams: Count::ZERO,
+            damaged: Count::ZERO,
         }
     }
 
@@ -62,6 +86,14 @@ impl Profibus {
         if let Some(rate) = rate {
             self.buffers.set_rate(rate);
         }
+    }
+
+    /// What the bridge's registers tell of it.
+    #[must_use]
+    pub fn reports(&self) -> ProfibusReports {
+        let state = if self.search.is_found() { self.buffers.state() } else { NOT_HEARD };
+        let rate = self.search.baud().map_or(0, |rate| (rate.bit_s() / 100) as u16);
+        ProfibusReports([state.into(), rate, self.telegrams.total, self.damaged.total])
     }
 
     /// What the master did, as far as it has not been said.
@@ -121,7 +153,10 @@ impl PlcSide for Profibus {
 
     fn show(&mut self, now: Instant, shown: &Shown) {
         self.buffers.show(shown.image.to_bytes());
-        let next = self.search.poll(now.as_millis(), self.buffers.telegrams());
+        let telegrams = self.buffers.telegrams();
+        self.telegrams.follow(telegrams);
+        self.damaged.follow(self.buffers.damaged());
+        let next = self.search.poll(now.as_millis(), telegrams);
         self.set_rate(next);
     }
 }

@@ -4,8 +4,8 @@ use super::motion_end::MotionEnd;
 use crate::arbiter::{Arbiter, ControlSource};
 use crate::config::{BusConfig, MAX_REPLY_LEN};
 use crate::registers::{
-    BusCounts, CanReports, Events, Link, RegisterError, ReportSource, ResetCause, SaveState, Settings,
-    StoreCommand, StoreReports,
+    BusCounts, CanReports, Events, Link, ProfibusReports, RegisterError, ReportSource, ResetCause, SaveState,
+    Settings, StoreCommand, StoreReports,
 };
 use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::session::{Known, Session};
@@ -24,6 +24,7 @@ pub(crate) struct Facts {
     /// A PLC on the bus, whether it commanded or not, was silent for too long, and has not come back.
     pub(crate) bus_is_silent: bool,
     pub(crate) can: CanReports,
+    pub(crate) profibus: ProfibusReports,
     pub(crate) reset_cause: ResetCause,
     pub(crate) motion_end: MotionEnd,
     /// Why ERROR was high at the end of the last turn, by the code of an event; 0: it was low.
@@ -179,6 +180,7 @@ impl View<'_> {
             bus,
             timeouts: self.facts.bus_timeouts,
             can: &self.facts.can,
+            profibus: &self.facts.profibus,
             reset_cause: self.facts.reset_cause,
             error_cause: self.facts.error_cause,
             events: &self.facts.events,

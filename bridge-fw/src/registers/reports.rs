@@ -67,6 +67,8 @@ enum Subject {
     SettingsFrom,
     SaveState,
     SettingsChanged,
+    /// One of [`ProfibusReports`].
+    Profibus(u8),
 }
 
 /// The names and meanings of the last events' registers, by their numbers.
@@ -116,7 +118,7 @@ pub const REPORTS: [Report; BEFORE_EVENTS.len() + EVENTS_KEPT * EVENT_LEN + BEHI
 };
 
 /// What stands behind the events.
-const BEHIND_EVENTS: [Report; 3] = [
+const BEHIND_EVENTS: [Report; 7] = [
     report(
         "SETTINGS_FROM",
         Subject::SettingsFrom,
@@ -128,6 +130,22 @@ const BEHIND_EVENTS: [Report; 3] = [
         "the last SAVE or DEFAULTS: 0 none since the start, 1 runs, 2 stored, 3 failed: what was stored before still is",
     ),
     report("SETTINGS_CHANGED", Subject::SettingsChanged, "1: a setting was changed and not stored"),
+    report(
+        "PROFIBUS_STATE",
+        Subject::Profibus(0),
+        "PROFIBUS: 0 it is not the PLC's bus, 1 no telegram is heard, 2 a master has to send parameters, 3 its configuration, 4 data exchange",
+    ),
+    report(
+        "PROFIBUS_LINE",
+        Subject::Profibus(1),
+        "PROFIBUS: the line's rate in 100 bit/s; with state 1 one that is tried",
+    ),
+    report("PROFIBUS_TELEGRAMS", Subject::Profibus(2), "PROFIBUS: intact telegrams, for whatever station"),
+    report(
+        "PROFIBUS_DAMAGED",
+        Subject::Profibus(3),
+        "PROFIBUS: what was no telegram, such as noise or one with a wrong check sum",
+    ),
 ];
 
 /// What stands before them.
@@ -273,6 +291,7 @@ pub(crate) struct ReportSource<'a> {
     pub(crate) bus: BusCounts,
     pub(crate) timeouts: u16,
     pub(crate) can: &'a CanReports,
+    pub(crate) profibus: &'a ProfibusReports,
     pub(crate) reset_cause: ResetCause,
     pub(crate) error_cause: u8,
     pub(crate) events: &'a Events,
@@ -297,6 +316,15 @@ impl CanReports {
     pub(crate) const fn bus_offs(&self) -> u16 {
         self.0[3]
     }
+}
+
+/// What is reported about PROFIBUS: state, rate of the line, intact telegrams, damaged ones, as registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct ProfibusReports(pub [u16; 4]);
+
+impl ProfibusReports {
+    /// The PLC is not on PROFIBUS.
+    pub const NONE: Self = Self([0; 4]);
 }
 
 impl ReportSource<'_> {
@@ -352,6 +380,7 @@ impl ReportSource<'_> {
             Subject::SettingsFrom => self.store.from as u16,
             Subject::SaveState => self.store.save as u16,
             Subject::SettingsChanged => self.settings_are_changed.into(),
+            Subject::Profibus(at) => self.profibus.0.get(usize::from(at)).copied().unwrap_or_default(),
         })
     }
 }

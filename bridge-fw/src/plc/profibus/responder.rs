@@ -6,7 +6,7 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
-use bus_profibus::{Address, Baud, Character, Event, Outcome};
+use bus_profibus::{Address, Baud, Character, Counters, Event, Outcome, State};
 use wsg_protocol::SystemFlags;
 use wsg_protocol::fieldbus::profibus::{ADDRESS, PROFILE, Slave};
 use wsg_protocol::fieldbus::{Diagnosis, InputImage, OutputImage};
@@ -45,6 +45,10 @@ pub struct DpBuffers {
     exchanges: AtomicU32,
     /// How many intact telegrams there were. Wraps.
     telegrams: AtomicU32,
+    /// How often something was none. Wraps.
+    damaged: AtomicU32,
+    /// The slave's state, as PROFIBUS_STATE has it.
+    state: AtomicU8,
     /// The input image, for the handler as long as `is_fresh`; that keeps a copy.
     input: [AtomicU32; 3],
     is_fresh: AtomicBool,
@@ -71,6 +75,8 @@ impl DpBuffers {
             events: ByteQueue::new(),
             exchanges: AtomicU32::new(0),
             telegrams: AtomicU32::new(0),
+            damaged: AtomicU32::new(0),
+            state: AtomicU8::new(0),
             input: [const { AtomicU32::new(0) }; 3],
             is_fresh: AtomicBool::new(false),
             address: AtomicU8::new(0),
@@ -119,6 +125,14 @@ impl DpBuffers {
 
     pub(super) fn telegrams(&self) -> u32 {
         self.telegrams.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn damaged(&self) -> u32 {
+        self.damaged.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn state(&self) -> u8 {
+        self.state.load(Ordering::Relaxed)
     }
 
     /// Gives the main loop an event; whether there was room. For the handler.
@@ -313,7 +327,15 @@ impl DpResponder {
             self.note(event);
         }
         self.tell();
-        self.buffers.telegrams.store(self.slave.counters().telegrams, Ordering::Relaxed);
+        let Counters { telegrams, damaged } = self.slave.counters();
+        self.buffers.telegrams.store(telegrams, Ordering::Relaxed);
+        self.buffers.damaged.store(damaged, Ordering::Relaxed);
+        let state = match self.slave.state() {
+            State::WaitPrm => 2,
+            State::WaitCfg => 3,
+            State::DataExch => 4,
+        };
+        self.buffers.state.store(state, Ordering::Relaxed);
     }
 
     /// Inputs, and the diagnosis with the flags among them.
