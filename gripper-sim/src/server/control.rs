@@ -114,7 +114,7 @@ async fn publish(hub: Rc<Hub>, watchers: Rc<Watchers>) {
         while !watchers.are_none() {
             ticks.tick().await;
             let report = hub.report();
-            let body = StateBody { time_s: 0.0, ..StateBody::of(&hub, &report) };
+            let body = StateBody { time_s: None, ..StateBody::of(&hub, &report) };
             // There is nothing in it that has no JSON.
             let state = serde_json::to_string(&body).unwrap_or_default();
             if state != told.0 || told.1.elapsed() >= HEARTBEAT {
@@ -508,7 +508,9 @@ fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
 #[derive(Debug, Serialize)]
 struct StateBody<'a> {
     model: &'static str,
-    time_s: f64,
+    /// Not where it stands beside the rest.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_s: Option<f64>,
     width_mm: f32,
     reported_width_mm: f32,
     speed_mm_per_s: f32,
@@ -661,7 +663,7 @@ impl<'a> StateBody<'a> {
         let LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *line_faults;
         Self {
             model: hub.config().model.name(),
-            time_s: now.as_micros() as f64 / 1e6,
+            time_s: Some(now.as_micros() as f64 / 1e6),
             width_mm: state.width,
             reported_width_mm: state.reported_width,
             speed_mm_per_s: state.speed,
