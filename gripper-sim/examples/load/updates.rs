@@ -94,7 +94,9 @@ fn subscribe(sim: &Sim, lasting: Duration, pages: usize) -> Result<Vec<Arrivals>
         let start = Instant::now();
         let mut watching = JoinSet::new();
         for _ in 0..pages {
-            watching.spawn(watch(sim.control, start + lasting));
+            // One after the other: of requests fewer are served at a time.
+            let page = open_page(sim.control).await?;
+            watching.spawn(watch(page, start + lasting));
         }
         let mut clients = JoinSet::new();
         for _ in 0..CONNECTIONS {
@@ -113,10 +115,16 @@ fn subscribe(sim: &Sim, lasting: Duration, pages: usize) -> Result<Vec<Arrivals>
     })
 }
 
-/// A page that watches; it must be told how things stand ten times a second, until the time is over.
-async fn watch(control: SocketAddr, end: Instant) -> Result<()> {
+/// A page that watches, once it is told something.
+async fn open_page(control: SocketAddr) -> Result<tokio::net::TcpStream> {
     let mut stream = tokio::net::TcpStream::connect(control).await?;
     stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").await?;
+    ensure!(stream.read(&mut [0; 64]).await? > 0, "a page is not answered");
+    Ok(stream)
+}
+
+/// The page must be told how things stand ten times a second, until the time is over.
+async fn watch(mut stream: tokio::net::TcpStream, end: Instant) -> Result<()> {
     let start = Instant::now();
     let mut buffer = vec![0; 64 * 1_024];
     let mut states = 0;
