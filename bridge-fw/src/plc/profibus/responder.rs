@@ -33,7 +33,8 @@ const LONG_SILENCE_US: u32 = 20_000;
 
 /// The longest answer is the diagnosis: start delimiters and lengths, addresses and function code, two service access points,
 /// the block, check sum and end delimiter.
-const MAX_ANSWER_LEN: usize = 4 + 3 + 2 + Diagnosis::LEN + 2;
+const MAX_ANSWER_LEN: usize = 27;
+const _: () = assert!(MAX_ANSWER_LEN == 4 + 3 + 2 + Diagnosis::LEN + 2);
 const _: () = assert!(InputImage::LEN < Diagnosis::LEN);
 
 /// What the main loop and the handler share; a plain `static`.
