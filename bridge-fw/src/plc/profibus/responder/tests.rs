@@ -162,6 +162,39 @@ fn full_queue_costs_images_but_never_the_last_nor_that_the_master_left() {
 }
 
 #[test]
+fn only_a_watchdog_that_has_expired_is_silence() {
+    let (mut responder, buffers) = at(Baud::K500);
+    let mut write = exchanging(&mut responder);
+    for (event, silent) in [
+        (Event::Left(bus_profibus::Cause::Watchdog), true),
+        (Event::Left(bus_profibus::Cause::Parameters), false),
+        (Event::Cleared, false),
+    ] {
+        write(&mut responder, 1);
+        assert_eq!(taken(buffers), [Some(1)]);
+        responder.note(event);
+        responder.tell();
+        assert_eq!(buffers.take(), Some(FromMaster::Left { silent }), "{event:?}");
+    }
+}
+
+#[test]
+fn image_is_queued_whole_or_not_at_all() {
+    for (room, is_taken) in [(OutputImage::LEN, false), (OutputImage::LEN + 1, true)] {
+        let buffers = DpBuffers::new();
+        while buffers.events.room() > room {
+            let _ = buffers.events.push(0);
+        }
+        assert_eq!(
+            buffers.push(FromMaster::Output([1; OutputImage::LEN])),
+            is_taken,
+            "room for {room} bytes"
+        );
+        assert_eq!(buffers.events.room(), if is_taken { 0 } else { room });
+    }
+}
+
+#[test]
 fn inputs_are_those_that_were_shown_whole() {
     let (mut responder, buffers) = at(Baud::K500);
     let first: [u8; InputImage::LEN] = core::array::from_fn(|n| n as u8);
