@@ -228,8 +228,8 @@ pub struct DpResponder {
     told: Option<[u8; OutputImage::LEN]>,
     /// What it is still to be told: the master left, silently or not.
     left: Option<bool>,
-    /// The flags that the diagnosis tells; none before the first inputs.
-    flags: Option<SystemFlags>,
+    /// The flags that the diagnosis tells.
+    flags: SystemFlags,
 }
 
 impl DpResponder {
@@ -248,7 +248,7 @@ impl DpResponder {
             has_outputs: false,
             told: None,
             left: None,
-            flags: None,
+            flags: SystemFlags::empty(),
         }
     }
 
@@ -344,11 +344,9 @@ impl DpResponder {
         self.slave.show_inputs(&image);
         let [_, _, y0, y1, y2, y3, ..] = image;
         let flags = SystemFlags::from_bits_retain(u32::from_le_bytes([y0, y1, y2, y3]));
-        let before = self.flags.replace(flags);
-        if before != Some(flags) {
-            self.slave.show_diagnosis(&Diagnosis::device_part(flags), flags.intersects(Diagnosis::TRIGGERS));
-        }
-        if Diagnosis::is_due(before.unwrap_or(SystemFlags::empty()), flags) {
+        let before = core::mem::replace(&mut self.flags, flags);
+        self.slave.show_diagnosis(&Diagnosis::device_part(flags), flags.intersects(Diagnosis::TRIGGERS));
+        if Diagnosis::is_due(before, flags) {
             self.slave.announce_diagnosis();
         }
     }
