@@ -57,7 +57,8 @@ fn bytes_of_an_answer_leave_as_there_is_room_and_their_echo_is_nothing() {
         assert_eq!(action.interrupts.transmit_empty, sent.len() < ANSWER.len());
         assert_eq!(action.interrupts.transmission_complete, sent.len() == ANSWER.len());
         let full = UartStatus { has_room: false, is_complete: false, ..IDLE };
-        assert_eq!(responder.step(full, 0, now_us).send, None);
+        let meanwhile = responder.step(full, 0, now_us);
+        assert_eq!((meanwhile.send, meanwhile.interrupts), (None, action.interrupts), "it is being sent");
         now_us += 22;
         let echo = UartStatus { received: Some(Character::Byte(byte)), is_complete: false, ..IDLE };
         action = responder.step(echo, 0, now_us);
