@@ -151,6 +151,22 @@ fn settings_are_refused_there_as_on_the_bus() {
 }
 
 #[test]
+fn all_recipes_are_written_at_once_by_a_request_that_takes_several_turns() {
+    let mut bench = Bench::homed(quick());
+    let first = setting("RECIPE0_WIDTH");
+    for (by_service, from) in [(false, 1_000), (true, 2_000)] {
+        // 137 characters, all there at the same time.
+        let recipes: Vec<u16> = (from..from + 64).collect();
+        if by_service {
+            bench.by_service(|bench| bench.write(first, &recipes));
+        } else {
+            bench.write(first, &recipes);
+        }
+        assert_eq!(bench.holding(first, 64), Ok(recipes));
+    }
+}
+
+#[test]
 fn both_lines_are_served_at_the_same_time_and_silence_of_the_port_is_no_event() {
     let mut bench = Bench::homed(quick());
     bench.take_motions();
