@@ -4,6 +4,7 @@ use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
 use embedded_can::{Frame, Id, StandardId};
+use host_tests::addresses;
 use host_tests::can_bench::{BOARD, CanBench, Double};
 use host_tests::document::hold_file;
 use host_tests::flash_model::Fault;
@@ -14,7 +15,7 @@ use wsg_bridge_fw::can::{
     NullNode, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::registers::{FIRST_REPORT, MAP_VERSION, REPORTS, SETTINGS};
+use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, SETTINGS};
 use wsg_bridge_fw::{Bridge, ControlSource};
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
@@ -210,11 +211,11 @@ fn sdo_request(index: u16, value: Value) -> [u8; 8] {
 }
 
 fn setting(name: &str) -> u8 {
-    1 + SETTINGS.iter().position(|setting| setting.name == name).expect("a setting of this name") as u8
+    (1 + addresses::setting(name) - FIRST_SETTING) as u8
 }
 
 fn report(name: &str) -> u8 {
-    1 + REPORTS.iter().position(|report| report.name == name).expect("a report of this name") as u8
+    (1 + addresses::report(name) - FIRST_REPORT) as u8
 }
 
 fn code_of(meaning: &str) -> u16 {

@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use bus_slcan::ClassicFrame;
 use canopen_rs::{Address, DataType, Value, sdo};
 use embedded_can::{Frame, Id, StandardId};
+use host_tests::addresses::{report, setting};
 use host_tests::can_bench::{Double, NO_PROFIBUS};
 use host_tests::flash_model::{Fault as FlashFault, FlashModel};
 use host_tests::rtu_double::RtuDouble;
@@ -13,7 +14,7 @@ use host_tests::serial_gripper::SerialGripper;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, REPORTS_INDEX};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{
-    COMMAND_KEY, EVENTS, EventCode, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS,
+    COMMAND_KEY, EVENTS, EventCode, FIRST_COMMAND, FIRST_REPORT, REPORTS, Record,
 };
 use wsg_bridge_fw::storage::{Progress, Store};
 use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
@@ -255,14 +256,6 @@ fn registers(answer: &[u8], count: u8) -> Vec<u16> {
 /// A gripper whose fingers travel ten times as fast.
 fn quick() -> wsg_sim::Config {
     wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
-}
-
-fn setting(name: &str) -> u16 {
-    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).expect("a setting") as u16
-}
-
-fn report(name: &str) -> u16 {
-    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).expect("a report") as u16
 }
 
 /// Flash with a record of a later firmware.

@@ -1,15 +1,12 @@
 //! Which event is the cause of ERROR and of the last FAST STOP. Every event by itself is in causes.rs.
 
+use host_tests::addresses::report;
 use host_tests::modbus_bench::*;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::Outputs;
-use wsg_bridge_fw::registers::{EventCode, FIRST_REPORT, REPORTS};
+use wsg_bridge_fw::registers::EventCode;
 use wsg_protocol::CommandId;
-
-fn report(name: &str) -> u16 {
-    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).unwrap() as u16
-}
 
 /// Code, command and value of the last events, the last first.
 fn events(bench: &mut Bench) -> Vec<[u16; 3]> {

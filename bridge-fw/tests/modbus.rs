@@ -1,5 +1,6 @@
 //! The bridge over Modbus RTU in virtual time: what a PLC on the bus sees, who commands, and what must never happen.
 
+use host_tests::addresses::{report, setting};
 use host_tests::modbus_bench::*;
 use host_tests::wires::Wires;
 use proptest::prelude::*;
@@ -12,14 +13,6 @@ use wsg_sim::Part;
 
 fn with_part() -> wsg_sim::Config {
     wsg_sim::Config { part: Part::of_width(20.0), ..quick() }
-}
-
-fn setting(name: &str) -> u16 {
-    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).unwrap() as u16
-}
-
-fn report(name: &str) -> u16 {
-    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).unwrap() as u16
 }
 
 #[test]

@@ -1,22 +1,15 @@
 //! The service port in virtual time: it reads everything, sets settings, and moves nothing.
 
 use bus_modbus::rtu::Character;
+use host_tests::addresses::{report, setting};
 use host_tests::chance::Chance;
 use host_tests::modbus_bench::*;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::Modbus;
-use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
+use wsg_bridge_fw::registers::{FIRST_SETTING, SETTINGS};
 use wsg_bridge_fw::{Bridge, BusConfig, BusPort, Config, ControlSource};
 use wsg_protocol::CommandId;
-
-fn setting(name: &str) -> u16 {
-    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).unwrap() as u16
-}
-
-fn report(name: &str) -> u16 {
-    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).unwrap() as u16
-}
 
 #[test]
 fn every_write_of_the_output_image_is_refused_and_nothing_comes_of_it() {

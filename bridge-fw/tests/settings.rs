@@ -1,5 +1,6 @@
 //! Settings that stay: SAVE, RESTORE, DEFAULTS, what a start finds in flash, and recipes for the bus.
 
+use host_tests::addresses::{place, report, setting};
 use host_tests::can_bench::{Double, NO_PROFIBUS};
 use host_tests::chance::Chance;
 use host_tests::flash_model::{Fault, FlashModel, Tear};
@@ -7,9 +8,7 @@ use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::{SerialGripper, motions};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::registers::{
-    COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS,
-};
+use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, Record};
 use wsg_bridge_fw::storage::{NorFlash, Page, Progress, Store};
 use wsg_bridge_fw::{Board, Config, ResetCause, Station};
 use wsg_protocol::fieldbus::CommandFlags;
@@ -98,7 +97,7 @@ impl Plant {
     }
 
     fn report(&mut self, name: &str) -> u16 {
-        self.read(4, FIRST_REPORT + REPORTS.iter().position(|it| it.name == name).unwrap() as u16)
+        self.read(4, report(name))
     }
 
     fn command(&mut self, name: &str) -> Result<(), u8> {
@@ -130,10 +129,6 @@ impl Plant {
     fn has_moved(&self) -> bool {
         !motions(self.sent.clone()).is_empty()
     }
-}
-
-fn setting(name: &str) -> u16 {
-    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).expect("a setting") as u16
 }
 
 fn command(name: &str) -> u16 {
@@ -180,7 +175,7 @@ fn what_was_saved_counts_after_a_power_cycle_and_nothing_else() {
 #[test]
 fn restore_takes_what_is_stored_and_defaults_what_was_delivered() {
     let mut delivered = Config::DEFAULT.record();
-    delivered[usize::from(setting("DEBOUNCE") - FIRST_SETTING)] = 9;
+    delivered[place("DEBOUNCE")] = 9;
     let mut plant = Plant::delivered_with(&delivered, FlashModel::new());
     plant.set("DEBOUNCE", 50);
     assert_eq!(plant.command("RESTORE"), Ok(()));
@@ -306,7 +301,7 @@ fn a_power_cut_leaves_the_old_or_the_new_settings_and_moves_nothing() {
 fn settings_that_cannot_be_used_let_nothing_move_until_others_are_stored() {
     let delivered = Config::DEFAULT.record();
     let mut wrong = delivered;
-    wrong[usize::from(setting("CAN_RATE") - FIRST_SETTING)] = 300;
+    wrong[place("CAN_RATE")] = 300;
     let mut damaged = FlashModel::new();
     damaged.set(Page::First, 3, None);
     let longer = [&delivered[..], &[1]].concat();
@@ -360,7 +355,7 @@ fn older_firmwares_settings_are_taken_and_the_others_are_as_delivered() {
 
 #[test]
 fn settings_of_map_version_5_are_taken_and_those_of_profibus_are_as_delivered() {
-    let at = |name| usize::from(setting(name) - FIRST_SETTING);
+    let at = |name| place(name);
     let mut delivered = Config::DEFAULT.record();
     delivered[at("PROFIBUS_ADDRESS")] = 9;
     delivered[at("PROFIBUS_RATE")] = 5_000;

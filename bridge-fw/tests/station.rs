@@ -2,6 +2,7 @@
 
 use bus_profibus::{Baud, Character};
 use embedded_can::{Frame, Id};
+use host_tests::addresses::{place, report, setting};
 use host_tests::can_bench::Double;
 use host_tests::flash_model::FlashModel;
 use host_tests::profibus_bench::sd2;
@@ -10,7 +11,7 @@ use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, NmtState};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::{Action, DpBuffers, DpResponder, UartStatus};
-use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS};
+use wsg_bridge_fw::registers::{FIRST_SETTING, Record};
 use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::CommandId;
 use wsg_protocol::can::Identifiers;
@@ -111,7 +112,7 @@ impl Bench {
 fn with(changes: &[(&str, u16)]) -> Config {
     let mut record: Record = Config::DEFAULT.record();
     for (name, value) in changes {
-        record[SETTINGS.iter().position(|setting| setting.name == *name).unwrap()] = *value;
+        record[place(name)] = *value;
     }
     Config::from_record(&record).unwrap()
 }
@@ -166,9 +167,7 @@ fn settings_of_the_record_count_from_the_start_on() {
     bench.pass(10);
     assert_eq!(bench.register(1, 3, FIRST_SETTING), None, "it is another's");
     assert_eq!(bench.register(5, 3, FIRST_SETTING), Some(5));
-    let at = SETTINGS.iter().position(|setting| setting.name == "RECIPE2_WIDTH").unwrap();
-    assert_eq!(bench.register(5, 3, FIRST_SETTING + at as u16), Some(33_00));
-    let report = |name| FIRST_REPORT + REPORTS.iter().position(|it| it.name == name).unwrap() as u16;
+    assert_eq!(bench.register(5, 3, setting("RECIPE2_WIDTH")), Some(33_00));
     assert_eq!(bench.register(5, 4, report("BUS_RATE")), Some(1_152));
     assert_eq!(bench.register(5, 4, report("RESET_CAUSE")), Some(ResetCause::Pin as u16));
 }
@@ -196,7 +195,7 @@ fn address_and_rate_of_the_record_are_those_on_profibus() {
 fn service_port_tells_how_far_profibus_is() {
     let mut bench = Bench::new(&with(&[("PLC_BUS", 3), ("PROFIBUS_RATE", 192)]));
     bench.pass(10);
-    let first = FIRST_REPORT + REPORTS.iter().position(|it| it.name == "PROFIBUS_STATE").unwrap() as u16;
+    let first = report("PROFIBUS_STATE");
     let tell = |bench: &mut Bench| {
         bench.pass(2);
         [0, 1, 2, 3].map(|n| {

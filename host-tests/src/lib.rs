@@ -2,6 +2,7 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`addresses`] | the bridge's registers by their names |
 //! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
 //! | [`bxcan`] | the CAN controller of the STM32L4, by its manual |
 //! | [`can_bench`] | the same on a CAN bus, with a controller that goes bus-off on command |
@@ -40,6 +41,7 @@
 //! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
 //! is empty.
 
+pub mod addresses;
 pub mod bench;
 pub mod bxcan;
 pub mod can_bench;

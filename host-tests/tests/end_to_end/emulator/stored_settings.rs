@@ -4,6 +4,7 @@
 use std::os::unix::net::UnixStream;
 use std::time::Instant;
 
+use host_tests::addresses::{report, setting};
 use host_tests::can_bus::CanBus;
 use host_tests::can_wire::WireFrame;
 use host_tests::chance::Chance;
@@ -19,8 +20,7 @@ use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{
-    COMMAND_KEY, COMMANDS, EVENTS_KEPT, EventCode, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS,
-    SETTINGS,
+    COMMAND_KEY, COMMANDS, EVENTS_KEPT, EventCode, FIRST_COMMAND, FIRST_SETTING, SETTINGS,
 };
 use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Config as BridgeConfig, RECIPE_COUNT};
@@ -170,14 +170,6 @@ impl Plant {
             assert!(Instant::now() < bound, "{what}: the save does not get there, {operations} operations");
         }
     }
-}
-
-fn setting(name: &str) -> u16 {
-    FIRST_SETTING + SETTINGS.iter().position(|setting| setting.name == name).unwrap() as u16
-}
-
-fn report(name: &str) -> u16 {
-    FIRST_REPORT + REPORTS.iter().position(|report| report.name == name).unwrap() as u16
 }
 
 fn command(name: &str) -> u16 {

@@ -221,7 +221,9 @@ fn reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from
             "never a second time by itself"
         );
         rig.gripper().tamper(None);
-        assert_eq!(rig.command(Inputs::MOVE).unwrap(), IDLE, "and the next command clears the error");
+        rig.pulse(Inputs::STOP_ACK).unwrap();
+        rig.await_outputs(PATIENCE, |outputs| outputs == IDLE).unwrap();
+        assert_eq!(rig.command(Inputs::MOVE).unwrap(), IDLE, "and behind STOP/ACK it goes on");
     }
 }
 
