@@ -141,7 +141,8 @@ pub struct Sequences {
     pub edges: Vec<(Inputs, Inputs)>,
     /// Changes of the bridge's wires.
     pub outputs: Vec<(Outputs, Outputs)>,
-    /// Every frame on the gripper's line, both ways, but those of the two values below.
+    /// Every frame on the gripper's line, both ways, but those of the two values below, and the questions whether the force limit
+    /// still holds: they have a pace of their own.
     pub frames: Vec<String>,
     /// The system states that the gripper reported, each that differs from the one before.
     pub system_states: Vec<String>,
@@ -171,6 +172,7 @@ impl Sequences {
     pub fn of(entries: &[Entry], mark: usize) -> Self {
         let mut sequences = Self::default();
         let mut last_reports = [None, None];
+        let mut last_frame = None;
         for (at, entry) in entries.iter().enumerate() {
             let counts = at >= mark;
             match entry {
@@ -183,11 +185,21 @@ impl Sequences {
                         Some(CommandId::GetGripperState) => {
                             (last_gripper_state, &mut sequences.gripper_states)
                         }
-                        _ if counts => {
-                            sequences.frames.push(entry.to_string());
+                        id => {
+                            let is_answer = matches!(entry, Entry::FromGripper(_));
+                            // What is read back follows what was set.
+                            let follows =
+                                [(CommandId::SetForceLimit, true), (CommandId::GetForceLimit, false)];
+                            let is_upkeep = id == Some(CommandId::GetForceLimit)
+                                && last_frame != Some(follows[usize::from(is_answer)]);
+                            if counts && !is_upkeep {
+                                sequences.frames.push(entry.to_string());
+                            }
+                            if !is_upkeep {
+                                last_frame = id.map(|id| (id, is_answer));
+                            }
                             continue;
                         }
-                        _ => continue,
                     };
                     let is_report = matches!(entry, Entry::FromGripper(_));
                     if is_report && last.replace(bytes) != Some(bytes) && counts {
