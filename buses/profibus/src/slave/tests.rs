@@ -329,6 +329,17 @@ fn nothing_is_answered_that_is_not_for_this_station() {
 }
 
 #[test]
+fn slave_is_found_at_the_address_that_it_was_given_last() {
+    let mut slave = Device::new(&PROFILE, ADDRESS);
+    let other = Address::new(STATION + 1);
+    slave.set_address(other);
+    assert_eq!(slave.address(), other);
+    assert_eq!(send(&mut slave, &sd1([STATION, MASTER, FDL_STATUS]), 0).0, None);
+    let answer = answer_of(&mut slave, &sd1([STATION + 1, MASTER, FDL_STATUS]));
+    assert_eq!(answer[..3], [0x10, MASTER, STATION + 1]);
+}
+
+#[test]
 fn repeated_request_gets_its_answer_again_and_does_nothing() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next();
