@@ -251,12 +251,10 @@ impl Dialect for Binary {
     }
 
     /// A motion is the one request that does not wait for the answer to another one: not even a query may lie between what
-    /// is known and the motion that relies on it. An unknown command may be a script's.
+    /// is known and the motion that relies on it. An unknown command may be a script's. Homing is what a gripper needs that
+    /// was restarted, and has forgotten its settings.
     fn leaves_settings(id: CommandId) -> bool {
-        matches!(
-            id,
-            CommandId::Homing | CommandId::PrePosition | CommandId::GripPart | CommandId::ReleasePart
-        )
+        matches!(id, CommandId::PrePosition | CommandId::GripPart | CommandId::ReleasePart)
     }
 
     fn forget_settings(known: &mut Known) {
