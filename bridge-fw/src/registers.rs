@@ -7,6 +7,7 @@ mod record;
 mod reports;
 mod settings;
 mod store_commands;
+mod table;
 
 pub use events::{EVENTS, EVENTS_KEPT, EventCode, EventText};
 pub use reports::{

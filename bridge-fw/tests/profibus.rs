@@ -175,7 +175,7 @@ fn jog_ends_when_the_master_leaves_whatever_the_reaction_is() {
     let ways: [(&str, Leave); 5] = [
         ("falls silent", |bench| bench.pass_silent(WATCHDOG_MS)),
         ("clears", |bench| bench.control(0x02, 0)),
-        ("unlocks", |bench| assert_eq!(bench.service(61, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), SC)),
+        ("unlocks", |bench| assert_eq!(bench.service(points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), SC)),
         ("sends parameters again", |bench| bench.start(WATCHDOG)),
         ("sends outputs of another length", |bench| drop(bench.send(&sd2(&[STATION, MASTER, 0x6D, 1, 2])))),
     ];
@@ -264,9 +264,15 @@ fn second_master_is_refused_and_changes_nothing() {
     let refused = [0x10, SECOND_MASTER, STATION, 0x03, 0x0D, 0x16];
     let image = bench.image;
     for _ in 0..20 {
-        assert_eq!(bench.service_of(SECOND_MASTER, 61, &[0x88, 1, 1, 11, 0x55, 0x55, 0]), refused);
-        assert_eq!(bench.service_of(SECOND_MASTER, 61, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), refused);
-        assert_eq!(bench.service_of(SECOND_MASTER, 62, &[0xA7, 0x9B]), refused);
+        assert_eq!(
+            bench.service_of(SECOND_MASTER, points::SET_PRM, &[0x88, 1, 1, 11, 0x55, 0x55, 0]),
+            refused
+        );
+        assert_eq!(
+            bench.service_of(SECOND_MASTER, points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]),
+            refused
+        );
+        assert_eq!(bench.service_of(SECOND_MASTER, points::CHK_CFG, &[0xA7, 0x9B]), refused);
         bench.image = OutputImage { flags: Flag::FASTSTOP, ..image };
         assert_eq!(bench.exchange_of(SECOND_MASTER), refused);
         bench.image = image;
@@ -291,8 +297,8 @@ fn wrong_parameters_or_configuration_are_told_and_nobody_commands() {
     for (what, parameters, config, fault) in wrong {
         let mut bench = moving(SilenceReaction::Stop);
         // In data exchange they end it, and out of it they do not begin it.
-        assert_eq!(bench.service(61, &parameters), SC);
-        bench.service(62, &config);
+        assert_eq!(bench.service(points::SET_PRM, &parameters), SC);
+        bench.service(points::CHK_CFG, &config);
         assert_eq!(bench.diagnosis()[0] & 0x56, 0x02 | fault, "{what}: not ready");
         bench.image.flags = Flag::RELEASE;
         assert_eq!(
@@ -349,17 +355,17 @@ fn configuration_inputs_and_outputs_are_read_and_the_address_stays() {
     let input = bench.input();
     let data = |answer: Vec<u8>| answer[9..answer.len() - 2].to_vec();
     for master in [MASTER, SECOND_MASTER] {
-        assert_eq!(data(bench.service_of(master, 59, &[])), [0xA7, 0x9B], "Get_Cfg");
-        assert_eq!(data(bench.service_of(master, 56, &[])), input.to_bytes(), "RD_Inp");
-        assert_eq!(data(bench.service_of(master, 57, &[])), bench.image.to_bytes(), "RD_Outp");
+        assert_eq!(data(bench.service_of(master, points::GET_CFG, &[])), [0xA7, 0x9B], "Get_Cfg");
+        assert_eq!(data(bench.service_of(master, points::RD_INP, &[])), input.to_bytes(), "RD_Inp");
+        assert_eq!(data(bench.service_of(master, points::RD_OUTP, &[])), bench.image.to_bytes(), "RD_Outp");
     }
     // Set_Slave_Address is refused by each, in data exchange and without a master.
     let refused = [0x10, MASTER, STATION, 0x03, 0x0C, 0x16];
-    assert_eq!(bench.service(55, &[9, 0x55, 0x55, 0]), refused);
+    assert_eq!(bench.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
     bench.exchange();
     let mut bench = Bench::new(AT_500K, quick());
     bench.pass_silent(10);
-    assert_eq!(bench.service(55, &[9, 0x55, 0x55, 0]), refused);
+    assert_eq!(bench.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
     bench.start(WATCHDOG);
     bench.exchange();
 }
@@ -374,7 +380,7 @@ fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
     let (function, input) = bench.exchange();
     assert!(input.system.contains(SystemFlags::TEMP_FAULT));
     assert_eq!(function, 0x0A, "high priority: a diagnosis is there");
-    let answer = bench.service(60, &[]);
+    let answer = bench.service(points::SLAVE_DIAG, &[]);
     let expected = Diagnosis { standard: [0x08, 0x0C, 0x00, MASTER], system: input.system }.to_bytes();
     assert_eq!(answer[9..25], expected);
     assert_eq!(bench.exchange().0, 0x08, "read");
@@ -386,7 +392,7 @@ fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
     bench.pass(100);
     let (function, input) = bench.exchange();
     assert!(!input.system.intersects(Diagnosis::TRIGGERS), "{input:?}");
-    assert_eq!((function, bench.service(60, &[])[9]), (0x08, 0x00));
+    assert_eq!((function, bench.service(points::SLAVE_DIAG, &[])[9]), (0x08, 0x00));
 }
 
 #[test]

@@ -7,7 +7,8 @@
 use crate::config::Config;
 use crate::port::PortKind;
 use crate::time::Time;
-use embedded_can::{Id, StandardId};
+use bus_slcan::ClassicFrame;
+use embedded_can::{Frame as _, StandardId};
 use wsg_protocol::can::{FULL, MAX_FRAMES, Reassembler};
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use wsg_protocol::{Event, Frame, FrameCounters, FrameParser, Instant};
@@ -40,7 +41,7 @@ impl Deframer {
         let finder = match kind {
             // The reassembler knows no messages whose checksum is wrong: without checking their cut says nothing.
             PortKind::Can if config.check_checksum => {
-                Finder::Can(Reassembler::new(Piece::ID, timeout_ms as u32), Found::NOTHING)
+                Finder::Can(Reassembler::new(ID, timeout_ms as u32), Found::NOTHING)
             }
             _ if config.check_checksum => Finder::Bytes(FrameParser::new()),
             _ => Finder::Bytes(FrameParser::ignoring_checksums()),
@@ -68,13 +69,13 @@ impl Deframer {
         match &mut self.finder {
             Finder::Bytes(parser) => parser.push_slice(bytes),
             Finder::Can(reassembler, found) => {
-                if found.is_empty()
-                    && let Some(piece) = Piece::first_of(bytes)
+                let taken = if found.is_empty() { bytes.len().min(FULL) } else { 0 };
+                if let Some(data @ [_, ..]) = bytes.get(..taken)
+                    && let Some(frame) = ClassicFrame::new(ID, data)
                 {
-                    reassembler.receive(instant(now), &piece, |event| found.keep(&event));
-                    return (piece.len, found.next());
+                    reassembler.receive(instant(now), &frame, |event| found.keep(&event));
                 }
-                (0, found.next())
+                (taken, found.next())
             }
         }
     }
@@ -120,57 +121,8 @@ const fn instant(now: Time) -> Instant {
     Instant::from_millis((now.as_micros() / 1_000) as u32)
 }
 
-/// The data of one CAN frame. What it was sent with is seen to before.
-#[derive(Clone, Copy, Debug)]
-struct Piece {
-    data: [u8; FULL],
-    len: usize,
-}
-
-impl Piece {
-    /// That of all pieces: whose frames are for this gripper is seen to before.
-    const ID: StandardId = StandardId::ZERO;
-
-    /// `None` of nothing.
-    fn first_of(bytes: &[u8]) -> Option<Self> {
-        let mut piece = Self { data: [0; FULL], len: 0 };
-        for (slot, byte) in piece.data.iter_mut().zip(bytes) {
-            *slot = *byte;
-            piece.len += 1;
-        }
-        (piece.len > 0).then_some(piece)
-    }
-}
-
-impl embedded_can::Frame for Piece {
-    fn new(_: impl Into<Id>, data: &[u8]) -> Option<Self> {
-        Self::first_of(data)
-    }
-
-    fn new_remote(_: impl Into<Id>, _: usize) -> Option<Self> {
-        None
-    }
-
-    fn is_extended(&self) -> bool {
-        false
-    }
-
-    fn is_remote_frame(&self) -> bool {
-        false
-    }
-
-    fn id(&self) -> Id {
-        Id::Standard(Self::ID)
-    }
-
-    fn dlc(&self) -> usize {
-        self.len
-    }
-
-    fn data(&self) -> &[u8] {
-        self.data.get(..self.len).unwrap_or(&[])
-    }
-}
+/// The identifier of all CAN frames here: which are for this gripper is seen to before.
+const ID: StandardId = StandardId::ZERO;
 
 /// Events that one CAN frame has led to, to be taken one at a time: several where a frame before it was lost.
 #[derive(Clone, Debug)]

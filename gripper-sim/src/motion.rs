@@ -327,12 +327,13 @@ impl MotionControl {
         if !self.referenced {
             return Status::NotInitialized;
         }
-        if self.motion.is_some_and(|motion| !matches!(motion.task, Task::Run)) {
-            self.end_motion(Status::CmdAborted);
-        }
+        let runs = self.runs();
         if speed == 0.0 || !speed.is_finite() {
-            self.abort();
+            self.halt_motion(if runs { Status::Success } else { Status::CmdAborted });
             return Status::Success;
+        }
+        if !runs {
+            self.end_motion(Status::CmdAborted);
         }
         let here = self.width();
         let (minus, plus) = match self.settings.soft_limits() {
@@ -380,12 +381,21 @@ impl MotionControl {
 
     /// Ends a running motion and nothing else (Disconnect Announcement, command set 3.1.2).
     pub(crate) fn abort(&mut self) {
+        self.halt_motion(Status::CmdAborted);
+    }
+
+    fn halt_motion(&mut self, status: Status) {
         if self.motion.is_some() {
             self.axis.halt();
             self.state = GripperState::Idle;
             self.grip_direction = None;
-            self.end_motion(Status::CmdAborted);
+            self.end_motion(status);
         }
+    }
+
+    /// Whether the motion is velocity mode.
+    fn runs(&self) -> bool {
+        self.motion.is_some_and(|motion| matches!(motion.task, Task::Run))
     }
 
     /// Sets the fingers in motion: E_CMD_PENDING.
@@ -423,10 +433,9 @@ impl MotionControl {
     }
 
     fn may_move(&self) -> Result<(), Status> {
-        let runs = self.motion.is_some_and(|motion| matches!(motion.task, Task::Run));
         if self.fast_stop_latched {
             Err(Status::AccessDenied)
-        } else if (self.motion.is_some() || self.axis.is_moving()) && !runs {
+        } else if (self.motion.is_some() || self.axis.is_moving()) && !self.runs() {
             Err(Status::AlreadyRunning)
         } else {
             Ok(())

@@ -20,6 +20,21 @@ pub const SECOND_MASTER: u8 = 3;
 /// Short acknowledgement.
 pub const SC: [u8; 1] = [0xE5];
 
+/// The slave's service access points (IEC 61158-6-3), by the services behind them.
+#[allow(missing_docs, reason = "the names are those of the standard")]
+pub mod points {
+    pub const SET_SLAVE_ADDRESS: u8 = 55;
+    pub const RD_INP: u8 = 56;
+    pub const RD_OUTP: u8 = 57;
+    pub const GLOBAL_CONTROL: u8 = 58;
+    pub const GET_CFG: u8 = 59;
+    pub const SLAVE_DIAG: u8 = 60;
+    pub const SET_PRM: u8 = 61;
+    pub const CHK_CFG: u8 = 62;
+    /// The source of all that a master of class 1 sends.
+    pub const MASTER: u8 = 62;
+}
+
 /// Bits of a character.
 const CHARACTER_BITS: u32 = 11;
 /// The silence before a request (T_SYN).
@@ -257,7 +272,7 @@ impl Bench {
 
     /// A service with data, of a master.
     pub fn service_of(&mut self, master: u8, point: u8, data: &[u8]) -> Vec<u8> {
-        let head = [STATION | 0x80, master | 0x80, self.next(), point, 62];
+        let head = [STATION | 0x80, master | 0x80, self.next(), point, points::MASTER];
         self.send(&sd2(&[&head[..], data].concat()))
     }
 
@@ -277,8 +292,8 @@ impl Bench {
     /// # Panics
     /// When they are not acknowledged, which they are whether they are taken or not.
     pub fn start_with(&mut self, parameters: &[u8], config: &[u8]) {
-        assert_eq!(self.service(61, parameters), SC);
-        assert_eq!(self.service(62, config), SC);
+        assert_eq!(self.service(points::SET_PRM, parameters), SC);
+        assert_eq!(self.service(points::CHK_CFG, config), SC);
     }
 
     /// The standard part of the diagnosis: three bytes of status, and the master.
@@ -286,7 +301,7 @@ impl Bench {
     /// # Panics
     /// When the diagnosis does not have 16 bytes.
     pub fn diagnosis(&mut self) -> [u8; 4] {
-        let answer = self.service(60, &[]);
+        let answer = self.service(points::SLAVE_DIAG, &[]);
         assert_eq!(answer.len(), 4 + 5 + 16 + 2, "{answer:02X?}");
         std::array::from_fn(|n| answer[9 + n])
     }
@@ -296,7 +311,15 @@ impl Bench {
     /// # Panics
     /// When it is answered.
     pub fn control(&mut self, command: u8, groups: u8) {
-        let answer = self.send(&sd2(&[0xFF, MASTER | 0x80, 0x46, 58, 62, command, groups]));
+        let answer = self.send(&sd2(&[
+            0xFF,
+            MASTER | 0x80,
+            0x46,
+            points::GLOBAL_CONTROL,
+            points::MASTER,
+            command,
+            groups,
+        ]));
         assert!(answer.is_empty(), "nobody answers a broadcast");
     }
 

@@ -1,6 +1,7 @@
 //! Counters and versions as input registers.
 
 use super::events::{EVENT_LEN, EVENTS_KEPT, Events};
+use super::table::joined;
 use super::{RegisterError, StoreReports};
 use crate::arbiter::ControlSource;
 use crate::config::BusConfig;
@@ -97,25 +98,8 @@ const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> 
 }
 
 /// The reports, from [`FIRST_REPORT`] on. Counters stop at 65 535.
-pub const REPORTS: [Report; BEFORE_EVENTS.len() + EVENTS_KEPT * EVENT_LEN + BEHIND_EVENTS.len()] = {
-    let mut all = [BEFORE_EVENTS[0]; BEFORE_EVENTS.len() + EVENTS_KEPT * EVENT_LEN + BEHIND_EVENTS.len()];
-    let mut at = 0;
-    while at < all.len() {
-        #[expect(clippy::indexing_slicing, reason = "a constant: wrong lengths do not compile")]
-        {
-            let event = at.wrapping_sub(BEFORE_EVENTS.len());
-            all[at] = if at < BEFORE_EVENTS.len() {
-                BEFORE_EVENTS[at]
-            } else if event < EVENTS_KEPT * EVENT_LEN {
-                EVENT_REPORTS[event / EVENT_LEN][event % EVENT_LEN]
-            } else {
-                BEHIND_EVENTS[event - EVENTS_KEPT * EVENT_LEN]
-            };
-        }
-        at += 1;
-    }
-    all
-};
+pub const REPORTS: [Report; BEFORE_EVENTS.len() + EVENTS_KEPT * EVENT_LEN + BEHIND_EVENTS.len()] =
+    joined(BEFORE_EVENTS, EVENT_REPORTS, BEHIND_EVENTS);
 
 /// What stands behind the events.
 const BEHIND_EVENTS: [Report; 7] = [

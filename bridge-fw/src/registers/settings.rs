@@ -1,5 +1,6 @@
 //! The settings of a bridge as holding registers: one table, for the PLC's bus, for flash and for `--set`.
 
+use super::table::joined;
 use super::{RegisterError, StoreCommand};
 use crate::config::{
     CanConfig, Config, NodeConfig, PlcBus, ProfibusConfig, RECIPE_COUNT, Recipe, collides_with_canopen,
@@ -157,25 +158,7 @@ const BEHIND_RECIPES: [Setting; COUNT - Place::BusRecipe as usize] = [
 ];
 
 /// The settings, from [`FIRST_SETTING`] on.
-pub const SETTINGS: [Setting; COUNT] = {
-    let mut all = [BEFORE_RECIPES[0]; COUNT];
-    let mut at = 0;
-    while at < all.len() {
-        #[expect(clippy::indexing_slicing, reason = "a constant: wrong lengths do not compile")]
-        {
-            all[at] = if at < Place::Recipes as usize {
-                BEFORE_RECIPES[at]
-            } else if at < Place::BusRecipe as usize {
-                let at = at - Place::Recipes as usize;
-                RECIPE_SETTINGS[at / RECIPE_LEN][at % RECIPE_LEN]
-            } else {
-                BEHIND_RECIPES[at - Place::BusRecipe as usize]
-            };
-        }
-        at += 1;
-    }
-    all
-};
+pub const SETTINGS: [Setting; COUNT] = joined(BEFORE_RECIPES, RECIPE_SETTINGS, BEHIND_RECIPES);
 
 /// The values of all settings, in the order of [`SETTINGS`].
 pub type Record = [u16; SETTINGS.len()];

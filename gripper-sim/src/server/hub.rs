@@ -175,8 +175,7 @@ impl Hub {
         if let Some(log) = &mut *self.log.borrow_mut() {
             log.disconnect(client.id);
         }
-        self.with_gripper(|gripper, now| gripper.disconnect(client.id, now));
-        self.rescheduled.notify_one();
+        self.act(|gripper, now| gripper.disconnect(client.id, now));
     }
 
     /// What the gripper was made with.
@@ -210,8 +209,7 @@ impl Hub {
             Some(part) => self.note(format_args!("part {} mm, {} N/mm", part.width(), part.stiffness())),
             None => self.note(format_args!("no part")),
         }
-        self.with_gripper(|gripper, now| gripper.set_part(part, now));
-        self.rescheduled.notify_one();
+        self.act(|gripper, now| gripper.set_part(part, now));
     }
 
     pub(super) fn set_fault(&self, fault: Fault, on: bool) {
@@ -221,15 +219,13 @@ impl Hub {
         if on {
             faults.push(fault);
         }
-        self.with_gripper(|gripper, now| gripper.set_fault(fault, on, now));
-        self.rescheduled.notify_one();
+        self.act(|gripper, now| gripper.set_fault(fault, on, now));
     }
 
     /// Carries out a command of a hand beside the gripper; its first status.
     pub(super) fn command(&self, command: &Command<'_>) -> Status {
-        let status = self.with_gripper(|gripper, now| gripper.command(command, now));
+        let status = self.act(|gripper, now| gripper.command(command, now));
         self.note(format_args!("{command}: {status}"));
-        self.rescheduled.notify_one();
         status
     }
 
@@ -252,7 +248,6 @@ impl Hub {
     }
 
     /// Does something that may change when the gripper is to be woken next.
-    #[cfg(feature = "script")]
     pub(super) fn act<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
         let result = self.with_gripper(act);
         self.rescheduled.notify_one();
@@ -371,8 +366,7 @@ impl Client {
     }
 
     fn hear(&self, bytes: &[u8]) {
-        self.hub.with_gripper(|gripper, now| gripper.receive(self.connected.id, now, bytes));
-        self.hub.rescheduled.notify_one();
+        self.hub.act(|gripper, now| gripper.receive(self.connected.id, now, bytes));
         #[cfg(feature = "script")]
         self.hub.script_waits.notify_one();
     }

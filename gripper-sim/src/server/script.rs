@@ -89,7 +89,7 @@ impl Script {
         let every = HookTriggers::new().every_nth_instruction(LOOK_EVERY);
         lua.set_global_hook(every, move |_, _| {
             if is_over.load(Ordering::Relaxed) {
-                return Err(mlua::Error::runtime("the gripper was switched off"));
+                return Err(switched_off());
             }
             looks.set(looks.get() + 1);
             if looks.get() >= LOOKS_WITHOUT_REST {
@@ -177,7 +177,11 @@ fn ask<T: Send + 'static>(
 /// Waits for the answer to a call.
 fn ask_for<T>(asks: &UnboundedSender<Call>, call: impl FnOnce(SyncSender<T>) -> Call) -> mlua::Result<T> {
     let (answer, answered) = sync_channel(1);
-    let is_off = |()| mlua::Error::runtime("the gripper was switched off");
-    asks.send(call(answer)).map_err(|_| is_off(()))?;
-    answered.recv().map_err(|_| is_off(()))
+    asks.send(call(answer)).map_err(|_| switched_off())?;
+    answered.recv().map_err(|_| switched_off())
+}
+
+/// What ends a script whose gripper is gone.
+fn switched_off() -> mlua::Error {
+    mlua::Error::runtime("the gripper was switched off")
 }

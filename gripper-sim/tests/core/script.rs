@@ -91,6 +91,7 @@ fn velocity_mode_runs_at_its_speed_until_it_is_told_another() {
     let stopped = rig.width();
     assert!(rig.wait(100).is_empty(), "nobody asked");
     assert_eq!((rig.width(), rig.state()), (stopped, GripperState::Idle));
+    assert!(!rig.flags().contains(SystemFlags::CMD_FAILURE), "it did as it was told");
 }
 
 #[test]
@@ -134,6 +135,14 @@ fn any_command_takes_the_place_of_velocity_mode_and_it_takes_the_place_of_any_mo
     assert_eq!(rig.status(Command::Stop), Status::Success);
     assert_eq!(rig.wait(50), [], "and nobody else is");
     assert_eq!(rig.gripper.state().speed, 0.0);
+
+    assert_eq!(rig.status(go_to(100.0)), Status::CmdPending);
+    rig.wait(50);
+    assert_eq!(run(&mut rig, 0.0), Status::Success);
+    assert_eq!(rig.next().status(), Status::CmdAborted, "a speed of 0 ends a motion as well");
+    let stopped = rig.width();
+    rig.wait(50);
+    assert_eq!((rig.width(), rig.state()), (stopped, GripperState::Idle));
 }
 
 #[test]

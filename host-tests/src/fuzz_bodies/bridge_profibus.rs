@@ -27,6 +27,9 @@ use super::bridge_can::Tap;
 use super::gripper::{self, Gripper};
 use super::input::Input;
 use super::oracle::Oracle;
+use crate::profibus_bench::points::{
+    CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
+};
 use crate::profibus_bench::{sd2, sum};
 use crate::serial_gripper::SerialLine;
 
@@ -46,15 +49,6 @@ const SILENCES: [u32; 5] = [40, 40, 40, 200, 10];
 
 /// What is near 33 bits a clock of microseconds does not tell apart.
 const UNCLEAR_US: RangeInclusive<u32> = 32 * BIT_US..=35 * BIT_US;
-
-const SET_SLAVE_ADDRESS: u8 = 55;
-const RD_INP: u8 = 56;
-const RD_OUTP: u8 = 57;
-const GLOBAL_CONTROL: u8 = 58;
-const GET_CFG: u8 = 59;
-const SLAVE_DIAG: u8 = 60;
-const SET_PRM: u8 = 61;
-const CHK_CFG: u8 = 62;
 
 thread_local! {
     /// What handler and main loop share: one for all cases of a thread, for it is never given back.

@@ -3,6 +3,10 @@
 use bus_profibus::{Address, Cause, Character, Event, Profile, Slave, State};
 
 use super::input::Input;
+use crate::profibus_bench::points::{
+    CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
+};
+use crate::profibus_bench::sum;
 
 const STATION: u8 = 7;
 const OTHER_STATION: u8 = 9;
@@ -13,14 +17,6 @@ const CONFIG: [u8; 2] = [0xA7, 0x11];
 const SYNC_BITS: u32 = 33;
 
 const SERVICES: [u8; 9] = [55, 56, 57, 58, 59, 60, 61, 62, 63];
-const SET_SLAVE_ADDRESS: u8 = 55;
-const RD_INP: u8 = 56;
-const RD_OUTP: u8 = 57;
-const GLOBAL_CONTROL: u8 = 58;
-const GET_CFG: u8 = 59;
-const SLAVE_DIAG: u8 = 60;
-const SET_PRM: u8 = 61;
-const CHK_CFG: u8 = 62;
 
 /// A slave with everything, and one with nothing.
 static PROFILES: [Profile; 2] = [
@@ -118,10 +114,6 @@ pub fn profibus(data: &[u8]) {
         }
         model.compare();
     }
-}
-
-fn sum(body: &[u8]) -> u8 {
-    body.iter().fold(0, |sum, byte| sum.wrapping_add(*byte))
 }
 
 /// Delimiters and check sum around a body; one with eight bytes of data comes either way.

@@ -215,6 +215,9 @@ mod tests {
         status: Status::CmdPending,
     };
 
+    const OUTPUT: OutputImage =
+        OutputImage { flags: CommandFlags::MOVE, user: 0x20, width: 1220, speed: 50_00, force_limit: 40_00 };
+
     #[test]
     fn registers_hold_the_image_byte_0_first() {
         let mut images = Images::new(false);
@@ -247,16 +250,9 @@ mod tests {
         let registers = [0, 1, 2, 3, 4, 5].map(|address| images.input_register(address).unwrap());
         assert_eq!(registers, [0x0101, 0x0100, 0x0000, 0xC404, 0x9501, 0x1A00]);
         images.write_registers(0, Words::new(&[0x01, 0x20, 0xC4, 0x04, 0x88, 0x13, 0xA0, 0x0F])).unwrap();
-        let image = OutputImage {
-            flags: CommandFlags::MOVE,
-            user: 0x20,
-            width: 1220,
-            speed: 50_00,
-            force_limit: 40_00,
-        };
-        assert_eq!(images.take_written(), Some(image));
+        assert_eq!(images.take_written(), Some(OUTPUT));
         images.set_swap_bytes(false);
-        assert_eq!(images.output(), image, "the meaning stays");
+        assert_eq!(images.output(), OUTPUT, "the meaning stays");
         assert_eq!(images.holding_register(1), Ok(1220));
         assert_eq!(images.input_register(3), Ok(1220));
     }
@@ -300,21 +296,14 @@ mod tests {
 
     #[test]
     fn output_image_that_is_shown_reads_as_one_that_was_written_and_is_not_handed_over() {
-        let image = OutputImage {
-            flags: CommandFlags::MOVE,
-            user: 0x20,
-            width: 1220,
-            speed: 50_00,
-            force_limit: 40_00,
-        };
         for swap_bytes in [false, true] {
             let mut written = Images::new(swap_bytes);
             let width = if swap_bytes { [0xC4, 0x04] } else { [0x04, 0xC4] };
             written.write_registers(1, Words::new(&width)).unwrap();
             let mut shown = Images::new(swap_bytes);
-            shown.set_output(&image);
+            shown.set_output(&OUTPUT);
             assert_eq!(shown.holding_register(1), written.holding_register(1));
-            assert_eq!(shown.output(), image);
+            assert_eq!(shown.output(), OUTPUT);
             assert_eq!(shown.take_written(), None);
         }
     }

@@ -347,8 +347,9 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             _ => Err(wrong(format_args!("require: there is no {name:?} here; expected \"socket\""))),
         })?
         .function("sleep", |_, caller, milliseconds: f64| {
-            // What is no time at all is the shortest.
-            let duration = Duration::try_from_secs_f64(milliseconds / 1_000.0).unwrap_or_default();
+            // A time that is over already is none.
+            let duration = Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0)
+                .map_err(|_| wrong(format_args!("sleep: expected a time in ms")))?;
             caller.wait(|answer| Call::Sleep(duration, answer))
         })?
         .function("print", move |_, caller, values: MultiValue| {
