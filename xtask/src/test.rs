@@ -39,15 +39,10 @@ pub(crate) fn run(
         chosen.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
     let mut record = Record::default();
-    let mut skipped = masters.missing.clone();
-    for master in &skipped {
-        record.not_checked(&format!("tests with {master} (it is not installed)"));
+    for program in &masters.missing {
+        record.not_checked(&format!("tests with {program} (it is not installed)"));
     }
-    if !setup::netcat() {
-        record.not_checked("GCL by hand with nc (no nc; Debian's package: netcat-openbsd)");
-        skipped.push("conversation_by_hand_with_nc");
-    }
-    let checks = Checks { workspace, toolchain, image, chosen, masters: &masters, skipped, extent };
+    let checks = Checks { workspace, toolchain, image, chosen, masters: &masters, extent };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
@@ -65,8 +60,6 @@ struct Checks<'a> {
     /// Those with other settings than the delivered ones, by the variables that name them.
     chosen: Vec<(&'static str, Image)>,
     masters: &'a Masters,
-    /// Tests whose programs are not installed.
-    skipped: Vec<&'a str>,
     extent: Extent,
 }
 
@@ -160,7 +153,7 @@ impl Checks<'_> {
         for (variable, image) in &self.chosen {
             tests.env(variable, &image.path);
         }
-        for skipped in &self.skipped {
+        for skipped in &self.masters.missing {
             tests.args(["--skip", skipped]);
         }
         process::run(tests.args(filter))

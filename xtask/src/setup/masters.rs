@@ -1,5 +1,5 @@
-//! Third-party masters of Modbus, CANopen and PROFIBUS: `mbpoll` from Debian, others from PyPI in a virtual environment of their own,
-//! and one from npm below the target folder, where there is Node.js. Only `test` asks for them. What cannot be had is no
+//! Other people's programs that tests run beside ours: some from Debian, some from PyPI in a virtual environment of their
+//! own, and some from npm below the target folder, where there is Node.js. Only `test` asks for them. What cannot be had is no
 //! failure: `test` leaves its tests out, and says so.
 
 use std::{
@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 
 use super::{
     apt::{self, Packages},
-    find_or_install, installing_is_forbidden, obstacle_to_installing, report,
+    installing_is_forbidden, obstacle_to_installing, report,
 };
 use crate::{process, workspace::Workspace};
 
@@ -26,6 +26,10 @@ const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The masters from PyPI, as they stand in the names of the tests that need them.
 const FROM_PYPI: [&str; 5] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen", "pyprofibus"];
+
+/// Debian's programs: as they stand in the names of the tests that need them, the program, its package.
+const FROM_DEBIAN: [(&str, &str, &str); 2] =
+    [("mbpoll", "mbpoll", "mbpoll"), ("by_hand_with_nc", "nc", "netcat-openbsd")];
 
 /// The masters on this machine, as far as they are not missing.
 pub(crate) struct Masters {
@@ -66,10 +70,19 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     if !has_node() {
         missing.push("jsmodbus");
     }
-    if !find_or_install("mbpoll", "mbpoll") {
-        missing.push("mbpoll");
-    }
+    missing.extend(lacking_programs());
     Masters { python, node, missing }
+}
+
+/// Installs those of Debian's programs that are not there, where that may be; the names of those that still are not.
+fn lacking_programs() -> Vec<&'static str> {
+    let lacking =
+        || FROM_DEBIAN.into_iter().filter(|(_, program, _)| !process::exists(program)).collect::<Vec<_>>();
+    let names: Vec<_> = lacking().into_iter().map(|(_, _, package)| package).collect();
+    if !names.is_empty() && obstacle_to_installing().is_none() {
+        report(apt::install(&[Packages { names, release: None, source: None }]));
+    }
+    lacking().into_iter().map(|(name, ..)| name).collect()
 }
 
 /// Makes the environment and puts the packages into it.

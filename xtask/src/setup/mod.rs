@@ -12,7 +12,6 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use apt::Packages;
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{Masters, NODE_VARIABLE, PYTHON_VARIABLE, provide as masters};
 pub(crate) use rust_target::{MINIMUM_RUST, ThumbToolchain, has_target, rustup};
@@ -81,19 +80,6 @@ fn how_to_install(wanted: &[apt::Packages], rustup_would_do: bool) -> String {
         ));
     }
     text
-}
-
-/// Finds `nc`, which a person types GCL into, or installs it where that may be; says whether it is there.
-pub(crate) fn netcat() -> bool {
-    find_or_install("nc", "netcat-openbsd")
-}
-
-/// Finds a program, or installs Debian's package of it where that may be; says whether it is there.
-fn find_or_install(program: &str, package: &'static str) -> bool {
-    if !process::exists(program) && obstacle_to_installing().is_none() {
-        report(apt::install(&[Packages::of(package)]));
-    }
-    process::exists(program)
 }
 
 /// Tells of a failure without which the rest goes on.
