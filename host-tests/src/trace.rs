@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{Command, CommandId, Event, FrameParser, Reply, frame::MAX_MESSAGE_LEN};
+use wsg_protocol::{CommandId, Direction, Event, FrameParser, Meaning, frame::MAX_MESSAGE_LEN};
 
 /// One thing that happened.
 #[derive(Clone, Debug, PartialEq)]
@@ -234,8 +234,8 @@ impl fmt::Display for Entry {
                     name(Outputs::from_bits_retain(bit).iter_names().next())
                 })
             }
-            Self::ToGripper(bytes) => write!(f, "-> {}", Described { bytes, is_reply: false }),
-            Self::FromGripper(bytes) => write!(f, "<- {}", Described { bytes, is_reply: true }),
+            Self::ToGripper(bytes) => Described { bytes, direction: Direction::ToGripper }.fmt(f),
+            Self::FromGripper(bytes) => Described { bytes, direction: Direction::FromGripper }.fmt(f),
             Self::Fingers(width) => write!(f, "fingers {width:.2} mm"),
             Self::Note(text) => write!(f, "{text}"),
         }
@@ -261,10 +261,10 @@ fn edges(
     Ok(())
 }
 
-/// A frame's meaning and its bytes.
+/// A frame's direction, its meaning and its bytes.
 struct Described<'a> {
     bytes: &'a [u8],
-    is_reply: bool,
+    direction: Direction,
 }
 
 impl fmt::Display for Described<'_> {
@@ -272,17 +272,12 @@ impl fmt::Display for Described<'_> {
         let mut parser = FrameParser::<{ MAX_MESSAGE_LEN }>::new();
         let meaning = match parser.push_slice(self.bytes) {
             (taken, Some(Event::Frame(frame))) if taken == self.bytes.len() => {
-                let read = if self.is_reply {
-                    Reply::decode(&frame).map(|reply| reply.to_string())
-                } else {
-                    Command::decode(&frame).map(|command| command.to_string())
-                };
-                read.unwrap_or_else(|refusal| format!("{:02X}h not understood: {refusal}", frame.id))
+                Meaning { direction: self.direction, frame }.to_string()
             }
             (_, Some(Event::BadChecksum { id, .. })) => format!("{id:02X}h with a wrong checksum"),
             _ => "no frame".to_owned(),
         };
-        write!(f, "{meaning:<58}")?;
+        write!(f, "{} {meaning:<58}", self.direction)?;
         self.bytes.iter().try_for_each(|byte| write!(f, " {byte:02X}"))
     }
 }

@@ -32,7 +32,7 @@ macro_rules! define_commands {
         $(#[$doc:meta])*
         $code:literal $name:ident $title:literal $section:literal $kind:ident
             request $({ $($(#[$field_doc:meta])* $field:ident: $type:ty = $unit:literal),+ })?
-            reply $(($value:ty))?
+            reply $(($value:ty $(= $value_unit:literal)?))?
             immediate [$($immediate:ident),*] completion [$($completion:ident),*];
     )*) => {
         /// The id of a command (command set, chapter 3).

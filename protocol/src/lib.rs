@@ -9,6 +9,7 @@
 //! | [`frame`] | [`Frame`], [`FrameParser`], [`FrameEncoder`] | command set, 1.2 |
 //! | [`command`] | [`Command`]: every request; [`CommandId`] and its table | command set, chapter 3 |
 //! | [`reply`] | [`Reply`]: status and typed values | command set, 1.2.2 and chapter 3 |
+//! | [`Meaning`] | frames in words, for logs | |
 //! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
 //! | [`session`] | the controller's side of a connection | command set, 1.3 |
 //! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async` | command set, chapter 3 |
@@ -76,6 +77,7 @@ pub mod fieldbus;
 pub mod frame;
 #[cfg(feature = "gcl")]
 pub mod gcl;
+mod meaning;
 mod queue;
 pub mod reply;
 pub mod session;
@@ -86,6 +88,7 @@ pub mod types;
 pub use command::{Command, CommandId, Kind};
 pub use field::DecodeError;
 pub use frame::{Event, Frame, FrameCounters, FrameEncoder, FrameParser, Payload};
+pub use meaning::{Direction, Meaning};
 pub use reply::{Reply, Value};
 pub use time::Instant;
 pub use types::{

@@ -17,7 +17,7 @@ macro_rules! define_replies {
         $(#[$doc:meta])*
         $code:literal $name:ident $title:literal $section:literal $kind:ident
             request $({ $($(#[$field_doc:meta])* $field:ident: $type:ty = $unit:literal),+ })?
-            reply $(($value:ty))?
+            reply $(($value:ty $(= $value_unit:literal)?))?
             immediate [$($immediate:ident),*] completion [$($completion:ident),*];
     )*) => {
         /// What a successful reply brings beside its status: one variant for each command.
@@ -77,6 +77,7 @@ macro_rules! define_replies {
                         $(
                             f.write_str(" ")?;
                             <$value as Field>::describe(value, f)?;
+                            $(f.write_str(concat!(" ", $value_unit))?;)?
                         )?
                     })*
                     Self::Unknown { parameters, .. } => write!(f, " {} bytes", parameters.len())?,
@@ -182,7 +183,7 @@ impl Payload for Reply<'_> {
 }
 
 impl core::fmt::Display for Reply<'_> {
-    /// Id, name, status and values: `43h Get Opening Width E_SUCCESS 20.0`.
+    /// Id, name, status and values with their units: `43h Get Opening Width E_SUCCESS 20.0 mm`.
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         write!(f, "{} {}", self.id, self.status)?;
         self.value.map_or(Ok(()), |value| value.describe(f))

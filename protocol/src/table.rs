@@ -5,8 +5,9 @@
 
 /// Calls the macro `$make` with every row of the table:
 ///
-/// `id Name "manual's name" "section" Kind request { parameter: type = "unit" } reply (type) immediate [..] completion [..];`
+/// `id Name "manual's name" "section" Kind request { parameter: type = "unit" } reply (type = "unit") immediate [..] completion [..];`
 ///
+/// A type whose text has its units itself goes without one: `""`, or nothing in a reply.
 /// `immediate` are the status codes of the first answer, `completion` those of the second one, which only commands
 /// have that are carried out asynchronously (command set, 1.3).
 macro_rules! for_each_command {
@@ -96,7 +97,7 @@ macro_rules! for_each_command {
                 immediate [Success, CmdFormatError] completion [];
             /// Asks for the acceleration, in mm/s².
             0x31 GetAcceleration "Get Acceleration" "3.3.2" Query
-                request reply (f32)
+                request reply (f32 = "mm/s²")
                 immediate [Success, NoParamExpected] completion [];
             /// Sets the greatest force of the motions that follow; clamped to the gripper's limits.
             0x32 SetForceLimit "Set Force Limit" "3.3.3" Setting
@@ -108,7 +109,7 @@ macro_rules! for_each_command {
                 immediate [Success, CmdFormatError] completion [];
             /// Asks for the force limit, in N, summed over both fingers.
             0x33 GetForceLimit "Get Force Limit" "3.3.4" Query
-                request reply (f32)
+                request reply (f32 = "N")
                 immediate [Success, NoParamExpected] completion [];
             /// Sets the range that the fingers may not leave.
             0x34 SetSoftLimits "Set Soft Limits" "3.3.5" Setting
@@ -169,7 +170,7 @@ macro_rules! for_each_command {
                     /// Once, periodically, or on change (0.01 mm).
                     update: AutoUpdate = ""
                 }
-                reply (f32)
+                reply (f32 = "mm")
                 immediate [Success, CmdFormatError] completion [];
             /// Asks for the finger speed in mm/s, once or again and again.
             0x44 GetSpeed "Get Speed" "3.4.5" Query
@@ -177,7 +178,7 @@ macro_rules! for_each_command {
                     /// Once, periodically, or on change (0.05 mm/s).
                     update: AutoUpdate = ""
                 }
-                reply (f32)
+                reply (f32 = "mm/s")
                 immediate [Success, CmdFormatError] completion [];
             /// Asks for the gripping force in N, summed over both fingers, once or again and again.
             0x45 GetForce "Get Force" "3.4.6" Query
@@ -185,7 +186,7 @@ macro_rules! for_each_command {
                     /// Once, periodically, or on change (0.05 N).
                     update: AutoUpdate = ""
                 }
-                reply (f32)
+                reply (f32 = "N")
                 immediate [Success, CmdFormatError] completion [];
             /// Asks for the temperature of the device.
             0x46 GetTemperature "Get Temperature" "3.4.7" Query

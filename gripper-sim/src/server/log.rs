@@ -15,7 +15,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 use wsg_protocol::frame::PREAMBLE_LEN;
-use wsg_protocol::{Command, CommandId, Event, Frame, FrameEncoder, Reply};
+use wsg_protocol::{CommandId, Direction, Event, Frame, FrameEncoder, Meaning};
 
 /// Where the payload begins in a frame.
 const PAYLOAD_AT: usize = PREAMBLE_LEN + 3;
@@ -102,21 +102,6 @@ pub(super) struct Watched {
 
 /// The most lines that wait to be shown: more than anybody reads.
 const MAX_WATCHED: usize = 200;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Direction {
-    ToGripper,
-    FromGripper,
-}
-
-impl Direction {
-    const fn arrow(self) -> &'static str {
-        match self {
-            Self::ToGripper => "->",
-            Self::FromGripper => "<-",
-        }
-    }
-}
 
 impl Log {
     /// A log that is written here, from a thread of its own: whoever takes the lines slowly does not hold up the
@@ -284,21 +269,17 @@ impl Output {
         let id = bytes.get(PREAMBLE_LEN).copied().unwrap_or(0);
         let payload = bytes.get(PAYLOAD_AT..bytes.len().saturating_sub(CHECKSUM_LEN)).unwrap_or(&[]);
         let frame = Frame { id, payload };
-        let meaning = match direction {
-            Direction::ToGripper => Command::decode(&frame).map(|command| command.to_string()),
-            Direction::FromGripper => Reply::decode(&frame).map(|reply| reply.to_string()),
-        };
-        let meaning = meaning.unwrap_or_else(|refusal| format!("{}: {refusal}", CommandId::from_code(id)));
-        self.write(format_args!("{now} {line} {} {hex} {meaning}\n", direction.arrow()));
+        let meaning = Meaning { direction, frame };
+        self.write(format_args!("{now} {line} {direction} {hex} {meaning}\n"));
     }
 
     fn line(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
         let text = bytes.trim_ascii_end().escape_ascii();
-        self.write(format_args!("{now} {line} {} {text}\n", direction.arrow()));
+        self.write(format_args!("{now} {line} {direction} {text}\n"));
     }
 
     fn bytes(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
-        self.write(format_args!("{now} {line} {} {}\n", direction.arrow(), hex(bytes).trim_end()));
+        self.write(format_args!("{now} {line} {direction} {}\n", hex(bytes).trim_end()));
     }
 
     fn modbus_event(&mut self, now: Time, line: &str, event: tcp::Event<'_>) {
@@ -332,7 +313,7 @@ impl Output {
         let code = if exception.is_some() { code & 0x7F } else { code };
         let name = Function::from_code(code).map(|function| format!(" {function:?}")).unwrap_or_default();
         let refused = exception.map(|number| format!(", exception {number}")).unwrap_or_default();
-        self.write(format_args!("{now} {line} {} {hex} FC {code}{name}{refused}\n", direction.arrow()));
+        self.write(format_args!("{now} {line} {direction} {hex} FC {code}{name}{refused}\n"));
     }
 
     fn refused(&mut self, now: Time, line: &str, why: &str, id: u8, size: u16) {

@@ -395,7 +395,7 @@ fn log_tells_time_direction_line_bytes_and_meaning() {
         "{log}"
     );
     assert!(lines[2].ends_with("-> wrong checksum: 22h Stop with 0 bytes of payload"), "{log}");
-    assert!(lines[4].ends_with("33h Get Force Limit E_SUCCESS 40.0"), "{log}");
+    assert!(lines[4].ends_with("33h Get Force Limit E_SUCCESS 40.0 N"), "{log}");
 }
 
 #[test]

@@ -422,7 +422,7 @@ fn page_shows_decoded_frames_of_clients_without_a_log_file() {
         let text = text.to_owned();
         move |kind: &str, data: &Value| kind == "log" && data["lines"].to_string().contains(&text)
     };
-    let lines = page.until(shown("33h Get Force Limit E_SUCCESS 40.0"));
+    let lines = page.until(shown("33h Get Force Limit E_SUCCESS 40.0 N"));
     assert_eq!(lines["lost"], 0);
 }
 

@@ -39,7 +39,7 @@ struct Row {
     /// Name, type, unit.
     request: Vec<(String, String, String)>,
     /// Type and unit.
-    reply: Option<(String, &'static str)>,
+    reply: Option<(String, String)>,
 }
 
 /// The rows of protocol/src/table.rs: `id Name "title" "section" Kind request { .. } reply (..) ..;`. Layouts are not
@@ -60,21 +60,13 @@ fn rows() -> Vec<Row> {
             (name.trim().to_owned(), kind.trim().to_owned(), unit.trim().trim_matches('"').to_owned())
         });
         let reply = reply.split("immediate").next().unwrap().trim();
-        let reply = reply.strip_prefix('(').map(|kind| (kind.trim_end_matches(')').to_owned(), unit_of(id)));
+        let reply = reply.strip_prefix('(').map(|reply| {
+            let (kind, unit) = reply.trim_end_matches(')').split_once(" = ").unwrap_or((reply, ""));
+            (kind.trim_end_matches(')').to_owned(), unit.trim_matches('"').to_owned())
+        });
         Row { id, request: request.collect(), reply }
     })
     .collect()
-}
-
-/// The unit of a lone number in a reply.
-fn unit_of(id: CommandId) -> &'static str {
-    match id {
-        CommandId::GetAcceleration => " mm/s²",
-        CommandId::GetForceLimit | CommandId::GetForce => " N",
-        CommandId::GetOpeningWidth => " mm",
-        CommandId::GetSpeed => " mm/s",
-        _ => "",
-    }
 }
 
 fn layout(kind: &str) -> (&'static str, usize, usize) {
@@ -95,7 +87,9 @@ fn request_words(row: &Row) -> String {
 }
 
 fn reply_words(row: &Row) -> String {
-    row.reply.as_ref().map_or_else(String::new, |(kind, unit)| format!("{}{unit}", layout(kind).0))
+    row.reply
+        .as_ref()
+        .map_or_else(String::new, |(kind, unit)| format!("{} {unit}", layout(kind).0).trim_end().to_owned())
 }
 
 fn statuses(list: &[Status]) -> String {

@@ -127,7 +127,7 @@ fn reserved_system_flags_are_kept_for_later_firmware() {
 fn replies_read_as_a_person_would_write_them() {
     for (reply, text) in [
         (Reply::status_only(CommandId::GripPart, Status::CmdPending), "25h Grip Part E_CMD_PENDING"),
-        (Reply::success(Value::GetOpeningWidth(20.0)), "43h Get Opening Width E_SUCCESS 20.0"),
+        (Reply::success(Value::GetOpeningWidth(20.0)), "43h Get Opening Width E_SUCCESS 20.0 mm"),
         (
             Reply::success(Value::GetGripperState(GripperState::NoPart)),
             "41h Get Gripper State E_SUCCESS NO PART",
