@@ -1,5 +1,7 @@
 //! `wsg`: the commander for WSG grippers, the service tool of the bridge, and telemetry for many of them.
 
+mod decode;
+
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -13,11 +15,15 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
-enum Command {}
+enum Command {
+    Decode(decode::Arguments),
+}
 
 /// What cannot be done is told in one line; clap ends with 2 where the command line itself is wrong.
 fn main() -> ExitCode {
-    let result: anyhow::Result<ExitCode> = match Arguments::parse().command {};
+    let result = match Arguments::parse().command {
+        Command::Decode(arguments) => decode::run(&arguments),
+    };
     result.unwrap_or_else(|error| {
         eprintln!("wsg: {error:#}");
         ExitCode::FAILURE

@@ -1,0 +1,273 @@
+//! `wsg decode`: a recording as annotated frames.
+
+mod candump;
+mod capture;
+mod entry;
+mod hex_dump;
+mod scan;
+mod sim_log;
+mod tcp;
+
+use std::fs;
+use std::io::{self, Read, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use wsg_protocol::Direction;
+use wsg_protocol::can::Identifiers;
+
+use self::entry::{Entry, EntryKind};
+
+/// How many lines at the top are looked at to tell what a file is.
+const LINES_LOOKED_AT: usize = 50;
+/// How many lines that are not understood are named.
+const NAMED: usize = 5;
+
+/// Shows what a recording of a gripper's line says: every frame with its place, its bytes, its meaning and its checksum, and why bytes
+/// were dropped.
+#[derive(Args, Debug)]
+pub(crate) struct Arguments {
+    /// The recording; standard input without it, or with `-`
+    file: Option<PathBuf>,
+    /// What the recording is, where it is not to be found out
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+    /// What is spoken, where it is not to be found out
+    #[arg(long, value_enum, default_value_t)]
+    protocol: Protocol,
+    /// Which way the bytes of a dump went, where one direction was recorded
+    #[arg(long, value_enum, default_value_t)]
+    direction: Way,
+    /// Of a capture: the gripper's TCP or UDP port, where it is not 1000 or 1500
+    #[arg(long, value_name = "PORT")]
+    port: Option<u16>,
+    /// Of a candump log: the identifier that the gripper listens to, as 0x120; it sends on the next one
+    #[arg(long, value_name = "ID", value_parser = can_id)]
+    can_id: Option<Identifiers>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// By what is in it
+    #[default]
+    Auto,
+    /// Hexadecimal digits: xxd, hexdump -C, od -A x -t x1, or nothing but digits
+    Hex,
+    /// The log of wsg-sim
+    Sim,
+    /// The log of candump
+    Candump,
+    /// pcap or pcapng
+    Capture,
+    /// Bytes as they were on the line, or text of GCL
+    Raw,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Protocol {
+    /// By what is in it
+    #[default]
+    Auto,
+    /// The binary protocol
+    Binary,
+    /// GCL, the text protocol
+    Gcl,
+}
+
+impl Protocol {
+    /// Whether it is GCL, where that is said.
+    const fn gcl(self) -> Option<bool> {
+        match self {
+            Self::Auto => None,
+            Self::Binary => Some(false),
+            Self::Gcl => Some(true),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Way {
+    /// As each frame tells
+    #[default]
+    Auto,
+    /// To the gripper
+    To,
+    /// From the gripper
+    From,
+}
+
+impl Way {
+    const fn direction(self) -> Option<Direction> {
+        match self {
+            Self::Auto => None,
+            Self::To => Some(Direction::ToGripper),
+            Self::From => Some(Direction::FromGripper),
+        }
+    }
+}
+
+fn can_id(text: &str) -> Result<Identifiers, String> {
+    let digits = text.strip_prefix("0x").or_else(|| text.strip_suffix('h'));
+    let number = digits.map_or_else(|| text.parse(), |digits| u16::from_str_radix(digits, 16));
+    let pair = number.ok().and_then(Identifiers::from_base);
+    pair.ok_or_else(|| format!("{text} is no identifier of 11 bits below 0x7FF, such as 0x120 or 288"))
+}
+
+/// Shows the recording. It fails where there is no frame and no line of GCL in it.
+pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
+    let bytes = match arguments.file.as_deref().filter(|file| file.as_os_str() != "-") {
+        Some(file) => fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?,
+        None => {
+            let mut bytes = Vec::new();
+            io::stdin().lock().read_to_end(&mut bytes).context("standard input cannot be read")?;
+            bytes
+        }
+    };
+    if bytes.is_empty() {
+        bail!("the recording is empty");
+    }
+    let entries = decode(bytes, arguments)?;
+    let mut output = io::BufWriter::new(io::stdout().lock());
+    let told = entries
+        .iter()
+        .try_for_each(|entry| writeln!(output, "{entry}"))
+        .and_then(|()| writeln!(output, "{}", summary(&entries)))
+        .and_then(|()| output.flush());
+    match told {
+        // Whoever reads has seen enough.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
+        told => told.context("standard output cannot be written")?,
+    }
+    let is_understood = |entry: &Entry| matches!(entry.kind, EntryKind::Frame | EntryKind::Line);
+    Ok(if entries.iter().any(is_understood) { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Everything in the recording.
+fn decode(bytes: Vec<u8>, arguments: &Arguments) -> Result<Vec<Entry>> {
+    let gcl = arguments.protocol.gcl();
+    let direction = arguments.direction.direction();
+    let format = match arguments.format {
+        Format::Auto => format_of(&bytes),
+        format => format,
+    };
+    let text = String::from_utf8_lossy(&bytes);
+    Ok(match format {
+        Format::Capture => {
+            drop(text);
+            if !capture::is_capture(&bytes) {
+                bail!("this is no capture: it begins neither as pcap nor as pcapng");
+            }
+            capture::decode(bytes, arguments.port, gcl)?
+        }
+        Format::Candump => {
+            let (frames, strange) = lines(&text, candump::parse_line);
+            let mut entries = candump::decode(&frames, arguments.can_id);
+            entries.extend(not_understood(&strange, "candump's"));
+            entries
+        }
+        Format::Sim => {
+            let (lines, strange) = lines(&text, sim_log::parse_line);
+            let mut entries = of_sim_log(&lines);
+            entries.extend(not_understood(&strange, "frames"));
+            entries
+        }
+        Format::Hex => {
+            let dump = hex_dump::parse(&text);
+            let mut entries = of_stream(&dump.bytes, dump.offset, gcl, direction);
+            entries.extend(not_understood(&dump.strange, "a dump's"));
+            entries
+        }
+        Format::Raw | Format::Auto => of_stream(&bytes, 0, gcl, direction),
+    })
+}
+
+/// What a file is.
+fn format_of(bytes: &[u8]) -> Format {
+    if capture::is_capture(bytes) {
+        return Format::Capture;
+    }
+    let Ok(text) = std::str::from_utf8(bytes) else { return Format::Raw };
+    let has = |is_line: fn(&str) -> bool| text.lines().take(LINES_LOOKED_AT).any(is_line);
+    if has(|line| candump::parse_line(line).is_some()) {
+        Format::Candump
+    } else if has(|line| sim_log::parse_line(line).is_some()) {
+        Format::Sim
+    } else if has(hex_dump::is_line) {
+        Format::Hex
+    } else {
+        Format::Raw
+    }
+}
+
+/// What lines say, and the numbers of those that say nothing.
+fn lines<'a, T>(text: &'a str, parse: impl Fn(&'a str) -> Option<T>) -> (Vec<T>, Vec<usize>) {
+    let mut parsed = Vec::new();
+    let mut strange = Vec::new();
+    for (at, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        match parse(line) {
+            Some(line) => parsed.push(line),
+            None => strange.push(at + 1),
+        }
+    }
+    (parsed, strange)
+}
+
+fn not_understood(lines: &[usize], whose: &str) -> Option<Entry> {
+    let named: Vec<String> = lines.iter().take(NAMED).map(usize::to_string).collect();
+    let more = lines.len().saturating_sub(NAMED);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    let words = || format!("lines left out that are not {whose}: {}{more}", named.join(", "));
+    (!lines.is_empty()).then(|| Entry::note(String::new(), words()))
+}
+
+fn of_stream(bytes: &[u8], offset: u64, gcl: Option<bool>, direction: Option<Direction>) -> Vec<Entry> {
+    let place = |range: std::ops::Range<usize>| format!("{:08X}", offset.saturating_add(range.start as u64));
+    if gcl.unwrap_or_else(|| entry::is_gcl(bytes)) {
+        entry::of_gcl(bytes, direction, place)
+    } else {
+        entry::of_binary(bytes, direction, place)
+    }
+}
+
+fn of_sim_log(lines: &[sim_log::Line<'_>]) -> Vec<Entry> {
+    let mut entries = Vec::new();
+    let mut of_buses = 0;
+    for sim_log::Line { place, direction, content } in lines {
+        let place = || (*place).to_owned();
+        let direction = Some(*direction);
+        match content {
+            sim_log::Content::Frame(bytes) => entries.extend(entry::of_binary(bytes, direction, |_| place())),
+            sim_log::Content::Text(text) => {
+                let (direction, words) = entry::gcl_meaning(text.as_bytes(), direction);
+                let bytes = text.as_bytes().to_vec();
+                entries.push(Entry { place: place(), direction, kind: EntryKind::Line, words, bytes });
+            }
+            sim_log::Content::OfABus => of_buses += 1,
+        }
+    }
+    if of_buses > 0 {
+        entries.push(Entry::note(
+            String::new(),
+            format!("{} of Modbus/TCP or PROFIBUS left out", entry::count(of_buses, "line")),
+        ));
+    }
+    entries
+}
+
+/// The last line: how much of what there was.
+fn summary(entries: &[Entry]) -> String {
+    let of = |kind| entries.iter().filter(move |entry| entry.kind == kind);
+    let dropped: usize = of(EntryKind::Dropped).map(|entry| entry.bytes.len()).sum();
+    format!(
+        "{}, {} with a wrong checksum, {} of GCL, {} dropped",
+        entry::count(of(EntryKind::Frame).count(), "intact frame"),
+        of(EntryKind::BadChecksum).count(),
+        entry::count(of(EntryKind::Line).count(), "line"),
+        entry::count(dropped, "byte"),
+    )
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,389 @@
+//! Captures, pcap and pcapng: what grippers were told and said over TCP and UDP.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Cursor;
+use std::net::{IpAddr, SocketAddr};
+
+use anyhow::{Context, Result, bail};
+use etherparse::{EtherType, LaxNetSlice, LaxSlicedPacket, TransportSlice};
+use pcap_parser::traits::{PcapNGPacketBlock, PcapReaderIterator};
+use pcap_parser::{Block, LegacyPcapReader, Linktype, PcapBlockOwned, PcapError, PcapNGReader};
+use wsg_protocol::Direction;
+use wsg_protocol::frame::{PREAMBLE_BYTE, PREAMBLE_LEN};
+use wsg_protocol::gcl::{Answer, Request};
+
+use super::entry::{self, Entry};
+use super::tcp::Stream;
+
+/// The gripper's ports as delivered: TCP, UDP, and the UDP port that it answers to.
+const TCP_PORT: u16 = 1000;
+const UDP_PORT: u16 = 1500;
+const UDP_REMOTE_PORT: u16 = 1501;
+
+/// How a capture begins: pcapng, and pcap in either order of bytes, with microseconds and with nanoseconds.
+const BEGINNINGS: [[u8; 4]; 5] = [
+    [0x0A, 0x0D, 0x0D, 0x0A],
+    [0xD4, 0xC3, 0xB2, 0xA1],
+    [0xA1, 0xB2, 0xC3, 0xD4],
+    [0x4D, 0x3C, 0xB2, 0xA1],
+    [0xA1, 0xB2, 0x3C, 0x4D],
+];
+
+/// Whether a file is a capture.
+pub(crate) fn is_capture(bytes: &[u8]) -> bool {
+    BEGINNINGS.iter().any(|beginning| bytes.starts_with(beginning))
+}
+
+/// A packet as it was captured.
+struct Packet {
+    link: Linktype,
+    /// In seconds, where the capture has times.
+    time: Option<f64>,
+    bytes: Vec<u8>,
+}
+
+/// How the bytes of two ends belong together.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Transport {
+    Tcp,
+    Udp,
+}
+
+/// Two ends: the lower one first.
+type Ends = (Transport, SocketAddr, SocketAddr);
+
+/// What was said between two ends.
+#[derive(Default)]
+struct Conversation {
+    /// Of the lower end, and of the other.
+    streams: [Stream; 2],
+    /// Datagrams: packet, whether the lower end sent it, bytes.
+    datagrams: Vec<(usize, bool, Vec<u8>)>,
+    /// Whether the lower end opened the connection.
+    opened_by_lower: Option<bool>,
+    has_data: [bool; 2],
+}
+
+/// What was found, by packets.
+#[derive(Default)]
+struct Found {
+    entries: Vec<(usize, Entry)>,
+    times: Vec<Option<f64>>,
+}
+
+/// The entries of a capture. `port`: the gripper's, where it is none of those that are delivered; then no other is looked at.
+pub(crate) fn decode(file: Vec<u8>, port: Option<u16>, gcl: Option<bool>) -> Result<Vec<Entry>> {
+    let (packets, end) = packets(file)?;
+    let mut found = Found { entries: Vec::new(), times: packets.iter().map(|packet| packet.time).collect() };
+    let mut open: BTreeMap<Ends, Conversation> = BTreeMap::new();
+    let mut closed = Vec::new();
+    let mut other_packets = 0;
+    for (at, packet) in packets.iter().enumerate() {
+        if !take(packet, at, &mut open, &mut closed) {
+            other_packets += 1;
+        }
+    }
+    closed.extend(open);
+    let mut left_out = BTreeSet::new();
+    for (ends, conversation) in closed {
+        found.tell(ends, conversation, port, gcl, &mut left_out);
+    }
+    found.entries.sort_by_key(|(packet, _)| *packet);
+    let mut entries: Vec<Entry> = found.entries.into_iter().map(|(_, entry)| entry).collect();
+    let mut note = |words: String| entries.push(Entry::note(String::new(), words));
+    if other_packets > 0 {
+        note(format!(
+            "{} left out: neither TCP nor UDP over IP, fragments, or cut off before their payload",
+            entry::count(other_packets, "packet")
+        ));
+    }
+    if !left_out.is_empty() {
+        let ports: Vec<String> = left_out.iter().map(u16::to_string).collect();
+        note(format!(
+            "conversations without a gripper left out, with port {}; --port takes one as a gripper's",
+            ports.join(", ")
+        ));
+    }
+    if let Some(end) = end {
+        note(end);
+    }
+    Ok(entries)
+}
+
+/// The packets, and what is wrong with the end of the file.
+fn packets(file: Vec<u8>) -> Result<(Vec<Packet>, Option<String>)> {
+    // All of it at once: then nothing but the end of the file is incomplete.
+    let capacity = file.len() + 1;
+    let is_ng = file.starts_with(&BEGINNINGS[0]);
+    let mut reader: Box<dyn PcapReaderIterator> = if is_ng {
+        Box::new(
+            PcapNGReader::new(capacity, Cursor::new(file))
+                .ok()
+                .context("the capture's first block is damaged")?,
+        )
+    } else {
+        Box::new(
+            LegacyPcapReader::new(capacity, Cursor::new(file))
+                .ok()
+                .context("the capture's header is damaged")?,
+        )
+    };
+    let mut packets = Vec::new();
+    let mut link = Linktype::NULL;
+    let mut fraction = 1e-6;
+    // Of pcapng: link, offset and resolution of each interface of the section.
+    let mut interfaces: Vec<(Linktype, i64, Option<u64>)> = Vec::new();
+    let mut is_at_end = false;
+    loop {
+        let len = match reader.next() {
+            Ok((len, block)) => {
+                match block {
+                    PcapBlockOwned::LegacyHeader(header) => {
+                        link = header.network;
+                        fraction = if header.is_nanosecond_precision() { 1e-9 } else { 1e-6 };
+                    }
+                    PcapBlockOwned::Legacy(block) => packets.push(Packet {
+                        link,
+                        time: Some(f64::from(block.ts_sec) + f64::from(block.ts_usec) * fraction),
+                        bytes: block.data.to_vec(),
+                    }),
+                    PcapBlockOwned::NG(Block::SectionHeader(_)) => interfaces.clear(),
+                    PcapBlockOwned::NG(Block::InterfaceDescription(it)) => {
+                        interfaces.push((it.linktype, it.ts_offset(), it.ts_resolution()));
+                    }
+                    PcapBlockOwned::NG(Block::EnhancedPacket(block)) => {
+                        let interface = interfaces.get(block.if_id as usize);
+                        let (link, offset, resolution) =
+                            interface.copied().unwrap_or((Linktype::NULL, 0, None));
+                        let ticks = u64::from(block.ts_high) << 32 | u64::from(block.ts_low);
+                        let time = resolution
+                            .filter(|it| *it > 0)
+                            .map(|it| ticks as f64 / it as f64 + offset as f64);
+                        packets.push(Packet { link, time, bytes: block.packet_data().to_vec() });
+                    }
+                    PcapBlockOwned::NG(Block::SimplePacket(block)) => {
+                        let link = interfaces.first().map_or(Linktype::NULL, |(link, ..)| *link);
+                        packets.push(Packet { link, time: None, bytes: block.packet_data().to_vec() });
+                    }
+                    PcapBlockOwned::NG(_) => {}
+                }
+                len
+            }
+            Err(PcapError::Eof) => return Ok((packets, None)),
+            Err(PcapError::Incomplete(_)) if !is_at_end => {
+                is_at_end = true;
+                if reader.refill().is_err() {
+                    bail!("the capture cannot be read");
+                }
+                continue;
+            }
+            Err(_) => {
+                let words = format!("the capture is cut off or damaged behind packet {}", packets.len());
+                return Ok((packets, Some(words)));
+            }
+        };
+        reader.consume_noshift(len);
+    }
+}
+
+/// Takes a packet; whether it is one of TCP or UDP.
+fn take(
+    packet: &Packet,
+    at: usize,
+    open: &mut BTreeMap<Ends, Conversation>,
+    closed: &mut Vec<(Ends, Conversation)>,
+) -> bool {
+    let Some(sliced) = sliced(packet) else { return false };
+    let (from, to): (IpAddr, IpAddr) = match &sliced.net {
+        Some(LaxNetSlice::Ipv4(ip)) => {
+            (ip.header().source_addr().into(), ip.header().destination_addr().into())
+        }
+        Some(LaxNetSlice::Ipv6(ip)) => {
+            (ip.header().source_addr().into(), ip.header().destination_addr().into())
+        }
+        _ => return false,
+    };
+    let (transport, ports) = match &sliced.transport {
+        Some(TransportSlice::Tcp(tcp)) => (Transport::Tcp, (tcp.source_port(), tcp.destination_port())),
+        Some(TransportSlice::Udp(udp)) => (Transport::Udp, (udp.source_port(), udp.destination_port())),
+        _ => return false,
+    };
+    let (from, to) = (SocketAddr::new(from, ports.0), SocketAddr::new(to, ports.1));
+    let is_from_lower = from <= to;
+    let ends = if is_from_lower { (transport, from, to) } else { (transport, to, from) };
+    match &sliced.transport {
+        Some(TransportSlice::Tcp(tcp)) => {
+            let side = usize::from(!is_from_lower);
+            // A connection with the ends of an earlier one.
+            let is_new = tcp.syn() && !tcp.ack();
+            if is_new && open.get(&ends).is_some_and(|it| it.has_data != [false; 2]) {
+                closed.extend(open.remove_entry(&ends));
+            }
+            let conversation = open.entry(ends).or_default();
+            if tcp.syn() {
+                conversation.opened_by_lower = Some(is_from_lower == is_new);
+            }
+            let [own, other] = match &mut conversation.streams {
+                [lower, upper] if side == 0 => [lower, upper],
+                [lower, upper] => [upper, lower],
+            };
+            if tcp.syn() {
+                own.start(tcp.sequence_number());
+            } else if !tcp.payload().is_empty() {
+                own.receive(at, tcp.sequence_number(), tcp.payload());
+                if let Some(has_data) = conversation.has_data.get_mut(side) {
+                    *has_data = true;
+                }
+            }
+            if tcp.ack() {
+                other.acknowledge(tcp.acknowledgment_number());
+            }
+        }
+        Some(TransportSlice::Udp(udp)) => {
+            let conversation = open.entry(ends).or_default();
+            conversation.datagrams.push((at, is_from_lower, udp.payload().to_vec()));
+        }
+        _ => {}
+    }
+    true
+}
+
+/// The headers of a packet, as far as they go.
+fn sliced(packet: &Packet) -> Option<LaxSlicedPacket<'_>> {
+    let bytes = packet.bytes.as_slice();
+    match packet.link {
+        Linktype::ETHERNET => LaxSlicedPacket::from_ethernet(bytes).ok(),
+        // Linux's cooked capture, both versions: a header that ends, or begins, with an ether type.
+        Linktype(113) => of_ether_type(bytes.get(14..16)?, bytes.get(16..)?),
+        Linktype(276) => of_ether_type(bytes.get(..2)?, bytes.get(20..)?),
+        // Loopback: an address family before the packet.
+        Linktype::NULL | Linktype(108) => LaxSlicedPacket::from_ip(bytes.get(4..)?).ok(),
+        Linktype(12 | 14 | 101 | 228 | 229) => LaxSlicedPacket::from_ip(bytes).ok(),
+        _ => None,
+    }
+}
+
+fn of_ether_type<'a>(ether_type: &[u8], rest: &'a [u8]) -> Option<LaxSlicedPacket<'a>> {
+    let [high, low] = *ether_type else { return None };
+    Some(LaxSlicedPacket::from_ether_type(EtherType(u16::from_be_bytes([high, low])), rest))
+}
+
+impl Found {
+    /// When a packet came, from the first on.
+    fn time(&self, packet: usize) -> String {
+        let first = self.times.iter().flatten().next();
+        match (self.times.get(packet).copied().flatten(), first) {
+            (Some(time), Some(first)) => format!("#{} {:.6} s", packet + 1, time - first),
+            _ => format!("#{}", packet + 1),
+        }
+    }
+
+    fn tell(
+        &mut self,
+        (transport, lower, upper): Ends,
+        conversation: Conversation,
+        port: Option<u16>,
+        gcl: Option<bool>,
+        left_out: &mut BTreeSet<u16>,
+    ) {
+        let Conversation { streams, datagrams, opened_by_lower, .. } = conversation;
+        let [of_lower, of_upper] = streams;
+        let repeated = of_lower.repeated + of_upper.repeated;
+        let stretches = [of_lower.finish(), of_upper.finish()];
+        let is_gripper = |end: SocketAddr| match (port, transport) {
+            (Some(port), _) => end.port() == port,
+            (None, Transport::Tcp) => end.port() == TCP_PORT,
+            (None, Transport::Udp) => end.port() == UDP_PORT,
+        };
+        let answers_to_lower = port.is_none()
+            && transport == Transport::Udp
+            && lower.port() == UDP_REMOTE_PORT
+            && !is_gripper(lower);
+        let is_of_a_gripper = is_gripper(lower) || is_gripper(upper);
+        let is_said = || {
+            let datagrams = datagrams.iter().map(|(.., bytes)| bytes.as_slice());
+            let streams = stretches.iter().flatten().map(|stretch| stretch.bytes.as_slice());
+            streams.chain(datagrams).any(is_spoken)
+        };
+        let has_data = !datagrams.is_empty() || stretches.iter().any(|it| !it.is_empty());
+        if !has_data {
+            return;
+        }
+        if !(is_of_a_gripper || port.is_none() && is_said()) {
+            left_out.insert(lower.port().min(upper.port()));
+            return;
+        }
+        // Whoever opens a connection is no gripper; without that and a port that says it, the lower port is the gripper's.
+        let gripper_is_upper = match (is_gripper(lower), is_gripper(upper), opened_by_lower) {
+            (true, false, _) => false,
+            (false, true, _) => true,
+            (_, _, Some(by_lower)) => by_lower,
+            _ => answers_to_lower || upper.port() < lower.port(),
+        };
+        let direction = |is_from_lower: bool| {
+            if is_from_lower == gripper_is_upper { Direction::ToGripper } else { Direction::FromGripper }
+        };
+        let way = |is_from_lower: bool| {
+            let (from, to) = if is_from_lower { (lower, upper) } else { (upper, lower) };
+            let name = if transport == Transport::Tcp { "tcp" } else { "udp" };
+            format!("{name} {from} > {to}")
+        };
+        for (packet, is_from_lower, bytes) in datagrams {
+            let place = format!("{} {}", self.time(packet), way(is_from_lower));
+            let entries = decoded(&bytes, gcl, direction(is_from_lower), |_| place.clone());
+            self.entries.extend(entries.into_iter().map(|entry| (packet, entry)));
+        }
+        let mut last_packet = 0;
+        for (stretches, is_from_lower) in stretches.iter().zip([true, false]) {
+            // Told once for all of a direction: a piece may hold no more than a part of a line.
+            let is_gcl = gcl.unwrap_or_else(|| stretches.iter().all(|stretch| entry::is_gcl(&stretch.bytes)));
+            for stretch in stretches {
+                if stretch.missing_before > 0 {
+                    let packet = stretch.packet_of(0);
+                    let words = format!(
+                        "{} of the stream not in the capture",
+                        entry::count(stretch.missing_before as usize, "byte")
+                    );
+                    let place = format!("{} {}", self.time(packet), way(is_from_lower));
+                    self.entries.push((packet, Entry::note(place, words)));
+                }
+                let mut packets = Vec::new();
+                let place = |range: std::ops::Range<usize>| {
+                    let packet = stretch.packet_of(range.end.saturating_sub(1));
+                    packets.push(packet);
+                    let offset = stretch.offset + range.start as u64;
+                    format!("{} {} @{offset:08X}", self.time(packet), way(is_from_lower))
+                };
+                let entries = decoded(&stretch.bytes, Some(is_gcl), direction(is_from_lower), place);
+                last_packet = packets.iter().copied().chain([last_packet]).max().unwrap_or(0);
+                self.entries.extend(packets.into_iter().zip(entries));
+            }
+        }
+        if repeated > 0 {
+            let words = format!(
+                "{} left out, sent again: {lower} and {upper}",
+                entry::count(repeated, "TCP segment")
+            );
+            self.entries.push((last_packet, Entry::note(String::new(), words)));
+        }
+    }
+}
+
+fn decoded(
+    bytes: &[u8],
+    gcl: Option<bool>,
+    direction: Direction,
+    place: impl FnMut(std::ops::Range<usize>) -> String,
+) -> Vec<Entry> {
+    let is_gcl = gcl.unwrap_or_else(|| entry::is_gcl(bytes));
+    let decode = if is_gcl { entry::of_gcl } else { entry::of_binary };
+    decode(bytes, Some(direction), place)
+}
+
+/// Whether bytes hold a preamble, or begin with a line of GCL.
+fn is_spoken(bytes: &[u8]) -> bool {
+    let line = bytes.split(|byte| matches!(byte, b'\r' | b'\n')).find(|line| !line.trim_ascii().is_empty());
+    let is_line = |line: &[u8]| Request::parse(line).is_ok() || Answer::parse(line).is_ok();
+    bytes.windows(PREAMBLE_LEN).any(|window| window == [PREAMBLE_BYTE; PREAMBLE_LEN])
+        || line.is_some_and(is_line)
+}

@@ -1,0 +1,73 @@
+//! The log of `wsg-sim`: `12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 0E 76 22h Stop`.
+
+use wsg_protocol::Direction;
+
+/// A line of the log that has an arrow.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Line<'a> {
+    /// When, and on which line: `12.345678 s tcp 127.0.0.1:40000`.
+    pub(crate) place: &'a str,
+    pub(crate) direction: Direction,
+    pub(crate) content: Content<'a>,
+}
+
+/// What stands behind the arrow.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Content<'a> {
+    /// Bytes of a frame.
+    Frame(Vec<u8>),
+    /// A line of GCL, or what the log says of a frame that it does not show.
+    Text(&'a str),
+    /// Bytes of Modbus/TCP or PROFIBUS.
+    OfABus,
+}
+
+pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
+    let line = line.trim();
+    let (time, _) = line.split_once(" s ")?;
+    let is_time = !time.is_empty() && time.bytes().all(|c| c.is_ascii_digit() || c == b'.');
+    let arrows = [(" -> ", Direction::ToGripper), (" <- ", Direction::FromGripper)];
+    let found =
+        arrows.into_iter().filter_map(|(arrow, direction)| Some((line.find(arrow)?, arrow, direction)));
+    let (at, arrow, direction) = found.min_by_key(|(at, ..)| *at).filter(|_| is_time)?;
+    let (place, rest) = (line.get(..at)?, line.get(at + arrow.len()..)?);
+    let words = || rest.split(' ').map_while(|word| byte_of(word).map(|byte| (word, byte)));
+    let content = if rest.starts_with("AA AA AA ") {
+        // A checksum that the log does not know is `?? ??`: the frame is told as its log tells it.
+        let bytes: Vec<u8> = words().map(|(_, byte)| byte).collect();
+        if rest.contains(" ?? ?? ") { Content::Text(rest) } else { Content::Frame(bytes) }
+    } else if words().nth(1).is_some() {
+        Content::OfABus
+    } else {
+        Content::Text(rest)
+    };
+    Some(Line { place, direction, content })
+}
+
+/// Two digits.
+fn byte_of(word: &str) -> Option<u8> {
+    let is_byte = word.len() == 2 && word.bytes().all(|digit| digit.is_ascii_hexdigit());
+    is_byte.then(|| u8::from_str_radix(word, 16).ok()).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_the_log_are_taken_apart() {
+        let stop =
+            parse_line("12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 0E 76 22h Stop\n").unwrap();
+        assert_eq!(stop.place, "12.345678 s tcp 127.0.0.1:40000");
+        assert_eq!(stop.direction, Direction::ToGripper);
+        assert_eq!(stop.content, Content::Frame(vec![0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0x0E, 0x76]));
+        let ack = parse_line("0.000001 s gcl 127.0.0.1:1 <- ACK HOME").unwrap();
+        assert_eq!((ack.direction, ack.content), (Direction::FromGripper, Content::Text("ACK HOME")));
+        let bus =
+            parse_line("0.000001 s modbus 127.0.0.1:1 <- 00 01 00 00 00 03 01 84 0A FC 4, exception 10")
+                .unwrap();
+        assert_eq!(bus.content, Content::OfABus);
+        assert_eq!(parse_line("0.000001 s tcp 127.0.0.1:1 connected"), None);
+        assert_eq!(parse_line("later s tcp -> AA"), None);
+    }
+}

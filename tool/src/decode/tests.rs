@@ -1,0 +1,252 @@
+//! Whole recordings. What they give is in `golden/`; `WSG_UPDATE_GOLDEN=1` writes it anew.
+
+use std::path::Path;
+
+use clap::Parser;
+use etherparse::PacketBuilder;
+use proptest::prelude::*;
+use wsg_protocol::{Command, FrameEncoder};
+
+use super::*;
+
+#[derive(Parser)]
+struct Line {
+    #[command(flatten)]
+    arguments: Arguments,
+}
+
+fn shown(bytes: &[u8], options: &[&str]) -> String {
+    let line = Line::try_parse_from([&["wsg"], options].concat()).unwrap();
+    let entries = decode(bytes.to_vec(), &line.arguments).unwrap();
+    entries.iter().map(|entry| format!("{entry}\n")).collect::<String>() + &summary(&entries) + "\n"
+}
+
+/// Compares with the file of this name.
+#[track_caller]
+fn hold(name: &str, shown: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/decode/golden").join(name);
+    if std::env::var_os("WSG_UPDATE_GOLDEN").is_some_and(|set| set == "1") {
+        fs::write(&path, shown).unwrap();
+    }
+    let golden = fs::read_to_string(&path).unwrap_or_default();
+    assert!(golden == shown, "{} has\n{golden}\nand now it is\n{shown}", path.display());
+}
+
+fn request(command: Command<'_>) -> Vec<u8> {
+    FrameEncoder::new(command.id().code(), command).collect()
+}
+
+fn reply(id: u8, payload: &[u8]) -> Vec<u8> {
+    FrameEncoder::new(id, payload).collect()
+}
+
+const GRIP: Command<'static> = Command::GripPart { width: 20.0, speed: 50.0 };
+
+/// A session with noise: a request, its answers, what a line does to a frame, and half a frame at the end.
+fn session() -> Vec<u8> {
+    let mut damaged = reply(0x43, &[0, 0, 0, 0, 0xA0, 0x41]);
+    damaged[10] ^= 0x10;
+    [
+        request(GRIP),
+        reply(0x25, &[26, 0]),
+        vec![0x00, 0x17, 0xFF],
+        damaged,
+        reply(0x25, &[0, 0]),
+        reply(0x06, b"ab"),
+        reply(0x25, &[1]),
+        request(Command::Stop)[..7].to_vec(),
+    ]
+    .concat()
+}
+
+#[test]
+fn session_in_one_stream() {
+    let raw = shown(&session(), &[]);
+    hold("session.txt", &raw);
+    let digits: String = session().iter().map(|byte| format!("{byte:02x} ")).collect();
+    assert_eq!(shown(digits.as_bytes(), &[]), raw);
+    let c_array: String = session().iter().map(|byte| format!("0x{byte:02X}, ")).collect();
+    assert_eq!(shown(c_array.as_bytes(), &["--format", "hex"]), raw);
+}
+
+#[test]
+fn direction_that_is_said_settles_what_a_frame_is() {
+    let loop_back = reply(0x06, &[0, 0, b'a']);
+    let by_itself = shown(&loop_back, &[]);
+    assert!(by_itself.contains("--  06h Loop 3 bytes, or 06h Loop E_SUCCESS 1 byte"), "{by_itself}");
+    let to = shown(&loop_back, &["--direction", "to"]);
+    assert!(to.contains("->  06h Loop 3 bytes\n"), "{to}");
+}
+
+#[test]
+fn text_of_gcl() {
+    let text = "VERBOSE=1\nHOME()\r\nACK HOME\r\nFIN HOME\nGRIP(20,50)\nERR GRIP 18 command failed\n\
+                @POS=20.5\nPOS?\nPOS=20.5\nDANCE(1)\nERR DANCE 14\nBYE()\n";
+    hold("gcl.txt", &shown(text.as_bytes(), &[]));
+}
+
+#[test]
+fn half_a_message_on_can_and_a_doubled_frame_cost_what_they_belong_to() {
+    let log = "(1.000000) can0 120#AAAAAA2508000000\n\
+               (1.001000) can0 121#AAAAAA2502000000\n\
+               (1.001100) can0 121#2287\n\
+               (2.000000) can0 120#AAAAAA2200000E76\n\
+               (2.000100) can0 120#AAAAAA2508000000\n\
+               (2.000200) can0 120#AAAAAA2508000000\n\
+               (2.000300) can0 120#A04100004842AA1E\n\
+               (2.500000) can0 120#0011\n\
+               (3.000000) can0 7FF#00\n\
+               what is this\n";
+    let at_delivered = shown(log.as_bytes(), &[]);
+    hold("candump.txt", &at_delivered);
+    let elsewhere = shown(log.replace(" 12", " 34").as_bytes(), &[]);
+    assert_eq!(elsewhere, at_delivered.replace("120h", "340h").replace("121h", "341h"));
+    let none = shown(log.as_bytes(), &["--can-id", "0x200"]);
+    assert!(none.contains("9 CAN frames left out, with other identifiers"), "{none}");
+}
+
+#[test]
+fn log_of_the_simulator() {
+    let log = "0.000100 s tcp 127.0.0.1:40000 connected\n\
+               0.001000 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 0E 76 22h Stop\n\
+               0.002000 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 00 00 22h Stop\n\
+               0.003000 s gcl 127.0.0.1:40001 -> POS?\n\
+               0.004000 s gcl 127.0.0.1:40001 <- POS=20.5\n\
+               0.005000 s modbus 127.0.0.1:40002 -> 00 01 00 00 00 06 01 04 00 00 00 06 FC 4 ReadInputRegisters\n";
+    hold("sim_log.txt", &shown(log.as_bytes(), &[]));
+}
+
+/// A capture that is made packet by packet, a millisecond apart.
+struct Capture(Vec<u8>, u32);
+
+impl Capture {
+    fn new() -> Self {
+        let mut header = vec![0xD4, 0xC3, 0xB2, 0xA1, 2, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        header.extend([0, 0, 4, 0, 1, 0, 0, 0]);
+        Self(header, 0)
+    }
+
+    fn packet(&mut self, bytes: &[u8]) {
+        self.1 += 1_000;
+        let len = bytes.len() as u32;
+        for word in [1_700_000_000, self.1, len, len] {
+            self.0.extend(word.to_le_bytes());
+        }
+        self.0.extend(bytes);
+    }
+
+    fn tcp(&mut self, to_gripper: bool, sequence: u32, acknowledged: u32, payload: &[u8]) {
+        self.segment(to_gripper, sequence, Some(acknowledged), false, payload);
+    }
+
+    fn segment(&mut self, to_gripper: bool, sequence: u32, ack: Option<u32>, syn: bool, payload: &[u8]) {
+        let (client, gripper) = (([192, 168, 1, 5], 40_000), ([192, 168, 1, 20], 1_000));
+        let (from, to) = if to_gripper { (client, gripper) } else { (gripper, client) };
+        let ip = PacketBuilder::ethernet2([2; 6], [4; 6]).ipv4(from.0, to.0, 64);
+        let mut tcp = ip.tcp(from.1, to.1, sequence, 8_192);
+        if let Some(number) = ack {
+            tcp = tcp.ack(number);
+        }
+        if syn {
+            tcp = tcp.syn();
+        }
+        let mut bytes = Vec::new();
+        tcp.write(&mut bytes, payload).unwrap();
+        self.packet(&bytes);
+    }
+
+    fn udp(&mut self, from: ([u8; 4], u16), to: ([u8; 4], u16), payload: &[u8]) {
+        let mut bytes = Vec::new();
+        let builder = PacketBuilder::ethernet2([2; 6], [4; 6]).ipv4(from.0, to.0, 64).udp(from.1, to.1);
+        builder.write(&mut bytes, payload).unwrap();
+        self.packet(&bytes);
+    }
+}
+
+/// A connection with a frame in two segments, segments out of order, sent again, and lost to the capture; datagrams; others.
+fn capture() -> Vec<u8> {
+    let grip = request(GRIP);
+    let pending = reply(0x25, &[26, 0]);
+    let width = reply(0x43, &[0, 0, 0, 0, 0xA0, 0x41]);
+    let mut capture = Capture::new();
+    capture.segment(true, 999, None, true, &[]);
+    capture.segment(false, 4_999, Some(1_000), true, &[]);
+    capture.tcp(true, 1_000, 5_000, &grip[..5]);
+    capture.tcp(true, 1_000, 5_000, &grip[..5]);
+    capture.tcp(true, 1_005, 5_000, &grip[5..]);
+    capture.tcp(false, 5_010, 1_016, &width);
+    capture.tcp(false, 5_000, 1_016, &pending);
+    // 14 bytes of the gripper are missing, and the client has them.
+    capture.tcp(false, 5_038, 1_016, &width);
+    capture.tcp(true, 1_016, 5_052, &request(Command::Stop));
+    let (client, gripper) = ([192, 168, 1, 5], [192, 168, 1, 20]);
+    capture.udp((client, 50_000), (gripper, 1_500), &request(Command::Stop));
+    capture.udp((gripper, 1_500), (client, 1_501), &reply(0x22, &[0, 0]));
+    capture.udp((client, 50_001), (gripper, 53), b"\x00\x01who is there");
+    capture.packet(&[0xFF; 20]);
+    capture.0
+}
+
+#[test]
+fn tcp_in_order_without_what_was_sent_again_and_udp() {
+    hold("capture.txt", &shown(&capture(), &[]));
+    let by_port = shown(&capture(), &["--port", "53"]);
+    assert!(by_port.contains("left out, with port 1000, 1500"), "{by_port}");
+}
+
+#[test]
+fn capture_that_is_cut_off_is_shown_as_far_as_it_goes() {
+    let whole = capture();
+    for len in 0..whole.len() {
+        let Ok(entries) = decode(whole[..len].to_vec(), &arguments()) else { continue };
+        let last = entries.last().map_or(String::new(), |entry| entry.words.clone());
+        let is_said = last.contains("cut off or damaged behind packet");
+        let is_between_packets = !is_said && len > 24;
+        assert!(is_said || is_between_packets || len <= 24, "{len}: {last}");
+    }
+}
+
+#[test]
+fn file_that_is_no_capture_is_no_capture() {
+    let line = Line::try_parse_from(["wsg", "--format", "capture"]).unwrap();
+    let error = decode(session(), &line.arguments).unwrap_err();
+    assert_eq!(error.to_string(), "this is no capture: it begins neither as pcap nor as pcapng");
+}
+
+fn arguments() -> Arguments {
+    Line::try_parse_from(["wsg"]).unwrap().arguments
+}
+
+proptest! {
+    #[test]
+    fn garbage_is_shown_and_no_more(bytes in prop::collection::vec(any::<u8>(), 1..600)) {
+        for format in ["auto", "hex", "sim", "candump", "raw"] {
+            shown(&bytes, &["--format", format]);
+        }
+        shown(&bytes, &["--protocol", "gcl"]);
+    }
+
+    #[test]
+    fn damaged_capture_is_shown_and_no_more(
+        damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..20),
+        is_ng in any::<bool>(),
+    ) {
+        let mut bytes = capture();
+        for (at, byte) in damage {
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+        }
+        if is_ng {
+            bytes[..4].copy_from_slice(&[0x0A, 0x0D, 0x0D, 0x0A]);
+        }
+        // An error is an answer, too.
+        let _ = decode(bytes, &arguments());
+    }
+
+    #[test]
+    fn text_of_any_kind_is_shown_and_no_more(text in "([0-9A-Fa-fxR#\\[\\]():. <>s*|-]|can0 120#| -> AA AA AA |\n){1,200}") {
+        for format in ["auto", "hex", "sim", "candump"] {
+            shown(text.as_bytes(), &["--format", format]);
+        }
+    }
+}
