@@ -2,70 +2,18 @@
 //!
 //! ```text
 //! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000 --gcl 127.0.0.1:1001
-//! cargo run -p wsg-protocol --example grip --features embedded-io,gcl -- 127.0.0.1:1000
-//! cargo run -p wsg-protocol --example grip --features embedded-io,gcl -- --protocol gcl 127.0.0.1:1001
+//! cargo run -p wsg-protocol --example grip --features std,gcl -- 127.0.0.1:1000
+//! cargo run -p wsg-protocol --example grip --features std,gcl -- --protocol gcl 127.0.0.1:1001
 //! ```
 
-use std::io::{self, ErrorKind};
-use std::net::TcpStream;
+use std::io;
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
 
-use embedded_io::{ErrorType, Read, ReadReady, Write};
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
+use wsg_protocol::driver::host::{StdClock, Tcp};
 use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, MotionResult, Pending, Protocol};
 use wsg_protocol::session::Topic;
 use wsg_protocol::{AutoUpdate, HomingDirection, Status};
-
-/// A TCP connection as `embedded-io` sees it.
-struct Tcp(TcpStream);
-
-impl Tcp {
-    fn connect(address: &str) -> io::Result<Self> {
-        let stream = TcpStream::connect(address)?;
-        // A frame is one segment, and it leaves at once.
-        stream.set_nodelay(true)?;
-        // How long `read_ready` waits, so that the driver does not spin.
-        stream.set_read_timeout(Some(Duration::from_millis(1)))?;
-        Ok(Self(stream))
-    }
-}
-
-impl ErrorType for Tcp {
-    type Error = io::Error;
-}
-
-impl ReadReady for Tcp {
-    #[expect(clippy::disallowed_methods, reason = "a signal is taken for silence, and the driver asks again")]
-    fn read_ready(&mut self) -> io::Result<bool> {
-        use ErrorKind::{Interrupted, TimedOut, WouldBlock};
-        match self.0.peek(&mut [0]) {
-            Ok(_) => Ok(true),
-            Err(error) if matches!(error.kind(), WouldBlock | TimedOut | Interrupted) => Ok(false),
-            Err(error) => Err(error),
-        }
-    }
-}
-
-impl Read for Tcp {
-    #[expect(
-        clippy::disallowed_methods,
-        reason = "the driver reads what is there: no wait, so no signal ends it"
-    )]
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        io::Read::read(&mut self.0, buffer)
-    }
-}
-
-impl Write for Tcp {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        io::Write::write_all(&mut self.0, bytes).map(|()| bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        io::Write::flush(&mut self.0)
-    }
-}
 
 /// Shows the values that the gripper has sent, until none has come for so many milliseconds.
 fn show_updates<C: Clock, P: Protocol>(
@@ -140,9 +88,7 @@ fn start() -> Result<(), String> {
         }
     }
     let line = Tcp::connect(&address).map_err(|error| format!("{address}: {error}"))?;
-    let start = Instant::now();
-    // The clock may wrap, so its low 32 bits will do.
-    let clock = move || wsg_protocol::Instant::from_millis(start.elapsed().as_millis() as u32);
+    let clock = StdClock::new();
     match protocol.as_str() {
         "binary" => Gripper::new(line, clock).with_connection(run),
         "gcl" => GclGripper::new(line, clock).with_connection(run),

@@ -4,6 +4,8 @@
 //! |---|---|---|
 //! | `blocking` | `embedded_io::{Read, ReadReady, Write}` and a [`Clock`] | `embedded-io` |
 //! | `asynch` | `embedded_io_async::{Read, Write}` and a [`Timer`] | `embedded-io-async` |
+//! | `host` | `blocking` on a computer: TCP, UDP, serial ports, the clock | `std` |
+//! | `tokio` | `asynch` on tokio: the same | `tokio` |
 //!
 //! Both have the same methods, and both are thin: a [`Session`](crate::session::Session) decides what is sent and what an
 //! answer means, a [`FrameParser`](crate::FrameParser) finds the frames.
@@ -39,11 +41,21 @@ mod binary;
 pub mod blocking;
 mod engine;
 mod error;
+#[cfg(feature = "std")]
+mod farewell;
 #[cfg(feature = "gcl")]
 mod gcl;
+#[cfg(feature = "std")]
+pub mod host;
 mod link;
 mod methods;
 mod motion;
+#[cfg(feature = "std")]
+mod received;
+#[cfg(feature = "tokio")]
+pub mod tokio;
+#[cfg(feature = "std")]
+mod udp;
 mod units;
 
 pub use binary::Binary;

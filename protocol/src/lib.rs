@@ -12,7 +12,7 @@
 //! | [`Meaning`] | frames in words, for logs | |
 //! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
 //! | [`session`] | the controller's side of a connection | command set, 1.3 |
-//! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async` | command set, chapter 3 |
+//! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async`; on a computer by `std` and `tokio` | command set, chapter 3 |
 //! | [`fieldbus`] | the register images and the controller behind them; by feature `modbus`, the images as a MODBUS server's tables | fieldbus, chapters 4 to 6 |
 //! | `can` | the messages over CAN frames, both directions, by feature `embedded-can` | command set, 1.1 |
 //! | `gcl` | the text protocol, both directions, by feature `gcl` | GCL |
@@ -63,7 +63,7 @@
 )]
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
-#[cfg(test)]
+#[cfg(any(test, feature = "std"))]
 extern crate std;
 
 #[cfg(feature = "embedded-can")]

@@ -14,6 +14,9 @@ use crate::{
 /// Without atomics that compare and swap; the board's; without any atomics.
 const TARGETS: [&str; 3] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf", "riscv32i-unknown-none-elf"];
 
+/// Features for computers, which no board has.
+const HOST_FEATURES: [&str; 2] = ["std", "tokio"];
+
 /// The example for a board: a library that needs a core and nothing else.
 const BOARD_EXAMPLE: [&str; 6] =
     ["-p", "wsg-protocol", "--example", "no_std_board", "--features", "embedded-io"];
@@ -109,7 +112,7 @@ fn packages() -> impl Iterator<Item = &'static str> {
     TARGET_CRATES.into_iter().flat_map(|(package, _)| ["-p", package])
 }
 
-/// The features that the manifest declares, `default` aside; a crate may have none.
+/// The features that the manifest declares for boards; a crate may have none.
 fn features(manifest: &std::path::Path) -> Result<Vec<String>> {
     let text = fs::read_to_string(manifest).with_context(|| format!("cannot read {}", manifest.display()))?;
     let features: Vec<String> = text
@@ -119,7 +122,7 @@ fn features(manifest: &std::path::Path) -> Result<Vec<String>> {
         .take_while(|line| !line.starts_with('['))
         .filter(|line| !line.starts_with('#'))
         .filter_map(|line| Some(line.split_once('=')?.0.trim().to_owned()))
-        .filter(|name| name != "default")
+        .filter(|name| name != "default" && !HOST_FEATURES.contains(&name.as_str()))
         .collect();
     Ok(features)
 }

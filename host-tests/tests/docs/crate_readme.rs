@@ -1,4 +1,4 @@
-//! protocol/README.md: its example is the crate's, its tables are those of Cargo.toml.
+//! protocol/README.md: its examples are those that are compiled and run, its tables are those of Cargo.toml.
 
 use host_tests::document::read;
 
@@ -12,6 +12,16 @@ fn first_example(source: &str) -> String {
         .map(|line| line.strip_prefix(' ').unwrap_or(line));
     let example = doc.skip_while(|line| *line != "```").skip(1).take_while(|line| *line != "```");
     example.collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn quick_start_comes_first_and_is_the_example_that_is_run() {
+    let source = read("protocol/examples/quick_start.rs");
+    let program = source.split_once("\n\n").unwrap().1.split("#[cfg(test)]").next().unwrap().trim_end();
+    assert!(program.contains("fn main()"));
+    let readme = read(DOCUMENT);
+    let (_, first) = readme.split_once("```rust\n").unwrap();
+    assert_eq!(first.split("\n```").next().unwrap(), program);
 }
 
 #[test]

@@ -59,11 +59,11 @@ const MAX_CHUNKS: usize = 64;
 /// # }
 /// ```
 ///
-/// The type `Tcp` in the crate's example `grip` shows one way to ask a socket.
+/// `host::Tcp` is one, by feature `std`.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no transport of the blocking driver",
     label = "this needs `embedded_io::Read`, `ReadReady` and `Write`",
-    note = "`FromStd` of a socket has no `ReadReady`: the type `Tcp` in wsg-protocol's example `grip` has it"
+    note = "`FromStd` of a socket has no `ReadReady`: `wsg_protocol::driver::host::Tcp` has it, by feature `std`"
 )]
 pub trait Transport: Read + ReadReady + Write {}
 

@@ -36,7 +36,8 @@ macro_rules! methods {
         }
 
         /// The transport, to be used for something else. What the driver knew is lost; over TCP,
-        /// [`announce_disconnect`](Self::announce_disconnect) first, or the gripper enters FAST STOP.
+        /// [`announce_disconnect`](Self::announce_disconnect) before the connection closes, or the gripper enters FAST
+        /// STOP.
         #[must_use]
         pub fn into_io(self) -> IO {
             self.io
@@ -100,9 +101,9 @@ macro_rules! methods {
         /// leave by `?` at any place. An error of the program takes precedence over one of the announcement.
         ///
         /// Over TCP the announcement ends a motion that still runs, and without it the gripper enters FAST STOP when
-        /// the connection closes, which it shall if the program crashes: dropping the driver announces nothing, nor
-        /// does a future that is dropped. Lines without an announcement (E_NOT_AVAILABLE) are left as they are: a
-        /// motion that was begun goes on.
+        /// the connection closes, which it shall if the program crashes. Dropping the driver, or a future, announces
+        /// nothing by itself; the TCP transports of features `std` and `tokio` do, unless the program panics. Lines without
+        /// an announcement (E_NOT_AVAILABLE) are left as they are: a motion that was begun goes on.
         ///
         /// Its result is that of the program, whose errors only have to be made from [`Error`]. Where the compiler asks
         /// for their type, name it: `|gripper| -> Result<_, MyError> { ... }`.

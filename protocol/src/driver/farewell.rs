@@ -1,0 +1,134 @@
+//! What a TCP connection that is dropped still has to say: that it ends, so that the gripper does not enter FAST STOP.
+
+use crate::command::{Command, CommandId};
+use crate::frame::{FrameEncoder, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
+
+/// Looks at the messages that a driver writes, and tells how the connection may end.
+#[derive(Debug)]
+pub(super) struct Farewell {
+    protocol: Option<Spoken>,
+    is_due: bool,
+}
+
+/// A protocol, by the first byte of the first message.
+#[derive(Clone, Copy, Debug)]
+enum Spoken {
+    Binary,
+    #[cfg(feature = "gcl")]
+    Gcl,
+}
+
+impl Farewell {
+    /// Nothing is said, so nothing is to be announced.
+    pub(super) const NEW: Self = Self { protocol: None, is_due: false };
+
+    /// Takes note of a message that was written.
+    ///
+    /// After a FAST STOP nothing is due until it is acknowledged: whatever became of it, an end that is not announced is
+    /// another one.
+    pub(super) fn note(&mut self, message: &[u8]) {
+        if self.protocol.is_none() {
+            self.protocol = Spoken::by(message);
+            self.is_due = self.protocol.is_some();
+        }
+        match self.protocol.and_then(|protocol| protocol.id(message)) {
+            Some(CommandId::DisconnectAnnouncement | CommandId::FastStop) => self.is_due = false,
+            Some(CommandId::Acknowledge) => self.is_due = true,
+            _ => {}
+        }
+    }
+
+    /// The announcement, written to `buffer`, if it is due.
+    pub(super) fn due<'b>(&self, buffer: &'b mut [u8; OVERHEAD]) -> Option<&'b [u8]> {
+        let len = match self.protocol.filter(|_| self.is_due)? {
+            Spoken::Binary => {
+                let command = Command::DisconnectAnnouncement;
+                FrameEncoder::new(command.id().code(), command).write_into(buffer).ok()?
+            }
+            #[cfg(feature = "gcl")]
+            Spoken::Gcl => crate::gcl::Request::Bye.write_line_into(buffer).ok()?,
+        };
+        buffer.get(..len)
+    }
+}
+
+impl Spoken {
+    fn by(message: &[u8]) -> Option<Self> {
+        match *message.first()? {
+            PREAMBLE_BYTE => Some(Self::Binary),
+            #[cfg(feature = "gcl")]
+            _ => Some(Self::Gcl),
+            #[cfg(not(feature = "gcl"))]
+            _ => None,
+        }
+    }
+
+    /// The command of a message; `None` for the rest of one, too.
+    fn id(self, message: &[u8]) -> Option<CommandId> {
+        match self {
+            Self::Binary => {
+                let rest = message.strip_prefix(&[PREAMBLE_BYTE; PREAMBLE_LEN])?;
+                rest.first().copied().map(CommandId::from_code)
+            }
+            #[cfg(feature = "gcl")]
+            Self::Gcl => {
+                use crate::gcl::CommandName;
+                let name = message.split(|byte| !byte.is_ascii_alphabetic()).next()?;
+                match CommandName::from_text(core::str::from_utf8(name).ok()?)? {
+                    CommandName::Bye => Some(CommandId::DisconnectAnnouncement),
+                    CommandName::Faststop => Some(CommandId::FastStop),
+                    CommandName::Fsack => Some(CommandId::Acknowledge),
+                    _ => None,
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    fn frame(command: Command<'_>) -> Vec<u8> {
+        FrameEncoder::new(command.id().code(), command).collect()
+    }
+
+    fn due(messages: &[&[u8]]) -> Option<Vec<u8>> {
+        let mut farewell = Farewell::NEW;
+        messages.iter().for_each(|message| farewell.note(message));
+        farewell.due(&mut [0; OVERHEAD]).map(<[u8]>::to_vec)
+    }
+
+    #[test]
+    fn end_is_announced_in_the_protocol_that_was_spoken_and_once() {
+        let announcement = frame(Command::DisconnectAnnouncement);
+        assert_eq!(due(&[]), None, "nothing was said");
+        assert_eq!(due(&[&frame(Command::Stop)]), Some(announcement.clone()));
+        assert_eq!(due(&[&frame(Command::Stop), &announcement]), None);
+        #[cfg(feature = "gcl")]
+        {
+            assert_eq!(due(&[b"VERBOSE=0\n"]), Some(b"BYE()\n".to_vec()));
+            assert_eq!(due(&[b"VERBOSE=0\n", b"BYE()\n"]), None);
+        }
+    }
+
+    #[test]
+    fn fast_stop_keeps_the_end_unannounced_until_it_is_acknowledged() {
+        let [fast_stop, query] = [frame(Command::FastStop), frame(Command::GetForceLimit)];
+        assert_eq!(due(&[&fast_stop, &query]), None);
+        let acknowledged = [&*fast_stop, &query, &frame(Command::ACKNOWLEDGE)];
+        assert_eq!(due(&acknowledged), Some(frame(Command::DisconnectAnnouncement)));
+        #[cfg(feature = "gcl")]
+        {
+            assert_eq!(due(&[b"FASTSTOP()\n", b"POS?\n"]), None);
+            assert_eq!(due(&[b"FASTSTOP()\n", b"FSACK()\n"]), Some(b"BYE()\n".to_vec()));
+        }
+    }
+
+    #[test]
+    fn rest_of_a_message_changes_nothing() {
+        let stop = frame(Command::Stop);
+        assert_eq!(due(&[&stop[..3], &stop[3..]]), Some(frame(Command::DisconnectAnnouncement)));
+    }
+}

@@ -1,0 +1,105 @@
+//! The blocking driver on a computer: transports and a clock over the standard library, by feature `std`.
+//!
+//! | type | is | the gripper's address |
+//! |---|---|---|
+//! | [`Tcp`] | a TCP connection, whose end is announced | `192.168.1.20:1000` |
+//! | [`Udp`] | a UDP socket | `192.168.1.20:1500` |
+//! | [`Stream`] | anything that reads and writes: a port of the crate `serialport`, a Unix socket | |
+//! | [`StdClock`] | the clock | |
+//!
+//! [`with_gripper`] takes them together, for the binary protocol over TCP. For anything else give the parts to the driver:
+//!
+//! ```no_run
+//! use std::time::Duration;
+//! use wsg_protocol::driver::blocking::Gripper;
+//! use wsg_protocol::driver::host::{StdClock, Stream};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let port = serialport::new("/dev/ttyUSB0", 115_200).timeout(Duration::from_millis(1)).open()?;
+//! let mut gripper = Gripper::new(Stream::new(port), StdClock::new());
+//! gripper.with_connection(|gripper| gripper.stop())?;
+//! # Ok(())
+//! # }
+//! ```
+
+mod stream;
+mod tcp;
+mod udp;
+
+pub use stream::Stream;
+pub use tcp::Tcp;
+pub use udp::Udp;
+
+use super::blocking::Gripper;
+use super::{Clock, Error};
+use crate::time::Instant;
+use core::time::Duration;
+use std::io;
+use std::net::ToSocketAddrs;
+
+/// How long a read waits for bytes, so that the driver does not spin.
+const READ_TIMEOUT: Duration = Duration::from_millis(1);
+
+/// Runs a program with the gripper at this address, over TCP and the binary protocol, and announces the end of the
+/// connection however the program ends, so that it may leave by `?` at any place. Only a program that panics leaves the
+/// gripper in FAST STOP.
+///
+/// A gripper that is in FAST STOP already stays there: [`acknowledge`](super::blocking::GripperOver::acknowledge) unlocks
+/// it, when the fingers may move.
+///
+/// ```
+/// # use wsg_sim::{Config, Part, server::{Lines, ServerThread}};
+/// # let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+/// # let config = Config { part: Part::of_width(20.0), ..Config::default() };
+/// # let server = ServerThread::start(config, &lines, None).unwrap();
+/// # let address = server.tcp_address().unwrap();
+/// use wsg_protocol::HomingDirection;
+/// use wsg_protocol::driver::{Grip, Mm, MmPerS, host};
+///
+/// // A real one: "192.168.1.20:1000".
+/// let grip = host::with_gripper(address, |gripper| {
+///     gripper.home(HomingDirection::Default)?;
+///     gripper.set_force_limit(40.0)?;
+///     gripper.grip(Mm(20.0), MmPerS(200.0))
+/// })?;
+/// assert_eq!(grip, Grip::Held);
+/// # Ok::<(), wsg_protocol::driver::Error<std::io::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`Error::Transport`] when there is no connection within [`Tcp::CONNECT_TIMEOUT`]; those of
+/// [`with_connection`](super::blocking::GripperOver::with_connection) and of the program.
+pub fn with_gripper<T, F: From<Error<io::Error>>>(
+    address: impl ToSocketAddrs,
+    program: impl FnOnce(&mut Gripper<Tcp, StdClock>) -> Result<T, F>,
+) -> Result<T, F> {
+    let line = Tcp::connect(address).map_err(Error::Transport)?;
+    Gripper::new(line, StdClock::new()).with_connection(program)
+}
+
+/// The standard library's monotonic clock.
+#[derive(Clone, Copy, Debug)]
+pub struct StdClock {
+    start: std::time::Instant,
+}
+
+impl StdClock {
+    /// A clock that shows 0 now.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { start: std::time::Instant::now() }
+    }
+}
+
+impl Default for StdClock {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Clock for StdClock {
+    fn now(&mut self) -> Instant {
+        // A driver's clock may wrap, so the low 32 bits will do.
+        Instant::from_millis(self.start.elapsed().as_millis() as u32)
+    }
+}

@@ -1,0 +1,92 @@
+//! UDP.
+
+use super::READ_TIMEOUT;
+use crate::driver::received::Received;
+use crate::driver::udp::{self, MAX_DATAGRAM_LEN};
+use embedded_io::{ErrorType, ReadReady};
+use std::io::{self, ErrorKind};
+use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
+
+/// UDP to a gripper, for either protocol: one message a datagram. UDP knows no end of a connection, so a gripper that was
+/// commanded over it goes on with what it was told.
+///
+/// The binary protocol's answers go to the port that the gripper is configured for, whatever port the request came from:
+/// 1501, and the gripper listens on 1500, if nobody has changed it. GCL's go back to the port that asked.
+#[derive(Debug)]
+pub struct Udp {
+    socket: UdpSocket,
+    gripper: SocketAddr,
+    received: Received<MAX_DATAGRAM_LEN>,
+}
+
+impl Udp {
+    /// The port that a gripper listens on as delivered.
+    pub const GRIPPER_PORT: u16 = udp::GRIPPER_PORT;
+    /// The port that a gripper answers to as delivered.
+    pub const ANSWER_PORT: u16 = udp::ANSWER_PORT;
+
+    /// Speaks to the gripper at this address, such as `"192.168.1.20:1500"`, and hears answers on this port of every
+    /// local address; 0 for one that is free.
+    ///
+    /// # Errors
+    /// The name has no address, or the port is in use.
+    pub fn connect(gripper: impl ToSocketAddrs, answer_port: u16) -> io::Result<Self> {
+        let gripper = gripper.to_socket_addrs()?.next();
+        let gripper =
+            gripper.ok_or_else(|| io::Error::new(ErrorKind::AddrNotAvailable, "the name has no address"))?;
+        Self::new(UdpSocket::bind((udp::any_like(gripper), answer_port))?, gripper)
+    }
+
+    /// Takes a socket that is bound to the port which the gripper answers to.
+    ///
+    /// # Errors
+    /// The options of the socket cannot be set.
+    pub fn new(socket: UdpSocket, gripper: SocketAddr) -> io::Result<Self> {
+        socket.set_read_timeout(Some(READ_TIMEOUT))?;
+        Ok(Self { socket, gripper, received: Received::new() })
+    }
+}
+
+impl ErrorType for Udp {
+    type Error = io::Error;
+}
+
+impl ReadReady for Udp {
+    fn read_ready(&mut self) -> io::Result<bool> {
+        let Self { socket, gripper, received } = self;
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "a signal is taken for silence, and the driver asks again"
+        )]
+        received.fill(|buffer| match socket.recv_from(buffer) {
+            Ok((len, sender)) if udp::is_message(len, sender, *gripper) => Ok(len),
+            Ok(_) => Err(ErrorKind::WouldBlock.into()),
+            Err(error) if udp::is_silence(&error) => Err(ErrorKind::WouldBlock.into()),
+            Err(error) => Err(error),
+        })
+    }
+}
+
+impl embedded_io::Read for Udp {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        while !self.read_ready()? {}
+        Ok(self.received.take(buffer))
+    }
+}
+
+impl embedded_io::Write for Udp {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        loop {
+            #[expect(clippy::disallowed_methods, reason = "the call is made again")]
+            match self.socket.send_to(bytes, self.gripper) {
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) if udp::is_silence(&error) => return Ok(bytes.len()),
+                result => return result,
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

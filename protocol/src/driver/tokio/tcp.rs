@@ -1,0 +1,97 @@
+//! TCP, whose end is announced.
+
+use super::Stream;
+use crate::driver::farewell::Farewell;
+use crate::driver::host;
+use crate::frame::OVERHEAD;
+use core::pin::Pin;
+use core::task::{Context, Waker};
+use core::time::Duration;
+use embedded_io_async::ErrorType;
+use std::io::{self, ErrorKind};
+use tokio::io::AsyncWrite;
+use tokio::net::{TcpStream, ToSocketAddrs, lookup_host};
+
+/// Chunks that are read and thrown away before the connection closes.
+const MAX_UNREAD: usize = 64;
+
+/// A TCP connection to a gripper, for either protocol; port 1000 for the binary one.
+///
+/// When it is dropped, also with a future, it announces the end of the connection, as
+/// [the blocking one](host::Tcp) does.
+#[derive(Debug)]
+pub struct Tcp {
+    stream: Stream<TcpStream>,
+    farewell: Farewell,
+}
+
+impl Tcp {
+    /// How long [`connect`](Self::connect) waits for each address.
+    pub const CONNECT_TIMEOUT: Duration = host::Tcp::CONNECT_TIMEOUT;
+
+    /// Connects to the first address that answers, such as `"192.168.1.20:1000"`.
+    ///
+    /// # Errors
+    /// That of the last address.
+    pub async fn connect(address: impl ToSocketAddrs) -> io::Result<Self> {
+        let mut result = Err(io::Error::new(ErrorKind::AddrNotAvailable, "the name has no address"));
+        for address in lookup_host(address).await? {
+            let connecting = tokio::time::timeout(Self::CONNECT_TIMEOUT, TcpStream::connect(address));
+            result = connecting.await.unwrap_or_else(|_| Err(ErrorKind::TimedOut.into()));
+            if result.is_ok() {
+                break;
+            }
+        }
+        Self::new(result?)
+    }
+
+    /// Takes a connection that exists.
+    ///
+    /// # Errors
+    /// The options of the socket cannot be set.
+    pub fn new(stream: TcpStream) -> io::Result<Self> {
+        // A frame is one segment, and it leaves at once.
+        stream.set_nodelay(true)?;
+        Ok(Self { stream: Stream::new(stream), farewell: Farewell::NEW })
+    }
+}
+
+impl ErrorType for Tcp {
+    type Error = io::Error;
+}
+
+impl embedded_io_async::Read for Tcp {
+    async fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.stream.read(buffer).await
+    }
+}
+
+impl embedded_io_async::Write for Tcp {
+    async fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let count = self.stream.write(bytes).await?;
+        self.farewell.note(bytes);
+        Ok(count)
+    }
+
+    async fn flush(&mut self) -> io::Result<()> {
+        self.stream.flush().await
+    }
+}
+
+impl Drop for Tcp {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            return;
+        }
+        let mut buffer = [0; OVERHEAD];
+        let Some(message) = self.farewell.due(&mut buffer) else { return };
+        let stream = self.stream.get_mut();
+        // One attempt, without waiting. Nobody is left to be told of an error.
+        if stream.try_write(message).is_ok() {
+            let _ = Pin::new(&mut *stream).poll_shutdown(&mut Context::from_waker(Waker::noop()));
+            // Unread bytes would turn the end into a reset, which may overtake the message.
+            let mut unread = [0; 512];
+            (0..MAX_UNREAD).find(|_| !matches!(stream.try_read(&mut unread), Ok(1..)));
+        }
+    }
+}

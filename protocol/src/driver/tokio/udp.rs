@@ -1,0 +1,68 @@
+//! UDP.
+
+use crate::driver::received::Received;
+use crate::driver::udp::{self, MAX_DATAGRAM_LEN};
+use embedded_io_async::ErrorType;
+use std::io::{self, ErrorKind};
+use std::net::SocketAddr;
+use tokio::net::{ToSocketAddrs, UdpSocket, lookup_host};
+
+/// UDP to a gripper, for either protocol: one message a datagram; [the blocking one](crate::driver::host::Udp) tells of
+/// its ports.
+#[derive(Debug)]
+pub struct Udp {
+    socket: UdpSocket,
+    gripper: SocketAddr,
+    received: Received<MAX_DATAGRAM_LEN>,
+}
+
+impl Udp {
+    /// Speaks to the gripper at this address, such as `"192.168.1.20:1500"`, and hears answers on this port of every
+    /// local address; 0 for one that is free.
+    ///
+    /// # Errors
+    /// The name has no address, or the port is in use.
+    pub async fn connect(gripper: impl ToSocketAddrs, answer_port: u16) -> io::Result<Self> {
+        let gripper = lookup_host(gripper).await?.next();
+        let gripper =
+            gripper.ok_or_else(|| io::Error::new(ErrorKind::AddrNotAvailable, "the name has no address"))?;
+        Ok(Self::new(UdpSocket::bind((udp::any_like(gripper), answer_port)).await?, gripper))
+    }
+
+    /// Takes a socket that is bound to the port which the gripper answers to.
+    #[must_use]
+    pub const fn new(socket: UdpSocket, gripper: SocketAddr) -> Self {
+        Self { socket, gripper, received: Received::new() }
+    }
+}
+
+impl ErrorType for Udp {
+    type Error = io::Error;
+}
+
+impl embedded_io_async::Read for Udp {
+    async fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        while self.received.is_empty() {
+            match self.socket.recv_from(self.received.space()).await {
+                Ok((len, sender)) if udp::is_message(len, sender, self.gripper) => self.received.filled(len),
+                Ok(_) => {}
+                Err(error) if udp::is_silence(&error) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(self.received.take(buffer))
+    }
+}
+
+impl embedded_io_async::Write for Udp {
+    async fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self.socket.send_to(bytes, self.gripper).await {
+            Err(error) if udp::is_silence(&error) => Ok(bytes.len()),
+            result => result,
+        }
+    }
+
+    async fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

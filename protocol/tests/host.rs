@@ -1,0 +1,304 @@
+//! The drivers on a computer, over every transport, with the virtual gripper at the other end.
+
+use std::io;
+use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::{Duration, Instant};
+
+use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver, Transport};
+use wsg_protocol::driver::host::{self, StdClock, Stream, Tcp, Udp};
+use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, OnBlock, Protocol};
+use wsg_protocol::{HomingDirection, SystemFlags};
+use wsg_sim::server::{Lines, SerialLine, ServerThread, UdpLine};
+use wsg_sim::{Config, Part};
+
+/// No test waits longer for what must happen.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+fn loopback() -> SocketAddr {
+    "127.0.0.1:0".parse().unwrap()
+}
+
+/// A gripper with a part of 20 mm before it, and soon homed.
+fn serve(lines: &Lines) -> ServerThread {
+    let config = Config { part: Part::of_width(20.0), homing_speed: Some(400.0), ..Config::default() };
+    ServerThread::start(config, lines, None).expect("loopback and pseudo terminals are there")
+}
+
+fn on_tcp() -> (ServerThread, SocketAddr) {
+    let server = serve(&Lines { tcp: Some(loopback()), ..Lines::default() });
+    let address = server.tcp_address().unwrap();
+    (server, address)
+}
+
+fn on_gcl() -> (ServerThread, SocketAddr) {
+    let server = serve(&Lines { gcl: Some(loopback()), ..Lines::default() });
+    let address = server.gcl_address().unwrap();
+    (server, address)
+}
+
+/// The same for every transport and protocol.
+fn grips<IO, C, P>(gripper: &mut GripperOver<IO, C, P>)
+where
+    IO: Transport<Error = io::Error>,
+    C: Clock,
+    P: Protocol,
+{
+    let grip = gripper.with_connection(|gripper| {
+        gripper.home(HomingDirection::Default)?;
+        gripper.set_force_limit(40.0)?;
+        gripper.grip(Mm(20.0), MmPerS(400.0))
+    });
+    assert_eq!(grip.unwrap(), Grip::Held);
+}
+
+#[test]
+fn blocking_driver_grips_over_tcp() {
+    let (_server, address) = on_tcp();
+    grips(&mut Gripper::new(Tcp::connect(address).unwrap(), StdClock::new()));
+}
+
+#[test]
+fn blocking_driver_grips_over_gcl() {
+    let (_server, address) = on_gcl();
+    grips(&mut GclGripper::new(Tcp::connect(address).unwrap(), StdClock::new()));
+}
+
+#[test]
+fn blocking_driver_grips_over_udp() {
+    let socket = UdpSocket::bind(loopback()).unwrap();
+    let remote_port = socket.local_addr().unwrap().port();
+    let udp = UdpLine { address: loopback(), remote_port };
+    let server = serve(&Lines { udp: Some(udp), ..Lines::default() });
+    let line = Udp::new(socket, server.udp_address().unwrap()).unwrap();
+    grips(&mut Gripper::new(line, StdClock::new()));
+}
+
+#[test]
+fn blocking_driver_grips_over_gcl_on_udp() {
+    let server = serve(&Lines { gcl_udp: Some(loopback()), ..Lines::default() });
+    let line = Udp::connect(server.gcl_udp_address().unwrap(), 0).unwrap();
+    grips(&mut GclGripper::new(line, StdClock::new()));
+}
+
+#[test]
+fn blocking_driver_grips_over_a_serial_port() {
+    let server = serve(&Lines { serial: Some(SerialLine::Pty), ..Lines::default() });
+    let path = server.serial_path().unwrap().to_str().unwrap().to_owned();
+    let port = serialport::new(path, 115_200).timeout(Duration::from_millis(1)).open().unwrap();
+    grips(&mut Gripper::new(Stream::new(port), StdClock::new()));
+}
+
+/// Waits until the fingers stand still, over a connection of its own.
+fn flags_at_rest(address: SocketAddr) -> SystemFlags {
+    let begin = Instant::now();
+    let look = |gripper: &mut Gripper<Tcp, StdClock>| -> Result<_, Error<io::Error>> {
+        loop {
+            let flags = gripper.system_state()?;
+            if !flags.contains(SystemFlags::MOVING) {
+                return Ok(flags);
+            }
+            assert!(begin.elapsed() < PATIENCE, "the fingers still move: {flags}");
+        }
+    };
+    host::with_gripper(address, look).expect("the gripper answers")
+}
+
+/// A gripper in mid travel, half a minute from where it goes.
+fn in_motion(address: SocketAddr) -> Gripper<Tcp, StdClock> {
+    let mut gripper = Gripper::new(Tcp::connect(address).unwrap(), StdClock::new());
+    gripper.connect().unwrap();
+    gripper.home(HomingDirection::Positive).unwrap();
+    let _ = gripper.begin_move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop).unwrap();
+    gripper
+}
+
+#[test]
+fn driver_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
+    let (_server, address) = on_tcp();
+    drop(in_motion(address));
+    let flags = flags_at_rest(address);
+    assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
+    assert!(flags.contains(SystemFlags::REFERENCED), "{flags}");
+}
+
+#[test]
+fn driver_over_gcl_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
+    let server = serve(&Lines { tcp: Some(loopback()), gcl: Some(loopback()), ..Lines::default() });
+    let line = Tcp::connect(server.gcl_address().unwrap()).unwrap();
+    let mut gripper = GclGripper::new(line, StdClock::new());
+    gripper.connect().unwrap();
+    gripper.home(HomingDirection::Positive).unwrap();
+    let _ = gripper.begin_move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop).unwrap();
+    drop(gripper);
+    let flags = flags_at_rest(server.tcp_address().unwrap());
+    assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
+}
+
+#[test]
+fn program_that_leaves_early_leaves_no_fast_stop() {
+    let (_server, address) = on_tcp();
+    let program = |gripper: &mut Gripper<Tcp, StdClock>| {
+        gripper.home(HomingDirection::Positive)?;
+        let _ = gripper.begin_move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop)?;
+        Err(Error::NoForceLimit)
+    };
+    let left: Result<(), _> = host::with_gripper(address, program);
+    assert!(matches!(left, Err(Error::NoForceLimit)), "{left:?}");
+    let flags = flags_at_rest(address);
+    assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
+}
+
+#[test]
+fn program_that_panics_stops_the_fingers_by_fast_stop() {
+    let (_server, address) = on_tcp();
+    let gripper = in_motion(address);
+    let panicked = catch_unwind(AssertUnwindSafe(move || {
+        let _gripper = gripper;
+        std::panic::resume_unwind(Box::new("a panic that is meant"));
+    }));
+    assert!(panicked.is_err());
+    let flags = flags_at_rest(address);
+    assert!(flags.contains(SystemFlags::FAST_STOP), "{flags}");
+}
+
+#[test]
+fn fast_stop_that_was_asked_for_is_left_in_force() {
+    let (_server, address) = on_tcp();
+    let mut gripper = in_motion(address);
+    gripper.fast_stop().unwrap();
+    drop(gripper);
+    assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn port_that_nobody_listens_on_is_an_error_of_the_transport() {
+    // It is free for as long as nobody else takes it.
+    let address = TcpListener::bind(loopback()).unwrap().local_addr().unwrap();
+    let result = host::with_gripper(address, |gripper| gripper.stop());
+    assert!(matches!(result, Err(Error::Transport(_))), "{result:?}");
+    let source = std::error::Error::source(result.as_ref().unwrap_err()).map(ToString::to_string);
+    assert!(source.is_some());
+}
+
+#[test]
+fn udp_takes_nothing_from_another_host_and_nothing_of_empty_datagrams() {
+    use embedded_io::{Read, ReadReady};
+    let gripper = UdpSocket::bind(loopback()).unwrap();
+    let elsewhere: SocketAddr = "127.0.0.2:1500".parse().unwrap();
+    for (address, is_heard) in [(gripper.local_addr().unwrap(), true), (elsewhere, false)] {
+        let socket = UdpSocket::bind(loopback()).unwrap();
+        let here = socket.local_addr().unwrap();
+        let mut line = Udp::new(socket, address).unwrap();
+        for datagram in [&[][..], &[1, 2, 3]] {
+            host_send(&gripper, datagram, here);
+        }
+        let begin = Instant::now();
+        let mut ready = line.read_ready().unwrap();
+        while is_heard && !ready {
+            assert!(begin.elapsed() < PATIENCE);
+            ready = line.read_ready().unwrap();
+        }
+        // What came is in the socket's queue already: loopback.
+        let ready = ready || line.read_ready().unwrap() || line.read_ready().unwrap();
+        assert_eq!(ready, is_heard, "{address}");
+        if is_heard {
+            let mut two = [0; 2];
+            assert_eq!((line.read(&mut two).unwrap(), two), (2, [1, 2]));
+            assert!(line.read_ready().unwrap());
+            assert_eq!((line.read(&mut two).unwrap(), two[0]), (1, 3));
+        }
+    }
+}
+
+fn host_send(socket: &UdpSocket, datagram: &[u8], to: SocketAddr) {
+    #[expect(clippy::disallowed_methods, reason = "loopback takes a datagram at once")]
+    let sent = socket.send_to(datagram, to).unwrap();
+    assert_eq!(sent, datagram.len());
+}
+
+mod on_tokio {
+    use super::*;
+    use tokio::net::UdpSocket;
+    use tokio::sync::oneshot;
+    use wsg_protocol::driver::asynch::{self, Gripper};
+    use wsg_protocol::driver::tokio::{Stream, Tcp, TokioTimer, Udp, with_gripper};
+
+    fn run<T>(program: impl Future<Output = T>) -> T {
+        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(program)
+    }
+
+    async fn grips<IO, P>(gripper: &mut asynch::GripperOver<IO, TokioTimer, P>)
+    where
+        IO: asynch::Transport<Error = io::Error>,
+        P: driver::Protocol,
+    {
+        let program = async |gripper: &mut asynch::GripperOver<IO, TokioTimer, P>| {
+            gripper.home(HomingDirection::Default).await?;
+            gripper.set_force_limit(40.0).await?;
+            gripper.grip(Mm(20.0), MmPerS(400.0)).await
+        };
+        assert_eq!(gripper.with_connection(program).await.unwrap(), Grip::Held);
+    }
+
+    #[test]
+    fn async_driver_grips_over_tcp() {
+        let (_server, address) = on_tcp();
+        run(async {
+            let line = Tcp::connect(address).await.unwrap();
+            grips(&mut Gripper::new(line, TokioTimer::new())).await;
+        });
+    }
+
+    #[test]
+    fn async_driver_grips_over_gcl() {
+        let (_server, address) = on_gcl();
+        run(async {
+            let line = Tcp::connect(address).await.unwrap();
+            grips(&mut asynch::GclGripper::new(line, TokioTimer::new())).await;
+        });
+    }
+
+    #[test]
+    fn async_driver_grips_over_udp() {
+        run(async {
+            let socket = UdpSocket::bind(loopback()).await.unwrap();
+            let remote_port = socket.local_addr().unwrap().port();
+            let udp = UdpLine { address: loopback(), remote_port };
+            let server = serve(&Lines { udp: Some(udp), ..Lines::default() });
+            let line = Udp::new(socket, server.udp_address().unwrap());
+            grips(&mut Gripper::new(line, TokioTimer::new())).await;
+        });
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn async_driver_grips_over_a_stream() {
+        let path = std::env::temp_dir().join(format!("wsg-protocol-{}.socket", std::process::id()));
+        let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
+        run(async {
+            let stream = tokio::net::UnixStream::connect(server.serial_path().unwrap()).await.unwrap();
+            grips(&mut Gripper::new(Stream::new(stream), TokioTimer::new())).await;
+        });
+    }
+
+    #[test]
+    fn future_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
+        let (_server, address) = on_tcp();
+        run(async {
+            let (moves, moving) = oneshot::channel();
+            let program = with_gripper(address, async |gripper| -> Result<(), Error<io::Error>> {
+                gripper.home(HomingDirection::Positive).await?;
+                let motion = gripper.begin_move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop).await?;
+                moves.send(()).unwrap();
+                gripper.wait(&motion).await
+            });
+            tokio::select! {
+                result = program => panic!("half a minute has not passed: {result:?}"),
+                begun = moving => begun.unwrap(),
+            }
+        });
+        let flags = flags_at_rest(address);
+        assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
+    }
+}
