@@ -113,7 +113,7 @@ fn packages() -> impl Iterator<Item = &'static str> {
 }
 
 /// The features that the manifest declares for boards; a crate may have none.
-fn features(manifest: &std::path::Path) -> Result<Vec<String>> {
+pub(crate) fn features(manifest: &std::path::Path) -> Result<Vec<String>> {
     let text = fs::read_to_string(manifest).with_context(|| format!("cannot read {}", manifest.display()))?;
     let features: Vec<String> = text
         .lines()

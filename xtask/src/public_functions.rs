@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use serde_json::Value;
 
 use crate::{
-    process,
+    matrix, process,
     workspace::{TARGET_CRATES, Workspace},
 };
 
@@ -18,17 +18,18 @@ pub(crate) type Functions = BTreeMap<String, usize>;
 /// Those of all crates.
 pub(crate) fn of_crates(workspace: &Workspace) -> Result<Functions> {
     let mut all = Functions::new();
-    for (package, _) in TARGET_CRATES {
-        all.extend(of_crate(workspace, package)?);
+    for (package, folder) in TARGET_CRATES {
+        let features = matrix::features(&workspace.root.join(folder).join("Cargo.toml"))?;
+        all.extend(of_crate(workspace, package, &features.join(","))?);
     }
     Ok(all)
 }
 
-/// Those of a crate, with all its features.
-fn of_crate(workspace: &Workspace, package: &str) -> Result<Functions> {
+/// Those of a crate, with these features.
+fn of_crate(workspace: &Workspace, package: &str, features: &str) -> Result<Functions> {
     let target_dir = workspace.target_dir.join("functions");
     let mut rustdoc = workspace.cargo("rustdoc");
-    rustdoc.args(["--quiet", "-p", package, "--lib", "--all-features"]);
+    rustdoc.args(["--quiet", "-p", package, "--lib", "--no-default-features", "--features", features]);
     rustdoc.arg("--target-dir").arg(&target_dir).args(["--", "-Z", "unstable-options"]);
     rustdoc.args(["--output-format", "json", "--document-hidden-items"]);
     // rustdoc's JSON is not stable: another compiler may give another form, which is then said and not passed over.

@@ -43,6 +43,21 @@ macro_rules! statuses {
                     Self::Unknown(_) => "E_?",
                 }
             }
+
+            /// What it says, in words.
+            ///
+            /// ```
+            /// use wsg_protocol::Status;
+            ///
+            /// assert_eq!(Status::CmdAborted.meaning(), "command aborted, by Stop for example");
+            /// ```
+            #[must_use]
+            pub const fn meaning(self) -> &'static str {
+                match self {
+                    $(Self::$name => $meaning,)*
+                    Self::Unknown(_) => "a status that the manual does not list",
+                }
+            }
         }
     };
 }

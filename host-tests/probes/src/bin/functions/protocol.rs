@@ -49,7 +49,7 @@ fn messages() {
 
 fn values() {
     functions! {
-        Status: code, from_code, symbol, is_final;
+        Status: code, from_code, symbol, meaning, is_final;
         AutoUpdate: once, every, on_change;
         GripperState: code, from_code, is_motion;
         HomingDirection: code, from_code;
