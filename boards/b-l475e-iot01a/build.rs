@@ -8,10 +8,10 @@ fn main() {
     if env::var_os("CARGO_FEATURE_FIRMWARE").is_none() {
         return;
     }
-    // cortex-m-rt's link.x includes memory.x by name. That of the default board lies at the top.
-    let workspace = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
-    println!("cargo:rerun-if-changed={}", workspace.join("memory.x").display());
-    println!("cargo:rustc-link-search={}", workspace.display());
+    // cortex-m-rt's link.x includes memory.x by name.
+    let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    println!("cargo:rerun-if-changed={}", board.join("memory.x").display());
+    println!("cargo:rustc-link-search={}", board.display());
     if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     }

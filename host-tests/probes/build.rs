@@ -7,8 +7,8 @@ fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     if env::var("CARGO_CFG_TARGET_OS").is_ok_and(|os| os == "none") {
         // cortex-m-rt's link.x includes memory.x by name.
-        let workspace = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
-        println!("cargo:rerun-if-changed={}", workspace.join("memory.x").display());
-        println!("cargo:rustc-link-search={}", workspace.display());
+        let board = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../boards/b-l475e-iot01a");
+        println!("cargo:rerun-if-changed={}", board.join("memory.x").display());
+        println!("cargo:rustc-link-search={}", board.display());
     }
 }
