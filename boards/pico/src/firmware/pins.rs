@@ -1,0 +1,96 @@
+//! The PLC's wires, the LED, both lines and the MCP2515 on their pins, by `embedded-hal`'s traits.
+
+use embedded_hal::digital::OutputPin;
+use rp2040_hal::Sio;
+use rp2040_hal::gpio::bank0::{Gpio17, Gpio25};
+use rp2040_hal::gpio::{
+    DynPinId, FunctionSioInput, FunctionSioOutput, FunctionSpi, FunctionUart, Pin, PinState, Pins, PullDown,
+    PullNone, PullUp,
+};
+use rp2040_hal::pac::Peripherals;
+use wsg_bridge_fw::io::{HalInputs, HalOutputs};
+
+/// The wires from the PLC.
+pub(crate) type InputWires = HalInputs<Pin<DynPinId, FunctionSioInput, PullDown>>;
+/// The wires to the PLC.
+pub(crate) type OutputWires = HalOutputs<Pin<DynPinId, FunctionSioOutput, PullNone>>;
+/// The LED on the board.
+pub(crate) type Indicator = Pin<Gpio25, FunctionSioOutput, PullNone>;
+/// The chip select of the MCP2515.
+pub(crate) type ChipSelect = Pin<Gpio17, FunctionSioOutput, PullUp>;
+
+/// All pins that the main loop drives.
+pub(crate) struct Wires {
+    pub(crate) inputs: InputWires,
+    pub(crate) outputs: OutputWires,
+    pub(crate) indicator: Indicator,
+    pub(crate) chip_select: ChipSelect,
+}
+
+/// Sets up all pins; outputs are low before they become outputs.
+pub(crate) fn init(peripherals: Peripherals) -> Wires {
+    let mut resets = peripherals.RESETS;
+    let sio = Sio::new(peripherals.SIO);
+    let pins = Pins::new(peripherals.IO_BANK0, peripherals.PADS_BANK0, sio.gpio_bank0, &mut resets);
+
+    macro_rules! low {
+        ($pin:ident) => {
+            pins.$pin.into_pull_type::<PullNone>().into_push_pull_output_in_state(PinState::Low)
+        };
+    }
+    macro_rules! input {
+        ($pin:ident) => {
+            pins.$pin.into_pull_down_input().into_dyn_pin()
+        };
+    }
+    // In the order of `OUTPUTS` and `INPUTS` of the pin table; the emulator's tests hold both together.
+    let outputs = [
+        low!(gpio2).into_dyn_pin(),
+        low!(gpio3).into_dyn_pin(),
+        low!(gpio15).into_dyn_pin(),
+        low!(gpio21).into_dyn_pin(),
+        low!(gpio22).into_dyn_pin(),
+        low!(gpio26).into_dyn_pin(),
+        low!(gpio27).into_dyn_pin(),
+    ];
+    let inputs = [
+        input!(gpio7),
+        input!(gpio8),
+        input!(gpio9),
+        input!(gpio10),
+        input!(gpio11),
+        input!(gpio12),
+        input!(gpio13),
+        input!(gpio14),
+    ];
+
+    let _: Pin<_, FunctionUart, PullNone> = pins.gpio0.reconfigure();
+    // A line idles high: without a transceiver the receiver hears silence, not noise.
+    let _: Pin<_, FunctionUart, PullUp> = pins.gpio1.reconfigure();
+    let _: Pin<_, FunctionUart, PullUp> = pins.gpio4.reconfigure();
+    let _: Pin<_, FunctionUart, PullUp> = pins.gpio5.reconfigure();
+    // The bus's driver is off; its handler switches it, by the registers of SIO.
+    let _: Pin<_, FunctionSioOutput, PullDown> =
+        pins.gpio6.into_pull_type::<PullDown>().into_push_pull_output_in_state(PinState::Low);
+
+    let _: Pin<_, FunctionSpi, PullUp> = pins.gpio16.reconfigure();
+    let _: Pin<_, FunctionSpi, PullNone> = pins.gpio18.reconfigure();
+    let _: Pin<_, FunctionSpi, PullNone> = pins.gpio19.reconfigure();
+    // INT of the MCP2515, low when it wants something; without one the pin is high.
+    let _: Pin<_, FunctionSioInput, PullUp> = pins.gpio20.reconfigure();
+    let chip_select = pins.gpio17.into_pull_type::<PullUp>().into_push_pull_output_in_state(PinState::High);
+
+    Wires {
+        inputs: HalInputs::new(inputs),
+        outputs: HalOutputs::new(outputs),
+        indicator: low!(gpio25),
+        chip_select,
+    }
+}
+
+impl Wires {
+    /// Lights the LED, or not.
+    pub(crate) fn indicate(&mut self, is_lit: bool) {
+        let _ = self.indicator.set_state(is_lit.into());
+    }
+}
