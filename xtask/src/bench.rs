@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, fs, path::PathBuf, process::Command};
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::{
-    board::BOARD,
+    board::MACHINE,
     gate::{Gate, Unit},
     probe::{Probes, Profile},
     process,
@@ -128,7 +128,7 @@ fn throughput_gates(best: &BTreeMap<String, f64>) -> [Gate; 2] {
 
 fn qemu(elf: &std::path::Path) -> Command {
     let mut qemu = Command::new("qemu-system-arm");
-    qemu.args(["-M", BOARD.machine]);
+    qemu.args(["-M", MACHINE]);
     qemu.args("-display none -monitor none -serial null -no-reboot".split(' '));
     qemu.args(["-icount", "shift=10", "-semihosting-config", "enable=on,target=native", "-kernel"]).arg(elf);
     qemu

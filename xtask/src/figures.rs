@@ -9,12 +9,13 @@ use crate::{bench, document, fast_stop, firmware::Image, gate::Gate, panics, pro
 const DOCUMENT: &str = "docs/figures.md";
 
 /// Measures everything that `docs/figures.md` tells, and writes it; gives the gates.
-pub(crate) fn write(probes: &Probes<'_>, image: &Image) -> Result<Vec<Gate>> {
+pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> {
     panics::check(probes)?;
-    let mut gates = size::of_image(image)?;
+    let mut gates = size::of_images(images)?;
     gates.extend(size::of_protocol(probes)?);
-    gates.push(stack::walked(probes.workspace, probes.toolchain, image)?);
-    gates.push(stack::painted(probes.workspace, image)?);
+    gates.extend(stack::walked(probes.workspace, probes.toolchain, images)?);
+    // The emulator is that of the default board, which comes first.
+    gates.push(stack::painted(probes.workspace, &images[0])?);
     gates.extend(bench::counted(probes, false)?.gates);
     gates.extend(bench::throughput(probes.workspace)?);
 

@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use sha2::{Digest, Sha256};
 
 use crate::{
-    board::BOARD,
+    board::{BOARDS, Board},
     process,
     settings::{self, Change},
     setup::ThumbToolchain,
@@ -38,6 +38,8 @@ pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 5] = [
 /// What an image is made of besides the board's own; nothing in the one that is flashed as delivered.
 #[derive(Default)]
 pub(crate) struct Variant {
+    /// Which board's.
+    pub(crate) board: &'static Board,
     /// Features beside the board's.
     pub(crate) features: Vec<String>,
     /// Settings that differ from those as delivered.
@@ -49,39 +51,51 @@ const FIRMWARE: &str = "firmware";
 
 /// A built image.
 pub(crate) struct Image {
+    /// Of which board.
+    pub(crate) board: &'static Board,
     /// The ELF file, apart from cargo's own output, which the next build replaces.
     pub(crate) path: PathBuf,
     /// SHA-256 of the file, in hex.
     pub(crate) sha256: String,
 }
 
-/// Builds the default board's image.
+/// Builds a board's image.
 pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, variant: &Variant) -> Result<Image> {
-    let mut cargo = toolchain.cargo(workspace, "build");
-    cargo.args(selection(&variant.features));
+    let board = variant.board;
+    let mut cargo = toolchain.cargo(workspace, "build", board.triple);
+    cargo.args(selection(board, &variant.features));
     process::run(&mut cargo)?;
-    let built = toolchain.output_dir(workspace, PROFILE).join(BOARD.name);
+    let built = toolchain.output_dir(workspace, board.triple, PROFILE).join(board.name);
     let mut elf = fs::read(&built).with_context(|| format!("cannot read the image {}", built.display()))?;
     settings::apply(&mut elf, &variant.settings)?;
-    keep(&elf, &workspace.target_dir.join("firmware").join(file_name(variant)))
+    let kept = workspace.target_dir.join("firmware").join(file_name(variant));
+    if board.takes_uf2 {
+        keep(board, &footprint::uf2(&elf)?, &kept.with_extension("uf2"))?;
+    }
+    keep(board, &elf, &kept)
+}
+
+/// Builds the images of all boards as they are delivered, the default board's first.
+pub(crate) fn build_all(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<Vec<Image>> {
+    BOARDS.iter().map(|board| build(workspace, toolchain, &Variant { board, ..Variant::default() })).collect()
 }
 
 /// Cargo's arguments that choose the firmware's binary and profile.
-pub(crate) fn selection(features: &[String]) -> Vec<String> {
-    selection_for(features, PROFILE)
+pub(crate) fn selection(board: &Board, features: &[String]) -> Vec<String> {
+    selection_for(board, features, PROFILE)
 }
 
 /// The same with another profile.
-pub(crate) fn selection_for(features: &[String], profile: &str) -> Vec<String> {
+pub(crate) fn selection_for(board: &Board, features: &[String], profile: &str) -> Vec<String> {
     let features = [&[FIRMWARE.to_owned()], features].concat().join(",");
-    ["-p", BOARD.package, "--bin", BOARD.name, "--features", &features, "--profile", profile]
+    ["-p", board.package, "--bin", board.name, "--features", &features, "--profile", profile]
         .map(str::to_owned)
         .to_vec()
 }
 
 /// Another image has another name: it must not take the place of the one that is tested.
-fn file_name(Variant { features, settings }: &Variant) -> String {
-    let mut name = BOARD.name.to_owned();
+fn file_name(Variant { board, features, settings }: &Variant) -> String {
+    let mut name = board.name.to_owned();
     for part in features.iter().cloned().chain(settings.iter().map(Change::to_string)) {
         name.push('+');
         name.push_str(&part.replace('/', "-"));
@@ -89,17 +103,17 @@ fn file_name(Variant { features, settings }: &Variant) -> String {
     name + ".elf"
 }
 
-fn keep(elf: &[u8], kept: &Path) -> Result<Image> {
+fn keep(board: &'static Board, bytes: &[u8], kept: &Path) -> Result<Image> {
     let write = || {
         fs::create_dir_all(kept.parent().unwrap_or(Path::new(".")))?;
         // Renamed into place: an emulator or a probe that reads the old image now must not see half of each.
-        let fresh = kept.with_extension(format!("elf.{}", std::process::id()));
-        fs::write(&fresh, elf)?;
+        let fresh = kept.with_extension(format!("fresh.{}", std::process::id()));
+        fs::write(&fresh, bytes)?;
         fs::rename(&fresh, kept)
     };
     write().with_context(|| format!("cannot write the image {}", kept.display()))?;
-    let sha256 = Sha256::digest(elf).iter().map(|byte| format!("{byte:02x}")).collect();
-    Ok(Image { path: kept.to_owned(), sha256 })
+    let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+    Ok(Image { board, path: kept.to_owned(), sha256 })
 }
 
 #[cfg(test)]
@@ -112,22 +126,23 @@ mod tests {
         let features = vec!["defmt".into(), "heapless/defmt".into()];
         let settings = vec![Change::new("UNIT", 5).unwrap()];
         assert_eq!(
-            file_name(&Variant { features, settings }),
+            file_name(&Variant { features, settings, ..Variant::default() }),
             "b-l475e-iot01a+defmt+heapless-defmt+UNIT=5.elf"
         );
     }
 
     #[test]
     fn the_boards_crate_is_always_built_as_a_program() {
-        assert!(selection(&["defmt".into()]).contains(&"firmware,defmt".to_owned()));
-        assert!(selection(&[]).contains(&"firmware".to_owned()));
+        let board = <&Board>::default();
+        assert!(selection(board, &["defmt".into()]).contains(&"firmware,defmt".to_owned()));
+        assert!(selection(board, &[]).contains(&"firmware".to_owned()));
     }
 
     #[test]
     fn a_kept_image_is_the_built_one_and_is_named_by_its_hash() {
         let dir = std::env::temp_dir().join(format!("wsg-xtask-image-{}", std::process::id()));
 
-        let image = keep(b"abc", &dir.join("firmware/kept.elf")).unwrap();
+        let image = keep(<&Board>::default(), b"abc", &dir.join("firmware/kept.elf")).unwrap();
         let kept = fs::read(&image.path).unwrap();
 
         fs::remove_dir_all(&dir).unwrap();

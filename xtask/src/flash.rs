@@ -4,7 +4,7 @@ use std::process::Command;
 
 use anyhow::{Result, bail};
 
-use crate::{board::BOARD, firmware::Image, process};
+use crate::{firmware::Image, process};
 
 /// Says how to get probe-rs where it is missing; asked before the build, which takes longer.
 pub(crate) fn require_probe_rs() -> Result<()> {
@@ -16,8 +16,8 @@ pub(crate) fn require_probe_rs() -> Result<()> {
 
 /// Writes the image to the board's flash and starts it.
 pub(crate) fn run(image: &Image) -> Result<()> {
-    process::run(probe_rs().args(["download", "--chip", BOARD.chip]).arg(&image.path))?;
-    process::run(probe_rs().args(["reset", "--chip", BOARD.chip]))
+    process::run(probe_rs().args(["download", "--chip", image.board.chip]).arg(&image.path))?;
+    process::run(probe_rs().args(["reset", "--chip", image.board.chip]))
 }
 
 fn probe_rs() -> Command {

@@ -43,6 +43,7 @@ use std::{
 use anyhow::{Context, Result};
 use lexopt::{Arg, Parser, ValueExt};
 
+use board::Board;
 use firmware::Variant;
 use matrix::Extent;
 use settings::Change;
@@ -55,6 +56,7 @@ Commands
   setup              install what build, demo and test need: the thumb target's Rust, QEMU, and
                      the masters of the tests (mbpoll, packages of Python, and of Node.js if it is there)
   build              build the firmware image, print its path and SHA-256
+                     [--board NAME]: b-l475e-iot01a, or pico, which has a UF2 file beside it;
                      [--set NAME=VALUE]: a setting that it is delivered with (docs/registers.md);
                      [--features X]: more features. The image then has a name of its own
   demo [ARGS]        boot the image in QEMU between a PLC and a virtual gripper;
@@ -67,7 +69,7 @@ Commands
   ci                 deny, test --strict with all of what test does in part, then fast-stop, explore,
                      loom and Miri: before a release
   deny               licences, bans and sources of all dependencies against deny.toml; cargo-deny
-  size               flash and static RAM of the image, and of the protocol beside an empty
+  size               flash and static RAM of each board's image, and of the protocol beside an empty
                      program, against their limits
   stack              the firmware's worst-case stack, by a walk over its calls and by a painted
                      stack in the emulator
@@ -91,7 +93,7 @@ Commands
   figures            measure all that docs/figures.md tells, and write it
   dist               make the folder that a PLC engineer gets; the same bytes wherever it is made
   flash              write the image to a board with probe-rs and start it
-                     [--set NAME=VALUE] [--features X] as for build
+                     [--board NAME] [--set NAME=VALUE] [--features X] as for build
   help               this page
 
 Environment
@@ -193,7 +195,7 @@ fn print_image(image: &firmware::Image) {
     println!("{}\nsha256 {}", image.path.display(), image.sha256);
 }
 
-/// `--features X` and `--set NAME=VALUE`, each as often as wanted.
+/// `--board NAME`; `--features X` and `--set NAME=VALUE`, each as often as wanted.
 fn variant(mut arguments: Parser) -> Result<Variant> {
     let mut variant = Variant::default();
     while let Some(argument) = arguments.next()? {
@@ -204,6 +206,7 @@ fn variant(mut arguments: Parser) -> Result<Variant> {
                     .features
                     .extend(list.split([',', ' ']).filter(|it| !it.is_empty()).map(str::to_owned));
             }
+            Arg::Long("board") => variant.board = Board::named(&arguments.value()?.string()?)?,
             Arg::Long("set") => variant.settings.push(Change::parse(&arguments.value()?.string()?)?),
             other => return Err(other.unexpected()).context("see `cargo xtask help`"),
         }

@@ -21,13 +21,16 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         "size" => {
             no_more(arguments)?;
             let built = Built::new()?;
-            gate::check(&[size::of_image(&built.image)?, size::of_protocol(&built.probes())?].concat())
+            let mut gates = size::of_images(&built.images()?)?;
+            gates.extend(size::of_protocol(&built.probes())?);
+            gate::check(&gates)
         }
         "stack" => {
             no_more(arguments)?;
-            let Built { workspace, toolchain, image } = Built::new()?;
-            let walked = stack::walked(&workspace, &toolchain, &image)?;
-            gate::check(&[walked, stack::painted(&workspace, &image)?])
+            let built = Built::new()?;
+            let mut gates = stack::walked(&built.workspace, &built.toolchain, &built.images()?)?;
+            gates.push(stack::painted(&built.workspace, &built.image)?);
+            gate::check(&gates)
         }
         "panics" => {
             no_more(arguments)?;
@@ -43,7 +46,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         "figures" => {
             no_more(arguments)?;
             let built = Built::new()?;
-            gate::check(&figures::write(&built.probes(), &built.image)?)
+            gate::check(&figures::write(&built.probes(), &built.images()?)?)
         }
         "ci" => {
             no_more(arguments)?;
@@ -103,6 +106,11 @@ impl Built {
         let toolchain = setup::thumb_and_qemu(&workspace)?;
         let image = firmware::build(&workspace, &toolchain, &Variant::default())?;
         Ok(Self { workspace, toolchain, image })
+    }
+
+    /// Those of all boards.
+    fn images(&self) -> Result<Vec<Image>> {
+        firmware::build_all(&self.workspace, &self.toolchain)
     }
 
     fn probes(&self) -> Probes<'_> {

@@ -5,6 +5,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::{
+    board::{BOARDS, Board},
     firmware,
     probe::{Probes, Profile},
     process, public_functions,
@@ -44,10 +45,12 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
         );
         let what = "protocol and buses, every public function";
         hold(what, level, &mut probes.cargo("build", FUNCTIONS, FEATURES, profile))?;
-        hold("firmware", level, &mut firmware_build(probes, profile))?;
+        for board in &BOARDS {
+            hold(board.name, level, &mut firmware_build(probes, board, profile))?;
+        }
     }
     println!(
-        "panic paths: 0 in the firmware and in {} public functions of protocol and buses, at opt-level s and 3 (not \
+        "panic paths: 0 in the firmware of each board and in {} public functions of protocol and buses, at opt-level s and 3 (not \
          proved: text for persons, Display and Debug, which is core::fmt's; Hash, which only the host uses; and the async driver's futures: one that is \
          polled after its end panics, by the language's rule)",
         functions.values().sum::<usize>()
@@ -62,9 +65,9 @@ fn hold(what: &str, level: &str, build: &mut Command) -> Result<()> {
     Ok(())
 }
 
-fn firmware_build(probes: &Probes<'_>, profile: Profile) -> Command {
-    let mut cargo = probes.toolchain.cargo(probes.workspace, "build");
-    cargo.args(firmware::selection_for(&["prove-panic-free".to_owned()], profile.name()));
+fn firmware_build(probes: &Probes<'_>, board: &Board, profile: Profile) -> Command {
+    let mut cargo = probes.toolchain.cargo(probes.workspace, "build", board.triple);
+    cargo.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name()));
     cargo
 }
 

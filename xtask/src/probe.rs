@@ -5,7 +5,11 @@ use std::{fs, path::PathBuf, process::Command};
 use anyhow::{Context, Result};
 use footprint::Footprint;
 
-use crate::{process, setup::ThumbToolchain, workspace::Workspace};
+use crate::{
+    process,
+    setup::{TRIPLE, ThumbToolchain},
+    workspace::Workspace,
+};
 
 const PACKAGE: &str = "wsg-probes";
 
@@ -50,7 +54,7 @@ pub(crate) struct Probes<'a> {
 impl Probes<'_> {
     /// Cargo's `subcommand` for this program.
     pub(crate) fn cargo(&self, subcommand: &str, name: &str, features: &str, profile: Profile) -> Command {
-        let mut cargo = self.toolchain.cargo(self.workspace, subcommand);
+        let mut cargo = self.toolchain.cargo(self.workspace, subcommand, TRIPLE);
         cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name()]);
         cargo
     }
@@ -58,7 +62,7 @@ impl Probes<'_> {
     /// Builds this program, and gives its path. The next one of its name takes its place.
     pub(crate) fn build(&self, name: &str, features: &str, profile: Profile) -> Result<PathBuf> {
         process::run(&mut self.cargo("build", name, features, profile))?;
-        Ok(self.toolchain.output_dir(self.workspace, profile.name()).join(name))
+        Ok(self.toolchain.output_dir(self.workspace, TRIPLE, profile.name()).join(name))
     }
 
     /// What this program takes, at opt-level s.

@@ -7,8 +7,6 @@ use footprint::Footprint;
 
 use crate::{firmware::Image, gate::Gate, probe::Probes};
 
-// 64 KiB before settings stayed and the service port came; 4 KB of it are the start values of the static RAM.
-const FLASH_LIMIT: u64 = 80 * 1024;
 const STATIC_RAM_LIMIT: u64 = 12 * 1024;
 
 /// Parser and encoder, with the table of 512 bytes and with that of 32.
@@ -26,8 +24,12 @@ const MODBUS_LIMIT: u64 = 9 * 1024;
 const PARSER_PAYLOAD: u64 = 64;
 const PARSER_OVERHEAD_LIMIT: u64 = 16;
 
-/// The gates of the firmware image.
-pub(crate) fn of_image(image: &Image) -> Result<Vec<Gate>> {
+/// The gates of the boards' images.
+pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
+    images.iter().map(of_image).collect::<Result<Vec<_>>>().map(|gates| gates.concat())
+}
+
+fn of_image(image: &Image) -> Result<Vec<Gate>> {
     let what_failed = || format!("cannot read the sections of {}", image.path.display());
     let bytes = fs::read(&image.path).with_context(what_failed)?;
     let sections = footprint::sections_of(&bytes).with_context(what_failed)?;
@@ -36,8 +38,8 @@ pub(crate) fn of_image(image: &Image) -> Result<Vec<Gate>> {
     }
     let Footprint { flash, static_ram } = Footprint::of(&sections);
     Ok(vec![
-        Gate::bytes("firmware image, flash", flash, FLASH_LIMIT),
-        Gate::bytes("firmware image, static RAM", static_ram, STATIC_RAM_LIMIT),
+        Gate::bytes(format!("{}: image, flash", image.board.name), flash, image.board.flash_limit),
+        Gate::bytes(format!("{}: image, static RAM", image.board.name), static_ram, STATIC_RAM_LIMIT),
     ])
 }
 

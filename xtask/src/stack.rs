@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use footprint::Program;
 
 use crate::{
-    board::BOARD,
+    board::Board,
     firmware::{self, Image},
     gate::Gate,
     process,
@@ -22,9 +22,17 @@ const LIMIT: u64 = 3 * 1024;
 /// What an exception puts on the stack by itself: 8 registers, 18 of the floating point unit, and a word to align.
 const EXCEPTION_FRAME: u64 = 4 * (8 + 18 + 1);
 
-/// Walks the firmware's calls.
-pub(crate) fn walked(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Result<Gate> {
-    let elf = build_with_sizes(workspace, toolchain)?;
+/// Walks the calls of each board's firmware.
+pub(crate) fn walked(
+    workspace: &Workspace,
+    toolchain: &ThumbToolchain,
+    images: &[Image],
+) -> Result<Vec<Gate>> {
+    images.iter().map(|image| walk(workspace, toolchain, image)).collect()
+}
+
+fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Result<Gate> {
+    let elf = build_with_sizes(workspace, toolchain, image.board)?;
     let what_failed = || format!("cannot walk the calls of {}", image.path.display());
     let program = Program::of(&elf).with_context(what_failed)?;
     // The option gives symbols other hashes, so functions lie in another order, and some bytes more or less apart.
@@ -56,7 +64,8 @@ pub(crate) fn walked(workspace: &Workspace, toolchain: &ThumbToolchain, image: &
     }
     let exceptions: u64 = deepest.handlers.iter().map(|handler| handler.bytes + EXCEPTION_FRAME).sum();
     println!("  counted as if every exception interrupted the one before at its deepest");
-    Ok(Gate::bytes("worst-case stack, walked", deepest.program.bytes + exceptions, LIMIT))
+    let what = format!("{}: worst-case stack, walked", image.board.name);
+    Ok(Gate::bytes(what, deepest.program.bytes + exceptions, LIMIT))
 }
 
 /// The deepest that the stack of this image was seen: an example of host-tests boots it on painted memory, puts it
@@ -72,18 +81,18 @@ pub(crate) fn painted(workspace: &Workspace, image: &Image) -> Result<Gate> {
 }
 
 /// The image once more, with a section of stack sizes that takes no memory.
-fn build_with_sizes(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<Vec<u8>> {
-    let mut cargo = toolchain.cargo(workspace, "build");
-    cargo.args(firmware::selection(&[]));
-    cargo.args(["--config", "target.thumbv7em-none-eabihf.rustflags=[\"-Zemit-stack-sizes\"]"]);
+fn build_with_sizes(workspace: &Workspace, toolchain: &ThumbToolchain, board: &Board) -> Result<Vec<u8>> {
+    let mut cargo = toolchain.cargo(workspace, "build", board.triple);
+    cargo.args(firmware::selection(board, &[]));
+    cargo.args(["--config", &format!("target.{}.rustflags=[\"-Zemit-stack-sizes\"]", board.triple)]);
     // Apart from the image that is tested. The option is not stable, the section that it writes is LLVM's.
     let target_dir = workspace.target_dir.join("stack");
     cargo.env("CARGO_TARGET_DIR", &target_dir).env("RUSTC_BOOTSTRAP", "1");
     process::run(&mut cargo)?;
-    let output_dir = toolchain.output_dir(workspace, "firmware");
+    let output_dir = toolchain.output_dir(workspace, board.triple, "firmware");
     let below = output_dir.strip_prefix(&workspace.target_dir).unwrap_or(&output_dir);
     // Debian's tool chain has a folder of its own below the target folder, which the variable replaces.
     let below = below.strip_prefix("debian").unwrap_or(below);
-    let path = target_dir.join(below).join(BOARD.name);
+    let path = target_dir.join(below).join(board.name);
     fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
 }

@@ -6,6 +6,7 @@ use anyhow::{Context, Result, ensure};
 
 use crate::{
     bench,
+    board::{BOARDS, Board},
     firmware::{self, IMAGE_VARIABLE, Image, Variant},
     gate,
     matrix::{self, Extent},
@@ -84,7 +85,9 @@ impl Checks<'_> {
             record.not_checked("clippy, host (no clippy)");
         }
         if CLIPPY.provide_for_thumb(workspace, toolchain) {
-            record.check("clippy, firmware", || process::run(&mut self.firmware_clippy()))?;
+            record.check("clippy, firmware", || {
+                BOARDS.iter().try_for_each(|board| process::run(&mut self.firmware_clippy(board)))
+            })?;
             record.check("clippy, probes", || process::run(&mut self.probes_clippy()))?;
         } else {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
@@ -102,9 +105,11 @@ impl Checks<'_> {
             process::run(cargo("doc", &["--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
         })?;
         let probes = Probes { workspace, toolchain };
-        record
-            .check("size", || gate::check(&[size::of_image(image)?, size::of_protocol(&probes)?].concat()))?;
-        record.check("stack, walked", || gate::check(&[stack::walked(workspace, toolchain, image)?]))?;
+        let images = firmware::build_all(workspace, toolchain)?;
+        record.check("size", || {
+            gate::check(&[size::of_images(&images)?, size::of_protocol(&probes)?].concat())
+        })?;
+        record.check("stack, walked", || gate::check(&stack::walked(workspace, toolchain, &images)?))?;
         record.check("stack, painted", || gate::check(&[stack::painted(workspace, image)?]))?;
         let mut not_compared = None;
         record.check("instructions", || {
@@ -121,14 +126,14 @@ impl Checks<'_> {
         record.check("panic paths", || panics::check(&probes))
     }
 
-    fn firmware_clippy(&self) -> Command {
-        let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
-        clippy.args(firmware::selection(&[])).args(["--", "-D", "warnings"]);
+    fn firmware_clippy(&self, board: &Board) -> Command {
+        let mut clippy = self.toolchain.cargo(self.workspace, "clippy", board.triple);
+        clippy.args(firmware::selection(board, &[])).args(["--", "-D", "warnings"]);
         clippy
     }
 
     fn probes_clippy(&self) -> Command {
-        let mut clippy = self.toolchain.cargo(self.workspace, "clippy");
+        let mut clippy = self.toolchain.cargo(self.workspace, "clippy", setup::TRIPLE);
         clippy.args(["-p", "wsg-probes", "--bins", "--features", "bench,every-function"]);
         clippy.args(["--profile", "firmware", "--", "-D", "warnings"]);
         clippy

@@ -14,9 +14,9 @@ use anyhow::{Context, Result, bail};
 
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{Masters, NODE_VARIABLE, PYTHON_VARIABLE, provide as masters};
-pub(crate) use rust_target::{MINIMUM_RUST, ThumbToolchain, has_target, rustup};
+pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, has_target, rustup};
 
-use crate::{board::BOARD, process, workspace::Workspace};
+use crate::{board::MACHINE, process, workspace::Workspace};
 
 /// What the thumb target's builds need.
 pub(crate) fn thumb(workspace: &Workspace) -> Result<ThumbToolchain> {
@@ -36,11 +36,11 @@ fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
         toolchain = rust_target::find(workspace);
     }
     if toolchain.is_none() {
-        lacks.push(format!("a Rust tool chain for {}", rust_target::TRIPLE));
+        lacks.push(format!("a Rust tool chain for {}", rust_target::TRIPLES.join(" and ")));
         wanted.push(rust_target::packages(workspace));
     }
     if with_qemu && !qemu::has_machine() {
-        lacks.push(format!("QEMU with the machine {}", BOARD.machine));
+        lacks.push(format!("QEMU with the machine {}", MACHINE));
         wanted.push(qemu::packages()?);
     }
     let lacks = lacks.join(" and ");
@@ -53,14 +53,14 @@ fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
     if with_qemu && !qemu::has_machine() {
         bail!(
             "the qemu-system-arm that was installed lacks the machine {}; put one that has it (QEMU 10 does) on PATH",
-            BOARD.machine
+            MACHINE
         );
     }
     match toolchain.or_else(|| rust_target::find(workspace)) {
         Some(toolchain) => Ok(toolchain),
         None => bail!(
             "the Rust packages that were installed cannot build for {}: Rust {} or newer is needed; where rustup reaches its server, type: {}",
-            rust_target::TRIPLE,
+            rust_target::TRIPLES.join(" and "),
             rust_target::MINIMUM_RUST,
             rust_target::RUSTUP_LINE
         ),

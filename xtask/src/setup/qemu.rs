@@ -5,12 +5,12 @@ use std::{fs, process::Command};
 use anyhow::Result;
 
 use super::apt::{self, Packages};
-use crate::{board::BOARD, process};
+use crate::{board::MACHINE, process};
 
 /// Whether the `qemu-system-arm` on the path has the machine.
 pub(crate) fn has_machine() -> bool {
     process::answer(Command::new("qemu-system-arm").args(["-machine", "help"]))
-        .is_some_and(|help| lists(&help, BOARD.machine))
+        .is_some_and(|help| lists(&help, MACHINE))
 }
 
 /// What to install: from the backports on Debian bookworm, whose own QEMU lacks the machine.

@@ -1,4 +1,4 @@
-//! The Cortex-M4F target: by the active tool chain where it has the target, else by Debian's Rust packages,
+//! The targets of the boards: by the active tool chain where it has them, else by Debian's Rust packages,
 //! which build `core` from source.
 
 use std::{
@@ -10,11 +10,14 @@ use std::{
 use super::{apt::Packages, is_set};
 use crate::{process, workspace::Workspace};
 
-/// The target of the default board's Cortex-M4F.
+/// The target of the default board's Cortex-M4F, on which the probes are measured.
 pub(crate) const TRIPLE: &str = "thumbv7em-none-eabihf";
 
-/// What adds the target where rustup reaches its server.
-pub(crate) const RUSTUP_LINE: &str = "rustup target add thumbv7em-none-eabihf";
+/// Those of all boards.
+pub(crate) const TRIPLES: [&str; 2] = [TRIPLE, "thumbv6m-none-eabi"];
+
+/// What adds the targets where rustup reaches its server.
+pub(crate) const RUSTUP_LINE: &str = "rustup target add thumbv7em-none-eabihf thumbv6m-none-eabi";
 
 /// The oldest Rust that builds this workspace.
 pub(crate) const MINIMUM_RUST: &str = env!("CARGO_PKG_RUST_VERSION");
@@ -38,7 +41,7 @@ pub(crate) enum ThumbToolchain {
 
 /// The tool chain that can build for the target as things are; nothing is installed.
 pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
-    if has_target(workspace, TRIPLE) {
+    if TRIPLES.iter().all(|triple| has_target(workspace, triple)) {
         return Some(ThumbToolchain::Active);
     }
     if !debian_can_build_core() {
@@ -47,9 +50,9 @@ pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
     linker(workspace).map(|linker| ThumbToolchain::Debian { linker })
 }
 
-/// Lets rustup add the target; says whether it did.
+/// Lets rustup add the targets; says whether it did.
 pub(crate) fn add_by_rustup(workspace: &Workspace) -> bool {
-    rustup(workspace, &["target", "add", TRIPLE])
+    rustup(workspace, &[&["target", "add"][..], &TRIPLES].concat())
 }
 
 /// Whether the tool chain of the cargo that was called has `target`'s `core`, and may use it.
@@ -93,38 +96,43 @@ pub(crate) fn packages(workspace: &Workspace) -> Packages {
 }
 
 impl ThumbToolchain {
-    /// `cargo <subcommand>` for the target, with every option that the tool chain needs.
-    pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str) -> Command {
+    /// `cargo <subcommand>` for one of [`TRIPLES`], with every option that the tool chain needs.
+    pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str, triple: &str) -> Command {
         let mut command = match self {
             Self::Active => workspace.cargo(subcommand),
-            Self::Debian { linker } => debian_cargo(workspace, subcommand, linker),
+            Self::Debian { linker } => debian_cargo(workspace, subcommand, triple, linker),
         };
-        command.args(["--target", TRIPLE, "--config", &remap_config(workspace)]);
+        command.args(["--target", triple, "--config", &remap_config(workspace, triple)]);
         // Flags from the environment would displace the linker script's of .cargo/config.toml, and make this
         // image another than everybody's.
-        for name in ["RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUSTFLAGS"] {
+        for name in ["RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", &variable(triple, "RUSTFLAGS")] {
             command.env_remove(name);
         }
         command
     }
 
     /// The folder that holds what was built with `profile`.
-    pub(crate) fn output_dir(&self, workspace: &Workspace, profile: &str) -> PathBuf {
+    pub(crate) fn output_dir(&self, workspace: &Workspace, triple: &str, profile: &str) -> PathBuf {
         let target_dir = match self {
             Self::Active => workspace.target_dir.clone(),
             Self::Debian { .. } => debian_target_dir(workspace),
         };
-        target_dir.join(TRIPLE).join(profile)
+        target_dir.join(triple).join(profile)
     }
 }
 
-fn debian_cargo(workspace: &Workspace, subcommand: &str, linker: &Path) -> Command {
+/// Cargo's environment variable for this setting of a target.
+fn variable(triple: &str, setting: &str) -> String {
+    format!("CARGO_TARGET_{}_{setting}", triple.replace('-', "_").to_uppercase())
+}
+
+fn debian_cargo(workspace: &Workspace, subcommand: &str, triple: &str, linker: &Path) -> Command {
     // cargo would look for `cargo-clippy` in its home first, where rustup's shim is.
     let program = if subcommand == "clippy" { DEBIAN_CLIPPY } else { DEBIAN_CARGO };
     let mut command = Command::new(program);
     command.current_dir(&workspace.root).args([subcommand, "--locked", "-Z", "build-std=core"]);
     command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
-    command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker);
+    command.env(variable(triple, "LINKER"), linker);
     command.env("CARGO_TARGET_DIR", debian_target_dir(workspace));
     // The outer cargo's: they would lead Debian's programs to rustup's tool chain and its libraries.
     command.env_remove("RUSTUP_TOOLCHAIN").env_remove("LD_LIBRARY_PATH").env_remove("RUSTDOC");
@@ -138,7 +146,7 @@ fn debian_target_dir(workspace: &Workspace) -> PathBuf {
 
 /// Takes the places of this checkout, its target folder and cargo's home out of the debug information, so that
 /// the same sources give the same image everywhere. `--config` adds to the flags of .cargo/config.toml.
-fn remap_config(workspace: &Workspace) -> String {
+fn remap_config(workspace: &Workspace, triple: &str) -> String {
     // rustc takes the last that fits: the target folder may lie within the checkout.
     let mut places = vec![(workspace.root.clone(), "."), (workspace.target_dir.clone(), "target")];
     places.extend(workspace.cargo_home().map(|home| (home, "cargo")));
@@ -146,7 +154,7 @@ fn remap_config(workspace: &Workspace) -> String {
         .iter()
         .map(|(place, name)| toml_string(&format!("--remap-path-prefix={}={name}", place.display())))
         .collect();
-    format!("target.{TRIPLE}.rustflags=[{}]", flags.join(", "))
+    format!("target.{triple}.rustflags=[{}]", flags.join(", "))
 }
 
 fn toml_string(text: &str) -> String {

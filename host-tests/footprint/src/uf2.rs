@@ -1,0 +1,107 @@
+//! An image as the RP2040's boot ROM takes it over USB: UF2, blocks of 256 bytes with their addresses (Microsoft's UF2
+//! specification; RP2040 data sheet, 2.8.4.2).
+
+use std::collections::BTreeMap;
+
+use anyhow::{Result, ensure};
+use object::elf::PT_LOAD;
+use object::read::elf::{ElfFile32, ProgramHeader};
+
+const MAGIC: [u32; 2] = [0x0A32_4655, 0x9E5D_5157];
+const MAGIC_END: u32 = 0x0AB1_6F30;
+/// The number of the family tells for which MCU it is.
+const FAMILY_ID_PRESENT: u32 = 0x2000;
+const RP2040: u32 = 0xE48B_FF56;
+
+const BLOCK_LEN: usize = 512;
+const DATA_AT: usize = 32;
+/// Of a page of flash, the unit that the boot ROM programs.
+const PAYLOAD: u64 = 256;
+
+/// The flash, as addresses.
+const FLASH: std::ops::Range<u64> = 0x1000_0000..0x1100_0000;
+
+/// Writes what an ELF file loads into flash as UF2. What no segment has in a page is 00h.
+pub fn uf2(elf: &[u8]) -> Result<Vec<u8>> {
+    let mut pages = BTreeMap::<u64, [u8; PAYLOAD as usize]>::new();
+    let file = ElfFile32::<object::Endianness>::parse(elf)?;
+    for header in file.elf_program_headers() {
+        let endian = file.endian();
+        if header.p_type(endian) != PT_LOAD {
+            continue;
+        }
+        let start = u64::from(header.p_paddr(endian));
+        for (address, byte) in (start..).zip(header.data(endian, elf).unwrap_or_default()) {
+            ensure!(FLASH.contains(&address), "the image has {address:#x}, which is not in flash");
+            let page = pages.entry(address / PAYLOAD * PAYLOAD).or_insert([0; PAYLOAD as usize]);
+            page[(address % PAYLOAD) as usize] = *byte;
+        }
+    }
+    let count = pages.len() as u32;
+    let blocks = pages.iter().zip(0u32..).map(|((address, data), number)| {
+        let mut block = [0; BLOCK_LEN];
+        let words =
+            [MAGIC[0], MAGIC[1], FAMILY_ID_PRESENT, *address as u32, PAYLOAD as u32, number, count, RP2040];
+        for (place, word) in block.chunks_exact_mut(4).zip(words) {
+            place.copy_from_slice(&word.to_le_bytes());
+        }
+        block[DATA_AT..DATA_AT + data.len()].copy_from_slice(data);
+        block[BLOCK_LEN - 4..].copy_from_slice(&MAGIC_END.to_le_bytes());
+        block
+    });
+    Ok(blocks.flatten().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An ELF file of nothing but these segments, each an address and bytes.
+    fn elf(segments: &[(u32, &[u8])]) -> Vec<u8> {
+        let (header_len, entry_len) = (52u32, 32u32);
+        let mut file = b"\x7FELF\x01\x01\x01\0\0\0\0\0\0\0\0\0\x02\0\x28\0\x01\0\0\0\0\0\0\0".to_vec();
+        file.extend(header_len.to_le_bytes());
+        file.extend([0; 8]);
+        for half in [header_len as u16, entry_len as u16, segments.len() as u16, 40, 0, 0] {
+            file.extend(half.to_le_bytes());
+        }
+        let mut at = header_len + entry_len * segments.len() as u32;
+        for (address, bytes) in segments {
+            let len = bytes.len() as u32;
+            for word in [PT_LOAD.0, at, 0, *address, len, len, 4, 1] {
+                file.extend(word.to_le_bytes());
+            }
+            at += len;
+        }
+        file.extend(segments.iter().flat_map(|(_, bytes)| *bytes));
+        file
+    }
+
+    #[test]
+    fn segments_become_numbered_pages_of_flash() {
+        let made = uf2(&elf(&[(0x1000_00FE, &[1, 2, 3]), (0x1000_0400, &[4])])).unwrap();
+
+        let blocks: Vec<&[u8]> = made.chunks_exact(BLOCK_LEN).collect();
+        let word =
+            |block: usize, at: usize| u32::from_le_bytes(blocks[block][at..at + 4].try_into().unwrap());
+        assert_eq!(blocks.len(), 3);
+        for (number, address) in [0x1000_0000, 0x1000_0100, 0x1000_0400].into_iter().enumerate() {
+            let head: Vec<u32> = (0..8).map(|place| word(number, 4 * place)).collect();
+            let count = 3;
+            assert_eq!(
+                head,
+                [0x0A32_4655, 0x9E5D_5157, 0x2000, address, 256, number as u32, count, 0xE48B_FF56]
+            );
+            assert_eq!(word(number, 508), 0x0AB1_6F30);
+        }
+        assert_eq!(blocks[0][DATA_AT + 0xFD..DATA_AT + 0x100], [0, 1, 2]);
+        assert_eq!(blocks[1][DATA_AT..DATA_AT + 2], [3, 0]);
+        assert_eq!(blocks[2][DATA_AT], 4);
+    }
+
+    #[test]
+    fn what_is_not_in_flash_is_refused() {
+        let refused = uf2(&elf(&[(0x2000_0000, &[1])])).unwrap_err().to_string();
+        assert_eq!(refused, "the image has 0x20000000, which is not in flash");
+    }
+}
