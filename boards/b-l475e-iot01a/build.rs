@@ -8,9 +8,9 @@ fn main() {
     if env::var_os("CARGO_FEATURE_FIRMWARE").is_none() {
         return;
     }
-    // cortex-m-rt's link.x includes memory.x by name.
+    // link.x of cortex-m-rt includes the memory.x at the top, and that the board's.
     let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    println!("cargo:rerun-if-changed={}", board.join("memory.x").display());
+    println!("cargo:rerun-if-changed={}", board.join("board-memory.x").display());
     println!("cargo:rustc-link-search={}", board.display());
     if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");

@@ -15,7 +15,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
 use wsg_sim::{Config, Part};
 
-/// SRAM1, as memory.x has it: the stack begins at its end.
+/// SRAM1, as board-memory.x has it: the stack begins at its end.
 const RAM: u32 = 0x2000_0000;
 const RAM_END: u32 = RAM + 96 * 1024;
 

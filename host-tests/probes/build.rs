@@ -6,9 +6,9 @@ use std::path::PathBuf;
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     if env::var("CARGO_CFG_TARGET_OS").is_ok_and(|os| os == "none") {
-        // cortex-m-rt's link.x includes memory.x by name.
+        // link.x of cortex-m-rt includes the memory.x at the top, and that the board's.
         let board = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../boards/b-l475e-iot01a");
-        println!("cargo:rerun-if-changed={}", board.join("memory.x").display());
+        println!("cargo:rerun-if-changed={}", board.join("board-memory.x").display());
         println!("cargo:rustc-link-search={}", board.display());
     }
 }

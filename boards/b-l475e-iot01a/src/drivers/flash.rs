@@ -13,7 +13,7 @@ use stm32_metapac::FLASH;
 use stm32_metapac::flash::regs::Sr;
 use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
 
-/// Where the first page begins: the end of the 1 MiB, less two pages. memory.x keeps the linker off.
+/// Where the first page begins: the end of the 1 MiB, less two pages. board-memory.x keeps the linker off.
 const FIRST_PAGE: usize = 0x080F_F000;
 const PAGE_BYTES: usize = 2048;
 const DOUBLE_WORD_BYTES: usize = 8;
