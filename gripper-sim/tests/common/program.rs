@@ -1,5 +1,6 @@
 //! `wsg-sim` as a program.
 
+use rustix::process::{Pid, Signal};
 use std::io::{BufRead, BufReader, Lines};
 use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 
@@ -33,10 +34,14 @@ impl Program {
         place.unwrap_or_else(|| panic!("where is {name}? {line}")).to_owned()
     }
 
+    /// Sends it a signal.
+    pub(crate) fn signal(&self, signal: Signal) {
+        rustix::process::kill_process(Pid::from_child(&self.child), signal).expect("it runs");
+    }
+
     /// What Ctrl-C does; how it ends.
     pub(crate) fn interrupt(mut self) -> ExitStatus {
-        let pid = rustix::process::Pid::from_child(&self.child);
-        rustix::process::kill_process(pid, rustix::process::Signal::INT).expect("it runs");
+        self.signal(Signal::INT);
         self.child.wait().expect("it ends")
     }
 }

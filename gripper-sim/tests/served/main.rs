@@ -8,7 +8,10 @@ mod can;
 mod common;
 mod control;
 mod gcl;
+#[cfg(unix)]
+mod in_chromium;
 mod modbus;
 mod profibus;
+mod python;
 #[cfg(feature = "script")]
 mod scripts;

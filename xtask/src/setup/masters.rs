@@ -25,11 +25,14 @@ const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
 const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The masters from PyPI, as they stand in the names of the tests that need them.
-const FROM_PYPI: [&str; 5] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen", "pyprofibus"];
+const FROM_PYPI: [&str; 6] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen", "pyprofibus", "pytest"];
 
 /// Debian's programs: as they stand in the names of the tests that need them, the program, its package.
-const FROM_DEBIAN: [(&str, &str, &str); 2] =
-    [("mbpoll", "mbpoll", "mbpoll"), ("by_hand_with_nc", "nc", "netcat-openbsd")];
+const FROM_DEBIAN: [(&str, &str, &str); 3] = [
+    ("mbpoll", "mbpoll", "mbpoll"),
+    ("by_hand_with_nc", "nc", "netcat-openbsd"),
+    ("in_chromium", "chromium", "chromium"),
+];
 
 /// The masters on this machine, as far as they are not missing.
 pub(crate) struct Masters {

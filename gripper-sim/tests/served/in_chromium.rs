@@ -1,0 +1,632 @@
+//! The page in Chromium, which `cargo xtask test` installs. These tests click, type and look as a person does.
+
+mod browser;
+
+use crate::common::program::Program;
+use crate::common::uninterrupted;
+use browser::Tab;
+use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::thread;
+use std::time::Duration;
+
+/// The longest that anything may take here.
+const BOUND: Duration = Duration::from_secs(60);
+
+/// How far the fingers are apart on the screen, in the drawing's mm.
+const OPENING: &str = "(() => {
+    const [left, right] = [...document.querySelectorAll('#drawing .finger')].map(finger => finger.getBoundingClientRect());
+    return (right.left - left.right) / document.getElementById('drawing').getScreenCTM().a;
+})()";
+
+const STATE: &str = "document.getElementById('state').textContent";
+
+/// A gripper with a page.
+struct Gripper {
+    _program: Program,
+    tcp: String,
+    modbus: String,
+    /// The origin of the page.
+    page: String,
+}
+
+impl Gripper {
+    fn new(options: &[&str]) -> Self {
+        Self::on("127.0.0.1:0", options)
+    }
+
+    fn on(control: &str, options: &[&str]) -> Self {
+        let lines = ["--tcp", "127.0.0.1:0", "--modbus", "127.0.0.1:0", "--control", control, "--part", "20"];
+        let mut program = Program::start(&[&lines, options].concat());
+        let [_, tcp, modbus, _, page] =
+            ["model", "tcp", "modbus", "control", "page"].map(|name| program.place_of(name));
+        Self { _program: program, tcp, modbus, page: page.trim_end_matches('/').to_owned() }
+    }
+
+    fn open(&self) -> Tab {
+        let mut tab = Tab::open(&self.page);
+        tab.until("document.getElementById('values').childElementCount > 0");
+        tab
+    }
+
+    /// Acknowledge (24h) of a client, which stays.
+    fn acknowledge(&self) -> TcpStream {
+        let mut client = TcpStream::connect(&self.tcp).unwrap();
+        client.set_read_timeout(Some(BOUND)).unwrap();
+        client.write_all(&[0xAA, 0xAA, 0xAA, 0x24, 0x03, 0x00, 0x61, 0x63, 0x6B, 0xDC, 0xB9]).unwrap();
+        client.read_exact(&mut [0; 10]).expect("an answer in time");
+        client
+    }
+}
+
+fn flag_is_on(flag: &str) -> String {
+    format!("[...document.querySelectorAll('#flags .on')].some(item => item.textContent === '{flag} 1')")
+}
+
+fn home(tab: &mut Tab) {
+    tab.click("#home");
+    tab.until(&format!("{} && {STATE} === 'IDLE'", flag_is_on("REFERENCED")));
+}
+
+fn fill(tab: &mut Tab, field: &str, text: &str) {
+    tab.click(field);
+    tab.type_text(text);
+}
+
+fn grip(tab: &mut Tab) {
+    fill(tab, "#width", "20");
+    fill(tab, "#force", "30");
+    tab.click("#grip");
+    tab.until(&format!("{STATE} === 'HOLDING'"));
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn fingers_home_and_grip_by_clicks_and_the_drawing_moves_with_them() {
+    let gripper = Gripper::new(&["--time-scale", "2"]);
+    let mut tab = gripper.open();
+    let before = tab.eval(OPENING).as_f64().unwrap();
+    tab.eval(&format!(
+        "window.drawn = []; new MutationObserver(() => drawn.push({OPENING}))
+           .observe(document.getElementById('drawing'), {{ attributes: true, subtree: true }}); 0"
+    ));
+
+    home(&mut tab);
+
+    let drawn: Vec<f64> = serde_json::from_value(tab.eval("drawn")).unwrap();
+    let between = drawn.iter().filter(|opening| (before + 1.0..109.0).contains(*opening)).count();
+    assert!(between >= 2, "{before} mm, {drawn:?}");
+    let opening = tab.eval(OPENING).as_f64().unwrap();
+    assert!((opening - 110.0).abs() < 0.5, "{opening} mm");
+
+    grip(&mut tab);
+
+    // To scale: a part of 20 mm, a little squeezed, fills what is between the fingers.
+    let opening = tab.eval(OPENING).as_f64().unwrap();
+    assert!((19.0..20.1).contains(&opening), "{opening} mm");
+    tab.until(
+        "(() => { const [part, finger] = ['.part', '.finger'].map(kind => document.querySelector('#drawing ' + kind));
+           return Math.abs(part.getBoundingClientRect().left - finger.getBoundingClientRect().right) < 1
+             && getComputedStyle(part).visibility === 'visible'; })()",
+    );
+    tab.until("document.querySelector('#drawing').textContent.includes('30.0 N')");
+
+    tab.click("#part_out");
+    tab.until(&format!("{STATE} === 'PART LOST'"));
+    tab.until("getComputedStyle(document.querySelector('#drawing .part')).visibility === 'hidden'");
+    tab.click("#part_in");
+    tab.until("getComputedStyle(document.querySelector('#drawing .part')).visibility === 'visible'");
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn field_without_a_number_sends_nothing() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut tab = gripper.open();
+    home(&mut tab);
+
+    fill(&mut tab, "#width", "");
+    tab.click("#move");
+    fill(&mut tab, "#width", "60");
+    tab.click("#move");
+
+    tab.until(&format!("Math.abs({OPENING} - 60) < 0.5 && {STATE} === 'IDLE'"));
+    let sent: Vec<Value> = tab.told("Network.requestWillBeSent");
+    let commands = sent.iter().filter_map(|sent| sent["request"]["postData"].as_str());
+    let moves: Vec<&str> = commands.filter(|body| body.contains("move")).collect();
+    assert_eq!(moves, [r#"{"command":"move","width_mm":60,"speed_mm_per_s":100}"#]);
+}
+
+/// Whether an element has this background.
+fn is_red(selector: &str, property: &str) -> String {
+    format!(
+        "(([red, green, blue]) => red > 150 && green < 80 && blue < 80)
+           (getComputedStyle(document.querySelector('{selector}'))['{property}'].match(/\\d+/g).map(Number))"
+    )
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn fast_stop_is_red_on_every_page_in_light_and_dark_until_one_acknowledges() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let [mut light, mut dark] = [gripper.open(), gripper.open()];
+    dark.look(1280, 800, "dark");
+    let red = [is_red("#state", "backgroundColor"), is_red("#drawing .finger", "fill")].join(" && ");
+    for tab in [&mut light, &mut dark] {
+        assert_eq!(tab.eval(&red), false);
+    }
+
+    light.click("#fast_stop");
+
+    for tab in [&mut light, &mut dark] {
+        tab.until(&red);
+        assert_eq!(tab.eval(STATE), "FAST STOP, ERROR");
+        assert_eq!(tab.eval(&flag_is_on("FAST_STOP")), true);
+    }
+
+    dark.click("#acknowledge");
+
+    for tab in [&mut light, &mut dark] {
+        tab.until(&format!("!({red}) && {STATE} === 'IDLE'"));
+    }
+}
+
+/// Presses Tab until this has the focus.
+fn tab_to(tab: &mut Tab, id: &str) {
+    for _ in 0..60 {
+        tab.press("Tab");
+        if tab.eval("document.activeElement.id") == id {
+            return;
+        }
+    }
+    panic!("Tab does not lead to {id}");
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn keyboard_alone_reaches_and_operates_everything() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut tab = gripper.open();
+    let mark =
+        "document.activeElement.dataset.reached = getComputedStyle(document.activeElement).outlineWidth";
+    let all = "[...document.querySelectorAll('button, input, [tabindex]')]";
+    let count = tab.eval(&format!("{all}.length")).as_u64().unwrap();
+    assert!(count >= 20, "{count}");
+    for _ in 0..count {
+        tab.press("Tab");
+        assert_ne!(tab.eval(mark), "0px", "{}", tab.eval("document.activeElement.outerHTML"));
+    }
+    let missed =
+        format!("{all}.filter(control => !control.dataset.reached).map(control => control.outerHTML)");
+    assert_eq!(tab.eval(&missed), json!([]), "Tab leads to each, once");
+
+    tab_to(&mut tab, "home");
+    tab.press("Enter");
+    tab.until(&format!("{} && {STATE} === 'IDLE'", flag_is_on("REFERENCED")));
+    tab_to(&mut tab, "width");
+    tab.type_text("70");
+    tab_to(&mut tab, "move");
+    tab.press("Enter");
+    tab.until(&format!("Math.abs({OPENING} - 70) < 0.5"));
+    tab.press("Escape");
+    tab.until(&flag_is_on("FAST_STOP"));
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn every_control_has_a_name_for_a_screen_reader() {
+    let mut tab = Gripper::new(&[]).open();
+    let controls = tab.eval("document.querySelectorAll('button, input, [tabindex], svg, ul').length");
+    tab.call("Accessibility.enable", &json!({}));
+    let tree = tab.call("Accessibility.getFullAXTree", &json!({}));
+    let mut names = Vec::new();
+    for node in tree["nodes"].as_array().unwrap() {
+        let role = node["role"]["value"].as_str().unwrap_or_default();
+        let has_name =
+            ["button", "spinbutton", "searchbox", "textbox", "checkbox", "log", "image", "img", "list"];
+        if node["ignored"] == false && has_name.contains(&role) {
+            let name = node["name"]["value"].as_str().unwrap_or_default();
+            assert!(!name.trim().is_empty(), "{node}");
+            names.push(format!("{role} {name}"));
+        }
+    }
+    assert_eq!(json!(names.len()), controls, "{names:#?}");
+    let count = names.len();
+    names.sort();
+    names.dedup();
+    assert_eq!(names.len(), count, "two have the same name: {names:#?}");
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn page_asks_its_own_server_alone_and_the_console_stays_empty() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut tab = gripper.open();
+    home(&mut tab);
+    grip(&mut tab);
+    for selector in ["#release", "#stop", "#part_out", "#part_in", "#line", "#mend", "#clear", "#pause"] {
+        tab.click(selector);
+    }
+    for fault in ["axis_blocked", "supply_out_of_range", "over_temperature", "motor_current"] {
+        tab.click(&format!("[name={fault}]"));
+        tab.until(&format!("document.querySelector('[name={fault}]').checked"));
+    }
+    tab.until(&flag_is_on("FAST_STOP"));
+    let requests = tab.told("Network.requestWillBeSent");
+    assert!(requests.len() > 10, "{requests:?}");
+    for request in &requests {
+        let url = request["request"]["url"].as_str().unwrap();
+        assert!(url.starts_with(&format!("{}/", gripper.page)), "{url}");
+    }
+    for told in ["Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded", "Audits.issueAdded"]
+    {
+        assert_eq!(tab.told(told), Vec::<Value>::new(), "{told}");
+    }
+    // That a violation would be seen.
+    tab.eval("document.body.append(Object.assign(new Image(), { src: 'http://127.0.0.1:9/x.png' })); 0");
+    tab.until("document.images[0].complete");
+    assert!(!tab.told("Audits.issueAdded").is_empty() || !tab.told("Log.entryAdded").is_empty());
+}
+
+/// Serves an empty page of another origin, as long as these tests run.
+fn foreign_page() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}/", listener.local_addr().unwrap());
+    thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            // A browser that goes away is no failure.
+            let _ = uninterrupted::read(&stream, &mut [0; 4_096]);
+            let _ = stream.write_all(
+                b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nContent-Length: 2\r\nConnection: close\r\n\r\nhi",
+            );
+        }
+    });
+    url
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn page_of_another_origin_can_neither_command_nor_watch() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut own = gripper.open();
+    let mut foreign = Tab::open(&foreign_page());
+    foreign.until("document.body.textContent === 'hi'");
+    let page = &gripper.page;
+
+    // Without leave to read the answer a browser sends it all the same.
+    foreign.eval(&format!(
+        "fetch('{page}/command', {{ method: 'POST', mode: 'no-cors', body: '{{\"command\":\"fast_stop\"}}' }}).then(() => 0)"
+    ));
+    let watched = foreign.eval(&format!(
+        "new Promise(done => {{ const events = new EventSource('{page}/events');
+           events.addEventListener('hello', () => done('watches')); events.onerror = () => done(events.readyState); }})"
+    ));
+
+    assert_eq!(watched, 2, "closed");
+    let answers = foreign.told("Network.responseReceivedExtraInfo");
+    assert_eq!(answers.iter().filter(|answer| answer["statusCode"] == 403).count(), 2, "{answers:?}");
+    // Behind what the foreign page sent.
+    home(&mut own);
+    assert_eq!(own.eval(&flag_is_on("FAST_STOP")), false);
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn plot_shows_width_speed_and_force_and_goes_on() {
+    let gripper = Gripper::new(&["--time-scale", "2"]);
+    let mut tab = gripper.open();
+    home(&mut tab);
+    grip(&mut tab);
+    // Each curve's points: how far to the right, and how far up, as shares of the axes.
+    let curve = |kind: &str| {
+        format!(
+            "(() => {{ const axes = document.querySelector('#plot .axis').getBBox();
+               const points = document.querySelector('#plot .{kind}').getAttribute('points').trim().split(' ');
+               return points.map(point => point.split(',').map(Number))
+                 .map(([x, y]) => [(x - axes.x) / axes.width, 1 - (y - axes.y) / axes.height]); }})()"
+        )
+    };
+    // It is drawn a little later.
+    tab.until(&format!("Math.abs({}.at(-1)[1] - 30 / 120) < 0.01", curve("f")));
+    let mut read = |kind: &str| -> Vec<[f64; 2]> { serde_json::from_value(tab.eval(&curve(kind))).unwrap() };
+    let [width, speed, force] = ["w", "s", "f"].map(&mut read);
+    for points in [&width, &speed, &force] {
+        assert!(points.iter().flatten().all(|share| (-0.01..=1.01).contains(share)), "{points:?}");
+        assert!(points.is_sorted_by(|one, next| one[0] <= next[0] + 0.001), "{points:?}");
+        assert!((points.last().unwrap()[0] - 1.0).abs() < 0.01, "it ends now: {points:?}");
+    }
+    let highest = |points: &[[f64; 2]]| points.iter().map(|point| point[1]).fold(0.0, f64::max);
+    assert!((highest(&width) - 1.0).abs() < 0.01 && (width.last().unwrap()[1] - 20.0 / 110.0).abs() < 0.01);
+    assert!(speed.iter().any(|point| point[1] > 0.52), "outward: {speed:?}");
+    assert!(speed.iter().any(|point| point[1] < 0.48), "inward: {speed:?}");
+    assert!((speed.last().unwrap()[1] - 0.5).abs() < 0.01, "{speed:?}");
+    assert!(force[0][1] < 0.01, "{force:?}");
+    // Time goes on although nothing happens.
+    let first = width[0][0];
+    tab.until(&format!("{}[0][0] < {first} - 0.01", curve("w")));
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn fieldbus_monitor_shows_every_bit_of_both_images() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut tab = gripper.open();
+    let names = |list: &str| {
+        format!("[...document.querySelectorAll('#{list} li')].map(item => item.firstChild.data)")
+    };
+    let command = ["MOVE", "GRIP", "RELEASE", "HOMING", "STOP_ACK", "FASTSTOP", "JOG_PLUS", "JOG_MINUS"];
+    assert_eq!(tab.eval(&names("command_flags")), json!(command));
+    let states = ["IDLE", "GRIPPING", "NO_PART", "PART_LOST", "HOLDING", "RELEASING", "POSITIONING", "ERROR"];
+    assert_eq!(tab.eval(&names("gripper_flags")), json!(states));
+    assert_eq!(tab.eval(&names("system_flags")), tab.eval(&names("flags")));
+    // What is lit in a list, as the byte in hex that has these bits, and whether it reads so.
+    let byte = |list: &str, byte: u32| {
+        format!(
+            "[...document.querySelectorAll('#{list} .on')].map(item => Number(item.title.match(/\\d+/)[0]) - {})
+               .filter(bit => bit >= 0 && bit < 8).reduce((sum, bit) => sum + 2 ** bit, 0)
+               .toString(16).toUpperCase().padStart(2, '0')",
+            8 * byte
+        )
+    };
+    let bytes = |image: &str| format!("document.getElementById('{image}').textContent.split(' ')");
+    let mut master = TcpStream::connect(&gripper.modbus).unwrap();
+    master.set_read_timeout(Some(BOUND)).unwrap();
+    // Write Multiple Registers (FC 16), the output image: 22 mm, 50 mm/s, 40 N.
+    let mut write = |flags: u8| {
+        let image = [flags, 0xA5, 0x08, 0x98, 0x13, 0x88, 0x0F, 0xA0];
+        master.write_all(&[&[0, 1, 0, 0, 0, 15, 1, 16, 0, 0, 0, 4, 8], &image[..]].concat()).unwrap();
+        master.read_exact(&mut [0; 12]).expect("an answer in time");
+        image.map(|byte| format!("{byte:02X}")).join(" ")
+    };
+    let output = write(0);
+    tab.until(&format!("document.getElementById('output').textContent === '{output}'"));
+
+    let output = write(1 << 3);
+
+    tab.until(&format!("document.getElementById('output').textContent === '{output}'"));
+    assert_eq!(tab.eval(&byte("command_flags", 0)), "08");
+    tab.until(&format!("{} === '01' && {}[0] === '01'", byte("gripper_flags", 0), bytes("input")));
+    tab.until(&flag_is_on("REFERENCED"));
+    // Flags of the second and third byte, too.
+    for fault in ["motor_current", "over_temperature"] {
+        tab.click(&format!("[name={fault}]"));
+    }
+    tab.until(&format!("{} && {}", flag_is_on("CURR_FAULT"), flag_is_on("TEMP_FAULT")));
+    for at in 0..4 {
+        let shown = [byte("system_flags", at), byte("flags", at), format!("{}[{}]", bytes("input"), 2 + at)];
+        let shown = tab.eval(&format!("[{}]", shown.join(", ")));
+        assert!(shown[0] == shown[1] && shown[1] == shown[2], "byte {at} of SYSSTATE: {shown}");
+    }
+    let values = "Object.fromEntries([...document.querySelectorAll('#registers dt')]
+        .map(name => [name.textContent, name.nextSibling.textContent]))";
+    let values = tab.eval(values);
+    for (name, value) in [
+        ("IF (output 1)", "165"),
+        ("WIDTH (output 2..3)", "2200"),
+        ("SPEED (output 4..5)", "5000"),
+        ("FORCELIMIT (output 6..7)", "4000"),
+        ("WIDTH (input 6..7)", "11000"),
+        ("Status Code (input 10..11)", "0 E_SUCCESS"),
+    ] {
+        assert_eq!(values[name], value, "{name}");
+    }
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn frames_are_filtered_and_paused() {
+    let gripper = Gripper::new(&[]);
+    let mut tab = gripper.open();
+    let log = "document.getElementById('log').textContent";
+    let client = gripper.acknowledge();
+    let place = client.local_addr().unwrap();
+    tab.until(&format!("document.getElementById('clients').textContent.includes('tcp {place}')"));
+    tab.until(&format!("{log}.includes('-> AA AA AA 24') && {log}.includes('<- AA AA AA 24')"));
+
+    fill(&mut tab, "#filter", "ACKNOWLEDGE FAST STOP E_");
+    let shown = tab.eval(log);
+    assert_eq!(shown.as_str().unwrap().lines().count(), 1, "{shown}");
+    fill(&mut tab, "#filter", "no line has this");
+    assert_eq!(tab.eval(log), "");
+    fill(&mut tab, "#filter", "");
+
+    tab.click("#pause");
+    let before = tab.eval(log);
+    let other = gripper.acknowledge();
+    // Shown by now, if it were not paused: what comes behind it is.
+    let mut witness = gripper.open();
+    witness.click("#part_out");
+    tab.until("getComputedStyle(document.querySelector('#drawing .part')).visibility === 'hidden'");
+    assert_eq!(tab.eval(log), before);
+    tab.click("#pause");
+    let other = other.local_addr().unwrap();
+    assert_eq!(tab.eval(&format!("{log}.includes('tcp {other}')")), true);
+
+    tab.click("#clear");
+    assert_eq!(tab.eval(log), "");
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn page_says_that_its_gripper_is_gone_and_goes_on_when_it_is_back() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut tab = gripper.open();
+    home(&mut tab);
+    let address = gripper.page.trim_start_matches("http://").to_owned();
+
+    drop(gripper);
+
+    tab.until(&format!("{STATE} === 'no connection'"));
+    tab.click("#stop");
+    tab.until("document.getElementById('message').textContent === 'the gripper does not answer'");
+
+    let gripper = Gripper::on(&address, &["--time-scale", "20"]);
+    tab.until(&format!("{STATE} === 'IDLE' && !{}", flag_is_on("REFERENCED")));
+    home(&mut tab);
+    assert_eq!(tab.eval("document.getElementById('message').textContent"), "");
+
+    // One that stands still says nothing, and its connection stays.
+    gripper._program.signal(rustix::process::Signal::STOP);
+    tab.until(&format!("{STATE} === 'no connection'"));
+    gripper._program.signal(rustix::process::Signal::CONT);
+    tab.until(&format!("{STATE} === 'IDLE'"));
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
+    let gripper = Gripper::new(&[]);
+    let address = gripper.page.trim_start_matches("http://");
+    let watch = |_| {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+        // Answered, so that those behind it do not push it out.
+        stream.read_exact(&mut [0; 15]).expect("an answer in time");
+        stream
+    };
+    let others: Vec<TcpStream> = (0..64).map(watch).collect();
+    let mut tab = Tab::open(&gripper.page);
+    tab.until(&format!("document.readyState === 'complete' && {STATE} === 'no connection'"));
+    // Refused, and not only late.
+    while !tab.told("Network.responseReceivedExtraInfo").iter().any(|answer| answer["statusCode"] == 503) {}
+
+    drop(others);
+
+    tab.until(&format!("{STATE} === 'IDLE'"));
+}
+
+/// What is wrong with how the page looks: what sticks out, is cut off, lies over something else, or can hardly be read.
+const PROBLEMS: &str = r#"(() => {
+    const problems = [], root = document.documentElement;
+    if (root.scrollWidth > root.clientWidth) problems.push("the page is wider than the window");
+    const name = element => element.tagName + " " + (element.id || element.textContent.trim().slice(0, 40));
+    const shown = [...document.querySelectorAll("header, section, h1, h2, p, li, dt, dd, th, td, button, input, label, svg, text, pre, span")]
+        .filter(element => !element.closest(".hidden"))
+        .map(element => ({ element, box: element.getBoundingClientRect() }))
+        .filter(({ box }) => box.width > 0 && box.height > 0);
+    for (const { element, box } of shown) {
+        const around = element.parentElement.closest("svg, section, header, body").getBoundingClientRect();
+        if (box.left < around.left - 1 || box.right > around.right + 1 || box.top < around.top - 1 || box.bottom > around.bottom + 1)
+            problems.push(name(element) + " sticks out");
+        if (element.id !== "log" && element instanceof HTMLElement && element.scrollWidth > element.clientWidth + 1 && element.clientWidth > 0)
+            problems.push(name(element) + " is cut off");
+    }
+    shown.forEach(({ element: one, box: a }, at) => {
+        for (const { element: other, box: b } of shown.slice(at + 1)) {
+            const overlap = Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
+            if (overlap && !one.contains(other) && !other.contains(one)) problems.push(name(one) + " and " + name(other) + " overlap");
+        }
+    });
+    const light = colour => {
+        const [red, green, blue] = colour.match(/[\d.]+/g).map(part => part / 255).map(part => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4);
+        return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+    };
+    for (const { element } of shown) {
+        const hasText = element.value || [...element.childNodes].some(child => child.nodeType === 3 && child.data.trim());
+        if (!hasText) continue;
+        let behind = element;
+        while (/, 0\)$|transparent/.test(getComputedStyle(behind).backgroundColor)) behind = behind.parentElement;
+        const style = getComputedStyle(element);
+        const lights = [light(element instanceof SVGElement ? style.fill : style.color), light(getComputedStyle(behind).backgroundColor)].sort();
+        const contrast = (Math.max(...lights) + 0.05) / (Math.min(...lights) + 0.05);
+        if (contrast < 4.5) problems.push(name(element) + " has a contrast of " + contrast.toFixed(1));
+    }
+    return problems;
+})()"#;
+
+/// Sizes and colour schemes that the page is made for.
+const LOOKS: [(u32, u32, &str); 4] =
+    [(1280, 800, "light"), (1280, 800, "dark"), (400, 800, "light"), (400, 800, "dark")];
+
+/// Waits until the plot has been drawn anew in the new size.
+fn look(tab: &mut Tab, (width, height, scheme): (u32, u32, &str)) {
+    tab.look(width, height, scheme);
+    tab.until(
+        "(() => { const plot = document.getElementById('plot'), axes = plot.querySelector('.axis').getBBox();
+           return Math.abs(axes.x + axes.width - plot.clientWidth) < 5; })()",
+    );
+}
+
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn nothing_is_cut_off_or_overlaps_and_all_text_has_contrast_in_light_and_dark() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut tab = gripper.open();
+    home(&mut tab);
+    grip(&mut tab);
+    let _client = gripper.acknowledge();
+    tab.until("document.getElementById('clients').childElementCount > 0");
+    for size in LOOKS {
+        look(&mut tab, size);
+        assert_eq!(tab.eval(PROBLEMS), json!([]), "{size:?}");
+    }
+    tab.click("#fast_stop");
+    tab.until(&flag_is_on("FAST_STOP"));
+    tab.click("#home");
+    tab.until("document.getElementById('message').textContent !== ''");
+    for size in LOOKS {
+        look(&mut tab, size);
+        assert_eq!(tab.eval(PROBLEMS), json!([]), "{size:?}, behind a FAST STOP");
+    }
+}
+
+/// The pictures of `docs/simulator.md`: `WSG_UPDATE_DOCS=1` takes them anew. What is in them depends on the fonts of the machine,
+/// so only their sizes are compared.
+#[test]
+#[ignore = "needs Chromium: see the top of this file"]
+fn documents_have_pictures_of_the_page() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let text = std::fs::read_to_string(docs.join("simulator.md")).unwrap();
+    let gripper = Gripper::new(&["--finger1", "fmf"]);
+    let mut tab = gripper.open();
+    let _client = gripper.acknowledge();
+    if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
+        home(&mut tab);
+        grip(&mut tab);
+        for _ in 0..5 {
+            fill(&mut tab, "#width", "80");
+            tab.click("#release");
+            tab.until(&format!("{STATE} === 'IDLE'"));
+            grip(&mut tab);
+        }
+        tab.call("Emulation.setScrollbarsHidden", &json!({"hidden": true}));
+        for size in LOOKS {
+            look(&mut tab, size);
+            tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
+            tab.call("Input.dispatchMouseEvent", &json!({"type": "mouseMoved", "x": 0, "y": 0}));
+            let shot = tab.call("Page.captureScreenshot", &json!({"format": "png"}));
+            let png = from_base64(shot["data"].as_str().unwrap());
+            std::fs::write(docs.join(picture(size)), png).unwrap();
+        }
+    }
+    for (width, height, scheme) in LOOKS {
+        let name = picture((width, height, scheme));
+        assert!(text.contains(&name), "docs/simulator.md shows {name}");
+        let png = std::fs::read(docs.join(&name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let size = [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap()));
+        assert_eq!(size, [width, height], "{name}");
+    }
+}
+
+fn picture((width, height, scheme): (u32, u32, &str)) -> String {
+    format!("page-{width}x{height}-{scheme}.png")
+}
+
+fn from_base64(text: &str) -> Vec<u8> {
+    const DIGITS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let digits = text.bytes().filter_map(|byte| DIGITS.iter().position(|digit| *digit == byte));
+    let mut bytes = Vec::new();
+    let (mut bits, mut count) = (0, 0);
+    for digit in digits {
+        (bits, count) = (bits << 6 | digit, count + 6);
+        if count >= 8 {
+            count -= 8;
+            bytes.push((bits >> count) as u8);
+            bits &= (1 << count) - 1;
+        }
+    }
+    bytes
+}

@@ -1,0 +1,242 @@
+//! Debian's Chromium without a screen, by the DevTools protocol: JSON that a zero byte ends, requests in, answers and events
+//! out, over pipes. So it needs no port and no crate, and ends with these tests, however they end: its pipe does.
+
+use serde_json::{Value, json};
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, Write};
+use std::process::{ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{LazyLock, Mutex};
+use std::thread;
+
+use super::BOUND;
+
+/// One for all tests, each with windows of its own.
+static BROWSER: LazyLock<Browser> = LazyLock::new(Browser::start);
+
+/// Chromium reads from 3 and writes to 4; what it says besides is about a desktop that is not there. The shell outlives it, to
+/// take its profile away. There is no sandbox, which root and containers cannot have, for what it shows are pages of these tests.
+const START: &str = r#"
+trap '' INT
+profile=$(mktemp -d)
+chromium --headless --no-sandbox --disable-gpu --disable-background-networking --no-first-run --remote-debugging-pipe \
+  --user-data-dir="$profile" 3<&0 4>&1 </dev/null >/dev/null 2>&1
+rm -rf "$profile"
+"#;
+
+struct Browser {
+    requests: Mutex<ChildStdin>,
+    ids: AtomicU64,
+    /// Who waits for messages, by session; those of the browser itself have none.
+    readers: Mutex<HashMap<String, Sender<Value>>>,
+    own: Mutex<Receiver<Value>>,
+}
+
+impl Browser {
+    fn start() -> Self {
+        let mut shell = Command::new("sh")
+            .args(["-c", START])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("there is a shell");
+        let requests = Mutex::new(shell.stdin.take().expect("it is piped"));
+        let answers = shell.stdout.take().expect("it is piped");
+        thread::spawn(move || {
+            distribute(answers);
+            // It takes the profile away, and is gone.
+            let _ = shell.wait();
+        });
+        let (sender, own) = channel();
+        let readers = HashMap::from([(String::new(), sender)]);
+        Self { requests, ids: AtomicU64::new(1), readers: Mutex::new(readers), own: Mutex::new(own) }
+    }
+
+    /// Sends a request; its number.
+    fn send(&self, session: &str, method: &str, params: &Value) -> u64 {
+        let id = self.ids.fetch_add(1, Ordering::Relaxed);
+        let mut request = json!({"id": id, "method": method, "params": params});
+        if !session.is_empty() {
+            request["sessionId"] = json!(session);
+        }
+        let mut bytes = request.to_string().into_bytes();
+        bytes.push(0);
+        let sent = self.requests.lock().unwrap().write_all(&bytes);
+        sent.expect("Chromium runs: `cargo xtask test` installs it");
+        id
+    }
+
+    /// What a request of the browser itself comes to.
+    fn call(&self, method: &str, params: &Value) -> Value {
+        let own = self.own.lock().unwrap();
+        let id = self.send("", method, params);
+        result(method, id, &own, |_| {})
+    }
+}
+
+/// Gives each message to whom it is for, until there are no more.
+fn distribute(answers: ChildStdout) {
+    let mut answers = BufReader::new(answers);
+    let mut message = Vec::new();
+    while answers.read_until(0, &mut message).is_ok_and(|len| len > 0) {
+        message.pop();
+        let value: Value = serde_json::from_slice(&message).expect("Chromium sends JSON");
+        let session = value["sessionId"].as_str().unwrap_or_default();
+        if let Some(reader) = BROWSER.readers.lock().unwrap().get(session) {
+            // A test that is over reads no more.
+            let _ = reader.send(value);
+        }
+        message.clear();
+    }
+    BROWSER.readers.lock().unwrap().clear();
+}
+
+/// The result of the request of this number; what comes before it is for `pass`.
+fn result(method: &str, id: u64, messages: &Receiver<Value>, mut pass: impl FnMut(Value)) -> Value {
+    loop {
+        let mut message = messages
+            .recv_timeout(BOUND)
+            .unwrap_or_else(|error| panic!("Chromium does not answer {method}: {error}"));
+        if message["id"] == id {
+            assert!(message["error"].is_null(), "{method}: {}", message["error"]);
+            return message["result"].take();
+        }
+        pass(message);
+    }
+}
+
+/// A window that nothing else looks at, in a profile of its own.
+pub(super) struct Tab {
+    session: String,
+    target: Value,
+    messages: Receiver<Value>,
+    /// What was told unasked: requests, the console.
+    events: Vec<Value>,
+}
+
+impl Tab {
+    /// An empty one.
+    pub(super) fn new() -> Self {
+        let context = BROWSER.call("Target.createBrowserContext", &json!({}));
+        let context = &context["browserContextId"];
+        let target =
+            BROWSER.call("Target.createTarget", &json!({"url": "about:blank", "browserContextId": context}));
+        let target = target["targetId"].clone();
+        let attached = BROWSER.call("Target.attachToTarget", &json!({"targetId": target, "flatten": true}));
+        let session = attached["sessionId"].as_str().expect("a session").to_owned();
+        let (sender, messages) = channel();
+        BROWSER.readers.lock().unwrap().insert(session.clone(), sender);
+        let mut tab = Self { session, target, messages, events: Vec::new() };
+        for domain in ["Page", "Runtime", "Network", "Log", "Audits"] {
+            tab.call(&format!("{domain}.enable"), &json!({}));
+        }
+        // As if somebody looked at it: nothing is slowed down, and keys arrive.
+        tab.call("Emulation.setFocusEmulationEnabled", &json!({"enabled": true}));
+        tab.look(1280, 800, "light");
+        tab
+    }
+
+    /// One that shows this.
+    pub(super) fn open(url: &str) -> Self {
+        let mut tab = Self::new();
+        let shown = tab.call("Page.navigate", &json!({"url": url}));
+        assert!(shown["errorText"].is_null(), "{url}: {shown}");
+        tab
+    }
+
+    /// The size in pixels, and the colour scheme of the system.
+    pub(super) fn look(&mut self, width: u32, height: u32, scheme: &str) {
+        let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
+        self.call("Emulation.setDeviceMetricsOverride", &size);
+        let scheme = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
+        self.call("Emulation.setEmulatedMedia", &scheme);
+    }
+
+    /// What a request of the protocol comes to.
+    pub(super) fn call(&mut self, method: &str, params: &Value) -> Value {
+        let id = BROWSER.send(&self.session, method, params);
+        result(method, id, &self.messages, |event| self.events.push(event))
+    }
+
+    /// What an expression gives on the page, once it is there.
+    pub(super) fn eval(&mut self, expression: &str) -> Value {
+        let how = json!({"expression": expression, "awaitPromise": true, "returnByValue": true});
+        let mut answer = self.call("Runtime.evaluate", &how);
+        assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
+        answer["result"]["value"].take()
+    }
+
+    /// What an expression gives on the page, as soon as that is something.
+    #[track_caller]
+    pub(super) fn until(&mut self, expression: &str) -> Value {
+        let found = self.eval(&format!(
+            "new Promise(done => {{
+               const end = performance.now() + {};
+               const look = () => {{
+                 let found; try {{ found = ({expression}); }} catch {{ }}
+                 if (found) done(found);
+                 else if (performance.now() > end) done(null);
+                 else setTimeout(look, 10);
+               }};
+               look();
+             }})",
+            BOUND.as_millis() / 2
+        ));
+        assert!(!found.is_null(), "it does not come: {expression}\n{}", self.eval("document.body.innerText"));
+        found
+    }
+
+    /// A click of the mouse in the middle of what a selector finds.
+    pub(super) fn click(&mut self, selector: &str) {
+        let middle = self.until(&format!(
+            "(() => {{ const found = document.querySelector({selector:?}); found.scrollIntoView({{ block: 'center' }});
+               const {{ x, y, width, height }} = found.getBoundingClientRect(); return [x + width / 2, y + height / 2]; }})()"
+        ));
+        for kind in ["mousePressed", "mouseReleased"] {
+            let click =
+                json!({"type": kind, "x": middle[0], "y": middle[1], "button": "left", "clickCount": 1});
+            self.call("Input.dispatchMouseEvent", &click);
+        }
+    }
+
+    /// Presses a key that types nothing but, with Enter, a line break.
+    pub(super) fn press(&mut self, key: &str) {
+        let code = match key {
+            "Tab" => 9,
+            "Enter" => 13,
+            "Escape" => 27,
+            _ => panic!("which code has {key}?"),
+        };
+        let text = if key == "Enter" { "\r" } else { "" };
+        for kind in ["keyDown", "keyUp"] {
+            let press =
+                json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code, "text": text});
+            self.call("Input.dispatchKeyEvent", &press);
+        }
+    }
+
+    /// Types over what a field has, as the keyboard reached it or a click.
+    pub(super) fn type_text(&mut self, text: &str) {
+        self.eval("document.activeElement.select()");
+        self.call("Input.insertText", &json!({"text": text}));
+    }
+
+    /// What was told unasked under this name, up to now.
+    pub(super) fn told(&mut self, method: &str) -> Vec<Value> {
+        // An answer comes behind all that.
+        self.eval("0");
+        let told = self.events.iter().filter(|event| event["method"] == method);
+        told.map(|event| event["params"].clone()).collect()
+    }
+}
+
+impl Drop for Tab {
+    fn drop(&mut self) {
+        BROWSER.readers.lock().unwrap_or_else(|error| error.into_inner()).remove(&self.session);
+        if !thread::panicking() {
+            BROWSER.call("Target.closeTarget", &json!({"targetId": self.target}));
+        }
+    }
+}
