@@ -34,17 +34,17 @@ const LAYOUTS: [(&str, &str, usize, usize); 17] = [
 const FINGER_DATA: &str = "FingerData<'a>";
 
 /// A row of the command table as its source has it.
-struct Row {
-    id: CommandId,
+pub(super) struct Row {
+    pub(super) id: CommandId,
     /// Name, type, unit.
-    request: Vec<(String, String, String)>,
+    pub(super) request: Vec<(String, String, String)>,
     /// Type and unit.
-    reply: Option<(String, String)>,
+    pub(super) reply: Option<(String, String)>,
 }
 
 /// The rows of protocol/src/table.rs: `id Name "title" "section" Kind request { .. } reply (..) ..;`. Layouts are not
 /// public, so they are read from there; the lengths are checked against the code below.
-fn rows() -> Vec<Row> {
+pub(super) fn rows() -> Vec<Row> {
     let source = read("protocol/src/table.rs");
     let lines = source.lines().map(str::trim).filter(|line| !line.starts_with("//"));
     let text = lines.skip_while(|line| !line.starts_with("0x")).collect::<Vec<_>>().join(" ");

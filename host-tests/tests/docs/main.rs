@@ -6,6 +6,7 @@ mod checksum;
 mod commands;
 mod crate_readme;
 mod decisions;
+mod dissector;
 mod drawings;
 mod figures;
 mod grip_cycle;

@@ -3,11 +3,14 @@
 use std::path::Path;
 
 use clap::Parser;
-use etherparse::PacketBuilder;
 use proptest::prelude::*;
 use wsg_protocol::{Command, FrameEncoder};
 
+use self::capture_file::{CLIENT, Capture, Connection, GRIPPER};
 use super::*;
+
+#[path = "../../tests/common/capture.rs"]
+mod capture_file;
 
 #[derive(Parser)]
 struct Line {
@@ -116,75 +119,29 @@ fn log_of_the_simulator() {
     hold("sim_log.txt", &shown(log.as_bytes(), &[]));
 }
 
-/// A capture that is made packet by packet, a millisecond apart.
-struct Capture(Vec<u8>, u32);
-
-impl Capture {
-    fn new() -> Self {
-        let mut header = vec![0xD4, 0xC3, 0xB2, 0xA1, 2, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0];
-        header.extend([0, 0, 4, 0, 1, 0, 0, 0]);
-        Self(header, 0)
-    }
-
-    fn packet(&mut self, bytes: &[u8]) {
-        self.1 += 1_000;
-        let len = bytes.len() as u32;
-        for word in [1_700_000_000, self.1, len, len] {
-            self.0.extend(word.to_le_bytes());
-        }
-        self.0.extend(bytes);
-    }
-
-    fn tcp(&mut self, to_gripper: bool, sequence: u32, acknowledged: u32, payload: &[u8]) {
-        self.segment(to_gripper, sequence, Some(acknowledged), false, payload);
-    }
-
-    fn segment(&mut self, to_gripper: bool, sequence: u32, ack: Option<u32>, syn: bool, payload: &[u8]) {
-        let (client, gripper) = (([192, 168, 1, 5], 40_000), ([192, 168, 1, 20], 1_000));
-        let (from, to) = if to_gripper { (client, gripper) } else { (gripper, client) };
-        let ip = PacketBuilder::ethernet2([2; 6], [4; 6]).ipv4(from.0, to.0, 64);
-        let mut tcp = ip.tcp(from.1, to.1, sequence, 8_192);
-        if let Some(number) = ack {
-            tcp = tcp.ack(number);
-        }
-        if syn {
-            tcp = tcp.syn();
-        }
-        let mut bytes = Vec::new();
-        tcp.write(&mut bytes, payload).unwrap();
-        self.packet(&bytes);
-    }
-
-    fn udp(&mut self, from: ([u8; 4], u16), to: ([u8; 4], u16), payload: &[u8]) {
-        let mut bytes = Vec::new();
-        let builder = PacketBuilder::ethernet2([2; 6], [4; 6]).ipv4(from.0, to.0, 64).udp(from.1, to.1);
-        builder.write(&mut bytes, payload).unwrap();
-        self.packet(&bytes);
-    }
-}
-
 /// A connection with a frame in two segments, segments out of order, sent again, and lost to the capture; datagrams; others.
 fn capture() -> Vec<u8> {
     let grip = request(GRIP);
     let pending = reply(0x25, &[26, 0]);
     let width = reply(0x43, &[0, 0, 0, 0, 0xA0, 0x41]);
     let mut capture = Capture::new();
-    capture.segment(true, 999, None, true, &[]);
-    capture.segment(false, 4_999, Some(1_000), true, &[]);
-    capture.tcp(true, 1_000, 5_000, &grip[..5]);
-    capture.tcp(true, 1_000, 5_000, &grip[..5]);
-    capture.tcp(true, 1_005, 5_000, &grip[5..]);
-    capture.tcp(false, 5_010, 1_016, &width);
-    capture.tcp(false, 5_000, 1_016, &pending);
+    let connection = Connection::open(&mut capture, 1_000);
+    let mut tcp = |to_gripper, sequence, acknowledged, payload: &[u8]| {
+        connection.segment(&mut capture, to_gripper, sequence, Some(acknowledged), false, payload);
+    };
+    tcp(true, 1_000, 5_000, &grip[..5]);
+    tcp(true, 1_000, 5_000, &grip[..5]);
+    tcp(true, 1_005, 5_000, &grip[5..]);
+    tcp(false, 5_010, 1_016, &width);
+    tcp(false, 5_000, 1_016, &pending);
     // 14 bytes of the gripper are missing, and the client has them.
-    capture.tcp(false, 5_038, 1_016, &width);
-    capture.tcp(true, 1_016, 5_052, &request(Command::Stop));
-    let (client, gripper) = ([192, 168, 1, 5], [192, 168, 1, 20]);
-    capture.udp((client, 50_000), (gripper, 1_500), &request(Command::Stop));
-    capture.udp((gripper, 1_500), (client, 1_501), &reply(0x22, &[0, 0]));
-    capture.udp((client, 50_001), (gripper, 53), b"\x00\x01who is there");
+    tcp(false, 5_038, 1_016, &width);
+    tcp(true, 1_016, 5_052, &request(Command::Stop));
+    capture.udp((CLIENT, 50_000), (GRIPPER, 1_500), &request(Command::Stop));
+    capture.udp((GRIPPER, 1_500), (CLIENT, 1_501), &reply(0x22, &[0, 0]));
+    capture.udp((CLIENT, 50_001), (GRIPPER, 53), b"\x00\x01who is there");
     capture.packet(&[0xFF; 20]);
-    capture.0
+    capture.into_file()
 }
 
 #[test]

@@ -28,10 +28,11 @@ const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 const FROM_PYPI: [&str; 6] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen", "pyprofibus", "pytest"];
 
 /// Debian's programs: as they stand in the names of the tests that need them, the program, its package.
-const FROM_DEBIAN: [(&str, &str, &str); 3] = [
+const FROM_DEBIAN: [(&str, &str, &str); 4] = [
     ("mbpoll", "mbpoll", "mbpoll"),
     ("by_hand_with_nc", "nc", "netcat-openbsd"),
     ("in_chromium", "chromium", "chromium"),
+    ("tshark", "tshark", "tshark"),
 ];
 
 /// The masters on this machine, as far as they are not missing.
