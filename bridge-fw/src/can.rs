@@ -9,6 +9,7 @@
 mod bus;
 mod bus_off;
 mod controller;
+mod mcp2515;
 mod node;
 mod report;
 
@@ -16,6 +17,7 @@ pub use crate::config::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canop
 pub use bus::{CanBus, CanNode, NullNode};
 pub use bus_off::{BusOffPolicy, BusState};
 pub use controller::{CanController, Health};
+pub use mcp2515::{Mcp2515, Overrun};
 pub use node::{
     DataType, FAULTS, Fault, INPUT_INDEX, Key, NmtState, Node, OBJECTS, OUTPUT_INDEX, Object, REPORTS_INDEX,
     SETTINGS_INDEX, write_eds,

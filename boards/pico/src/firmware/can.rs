@@ -1,37 +1,139 @@
-//! CAN: none yet.
+//! CAN: an MCP2515 with a crystal of 16 MHz on SPI0 (RP2040, 4.4), GP16 to GP19, and its INT on GP20.
+//!
+//! Its interrupt wakes the main loop and masks itself; the work is done there.
 
 use bus_slcan::ClassicFrame;
-use wsg_bridge_fw::can::{CanController, Health};
+use cortex_m::peripheral::NVIC;
+use embedded_hal::spi::{Error, ErrorKind, ErrorType, Operation, SpiDevice};
+use rp2040_hal::pac::{Interrupt, interrupt};
+use wsg_bridge_fw::can::{CanConfig, Mcp2515};
 
-/// No controller: as good as bus-off.
+use crate::clock::SYS_HZ;
+use crate::registers::{peripheral, reset, reset_bit, write};
+
+/// The controller.
+pub(crate) type Can = Mcp2515<Spi, ClassicFrame>;
+
+/// Its crystal.
+const CRYSTAL_HZ: u32 = 16_000_000;
+
+/// What it takes at the most, and what it gets: the clock divided by an even number, and by another.
+const SPI_MAX_HZ: u32 = 10_000_000;
+const PRESCALER: u32 = 2;
+const DIVIDER: u32 = 7;
+const _: () = assert!(SYS_HZ / PRESCALER / DIVIDER <= SPI_MAX_HZ);
+
+/// SSPCR0: frames of eight bits, mode 0. SSPCR1: on.
+const EIGHT_BITS: u32 = 7;
+const SSE: u32 = 1 << 1;
+/// SSPSR: a frame was received.
+const RNE: u32 = 1 << 2;
+
+/// Looks at a byte that is under way: it takes 112 cycles of the clock, and a look takes 4 at the least.
+const MAX_LOOKS: u32 = 1_000;
+
+/// Pins that this module switches itself, by the registers of SIO and IO_BANK0.
+const CHIP_SELECT: u32 = 1 << 17;
+const INT: u32 = 20;
+/// The four bits of a pin in PROC0_INTE, of which the first is a low level.
+const INT_LOW: u32 = 1 << (4 * (INT % 8));
+const INT_WORD: usize = (INT / 8) as usize;
+
+/// The one that was not started. To be asked for once.
+pub(crate) const fn controller() -> Can {
+    Mcp2515::new(Spi(()), CRYSTAL_HZ)
+}
+
+/// Starts the controller. The clock runs, the pins are set up.
+pub(crate) fn start(controller: &mut Can, config: &CanConfig) {
+    // Should it not come out of reset, every exchange fails, which is a controller that is not there.
+    let _ = reset(reset_bit::SPI0);
+    let spi = peripheral!(SPI0);
+    write(spi.sspcpsr(), PRESCALER);
+    write(spi.sspcr0(), (DIVIDER - 1) << 8 | EIGHT_BITS);
+    write(spi.sspcr1(), SSE);
+    controller.start(config);
+    write(peripheral!(IO_BANK0).proc0_inte(INT_WORD), INT_LOW);
+    rearm();
+}
+
+/// Whether a frame waits.
+pub(crate) fn has_received() -> bool {
+    peripheral!(SIO).gpio_in().read().bits() & 1 << INT == 0
+}
+
+/// Lets the interrupt wake the main loop again.
+pub(crate) fn rearm() {
+    // SAFETY: no critical section depends on it being masked; its handler does nothing but mask it.
+    unsafe { NVIC::unmask(Interrupt::IO_IRQ_BANK0) };
+}
+
+#[interrupt]
+fn IO_IRQ_BANK0() {
+    NVIC::mask(Interrupt::IO_IRQ_BANK0);
+}
+
+/// SPI0 and the chip select.
 #[derive(Debug)]
-pub(crate) struct Can;
+pub(crate) struct Spi(());
 
-impl Can {
-    pub(crate) const fn new() -> Self {
-        Self
+/// A byte did not come back.
+#[derive(Debug)]
+pub(crate) struct Stuck;
+
+impl Error for Stuck {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Other
     }
 }
 
-impl embedded_can::nb::Can for Can {
-    type Frame = ClassicFrame;
-    type Error = embedded_can::ErrorKind;
+impl ErrorType for Spi {
+    type Error = Stuck;
+}
 
-    fn transmit(&mut self, _: &ClassicFrame) -> nb::Result<Option<ClassicFrame>, Self::Error> {
-        Err(nb::Error::WouldBlock)
-    }
-
-    fn receive(&mut self) -> nb::Result<ClassicFrame, Self::Error> {
-        Err(nb::Error::WouldBlock)
+impl SpiDevice for Spi {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Stuck> {
+        write(peripheral!(SIO).gpio_out_clr(), CHIP_SELECT);
+        let result = operations.iter_mut().try_for_each(run);
+        write(peripheral!(SIO).gpio_out_set(), CHIP_SELECT);
+        // It is to be high for 50 ns; the next one is farther away than these six cycles.
+        result
     }
 }
 
-impl CanController for Can {
-    fn health(&mut self) -> Health {
-        Health { is_off: true, ..Health::default() }
+fn run(operation: &mut Operation<'_, u8>) -> Result<(), Stuck> {
+    match operation {
+        Operation::Write(bytes) => bytes.iter().try_for_each(|byte| exchange(*byte).map(drop)),
+        Operation::Read(bytes) => bytes.iter_mut().try_for_each(|place| {
+            *place = exchange(0)?;
+            Ok(())
+        }),
+        Operation::TransferInPlace(bytes) => bytes.iter_mut().try_for_each(|place| {
+            *place = exchange(*place)?;
+            Ok(())
+        }),
+        Operation::Transfer(read, written) => {
+            // The longer one's rest is filled up, or dropped.
+            let mut written = written.iter().copied();
+            for place in read.iter_mut() {
+                *place = exchange(written.next().unwrap_or(0))?;
+            }
+            written.try_for_each(|byte| exchange(byte).map(drop))
+        }
+        Operation::DelayNs(ns) => {
+            cortex_m::asm::delay(ns.div_ceil(1_000_000_000 / SYS_HZ));
+            Ok(())
+        }
     }
+}
 
-    fn abort(&mut self) {}
-
-    fn recover(&mut self) {}
+/// One byte each way.
+fn exchange(byte: u8) -> Result<u8, Stuck> {
+    let spi = peripheral!(SPI0);
+    write(spi.sspdr(), byte.into());
+    if (0..MAX_LOOKS).any(|_| spi.sspsr().read().bits() & RNE != 0) {
+        Ok((spi.sspdr().read().bits() & 0xFF) as u8)
+    } else {
+        Err(Stuck)
+    }
 }

@@ -50,7 +50,7 @@ static BOOT2: [u8; 256] = rp2040_boot2::BOOT_LOADER_W25Q080;
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
     static mut STATION: Station<Can> =
-        Station::new(CanBus::new(Can::new(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
+        Station::new(CanBus::new(can::controller(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
 
     let reset_cause = watchdog::reset_cause();
     // Before everything that waits: whatever does not come up, the MCU starts over.
@@ -80,13 +80,19 @@ fn main() -> ! {
         let outputs = STATION.turn(now_ms, wires.inputs.read(), &mut gripper_line, bus, service, &mut flash);
         wires.outputs.write(outputs);
         wires.indicate(STATION.bridge().indication().is_lit(now_ms));
+        if STATION.uses_can() {
+            can::rearm();
+        }
         if STATION.uses_profibus() && core::mem::replace(&mut served_ms, now_ms) != now_ms {
             bus::serve_profibus();
         }
         if STATION.bridge().may_feed_watchdog(now_ms) {
             watchdog.feed();
         }
-        sleep_unless(|| tick::now_ms() != now_ms || uart::BUFFERS.has_received());
+        let uses_can = STATION.uses_can();
+        sleep_unless(|| {
+            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can::has_received())
+        });
     }
 }
 
@@ -108,6 +114,9 @@ fn start(
         PlcBus::Modbus => bus::start(&config.bus),
         PlcBus::Profibus => bus::start_profibus(),
         PlcBus::Off | PlcBus::Canopen => {}
+    }
+    if station.uses_can() {
+        can::start(station.can().controller(), &config.can);
     }
     Ok(())
 }

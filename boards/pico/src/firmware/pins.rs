@@ -2,7 +2,7 @@
 
 use embedded_hal::digital::OutputPin;
 use rp2040_hal::Sio;
-use rp2040_hal::gpio::bank0::{Gpio17, Gpio25};
+use rp2040_hal::gpio::bank0::Gpio25;
 use rp2040_hal::gpio::{
     DynPinId, FunctionSioInput, FunctionSioOutput, FunctionSpi, FunctionUart, Pin, PinState, Pins, PullDown,
     PullNone, PullUp,
@@ -16,15 +16,12 @@ pub(crate) type InputWires = HalInputs<Pin<DynPinId, FunctionSioInput, PullDown>
 pub(crate) type OutputWires = HalOutputs<Pin<DynPinId, FunctionSioOutput, PullNone>>;
 /// The LED on the board.
 pub(crate) type Indicator = Pin<Gpio25, FunctionSioOutput, PullNone>;
-/// The chip select of the MCP2515.
-pub(crate) type ChipSelect = Pin<Gpio17, FunctionSioOutput, PullUp>;
 
 /// All pins that the main loop drives.
 pub(crate) struct Wires {
     pub(crate) inputs: InputWires,
     pub(crate) outputs: OutputWires,
     pub(crate) indicator: Indicator,
-    pub(crate) chip_select: ChipSelect,
 }
 
 /// Sets up all pins; outputs are low before they become outputs.
@@ -78,14 +75,11 @@ pub(crate) fn init(peripherals: Peripherals) -> Wires {
     let _: Pin<_, FunctionSpi, PullNone> = pins.gpio19.reconfigure();
     // INT of the MCP2515, low when it wants something; without one the pin is high.
     let _: Pin<_, FunctionSioInput, PullUp> = pins.gpio20.reconfigure();
-    let chip_select = pins.gpio17.into_pull_type::<PullUp>().into_push_pull_output_in_state(PinState::High);
+    // Its chip select, which the driver switches by the registers of SIO.
+    let _: Pin<_, FunctionSioOutput, PullUp> =
+        pins.gpio17.into_pull_type::<PullUp>().into_push_pull_output_in_state(PinState::High);
 
-    Wires {
-        inputs: HalInputs::new(inputs),
-        outputs: HalOutputs::new(outputs),
-        indicator: low!(gpio25),
-        chip_select,
-    }
+    Wires { inputs: HalInputs::new(inputs), outputs: HalOutputs::new(outputs), indicator: low!(gpio25) }
 }
 
 impl Wires {

@@ -1,0 +1,410 @@
+//! The CAN controller MCP2515 (Microchip DS20001801) over any HAL's SPI, for boards without one of their own.
+//!
+//! The crate `mcp2515` tells neither error counters nor overflows, withdraws nothing, and sends two frames of one identifier in
+//! any order. Here every wait is bounded: an MCP2515 that is not there counts as one that is bus-off.
+
+use core::marker::PhantomData;
+
+use embedded_can::{ErrorKind, ExtendedId, Frame, Id, StandardId};
+use embedded_hal::spi::{Operation, SpiDevice};
+
+use super::{CanController, Health};
+use crate::config::CanConfig;
+
+/// Instructions (12.0).
+const RESET: u8 = 0xC0;
+const READ: u8 = 0x03;
+const WRITE: u8 = 0x02;
+const BIT_MODIFY: u8 = 0x05;
+const READ_STATUS: u8 = 0xA0;
+const READ_RX: [u8; 2] = [0x90, 0x94];
+const LOAD_TX: [u8; 3] = [0x40, 0x42, 0x44];
+const RTS: [u8; 3] = [0x81, 0x82, 0x84];
+
+/// Registers (11.0). Filters, masks and buffers are four registers of an identifier each.
+const RXF: [u8; 6] = [0x00, 0x04, 0x08, 0x10, 0x14, 0x18];
+const CANSTAT: u8 = 0x0E;
+const CANCTRL: u8 = 0x0F;
+const TEC: u8 = 0x1C;
+const RXM: [u8; 2] = [0x20, 0x24];
+const CNF3: u8 = 0x28;
+const CANINTE: u8 = 0x2B;
+const CANINTF: u8 = 0x2C;
+const EFLG: u8 = 0x2D;
+const TXBCTRL: [u8; 3] = [0x30, 0x40, 0x50];
+const RXBCTRL: [u8; 2] = [0x60, 0x70];
+
+/// CANSTAT and CANCTRL: the mode.
+const MODE: u8 = 0b111 << 5;
+const NORMAL: u8 = 0;
+const CONFIGURATION: u8 = 0b100 << 5;
+/// CNF2: PHSEG2 is as CNF3 says.
+const BTLMODE: u8 = 1 << 7;
+/// CANINTE and CANINTF: a frame is in either buffer.
+const RX_INTERRUPTS: u8 = 0b11;
+/// RXB0CTRL: what finds the first buffer full goes to the second.
+const BUKT: u8 = 1 << 2;
+/// TXBnCTRL: to be sent; and before the others.
+const TXREQ: u8 = 1 << 3;
+const TXP_HIGHEST: u8 = 0b11;
+/// EFLG.
+const TXBO: u8 = 1 << 5;
+const PASSIVE: u8 = 0b11 << 3;
+const OVERFLOWS: u8 = 0b11 << 6;
+/// READ STATUS.
+const RX0IF: u8 = 1 << 0;
+const RX1IF: u8 = 1 << 1;
+const TXREQS: [u8; 3] = [1 << 2, 1 << 4, 1 << 6];
+
+/// In an identifier's second register: an extended one; a standard one of a remote frame that was received. In its length's:
+/// a remote frame.
+const EXIDE: u8 = 1 << 3;
+const SRR: u8 = 1 << 4;
+const RTR: u8 = 1 << 6;
+
+/// Bytes of data in a frame. Its length field goes up to 15; above 8 it also means 8 (ISO 11898-1).
+const MAX_DATA_LEN: u8 = 8;
+
+/// How often is looked whether it has come out of its reset, which takes 128 cycles of its crystal. A look takes 24 of SPI's.
+const MAX_LOOKS: u32 = 100;
+
+/// How it makes a bit of its clock (5.0).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct BitTiming {
+    /// CNF3, CNF2, CNF1, in the order of their addresses.
+    registers: [u8; 3],
+}
+
+impl BitTiming {
+    /// The times for a rate in kbit/s with a crystal of so many Hz: 16 time quanta, sampled at 87.5 % (CiA 301, table 1), or
+    /// where the crystal is too slow for so many, 8, sampled at 75 %. `None` for a rate that it does not divide to.
+    const fn for_rate(crystal_hz: u32, kbit_rate: u16) -> Option<Self> {
+        // Time quanta of the propagation segment and of phase segment 1. Phase segment 2 has the least that there may be, two; so
+        // the jump width is one.
+        const FINE: [u32; 2] = [5, 8];
+        const COARSE: [u32; 2] = [2, 3];
+        match Self::with(crystal_hz, kbit_rate, FINE) {
+            None => Self::with(crystal_hz, kbit_rate, COARSE),
+            fine => fine,
+        }
+    }
+
+    const fn with(crystal_hz: u32, kbit_rate: u16, [propagation, phase_1]: [u32; 2]) -> Option<Self> {
+        const PHASE_2: u32 = 2;
+        let quanta = 1 + propagation + phase_1 + PHASE_2;
+        // A time quantum is at least two cycles of the crystal.
+        let cycles = 2 * quanta * kbit_rate as u32 * 1_000;
+        if cycles == 0 || !crystal_hz.is_multiple_of(cycles) {
+            return None;
+        }
+        let prescaler = crystal_hz / cycles;
+        if prescaler > 1 << 6 {
+            return None;
+        }
+        let cnf1 = (prescaler - 1) as u8;
+        let cnf2 = BTLMODE | ((phase_1 - 1) as u8) << 3 | (propagation - 1) as u8;
+        Some(Self { registers: [(PHASE_2 - 1) as u8, cnf2, cnf1] })
+    }
+}
+
+/// A frame was lost: it found both buffers full.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Overrun;
+
+impl embedded_can::Error for Overrun {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Overrun
+    }
+}
+
+/// An MCP2515, and the SPI that it is on: mode 0, 10 MHz at the most.
+///
+/// It leaves bus-off by itself, after 128 times 11 recessive bits; nothing is sent and nothing that it has received counts
+/// until it is told to [`recover`](CanController::recover).
+#[derive(Debug)]
+pub struct Mcp2515<S, F> {
+    spi: S,
+    crystal_hz: u32,
+    config: Option<CanConfig>,
+    /// Whether timing and filters are in its registers.
+    is_set_up: bool,
+    /// It was bus-off, and was not told to recover.
+    is_off: bool,
+    /// Frames were lost, which was not said yet.
+    has_overrun: bool,
+    /// What is in the second receive buffer is older than what is in the first.
+    second_is_older: bool,
+    /// The identifiers' registers that the transmit buffers were given last.
+    sent: [[u8; 4]; 3],
+    frames: PhantomData<fn() -> F>,
+}
+
+impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
+    /// One that was not started, with a crystal of so many Hz.
+    pub const fn new(spi: S, crystal_hz: u32) -> Self {
+        Self {
+            spi,
+            crystal_hz,
+            config: None,
+            is_set_up: false,
+            is_off: false,
+            has_overrun: false,
+            second_is_older: false,
+            sent: [[0; 4]; 3],
+            frames: PhantomData,
+        }
+    }
+
+    /// Starts it; SPI works. Little more than what the bridge may want passes its filters.
+    pub fn start(&mut self, config: &CanConfig) {
+        self.config = Some(*config);
+        self.join();
+    }
+
+    fn join(&mut self) {
+        self.has_overrun = false;
+        self.second_is_older = false;
+        self.is_set_up = self.config.is_some_and(|config| self.set_up(&config).unwrap_or(false));
+        self.is_off = false;
+    }
+
+    /// Whether it is there, and has a timing for the rate.
+    fn set_up(&mut self, config: &CanConfig) -> Result<bool, S::Error> {
+        let Some(timing) = BitTiming::for_rate(self.crystal_hz, config.kbit_rate) else { return Ok(false) };
+        self.spi.write(&[RESET])?;
+        let mut is_reset = false;
+        for _ in 0..MAX_LOOKS {
+            is_reset = self.read::<1>(CANSTAT)?[0] & MODE == CONFIGURATION;
+            if is_reset {
+                break;
+            }
+        }
+        if !is_reset {
+            return Ok(false);
+        }
+        self.write(CNF3, &timing.registers)?;
+        // The first buffer: the gripper, and with it the identifiers beside its own; heartbeats. The second: what is for this
+        // node; NMT and SYNC. (A mask is the whole buffer's. Whoever gets a frame looks at all of its identifier.)
+        let gripper = config.gripper.controller().receive.as_raw();
+        let node = u16::from(config.node.node);
+        self.write(RXM[0], &id_registers(Id::Standard(standard(0x780))))?;
+        self.write(RXM[1], &id_registers(Id::Standard(standard(0x07F))))?;
+        for (filter, id) in RXF.into_iter().zip([gripper, 0x700, node, 0, node, 0]) {
+            self.write(filter, &id_registers(Id::Standard(standard(id))))?;
+        }
+        self.write(RXBCTRL[0], &[BUKT])?;
+        self.write(RXBCTRL[1], &[0])?;
+        self.write(CANINTE, &[RX_INTERRUPTS])?;
+        // It synchronises in its own time; the first frames wait for that.
+        self.write(CANCTRL, &[NORMAL])?;
+        // Lines that float read anything; no reset leaves this.
+        Ok(self.read::<3>(CNF3)? == timing.registers)
+    }
+
+    fn read<const N: usize>(&mut self, register: u8) -> Result<[u8; N], S::Error> {
+        let mut values = [0; N];
+        self.spi.transaction(&mut [Operation::Write(&[READ, register]), Operation::Read(&mut values)])?;
+        Ok(values)
+    }
+
+    fn write(&mut self, register: u8, values: &[u8]) -> Result<(), S::Error> {
+        self.spi.transaction(&mut [Operation::Write(&[WRITE, register]), Operation::Write(values)])
+    }
+
+    fn modify(&mut self, register: u8, mask: u8, value: u8) -> Result<(), S::Error> {
+        self.spi.write(&[BIT_MODIFY, register, mask, value])
+    }
+
+    fn status(&mut self) -> Result<u8, S::Error> {
+        let mut status = [READ_STATUS, 0];
+        self.spi.transfer_in_place(&mut status)?;
+        Ok(status[1])
+    }
+
+    /// The empty buffer for a frame.
+    ///
+    /// One is the gripper's, and leaves first: FAST STOP waits for no message of another. The others are anybody's, but never
+    /// hold two of one identifier: the second might leave first.
+    fn buffer_for(&mut self, id: [u8; 4]) -> Result<Option<usize>, S::Error> {
+        let status = self.status()?;
+        let [gripper, one, other] = TXREQS.map(|waits| status & waits == 0);
+        let its_id = self.config.map(|config| id_registers(config.gripper.controller().transmit.into()));
+        if its_id == Some(id) {
+            return Ok(gripper.then_some(0));
+        }
+        let [_, in_one, in_other] = self.sent;
+        Ok(match (one, other) {
+            (true, true) => Some(1),
+            (true, false) if in_other != id => Some(1),
+            (false, true) if in_one != id => Some(2),
+            _ => None,
+        })
+    }
+
+    fn send(&mut self, frame: &F) -> Result<bool, S::Error> {
+        let id = id_registers(frame.id());
+        let Some(buffer) = self.buffer_for(id)? else { return Ok(false) };
+        let (Some(load), Some(rts)) = (LOAD_TX.get(buffer), RTS.get(buffer)) else { return Ok(false) };
+        if let Some(sent) = self.sent.get_mut(buffer) {
+            *sent = id;
+        }
+        let [a, b, c, d] = id;
+        let len = frame.dlc() as u8 | if frame.is_remote_frame() { RTR } else { 0 };
+        self.spi.transaction(&mut [
+            Operation::Write(&[*load, a, b, c, d, len]),
+            Operation::Write(frame.data()),
+        ])?;
+        if buffer == 0 {
+            // The others have the lowest from the reset on.
+            self.write(TXBCTRL[0], &[TXREQ | TXP_HIGHEST])?;
+        } else {
+            self.spi.write(&[*rts])?;
+        }
+        Ok(true)
+    }
+
+    /// The frame that waits longest.
+    fn take(&mut self) -> Result<Option<F>, S::Error> {
+        let status = self.status()?;
+        let buffer = match (status & RX0IF != 0, status & RX1IF != 0) {
+            (false, false) => return Ok(None),
+            (true, true) => usize::from(self.second_is_older),
+            (_, second) => usize::from(second),
+        };
+        let mut raw = [0; 13];
+        let Some(read) = READ_RX.get(buffer) else { return Ok(None) };
+        self.spi.transaction(&mut [Operation::Write(&[*read]), Operation::Read(&mut raw)])?;
+        // What has come to the second while the first was full is older than what comes to the first from now on.
+        self.second_is_older = buffer == 0 && self.status()? & RX1IF != 0;
+        let [high, low, e8, e0, len, data @ ..] = raw;
+        let is_extended = low & EXIDE != 0;
+        let count = (len & 0xF).min(MAX_DATA_LEN).into();
+        let id = if is_extended {
+            let top = u32::from(high) << 21 | u32::from(low >> 5) << 18 | u32::from(low & 0b11) << 16;
+            let id = top | u32::from(u16::from_be_bytes([e8, e0]));
+            Id::Extended(ExtendedId::new(id).unwrap_or(ExtendedId::MAX))
+        } else {
+            Id::Standard(standard(u16::from(high) << 3 | u16::from(low >> 5)))
+        };
+        let is_remote = if is_extended { len & RTR != 0 } else { low & SRR != 0 };
+        Ok(if is_remote {
+            F::new_remote(id, count)
+        } else {
+            F::new(id, data.get(..count).unwrap_or_default())
+        })
+    }
+
+    fn look(&mut self) -> Result<Health, S::Error> {
+        let [control] = self.read(CANCTRL)?;
+        let [transmit_errors, receive_errors] = self.read(TEC)?;
+        let [flags] = self.read(EFLG)?;
+        if control & MODE != NORMAL {
+            // It has lost its supply meanwhile, or is not there any more.
+            self.is_set_up = false;
+        }
+        if flags & OVERFLOWS != 0 {
+            self.modify(EFLG, OVERFLOWS, 0)?;
+            self.has_overrun = true;
+        }
+        self.is_off |= flags & TXBO != 0;
+        if self.is_off {
+            // What comes meanwhile would be long ago when the bus is there again.
+            self.modify(CANINTF, RX_INTERRUPTS, 0)?;
+            self.second_is_older = false;
+        }
+        Ok(Health {
+            is_off: self.is_off,
+            is_passive: flags & PASSIVE != 0,
+            transmit_errors: if flags & TXBO != 0 { u8::MAX } else { transmit_errors },
+            receive_errors,
+        })
+    }
+
+    fn withdraw(&mut self) -> Result<(), S::Error> {
+        TXBCTRL.into_iter().try_for_each(|control| self.modify(control, TXREQ, 0))
+    }
+
+    /// What SPI gave; an error of it is one of a controller that is not there.
+    fn unless_lost<T>(&mut self, result: Result<T, S::Error>) -> Option<T> {
+        self.is_set_up &= result.is_ok();
+        result.ok()
+    }
+}
+
+impl<S: SpiDevice, F: Frame> embedded_can::nb::Can for Mcp2515<S, F> {
+    type Frame = F;
+    type Error = Overrun;
+
+    fn transmit(&mut self, frame: &F) -> nb::Result<Option<F>, Overrun> {
+        if self.is_set_up && !self.is_off {
+            let result = self.send(frame);
+            if self.unless_lost(result) == Some(true) {
+                return Ok(None);
+            }
+        }
+        Err(nb::Error::WouldBlock)
+    }
+
+    fn receive(&mut self) -> nb::Result<F, Overrun> {
+        if core::mem::take(&mut self.has_overrun) {
+            return Err(nb::Error::Other(Overrun));
+        }
+        if self.is_set_up && !self.is_off {
+            let result = self.take();
+            if let Some(Some(frame)) = self.unless_lost(result) {
+                return Ok(frame);
+            }
+        }
+        Err(nb::Error::WouldBlock)
+    }
+}
+
+impl<S: SpiDevice, F: Frame> CanController for Mcp2515<S, F> {
+    /// One that could not be set up is as good as bus-off, and the policy tries again.
+    fn health(&mut self) -> Health {
+        let health = if self.is_set_up {
+            let result = self.look();
+            self.unless_lost(result)
+        } else {
+            None
+        };
+        match health {
+            Some(health) if self.is_set_up => health,
+            _ => Health { is_off: true, ..Health::default() },
+        }
+    }
+
+    /// What is being sent at this moment goes on to its end.
+    fn abort(&mut self) {
+        let result = self.withdraw();
+        self.unless_lost(result);
+    }
+
+    /// Its own recovery has begun when it went bus-off: what is left to do is to believe it.
+    fn recover(&mut self) {
+        if self.is_set_up {
+            self.is_off = false;
+        } else {
+            self.join();
+        }
+    }
+}
+
+/// An identifier as the registers of a buffer, filter or mask have it.
+fn id_registers(id: Id) -> [u8; 4] {
+    match id {
+        Id::Standard(id) => [(id.as_raw() >> 3) as u8, (id.as_raw() << 5) as u8, 0, 0],
+        Id::Extended(id) => {
+            let [_, _, e8, e0] = id.as_raw().to_be_bytes();
+            let low = ((id.as_raw() >> 18 & 0b111) << 5) as u8 | EXIDE | (id.as_raw() >> 16 & 0b11) as u8;
+            [(id.as_raw() >> 21) as u8, low, e8, e0]
+        }
+    }
+}
+
+fn standard(id: u16) -> StandardId {
+    StandardId::new(id).unwrap_or(StandardId::MAX)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,348 @@
+//! The driver with registers that do what the data sheet says of them, as far as it needs.
+
+use core::cell::RefCell;
+use core::convert::Infallible;
+use std::rc::Rc;
+use std::vec::Vec;
+
+use bus_slcan::ClassicFrame;
+use embedded_can::nb::Can;
+use embedded_hal::spi::ErrorType;
+
+use super::*;
+
+const CRYSTAL_HZ: u32 = 16_000_000;
+const CANINTF_AT: usize = CANINTF as usize;
+
+/// The registers behind SPI, as tests look at them.
+struct Registers {
+    values: [u8; 128],
+    /// Nothing answers: lines that are pulled up.
+    is_missing: bool,
+    resets: u32,
+}
+
+#[derive(Clone)]
+struct Chip(Rc<RefCell<Registers>>);
+
+impl Chip {
+    fn new() -> Self {
+        let registers = Registers { values: [0; 128], is_missing: false, resets: 0 };
+        Self(Rc::new(RefCell::new(registers)))
+    }
+
+    fn at(&self, register: u8) -> u8 {
+        self.0.borrow().values[usize::from(register)]
+    }
+
+    fn set(&self, register: u8, value: u8) {
+        self.0.borrow_mut().values[usize::from(register)] = value;
+    }
+
+    /// Puts a frame into a receive buffer.
+    fn receive(&self, buffer: usize, id: [u8; 4], data: &[u8]) {
+        let mut chip = self.0.borrow_mut();
+        let start = usize::from(RXBCTRL[buffer]) + 1;
+        chip.values[start..start + 4].copy_from_slice(&id);
+        chip.values[start + 4] = data.len() as u8;
+        chip.values[start + 5..start + 5 + data.len()].copy_from_slice(data);
+        chip.values[CANINTF_AT] |= 1 << buffer;
+    }
+
+    /// Takes the frame that a transmit buffer was told to send: its first identifier register and its data.
+    fn sent(&self, buffer: usize) -> Option<(u8, Vec<u8>)> {
+        let mut chip = self.0.borrow_mut();
+        let control = usize::from(TXBCTRL[buffer]);
+        if chip.values[control] & TXREQ == 0 {
+            return None;
+        }
+        chip.values[control] &= !TXREQ;
+        let len = usize::from(chip.values[control + 5] & 0xF);
+        Some((chip.values[control + 1], chip.values[control + 6..control + 6 + len].to_vec()))
+    }
+}
+
+impl Registers {
+    fn reset(&mut self) {
+        self.values = [0; 128];
+        self.values[usize::from(CANSTAT)] = CONFIGURATION;
+        self.values[usize::from(CANCTRL)] = 0x87;
+        self.resets += 1;
+    }
+
+    fn status(&self) -> u8 {
+        let waits = |buffer: usize| self.values[usize::from(TXBCTRL[buffer])] & TXREQ != 0;
+        (0..3)
+            .filter(|&buffer| waits(buffer))
+            .fold(self.values[CANINTF_AT] & 0b11, |status, buffer| status | TXREQS[buffer])
+    }
+
+    /// What the chip gives for the bytes of one selection.
+    fn exchange(&mut self, bytes: &[u8]) -> Vec<u8> {
+        let mut out = std::vec![0xFF; bytes.len()];
+        if self.is_missing {
+            return out;
+        }
+        match bytes {
+            [RESET] => self.reset(),
+            [READ, from, ..] => {
+                for (place, value) in out[2..].iter_mut().zip(&self.values[usize::from(*from)..]) {
+                    *place = *value;
+                }
+            }
+            [WRITE, to, values @ ..] => {
+                self.values[usize::from(*to)..][..values.len()].copy_from_slice(values);
+                if *to == CANCTRL {
+                    self.values[usize::from(CANSTAT)] = values[0] & MODE;
+                }
+            }
+            [BIT_MODIFY, at, mask, value] => {
+                let register = &mut self.values[usize::from(*at)];
+                *register = *register & !mask | value & mask;
+            }
+            [READ_STATUS, ..] => {
+                let status = self.status();
+                out[1..].fill(status);
+            }
+            [read @ (0x90 | 0x94), ..] => {
+                let buffer = usize::from(*read == 0x94);
+                let start = usize::from(RXBCTRL[buffer]) + 1;
+                out[1..].copy_from_slice(&self.values[start..start + bytes.len() - 1]);
+                self.values[CANINTF_AT] &= !(1 << buffer);
+            }
+            [load @ (0x40 | 0x42 | 0x44), values @ ..] => {
+                let start = usize::from(TXBCTRL[usize::from(load - 0x40) / 2]) + 1;
+                self.values[start..start + values.len()].copy_from_slice(values);
+            }
+            [rts @ (0x81 | 0x82 | 0x84)] => {
+                let buffer = rts.trailing_zeros() as usize;
+                self.values[usize::from(TXBCTRL[buffer])] |= TXREQ;
+            }
+            other => panic!("no instruction: {other:02X?}"),
+        }
+        out
+    }
+}
+
+impl ErrorType for Chip {
+    type Error = Infallible;
+}
+
+impl SpiDevice for Chip {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Infallible> {
+        let mut bytes = Vec::new();
+        for operation in operations.iter() {
+            match operation {
+                Operation::Write(written) => bytes.extend_from_slice(written),
+                Operation::Read(read) => bytes.extend(read.iter().map(|_| 0)),
+                Operation::TransferInPlace(both) => bytes.extend_from_slice(both),
+                other => panic!("not used: {other:?}"),
+            }
+        }
+        let mut given = self.0.borrow_mut().exchange(&bytes).into_iter();
+        for operation in operations {
+            match operation {
+                Operation::Write(written) => drop(given.by_ref().take(written.len()).count()),
+                Operation::Read(read) => {
+                    read.iter_mut().zip(given.by_ref()).for_each(|(to, from)| *to = from)
+                }
+                Operation::TransferInPlace(both) => {
+                    both.iter_mut().zip(given.by_ref()).for_each(|(to, from)| *to = from)
+                }
+                other => panic!("not used: {other:?}"),
+            }
+        }
+        Ok(())
+    }
+}
+
+fn started() -> (Chip, Mcp2515<Chip, ClassicFrame>) {
+    let chip = Chip::new();
+    let mut controller = Mcp2515::new(chip.clone(), CRYSTAL_HZ);
+    controller.start(&CanConfig::DEFAULT);
+    assert!(!controller.health().is_off);
+    (chip, controller)
+}
+
+fn frame(id: u16, data: &[u8]) -> ClassicFrame {
+    ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap()
+}
+
+fn gripper_id() -> u16 {
+    CanConfig::DEFAULT.gripper.controller().transmit.as_raw()
+}
+
+#[test]
+fn every_rate_of_the_settings_is_met_and_what_the_crystal_cannot_do_is_refused() {
+    // Prescaler, quanta before and behind the sample point.
+    let of = |crystal, rate| {
+        BitTiming::for_rate(crystal, rate).map(|BitTiming { registers: [cnf3, cnf2, cnf1] }| {
+            assert_eq!(cnf2 & BTLMODE, BTLMODE);
+            let before = 1 + u32::from(cnf2 & 0b111) + 1 + u32::from(cnf2 >> 3 & 0b111) + 1;
+            (u32::from(cnf1 & 0x3F) + 1, before, u32::from(cnf3) + 1)
+        })
+    };
+    for (crystal, rate, expected) in [
+        (16_000_000, 1_000, Some((1, 6, 2))),
+        (16_000_000, 500, Some((1, 14, 2))),
+        (16_000_000, 250, Some((2, 14, 2))),
+        (16_000_000, 125, Some((4, 14, 2))),
+        (8_000_000, 500, Some((1, 6, 2))),
+        (8_000_000, 1_000, None),
+        (16_000_000, 300, None),
+        (16_000_000, 0, None),
+    ] {
+        assert_eq!(of(crystal, rate), expected, "{crystal} Hz, {rate} kbit/s");
+        if let Some((prescaler, before, behind)) = expected {
+            assert_eq!(crystal / (2 * prescaler * (before + behind)), u32::from(rate) * 1_000);
+        }
+    }
+}
+
+#[test]
+fn what_the_bridge_wants_passes_the_filters_and_other_traffic_does_not() {
+    let (chip, _) = started();
+    let id_at = |at: u8| u16::from(chip.at(at)) << 3 | u16::from(chip.at(at + 1) >> 5);
+    let passes = |id: u16| {
+        let found =
+            |mask: u8, filters: &[u8]| filters.iter().any(|&filter| (id ^ id_at(filter)) & id_at(mask) == 0);
+        found(RXM[0], &RXF[..2]) || found(RXM[1], &RXF[2..])
+    };
+    let CanConfig { gripper, node, .. } = CanConfig::DEFAULT;
+    let node = u16::from(node.node);
+    for wanted in [gripper.controller().receive.as_raw(), 0, 0x080, 0x200 + node, 0x600 + node, 0x701, 0x77F]
+    {
+        assert!(passes(wanted), "{wanted:#x}");
+    }
+    for foreign in [0x181, 0x601, 0x222, 0x081] {
+        assert!(!passes(foreign), "{foreign:#x}");
+    }
+}
+
+#[test]
+fn one_that_is_not_there_counts_as_bus_off_until_it_comes() {
+    let chip = Chip::new();
+    chip.0.borrow_mut().is_missing = true;
+    let mut controller = Mcp2515::<_, ClassicFrame>::new(chip.clone(), CRYSTAL_HZ);
+    controller.start(&CanConfig::DEFAULT);
+    assert!(controller.health().is_off);
+    assert_eq!(controller.transmit(&frame(1, &[])), Err(nb::Error::WouldBlock));
+
+    chip.0.borrow_mut().is_missing = false;
+    controller.recover();
+
+    assert!(!controller.health().is_off);
+}
+
+#[test]
+fn one_that_lost_its_supply_is_set_up_again() {
+    let (chip, mut controller) = started();
+    chip.0.borrow_mut().reset();
+    assert!(controller.health().is_off);
+
+    controller.recover();
+
+    assert!(!controller.health().is_off);
+    assert_eq!(chip.at(CANCTRL), NORMAL);
+    assert_eq!(chip.0.borrow().resets, 3);
+}
+
+#[test]
+fn the_grippers_frames_have_a_buffer_of_their_own_that_leaves_first() {
+    let (chip, mut controller) = started();
+    assert_eq!(controller.transmit(&frame(0x180, &[1])), Ok(None));
+    assert_eq!(controller.transmit(&frame(0x280, &[2])), Ok(None));
+    assert_eq!(controller.transmit(&frame(0x380, &[3])), Err(nb::Error::WouldBlock));
+
+    assert_eq!(controller.transmit(&frame(gripper_id(), &[4, 5])), Ok(None));
+    assert_eq!(controller.transmit(&frame(gripper_id(), &[6])), Err(nb::Error::WouldBlock));
+
+    assert_eq!(chip.at(TXBCTRL[0]) & TXP_HIGHEST, TXP_HIGHEST);
+    assert_eq!(chip.sent(0), Some(((gripper_id() >> 3) as u8, std::vec![4, 5])));
+    assert_eq!(chip.sent(1), Some((0x30, std::vec![1])));
+    assert_eq!(controller.transmit(&frame(gripper_id(), &[6])), Ok(None));
+}
+
+#[test]
+fn frames_of_one_identifier_never_wait_in_two_buffers() {
+    let (chip, mut controller) = started();
+    assert_eq!(controller.transmit(&frame(0x180, &[1])), Ok(None));
+    assert_eq!(controller.transmit(&frame(0x180, &[2])), Err(nb::Error::WouldBlock));
+    assert_eq!(controller.transmit(&frame(0x181, &[3])), Ok(None));
+    assert_eq!(chip.sent(1).unwrap().1, [1]);
+    assert_eq!(controller.transmit(&frame(0x181, &[4])), Err(nb::Error::WouldBlock));
+    assert_eq!(controller.transmit(&frame(0x180, &[2])), Ok(None));
+}
+
+#[test]
+fn received_frames_come_in_their_order() {
+    let (chip, mut controller) = started();
+    let id = id_registers(Id::Standard(standard(0x121)));
+    chip.receive(0, id, &[1]);
+    chip.receive(1, id, &[2]);
+    assert_eq!(controller.receive().unwrap().data(), [1]);
+    // The first buffer is free again and takes the next before the second was read.
+    chip.receive(0, id, &[3]);
+    assert_eq!(controller.receive().unwrap().data(), [2]);
+    assert_eq!(controller.receive().unwrap().data(), [3]);
+    assert_eq!(controller.receive(), Err(nb::Error::WouldBlock));
+}
+
+#[test]
+fn identifiers_lengths_and_remote_frames_survive_both_ways() {
+    let (chip, mut controller) = started();
+    for (id, registers) in [
+        (Id::Standard(standard(0x7A5)), [0xF4, 0xA0, 0, 0]),
+        (Id::Extended(ExtendedId::new(0x1234_5678).unwrap()), [0x91, 0xA8, 0x56, 0x78]),
+    ] {
+        assert_eq!(id_registers(id), registers);
+        chip.receive(0, registers, &[1, 2, 3, 4, 5, 6, 7, 8]);
+        let frame = controller.receive().unwrap();
+        assert_eq!((frame.id(), frame.data().len()), (id, 8));
+    }
+    chip.receive(0, [0xF4, 0xA0 | SRR, 0, 0], &[]);
+    assert!(controller.receive().unwrap().is_remote_frame());
+    // A length above 8 means 8.
+    chip.receive(0, [0xF4, 0xA0, 0, 0], &[0; 8]);
+    chip.set(RXBCTRL[0] + 5, 0xF);
+    assert_eq!(controller.receive().unwrap().data().len(), 8);
+}
+
+#[test]
+fn a_lost_frame_is_said_once() {
+    let (chip, mut controller) = started();
+    chip.set(EFLG, 1 << 7);
+    assert!(!controller.health().is_off);
+    assert_eq!(controller.receive(), Err(nb::Error::Other(Overrun)));
+    assert_eq!(controller.receive(), Err(nb::Error::WouldBlock));
+    assert_eq!(chip.at(EFLG), 0);
+}
+
+#[test]
+fn after_bus_off_nothing_goes_and_nothing_old_comes_before_it_is_told_to_recover() {
+    let (chip, mut controller) = started();
+    chip.set(EFLG, TXBO | PASSIVE);
+    let health = controller.health();
+    assert!(health.is_off && health.is_passive && health.transmit_errors == 255);
+
+    // It has recovered by itself.
+    chip.set(EFLG, 0);
+    chip.receive(0, id_registers(Id::Standard(standard(0x121))), &[1]);
+    assert!(controller.health().is_off);
+    assert_eq!(controller.transmit(&frame(gripper_id(), &[])), Err(nb::Error::WouldBlock));
+    controller.recover();
+
+    assert!(!controller.health().is_off);
+    assert_eq!(controller.receive(), Err(nb::Error::WouldBlock));
+    assert_eq!(controller.transmit(&frame(gripper_id(), &[])), Ok(None));
+}
+
+#[test]
+fn what_is_withdrawn_does_not_leave() {
+    let (chip, mut controller) = started();
+    for id in [gripper_id(), 0x180, 0x280] {
+        assert_eq!(controller.transmit(&frame(id, &[1])), Ok(None));
+    }
+    controller.abort();
+    assert_eq!([chip.sent(0), chip.sent(1), chip.sent(2)], [None, None, None]);
+}
