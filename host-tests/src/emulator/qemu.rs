@@ -1,0 +1,227 @@
+//! A B-L475E-IOT01A in QEMU: inputs through qtest, outputs in its trace, lines on sockets, peripherals that it lacks through gdb.
+
+use std::io::{self, BufRead, BufReader};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::process::{Child, ChildStderr, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use anyhow::{Context, Result, ensure};
+use object::{Object, ObjectSymbol};
+use wsg_b_l475e_iot01a::INPUTS;
+use wsg_bridge_fw::io::Inputs;
+
+use super::output_port::{OutputPort, TRACE_EVENT};
+use super::sockets::Sockets;
+use super::watch::Watch;
+use super::{Chip, Extras, Lines, PATIENCE, end, lock};
+use crate::gdb::Gdb;
+use crate::qtest::Qtest;
+use crate::registers::{Machine, Registers};
+
+pub(super) const QEMU: &str = "qemu-system-arm";
+
+/// The sockets' names.
+const GRIPPER_LINE: &str = "uart4";
+const MODBUS_LINE: &str = "lpuart1";
+const SERVICE_LINE: &str = "usart1";
+
+/// Part of the name of the board file's millisecond counter.
+const CLOCK_SYMBOL: &str = "4tick6NOW_MS";
+
+/// Whose inputs are the interrupt lines.
+const CORE: &str = "/machine/soc/armv7m";
+
+#[derive(Debug)]
+pub(super) struct Qemu {
+    process: Child,
+    leash: Child,
+    qtest: Arc<Mutex<Qtest>>,
+    /// Where the firmware counts its milliseconds.
+    clock_address: Option<u32>,
+}
+
+impl Qemu {
+    /// Starts it, and returns when the firmware's main loop runs.
+    pub(super) fn start(elf: &Path, extras: Extras<'_>, watch: &Arc<Watch>) -> Result<(Self, Lines)> {
+        let sockets = Sockets::bind(&[GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE])?;
+        let (qtest, qtest_server) = UnixStream::pair()?;
+        let mut command = Command::new(QEMU);
+        command
+            .args(["-M", "b-l475e-iot01a", "-display", "none", "-monitor", "none"])
+            // An instruction takes 16 ns of the machine's time, asleep it follows the wall clock.
+            .args(["-icount", "shift=4"])
+            // Standard input of QEMU is a socket here, so this one needs no name.
+            .args(["-chardev", "socket,id=qtest,fd=0", "-qtest", "chardev:qtest", "-qtest-log", "none"])
+            .args([GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE].iter().flat_map(|name| {
+                let to = sockets.path(name);
+                ["-chardev".to_owned(), format!("socket,id={name},path={}", to.display())]
+            }))
+            // USART1 to USART3, UART4, UART5, LPUART1.
+            .args(
+                ["chardev:usart1", "null", "null", "chardev:uart4", "null", "chardev:lpuart1"]
+                    .iter()
+                    .flat_map(|to| ["-serial", to]),
+            )
+            .args(["-trace", TRACE_EVENT])
+            .args(extras.qemu_arguments)
+            .arg("-kernel")
+            .arg(elf)
+            .stdin(Stdio::from(OwnedFd::from(qtest_server)))
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
+        if !extras.models.iter().any(|model| model.is_watchdog()) {
+            // A firmware that resets itself has failed: QEMU ends, and so does the test.
+            command.arg("-no-reboot");
+        }
+        if let Some(log) = extras.semihosting {
+            ensure!(extras.models.is_empty(), "models and semihosting both take QEMU's standard output");
+            command.args(["-semihosting-config", "enable=on,target=native"]).stdout(log);
+        }
+        let clock_address = symbol(elf, CLOCK_SYMBOL);
+        let models = if extras.models.is_empty() {
+            None
+        } else {
+            let (gdb, gdb_server) = UnixStream::pair()?;
+            // It waits for the watchpoints.
+            command.args(["-S", "-chardev", "socket,id=gdb,fd=1", "-gdb", "chardev:gdb"]);
+            command.stdout(Stdio::from(OwnedFd::from(gdb_server)));
+            let clock_address =
+                clock_address.with_context(|| format!("the image has no symbol {CLOCK_SYMBOL}"))?;
+            Some((Gdb::new(gdb, PATIENCE)?, extras.models, clock_address))
+        };
+        let qtest = Qtest::new(qtest, PATIENCE)?;
+        let mut process =
+            command.spawn().with_context(|| format!("cannot run {QEMU}; `cargo xtask test` sets it up"))?;
+        // It holds this side's copy of QEMU's socket, which would hide that QEMU hangs up.
+        drop(command);
+        let said = process.stderr.take();
+        let leash = match put_on_leash(&process) {
+            Ok(leash) => leash,
+            Err(error) => {
+                end(&mut process);
+                return Err(error).context("cannot run sh");
+            }
+        };
+        let qemu = Self { process, leash, qtest: Arc::new(Mutex::new(qtest)), clock_address };
+        if let Some(said) = said {
+            let watch = Arc::clone(watch);
+            thread::spawn(move || follow(said, &watch));
+        }
+        if let Some((gdb, models, clock_address)) = models {
+            qemu.serve(Registers::new(gdb, models, clock_address)?, watch)?;
+        }
+        let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
+        running.with_context(|| format!("no firmware for this board comes up from {}", elf.display()))?;
+        // QEMU connected before the firmware ran, so there is nothing to wait for.
+        let [gripper, bus, service] =
+            [GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE].map(|name| sockets.accept(name).map(Some));
+        Ok((qemu, Lines { gripper: gripper?, bus: bus?, service: service? }))
+    }
+
+    /// Serves registers to the machine from a thread of its own.
+    fn serve(&self, registers: Registers, watch: &Arc<Watch>) -> Result<()> {
+        let (mut machine, watch) = (BesideGdb(Arc::clone(&self.qtest)), Arc::clone(watch));
+        let run = move || {
+            if let Err(why) = registers.serve(&mut machine) {
+                watch.fail(&format!("{why:#}"));
+            }
+        };
+        thread::Builder::new()
+            .name("registers".into())
+            .spawn(run)
+            .map(drop)
+            .context("no thread for registers")
+    }
+}
+
+impl Chip for Qemu {
+    fn set_input(&self, wire: Inputs, high: bool) -> Result<()> {
+        let Some(wire) = INPUTS.iter().find(|its| its.signal == wire) else { return Ok(()) };
+        let port = format!("/machine/soc/gpio{}", wire.port.letter().to_ascii_lowercase());
+        lock(&self.qtest).set_gpio_in(&port, wire.pin, high)
+    }
+
+    fn readl(&self, address: u32) -> Result<u32> {
+        lock(&self.qtest).readl(address)
+    }
+
+    fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>> {
+        lock(&self.qtest).read(address, len)
+    }
+
+    fn now_ms(&self) -> Result<u32> {
+        self.readl(self.clock_address.with_context(|| format!("the image has no symbol {CLOCK_SYMBOL}"))?)
+    }
+}
+
+impl Drop for Qemu {
+    fn drop(&mut self) {
+        // Before QEMU: until that is waited for, its number is nobody else's.
+        end(&mut self.leash);
+        end(&mut self.process);
+    }
+}
+
+/// The machine through qtest.
+struct BesideGdb(Arc<Mutex<Qtest>>);
+
+impl Machine for BesideGdb {
+    fn set_interrupt(&mut self, line: u8, level: bool) -> Result<()> {
+        lock(&self.0).set_gpio_in(CORE, line, level)
+    }
+
+    fn raise_nmi(&mut self) -> Result<()> {
+        let mut qtest = lock(&self.0);
+        // The core keeps it pending.
+        [true, false].into_iter().try_for_each(|level| qtest.set_irq_in(CORE, "NMI", 0, level))
+    }
+
+    fn load(&mut self, address: u32) -> Result<u32> {
+        lock(&self.0).readl(address)
+    }
+
+    fn store(&mut self, address: u32, value: u32) -> Result<()> {
+        lock(&self.0).writel(address, value)
+    }
+}
+
+/// Starts a process that waits until this one has ended, however it ends, and ends QEMU then.
+///
+/// What the kernel has for that (`PR_SET_PDEATHSIG`) takes `unsafe`, and looks at the thread that started QEMU.
+fn put_on_leash(qemu: &Child) -> io::Result<Child> {
+    // Its input ends with this process, and only then: nothing is ever written. A Ctrl-C is for QEMU.
+    const WAIT_AND_KILL: &str = "trap '' HUP INT QUIT TERM; read -r _; kill -KILL \"$0\"";
+    Command::new("sh")
+        .args(["-c", WAIT_AND_KILL, &qemu.id().to_string()])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+}
+
+/// Follows QEMU's trace until QEMU ends.
+fn follow(said: ChildStderr, watch: &Watch) {
+    let mut said = BufReader::new(said);
+    let (mut line, mut port) = (Vec::new(), OutputPort::default());
+    while matches!(said.read_until(b'\n', &mut line), Ok(read) if read > 0) {
+        let text = String::from_utf8_lossy(&line);
+        if port.follow(&text) {
+            watch.show(port.outputs(), port.is_served());
+        } else {
+            watch.hear(&text);
+        }
+        line.clear();
+    }
+    watch.end();
+}
+
+/// The address of the symbol whose name contains `name`.
+fn symbol(elf: &Path, name: &str) -> Option<u32> {
+    let image = std::fs::read(elf).ok()?;
+    let image = object::File::parse(&*image).ok()?;
+    let symbol = image.symbols().find(|symbol| symbol.name().is_ok_and(|found| found.contains(name)))?;
+    u32::try_from(symbol.address()).ok()
+}

@@ -1,0 +1,61 @@
+//! Sockets that an emulator connects to.
+
+use std::fs;
+use std::io;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::PathBuf;
+use std::process;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use anyhow::{Context, Result};
+
+/// Sockets in a directory of their own; all are gone when this is dropped.
+#[derive(Debug)]
+pub(super) struct Sockets {
+    directory: PathBuf,
+    listeners: Vec<(&'static str, UnixListener)>,
+}
+
+impl Sockets {
+    pub(super) fn bind(names: &[&'static str]) -> Result<Self> {
+        static EMULATORS: AtomicU32 = AtomicU32::new(0);
+        let number = EMULATORS.fetch_add(1, Ordering::Relaxed);
+        let directory = std::env::temp_dir().join(format!("wsg-emulator-{}-{number}", process::id()));
+        let bind = || {
+            // A process of this number may have died before it tidied up.
+            let _ = fs::remove_dir_all(&directory);
+            fs::create_dir(&directory)?;
+            let listen = |name: &&'static str| {
+                let listener = UnixListener::bind(directory.join(name))?;
+                listener.set_nonblocking(true)?;
+                Ok((*name, listener))
+            };
+            names.iter().map(listen).collect::<io::Result<_>>()
+        };
+        let listeners = bind().with_context(|| format!("cannot make sockets in {}", directory.display()))?;
+        Ok(Self { directory, listeners })
+    }
+
+    /// Where one of them is.
+    pub(super) fn path(&self, name: &str) -> PathBuf {
+        self.directory.join(name)
+    }
+
+    /// The connection that the emulator has made to the socket of this name.
+    pub(super) fn accept(&self, name: &str) -> Result<UnixStream> {
+        let accept = || {
+            let named = self.listeners.iter().find(|(its, _)| *its == name);
+            let (connection, _) = named.ok_or(io::ErrorKind::NotFound)?.1.accept()?;
+            connection.set_nonblocking(false)?;
+            Ok::<_, io::Error>(connection)
+        };
+        accept().with_context(|| format!("the emulator has not connected its {name}"))
+    }
+}
+
+impl Drop for Sockets {
+    fn drop(&mut self) {
+        // What stays behind in a directory for temporary files harms nobody.
+        let _ = fs::remove_dir_all(&self.directory);
+    }
+}

@@ -1,0 +1,133 @@
+//! What can be seen of the board from outside, kept up to date by a thread.
+
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use wsg_bridge_fw::io::Outputs;
+
+use super::{OutputChange, lock};
+
+/// Lines kept of what the emulator says besides its trace.
+const SAID_MAX: usize = 4;
+
+#[derive(Debug)]
+pub(super) struct Watch {
+    pub(super) seen: Mutex<Seen>,
+    changed: Condvar,
+}
+
+#[derive(Debug)]
+pub(super) struct Seen {
+    /// The program that runs the board.
+    emulator: &'static str,
+    pub(super) outputs: Outputs,
+    /// Whether the firmware has shown anything on wires that it drives, which its main loop does first.
+    pub(super) is_served: bool,
+    changes: Vec<OutputChange>,
+    subscribers: Vec<Sender<OutputChange>>,
+    /// The first lines that the emulator said: why it does not start, most of all.
+    said: Vec<String>,
+    pub(super) has_ended: bool,
+}
+
+impl Watch {
+    pub(super) fn of(emulator: &'static str) -> Self {
+        let seen = Seen {
+            emulator,
+            outputs: Outputs::empty(),
+            is_served: false,
+            changes: Vec::new(),
+            subscribers: Vec::new(),
+            said: Vec::new(),
+            has_ended: false,
+        };
+        Self { seen: Mutex::new(seen), changed: Condvar::new() }
+    }
+
+    /// The wires are like this now.
+    pub(super) fn show(&self, outputs: Outputs, is_served: bool) {
+        let mut seen = lock(&self.seen);
+        seen.is_served |= is_served;
+        if outputs != seen.outputs {
+            seen.outputs = outputs;
+            let change = OutputChange { at: Instant::now(), outputs };
+            seen.changes.push(change);
+            seen.subscribers.retain(|subscriber| subscriber.send(change).is_ok());
+        }
+        self.changed.notify_all();
+    }
+
+    /// The emulator says something. A CPU that locks up is followed by a dump of all registers; the reason is in front.
+    pub(super) fn hear(&self, line: &str) {
+        let mut seen = lock(&self.seen);
+        if seen.said.len() < SAID_MAX && !line.trim().is_empty() {
+            seen.said.push(line.trim().to_owned());
+        }
+    }
+
+    /// The emulator has ended.
+    pub(super) fn end(&self) {
+        let mut seen = lock(&self.seen);
+        seen.has_ended = true;
+        seen.subscribers.clear();
+        self.changed.notify_all();
+    }
+
+    /// The machine stands for good, and this is why.
+    pub(super) fn fail(&self, why: &str) {
+        let mut seen = lock(&self.seen);
+        // Not if the emulator was ended.
+        if !seen.has_ended {
+            seen.said.push(why.to_owned());
+            seen.has_ended = true;
+            seen.subscribers.clear();
+        }
+        self.changed.notify_all();
+    }
+
+    pub(super) fn subscribe(&self) -> Receiver<OutputChange> {
+        let (sender, receiver) = mpsc::channel();
+        let mut seen = lock(&self.seen);
+        for &change in &seen.changes {
+            // The receiver is still here, so nothing is refused.
+            let _ = sender.send(change);
+        }
+        if !seen.has_ended {
+            seen.subscribers.push(sender);
+        }
+        receiver
+    }
+
+    pub(super) fn wait(
+        &self,
+        timeout: Duration,
+        wanted: impl Fn(&Seen) -> bool,
+    ) -> Result<MutexGuard<'_, Seen>> {
+        let (seen, _) = self
+            .changed
+            .wait_timeout_while(lock(&self.seen), timeout, |seen| !seen.has_ended && !wanted(seen))
+            .unwrap_or_else(PoisonError::into_inner);
+        if wanted(&seen) {
+            Ok(seen)
+        } else if seen.has_ended {
+            bail!("{}", seen.last_words())
+        } else {
+            bail!("waited {timeout:?}; {}", seen.last_words())
+        }
+    }
+}
+
+impl Seen {
+    pub(super) fn last_words(&self) -> String {
+        let (emulator, state) = (self.emulator, if self.has_ended { "has ended" } else { "is running" });
+        match self.said.as_slice() {
+            [] if self.has_ended => {
+                format!("{emulator} {state} without a word: the firmware has reset itself")
+            }
+            [] => format!("{emulator} {state}"),
+            said => format!("{emulator} {state}, and said: {}", said.join("; ")),
+        }
+    }
+}
