@@ -12,12 +12,12 @@ mod mailboxes;
 
 use anyhow::{Result, bail, ensure};
 
-pub use self::faults::ErrorCode;
 use self::faults::Faults;
 use self::fifo::Fifo;
 use self::filters::Filters;
+pub use self::mailboxes::MAILBOXES;
 use self::mailboxes::Mailboxes;
-pub use self::mailboxes::{MAILBOXES, Transmission};
+use crate::can_controller::{BusController, ErrorCode, Transmission};
 use crate::can_wire::WireFrame;
 
 /// Offsets of registers (46.9.2 to 46.9.4).
@@ -337,26 +337,34 @@ impl Bxcan {
         self.mode = mode;
     }
 
-    /// Whether it hears the bus and acknowledges what is on it.
-    #[must_use]
-    pub fn takes_part(&self) -> bool {
+    /// A frame ends with as many recessive bits as a controller synchronises to.
+    fn end_activity(&mut self) {
+        self.activity = None;
+        self.change_mode();
+        self.recessive = 0;
+        self.idle(BITS_TO_SYNCHRONISE);
+    }
+}
+
+impl BusController for Bxcan {
+    fn rate(&self) -> u32 {
+        self.bit_timing().rate
+    }
+
+    fn takes_part(&self) -> bool {
         self.mode == Mode::Normal && !self.faults.is_off()
     }
 
-    /// What it would send if the bus were free now.
-    #[must_use]
-    pub fn next_transmission(&self) -> Option<Transmission> {
+    fn next_transmission(&self) -> Option<Transmission> {
         if self.takes_part() { self.mailboxes.next(self.by_request()) } else { None }
     }
 
-    /// It has begun to send a mailbox's message.
-    pub fn begin_transmission(&mut self, mailbox: usize) {
+    fn begin_transmission(&mut self, mailbox: usize) {
         self.activity = Some(Activity::Transmitting);
         self.mailboxes.begin(mailbox);
     }
 
-    /// Another has begun to send; what this one would have sent has lost arbitration, if it was to begin at once.
-    pub fn begin_reception(&mut self, lost: Option<usize>) {
+    fn begin_reception(&mut self, lost: Option<usize>) {
         self.recessive = 0;
         if let Some(mailbox) = lost {
             let is_once = self.mcr & NART != 0;
@@ -375,15 +383,13 @@ impl Bxcan {
         }
     }
 
-    /// What it sent was acknowledged.
-    pub fn end_transmission(&mut self, mailbox: usize) {
+    fn end_transmission(&mut self, mailbox: usize) {
         self.mailboxes.complete(mailbox);
         self.faults.transmitted();
         self.end_activity();
     }
 
-    /// What it sent failed.
-    pub fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
+    fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
         let is_once = self.mcr & NART != 0;
         self.mailboxes.fail(mailbox, is_once);
         if self.faults.transmit_error(why, self.ier, self.mcr & ABOM != 0) {
@@ -392,8 +398,7 @@ impl Bxcan {
         self.end_activity();
     }
 
-    /// Another's frame has come through.
-    pub fn end_reception(&mut self, frame: &WireFrame) {
+    fn end_reception(&mut self, frame: &WireFrame) {
         if self.activity == Some(Activity::Receiving) {
             self.faults.received();
             if let Some((fifo, index)) = self.filters.pass(frame) {
@@ -404,16 +409,14 @@ impl Bxcan {
         self.end_activity();
     }
 
-    /// Another's frame has failed.
-    pub fn fail_reception(&mut self, why: ErrorCode) {
+    fn fail_reception(&mut self, why: ErrorCode) {
         if self.activity == Some(Activity::Receiving) && self.faults.receive_error(why, self.ier) {
             self.flags |= ERRI;
         }
         self.end_activity();
     }
 
-    /// So many bits of a free bus have passed.
-    pub fn idle(&mut self, bits: u32) {
+    fn idle(&mut self, bits: u32) {
         let before = self.recessive;
         self.recessive = before.saturating_add(bits);
         if let Mode::Synchronising { .. } = self.mode
@@ -425,14 +428,6 @@ impl Bxcan {
             let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
             self.faults.heard_recessive(sequences);
         }
-    }
-
-    /// A frame ends with as many recessive bits as a controller synchronises to.
-    fn end_activity(&mut self) {
-        self.activity = None;
-        self.change_mode();
-        self.recessive = 0;
-        self.idle(BITS_TO_SYNCHRONISE);
     }
 }
 

@@ -11,7 +11,8 @@ use std::time::Duration;
 
 use anyhow::Result;
 
-use crate::bxcan::{self, Bxcan, ErrorCode, LINES, Transmission};
+use crate::bxcan::{self, Bxcan, LINES};
+use crate::can_controller::{BusController, ErrorCode, Transmission};
 use crate::can_wire::WireFrame;
 use crate::load_store::Width;
 use crate::registers::{RegisterModel, ensure_word};
@@ -41,22 +42,22 @@ pub enum Fault {
 }
 
 /// A bus with the board's controller on it; clones are the same bus.
-#[derive(Clone, Debug)]
-pub struct CanBus(Arc<Mutex<Bus>>);
+#[derive(Debug)]
+pub struct CanBus<C = Bxcan>(Arc<Mutex<Bus<C>>>);
 
 /// Somebody on the bus besides the board.
 #[derive(Debug)]
-pub struct Station {
-    bus: CanBus,
+pub struct Station<C = Bxcan> {
+    bus: CanBus<C>,
     number: usize,
     /// What the others send.
     pub heard: Receiver<WireFrame>,
 }
 
 #[derive(Debug)]
-struct Bus {
+struct Bus<C> {
     rate: u32,
-    controller: Bxcan,
+    controller: C,
     stations: Vec<Seat>,
     fault: Fault,
     on_wire: Option<OnWire>,
@@ -87,13 +88,27 @@ enum Sending {
     Station(usize),
 }
 
+impl<C> Clone for CanBus<C> {
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
 impl CanBus {
-    /// A bus of so many bits a second.
+    /// A bus of so many bits a second, with bxCAN on it.
     #[must_use]
     pub fn new(rate: u32) -> Self {
+        Self::with(Bxcan::new(CLOCK_HZ), rate)
+    }
+}
+
+impl<C: BusController> CanBus<C> {
+    /// A bus of so many bits a second, with this controller on it.
+    #[must_use]
+    pub fn with(controller: C, rate: u32) -> Self {
         Self(Arc::new(Mutex::new(Bus {
             rate,
-            controller: Bxcan::new(CLOCK_HZ),
+            controller,
             stations: Vec::new(),
             fault: Fault::None,
             on_wire: None,
@@ -104,7 +119,7 @@ impl CanBus {
 
     /// Puts somebody on the bus, for good.
     #[must_use]
-    pub fn join(&self) -> Station {
+    pub fn join(&self) -> Station<C> {
         let (sender, heard) = mpsc::channel();
         let mut bus = self.lock();
         bus.stations.push(Seat { to_send: VecDeque::new(), heard: sender });
@@ -113,7 +128,7 @@ impl CanBus {
 
     /// The board's controller as it is now.
     #[must_use]
-    pub fn controller(&self) -> Bxcan {
+    pub fn controller(&self) -> C {
         self.lock().controller.clone()
     }
 
@@ -137,17 +152,34 @@ impl CanBus {
         }
     }
 
+    /// The board does something with its controller.
+    pub fn act<T>(&self, what: impl FnOnce(&mut C) -> T) -> T {
+        what(&mut self.lock().controller)
+    }
+
+    /// Lets time pass, for a controller that is no [`RegisterModel`].
+    pub fn pass(&self, time: Duration) {
+        self.lock().advance(time);
+    }
+
+    /// How long nothing changes if nobody has more to send: until the frame on the bus ends; `None`: none is there.
+    #[must_use]
+    pub fn until_next(&self) -> Option<Duration> {
+        let bus = self.lock();
+        Some(Duration::from_secs(1) / bus.rate * bus.on_wire?.bits_left)
+    }
+
     /// Breaks or mends the bus.
     pub fn set_fault(&self, fault: Fault) {
         self.lock().fault = fault;
     }
 
-    fn lock(&self) -> MutexGuard<'_, Bus> {
+    fn lock(&self) -> MutexGuard<'_, Bus<C>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Station {
+impl<C: BusController> Station<C> {
     /// Queues a frame.
     pub fn send(&self, frame: WireFrame) {
         self.bus.lock().stations[self.number].to_send.push_back(frame);
@@ -197,7 +229,7 @@ impl RegisterModel for CanBus {
     }
 }
 
-impl Bus {
+impl<C: BusController> Bus<C> {
     fn advance(&mut self, time: Duration) {
         let time = self.rest + time;
         let bit = Duration::from_secs(1) / self.rate;
@@ -257,7 +289,7 @@ impl Bus {
     }
 
     fn put(&mut self, frame: WireFrame, from: Sending) {
-        let fits = self.controller.bit_timing().rate == self.rate;
+        let fits = self.controller.rate() == self.rate;
         let is_cut = self.fault == Fault::Cut;
         let (fails, bits_left) = match from {
             _ if self.fault == Fault::ShortCircuit => (Some(ErrorCode::BitDominant), FAILED_BITS),
@@ -289,7 +321,7 @@ impl Bus {
             }
             (Sending::Station(_), Some(_)) => self.controller.fail_reception(ErrorCode::Form),
             (Sending::Station(n), None) => {
-                if self.controller.bit_timing().rate == self.rate {
+                if self.controller.rate() == self.rate {
                     self.controller.end_reception(frame);
                 } else {
                     self.controller.fail_reception(ErrorCode::Stuff);

@@ -11,6 +11,7 @@ use embedded_can::Id;
 use wsg_protocol::can::{Identifiers, Segmenter};
 
 use crate::can_bus::{CanBus, Station};
+use crate::can_controller::BusController;
 use crate::can_wire::WireFrame;
 use crate::uninterrupted;
 
@@ -28,7 +29,7 @@ impl CanHub {
     ///
     /// # Errors
     /// When a line or a thread cannot be made.
-    pub fn start(bus: &CanBus) -> Result<Self> {
+    pub fn start<C: BusController>(bus: &CanBus<C>) -> Result<Self> {
         let (gripper, own_gripper) = UnixStream::pair()?;
         let (master, own_master) = UnixStream::pair()?;
         serve_gripper(bus.join(), own_gripper)?;
@@ -37,7 +38,7 @@ impl CanHub {
     }
 }
 
-fn serve_gripper(station: Station, line: UnixStream) -> Result<()> {
+fn serve_gripper<C: BusController>(station: Station<C>, line: UnixStream) -> Result<()> {
     let pair = Identifiers::DEFAULT.gripper();
     let (send, mut segmenter) = (station.sender(), Segmenter::new());
     let from_gripper = line.try_clone()?;
@@ -60,7 +61,7 @@ fn serve_gripper(station: Station, line: UnixStream) -> Result<()> {
     })
 }
 
-fn serve_master(station: Station, line: UnixStream) -> Result<()> {
+fn serve_master<C: BusController>(station: Station<C>, line: UnixStream) -> Result<()> {
     let (send, mut decoder) = (station.sender(), Decoder::new());
     let from_master = line.try_clone()?;
     let adapter = Arc::new(Mutex::new((line, Adapter::new())));

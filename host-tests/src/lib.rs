@@ -7,6 +7,7 @@
 //! | [`bxcan`] | the CAN controller of the STM32L4, by its manual |
 //! | [`can_bench`] | the same on a CAN bus, with a controller that goes bus-off on command |
 //! | [`can_bus`] | a CAN bus between that controller and others: arbitration, acknowledgement, faults |
+//! | [`can_controller`] | what a bus asks of a CAN controller |
 //! | [`can_hub`] | those on that bus besides the board: a gripper, a master |
 //! | [`can_wire`] | a frame as it is on the wire of a CAN bus |
 //! | [`document`] | the documents as files, and the writer of what is generated in them |
@@ -26,6 +27,7 @@
 //! | [`line_errors`] | framing, parity, noise and overrun on a UART |
 //! | [`load_store`] | loads and stores of Thumb-2, decoded |
 //! | [`masters`] | third-party masters of Modbus and CANopen |
+//! | [`mcp2515`] | the CAN controller behind SPI, by its data sheet |
 //! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`plc_names`] | flags, states and status codes, for the documents |
@@ -47,6 +49,7 @@ pub mod bxcan;
 pub mod can_bench;
 #[cfg(unix)]
 pub mod can_bus;
+pub mod can_controller;
 #[cfg(unix)]
 pub mod can_hub;
 pub mod can_wire;
@@ -74,6 +77,7 @@ pub mod iwdg;
 pub mod line_errors;
 pub mod load_store;
 pub mod masters;
+pub mod mcp2515;
 pub mod modbus_bench;
 #[cfg(unix)]
 pub mod modbus_master;

@@ -1,5 +1,7 @@
 //! Error counters, and what follows from them (RM0351, 46.7.6; ISO 11898-1, fault confinement).
 
+use crate::can_controller::ErrorCode;
+
 /// Bits of ESR (46.9.2), and those of IER at the same places but eight to the left.
 const EWGF: u32 = 1 << 0;
 const EPVF: u32 = 1 << 1;
@@ -18,23 +20,6 @@ const PASSIVE_RETURN: u16 = 120;
 
 /// Sequences of 11 recessive bits that end bus-off.
 const RECOVERY: u32 = 128;
-
-/// Why a frame failed, as LEC tells it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ErrorCode {
-    /// More than five equal bits.
-    Stuff = 1,
-    /// A bit that is fixed was not so.
-    Form = 2,
-    /// Nobody acknowledged.
-    Acknowledgement = 3,
-    /// A recessive bit was not seen.
-    BitRecessive = 4,
-    /// A dominant bit was not seen.
-    BitDominant = 5,
-    /// The checksum is another.
-    Crc = 6,
-}
 
 #[derive(Clone, Debug)]
 pub(super) struct Faults {

@@ -3,6 +3,7 @@
 use anyhow::{Result, ensure};
 use embedded_can::{ExtendedId, Id, StandardId};
 
+use crate::can_controller::Transmission;
 use crate::can_wire::WireFrame;
 
 /// How many there are.
@@ -23,15 +24,6 @@ const TXRQ: u32 = 1 << 0;
 const RTR: u32 = 1 << 1;
 const IDE: u32 = 1 << 2;
 const TGT: u32 = 1 << 8;
-
-/// A message that is to be sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Transmission {
-    /// Which mailbox it is in.
-    pub mailbox: usize,
-    /// The message.
-    pub frame: WireFrame,
-}
 
 #[derive(Clone, Debug, Default)]
 struct Mailbox {

@@ -1,0 +1,528 @@
+//! The CAN controller MCP2515, as Microchip's DS20001801 describes it: what a host sees over SPI, and what it does on a bus.
+//!
+//! The bus is [`can_bus`](crate::can_bus)'s; it says when a frame begins, ends, or fails. Sleep, loopback and listen-only mode and
+//! the pins TXnRTS and RXnBF are refused. What the data sheet forbids a driver and the chip ignores, this ignores too, and keeps
+//! in [`Mcp2515::violations`].
+
+mod buffers;
+mod faults;
+mod filters;
+
+use anyhow::{Result, bail, ensure};
+
+pub use self::buffers::TRANSMIT_BUFFERS;
+use self::buffers::{ReceiveBuffer, TransmitBuffer};
+use self::faults::Faults;
+use crate::can_controller::{BusController, ErrorCode, Transmission};
+use crate::can_wire::WireFrame;
+
+/// Addresses of registers (table 11-1). CANSTAT and CANCTRL are at these places of each row.
+const BFPCTRL: u8 = 0x0C;
+const TXRTSCTRL: u8 = 0x0D;
+const CANSTAT: u8 = 0x0E;
+const CANCTRL: u8 = 0x0F;
+const TEC: u8 = 0x1C;
+const REC: u8 = 0x1D;
+const CNF3: u8 = 0x28;
+const CNF1: u8 = 0x2A;
+const CANINTE: u8 = 0x2B;
+const CANINTF: u8 = 0x2C;
+const EFLG: u8 = 0x2D;
+const TRANSMIT: u8 = 0x30;
+const RECEIVE: u8 = 0x60;
+
+/// How many registers there are; a READ or WRITE goes on at the first one behind the last.
+const REGISTERS: u8 = 0x80;
+
+/// Bits of CANCTRL (register 10-1).
+const REQOP: u8 = 0b111 << 5;
+const ABAT: u8 = 1 << 4;
+const OSM: u8 = 1 << 3;
+const CANCTRL_RESET: u8 = 0x87;
+
+/// Bits of CANINTF and CANINTE (registers 7-1 and 7-2).
+const MERRF: u8 = 1 << 7;
+const ERRIF: u8 = 1 << 5;
+const TX0IF: u8 = 1 << 2;
+const RX0IF: u8 = 1 << 0;
+
+/// Bits of EFLG that a host clears (register 6-3).
+const RX1OVR: u8 = 1 << 7;
+const RX0OVR: u8 = 1 << 6;
+
+/// CNF2: the length of phase segment 2 is that of CNF3 (register 5-2).
+const BTLMODE: u8 = 1 << 7;
+
+/// Recessive bits in a row that a controller waits for before it takes part (ISO 11898-1).
+const BITS_TO_SYNCHRONISE: u32 = 11;
+
+/// Which mode it is in (10.0); others are not modelled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Mode {
+    Normal = 0,
+    Configuration = 4,
+}
+
+/// An SPI instruction (table 12-1) and what is left of it; the chip is selected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Instruction {
+    Awaited,
+    Address(Access),
+    Read {
+        address: u8,
+        clears: u8,
+    },
+    Write {
+        address: u8,
+    },
+    Modify {
+        address: u8,
+        mask: Option<u8>,
+    },
+    ReadStatus,
+    RxStatus,
+    /// Nothing follows.
+    Ended,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Access {
+    Read,
+    Write,
+    Modify,
+}
+
+/// The controller.
+#[derive(Clone, Debug)]
+pub struct Mcp2515 {
+    oscillator_hz: u32,
+    mode: Mode,
+    canctrl: u8,
+    /// CNF1, CNF2, CNF3.
+    timing: [u8; 3],
+    enabled: u8,
+    flags: u8,
+    overflows: u8,
+    filters: filters::Filters,
+    transmit: [TransmitBuffer; TRANSMIT_BUFFERS],
+    receive: [ReceiveBuffer; 2],
+    faults: Faults,
+    /// Recessive bits since it was told to take part, or since the last frame.
+    recessive: u32,
+    is_synchronised: bool,
+    /// The buffer whose message it is sending.
+    sending: Option<usize>,
+    is_receiving: bool,
+    instruction: Option<Instruction>,
+    accepted: Vec<WireFrame>,
+    violations: Vec<String>,
+}
+
+impl Mcp2515 {
+    /// As reset leaves it, with an oscillator of so many Hz.
+    #[must_use]
+    pub fn new(oscillator_hz: u32) -> Self {
+        Self {
+            oscillator_hz,
+            mode: Mode::Configuration,
+            canctrl: CANCTRL_RESET,
+            timing: [0; 3],
+            enabled: 0,
+            flags: 0,
+            overflows: 0,
+            filters: filters::Filters::default(),
+            transmit: Default::default(),
+            receive: Default::default(),
+            faults: Faults::default(),
+            recessive: 0,
+            is_synchronised: false,
+            sending: None,
+            is_receiving: false,
+            instruction: None,
+            accepted: Vec::new(),
+            violations: Vec::new(),
+        }
+    }
+
+    /// Power goes and comes back.
+    pub fn reset(&mut self) {
+        // What the tests look at stays.
+        let violations = std::mem::take(&mut self.violations);
+        *self = Self { violations, ..Self::new(self.oscillator_hz) };
+    }
+
+    /// What has passed its filters since reset, lost for want of a buffer or not.
+    #[must_use]
+    pub fn accepted(&self) -> &[WireFrame] {
+        &self.accepted
+    }
+
+    /// What the driver did that the data sheet forbids and the chip ignores.
+    #[must_use]
+    pub fn violations(&self) -> &[String] {
+        &self.violations
+    }
+
+    /// Where the bit is sampled, in thousandths of it (5.0).
+    #[must_use]
+    pub fn sample_point(&self) -> u32 {
+        let (before, behind) = self.segments();
+        1_000 * before / (before + behind)
+    }
+
+    /// Which transmit buffers are pending, the first one in bit 0.
+    #[must_use]
+    pub fn pending(&self) -> u8 {
+        (0..TRANSMIT_BUFFERS).filter(|&n| self.transmit[n].is_pending()).fold(0, |bits, n| bits | 1 << n)
+    }
+
+    /// The level of its pin INT: low while something is told of that is enabled (7.0).
+    #[must_use]
+    pub fn interrupt_pin(&self) -> bool {
+        self.flags & self.enabled == 0
+    }
+
+    /// Its pin CS goes low.
+    pub fn select(&mut self) {
+        self.instruction = Some(Instruction::Awaited);
+    }
+
+    /// Its pin CS goes high.
+    pub fn deselect(&mut self) {
+        if let Some(Instruction::Read { clears, .. }) = self.instruction.take() {
+            // 12.4: READ RX BUFFER clears the buffer's flag then.
+            self.flags &= !clears;
+        }
+    }
+
+    /// A byte goes in and one comes out; while it listens, that one is FFh here.
+    ///
+    /// # Errors
+    /// When there is no such instruction or register, or what is asked for is not modelled.
+    pub fn exchange(&mut self, byte: u8) -> Result<u8> {
+        let Some(instruction) = self.instruction else { bail!("the chip is not selected") };
+        let mut out = 0xFF;
+        let next = match instruction {
+            Instruction::Awaited => self.begin(byte)?,
+            Instruction::Address(access) => {
+                let address = byte % REGISTERS;
+                match access {
+                    Access::Read => Instruction::Read { address, clears: 0 },
+                    Access::Write => Instruction::Write { address },
+                    Access::Modify => Instruction::Modify { address, mask: None },
+                }
+            }
+            Instruction::Read { address, clears } => {
+                out = self.load(address);
+                Instruction::Read { address: (address + 1) % REGISTERS, clears }
+            }
+            Instruction::Write { address } => {
+                self.store(address, byte, 0xFF)?;
+                Instruction::Write { address: (address + 1) % REGISTERS }
+            }
+            Instruction::Modify { address, mask: None } => Instruction::Modify { address, mask: Some(byte) },
+            Instruction::Modify { address, mask: Some(mask) } => {
+                // 12.10: where single bits cannot be modified, the mask is forced to FFh.
+                let mask = if is_bit_modifiable(address) { mask } else { 0xFF };
+                self.store(address, byte, mask)?;
+                Instruction::Ended
+            }
+            Instruction::ReadStatus => {
+                out = self.read_status();
+                instruction
+            }
+            Instruction::RxStatus => {
+                out = self.rx_status();
+                instruction
+            }
+            Instruction::Ended => instruction,
+        };
+        self.instruction = Some(next);
+        Ok(out)
+    }
+
+    fn begin(&mut self, code: u8) -> Result<Instruction> {
+        Ok(match code {
+            0b1100_0000 => {
+                self.reset();
+                Instruction::Ended
+            }
+            0b0000_0011 => Instruction::Address(Access::Read),
+            0b0000_0010 => Instruction::Address(Access::Write),
+            0b0000_0101 => Instruction::Address(Access::Modify),
+            0b1010_0000 => Instruction::ReadStatus,
+            0b1011_0000 => Instruction::RxStatus,
+            // Figure 12-3: from the identifier or the data on.
+            0b1001_0000 | 0b1001_0010 | 0b1001_0100 | 0b1001_0110 => {
+                let (buffer, is_data) = (code >> 2 & 1, code >> 1 & 1);
+                let address = RECEIVE + 0x10 * buffer + if is_data == 1 { 6 } else { 1 };
+                Instruction::Read { address, clears: RX0IF << buffer }
+            }
+            // Figure 12-5.
+            0b0100_0000..=0b0100_0101 => {
+                let (buffer, is_data) = (code >> 1 & 0b11, code & 1);
+                let address = TRANSMIT + 0x10 * buffer + if is_data == 1 { 6 } else { 1 };
+                Instruction::Write { address }
+            }
+            0b1000_0000..=0b1000_0111 => {
+                for n in (0..TRANSMIT_BUFFERS).filter(|n| code >> n & 1 == 1) {
+                    self.transmit[n].request();
+                }
+                Instruction::Ended
+            }
+            _ => bail!("the MCP2515 has no instruction {code:#010b}"),
+        })
+    }
+
+    /// Figure 12-8.
+    fn read_status(&self) -> u8 {
+        let received = self.flags & 0b11;
+        (0..TRANSMIT_BUFFERS).fold(received, |status, n| {
+            let is_sent = self.flags >> (2 + n) & 1;
+            status | u8::from(self.transmit[n].is_pending()) << (2 + 2 * n) | is_sent << (3 + 2 * n)
+        })
+    }
+
+    /// Figure 12-9: of both buffers, the first is told of.
+    fn rx_status(&self) -> u8 {
+        let full = self.flags & 0b11;
+        let told = usize::from(full == 0b10);
+        full << 6 | if full == 0 { 0 } else { self.receive[told].kind(told) }
+    }
+
+    fn load(&self, address: u8) -> u8 {
+        match address {
+            _ if address & 0xF == CANSTAT => (self.mode as u8) << 5 | self.interrupt_code() << 1,
+            _ if address & 0xF == CANCTRL => self.canctrl,
+            BFPCTRL | TXRTSCTRL => 0,
+            TEC => self.faults.transmit(),
+            REC => self.faults.receive(),
+            CNF3..=CNF1 => self.timing[usize::from(CNF1 - address)],
+            CANINTE => self.enabled,
+            CANINTF => self.flags,
+            EFLG => self.overflows | self.faults.flags(),
+            TRANSMIT..RECEIVE => self.transmit[usize::from(address / 0x10 - 3)].load(address & 0xF),
+            RECEIVE.. => {
+                let buffer = usize::from(address / 0x10 - 6);
+                self.receive[buffer].load(buffer, address & 0xF)
+            }
+            _ => self.filters.load(address),
+        }
+    }
+
+    /// Stores the bits of a mask.
+    fn store(&mut self, address: u8, value: u8, mask: u8) -> Result<()> {
+        let value = self.load(address) & !mask | value & mask;
+        let is_configuration = self.mode == Mode::Configuration;
+        match address {
+            _ if address & 0xF == CANSTAT => {}
+            _ if address & 0xF == CANCTRL => self.store_canctrl(value)?,
+            BFPCTRL | TXRTSCTRL => ensure!(value == 0, "the pins TXnRTS and RXnBF are not modelled"),
+            // Registers 6-1 and 6-2: read only.
+            TEC | REC => {}
+            CNF3..=CNF1 if is_configuration => self.timing[usize::from(CNF1 - address)] = value,
+            CANINTE => self.enabled = value,
+            CANINTF => self.flags = value,
+            EFLG => self.overflows &= value,
+            TRANSMIT..RECEIVE => {
+                let buffer = usize::from(address / 0x10 - 3);
+                if !self.transmit[buffer].store(address & 0xF, value, self.sending == Some(buffer)) {
+                    self.forbidden(format!("3.2: a pending buffer was written to, at {address:#04X}"));
+                }
+            }
+            RECEIVE.. if address & 0xF == 0 => {
+                self.receive[usize::from(address / 0x10 - 6)].store_control(value);
+            }
+            RECEIVE.. => self.forbidden(format!("4.0: a receive buffer was written to, at {address:#04X}")),
+            _ if is_configuration => self.filters.store(address, value),
+            _ => self.forbidden(format!(
+                "10.1: {address:#04X} can only be written in Configuration mode, which this is not"
+            )),
+        }
+        Ok(())
+    }
+
+    fn store_canctrl(&mut self, value: u8) -> Result<()> {
+        self.canctrl = value;
+        if value & ABAT != 0 {
+            for (n, buffer) in self.transmit.iter_mut().enumerate() {
+                buffer.abort_all(self.sending == Some(n));
+            }
+        }
+        ensure!(
+            matches!(value >> 5, 0 | 4),
+            "mode {} is not modelled: but for Normal and Configuration mode none is",
+            value >> 5
+        );
+        self.change_mode();
+        Ok(())
+    }
+
+    /// 10.0: the mode changes when all pending messages are sent.
+    fn change_mode(&mut self) {
+        let wanted = if self.canctrl & REQOP == 0 { Mode::Normal } else { Mode::Configuration };
+        let is_busy = self.is_receiving || self.sending.is_some();
+        let is_pending = self.mode == Mode::Normal && self.pending() != 0;
+        if wanted == self.mode || is_busy || is_pending {
+            return;
+        }
+        self.mode = wanted;
+        (self.recessive, self.is_synchronised) = (0, false);
+        if wanted == Mode::Configuration {
+            // 10.1
+            self.faults = Faults::default();
+        }
+    }
+
+    /// ICOD: the first of those that are enabled (table 7-1).
+    fn interrupt_code(&self) -> u8 {
+        const ORDER: [u8; 7] = [ERRIF, 1 << 6, TX0IF, TX0IF << 1, TX0IF << 2, RX0IF, RX0IF << 1];
+        let raised = self.flags & self.enabled;
+        ORDER.iter().position(|flag| raised & flag != 0).map_or(0, |at| at as u8 + 1)
+    }
+
+    /// Time quanta up to the sample point, and behind it (5.0).
+    fn segments(&self) -> (u32, u32) {
+        let [_, cnf2, cnf3] = self.timing;
+        let (propagation, phase_1) = (u32::from(cnf2 & 0b111) + 1, u32::from(cnf2 >> 3 & 0b111) + 1);
+        let phase_2 = if cnf2 & BTLMODE != 0 { u32::from(cnf3 & 0b111) + 1 } else { phase_1.max(2) };
+        (1 + propagation + phase_1, phase_2)
+    }
+
+    fn forbidden(&mut self, what: String) {
+        self.violations.push(what);
+    }
+
+    fn has_changed(&mut self, before: u8) {
+        if self.faults.flags() != before {
+            self.flags |= ERRIF;
+        }
+    }
+
+    /// A frame ends with as many recessive bits as a controller synchronises to.
+    fn end_activity(&mut self) {
+        (self.sending, self.is_receiving) = (None, false);
+        self.change_mode();
+        self.recessive = 0;
+        self.idle(BITS_TO_SYNCHRONISE);
+    }
+
+    fn overflow(&mut self, buffer: usize) {
+        self.overflows |= [RX0OVR, RX1OVR][buffer];
+        self.flags |= ERRIF;
+    }
+}
+
+/// Table 11-1: the registers that are shaded there.
+fn is_bit_modifiable(address: u8) -> bool {
+    match address {
+        BFPCTRL | TXRTSCTRL | CNF3..=EFLG => true,
+        TRANSMIT.. => address & 0xF == 0 || address & 0xF == CANCTRL,
+        _ => address & 0xF == CANCTRL,
+    }
+}
+
+impl BusController for Mcp2515 {
+    fn rate(&self) -> u32 {
+        let (before, behind) = self.segments();
+        // A time quantum is two oscillator periods, and more by BRP (5.1).
+        let prescaler = 2 * (u32::from(self.timing[0] & 0x3F) + 1);
+        self.oscillator_hz / (prescaler * (before + behind))
+    }
+
+    fn takes_part(&self) -> bool {
+        self.mode == Mode::Normal && self.is_synchronised && !self.faults.is_off()
+    }
+
+    fn next_transmission(&self) -> Option<Transmission> {
+        // 3.6: as long as ABAT is set, nothing leaves.
+        if !self.takes_part() || self.canctrl & ABAT != 0 {
+            return None;
+        }
+        // 3.3: by TXP, and of equal ones the higher buffer.
+        let pending = (0..TRANSMIT_BUFFERS).filter(|&n| self.transmit[n].is_pending());
+        let mailbox = pending.max_by_key(|&n| (self.transmit[n].priority(), n))?;
+        Some(Transmission { mailbox, frame: self.transmit[mailbox].frame() })
+    }
+
+    fn begin_transmission(&mut self, mailbox: usize) {
+        self.sending = Some(mailbox);
+    }
+
+    fn begin_reception(&mut self, lost: Option<usize>) {
+        self.recessive = 0;
+        if let Some(buffer) = lost {
+            let is_once = self.canctrl & OSM != 0;
+            self.transmit[buffer].lose(is_once);
+        }
+        self.is_receiving = self.takes_part();
+    }
+
+    fn end_transmission(&mut self, mailbox: usize) {
+        self.transmit[mailbox].complete();
+        self.flags |= TX0IF << mailbox;
+        let before = self.faults.flags();
+        self.faults.transmitted();
+        self.has_changed(before);
+        self.end_activity();
+    }
+
+    fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
+        let is_once = self.canctrl & OSM != 0;
+        let is_aborted = self.canctrl & ABAT != 0;
+        self.transmit[mailbox].fail(is_once, is_aborted);
+        self.flags |= MERRF;
+        let before = self.faults.flags();
+        self.faults.transmit_error(why);
+        self.has_changed(before);
+        self.end_activity();
+    }
+
+    fn end_reception(&mut self, frame: &WireFrame) {
+        if self.is_receiving {
+            let before = self.faults.flags();
+            self.faults.received();
+            self.has_changed(before);
+            let modes = [&self.receive[0], &self.receive[1]].map(ReceiveBuffer::takes_any);
+            // Figure 4-3.
+            if let Some((buffer, filter)) = self.filters.pass(frame, modes) {
+                self.accepted.push(*frame);
+                let is_full = |n: usize| self.flags >> n & 1 == 1;
+                let rolls_over = buffer == 0 && is_full(0) && self.receive[0].rolls_over();
+                let target = if rolls_over { 1 } else { buffer };
+                if is_full(target) {
+                    self.overflow(target);
+                } else {
+                    self.receive[target].put(frame, filter);
+                    self.flags |= RX0IF << target;
+                }
+            }
+        }
+        self.end_activity();
+    }
+
+    fn fail_reception(&mut self, _: ErrorCode) {
+        if self.is_receiving {
+            self.flags |= MERRF;
+            let before = self.faults.flags();
+            self.faults.receive_error();
+            self.has_changed(before);
+        }
+        self.end_activity();
+    }
+
+    fn idle(&mut self, bits: u32) {
+        let before = self.recessive;
+        self.recessive = before.saturating_add(bits);
+        if self.mode == Mode::Normal {
+            self.is_synchronised |= self.recessive >= BITS_TO_SYNCHRONISE;
+            let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
+            let flags = self.faults.flags();
+            self.faults.heard_recessive(sequences);
+            self.has_changed(flags);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
