@@ -1,21 +1,22 @@
-//! The firmware image on an emulated B-L475E-IOT01A: power it, wire it, watch it.
+//! The firmware image on an emulated board: power it, wire it, watch it.
 //!
-//! QEMU runs the ELF that is flashed. The PLC's input wires are driven through qtest, its output
-//! wires are watched in QEMU's trace, the gripper's line (UART4), the bus (LPUART1) and the service port (USART1) are sockets.
+//! The ELF that is flashed runs, and tells which board it is for: a B-L475E-IOT01A in QEMU, or a Raspberry Pi Pico in rp2040js
+//! under Node.js. The PLC's wires, the gripper's line, the bus and the service port are the same for both; lines are sockets.
 //! Nothing here sleeps, and every wait has a bound. To reset the board drop the [`Emulator`] and start another.
 //!
-//! QEMU ends with the process that started it, however that ends.
+//! The emulator ends with the process that started it, however that ends.
 //!
-//! Peripherals that QEMU's machine lacks are models, for those who want them ([`Extras::models`]). What nothing here shows
-//! are real time, baud rates on the wire and electrical levels.
+//! Peripherals that QEMU's machine lacks are models, for those who want them ([`Extras::models`]); the Pico's lines run at their
+//! rates. What nothing here shows are real time, baud rates on QEMU's lines and electrical levels.
 
 mod output_port;
 mod qemu;
+mod rp2040;
 mod sockets;
 mod watch;
 
 use std::fmt;
-use std::fs::File;
+use std::fs::{self, File};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::Child;
@@ -24,10 +25,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use object::Object;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
 use self::qemu::{QEMU, Qemu};
+use self::rp2040::{NODE, Rp2040};
 use self::watch::Watch;
+use crate::can_bus::CanBus;
+use crate::mcp2515::Mcp2515;
 use crate::registers::RegisterModel;
 
 /// An emulator starts in tens of milliseconds and answers in less; this is for a host that is very busy.
@@ -72,6 +77,12 @@ pub struct Extras<'a> {
     pub models: Vec<Box<dyn RegisterModel>>,
     /// More arguments to QEMU.
     pub qemu_arguments: &'a [&'a str],
+    /// Of the Pico: the CAN bus that its MCP2515 is on; without it there is no chip on its SPI.
+    pub can: Option<CanBus<Mcp2515>>,
+    /// Of the Pico: the file that keeps what the flash holds. Without it the flash is forgotten.
+    pub flash: Option<&'a Path>,
+    /// Of the Pico: its watchdog resets it; without this it ends then.
+    pub may_reset: bool,
 }
 
 /// The wires to the PLC changed, all at once.
@@ -89,7 +100,7 @@ impl Emulator {
     /// All inputs are low, that is, broken wires: the firmware boots with a FAST STOP wanted.
     ///
     /// # Errors
-    /// When QEMU is missing, refuses to start, or runs no firmware for this board; one line says which.
+    /// When the emulator is missing, refuses to start, or runs no firmware for this board; one line says which.
     pub fn start(elf: &Path) -> Result<Self> {
         Self::start_with(elf, Extras::default())
     }
@@ -99,9 +110,16 @@ impl Emulator {
     /// # Errors
     /// See [`start`](Self::start).
     pub fn start_with(elf: &Path, extras: Extras<'_>) -> Result<Self> {
-        let watch = Arc::new(Watch::of(QEMU));
-        let (qemu, lines) = Qemu::start(elf, extras, &watch)?;
-        Ok(Self { chip: Box::new(qemu), inputs: Mutex::new(Inputs::empty()), lines, watch })
+        let is_pico = entry(elf).is_some_and(|entry| rp2040::FLASH.contains(&entry));
+        let watch = Arc::new(Watch::of(if is_pico { NODE } else { QEMU }));
+        let (chip, lines): (Box<dyn Chip>, Lines) = if is_pico {
+            let (rp2040, lines) = Rp2040::start(elf, &extras, &watch)?;
+            (Box::new(rp2040), lines)
+        } else {
+            let (qemu, lines) = Qemu::start(elf, extras, &watch)?;
+            (Box::new(qemu), lines)
+        };
+        Ok(Self { chip, inputs: Mutex::new(Inputs::empty()), lines, watch })
     }
 
     /// The gripper's end of the line: what the firmware sends comes out, what goes in it receives.
@@ -129,7 +147,7 @@ impl Emulator {
     /// Drives all input wires; those that change do so one after the other, in the order of their bits.
     ///
     /// # Errors
-    /// When QEMU has ended.
+    /// When the emulator has ended.
     pub fn set_inputs(&self, inputs: Inputs) -> Result<()> {
         self.drive(|_| inputs)
     }
@@ -137,7 +155,7 @@ impl Emulator {
     /// Drives one input wire, or several, and leaves the others as they are.
     ///
     /// # Errors
-    /// When QEMU has ended.
+    /// When the emulator has ended.
     pub fn set_input(&self, wires: Inputs, high: bool) -> Result<()> {
         self.drive(|driven| if high { driven | wires } else { driven - wires })
     }
@@ -166,7 +184,7 @@ impl Emulator {
         lock(&self.watch.seen).outputs
     }
 
-    /// Every change of the output wires since power-up, past ones first. Ends when QEMU does.
+    /// Every change of the output wires since power-up, past ones first. Ends when the emulator does.
     ///
     /// Each caller gets all of them.
     #[must_use]
@@ -180,7 +198,7 @@ impl Emulator {
     /// [`output_changes`](Self::output_changes).
     ///
     /// # Errors
-    /// When `timeout` passes first, or QEMU ends.
+    /// When `timeout` passes first, or the emulator ends.
     pub fn wait_outputs(&self, timeout: Duration, wanted: impl Fn(Outputs) -> bool) -> Result<Outputs> {
         let seen = self.watch.wait(timeout, |seen| wanted(seen.outputs));
         seen.map(|seen| seen.outputs).with_context(|| {
@@ -192,7 +210,7 @@ impl Emulator {
     /// Reads the 32-bit word at `address` in the board's memory, registers included.
     ///
     /// # Errors
-    /// When QEMU has ended.
+    /// When the emulator has ended.
     pub fn readl(&self, address: u32) -> Result<u32> {
         self.ask(|chip| chip.readl(address))
     }
@@ -200,7 +218,7 @@ impl Emulator {
     /// Reads `len` bytes of the board's memory from `address` on.
     ///
     /// # Errors
-    /// When QEMU has ended.
+    /// When the emulator has ended.
     pub fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>> {
         self.ask(|chip| chip.read_memory(address, len))
     }
@@ -210,7 +228,7 @@ impl Emulator {
     /// A wait for this to advance is one in the board's time, however slow the host is.
     ///
     /// # Errors
-    /// When the image has no symbols, or QEMU has ended.
+    /// When the image for QEMU has no symbols, or the emulator has ended.
     pub fn now_ms(&self) -> Result<u32> {
         self.ask(|chip| chip.now_ms())
     }
@@ -223,6 +241,11 @@ impl Emulator {
         }
         question(&*self.chip).with_context(|| lock(&self.watch.seen).last_words())
     }
+}
+
+/// Where the image begins to run, which tells the board that it is for.
+fn entry(elf: &Path) -> Option<u64> {
+    Some(object::File::parse(&*fs::read(elf).ok()?).ok()?.entry())
 }
 
 fn end(process: &mut Child) {

@@ -11,7 +11,7 @@ use std::process::{Command, Output};
 /// The environment variable that says where the Python is that has them.
 pub const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
 
-/// The environment variable that says in which folder Node.js finds them.
+/// The environment variable that says in which folder Node.js finds them, and the emulator of the Pico.
 pub const NODE_VARIABLE: &str = "WSG_MODBUS_NODE";
 
 /// Runs a Python script with the masters' Python.

@@ -3,11 +3,14 @@
 use std::fs;
 use std::io;
 use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
 
 use anyhow::{Context, Result};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 
 /// Sockets in a directory of their own; all are gone when this is dropped.
 #[derive(Debug)]
@@ -36,16 +39,35 @@ impl Sockets {
         Ok(Self { directory, listeners })
     }
 
+    /// Where they are.
+    pub(super) fn directory(&self) -> &Path {
+        &self.directory
+    }
+
     /// Where one of them is.
     pub(super) fn path(&self, name: &str) -> PathBuf {
         self.directory.join(name)
     }
 
+    /// Waits until the emulator connects to the socket of this name; whether it does in time.
+    pub(super) fn wait(&self, name: &str, time: Duration) -> Result<bool> {
+        let timeout = Timespec { tv_sec: 0, tv_nsec: time.subsec_nanos().into() };
+        match poll(&mut [PollFd::new(self.listener(name)?, PollFlags::IN)], Some(&timeout)) {
+            Ok(ready) => Ok(ready > 0),
+            Err(Errno::INTR) => Ok(false),
+            Err(error) => Err(error).context("no poll"),
+        }
+    }
+
+    fn listener(&self, name: &str) -> io::Result<&UnixListener> {
+        let named = self.listeners.iter().find(|(its, _)| *its == name);
+        Ok(&named.ok_or(io::ErrorKind::NotFound)?.1)
+    }
+
     /// The connection that the emulator has made to the socket of this name.
     pub(super) fn accept(&self, name: &str) -> Result<UnixStream> {
         let accept = || {
-            let named = self.listeners.iter().find(|(its, _)| *its == name);
-            let (connection, _) = named.ok_or(io::ErrorKind::NotFound)?.1.accept()?;
+            let (connection, _) = self.listener(name)?.accept()?;
             connection.set_nonblocking(false)?;
             Ok::<_, io::Error>(connection)
         };

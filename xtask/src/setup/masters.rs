@@ -27,6 +27,9 @@ const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 /// The masters from PyPI, as they stand in the names of the tests that need them.
 const FROM_PYPI: [&str; 6] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen", "pyprofibus", "pytest"];
 
+/// The packages from npm the same way: a master, and the emulator of the Pico.
+const FROM_NPM: [&str; 2] = ["jsmodbus", "rp2040js"];
+
 /// Debian's programs: as they stand in the names of the tests that need them, the program, its package.
 const FROM_DEBIAN: [(&str, &str, &str); 4] = [
     ("mbpoll", "mbpoll", "mbpoll"),
@@ -61,7 +64,7 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     let node = packages.join("node_modules");
     let has_node = || {
         let mut start = Command::new("node");
-        start.args(["-e", "require('jsmodbus')"]).env("NODE_PATH", &node);
+        start.args(["-e", "require('jsmodbus'); require('rp2040js')"]).env("NODE_PATH", &node);
         is_of(&packages, &lists, &NODE_PACKAGES) && process::answer(&mut start).is_some()
     };
     if !has_node() && !installing_is_forbidden() && process::exists("npm") {
@@ -72,7 +75,7 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
         missing.extend(FROM_PYPI);
     }
     if !has_node() {
-        missing.push("jsmodbus");
+        missing.extend(FROM_NPM);
     }
     missing.extend(lacking_programs());
     Masters { python, node, missing }

@@ -1,0 +1,183 @@
+// The QSPI flash of a Pico (2 MiB, W25Q16JV), the image in it, and what of the boot ROM programs it (RP2040 data sheet, 2.8).
+//
+// There is no boot ROM of Raspberry Pi's: where it has a function, this one has a breakpoint, and does it. What a real flash would
+// not do, or would crash, ends the machine.
+"use strict";
+
+const fs = require("node:fs");
+
+const LEN = 2 << 20;
+const SECTOR = 4096;
+const PAGE = 256;
+const XIP = 0x10000000;
+
+// W25Q16JV, 9.6: how long a sector's erase and a page's programming typically take.
+const ERASE_NANOS = 45e6;
+const PROGRAM_NANOS = 0.4e6;
+
+// Where in the ROM the tables and the breakpoints are.
+const FUNCTIONS = 0x100;
+const DATA = 0x180;
+const STUBS = 0x200;
+const STUB_LEN = 4;
+
+// The function `lookup` comes first: the ROM has its address apart from the table.
+const CODES = ["lookup", "IF", "EX", "RE", "RP", "FC", "CX"];
+
+class Flash {
+    // `file` keeps what the flash holds; null: it is forgotten.
+    constructor(image, file, fail) {
+        this.bytes = new Uint8Array(LEN).fill(0xff);
+        this.fail = fail;
+        // How far an operation gets before the power goes: the first `cut` pages or sectors from now on; null: it stays.
+        this.cut = null;
+        this.file = file;
+        if (file && fs.existsSync(file)) this.bytes.set(fs.readFileSync(file).subarray(0, LEN));
+        for (const { address, bytes } of segments(image)) {
+            if (address < XIP || address + bytes.length > XIP + LEN) {
+                throw new Error(`the image has ${bytes.length} bytes at 0x${address.toString(16)}, where no flash is`);
+            }
+            this.bytes.set(bytes, address - XIP);
+        }
+        const sum = crc(this.bytes.subarray(0, 252));
+        const told = new DataView(this.bytes.buffer).getUint32(252, true);
+        // 2.8.1.3.1
+        if (sum !== told) throw new Error("the boot ROM would not start it: the second stage's checksum is wrong");
+        if (file) fs.writeFileSync(file, this.bytes);
+    }
+
+    // Gives a machine this flash and this ROM.
+    install(rp2040) {
+        this.rp2040 = rp2040;
+        this.isMapped = true;
+        this.nanos = 0;
+        rp2040.flash.set(this.bytes);
+        const rom = new DataView(rp2040.bootrom.buffer);
+        rom.setUint32(0x10, 0x0301754d, true);
+        rom.setUint16(0x14, FUNCTIONS, true);
+        rom.setUint16(0x16, DATA, true);
+        rom.setUint16(0x18, STUBS | 1, true);
+        CODES.forEach((_, n) => rom.setUint32(STUBS + n * STUB_LEN, 0x4770be00 | n, true));
+        rp2040.onBreak = (code) => {
+            if (rp2040.core.PC >= 0x4000) this.fail(`breakpoint ${code} at ${hex(rp2040.core.PC)}`);
+            else this.call(CODES[code], rp2040.core.registers);
+        };
+        // Boot from flash maps it: the second stage enables the interface.
+        const ssi = rp2040.peripherals[0x18000];
+        const write = ssi.writeUint32.bind(ssi);
+        ssi.writeUint32 = (offset, value) => {
+            if (offset === 0x08 && value === 1) this.isMapped = true;
+            write(offset, value);
+        };
+    }
+
+    // How long the ROM's function has taken that was called last.
+    takeNanos() {
+        const { nanos } = this;
+        this.nanos = 0;
+        return nanos;
+    }
+
+    call(code, registers) {
+        const [first, second, third] = registers;
+        switch (code) {
+            case "lookup": {
+                const wanted = String.fromCharCode(second & 0xff, (second >> 8) & 0xff);
+                const n = first === FUNCTIONS ? CODES.indexOf(wanted) : -1;
+                registers[0] = n > 0 ? (STUBS + n * STUB_LEN) | 1 : 0;
+                if (n < 0) this.fail(`the boot ROM's ${wanted} is not modelled`);
+                break;
+            }
+            case "IF":
+            case "EX":
+                this.isMapped = false;
+                break;
+            case "CX":
+                this.isMapped = true;
+                break;
+            case "FC":
+                break;
+            case "RE":
+                this.erase(first, second);
+                break;
+            case "RP":
+                this.program(first, second, third);
+                break;
+        }
+    }
+
+    erase(at, len) {
+        if (!this.may("erase", at, len, SECTOR)) return;
+        for (let sector = at; sector < at + len; sector += SECTOR) {
+            if (!this.begin(ERASE_NANOS)) return;
+            this.rp2040.flash.fill(0xff, sector, sector + SECTOR);
+            this.keep(sector, SECTOR);
+        }
+    }
+
+    program(at, from, len) {
+        if (!this.may("program", at, len, PAGE)) return;
+        for (let page = at; page < at + len; page += PAGE) {
+            if (!this.begin(PROGRAM_NANOS)) return;
+            for (let n = 0; n < PAGE; n++) {
+                // A bit becomes 0 by programming, and 1 by an erase alone.
+                this.rp2040.flash[page + n] &= this.rp2040.readUint8(from + page - at + n);
+            }
+            this.keep(page, PAGE);
+        }
+    }
+
+    may(what, at, len, unit) {
+        if (this.isMapped) this.fail(`${what} at ${hex(at)} while the flash is mapped`);
+        else if (at % unit || len % unit || at + len > LEN) this.fail(`${what} of ${len} bytes at ${hex(at)}`);
+        else return true;
+        return false;
+    }
+
+    // Whether the power lasts for one more operation.
+    begin(nanos) {
+        if (this.cut !== null && this.cut-- <= 0) {
+            this.fail("the power was cut");
+            return false;
+        }
+        this.nanos += nanos;
+        return true;
+    }
+
+    keep(at, len) {
+        const bytes = this.rp2040.flash.subarray(at, at + len);
+        this.bytes.set(bytes, at);
+        if (!this.file) return;
+        const file = fs.openSync(this.file, "r+");
+        fs.writeSync(file, bytes, 0, len, at);
+        fs.closeSync(file);
+    }
+}
+
+// What an ELF file loads, by the addresses that it is stored at.
+function segments(elf) {
+    if (elf.readUInt32BE(0) !== 0x7f454c46 || elf[4] !== 1) throw new Error("no ELF file of 32 bits");
+    const [table, size, count] = [elf.readUInt32LE(28), elf.readUInt16LE(42), elf.readUInt16LE(44)];
+    const found = [];
+    for (let n = 0; n < count; n++) {
+        const [type, at, , address, len] = [0, 4, 8, 12, 16].map((field) => elf.readUInt32LE(table + n * size + field));
+        if (type === 1 && len) found.push({ address, bytes: elf.subarray(at, at + len) });
+    }
+    return found;
+}
+
+// CRC-32 of the boot ROM: not reflected, no final inversion.
+function crc(bytes) {
+    let sum = 0xffffffff;
+    for (const byte of bytes) {
+        sum ^= byte << 24;
+        for (let bit = 0; bit < 8; bit++) sum = sum & 0x80000000 ? (sum << 1) ^ 0x04c11db7 : sum << 1;
+    }
+    return sum >>> 0;
+}
+
+function hex(address) {
+    return `0x${(address >>> 0).toString(16).padStart(8, "0")}`;
+}
+
+module.exports = { Flash, hex };

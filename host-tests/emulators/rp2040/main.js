@@ -1,0 +1,321 @@
+// A Raspberry Pi Pico for the tests: rp2040js runs the image, and this is what is round the chip.
+//
+//   node main.js ELF --sockets FOLDER --outputs MASK [--flash FILE] [--can] [--reboot]
+//
+// In the folder are the sockets that this connects to: `control`, a line a command and a line an answer or an event; `gripper`
+// (UART0), `bus` (UART1) and `service` (USB). With --can an MCP2515 is on SPI0, whose model asks and answers over standard input
+// and output. Time is the machine's: asleep it follows the clock on the wall; busy, it takes as long as it does.
+//
+// Commands: `in PIN LEVEL`; `read ADDRESS LEN`; `time`; `error UART KIND EVERY`, `error UART none`; `cut OPERATIONS`.
+// Answers: `ok ...`, `refused WHY`. Events: `out LEVELS` of the pins in MASK; `served LEVELS`, the first that
+// were written with all of them driven; `reset`; `end WHY`.
+"use strict";
+
+const fs = require("node:fs");
+const net = require("node:net");
+const path = require("node:path");
+const { parseArgs } = require("node:util");
+const { RP2040 } = require("rp2040js");
+const { Flash, hex } = require("./flash.js");
+const { Pl011 } = require("./pl011.js");
+const { SpiToModel } = require("./spi.js");
+const { UsbHost } = require("./usb.js");
+
+const { values: options, positionals } = parseArgs({
+    allowPositionals: true,
+    options: {
+        sockets: { type: "string" },
+        outputs: { type: "string" },
+        flash: { type: "string" },
+        can: { type: "boolean", default: false },
+        reboot: { type: "boolean", default: false },
+    },
+});
+
+// boards/pico has them in its pin table.
+const BUS_DRIVER = 6;
+const CAN_SELECT = 17, CAN_INTERRUPT = 20;
+const SPI0 = 0x4003c, UARTS = [0x40034, 0x40038], UART_INTERRUPTS = [20, 21], IO_BANK0 = 0x40014, GPIO_OUT_XOR = 0x1c;
+
+// Where the boot ROM leaves the core (data sheet, 2.8.1.4).
+const BOOT_STACK = 0x20041f00, BOOT_ENTRY = 0x10000000;
+
+// How far the machine's time may be ahead of the wall's when it sleeps, which saves a pause that no host could make so short;
+// and by how much it may be late and still catch up.
+const AHEAD_NANOS = 1e6, LATE_NANOS = 4e6;
+// How long, on the wall, until commands and bytes are looked at.
+const SLICE_MILLIS = 1;
+
+// Pins that firmware drives one by one change one after the other: told is how they are a moment after the first of them, shorter
+// than any input of a PLC is filtered.
+const SETTLE_NANOS = 5000;
+
+const outputMask = Number(options.outputs);
+
+class Pico {
+    constructor() {
+        this.flash = new Flash(fs.readFileSync(positionals[0]), options.flash ?? null, (why) => this.end(why));
+        this.ended = null;
+        this.inputs = 0;
+        this.shown = 0;
+        this.isServed = this.isToldServed = false;
+        this.errors = [null, null];
+        const connect = (name) => net.connect(path.join(options.sockets, name)).on("error", () => {});
+        this.lines = ["gripper", "bus", "service"].map(connect);
+        this.lines.forEach((line, n) => line.on("data", (bytes) => this.onLine(n, bytes)));
+        this.toSend = this.lines.map(() => []);
+        this.control = connect("control").on("data", (text) => this.onControl(text)).on("close", () => process.exit());
+        this.partial = "";
+        this.offset = 0;
+        this.model = options.can ? new SpiToModel() : null;
+        this.powerUp(0);
+        this.offset = this.wall();
+    }
+
+    // A reset: of what there was, the flash, the time, the watchdog's notes and what is wrong with the lines stay.
+    powerUp(nanos, watchdogBefore) {
+        this.rp2040 = new RP2040();
+        const { rp2040 } = this;
+        this.clock = rp2040.clock;
+        this.clock.nanosCounter = nanos;
+        rp2040.logger = {
+            debug() {},
+            info() {},
+            // What rp2040js does not model the hardware has, but for memory.
+            warn: (name, message) => message.match(/invalid|undefined/) && this.end(`${message}, PC ${hex(rp2040.core.PC)}`),
+            error: (name, message) => this.end(`${name}: ${message}, PC ${hex(rp2040.core.PC)}`),
+        };
+        const watchdog = rp2040.peripherals[0x40058];
+        watchdog.reason = watchdogBefore?.reason ?? 0;
+        if (watchdogBefore) watchdog.scratchData.set(watchdogBefore.scratchData);
+        watchdog.onWatchdogTrigger = () => (this.isReset = true);
+        this.isReset = false;
+        this.settled = this.clock.createAlarm(() => this.show());
+        this.flash.install(rp2040);
+        this.correctCore();
+        this.uarts = UARTS.map((address, n) => {
+            const send = (byte) => this.toSend[n].push(byte);
+            const driver = () => n === 0 || this.isHigh(BUS_DRIVER);
+            const uart = new Pl011(rp2040, `UART${n}`, UART_INTERRUPTS[n], { send, driver, complain: (why) => this.end(why) });
+            rp2040.peripherals[address] = rp2040.uart[n] = uart;
+            uart.setError(...(this.errors[n] ?? [null]));
+            return uart;
+        });
+        this.usb = new UsbHost(rp2040.usbCtrl, (bytes) => this.toSend[2].push(...bytes));
+        for (let pin = 0; pin < 30; pin++) rp2040.gpio[pin].setInputValue(((this.inputs >> pin) & 1) !== 0);
+        for (const [of, address] of [[rp2040.sio], [rp2040.peripherals[IO_BANK0]]]) {
+            const write = of.writeUint32.bind(of);
+            of.writeUint32 = (offset, value) => {
+                write(offset, value);
+                if (offset < 0x100) this.look(of === rp2040.sio && offset <= GPIO_OUT_XOR);
+            };
+        }
+        if (this.model) {
+            this.setInput(CAN_INTERRUPT, true);
+            this.model.connect(rp2040, rp2040.spi[0], {
+                isSelected: () => !this.isHigh(CAN_SELECT),
+                setInterrupt: (level) => this.setInput(CAN_INTERRUPT, level),
+                fail: (why) => this.end(why),
+            });
+        }
+        rp2040.core.SP = BOOT_STACK;
+        rp2040.core.PC = BOOT_ENTRY;
+        this.look();
+    }
+
+    // rp2040js takes an exception that is masked when the core sleeps, and does not wake for SysTick.
+    correctCore() {
+        const { core } = this.rp2040;
+        core.setInterrupt = (irq, value) => {
+            if (value) {
+                core.pendingInterrupts |= 1 << irq;
+                core.interruptsUpdated = true;
+            } else {
+                core.pendingInterrupts &= ~(1 << irq);
+            }
+        };
+        this.mayWake = () =>
+            (core.pendingInterrupts & core.enabledInterrupts) !== 0 ||
+            core.pendingSystick ||
+            core.pendingPendSV ||
+            core.pendingNMI;
+    }
+
+    isHigh(pin) {
+        const { outputEnable, outputValue } = this.rp2040.gpio[pin];
+        return outputEnable && outputValue;
+    }
+
+    setInput(pin, level) {
+        this.inputs = level ? this.inputs | (1 << pin) : this.inputs & ~(1 << pin);
+        this.rp2040.gpio[pin].setInputValue(level);
+    }
+
+    // A store may have changed the pins; `isLevels`: one of levels.
+    look(isLevels = false) {
+        if (!this.settled.scheduled && this.levels() !== this.shown) this.settled.schedule(SETTLE_NANOS);
+        if (isLevels && !this.isServed && this.levels("outputEnable") === outputMask) {
+            this.isServed = true;
+            this.settled.schedule(SETTLE_NANOS);
+        }
+        this.model?.look();
+    }
+
+    // Which of the outputs are high, or driven.
+    levels(what = "outputValue") {
+        let levels = 0;
+        for (let pin = 0; pin < 30; pin++) {
+            const gpio = this.rp2040.gpio[pin];
+            if ((outputMask >> pin) & 1 && gpio.outputEnable && gpio[what]) levels |= 1 << pin;
+        }
+        return levels;
+    }
+
+    show() {
+        const levels = this.levels();
+        this.settled.scheduled = false;
+        if (levels !== this.shown) this.tell(`out ${(this.shown = levels)}`);
+        if (this.isServed && !this.isToldServed) {
+            this.isToldServed = true;
+            this.tell(`served ${levels}`);
+        }
+    }
+
+    tell(line) {
+        this.control.write(line + "\n");
+    }
+
+    end(why) {
+        if (this.ended !== null) return;
+        this.ended = why;
+        this.tell(`end ${why}`);
+    }
+
+    onLine(n, bytes) {
+        this.wakeUp();
+        if (n === 2) this.usb.send(bytes);
+        else this.uarts[n].receive(bytes);
+        this.goOn();
+    }
+
+    onControl(text) {
+        this.wakeUp();
+        const lines = (this.partial + text).split("\n");
+        this.partial = lines.pop();
+        for (const line of lines) {
+            try {
+                const answer = this.command(line.split(" "));
+                this.tell(answer === undefined ? "ok" : `ok ${answer}`);
+            } catch (error) {
+                this.tell(`refused ${error.message}`);
+            }
+        }
+        this.goOn();
+    }
+
+    command([command, ...words]) {
+        const numbers = words.map(Number);
+        switch (command) {
+            case "in":
+                return this.setInput(numbers[0], numbers[1] !== 0);
+            case "read": {
+                const [address, len] = numbers;
+                let digits = "";
+                for (let at = address; at < address + len; at++) digits += hex(this.rp2040.readUint8(at)).slice(-2);
+                return digits;
+            }
+            case "time":
+                return Math.floor(this.clock.nanosCounter / 1000);
+            case "error": {
+                const [kind, every] = [words[1] === "none" ? null : words[1], numbers[2]];
+                this.errors[numbers[0]] = [kind, every];
+                return this.uarts[numbers[0]].setError(kind, every);
+            }
+            case "cut":
+                this.flash.cut = numbers[0];
+                return undefined;
+            default:
+                throw new Error(`no command ${command}`);
+        }
+    }
+
+    // The machine's time, if it were never late.
+    wall() {
+        return performance.now() * 1e6 - this.offset;
+    }
+
+    // Lets a machine that sleeps come up to now.
+    wakeUp() {
+        const { clock } = this;
+        if (!this.rp2040.core.waiting) return;
+        const until = Math.min(this.wall(), clock.nextAlarm?.nanos ?? Infinity);
+        if (until > clock.nanosCounter) clock.tick(until - clock.nanosCounter);
+    }
+
+    goOn() {
+        if (this.pause) {
+            clearTimeout(this.pause);
+            this.pause = null;
+            this.run();
+        }
+    }
+
+    run() {
+        const { clock, flash } = this;
+        const { core } = this.rp2040;
+        const until = performance.now() + SLICE_MILLIS;
+        const cycleNanos = 1e9 / this.rp2040.clkSys;
+        let late = this.wall() - clock.nanosCounter;
+        if (late > LATE_NANOS) this.offset += late - LATE_NANOS;
+        do {
+            for (let n = 0; n < 1000 && this.ended === null && !this.isReset; n++) {
+                if (!core.waiting) {
+                    let nanos = core.executeInstruction() * cycleNanos;
+                    if (!flash.isMapped) nanos += this.unmapped();
+                    // As clock.tick, which would be called once an instruction.
+                    clock.nanosCounter += nanos;
+                    if (clock.nextAlarm !== null && clock.nextAlarm.nanos <= clock.nanosCounter) clock.tick(0);
+                } else if (this.mayWake()) {
+                    core.waiting = false;
+                    core.interruptsUpdated = true;
+                } else {
+                    const alarm = clock.nextAlarm?.nanos ?? Infinity;
+                    const ahead = alarm - this.wall();
+                    if (ahead > AHEAD_NANOS) {
+                        this.flush();
+                        this.pause = setTimeout(() => this.goOn(), Math.min(Math.floor(ahead / 1e6), 1000));
+                        return;
+                    }
+                    clock.tick(alarm - clock.nanosCounter);
+                }
+            }
+        } while (this.ended === null && !this.isReset && performance.now() < until);
+        this.flush();
+        if (this.isReset) this.restart();
+        if (this.ended === null) setImmediate(() => this.run());
+    }
+
+    // What the flash has taken, and that nobody runs from it meanwhile.
+    unmapped() {
+        const { PC } = this.rp2040.core;
+        if (PC >>> 24 === 0x10) this.end(`${hex(PC)} ran from the flash while that was not mapped`);
+        return this.flash.takeNanos();
+    }
+
+    flush() {
+        this.lines.forEach((line, n) => {
+            if (this.toSend[n].length && !line.destroyed) line.write(Uint8Array.from(this.toSend[n]));
+            this.toSend[n].length = 0;
+        });
+    }
+
+    restart() {
+        const watchdog = this.rp2040.peripherals[0x40058];
+        if (!options.reboot) return this.end("the firmware has reset itself");
+        this.powerUp(this.clock.nanosCounter, watchdog);
+        this.tell("reset");
+    }
+}
+
+const pico = new Pico();
+pico.run();

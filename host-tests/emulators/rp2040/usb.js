@@ -1,0 +1,107 @@
+// A USB host that finds a serial port (CDC ACM), opens it and passes bytes.
+//
+// rp2040js has one too, which takes only devices whose endpoint 0 has packets of 64 bytes, and answers a device that listens with
+// empty packets.
+"use strict";
+
+const { createSetupPacket, DataDirection, SetupRecipient, SetupType, SetupRequest } = require("rp2040js");
+
+const CONFIGURATION = 2, HEADER_LEN = 9;
+const INTERFACE = 4, ENDPOINT = 5, CDC_DATA = 10, BULK = 2;
+const PAUSE_NANOS = 1e6;
+const SET_CONTROL_LINE_STATE = 0x22, DTR_AND_RTS = 3;
+
+class UsbHost {
+    // `take(bytes)` has what the device sends.
+    constructor(usb, take) {
+        Object.assign(this, { usb, take });
+        this.toSend = [];
+        // How much each endpoint listens for; a device may begin with it before it has said what it is.
+        this.wanted = new Array(16).fill(0);
+        this.transfer = null;
+        this.next = usb.rp2040.clock.createAlarm(() => this.then(this.received));
+        this.endpoints = { in: -1, out: -1 };
+        usb.onUSBEnabled = () => usb.resetDevice();
+        usb.onResetReceived = () => this.enumerate();
+        usb.onEndpointWrite = (endpoint, bytes) => this.onSent(endpoint, bytes);
+        usb.onEndpointRead = (endpoint, len) => this.onListening(endpoint, len);
+    }
+
+    enumerate() {
+        const { Standard, Class } = SetupType;
+        const { SetAddress, GetDescriptor, SetDeviceConfiguration } = SetupRequest;
+        const configuration = (len) => [Standard, GetDescriptor, CONFIGURATION << 8, len];
+        this.request([Standard, SetAddress, 1], () =>
+            this.request(configuration(HEADER_LEN), (header) =>
+                this.request(configuration(header[2] | (header[3] << 8)), (descriptors) => {
+                    this.endpoints = dataEndpoints(descriptors);
+                    this.request([Standard, SetDeviceConfiguration, 1], () =>
+                        this.request([Class, SET_CONTROL_LINE_STATE, DTR_AND_RTS], () => this.give()),
+                    );
+                }),
+            ),
+        );
+    }
+
+    request([type, bRequest, wValue, wLength = 0], then) {
+        this.transfer = { wLength, received: [], then };
+        this.usb.sendSetupPacket(
+            createSetupPacket({
+                dataDirection: wLength ? DataDirection.DeviceToHost : DataDirection.HostToDevice,
+                type,
+                recipient: type === SetupType.Class ? SetupRecipient.Interface : SetupRecipient.Device,
+                bRequest,
+                wValue,
+                wIndex: 0,
+                wLength,
+            }),
+        );
+    }
+
+    onSent(endpoint, bytes) {
+        if (endpoint === this.endpoints.in) return this.take(bytes);
+        const { transfer } = this;
+        if (endpoint !== 0 || !transfer) return;
+        transfer.received.push(...bytes);
+        if (transfer.received.length >= transfer.wLength) {
+            this.transfer = null;
+            // Of a read, the device hears that it has come: an empty packet, before anything else.
+            if (transfer.wLength) this.usb.endpointReadDone(0, new Uint8Array(0));
+            Object.assign(this, { then: transfer.then, received: transfer.received });
+            this.next.schedule(PAUSE_NANOS);
+        }
+    }
+
+    onListening(endpoint, len) {
+        this.wanted[endpoint] = len;
+        this.give();
+    }
+
+    send(bytes) {
+        for (const byte of bytes) this.toSend.push(byte);
+        this.give();
+    }
+
+    give() {
+        const { out } = this.endpoints;
+        if (out < 0 || !this.wanted[out] || !this.toSend.length) return;
+        this.usb.endpointReadDone(out, Uint8Array.from(this.toSend.splice(0, this.wanted[out])));
+        this.wanted[out] = 0;
+    }
+}
+
+// The bulk endpoints of the interface that has the data.
+function dataEndpoints(descriptors) {
+    const found = { in: -1, out: -1 };
+    let isData = false;
+    for (let at = 0; at + 1 < descriptors.length && descriptors[at]; at += descriptors[at]) {
+        const type = descriptors[at + 1];
+        if (type === INTERFACE) isData = descriptors[at + 5] === CDC_DATA;
+        if (type === ENDPOINT && isData && (descriptors[at + 3] & 3) === BULK) {
+            found[descriptors[at + 2] & 0x80 ? "in" : "out"] = descriptors[at + 2] & 0xf;
+        }
+    }
+    return found;
+}
+
+module.exports = { UsbHost };

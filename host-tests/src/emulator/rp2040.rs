@@ -1,0 +1,248 @@
+//! A Raspberry Pi Pico in rp2040js: `emulators/rp2040/main.js` runs under Node.js, and takes commands on a socket.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use wsg_bridge_fw::io::Inputs;
+use wsg_pico::{INPUTS, OUTPUTS, outputs_from_gpios};
+
+use super::sockets::Sockets;
+use super::watch::Watch;
+use super::{Chip, Extras, Lines, PATIENCE, end, lock};
+use crate::can_bus::CanBus;
+use crate::masters::NODE_VARIABLE;
+use crate::mcp2515::Mcp2515;
+
+pub(super) const NODE: &str = "node with rp2040js";
+
+/// Where the image of an RP2040 starts: in its flash.
+pub(super) const FLASH: std::ops::Range<u64> = 0x1000_0000..0x1100_0000;
+
+/// The sockets' names.
+const CONTROL: &str = "control";
+const GRIPPER_LINE: &str = "gripper";
+const BUS_LINE: &str = "bus";
+const SERVICE_LINE: &str = "service";
+
+/// How often it is looked whether somebody on the CAN bus has begun to send, in the machine's time.
+const LOOK_AT_BUS: Duration = Duration::from_micros(100);
+
+/// How often it is looked whether a process that does not connect has ended.
+const LOOK: Duration = Duration::from_millis(50);
+
+#[derive(Debug)]
+pub(super) struct Rp2040 {
+    process: Child,
+    control: Mutex<Control>,
+}
+
+#[derive(Debug)]
+struct Control {
+    line: UnixStream,
+    answers: Receiver<String>,
+}
+
+impl Rp2040 {
+    /// Starts it, and returns when the firmware's main loop runs.
+    pub(super) fn start(elf: &Path, extras: &Extras<'_>, watch: &Arc<Watch>) -> Result<(Self, Lines)> {
+        ensure!(
+            extras.models.is_empty() && extras.semihosting.is_none() && extras.qemu_arguments.is_empty(),
+            "the image is for the Pico, what it is to have for QEMU"
+        );
+        let Some(packages) = std::env::var_os(NODE_VARIABLE) else {
+            bail!("{NODE_VARIABLE} names no folder that has rp2040js: run `cargo xtask test`");
+        };
+        let sockets = Sockets::bind(&[CONTROL, GRIPPER_LINE, BUS_LINE, SERVICE_LINE])?;
+        let outputs = OUTPUTS.iter().fold(0u32, |mask, wire| mask | 1 << wire.gpio);
+        let mut command = Command::new("node");
+        command
+            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("emulators/rp2040/main.js"))
+            .arg(elf)
+            .arg("--sockets")
+            .arg(sockets.directory())
+            .args(["--outputs", &outputs.to_string()])
+            .env("NODE_PATH", packages)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
+        if let Some(file) = extras.flash {
+            command.arg("--flash").arg(file);
+        }
+        if extras.may_reset {
+            command.arg("--reboot");
+        }
+        if extras.can.is_some() {
+            command.arg("--can").stdin(Stdio::piped()).stdout(Stdio::piped());
+        }
+        let process = command.spawn().context("cannot run node")?;
+        let mut started = Started(Some(process));
+        if let Some(said) = started.process().stderr.take() {
+            let watch = Arc::clone(watch);
+            thread::spawn(move || hear(said, &watch));
+        }
+        if let Some(bus) = &extras.can {
+            let (asks, told) = (started.process().stdout.take(), started.process().stdin.take());
+            let (asks, told) = asks.zip(told).context("both are pipes")?;
+            let (bus, watch) = (bus.clone(), Arc::clone(watch));
+            thread::spawn(move || serve_spi(asks, told, &bus, &watch));
+        }
+        let line = started.accept(&sockets, CONTROL);
+        let line = line.with_context(|| lock(&watch.seen).last_words())?;
+        let (answer, answers) = mpsc::channel();
+        let (told, told_to) = (line.try_clone()?, Arc::clone(watch));
+        thread::spawn(move || follow(told, &answer, &told_to));
+        let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
+        running.with_context(|| format!("no firmware for this board comes up from {}", elf.display()))?;
+        // It connects the other lines first.
+        let [gripper, bus, service] =
+            [GRIPPER_LINE, BUS_LINE, SERVICE_LINE].map(|name| sockets.accept(name).map(Some));
+        let lines = Lines { gripper: gripper?, bus: bus?, service: service? };
+        let control = Mutex::new(Control { line, answers });
+        Ok((Self { process: started.keep()?, control }, lines))
+    }
+
+    /// What it answers to a command, behind its `ok`.
+    fn ask(&self, command: &str) -> Result<String> {
+        let mut control = lock(&self.control);
+        let no_answer = || format!("{NODE} does not answer `{command}`");
+        writeln!(control.line, "{command}").with_context(no_answer)?;
+        let answer = control.answers.recv_timeout(PATIENCE).with_context(no_answer)?;
+        match answer.split_once(' ').unwrap_or((&answer, "")) {
+            ("ok", told) => Ok(told.to_owned()),
+            (_, why) => bail!("{NODE} refuses `{command}`: {why}"),
+        }
+    }
+}
+
+impl Chip for Rp2040 {
+    fn set_input(&self, wire: Inputs, high: bool) -> Result<()> {
+        let Some(wire) = INPUTS.iter().find(|its| its.signal == wire) else { return Ok(()) };
+        self.ask(&format!("in {} {}", wire.gpio, u8::from(high))).map(drop)
+    }
+
+    fn readl(&self, address: u32) -> Result<u32> {
+        let bytes = self.read_memory(address, 4)?;
+        Ok(bytes.iter().rev().fold(0, |word, byte| word << 8 | u32::from(*byte)))
+    }
+
+    fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>> {
+        let digits = self.ask(&format!("read {address} {len}"))?;
+        let byte = |at: usize| u8::from_str_radix(digits.get(2 * at..2 * at + 2)?, 16).ok();
+        let bytes: Option<Vec<u8>> = (0..len).map(byte).collect();
+        bytes.with_context(|| format!("{NODE} read {digits}"))
+    }
+
+    fn now_ms(&self) -> Result<u32> {
+        let micros: u64 = self.ask("time")?.parse()?;
+        Ok((micros / 1_000) as u32)
+    }
+}
+
+impl Drop for Rp2040 {
+    fn drop(&mut self) {
+        end(&mut self.process);
+    }
+}
+
+/// A process that ends unless it is kept.
+struct Started(Option<Child>);
+
+impl Started {
+    fn process(&mut self) -> &mut Child {
+        self.0.as_mut().expect("it is there until it is kept")
+    }
+
+    fn keep(mut self) -> Result<Child> {
+        self.0.take().context("it is there until it is kept")
+    }
+
+    /// The connection of this name, when it is made; an error when the process has ended.
+    fn accept(&mut self, sockets: &Sockets, name: &str) -> Result<UnixStream> {
+        let bound = Instant::now() + PATIENCE;
+        loop {
+            if sockets.wait(name, LOOK)? {
+                return sockets.accept(name);
+            }
+            ensure!(self.process().try_wait()?.is_none(), "{NODE} has ended");
+            ensure!(Instant::now() < bound, "{NODE} does not connect");
+        }
+    }
+}
+
+impl Drop for Started {
+    fn drop(&mut self) {
+        if let Some(process) = &mut self.0 {
+            end(process);
+        }
+    }
+}
+
+/// What happens to the chip on SPI, as `emulators/rp2040/spi.js` has it.
+const TIME_PASSES: u8 = 0;
+const SELECTED: u8 = 1;
+const BYTE: u8 = 2;
+const DESELECTED: u8 = 3;
+const RESET: u8 = 4;
+
+/// Is the MCP2515 on the board's SPI until the board is off.
+fn serve_spi(mut asks: ChildStdout, mut told: ChildStdin, bus: &CanBus<Mcp2515>, watch: &Watch) {
+    let (mut question, mut passed) = ([0; 10], 0);
+    while asks.read_exact(&mut question).is_ok() {
+        let [time @ .., what, byte] = question;
+        let now = u64::from_le_bytes(time);
+        bus.pass(Duration::from_nanos(now.saturating_sub(passed)));
+        passed = now;
+        let answer = bus.act(|chip| {
+            match what {
+                SELECTED => chip.select(),
+                BYTE => return chip.exchange(byte),
+                DESELECTED => chip.deselect(),
+                RESET => chip.reset(),
+                _ => debug_assert_eq!(what, TIME_PASSES),
+            }
+            Ok(0xFF)
+        });
+        let byte = answer.unwrap_or_else(|why| {
+            watch.fail(&format!("{why:#}"));
+            0xFF
+        });
+        let next = bus.until_next().unwrap_or(LOOK_AT_BUS).min(LOOK_AT_BUS);
+        let next = now.saturating_add(u64::try_from(next.as_nanos()).unwrap_or(u64::MAX));
+        let level = bus.act(|chip| chip.interrupt_pin());
+        let mut answer = [byte, u8::from(level), 0, 0, 0, 0, 0, 0, 0, 0];
+        answer[2..].copy_from_slice(&next.to_le_bytes());
+        if told.write_all(&answer).is_err() {
+            return;
+        }
+    }
+}
+
+/// Takes in what it says of itself until it ends.
+fn hear(said: ChildStderr, watch: &Watch) {
+    for line in BufReader::new(said).lines().map_while(Result::ok) {
+        watch.hear(&line);
+    }
+    watch.end();
+}
+
+/// Takes in its answers and events until it ends.
+fn follow(line: UnixStream, answer: &Sender<String>, watch: &Watch) {
+    for line in BufReader::new(line).lines().map_while(Result::ok) {
+        match line.split_once(' ').unwrap_or((&line, "")) {
+            (event @ ("out" | "served"), levels) => {
+                watch.show(outputs_from_gpios(levels.parse().unwrap_or(0)), event == "served");
+            }
+            ("end", why) => watch.fail(why),
+            ("reset", _) => {}
+            // Who asked may have given up.
+            _ => drop(answer.send(line)),
+        }
+    }
+}
