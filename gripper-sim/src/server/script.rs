@@ -87,8 +87,13 @@ impl Script {
         calls::install(&lua, asks, &looks)?;
         let is_over = Arc::clone(is_over);
         let every = HookTriggers::new().every_nth_instruction(LOOK_EVERY);
-        lua.set_global_hook(every, move |_, _| {
+        lua.set_global_hook(every, move |lua, _| {
             if is_over.load(Ordering::Relaxed) {
+                // At each instruction from here on: a script that catches this one gets no further than to the next.
+                let always = HookTriggers::new().every_nth_instruction(1);
+                lua.set_global_hook(always, |_, _| Err(switched_off()))?;
+                // A coroutine that is running keeps its hook: what catches there goes on, but next to idle.
+                thread::sleep(REST);
                 return Err(switched_off());
             }
             looks.set(looks.get() + 1);
@@ -184,4 +189,35 @@ fn ask_for<T>(asks: &UnboundedSender<Call>, call: impl FnOnce(SyncSender<T>) -> 
 /// What ends a script whose gripper is gone.
 fn switched_off() -> mlua::Error {
     mlua::Error::runtime("the gripper was switched off")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc::channel;
+
+    /// The longest that a script may go on when its gripper is gone.
+    const BOUND: Duration = Duration::from_secs(60);
+
+    #[test]
+    fn script_ends_with_its_gripper_whatever_it_catches() {
+        for source in [
+            "while true do end",
+            "while true do pcall(function() while true do end end) end",
+            "while true do pcall(function() while true do pcall(cmd.read) end end) end",
+        ] {
+            let script = Script { path: PathBuf::from("endless.lua"), source: source.to_owned() };
+            let (asks, asked) = unbounded_channel();
+            let is_over = Arc::new(AtomicBool::new(false));
+            let seen = Arc::clone(&is_over);
+            let (ended, ends) = channel();
+            thread::spawn(move || {
+                script.run(&asks, &seen);
+                let _ = ended.send(());
+            });
+            is_over.store(true, Ordering::Relaxed);
+            drop(asked);
+            assert!(ends.recv_timeout(BOUND).is_ok(), "{source}");
+        }
+    }
 }

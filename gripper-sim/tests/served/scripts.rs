@@ -185,6 +185,8 @@ fn script_that_loops_for_ever_or_eats_memory_harms_nobody_else() {
         ("loops-in-pcall", "while true do pcall(function() while true do end end) end", false),
         ("hogs", "local t = {} while true do t[#t + 1] = string.rep('x', 1000) .. #t end", true),
         ("recurses", "local function f() return f() + 1 end f()", true),
+        ("hogs-at-once", "local t = string.rep('x', 2 ^ 30)", true),
+        ("loops-in-a-coroutine", "coroutine.wrap(function() while true do end end)()", false),
     ] {
         let script = File::new(name, source);
         let served =
