@@ -23,6 +23,9 @@ const TO_SEND_MAX: usize = 256;
 
 static BUS: RtuBuffers<RECEIVED_MAX, TO_SEND_MAX> = RtuBuffers::new();
 
+/// The driver's pin, in the registers of SIO.
+const DRIVER: u32 = 1 << BUS_DRIVER_ENABLE;
+
 /// What the handler of PROFIBUS and the main loop share.
 pub(crate) static PROFIBUS: DpBuffers = DpBuffers::new();
 
@@ -68,6 +71,11 @@ pub(crate) fn start(config: &BusConfig) {
 pub(crate) fn start_profibus() {
     IS_PROFIBUS.store(true, Ordering::Relaxed);
     unmask();
+}
+
+/// Whether nothing is being sent.
+pub(crate) fn is_silent() -> bool {
+    peripheral!(SIO).gpio_out().read().bits() & DRIVER == 0
 }
 
 /// Has the handler take what the main loop's turn has brought. Once a millisecond is enough: each run ends the main loop's
@@ -152,11 +160,10 @@ fn go_on(byte: Option<u8>, Interrupts { transmit_empty, transmission_complete }:
 /// Switches the transceiver's driver.
 fn drive(is_on: bool) {
     let sio = peripheral!(SIO);
-    let pin = 1 << BUS_DRIVER_ENABLE;
     if is_on {
-        write(sio.gpio_out_set(), pin);
+        write(sio.gpio_out_set(), DRIVER);
     } else {
-        write(sio.gpio_out_clr(), pin);
+        write(sio.gpio_out_clr(), DRIVER);
     }
 }
 

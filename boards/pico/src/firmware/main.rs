@@ -31,7 +31,7 @@ use cortex_m_rt::{entry, exception};
 use rp2040_hal::pac;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::indicator::Indication;
-use wsg_bridge_fw::io::{InputPort, OutputPort};
+use wsg_bridge_fw::io::{InputPort, OutputPort, Outputs};
 use wsg_bridge_fw::registers::WrongSetting;
 use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_pico::NAME;
@@ -51,6 +51,7 @@ fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
     static mut STATION: Station<Can> =
         Station::new(CanBus::new(can::controller(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
+    static mut FLASH: SettingsSectors = SettingsSectors::new();
 
     let reset_cause = watchdog::reset_cause();
     // Before everything that waits: whatever does not come up, the MCU starts over.
@@ -63,9 +64,8 @@ fn main() -> ! {
         // No crystal, no baud rate to talk to the gripper with.
         stay_not_ready(&mut wires, clock::RESET_HZ);
     }
-    let mut flash = flash::settings_sectors();
     tick::start(core.SYST);
-    if start(STATION, &flash, reset_cause).is_err() {
+    if start(STATION, FLASH, reset_cause).is_err() {
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready(&mut wires, clock::SYS_HZ);
     }
@@ -77,8 +77,9 @@ fn main() -> ! {
     loop {
         let now_ms = tick::now_ms();
         let (bus, service) = (&mut modbus_line, &mut service_line);
-        let outputs = STATION.turn(now_ms, wires.inputs.read(), &mut gripper_line, bus, service, &mut flash);
+        let outputs = STATION.turn(now_ms, wires.inputs.read(), &mut gripper_line, bus, service, FLASH);
         wires.outputs.write(outputs);
+        FLASH.set_may_pause(!outputs.contains(Outputs::BUSY) && uart::is_silent() && bus::is_silent());
         wires.indicate(STATION.bridge().indication().is_lit(now_ms));
         if STATION.uses_can() {
             can::rearm();

@@ -162,6 +162,11 @@ pub(crate) fn start() {
     unsafe { NVIC::unmask(Interrupt::UART0_IRQ) };
 }
 
+/// Whether nothing is being sent.
+pub(crate) fn is_silent() -> bool {
+    !BUFFERS.has_to_send() && port().is_complete()
+}
+
 /// One byte each way per call; the interrupt stays pending while there is more.
 #[interrupt]
 fn UART0_IRQ() {

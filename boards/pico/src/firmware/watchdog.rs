@@ -11,6 +11,9 @@ const TIMEOUT_MS: u32 = 100;
 const LOAD: u32 = TIMEOUT_MS * 1_000 * 2;
 const _: () = assert!(LOAD <= 0xFF_FFFF);
 
+/// What an erase of flash may take, in which the main loop does not come round.
+const FLASH_LOAD: u32 = 1_000_000 * 2;
+
 /// TICK: running, and cycles of CLK_REF in a microsecond, the timer's as well.
 const TICK_ENABLE: u32 = 1 << 9;
 const TICK_CYCLES: u32 = CRYSTAL_HZ / 1_000_000;
@@ -47,6 +50,11 @@ impl Watchdog {
     pub(crate) fn feed(&self) {
         write(peripheral!(WATCHDOG).load(), LOAD);
     }
+}
+
+/// Lets the MCU be for a second, as an erase of flash needs. The next turn's [`Watchdog::feed`] ends that.
+pub(crate) fn wait_for_flash() {
+    write(peripheral!(WATCHDOG).load(), FLASH_LOAD);
 }
 
 /// Resets the MCU: a fault, or a panic.
