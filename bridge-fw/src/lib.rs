@@ -34,6 +34,7 @@ pub mod registers;
 mod station;
 pub mod storage;
 mod stored_settings;
+pub mod usb_serial;
 
 pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Counters};

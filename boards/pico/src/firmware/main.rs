@@ -111,6 +111,7 @@ fn start(
     if config.gripper_line == GripperLine::Serial {
         uart::start();
     }
+    usb::start_service();
     match config.plc_bus {
         PlcBus::Modbus => bus::start(&config.bus),
         PlcBus::Profibus => bus::start_profibus(),

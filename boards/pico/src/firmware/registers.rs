@@ -36,6 +36,7 @@ pub(crate) mod reset_bit {
     pub(crate) const TIMER: u32 = 1 << 21;
     pub(crate) const UART0: u32 = 1 << 22;
     pub(crate) const UART1: u32 = 1 << 23;
+    pub(crate) const USBCTRL: u32 = 1 << 24;
 }
 
 /// Looks at a bit before the wait for it is given up. A look takes at least 4 cycles: 10 ms at the 12 MHz at most of the start, where
