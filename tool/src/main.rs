@@ -1,10 +1,13 @@
 //! `wsg`: the commander for WSG grippers, the service tool of the bridge, and telemetry for many of them.
 
 mod decode;
+mod gripper;
 
+use std::io;
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
 
 /// Commands and watches WSG grippers and the bridges in front of them.
 #[derive(Parser)]
@@ -17,12 +20,23 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Decode(decode::Arguments),
+    Gripper(gripper::Arguments),
+    /// Writes what a shell needs to complete the commands of `wsg`
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
 }
 
 /// What cannot be done is told in one line; clap ends with 2 where the command line itself is wrong.
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Decode(arguments) => decode::run(&arguments),
+        Command::Gripper(arguments) => gripper::run(arguments),
+        Command::Completions { shell } => {
+            clap_complete::generate(shell, &mut Arguments::command(), "wsg", &mut io::stdout());
+            Ok(ExitCode::SUCCESS)
+        }
     };
     result.unwrap_or_else(|error| {
         eprintln!("wsg: {error:#}");

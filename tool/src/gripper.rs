@@ -1,0 +1,219 @@
+//! `wsg gripper`: commands a gripper by name, watches it, and shows what goes over its line.
+
+mod action;
+mod address;
+mod answer;
+mod editor;
+mod line;
+mod lines;
+mod output;
+mod prompt;
+mod record;
+mod run;
+mod signals;
+mod slcan;
+mod trouble;
+mod watch;
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use clap::{Args, Subcommand};
+use wsg_protocol::driver::blocking::{GclGripper, Gripper as BinaryGripper};
+use wsg_protocol::driver::host::StdClock;
+
+use action::Named;
+use address::Address;
+use line::Line;
+use lines::Script;
+use output::Output;
+use record::Recorder;
+use run::{Dialect, Gripper, LOOK_MS};
+use signals::{Caught, Signals};
+use trouble::{EXIT_STATUSES, Trouble};
+
+/// Commands a gripper, or watches it.
+#[derive(Args)]
+#[command(after_help = after_help(), subcommand_help_heading = "Commands (with their section of the command set manual)")]
+pub(crate) struct Arguments {
+    /// Where the gripper is, such as tcp://192.168.1.20; the forms are below
+    #[arg(value_parser = address)]
+    address: Address,
+    /// Answers as JSON, one object a line
+    #[arg(long, global = true)]
+    json: bool,
+    /// Write each message to this file, in hex and in words; `-` is standard error
+    #[arg(long, global = true, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// What to do; without it there is a prompt
+    #[command(subcommand)]
+    task: Option<Task>,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    #[command(flatten)]
+    Action(Named),
+    /// Shows state, width, speed and force on the full screen, until q
+    Watch,
+    /// Shows each message of this connection in hex and in words, until Ctrl-C
+    Log {
+        /// Also to this file
+        #[arg(long, value_name = "FILE")]
+        file: Option<PathBuf>,
+    },
+    /// Carries out a file, one command a line, up to the first that fails; `-` is standard input
+    Script {
+        /// Blank lines and lines that begin with # are left out
+        file: PathBuf,
+    },
+}
+
+fn address(text: &str) -> Result<Address, String> {
+    text.parse()
+}
+
+fn after_help() -> String {
+    let statuses: String =
+        EXIT_STATUSES.iter().map(|(status, meaning)| format!("\n  {status:>3}  {meaning}")).collect();
+    format!("Addresses:\n  {}\n\nExit status:{statuses}", address::FORMS.replace('\n', "\n  "))
+}
+
+/// Does what the command line asks for.
+pub(crate) fn run(arguments: Arguments) -> Result<ExitCode> {
+    let Arguments { address, json, record, task } = arguments;
+    let output = Output { is_json: json };
+    let name = match &task {
+        None => "prompt",
+        Some(Task::Action(named)) => &named.name,
+        Some(Task::Watch) => "watch",
+        Some(Task::Log { .. }) => "log",
+        Some(Task::Script { .. }) => "script",
+    }
+    .to_owned();
+    let status = match perform(&address, record.as_deref(), &output, task) {
+        Ok(status) => status,
+        Err(Trouble::Panicked(panic)) => resume_unwind(panic),
+        Err(trouble) if trouble.is_broken_pipe() => trouble.exit_status(),
+        Err(trouble) => output.tell(&name, &Err(trouble), None)?,
+    };
+    Ok(status.into())
+}
+
+fn perform(
+    address: &Address,
+    record: Option<&Path>,
+    output: &Output,
+    task: Option<Task>,
+) -> Result<u8, Trouble> {
+    // All of a script is read before anything is sent.
+    let script = match &task {
+        Some(Task::Script { file }) => Some(Script::read(file)?),
+        _ => None,
+    };
+    let recorder = recorder(address, record, task.as_ref()).map_err(Trouble::NoFile)?;
+    let signals = Signals::catch()?;
+    let line = Line::open(address, recorder, signals.clone()).map_err(Trouble::NoLine)?;
+    let work = Work { task, script, output, signals, title: address.to_string() };
+    if address.is_gcl() {
+        work.on(GclGripper::new(line, StdClock::new()))
+    } else {
+        work.on(BinaryGripper::new(line, StdClock::new()))
+    }
+}
+
+/// The log that was asked for.
+fn recorder(address: &Address, record: Option<&Path>, task: Option<&Task>) -> Result<Option<Recorder>> {
+    let mut sinks: Vec<Box<dyn Write>> = Vec::new();
+    let mut files = record.into_iter().collect::<Vec<_>>();
+    if let Some(Task::Log { file }) = task {
+        sinks.push(Box::new(io::stdout()));
+        files.extend(file.as_deref());
+    }
+    for path in files {
+        if path.as_os_str() == "-" {
+            sinks.push(Box::new(io::stderr()));
+        } else {
+            let file = File::create(path);
+            sinks.push(Box::new(file.with_context(|| format!("{} cannot be written", path.display()))?));
+        }
+    }
+    Ok((!sinks.is_empty()).then(|| Recorder::new(address.to_string(), address.is_gcl(), sinks)))
+}
+
+/// What is to be done with a gripper.
+struct Work<'a> {
+    task: Option<Task>,
+    script: Option<Script>,
+    output: &'a Output,
+    signals: Signals,
+    title: String,
+}
+
+impl Work<'_> {
+    /// Connects, does it, and leaves the gripper so that no FAST STOP stays behind that was not asked for: whatever happens,
+    /// fingers that this program has set in motion are stopped, and the end of the connection is announced.
+    fn on<P: Dialect>(self, mut gripper: Gripper<P>) -> Result<u8, Trouble> {
+        let signals = self.signals.clone();
+        gripper.with_connection(|gripper| {
+            let ended = catch_unwind(AssertUnwindSafe(|| self.do_it(gripper)));
+            // A second Ctrl-C does not keep the fingers from being stopped. Each wait from here on has its bound.
+            signals.heed(false);
+            let stopped = if gripper.motion().is_some() { gripper.stop() } else { Ok(()) };
+            let ended = ended.unwrap_or_else(|panic| Err(Trouble::Panicked(panic)));
+            // A line that is gone has told so already.
+            if let (Err(error), Err(trouble)) = (stopped, &ended)
+                && !matches!(trouble, Trouble::Driver(_))
+            {
+                eprintln!("wsg: the fingers could not be stopped: {error}");
+            }
+            ended
+        })
+    }
+
+    fn do_it<P: Dialect>(self, gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
+        match self.task {
+            None => prompt::run(gripper, self.output, &self.signals).and_then(|status| {
+                run::unsubscribe(gripper)?;
+                Ok(status)
+            }),
+            Some(Task::Action(Named { name, action })) => {
+                let result = run::carry_out(gripper, &action, &mut |_| Ok(()));
+                match result {
+                    Err(trouble) if trouble.is_final() => Err(trouble),
+                    result => Ok(self.output.tell(&name, &result, None)?),
+                }
+            }
+            Some(Task::Watch) => {
+                let status = watch::run(gripper, self.title)?;
+                run::unsubscribe(gripper)?;
+                Ok(status)
+            }
+            Some(Task::Log { .. }) => log(gripper),
+            Some(Task::Script { .. }) => match self.script {
+                Some(script) => script.run(gripper, self.output),
+                None => Ok(0),
+            },
+        }
+    }
+}
+
+/// At most so often a value comes for the log.
+const LOG_PERIOD_MS: u16 = 100;
+
+/// Hears the gripper until Ctrl-C; the line writes the log.
+fn log<P: Dialect>(gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
+    run::subscribe(gripper, LOG_PERIOD_MS);
+    loop {
+        match gripper.next_update(LOOK_MS).map_err(Trouble::from) {
+            Ok(_) => {}
+            // As it is meant to end.
+            Err(Trouble::Caught(Caught::INTERRUPT)) => return Ok(0),
+            Err(trouble) => return Err(trouble),
+        }
+    }
+}

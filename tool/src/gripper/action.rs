@@ -1,0 +1,401 @@
+//! The commands by name: the one table that help, completion, prompt, scripts and the document derive from.
+
+use clap::{ArgMatches, Command, FromArgMatches, Subcommand, ValueEnum};
+use wsg_protocol::driver::{Finger, OnBlock};
+use wsg_protocol::{CommandId, HomingDirection};
+
+/// A command to the gripper.
+#[derive(Clone, Debug, Subcommand)]
+pub(crate) enum Action {
+    /// References the fingers at an end stop
+    Home {
+        /// Which end stop
+        #[arg(value_enum, default_value_t = End::Default)]
+        end: End,
+    },
+    /// Moves the fingers to an opening width
+    Move {
+        /// Opening width in mm
+        #[arg(value_parser = mm)]
+        width: f32,
+        /// Speed in mm/s
+        #[arg(value_parser = mm_per_s)]
+        speed: f32,
+        /// Clamp what is in the way with half of the nominal force, rather than turn off the motor
+        #[arg(long)]
+        clamp: bool,
+    },
+    /// Opens the fingers by an offset, or closes them by a negative one
+    MoveBy {
+        /// Offset in mm
+        #[arg(value_parser = mm, allow_negative_numbers = true)]
+        offset: f32,
+        /// Speed in mm/s
+        #[arg(value_parser = mm_per_s)]
+        speed: f32,
+        /// Clamp what is in the way with half of the nominal force, rather than turn off the motor
+        #[arg(long)]
+        clamp: bool,
+    },
+    /// Grips a part of a nominal width
+    Grip {
+        /// Nominal width of the part in mm
+        #[arg(value_parser = mm)]
+        width: f32,
+        /// Gripping speed in mm/s
+        #[arg(value_parser = mm_per_s)]
+        speed: f32,
+        /// Force limit in N, summed over both fingers, set before; it stays
+        #[arg(long, value_parser = newton)]
+        force: Option<f32>,
+    },
+    /// Opens the fingers to release a part
+    Release {
+        /// Opening width in mm
+        #[arg(value_parser = mm)]
+        width: f32,
+        /// Opening speed in mm/s
+        #[arg(value_parser = mm_per_s)]
+        speed: f32,
+    },
+    /// Stops the fingers; a part is held no longer
+    Stop,
+    /// Stops the fingers the fastest way and locks them until `ack`
+    FastStop,
+    /// Acknowledges a FAST STOP or a fault, which unlocks the fingers
+    Ack,
+
+    /// The force limit, or sets it
+    ForceLimit {
+        /// Force limit in N, summed over both fingers
+        #[arg(value_parser = newton)]
+        force: Option<f32>,
+    },
+    /// The acceleration, or sets it
+    Acceleration {
+        /// Acceleration in mm/s²
+        #[arg(value_parser = mm_per_s2)]
+        acceleration: Option<f32>,
+    },
+    /// The range that the fingers may not leave, or sets it
+    SoftLimits {
+        /// Least opening width in mm
+        #[arg(value_parser = mm, requires = "to", conflicts_with = "clear")]
+        from: Option<f32>,
+        /// Greatest opening width in mm
+        #[arg(value_parser = mm)]
+        to: Option<f32>,
+        /// Let the fingers go everywhere again
+        #[arg(long)]
+        clear: bool,
+    },
+    /// Allows forces up to the overdrive limit, or ends that
+    Overdrive {
+        #[arg(value_enum)]
+        switch: Switch,
+    },
+    /// Zeroes the force sensor
+    Tare,
+    /// Part width tolerance, or sets it for this connection; over GCL only (GCL, 2.2.5)
+    PartWidthTolerance {
+        /// How much before the nominal width a part may be met, in mm
+        #[arg(value_parser = mm)]
+        tolerance: Option<f32>,
+    },
+    /// Clamping travel, or sets it for this connection; over GCL only (GCL, 2.2.6)
+    ClampingTravel {
+        /// How far a grip may go on to build up its force, in mm
+        #[arg(value_parser = mm)]
+        travel: Option<f32>,
+    },
+
+    /// State, width, speed, force and flags together
+    Status,
+    /// Where the gripping process stands
+    State,
+    /// The system state flags
+    Flags,
+    /// The opening width
+    Width,
+    /// The finger speed
+    Speed,
+    /// The gripping force
+    Force,
+    /// The temperature of the device
+    Temperature,
+    /// Counts of grips
+    Statistics {
+        /// Begin to count again at 0
+        #[arg(long)]
+        reset: bool,
+    },
+
+    /// Device type, versions and serial number
+    Info,
+    /// The physical limits
+    Limits,
+    /// The device tag, or sets it
+    Tag {
+        /// Up to 64 printable ASCII characters
+        text: Option<String>,
+    },
+
+    /// What is connected at a finger's port
+    FingerInfo {
+        #[arg(value_parser = finger)]
+        finger: Finger,
+    },
+    /// The state flags of a finger
+    FingerFlags {
+        #[arg(value_parser = finger)]
+        finger: Finger,
+    },
+    /// Switches the supply of a finger
+    FingerPower {
+        #[arg(value_parser = finger)]
+        finger: Finger,
+        #[arg(value_enum)]
+        switch: Switch,
+    },
+    /// One data frame of a finger
+    FingerData {
+        #[arg(value_parser = finger)]
+        finger: Finger,
+    },
+
+    /// Sends bytes that must come back unchanged
+    Loop {
+        /// Bytes in hex, such as `01 02` or 0102
+        #[arg(value_parser = hex, required = true)]
+        bytes: Vec<Bytes>,
+    },
+    /// Sends any command, as those of scripts on the gripper
+    Raw {
+        /// Its id in hex, such as B0
+        #[arg(value_parser = id)]
+        id: u8,
+        /// Its payload in hex
+        #[arg(value_parser = hex)]
+        payload: Vec<Bytes>,
+    },
+    /// Announces the end of the connection, which each end of `wsg` does
+    Disconnect,
+    /// Does nothing for so long
+    Pause {
+        /// Seconds
+        #[arg(value_parser = seconds)]
+        seconds: f32,
+    },
+}
+
+/// The commands of the manual that each name stands for.
+const OF_THE_MANUAL: &[(&str, &[CommandId])] = &[
+    ("home", &[CommandId::Homing]),
+    ("move", &[CommandId::PrePosition]),
+    ("move-by", &[CommandId::PrePosition]),
+    ("grip", &[CommandId::GripPart]),
+    ("release", &[CommandId::ReleasePart]),
+    ("stop", &[CommandId::Stop]),
+    ("fast-stop", &[CommandId::FastStop]),
+    ("ack", &[CommandId::Acknowledge]),
+    ("force-limit", &[CommandId::GetForceLimit, CommandId::SetForceLimit]),
+    ("acceleration", &[CommandId::GetAcceleration, CommandId::SetAcceleration]),
+    ("soft-limits", &[CommandId::GetSoftLimits, CommandId::SetSoftLimits, CommandId::ClearSoftLimits]),
+    ("overdrive", &[CommandId::OverdriveMode]),
+    ("tare", &[CommandId::TareForceSensor]),
+    ("state", &[CommandId::GetGripperState]),
+    ("flags", &[CommandId::GetSystemState]),
+    ("width", &[CommandId::GetOpeningWidth]),
+    ("speed", &[CommandId::GetSpeed]),
+    ("force", &[CommandId::GetForce]),
+    ("temperature", &[CommandId::GetTemperature]),
+    ("statistics", &[CommandId::GetGrippingStatistics]),
+    ("info", &[CommandId::GetSystemInfo]),
+    ("limits", &[CommandId::GetSystemLimits]),
+    ("tag", &[CommandId::GetDeviceTag, CommandId::SetDeviceTag]),
+    ("finger-info", &[CommandId::GetFinger1Info, CommandId::GetFinger2Info]),
+    ("finger-flags", &[CommandId::GetFinger1Flags, CommandId::GetFinger2Flags]),
+    ("finger-power", &[CommandId::Finger1Power, CommandId::Finger2Power]),
+    ("finger-data", &[CommandId::GetFinger1Data, CommandId::GetFinger2Data]),
+    ("loop", &[CommandId::Loop]),
+    ("disconnect", &[CommandId::DisconnectAnnouncement]),
+];
+
+/// A command with the name that it was asked for by.
+#[derive(Clone, Debug)]
+pub(crate) struct Named {
+    pub(crate) name: String,
+    pub(crate) action: Action,
+}
+
+impl FromArgMatches for Named {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let name = matches.subcommand_name().unwrap_or_default().to_owned();
+        Ok(Self { name, action: Action::from_arg_matches(matches)? })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl Subcommand for Named {
+    /// Each command's help also tells where the manual has it.
+    fn augment_subcommands(command: Command) -> Command {
+        let command = Action::augment_subcommands(command);
+        OF_THE_MANUAL.iter().fold(command, |command, (name, ids)| {
+            command.mut_subcommand(name, |of_name| {
+                let about = of_name.get_about().map(ToString::to_string).unwrap_or_default();
+                let about = format!("{about} ({})", sections(ids));
+                of_name.about(about)
+            })
+        })
+    }
+
+    fn augment_subcommands_for_update(command: Command) -> Command {
+        Self::augment_subcommands(command)
+    }
+
+    fn has_subcommand(name: &str) -> bool {
+        Action::has_subcommand(name)
+    }
+}
+
+/// `3.3.3, 3.3.4`
+fn sections(ids: &[CommandId]) -> String {
+    let mut sections: Vec<&str> = ids.iter().map(|id| id.section()).collect();
+    sections.sort_unstable();
+    sections.join(", ")
+}
+
+/// Which end stop homing goes to.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum End {
+    /// As the gripper is configured
+    Default,
+    /// Outward: the fingers open
+    Positive,
+    /// Inward: the fingers close
+    Negative,
+}
+
+impl From<End> for HomingDirection {
+    fn from(end: End) -> Self {
+        match end {
+            End::Default => Self::Default,
+            End::Positive => Self::Positive,
+            End::Negative => Self::Negative,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Switch {
+    On,
+    Off,
+}
+
+/// What Pre-position does when something is in the way.
+pub(crate) const fn on_block(clamp: bool) -> OnBlock {
+    if clamp { OnBlock::Clamp } else { OnBlock::Stop }
+}
+
+/// A number with or without its unit.
+fn quantity(text: &str, unit: &str) -> Result<f32, String> {
+    let digits = text.strip_suffix(unit).unwrap_or(text).trim_end();
+    let number = digits.parse::<f32>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| format!("expected a number, in {unit}"))
+}
+
+fn mm(text: &str) -> Result<f32, String> {
+    quantity(text, "mm")
+}
+
+fn mm_per_s(text: &str) -> Result<f32, String> {
+    quantity(text, "mm/s")
+}
+
+fn mm_per_s2(text: &str) -> Result<f32, String> {
+    quantity(text.strip_suffix("mm/s2").unwrap_or(text), "mm/s²")
+}
+
+fn newton(text: &str) -> Result<f32, String> {
+    quantity(text, "N")
+}
+
+fn seconds(text: &str) -> Result<f32, String> {
+    let seconds = quantity(text, "s")?;
+    if (0.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("expected 0 to 86400 s".to_owned()) }
+}
+
+fn finger(text: &str) -> Result<Finger, String> {
+    match text {
+        "1" => Ok(Finger::One),
+        "2" => Ok(Finger::Two),
+        _ => Err("there are the fingers 1 and 2".to_owned()),
+    }
+}
+
+fn id(text: &str) -> Result<u8, String> {
+    let digits = text.trim_start_matches("0x").trim_end_matches('h');
+    u8::from_str_radix(digits, 16).map_err(|_| "expected two digits in hex, such as B0".to_owned())
+}
+
+/// Bytes of one word in hex.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Bytes(Vec<u8>);
+
+impl Bytes {
+    /// Those of all words.
+    pub(crate) fn joined(words: &[Self]) -> Vec<u8> {
+        words.iter().flat_map(|word| word.0.iter().copied()).collect()
+    }
+}
+
+fn hex(text: &str) -> Result<Bytes, String> {
+    let byte = |pair: &[u8]| {
+        let pair = std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2 && !pair.starts_with('+'));
+        pair.and_then(|pair| u8::from_str_radix(pair, 16).ok())
+    };
+    let bytes: Option<Vec<u8>> = text.as_bytes().chunks(2).map(byte).collect();
+    let bytes = bytes.filter(|bytes| !bytes.is_empty());
+    bytes.map(Bytes).ok_or_else(|| "expected pairs of digits in hex, such as 0A FF".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_command_of_the_manual_has_a_name() {
+        let table = Action::augment_subcommands(Command::new("gripper"));
+        for (name, _) in OF_THE_MANUAL {
+            assert!(table.find_subcommand(name).is_some(), "{name}");
+        }
+        for id in CommandId::ALL {
+            let count = OF_THE_MANUAL.iter().filter(|(_, ids)| ids.contains(id)).count();
+            let expected = if *id == CommandId::PrePosition { 2 } else { 1 };
+            assert_eq!(count, expected, "{id}");
+        }
+    }
+
+    #[test]
+    fn numbers_may_have_their_units() {
+        assert_eq!((mm("20"), mm("20.5mm"), mm("-3 mm")), (Ok(20.0), Ok(20.5), Ok(-3.0)));
+        assert_eq!((newton("40N"), mm_per_s("50mm/s"), mm_per_s2("9mm/s2")), (Ok(40.0), Ok(50.0), Ok(9.0)));
+        for wrong in ["", "x", "nan", "inf", "20N", "20 mm/s"] {
+            assert!(mm(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn bytes_are_pairs_of_digits() {
+        assert_eq!(hex("0aFF"), Ok(Bytes(vec![0x0A, 0xFF])));
+        for wrong in ["", "0", "0x", "+1", "ä", "123"] {
+            assert!(hex(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!((id("B0"), id("0xb0"), id("B0h")), (Ok(0xB0), Ok(0xB0), Ok(0xB0)));
+        assert!(id("100").is_err() && id("").is_err());
+    }
+}

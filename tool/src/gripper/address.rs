@@ -1,0 +1,221 @@
+//! Where a gripper is, as a user writes it.
+
+use std::fmt::{self, Display, Formatter};
+use std::str::FromStr;
+
+use wsg_protocol::can::Identifiers;
+use wsg_protocol::driver::host::Udp;
+
+/// The port of TCP, for either protocol.
+const TCP_PORT: u16 = 1000;
+/// Bits a second of a serial line.
+const RATE: u32 = 115_200;
+/// Of a CAN bus.
+const KBIT: u16 = 500;
+
+/// The forms that there are, for help and errors.
+pub(crate) const FORMS: &str = "\
+tcp://HOST[:1000]                         the binary protocol over TCP
+udp://HOST[:1500][?answer=1501]           over UDP; the gripper answers to port 1501
+serial:DEVICE[?rate=115200]               over RS-232
+slcan:DEVICE[?kbit=500&id=120]            over CAN, by an adapter that speaks SLCAN; id in hex
+gcl://HOST[:1000]                         the text protocol (GCL) over TCP
+gcl+udp://HOST[:1500]                     the text protocol over UDP";
+
+/// Where a gripper is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Address {
+    Tcp(String),
+    Udp { gripper: String, answer_port: u16 },
+    Serial { device: String, rate: u32 },
+    Slcan { device: String, kbit: u16, identifiers: Identifiers },
+    Gcl(String),
+    GclUdp(String),
+}
+
+impl Address {
+    /// Whether GCL is spoken there.
+    pub(crate) const fn is_gcl(&self) -> bool {
+        matches!(self, Self::Gcl(_) | Self::GclUdp(_))
+    }
+}
+
+impl FromStr for Address {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let unknown = || format!("no such address; there are:\n{FORMS}");
+        let (scheme, rest) = text.split_once(':').ok_or_else(unknown)?;
+        let (place, query) = rest.split_once('?').map_or((rest, None), |(place, query)| (place, Some(query)));
+        let mut query = Query::new(query)?;
+        let host = |port| with_port(place.strip_prefix("//").unwrap_or(place), port);
+        let device = || {
+            let device = place.strip_prefix("//").unwrap_or(place);
+            if device.is_empty() {
+                Err("the device is missing, such as /dev/ttyUSB0")
+            } else {
+                Ok(device.to_owned())
+            }
+        };
+        let address = match scheme {
+            "tcp" => Self::Tcp(host(TCP_PORT)?),
+            "udp" => Self::Udp {
+                gripper: host(Udp::GRIPPER_PORT)?,
+                answer_port: query.take("answer", Udp::ANSWER_PORT, |text| text.parse().ok(), "a port")?,
+            },
+            "serial" => Self::Serial {
+                device: device()?,
+                rate: query.take(
+                    "rate",
+                    RATE,
+                    |text| text.parse().ok().filter(|rate| *rate > 0),
+                    "bits a second",
+                )?,
+            },
+            "slcan" => Self::Slcan {
+                device: device()?,
+                kbit: query.take("kbit", KBIT, |text| text.parse().ok().filter(is_kbit), KBIT_CHOICES)?,
+                identifiers: query.take(
+                    "id",
+                    Identifiers::DEFAULT,
+                    identifiers,
+                    "an identifier in hex, up to 7FE",
+                )?,
+            },
+            "gcl" => Self::Gcl(host(TCP_PORT)?),
+            "gcl+udp" => Self::GclUdp(host(Udp::GRIPPER_PORT)?),
+            _ => return Err(unknown()),
+        };
+        query.end()?;
+        Ok(address)
+    }
+}
+
+impl Display for Address {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tcp(host) => write!(f, "tcp://{host}"),
+            Self::Udp { gripper, .. } => write!(f, "udp://{gripper}"),
+            Self::Serial { device, .. } => write!(f, "serial:{device}"),
+            Self::Slcan { device, .. } => write!(f, "slcan:{device}"),
+            Self::Gcl(host) => write!(f, "gcl://{host}"),
+            Self::GclUdp(host) => write!(f, "gcl+udp://{host}"),
+        }
+    }
+}
+
+fn with_port(host: &str, port: u16) -> Result<String, String> {
+    let host = host.trim_end_matches('/');
+    if host.is_empty() {
+        return Err("the host is missing, such as 192.168.1.20".to_owned());
+    }
+    // An IPv6 address has colons of its own, and brackets when a port follows.
+    let has_port = match host.rsplit_once(':') {
+        Some((before, port)) if !before.contains(':') || before.ends_with(']') => {
+            port.parse::<u16>().map_err(|_| format!("{port} is no port"))?;
+            true
+        }
+        _ => false,
+    };
+    match (has_port, host.contains(':') && !host.starts_with('[')) {
+        (true, _) => Ok(host.to_owned()),
+        (false, true) => Ok(format!("[{host}]:{port}")),
+        (false, false) => Ok(format!("{host}:{port}")),
+    }
+}
+
+const KBIT_CHOICES: &str = "10, 20, 50, 100, 125, 250, 500, 800 or 1000";
+
+fn is_kbit(kbit: &u16) -> bool {
+    super::slcan::rate_of(*kbit).is_some()
+}
+
+fn identifiers(text: &str) -> Option<Identifiers> {
+    Identifiers::from_base(u16::from_str_radix(text, 16).ok()?)
+}
+
+/// What follows the `?`: `key=value` pairs.
+struct Query<'a> {
+    pairs: Vec<(&'a str, &'a str)>,
+}
+
+impl<'a> Query<'a> {
+    fn new(query: Option<&'a str>) -> Result<Self, String> {
+        let pairs = query.into_iter().flat_map(|query| query.split('&'));
+        let pairs = pairs
+            .map(|pair| pair.split_once('=').ok_or_else(|| format!("`{pair}` is not of the form key=value")));
+        Ok(Self { pairs: pairs.collect::<Result<_, _>>()? })
+    }
+
+    fn take<T>(
+        &mut self,
+        key: &str,
+        default: T,
+        parse: impl Fn(&str) -> Option<T>,
+        expected: &str,
+    ) -> Result<T, String> {
+        let Some(place) = self.pairs.iter().position(|(name, _)| *name == key) else { return Ok(default) };
+        let (_, value) = self.pairs.remove(place);
+        parse(value).ok_or_else(|| format!("{key}={value}: expected {expected}"))
+    }
+
+    fn end(self) -> Result<(), String> {
+        match self.pairs.first() {
+            Some((key, _)) => {
+                Err(format!("`{key}` is nothing that this kind of address has, or is there twice"))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_form_is_read_and_its_defaults_filled_in() {
+        for (text, whole) in [
+            ("tcp://192.168.1.20", "tcp://192.168.1.20:1000"),
+            ("tcp://gripper.local:1001/", "tcp://gripper.local:1001"),
+            ("tcp://::1", "tcp://[::1]:1000"),
+            ("tcp://[::1]:1001", "tcp://[::1]:1001"),
+            ("udp://10.0.0.1", "udp://10.0.0.1:1500"),
+            ("serial:/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
+            ("serial:COM3?rate=57600", "serial:COM3"),
+            ("slcan:/dev/ttyACM0?kbit=1000&id=60", "slcan:/dev/ttyACM0"),
+            ("gcl://10.0.0.1", "gcl://10.0.0.1:1000"),
+            ("gcl+udp://10.0.0.1", "gcl+udp://10.0.0.1:1500"),
+        ] {
+            assert_eq!(text.parse::<Address>().unwrap().to_string(), whole);
+        }
+        let slcan = Address::Slcan {
+            device: "/dev/ttyACM0".to_owned(),
+            kbit: 1000,
+            identifiers: Identifiers::from_base(0x60).unwrap(),
+        };
+        assert_eq!("slcan:/dev/ttyACM0?kbit=1000&id=60".parse(), Ok(slcan));
+        let udp = Address::Udp { gripper: "h:1500".to_owned(), answer_port: 7 };
+        assert_eq!("udp://h?answer=7".parse(), Ok(udp));
+    }
+
+    #[test]
+    fn what_is_no_address_is_refused_with_what_was_expected() {
+        for (text, expected) in [
+            ("192.168.1.20", "tcp://HOST"),
+            ("http://h", "tcp://HOST"),
+            ("tcp://", "host is missing"),
+            ("tcp://h:port", "port is no port"),
+            ("tcp://h?rate=1", "`rate` is nothing"),
+            ("serial:", "device is missing"),
+            ("serial:/dev/x?rate=fast", "bits a second"),
+            ("serial:/dev/x?57600", "key=value"),
+            ("slcan:/dev/x?kbit=400", "10, 20, 50"),
+            ("slcan:/dev/x?id=7FF", "up to 7FE"),
+            ("slcan:/dev/x?id=60&id=62", "twice"),
+        ] {
+            let refused = text.parse::<Address>().unwrap_err();
+            assert!(refused.contains(expected), "{text}: {refused}");
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Commands as lines of text: of the prompt, of a script, of a program that writes to standard input.
+
+use std::fs;
+use std::io::{self, Read};
+use std::path::Path;
+
+use clap::{Parser, Subcommand};
+
+use super::action::Named;
+use super::answer::{Answer, Outcome};
+use super::output::Output;
+use super::run::{self, Dialect, Gripper};
+use super::trouble::Trouble;
+
+/// What a line may say.
+#[derive(Debug, Parser)]
+#[command(no_binary_name = true, disable_version_flag = true, name = "")]
+pub(crate) struct Line {
+    #[command(subcommand)]
+    pub(crate) said: Said,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Said {
+    #[command(flatten)]
+    Action(Named),
+    /// Ends the connection
+    Quit,
+}
+
+/// Why a line is none.
+pub(crate) enum Wrong {
+    /// Help was asked for: it is this.
+    Help(String),
+    /// In one line.
+    Mistake(String),
+}
+
+/// Reads a line; nothing if it is blank or a comment.
+pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
+    let line = line.trim();
+    if line.is_empty() || line.starts_with('#') {
+        return Ok(None);
+    }
+    let words = shlex::split(line).ok_or_else(|| Wrong::Mistake("a quotation mark is missing".to_owned()))?;
+    match Line::try_parse_from(words) {
+        Ok(Line { said }) => Ok(Some(said)),
+        Err(error) if !error.use_stderr() => Err(Wrong::Help(error.to_string())),
+        Err(error) => Err(Wrong::Mistake(in_one_line(&error.to_string()))),
+    }
+}
+
+/// What clap says in a paragraph, without its usage.
+fn in_one_line(text: &str) -> String {
+    let lines = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
+    let lines = lines.map(str::trim).filter(|line| !line.is_empty());
+    lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").to_owned()
+}
+
+/// A script: its name, and its lines with their numbers.
+pub(crate) struct Script {
+    file: String,
+    lines: Vec<(usize, Said)>,
+}
+
+impl Script {
+    /// Reads a file, all of it before anything is sent; `-` is standard input.
+    pub(crate) fn read(path: &Path) -> Result<Self, Trouble> {
+        let file = path.display().to_string();
+        let text = if file == "-" {
+            let mut text = String::new();
+            io::stdin().read_to_string(&mut text).map(|_| text)
+        } else {
+            fs::read_to_string(path)
+        };
+        let text = text.map_err(|error| io::Error::new(error.kind(), format!("{file}: {error}")))?;
+        let mut lines = Vec::new();
+        let mut mistakes = Vec::new();
+        for (number, line) in (1..).zip(text.lines()) {
+            match parse(line) {
+                Ok(said) => lines.extend(said.map(|said| (number, said))),
+                Err(Wrong::Mistake(mistake)) => mistakes.push(format!("{file}:{number}: {mistake}")),
+                Err(Wrong::Help(_)) => mistakes.push(format!("{file}:{number}: nobody reads help here")),
+            }
+        }
+        if mistakes.is_empty() { Ok(Self { file, lines }) } else { Err(Trouble::Usage(mistakes.join("\n"))) }
+    }
+
+    /// Carries it out, up to the first line that comes to nothing; the exit status.
+    pub(crate) fn run<P: Dialect>(&self, gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Trouble> {
+        for (number, said) in &self.lines {
+            let Said::Action(Named { name, action }) = said else { break };
+            let place = Some((*number, self.file.as_str()));
+            let result = run::carry_out(gripper, action, &mut |_| Ok(()));
+            let result = match result {
+                Err(trouble) if trouble.is_final() => return Err(trouble),
+                Ok(Answer { outcome: Outcome::NoPart, .. }) if !output.is_json => Err(Trouble::NoPart),
+                result => result,
+            };
+            let status = output.tell(name, &result, place)?;
+            if status != 0 {
+                return Ok(status);
+            }
+        }
+        Ok(0)
+    }
+}

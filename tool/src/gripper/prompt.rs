@@ -1,0 +1,313 @@
+//! The prompt: a line with the gripper's state, and one below it that is typed.
+
+use std::io::{self, BufRead, IsTerminal, Write};
+use std::sync::mpsc::{self, TryRecvError};
+use std::thread;
+use std::time::Duration;
+
+use clap::{Command, CommandFactory};
+use crossterm::cursor::{MoveToColumn, MoveUp};
+use crossterm::event::{self, Event};
+use crossterm::style::Print;
+use crossterm::terminal::{self, Clear, ClearType};
+use crossterm::{execute, queue};
+use wsg_protocol::session::Known;
+
+use super::action::Named;
+use super::editor::{Complete, Editor, Step};
+use super::lines::{self, Line, Said, Wrong};
+use super::output::Output;
+use super::run::{self, Dialect, Gripper, LOOK_MS};
+use super::signals::Signals;
+use super::trouble::Trouble;
+
+/// At most so often a state line changes.
+const STATE_PERIOD_MS: u16 = 100;
+const PROMPT: &str = "> ";
+
+/// Takes lines until there are no more; the exit status of the last one. Typed ones, if standard input is a terminal.
+pub(crate) fn run<P: Dialect>(
+    gripper: &mut Gripper<P>,
+    output: &Output,
+    signals: &Signals,
+) -> Result<u8, Trouble> {
+    if io::stdin().is_terminal() && io::stdout().is_terminal() {
+        typed(gripper, output, signals)
+    } else {
+        piped(gripper, output)
+    }
+}
+
+fn typed<P: Dialect>(gripper: &mut Gripper<P>, output: &Output, signals: &Signals) -> Result<u8, Trouble> {
+    let words = Words(Line::command());
+    let mut editor = Editor::default();
+    let mut status = 0;
+    run::subscribe(gripper, STATE_PERIOD_MS);
+    while let Some(line) = read_line(gripper, &mut editor, &words)? {
+        let named = match lines::parse(&line) {
+            Ok(None) => continue,
+            Ok(Some(Said::Quit)) => break,
+            Ok(Some(Said::Action(named))) => named,
+            Err(Wrong::Help(text) | Wrong::Mistake(text)) => {
+                writeln!(io::stdout(), "{}", text.trim_end())?;
+                continue;
+            }
+        };
+        let mut shown = String::new();
+        let mut live = |known: &Known| show_state(known, &mut shown);
+        let mut result = run::carry_out(gripper, &named.action, &mut live);
+        erase_state()?;
+        if matches!(result, Err(Trouble::Caught(_))) && signals.forget_interrupt() {
+            // Ctrl-C: the fingers stop, and the prompt comes back.
+            signals.heed(false);
+            let stopped = if run::is_motion(&named.action) { gripper.stop() } else { Ok(()) };
+            signals.heed(true);
+            stopped?;
+            writeln!(io::stdout(), "stopped")?;
+            status = 130;
+            continue;
+        }
+        if let Err(trouble) = &mut result
+            && trouble.is_final()
+        {
+            return Err(std::mem::replace(trouble, Trouble::NoPart));
+        }
+        status = output.tell(&named.name, &result, None)?;
+        if named.name == "disconnect" {
+            break;
+        }
+    }
+    Ok(status)
+}
+
+/// Lines from a program, or a file: each is carried out and answered before the next, whatever the last one came to.
+fn piped<P: Dialect>(gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Trouble> {
+    let (sender, receiver) = mpsc::channel();
+    // Meanwhile the gripper is heard. It ends with the process: nothing interrupts a read.
+    thread::spawn(move || {
+        for line in io::stdin().lock().lines() {
+            if sender.send(line).is_err() {
+                break;
+            }
+        }
+    });
+    let mut status = 0;
+    loop {
+        let line = match receiver.try_recv() {
+            Ok(line) => line?,
+            Err(TryRecvError::Disconnected) => return Ok(status),
+            Err(TryRecvError::Empty) => {
+                gripper.next_update(LOOK_MS)?;
+                continue;
+            }
+        };
+        let (name, result) = match lines::parse(&line) {
+            Ok(None) => continue,
+            Ok(Some(Said::Quit)) => return Ok(status),
+            Ok(Some(Said::Action(Named { name, action }))) => {
+                let result = run::carry_out(gripper, &action, &mut |_| Ok(()));
+                (name, result)
+            }
+            Err(Wrong::Help(text)) => {
+                writeln!(io::stdout(), "{text}")?;
+                continue;
+            }
+            Err(Wrong::Mistake(mistake)) => {
+                let name = line.split_whitespace().next().unwrap_or_default().to_owned();
+                (name, Err(Trouble::Usage(mistake)))
+            }
+        };
+        match result {
+            Err(trouble) if trouble.is_final() => return Err(trouble),
+            result => status = output.tell(&name, &result, None)?,
+        }
+    }
+}
+
+/// One line in words: state, width, speed, force, flags.
+pub(crate) fn state_line(known: &Known, is_connected: bool) -> String {
+    if !is_connected {
+        return "no connection".to_owned();
+    }
+    let number = |value: Option<f32>, digits: usize, unit: &str| match value {
+        // A zero has no sign for people.
+        Some(value) => format!("{:.digits$} {unit}", if value == 0.0 { 0.0 } else { value }),
+        None => format!("? {unit}"),
+    };
+    let state = known.state.map_or_else(|| "?".to_owned(), |state| state.to_string());
+    let flags = known.flags.map(|flags| flags.to_string()).unwrap_or_default();
+    format!(
+        "[{state}  {}  {}  {}  {flags}]",
+        number(known.width, 2, "mm"),
+        number(known.speed, 1, "mm/s"),
+        number(known.force, 1, "N")
+    )
+}
+
+/// Shows the state in the line below the last output, in the place of what was shown there.
+fn show_state(known: &Known, shown: &mut String) -> io::Result<()> {
+    let state = fitting(&state_line(known, true));
+    if state != *shown {
+        execute!(io::stdout(), MoveToColumn(0), Clear(ClearType::CurrentLine), Print(&state))?;
+        *shown = state;
+    }
+    Ok(())
+}
+
+fn erase_state() -> io::Result<()> {
+    execute!(io::stdout(), MoveToColumn(0), Clear(ClearType::CurrentLine))
+}
+
+/// As much as has room in one line of the terminal.
+fn fitting(text: &str) -> String {
+    text.chars().take(columns() - 1).collect()
+}
+
+fn columns() -> usize {
+    terminal::size().map_or(80, |(columns, _)| usize::from(columns)).max(20)
+}
+
+/// While it is there, keys come one by one; the terminal is as it was when it is gone.
+struct RawMode;
+
+impl RawMode {
+    fn enter() -> io::Result<Self> {
+        terminal::enable_raw_mode()?;
+        Ok(Self)
+    }
+}
+
+impl Drop for RawMode {
+    fn drop(&mut self) {
+        // Nobody is left to be told of an error.
+        let _ = terminal::disable_raw_mode();
+    }
+}
+
+/// Reads a line while the gripper is heard and its state is shown; `None` when there will be none.
+fn read_line<P: Dialect>(
+    gripper: &mut Gripper<P>,
+    editor: &mut Editor,
+    complete: &impl Complete,
+) -> Result<Option<String>, Trouble> {
+    let _raw = RawMode::enter()?;
+    let mut out = io::stdout();
+    let mut view = View::default();
+    view.draw(&mut out, editor, &state_line(gripper.known(), gripper.is_connected()))?;
+    loop {
+        while event::poll(Duration::ZERO)? {
+            let Event::Key(key) = event::read()? else { continue };
+            match editor.key(key, complete) {
+                Step::Typing => {}
+                Step::Choices(choices) => {
+                    view.erase(&mut out)?;
+                    queue!(out, Print(choices.join("  ")), Print("\r\n"))?;
+                }
+                Step::Discarded => view.erase(&mut out)?,
+                Step::Line(line) => {
+                    view.erase(&mut out)?;
+                    execute!(out, Print(format!("{PROMPT}{line}\r\n")))?;
+                    return Ok(Some(line));
+                }
+                Step::End => {
+                    view.erase(&mut out)?;
+                    return Ok(None);
+                }
+            }
+        }
+        gripper.next_update(LOOK_MS)?;
+        view.draw(&mut out, editor, &state_line(gripper.known(), gripper.is_connected()))?;
+    }
+}
+
+/// The two lines as they are on the screen: state, and what is typed.
+#[derive(Default)]
+struct View {
+    shown: Option<(String, String, usize)>,
+}
+
+impl View {
+    fn draw(&mut self, out: &mut impl Write, editor: &Editor, state: &str) -> io::Result<()> {
+        // The part of a long line in which the cursor is.
+        let room = columns() - PROMPT.len() - 1;
+        let from = editor.cursor().saturating_sub(room);
+        let text: String = editor.text().chars().skip(from).take(room).collect();
+        let next = (fitting(state), text, PROMPT.len() + editor.cursor() - from);
+        if self.shown.as_ref() == Some(&next) {
+            return Ok(());
+        }
+        self.erase(out)?;
+        let (state, text, column) = &next;
+        queue!(out, Print(state), Print("\r\n"), Print(PROMPT), Print(text))?;
+        queue!(out, MoveToColumn(*column as u16))?;
+        out.flush()?;
+        self.shown = Some(next);
+        Ok(())
+    }
+
+    fn erase(&mut self, out: &mut impl Write) -> io::Result<()> {
+        if self.shown.take().is_some() {
+            queue!(out, MoveToColumn(0), Clear(ClearType::CurrentLine), MoveUp(1))?;
+            queue!(out, Clear(ClearType::CurrentLine))?;
+        }
+        out.flush()
+    }
+}
+
+/// The commands that there are, as clap has them.
+struct Words(Command);
+
+impl Complete for Words {
+    fn choices(&self, words: &[&str]) -> Vec<String> {
+        let Some((name, rest)) = words.split_first() else {
+            let mut names: Vec<String> =
+                self.0.get_subcommands().map(|command| command.get_name().to_owned()).collect();
+            names.push("help".to_owned());
+            names.sort();
+            return names;
+        };
+        let Some(command) = self.0.find_subcommand(name) else {
+            return if *name == "help" && rest.is_empty() { self.choices(&[]) } else { Vec::new() };
+        };
+        let position = rest.iter().filter(|word| !word.starts_with("--")).count();
+        let values = command.get_positionals().nth(position).into_iter().flat_map(|argument| {
+            argument.get_possible_values().into_iter().map(|value| value.get_name().to_owned())
+        });
+        let flags = command.get_arguments().filter(|argument| !argument.is_positional());
+        let flags = flags.filter_map(|argument| Some(format!("--{}", argument.get_long()?)));
+        values.chain(flags.filter(|flag| !rest.contains(&flag.as_str()))).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wsg_protocol::{GripperState, SystemFlags};
+
+    #[test]
+    fn choices_are_those_of_the_table() {
+        let words = Words(Line::command());
+        let names = words.choices(&[]);
+        for name in ["grip", "fast-stop", "help", "quit"] {
+            assert!(names.iter().any(|choice| choice == name), "{names:?}");
+        }
+        assert_eq!(words.choices(&["grip", "20", "50"]), ["--force"]);
+        assert_eq!(words.choices(&["grip", "--force", "40"]), [""; 0]);
+        assert_eq!(words.choices(&["home"]), ["default", "positive", "negative"]);
+        assert_eq!(words.choices(&["finger-power", "1"]), ["on", "off"]);
+        assert_eq!(words.choices(&["dance"]), [""; 0]);
+    }
+
+    #[test]
+    fn state_line_tells_what_is_known() {
+        let known = Known {
+            state: Some(GripperState::Holding),
+            width: Some(20.0),
+            speed: Some(-0.0),
+            flags: Some(SystemFlags::REFERENCED),
+            ..Known::NOTHING
+        };
+        assert_eq!(state_line(&known, true), "[HOLDING  20.00 mm  0.0 mm/s  ? N  REFERENCED]");
+        assert_eq!(state_line(&known, false), "no connection");
+    }
+}

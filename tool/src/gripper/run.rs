@@ -1,0 +1,347 @@
+//! Carries commands out, over either protocol.
+
+use std::io;
+use std::time::{Duration, Instant};
+
+use wsg_protocol::driver::blocking::GripperOver;
+use wsg_protocol::driver::host::StdClock;
+use wsg_protocol::driver::{
+    Binary, Error, Finger, Gcl, Grip, Mm, MmPerS, MotionResult, Pending, Protocol, UPDATES_LEN,
+};
+use wsg_protocol::session::{Known, Topic};
+use wsg_protocol::{AutoUpdate, DeviceTag, FingerFlags, FingerType, SoftLimits, SystemFlags, SystemLimits};
+
+use super::action::{Action, Bytes, Switch, on_block};
+use super::answer::{Answer, CELSIUS, Datum, MM, MM_PER_S, MM_PER_S2, NEWTON, Outcome, Unit};
+use super::line::Line;
+use super::trouble::Trouble;
+
+/// A gripper on any line, by either protocol.
+pub(crate) type Gripper<P> = GripperOver<Line, StdClock, P>;
+
+/// How long the gripper is heard before keys and signals are looked at.
+pub(crate) const LOOK_MS: u32 = 20;
+
+/// The longest answer to a command of a script on the gripper.
+const MAX_ANSWER: usize = 1_024;
+
+/// Shows what is known, while a motion is waited for.
+pub(crate) type Live<'a> = &'a mut dyn FnMut(&Known) -> io::Result<()>;
+
+/// What only one of the protocols has.
+pub(crate) trait Dialect: Protocol + Sized {
+    /// The part width tolerance, which is set before if it is given.
+    fn part_width_tolerance(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble>;
+
+    /// The clamping travel, which is set before if it is given.
+    fn clamping_travel(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble>;
+}
+
+fn only_in_gcl<T>() -> Result<T, Trouble> {
+    Err(Trouble::Usage("the binary protocol cannot say this; over GCL: gcl://HOST".to_owned()))
+}
+
+impl Dialect for Binary {
+    fn part_width_tolerance(_: &mut Gripper<Self>, _: Option<f32>) -> Result<f32, Trouble> {
+        only_in_gcl()
+    }
+
+    fn clamping_travel(_: &mut Gripper<Self>, _: Option<f32>) -> Result<f32, Trouble> {
+        only_in_gcl()
+    }
+}
+
+impl Dialect for Gcl {
+    fn part_width_tolerance(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble> {
+        Ok(match set {
+            Some(tolerance) => gripper.set_part_width_tolerance(tolerance)?,
+            None => gripper.part_width_tolerance()?,
+        })
+    }
+
+    fn clamping_travel(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble> {
+        Ok(match set {
+            Some(travel) => gripper.set_clamping_travel(travel)?,
+            None => gripper.clamping_travel()?,
+        })
+    }
+}
+
+/// Carries a command out; a motion to its end.
+pub(crate) fn carry_out<P: Dialect>(
+    gripper: &mut Gripper<P>,
+    action: &Action,
+    live: Live<'_>,
+) -> Result<Answer, Trouble> {
+    let done = Answer::done();
+    Ok(match action {
+        Action::Home { end } => {
+            let motion = gripper.begin_home((*end).into())?;
+            moved(gripper, &motion, live)?
+        }
+        Action::Move { width, speed, clamp } => {
+            let motion = gripper.begin_move_to(Mm(*width), MmPerS(*speed), on_block(*clamp))?;
+            moved(gripper, &motion, live)?
+        }
+        Action::MoveBy { offset, speed, clamp } => {
+            let motion = gripper.begin_move_by(Mm(*offset), MmPerS(*speed), on_block(*clamp))?;
+            moved(gripper, &motion, live)?
+        }
+        Action::Grip { width, speed, force } => grip(gripper, *width, *speed, *force, live)?,
+        Action::Release { width, speed } => {
+            let motion = gripper.begin_release(Mm(*width), MmPerS(*speed))?;
+            moved(gripper, &motion, live)?
+        }
+        Action::Stop => told(gripper.stop())?,
+        Action::FastStop => told(gripper.fast_stop())?,
+        Action::Ack => told(gripper.acknowledge())?,
+
+        Action::ForceLimit { force } => {
+            if let Some(force) = *force {
+                set_force_limit(gripper, force)?;
+            }
+            done.number("force limit", gripper.force_limit()?, NEWTON)
+        }
+        Action::Acceleration { acceleration } => {
+            if let Some(acceleration) = *acceleration {
+                set_acceleration(gripper, acceleration)?;
+            }
+            done.number("acceleration", gripper.acceleration()?, MM_PER_S2)
+        }
+        Action::SoftLimits { from, to, clear } => {
+            if *clear {
+                gripper.clear_soft_limits()?;
+            } else if let (Some(minus), Some(plus)) = (*from, *to) {
+                gripper.set_soft_limits(SoftLimits { minus, plus })?;
+            }
+            match gripper.soft_limits()? {
+                Some(SoftLimits { minus, plus }) => done.number("from", minus, MM).number("to", plus, MM),
+                None => done.with("soft limits", Datum::Nothing),
+            }
+        }
+        Action::Overdrive { switch } => told(gripper.set_overdrive(*switch == Switch::On))?,
+        Action::Tare => told(gripper.tare())?,
+        Action::PartWidthTolerance { tolerance } => {
+            done.number("part width tolerance", P::part_width_tolerance(gripper, *tolerance)?, MM)
+        }
+        Action::ClampingTravel { travel } => {
+            done.number("clamping travel", P::clamping_travel(gripper, *travel)?, MM)
+        }
+
+        Action::Status => status(gripper)?,
+        Action::State => done.text("state", gripper.state()?),
+        Action::Flags => done.with("flags", system_flags(gripper.system_state()?)),
+        Action::Width => done.number("width", gripper.width()?, MM),
+        Action::Speed => done.number("speed", gripper.speed()?, MM_PER_S),
+        Action::Force => done.number("force", gripper.force()?, NEWTON),
+        Action::Temperature => {
+            done.number("temperature", f32::from(gripper.temperature()?.0) / 10.0, CELSIUS)
+        }
+        Action::Statistics { reset } => {
+            let counts = gripper.statistics(*reset)?;
+            done.with("grips", Datum::Count(counts.total))
+                .with("without part", Datum::Count(counts.no_part.into()))
+                .with("parts lost", Datum::Count(counts.part_lost.into()))
+        }
+
+        Action::Info => {
+            let info = gripper.system_info()?;
+            done.text("device", info.device)
+                .with("hardware revision", Datum::Count(info.hardware_revision.into()))
+                .text("firmware", info.firmware)
+                .with("serial number", Datum::Count(info.serial_number))
+        }
+        Action::Limits => limits(gripper.limits()?),
+        Action::Tag { text } => {
+            if let Some(text) = text {
+                gripper.set_tag(text)?;
+            }
+            let mut buffer = [0; DeviceTag::MAX_LEN];
+            match gripper.tag(&mut buffer) {
+                Err(Error::Refused(wsg_protocol::Status::NotAvailable)) => done.with("tag", Datum::Nothing),
+                tag => done.text("tag", tag?),
+            }
+        }
+
+        Action::FingerInfo { finger } => {
+            let info = gripper.finger_info(*finger)?;
+            done.text("finger", info.finger).with("bytes of data", Datum::Count(info.data_len.into()))
+        }
+        Action::FingerFlags { finger } => done.with("flags", finger_flags(gripper.finger_flags(*finger)?)),
+        Action::FingerPower { finger, switch } => {
+            told(gripper.set_finger_power(*finger, *switch == Switch::On))?
+        }
+        Action::FingerData { finger } => finger_data(gripper, *finger)?,
+
+        Action::Loop { bytes } => told(gripper.loop_back(&Bytes::joined(bytes)))?,
+        Action::Raw { id, payload } => {
+            let mut buffer = [0; MAX_ANSWER];
+            let answer = gripper.raw(*id, &Bytes::joined(payload), &mut buffer)?;
+            done.with("answer", hex(answer))
+        }
+        Action::Disconnect => told(match gripper.announce_disconnect() {
+            // Lines without an announcement need none.
+            Err(Error::Refused(wsg_protocol::Status::NotAvailable)) => Ok(()),
+            told => told,
+        })?,
+        Action::Pause { seconds } => {
+            let end = Instant::now() + Duration::from_secs_f32(*seconds);
+            while Instant::now() < end {
+                gripper.next_update(LOOK_MS)?;
+                live(gripper.known())?;
+            }
+            done
+        }
+    })
+}
+
+/// Whether a command moves the fingers, so that they are stopped when it is given up.
+pub(crate) const fn is_motion(action: &Action) -> bool {
+    matches!(
+        action,
+        Action::Home { .. }
+            | Action::Move { .. }
+            | Action::MoveBy { .. }
+            | Action::Grip { .. }
+            | Action::Release { .. }
+            | Action::Raw { .. }
+    )
+}
+
+/// Has the gripper tell width, speed and force by itself, as it tells its states.
+pub(crate) fn subscribe<P: Protocol>(gripper: &mut Gripper<P>, period_ms: u16) {
+    for topic in [Topic::Width, Topic::Speed, Topic::Force] {
+        gripper.subscribe(topic, AutoUpdate::on_change(period_ms));
+    }
+}
+
+/// Ends that: a line that has no end would carry on. What goes wrong shows where it matters.
+pub(crate) fn unsubscribe<P: Protocol>(gripper: &mut Gripper<P>) -> Result<(), Error<io::Error>> {
+    for topic in [Topic::Width, Topic::Speed, Topic::Force] {
+        gripper.subscribe(topic, AutoUpdate::once());
+    }
+    // The next request waits until the line is free, and changed subscriptions are sent before.
+    (0..UPDATES_LEN).try_for_each(|_| gripper.next_update(0).map(drop))?;
+    gripper.state().map(drop)
+}
+
+fn told(result: Result<(), Error<io::Error>>) -> Result<Answer, Trouble> {
+    result?;
+    Ok(Answer::done())
+}
+
+fn finish<P: Protocol, T: MotionResult>(
+    gripper: &mut Gripper<P>,
+    motion: &Pending<T>,
+    live: Live<'_>,
+) -> Result<T, Trouble> {
+    loop {
+        if let Some(result) = gripper.poll(motion)? {
+            return Ok(result);
+        }
+        gripper.next_update(LOOK_MS)?;
+        live(gripper.known())?;
+    }
+}
+
+fn moved<P: Protocol>(
+    gripper: &mut Gripper<P>,
+    motion: &Pending<()>,
+    live: Live<'_>,
+) -> Result<Answer, Trouble> {
+    finish(gripper, motion, live)?;
+    Ok(Answer::done())
+}
+
+fn grip<P: Protocol>(
+    gripper: &mut Gripper<P>,
+    width: f32,
+    speed: f32,
+    force: Option<f32>,
+    live: Live<'_>,
+) -> Result<Answer, Trouble> {
+    if let Some(force) = force {
+        set_force_limit(gripper, force)?;
+    }
+    let motion = gripper.begin_grip(Mm(width), MmPerS(speed))?;
+    Ok(match finish(gripper, &motion, live)? {
+        Grip::Held => {
+            let held = Answer::of(Outcome::Held);
+            held.number("width", gripper.width()?, MM).number("force", gripper.force()?, NEWTON)
+        }
+        Grip::NoPart => Answer::of(Outcome::NoPart),
+    })
+}
+
+/// A gripper clamps what it is set to: that is no success for one who asked for more.
+fn set_force_limit<P: Protocol>(gripper: &mut Gripper<P>, force: f32) -> Result<(), Trouble> {
+    gripper.set_force_limit(force)?;
+    let taken = gripper.force_limit()?;
+    let range = gripper.known().limits.map(|limits| {
+        let SystemLimits { min_force, nominal_force, overdrive_force, .. } = limits;
+        format!("{min_force:.0} to {nominal_force:.0} N, with overdrive up to {overdrive_force:.0} N")
+    });
+    unclamped("force limit", NEWTON, [force, taken], range)
+}
+
+fn set_acceleration<P: Protocol>(gripper: &mut Gripper<P>, acceleration: f32) -> Result<(), Trouble> {
+    gripper.set_acceleration(acceleration)?;
+    let taken = gripper.acceleration()?;
+    let range = gripper
+        .known()
+        .limits
+        .map(|limits| format!("{:.0} to {:.0} mm/s²", limits.min_acceleration, limits.max_acceleration));
+    unclamped("acceleration", MM_PER_S2, [acceleration, taken], range)
+}
+
+fn unclamped(what: &str, unit: Unit, [asked, taken]: [f32; 2], range: Option<String>) -> Result<(), Trouble> {
+    if asked == taken {
+        return Ok(());
+    }
+    let [asked, taken] = [asked, taken].map(|number| Datum::Number(number, unit));
+    let range = range.map(|range| format!("; it takes {range}")).unwrap_or_default();
+    Err(Trouble::Clamped(format!("{what} {asked}: the gripper took {taken}{range}")))
+}
+
+fn status<P: Protocol>(gripper: &mut Gripper<P>) -> Result<Answer, Trouble> {
+    Ok(Answer::done()
+        .text("state", gripper.state()?)
+        .number("width", gripper.width()?, MM)
+        .number("speed", gripper.speed()?, MM_PER_S)
+        .number("force", gripper.force()?, NEWTON)
+        .with("flags", system_flags(gripper.system_state()?)))
+}
+
+fn limits(limits: SystemLimits) -> Answer {
+    Answer::done()
+        .number("stroke", limits.stroke, MM)
+        .number("least speed", limits.min_speed, MM_PER_S)
+        .number("greatest speed", limits.max_speed, MM_PER_S)
+        .number("least acceleration", limits.min_acceleration, MM_PER_S2)
+        .number("greatest acceleration", limits.max_acceleration, MM_PER_S2)
+        .number("least force", limits.min_force, NEWTON)
+        .number("nominal force", limits.nominal_force, NEWTON)
+        .number("overdrive force", limits.overdrive_force, NEWTON)
+}
+
+fn finger_data<P: Protocol>(gripper: &mut Gripper<P>, finger: Finger) -> Result<Answer, Trouble> {
+    let kind = gripper.finger_info(finger)?.finger;
+    let mut buffer = [0; MAX_ANSWER];
+    let data = gripper.finger_data(finger, &mut buffer)?;
+    Ok(match (kind, data.first_chunk()) {
+        (FingerType::Fmf, Some(bytes)) => Answer::done().number("force", f32::from_le_bytes(*bytes), NEWTON),
+        _ => Answer::done().with("data", hex(data)),
+    })
+}
+
+fn hex(bytes: &[u8]) -> Datum {
+    Datum::Names(bytes.iter().map(|byte| format!("{byte:02X}")).collect())
+}
+
+fn system_flags(flags: SystemFlags) -> Datum {
+    Datum::Names(flags.iter_names().map(|(name, _)| name.to_owned()).collect())
+}
+
+fn finger_flags(flags: FingerFlags) -> Datum {
+    Datum::Names(flags.iter_names().map(|(name, _)| name.to_owned()).collect())
+}

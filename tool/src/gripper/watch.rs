@@ -1,0 +1,217 @@
+//! The full screen: state, flags, and width, speed and force over time.
+
+use std::collections::VecDeque;
+use std::io::{self, IsTerminal};
+use std::time::{Duration, Instant};
+
+use crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Style, Stylize};
+use ratatui::symbols::Marker;
+use ratatui::text::Line;
+use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType, Paragraph, Wrap};
+use wsg_protocol::session::Known;
+
+use super::prompt::state_line;
+use super::run::{self, Dialect, Gripper, LOOK_MS};
+use super::trouble::Trouble;
+
+/// At most so often a value comes.
+const UPDATE_MS: u16 = 50;
+/// So often the screen is drawn anew.
+const DRAW_PERIOD: Duration = Duration::from_millis(100);
+/// So much of the past is shown, in seconds.
+const SHOWN_S: f64 = 30.0;
+
+/// What is shown.
+struct View {
+    title: String,
+    known: Known,
+    is_connected: bool,
+    samples: VecDeque<Sample>,
+}
+
+/// What was known at a time, in seconds.
+struct Sample {
+    at: f64,
+    width: Option<f32>,
+    speed: Option<f32>,
+    force: Option<f32>,
+}
+
+impl View {
+    fn new(title: String) -> Self {
+        Self { title, known: Known::NOTHING, is_connected: false, samples: VecDeque::new() }
+    }
+
+    fn note(&mut self, at: f64, known: Known, is_connected: bool) {
+        let Known { width, speed, force, .. } = known;
+        self.samples.push_back(Sample { at, width, speed, force });
+        while self.samples.front().is_some_and(|sample| sample.at < at - SHOWN_S) {
+            self.samples.pop_front();
+        }
+        (self.known, self.is_connected) = (known, is_connected);
+    }
+
+    /// Points of a value: seconds from now, and the value.
+    fn points(&self, value: impl Fn(&Sample) -> Option<f32>) -> Vec<(f64, f64)> {
+        let now = self.samples.back().map_or(0.0, |sample| sample.at);
+        self.samples.iter().filter_map(|sample| Some((sample.at - now, value(sample)?.into()))).collect()
+    }
+}
+
+/// Shows the gripper until `q`, Esc or Ctrl-C.
+pub(crate) fn run<P: Dialect>(gripper: &mut Gripper<P>, title: String) -> Result<u8, Trouble> {
+    if !io::stdout().is_terminal() {
+        return Err(Trouble::Usage("the full screen needs a terminal; `log` needs none".to_owned()));
+    }
+    run::subscribe(gripper, UPDATE_MS);
+    let mut terminal = ratatui::try_init()?;
+    let _restored = Restore;
+    let start = Instant::now();
+    let mut view = View::new(title);
+    let mut drawn: Option<Instant> = None;
+    loop {
+        if is_over()? {
+            return Ok(0);
+        }
+        gripper.next_update(LOOK_MS)?;
+        if drawn.is_none_or(|drawn| drawn.elapsed() >= DRAW_PERIOD) {
+            view.note(start.elapsed().as_secs_f64(), *gripper.known(), gripper.is_connected());
+            terminal.draw(|frame| draw(frame, &view))?;
+            drawn = Some(Instant::now());
+        }
+    }
+}
+
+/// Gives the terminal back, also when something goes wrong.
+struct Restore;
+
+impl Drop for Restore {
+    fn drop(&mut self) {
+        // Nobody is left to be told of an error.
+        let _ = ratatui::try_restore();
+    }
+}
+
+/// Whether a key says so.
+fn is_over() -> io::Result<bool> {
+    while event::poll(Duration::ZERO)? {
+        if let Event::Key(key) = event::read()?
+            && key.kind != KeyEventKind::Release
+        {
+            let is_control_c =
+                key.modifiers.contains(KeyModifiers::CONTROL) && key.code == KeyCode::Char('c');
+            if is_control_c || matches!(key.code, KeyCode::Char('q') | KeyCode::Esc) {
+                return Ok(true);
+            }
+        }
+    }
+    Ok(false)
+}
+
+fn draw(frame: &mut Frame<'_>, view: &View) {
+    let rows = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Length(2),
+        Constraint::Fill(1),
+        Constraint::Fill(1),
+        Constraint::Fill(1),
+    ]);
+    let [title, state, width, speed, force] = rows.areas(frame.area());
+    let keys = "  q ends";
+    frame.render_widget(Line::from(vec![view.title.as_str().bold(), keys.dim()]), title);
+    let words = Paragraph::new(state_line(&view.known, view.is_connected)).wrap(Wrap { trim: true });
+    frame.render_widget(words, state);
+    let limits = view.known.limits;
+    let stroke = limits.map(|limits| [0.0, limits.stroke]);
+    let greatest = limits.map(|limits| [-limits.max_speed, limits.max_speed]);
+    let nominal = limits.map(|limits| [0.0, limits.nominal_force]);
+    plot(frame, width, "width, mm", Color::Cyan, stroke, &view.points(|sample| sample.width));
+    plot(frame, speed, "speed, mm/s", Color::Yellow, greatest, &view.points(|sample| sample.speed));
+    plot(frame, force, "force, N", Color::Magenta, nominal, &view.points(|sample| sample.force));
+}
+
+/// A value over time; its axis is what the gripper can do, or what there was where that is not known.
+fn plot(
+    frame: &mut Frame<'_>,
+    area: Rect,
+    title: &str,
+    color: Color,
+    range: Option<[f32; 2]>,
+    points: &[(f64, f64)],
+) {
+    let lowest = points.iter().map(|point| point.1).fold(0.0, f64::min);
+    let highest = points.iter().map(|point| point.1).fold(1.0, f64::max);
+    let [low, high] =
+        range.map_or([lowest, highest], |[low, high]| [lowest.min(low.into()), highest.max(high.into())]);
+    let data = Dataset::default().data(points).graph_type(GraphType::Line).marker(Marker::Braille);
+    let times = Axis::default().bounds([-SHOWN_S, 0.0]).labels([format!("-{SHOWN_S} s"), "now".to_owned()]);
+    let values = Axis::default().bounds([low, high]).labels([format!("{low:.0}"), format!("{high:.0}")]);
+    let chart = Chart::new(vec![data.style(Style::new().fg(color))]).x_axis(times).y_axis(values);
+    frame.render_widget(chart.block(Block::bordered().title(title.to_owned())), area);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+    use wsg_protocol::{GripperState, SystemFlags, SystemLimits};
+
+    fn screen(view: &View) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(60, 24)).unwrap();
+        terminal.draw(|frame| draw(frame, view)).unwrap();
+        terminal.backend().to_string()
+    }
+
+    #[test]
+    fn screen_shows_state_and_plots_with_the_grippers_ranges() {
+        let mut view = View::new("tcp://192.168.1.20:1000".to_owned());
+        assert!(screen(&view).contains("no connection"));
+        let limits = SystemLimits {
+            stroke: 110.0,
+            min_speed: 5.0,
+            max_speed: 420.0,
+            min_acceleration: 100.0,
+            max_acceleration: 5_000.0,
+            min_force: 5.0,
+            nominal_force: 80.0,
+            overdrive_force: 120.0,
+        };
+        for tick in 0..200_u8 {
+            let known = Known {
+                limits: Some(limits),
+                state: Some(GripperState::Gripping),
+                flags: Some(SystemFlags::REFERENCED | SystemFlags::MOVING),
+                width: Some(110.0 - f32::from(tick) / 2.0),
+                speed: Some(-50.0),
+                force: Some(0.0),
+                ..Known::NOTHING
+            };
+            view.note(f64::from(tick) / 10.0, known, true);
+        }
+        let screen = screen(&view);
+        for text in [
+            "tcp://192.168.1.20:1000  q ends",
+            "GRIPPING  10.50 mm  -50.0 mm/s",
+            "REFERENCED | MOVING",
+            "width, mm",
+        ] {
+            assert!(screen.contains(text), "{text}\n{screen}");
+        }
+        for label in ["110", "420", "-420", "80", "-30 s", "now"] {
+            assert!(screen.contains(label), "{label}\n{screen}");
+        }
+        let is_drawn = |character: char| ('\u{2801}'..='\u{28FF}').contains(&character);
+        assert!(screen.chars().filter(|character| is_drawn(*character)).count() > 20, "{screen}");
+    }
+
+    #[test]
+    fn past_beyond_the_plot_is_forgotten() {
+        let mut view = View::new(String::new());
+        (0..1_000).for_each(|tick| view.note(f64::from(tick), Known::NOTHING, true));
+        assert_eq!(view.samples.len(), 31);
+    }
+}
