@@ -1,8 +1,8 @@
 //! A gripper on a CAN bus: what of the bus is for it, and its messages cut into CAN frames; and Linux SocketCAN.
 
 use super::hub::{Client, Hub};
-use crate::port::{MAX_FRAME_LEN, PortKind};
-use anyhow::{Context, Result};
+use crate::port::MAX_FRAME_LEN;
+use anyhow::Result;
 use embedded_can::{Frame, Id};
 use std::path::Path;
 use std::rc::Rc;
@@ -26,6 +26,8 @@ pub(super) fn transmit<F: Frame>(client: &Client, identifiers: Identifiers) -> V
 #[cfg(target_os = "linux")]
 mod interface {
     use super::*;
+    use crate::port::PortKind;
+    use anyhow::Context;
     use socketcan::tokio::CanSocket;
     use socketcan::{CanFrame, SocketOptions};
     use std::collections::VecDeque;

@@ -61,11 +61,11 @@ pub struct UdpLine {
 /// A serial line that is to be served.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SerialLine {
-    /// A pseudo terminal, made for the purpose.
+    /// A pseudo terminal, made for the purpose. Only on Unix: elsewhere opening it is an error.
     Pty,
-    /// A Unix socket at this path, to which clients connect.
+    /// A Unix socket at this path, to which clients connect. Only on Unix, likewise.
     Unix(PathBuf),
-    /// A terminal device that exists, such as `/dev/ttyUSB0`; set to 115200 8N1.
+    /// A serial port that exists, such as `/dev/ttyUSB0` or `COM3`; set to 115200 8N1.
     Device(PathBuf),
 }
 

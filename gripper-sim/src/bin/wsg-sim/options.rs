@@ -87,7 +87,7 @@ const CONFIG: &str = "config";
 const CONTROL_HOST: &str = "control-host";
 
 const ADDRESS: &str = "an address with a port, such as 127.0.0.1:1000";
-const LINE: &str = "pty, unix:PATH or a device's path";
+const LINE: &str = "pty, unix:PATH or a device such as /dev/ttyUSB0 or COM3";
 const FINGERS: &str = "none, generic, fmf or dsa";
 const U16: &str = "a number from 0 to 65535";
 const LENGTH: &str = "a number from 0 to 1000";
@@ -169,7 +169,7 @@ const SETTINGS: &[Setting] = &[
             Some(())
         },
         "a serial line: `pty` opens a pseudo terminal and says its path, `unix:PATH` listens on a Unix socket as \
-         emulators have it for a UART, any other path is a terminal device, set to 115200 8N1",
+         emulators have it for a UART, any other path is a terminal device or a port such as COM3, set to 115200 8N1",
     ),
     setting(
         "can",
@@ -192,7 +192,7 @@ const SETTINGS: &[Setting] = &[
             Some(())
         },
         "CAN by SLCAN: with `pty` and `unix:PATH` the gripper is on the bus of the adapter that a host opens there, \
-         behind a terminal device an adapter is expected, 500 kbit/s",
+         behind a terminal device or a port an adapter is expected, 500 kbit/s",
     ),
     setting(
         "can-id",
@@ -258,7 +258,7 @@ const SETTINGS: &[Setting] = &[
             draft.lines.profibus = Some(serial(text)?);
             Some(())
         },
-        "a PROFIBUS DP slave on a serial line: `pty`, `unix:PATH` or a terminal device",
+        "a PROFIBUS DP slave on a serial line, as for `--serial`",
     ),
     setting(
         "profibus-address",
