@@ -14,6 +14,7 @@ use wsg_protocol::{AutoUpdate, Command, LoopData};
 /// Clients of each bad kind.
 const OF_EACH: usize = 20;
 /// How far the bad clients stand back when there are too few cores for all.
+#[cfg(unix)]
 const NICENESS: i32 = 15;
 /// How often a well-behaved client asks.
 const PACE: Duration = Duration::from_millis(5);
@@ -33,6 +34,7 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
         let bad = [flood, flood_serial, flood_udp, come_and_go, hold].map(|client| {
             scope.spawn(move || {
                 // It competes with the others for the gripper, but not for this machine.
+                #[cfg(unix)]
                 rustix::process::nice(NICENESS)?;
                 client(sim, ended)
             })
@@ -106,7 +108,7 @@ fn flood(sim: &Sim, ended: &AtomicBool) -> Result<()> {
 
 /// A serial line has no flow control: all requests are taken, and the answers are lost.
 fn flood_serial(sim: &Sim, ended: &AtomicBool) -> Result<()> {
-    let mut stream = std::os::unix::net::UnixStream::connect(&sim.serial)?;
+    let (_unread, mut stream) = sim.open_serial()?;
     let requests = frame(Command::GetSystemLimits).repeat(20);
     while !ended.load(Ordering::Relaxed) {
         stream.write_all(&requests)?;

@@ -3,11 +3,8 @@
 use crate::sim::{PATIENCE, Random, Setup, Sim, frame};
 use crate::uninterrupted;
 use anyhow::{Context, Result, anyhow, ensure};
-use std::fs::OpenOptions;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
-use std::os::unix::net::UnixStream;
-use std::path::Path;
 use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -34,11 +31,11 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
         ),
     ] {
         let sim = Sim::start(setup)?;
-        let bytes = disturb(&sim, setup, seed, lasting / 2)?;
+        let bytes = disturb(&sim, seed, lasting / 2)?;
         println!("{name}: {bytes} bytes");
         answers_tcp(&sim).context("TCP")?;
         answers_udp(&sim, &remote).context("UDP")?;
-        answers_serial(&sim, setup).context("the serial line")?;
+        answers_serial(&sim).context("the serial line")?;
         answers_gcl(&sim).context("GCL over TCP")?;
         answers_gcl_udp(&sim).context("GCL over UDP")?;
         answers_modbus(&sim).context("Modbus/TCP")?;
@@ -53,9 +50,9 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
 type Sender = Box<dyn FnMut(&[u8]) -> Result<()> + Send>;
 
 /// Sends bytes to every port until the time is over; how many.
-fn disturb(sim: &Sim, setup: Setup<'_>, seed: u64, lasting: Duration) -> Result<u64> {
+fn disturb(sim: &Sim, seed: u64, lasting: Duration) -> Result<u64> {
     let end = Instant::now() + lasting;
-    let (_unread, mut serial) = open_serial(&sim.serial, setup)?;
+    let (_unread, mut serial) = sim.open_serial()?;
     let socket = UdpSocket::bind("127.0.0.1:0")?;
     let (tcp, udp, gcl, gcl_udp) = (sim.tcp, sim.udp, sim.gcl, sim.gcl_udp);
     let (modbus, control) = (sim.modbus, sim.control);
@@ -136,19 +133,6 @@ fn say_and_leave(to: SocketAddr, run: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// The two directions of the serial line.
-type SerialEnds = (Box<dyn Read + Send>, Box<dyn Write + Send>);
-
-fn open_serial(path: &Path, setup: Setup<'_>) -> Result<SerialEnds> {
-    if setup.unix.is_some() {
-        let stream = UnixStream::connect(path)?;
-        Ok((Box::new(stream.try_clone()?), Box::new(stream)))
-    } else {
-        let terminal = OpenOptions::new().read(true).write(true).open(path)?;
-        Ok((Box::new(terminal.try_clone()?), Box::new(terminal)))
-    }
-}
-
 fn question() -> Result<Vec<u8>> {
     let data = LoopData::new(SOUGHT).map_err(|refusal| anyhow!("{refusal}"))?;
     Ok(frame(Command::Loop { data }))
@@ -224,8 +208,8 @@ fn answers_gcl_udp(sim: &Sim) -> Result<()> {
 }
 
 /// Asks again and again, since half a frame of the noise may be waited for.
-fn answers_serial(sim: &Sim, setup: Setup<'_>) -> Result<()> {
-    let (mut reader, mut writer) = open_serial(&sim.serial, setup)?;
+fn answers_serial(sim: &Sim) -> Result<()> {
+    let (mut reader, mut writer) = sim.open_serial()?;
     // A terminal has no time-out for reading, so another thread reads.
     let (bytes, incoming) = mpsc::channel();
     thread::spawn(move || {

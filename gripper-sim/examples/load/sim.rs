@@ -40,6 +40,9 @@ pub(crate) struct Sim {
     pub(crate) serial: PathBuf,
 }
 
+/// The two directions of a serial line.
+pub(crate) type SerialEnds = (Box<dyn Read + Send>, Box<dyn Write + Send>);
+
 const UNIX: &str = "WSG_LOAD_UNIX";
 const IGNORE_CHECKSUMS: &str = "WSG_LOAD_IGNORE_CHECKSUMS";
 const UDP_REMOTE_PORT: &str = "WSG_LOAD_UDP_REMOTE_PORT";
@@ -114,6 +117,22 @@ impl Sim {
         stream.set_write_timeout(Some(PATIENCE))?;
         stream.set_nodelay(true)?;
         Ok(stream)
+    }
+
+    /// The two directions of the serial line: a Unix socket, or else a terminal.
+    #[cfg(unix)]
+    pub(crate) fn open_serial(&self) -> Result<SerialEnds> {
+        if let Ok(stream) = std::os::unix::net::UnixStream::connect(&self.serial) {
+            return Ok((Box::new(stream.try_clone()?), Box::new(stream)));
+        }
+        let terminal = std::fs::OpenOptions::new().read(true).write(true).open(&self.serial)?;
+        Ok((Box::new(terminal.try_clone()?), Box::new(terminal)))
+    }
+
+    /// Where there is no Unix, there is no such line.
+    #[cfg(not(unix))]
+    pub(crate) fn open_serial(&self) -> Result<SerialEnds> {
+        anyhow::bail!("{} is served on Unix alone", self.serial.display())
     }
 
     /// CPU time used so far, in seconds.

@@ -1,8 +1,7 @@
 //! `wsg-sim` as a program.
 
-use rustix::process::{Pid, Signal};
 use std::io::{BufRead, BufReader, Lines};
-use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
 
 /// A `wsg-sim` that runs. It ends with its test, however that ends.
 pub(crate) struct Program {
@@ -34,14 +33,17 @@ impl Program {
         place.unwrap_or_else(|| panic!("where is {name}? {line}")).to_owned()
     }
 
-    /// Sends it a signal.
-    pub(crate) fn signal(&self, signal: Signal) {
-        rustix::process::kill_process(Pid::from_child(&self.child), signal).expect("it runs");
+    /// Sends it a signal, which Unix has.
+    #[cfg(unix)]
+    pub(crate) fn signal(&self, signal: rustix::process::Signal) {
+        let pid = rustix::process::Pid::from_child(&self.child);
+        rustix::process::kill_process(pid, signal).expect("it runs");
     }
 
     /// What Ctrl-C does; how it ends.
-    pub(crate) fn interrupt(mut self) -> ExitStatus {
-        self.signal(Signal::INT);
+    #[cfg(unix)]
+    pub(crate) fn interrupt(mut self) -> std::process::ExitStatus {
+        self.signal(rustix::process::Signal::INT);
         self.child.wait().expect("it ends")
     }
 }

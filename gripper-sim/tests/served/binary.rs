@@ -1,31 +1,27 @@
 //! The servers over real sockets and terminals, and the binary. Every wait is bounded by a time-out of the socket.
 
-use crate::common::program::Program;
 use crate::common::{grip, parse, uninterrupted};
-use std::io::{self, BufRead, BufReader, Read, Write};
+use std::io::{self, Read, Write};
 use std::net::{TcpStream, UdpSocket};
-use std::os::unix::net::UnixStream;
-use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
-use std::process::{Command as Process, Stdio};
+use std::process::Command as Process;
 use std::sync::mpsc;
-use std::thread;
 use std::time::{Duration, Instant};
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, LoopData, Status, SystemFlags};
-use wsg_sim::server::{Lines, Log, Profile, SerialLine, ServerThread, UdpLine};
+use wsg_sim::server::{Lines, Log, Profile, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
 /// The longest that anything may take here.
-const BOUND: Duration = Duration::from_secs(60);
+pub(crate) const BOUND: Duration = Duration::from_secs(60);
 /// So that motions take no time to speak of.
-const QUICK: f32 = 100.0;
+pub(crate) const QUICK: f32 = 100.0;
 /// So that a motion takes more than a second: its end does not come before its begin has been read, on a machine that has
 /// other things to do.
-const READABLE: f32 = 0.5;
+pub(crate) const READABLE: f32 = 0.5;
 
-const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
+pub(crate) const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
-fn serve(config: Config, lines: Lines) -> ServerThread {
+pub(crate) fn serve(config: Config, lines: Lines) -> ServerThread {
     ServerThread::start(config, &lines, None).expect("the server is up")
 }
 
@@ -33,11 +29,11 @@ fn serve_tcp(config: Config) -> ServerThread {
     serve(config, tcp_lines())
 }
 
-fn tcp_lines() -> Lines {
+pub(crate) fn tcp_lines() -> Lines {
     Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() }
 }
 
-fn connect(served: &ServerThread) -> Client<TcpStream> {
+pub(crate) fn connect(served: &ServerThread) -> Client<TcpStream> {
     let stream = TcpStream::connect_timeout(&served.tcp_address().expect("TCP is served"), BOUND).unwrap();
     stream.set_read_timeout(Some(BOUND)).unwrap();
     stream.set_write_timeout(Some(BOUND)).unwrap();
@@ -46,10 +42,10 @@ fn connect(served: &ServerThread) -> Client<TcpStream> {
 }
 
 /// A client that, like several in the field, takes what one read gives for one frame.
-struct Client<S>(S);
+pub(crate) struct Client<S>(pub(crate) S);
 
 impl<S: Read + Write> Client<S> {
-    fn send(&mut self, command: Command<'_>) {
+    pub(crate) fn send(&mut self, command: Command<'_>) {
         self.0.write_all(&frame(command)).unwrap();
     }
 
@@ -68,14 +64,14 @@ impl<S: Read + Write> Client<S> {
         frames.into_iter().next().unwrap()
     }
 
-    fn ask(&mut self, command: Command<'_>) -> Status {
+    pub(crate) fn ask(&mut self, command: Command<'_>) -> Status {
         self.send(command);
         let (id, status) = self.recv();
         assert_eq!(id, command.id().code());
         status
     }
 
-    fn run(&mut self, command: Command<'_>) -> Status {
+    pub(crate) fn run(&mut self, command: Command<'_>) -> Status {
         assert_eq!(self.ask(command), Status::CmdPending);
         self.recv().1
     }
@@ -87,12 +83,12 @@ impl<S: Read + Write> Client<S> {
     }
 }
 
-fn frame(command: Command<'_>) -> Vec<u8> {
+pub(crate) fn frame(command: Command<'_>) -> Vec<u8> {
     FrameEncoder::new(command.id().code(), command).collect()
 }
 
 /// A path in the directory for temporary files that no other test uses.
-fn scratch(name: &str) -> PathBuf {
+pub(crate) fn scratch(name: &str) -> PathBuf {
     std::env::temp_dir().join(format!("wsg-sim-{}-{name}", std::process::id()))
 }
 
@@ -217,59 +213,6 @@ fn tcp_connection_too_many_is_closed_and_a_place_that_gets_free_is_given_again()
 }
 
 #[test]
-fn random_bytes_on_every_port_leave_it_answering() {
-    for check_checksum in [true, false] {
-        let path = scratch(if check_checksum { "noise-checked" } else { "noise-unchecked" });
-        let any = "127.0.0.1:0".parse().unwrap();
-        let lines = Lines {
-            tcp: Some(any),
-            udp: Some(UdpLine { address: any, remote_port: 9 }),
-            serial: Some(SerialLine::Unix(path)),
-            control: Some(any),
-            ..Lines::default()
-        };
-        let served = serve(Config { check_checksum, disconnect_error: false, ..Config::default() }, lines);
-        // A xorshift: any numbers do that are the same at every run.
-        let mut random = 0x2545_F491u32;
-        let mut noise = || -> Vec<u8> {
-            let next = || {
-                random ^= random << 13;
-                random ^= random >> 17;
-                random ^= random << 5;
-                // Every other byte is one that frames are made of.
-                if random & 0x100 == 0 {
-                    random as u8
-                } else {
-                    [0xAA, 0x00, 0x07, 0x40][random as usize >> 30]
-                }
-            };
-            std::iter::repeat_with(next).take(20_000).collect()
-        };
-        let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
-        for _ in 0..4 {
-            // Any of them may be closed for what it says.
-            let _ = connect(&served).0.write_all(&noise());
-            let _ = TcpStream::connect(served.control_address().unwrap()).unwrap().write_all(&noise());
-            let _ = UnixStream::connect(served.serial_path().unwrap()).unwrap().write_all(&noise());
-            for datagram in noise().chunks(700) {
-                uninterrupted::send_to(&udp, datagram, served.udp_address().unwrap()).unwrap();
-            }
-        }
-        assert_eq!(connect(&served).ask(Command::GetForceLimit), Status::Success);
-        let serial = UnixStream::connect(served.serial_path().unwrap()).unwrap();
-        serial.set_read_timeout(Some(BOUND)).unwrap();
-        assert_eq!(Client(serial).ask(Command::GetForceLimit), Status::Success);
-        let mut control = TcpStream::connect(served.control_address().unwrap()).unwrap();
-        control.set_read_timeout(Some(BOUND)).unwrap();
-        control.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
-        let mut answer = String::new();
-        control.read_to_string(&mut answer).unwrap();
-        assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
-        served.stop().unwrap();
-    }
-}
-
-#[test]
 fn tcp_pipelined_requests_are_all_answered_in_order() {
     let served = serve_tcp(Config::default());
     let mut client = connect(&served);
@@ -321,53 +264,6 @@ fn udp_answers_go_to_the_fixed_remote_port_whatever_port_asked() {
             assert_eq!(frames.len(), 1, "one frame in a datagram");
             assert_eq!(frames[0].0, command.id().code());
         }
-    }
-}
-
-#[test]
-fn unix_socket_is_a_serial_line() {
-    let path = scratch("line");
-    let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
-    let config = Config { time_scale: READABLE, ..Config::default() };
-    let served = serve(config, lines);
-    let stream = UnixStream::connect(served.serial_path().unwrap()).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    let mut client = Client(stream);
-    assert_eq!(client.run(HOMING), Status::Success);
-    assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::NotAvailable);
-    drop(served);
-    assert!(!path.exists(), "the socket goes with its server");
-}
-
-#[test]
-fn unix_socket_left_over_by_a_dead_server_is_taken_over() {
-    let path = scratch("left-over");
-    drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
-    assert!(path.exists());
-    let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
-    let served = serve(Config::default(), lines);
-    assert!(UnixStream::connect(&path).is_ok());
-    drop(served);
-}
-
-#[test]
-fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
-    let lines = Lines { serial: Some(SerialLine::Pty), ..Lines::default() };
-    let served = serve(Config { time_scale: QUICK, ..Config::default() }, lines);
-    for _ in 0..2 {
-        let path = served.serial_path().unwrap().to_owned();
-        let mut terminal = std::fs::OpenOptions::new().read(true).write(true).open(path).unwrap();
-        terminal.write_all(&frame(HOMING)).unwrap();
-        // A terminal has no read time-out, so another thread reads.
-        let (done, result) = mpsc::channel();
-        thread::spawn(move || {
-            let mut answers = [0; 20];
-            let read = terminal.read_exact(&mut answers);
-            let _ = done.send(read.map(|()| answers));
-        });
-        let answers = result.recv_timeout(BOUND).expect("answers in time").unwrap();
-        let frames = parse(&answers);
-        assert_eq!(frames, [(0x20, vec![0x1A, 0]), (0x20, vec![0, 0])]);
     }
 }
 
@@ -448,51 +344,6 @@ fn binary_refuses_what_cannot_be_served_in_one_line() {
     }
     let (code, stdout, _) = sim(&["--help"]);
     assert!(code == Some(0) && stdout.contains("--time-scale"));
-}
-
-#[test]
-fn port_1000_is_replaced_for_an_ordinary_user_and_a_low_port_that_is_asked_for_says_what_to_do() {
-    let lowest = std::fs::read_to_string("/proc/sys/net/ipv4/ip_unprivileged_port_start");
-    if lowest.is_ok_and(|port| port.trim().parse().is_ok_and(|port: u16| port <= 1_000)) {
-        // Here nobody needs rights.
-        return;
-    }
-    // Where nobody may run it.
-    let program = scratch("ordinary");
-    std::fs::copy(env!("CARGO_BIN_EXE_wsg-sim"), &program).unwrap();
-    let ordinary = |arguments: &[&str]| {
-        let mut command = Process::new(&program);
-        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-        if rustix::process::geteuid().is_root() {
-            command.uid(65_534).gid(65_534);
-        }
-        command.spawn().unwrap()
-    };
-    let output = ordinary(&["--tcp", "127.0.0.1:999"]).wait_with_output().unwrap();
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{said}");
-    assert!(said.contains("ports below 1024 need rights; try --tcp 127.0.0.1:11000"), "{said}");
-
-    let mut child = ordinary(&[]);
-    let mut said = String::new();
-    let mut errors = BufReader::new(child.stderr.take().unwrap());
-    errors.read_line(&mut said).unwrap();
-    // It may have ended because that port is taken.
-    let _ = child.kill();
-    child.wait().unwrap();
-    std::fs::remove_file(&program).unwrap();
-    assert!(said.contains("port 1000 needs rights that you lack: serving 127.0.0.1:11000 instead"), "{said}");
-}
-
-#[test]
-fn binary_serves_until_it_is_interrupted() {
-    let mut program = Program::start(&["--tcp", "127.0.0.1:0", "--model", "wsg32", "--time-scale", "50"]);
-    assert_eq!(program.line(), "model wsg32");
-    let address = program.place_of("tcp").parse().unwrap();
-    let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    assert_eq!(Client(&stream).ask(Command::GetSystemInfo), Status::Success);
-    assert!(program.interrupt().success());
 }
 
 #[test]

@@ -4,12 +4,12 @@ use crate::common::parse;
 use crate::common::program::Program;
 use crate::common::uninterrupted;
 use std::io::{Read, Write};
-use std::net::{TcpStream, UdpSocket};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Command as Process;
 use std::time::{Duration, Instant};
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, Status, SystemFlags};
-use wsg_sim::server::{Lines, Log, SerialLine, ServerThread, UdpLine};
+use wsg_sim::server::{Lines, Log, ServerThread};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
 /// The longest that anything may take here.
@@ -283,33 +283,6 @@ fn values_cross_as_the_calls_say() {
 }
 
 #[test]
-fn script_answers_whoever_asked_over_udp_and_a_serial_line() {
-    let [answers, asks] = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
-    answers.set_read_timeout(Some(BOUND)).unwrap();
-    let remote_port = answers.local_addr().unwrap().port();
-    let path = std::env::temp_dir().join(format!("wsg-sim-{}-script-serial", std::process::id()));
-    let lines = Lines {
-        udp: Some(UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port }),
-        serial: Some(SerialLine::Unix(path.clone())),
-        ..lines(&remote())
-    };
-    let served = ServerThread::start(Config::default(), &lines, None).unwrap();
-    let stream = std::os::unix::net::UnixStream::connect(&path).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    let mut serial = Client(stream, Vec::new());
-    assert_eq!(serial.call_when_claimed(0xB0, &[]).0, Status::Success);
-
-    let request: Vec<u8> = FrameEncoder::new(0xB0, &[0][..]).collect();
-    uninterrupted::send_to(&asks, &request, served.udp_address().unwrap()).unwrap();
-    let mut datagram = [0; MAX_FRAME_LEN];
-    let (len, _) = uninterrupted::recv_from(&answers, &mut datagram).unwrap();
-    let (id, payload) = parse(&datagram[..len]).pop().unwrap();
-    assert_eq!((id, payload.len()), (0xB0, 19));
-    assert_eq!(serial.call(0xB0, &[]).0, Status::Success, "each has its own answer");
-    served.stop().unwrap();
-}
-
-#[test]
 fn program_takes_a_script_and_says_in_one_line_that_it_cannot_be_read() {
     let script = remote();
     let mut program = Program::start(&["--tcp", "127.0.0.1:0", "--script", script.to_str().unwrap()]);
@@ -358,4 +331,40 @@ fn whatever_is_asked_of_the_example_it_answers_and_goes_on() {
         .unwrap();
     assert!(client.borrow_mut().flags().contains(SystemFlags::SCRIPT_RUNNING));
     served.stop().unwrap();
+}
+
+/// A Unix socket as a serial line.
+#[cfg(unix)]
+mod unix {
+    use super::*;
+    use std::net::UdpSocket;
+    use std::os::unix::net::UnixStream;
+    use wsg_sim::server::{SerialLine, UdpLine};
+
+    #[test]
+    fn script_answers_whoever_asked_over_udp_and_a_serial_line() {
+        let [answers, asks] = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
+        answers.set_read_timeout(Some(BOUND)).unwrap();
+        let remote_port = answers.local_addr().unwrap().port();
+        let path = std::env::temp_dir().join(format!("wsg-sim-{}-script-serial", std::process::id()));
+        let lines = Lines {
+            udp: Some(UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port }),
+            serial: Some(SerialLine::Unix(path.clone())),
+            ..lines(&remote())
+        };
+        let served = ServerThread::start(Config::default(), &lines, None).unwrap();
+        let stream = UnixStream::connect(&path).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        let mut serial = Client(stream, Vec::new());
+        assert_eq!(serial.call_when_claimed(0xB0, &[]).0, Status::Success);
+
+        let request: Vec<u8> = FrameEncoder::new(0xB0, &[0][..]).collect();
+        uninterrupted::send_to(&asks, &request, served.udp_address().unwrap()).unwrap();
+        let mut datagram = [0; MAX_FRAME_LEN];
+        let (len, _) = uninterrupted::recv_from(&answers, &mut datagram).unwrap();
+        let (id, payload) = parse(&datagram[..len]).pop().unwrap();
+        assert_eq!((id, payload.len()), (0xB0, 19));
+        assert_eq!(serial.call(0xB0, &[]).0, Status::Success, "each has its own answer");
+        served.stop().unwrap();
+    }
 }

@@ -5,19 +5,18 @@
 use host_tests::uninterrupted;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream, UdpSocket};
-use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, Status, SystemFlags};
-use wsg_sim::server::{Lines, SerialLine, ServerThread, UdpLine};
+use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, Finger, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
 /// The longest that anything may take here.
-const BOUND: Duration = Duration::from_secs(60);
+pub(crate) const BOUND: Duration = Duration::from_secs(60);
 
 /// Requests and answers as they stand in the drivers' sources, or as their checksum routines make them.
-const ACK: &[u8] = &[0xAA, 0xAA, 0xAA, 0x24, 0x03, 0x00, 0x61, 0x63, 0x6B, 0xDC, 0xB9];
-const ACK_DONE: &[u8] = &[0xAA, 0xAA, 0xAA, 0x24, 0x02, 0x00, 0x00, 0x00, 0xB9, 0x7E];
-const HOME: &[u8] = &[0xAA, 0xAA, 0xAA, 0x20, 0x01, 0x00, 0x01, 0xAE, 0x93];
+pub(crate) const ACK: &[u8] = &[0xAA, 0xAA, 0xAA, 0x24, 0x03, 0x00, 0x61, 0x63, 0x6B, 0xDC, 0xB9];
+pub(crate) const ACK_DONE: &[u8] = &[0xAA, 0xAA, 0xAA, 0x24, 0x02, 0x00, 0x00, 0x00, 0xB9, 0x7E];
+pub(crate) const HOME: &[u8] = &[0xAA, 0xAA, 0xAA, 0x20, 0x01, 0x00, 0x01, 0xAE, 0x93];
 const HOME_DONE: &[u8] = &[0xAA, 0xAA, 0xAA, 0x20, 0x02, 0x00, 0x00, 0x00, 0xB3, 0xFD];
 const GRIP_PENDING: &[u8] = &[0xAA, 0xAA, 0xAA, 0x25, 0x02, 0x00, 0x1A, 0x00, 0x6D, 0x48];
 const GRIP_DONE: &[u8] = &[0xAA, 0xAA, 0xAA, 0x25, 0x02, 0x00, 0x00, 0x00, 0x22, 0x87];
@@ -25,7 +24,7 @@ const GRIP_DONE: &[u8] = &[0xAA, 0xAA, 0xAA, 0x25, 0x02, 0x00, 0x00, 0x00, 0x22,
 /// Bytes of a checksum.
 const CHECKSUM_LEN: usize = 2;
 
-fn frame(id: u8, payload: &[u8]) -> Vec<u8> {
+pub(crate) fn frame(id: u8, payload: &[u8]) -> Vec<u8> {
     FrameEncoder::new(id, payload).collect()
 }
 
@@ -47,7 +46,7 @@ fn system_state(flags: SystemFlags) -> Vec<u8> {
     frame(0x40, &[&[0, 0][..], &flags.bits().to_le_bytes()].concat())
 }
 
-fn floats(values: [f32; 2]) -> Vec<u8> {
+pub(crate) fn floats(values: [f32; 2]) -> Vec<u8> {
     values.map(f32::to_le_bytes).concat()
 }
 
@@ -62,7 +61,7 @@ fn serve(config: Config) -> ServerThread {
 }
 
 /// A client that takes what one `recv` gives for one frame, and compares it with what it expects, byte by byte.
-struct OneFramePerRecv<S>(S);
+pub(crate) struct OneFramePerRecv<S>(pub(crate) S);
 
 impl OneFramePerRecv<TcpStream> {
     fn connect(server: &ServerThread) -> Self {
@@ -89,14 +88,14 @@ impl<S: Read + Write> OneFramePerRecv<S> {
     }
 
     #[track_caller]
-    fn ask(&mut self, request: &[u8], answer: &[u8]) {
+    pub(crate) fn ask(&mut self, request: &[u8], answer: &[u8]) {
         self.send(request);
         self.expect(answer);
     }
 
     /// A motion: E_CMD_PENDING, and the result; in one `recv` where this client comes only after both.
     #[track_caller]
-    fn run(&mut self, request: &[u8], result: Status) {
+    pub(crate) fn run(&mut self, request: &[u8], result: Status) {
         let id = request[3];
         let pending = status(id, Status::CmdPending);
         self.send(request);
@@ -420,19 +419,6 @@ fn udp_datagram_that_breaks_off_does_not_spoil_the_next() {
 }
 
 #[test]
-fn serial_client_may_send_zeros_for_checksums_and_cannot_announce_its_end() {
-    let path = std::env::temp_dir().join(format!("wsg-clients-{}", std::process::id()));
-    let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
-    let server = ServerThread::start(Config { check_checksum: false, ..config() }, &lines, None).unwrap();
-    let stream = UnixStream::connect(server.serial_path().unwrap()).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    let mut client = OneFramePerRecv(stream);
-    client.ask(&with_checksum_zero(0x24, b"ack"), ACK_DONE);
-    client.run(&with_checksum_zero(0x20, &[1]), Status::Success);
-    client.ask(&frame(0x07, &[]), &status(0x07, Status::NotAvailable));
-}
-
-#[test]
 fn can_client_cuts_frames_into_pieces_of_eight_and_only_the_size_ends_them() {
     let mut gripper = VirtualGripper::new(config());
     let port = gripper.connect(PortKind::Can).unwrap();
@@ -501,4 +487,25 @@ fn the_bytes_that_clients_hold_are_those_of_the_protocol() {
     let update = Command::GetOpeningWidth { update: AutoUpdate::every(10) };
     let bytes: Vec<u8> = FrameEncoder::new(update.id().code(), update).collect();
     assert_eq!(bytes, frame(0x43, &[1, 10, 0]));
+}
+
+/// A Unix socket as a serial line.
+#[cfg(unix)]
+mod unix {
+    use super::*;
+    use std::os::unix::net::UnixStream;
+    use wsg_sim::server::SerialLine;
+
+    #[test]
+    fn serial_client_may_send_zeros_for_checksums_and_cannot_announce_its_end() {
+        let path = std::env::temp_dir().join(format!("wsg-clients-{}", std::process::id()));
+        let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
+        let server = ServerThread::start(Config { check_checksum: false, ..config() }, &lines, None).unwrap();
+        let stream = UnixStream::connect(server.serial_path().unwrap()).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        let mut client = OneFramePerRecv(stream);
+        client.ask(&with_checksum_zero(0x24, b"ack"), ACK_DONE);
+        client.run(&with_checksum_zero(0x20, &[1]), Status::Success);
+        client.ask(&frame(0x07, &[]), &status(0x07, Status::NotAvailable));
+    }
 }

@@ -1,9 +1,7 @@
-//! How deep the firmware's stack was: boots an image on painted memory, puts it through the worst that is known, and
-//! looks how far the paint is gone. Prints one line: `painted-stack` and bytes.
+//! An image on painted memory, with a gripper and a bus, at its worst.
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
@@ -25,20 +23,8 @@ const PAINT: u8 = 0xC5;
 /// Bytes read at a time.
 const CHUNK: u32 = 4096;
 
-fn main() -> ExitCode {
-    match run() {
-        Ok(bytes) => {
-            println!("painted-stack {bytes}");
-            ExitCode::SUCCESS
-        }
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn run() -> Result<u32> {
+/// Of the image that the first argument names: the bytes of stack that were used.
+pub(crate) fn deepest_of_image() -> Result<u32> {
     let elf: PathBuf = std::env::args_os().nth(1).context("give the image")?.into();
     let first = end_of_static(&elf)?;
     let paint = Paint::new(first)?;

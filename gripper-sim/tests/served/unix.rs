@@ -1,0 +1,161 @@
+//! What needs Unix: its sockets and pseudo terminals as serial lines, users without rights, signals. On Windows there is none of
+//! these, and `wsg-sim` says so.
+
+use super::binary::{BOUND, Client, HOMING, QUICK, READABLE, connect, frame, scratch, serve};
+use crate::common::program::Program;
+use crate::common::{parse, uninterrupted};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpStream, UdpSocket};
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::CommandExt;
+use std::process::{Command as Process, Stdio};
+use std::sync::mpsc;
+use std::thread;
+use wsg_protocol::{Command, Status};
+use wsg_sim::Config;
+use wsg_sim::server::{Lines, SerialLine, UdpLine};
+
+#[test]
+fn random_bytes_on_every_port_leave_it_answering() {
+    for check_checksum in [true, false] {
+        let path = scratch(if check_checksum { "noise-checked" } else { "noise-unchecked" });
+        let any = "127.0.0.1:0".parse().unwrap();
+        let lines = Lines {
+            tcp: Some(any),
+            udp: Some(UdpLine { address: any, remote_port: 9 }),
+            serial: Some(SerialLine::Unix(path)),
+            control: Some(any),
+            ..Lines::default()
+        };
+        let served = serve(Config { check_checksum, disconnect_error: false, ..Config::default() }, lines);
+        // A xorshift: any numbers do that are the same at every run.
+        let mut random = 0x2545_F491u32;
+        let mut noise = || -> Vec<u8> {
+            let next = || {
+                random ^= random << 13;
+                random ^= random >> 17;
+                random ^= random << 5;
+                // Every other byte is one that frames are made of.
+                if random & 0x100 == 0 {
+                    random as u8
+                } else {
+                    [0xAA, 0x00, 0x07, 0x40][random as usize >> 30]
+                }
+            };
+            std::iter::repeat_with(next).take(20_000).collect()
+        };
+        let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
+        for _ in 0..4 {
+            // Any of them may be closed for what it says.
+            let _ = connect(&served).0.write_all(&noise());
+            let _ = TcpStream::connect(served.control_address().unwrap()).unwrap().write_all(&noise());
+            let _ = UnixStream::connect(served.serial_path().unwrap()).unwrap().write_all(&noise());
+            for datagram in noise().chunks(700) {
+                uninterrupted::send_to(&udp, datagram, served.udp_address().unwrap()).unwrap();
+            }
+        }
+        assert_eq!(connect(&served).ask(Command::GetForceLimit), Status::Success);
+        let serial = UnixStream::connect(served.serial_path().unwrap()).unwrap();
+        serial.set_read_timeout(Some(BOUND)).unwrap();
+        assert_eq!(Client(serial).ask(Command::GetForceLimit), Status::Success);
+        let mut control = TcpStream::connect(served.control_address().unwrap()).unwrap();
+        control.set_read_timeout(Some(BOUND)).unwrap();
+        control.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        control.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
+        served.stop().unwrap();
+    }
+}
+
+#[test]
+fn unix_socket_is_a_serial_line() {
+    let path = scratch("line");
+    let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
+    let config = Config { time_scale: READABLE, ..Config::default() };
+    let served = serve(config, lines);
+    let stream = UnixStream::connect(served.serial_path().unwrap()).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    let mut client = Client(stream);
+    assert_eq!(client.run(HOMING), Status::Success);
+    assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::NotAvailable);
+    drop(served);
+    assert!(!path.exists(), "the socket goes with its server");
+}
+
+#[test]
+fn unix_socket_left_over_by_a_dead_server_is_taken_over() {
+    let path = scratch("left-over");
+    drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+    assert!(path.exists());
+    let lines = Lines { serial: Some(SerialLine::Unix(path.clone())), ..Lines::default() };
+    let served = serve(Config::default(), lines);
+    assert!(UnixStream::connect(&path).is_ok());
+    drop(served);
+}
+
+#[test]
+fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
+    let lines = Lines { serial: Some(SerialLine::Pty), ..Lines::default() };
+    let served = serve(Config { time_scale: QUICK, ..Config::default() }, lines);
+    for _ in 0..2 {
+        let path = served.serial_path().unwrap().to_owned();
+        let mut terminal = std::fs::OpenOptions::new().read(true).write(true).open(path).unwrap();
+        terminal.write_all(&frame(HOMING)).unwrap();
+        // A terminal has no read time-out, so another thread reads.
+        let (done, result) = mpsc::channel();
+        thread::spawn(move || {
+            let mut answers = [0; 20];
+            let read = terminal.read_exact(&mut answers);
+            let _ = done.send(read.map(|()| answers));
+        });
+        let answers = result.recv_timeout(BOUND).expect("answers in time").unwrap();
+        let frames = parse(&answers);
+        assert_eq!(frames, [(0x20, vec![0x1A, 0]), (0x20, vec![0, 0])]);
+    }
+}
+
+#[test]
+fn port_1000_is_replaced_for_an_ordinary_user_and_a_low_port_that_is_asked_for_says_what_to_do() {
+    let lowest = std::fs::read_to_string("/proc/sys/net/ipv4/ip_unprivileged_port_start");
+    if lowest.is_ok_and(|port| port.trim().parse().is_ok_and(|port: u16| port <= 1_000)) {
+        // Here nobody needs rights.
+        return;
+    }
+    // Where nobody may run it.
+    let program = scratch("ordinary");
+    std::fs::copy(env!("CARGO_BIN_EXE_wsg-sim"), &program).unwrap();
+    let ordinary = |arguments: &[&str]| {
+        let mut command = Process::new(&program);
+        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        if rustix::process::geteuid().is_root() {
+            command.uid(65_534).gid(65_534);
+        }
+        command.spawn().unwrap()
+    };
+    let output = ordinary(&["--tcp", "127.0.0.1:999"]).wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{said}");
+    assert!(said.contains("ports below 1024 need rights; try --tcp 127.0.0.1:11000"), "{said}");
+
+    let mut child = ordinary(&[]);
+    let mut said = String::new();
+    let mut errors = BufReader::new(child.stderr.take().unwrap());
+    errors.read_line(&mut said).unwrap();
+    // It may have ended because that port is taken.
+    let _ = child.kill();
+    child.wait().unwrap();
+    std::fs::remove_file(&program).unwrap();
+    assert!(said.contains("port 1000 needs rights that you lack: serving 127.0.0.1:11000 instead"), "{said}");
+}
+
+#[test]
+fn binary_serves_until_it_is_interrupted() {
+    let mut program = Program::start(&["--tcp", "127.0.0.1:0", "--model", "wsg32", "--time-scale", "50"]);
+    assert_eq!(program.line(), "model wsg32");
+    let address = program.place_of("tcp").parse().unwrap();
+    let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    assert_eq!(Client(&stream).ask(Command::GetSystemInfo), Status::Success);
+    assert!(program.interrupt().success());
+}
