@@ -22,6 +22,7 @@ mod matrix;
 mod measure;
 mod mutants;
 mod panics;
+mod platforms;
 mod probe;
 mod process;
 mod public_functions;
@@ -66,8 +67,9 @@ Commands
                      something could not be checked or compared, which is else only said
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
-  ci                 deny, test --strict with all of what test does in part, then fast-stop, explore,
-                     loom and Miri: before a release
+  ci                 deny, test --strict with all of what test does in part, then platforms, fast-stop,
+                     explore, loom and Miri: before a release
+  platforms          wsg-sim.exe under Wine, and what `cargo test` builds compiled for Windows and macOS
   deny               licences, bans and sources of all dependencies against deny.toml; cargo-deny
   size               flash and static RAM of each board's image, and of the protocol beside an empty
                      program, against their limits
@@ -107,6 +109,7 @@ Environment
   WSG_FIRMWARE_ELF_NO_BUS, WSG_FIRMWARE_ELF_PROFIBUS
                      the same for images whose settings put them on these
   WSG_WHOLE=1        set by ci: tests that take long are run in full
+  WSG_SIM_EXE        set by platforms for its tests: the program for Windows
   WSG_MODBUS_PYTHON, WSG_MODBUS_NODE
                      set by test for those with masters: the Python, and the folder, that have them
   CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware

@@ -8,7 +8,7 @@ use crate::{
     firmware::{self, Image, Variant},
     fuzz, gate, interleavings,
     matrix::Extent,
-    mutants, no_more, panics,
+    mutants, no_more, panics, platforms,
     probe::Probes,
     setup::{self, ThumbToolchain},
     size, soak, stack, test, undefined_behaviour,
@@ -53,6 +53,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             let Built { workspace, toolchain, image } = Built::new()?;
             dependencies::check(&workspace)?;
             test::run(&workspace, &toolchain, &image, &[], Extent::Whole, true)?;
+            platforms::run(&workspace)?;
             fast_stop::run(&workspace)?;
             explore::run(&workspace, explore::STATES)?;
             interleavings::run(&workspace)?;
@@ -61,6 +62,10 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         "fast-stop" => {
             no_more(arguments)?;
             fast_stop::run(&Workspace::from_env()?).map(drop)
+        }
+        "platforms" => {
+            no_more(arguments)?;
+            platforms::run(&Workspace::from_env()?)
         }
         "deny" => {
             no_more(arguments)?;

@@ -42,10 +42,10 @@ pub(crate) fn answer(command: &mut Command) -> Option<String> {
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Whether there is such a program, one that knows `-h` or at least ends on it.
+/// Whether there is such a program, one that knows `--version` or at least ends on it.
 pub(crate) fn exists(program: &str) -> bool {
-    let mut help = Command::new(program);
-    help.arg("-h").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok()
+    let mut version = Command::new(program);
+    version.arg("--version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok()
 }
 
 /// The command as a person would type it, with the environment variables that it sets.

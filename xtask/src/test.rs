@@ -10,7 +10,7 @@ use crate::{
     firmware::{self, IMAGE_VARIABLE, Image, Variant},
     gate,
     matrix::{self, Extent},
-    panics,
+    panics, platforms,
     probe::Probes,
     process,
     settings::Change,
@@ -158,7 +158,7 @@ impl Checks<'_> {
         for (variable, image) in &self.chosen {
             tests.env(variable, &image.path);
         }
-        for skipped in &self.masters.missing {
+        for skipped in self.masters.missing.iter().chain([&platforms::TESTS]) {
             tests.args(["--skip", skipped]);
         }
         process::run(tests.args(filter))

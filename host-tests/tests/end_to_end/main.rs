@@ -12,3 +12,5 @@ mod faults;
 mod modbus_tcp;
 #[cfg(unix)]
 mod profibus;
+#[cfg(unix)]
+mod wine;

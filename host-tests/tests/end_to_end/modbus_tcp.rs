@@ -221,6 +221,11 @@ fn with_tokio_modbus(address: SocketAddr, act: impl AsyncFnOnce(&mut Context)) {
 #[test]
 fn tokio_modbus_reads_writes_and_grips() {
     let (_served, address) = gripper();
+    grip_with_tokio_modbus(address);
+}
+
+/// Grips and releases a part of 20 mm with `tokio-modbus`, and calls what else that has.
+pub(crate) fn grip_with_tokio_modbus(address: SocketAddr) {
     with_tokio_modbus(address, async |context| {
         for (flags, state) in [(0x0800, 0x0100), (0x0200, 0x1000), (0x0400, 0x0100)] {
             let image = [0, 2000, 10_000, 4000];

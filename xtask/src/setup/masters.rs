@@ -30,6 +30,7 @@ const FROM_PYPI: [&str; 6] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen
 /// The packages from npm the same way: a master, and the emulator of the Pico.
 const FROM_NPM: [&str; 2] = ["jsmodbus", "rp2040js"];
 
+<<<<<<< HEAD
 /// Debian's programs: as they stand in the names of the tests that need them, the program, its package.
 const FROM_DEBIAN: [(&str, &str, &str); 4] = [
     ("mbpoll", "mbpoll", "mbpoll"),
@@ -37,6 +38,14 @@ const FROM_DEBIAN: [(&str, &str, &str); 4] = [
     ("in_chromium", "chromium", "chromium"),
     ("tshark", "tshark", "tshark"),
 ];
+=======
+/// A program of Debian's: what it is called where it is missing, its name, its package.
+pub(crate) type Program = (&'static str, &'static str, &'static str);
+
+/// Debian's programs, called as in the names of the tests that need them.
+const FROM_DEBIAN: [Program; 2] =
+    [("mbpoll", "mbpoll", "mbpoll"), ("by_hand_with_nc", "nc", "netcat-openbsd")];
+>>>>>>> cb04d77 (cargo xtask platforms: wsg-sim.exe under Wine, Windows and macOS checked)
 
 /// The masters on this machine, as far as they are not missing.
 pub(crate) struct Masters {
@@ -77,19 +86,18 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     if !has_node() {
         missing.extend(FROM_NPM);
     }
-    missing.extend(lacking_programs());
+    missing.extend(lacking(&FROM_DEBIAN));
     Masters { python, node, missing }
 }
 
-/// Installs those of Debian's programs that are not there, where that may be; the names of those that still are not.
-fn lacking_programs() -> Vec<&'static str> {
-    let lacking =
-        || FROM_DEBIAN.into_iter().filter(|(_, program, _)| !process::exists(program)).collect::<Vec<_>>();
-    let names: Vec<_> = lacking().into_iter().map(|(_, _, package)| package).collect();
+/// Installs those programs that are not there, where that may be; what those are called that still are not.
+pub(crate) fn lacking(programs: &[Program]) -> Vec<&'static str> {
+    let lacking = || programs.iter().filter(|(_, program, _)| !process::exists(program));
+    let names: Vec<_> = lacking().map(|(_, _, package)| *package).collect();
     if !names.is_empty() && obstacle_to_installing().is_none() {
         report(apt::install(&[Packages { names, release: None, source: None }]));
     }
-    lacking().into_iter().map(|(name, ..)| name).collect()
+    lacking().map(|(name, ..)| *name).collect()
 }
 
 /// Makes the environment and puts the packages into it.

@@ -1,0 +1,172 @@
+//! `wsg-sim.exe`, run by Wine: what a user of Windows meets, as far as Wine is like it. `cargo xtask platforms` builds the
+//! program, runs these tests and says where Wine keeps its files; `cargo xtask test` leaves them out.
+
+use crate::clients::{ACK, ACK_DONE, BOUND, HOME, OneFramePerRecv, floats, frame};
+use crate::modbus_tcp::grip_with_tokio_modbus;
+use host_tests::terminal::Terminal;
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::os::unix::fs::symlink;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Instant;
+use wsg_protocol::Status;
+
+/// The variable that says where the program is.
+const PROGRAM: &str = "WSG_SIM_EXE";
+
+fn program(arguments: &[&str]) -> Command {
+    let exe = std::env::var_os(PROGRAM)
+        .unwrap_or_else(|| panic!("{PROGRAM} names no program for Windows: run `cargo xtask platforms`"));
+    let mut command = Command::new("wine");
+    command.arg(exe).args(arguments).stdin(Stdio::null());
+    command
+}
+
+/// A program that serves, and where it serves what, by the names of its lines.
+struct Served {
+    child: Child,
+    places: HashMap<String, String>,
+}
+
+impl Served {
+    /// With these arguments; `last` is the name of the last line that it says.
+    fn start(arguments: &[&str], last: &str) -> Self {
+        let mut child = program(arguments).stdout(Stdio::piped()).spawn().expect("there is a wine");
+        let said = BufReader::new(child.stdout.take().expect("it is piped"));
+        let mut served = Self { child, places: HashMap::new() };
+        for line in said.lines() {
+            let line = line.expect("it can be read");
+            let (name, place) = line.split_once(' ').expect("a name and a place");
+            served.places.insert(name.to_owned(), place.to_owned());
+            if name == last {
+                return served;
+            }
+        }
+        panic!("it ended without {last}: {:?}", served.places);
+    }
+
+    fn connect(&self, name: &str) -> TcpStream {
+        let stream = TcpStream::connect(&self.places[name]).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream
+    }
+
+    /// A request to the page's server; what it answers.
+    fn http(&self, request: &str, body: &str) -> TcpStream {
+        let mut stream = self.connect("control");
+        let len = body.len();
+        let head = format!("{request} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len}\r\n\r\n");
+        stream.write_all((head + body).as_bytes()).unwrap();
+        stream
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        // An error means that it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+#[ignore = "needs Wine: run `cargo xtask platforms`"]
+fn client_with_fixed_expectations_grips_over_tcp() {
+    let served = Served::start(&["--tcp", "127.0.0.1:0", "--part", "20", "--time-scale", "4"], "tcp");
+    let mut client = OneFramePerRecv(served.connect("tcp"));
+    client.ask(ACK, ACK_DONE);
+    client.run(HOME, Status::Success);
+    client.run(&frame(0x25, &floats([20.0, 100.0])), Status::Success);
+    client.ask(&frame(0x45, &[0, 0, 0]), &frame(0x45, &[&[0, 0][..], &40f32.to_le_bytes()].concat()));
+    client.run(&frame(0x26, &floats([60.0, 60.0])), Status::Success);
+}
+
+#[test]
+#[ignore = "needs Wine: run `cargo xtask platforms`"]
+fn tokio_modbus_reads_writes_and_grips() {
+    let served = Served::start(&["--modbus", "127.0.0.1:0", "--part", "20", "--time-scale", "10"], "modbus");
+    grip_with_tokio_modbus(served.places["modbus"].parse().unwrap());
+}
+
+#[test]
+#[ignore = "needs Wine: run `cargo xtask platforms`"]
+fn page_shows_what_its_buttons_do() {
+    let served = Served::start(&["--control", "127.0.0.1:0", "--tcp", "127.0.0.1:0"], "page");
+    let mut page = String::new();
+    served.http("GET /", "").read_to_string(&mut page).unwrap();
+    assert!(page.starts_with("HTTP/1.1 200 ") && page.contains("<!doctype html>"), "{page}");
+
+    let mut events = BufReader::new(served.http("GET /events", ""));
+    let mut until = |sought: &str| {
+        let start = Instant::now();
+        let mut line = String::new();
+        while !line.contains(sought) {
+            line.clear();
+            assert!(events.read_line(&mut line).expect("an event in time") > 0, "no {sought}");
+            assert!(start.elapsed() < BOUND, "no {sought}");
+        }
+    };
+    until("event: hello");
+    let mut answer = String::new();
+    served.http("POST /command", r#"{"command":"home"}"#).read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
+    until(r#""REFERENCED""#);
+}
+
+/// Wine 8 wakes whoever reads a serial line not before as many bytes are there as the reader has room for (4096), where Windows
+/// does at the first: so they are sent.
+#[test]
+#[ignore = "needs Wine: run `cargo xtask platforms`"]
+fn com_port_is_a_serial_line() {
+    const ROOM: usize = 4_096;
+    const PORT: &str = "COM9";
+    let (mut line, theirs) = UnixStream::pair().unwrap();
+    line.set_read_timeout(Some(BOUND)).unwrap();
+    let terminal = Terminal::to(theirs).unwrap();
+    // When Wine starts it makes its ports anew: ours comes after that.
+    assert!(program(&["--version"]).stdout(Stdio::null()).status().unwrap().success());
+    let prefix = std::env::var_os("WINEPREFIX").expect("Wine has a place for its files");
+    let port = Path::new(&prefix).join("dosdevices").join(PORT.to_lowercase());
+    // One that an earlier run has left.
+    let _ = std::fs::remove_file(&port);
+    symlink(&terminal.path, &port).unwrap();
+
+    let served = Served::start(&["--serial", PORT], "serial");
+    assert_eq!(served.places["serial"], PORT);
+    for _ in 0..3 {
+        line.write_all(&[vec![0; ROOM - ACK.len()], ACK.to_vec()].concat()).unwrap();
+        let mut answer = vec![0; ACK_DONE.len()];
+        line.read_exact(&mut answer).expect("an answer in time");
+        assert_eq!(answer, ACK_DONE);
+    }
+}
+
+#[test]
+#[ignore = "needs Wine: run `cargo xtask platforms`"]
+fn what_windows_lacks_is_said_in_one_line() {
+    for (arguments, expected) in [
+        (
+            ["--serial", "pty"],
+            "no pseudo terminal can be opened: only Unix has them; expected a device, such as COM3",
+        ),
+        (
+            ["--slcan", "pty"],
+            "no pseudo terminal can be opened: only Unix has them; expected a device, such as COM3",
+        ),
+        (
+            ["--profibus", "unix:x"],
+            "the Unix socket x cannot be opened: it is served on Unix alone; expected a device, such as COM3",
+        ),
+        (["--can", "can0"], "the CAN interface can0 cannot be opened: SocketCAN is Linux's alone"),
+    ] {
+        let output = program(&arguments).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), said.trim_end()), (Some(1), &*format!("wsg-sim: {expected}")));
+    }
+    let output = program(&["--serial", "COM77"]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.starts_with("wsg-sim: the serial device COM77 cannot be opened: "), "{said}");
+}
