@@ -30,22 +30,16 @@ const FROM_PYPI: [&str; 6] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen
 /// The packages from npm the same way: a master, and the emulator of the Pico.
 const FROM_NPM: [&str; 2] = ["jsmodbus", "rp2040js"];
 
-<<<<<<< HEAD
-/// Debian's programs: as they stand in the names of the tests that need them, the program, its package.
-const FROM_DEBIAN: [(&str, &str, &str); 4] = [
+/// A program of Debian's: what it is called where it is missing, its name, its package.
+pub(crate) type Program = (&'static str, &'static str, &'static str);
+
+/// Debian's programs, called as in the names of the tests that need them.
+const FROM_DEBIAN: [Program; 4] = [
     ("mbpoll", "mbpoll", "mbpoll"),
     ("by_hand_with_nc", "nc", "netcat-openbsd"),
     ("in_chromium", "chromium", "chromium"),
     ("tshark", "tshark", "tshark"),
 ];
-=======
-/// A program of Debian's: what it is called where it is missing, its name, its package.
-pub(crate) type Program = (&'static str, &'static str, &'static str);
-
-/// Debian's programs, called as in the names of the tests that need them.
-const FROM_DEBIAN: [Program; 2] =
-    [("mbpoll", "mbpoll", "mbpoll"), ("by_hand_with_nc", "nc", "netcat-openbsd")];
->>>>>>> cb04d77 (cargo xtask platforms: wsg-sim.exe under Wine, Windows and macOS checked)
 
 /// The masters on this machine, as far as they are not missing.
 pub(crate) struct Masters {

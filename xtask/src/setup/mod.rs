@@ -13,13 +13,8 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 pub(crate) use component::{CLIPPY, RUSTFMT};
-<<<<<<< HEAD
-pub(crate) use masters::{Masters, NODE_VARIABLE, PYTHON_VARIABLE, provide as masters};
-pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, has_target, rustup};
-=======
 pub(crate) use masters::{Masters, NODE_VARIABLE, PYTHON_VARIABLE, Program, lacking, provide as masters};
-pub(crate) use rust_target::{MINIMUM_RUST, ThumbToolchain, has_target, rustup};
->>>>>>> cb04d77 (cargo xtask platforms: wsg-sim.exe under Wine, Windows and macOS checked)
+pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, has_target, rustup};
 
 use crate::{board::MACHINE, process, workspace::Workspace};
 
