@@ -451,7 +451,8 @@ fn frames_are_filtered_and_paused() {
 #[test]
 #[ignore = "needs Chromium: see the top of this file"]
 fn page_says_that_its_gripper_is_gone_and_goes_on_when_it_is_back() {
-    let gripper = Gripper::new(&["--time-scale", "20"]);
+    // An address that nobody else is given ports of, so that this one is free again.
+    let gripper = Gripper::on("127.0.0.2:0", &["--time-scale", "20"]);
     let mut tab = gripper.open();
     home(&mut tab);
     let address = gripper.page.trim_start_matches("http://").to_owned();
@@ -491,7 +492,7 @@ fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
     let mut tab = Tab::open(&gripper.page);
     tab.until(&format!("document.readyState === 'complete' && {STATE} === 'no connection'"));
     // Refused, and not only late.
-    while !tab.told("Network.responseReceivedExtraInfo").iter().any(|answer| answer["statusCode"] == 503) {}
+    tab.until_told("Network.responseReceivedExtraInfo", |answer| answer["statusCode"] == 503);
 
     drop(others);
 

@@ -9,10 +9,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{LazyLock, Mutex};
 use std::thread;
+use std::time::Instant;
 
 use super::BOUND;
 
-/// One for all tests, each with windows of its own.
+/// One for all tests, each with windows of its own; a process for them all does, and takes two thirds of the time.
 static BROWSER: LazyLock<Browser> = LazyLock::new(Browser::start);
 
 /// Chromium reads from 3 and writes to 4; what it says besides is about a desktop that is not there. The shell outlives it, to
@@ -20,7 +21,7 @@ static BROWSER: LazyLock<Browser> = LazyLock::new(Browser::start);
 const START: &str = r#"
 trap '' INT
 profile=$(mktemp -d)
-chromium --headless --no-sandbox --disable-gpu --disable-background-networking --no-first-run --remote-debugging-pipe \
+chromium --headless --no-sandbox --disable-gpu --disable-background-networking --no-first-run --process-per-site --remote-debugging-pipe \
   --user-data-dir="$profile" 3<&0 4>&1 </dev/null >/dev/null 2>&1
 rm -rf "$profile"
 "#;
@@ -107,7 +108,7 @@ fn result(method: &str, id: u64, messages: &Receiver<Value>, mut pass: impl FnMu
     }
 }
 
-/// A window that nothing else looks at, in a profile of its own.
+/// A window that nothing else looks at.
 pub(super) struct Tab {
     session: String,
     target: Value,
@@ -119,10 +120,8 @@ pub(super) struct Tab {
 impl Tab {
     /// An empty one.
     pub(super) fn new() -> Self {
-        let context = BROWSER.call("Target.createBrowserContext", &json!({}));
-        let context = &context["browserContextId"];
-        let target =
-            BROWSER.call("Target.createTarget", &json!({"url": "about:blank", "browserContextId": context}));
+        let window = json!({"url": "about:blank", "newWindow": true});
+        let target = BROWSER.call("Target.createTarget", &window);
         let target = target["targetId"].clone();
         let attached = BROWSER.call("Target.attachToTarget", &json!({"targetId": target, "flatten": true}));
         let session = attached["sessionId"].as_str().expect("a session").to_owned();
@@ -178,7 +177,7 @@ impl Tab {
                  let found; try {{ found = ({expression}); }} catch {{ }}
                  if (found) done(found);
                  else if (performance.now() > end) done(null);
-                 else setTimeout(look, 10);
+                 else setTimeout(look, 30);
                }};
                look();
              }})",
@@ -229,6 +228,15 @@ impl Tab {
         self.eval("0");
         let told = self.events.iter().filter(|event| event["method"] == method);
         told.map(|event| event["params"].clone()).collect()
+    }
+
+    /// Waits until such a thing is told unasked.
+    #[track_caller]
+    pub(super) fn until_told(&mut self, method: &str, is_it: impl Fn(&Value) -> bool) {
+        let start = Instant::now();
+        while !self.told(method).iter().any(&is_it) {
+            assert!(start.elapsed() < BOUND, "{method} is not told");
+        }
     }
 }
 
