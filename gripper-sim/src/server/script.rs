@@ -200,7 +200,7 @@ mod tests {
     const BOUND: Duration = Duration::from_secs(60);
 
     #[test]
-    fn script_ends_with_its_gripper_whatever_it_catches() {
+    fn script_that_catches_every_error_ends_with_its_gripper() {
         for source in [
             "while true do end",
             "while true do pcall(function() while true do end end) end",
