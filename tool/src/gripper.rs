@@ -68,9 +68,12 @@ enum Task {
     },
     /// Carries out a file, one command a line, up to the first that fails; `-` is standard input
     Script {
-        /// Blank lines and lines that begin with # are left out
+        /// Blank lines and what is behind a # are left out
         file: PathBuf,
     },
+    /// None of them
+    #[command(external_subcommand)]
+    Unknown(Vec<String>),
 }
 
 fn address(text: &str) -> Result<Address, String> {
@@ -89,6 +92,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<ExitCode> {
     let output = Output { is_json: json };
     let name = match &task {
         None => "prompt",
+        Some(Task::Unknown(words)) => return Ok(lines::explain(words)),
         Some(Task::Action(named)) => &named.name,
         Some(Task::Watch) => "watch",
         Some(Task::Log { .. }) => "log",
@@ -145,6 +149,28 @@ fn recorder(address: &Address, record: Option<&Path>, task: Option<&Task>) -> Re
     Ok((!sinks.is_empty()).then(|| Recorder::new(address.to_string(), address.is_gcl(), sinks)))
 }
 
+/// Connects, runs a program, and leaves the gripper so that no FAST STOP stays behind that was not asked for: whatever happens,
+/// fingers that were set in motion are stopped, and the end of the connection is announced.
+fn guarded<P: Dialect>(
+    gripper: &mut Gripper<P>,
+    signals: &Signals,
+    program: impl FnOnce(&mut Gripper<P>) -> Result<u8, Trouble>,
+) -> Result<u8, Trouble> {
+    gripper.with_connection(|gripper| {
+        let ended = catch_unwind(AssertUnwindSafe(|| program(gripper)));
+        // A second Ctrl-C does not keep the fingers from being stopped. Each wait from here on has its bound.
+        signals.heed(false);
+        let stopped = if gripper.motion().is_some() { gripper.stop() } else { Ok(()) };
+        let ended = ended.unwrap_or_else(|panic| Err(Trouble::Panicked(panic)));
+        match (stopped, ended) {
+            // A line that is gone has told so already.
+            (Err(_), Err(trouble @ Trouble::Driver(_))) => Err(trouble),
+            (Err(error), _) => Err(Trouble::NotStopped(error)),
+            (Ok(()), ended) => ended,
+        }
+    })
+}
+
 /// What is to be done with a gripper.
 struct Work<'a> {
     task: Option<Task>,
@@ -155,32 +181,14 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Connects, does it, and leaves the gripper so that no FAST STOP stays behind that was not asked for: whatever happens,
-    /// fingers that this program has set in motion are stopped, and the end of the connection is announced.
     fn on<P: Dialect>(self, mut gripper: Gripper<P>) -> Result<u8, Trouble> {
         let signals = self.signals.clone();
-        gripper.with_connection(|gripper| {
-            let ended = catch_unwind(AssertUnwindSafe(|| self.do_it(gripper)));
-            // A second Ctrl-C does not keep the fingers from being stopped. Each wait from here on has its bound.
-            signals.heed(false);
-            let stopped = if gripper.motion().is_some() { gripper.stop() } else { Ok(()) };
-            let ended = ended.unwrap_or_else(|panic| Err(Trouble::Panicked(panic)));
-            // A line that is gone has told so already.
-            if let (Err(error), Err(trouble)) = (stopped, &ended)
-                && !matches!(trouble, Trouble::Driver(_))
-            {
-                eprintln!("wsg: the fingers could not be stopped: {error}");
-            }
-            ended
-        })
+        guarded(&mut gripper, &signals, |gripper| self.do_it(gripper))
     }
 
     fn do_it<P: Dialect>(self, gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
         match self.task {
-            None => prompt::run(gripper, self.output, &self.signals).and_then(|status| {
-                run::unsubscribe(gripper)?;
-                Ok(status)
-            }),
+            None | Some(Task::Unknown(_)) => prompt::run(gripper, self.output, &self.signals),
             Some(Task::Action(Named { name, action })) => {
                 let result = run::carry_out(gripper, &action, &mut |_| Ok(()));
                 match result {
@@ -188,11 +196,7 @@ impl Work<'_> {
                     result => Ok(self.output.tell(&name, &result, None)?),
                 }
             }
-            Some(Task::Watch) => {
-                let status = watch::run(gripper, self.title)?;
-                run::unsubscribe(gripper)?;
-                Ok(status)
-            }
+            Some(Task::Watch) => watch::run(gripper, self.title),
             Some(Task::Log { .. }) => log(gripper),
             Some(Task::Script { .. }) => match self.script {
                 Some(script) => script.run(gripper, self.output),
@@ -215,5 +219,38 @@ fn log<P: Dialect>(gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
             Err(Trouble::Caught(Caught::INTERRUPT)) => return Ok(0),
             Err(trouble) => return Err(trouble),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wsg_protocol::driver::host::with_gripper;
+    use wsg_protocol::driver::{Error, Mm, MmPerS, OnBlock};
+    use wsg_protocol::{HomingDirection, SystemFlags};
+    use wsg_sim::Config;
+    use wsg_sim::server::{Lines, ServerThread};
+
+    #[test]
+    fn panic_in_mid_travel_stops_the_fingers_and_leaves_no_fast_stop() {
+        let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+        let config = Config { homing_speed: Some(400.0), ..Config::default() };
+        let server = ServerThread::start(config, &lines, None).unwrap();
+        let host = server.tcp_address().unwrap();
+        let signals = Signals::default();
+        let line = Line::open(&Address::Tcp(host.to_string()), None, signals.clone()).unwrap();
+        let mut gripper = BinaryGripper::new(line, StdClock::new());
+        let ended = guarded(&mut gripper, &signals, |gripper| {
+            gripper.home(HomingDirection::Positive)?;
+            let _ = gripper.begin_move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop)?;
+            resume_unwind(Box::new("a panic that is meant"));
+        });
+        assert!(matches!(ended, Err(Trouble::Panicked(_))));
+        drop(gripper);
+        let flags =
+            with_gripper(host, |gripper| gripper.system_state()).map_err(|error: Error<io::Error>| error);
+        let flags = flags.unwrap();
+        assert!(!flags.intersects(SystemFlags::FAST_STOP | SystemFlags::MOVING), "{flags}");
+        assert!(flags.contains(SystemFlags::AXIS_STOPPED), "{flags}");
     }
 }

@@ -3,6 +3,7 @@
 use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
+use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
@@ -47,6 +48,14 @@ pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
         Ok(Line { said }) => Ok(Some(said)),
         Err(error) if !error.use_stderr() => Err(Wrong::Help(error.to_string())),
         Err(error) => Err(Wrong::Mistake(in_one_line(&error.to_string()))),
+    }
+}
+
+/// Tells why words are no command, as clap does; the exit status.
+pub(crate) fn explain(words: &[String]) -> ExitCode {
+    match Line::try_parse_from(words) {
+        Ok(_) => ExitCode::SUCCESS,
+        Err(error) => error.exit(),
     }
 }
 

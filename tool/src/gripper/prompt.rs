@@ -13,7 +13,7 @@ use crossterm::terminal::{self, Clear, ClearType};
 use crossterm::{execute, queue};
 use wsg_protocol::session::Known;
 
-use super::action::Named;
+use super::action::{Action, Named};
 use super::editor::{Complete, Editor, Step};
 use super::lines::{self, Line, Said, Wrong};
 use super::output::Output;
@@ -73,10 +73,11 @@ fn typed<P: Dialect>(gripper: &mut Gripper<P>, output: &Output, signals: &Signal
             return Err(std::mem::replace(trouble, Trouble::NoPart));
         }
         status = output.tell(&named.name, &result, None)?;
-        if named.name == "disconnect" {
-            break;
+        if matches!(named.action, Action::Disconnect) {
+            return Ok(status);
         }
     }
+    run::unsubscribe(gripper);
     Ok(status)
 }
 
@@ -104,6 +105,10 @@ fn piped<P: Dialect>(gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Tr
         let (name, result) = match lines::parse(&line) {
             Ok(None) => continue,
             Ok(Some(Said::Quit)) => return Ok(status),
+            Ok(Some(Said::Action(Named { action: Action::Disconnect, .. }))) => {
+                let result = run::carry_out(gripper, &Action::Disconnect, &mut |_| Ok(()));
+                return Ok(output.tell("disconnect", &result, None)?);
+            }
             Ok(Some(Said::Action(Named { name, action }))) => {
                 let result = run::carry_out(gripper, &action, &mut |_| Ok(()));
                 (name, result)

@@ -5,9 +5,7 @@ use std::time::{Duration, Instant};
 
 use wsg_protocol::driver::blocking::GripperOver;
 use wsg_protocol::driver::host::StdClock;
-use wsg_protocol::driver::{
-    Binary, Error, Finger, Gcl, Grip, Mm, MmPerS, MotionResult, Pending, Protocol, UPDATES_LEN,
-};
+use wsg_protocol::driver::{Binary, Error, Finger, Gcl, Grip, Mm, MmPerS, MotionResult, Pending, Protocol};
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{AutoUpdate, DeviceTag, FingerFlags, FingerType, SoftLimits, SystemFlags, SystemLimits};
 
@@ -215,14 +213,13 @@ pub(crate) fn subscribe<P: Protocol>(gripper: &mut Gripper<P>, period_ms: u16) {
     }
 }
 
-/// Ends that: a line that has no end would carry on. What goes wrong shows where it matters.
-pub(crate) fn unsubscribe<P: Protocol>(gripper: &mut Gripper<P>) -> Result<(), Error<io::Error>> {
+/// Ends that, as far as the gripper still answers: a line that has no end would carry on.
+pub(crate) fn unsubscribe<P: Protocol>(gripper: &mut Gripper<P>) {
     for topic in [Topic::Width, Topic::Speed, Topic::Force] {
         gripper.subscribe(topic, AutoUpdate::once());
     }
-    // The next request waits until the line is free, and changed subscriptions are sent before.
-    (0..UPDATES_LEN).try_for_each(|_| gripper.next_update(0).map(drop))?;
-    gripper.state().map(drop)
+    // Changed subscriptions are sent before the next request.
+    let _ = gripper.state();
 }
 
 fn told(result: Result<(), Error<io::Error>>) -> Result<Answer, Trouble> {

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 /// Signals that end the program, or the motion that it waits for.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Signals {
     /// The number of the last one; 0: none.
     caught: Arc<AtomicUsize>,

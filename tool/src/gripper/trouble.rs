@@ -30,6 +30,8 @@ pub(crate) enum Trouble {
     Output(io::Error),
     /// A signal.
     Caught(Caught),
+    /// The fingers were to be stopped, and it is not known that they were.
+    NotStopped(Error<io::Error>),
     /// This program's.
     Panicked(Box<dyn Any + Send>),
 }
@@ -65,7 +67,7 @@ impl Trouble {
                 Error::NotConnected | Error::Unanswered | Error::Transport(_) | Error::Closed => 6,
                 _ => 1,
             },
-            Self::NoLine(_) => 6,
+            Self::NoLine(_) | Self::NotStopped(_) => 6,
             Self::Usage(_) => 2,
             Self::Clamped(_) => 4,
             Self::NoPart => Outcome::NoPart.exit_status(),
@@ -78,7 +80,12 @@ impl Trouble {
     pub(crate) const fn is_final(&self) -> bool {
         match self {
             Self::Driver(error) => matches!(error, Error::Transport(_) | Error::Closed),
-            Self::NoLine(_) | Self::NoFile(_) | Self::Output(_) | Self::Caught(_) | Self::Panicked(_) => true,
+            Self::NoLine(_)
+            | Self::NotStopped(_)
+            | Self::NoFile(_)
+            | Self::Output(_)
+            | Self::Caught(_)
+            | Self::Panicked(_) => true,
             Self::Usage(_) | Self::Clamped(_) | Self::NoPart => false,
         }
     }
@@ -171,6 +178,7 @@ impl Display for Trouble {
             Self::NoFile(error) => write!(f, "{error:#}"),
             Self::NoLine(error) => write!(f, "no connection: {error:#}"),
             Self::Usage(message) | Self::Clamped(message) => f.write_str(message),
+            Self::NotStopped(error) => write!(f, "whether the fingers were stopped is not known: {error}"),
             Self::NoPart => f.write_str("no part"),
             Self::Output(error) => error.fmt(f),
             Self::Caught(Caught(_)) => f.write_str("ended by a signal"),

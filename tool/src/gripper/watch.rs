@@ -74,6 +74,7 @@ pub(crate) fn run<P: Dialect>(gripper: &mut Gripper<P>, title: String) -> Result
     let mut drawn: Option<Instant> = None;
     loop {
         if is_over()? {
+            run::unsubscribe(gripper);
             return Ok(0);
         }
         gripper.next_update(LOOK_MS)?;

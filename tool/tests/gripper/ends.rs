@@ -1,0 +1,124 @@
+//! However it ends: the fingers stop, and no FAST STOP stays behind.
+
+use std::fs::File;
+use std::process::Stdio;
+
+use rustix::process::Signal;
+use wsg_protocol::SystemFlags;
+
+use crate::bench::{Bench, Program, real};
+
+/// Twenty seconds of travel.
+const SLOW: &str = "home\nmove 5 5\n";
+
+#[test]
+fn signals_in_mid_travel_stop_the_fingers_and_leave_no_fast_stop() {
+    for (signal, status) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
+        let mut bench = Bench::new(real());
+        let address = bench.tcp();
+        let mut program = Program::start(&[&address]);
+        program.say(SLOW);
+        assert_eq!(program.line(), "done\n");
+        bench.until_moving();
+        program.signal(signal);
+        let ended = program.end();
+        assert_eq!((ended.status, ended.stdout.as_str()), (status, ""), "{ended:?}");
+        bench.assert_stopped();
+    }
+}
+
+#[test]
+fn lines_without_an_announcement_are_stopped_too() {
+    let mut bench = Bench::new(real());
+    for address in [bench.serial(), bench.gcl()] {
+        assert_eq!(Program::run(&[&address, "home"]).status, 0);
+        let program = Program::start(&[&address, "move", "5", "5", "--json"]);
+        bench.until_moving();
+        program.signal(Signal::INT);
+        let ended = program.end();
+        assert_eq!(ended.status, 130, "{ended:?}");
+        assert!(ended.stdout.contains(r#""result":"interrupted""#), "{ended:?}");
+        bench.assert_stopped();
+    }
+}
+
+#[test]
+fn end_of_standard_input_ends_the_connection_as_it_should() {
+    let mut bench = Bench::new(real());
+    let ended = Program::run_with_lines(&[&bench.tcp()], "home\ngrip 20 400\n");
+    assert_eq!(ended.status, 0, "{ended:?}");
+    let flags = bench.flags();
+    assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
+    let held = Program::run(&[&bench.tcp(), "state"]);
+    assert_eq!(held.stdout, "state HOLDING\n", "a part that is held stays so");
+}
+
+#[test]
+fn broken_pipe_in_mid_travel_stops_the_fingers() {
+    let mut bench = Bench::new(real());
+    assert_eq!(Program::run(&[&bench.tcp(), "home"]).status, 0);
+    let mut program = Program::start(&[&bench.tcp(), "move", "5", "5", "--record", "-"]);
+    while !program.error_line().contains("21h Pre-position Fingers E_CMD_PENDING") {}
+    bench.until_moving();
+    program.close_stderr();
+    let ended = program.end();
+    assert_eq!(ended.status, 1, "{ended:?}");
+    bench.assert_stopped();
+}
+
+#[test]
+fn output_that_has_no_room_is_an_error_and_leaves_no_fast_stop() {
+    let mut bench = Bench::new(real());
+    let full = File::create("/dev/full").expect("Linux has it");
+    let address = bench.tcp();
+    let program =
+        Program::start_with(&[&address, "status"], |command| command.stdout(full).stderr(Stdio::piped()));
+    let ended = program.end();
+    assert_eq!(ended.status, 1, "{ended:?}");
+    assert!(ended.stderr.contains("No space left"), "{ended:?}");
+    let flags = bench.flags();
+    assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
+}
+
+#[test]
+fn fast_stop_that_is_asked_for_stays_until_it_is_acknowledged() {
+    let mut bench = Bench::new(real());
+    assert_eq!(Program::run(&[&bench.tcp(), "fast-stop"]).status, 0);
+    assert!(bench.flags().contains(SystemFlags::FAST_STOP));
+    let denied = Program::run(&[&bench.tcp(), "home"]);
+    assert_eq!(denied.status, 4);
+    assert!(denied.stderr.contains("E_ACCESS_DENIED") && denied.stderr.contains("`ack`"), "{denied:?}");
+    assert_eq!(Program::run(&[&bench.tcp(), "ack"]).status, 0);
+    assert!(!bench.flags().contains(SystemFlags::FAST_STOP));
+}
+
+#[test]
+fn log_shows_both_directions_until_ctrl_c() {
+    let bench = Bench::new(real());
+    let file = crate::bench::Scratch::new("frames.log", "");
+    let mut program = Program::start(&[&bench.tcp(), "log", "--file", file.path()]);
+    let mut seen = String::new();
+    for wanted in [
+        "-> AA AA AA 50 00 00 DB 87  50h Get System Information\n",
+        "50h Get System Information E_SUCCESS WSG 50",
+        "43h Get Opening Width on change",
+    ] {
+        while !seen.contains(wanted) {
+            seen += &program.line();
+        }
+    }
+    program.signal(Signal::INT);
+    let ended = program.end();
+    assert_eq!(ended.status, 0, "{ended:?}");
+    assert!(ended.stdout.contains("07h Disconnect Announcement E_SUCCESS"), "{ended:?}");
+    assert_eq!(std::fs::read_to_string(file.path()).unwrap(), seen + &ended.stdout);
+}
+
+#[test]
+fn log_of_gcl_shows_its_lines() {
+    let bench = Bench::new(real());
+    let ended = Program::run(&[&bench.gcl(), "width", "--record", "-"]);
+    assert_eq!(ended.stdout, "width 0.00 mm\n");
+    assert!(ended.stderr.contains(" -> POS?\n") && ended.stderr.contains(" <- POS=0"), "{ended:?}");
+    assert!(ended.stderr.contains(" -> BYE()\n"), "{ended:?}");
+}

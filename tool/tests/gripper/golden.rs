@@ -1,0 +1,109 @@
+//! What people and programs read, command by command, as files show it. `WSG_UPDATE_DOCS=1` writes them anew.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use crate::bench::{Bench, Program, quick};
+
+/// What is asked in turn.
+const COMMANDS: &str = "\
+move 50 100
+home
+home positive
+move 50mm 100mm/s
+move-by -5 50
+width
+grip 20 100 --force 40
+force
+state
+flags
+release 60 200
+grip 50 200
+grip 20 100 --force 400
+force-limit 30N
+force-limit
+acceleration
+acceleration 9000
+soft-limits
+soft-limits 10 90
+move 5 50
+soft-limits --clear
+overdrive on
+overdrive off
+tare
+part-width-tolerance 2
+clamping-travel
+speed
+statistics
+statistics --reset
+info
+limits
+tag
+tag 'left arm'
+finger-info 1
+finger-flags 2
+finger-power 1 on
+finger-data 1
+loop 01 02FF
+raw 33
+raw B0 01
+raw 25 00
+stop
+fast-stop
+move 50 100
+ack
+pause 0.01
+grip 20
+disconnect
+";
+
+/// Asked behind each command: where its answer begins, that of the command ends.
+const END: &str = "temperature";
+
+/// The answers over one connection, each below its command. `!` is standard error.
+fn transcript(address: &str, options: &[&str]) -> String {
+    let mut text = String::new();
+    let mut program = Program::start(&[&[address], options].concat());
+    let is_end = |line: &str| line.starts_with("temperature ") || line.contains(r#""command":"temperature""#);
+    for command in COMMANDS.lines().filter(|command| *command != "disconnect") {
+        program.say(&format!("{command}\n{END}\n"));
+        let _ = writeln!(text, "> {command}");
+        let answer: String =
+            std::iter::repeat_with(|| program.line()).take_while(|line| !is_end(line)).collect();
+        if answer.is_empty() {
+            let _ = write!(text, "! {}", program.error_line());
+        }
+        text += &answer;
+    }
+    program.say("disconnect\n");
+    let _ = write!(text, "> disconnect\n{}", program.line());
+    assert_eq!(program.end().status, 0);
+    text
+}
+
+fn assert_golden(name: &str, text: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/gripper/golden").join(name);
+    if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
+        std::fs::write(&path, text).expect("it can be written");
+    }
+    let golden = std::fs::read_to_string(&path).unwrap_or_default();
+    for (number, (told, expected)) in (1..).zip(text.lines().zip(golden.lines())) {
+        assert_eq!(told, expected, "{name}:{number}");
+    }
+    assert_eq!(text.lines().count(), golden.lines().count(), "{name}");
+}
+
+#[test]
+fn people_read_words_with_units() {
+    assert_golden("words.txt", &transcript(&Bench::new(quick()).tcp(), &[]));
+}
+
+#[test]
+fn programs_read_json() {
+    assert_golden("json.txt", &transcript(&Bench::new(quick()).tcp(), &["--json"]));
+}
+
+#[test]
+fn gcl_says_what_it_can_say() {
+    assert_golden("gcl.txt", &transcript(&Bench::new(quick()).gcl(), &[]));
+}

@@ -1,0 +1,9 @@
+//! `wsg gripper` as a program, with the virtual gripper at the other end of each kind of line.
+#![cfg(unix)]
+
+mod bad_input;
+mod bench;
+mod ends;
+mod golden;
+mod terminal;
+mod transports;
