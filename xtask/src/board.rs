@@ -45,6 +45,11 @@ pub(crate) static BOARDS: [Board; 2] = [
 pub(crate) const MACHINE: &str = "b-l475e-iot01a";
 
 impl Board {
+    /// The name of a figure of this board: of the default board by itself.
+    pub(crate) fn figure(&self, what: &str) -> String {
+        if self == <&Self>::default() { what.to_owned() } else { format!("{what}, {}", self.name) }
+    }
+
     /// The board of this name.
     pub(crate) fn named(name: &str) -> Result<&'static Self> {
         BOARDS.iter().find(|board| board.name == name).with_context(|| {

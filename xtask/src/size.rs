@@ -38,8 +38,8 @@ fn of_image(image: &Image) -> Result<Vec<Gate>> {
     }
     let Footprint { flash, static_ram } = Footprint::of(&sections);
     Ok(vec![
-        Gate::bytes(format!("{}: image, flash", image.board.name), flash, image.board.flash_limit),
-        Gate::bytes(format!("{}: image, static RAM", image.board.name), static_ram, STATIC_RAM_LIMIT),
+        Gate::bytes(image.board.figure("firmware image, flash"), flash, image.board.flash_limit),
+        Gate::bytes(image.board.figure("firmware image, static RAM"), static_ram, STATIC_RAM_LIMIT),
     ])
 }
 

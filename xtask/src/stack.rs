@@ -64,7 +64,7 @@ fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Res
     }
     let exceptions: u64 = deepest.handlers.iter().map(|handler| handler.bytes + EXCEPTION_FRAME).sum();
     println!("  counted as if every exception interrupted the one before at its deepest");
-    let what = format!("{}: worst-case stack, walked", image.board.name);
+    let what = image.board.figure("worst-case stack, walked");
     Ok(Gate::bytes(what, deepest.program.bytes + exceptions, LIMIT))
 }
 

@@ -2,7 +2,7 @@
 
 use host_tests::document::{hold, table};
 use host_tests::fault_sweep::Sweep;
-use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS};
+use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS, Port};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Config, RECIPES, Recipe};
 
@@ -33,28 +33,40 @@ fn name<T>(mut names: impl Iterator<Item = (&'static str, T)>) -> String {
     format!("`{}`", names.next().expect("each wire has a name").0)
 }
 
-fn wires() -> String {
-    let inputs = INPUTS.iter().zip(INPUT_MEANINGS).map(|(wire, (signal, meaning))| {
-        assert_eq!(wire.signal, signal);
-        [
-            name(wire.signal.iter_names()),
-            "PLC to bridge".to_owned(),
-            wire.connector.to_owned(),
-            format!("P{}{}", wire.port.letter(), wire.pin),
-            meaning.to_owned(),
-        ]
+/// The wires of a board in the order of the bits, each by what it is called on the board and on its MCU.
+fn wires(
+    on_board: &str,
+    inputs: [(Inputs, [String; 2]); Inputs::COUNT],
+    outputs: [(Outputs, [String; 2]); Outputs::COUNT],
+) -> String {
+    let inputs = inputs.into_iter().zip(INPUT_MEANINGS).map(|((wire, [pin, on_mcu]), (signal, meaning))| {
+        assert_eq!(wire, signal);
+        [name(wire.iter_names()), "PLC to bridge".to_owned(), pin, on_mcu, meaning.to_owned()]
     });
-    let outputs = OUTPUTS.iter().zip(OUTPUT_MEANINGS).map(|(wire, (signal, meaning))| {
-        assert_eq!(wire.signal, signal);
-        [
-            name(wire.signal.iter_names()),
-            "bridge to PLC".to_owned(),
-            wire.connector.to_owned(),
-            format!("P{}{}", OUTPUT_PORT.letter(), wire.pin),
-            meaning.to_owned(),
-        ]
-    });
-    table(["wire", "direction", "Arduino pin", "MCU pin", "meaning"], inputs.chain(outputs))
+    let outputs =
+        outputs.into_iter().zip(OUTPUT_MEANINGS).map(|((wire, [pin, on_mcu]), (signal, meaning))| {
+            assert_eq!(wire, signal);
+            [name(wire.iter_names()), "bridge to PLC".to_owned(), pin, on_mcu, meaning.to_owned()]
+        });
+    table(["wire", "direction", on_board, "MCU pin", "meaning"], inputs.chain(outputs))
+}
+
+fn wires_of_the_default_board() -> String {
+    let pins = |connector: &str, port: Port, pin| [connector.to_owned(), format!("P{}{pin}", port.letter())];
+    wires(
+        "Arduino pin",
+        INPUTS.map(|wire| (wire.signal, pins(wire.connector, wire.port, wire.pin))),
+        OUTPUTS.map(|wire| (wire.signal, pins(wire.connector, OUTPUT_PORT, wire.pin))),
+    )
+}
+
+fn wires_of_the_pico() -> String {
+    let pins = |pin: u8, gpio: u8| [pin.to_string(), format!("GP{gpio}")];
+    wires(
+        "pin",
+        wsg_pico::INPUTS.map(|wire| (wire.signal, pins(wire.pin, wire.gpio))),
+        wsg_pico::OUTPUTS.map(|wire| (wire.signal, pins(wire.pin, wire.gpio))),
+    )
 }
 
 fn recipes() -> String {
@@ -110,8 +122,9 @@ fn fast_stop() -> String {
 }
 
 #[test]
-fn wiring_in_the_documents_is_that_of_the_board_file() {
-    hold("docs/wiring.md", "wires", &wires());
+fn wiring_in_the_documents_is_that_of_the_board_files() {
+    hold("docs/wiring.md", "wires", &wires_of_the_default_board());
+    hold("docs/pico.md", "wires", &wires_of_the_pico());
 }
 
 #[test]
