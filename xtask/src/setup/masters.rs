@@ -28,17 +28,19 @@ const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 const FROM_PYPI: [&str; 6] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen", "pyprofibus", "pytest"];
 
 /// The packages from npm the same way: a master, and the emulator of the Pico.
-const FROM_NPM: [&str; 2] = ["jsmodbus", "rp2040js"];
+const FROM_NPM: [&str; 3] = ["jsmodbus", "rp2040js", "sparkplug_payload"];
 
 /// A program of Debian's: what it is called where it is missing, its name, its package.
 pub(crate) type Program = (&'static str, &'static str, &'static str);
 
 /// Debian's programs, called as in the names of the tests that need them.
-const FROM_DEBIAN: [Program; 4] = [
+const FROM_DEBIAN: [Program; 6] = [
     ("mbpoll", "mbpoll", "mbpoll"),
     ("by_hand_with_nc", "nc", "netcat-openbsd"),
     ("in_chromium", "chromium", "chromium"),
     ("tshark", "tshark", "tshark"),
+    ("mosquitto", "mosquitto", "mosquitto"),
+    ("mosquitto", "mosquitto_sub", "mosquitto-clients"),
 ];
 
 /// The masters on this machine, as far as they are not missing.
