@@ -2,6 +2,8 @@
 
 mod decode;
 mod gripper;
+#[cfg(feature = "telemetry")]
+mod telemetry;
 
 use std::io;
 use std::process::ExitCode;
@@ -21,6 +23,8 @@ struct Arguments {
 enum Command {
     Decode(decode::Arguments),
     Gripper(gripper::Arguments),
+    #[cfg(feature = "telemetry")]
+    Telemetry(telemetry::Arguments),
     /// Writes what a shell needs to complete the commands of `wsg`
     Completions {
         /// The shell
@@ -33,6 +37,8 @@ fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Gripper(arguments) => gripper::run(arguments),
+        #[cfg(feature = "telemetry")]
+        Command::Telemetry(arguments) => telemetry::run(&arguments),
         Command::Completions { shell } => {
             clap_complete::generate(shell, &mut Arguments::command(), "wsg", &mut io::stdout());
             Ok(ExitCode::SUCCESS)

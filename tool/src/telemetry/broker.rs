@@ -1,0 +1,507 @@
+//! The connection to the broker: MQTT 3.1.1 over TCP or TLS, made again whenever it is lost.
+
+use std::{fs, future::pending, io, path::Path, pin::pin, sync::Arc, time::Duration};
+
+use anyhow::{Context, Error, Result, anyhow, bail, ensure};
+use mqtt_protocol_core::mqtt::{
+    Connection, Version,
+    common::Cursor,
+    connection::{ConnectionOptions, Event, role},
+    packet::{GenericPacketTrait, Packet, Qos, SubEntry, SubOpts, v3_1_1},
+    result_code::{ConnectReturnCode, SubackReturnCode},
+};
+use tokio::{
+    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadHalf, WriteHalf, split},
+    net::TcpStream,
+    sync::{mpsc, watch},
+    time::{Instant, interval, sleep_until, timeout},
+};
+use tokio_rustls::{
+    TlsConnector,
+    rustls::{
+        ClientConfig, RootCertStore, crypto,
+        pki_types::{CertificateDer, PrivateKeyDer, ServerName, pem::PemObject},
+    },
+};
+
+use super::{
+    config,
+    gripper::{Teller, now_ms, stopped},
+    metrics::Report,
+    node::{Identity, Message, Node},
+    sequence::Sequence,
+};
+
+/// How long a step of connecting may take.
+const STEP: Duration = Duration::from_secs(5);
+/// How long the last words may take.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// How often the broker is asked whether it has all so far, and it is looked whether something is due that no report tells of.
+const LOOK: Duration = Duration::from_millis(250);
+/// Bytes that are put together for one write; further messages wait in the store.
+const WRITE_LEN: usize = 32 * 1024;
+/// Bytes read at a time.
+const READ_LEN: usize = 4 * 1024;
+/// The longest packet that is taken from the broker.
+const MAX_PACKET_LEN: u32 = 64 * 1024;
+/// Reports that are taken at a time.
+const REPORTS: usize = 256;
+
+trait Stream: AsyncRead + AsyncWrite + Unpin {}
+impl<S: AsyncRead + AsyncWrite + Unpin> Stream for S {}
+
+/// How the broker is reached.
+pub(super) struct Broker {
+    host: String,
+    tls: Option<(TlsConnector, ServerName<'static>)>,
+    user: Option<String>,
+    password: Option<String>,
+    client_id: String,
+    keep_alive: Duration,
+    reconnect: Duration,
+}
+
+impl Broker {
+    /// Reads the certificates.
+    ///
+    /// # Errors
+    /// A file that cannot be read or has none.
+    pub(super) fn new(config: &config::Broker) -> Result<Self> {
+        let tls = match &config.tls_name {
+            None => None,
+            Some(name) => {
+                let server = ServerName::try_from(name.clone())
+                    .map_err(|_| anyhow!("broker.address: {name:?} is no name or address of a host"))?;
+                Some((tls_of(config)?, server))
+            }
+        };
+        Ok(Self {
+            host: config.host.clone(),
+            tls,
+            user: config.user.clone(),
+            password: config.password.as_ref().map(|password| password.0.clone()),
+            client_id: config.client_id.clone(),
+            keep_alive: config.keep_alive,
+            reconnect: config.reconnect,
+        })
+    }
+
+    /// Brings the node's messages to the broker until `stop` says that it is to end. What fails is told, and tried again.
+    pub(super) async fn run(
+        &self,
+        node: &mut Node,
+        reports: mpsc::Receiver<Report>,
+        sequence: &mut Sequence,
+        mut stop: watch::Receiver<bool>,
+    ) {
+        let mut teller = Teller::default();
+        let mut inbox = Inbox { reports, taken: Vec::with_capacity(REPORTS) };
+        let identity = node.identity().clone();
+        loop {
+            let attempted = {
+                let mut attempt = pin!(self.connect(&identity, sequence));
+                loop {
+                    tokio::select! {
+                        attempted = &mut attempt => break attempted,
+                        () = inbox.wait() => inbox.give(node),
+                        () = stopped(&mut stop) => return,
+                    }
+                }
+            };
+            let end = match attempted {
+                Ok((mut link, number)) => {
+                    teller.tell(format!("broker {}: connected", self.host));
+                    node.connected(number);
+                    let end = link.serve(node, &mut inbox, &mut stop, self.keep_alive).await;
+                    let Some(end) = end else {
+                        // A broker that does not listen any more must not keep the program from ending.
+                        let _ = timeout(FAREWELL, link.farewell(&identity.death(number, now_ms()))).await;
+                        return;
+                    };
+                    node.disconnected();
+                    end
+                }
+                Err(error) => error,
+            };
+            teller.tell(format!("broker {}: {end:#}", self.host));
+            let again = Instant::now() + self.reconnect;
+            loop {
+                tokio::select! {
+                    () = sleep_until(again) => break,
+                    () = inbox.wait() => inbox.give(node),
+                    () = stopped(&mut stop) => return,
+                }
+            }
+        }
+    }
+
+    /// Connects; the will is set, and commands are subscribed to. Also returns the number of the connection.
+    async fn connect(&self, identity: &Identity, sequence: &mut Sequence) -> Result<(Link, u8)> {
+        let slow = |_| anyhow!("no answer within {} s", STEP.as_secs());
+        let stream = timeout(STEP, self.open()).await.map_err(slow)??;
+        let number = sequence.advance()?;
+        let mut link = Link::new(stream);
+        timeout(STEP, link.introduce(self, identity, number)).await.map_err(slow)??;
+        Ok((link, number))
+    }
+
+    async fn open(&self) -> Result<Box<dyn Stream>> {
+        let stream = TcpStream::connect(&self.host).await.context("cannot connect")?;
+        stream.set_nodelay(true)?;
+        Ok(match &self.tls {
+            None => Box::new(stream),
+            Some((connector, server)) => {
+                Box::new(connector.connect(server.clone(), stream).await.context("TLS failed")?)
+            }
+        })
+    }
+}
+
+/// What TLS needs to know.
+fn tls_of(config: &config::Broker) -> Result<TlsConnector> {
+    let mut roots = RootCertStore::empty();
+    match &config.ca_file {
+        Some(path) => {
+            for certificate in
+                certificates(path).with_context(|| format!("broker.ca_file {}", path.display()))?
+            {
+                roots.add(certificate).with_context(|| format!("broker.ca_file {}", path.display()))?;
+            }
+        }
+        None => {
+            roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
+            ensure!(!roots.is_empty(), "the system trusts no certificates: broker.ca_file names some");
+        }
+    }
+    let provider = Arc::new(crypto::ring::default_provider());
+    let builder = ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()?
+        .with_root_certificates(roots);
+    let client = match &config.certificate {
+        None => builder.with_no_client_auth(),
+        Some((certificate, key)) => {
+            let chain = certificates(certificate)
+                .with_context(|| format!("broker.certificate_file {}", certificate.display()))?;
+            let secret = PrivateKeyDer::from_pem_file(key)
+                .map_err(|error| anyhow!("broker.key_file {}: {error}", key.display()))?;
+            builder.with_client_auth_cert(chain, secret).context("broker.certificate_file and key_file")?
+        }
+    };
+    Ok(TlsConnector::from(Arc::new(client)))
+}
+
+fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
+    let text = fs::read(path)?;
+    let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
+    let found = found.map_err(|error| anyhow!("{error}"))?;
+    ensure!(!found.is_empty(), "there is no certificate (PEM) in it");
+    Ok(found)
+}
+
+/// Reports on their way to the node.
+struct Inbox {
+    reports: mpsc::Receiver<Report>,
+    taken: Vec<Report>,
+}
+
+impl Inbox {
+    /// Is ready when there are some. May be given up: none is lost.
+    async fn wait(&mut self) {
+        if self.taken.is_empty() && self.reports.recv_many(&mut self.taken, REPORTS).await == 0 {
+            // All readers have ended, which they do when the program does.
+            pending::<()>().await;
+        }
+    }
+
+    fn give(&mut self, node: &mut Node) {
+        self.taken.drain(..).for_each(|report| node.take(report));
+    }
+}
+
+/// A connection.
+struct Link {
+    reader: ReadHalf<Box<dyn Stream>>,
+    writer: WriteHalf<Box<dyn Stream>>,
+    mqtt: Connection<role::Client>,
+    /// What is to be written, from `written` on.
+    out: Vec<u8>,
+    written: usize,
+    needs_flush: bool,
+    /// The PINGREQ that has no answer yet: when it was sent, and what the store had given before.
+    ping: Option<(Instant, u64)>,
+    last_ping: Instant,
+}
+
+/// What came from the broker.
+enum Received {
+    Connack(ConnectReturnCode),
+    Suback(bool),
+    Pong,
+    Command { topic: String, payload: Vec<u8> },
+}
+
+impl Link {
+    fn new(stream: Box<dyn Stream>) -> Self {
+        let (reader, writer) = split(stream);
+        let mut options = ConnectionOptions::default();
+        options.maximum_packet_size_recv = MAX_PACKET_LEN;
+        let mut mqtt = Connection::with_options(Version::V3_1_1, options);
+        mqtt.set_auto_pub_response(true);
+        let last_ping = Instant::now();
+        Self { reader, writer, mqtt, out: Vec::new(), written: 0, needs_flush: false, ping: None, last_ping }
+    }
+
+    /// CONNECT with the will, and the subscription to commands.
+    async fn introduce(&mut self, broker: &Broker, identity: &Identity, number: u8) -> Result<()> {
+        let death = identity.death(number, now_ms());
+        let keep_alive = u16::try_from(broker.keep_alive.as_secs()).unwrap_or(u16::MAX);
+        let mut connect = v3_1_1::Connect::builder()
+            .client_id(broker.client_id.as_str())
+            .map_err(invalid)?
+            .clean_session(true)
+            .keep_alive(keep_alive)
+            .will_message(&*death.topic, death.payload, Qos::AtLeastOnce, false)
+            .map_err(invalid)?;
+        if let Some(user) = &broker.user {
+            connect = connect.user_name(user.as_str()).map_err(invalid)?;
+        }
+        if let Some(password) = &broker.password {
+            connect = connect.password(password.as_bytes().to_vec()).map_err(invalid)?;
+        }
+        self.send(connect.build().map_err(invalid)?)?;
+        match self.expect().await? {
+            Received::Connack(ConnectReturnCode::Accepted) => {}
+            Received::Connack(code) => bail!("the broker refused the connection: {}", reason(code)),
+            _ => bail!("the broker did not answer CONNECT with CONNACK"),
+        }
+        let entries: Result<Vec<_>> = identity
+            .command_topics()
+            .iter()
+            .map(|topic| {
+                let options = SubOpts::new().set_qos(Qos::AtLeastOnce);
+                SubEntry::new(topic.as_str(), options).map_err(invalid)
+            })
+            .collect();
+        let id = self.mqtt.acquire_packet_id().map_err(invalid)?;
+        let subscribe = v3_1_1::Subscribe::builder().packet_id(id).entries(entries?);
+        self.send(subscribe.build().map_err(invalid)?)?;
+        match self.expect().await? {
+            Received::Suback(true) => Ok(()),
+            Received::Suback(false) => {
+                bail!("the broker refused the subscription to {}", identity.command_topics().join(" and "))
+            }
+            _ => bail!("the broker did not answer SUBSCRIBE with SUBACK"),
+        }
+    }
+
+    /// Serves until the connection ends, and returns why; `None`: the program is to end.
+    async fn serve(
+        &mut self,
+        node: &mut Node,
+        inbox: &mut Inbox,
+        stop: &mut watch::Receiver<bool>,
+        keep_alive: Duration,
+    ) -> Option<Error> {
+        let mut looks = interval(LOOK);
+        let mut chunk = vec![0; READ_LEN];
+        loop {
+            let turn = async {
+                self.fill(node)?;
+                tokio::select! {
+                    count = self.reader.read(&mut chunk) => {
+                        let count = count.context("the connection broke")?;
+                        ensure!(count > 0, "the broker closed the connection");
+                        for received in self.receive(chunk.get(..count).unwrap_or(&[]))? {
+                            self.take(received, node);
+                        }
+                    }
+                    progress = write(&mut self.writer, self.out.get(self.written..).unwrap_or(&[]), self.needs_flush) => {
+                        self.progress(progress.context("the connection broke")?);
+                    }
+                    () = inbox.wait() => inbox.give(node),
+                    _ = looks.tick() => self.ping(node, keep_alive)?,
+                }
+                Ok(())
+            };
+            tokio::select! {
+                biased;
+                () = stopped(stop) => return None,
+                turn = turn => if let Err(error) = turn { return Some(error) },
+            }
+        }
+    }
+
+    /// Puts as many messages into the next write as fit.
+    fn fill(&mut self, node: &mut Node) -> Result<()> {
+        if self.written == self.out.len() {
+            self.out.clear();
+            self.written = 0;
+        }
+        let now = now_ms();
+        while self.out.len() < WRITE_LEN {
+            let Some(message) = node.poll_transmit(now) else { break };
+            self.publish(&message)?;
+        }
+        Ok(())
+    }
+
+    fn publish(&mut self, message: &Message) -> Result<()> {
+        let packet = v3_1_1::Publish::builder()
+            .topic_name(&*message.topic)
+            .map_err(invalid)?
+            .qos(Qos::AtMostOnce)
+            .payload(message.payload.as_slice())
+            .build()
+            .map_err(invalid)?;
+        self.send(packet)
+    }
+
+    /// Asks whether the broker has all so far, if it is not asked already; also to show that this end is alive.
+    fn ping(&mut self, node: &Node, keep_alive: Duration) -> Result<()> {
+        match self.ping {
+            Some((sent, _)) => {
+                ensure!(sent.elapsed() < keep_alive, "the broker is silent for {} s", keep_alive.as_secs());
+                Ok(())
+            }
+            None if node.is_unconfirmed() || self.last_ping.elapsed() > keep_alive / 2 => {
+                self.last_ping = Instant::now();
+                self.ping = Some((self.last_ping, node.mark()));
+                self.send(v3_1_1::Pingreq::new())
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn take(&mut self, received: Received, node: &mut Node) {
+        match received {
+            Received::Pong => {
+                if let Some((_, mark)) = self.ping.take() {
+                    node.confirm(mark);
+                }
+            }
+            Received::Command { topic, payload } => match node.command(&topic, &payload) {
+                Ok(()) => eprintln!("wsg: a host asked for all births again"),
+                Err(why) => eprintln!("wsg: a command on {topic} was refused: {why}"),
+            },
+            Received::Connack(_) | Received::Suback(_) => {}
+        }
+    }
+
+    /// The last words: NDEATH, which the will says otherwise, and DISCONNECT.
+    async fn farewell(&mut self, death: &Message) -> Result<()> {
+        self.publish(death)?;
+        self.send(v3_1_1::Disconnect::new())?;
+        self.write_all().await?;
+        self.writer.shutdown().await?;
+        Ok(())
+    }
+
+    fn send(&mut self, packet: impl Into<Packet>) -> Result<()> {
+        let events = self.mqtt.send(packet.into());
+        self.handle(events).map(drop)
+    }
+
+    /// Writes all that is to be written, and waits for the next packet.
+    async fn expect(&mut self) -> Result<Received> {
+        self.write_all().await?;
+        let mut chunk = vec![0; READ_LEN];
+        loop {
+            let count = self.reader.read(&mut chunk).await.context("the connection broke")?;
+            ensure!(count > 0, "the broker closed the connection");
+            // Nothing can be lost with the rest: a broker answers one packet by one.
+            if let Some(first) = self.receive(chunk.get(..count).unwrap_or(&[]))?.into_iter().next() {
+                return Ok(first);
+            }
+        }
+    }
+
+    async fn write_all(&mut self) -> Result<()> {
+        while self.written < self.out.len() || self.needs_flush {
+            let rest = self.out.get(self.written..).unwrap_or(&[]);
+            let progress = write(&mut self.writer, rest, self.needs_flush).await;
+            self.progress(progress.context("the connection broke")?);
+        }
+        Ok(())
+    }
+
+    fn progress(&mut self, count: Option<usize>) {
+        match count {
+            Some(count) => {
+                self.written += count;
+                self.needs_flush = self.written == self.out.len();
+            }
+            None => self.needs_flush = false,
+        }
+    }
+
+    fn receive(&mut self, bytes: &[u8]) -> Result<Vec<Received>> {
+        let mut received = Vec::new();
+        let mut cursor = Cursor::new(bytes);
+        while (cursor.position() as usize) < bytes.len() {
+            let events = self.mqtt.recv(&mut cursor);
+            received.extend(self.handle(events)?);
+        }
+        Ok(received)
+    }
+
+    /// Does what the protocol asks for. Its timers are not used: a PINGREQ leaves more often than they would have it.
+    fn handle(&mut self, events: Vec<Event>) -> Result<Vec<Received>> {
+        let mut received = Vec::new();
+        for event in events {
+            match event {
+                Event::RequestSendPacket { packet, .. } => self.out.extend(packet.to_continuous_buffer()),
+                Event::NotifyPacketReceived(packet) => received.extend(match packet {
+                    Packet::V3_1_1Connack(connack) => Some(Received::Connack(connack.return_code())),
+                    Packet::V3_1_1Suback(suback) => {
+                        let is_refused = |code: &SubackReturnCode| *code == SubackReturnCode::Failure;
+                        Some(Received::Suback(!suback.return_codes().iter().any(is_refused)))
+                    }
+                    Packet::V3_1_1Pingresp(_) => Some(Received::Pong),
+                    Packet::V3_1_1Publish(publish) => Some(Received::Command {
+                        topic: publish.topic_name().to_owned(),
+                        payload: publish.payload().as_slice().to_vec(),
+                    }),
+                    _ => None,
+                }),
+                Event::NotifyError(error) => bail!("MQTT: {error}"),
+                Event::RequestClose => bail!("MQTT: the broker broke the protocol"),
+                Event::NotifyPacketIdReleased(_)
+                | Event::RequestTimerReset { .. }
+                | Event::RequestTimerCancel(_) => {}
+            }
+        }
+        Ok(received)
+    }
+}
+
+/// Writes some bytes, or flushes when there are none; `None`: it was flushed. May be given up. Waits when there is nothing
+/// to do.
+async fn write(
+    writer: &mut WriteHalf<Box<dyn Stream>>,
+    bytes: &[u8],
+    needs_flush: bool,
+) -> io::Result<Option<usize>> {
+    if !bytes.is_empty() {
+        writer.write(bytes).await.map(Some)
+    } else if needs_flush {
+        writer.flush().await.map(|()| None)
+    } else {
+        pending().await
+    }
+}
+
+fn invalid(error: impl std::fmt::Debug) -> Error {
+    anyhow!("MQTT cannot say this: {error:?}")
+}
+
+/// Why a broker refuses a connection, in words (MQTT 3.1.1, 3.2.2.3).
+const fn reason(code: ConnectReturnCode) -> &'static str {
+    match code {
+        ConnectReturnCode::Accepted => "accepted",
+        ConnectReturnCode::UnacceptableProtocolVersion => "it does not speak MQTT 3.1.1",
+        ConnectReturnCode::IdentifierRejected => "it does not take this client_id",
+        ConnectReturnCode::ServerUnavailable => "it is not available",
+        ConnectReturnCode::BadUserNameOrPassword => "wrong user or password",
+        ConnectReturnCode::NotAuthorized => "not authorized: wrong user or password, or no right to connect",
+    }
+}

@@ -1,0 +1,121 @@
+use super::*;
+
+const BROKER: &str = "[broker]\naddress = \"mqtt://broker\"\n";
+const NODE: &str = "[node]\ngroup = \"plant\"\nname = \"cell\"\nstate_file = \"state\"\n";
+const GRIPPER: &str = "[[gripper]]\nname = \"left\"\naddress = \"tcp://192.168.1.20\"\n";
+
+fn parsed(text: &str) -> Result<Telemetry> {
+    Telemetry::parse("cell.toml", text)
+}
+
+#[test]
+fn file_with_the_least_that_is_needed_has_the_defaults_of_the_table() {
+    let telemetry = parsed(&[BROKER, NODE, GRIPPER].concat()).unwrap();
+
+    assert_eq!(
+        (telemetry.broker.host.as_str(), telemetry.broker.client_id.as_str()),
+        ("broker:1883", "wsg-plant-cell")
+    );
+    assert!(telemetry.broker.tls_name.is_none() && telemetry.broker.user.is_none());
+    assert_eq!((telemetry.broker.keep_alive.as_secs(), telemetry.store), (10, 100_000));
+    assert_eq!((telemetry.data.period_ms, telemetry.data.width_deadband), (100, 0.05));
+    assert_eq!(telemetry.devices[0].address, Address::Tcp("192.168.1.20:1000".to_owned()));
+}
+
+#[test]
+fn every_default_is_a_value_that_the_setting_takes() {
+    let place = Place { file: "the table".to_owned(), line: 1 };
+    for setting in SETTINGS {
+        if let Some(default) = setting.default {
+            setting.check(default, &place).unwrap();
+        }
+    }
+}
+
+#[test]
+fn addresses_have_the_ports_of_their_kind() {
+    for (text, expected) in [
+        ("tcp://left", Some(Address::Tcp("left:1000".to_owned()))),
+        ("tcp://[fe80::1]:7", Some(Address::Tcp("[fe80::1]:7".to_owned()))),
+        ("udp://left", Some(Address::Udp { host: "left:1500".to_owned(), local_port: 1501 })),
+        ("udp://left:7?local=8", Some(Address::Udp { host: "left:7".to_owned(), local_port: 8 })),
+        ("serial:/dev/ttyUSB0", Some(Address::Serial("/dev/ttyUSB0".to_owned()))),
+        ("left", None),
+        ("tcp://", None),
+        ("tcp://left:x", None),
+        ("tcp://a:b:1", None),
+        ("udp://left?local=x", None),
+        ("serial:", None),
+        ("can:can0", None),
+    ] {
+        assert_eq!(address_of(text), expected, "{text}");
+    }
+}
+
+#[test]
+fn whatever_is_wrong_is_told_in_one_line_with_its_place_and_what_is_expected() {
+    let in_broker = |line: &str| [BROKER, line, "\n", NODE, GRIPPER].concat();
+    for (text, place, expected) in [
+        (String::new(), "cell.toml", "no [broker]"),
+        (BROKER.to_owned(), "cell.toml", "no [node]"),
+        ([BROKER, NODE].concat(), "cell.toml", "no [[gripper]]"),
+        ("[broker\n".to_owned(), "cell.toml, line 1", "unclosed table"),
+        (in_broker("x = "), "cell.toml, line 3", "value"),
+        (in_broker("adress = \"x\""), "cell.toml, line 3", "expected one of address, user"),
+        (in_broker("keep_alive_s = 0"), "cell.toml, line 3", "a whole number from 1 to 600"),
+        (in_broker("keep_alive_s = [1]"), "cell.toml, line 3", "expected a text or a number"),
+        (in_broker("reconnect_s = \"soon\""), "cell.toml, line 3", "a number from 0.1 to 600"),
+        (in_broker("ca_file = \"ca.pem\""), "cell.toml, line 3", "for mqtts:// alone"),
+        (in_broker("password_file = \"/none\"\nuser = \"a\""), "cell.toml, line 3", "No such file"),
+        (in_broker("password_env = \"WSG_NONE\"\nuser = \"a\""), "cell.toml, line 3", "no such variable"),
+        (
+            in_broker("password_file = \"a\"\npassword_env = \"b\""),
+            "cell.toml, line 4",
+            "password_file already",
+        ),
+        (in_broker("[brokers]"), "cell.toml, line 3", "expected [broker], [node], [data] or [[gripper]]"),
+        (in_broker("[gripper]\nname = \"a\"").replace(GRIPPER, ""), "cell.toml, line 3", "double brackets"),
+        (["[[broker]]\n", NODE, GRIPPER].concat(), "cell.toml, line 1", "expected [broker]"),
+        (
+            ["[broker]\naddress = \"tcp://x\"\n", NODE, GRIPPER].concat(),
+            "cell.toml, line 2",
+            "mqtts://HOST[:PORT]",
+        ),
+        (["[broker]\n", NODE, GRIPPER].concat(), "cell.toml, line 1", "\"address\" is missing: `mqtt://"),
+        (
+            [BROKER, NODE, "[[gripper]]\nname = \"a\"\n"].concat(),
+            "cell.toml, line 7",
+            "\"address\" is missing",
+        ),
+        ([BROKER, NODE, GRIPPER, GRIPPER].concat(), "cell.toml, line 11", "another device has this name"),
+        (
+            [BROKER, NODE, &GRIPPER.replace("left", "a/b")].concat(),
+            "cell.toml, line 8",
+            "a name without +, # and /",
+        ),
+        (
+            [BROKER, NODE, &GRIPPER.replace("tcp", "http")].concat(),
+            "cell.toml, line 9",
+            "expected tcp://HOST[:1000], udp://HOST[:1500][?local=1501] or serial:DEVICE",
+        ),
+    ] {
+        let error = format!("{:#}", parsed(&text).unwrap_err());
+        assert!(error.starts_with(place) && error.contains(expected) && !error.contains('\n'), "{error}");
+    }
+}
+
+#[test]
+fn password_is_the_first_line_of_its_file_and_no_log_shows_it() {
+    let path = env::temp_dir().join(format!("wsg-password-{}", std::process::id()));
+    fs::write(&path, "secret word\nignored\n").unwrap();
+    let text = [BROKER, &format!("user = \"cell\"\npassword_file = {path:?}\n"), NODE, GRIPPER].concat();
+
+    let telemetry = parsed(&text).unwrap();
+    fs::write(&path, "\n").unwrap();
+    let empty = parsed(&text).unwrap_err().to_string();
+    fs::remove_file(&path).unwrap();
+
+    assert_eq!(telemetry.broker.password.as_ref().unwrap().0, "secret word");
+    assert!(!format!("{telemetry:?}").contains("secret word"));
+    assert!(empty.contains("it is empty"), "{empty}");
+}

@@ -1,0 +1,349 @@
+//! Reads a gripper: finds it, has it send its values by itself, and tells what changed.
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use tokio::{
+    sync::{mpsc, watch},
+    time::{Instant, sleep},
+};
+use wsg_protocol::{
+    AutoUpdate, SystemFlags,
+    driver::{
+        self, Config, Error, Update,
+        asynch::{Gripper, Transport},
+        tokio::TokioTimer,
+    },
+    session::{self, Known, Topic},
+};
+
+use super::{
+    config::{Address, Data},
+    line::{Line, Sockets},
+    metrics::{GRIPPER, OfGripper, Report, Value, What},
+};
+
+/// How long after a gripper was lost or not found it is looked for again.
+const RETRY: Duration = Duration::from_secs(1);
+/// How long a gripper may be silent between two looks at it, in ms.
+const LOOK_MS: u32 = 1_000;
+/// How long the announcement of the disconnect may take.
+const FAREWELL: Duration = Duration::from_millis(500);
+
+/// A device of the configuration, and where its reports go.
+#[derive(Clone, Debug)]
+pub(super) struct Reporter {
+    pub(super) device: u16,
+    pub(super) name: String,
+    pub(super) reports: mpsc::Sender<Report>,
+}
+
+impl Reporter {
+    /// Waits while the receiver is behind.
+    pub(super) async fn tell(&self, what: What) {
+        // Without a receiver the program ends.
+        let _ = self.reports.send(Report { device: self.device, at: now_ms(), what }).await;
+    }
+}
+
+/// This moment in ms since 1970 (UTC).
+pub(super) fn now_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}
+
+/// Says what a device does once, until it is something else.
+#[derive(Debug, Default)]
+pub(super) struct Teller {
+    last: String,
+}
+
+impl Teller {
+    pub(super) fn tell(&mut self, text: String) {
+        if text != self.last {
+            eprintln!("wsg: {text}");
+            self.last = text;
+        }
+    }
+}
+
+/// Reads the gripper until `stop` says so, then announces the disconnect, so that it enters no FAST STOP.
+pub(super) async fn read(
+    address: Address,
+    data: Data,
+    sockets: &Sockets,
+    reporter: Reporter,
+    mut stop: watch::Receiver<bool>,
+) {
+    let mut teller = Teller::default();
+    let mut reader = Reader { data, reporter, values: Values::default(), connections: 0, bad_before: 0 };
+    loop {
+        let ended = tokio::select! {
+            line = Line::open(&address, sockets) => match line {
+                Ok(line) => Some(line),
+                Err(error) => {
+                    teller.tell(format!("{} ({address}): {error}", reader.reporter.name));
+                    None
+                }
+            },
+            () = stopped(&mut stop) => return,
+        };
+        if let Some(line) = ended {
+            let why = reader.serve(line, &mut stop, &mut teller).await;
+            if *stop.borrow() {
+                return;
+            }
+            teller.tell(format!("{} ({address}): {why}", reader.reporter.name));
+        }
+        tokio::select! {
+            () = sleep(RETRY) => {}
+            () = stopped(&mut stop) => return,
+        }
+    }
+}
+
+/// Is ready when the program is to end.
+pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
+    // Nobody is left to say so: then it ends, too.
+    let _ = stop.wait_for(|stop| *stop).await;
+}
+
+#[derive(Debug)]
+struct Reader {
+    data: Data,
+    reporter: Reporter,
+    values: Values,
+    connections: u64,
+    /// Bad frames on lines before this one.
+    bad_before: u64,
+}
+
+impl Reader {
+    /// Reads over this line until it breaks or the program is to end; returns why.
+    async fn serve<IO: Transport>(
+        &mut self,
+        line: IO,
+        stop: &mut watch::Receiver<bool>,
+        teller: &mut Teller,
+    ) -> String
+    where
+        IO::Error: std::fmt::Display,
+    {
+        let period_ms = self.data.period_ms;
+        let session = session::Config {
+            width: true,
+            speed: true,
+            force: true,
+            update_period_ms: period_ms,
+            // Values come by themselves; asking again only notices a gripper that was restarted.
+            refresh_ms: LOOK_MS,
+            ..session::Config::DEFAULT
+        };
+        let config = Config { session, ..Config::DEFAULT };
+        let mut gripper = Gripper::<_, _>::with_config(line, TokioTimer::new(), config);
+        // What the fingers do is told at once.
+        for topic in [Topic::SystemState, Topic::GripperState] {
+            gripper.subscribe(topic, AutoUpdate::on_change(AutoUpdate::MIN_PERIOD_MS));
+        }
+        let end = loop {
+            // One that is not there on a serial line or on UDP may be switched on later.
+            let connected = tokio::select! {
+                connected = gripper.connect() => connected,
+                () = stopped(stop) => break None,
+            };
+            match connected {
+                Ok(()) => {}
+                Err(Error::NotConnected) => {
+                    teller.tell(format!("{}: no answer", self.reporter.name));
+                    continue;
+                }
+                Err(error) => break Some(error),
+            }
+            self.connections += 1;
+            teller.tell(format!("{}: found", self.reporter.name));
+            let found = self.found(gripper.known());
+            self.reporter.tell(found).await;
+            let end = self.watch(&mut gripper, stop).await;
+            self.reporter.tell(What::Lost).await;
+            match end {
+                Some(Error::NotConnected) => teller.tell(format!("{}: answers no more", self.reporter.name)),
+                end => break end,
+            }
+        };
+        self.bad_before += bad_frames(&gripper.counters());
+        // However it ends: where there is still a connection, its end is no reason for a FAST STOP.
+        let _ = tokio::time::timeout(FAREWELL, gripper.announce_disconnect()).await;
+        end.map_or_else(|| "ended".to_owned(), |error| error.to_string())
+    }
+
+    /// Tells what changes until the gripper is lost; returns why, or `None` if the program is to end.
+    async fn watch<IO: Transport>(
+        &mut self,
+        gripper: &mut Gripper<IO, TokioTimer>,
+        stop: &mut watch::Receiver<bool>,
+    ) -> Option<Error<IO::Error>> {
+        let period_ms = self.data.period_ms;
+        loop {
+            let within_ms = self.values.due_in(period_ms).unwrap_or(LOOK_MS);
+            let update = tokio::select! {
+                update = gripper.next_update(within_ms) => update,
+                () = stopped(stop) => return None,
+            };
+            let is_urgent = match update {
+                Ok(update) => update.is_some_and(|update| self.values.take(update, &self.data)),
+                Err(error) => return Some(error),
+            };
+            if !gripper.is_connected() {
+                return Some(Error::NotConnected);
+            }
+            let bad = self.bad_before + bad_frames(&gripper.counters());
+            self.values.set(OfGripper::BadFrames, Some(Value::Unsigned(bad)));
+            if (is_urgent || self.values.due_in(period_ms) == Some(0))
+                && let Some(changed) = self.values.changed()
+            {
+                self.reporter.tell(changed).await;
+            }
+        }
+    }
+
+    fn found(&mut self, known: &Known) -> What {
+        self.values = Values::of(known);
+        self.values.set(OfGripper::Connections, Some(Value::Unsigned(self.connections)));
+        self.values.set(OfGripper::BadFrames, Some(Value::Unsigned(self.bad_before)));
+        let _ = self.values.changed();
+        let mut ranges = vec![None; GRIPPER.len()];
+        if let Some(limits) = &known.limits {
+            for (of, range) in [
+                (OfGripper::Width, (0.0, limits.stroke)),
+                (OfGripper::Speed, (-limits.max_speed, limits.max_speed)),
+                (OfGripper::Force, (0.0, limits.overdrive_force.max(limits.nominal_force))),
+            ] {
+                if let Some(slot) = ranges.get_mut(of as usize) {
+                    *slot = Some(range);
+                }
+            }
+        }
+        What::Found { values: self.values.latest.clone(), ranges }
+    }
+}
+
+fn bad_frames(counters: &driver::DriverCounters) -> u64 {
+    u64::from(counters.line.bad_checksum) + u64::from(counters.line.oversize)
+}
+
+/// The values of a gripper: as they are, and which of them were not told yet.
+#[derive(Debug)]
+struct Values {
+    latest: Vec<Option<Value>>,
+    /// As they were told last.
+    told: Vec<Option<Value>>,
+    is_changed: bool,
+    told_at: Instant,
+}
+
+impl Default for Values {
+    fn default() -> Self {
+        let nothing = vec![None; GRIPPER.len()];
+        Self { latest: nothing.clone(), told: nothing, is_changed: false, told_at: Instant::now() }
+    }
+}
+
+impl Values {
+    fn of(known: &Known) -> Self {
+        let mut values = Self::default();
+        for (of, number) in [
+            (OfGripper::Width, known.width),
+            (OfGripper::Speed, known.speed),
+            (OfGripper::Force, known.force),
+        ] {
+            values.set(of, number.map(Value::Float));
+        }
+        if let Some(flags) = known.flags {
+            values.take_flags(flags);
+        }
+        values.set(OfGripper::State, known.state.map(|state| Value::Text(state.to_string())));
+        if let Some(info) = known.info {
+            values.set(OfGripper::Device, Some(Value::Text(info.device.to_string())));
+            values.set(OfGripper::Serial, Some(Value::Unsigned(info.serial_number.into())));
+            values.set(OfGripper::Firmware, Some(Value::Text(info.firmware.to_string())));
+        }
+        values
+    }
+
+    fn set(&mut self, of: OfGripper, value: Option<Value>) {
+        if let Some(slot) = self.latest.get_mut(of as usize)
+            && *slot != value
+        {
+            *slot = value;
+            self.is_changed = true;
+        }
+    }
+
+    /// Takes a value; whether it is to be told at once.
+    fn take(&mut self, update: Update, data: &Data) -> bool {
+        match update {
+            Update::Width(width) => self.measured(OfGripper::Width, width, data.width_deadband),
+            Update::Speed(speed) => self.measured(OfGripper::Speed, speed, data.speed_deadband),
+            Update::Force(force) => self.measured(OfGripper::Force, force, data.force_deadband),
+            Update::SystemState(flags) => {
+                self.take_flags(flags);
+                return self.is_changed;
+            }
+            Update::GripperState(state) => {
+                self.set(OfGripper::State, Some(Value::Text(state.to_string())));
+                return self.is_changed;
+            }
+            _ => {}
+        }
+        false
+    }
+
+    fn take_flags(&mut self, flags: SystemFlags) {
+        /// What keeps the fingers from doing their work, FAST STOP aside.
+        const FAULTS: SystemFlags = SystemFlags::TEMP_FAULT
+            .union(SystemFlags::POWER_FAULT)
+            .union(SystemFlags::CURR_FAULT)
+            .union(SystemFlags::FINGER_FAULT);
+        self.set(OfGripper::Flags, Some(Value::Unsigned(flags.bits().into())));
+        for (of, one) in [
+            (OfGripper::Referenced, SystemFlags::REFERENCED),
+            (OfGripper::Moving, SystemFlags::MOVING),
+            (OfGripper::FastStop, SystemFlags::FAST_STOP),
+            (OfGripper::Fault, FAULTS),
+        ] {
+            self.set(of, Some(Value::Boolean(flags.intersects(one))));
+        }
+        if !flags.contains(SystemFlags::REFERENCED) {
+            self.set(OfGripper::Width, None);
+        }
+    }
+
+    /// Takes a measured value if it is further from the one that was told than the deadband.
+    fn measured(&mut self, of: OfGripper, number: f32, deadband: f32) {
+        match self.told.get(of as usize) {
+            Some(Some(Value::Float(told))) if (number - told).abs() < deadband => {}
+            _ => self.set(of, Some(Value::Float(number))),
+        }
+    }
+
+    /// In how many ms what changed is to be told; `None` when nothing has.
+    fn due_in(&self, period_ms: u16) -> Option<u32> {
+        let since = u32::try_from(self.told_at.elapsed().as_millis()).unwrap_or(u32::MAX);
+        self.is_changed.then(|| u32::from(period_ms).saturating_sub(since))
+    }
+
+    /// The values that changed since this was asked last.
+    fn changed(&mut self) -> Option<What> {
+        if !std::mem::take(&mut self.is_changed) {
+            return None;
+        }
+        self.told_at = Instant::now();
+        let mut changed = Vec::new();
+        for (place, (told, latest)) in (0_u8..).zip(self.told.iter_mut().zip(&self.latest)) {
+            if told != latest {
+                told.clone_from(latest);
+                changed.push((place, latest.clone()));
+            }
+        }
+        (!changed.is_empty()).then_some(What::Changed(changed))
+    }
+}

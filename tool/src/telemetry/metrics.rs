@@ -1,0 +1,111 @@
+//! What is told of a gripper and of this edge node: one table each, from which births, data and the document
+//! derive.
+
+use super::payload::{DataType, MetricValue};
+
+/// A value of a device or of the node. `None` in its place is null: not known.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Value {
+    Float(f32),
+    Unsigned(u64),
+    Boolean(bool),
+    Text(String),
+}
+
+/// A row of a table.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Metric {
+    pub(super) name: &'static str,
+    pub(super) datatype: DataType,
+    /// Empty: none.
+    pub(super) unit: &'static str,
+    pub(super) meaning: &'static str,
+}
+
+const fn metric(name: &'static str, datatype: DataType, unit: &'static str, meaning: &'static str) -> Metric {
+    Metric { name, datatype, unit, meaning }
+}
+
+impl Metric {
+    /// The type as the payload has it. Data has it, too, though Sparkplug would rather not: decoders that keep no births,
+    /// such as Eclipse Tahu's for JavaScript, read null without it.
+    pub(super) fn datatype(&self) -> u32 {
+        self.datatype as u32
+    }
+}
+
+impl Value {
+    /// As the payload has it.
+    pub(super) fn encode(&self) -> MetricValue {
+        match self {
+            Self::Float(number) => MetricValue::Float(*number),
+            Self::Unsigned(number) => MetricValue::Long(*number),
+            Self::Boolean(on) => MetricValue::Boolean(*on),
+            Self::Text(text) => MetricValue::String(text.clone()),
+        }
+    }
+}
+
+/// Names the rows of a table by constants, so that no index is written by hand.
+macro_rules! table {
+    ($(#[$doc:meta])* $table:ident, $index:ident { $($row:ident: $name:literal $datatype:ident $unit:literal $meaning:literal;)* }) => {
+        /// The places in the table of the same name.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub(super) enum $index { $($row),* }
+
+        $(#[$doc])*
+        pub(super) const $table: &[Metric] = &[$(metric($name, DataType::$datatype, $unit, $meaning)),*];
+    };
+}
+
+table! {
+    /// What is told of a gripper.
+    GRIPPER, OfGripper {
+        Width: "Width" Float "mm" "opening width; null while the fingers are not referenced";
+        Speed: "Speed" Float "mm/s" "finger speed";
+        Force: "Force" Float "N" "gripping force, summed over both fingers";
+        State: "State" String "" "gripper state in words, as the command set has them: IDLE, GRIPPING, NO PART, PART LOST, HOLDING, RELEASING, POSITIONING, ERROR";
+        Flags: "Flags" UInt64 "" "system state flags (command set, appendix B)";
+        Referenced: "Referenced" Boolean "" "the fingers are referenced";
+        Moving: "Moving" Boolean "" "the fingers move";
+        FastStop: "Fast Stop" Boolean "" "FAST STOP is latched: motion is refused until it is acknowledged";
+        Fault: "Fault" Boolean "" "a fault of temperature, supply, motor or finger";
+        Device: "Properties/Device" String "" "the model";
+        Serial: "Properties/Serial Number" UInt64 "" "the serial number";
+        Firmware: "Properties/Firmware" String "" "version of the gripper's firmware";
+        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum or length, since the program started";
+        Connections: "Diagnostics/Connections" UInt64 "" "how often the gripper was found, since the program started";
+    }
+}
+
+table! {
+    /// What is told of this edge node, beside `bdSeq` and `Node Control/Rebirth`.
+    NODE, OfNode {
+        Online: "Devices/Online" UInt64 "" "devices that answer";
+        Waiting: "Store/Waiting" UInt64 "" "samples that wait for the broker";
+        Dropped: "Store/Dropped" UInt64 "" "samples that were dropped because the store was full, since the program started";
+        Late: "Store/Late" UInt64 "" "samples that were sent as historical, since the program started";
+        Connections: "Broker/Connections" UInt64 "" "connections to the broker, since the program started";
+        Refused: "Commands/Refused" UInt64 "" "commands from the broker that were refused, since the program started";
+    }
+}
+
+/// What is told about a device by whoever reads it.
+#[derive(Debug)]
+pub(super) struct Report {
+    /// Its place in the configuration.
+    pub(super) device: u16,
+    /// In ms since 1970 (UTC).
+    pub(super) at: u64,
+    pub(super) what: What,
+}
+
+#[derive(Debug)]
+pub(super) enum What {
+    /// It was found: a value for each row of its table, and the range of those that have one.
+    Found { values: Vec<Option<Value>>, ranges: Vec<Option<(f32, f32)>> },
+    /// Values that changed, by their places in its table.
+    Changed(Vec<(u8, Option<Value>)>),
+    /// It answers no more.
+    Lost,
+}

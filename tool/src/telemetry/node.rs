@@ -1,0 +1,436 @@
+//! The edge node of Sparkplug B (chapter 5), without I/O: takes what is told of devices, and gives the messages that are due.
+//!
+//! A connection begins with [`Node::connected`], after which [`Node::poll_transmit`] gives NBIRTH, the births of the
+//! devices, what was stored, and data as it comes. A sample that is older than its device's birth is sent as historical.
+
+use std::{collections::VecDeque, rc::Rc};
+
+use prost::Message as _;
+
+use super::{
+    metrics::{GRIPPER, Metric, NODE, OfNode, Report, Value, What},
+    payload::{self, DataType, MetricValue, Payload, PropertySet},
+    store::{Entry, Store},
+};
+
+/// Aliases of a device: this many times its number, counted from 1, plus the place in its table. The node's are below.
+const ALIASES: u64 = 64;
+const _: () = assert!(GRIPPER.len() < ALIASES as usize && NODE.len() < ALIASES as usize);
+
+/// How often the node's own values are sent at the most, in ms.
+const NODE_PERIOD_MS: u64 = 1_000;
+
+const BD_SEQ: &str = "bdSeq";
+const REBIRTH: &str = "Node Control/Rebirth";
+
+/// A message for the broker, QoS 0 and not retained.
+#[derive(Debug, PartialEq)]
+pub(super) struct Message {
+    pub(super) topic: Rc<str>,
+    pub(super) payload: Vec<u8>,
+}
+
+/// Who the edge node is.
+#[derive(Clone, Debug)]
+pub(super) struct Identity {
+    group: String,
+    name: String,
+}
+
+#[derive(Debug)]
+pub(super) struct Node {
+    identity: Identity,
+    devices: Vec<Device>,
+    store: Store,
+    session: Option<Session>,
+    own: Own,
+}
+
+#[derive(Debug)]
+struct Device {
+    table: &'static [Metric],
+    birth: Rc<str>,
+    data: Rc<str>,
+    death: Rc<str>,
+    is_online: bool,
+    /// The latest of each; empty until it was found for the first time.
+    values: Vec<Option<Value>>,
+    ranges: Vec<Option<(f32, f32)>>,
+    /// When its birth was sent over this connection, if it was, and no death since.
+    born_at: Option<u64>,
+}
+
+/// What there is while there is a connection.
+#[derive(Debug)]
+struct Session {
+    bd_seq: u8,
+    seq: u8,
+    births: VecDeque<Birth>,
+    /// Up to which entry the store holds what was there before the connection.
+    history_end: u64,
+    /// Devices that were born only so that their history can be sent.
+    ghosts: Vec<u16>,
+    own_sent_at: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Birth {
+    Node,
+    Device(u16),
+}
+
+/// The node's own values.
+#[derive(Debug, Default)]
+struct Own {
+    late: u64,
+    connections: u64,
+    refused: u64,
+    /// As they were sent last.
+    sent: Vec<Option<Value>>,
+}
+
+impl Identity {
+    fn topic(&self, kind: &str) -> String {
+        let Self { group, name } = self;
+        format!("spBv1.0/{group}/{kind}/{name}")
+    }
+
+    /// The topics that a host commands on.
+    pub(super) fn command_topics(&self) -> [String; 2] {
+        [self.topic("NCMD"), format!("{}/#", self.topic("DCMD"))]
+    }
+
+    /// NDEATH of the connection with this number: the will, and the last message before an intended end.
+    pub(super) fn death(&self, bd_seq: u8, now: u64) -> Message {
+        let payload = Payload { timestamp: Some(now), metrics: vec![bd_seq_metric(bd_seq, None)], seq: None };
+        Message { topic: self.topic("NDEATH").into(), payload: payload.encode_to_vec() }
+    }
+}
+
+impl Node {
+    /// An edge node with these devices, each with its table, and a store of so many samples.
+    pub(super) fn new(
+        group: &str,
+        name: &str,
+        devices: &[(String, &'static [Metric])],
+        capacity: usize,
+    ) -> Self {
+        let identity = Identity { group: group.to_owned(), name: name.to_owned() };
+        let topic = |kind: &str, device: &str| format!("{}/{device}", identity.topic(kind)).into();
+        let device = |(device, table): &(String, &'static [Metric])| Device {
+            table,
+            birth: topic("DBIRTH", device),
+            data: topic("DDATA", device),
+            death: topic("DDEATH", device),
+            is_online: false,
+            values: Vec::new(),
+            ranges: Vec::new(),
+            born_at: None,
+        };
+        let devices = devices.iter().map(device).collect();
+        Self { identity, devices, store: Store::new(capacity), session: None, own: Own::default() }
+    }
+
+    /// Who this is.
+    pub(super) const fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    /// Takes what is told of a device.
+    pub(super) fn take(&mut self, report: Report) {
+        let Report { device: number, at, what } = report;
+        let Some(device) = self.devices.get_mut(usize::from(number)) else { return };
+        let life = match what {
+            What::Found { values, ranges } => {
+                device.is_online = true;
+                device.values = values;
+                device.ranges = ranges;
+                Entry::Found { device: number }
+            }
+            What::Changed(values) => {
+                for (place, value) in &values {
+                    if let Some(slot) = device.values.get_mut(usize::from(*place)) {
+                        slot.clone_from(value);
+                    }
+                }
+                self.store.push(Entry::Sample { device: number, at, values });
+                return;
+            }
+            What::Lost => {
+                device.is_online = false;
+                Entry::Lost { device: number }
+            }
+        };
+        if self.session.is_some() {
+            self.store.push(life);
+        }
+    }
+
+    /// The broker has accepted the connection with this number.
+    pub(super) fn connected(&mut self, bd_seq: u8) {
+        self.own.connections += 1;
+        let mut with_history: Vec<u16> = self.store.devices().collect();
+        with_history.sort_unstable();
+        with_history.dedup();
+        let is_ghost =
+            |number: &u16| self.devices.get(usize::from(*number)).is_some_and(|device| !device.is_online);
+        let ghosts: Vec<u16> = with_history.into_iter().filter(is_ghost).collect();
+        let history_end = self.store.mark() + self.store.waiting() as u64;
+        self.session =
+            Some(Session { bd_seq, seq: 0, births: VecDeque::new(), history_end, ghosts, own_sent_at: 0 });
+        self.rebirth();
+    }
+
+    /// The connection is gone.
+    pub(super) fn disconnected(&mut self) {
+        self.session = None;
+        self.store.rewind();
+    }
+
+    /// Sends all births again, as after a connection.
+    fn rebirth(&mut self) {
+        let Self { devices, session: Some(session), .. } = self else { return };
+        session.births.clear();
+        session.births.push_back(Birth::Node);
+        for (number, device) in (0_u16..).zip(devices) {
+            device.born_at = None;
+            if device.is_online || session.ghosts.contains(&number) {
+                session.births.push_back(Birth::Device(number));
+            }
+        }
+    }
+
+    /// The next message that is due; `None` when there is none, or no connection.
+    pub(super) fn poll_transmit(&mut self, now: u64) -> Option<Message> {
+        let session = self.session.as_mut()?;
+        if let Some(birth) = session.births.pop_front() {
+            return Some(match birth {
+                Birth::Node => self.node_birth(now),
+                Birth::Device(number) => self.device_birth(number, now),
+            });
+        }
+        if self.store.mark() >= session.history_end
+            && let Some(ghost) = session.ghosts.pop()
+            && self.devices.get(usize::from(ghost)).is_some_and(|device| !device.is_online)
+        {
+            return Some(self.device_death(ghost, now));
+        }
+        self.next_stored(now).or_else(|| self.own_data(now))
+    }
+
+    /// The message of the next entry of the store that has one.
+    fn next_stored(&mut self, now: u64) -> Option<Message> {
+        loop {
+            match self.store.send()? {
+                Entry::Found { device } => {
+                    let device = *device;
+                    return Some(self.device_birth(device, now));
+                }
+                Entry::Lost { device } => {
+                    let device = *device;
+                    return Some(self.device_death(device, now));
+                }
+                Entry::Sample { device: number, at, values } => {
+                    let (number, at) = (*number, *at);
+                    let Some(device) = self.devices.get(usize::from(number)) else { continue };
+                    let is_historical = device.born_at.is_none_or(|born| at < born);
+                    let metrics = values.iter().map(|(place, value)| payload::Metric {
+                        alias: Some(alias(number, usize::from(*place))),
+                        timestamp: Some(at),
+                        datatype: device.table.get(usize::from(*place)).map(Metric::datatype),
+                        is_historical: is_historical.then_some(true),
+                        is_null: value.is_none().then_some(true),
+                        value: value.as_ref().map(Value::encode),
+                        ..payload::Metric::default()
+                    });
+                    let metrics = metrics.collect();
+                    let topic = Rc::clone(&device.data);
+                    self.own.late += u64::from(is_historical);
+                    return Some(self.message(topic, metrics, now));
+                }
+            }
+        }
+    }
+
+    fn node_birth(&mut self, now: u64) -> Message {
+        let own = self.own_values();
+        let mut metrics = Vec::new();
+        if let Some(session) = &mut self.session {
+            session.seq = 0;
+            session.own_sent_at = now;
+            metrics.push(bd_seq_metric(session.bd_seq, Some(now)));
+        }
+        metrics.push(payload::Metric {
+            name: Some(REBIRTH.to_owned()),
+            timestamp: Some(now),
+            datatype: Some(DataType::Boolean as u32),
+            value: Some(MetricValue::Boolean(false)),
+            ..payload::Metric::default()
+        });
+        metrics.extend(NODE.iter().enumerate().map(|(place, metric)| {
+            let value = own.get(place).and_then(Option::as_ref);
+            birth_metric(metric, place as u64, value, None, now)
+        }));
+        self.own.sent = own;
+        let topic = self.identity.topic("NBIRTH").into();
+        self.message(topic, metrics, now)
+    }
+
+    fn device_birth(&mut self, number: u16, now: u64) -> Message {
+        let Some(device) = self.devices.get_mut(usize::from(number)) else {
+            return self.message("".into(), Vec::new(), now);
+        };
+        device.born_at = Some(now);
+        let metrics = device.table.iter().enumerate().map(|(place, metric)| {
+            let value = device.values.get(place).and_then(Option::as_ref);
+            let range = device.ranges.get(place).copied().flatten();
+            birth_metric(metric, alias(number, place), value, range, now)
+        });
+        let metrics = metrics.collect();
+        let topic = Rc::clone(&device.birth);
+        self.message(topic, metrics, now)
+    }
+
+    fn device_death(&mut self, number: u16, now: u64) -> Message {
+        let Some(device) = self.devices.get_mut(usize::from(number)) else {
+            return self.message("".into(), Vec::new(), now);
+        };
+        device.born_at = None;
+        let topic = Rc::clone(&device.death);
+        self.message(topic, Vec::new(), now)
+    }
+
+    /// NDATA with those of the node's own values that changed, if it is time.
+    fn own_data(&mut self, now: u64) -> Option<Message> {
+        let session = self.session.as_mut()?;
+        if now.abs_diff(session.own_sent_at) < NODE_PERIOD_MS {
+            return None;
+        }
+        session.own_sent_at = now;
+        let own = self.own_values();
+        let changed =
+            NODE.iter().enumerate().filter(|(place, _)| own.get(*place) != self.own.sent.get(*place));
+        let metrics: Vec<payload::Metric> = changed
+            .map(|(place, metric)| payload::Metric {
+                alias: Some(place as u64),
+                timestamp: Some(now),
+                datatype: Some(metric.datatype()),
+                value: own.get(place).and_then(Option::as_ref).map(Value::encode),
+                ..payload::Metric::default()
+            })
+            .collect();
+        self.own.sent = own;
+        let topic = self.identity.topic("NDATA").into();
+        (!metrics.is_empty()).then(|| self.message(topic, metrics, now))
+    }
+
+    fn own_values(&self) -> Vec<Option<Value>> {
+        let online = self.devices.iter().filter(|device| device.is_online).count() as u64;
+        let mut values = vec![None; NODE.len()];
+        for (of, number) in [
+            (OfNode::Online, online),
+            (OfNode::Waiting, self.store.waiting() as u64),
+            (OfNode::Dropped, self.store.dropped()),
+            (OfNode::Late, self.own.late),
+            (OfNode::Connections, self.own.connections),
+            (OfNode::Refused, self.own.refused),
+        ] {
+            if let Some(slot) = values.get_mut(of as usize) {
+                *slot = Some(Value::Unsigned(number));
+            }
+        }
+        values
+    }
+
+    fn message(&mut self, topic: Rc<str>, metrics: Vec<payload::Metric>, now: u64) -> Message {
+        let seq = self.session.as_mut().map(|session| {
+            let seq = session.seq;
+            session.seq = seq.wrapping_add(1);
+            u64::from(seq)
+        });
+        let payload = Payload { timestamp: Some(now), metrics, seq };
+        Message { topic, payload: payload.encode_to_vec() }
+    }
+
+    /// Takes a command of a host. Only the rebirth of the node is one; what else is asked for, the error says.
+    ///
+    /// # Errors
+    /// Why the command is refused.
+    pub(super) fn command(&mut self, topic: &str, payload: &[u8]) -> Result<(), String> {
+        let outcome = self.rebirth_request(topic, payload);
+        match outcome {
+            Ok(()) => self.rebirth(),
+            Err(_) => self.own.refused += 1,
+        }
+        outcome
+    }
+
+    fn rebirth_request(&self, topic: &str, payload: &[u8]) -> Result<(), String> {
+        let payload = Payload::decode(payload).map_err(|_| "it is no payload of Sparkplug B".to_owned())?;
+        if self.identity.command_topics().first().is_none_or(|own| own != topic) {
+            return Err("devices take no commands: telemetry only reads".to_owned());
+        }
+        let is_rebirth = |metric: &payload::Metric| {
+            metric.name.as_deref() == Some(REBIRTH) && metric.value == Some(MetricValue::Boolean(true))
+        };
+        match payload.metrics.iter().find(|metric| !is_rebirth(metric)) {
+            None if payload.metrics.is_empty() => Err("it has no metric".to_owned()),
+            None => Ok(()),
+            Some(other) => Err(format!(
+                "only \"{REBIRTH}\" = true is taken, not {:?}",
+                other.name.as_deref().unwrap_or("a metric without a name")
+            )),
+        }
+    }
+
+    /// What [`confirm`](Self::confirm) takes when the broker has all that was given so far.
+    pub(super) fn mark(&self) -> u64 {
+        self.store.mark()
+    }
+
+    /// Whether the broker has not confirmed all that was given.
+    pub(super) const fn is_unconfirmed(&self) -> bool {
+        self.store.is_unconfirmed()
+    }
+
+    /// The broker has all that was given when [`mark`](Self::mark) said this.
+    pub(super) fn confirm(&mut self, mark: u64) {
+        self.store.confirm(mark);
+    }
+}
+
+const fn alias(device: u16, place: usize) -> u64 {
+    (device as u64 + 1) * ALIASES + place as u64
+}
+
+fn bd_seq_metric(number: u8, at: Option<u64>) -> payload::Metric {
+    payload::Metric {
+        name: Some(BD_SEQ.to_owned()),
+        timestamp: at,
+        datatype: Some(DataType::Int64 as u32),
+        value: Some(MetricValue::Long(number.into())),
+        ..payload::Metric::default()
+    }
+}
+
+fn birth_metric(
+    metric: &Metric,
+    alias: u64,
+    value: Option<&Value>,
+    range: Option<(f32, f32)>,
+    now: u64,
+) -> payload::Metric {
+    payload::Metric {
+        name: Some(metric.name.to_owned()),
+        alias: Some(alias),
+        timestamp: Some(now),
+        datatype: Some(metric.datatype()),
+        is_null: value.is_none().then_some(true),
+        properties: (!metric.unit.is_empty()).then(|| PropertySet::of_unit(metric.unit, range)),
+        value: value.map(Value::encode),
+        is_historical: None,
+    }
+}
+
+#[cfg(test)]
+mod tests;

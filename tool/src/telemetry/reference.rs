@@ -1,0 +1,46 @@
+//! Settings and metrics as the document has them, from their tables.
+
+use std::fmt::Write;
+
+use super::{
+    metrics::{GRIPPER, Metric, NODE},
+    settings::{Kind, REPEATED, SETTINGS},
+};
+
+/// All tables, in Markdown.
+pub(super) fn text() -> String {
+    let mut text = String::new();
+    // Writing to a text cannot fail.
+    let _ = write(&mut text);
+    text
+}
+
+fn write(text: &mut String) -> std::fmt::Result {
+    writeln!(text, "### Settings\n\n| setting | default | what it is |\n|---|---|---|")?;
+    for setting in SETTINGS {
+        let section = if REPEATED.contains(&setting.section) {
+            format!("[[{}]]", setting.section)
+        } else {
+            format!("[{}]", setting.section)
+        };
+        let default = match setting.default {
+            None => "must be given".to_owned(),
+            Some("") => "none".to_owned(),
+            Some(default) => format!("`{default}`"),
+        };
+        let range = match setting.kind {
+            Kind::Text => String::new(),
+            Kind::Name => "; without `+`, `#` and `/`".to_owned(),
+            Kind::Whole(low, high) => format!("; {low} to {high}"),
+            Kind::Number(low, high) => format!("; {low} to {high}"),
+        };
+        writeln!(text, "| `{section}` `{}` | {default} | {}{range} |", setting.name, setting.meaning)?;
+    }
+    for (title, table) in [("Metrics of the edge node", NODE), ("Metrics of a gripper", GRIPPER)] {
+        writeln!(text, "\n### {title}\n\n| metric | type | unit | what it is |\n|---|---|---|---|")?;
+        for Metric { name, datatype, unit, meaning } in table {
+            writeln!(text, "| `{name}` | {datatype:?} | {unit} | {meaning} |")?;
+        }
+    }
+    Ok(())
+}

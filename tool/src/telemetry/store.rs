@@ -1,0 +1,210 @@
+//! Samples on their way to the broker: a queue with a bound that keeps what was sent until the broker has confirmed it.
+//!
+//! Sparkplug sends data without an acknowledgement (QoS 0). The store learns by a PINGRESP that the broker has taken
+//! everything that was sent before the PINGREQ: MQTT keeps the order of a connection. What was not confirmed when a
+//! connection broke is sent again over the next one, so a sample may arrive twice, and none is lost.
+
+use std::collections::VecDeque;
+
+use super::metrics::Value;
+
+/// What waits.
+#[derive(Debug)]
+pub(super) enum Entry {
+    /// Values of a device that changed, by their places in its table.
+    Sample { device: u16, at: u64, values: Vec<(u8, Option<Value>)> },
+    /// A device was found while there was a connection.
+    Found { device: u16 },
+    /// A device was lost while there was a connection.
+    Lost { device: u16 },
+}
+
+impl Entry {
+    const fn is_sample(&self) -> bool {
+        matches!(self, Self::Sample { .. })
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Store {
+    entries: VecDeque<Entry>,
+    /// How many entries from the first on were sent and are not confirmed.
+    sent: usize,
+    /// How many have gone since the start: the number of the first entry.
+    gone: u64,
+    samples: usize,
+    capacity: usize,
+    dropped: u64,
+    /// How many were dropped after they were sent and before they were confirmed.
+    at_risk: u64,
+}
+
+impl Store {
+    /// A store for this many samples.
+    pub(super) const fn new(capacity: usize) -> Self {
+        Self { entries: VecDeque::new(), sent: 0, gone: 0, samples: 0, capacity, dropped: 0, at_risk: 0 }
+    }
+
+    /// Takes an entry; the oldest sample gives way to one too many.
+    pub(super) fn push(&mut self, entry: Entry) {
+        if entry.is_sample() {
+            if self.samples >= self.capacity {
+                self.drop_oldest();
+            }
+            self.samples += 1;
+        }
+        self.entries.push_back(entry);
+    }
+
+    fn drop_oldest(&mut self) {
+        let Some(place) = self.entries.iter().position(Entry::is_sample) else { return };
+        self.entries.remove(place);
+        self.samples -= 1;
+        self.gone += 1;
+        if place < self.sent {
+            self.sent -= 1;
+            self.at_risk += 1;
+        } else {
+            self.dropped += 1;
+        }
+    }
+
+    /// The next entry to send; it is kept until it is confirmed.
+    pub(super) fn send(&mut self) -> Option<&Entry> {
+        let entry = self.entries.get(self.sent)?;
+        self.sent += 1;
+        Some(entry)
+    }
+
+    /// The number of the next entry to send: what [`confirm`](Self::confirm) takes when the broker has all before it.
+    pub(super) fn mark(&self) -> u64 {
+        self.gone + self.sent as u64
+    }
+
+    /// Whether something was sent that is not confirmed.
+    pub(super) const fn is_unconfirmed(&self) -> bool {
+        self.sent > 0
+    }
+
+    /// Forgets what the broker has.
+    pub(super) fn confirm(&mut self, mark: u64) {
+        if self.gone <= mark {
+            self.at_risk = 0;
+        }
+        while self.gone < mark && self.sent > 0 {
+            let entry = self.entries.pop_front();
+            self.samples -= usize::from(entry.is_some_and(|entry| entry.is_sample()));
+            self.sent -= 1;
+            self.gone += 1;
+        }
+    }
+
+    /// The connection is gone: what was not confirmed will be sent again, and what a device did meanwhile is told by its
+    /// next birth.
+    pub(super) fn rewind(&mut self) {
+        self.sent = 0;
+        self.dropped += std::mem::take(&mut self.at_risk);
+        let before = self.entries.len();
+        self.entries.retain(Entry::is_sample);
+        self.gone += (before - self.entries.len()) as u64;
+    }
+
+    /// The devices that samples are of.
+    pub(super) fn devices(&self) -> impl Iterator<Item = u16> {
+        self.entries.iter().filter_map(|entry| match entry {
+            Entry::Sample { device, .. } => Some(*device),
+            Entry::Found { .. } | Entry::Lost { .. } => None,
+        })
+    }
+
+    /// How many entries are to be sent.
+    pub(super) fn waiting(&self) -> usize {
+        self.entries.len() - self.sent
+    }
+
+    /// How many samples were dropped so far.
+    pub(super) const fn dropped(&self) -> u64 {
+        self.dropped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(at: u64) -> Entry {
+        Entry::Sample { device: 0, at, values: Vec::new() }
+    }
+
+    fn store_of(capacity: usize, moments: impl IntoIterator<Item = u64>) -> Store {
+        let mut store = Store::new(capacity);
+        moments.into_iter().for_each(|at| store.push(sample(at)));
+        store
+    }
+
+    /// The moments of all samples that are sent from now on; 0 for another entry.
+    fn sent_by(store: &mut Store) -> Vec<u64> {
+        std::iter::from_fn(|| match store.send()? {
+            Entry::Sample { at, .. } => Some(*at),
+            Entry::Found { .. } | Entry::Lost { .. } => Some(0),
+        })
+        .collect()
+    }
+
+    #[test]
+    fn samples_beyond_the_bound_push_the_oldest_out_and_are_counted() {
+        let mut store = store_of(3, 1..=5);
+        assert_eq!((sent_by(&mut store), store.dropped()), (vec![3, 4, 5], 2));
+    }
+
+    #[test]
+    fn unconfirmed_samples_are_sent_again_in_order_after_a_rewind() {
+        let mut store = store_of(10, 1..=2);
+        assert_eq!(sent_by(&mut store), [1, 2]);
+        let mark = store.mark();
+        store.push(sample(3));
+        assert_eq!(sent_by(&mut store), [3]);
+
+        store.confirm(mark);
+        store.rewind();
+
+        store.push(sample(4));
+        assert_eq!((sent_by(&mut store), store.dropped()), (vec![3, 4], 0));
+    }
+
+    #[test]
+    fn samples_dropped_between_sending_and_confirming_count_only_if_the_connection_breaks() {
+        let mut confirmed = store_of(2, 1..=2);
+        sent_by(&mut confirmed);
+        let mark = confirmed.mark();
+        confirmed.push(sample(3));
+        confirmed.confirm(mark);
+        confirmed.rewind();
+        assert_eq!((sent_by(&mut confirmed), confirmed.dropped()), (vec![3], 0));
+
+        let mut broken = store_of(2, 1..=2);
+        sent_by(&mut broken);
+        broken.push(sample(3));
+        broken.rewind();
+        assert_eq!((sent_by(&mut broken), broken.dropped()), (vec![2, 3], 1));
+    }
+
+    #[test]
+    fn lives_of_devices_take_no_room_and_end_with_the_connection() {
+        let mut store = store_of(2, []);
+        store.push(Entry::Lost { device: 0 });
+        store.push(sample(1));
+        store.push(Entry::Found { device: 0 });
+        store.push(sample(2));
+        store.push(sample(3));
+        assert_eq!((sent_by(&mut store), store.dropped()), (vec![0, 0, 2, 3], 1));
+
+        store.rewind();
+
+        assert_eq!(sent_by(&mut store), [2, 3]);
+        assert!(store.is_unconfirmed());
+        store.confirm(store.mark());
+        assert!(!store.is_unconfirmed());
+        assert_eq!(store.devices().count(), 0);
+    }
+}

@@ -1,0 +1,400 @@
+//! What the tests share: a broker, a host that decodes with another implementation than ours, grippers, and the program.
+
+use std::{
+    env,
+    ffi::OsStr,
+    fmt::Write as _,
+    fs,
+    io::{BufRead, BufReader, Read, Write},
+    net::{SocketAddr, TcpListener, TcpStream},
+    path::{Path, PathBuf},
+    process::{Child, ChildStdout, Command as Process, Stdio},
+    sync::{
+        Arc, Condvar, Mutex,
+        atomic::{AtomicU32, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use serde_json::Value;
+use wsg_protocol::{Command, Event, FrameEncoder, FrameParser, Reply, Status};
+use wsg_sim::{
+    Config,
+    server::{Lines, ServerThread},
+};
+
+/// How long anything may take on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Whether tests that take long run: `cargo xtask ci` says so.
+pub(crate) fn is_whole() -> bool {
+    env::var_os("WSG_WHOLE").is_some()
+}
+
+/// A folder of its own that goes with the test.
+pub(crate) struct Folder(PathBuf);
+
+impl Folder {
+    pub(crate) fn new() -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let path = env::temp_dir().join(format!("wsg-telemetry-test-{}-{number}", std::process::id()));
+        fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    pub(crate) fn write(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.path(name);
+        fs::write(&path, text).unwrap();
+        path
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A program that ends with the test.
+pub(crate) struct Running(pub(crate) Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A port that is free now.
+pub(crate) fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// Waits for something, and panics when it does not come.
+pub(crate) fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(start.elapsed() < PATIENCE, "{what} did not come");
+        thread::park_timeout(Duration::from_millis(5));
+    }
+}
+
+/// mosquitto.
+pub(crate) struct Broker {
+    pub(crate) port: u16,
+    settings: PathBuf,
+    running: Option<Running>,
+}
+
+impl Broker {
+    /// A broker that takes everybody.
+    pub(crate) fn start(folder: &Folder) -> Self {
+        Self::with_settings(folder, "allow_anonymous true\n")
+    }
+
+    pub(crate) fn with_settings(folder: &Folder, settings: &str) -> Self {
+        let port = free_port();
+        let settings = format!("listener {port} 127.0.0.1\nmax_queued_messages 0\nuser root\n{settings}");
+        let mut broker = Self { port, settings: folder.write("mosquitto.conf", &settings), running: None };
+        broker.restart();
+        broker
+    }
+
+    pub(crate) fn restart(&mut self) {
+        self.kill();
+        let mut mosquitto = Process::new("mosquitto");
+        mosquitto.arg("-c").arg(&self.settings).stdout(Stdio::null()).stderr(Stdio::null());
+        self.running = Some(Running(mosquitto.spawn().unwrap()));
+        wait_for("the broker", || TcpStream::connect(("127.0.0.1", self.port)).ok());
+    }
+
+    /// As a power cut does.
+    pub(crate) fn kill(&mut self) {
+        self.running = None;
+    }
+
+    /// Publishes these bytes.
+    pub(crate) fn publish(&self, topic: &str, payload: &[u8], arguments: &[&str]) {
+        let mut client = Process::new("mosquitto_pub");
+        client.args(["-p", &self.port.to_string(), "-q", "1", "-t", topic, "-s"]).args(arguments);
+        let mut client = client.stdin(Stdio::piped()).spawn().unwrap();
+        client.stdin.take().unwrap().write_all(payload).unwrap();
+        assert!(client.wait().unwrap().success());
+    }
+}
+
+fn node(argument: Option<&str>) -> Process {
+    let packages =
+        env::var_os("WSG_MODBUS_NODE").expect("`cargo xtask test` says where Node.js finds its packages");
+    let mut node = Process::new("node");
+    node.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/telemetry/peers.js"));
+    node.args(argument).env("NODE_PATH", packages);
+    node
+}
+
+/// A payload of Sparkplug B by another implementation than ours.
+pub(crate) fn encoded(payload: &Value) -> Vec<u8> {
+    let output = node(Some(&payload.to_string())).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let hex = String::from_utf8(output.stdout).unwrap();
+    let byte = |at| u8::from_str_radix(&hex[at..at + 2], 16).unwrap();
+    (0..hex.len()).step_by(2).map(byte).collect()
+}
+
+/// A host: everything that the broker hands out, decoded.
+pub(crate) struct Host {
+    _clients: [Running; 2],
+    messages: Arc<(Mutex<Vec<Value>>, Condvar)>,
+}
+
+impl Host {
+    /// Subscribes; what comes from now on is seen.
+    pub(crate) fn watch(broker: &Broker) -> Self {
+        Self::watch_with(broker, &[])
+    }
+
+    pub(crate) fn watch_with(broker: &Broker, arguments: &[&str]) -> Self {
+        // What is retained comes when all topics are subscribed to.
+        broker.publish("ready", b"yes", &[&["-r"], arguments].concat());
+        let mut client = Process::new("mosquitto_sub");
+        client.args(["-p", &broker.port.to_string(), "-F", "%t %x", "-t", "spBv1.0/#", "-t", "ready"]);
+        let mut client = client.args(arguments).stdout(Stdio::piped()).spawn().unwrap();
+        let lines = client.stdout.take().unwrap();
+        let mut decoder = node(None).stdin(lines).stdout(Stdio::piped()).spawn().unwrap();
+        let messages = Arc::new((Mutex::new(Vec::new()), Condvar::new()));
+        collect(decoder.stdout.take().unwrap(), Arc::clone(&messages));
+        let host = Self { _clients: [Running(client), Running(decoder)], messages };
+        host.wait("the subscription", |messages| messages.iter().any(|message| message["topic"] == "ready"));
+        host.messages.0.lock().unwrap().clear();
+        host
+    }
+
+    /// Waits until the messages so far are as they shall be, and returns them.
+    pub(crate) fn wait(&self, what: &str, mut is_there: impl FnMut(&[Value]) -> bool) -> Vec<Value> {
+        let (messages, changed) = &*self.messages;
+        let found = messages.lock().unwrap();
+        let (found, waited) = changed.wait_timeout_while(found, PATIENCE, |found| !is_there(found)).unwrap();
+        let found = found.clone();
+        let text = found.iter().fold(String::new(), |mut text, message| {
+            let _ = writeln!(text, "{message}");
+            text
+        });
+        assert!(!waited.timed_out(), "{what} did not come, but\n{text}");
+        found
+    }
+
+    /// Waits for a message of this kind, and returns the latest.
+    pub(crate) fn wait_for(&self, kind: &str, device: &str) -> Value {
+        let is_it = |message: &Value| is_of(message, kind, device);
+        let messages = self.wait(&format!("{kind} {device}"), |messages| messages.iter().any(is_it));
+        messages.into_iter().rfind(is_it).unwrap()
+    }
+
+    /// Forgets the messages so far.
+    pub(crate) fn clear(&self) {
+        self.messages.0.lock().unwrap().clear();
+    }
+}
+
+fn collect(lines: ChildStdout, messages: Arc<(Mutex<Vec<Value>>, Condvar)>) {
+    thread::spawn(move || {
+        for line in BufReader::new(lines).lines() {
+            let message = serde_json::from_str(&line.unwrap()).unwrap();
+            messages.0.lock().unwrap().push(message);
+            messages.1.notify_all();
+        }
+    });
+}
+
+/// Whether a message is of this kind and device; no device: the node's.
+pub(crate) fn is_of(message: &Value, kind: &str, device: &str) -> bool {
+    let topic = format!("spBv1.0/plant/{kind}/cell");
+    let wanted = if device.is_empty() { topic } else { format!("{topic}/{device}") };
+    message["topic"] == wanted
+}
+
+/// A metric of a birth by its name.
+pub(crate) fn metric<'a>(birth: &'a Value, name: &str) -> &'a Value {
+    let metrics = birth["metrics"].as_array().unwrap();
+    metrics.iter().find(|metric| metric["name"] == name).unwrap_or_else(|| panic!("{name} in {birth}"))
+}
+
+/// `wsg telemetry` with these settings, and what it says.
+pub(crate) struct Telemetry {
+    running: Running,
+    said: Arc<Mutex<String>>,
+}
+
+impl Telemetry {
+    /// Starts it; `broker` and `devices` are sections of its settings.
+    pub(crate) fn start(folder: &Folder, broker: &str, devices: &str) -> Self {
+        let state = folder.path("state");
+        let settings = format!(
+            "[broker]\nreconnect_s = 0.1\n{broker}\n[node]\ngroup = \"plant\"\nname = \"cell\"\nstate_file = {state:?}\n{devices}"
+        );
+        Self::run([folder.write("telemetry.toml", &settings)], &[])
+    }
+
+    pub(crate) fn at(folder: &Folder, port: u16, devices: &str) -> Self {
+        Self::start(folder, &format!("address = \"mqtt://127.0.0.1:{port}\""), devices)
+    }
+
+    pub(crate) fn run(
+        arguments: impl IntoIterator<Item = impl AsRef<OsStr>>,
+        variables: &[(&str, &str)],
+    ) -> Self {
+        let mut wsg = Process::new(env!("CARGO_BIN_EXE_wsg"));
+        wsg.arg("telemetry").args(arguments).envs(variables.iter().copied());
+        let mut wsg = wsg.stderr(Stdio::piped()).spawn().unwrap();
+        let said = Arc::new(Mutex::new(String::new()));
+        let (lines, heard) = (BufReader::new(wsg.stderr.take().unwrap()), Arc::clone(&said));
+        thread::spawn(move || {
+            for line in lines.lines() {
+                let line = line.unwrap();
+                eprintln!("{line}");
+                let mut heard = heard.lock().unwrap();
+                heard.push_str(&line);
+                heard.push('\n');
+            }
+        });
+        Self { running: Running(wsg), said }
+    }
+
+    /// Waits until it has said this.
+    pub(crate) fn wait_until_it_says(&self, text: &str) {
+        wait_for(text, || self.said().contains(text).then_some(()));
+    }
+
+    pub(crate) fn said(&self) -> String {
+        self.said.lock().unwrap().clone()
+    }
+
+    /// Asks it to end, and waits until it has.
+    pub(crate) fn end(mut self) {
+        let id = self.running.0.id().to_string();
+        assert!(Process::new("kill").args(["-TERM", &id]).status().unwrap().success());
+        let status = wait_for("its end", || self.running.0.try_wait().unwrap());
+        assert!(status.success(), "{status}: {}", self.said());
+    }
+}
+
+/// A virtual gripper on TCP, quick, and referenced.
+pub(crate) struct Gripper {
+    server: Option<ServerThread>,
+    pub(crate) address: SocketAddr,
+}
+
+impl Gripper {
+    pub(crate) fn start() -> Self {
+        let mut gripper = Self { server: None, address: SocketAddr::from(([127, 0, 0, 1], free_port())) };
+        gripper.switch_on();
+        gripper
+    }
+
+    pub(crate) fn switch_on(&mut self) {
+        let lines = Lines { tcp: Some(self.address), ..Lines::default() };
+        let config = Config { time_scale: 20.0, serial_number: 4711, ..Config::default() };
+        self.server = Some(ServerThread::start(config, &lines, None).unwrap());
+    }
+
+    pub(crate) fn switch_off(&mut self) {
+        self.server.take().unwrap().stop().unwrap();
+    }
+
+    /// The section of the settings.
+    pub(crate) fn section(&self, name: &str) -> String {
+        format!("[[gripper]]\nname = {name:?}\naddress = \"tcp://{}\"\n", self.address)
+    }
+
+    pub(crate) fn controller(&self) -> Controller {
+        let stream = TcpStream::connect(self.address).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        Controller { stream, parser: FrameParser::new() }
+    }
+}
+
+/// Who commands the gripper.
+pub(crate) struct Controller {
+    stream: TcpStream,
+    parser: FrameParser<64>,
+}
+
+impl Controller {
+    /// Sends a command and returns its result.
+    pub(crate) fn command(&mut self, command: Command<'_>) -> Status {
+        self.ask(command, |reply| (reply.status() != Status::CmdPending).then(|| reply.status()))
+    }
+
+    /// Sends a command and returns what `look` finds in its replies.
+    pub(crate) fn ask<T>(&mut self, command: Command<'_>, look: impl Fn(&Reply<'_>) -> Option<T>) -> T {
+        let id = command.id();
+        let bytes: Vec<u8> = FrameEncoder::new(id.code(), command).collect();
+        self.stream.write_all(&bytes).unwrap();
+        loop {
+            let mut byte = [0];
+            self.stream.read_exact(&mut byte).unwrap();
+            if let Some(Event::Frame(frame)) = self.parser.push(byte[0])
+                && let Some(found) = look(&Reply::decode(&frame).unwrap())
+            {
+                return found;
+            }
+        }
+    }
+}
+
+impl Drop for Controller {
+    fn drop(&mut self) {
+        if !thread::panicking() {
+            self.command(Command::DisconnectAnnouncement);
+        }
+    }
+}
+
+/// A way to a broker that a test opens and closes, so that a host can be there first.
+pub(crate) struct Way {
+    pub(crate) port: u16,
+    open: Arc<Mutex<Option<u16>>>,
+}
+
+impl Way {
+    /// It is closed at first: who connects is disconnected.
+    pub(crate) fn new() -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let open = Arc::new(Mutex::new(None));
+        let target = Arc::clone(&open);
+        thread::spawn(move || {
+            for client in listener.incoming() {
+                let client = client.unwrap();
+                let Some(port) = *target.lock().unwrap() else { continue };
+                let Ok(broker) = TcpStream::connect(("127.0.0.1", port)) else { continue };
+                for (mut from, mut to) in
+                    [(client.try_clone().unwrap(), broker.try_clone().unwrap()), (broker, client)]
+                {
+                    thread::spawn(move || {
+                        let _ = std::io::copy(&mut from, &mut to);
+                        let _ = to.shutdown(std::net::Shutdown::Both);
+                    });
+                }
+            }
+        });
+        Self { port, open }
+    }
+
+    pub(crate) fn open_to(&self, port: u16) {
+        *self.open.lock().unwrap() = Some(port);
+    }
+
+    pub(crate) fn close(&self) {
+        *self.open.lock().unwrap() = None;
+    }
+}
