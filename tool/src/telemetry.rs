@@ -11,9 +11,11 @@ mod metrics;
 mod node;
 mod payload;
 mod reference;
+mod report;
 mod sequence;
 mod settings;
 mod store;
+mod values;
 
 use std::{path::PathBuf, process::ExitCode, rc::Rc};
 
@@ -25,9 +27,9 @@ use tokio::{
 };
 
 use config::Telemetry;
-use gripper::Reporter;
 use metrics::GRIPPER;
 use node::Node;
+use report::Reporter;
 use sequence::Sequence;
 
 /// Reports that wait for the task with the broker; readers wait when there are more.

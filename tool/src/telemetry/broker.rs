@@ -26,9 +26,8 @@ use tokio_rustls::{
 
 use super::{
     config,
-    gripper::{Teller, now_ms, stopped},
-    metrics::Report,
     node::{Identity, Message, Node},
+    report::{Report, Teller, now_ms, stopped},
     sequence::Sequence,
 };
 

@@ -10,7 +10,7 @@ use std::{
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use toml::de::{DeTable, DeValue};
 
-use super::settings::{REPEATED, SETTINGS, Setting, unknown};
+use super::settings::{Place, REPEATED, SETTINGS, Setting, unknown};
 
 /// What is to be done, checked as far as it can be without a broker.
 #[derive(Debug)]
@@ -81,19 +81,6 @@ impl fmt::Display for Address {
             Self::Udp { host, .. } => write!(f, "udp://{host}"),
             Self::Serial(device) => write!(f, "serial:{device}"),
         }
-    }
-}
-
-/// A line of a file.
-#[derive(Clone, Debug)]
-pub(super) struct Place {
-    file: String,
-    line: usize,
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}, line {}", self.file, self.line)
     }
 }
 

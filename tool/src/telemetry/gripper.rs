@@ -1,11 +1,8 @@
 //! Reads a gripper: finds it, has it send its values by itself, and tells what changed.
 
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
-use tokio::{
-    sync::{mpsc, watch},
-    time::{Instant, sleep},
-};
+use tokio::{sync::watch, time::sleep};
 use wsg_protocol::{
     AutoUpdate, SystemFlags,
     driver::{
@@ -19,7 +16,9 @@ use wsg_protocol::{
 use super::{
     config::{Address, Data},
     line::{Line, Sockets},
-    metrics::{GRIPPER, OfGripper, Report, Value, What},
+    metrics::{GRIPPER, OfGripper, Value},
+    report::{Reporter, Teller, What, stopped},
+    values::Values,
 };
 
 /// How long after a gripper was lost or not found it is looked for again.
@@ -29,42 +28,9 @@ const LOOK_MS: u32 = 1_000;
 /// How long the announcement of the disconnect may take.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// A device of the configuration, and where its reports go.
-#[derive(Clone, Debug)]
-pub(super) struct Reporter {
-    pub(super) device: u16,
-    pub(super) name: String,
-    pub(super) reports: mpsc::Sender<Report>,
-}
-
-impl Reporter {
-    /// Waits while the receiver is behind.
-    pub(super) async fn tell(&self, what: What) {
-        // Without a receiver the program ends.
-        let _ = self.reports.send(Report { device: self.device, at: now_ms(), what }).await;
-    }
-}
-
-/// This moment in ms since 1970 (UTC).
-pub(super) fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
-}
-
-/// Says what a device does once, until it is something else.
-#[derive(Debug, Default)]
-pub(super) struct Teller {
-    last: String,
-}
-
-impl Teller {
-    pub(super) fn tell(&mut self, text: String) {
-        if text != self.last {
-            eprintln!("wsg: {text}");
-            self.last = text;
-        }
-    }
-}
+/// Where the flags and what is made of them are.
+const FLAGS: [OfGripper; 5] =
+    [OfGripper::Flags, OfGripper::Referenced, OfGripper::Moving, OfGripper::FastStop, OfGripper::Fault];
 
 /// Reads the gripper until `stop` says so, then announces the disconnect, so that it enters no FAST STOP.
 pub(super) async fn read(
@@ -75,7 +41,7 @@ pub(super) async fn read(
     mut stop: watch::Receiver<bool>,
 ) {
     let mut teller = Teller::default();
-    let mut reader = Reader { data, reporter, values: Values::default(), connections: 0, bad_before: 0 };
+    let mut reader = Reader { data, reporter, values: Values::new(GRIPPER), connections: 0, bad_before: 0 };
     loop {
         let ended = tokio::select! {
             line = Line::open(&address, sockets) => match line {
@@ -99,12 +65,6 @@ pub(super) async fn read(
             () = stopped(&mut stop) => return,
         }
     }
-}
-
-/// Is ready when the program is to end.
-pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
-    // Nobody is left to say so: then it ends, too.
-    let _ = stop.wait_for(|stop| *stop).await;
 }
 
 #[derive(Debug)]
@@ -209,20 +169,14 @@ impl Reader {
         self.values = Values::of(known);
         self.values.set(OfGripper::Connections, Some(Value::Unsigned(self.connections)));
         self.values.set(OfGripper::BadFrames, Some(Value::Unsigned(self.bad_before)));
-        let _ = self.values.changed();
         let mut ranges = vec![None; GRIPPER.len()];
         if let Some(limits) = &known.limits {
-            for (of, range) in [
-                (OfGripper::Width, (0.0, limits.stroke)),
-                (OfGripper::Speed, (-limits.max_speed, limits.max_speed)),
-                (OfGripper::Force, (0.0, limits.overdrive_force.max(limits.nominal_force))),
-            ] {
-                if let Some(slot) = ranges.get_mut(of as usize) {
-                    *slot = Some(range);
-                }
-            }
+            let force = limits.overdrive_force.max(limits.nominal_force);
+            ranges[usize::from(OfGripper::Width)] = Some((0.0, limits.stroke));
+            ranges[usize::from(OfGripper::Speed)] = Some((-limits.max_speed, limits.max_speed));
+            ranges[usize::from(OfGripper::Force)] = Some((0.0, force));
         }
-        What::Found { values: self.values.latest.clone(), ranges }
+        What::Found { values: self.values.all(), ranges }
     }
 }
 
@@ -230,26 +184,10 @@ fn bad_frames(counters: &driver::DriverCounters) -> u64 {
     u64::from(counters.line.bad_checksum) + u64::from(counters.line.oversize)
 }
 
-/// The values of a gripper: as they are, and which of them were not told yet.
-#[derive(Debug)]
-struct Values {
-    latest: Vec<Option<Value>>,
-    /// As they were told last.
-    told: Vec<Option<Value>>,
-    is_changed: bool,
-    told_at: Instant,
-}
-
-impl Default for Values {
-    fn default() -> Self {
-        let nothing = vec![None; GRIPPER.len()];
-        Self { latest: nothing.clone(), told: nothing, is_changed: false, told_at: Instant::now() }
-    }
-}
-
 impl Values {
+    /// What is known of a gripper that was found.
     fn of(known: &Known) -> Self {
-        let mut values = Self::default();
+        let mut values = Self::new(GRIPPER);
         for (of, number) in [
             (OfGripper::Width, known.width),
             (OfGripper::Speed, known.speed),
@@ -269,28 +207,21 @@ impl Values {
         values
     }
 
-    fn set(&mut self, of: OfGripper, value: Option<Value>) {
-        if let Some(slot) = self.latest.get_mut(of as usize)
-            && *slot != value
-        {
-            *slot = value;
-            self.is_changed = true;
-        }
-    }
-
     /// Takes a value; whether it is to be told at once.
     fn take(&mut self, update: Update, data: &Data) -> bool {
         match update {
+            // It is no width then, though the gripper answers one.
+            Update::Width(_) if self.get(OfGripper::Referenced) != Some(&Value::Boolean(true)) => {}
             Update::Width(width) => self.measured(OfGripper::Width, width, data.width_deadband),
             Update::Speed(speed) => self.measured(OfGripper::Speed, speed, data.speed_deadband),
             Update::Force(force) => self.measured(OfGripper::Force, force, data.force_deadband),
             Update::SystemState(flags) => {
                 self.take_flags(flags);
-                return self.is_changed;
+                return self.is_changed();
             }
             Update::GripperState(state) => {
                 self.set(OfGripper::State, Some(Value::Text(state.to_string())));
-                return self.is_changed;
+                return self.is_changed();
             }
             _ => {}
         }
@@ -298,52 +229,9 @@ impl Values {
     }
 
     fn take_flags(&mut self, flags: SystemFlags) {
-        /// What keeps the fingers from doing their work, FAST STOP aside.
-        const FAULTS: SystemFlags = SystemFlags::TEMP_FAULT
-            .union(SystemFlags::POWER_FAULT)
-            .union(SystemFlags::CURR_FAULT)
-            .union(SystemFlags::FINGER_FAULT);
-        self.set(OfGripper::Flags, Some(Value::Unsigned(flags.bits().into())));
-        for (of, one) in [
-            (OfGripper::Referenced, SystemFlags::REFERENCED),
-            (OfGripper::Moving, SystemFlags::MOVING),
-            (OfGripper::FastStop, SystemFlags::FAST_STOP),
-            (OfGripper::Fault, FAULTS),
-        ] {
-            self.set(of, Some(Value::Boolean(flags.intersects(one))));
-        }
+        self.set_flags(FLAGS, flags);
         if !flags.contains(SystemFlags::REFERENCED) {
             self.set(OfGripper::Width, None);
         }
-    }
-
-    /// Takes a measured value if it is further from the one that was told than the deadband.
-    fn measured(&mut self, of: OfGripper, number: f32, deadband: f32) {
-        match self.told.get(of as usize) {
-            Some(Some(Value::Float(told))) if (number - told).abs() < deadband => {}
-            _ => self.set(of, Some(Value::Float(number))),
-        }
-    }
-
-    /// In how many ms what changed is to be told; `None` when nothing has.
-    fn due_in(&self, period_ms: u16) -> Option<u32> {
-        let since = u32::try_from(self.told_at.elapsed().as_millis()).unwrap_or(u32::MAX);
-        self.is_changed.then(|| u32::from(period_ms).saturating_sub(since))
-    }
-
-    /// The values that changed since this was asked last.
-    fn changed(&mut self) -> Option<What> {
-        if !std::mem::take(&mut self.is_changed) {
-            return None;
-        }
-        self.told_at = Instant::now();
-        let mut changed = Vec::new();
-        for (place, (told, latest)) in (0_u8..).zip(self.told.iter_mut().zip(&self.latest)) {
-            if told != latest {
-                told.clone_from(latest);
-                changed.push((place, latest.clone()));
-            }
-        }
-        (!changed.is_empty()).then_some(What::Changed(changed))
     }
 }

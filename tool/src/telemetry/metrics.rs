@@ -53,6 +53,12 @@ macro_rules! table {
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub(super) enum $index { $($row),* }
 
+        impl From<$index> for usize {
+            fn from(row: $index) -> Self {
+                row as Self
+            }
+        }
+
         $(#[$doc])*
         pub(super) const $table: &[Metric] = &[$(metric($name, DataType::$datatype, $unit, $meaning)),*];
     };
@@ -88,24 +94,4 @@ table! {
         Connections: "Broker/Connections" UInt64 "" "connections to the broker, since the program started";
         Refused: "Commands/Refused" UInt64 "" "commands from the broker that were refused, since the program started";
     }
-}
-
-/// What is told about a device by whoever reads it.
-#[derive(Debug)]
-pub(super) struct Report {
-    /// Its place in the configuration.
-    pub(super) device: u16,
-    /// In ms since 1970 (UTC).
-    pub(super) at: u64,
-    pub(super) what: What,
-}
-
-#[derive(Debug)]
-pub(super) enum What {
-    /// It was found: a value for each row of its table, and the range of those that have one.
-    Found { values: Vec<Option<Value>>, ranges: Vec<Option<(f32, f32)>> },
-    /// Values that changed, by their places in its table.
-    Changed(Vec<(u8, Option<Value>)>),
-    /// It answers no more.
-    Lost,
 }

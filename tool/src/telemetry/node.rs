@@ -8,8 +8,9 @@ use std::{collections::VecDeque, rc::Rc};
 use prost::Message as _;
 
 use super::{
-    metrics::{GRIPPER, Metric, NODE, OfNode, Report, Value, What},
+    metrics::{GRIPPER, Metric, NODE, OfNode, Value},
     payload::{self, DataType, MetricValue, Payload, PropertySet},
+    report::{Report, What},
     store::{Entry, Store},
 };
 

@@ -1,7 +1,21 @@
 //! The settings of `wsg telemetry`: one table, from which the file is checked and the document derives.
 
-use super::config::Place;
+use std::fmt;
+
 use anyhow::{Result, anyhow, bail};
+
+/// A line of a file.
+#[derive(Clone, Debug)]
+pub(super) struct Place {
+    pub(super) file: String,
+    pub(super) line: usize,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}, line {}", self.file, self.line)
+    }
+}
 
 /// What a setting takes.
 #[derive(Clone, Copy, Debug)]

@@ -2,6 +2,7 @@
 
 #![cfg(all(unix, feature = "telemetry"))]
 
+mod load;
 mod rig;
 
 use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};

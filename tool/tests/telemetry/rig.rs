@@ -274,6 +274,10 @@ impl Telemetry {
         wait_for(text, || self.said().contains(text).then_some(()));
     }
 
+    pub(crate) fn id(&self) -> u32 {
+        self.running.0.id()
+    }
+
     pub(crate) fn said(&self) -> String {
         self.said.lock().unwrap().clone()
     }
