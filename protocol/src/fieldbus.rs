@@ -5,7 +5,8 @@
 //! [`Diagnosis`] block.
 //!
 //! By the feature `modbus`, `Images` is both images as the coils and registers of a MODBUS server, for `bus_modbus`. By the
-//! feature `profibus`, the module `profibus` is what a slave of `bus_profibus` has to be.
+//! feature `profibus`, the module `profibus` is what a slave of `bus_profibus` has to be; by `profinet`, the module `profinet` is the same
+//! for a device of `bus_profinet`.
 
 mod controller;
 mod diagnosis;
@@ -16,6 +17,8 @@ mod jog;
 mod modbus;
 #[cfg(feature = "profibus")]
 pub mod profibus;
+#[cfg(feature = "profinet")]
+pub mod profinet;
 #[cfg(feature = "modbus")]
 mod registers;
 

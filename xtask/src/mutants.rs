@@ -96,6 +96,13 @@ const PARTS: [Part; 9] = [
         options: &[],
         tests: &["--lib"],
     },
+    Part {
+        name: "profinet",
+        package: "bus-profinet",
+        folder: "buses/profinet/",
+        options: &[],
+        tests: &["--lib"],
+    },
     // A board's registers are tested by the image in the emulator.
     Part {
         name: "bridge-fw",

@@ -11,11 +11,12 @@ use anyhow::{Context, Result};
 
 /// The crates for other people's boards, by package and folder: built for each target, free of panics, published as packages.
 /// A crate stands behind those that it depends on.
-pub(crate) const TARGET_CRATES: [(&str, &str); 5] = [
+pub(crate) const TARGET_CRATES: [(&str, &str); 6] = [
     ("bus-modbus", "buses/modbus"),
     ("bus-slcan", "buses/slcan"),
     ("bus-canopen", "buses/canopen"),
     ("bus-profibus", "buses/profibus"),
+    ("bus-profinet", "buses/profinet"),
     ("wsg-protocol", "protocol"),
 ];
 

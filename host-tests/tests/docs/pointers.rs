@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use host_tests::document::{anchor_of, read, root};
 
 /// The documents that are held here.
-const DOCUMENTS: [&str; 22] = [
+const DOCUMENTS: [&str; 23] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
@@ -28,6 +28,7 @@ const DOCUMENTS: [&str; 22] = [
     "buses/slcan/README.md",
     "buses/canopen/README.md",
     "buses/profibus/README.md",
+    "buses/profinet/README.md",
 ];
 
 #[test]

@@ -22,6 +22,8 @@ mod gcl;
 mod modbus;
 #[cfg(feature = "profibus")]
 mod profibus;
+#[cfg(feature = "profinet")]
+mod profinet;
 #[cfg(feature = "protocol")]
 mod protocol;
 #[cfg(any(feature = "drivers", feature = "protocol"))]
@@ -40,6 +42,8 @@ fn every_function() {
     canopen::every_function();
     #[cfg(feature = "profibus")]
     profibus::every_function();
+    #[cfg(feature = "profinet")]
+    profinet::every_function();
     #[cfg(feature = "drivers")]
     drivers::every_function();
 }

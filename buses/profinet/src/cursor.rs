@@ -1,0 +1,157 @@
+//! Fields of frames, read and written in their order; nothing outside of a buffer is reached.
+
+/// The order of bytes in a number: RPC lets each side choose its own, all else has the high byte first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Order {
+    BigEndian,
+    LittleEndian,
+}
+
+/// Reads fields from the front of a slice. `None`: there are not so many bytes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reader<'a>(&'a [u8]);
+
+impl<'a> Reader<'a> {
+    pub(crate) const fn new(bytes: &'a [u8]) -> Self {
+        Self(bytes)
+    }
+
+    /// What is not read yet.
+    pub(crate) const fn rest(&self) -> &'a [u8] {
+        self.0
+    }
+
+    pub(crate) fn bytes(&mut self, len: usize) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(len)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    pub(crate) fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (taken, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*taken)
+    }
+
+    pub(crate) fn skip(&mut self, len: usize) -> Option<()> {
+        self.bytes(len).map(|_| ())
+    }
+
+    pub(crate) fn u8(&mut self) -> Option<u8> {
+        self.array().map(u8::from_be_bytes)
+    }
+
+    pub(crate) fn u16(&mut self) -> Option<u16> {
+        self.array().map(u16::from_be_bytes)
+    }
+
+    pub(crate) fn u32(&mut self) -> Option<u32> {
+        self.array().map(u32::from_be_bytes)
+    }
+
+    pub(crate) fn u16_in(&mut self, order: Order) -> Option<u16> {
+        self.u16().map(|value| if order == Order::BigEndian { value } else { value.swap_bytes() })
+    }
+
+    pub(crate) fn u32_in(&mut self, order: Order) -> Option<u32> {
+        self.u32().map(|value| if order == Order::BigEndian { value } else { value.swap_bytes() })
+    }
+}
+
+/// Copies bytes to a place in a buffer, and gives the place behind them; `None`: there is no room.
+pub(crate) fn copy(buffer: &mut [u8], at: usize, bytes: &[u8]) -> Option<usize> {
+    let (place, _) = buffer.get_mut(at..)?.split_at_mut_checked(bytes.len())?;
+    place.copy_from_slice(bytes);
+    Some(at.saturating_add(bytes.len()))
+}
+
+/// Writes fields one after the other. What has no room is left out, and [`finish`](Self::finish) tells.
+#[derive(Debug)]
+pub(crate) struct Writer<'a> {
+    buffer: &'a mut [u8],
+    len: usize,
+    is_short: bool,
+}
+
+impl<'a> Writer<'a> {
+    pub(crate) const fn new(buffer: &'a mut [u8]) -> Self {
+        Self { buffer, len: 0, is_short: false }
+    }
+
+    pub(crate) const fn len(&self) -> usize {
+        self.len
+    }
+
+    /// How many bytes were written; `None` if the buffer was too short.
+    pub(crate) fn finish(self) -> Option<usize> {
+        (!self.is_short).then_some(self.len)
+    }
+
+    pub(crate) fn bytes(&mut self, bytes: &[u8]) {
+        match copy(self.buffer, self.len, bytes) {
+            Some(end) => self.len = end,
+            None => self.is_short = true,
+        }
+    }
+
+    pub(crate) fn fill(&mut self, byte: u8, count: usize) {
+        for _ in 0..count {
+            self.bytes(&[byte]);
+        }
+    }
+
+    /// Zeros up to a multiple of `unit` bytes, counted from `from`.
+    pub(crate) fn align(&mut self, from: usize, unit: usize) {
+        while !self.is_short && !self.len.saturating_sub(from).is_multiple_of(unit) {
+            self.u8(0);
+        }
+    }
+
+    pub(crate) fn u8(&mut self, value: u8) {
+        self.bytes(&[value]);
+    }
+
+    pub(crate) fn u16(&mut self, value: u16) {
+        self.bytes(&value.to_be_bytes());
+    }
+
+    pub(crate) fn u32(&mut self, value: u32) {
+        self.bytes(&value.to_be_bytes());
+    }
+
+    pub(crate) fn u16_in(&mut self, order: Order, value: u16) {
+        self.u16(if order == Order::BigEndian { value } else { value.swap_bytes() });
+    }
+
+    pub(crate) fn u32_in(&mut self, order: Order, value: u32) {
+        self.u32(if order == Order::BigEndian { value } else { value.swap_bytes() });
+    }
+
+    /// Writes a number to a place that was written before.
+    pub(crate) fn put_u16(&mut self, at: usize, value: u16) {
+        self.put(at, &value.to_be_bytes());
+    }
+
+    pub(crate) fn put(&mut self, at: usize, bytes: &[u8]) {
+        // What has no room was not written before.
+        let _ = self.buffer.get_mut(..self.len).and_then(|written| copy(written, at, bytes));
+    }
+
+    /// A block of the application layer, with its length over what `body` writes: type, length, version 1.`minor`.
+    pub(crate) fn block(&mut self, kind: u16, minor: u8, body: impl FnOnce(&mut Self)) {
+        self.u16(kind);
+        let length_at = self.len;
+        self.u16(0);
+        self.bytes(&[1, minor]);
+        body(self);
+        let length = self.len.saturating_sub(length_at).saturating_sub(2);
+        self.put_u16(length_at, length as u16);
+    }
+
+    /// Text in a field of `len` bytes, filled up with blanks.
+    pub(crate) fn text(&mut self, text: &[u8], len: usize) {
+        let text = text.get(..len).unwrap_or(text);
+        self.bytes(text);
+        self.fill(b' ', len.saturating_sub(text.len()));
+    }
+}

@@ -1,0 +1,124 @@
+//! Cyclic frames of real time class 1: data of submodules, each with the status of its provider, and the status of consumers.
+
+use crate::connect::Iocr;
+use crate::cursor::{Reader, Writer, copy};
+use crate::frame::{self, ETHERTYPE_PROFINET, MacAddress};
+use crate::profile::Profile;
+
+/// A status: good.
+const GOOD: u8 = 0x80;
+
+/// DataStatus.
+mod data_status {
+    /// Primary, valid, normal operation.
+    pub(super) const PRIMARY: u8 = 0x01;
+    pub(super) const VALID: u8 = 0x04;
+    pub(super) const RUN: u8 = 0x10;
+    pub(super) const NO_PROBLEM: u8 = 0x20;
+}
+
+/// How far ahead a cycle counter may be to be newer; further it is an old frame.
+const NEWER: u16 = 61_440;
+
+/// What a frame of outputs is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Received {
+    /// All outputs, good.
+    Good,
+    /// The controller is there, and has no outputs: it has stopped, or says that they are bad.
+    Bad,
+}
+
+/// Reads a frame behind its identifier; the outputs are written where they belong if all of them are good. `None`: it is none of
+/// this connection, an old one, or not valid.
+pub(crate) fn receive(
+    payload: &[u8],
+    iocr: &Iocr,
+    last_counter: &mut Option<u16>,
+    profile: &'static Profile,
+    outputs: &mut [u8],
+) -> Option<Received> {
+    let mut reader = Reader::new(payload);
+    let data = reader.bytes(iocr.data_len.into())?;
+    let counter = reader.u16()?;
+    let status = reader.u8()?;
+    let transfer = reader.u8()?;
+    if status & data_status::VALID == 0 || transfer != 0 {
+        return None;
+    }
+    if let Some(last) = *last_counter {
+        let ahead = counter.wrapping_sub(last);
+        if ahead == 0 || ahead > NEWER {
+            return None;
+        }
+    }
+    *last_counter = Some(counter);
+    let places = || {
+        profile.submodules().zip(&iocr.places).filter_map(|(slotted, place)| {
+            let len = usize::from(slotted.submodule.output_len);
+            let start = usize::from(place.data?);
+            let data = data.get(start..start.saturating_add(len))?;
+            let provider = data_at(payload, start.saturating_add(len));
+            (len > 0).then_some((slotted.output_at, data, provider))
+        })
+    };
+    let has_all = places().map(|(_, data, _)| data.len()).sum::<usize>() == outputs.len();
+    let are_good = places().all(|(_, _, provider)| provider & GOOD != 0);
+    if status & data_status::RUN == 0 || !are_good || !has_all {
+        return Some(Received::Bad);
+    }
+    for (at, data, _) in places() {
+        // All of them fit: they are as many as there are outputs.
+        let _ = copy(outputs, at, data);
+    }
+    Some(Received::Good)
+}
+
+fn data_at(payload: &[u8], at: usize) -> u8 {
+    payload.get(at).copied().unwrap_or(0)
+}
+
+/// What a frame of inputs is made of.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Inputs<'a> {
+    pub(crate) mac: MacAddress,
+    pub(crate) peer: MacAddress,
+    pub(crate) data: &'a [u8],
+    /// The device has its parameters.
+    pub(crate) is_ready: bool,
+    /// It has a fault to tell of.
+    pub(crate) has_problem: bool,
+    pub(crate) counter: u16,
+}
+
+/// Writes a frame of inputs; returns its length.
+pub(crate) fn transmit(
+    buffer: &mut [u8],
+    iocr: &Iocr,
+    profile: &'static Profile,
+    inputs: &Inputs<'_>,
+) -> Option<usize> {
+    let mut writer = Writer::new(buffer);
+    frame::header(&mut writer, inputs.peer, inputs.mac, Some(iocr.tag), ETHERTYPE_PROFINET);
+    writer.u16(iocr.frame_id);
+    let start = writer.len();
+    writer.fill(0, iocr.data_len.into());
+    let status = if inputs.is_ready { GOOD } else { 0 };
+    for (slotted, place) in profile.submodules().zip(&iocr.places) {
+        let len = usize::from(slotted.submodule.input_len);
+        if let Some(at) = place.data {
+            let at = start.saturating_add(at.into());
+            let data = inputs.data.get(slotted.input_at..slotted.input_at.saturating_add(len));
+            writer.put(at, data.unwrap_or(&[]));
+            writer.put(at.saturating_add(len), &[status]);
+        }
+        if let Some(at) = place.consumer {
+            writer.put(start.saturating_add(at.into()), &[status]);
+        }
+    }
+    writer.u16(inputs.counter);
+    let problem = if inputs.has_problem { 0 } else { data_status::NO_PROBLEM };
+    writer.u8(data_status::PRIMARY | data_status::VALID | data_status::RUN | problem);
+    writer.u8(0);
+    frame::finish(writer)
+}

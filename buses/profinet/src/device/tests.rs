@@ -1,0 +1,1132 @@
+//! What the device does, as a controller sees it.
+
+mod controller;
+
+use super::*;
+use controller::*;
+use std::string::String;
+use std::vec;
+use std::vec::Vec;
+
+// --- DCP
+
+const MULTICAST: MacAddress = MacAddress([1, 0x0E, 0xCF, 0, 0, 0]);
+
+fn dcp_frame(to: MacAddress, id: u16, service: [u8; 2], delay: u16, blocks: &[u8]) -> Vec<u8> {
+    let len = blocks.len() as u16;
+    let head = [&to.0[..], &PLC.0, &[0x88, 0x92], &id.to_be_bytes(), &service, &[0xAB, 0xCD, 0xEF, 0x01]];
+    [head.concat(), delay.to_be_bytes().to_vec(), len.to_be_bytes().to_vec(), blocks.to_vec()].concat()
+}
+
+/// A block: option, suboption, data.
+fn dcp_block(what: [u8; 2], data: &[u8]) -> Vec<u8> {
+    let mut bytes = [&what[..], &(data.len() as u16).to_be_bytes(), data].concat();
+    bytes.resize(bytes.len().next_multiple_of(2), 0);
+    bytes
+}
+
+/// What is set, permanently or not.
+fn set(bench: &mut Bench, is_permanent: bool, what: [u8; 2], data: &[u8]) -> (Option<Event>, u8) {
+    let block = dcp_block(what, &[&[0, is_permanent.into()], data].concat());
+    let event = bench.device.receive(bench.now, &dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &block));
+    let answers = bench.acyclic();
+    let [answer] = &answers[..] else { panic!("{answers:?}") };
+    let [control, response, 0, 3, option, suboption, fault, 0] = answer[26..34] else { panic!("{answer:?}") };
+    assert_eq!(([control, response], [option, suboption]), ([5, 4], what));
+    (event, fault)
+}
+
+fn identify(bench: &mut Bench, delay: u16, blocks: &[u8]) {
+    let request = dcp_frame(MULTICAST, 0xFEFE, [5, 0], delay, blocks);
+    assert_eq!(bench.device.receive(bench.now, &request), None);
+}
+
+/// The whole answer to a controller that asks who is there.
+#[test]
+fn identify_is_answered_with_all_that_a_controller_wants_to_know() {
+    let mut bench = Bench::new();
+
+    identify(&mut bench, 1, &dcp_block([0xFF, 0xFF], &[]));
+
+    let expected = [
+        &PLC.0[..],
+        &DEVICE.0,
+        &[0x88, 0x92, 0xFE, 0xFF, 5, 1, 0xAB, 0xCD, 0xEF, 0x01, 0, 0, 0, 0x6A],
+        &[2, 2, 0, 11, 0, 0],
+        b"example-1\0",
+        &[1, 2, 0, 14, 0, 1, 192, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0],
+        &[2, 3, 0, 6, 0, 0, 0x12, 0x34, 0x56, 0x78],
+        &[2, 1, 0, 9, 0, 0],
+        b"example\0",
+        &[2, 5, 0, 28, 0, 0, 1, 1, 1, 2, 2, 1, 2, 2, 2, 3, 2, 4, 2, 5, 2, 7, 5, 1, 5, 2, 5, 3, 5, 5, 5, 6],
+        &[2, 4, 0, 4, 0, 0, 1, 0],
+        &[2, 7, 0, 4, 0, 0, 0, 1],
+    ]
+    .concat();
+    assert_eq!(bench.sent(), [expected]);
+}
+
+#[test]
+fn identify_is_answered_by_the_device_that_all_filters_fit() {
+    let name = |name: &str| dcp_block([2, 2], name.as_bytes());
+    let id = |vendor: u8| dcp_block([2, 3], &[vendor, 0x34, 0x56, 0x78]);
+    for (blocks, is_answered) in [
+        (name("example-1"), true),
+        (name("example-2"), false),
+        (name("example"), false),
+        (name(""), false),
+        (id(0x12), true),
+        (id(0x13), false),
+        ([name("example-1"), id(0x12)].concat(), true),
+        ([name("example-1"), id(0x13)].concat(), false),
+        (dcp_block([2, 6], b"port-001.example"), false),
+        (dcp_block([1, 2], &[192, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0]), true),
+        (dcp_block([9, 9], &[1]), false),
+        // Cut short.
+        (vec![2, 2, 0, 9, b'e'], false),
+    ] {
+        let mut bench = Bench::new();
+        identify(&mut bench, 1, &blocks);
+        assert_eq!(bench.sent().len(), usize::from(is_answered), "{blocks:?}");
+    }
+}
+
+#[test]
+fn answer_to_identify_is_late_by_the_address_and_what_the_controller_asks() {
+    let mut bench = Bench::new();
+    // 0010h modulo 7: 2 units of 10 ms.
+    identify(&mut bench, 7, &dcp_block([0xFF, 0xFF], &[]));
+    let due = bench.now + 20_000;
+    assert_eq!(bench.device.poll_timeout(bench.now), due);
+    bench.now = due - 1;
+    assert_eq!(bench.sent().len(), 0);
+    bench.now = due;
+    assert_eq!(bench.sent().len(), 1);
+}
+
+#[test]
+fn answers_that_wait_are_bounded_and_the_lost_ones_are_counted() {
+    let mut bench = Bench::new();
+    for _ in 0..6 {
+        identify(&mut bench, 0x1900, &dcp_block([0xFF, 0xFF], &[]));
+    }
+    assert_eq!(bench.device.counters().dcp_lost, 2);
+    bench.now += 64_000_000;
+    let answers = bench.sent().into_iter().filter(|frame| frame[14..16] == [0xFE, 0xFF]);
+    assert_eq!(answers.count(), 4);
+}
+
+#[test]
+fn name_and_address_that_are_set_count_at_once_and_stay_if_they_are_permanent() {
+    let mut bench = Bench::new();
+    let ip = [10, 0, 0, 7, 255, 0, 0, 0, 10, 0, 0, 1];
+
+    assert_eq!(set(&mut bench, true, [2, 2], b"gripper"), (Some(Event::Stored), 0));
+    assert_eq!(set(&mut bench, true, [1, 2], &ip), (Some(Event::Stored), 0));
+
+    let stored = *bench.device.stored();
+    assert_eq!((stored.name.as_str(), stored.ip.address), ("gripper", [10, 0, 0, 7]));
+    assert_eq!((bench.device.name(), bench.device.ip()), (&stored.name, &stored.ip));
+    assert_eq!((stored.ip.gateway, stored.ip.prefix_len()), ([10, 0, 0, 1], 8));
+
+    // For now alone: after the next start there is none.
+    assert_eq!(set(&mut bench, false, [2, 2], b"other"), (Some(Event::Stored), 0));
+    assert_eq!(set(&mut bench, false, [1, 2], &[0; 12]), (Some(Event::Stored), 0));
+    assert_eq!((bench.device.name().as_str(), bench.device.stored().name), ("other", StationName::NONE));
+    assert_eq!((bench.device.ip().is_set(), bench.device.stored().ip), (false, IpParameters::NONE));
+}
+
+#[test]
+fn what_cannot_be_set_is_refused_and_changes_nothing() {
+    let mut bench = Bench::new();
+    let before = *bench.device.stored();
+    for (what, data, fault) in [
+        ([2, 2], &b"Example"[..], 3),
+        ([2, 2], &[b'a'; 241][..], 3),
+        ([1, 2], &[192, 168, 0, 255, 255, 255, 255, 0, 0, 0, 0, 0], 3),
+        ([1, 2], &[192, 168, 0, 5, 255, 0, 255, 0, 0, 0, 0, 0], 3),
+        ([1, 2], &[224, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0], 3),
+        ([1, 2], &[192, 168, 0, 5], 3),
+        ([1, 2], &[192, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0, 0], 3),
+        ([1, 1], &[0; 6], 3),
+        ([2, 3], &[0; 4], 3),
+        ([2, 9], &[0; 4], 2),
+        ([5, 9], &[0; 4], 2),
+        ([9, 1], &[0; 4], 1),
+        ([5, 3], &[0, 0], 3),
+    ] {
+        assert_eq!(set(&mut bench, true, what, data), (None, fault), "{what:?} {data:?}");
+    }
+    assert_eq!(*bench.device.stored(), before);
+    assert_eq!(set(&mut bench, false, [5, 3], &[1, 0]), (Some(Event::Signal), 0));
+}
+
+#[test]
+fn name_and_address_stay_while_a_controller_uses_them() {
+    let mut bench = Bench::in_data();
+    let ip = [192, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0];
+    assert_eq!(set(&mut bench, true, [2, 2], b"gripper"), (None, 6));
+    assert_eq!(set(&mut bench, true, [2, 2], b"example-1"), (None, 0));
+    assert_eq!(set(&mut bench, true, [1, 2], &ip), (None, 0));
+    assert_eq!(set(&mut bench, true, [1, 2], &[0; 12]), (None, 6));
+}
+
+#[test]
+fn reset_ends_the_connection_and_leaves_nothing_stored() {
+    for (what, qualifier, fault) in [
+        ([5, 5], 0, 0),
+        ([5, 6], 4, 0),
+        ([5, 6], 5, 0),
+        ([5, 6], 8, 0),
+        ([5, 6], 16, 0),
+        ([5, 6], 2, 2),
+        ([5, 6], 6, 2),
+    ] {
+        let mut bench = Bench::in_data();
+        let request = dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &dcp_block(what, &[0, qualifier]));
+        let event = bench.device.receive(bench.now, &request);
+        let frames = bench.acyclic();
+        let answer = frames.iter().find(|frame| frame[14..16] == [0xFE, 0xFD]).unwrap();
+        assert_eq!(answer[32], fault, "{what:?} {qualifier}");
+        let is_reset = fault == 0;
+        assert_eq!(event, is_reset.then_some(Event::Stored));
+        assert_eq!(bench.poll(), is_reset.then_some(Event::Left(Cause::Reset)));
+        assert_eq!(*bench.device.stored() == Stored::NONE, is_reset);
+        assert_eq!(bench.device.state(), if is_reset { State::Unconnected } else { State::Data });
+    }
+}
+
+#[test]
+fn get_gives_what_it_is_asked_for_and_says_what_there_is_not() {
+    let mut bench = Bench::new();
+    let request = dcp_frame(DEVICE, 0xFEFD, [3, 0], 0, &[2, 2, 1, 1, 9, 9, 2, 6, 2]);
+    assert_eq!(bench.device.receive(bench.now, &request), None);
+    let answers = bench.sent();
+    let expected = [
+        &[2, 2, 0, 11, 0, 0][..],
+        b"example-1\0",
+        &[1, 1, 0, 8, 0, 0],
+        &DEVICE.0,
+        &[5, 4, 0, 3, 9, 9, 1, 0, 5, 4, 0, 3, 2, 6, 2, 0],
+    ]
+    .concat();
+    assert_eq!(answers[0][26..26 + expected.len()], expected);
+    assert_eq!(answers[0][24..26], (expected.len() as u16).to_be_bytes());
+}
+
+#[test]
+fn dcp_for_another_station_or_another_kind_is_not_answered() {
+    for (to, id, service) in [
+        (OTHER, 0xFEFD, [3, 0]),
+        (MULTICAST, 0xFEFD, [3, 0]),
+        (DEVICE, 0xFEFE, [5, 0]),
+        (DEVICE, 0xFEFD, [3, 1]),
+        (DEVICE, 0xFEFD, [9, 0]),
+        (DEVICE, 0xFEFF, [5, 1]),
+    ] {
+        let mut bench = Bench::new();
+        assert_eq!(bench.device.receive(bench.now, &dcp_frame(to, id, service, 1, &[2, 2])), None);
+        assert_eq!(bench.sent().len(), 0, "{to} {id:X} {service:?}");
+    }
+}
+
+#[test]
+fn hello_names_the_device() {
+    let mut bench = Bench::new();
+    bench.device.announce(bench.now);
+    let frames = bench.sent();
+    assert_eq!(frames[0][..6], [1, 0x0E, 0xCF, 0, 0, 1]);
+    assert_eq!(frames[0][14..18], [0xFE, 0xFC, 6, 0]);
+    assert_eq!(frames[0][26..41], *b"\x02\x02\x00\x0b\x00\x00example-1");
+}
+
+// --- LLDP
+
+#[test]
+fn lldp_tells_name_port_and_address_every_5_s() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.device.poll_timeout(bench.now), 6_000_000);
+    bench.now = 6_000_000;
+    let expected = [
+        &[1, 0x80, 0xC2, 0, 0, 0x0E][..],
+        &DEVICE.0,
+        &[0x88, 0xCC],
+        b"\x02\x0a\x07example-1",
+        b"\x04\x09\x07port-001",
+        &[6, 2, 0, 20],
+        &[0xFE, 8, 0, 0x0E, 0xCF, 2, 0, 0, 0, 0],
+        &[0xFE, 10, 0, 0x0E, 0xCF, 5],
+        &DEVICE.0,
+        &[0xFE, 9, 0, 0x12, 0x0F, 1, 3, 0, 0, 0, 16],
+        &[0x10, 12, 5, 1, 192, 168, 0, 5, 2, 0, 0, 0, 1, 0],
+        &[0, 0],
+    ]
+    .concat();
+    assert_eq!(bench.sent(), [expected]);
+    assert_eq!(bench.device.poll_timeout(bench.now), 11_000_000);
+}
+
+#[test]
+fn lldp_of_a_device_without_name_and_address_has_its_ethernet_address() {
+    let mut device = Device::<3, 2>::new(&PROFILE, DEVICE, Stored::NONE, 1);
+    let mut buffer = [0; MAX_FRAME_LEN];
+    assert_eq!(device.poll_transmit(0, &mut buffer), Some(Transmit::Frame(73)));
+    assert_eq!(buffer[14..23], [2, 7, 4, 2, 0, 0, 0, 0, 0x10]);
+}
+
+// --- Connect
+
+#[test]
+fn controller_connects_writes_no_parameters_and_exchanges_data() {
+    let mut bench = Bench::new();
+    let answer = bench.call(0, &Wanted::default().blocks());
+    assert_eq!((answer.event, answer.kind, answer.status), (None, 2, 0));
+    let expected = [
+        (0x8101, [&[0, 1][..], &AR, &[0, 7], &DEVICE.0, &[0x88, 0x92]].concat()),
+        (0x8102, vec![0, 1, 0, 11, 0xC0, 1]),
+        (0x8102, vec![0, 2, 0, 12, 0x80, 1]),
+        (0x8103, vec![0, 1, 0, 1, 0, 200]),
+    ];
+    assert_eq!(blocks_of(&answer.blocks), expected);
+    assert_eq!(bench.device.state(), State::Parameters);
+
+    let answer = bench.call(4, &control(0x0110, AR, 1));
+    assert_eq!((answer.event, answer.status), (None, 0));
+    assert_eq!(answer.blocks, control(0x8110, AR, 8));
+    assert_eq!(bench.device.state(), State::Ready);
+
+    let calls = bench.calls();
+    let [call] = &calls[..] else { panic!("{calls:?}") };
+    assert_eq!((call[0], call[1], &call[68..70]), (4, 0, &[0, 4][..]));
+    assert_eq!(call[8..24], [0xDE; 16], "the object that the controller said");
+    assert_eq!(call[24..28], [0xDE, 0xA0, 0, 2]);
+    assert_eq!(call[100..], control(0x0112, AR, 2));
+    // Nothing counts before the controller has confirmed.
+    assert_eq!(bench.outputs([1, 2, 3]), None);
+    assert_eq!(bench.confirm(call), Some(Event::Connected));
+    assert_eq!(bench.device.state(), State::Data);
+    assert_eq!(bench.confirm(call), None, "once");
+    assert_eq!(bench.outputs([1, 2, 3]), Some(Event::Outputs));
+    assert_eq!(bench.device.outputs(), &[1, 2, 3]);
+}
+
+#[test]
+fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
+    let default = Wanted::default;
+    let unknown = block(0x0199, &[]);
+    let again = default().blocks()[..61].to_vec();
+    assert_eq!(again.len(), usize::from(u16::from_be_bytes([again[2], again[3]])) + 4);
+    for (wanted, code1, code2) in [
+        (Wanted { ar_type: 2, ..default() }, 1, 4),
+        (Wanted { ar_type: 6, ..default() }, 1, 4),
+        (Wanted { properties: 0x111, ..default() }, 1, 4),
+        (Wanted { uuid: [0; 16], ..default() }, 1, 5),
+        (Wanted { mac: MULTICAST, ..default() }, 1, 7),
+        (Wanted { properties: 0x10, ..default() }, 1, 9),
+        (Wanted { properties: 0x4000_0011, ..default() }, 1, 9),
+        (Wanted { class: 3, ..default() }, 2, 7),
+        (Wanted { data_len: 39, ..default() }, 2, 8),
+        (Wanted { data_len: 1_441, ..default() }, 2, 8),
+        (Wanted { input_id: 0x7FFF, ..default() }, 2, 9),
+        (Wanted { output_id: 0xBC00, ..default() }, 2, 9),
+        (Wanted { output_id: 0xFC00, ..default() }, 2, 9),
+        (Wanted { reduction: 0, ..default() }, 2, 11),
+        (Wanted { reduction: 1_024, ..default() }, 2, 11),
+        (Wanted { hold: 0, ..default() }, 2, 16),
+        (Wanted { hold: 481, ..default() }, 2, 16),
+        (Wanted { alarm_properties: 2, ..default() }, 4, 6),
+        (Wanted { retries: 2, ..default() }, 4, 8),
+        (Wanted { retries: 16, ..default() }, 4, 8),
+        (Wanted { more: unknown, ..default() }, 0x40, 1),
+        (Wanted { more: again, ..default() }, 1, 0),
+        (Wanted { more: vec![1], ..default() }, 0x40, 0),
+    ] {
+        let mut bench = Bench::new();
+        let answer = bench.call(0, &wanted.blocks());
+        assert_eq!(answer.status, u32::from_be_bytes([0xDB, 0x81, code1, code2]), "{wanted:?}");
+        assert_eq!((answer.blocks, bench.device.state()), (vec![], State::Unconnected));
+        // And no frame of inputs.
+        bench.now += CYCLE_US;
+        assert_eq!(bench.sent().len(), 0);
+    }
+}
+
+#[test]
+fn missing_blocks_are_named() {
+    let blocks = Wanted::default().blocks();
+    let mut cut = vec![];
+    let mut rest = &blocks[..];
+    while !rest.is_empty() {
+        let len = 4 + usize::from(u16::from_be_bytes([rest[2], rest[3]]));
+        cut.push(rest[..len].to_vec());
+        rest = &rest[len..];
+    }
+    for (missing, status) in [(0, 0xDB81_0100), (1, 0xDB81_4002), (2, 0xDB81_4002), (3, 0xDB81_4003)] {
+        let mut some = cut.clone();
+        some.remove(missing);
+        assert_eq!(Bench::new().call(0, &some.concat()).status, status, "{missing}");
+    }
+    // A place in a frame without a submodule.
+    cut.remove(5);
+    assert_eq!(Bench::new().call(0, &cut.concat()).status, 0xDB81_0216);
+    assert_eq!(Bench::new().call(0, &[]).status, 0xDB81_0100);
+}
+
+#[test]
+fn connect_that_is_cut_anywhere_is_refused() {
+    let blocks = Wanted::default().blocks();
+    for len in 0..blocks.len() {
+        let mut bench = Bench::new();
+        assert_ne!(bench.call(0, &blocks[..len]).status, 0, "{len}");
+        assert_eq!(bench.device.state(), State::Unconnected);
+    }
+}
+
+#[test]
+fn frame_identifiers_of_both_ranges_are_taken_and_chosen_if_the_controller_leaves_them_open() {
+    for (class, asked, given) in [
+        (1, 0x8000, 0x8000),
+        (1, 0xBBFF, 0xBBFF),
+        (1, 0xC000, 0xC000),
+        (1, 0xFBFF, 0xFBFF),
+        (1, 0xFFFF, 0xC000),
+        (2, 0xFFFF, 0x8000),
+    ] {
+        let wanted = Wanted { class, input_id: asked, output_id: asked, ..Wanted::default() };
+        let answer = Bench::new().call(0, &wanted.blocks());
+        let ids: Vec<u16> = blocks_of(&answer.blocks)
+            .iter()
+            .filter(|(kind, _)| *kind == 0x8102)
+            .map(|(_, body)| u16::from_be_bytes([body[4], body[5]]))
+            .collect();
+        assert_eq!(ids, [given, given], "{asked:X}");
+    }
+}
+
+#[test]
+fn other_modules_than_there_are_show_as_differences() {
+    let default = Wanted::default;
+    for (wanted, expected) in [
+        // A wrong module, and its submodules with it.
+        (
+            Wanted { modules: [0x99, 0x30], ..default() },
+            &[0, 1, 0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0x20, 0, 1, 0, 0][..],
+        ),
+        // A wrong submodule.
+        (
+            Wanted { submodules: [0x21, 0x99], ..default() },
+            &[0, 1, 0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0x30, 0, 2, 0, 1, 0, 1, 0, 0, 0, 0x31, 0x90, 0],
+        ),
+        // One with data of another length.
+        (
+            Wanted { output_len: 1, ..default() },
+            &[0, 1, 0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0x30, 0, 2, 0, 1, 0, 1, 0, 0, 0, 0x31, 0x90, 0],
+        ),
+    ] {
+        let mut bench = Bench::new();
+        let answer = bench.call(0, &wanted.blocks());
+        let blocks = blocks_of(&answer.blocks);
+        assert_eq!(blocks.last(), Some(&(0x8104, expected.to_vec())), "{wanted:?}");
+        // Its outputs are not all there, so none count.
+        bench.call(4, &control(0x0110, AR, 1));
+        let calls = bench.calls();
+        assert_eq!(bench.confirm(&calls[0]), Some(Event::Connected));
+        assert_eq!(bench.outputs([1, 2, 3]), None);
+        assert_eq!(bench.device.outputs(), &[0; 3]);
+    }
+}
+
+#[test]
+fn second_controller_is_refused_and_the_first_goes_on() {
+    let mut bench = Bench::in_data();
+    let second = Wanted { uuid: [0xB6; 16], mac: OTHER, ..Wanted::default() };
+    assert_eq!(bench.call(0, &second.blocks()).status, 0xDB81_4004);
+    assert_eq!(bench.outputs([1, 2, 3]), Some(Event::Outputs));
+    // Nor can it release, end parameters or write outputs.
+    assert_eq!(bench.call(1, &control(0x0114, [0xB6; 16], 4)).status, 0xDC81_4005);
+    assert_eq!(bench.call(4, &control(0x0110, [0xB6; 16], 1)).status, 0xDD81_4005);
+    let mut frame = outputs_frame([9; 3], 0x7000, [0x80; 2], 0x35);
+    frame[6..12].copy_from_slice(&OTHER.0);
+    assert_eq!(bench.device.receive(bench.now, &frame), None);
+    assert_eq!(bench.device.outputs(), &[1, 2, 3]);
+}
+
+#[test]
+fn controller_that_connects_again_under_its_name_begins_anew() {
+    let mut bench = Bench::in_data();
+    bench.outputs([1, 2, 3]);
+    let answer = bench.call(0, &Wanted::default().blocks());
+    assert_eq!((answer.event, answer.status), (Some(Event::Left(Cause::Aborted)), 0));
+    assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Parameters));
+    // Its alarms have another end.
+    assert_eq!(blocks_of(&answer.blocks)[3].1, [0, 1, 0, 2, 0, 200]);
+}
+
+#[test]
+fn repeated_call_gets_the_same_answer_and_is_done_once() {
+    let mut bench = Bench::new();
+    let request = datagram(false, 0, 5, 0, &arguments(false, &Wanted::default().blocks()));
+    assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
+    let is_answer = |(to, _): &(Option<Endpoint>, Vec<u8>)| *to == Some(HOST);
+    let first: Vec<_> = bench.transmitted().into_iter().filter(is_answer).collect();
+    assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
+    let second: Vec<_> = bench.transmitted().into_iter().filter(is_answer).collect();
+    assert_eq!((first.len(), &second), (1, &first));
+    // High bytes first, as it was asked.
+    assert_eq!(first[0].1[68..74], [0, 0, 0xFF, 0xFF, 0xFF, 0xFF]);
+    assert_eq!(first[0].1[64..68], [0, 0, 0, 5]);
+    assert_eq!(first[0].1[100..102], [0x81, 0x01]);
+}
+
+#[test]
+fn datagrams_that_are_no_calls_are_refused_or_ignored() {
+    let blocks = arguments(true, &Wanted::default().blocks());
+    let good = datagram(true, 0, 1, 0, &blocks);
+    let change = |at: usize, value: u8| {
+        let mut changed = good.clone();
+        changed[at] = value;
+        changed
+    };
+    let cases = [
+        // A fragment, an authenticated one, another interface, another operation, arguments that are none.
+        (change(2, 0x24), Some((6, 0x1C01_000B))),
+        (change(76, 1), Some((6, 0x1C01_000B))),
+        (change(78, 1), Some((6, 0x1C01_000B))),
+        (good[..200].to_vec(), Some((6, 0x1C01_000B))),
+        (change(24, 9), Some((6, 0x1C01_0003))),
+        (change(68, 9), Some((6, 0x1C01_0002))),
+        (change(92, 1), Some((3, 0x1C01_000B))),
+        (change(84, 1), Some((3, 0x1C01_000B))),
+        // Another version, an answer, an acknowledgement, half a header.
+        (change(0, 5), None),
+        (change(1, 2), None),
+        (change(1, 7), None),
+        (good[..79].to_vec(), None),
+    ];
+    for (request, expected) in cases {
+        let mut bench = Bench::new();
+        assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
+        let answers = bench.transmitted();
+        let said = answers.first().map(|(_, bytes)| {
+            let answer = Answer::of(None, bytes);
+            (answer.kind, answer.status)
+        });
+        assert_eq!(said, expected, "{:02X?}", &request[..80.min(request.len())]);
+        assert_eq!(bench.device.counters().rpc_refused, expected.is_some().into());
+        assert_eq!(bench.device.state(), State::Unconnected);
+    }
+}
+
+#[test]
+fn ping_of_a_call_that_was_answered_gets_its_answer_again_and_another_one_that_there_is_none() {
+    let mut bench = Bench::new();
+    let request = datagram(true, 0, 9, 5, &arguments(true, &record(9, [0; 16], 0, 1, 0xAFF0, 64)));
+    bench.device.receive_datagram(bench.now, HOST, &request);
+    let first = bench.transmitted();
+    bench.device.receive_datagram(bench.now, HOST, &datagram(true, 1, 9, 5, &[]));
+    assert_eq!(bench.transmitted(), first);
+    bench.device.receive_datagram(bench.now, HOST, &datagram(true, 1, 10, 5, &[]));
+    let answers = bench.transmitted();
+    assert_eq!((answers[0].1[1], answers[0].1.len()), (5, 80));
+}
+
+#[test]
+fn parameters_that_do_not_end_end_the_connection() {
+    let mut bench = Bench::new();
+    bench.call(0, &Wanted::default().blocks());
+    bench.now += 900_000;
+    // A write or a read begins the wait anew.
+    bench.call(2, &record(9, AR, 0, 1, 0xAFF0, 64));
+    bench.now += 999_999;
+    assert_eq!(bench.poll(), None);
+    bench.now += 1;
+    assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)));
+    let frames = bench.acyclic();
+    assert_eq!(frames[0][18..20], [0xFE, 0x01], "the controller is told");
+    assert_eq!(frames[0][32..36], [0xCF, 0x81, 0xFD, 5]);
+}
+
+#[test]
+fn controller_that_does_not_confirm_is_asked_five_times() {
+    let mut bench = Bench::new();
+    bench.call(0, &Wanted::default().blocks());
+    bench.call(4, &control(0x0110, AR, 1));
+    let mut calls = 0;
+    let start = bench.now;
+    let event = loop {
+        calls += bench.calls().len();
+        if let Some(event) = bench.poll() {
+            break event;
+        }
+        bench.now += 100_000;
+        assert!(bench.now < start + 60_000_000);
+    };
+    assert_eq!((event, calls, bench.now - start), (Event::Left(Cause::NotConfirmed), 5, 10_000_000));
+}
+
+#[test]
+fn only_the_controllers_own_confirmation_counts() {
+    let ready = || {
+        let mut bench = Bench::new();
+        bench.call(0, &Wanted::default().blocks());
+        bench.call(4, &control(0x0110, AR, 1));
+        let call = bench.calls().remove(0);
+        (bench, call)
+    };
+    let (mut bench, call) = ready();
+    assert_eq!(bench.confirm_as(&call, [1; 16], 8, 0), None);
+    assert_eq!(bench.confirm_as(&call, AR, 2, 0), None);
+    assert_eq!(bench.confirm_as(&call, AR, 8, 1), None);
+    let mut other = call.clone();
+    other[64] ^= 1;
+    assert_eq!(bench.confirm(&other), None, "another call");
+    other = call.clone();
+    other[40] ^= 1;
+    assert_eq!(bench.confirm(&other), None, "another activity");
+    assert_eq!(bench.confirm(&call), Some(Event::Connected));
+    // Before the call has left, there is nothing to confirm.
+    let mut bench = Bench::new();
+    bench.call(0, &Wanted::default().blocks());
+    assert_eq!(bench.confirm(&call), None);
+    assert_eq!(bench.device.state(), State::Parameters);
+}
+
+#[test]
+fn end_of_parameters_counts_once_and_with_its_command_alone() {
+    let mut bench = Bench::new();
+    bench.call(0, &Wanted::default().blocks());
+    assert_eq!(bench.call(4, &control(0x0110, AR, 2)).status, 0xDD81_1608);
+    assert_eq!(bench.call(4, &control(0x0111, AR, 1)).status, 0xDD81_4005);
+    assert_eq!(bench.call(4, &[]).status, 0xDD81_4005);
+    assert_eq!(bench.call(4, &control(0x0110, AR, 1)).status, 0);
+    assert_eq!(bench.call(4, &control(0x0110, AR, 1)).status, 0xDD81_4006);
+}
+
+#[test]
+fn release_ends_the_connection_and_says_so() {
+    let mut bench = Bench::in_data();
+    bench.outputs([1, 2, 3]);
+    assert_eq!(bench.call(1, &control(0x0114, AR, 1)).status, 0xDC81_2808);
+    let answer = bench.call(1, &control(0x0114, AR, 4));
+    assert_eq!((answer.event, answer.status), (Some(Event::Left(Cause::Released)), 0));
+    assert_eq!(answer.blocks, control(0x8114, AR, 8));
+    assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
+    bench.now += 100_000;
+    assert_eq!(bench.sent().len(), 0, "neither inputs nor an error");
+    assert_eq!(bench.call(1, &control(0x0114, AR, 4)).status, 0xDC81_4005);
+}
+
+// --- Cyclic data
+
+fn input_frames(bench: &mut Bench) -> Vec<Vec<u8>> {
+    let frames = bench.sent().into_iter();
+    frames.filter(|frame| frame[12..14] == [0x81, 0] && frame[18..20] == INPUT_ID.to_be_bytes()).collect()
+}
+
+#[test]
+fn inputs_leave_each_cycle_with_statuses_and_a_counter_of_31_us() {
+    let mut bench = Bench::in_data();
+    bench.device.show_inputs(&[0xAA, 0xBB]);
+    let start = bench.device.poll_timeout(bench.now);
+    bench.now = start;
+    let frames = input_frames(&mut bench);
+    let [frame] = &frames[..] else { panic!("{frames:?}") };
+    assert_eq!(frame[..20], [&PLC.0[..], &DEVICE.0, &[0x81, 0, 0xC0, 0, 0x88, 0x92, 0xC0, 1]].concat());
+    // Status of the three parts of slot 0; data and status of slot 1; statuses of the consumers.
+    assert_eq!(frame[20..28], [0x80, 0x80, 0x80, 0xAA, 0xBB, 0x80, 0x80, 0x80]);
+    assert_eq!(frame[28..60], [0; 32]);
+    assert_eq!(frame[62..], [0x35, 0]);
+    let counter = |frame: &[u8]| u16::from_be_bytes([frame[60], frame[61]]);
+    let first = counter(frame);
+    for cycle in 1..=20_u16 {
+        bench.now += CYCLE_US - 1;
+        assert_eq!(input_frames(&mut bench).len(), 0);
+        assert_eq!(bench.device.poll_timeout(bench.now), bench.now + 1);
+        bench.now += 1;
+        let frames = input_frames(&mut bench);
+        assert_eq!(counter(&frames[0]), first.wrapping_add(128 * cycle));
+        bench.outputs([0; 3]);
+    }
+    // Late by two and a half: one frame, and the counter tells of the two that were missed.
+    bench.now += CYCLE_US * 7 / 2;
+    let frames = input_frames(&mut bench);
+    assert_eq!((frames.len(), counter(&frames[0])), (1, first.wrapping_add(128 * 21)));
+    assert_eq!(
+        bench.device.poll_timeout(bench.now).min(bench.now + CYCLE_US / 2),
+        bench.now + HOLD_US - CYCLE_US * 7 / 2
+    );
+}
+
+#[test]
+fn inputs_are_bad_until_parameters_have_ended_and_a_fault_shows_in_the_data_status() {
+    let mut bench = Bench::new();
+    bench.call(0, &Wanted::default().blocks());
+    bench.now += CYCLE_US;
+    let frames = input_frames(&mut bench);
+    assert_eq!(frames[0][20..28], [0, 0, 0, 0, 0, 0, 0, 0]);
+    bench.call(4, &control(0x0110, AR, 1));
+    bench.device.show_faults(1);
+    bench.now += CYCLE_US;
+    let frames = input_frames(&mut bench);
+    assert_eq!((&frames[0][25..28], frames[0][62]), (&[0x80; 3][..], 0x15));
+}
+
+#[test]
+fn outputs_count_only_when_all_that_is_said_about_them_is_good() {
+    for (statuses, status, expected) in [
+        ([0x80, 0x80], 0x35, Some(Event::Outputs)),
+        // Another problem of the controller's, and its standby: no matter.
+        ([0x80, 0x80], 0x15, Some(Event::Outputs)),
+        ([0x00, 0x80], 0x35, Some(Event::Cleared)),
+        ([0x80, 0x60], 0x35, Some(Event::Cleared)),
+        ([0x80, 0x80], 0x25, Some(Event::Cleared)),
+        // Not valid: as if it had not come.
+        ([0x80, 0x80], 0x31, None),
+    ] {
+        let mut bench = Bench::in_data();
+        bench.outputs([1, 2, 3]);
+        let frame = outputs_frame([4, 5, 6], 0x4000, statuses, status);
+        assert_eq!(bench.device.receive(bench.now, &frame), expected, "{statuses:?} {status:X}");
+        let outputs = match expected {
+            Some(Event::Outputs) => [4, 5, 6],
+            Some(_) => [0; 3],
+            None => [1, 2, 3],
+        };
+        assert_eq!(bench.device.outputs(), &outputs);
+        // Told once.
+        let again = outputs_frame([4, 5, 6], 0x4080, statuses, status);
+        let expected = expected.filter(|event| *event == Event::Outputs);
+        assert_eq!(bench.device.receive(bench.now, &again), expected);
+    }
+}
+
+#[test]
+fn old_and_repeated_frames_and_such_of_others_are_not_taken() {
+    let mut bench = Bench::in_data();
+    let mut take = |frame: &[u8]| bench.device.receive(bench.now, frame);
+    let at = |counter| outputs_frame([1, 2, 3], counter, [0x80; 2], 0x35);
+    assert_eq!(take(&at(0x1000)), Some(Event::Outputs));
+    assert_eq!(take(&at(0x1000)), None, "the same");
+    assert_eq!(take(&at(0x0F80)), None, "an older one");
+    assert_eq!(take(&at(0x1000_u16.wrapping_sub(4_095))), None);
+    assert_eq!(take(&at(0x1000_u16.wrapping_add(61_440))), Some(Event::Outputs), "as far ahead as may be");
+    let next = at(0x1000_u16.wrapping_add(61_441));
+    for (place, value) in [(0, 0x12), (6, 0x12), (19, 2), (17, 0x93)] {
+        let mut other = next.clone();
+        other[place] = value;
+        assert_eq!(take(&other), None, "{place}");
+    }
+    for len in 0..next.len() {
+        assert_eq!(take(&next[..len]), None, "{len}");
+    }
+    let mut marked = next.clone();
+    *marked.last_mut().unwrap() = 1;
+    assert_eq!(take(&marked), None, "a bad transfer");
+    assert_eq!(take(&next), Some(Event::Outputs));
+}
+
+#[test]
+fn silent_controller_is_left_when_its_time_is_over_and_is_told() {
+    let mut bench = Bench::in_data();
+    bench.outputs([1, 2, 3]);
+    bench.now += HOLD_US - 1;
+    assert_eq!((bench.poll(), bench.device.outputs()), (None, &[1, 2, 3]));
+    bench.now += 1;
+    assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)));
+    assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
+    assert_eq!(
+        bench.acyclic()[0][18..34],
+        [0xFE, 1, 0, 3, 0, 1, 0x14, 1, 0xFF, 0xFE, 0xFF, 0xFE, 0, 4, 0xCF, 0x81]
+    );
+    // It may come back.
+    assert_eq!(bench.call(0, &Wanted::default().blocks()).status, 0);
+}
+
+// --- Alarms
+
+/// A frame of the controller about alarms: type, numbers, data.
+fn rta(is_high: bool, kind: u8, number: u16, acknowledged: u16, data: &[u8]) -> Vec<u8> {
+    let id: u16 = if is_high { 0xFC01 } else { 0xFE01 };
+    [
+        &DEVICE.0[..],
+        &PLC.0,
+        &[0x88, 0x92],
+        &id.to_be_bytes(),
+        &[0, 1],
+        &PLC_REFERENCE.to_be_bytes(),
+        &[kind, 0x11],
+        &number.to_be_bytes(),
+        &acknowledged.to_be_bytes(),
+        &(data.len() as u16).to_be_bytes(),
+        data,
+    ]
+    .concat()
+}
+
+/// The controller's own acknowledgement of an alarm of this kind and number.
+fn alarm_ack(is_high: bool, kind: u8, number: u16) -> Vec<u8> {
+    let body = [&[0, kind, 0, 0, 0, 0, 0, 0, 0, 1][..], &number.to_be_bytes(), &[0; 4]].concat();
+    block(if is_high { 0x8001 } else { 0x8002 }, &body)
+}
+
+/// The frames about alarms that leave: behind the header of Ethernet, with the frame identifier.
+fn alarms(bench: &mut Bench) -> Vec<Vec<u8>> {
+    let mut all = bench.acyclic();
+    all.retain(|frame| frame[12..14] == [0x81, 0] && matches!(frame[18..20], [0xFE | 0xFC, 1]));
+    all.into_iter().map(|frame| frame[18..].to_vec()).collect()
+}
+
+#[test]
+fn fault_is_told_acknowledged_twice_and_told_when_it_is_gone() {
+    let mut bench = Bench::in_data();
+    bench.device.show_faults(0b001);
+    assert_eq!(bench.poll(), None);
+    let sent = alarms(&mut bench);
+    let expected = [
+        // Ends, data, window and acknowledgement at once, numbers, length.
+        &[0xFE, 1, 0, 3, 0, 1, 0x11, 0x11, 0xFF, 0xFF, 0xFF, 0xFE, 0, 34][..],
+        // Diagnosis of slot 0, subslot 1, of channels; for all of the submodule, it appears.
+        &[0, 2, 0, 30, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0x10, 0, 0, 0, 0x11, 0xA8, 0],
+        &[0x80, 0, 0x80, 0, 0x08, 0, 0x01, 0x00],
+    ]
+    .concat();
+    assert_eq!(sent, [expected]);
+
+    // The transport's acknowledgement ends the repetition, the alarm's own is acknowledged in turn.
+    let now = bench.now;
+    assert_eq!(bench.device.receive(now, &rta(false, 0x13, 0xFFFE, 0xFFFF, &[])), None);
+    assert_eq!(bench.device.receive(now, &rta(false, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(false, 1, 0))), None);
+    assert_eq!(alarms(&mut bench)[0][..14], [0xFE, 1, 0, 3, 0, 1, 0x13, 1, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0]);
+    assert_eq!((bench.poll(), alarms(&mut bench)), (None, vec![]), "once");
+
+    bench.device.show_faults(0);
+    bench.poll();
+    let sent = alarms(&mut bench);
+    // The next number; gone, with the next number of alarms, and there is none left.
+    assert_eq!(sent[0][8..12], [0, 0, 0xFF, 0xFF]);
+    assert_eq!(sent[0][20..22], [0, 0x0C]);
+    assert_eq!(sent[0][38..], [0x08, 1, 0x80, 0, 0x80, 0, 0x10, 0, 0x01, 0x00]);
+}
+
+#[test]
+fn alarm_of_high_priority_does_not_wait_for_one_of_low_priority() {
+    let mut bench = Bench::in_data();
+    bench.device.show_faults(0b101);
+    bench.poll();
+    assert_eq!(alarms(&mut bench).len(), 1, "one at a time");
+    bench.device.show_faults(0b111);
+    bench.poll();
+    let sent = alarms(&mut bench);
+    assert_eq!((sent.len(), &sent[0][..2], &sent[0][14..16]), (1, &[0xFC, 1][..], &[0, 1][..]));
+    let now = bench.now;
+    bench.device.receive(now, &rta(true, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(true, 1, 0)));
+    assert_eq!(alarms(&mut bench)[0][6], 0x13);
+    // That of low priority, and the next one behind it.
+    bench.device.receive(now, &rta(false, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(false, 1, 0)));
+    bench.poll();
+    let sent = alarms(&mut bench);
+    assert_eq!((sent.len(), sent[1][46..].to_vec()), (2, vec![0x01, 0x02]));
+}
+
+#[test]
+fn all_alarms_are_low_if_the_controller_wants_that() {
+    let mut bench = Bench::in_data_as(&Wanted { alarm_properties: 1, ..Wanted::default() });
+    bench.device.show_faults(0b010);
+    bench.poll();
+    assert_eq!(alarms(&mut bench)[0][..2], [0xFE, 1]);
+}
+
+#[test]
+fn alarm_that_is_not_taken_is_repeated_and_ends_the_connection() {
+    let mut bench = Bench::in_data();
+    bench.device.show_faults(1);
+    let start = bench.now;
+    let mut sent = 0;
+    let event = loop {
+        // The controller has outputs all the while.
+        bench.outputs([0; 3]);
+        if let Some(event) = bench.poll() {
+            break event;
+        }
+        sent += alarms(&mut bench).len();
+        bench.now += 4_000;
+        assert!(bench.now < start + 10_000_000);
+    };
+    // Three repetitions, each after 100 ms.
+    assert_eq!((event, sent, bench.now - start), (Event::Left(Cause::AlarmFailed), 4, 400_000));
+    assert_eq!(bench.acyclic()[0][35], 8);
+}
+
+#[test]
+fn frames_about_alarms_of_others_and_wrong_numbers_change_nothing() {
+    let mut bench = Bench::in_data();
+    bench.device.show_faults(1);
+    bench.poll();
+    assert_eq!(alarms(&mut bench).len(), 1);
+    let good = rta(false, 0x13, 0xFFFE, 0xFFFF, &[]);
+    for (at, value) in [(6, 0x12), (17, 9), (19, 9), (24, 0x12)] {
+        let mut other = good.clone();
+        other[at] = value;
+        assert_eq!(bench.device.receive(bench.now, &other), None);
+    }
+    for len in 0..good.len() {
+        assert_eq!(bench.device.receive(bench.now, &good[..len]), None);
+    }
+    for _ in 0..30 {
+        bench.now += 4_000;
+        bench.outputs([0; 3]);
+    }
+    assert_eq!(alarms(&mut bench).len(), 1, "still repeated");
+}
+
+#[test]
+fn controller_that_aborts_has_left() {
+    let mut bench = Bench::in_data();
+    bench.outputs([1, 2, 3]);
+    let abort = rta(false, 0x14, 0xFFFE, 0xFFFE, &[0xCF, 0x81, 0xFD, 0x0F]);
+    assert_eq!(bench.device.receive(bench.now, &abort), Some(Event::Left(Cause::Aborted)));
+    assert_eq!(bench.device.outputs(), &[0; 3]);
+    assert_eq!(bench.acyclic(), Vec::<Vec<u8>>::new(), "which is not answered");
+}
+
+// --- Records
+
+fn read(bench: &mut Bench, uuid: [u8; 16], slot: u16, subslot: u16, index: u16) -> Result<Vec<u8>, u32> {
+    let answer = bench.call(2, &record(9, uuid, slot, subslot, index, 4_096));
+    let (head, data) = answer.blocks.split_at(64);
+    assert_eq!(head[..6], [0x80, 0x09, 0, 60, 1, 0]);
+    assert_eq!(head[36..40], (data.len() as u32).to_be_bytes());
+    if answer.status == 0 { Ok(data.to_vec()) } else { Err(answer.status) }
+}
+
+#[test]
+fn identification_and_maintenance_are_read() {
+    let mut bench = Bench::in_data();
+    let im0 = read(&mut bench, AR, 0, 1, 0xAFF0).unwrap();
+    let expected = [
+        &[0, 0x20, 0, 56, 1, 0, 0x12, 0x34][..],
+        b"EX-1                42              ",
+        &[0, 3, b'V', 1, 2, 13, 0, 0, 0, 0, 0, 0, 1, 1, 0, 0x0E],
+    ]
+    .concat();
+    assert_eq!(im0, expected);
+    assert_eq!(read(&mut bench, AR, 0, 1, 0xAFF1).unwrap(), block(0x21, &[b' '; 54]));
+    assert_eq!(read(&mut bench, AR, 2, 1, 0xAFF2).unwrap(), block(0x22, &[b' '; 16]));
+    assert_eq!(read(&mut bench, AR, 0, 0x8000, 0xAFF3).unwrap(), block(0x23, &[b' '; 54]));
+}
+
+#[test]
+fn maintenance_is_written_by_the_controller_alone_and_stays() {
+    let mut bench = Bench::in_data();
+    let write = |bench: &mut Bench, uuid, index, data: &[u8]| {
+        let request = [&record(8, uuid, 0, 1, index, data.len() as u32)[..], data].concat();
+        let answer = bench.call(3, &request);
+        assert_eq!(answer.blocks[..6], [0x80, 0x08, 0, 60, 1, 0]);
+        assert_eq!(answer.blocks[44..48], answer.status.to_be_bytes());
+        (answer.event, answer.status)
+    };
+    let date = block(0x22, b"2026-11-23 16:00");
+    assert_eq!(write(&mut bench, AR, 0xAFF2, &date), (Some(Event::Stored), 0));
+    assert_eq!(bench.device.stored().maintenance.date, *b"2026-11-23 16:00");
+    assert_eq!(write(&mut bench, AR, 0xAFF1, &block(0x21, &[b'x'; 54])), (Some(Event::Stored), 0));
+    assert_eq!(write(&mut bench, AR, 0xAFF3, &block(0x23, &[b'y'; 54])), (Some(Event::Stored), 0));
+    assert_eq!(read(&mut bench, AR, 0, 1, 0xAFF3).unwrap(), block(0x23, &[b'y'; 54]));
+    let before = *bench.device.stored();
+    for (uuid, index, data, reason) in [
+        (AR, 0xAFF2, &block(0x22, &[b'x'; 15]), 0xB1),
+        (AR, 0xAFF2, &block(0x21, &[b'x'; 16]), 0xB1),
+        (AR, 0xAFF1, &block(0x21, &[b'x'; 55]), 0xB1),
+        (AR, 0xAFF0, &block(0x20, &[b'x'; 16]), 0xB6),
+        (AR, 0x1234, &vec![1], 0xB0),
+        ([1; 16], 0xAFF2, &date, 0xB6),
+    ] {
+        let status = u32::from_be_bytes([0xDF, 0x80, reason, 0]);
+        assert_eq!(write(&mut bench, uuid, index, data), (None, status), "{index:X}");
+    }
+    // Data that is shorter than it says it is.
+    assert_eq!(bench.call(3, &record(8, AR, 0, 1, 0xAFF2, 9)).status, 0xDF80_B100);
+    assert_eq!(*bench.device.stored(), before);
+}
+
+#[test]
+fn many_writes_at_once_are_answered_one_by_one() {
+    let mut bench = Bench::in_data();
+    let part = |index, data: &[u8]| {
+        let mut bytes = [&record(8, AR, 0, 1, index, data.len() as u32)[..], data].concat();
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        bytes
+    };
+    let parts = [
+        part(0xAFF2, &block(0x22, &[b'z'; 16])),
+        part(0x1234, &[1]),
+        part(0xAFF3, &block(0x23, &[b'z'; 54])),
+    ]
+    .concat();
+    let request = [record(8, AR, 0, 0, 0xE040, parts.len() as u32), parts].concat();
+    let answer = bench.call(3, &request);
+    assert_eq!((answer.event, answer.status, answer.blocks.len()), (Some(Event::Stored), 0, 64 * 4));
+    let statuses: Vec<&[u8]> = answer.blocks.chunks(64).map(|answer| &answer[44..48]).collect();
+    assert_eq!(statuses, [&[0; 4][..], &[0; 4], &[0xDF, 0x80, 0xB0, 0], &[0; 4]]);
+    assert_eq!(bench.device.stored().maintenance.descriptor, [b'z'; 54]);
+}
+
+#[test]
+fn real_and_expected_identification_are_read_by_submodule_module_and_whole() {
+    let mut bench = Bench::in_data();
+    let head = |kind: u8, body: &[u8]| {
+        let mut bytes = block(kind.into(), body);
+        bytes[5] = 1;
+        bytes
+    };
+    let second = [0, 1, 0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0x30, 0, 1, 0, 1, 0, 0, 0, 0x31];
+    for (real, expected) in [(0x8001, 0x8000), (0xC001, 0xC000)] {
+        assert_eq!(read(&mut bench, AR, 2, 1, real).unwrap(), head(0x13, &second));
+        assert_eq!(read(&mut bench, AR, 2, 1, expected).unwrap(), head(0x12, &second));
+    }
+    for index in [0xF000, 0xE001] {
+        let all = read(&mut bench, AR, 0, 0, index).unwrap();
+        assert_eq!(all[6..18], [0, 1, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0]);
+        assert_eq!(all.len(), 6 + 6 + 2 + 3 * 8 + 5 * 6);
+    }
+    let expected = read(&mut bench, AR, 0, 0, 0xE000).unwrap();
+    assert_eq!(expected[6..], read(&mut bench, AR, 0, 0, 0xE001).unwrap()[6..]);
+    assert_eq!(read(&mut bench, AR, 0, 0, 0xE002).unwrap(), block(0x8104, &[0, 0]));
+    assert_eq!(read(&mut bench, AR, 0, 0, 0xF821).unwrap(), block(0x1A, &[0, 1, 0, 0, 0, 0]));
+    let filter = read(&mut bench, AR, 0, 0, 0xF840).unwrap();
+    let kinds: Vec<u16> = blocks_of(&filter).iter().map(|(kind, _)| *kind).collect();
+    assert_eq!(kinds, [0x30, 0x32]);
+    assert_eq!(
+        blocks_of(&filter)[1].1,
+        [0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0x10, 0, 1, 0, 1, 0, 0, 0, 0x11]
+    );
+}
+
+#[test]
+fn faults_are_read_as_diagnosis() {
+    let mut bench = Bench::in_data();
+    assert_eq!(read(&mut bench, AR, 0, 1, 0x800A).unwrap(), []);
+    bench.device.show_faults(0b101);
+    let mut expected = block(
+        0x10,
+        &[0, 0, 0, 0, 0, 0, 0, 1, 0x80, 0, 8, 0, 0x80, 0, 0x80, 0, 8, 0, 1, 0, 0x80, 0, 8, 0, 1, 2],
+    );
+    expected[5] = 1;
+    for index in [0x800A, 0x800B, 0x800C, 0xC00A, 0xE00C, 0xF00B, 0xF80C] {
+        assert_eq!(read(&mut bench, AR, 0, 1, index).unwrap(), expected, "{index:X}");
+    }
+    assert_eq!(read(&mut bench, AR, 1, 1, 0x800A).unwrap(), [], "of another one");
+}
+
+#[test]
+fn interface_and_port_are_read() {
+    let mut bench = Bench::in_data();
+    let interface = read(&mut bench, AR, 0, 0x8000, 0x8080).unwrap();
+    let expected = [
+        &[2, 0x40, 0, 36, 1, 0, 9][..],
+        b"example-1",
+        &DEVICE.0,
+        &[0, 0, 192, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0],
+    ]
+    .concat();
+    assert_eq!(interface[..4], [2, 0x40, 0, 32]);
+    assert_eq!(interface[4..], expected[4..]);
+    let port = read(&mut bench, AR, 0, 0x8001, 0x802A).unwrap();
+    assert_eq!(port[12..21], *b"\x08port-001");
+    assert_eq!(port.len() % 4, 0);
+    let both = read(&mut bench, AR, 0, 0, 0xF841).unwrap();
+    let blocks = blocks_of(&both);
+    assert_eq!(blocks.iter().map(|(kind, _)| *kind).collect::<Vec<_>>(), [0x400, 0x400]);
+    assert_eq!((blocks[0].1[10..].to_vec(), blocks[1].1[10..].to_vec()), (interface, port));
+}
+
+#[test]
+fn records_that_are_not_there_are_refused_by_their_reason() {
+    let mut bench = Bench::in_data();
+    for (uuid, slot, subslot, index, reason) in [
+        (AR, 0, 1, 0x1234, 0xB0),
+        (AR, 9, 1, 0xAFF0, 0xB2),
+        (AR, 1, 2, 0xAFF0, 0xB2),
+        (AR, 9, 0, 0xC001, 0xB2),
+        (AR, 0, 1, 0x8080, 0xB0),
+        (AR, 0, 0x8000, 0x802A, 0xB0),
+        ([1; 16], 0, 1, 0xAFF0, 0xB6),
+    ] {
+        let status = u32::from_be_bytes([0xDE, 0x80, reason, 0]);
+        assert_eq!(read(&mut bench, uuid, slot, subslot, index), Err(status), "{index:X}");
+    }
+    // Longer than it may be.
+    assert_eq!(bench.call(2, &record(9, AR, 0, 1, 0xAFF0, 59)).status, 0xDE80_B100);
+    assert_eq!(bench.call(2, &record(9, AR, 0, 1, 0xAFF0, 60)).status, 0);
+    assert_eq!(bench.call(2, &[]).status, 0xDE80_B100);
+}
+
+#[test]
+fn reader_connects_beside_the_controller_and_changes_nothing() {
+    const READER: [u8; 16] = [0xEE; 16];
+    let mut bench = Bench::in_data();
+    let answer = bench.call(0, &Wanted::access(READER).blocks());
+    assert_eq!((answer.event, answer.status), (None, 0));
+    assert_eq!(blocks_of(&answer.blocks).len(), 1);
+    assert!(read(&mut bench, READER, 0, 1, 0xAFF0).is_ok());
+    assert_eq!(read(&mut bench, READER, 0, 0, 0xE002), Err(0xDE80_A900));
+    let write = [record(8, READER, 0, 1, 0xAFF2, 22), block(0x22, &[b'x'; 16])].concat();
+    assert_eq!(bench.call(3, &write).status, 0xDF80_B600);
+    assert_eq!(bench.call(4, &control(0x0110, READER, 1)).status, 0xDD81_4005);
+    // One of them.
+    assert_eq!(bench.call(0, &Wanted::access([0xEF; 16]).blocks()).status, 0xDB81_4004);
+    let answer = bench.call(1, &control(0x0114, READER, 4));
+    assert_eq!((answer.event, answer.status), (None, 0));
+    assert_eq!(bench.device.state(), State::Data);
+    assert_eq!(read(&mut bench, READER, 0, 1, 0xAFF0), Err(0xDE80_B600));
+}
+
+#[test]
+fn reader_that_is_silent_loses_its_place() {
+    let mut bench = Bench::new();
+    bench.call(0, &Wanted::access([0xEE; 16]).blocks());
+    bench.now += 900_000;
+    assert!(read(&mut bench, [0xEE; 16], 0, 1, 0xAFF0).is_ok());
+    bench.now += 999_999;
+    bench.poll();
+    assert!(bench.device.poll_timeout(bench.now) <= bench.now + 1);
+    assert_eq!(bench.call(0, &Wanted::access([0xEF; 16]).blocks()).status, 0xDB81_4004);
+    bench.now += 1;
+    bench.poll();
+    assert_eq!(bench.call(0, &Wanted::access([0xEF; 16]).blocks()).status, 0);
+}
+
+// --- Endpoint mapper
+
+#[test]
+fn endpoint_mapper_tells_of_one_interface_and_then_of_none() {
+    for is_low_first in [true, false] {
+        let mut bench = Bench::new();
+        let order = |value: u32| if is_low_first { value.to_le_bytes() } else { value.to_be_bytes() };
+        let epm: [u8; 16] = if is_low_first {
+            [8, 0x83, 0xAF, 0xE1, 0x1F, 0x5D, 0xC9, 0x11, 0x91, 0xA4, 8, 0, 0x2B, 0x14, 0xA0, 0xFA]
+        } else {
+            [0xE1, 0xAF, 0x83, 8, 0x5D, 0x1F, 0x11, 0xC9, 0x91, 0xA4, 8, 0, 0x2B, 0x14, 0xA0, 0xFA]
+        };
+        let mut lookup = |handle: &[u8]| {
+            let body = [&order(0)[..], &order(0), &order(0), &order(1), handle, &order(1)].concat();
+            bench.sequence += 1;
+            let mut request = datagram(is_low_first, 0, bench.sequence, 2, &body);
+            request[24..40].copy_from_slice(&epm);
+            bench.device.receive_datagram(bench.now, HOST, &request);
+            bench.transmitted().remove(0).1[80..].to_vec()
+        };
+        let first = lookup(&[0; 20]);
+        assert_eq!(first[20..24], order(1));
+        let text = String::from_utf8_lossy(&first[64..128]).into_owned();
+        assert_eq!(text, "example                   EX-1                     3 V  1  2 13\0");
+        assert_eq!(first[first.len() - 4..], order(0));
+        let floors = &first[136..];
+        assert_eq!(floors[..6], [5, 0, 19, 0, 0x0D, 1]);
+        assert_eq!(
+            floors[floors.len() - 4 - 20..floors.len() - 5],
+            [0, 0, 0, 1, 0, 8, 2, 0, 0x88, 0x94, 1, 0, 9, 4, 0, 192, 168, 0, 5][..]
+        );
+        let end = lookup(&first[..20]);
+        assert_eq!((&end[20..24], &end[36..]), (&order(0)[..], &order(0x16C9_A0D6)[..]));
+    }
+}

@@ -1,0 +1,77 @@
+//! Ethernet: addresses, headers, and what a frame carries.
+
+use core::fmt;
+
+use crate::cursor::{Reader, Writer};
+
+/// The longest Ethernet frame that is sent, without its checksum.
+pub const MAX_FRAME_LEN: usize = 1_514;
+
+/// The shortest one.
+pub(crate) const MIN_FRAME_LEN: usize = 60;
+
+/// PROFINET: DCP, cyclic data and alarms.
+pub(crate) const ETHERTYPE_PROFINET: u16 = 0x8892;
+/// LLDP.
+pub(crate) const ETHERTYPE_LLDP: u16 = 0x88CC;
+/// IEEE 802.1Q.
+const ETHERTYPE_VLAN: u16 = 0x8100;
+
+/// An Ethernet address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct MacAddress(pub [u8; 6]);
+
+impl fmt::Display for MacAddress {
+    /// As in `02:00:5e:00:00:01`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b, c, d, e, last] = self.0;
+        write!(f, "{a:02x}:{b:02x}:{c:02x}:{d:02x}:{e:02x}:{last:02x}")
+    }
+}
+
+/// A frame, as far as it concerns its receiver.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Frame<'a> {
+    pub(crate) destination: MacAddress,
+    pub(crate) source: MacAddress,
+    pub(crate) ethertype: u16,
+    pub(crate) payload: &'a [u8],
+}
+
+impl<'a> Frame<'a> {
+    /// Reads a frame, with a VLAN tag or without.
+    pub(crate) fn parse(bytes: &'a [u8]) -> Option<Self> {
+        let mut reader = Reader::new(bytes);
+        let destination = MacAddress(reader.array()?);
+        let source = MacAddress(reader.array()?);
+        let mut ethertype = reader.u16()?;
+        if ethertype == ETHERTYPE_VLAN {
+            reader.skip(2)?;
+            ethertype = reader.u16()?;
+        }
+        Some(Self { destination, source, ethertype, payload: reader.rest() })
+    }
+}
+
+/// Writes the header of a frame; `tag` is the tag control information of a VLAN tag.
+pub(crate) fn header(
+    writer: &mut Writer<'_>,
+    destination: MacAddress,
+    source: MacAddress,
+    tag: Option<u16>,
+    ethertype: u16,
+) {
+    writer.bytes(&destination.0);
+    writer.bytes(&source.0);
+    if let Some(tag) = tag {
+        writer.u16(ETHERTYPE_VLAN);
+        writer.u16(tag);
+    }
+    writer.u16(ethertype);
+}
+
+/// Fills a frame up to the shortest length, and gives its length.
+pub(crate) fn finish(mut writer: Writer<'_>) -> Option<usize> {
+    writer.fill(0, MIN_FRAME_LEN.saturating_sub(writer.len()));
+    writer.finish()
+}

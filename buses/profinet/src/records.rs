@@ -1,0 +1,376 @@
+//! Records: what can be read of a device beside its cyclic data, and the few that can be written.
+
+use crate::alarm::{APPEARS, CHANNEL_DIAGNOSIS, WHOLE_SUBMODULE};
+use crate::connect::{Configuration, Match};
+use crate::cursor::{Reader, Writer};
+use crate::frame::MacAddress;
+use crate::lldp::{MAU_TYPE, PORT_ID};
+use crate::profile::Profile;
+use crate::rpc::access;
+use crate::station::{IpParameters, Maintenance, StationName};
+
+/// What records are made of.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct View<'a> {
+    pub(crate) profile: &'static Profile,
+    pub(crate) mac: MacAddress,
+    pub(crate) name: &'a StationName,
+    pub(crate) ip: &'a IpParameters,
+    pub(crate) maintenance: &'a Maintenance,
+    /// Faults that there are, by their bits.
+    pub(crate) faults: u32,
+    /// What the controller expects; `None` outside of its connection.
+    pub(crate) expected: Option<&'a Configuration>,
+}
+
+/// Which record of which part of the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Address {
+    pub(crate) api: u32,
+    pub(crate) slot: u16,
+    pub(crate) subslot: u16,
+    pub(crate) index: u16,
+}
+
+/// What an index reaches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Scope {
+    Submodule,
+    Module,
+    Whole,
+}
+
+mod index {
+    pub(super) const IM0: u16 = 0xAFF0;
+    pub(super) const IM1: u16 = 0xAFF1;
+    pub(super) const IM2: u16 = 0xAFF2;
+    pub(super) const IM3: u16 = 0xAFF3;
+    pub(super) const PORT_REAL: u16 = 0x802A;
+    pub(super) const INTERFACE_REAL: u16 = 0x8080;
+    pub(super) const MODULE_DIFF: u16 = 0xE002;
+    pub(super) const API_DATA: u16 = 0xF821;
+    pub(super) const IM0_FILTER: u16 = 0xF840;
+    pub(super) const PD_REAL: u16 = 0xF841;
+    pub(super) const DEVICE_DIAGNOSIS: u16 = 0xF80C;
+}
+
+/// Block types.
+mod block {
+    pub(super) const DIAGNOSIS: u16 = 0x0010;
+    pub(super) const EXPECTED: u16 = 0x0012;
+    pub(super) const REAL: u16 = 0x0013;
+    pub(super) const API_DATA: u16 = 0x001A;
+    pub(super) const IM0: u16 = 0x0020;
+    pub(super) const IM1: u16 = 0x0021;
+    pub(super) const IM2: u16 = 0x0022;
+    pub(super) const IM3: u16 = 0x0023;
+    pub(super) const FILTER_SUBMODULES: u16 = 0x0030;
+    pub(super) const FILTER_DEVICE: u16 = 0x0032;
+    pub(super) const PORT_REAL: u16 = 0x020F;
+    pub(super) const INTERFACE_REAL: u16 = 0x0240;
+    pub(super) const MULTIPLE: u16 = 0x0400;
+    pub(super) const MODULE_DIFF: u16 = 0x8104;
+}
+
+pub(crate) const INTERFACE_SUBSLOT: u16 = 0x8000;
+pub(crate) const PORT_SUBSLOT: u16 = 0x8001;
+
+/// I&M 1 to 3 are there besides 0.
+const IM_SUPPORTED: u16 = 0x000E;
+
+/// Writes a record; `Err`: why there is none.
+pub(crate) fn read(view: &View<'_>, what: Address, writer: &mut Writer<'_>) -> Result<(), u8> {
+    let Address { api, slot, subslot, index } = what;
+    let scope = match index {
+        0x8000..=0x8FFF | 0xAFF0..=0xAFFF => Scope::Submodule,
+        0xC000..=0xCFFF => Scope::Module,
+        _ => Scope::Whole,
+    };
+    let profile = view.profile;
+    let is_there = match scope {
+        Scope::Submodule => profile.submodule(slot, subslot).is_some(),
+        Scope::Module => profile.module(slot).is_some(),
+        Scope::Whole => true,
+    };
+    if api != 0 || !is_there {
+        return Err(access::INVALID_SLOT);
+    }
+    let is_here = |module, submodule| match scope {
+        Scope::Submodule => (module, submodule) == (slot, subslot),
+        Scope::Module => module == slot,
+        Scope::Whole => true,
+    };
+    match index {
+        index::IM0 => im0(writer, profile),
+        index::IM1 => writer.block(block::IM1, 0, |writer| {
+            writer.bytes(&view.maintenance.function);
+            writer.bytes(&view.maintenance.location);
+        }),
+        index::IM2 => writer.block(block::IM2, 0, |writer| writer.bytes(&view.maintenance.date)),
+        index::IM3 => writer.block(block::IM3, 0, |writer| writer.bytes(&view.maintenance.descriptor)),
+        index::IM0_FILTER => {
+            let all = || real(profile);
+            writer.block(block::FILTER_SUBMODULES, 0, |writer| identification(writer, all(), |_, _| true));
+            let access_point = |slot, subslot| slot == 0 && subslot == 1;
+            writer.block(block::FILTER_DEVICE, 0, |writer| identification(writer, all(), access_point));
+        }
+        // Expected and real identification: of a submodule, of a module, of a connection, of an API.
+        0x8000 | 0xC000 | 0xE000 => match view.expected {
+            Some(expected) => writer.block(block::EXPECTED, 1, |writer| {
+                let expected = || {
+                    let expected = expected.iter().flatten();
+                    expected.map(|it| (it.slot, it.module, it.subslot, it.ident))
+                };
+                identification(writer, expected(), is_here);
+            }),
+            None => return Err(access::NOT_THERE),
+        },
+        0x8001 | 0xC001 | 0xE001 | 0xF000 => {
+            writer.block(block::REAL, 1, |writer| identification(writer, real(profile), is_here));
+        }
+        // Diagnosis: of channels, all, and all with what needs maintenance.
+        0x800A..=0x800C | 0xC00A..=0xC00C | 0xE00A..=0xE00C | 0xF00A..=0xF00C | index::DEVICE_DIAGNOSIS => {
+            if is_here(0, 1) {
+                diagnosis(writer, view);
+            }
+        }
+        index::MODULE_DIFF => match view.expected {
+            Some(expected) => module_diff(writer, expected, profile),
+            None => return Err(access::NOT_THERE),
+        },
+        index::API_DATA => writer.block(block::API_DATA, 0, |writer| {
+            writer.u16(1);
+            writer.u32(0);
+        }),
+        index::INTERFACE_REAL if subslot == INTERFACE_SUBSLOT => interface(writer, view),
+        index::PORT_REAL if subslot == PORT_SUBSLOT => port(writer),
+        index::PD_REAL => {
+            for (subslot, write) in [
+                (INTERFACE_SUBSLOT, interface as fn(&mut Writer<'_>, &View<'_>)),
+                (PORT_SUBSLOT, |writer, _| port(writer)),
+            ] {
+                writer.block(block::MULTIPLE, 0, |writer| {
+                    writer.u16(0);
+                    writer.u32(0);
+                    writer.u16(0);
+                    writer.u16(subslot);
+                    write(writer, view);
+                });
+            }
+        }
+        _ => return Err(access::INVALID_INDEX),
+    }
+    Ok(())
+}
+
+/// What a write changes.
+pub(crate) fn write(
+    profile: &Profile,
+    what: Address,
+    data: &[u8],
+    maintenance: &mut Maintenance,
+) -> Result<(), u8> {
+    if what.api != 0 || profile.submodule(what.slot, what.subslot).is_none() {
+        return Err(access::INVALID_SLOT);
+    }
+    let mut reader = Reader::new(data);
+    let kind = match what.index {
+        index::IM1 => block::IM1,
+        index::IM2 => block::IM2,
+        index::IM3 => block::IM3,
+        index::IM0 => return Err(access::DENIED),
+        _ => return Err(access::INVALID_INDEX),
+    };
+    let header = (reader.u16(), reader.u16(), reader.u16());
+    let len = reader.rest().len();
+    // The version counts to the block, type and length do not.
+    if header != (Some(kind), u16::try_from(len.saturating_add(2)).ok(), Some(0x0100)) {
+        return Err(access::WRITE_LENGTH);
+    }
+    match what.index {
+        index::IM1 => {
+            let (Some(function), Some(location)) = (reader.array(), reader.array()) else {
+                return Err(access::WRITE_LENGTH);
+            };
+            if !reader.rest().is_empty() {
+                return Err(access::WRITE_LENGTH);
+            }
+            maintenance.function = function;
+            maintenance.location = location;
+        }
+        index::IM2 => maintenance.date = whole(reader)?,
+        _ => maintenance.descriptor = whole(reader)?,
+    }
+    Ok(())
+}
+
+fn whole<const N: usize>(reader: Reader<'_>) -> Result<[u8; N], u8> {
+    reader.rest().try_into().map_err(|_| access::WRITE_LENGTH)
+}
+
+fn im0(writer: &mut Writer<'_>, profile: &Profile) {
+    writer.block(block::IM0, 0, |writer| {
+        writer.u16(profile.vendor_id);
+        writer.text(profile.order_id.as_bytes(), 20);
+        writer.text(profile.serial_number.as_bytes(), 16);
+        writer.u16(profile.hardware_revision);
+        writer.u8(b'V');
+        writer.bytes(&profile.software_revision);
+        // Revision counter, profile: none.
+        writer.u16(0);
+        writer.u16(0);
+        writer.u16(0);
+        // I&M version 1.1.
+        writer.bytes(&[1, 1]);
+        writer.u16(IM_SUPPORTED);
+    });
+}
+
+/// Slot, module, subslot, submodule of all that there is.
+fn real(profile: &Profile) -> impl Iterator<Item = (u16, u32, u16, u32)> + Clone + use<> {
+    let modules = profile.modules;
+    modules.iter().flat_map(|module| {
+        let submodules = module.submodules.iter();
+        submodules.map(|submodule| (module.slot, module.ident, submodule.subslot, submodule.ident))
+    })
+}
+
+/// Writes one API with slots and their subslots, of those that are asked for.
+fn identification(
+    writer: &mut Writer<'_>,
+    all: impl Iterator<Item = (u16, u32, u16, u32)>,
+    is_asked: impl Fn(u16, u16) -> bool,
+) {
+    writer.u16(1);
+    writer.u32(0);
+    let slots_at = writer.len();
+    writer.u16(0);
+    let (mut slots, mut last_slot) = (0_u16, None);
+    let (mut subslots, mut subslots_at) = (0_u16, 0);
+    for (slot, module, subslot, submodule) in all.filter(|(slot, _, subslot, _)| is_asked(*slot, *subslot)) {
+        if last_slot != Some(slot) {
+            last_slot = Some(slot);
+            slots = slots.saturating_add(1);
+            writer.u16(slot);
+            writer.u32(module);
+            subslots_at = writer.len();
+            subslots = 0;
+            writer.u16(0);
+        }
+        subslots = subslots.saturating_add(1);
+        writer.put_u16(subslots_at, subslots);
+        writer.u16(subslot);
+        writer.u32(submodule);
+    }
+    writer.put_u16(slots_at, slots);
+}
+
+/// Whether anything is other than it is expected.
+pub(crate) fn differs(expected: &Configuration, profile: &Profile) -> bool {
+    expected.iter().flatten().any(|expected| expected.compare(profile) != Match::Proper)
+}
+
+/// Writes what is other than it is expected.
+pub(crate) fn module_diff(writer: &mut Writer<'_>, expected: &Configuration, profile: &Profile) {
+    let differing =
+        || expected.iter().flatten().filter(|expected| expected.compare(profile) != Match::Proper);
+    writer.block(block::MODULE_DIFF, 0, |writer| {
+        writer.u16(differing().next().is_some().into());
+        if differing().next().is_none() {
+            return;
+        }
+        writer.u32(0);
+        let modules_at = writer.len();
+        writer.u16(0);
+        let (mut modules, mut subslots, mut subslots_at) = (0_u16, 0_u16, 0);
+        let mut last_slot = None;
+        for expected in differing() {
+            let how = expected.compare(profile);
+            if last_slot != Some(expected.slot) {
+                last_slot = Some(expected.slot);
+                modules = modules.saturating_add(1);
+                writer.u16(expected.slot);
+                writer.u32(profile.module(expected.slot).map_or(0, |module| module.ident));
+                // No module, a wrong one, the proper one with wrong submodules.
+                writer.u16(match how {
+                    Match::NoModule => 0,
+                    Match::WrongModule => 1,
+                    _ => 2,
+                });
+                subslots_at = writer.len();
+                subslots = 0;
+                writer.u16(0);
+            }
+            if matches!(how, Match::WrongSubmodule | Match::NoSubmodule) {
+                subslots = subslots.saturating_add(1);
+                writer.put_u16(subslots_at, subslots);
+                writer.u16(expected.subslot);
+                let real = profile.submodule(expected.slot, expected.subslot);
+                writer.u32(real.map_or(0, |submodule| submodule.ident));
+                // Bits: a coded state; the identification is wrong (2), or there is none (3).
+                writer.u16(0x8000 | if how == Match::WrongSubmodule { 2 } else { 3 } << 11);
+            }
+        }
+        writer.put_u16(modules_at, modules);
+    });
+}
+
+/// Writes the faults that there are, as channel diagnosis of the device access point.
+fn diagnosis(writer: &mut Writer<'_>, view: &View<'_>) {
+    if view.faults == 0 {
+        return;
+    }
+    writer.block(block::DIAGNOSIS, 1, |writer| {
+        writer.u32(0);
+        writer.u16(0);
+        writer.u16(1);
+        writer.u16(WHOLE_SUBMODULE);
+        writer.u16(APPEARS);
+        writer.u16(CHANNEL_DIAGNOSIS);
+        for (bit, fault) in view.profile.faults.iter().enumerate() {
+            if view.faults.checked_shr(bit as u32).unwrap_or(0) & 1 == 1 {
+                writer.u16(WHOLE_SUBMODULE);
+                writer.u16(APPEARS);
+                writer.u16(fault.error_type);
+            }
+        }
+    });
+}
+
+fn interface(writer: &mut Writer<'_>, view: &View<'_>) {
+    let start = writer.len();
+    writer.block(block::INTERFACE_REAL, 0, |writer| {
+        let name = view.name.as_bytes();
+        writer.u8(name.len() as u8);
+        writer.bytes(name);
+        writer.align(start, 4);
+        writer.bytes(&view.mac.0);
+        writer.align(start, 4);
+        writer.bytes(&view.ip.address);
+        writer.bytes(&view.ip.mask);
+        writer.bytes(&view.ip.gateway);
+    });
+}
+
+fn port(writer: &mut Writer<'_>) {
+    let start = writer.len();
+    writer.block(block::PORT_REAL, 0, |writer| {
+        writer.u16(0);
+        writer.u16(0);
+        writer.u16(PORT_SUBSLOT);
+        writer.u8(PORT_ID.len() as u8);
+        writer.bytes(PORT_ID);
+        // Neighbours are not looked for.
+        writer.u8(0);
+        writer.align(start, 4);
+        writer.u16(MAU_TYPE);
+        writer.align(start, 4);
+        // No boundaries.
+        writer.u32(0);
+        writer.u32(0);
+        // Up, and forwarding; copper.
+        writer.u16(1);
+        writer.align(start, 4);
+        writer.u32(1);
+    });
+}
