@@ -20,6 +20,8 @@ pub(crate) enum Client {
     Modbus(modbus::Client),
     /// PROFIBUS DP.
     Profibus(profibus::Client),
+    /// A bus that brings whole images.
+    Images(PortId),
 }
 
 impl Client {
@@ -29,6 +31,7 @@ impl Client {
             Protocol::Text => Self::Text(gcl::Client::new(id, kind, config)),
             Protocol::Modbus => Self::Modbus(modbus::Client::new(id)),
             Protocol::Profibus => Self::Profibus(profibus::Client::new(id, config.profibus_address)),
+            Protocol::Images => Self::Images(id),
         }
     }
 
@@ -38,6 +41,7 @@ impl Client {
             Self::Text(client) => client.id(),
             Self::Modbus(client) => client.id(),
             Self::Profibus(client) => client.id(),
+            Self::Images(id) => *id,
         }
     }
 
@@ -47,14 +51,14 @@ impl Client {
             Self::Binary(client) => client.is_missed(),
             Self::Text(client) => client.is_missed(),
             // Masters that connect for each request are common; a bus has a watchdog.
-            Self::Modbus(_) | Self::Profibus(_) => false,
+            Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => false,
         }
     }
 
     /// Whether nothing more can be understood of what the client sends.
     pub(crate) const fn is_lost(&self) -> bool {
         match self {
-            Self::Binary(_) | Self::Text(_) | Self::Profibus(_) => false,
+            Self::Binary(_) | Self::Text(_) | Self::Profibus(_) | Self::Images(_) => false,
             Self::Modbus(client) => client.is_lost(),
         }
     }
@@ -65,6 +69,7 @@ impl Client {
             Self::Text(client) => client.counters(),
             Self::Modbus(client) => client.counters(),
             Self::Profibus(client) => client.counters(),
+            Self::Images(_) => PortCounters::default(),
         }
     }
 
@@ -82,6 +87,7 @@ impl Client {
             Self::Text(client) => client.receive(device, now, bytes),
             Self::Modbus(client) => client.receive(device, fieldbus, now, bytes),
             Self::Profibus(client) => client.receive(device, fieldbus, now, bytes),
+            Self::Images(_) => (bytes.len(), false),
         }
     }
 
@@ -93,7 +99,7 @@ impl Client {
                 false
             }
             Self::Text(client) => client.pause(device, now),
-            Self::Modbus(_) | Self::Profibus(_) => false,
+            Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => false,
         }
     }
 
@@ -106,7 +112,7 @@ impl Client {
                 client.expire(now);
                 false
             }
-            Self::Modbus(_) => false,
+            Self::Modbus(_) | Self::Images(_) => false,
             Self::Profibus(client) => client.expire(device, fieldbus, now),
         }
     }
@@ -116,7 +122,7 @@ impl Client {
         match self {
             Self::Binary(client) => client.end_updates(),
             Self::Text(client) => client.end_updates(),
-            Self::Modbus(_) | Self::Profibus(_) => {}
+            Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => {}
         }
     }
 
@@ -124,7 +130,7 @@ impl Client {
         match self {
             Self::Binary(client) => client.next_due(now),
             Self::Text(client) => client.next_due(now),
-            Self::Modbus(_) => None,
+            Self::Modbus(_) | Self::Images(_) => None,
             Self::Profibus(client) => client.next_due(now),
         }
     }
@@ -134,7 +140,7 @@ impl Client {
         match self {
             Self::Binary(client) => client.complete(done),
             Self::Text(client) => client.complete(done),
-            Self::Modbus(_) | Self::Profibus(_) => {}
+            Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => {}
         }
     }
 
@@ -150,7 +156,7 @@ impl Client {
         match self {
             Self::Binary(client) => client.publish(now, readings),
             Self::Text(client) => client.publish(now, readings),
-            Self::Modbus(_) | Self::Profibus(_) => {}
+            Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => {}
         }
     }
 
@@ -160,6 +166,7 @@ impl Client {
             Self::Text(client) => client.has_line(),
             Self::Modbus(client) => client.has_frame(),
             Self::Profibus(client) => client.has_frame(),
+            Self::Images(_) => false,
         }
     }
 
@@ -170,6 +177,7 @@ impl Client {
             Self::Text(client) => client.next_line(buffer),
             Self::Modbus(client) => client.next_frame(buffer),
             Self::Profibus(client) => client.next_frame(buffer),
+            Self::Images(_) => None,
         }
     }
 }

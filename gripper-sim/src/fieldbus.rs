@@ -113,6 +113,14 @@ impl Fieldbus {
         }
     }
 
+    /// The master on this bus has stopped, or is silent.
+    pub(crate) fn silence(&mut self, device: &Device, client: PortId) {
+        if self.writer == Some(client) {
+            self.writer = None;
+            self.controller.silence(device.config().bus_reaction, &known(device));
+        }
+    }
+
     /// When the Modbus masters have been silent for too long.
     pub(crate) fn next_due(&self, device: &Device) -> Option<Time> {
         let timeout_ms = device.config().bus_timeout_ms;

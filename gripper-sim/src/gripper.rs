@@ -307,6 +307,37 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         (*self.fieldbus.written(), self.fieldbus.input(&self.device))
     }
 
+    /// Takes an image that a master wrote as a whole over a bus of images ([`PortKind::Profinet`]). `is_first`: the first since it
+    /// began to write; flags in it count after they were 0, but FASTSTOP.
+    ///
+    /// ```
+    /// use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+    /// use wsg_sim::{Config, PortKind, Time, VirtualGripper};
+    ///
+    /// let mut gripper = VirtualGripper::new(Config::default());
+    /// let bus = gripper.connect(PortKind::Profinet).unwrap();
+    /// gripper.write_image(bus, Time::ZERO, &OutputImage::ZERO, true);
+    /// let homing = OutputImage { flags: CommandFlags::HOMING, ..OutputImage::ZERO };
+    /// gripper.write_image(bus, Time::from_millis(8), &homing, false);
+    /// gripper.advance(Time::from_millis(4_000));
+    /// assert_eq!(gripper.state().width, 110.0);
+    /// ```
+    pub fn write_image(&mut self, id: PortId, now: Time, image: &OutputImage, is_first: bool) {
+        self.advance(now);
+        if self.client(id).is_some() {
+            self.fieldbus.write(&self.device, id, image, is_first);
+            self.settle();
+        }
+    }
+
+    /// The master that writes images has stopped, or is silent. If it was the one that commands, what runs ends as is
+    /// configured ([`Config::bus_reaction`]); a jog ends in any case.
+    pub fn end_images(&mut self, id: PortId, now: Time) {
+        self.advance(now);
+        self.fieldbus.silence(&self.device, id);
+        self.settle();
+    }
+
     /// How things stand at [`now`](Self::now).
     #[must_use]
     pub fn state(&self) -> State {

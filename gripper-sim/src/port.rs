@@ -33,6 +33,9 @@ pub enum PortKind {
     ModbusTcp,
     /// PROFIBUS DP, over a line that shows no silence between characters; a pause of some milliseconds is one.
     Profibus,
+    /// PROFINET: its frames are the caller's, who gives images to
+    /// [`write_image`](crate::VirtualGripper::write_image).
+    Profinet,
 }
 
 impl PortKind {
@@ -59,6 +62,7 @@ impl PortKind {
             Self::GclTcp | Self::GclUdp => Protocol::Text,
             Self::ModbusTcp => Protocol::Modbus,
             Self::Profibus => Protocol::Profibus,
+            Self::Profinet => Protocol::Images,
         }
     }
 }
@@ -74,6 +78,8 @@ pub(crate) enum Protocol {
     Modbus,
     /// PROFIBUS DP.
     Profibus,
+    /// None that the gripper reads: it gets images.
+    Images,
 }
 
 impl core::fmt::Display for PortKind {
@@ -87,6 +93,7 @@ impl core::fmt::Display for PortKind {
             Self::GclUdp => "gcl-udp",
             Self::ModbusTcp => "modbus",
             Self::Profibus => "profibus",
+            Self::Profinet => "profinet",
         })
     }
 }

@@ -12,6 +12,8 @@ mod hub;
 mod lines;
 mod log;
 mod log_writer;
+#[cfg(feature = "profinet")]
+mod profinet;
 mod request_line;
 #[cfg(feature = "script")]
 mod script;
@@ -22,6 +24,8 @@ mod tcp;
 mod thread;
 mod udp;
 
+#[cfg(feature = "profinet")]
+pub use lines::ProfinetLine;
 pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 pub use log::Log;
 pub use thread::ServerThread;
@@ -67,6 +71,8 @@ pub struct Server {
     gcl_udp: Option<UdpSocket>,
     modbus: Option<TcpListener>,
     profibus: Option<SerialPort>,
+    #[cfg(feature = "profinet")]
+    profinet: Option<profinet::Interface>,
     control: Option<(TcpListener, Vec<String>)>,
     #[cfg(feature = "script")]
     script: Option<script::Script>,
@@ -95,6 +101,8 @@ impl Server {
         };
         let modbus = listen(lines.modbus, "Modbus/TCP").await?;
         let profibus = lines.profibus.as_ref().map(SerialPort::open).transpose()?;
+        #[cfg(feature = "profinet")]
+        let profinet = lines.profinet.as_ref().map(profinet::Interface::open).transpose()?;
         let control = listen(lines.control, "the control interface").await?;
         let control = control.map(|listener| (listener, lines.control_hosts.clone()));
         #[cfg(feature = "script")]
@@ -112,6 +120,8 @@ impl Server {
             gcl_udp,
             modbus,
             profibus,
+            #[cfg(feature = "profinet")]
+            profinet,
             control,
             #[cfg(feature = "script")]
             script,
@@ -166,6 +176,13 @@ impl Server {
         self.profibus.as_ref().map(SerialPort::path)
     }
 
+    /// The network interface that is a PROFINET device.
+    #[cfg(feature = "profinet")]
+    #[must_use]
+    pub fn profinet_path(&self) -> Option<&Path> {
+        self.profinet.as_ref().map(profinet::Interface::path)
+    }
+
     /// The address that the control interface listens on.
     #[must_use]
     pub fn control_address(&self) -> Option<SocketAddr> {
@@ -180,6 +197,8 @@ impl Server {
         let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, control, .. } = self;
         #[cfg(feature = "script")]
         let script = self.script;
+        #[cfg(feature = "profinet")]
+        let profinet = self.profinet;
         let local = LocalSet::new();
         local
             .run_until(async move {
@@ -214,6 +233,10 @@ impl Server {
                 }
                 if let Some(port) = profibus {
                     tasks.spawn_local(port.serve(Rc::clone(&hub), Carried::Profibus));
+                }
+                #[cfg(feature = "profinet")]
+                if let Some(interface) = profinet {
+                    tasks.spawn_local(interface.serve(Rc::clone(&hub)));
                 }
                 #[cfg(feature = "script")]
                 if let Some(script) = script {

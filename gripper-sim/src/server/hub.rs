@@ -19,6 +19,8 @@ use std::rc::Rc;
 use std::sync::Arc;
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
+#[cfg(feature = "profinet")]
+use wsg_protocol::SystemFlags;
 use wsg_protocol::fieldbus::{InputImage, OutputImage};
 use wsg_protocol::{Command, Status};
 
@@ -254,6 +256,15 @@ impl Hub {
         result
     }
 
+    /// What a master reads now, and the system state.
+    #[cfg(feature = "profinet")]
+    pub(super) fn shown(&self) -> (InputImage, SystemFlags) {
+        self.with_gripper(|gripper, now| {
+            gripper.advance(now);
+            (gripper.fieldbus_images().1, gripper.state().flags)
+        })
+    }
+
     /// The next command for the script, once there is one.
     #[cfg(feature = "script")]
     pub(super) async fn script_request(&self) -> ScriptRequest {
@@ -284,11 +295,11 @@ impl Hub {
         }
     }
 
-    fn now(&self) -> Time {
+    pub(super) fn now(&self) -> Time {
         Time::from_micros(u64::try_from(self.started.elapsed().as_micros()).unwrap_or(u64::MAX))
     }
 
-    async fn reached(&self, at: Time) {
+    pub(super) async fn reached(&self, at: Time) {
         sleep_until(self.started + Duration::from_micros(at.as_micros())).await;
     }
 
@@ -341,6 +352,19 @@ impl Client {
             }
         });
         hub.request_counts.set(counts);
+    }
+
+    /// Takes an image that a master wrote.
+    #[cfg(feature = "profinet")]
+    pub(super) fn write_image(&self, image: &OutputImage, is_first: bool) {
+        self.connected.heard_at.set(Instant::now());
+        self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
+    }
+
+    /// The master that writes images has stopped, or is silent.
+    #[cfg(feature = "profinet")]
+    pub(super) fn end_images(&self) {
+        self.hub.act(|gripper, now| gripper.end_images(self.connected.id, now));
     }
 
     /// Somebody else is at the other end of the line: what was subscribed to is not for them.

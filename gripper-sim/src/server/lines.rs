@@ -1,5 +1,9 @@
 //! Where a gripper is served: addresses, serial lines and CAN buses, as its user names them.
 
+#[cfg(feature = "profinet")]
+use bus_profinet::{IpParameters, StationName};
+#[cfg(feature = "profinet")]
+use std::net::Ipv4Addr;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use wsg_protocol::can::Identifiers;
@@ -23,6 +27,9 @@ pub struct Lines {
     pub modbus: Option<SocketAddr>,
     /// PROFIBUS DP over a serial line; a device is set to 115200 8N1, which no real bus has.
     pub profibus: Option<SerialLine>,
+    /// PROFINET.
+    #[cfg(feature = "profinet")]
+    pub profinet: Option<ProfinetLine>,
     /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
     /// what a hand beside it can, so keep it on the loopback interface.
     pub control: Option<SocketAddr>,
@@ -56,6 +63,57 @@ pub struct UdpLine {
     pub address: SocketAddr,
     /// The port that answers go to, whatever port the request came from; 1501 in the field.
     pub remote_port: u16,
+}
+
+/// Where a gripper is on PROFINET.
+#[cfg(feature = "profinet")]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ProfinetLine {
+    /// The network interface, such as `eth0`. Its Ethernet address is the gripper's; its IP address is not, and must differ.
+    pub interface: String,
+    /// The name of the station that it has from the start.
+    pub station: StationName,
+    /// The IP parameters that it has from the start.
+    pub ip: IpParameters,
+    /// The configuration file that keeps both.
+    pub keep: Option<PathBuf>,
+}
+
+#[cfg(feature = "profinet")]
+impl ProfinetLine {
+    /// What the name is called in the configuration file.
+    pub const STATION: &str = "station";
+    /// What the IP parameters are called there.
+    pub const IP: &str = "profinet-ip";
+
+    /// IP parameters as text, such as `192.168.0.5/24` or `192.168.0.5/24,192.168.0.1` with a router.
+    #[must_use]
+    pub fn ip_text(ip: &IpParameters) -> String {
+        let address = Ipv4Addr::from(ip.address);
+        let router = Ipv4Addr::from(ip.gateway);
+        let bits = ip.prefix_len();
+        if router.is_unspecified() {
+            format!("{address}/{bits}")
+        } else {
+            format!("{address}/{bits},{router}")
+        }
+    }
+
+    /// The IP parameters that a text says, if a station can have them.
+    #[must_use]
+    pub fn ip_of_text(text: &str) -> Option<IpParameters> {
+        let (own, router) = text.split_once(',').map_or((text, None), |(own, router)| (own, Some(router)));
+        let (address, bits) = own.split_once('/')?;
+        let bits = bits.parse::<u32>().ok().filter(|bits| (1..=30).contains(bits))?;
+        let mask = u32::MAX << (32 - bits);
+        let router = router.map_or(Some(Ipv4Addr::UNSPECIFIED), |router| router.parse().ok())?;
+        let ip = IpParameters {
+            address: address.parse::<Ipv4Addr>().ok()?.octets(),
+            mask: mask.to_be_bytes(),
+            gateway: router.octets(),
+        };
+        ip.are_valid().then_some(ip)
+    }
 }
 
 /// A serial line that is to be served.

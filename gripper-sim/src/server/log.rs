@@ -150,7 +150,7 @@ impl Log {
             Protocol::Binary => Requests::Frames(Box::new(Frames::new(kind, config))),
             Protocol::Text => Requests::Lines(Vec::new()),
             Protocol::Modbus => Requests::Registers(Box::default()),
-            Protocol::Profibus => Requests::Telegrams,
+            Protocol::Profibus | Protocol::Images => Requests::Telegrams,
         };
         self.clients.insert(id, Client { name, is_datagram: kind.is_datagram(), requests });
     }

@@ -156,6 +156,7 @@ fn cut(protocol: Protocol, bytes: &[u8]) -> Cut {
             }
             len
         }
+        Protocol::Images => bytes.len(),
         Protocol::Profibus => match *bytes {
             [0xE5, ..] => 1,
             [0xDC, ..] => 3,

@@ -47,6 +47,8 @@ struct Addresses {
     gcl_udp: Option<SocketAddr>,
     modbus: Option<SocketAddr>,
     profibus: Option<PathBuf>,
+    #[cfg(feature = "profinet")]
+    profinet: Option<PathBuf>,
     control: Option<SocketAddr>,
 }
 
@@ -73,6 +75,8 @@ impl ServerThread {
                     gcl_udp: server.gcl_udp_address(),
                     modbus: server.modbus_address(),
                     profibus: server.profibus_path().map(Path::to_owned),
+                    #[cfg(feature = "profinet")]
+                    profinet: server.profinet_path().map(Path::to_owned),
                     control: server.control_address(),
                 });
                 let end = async {
@@ -136,6 +140,13 @@ impl ServerThread {
     #[must_use]
     pub fn profibus_path(&self) -> Option<&Path> {
         self.addresses.profibus.as_deref()
+    }
+
+    /// The network interface that is a PROFINET device.
+    #[cfg(feature = "profinet")]
+    #[must_use]
+    pub fn profinet_path(&self) -> Option<&Path> {
+        self.addresses.profinet.as_deref()
     }
 
     /// The address that the control interface listens on.

@@ -6,6 +6,7 @@ mod connection;
 mod fieldbus;
 mod gcl;
 mod gcl_session;
+mod images;
 mod motion;
 mod profibus;
 mod script;

@@ -133,6 +133,10 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
     if let Some(path) = server.profibus_path() {
         writeln!(out, "profibus {}", path.display())?;
     }
+    #[cfg(feature = "profinet")]
+    if let Some(path) = server.profinet_path() {
+        writeln!(out, "profinet {}", path.display())?;
+    }
     if let Some(address) = server.control_address() {
         writeln!(out, "control {address}")?;
         writeln!(out, "page http://{address}/")?;

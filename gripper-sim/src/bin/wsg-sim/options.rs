@@ -1,6 +1,8 @@
 //! The options: one table for the command line, the configuration file, `--help` and `docs/simulator.md`.
 
 use anyhow::{Context, Result, anyhow, bail};
+#[cfg(feature = "profinet")]
+use bus_profinet::{IpParameters, StationName};
 use lexopt::{Arg, Parser, ValueExt};
 use std::fmt::Write as _;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -8,6 +10,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use toml::de::{DeTable, DeValue};
 use wsg_protocol::can::Identifiers;
+#[cfg(feature = "profinet")]
+use wsg_sim::server::ProfinetLine;
 use wsg_sim::server::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 use wsg_sim::{Config, Direction, Finger, Model, Part, SilenceReaction, Tag};
 
@@ -52,6 +56,15 @@ struct Draft {
     can_bus: Option<CanBus>,
     can_id: Option<Identifiers>,
     profibus_address: Option<u8>,
+    #[cfg(feature = "profinet")]
+    profinet: Option<String>,
+    #[cfg(feature = "profinet")]
+    station: Option<StationName>,
+    #[cfg(feature = "profinet")]
+    profinet_ip: Option<IpParameters>,
+    /// The file that options came from.
+    #[cfg(feature = "profinet")]
+    file: Option<PathBuf>,
     bus_reaction: Option<SilenceReaction>,
 }
 
@@ -247,7 +260,7 @@ const SETTINGS: &[Setting] = &[
             draft.bus_reaction = Some(reaction(text)?);
             Some(())
         },
-        "what is done then: also `hold`, `fast-stop`; a jog ends in any case",
+        "what is done then, and when a PROFINET controller has left: also `hold`, `fast-stop`; a jog ends in any case",
     ),
     setting(
         "profibus",
@@ -270,6 +283,42 @@ const SETTINGS: &[Setting] = &[
             Some(())
         },
         "its address, 0 to 125",
+    ),
+    #[cfg(feature = "profinet")]
+    setting(
+        "profinet",
+        "IFACE",
+        "",
+        "a network interface, such as eth0",
+        |draft, text| {
+            draft.profinet = Some((!text.is_empty()).then(|| text.to_owned())?);
+            Some(())
+        },
+        "a PROFINET IO device on a network interface, Linux only ([profinet.md](profinet.md))",
+    ),
+    #[cfg(feature = "profinet")]
+    setting(
+        ProfinetLine::STATION,
+        "NAME",
+        "none: a controller gives it",
+        "a name of a to z, 0 to 9, hyphens and dots",
+        |draft, text| {
+            draft.station = Some(StationName::new(text)?);
+            Some(())
+        },
+        "its name; kept in the file of `--config` when a controller sets another",
+    ),
+    #[cfg(feature = "profinet")]
+    setting(
+        ProfinetLine::IP,
+        "IP/BITS[,ROUTER]",
+        "none: a controller gives it",
+        "an address such as 192.168.0.5/24, with a router 192.168.0.5/24,192.168.0.1",
+        |draft, text| {
+            draft.profinet_ip = Some(ProfinetLine::ip_of_text(text)?);
+            Some(())
+        },
+        "its IP address, which must not be the interface's; kept likewise",
     ),
     setting(
         "no-checksum-check",
@@ -624,6 +673,10 @@ pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
     let mut draft = Draft::default();
     if let Some(path) = file {
         take_file(&mut draft, &path)?;
+        #[cfg(feature = "profinet")]
+        {
+            draft.file = Some(path);
+        }
     }
     for (setting, text) in given {
         setting.take(&mut draft, &text, &format!("--{} {text:?}", setting.name))?;
@@ -706,6 +759,26 @@ impl Draft {
             (None, Some(_)) => bail!("--can-id is of no use without --can IFACE or --slcan LINE"),
             (None, None) => None,
         };
+        #[cfg(feature = "profinet")]
+        {
+            let (station, ip) = (self.station, self.profinet_ip);
+            lines.profinet = self.profinet.map(|interface| ProfinetLine {
+                interface,
+                station: station.unwrap_or(StationName::NONE),
+                ip: ip.unwrap_or(IpParameters::NONE),
+                keep: self.file,
+            });
+            if lines.profinet.is_none() && station.is_some() {
+                bail!("--station is of no use without --profinet IFACE");
+            }
+            if lines.profinet.is_none() && ip.is_some() {
+                bail!("--profinet-ip is of no use without --profinet IFACE");
+            }
+        }
+        #[cfg(feature = "profinet")]
+        let has_profinet = lines.profinet.is_some();
+        #[cfg(not(feature = "profinet"))]
+        let has_profinet = false;
         for (is_given, is_of_use, what) in [
             (
                 config.modbus_swap_bytes,
@@ -719,8 +792,8 @@ impl Draft {
             ),
             (
                 self.bus_reaction.is_some(),
-                config.bus_timeout_ms > 0,
-                "--bus-reaction is of no use without --bus-timeout MS",
+                config.bus_timeout_ms > 0 || has_profinet,
+                "--bus-reaction is of no use without --bus-timeout MS or --profinet IFACE",
             ),
             (
                 self.profibus_address.is_some(),
@@ -741,7 +814,7 @@ impl Draft {
         config.profibus_address = self.profibus_address.unwrap_or(config.profibus_address);
         let Lines { tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, .. } = &lines;
         let has_address = [tcp, gcl, gcl_udp, modbus].into_iter().any(Option::is_some);
-        let has_line = serial.is_some() || profibus.is_some();
+        let has_line = serial.is_some() || profibus.is_some() || has_profinet;
         let is_default_line = !has_address && !has_line && udp.is_none() && can.is_none();
         if is_default_line {
             lines.tcp = Some(DEFAULT_TCP);
@@ -895,6 +968,46 @@ mod tests {
         assert_eq!(options.lines, Lines { profibus: Some(SerialLine::Pty), ..Lines::default() });
         assert_eq!(options.config.profibus_address, 12);
         assert_eq!(options_of("--profibus pty").config.profibus_address, 7);
+    }
+
+    #[cfg(feature = "profinet")]
+    #[test]
+    fn profinet_replaces_the_default_line() {
+        let given = options_of("--profinet eth0 --bus-reaction hold");
+        let line = given.lines.profinet.unwrap();
+        assert_eq!((given.lines.tcp, given.config.bus_reaction), (None, SilenceReaction::Hold));
+        assert_eq!((line.interface.as_str(), line.station, line.keep), ("eth0", StationName::NONE, None));
+        assert_eq!(line.ip, IpParameters::NONE);
+        let line =
+            options_of("--profinet eth0 --station wsg-1 --profinet-ip 10.0.0.5/8,10.0.0.1").lines.profinet;
+        let line = line.unwrap();
+        assert_eq!(
+            (line.station.as_str(), line.ip.mask, line.ip.gateway),
+            ("wsg-1", [255, 0, 0, 0], [10, 0, 0, 1])
+        );
+        assert_eq!(ProfinetLine::ip_text(&line.ip), "10.0.0.5/8,10.0.0.1");
+        for (arguments, expected) in [
+            (&["--station", "wsg-1"][..], "--profinet IFACE"),
+            (&["--profinet-ip", "10.0.0.5/8"], "--profinet IFACE"),
+            (&["--profinet", "eth0", "--station", "WSG"], "hyphens"),
+            (&["--profinet", "eth0", "--profinet-ip", "10.0.0.5"], "192.168.0.5/24"),
+            (&["--profinet", "eth0", "--profinet-ip", "10.0.0.5/31"], "192.168.0.5/24"),
+            (&["--profinet", "eth0", "--profinet-ip", "10.0.0.255/24"], "192.168.0.5/24"),
+            (&["--profinet", "eth0", "--profinet-ip", "10.0.0.5/8,x"], "192.168.0.5/24"),
+            (&["--profinet", ""], "eth0"),
+        ] {
+            let error = format!("{:#}", options(arguments).unwrap_err());
+            assert!(error.contains(expected) && !error.contains('\n'), "{error}");
+        }
+    }
+
+    #[cfg(feature = "profinet")]
+    #[test]
+    fn name_and_address_in_a_file_are_kept_there() {
+        let text = "profinet = \"eth0\"\nstation = \"wsg-1\"\nprofinet-ip = \"10.0.0.5/8\"\n";
+        let line = options_of_file("profinet", text, &[]).unwrap().lines.profinet.unwrap();
+        assert_eq!(line.station.as_str(), "wsg-1");
+        assert!(line.keep.unwrap().to_str().unwrap().ends_with("profinet.toml"));
     }
 
     #[test]

@@ -1,0 +1,294 @@
+//! PROFINET: the device of `bus_profinet` on a network interface of Linux, with an IP stack of its own beside that of the system.
+
+#[cfg(target_os = "linux")]
+mod ip;
+
+use super::lines::ProfinetLine;
+use anyhow::Result;
+use bus_profinet::{IpParameters, StationName};
+use std::fs;
+use std::io;
+use std::path::Path;
+
+/// Keeps name and address in the configuration file that they came from: their lines are replaced, and all others stay.
+fn keep(path: &Path, name: &StationName, ip: &IpParameters) -> io::Result<()> {
+    let text = fs::read_to_string(path)?;
+    let is_kept = |line: &&str| {
+        let key = line.split('=').next().unwrap_or("").trim();
+        !matches!(key, ProfinetLine::STATION | ProfinetLine::IP)
+    };
+    let mut kept: Vec<String> = text.lines().filter(is_kept).map(str::to_owned).collect();
+    if !name.is_empty() {
+        kept.push(format!("{} = \"{}\"", ProfinetLine::STATION, name.as_str()));
+    }
+    if ip.is_set() {
+        kept.push(format!("{} = \"{}\"", ProfinetLine::IP, ProfinetLine::ip_text(ip)));
+    }
+    fs::write(path, kept.join("\n") + "\n")
+}
+
+#[cfg(target_os = "linux")]
+mod interface {
+    use super::ip::IpStack;
+    use super::*;
+    use crate::port::PortKind;
+    use crate::server::hub::{Client, Hub};
+    use anyhow::{Context, bail};
+    use bus_profinet::{Event, MAX_FRAME_LEN, MacAddress, Maintenance, Profile, Stored, Transmit};
+    use nix::errno::Errno;
+    use nix::ifaddrs::getifaddrs;
+    use nix::sys::socket::{AddressFamily, SockFlag, SockProtocol, SockType, bind, socket};
+    use std::os::fd::AsRawFd;
+    use std::rc::Rc;
+    use std::time::SystemTime;
+    use tokio::net::UnixDatagram;
+    use tokio::task::yield_now;
+    use wsg_protocol::fieldbus::OutputImage;
+    use wsg_protocol::fieldbus::profinet::{Device, PROFILE, faults};
+
+    /// How many frames are taken before it is somebody else's turn.
+    const FRAMES_A_TURN: usize = 16;
+    /// Frames that are longer are cut, and so none of PROFINET's.
+    const BUFFER_LEN: usize = 2_048;
+
+    /// A network interface that is open.
+    #[derive(Debug)]
+    pub(in crate::server) struct Interface {
+        socket: UnixDatagram,
+        mac: MacAddress,
+        line: ProfinetLine,
+    }
+
+    impl Interface {
+        pub(in crate::server) fn open(line: &ProfinetLine) -> Result<Self> {
+            let name = &line.interface;
+            let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
+            let socket = match socket(AddressFamily::Packet, SockType::Raw, flags, SockProtocol::EthAll) {
+                Err(Errno::EPERM) => bail!(
+                    "PROFINET on {name} needs the capability CAP_NET_RAW: start as root, \
+                     or once `setcap cap_net_raw+ep` on this program"
+                ),
+                other => other.with_context(|| format!("PROFINET cannot have a socket for {name}"))?,
+            };
+            let addresses = getifaddrs().context("the network interfaces cannot be listed")?;
+            let link = addresses
+                .filter(|found| found.interface_name == *name)
+                .find_map(|found| Some(*found.address.as_ref()?.as_link_addr()?))
+                .with_context(|| format!("PROFINET: there is no network interface {name}"))?;
+            let mac = link.addr().filter(|mac| *mac != [0; 6]);
+            let mac = mac.with_context(|| format!("PROFINET: {name} is no Ethernet interface"))?;
+            // Its protocol is none, so that of the socket stays: all.
+            bind(socket.as_raw_fd(), &link).with_context(|| format!("PROFINET cannot have {name}"))?;
+            // What sends and receives whole datagrams, whatever these are.
+            let socket = UnixDatagram::from_std(std::os::unix::net::UnixDatagram::from(socket))?;
+            Ok(Self { socket, mac: MacAddress(mac), line: line.clone() })
+        }
+
+        pub(in crate::server) fn path(&self) -> &Path {
+            Path::new(&self.line.interface)
+        }
+
+        pub(in crate::server) async fn serve(self, hub: Rc<Hub>) -> Result<()> {
+            let Self { socket, mac, line } = self;
+            let client = hub
+                .connect(PortKind::Profinet, &line.interface)
+                .context("the gripper has no place for PROFINET")?;
+            let stored = Stored { name: line.station, ip: line.ip, maintenance: Maintenance::NONE };
+            let now = hub.now().as_micros();
+            let mut station = Station {
+                device: Box::new(Device::new(profile(hub.config().serial_number), mac, stored, session())),
+                ip: IpStack::new(mac, now),
+                client,
+                line,
+                has_outputs: false,
+            };
+            let mut buffer = [0; BUFFER_LEN];
+            loop {
+                let due = station.exchange(&hub, &socket);
+                tokio::select! {
+                    () = hub.reached(due) => {}
+                    readable = socket.readable() => {
+                        readable?;
+                        for _ in 0..FRAMES_A_TURN {
+                            match socket.try_recv(&mut buffer) {
+                                Ok(len) => station.receive(&hub, mac, buffer.get(..len).unwrap_or(&[])),
+                                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
+                                // The cable is out, or a signal came; what follows shows.
+                                Err(_) => {}
+                            }
+                        }
+                        yield_now().await;
+                    }
+                }
+            }
+        }
+    }
+
+    /// The device on its interface.
+    struct Station {
+        device: Box<Device>,
+        ip: IpStack,
+        client: Client,
+        line: ProfinetLine,
+        /// Whether outputs have come since the controller has them: before, a flag that is set is no edge.
+        has_outputs: bool,
+    }
+
+    impl Station {
+        /// Does what is due; returns when something is due next.
+        fn exchange(&mut self, hub: &Hub, socket: &UnixDatagram) -> crate::time::Time {
+            let now = hub.now().as_micros();
+            while let Some(event) = self.device.poll(now) {
+                self.handle(hub, event);
+            }
+            let (input, flags) = hub.shown();
+            self.device.show_inputs(&input.to_bytes());
+            self.device.show_faults(faults(flags));
+            self.ip.set_parameters(self.device.ip());
+            // What the faults lead to.
+            while let Some(event) = self.device.poll(now) {
+                self.handle(hub, event);
+            }
+            let mut buffer = [0; MAX_FRAME_LEN];
+            while let Some(transmit) = self.device.poll_transmit(now, &mut buffer) {
+                match transmit {
+                    Transmit::Frame(len) => send_frame(socket, buffer.get(..len).unwrap_or(&[])),
+                    Transmit::Datagram(len, to) => {
+                        // Without room it is lost, as datagrams are.
+                        let _ = self.ip.send(now, to, buffer.get(..len).unwrap_or(&[]));
+                    }
+                }
+            }
+            while let Some(len) = self.ip.poll_transmit(now, &mut buffer) {
+                send_frame(socket, buffer.get(..len).unwrap_or(&[]));
+            }
+            let due = self.device.poll_timeout(now);
+            crate::time::Time::from_micros(self.ip.poll_timeout(now).map_or(due, |ip| due.min(ip)))
+        }
+
+        fn receive(&mut self, hub: &Hub, mac: MacAddress, frame: &[u8]) {
+            // What this machine sends comes back to it.
+            if frame.get(6..12) == Some(&mac.0[..]) {
+                return;
+            }
+            let now = hub.now().as_micros();
+            if let Some(event) = self.device.receive(now, frame) {
+                self.handle(hub, event);
+            }
+            self.ip.receive(now, frame);
+            let Self { device, ip, .. } = self;
+            let event = ip.take_datagram(|from, datagram| device.receive_datagram(now, from, datagram));
+            if let Some(event) = event.flatten() {
+                self.handle(hub, event);
+            }
+        }
+
+        fn handle(&mut self, hub: &Hub, event: Event) {
+            let note = |what: std::fmt::Arguments<'_>| {
+                hub.note_of(&format!("profinet {}", self.line.interface), what)
+            };
+            match event {
+                Event::Outputs => {
+                    let image = OutputImage::from_bytes(*self.device.outputs());
+                    let is_first = !std::mem::replace(&mut self.has_outputs, true);
+                    self.client.write_image(&image, is_first);
+                }
+                Event::Connected => note(format_args!("a controller exchanges data")),
+                Event::Cleared => {
+                    note(format_args!("the controller has no outputs"));
+                    self.end_outputs();
+                }
+                Event::Left(cause) => {
+                    note(format_args!("the controller has left: {cause:?}"));
+                    self.end_outputs();
+                }
+                Event::Signal => note(format_args!("signal: somebody looks for this device")),
+                Event::Stored => {
+                    let Stored { name, ip, .. } = self.device.stored();
+                    note(format_args!(
+                        "name {:?}, {}",
+                        self.device.name(),
+                        ProfinetLine::ip_text(self.device.ip())
+                    ));
+                    if let Some(path) = &self.line.keep
+                        && let Err(error) = keep(path, name, ip)
+                    {
+                        note(format_args!("{} cannot be written: {error}", path.display()));
+                    }
+                }
+            }
+        }
+
+        fn end_outputs(&mut self) {
+            self.has_outputs = false;
+            self.client.end_images();
+        }
+    }
+
+    fn send_frame(socket: &UnixDatagram, frame: &[u8]) {
+        // A cable that is out, a queue that is full: it is lost, as frames are.
+        let _ = socket.try_send(frame);
+    }
+
+    /// The profile with this gripper's serial number; there is one for as long as the program runs.
+    fn profile(serial_number: u32) -> &'static Profile {
+        let serial_number = Box::leak(serial_number.to_string().into_boxed_str());
+        Box::leak(Box::new(Profile { serial_number, ..PROFILE }))
+    }
+
+    /// A number that differs from start to start.
+    fn session() -> u32 {
+        let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        since.as_millis() as u32
+    }
+}
+
+#[cfg(target_os = "linux")]
+pub(super) use interface::Interface;
+
+#[cfg(not(target_os = "linux"))]
+mod no_interface {
+    use super::*;
+    use crate::server::hub::Hub;
+    use std::rc::Rc;
+
+    /// There are no packet sockets here.
+    #[derive(Debug)]
+    pub(in crate::server) enum Interface {}
+
+    impl Interface {
+        pub(in crate::server) fn open(line: &ProfinetLine) -> Result<Self> {
+            anyhow::bail!("PROFINET on {}: packet sockets are Linux's alone", line.interface)
+        }
+
+        pub(in crate::server) fn path(&self) -> &Path {
+            match *self {}
+        }
+
+        pub(in crate::server) async fn serve(self, _: Rc<Hub>) -> Result<()> {
+            match self {}
+        }
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(super) use no_interface::Interface;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn name_and_address_replace_their_lines_in_the_file_and_all_others_stay() {
+        let path = std::env::temp_dir().join(format!("wsg-profinet-{}.toml", std::process::id()));
+        fs::write(&path, "# A cell\nmodel = \"wsg32\"\nstation=\"old\"\nprofinet = \"eth0\"\nprofinet-ip = \"1.2.3.4/8\"\n").unwrap();
+        let ip = ProfinetLine::ip_of_text("10.0.0.5/8,10.0.0.1").unwrap();
+        keep(&path, &StationName::new("new").unwrap(), &ip).unwrap();
+        let kept = "# A cell\nmodel = \"wsg32\"\nprofinet = \"eth0\"\n";
+        let expected = format!("{kept}station = \"new\"\nprofinet-ip = \"10.0.0.5/8,10.0.0.1\"\n");
+        assert_eq!(fs::read_to_string(&path).unwrap(), expected);
+        keep(&path, &StationName::NONE, &IpParameters::NONE).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), kept);
+        fs::remove_file(&path).unwrap();
+    }
+}
