@@ -49,7 +49,7 @@ const DECIMAL: &str = "^protocol/src/gcl/decimal";
 /// What has all its tests in the crate itself, and needs no other to be built and linked each time.
 const SESSION: &str = "^protocol/src/(session|fieldbus)";
 
-const PARTS: [Part; 9] = [
+const PARTS: [Part; 10] = [
     Part {
         name: "protocol",
         package: "wsg-protocol",

@@ -24,7 +24,11 @@ fn keep(path: &Path, name: &StationName, ip: &IpParameters) -> io::Result<()> {
     if ip.is_set() {
         kept.push(format!("{} = \"{}\"", ProfinetLine::IP, ProfinetLine::ip_text(ip)));
     }
-    fs::write(path, kept.join("\n") + "\n")
+    // Beside it and then in its place, so that no failure leaves half of it.
+    let mut new = path.as_os_str().to_owned();
+    new.push(".new");
+    fs::write(&new, kept.join("\n") + "\n")?;
+    fs::rename(&new, path)
 }
 
 #[cfg(target_os = "linux")]
