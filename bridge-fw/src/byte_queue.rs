@@ -68,6 +68,15 @@ impl<const N: usize> ByteQueue<N> {
         }
     }
 
+    /// The byte that waits longest, which stays. For the consumer.
+    pub fn peek(&self) -> Option<u8> {
+        let popped = self.popped.load(Ordering::Relaxed);
+        if self.pushed.load(Ordering::Acquire) == popped {
+            return None;
+        }
+        self.bytes.get(popped & (N - 1)).map(|place| place.load(Ordering::Relaxed))
+    }
+
     /// Takes the byte that waits longest. For the consumer.
     pub fn pop(&self) -> Option<u8> {
         let popped = self.popped.load(Ordering::Relaxed);

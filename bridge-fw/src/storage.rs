@@ -34,5 +34,5 @@ mod flash;
 mod record;
 mod store;
 
-pub use flash::{FlashError, NorFlash, Page, Unreadable};
+pub use flash::{FlashError, NoFlash, NorFlash, Page, Unreadable};
 pub use store::{BeginError, LoadError, Progress, Record, SaveError, Store};

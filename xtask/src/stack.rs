@@ -19,8 +19,9 @@ use crate::{
 
 const LIMIT: u64 = 3 * 1024;
 
-/// What an exception puts on the stack by itself: 8 registers, 18 of the floating point unit, and a word to align.
-const EXCEPTION_FRAME: u64 = 4 * (8 + 18 + 1);
+/// What an exception puts on the stack by itself: 8 registers and a word to align; and 18 of the floating point unit, if there is one.
+const EXCEPTION_FRAME: u64 = 4 * (8 + 1);
+const FLOAT_FRAME: u64 = 4 * 18;
 
 /// Walks the calls of each board's firmware.
 pub(crate) fn walked(
@@ -51,18 +52,15 @@ fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Res
     for function in &deepest.indirect {
         println!("  indirect call, taken for one of any function whose address is taken: {function}");
     }
+    let own = EXCEPTION_FRAME + if image.board.triple.ends_with("hf") { FLOAT_FRAME } else { 0 };
     println!("  program: {} B", deepest.program.bytes);
     for step in &deepest.program.path {
         println!("    {step}");
     }
     for handler in &deepest.handlers {
-        println!(
-            "  exception: {} B and {EXCEPTION_FRAME} B by itself: {}",
-            handler.bytes,
-            handler.path.join(" > ")
-        );
+        println!("  exception: {} B and {own} B by itself: {}", handler.bytes, handler.path.join(" > "));
     }
-    let exceptions: u64 = deepest.handlers.iter().map(|handler| handler.bytes + EXCEPTION_FRAME).sum();
+    let exceptions: u64 = deepest.handlers.iter().map(|handler| handler.bytes + own).sum();
     println!("  counted as if every exception interrupted the one before at its deepest");
     let what = image.board.figure("worst-case stack, walked");
     Ok(Gate::bytes(what, deepest.program.bytes + exceptions, LIMIT))

@@ -1,10 +1,11 @@
 //! A UART between its interrupt handler and the main loop: two queues, and the line that the main loop sees of them.
 //!
-//! A board's handler moves bytes between its registers and [`UartBuffers`]; it alone touches them, so main loop and handler
-//! never change the same register. [`UartLine`] is the main loop's end.
+//! A board's handler moves bytes between its registers and [`UartBuffers`], by [`UartBuffers::serve`] where a HAL has the UART; it
+//! alone touches the registers, so main loop and handler never change the same one. [`UartLine`] is the main loop's end.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
+use embedded_hal_nb::serial::{self, Error as _};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 
 use super::would_block::WouldBlock;
@@ -83,6 +84,36 @@ impl<const RX: usize, const TX: usize> UartBuffers<RX, TX> {
     /// Returns the next byte for an empty transmit register. For the handler.
     pub fn next_to_send(&self) -> Option<u8> {
         self.to_send.pop()
+    }
+
+    /// The whole handler for a HAL's UART: at most one byte each way. Returns whether the transmit interrupt is needed.
+    ///
+    /// ```
+    /// use embedded_hal_nb::serial::{Read, Write};
+    /// use wsg_bridge_fw::gripper::UartBuffers;
+    ///
+    /// static BUFFERS: UartBuffers<128, 32> = UartBuffers::new();
+    ///
+    /// fn on_interrupt(uart: &mut (impl Read + Write)) {
+    ///     let _needs_transmit_interrupt = BUFFERS.serve(uart);
+    /// }
+    /// ```
+    pub fn serve<U: serial::Read + serial::Write>(&self, uart: &mut U) -> bool {
+        let errors = ReceiveErrors { framing: false, overrun: false };
+        match uart.read() {
+            Ok(byte) => self.on_receive(Some(byte), errors),
+            Err(nb::Error::Other(error)) => {
+                let overrun = error.kind() == serial::ErrorKind::Overrun;
+                self.on_receive(None, ReceiveErrors { framing: !overrun, overrun });
+            }
+            Err(nb::Error::WouldBlock) => {}
+        }
+        if let Some(byte) = self.to_send.peek()
+            && uart.write(byte).is_ok()
+        {
+            self.to_send.pop();
+        }
+        self.has_to_send()
     }
 
     /// Whether the transmit interrupt is needed. For the handler.

@@ -91,3 +91,27 @@ impl core::fmt::Display for FlashError {
 }
 
 impl core::error::Error for FlashError {}
+
+/// No flash, for a board that keeps no settings: a start finds none, and a save fails.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoFlash;
+
+impl NorFlash for NoFlash {
+    const PAGE_LEN: usize = 512;
+
+    fn read(&self, _: Page, _: usize) -> Result<u64, Unreadable> {
+        Ok(0)
+    }
+
+    fn start_program(&mut self, _: Page, _: usize, _: u64) -> Result<(), FlashError> {
+        Err(FlashError::Failed)
+    }
+
+    fn start_erase(&mut self, _: Page) -> Result<(), FlashError> {
+        Err(FlashError::Failed)
+    }
+
+    fn poll(&mut self) -> nb::Result<(), FlashError> {
+        Err(nb::Error::Other(FlashError::Failed))
+    }
+}

@@ -8,6 +8,7 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use bus_profibus::Character;
 use cortex_m::peripheral::NVIC;
+use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
 use rp2040_hal::pac::{Interrupt, interrupt};
 use wsg_bridge_fw::plc::{DpBuffers, DpResponder, Interrupts, RtuBuffers, RtuPort, RtuUart, UartStatus};
 use wsg_bridge_fw::{BusConfig, Format};
@@ -15,7 +16,7 @@ use wsg_pico::BUS_DRIVER_ENABLE;
 
 use crate::registers::{peripheral, reset, reset_bit, write};
 use crate::tick;
-use crate::uart::{Port, Received};
+use crate::uart::Port;
 
 /// What comes in 7 ms at 230 400 bit/s.
 const RECEIVED_MAX: usize = 512;
@@ -116,23 +117,18 @@ fn UART1_IRQ() {
 
 /// One byte each way per call; the interrupt stays pending while there is more.
 fn serve_modbus() {
-    let port = port();
-    // Before the character is taken: what was complete then is no echo of what is sent below.
-    let is_complete = port.is_complete();
-    if let Some(received) = port.take() {
-        BUS.on_receive(received.byte, is_damaged(received), is_complete, tick::now_us());
-    }
-    let byte = BUS.on_transmit(port.has_room(), is_complete);
-    go_on(byte, BUS.interrupts());
+    go_on(BUS.serve(&mut HalfDuplex(port()), tick::now_us()));
 }
 
 /// One character each way, as above.
 fn serve_master(responder: &mut DpResponder) {
-    let port = port();
-    let received = port.take().map(|received| {
-        if is_damaged(received) { Character::Damaged } else { Character::Byte(received.byte) }
-    });
-    let status = UartStatus { received, has_room: port.has_room(), is_complete: port.is_complete() };
+    let mut port = HalfDuplex(port());
+    let received = match port.read() {
+        Ok(byte) => Some(Character::Byte(byte)),
+        Err(nb::Error::Other(_)) => Some(Character::Damaged),
+        Err(nb::Error::WouldBlock) => None,
+    };
+    let status = UartStatus { received, has_room: port.0.has_room(), is_complete: port.0.is_complete() };
     let action = responder.step(status, tick::now_ms(), tick::now_us());
     if let Some(rate) = action.rate {
         set_up(rate.bit_s(), Format::Even1);
@@ -140,20 +136,44 @@ fn serve_master(responder: &mut DpResponder) {
     if let Some(wait_us) = action.wait_us {
         tick::wake_bus_in(wait_us);
     }
-    go_on(action.send, action.interrupts);
+    if let Some(byte) = action.send {
+        // There is room.
+        let _ = port.write(byte);
+    }
+    go_on(action.interrupts);
 }
 
-/// Sends, and has the handler run again when that is due. The driver is on from the first byte's begin to the last one's end.
-fn go_on(byte: Option<u8>, Interrupts { transmit_empty, transmission_complete }: Interrupts) {
-    if let Some(byte) = byte {
-        drive(true);
-        port().send(byte);
-    }
+/// Has the handler run again when that is due, and switches the driver off behind the last bit.
+fn go_on(Interrupts { transmit_empty, transmission_complete }: Interrupts) {
     port().wants_room(transmit_empty);
     if transmission_complete {
         tick::wake_bus_in(TWO_BITS_US.load(Ordering::Relaxed));
-    } else if !transmit_empty && byte.is_none() {
+    } else if !transmit_empty {
         drive(false);
+    }
+}
+
+/// The UART behind a transceiver, whose driver is on from the first byte on.
+struct HalfDuplex(Port);
+
+impl ErrorType for HalfDuplex {
+    type Error = ErrorKind;
+}
+
+impl Read for HalfDuplex {
+    fn read(&mut self) -> nb::Result<u8, ErrorKind> {
+        self.0.read()
+    }
+}
+
+impl Write for HalfDuplex {
+    fn write(&mut self, byte: u8) -> nb::Result<(), ErrorKind> {
+        drive(true);
+        self.0.write(byte)
+    }
+
+    fn flush(&mut self) -> nb::Result<(), ErrorKind> {
+        self.0.flush()
     }
 }
 
@@ -165,8 +185,4 @@ fn drive(is_on: bool) {
     } else {
         write(sio.gpio_out_clr(), DRIVER);
     }
-}
-
-const fn is_damaged(received: Received) -> bool {
-    received.framing || received.parity || received.overrun
 }

@@ -1,10 +1,11 @@
 //! The gripper's line: UART0, 115200 baud, 8N1, interrupt driven both ways (RP2040, 4.2), and what both UARTs have in common.
 
 use cortex_m::peripheral::NVIC;
+use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
 use rp2040_hal::pac::uart0::RegisterBlock as Registers;
 use rp2040_hal::pac::{Interrupt, interrupt};
 use wsg_bridge_fw::Format;
-use wsg_bridge_fw::gripper::{ReceiveErrors, Uart, UartBuffers, UartLine};
+use wsg_bridge_fw::gripper::{Uart, UartBuffers, UartLine};
 use wsg_protocol::Command;
 use wsg_protocol::frame::OVERHEAD;
 
@@ -51,15 +52,6 @@ const RXE: u32 = 1 << 9;
 const RXIM: u32 = 1 << 4;
 const TXIM: u32 = 1 << 5;
 
-/// A character that was received.
-#[derive(Clone, Copy)]
-pub(crate) struct Received {
-    pub(crate) byte: u8,
-    pub(crate) framing: bool,
-    pub(crate) parity: bool,
-    pub(crate) overrun: bool,
-}
-
 /// A UART, for its handler.
 #[derive(Clone, Copy)]
 pub(crate) struct Port(pub(crate) &'static Registers);
@@ -82,20 +74,6 @@ impl Port {
         write(self.0.uartcr(), UARTEN | TXE | RXE);
     }
 
-    /// Takes the character that was received, if there is one.
-    pub(crate) fn take(self) -> Option<Received> {
-        if self.0.uartfr().read().bits() & RXFE != 0 {
-            return None;
-        }
-        let data = self.0.uartdr().read().bits();
-        Some(Received {
-            byte: (data & 0xFF) as u8,
-            framing: data & (FE | BE) != 0,
-            parity: data & PE != 0,
-            overrun: data & OE != 0,
-        })
-    }
-
     /// Whether there is room to send.
     pub(crate) fn has_room(self) -> bool {
         self.0.uartfr().read().bits() & TXFF == 0
@@ -106,14 +84,43 @@ impl Port {
         self.0.uartfr().read().bits() & BUSY == 0
     }
 
-    /// Sends a byte; there is room.
-    pub(crate) fn send(self, byte: u8) {
-        write(self.0.uartdr(), byte.into());
-    }
-
     /// Whether room to send is worth an interrupt.
     pub(crate) fn wants_room(self, wanted: bool) {
         write(self.0.uartimsc(), if wanted { RXIM | TXIM } else { RXIM });
+    }
+}
+
+impl ErrorType for Port {
+    type Error = ErrorKind;
+}
+
+impl Read for Port {
+    fn read(&mut self) -> nb::Result<u8, ErrorKind> {
+        if self.0.uartfr().read().bits() & RXFE != 0 {
+            return Err(nb::Error::WouldBlock);
+        }
+        let data = self.0.uartdr().read().bits();
+        match data & (OE | FE | BE | PE) {
+            0 => Ok((data & 0xFF) as u8),
+            // It came whole; one before it did not.
+            OE => Err(nb::Error::Other(ErrorKind::Overrun)),
+            PE => Err(nb::Error::Other(ErrorKind::Parity)),
+            _ => Err(nb::Error::Other(ErrorKind::FrameFormat)),
+        }
+    }
+}
+
+impl Write for Port {
+    fn write(&mut self, byte: u8) -> nb::Result<(), ErrorKind> {
+        if !self.has_room() {
+            return Err(nb::Error::WouldBlock);
+        }
+        write(self.0.uartdr(), byte.into());
+        Ok(())
+    }
+
+    fn flush(&mut self) -> nb::Result<(), ErrorKind> {
+        if self.is_complete() { Ok(()) } else { Err(nb::Error::WouldBlock) }
     }
 }
 
@@ -170,14 +177,7 @@ pub(crate) fn is_silent() -> bool {
 /// One byte each way per call; the interrupt stays pending while there is more.
 #[interrupt]
 fn UART0_IRQ() {
-    let port = port();
-    if let Some(Received { byte, framing, overrun, .. }) = port.take() {
-        BUFFERS.on_receive(Some(byte), ReceiveErrors { framing, overrun });
-    }
-    if port.has_room()
-        && let Some(byte) = BUFFERS.next_to_send()
-    {
-        port.send(byte);
-    }
-    port.wants_room(BUFFERS.has_to_send());
+    let mut port = port();
+    let needs_room = BUFFERS.serve(&mut port);
+    port.wants_room(needs_room);
 }

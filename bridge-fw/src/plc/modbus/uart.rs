@@ -1,12 +1,13 @@
 //! An RS-485 line between its interrupt handler and the main loop: received characters with the silence before each, and the
 //! frame that is being sent. What the transceiver echoes of the bridge's own frames is not handed over.
 //!
-//! A board's handler moves bytes between its registers and [`RtuBuffers`]; it alone touches them, so main loop and handler
-//! never change the same register. [`RtuPort`] is the main loop's end.
+//! A board's handler moves bytes between its registers and [`RtuBuffers`], by [`RtuBuffers::serve`] where a HAL has the UART; it
+//! alone touches the registers, so main loop and handler never change the same one. [`RtuPort`] is the main loop's end.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use bus_modbus::rtu::{Character, MAX_FRAME_LEN};
+use embedded_hal_nb::serial::{self, Error as _};
 
 use super::BusPort;
 use crate::byte_queue::ByteQueue;
@@ -138,6 +139,25 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
             self.sending.store(false, Ordering::Relaxed);
         }
         byte
+    }
+
+    /// The whole handler for a HAL's UART: at most one character each way. Returns the interrupts that it needs from now on.
+    ///
+    /// A driver of RS-485 that the UART does not switch by itself has to be on before a byte is written, and is to be off once no
+    /// interrupt is needed.
+    pub fn serve<U: serial::Read + serial::Write>(&self, uart: &mut U, now_us: u32) -> Interrupts {
+        // Before the byte is written that would make it busy.
+        let is_complete = uart.flush().is_ok();
+        match uart.read() {
+            Ok(byte) => self.on_receive(byte, false, is_complete, now_us),
+            Err(nb::Error::Other(error)) if error.kind() == serial::ErrorKind::Overrun => self.on_overrun(),
+            Err(nb::Error::Other(_)) => self.on_receive(0, true, is_complete, now_us),
+            Err(nb::Error::WouldBlock) => {}
+        }
+        let is_written = self.to_send.peek().is_some_and(|byte| uart.write(byte).is_ok());
+        // The byte that was written leaves the queue.
+        let _ = self.on_transmit(is_written, is_complete);
+        self.interrupts()
     }
 
     /// Returns the interrupts that the handler needs from now on.
