@@ -106,9 +106,9 @@ impl Bench {
     pub(crate) fn assert_stopped(&mut self) {
         let flags = self.until(|flags| !flags.contains(SystemFlags::MOVING));
         assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
-        assert!(!flags.contains(SystemFlags::TARGET_POS_REACHED), "{flags}");
         let width = self.observer.width().unwrap();
-        assert!(width > 10.0, "they have arrived: {width} mm");
+        // The part is in the way at 20 mm.
+        assert!(width > 30.0, "they went on: {width} mm, {flags}");
     }
 }
 
