@@ -223,6 +223,8 @@ fn log<P: Dialect>(gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
 }
 
 #[cfg(test)]
+mod documents;
+#[cfg(test)]
 mod tests {
     use super::*;
     use wsg_protocol::driver::host::with_gripper;

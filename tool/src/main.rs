@@ -1,6 +1,10 @@
 //! `wsg`: the commander for WSG grippers, the service tool of the bridge, and telemetry for many of them.
 
 mod decode;
+#[cfg(test)]
+#[path = "../../host-tests/src/document.rs"]
+#[allow(dead_code, unreachable_pub, reason = "it is a public module there")]
+mod document;
 mod gripper;
 #[cfg(feature = "telemetry")]
 mod telemetry;

@@ -22,6 +22,7 @@ const DOCUMENTS: [&str; 23] = [
     "docs/registers.md",
     "docs/service-port.md",
     "docs/states.md",
+    "docs/tool.md",
     "docs/decisions.md",
     "protocol/README.md",
     "buses/modbus/README.md",
