@@ -1,5 +1,6 @@
 //! `wsg`: the commander for WSG grippers, the service tool of the bridge, and telemetry for many of them.
 
+mod bridge;
 mod decode;
 #[cfg(test)]
 #[path = "../../host-tests/src/document.rs"]
@@ -25,6 +26,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    Bridge(bridge::Arguments),
     Decode(decode::Arguments),
     Gripper(gripper::Arguments),
     #[cfg(feature = "telemetry")]
@@ -39,6 +41,7 @@ enum Command {
 /// What cannot be done is told in one line; clap ends with 2 where the command line itself is wrong.
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
+        Command::Bridge(arguments) => bridge::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Gripper(arguments) => gripper::run(arguments),
         #[cfg(feature = "telemetry")]

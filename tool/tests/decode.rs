@@ -1,34 +1,21 @@
 //! `wsg decode` as a program, on what `wsg-sim` logs.
 
+#[path = "common/program.rs"]
+mod program;
+
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use program::{said, wsg};
 use wsg_protocol::{Command as Request, FrameEncoder, HomingDirection};
 use wsg_sim::Config;
 use wsg_sim::server::{Lines, Log, ServerThread};
 
 /// The longest that anything may take here.
 const BOUND: Duration = Duration::from_secs(60);
-
-fn wsg(arguments: &[&str], input: &[u8]) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_wsg"))
-        .args(arguments)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("it starts");
-    // It may end without reading.
-    let _ = child.stdin.take().expect("it is piped").write_all(input);
-    child.wait_with_output().expect("it ends")
-}
-
-fn said(output: &Output) -> String {
-    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
-}
 
 /// A log that a test reads.
 #[derive(Clone, Default)]

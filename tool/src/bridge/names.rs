@@ -1,0 +1,231 @@
+//! The bridge's registers by their names, and their values as people write and read them. Names, ranges, units and choices are
+//! those of the firmware's tables; choices are read from the words of a register's meaning.
+
+use anyhow::{Context, Result, bail};
+use wsg_bridge_fw::registers::{REPORTS, SETTINGS, Setting};
+
+/// The place of a setting in a record, and the setting.
+pub(crate) fn setting(name: &str) -> Result<(usize, &'static Setting)> {
+    let found = SETTINGS.iter().enumerate().find(|(_, setting)| setting.name.eq_ignore_ascii_case(name));
+    found.with_context(|| unknown(name, "setting", &mut SETTINGS.iter().map(|setting| setting.name)))
+}
+
+/// The place of a setting of the table.
+pub(crate) fn place(name: &str) -> usize {
+    SETTINGS.iter().position(|setting| setting.name == name).unwrap_or_default()
+}
+
+/// The place of a report of the table.
+pub(crate) fn report(name: &str) -> usize {
+    REPORTS.iter().position(|report| report.name == name).unwrap_or_default()
+}
+
+/// What is said of a name that there is not.
+pub(crate) fn unknown(name: &str, what: &str, names: &mut dyn Iterator<Item = &'static str>) -> String {
+    let upper = name.to_ascii_uppercase();
+    let nearest = names.map(|it| (strsim::damerau_levenshtein(&upper, it), it)).min();
+    match nearest.filter(|(distance, _)| *distance <= 3) {
+        Some((_, nearest)) => format!("there is no {what} {name}; is it {nearest}?"),
+        None => format!("there is no {what} {name}; `show` lists all"),
+    }
+}
+
+/// What a register's step is: so many, or the so-many-th part, of a unit.
+struct Scale {
+    multiply: u32,
+    divide: u32,
+    unit: &'static str,
+}
+
+impl Scale {
+    fn of(unit: &'static str) -> Self {
+        let (factor, name) = unit.split_once(' ').unwrap_or(("1", unit));
+        let (multiply, divide) = factor.split_once('/').unwrap_or((factor, "1"));
+        match (multiply.parse(), divide.parse()) {
+            (Ok(multiply), Ok(divide)) if divide > 0 => Self { multiply, divide, unit: name },
+            _ => Self { multiply: 1, divide: 1, unit },
+        }
+    }
+
+    fn text(&self, value: u16) -> String {
+        let Self { multiply, divide, unit } = *self;
+        if divide == 1 {
+            format!("{} {unit}", u32::from(value) * multiply)
+        } else {
+            // Hundredths have two digits behind the point.
+            let digits = divide.ilog10() as usize;
+            format!("{:.digits$} {unit}", f64::from(value) * f64::from(multiply) / f64::from(divide))
+        }
+    }
+}
+
+/// A value in words: the choice that it is, or the number with its unit; `None` where it is a mere number.
+pub(crate) fn words(unit: &'static str, meaning: &'static str, value: u16) -> Option<String> {
+    let choice = choices(meaning).into_iter().find(|(number, _)| *number == value);
+    match choice {
+        Some((_, text)) => Some(text.to_owned()),
+        None if unit.is_empty() => None,
+        None => Some(Scale::of(unit).text(value)),
+    }
+}
+
+/// The value of a setting that somebody wrote: the register's number (decimal, or hexadecimal behind `0x`), a number with the
+/// unit, or a choice.
+pub(crate) fn value(setting: &Setting, text: &str) -> Result<u16> {
+    let text = text.trim();
+    let Setting { name, unit, least, most, meaning } = setting;
+    let mut choices = choices(meaning).into_iter();
+    if let Some((number, _)) = choices.find(|(_, choice)| choice.eq_ignore_ascii_case(text)) {
+        return Ok(number);
+    }
+    let takes = || format!("{name} takes {least} to {most}: {meaning}");
+    let digits = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
+    let number = digits.map_or_else(|| text.parse::<u32>(), |digits| u32::from_str_radix(digits, 16));
+    if let Ok(number) = number {
+        let value = u16::try_from(number).ok().filter(|value| (least..=most).contains(&value));
+        return value.with_context(|| format!("{text} does not fit: {}", takes()));
+    }
+    let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, of) = text.split_at(end);
+    let scale = Scale::of(unit);
+    let of = of.trim();
+    let number: f64 = number.parse().ok().with_context(|| format!("{text} is no value: {}", takes()))?;
+    if unit.is_empty() {
+        bail!("{text} is no value: {}", takes());
+    } else if of != scale.unit {
+        bail!(
+            "{text} is no value: the unit of {name} is {}, as {}",
+            scale.unit,
+            scale.text(*least.max(&100).min(most))
+        );
+    }
+    let steps = number * f64::from(scale.divide) / f64::from(scale.multiply);
+    let value = steps.round();
+    if (steps - value).abs() > 1e-6 {
+        bail!("{text} does not fit: {name} is in steps of {unit}");
+    }
+    if !(f64::from(*least)..=f64::from(*most)).contains(&value) {
+        bail!("{text} does not fit: {name} takes {} to {}", scale.text(*least), scale.text(*most));
+    }
+    Ok(value as u16)
+}
+
+/// The choices in the words of a register's meaning: numbers with words behind them, as `0 hold, 1 stop` or `0: for ever`.
+pub(crate) fn choices(meaning: &'static str) -> Vec<(u16, &'static str)> {
+    // Number, and where its words begin and end.
+    let mut found: Vec<(u16, usize, usize)> = Vec::new();
+    let mut may_go_on = false;
+    let mut start = 0;
+    while start < meaning.len() {
+        let rest = meaning.get(start..).unwrap_or("");
+        let end = [", ", "; "].iter().filter_map(|separator| rest.find(separator)).min();
+        let end = start + end.unwrap_or(rest.len());
+        let part = meaning.get(start..end).unwrap_or("");
+        let lead = part.find(": ").map_or(0, |at| at + 2);
+        let lead = if part.get(lead..).is_some_and(|it| it.starts_with(|c: char| c.is_ascii_digit())) {
+            lead
+        } else {
+            0
+        };
+        match choice(part.get(lead..).unwrap_or("")) {
+            Some((number, words)) => {
+                found.push((number, end - words.len(), end));
+                may_go_on = true;
+            }
+            None => {
+                let is_list = meaning.get(..start).is_some_and(|before| before.ends_with(", "));
+                may_go_on &= is_list && part.parse::<u16>().is_err();
+                if let Some(last) = found.last_mut().filter(|_| may_go_on) {
+                    last.2 = end;
+                }
+            }
+        }
+        start = end + 2;
+    }
+    found.into_iter().filter_map(|(number, start, end)| Some((number, meaning.get(start..end)?))).collect()
+}
+
+/// `0 hold` or `0: for ever`.
+fn choice(part: &str) -> Option<(u16, &str)> {
+    let end = part.find(|c: char| !c.is_ascii_digit())?;
+    let (number, rest) = part.split_at(end);
+    let words = rest.strip_prefix(": ").or_else(|| rest.strip_prefix(' '))?;
+    let is_choice = !["to ", "or ", "("].iter().any(|no| words.starts_with(no));
+    is_choice.then_some((number.parse().ok()?, words))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn choices_are_those_that_the_tables_name() {
+        let of = |name: &str| choices(setting(name).unwrap().1.meaning);
+        assert_eq!(of("BUS_REACTION"), [(0, "hold"), (1, "stop"), (2, "FAST STOP")]);
+        assert_eq!(of("PLC_BUS"), [(0, "none"), (1, "Modbus RTU"), (2, "CANopen"), (3, "PROFIBUS DP")]);
+        assert_eq!(of("BUS_CHAR_TIMEOUT"), [(0, "T1.5, by the specification")]);
+        assert_eq!(of("BUS_RECIPE"), [(16, "WIDTH, SPEED and FORCELIMIT that it writes")]);
+        assert_eq!(of("PROFIBUS_RATE"), [(0, "that of the bus, which is searched")]);
+        assert_eq!((of("CAN_RATE"), of("RECIPE0_WIDTH"), of("CAN_MASTER")), (vec![], vec![], vec![]));
+        let of = |name: &str| choices(REPORTS[report(name)].meaning);
+        assert_eq!(of("GRIPPER_LINK"), [(0, "has never answered"), (1, "is silent"), (2, "answers")]);
+        assert_eq!(of("SETTINGS_FROM").len(), 7);
+        assert_eq!(of("SETTINGS_FROM")[3..5], [(3, "newer firmware's"), (4, "a wrong value")]);
+        assert_eq!(of("SAVE_STATE")[3], (3, "failed: what was stored before still is"));
+        assert_eq!(of("BUS_MESSAGES"), []);
+    }
+
+    #[test]
+    fn values_are_numbers_of_the_register_numbers_with_a_unit_or_choices() {
+        let of =
+            |name: &str, text: &str| value(setting(name).unwrap().1, text).map_err(|error| error.to_string());
+        assert_eq!(of("RECIPE0_WIDTH", "2005"), Ok(20_05));
+        assert_eq!(of("RECIPE0_WIDTH", "20.05mm"), Ok(20_05));
+        assert_eq!(of("RECIPE0_WIDTH", "20.05 mm"), Ok(20_05));
+        assert_eq!(of("MODBUS_RATE", "19200 bit/s"), Ok(192));
+        assert_eq!(of("CAN_ID", "0x140"), Ok(0x140));
+        assert_eq!(of("PLC_BUS", "canopen"), Ok(2));
+        assert_eq!(of("BUS_TIMEOUT", "for ever"), Ok(0));
+        for (name, text, error) in [
+            ("RECIPE0_WIDTH", "20.05", "20.05 is no value: the unit of RECIPE0_WIDTH is mm, as 1.00 mm"),
+            ("RECIPE0_WIDTH", "20.051mm", "20.051mm does not fit: RECIPE0_WIDTH is in steps of 1/100 mm"),
+            ("RECIPE0_WIDTH", "400mm", "400mm does not fit: RECIPE0_WIDTH takes 0.00 mm to 327.67 mm"),
+            ("RECIPE0_SPEED", "0", "0 does not fit: RECIPE0_SPEED takes 1 to 65535: of every motion"),
+            (
+                "UNIT",
+                "70000",
+                "70000 does not fit: UNIT takes 1 to 247: the bridge's address on the bus, from the next request on",
+            ),
+            (
+                "GRIPPER_LINE",
+                "USB",
+                "USB is no value: GRIPPER_LINE takes 0 to 1: the gripper's line: 0 RS-232, 1 CAN",
+            ),
+            ("MODBUS_RATE", "19250 bit/s", "19250 bit/s does not fit: MODBUS_RATE is in steps of 100 bit/s"),
+        ] {
+            assert_eq!(of(name, text), Err(error.to_owned()));
+        }
+    }
+
+    #[test]
+    fn every_value_of_a_unit_is_read_as_it_is_written() {
+        for setting in &SETTINGS {
+            for value_of in [setting.least, setting.least.max(20), setting.most] {
+                let Some(words) = words(setting.unit, setting.meaning, value_of) else { continue };
+                assert_eq!(value(setting, &words).unwrap(), value_of, "{} {words}", setting.name);
+            }
+        }
+    }
+
+    #[test]
+    fn name_that_is_nearly_one_is_guessed() {
+        assert_eq!(
+            setting("recipe0_widht").unwrap_err().to_string(),
+            "there is no setting recipe0_widht; is it RECIPE0_WIDTH?"
+        );
+        assert_eq!(
+            setting("COLOUR").unwrap_err().to_string(),
+            "there is no setting COLOUR; `show` lists all"
+        );
+    }
+}

@@ -1,0 +1,641 @@
+//! `wsg bridge` as a program: with the bridge's library behind a pseudo terminal, and with the flashed image in the emulator. What
+//! people read is in `golden/`; `WSG_UPDATE_GOLDEN=1` writes it anew.
+#![cfg(unix)]
+
+#[path = "common/program.rs"]
+mod program;
+
+use std::collections::VecDeque;
+use std::fs;
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Sender};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use bus_modbus::rtu::Character;
+use host_tests::addresses::{place, setting};
+use host_tests::can_bench::Double;
+use host_tests::emulator::{Emulator, Extras};
+use host_tests::flash_controller::FlashController;
+use host_tests::flash_model::{Fault, FlashModel};
+use host_tests::gripper_end::GripperEnd;
+use host_tests::rig::motions;
+use host_tests::rtu_double::RtuDouble;
+use host_tests::serial_gripper::SerialGripper;
+use host_tests::terminal::Terminal;
+use host_tests::trace::Trace;
+use host_tests::uninterrupted;
+use program::{said, wsg, wsg_with};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::plc::DpBuffers;
+use wsg_bridge_fw::registers::{FIRST_SETTING, SETTINGS};
+use wsg_bridge_fw::{Board, BusPort, Config, ResetCause, Station};
+use wsg_sim::Time;
+
+/// The service port's end of the line, whose master is at the other.
+struct Line {
+    stream: UnixStream,
+    waiting: VecDeque<(Character, u32)>,
+    faults: Arc<Faults>,
+    /// FC 16 was answered, or would have been.
+    has_written: bool,
+}
+
+/// What is wrong with the line and with other masters.
+#[derive(Default)]
+struct Faults {
+    /// Nothing is answered.
+    is_silent: AtomicBool,
+    /// The next answer to FC 16 is lost.
+    loses_answer: AtomicBool,
+    /// Behind the next FC 16 the PLC's bus writes RECIPE0_SPEED.
+    meddles: AtomicBool,
+}
+
+impl Line {
+    /// What came; whether anything did.
+    fn read(&mut self) -> bool {
+        let mut bytes = [0; 256];
+        match uninterrupted::read(&mut self.stream, &mut bytes) {
+            Ok(len) => {
+                for byte in bytes.iter().take(len) {
+                    self.waiting.push_back((Character::Byte(*byte), 0));
+                }
+                len > 0
+            }
+            Err(error) => {
+                assert!(matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut), "{error}");
+                false
+            }
+        }
+    }
+}
+
+impl BusPort for Line {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        self.waiting.pop_front()
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        100_000
+    }
+
+    fn send(&mut self, frame: &[u8]) {
+        let is_write = frame.get(1) == Some(&16);
+        self.has_written |= is_write;
+        let is_lost = is_write && self.faults.loses_answer.swap(false, Ordering::SeqCst);
+        if !is_lost && !self.faults.is_silent.load(Ordering::SeqCst) {
+            self.stream.write_all(frame).expect("the master's end is open");
+        }
+    }
+}
+
+type Act = Box<dyn FnOnce(&mut Plant) + Send>;
+
+/// A bridge with a gripper; a millisecond of its time is at most one of the wall clock's.
+struct Plant {
+    station: Station<Double>,
+    gripper: SerialGripper,
+    flash: FlashModel,
+    /// The PLC's bus.
+    bus: RtuDouble,
+    now_ms: u32,
+}
+
+impl Plant {
+    fn new(homing_speed: f32) -> Self {
+        let mut plant = Self {
+            station: station(),
+            gripper: SerialGripper::new(wsg_sim::Config {
+                homing_speed: Some(homing_speed),
+                ..wsg_sim::Config::default()
+            }),
+            flash: FlashModel::new(),
+            bus: RtuDouble::default(),
+            now_ms: 0,
+        };
+        plant.start();
+        plant
+    }
+
+    /// Power comes on, with what the flash has.
+    fn start(&mut self) {
+        self.station = station();
+        let config =
+            self.station.load(&Config::DEFAULT.record(), &self.flash).expect("these settings are right");
+        self.station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
+    }
+
+    fn turn(&mut self, service: &mut dyn BusPort) {
+        self.now_ms += 1;
+        let Self { station, gripper, flash, bus, now_ms } = self;
+        station.turn(*now_ms, Inputs::FAST_STOP_OK, &mut gripper.line, bus, service, flash);
+        gripper.advance(Time::from_millis((*now_ms).into()));
+    }
+
+    /// Asks as the PLC does.
+    fn ask(&mut self, request: &[u8]) -> Vec<u8> {
+        self.bus.ask(request);
+        for _ in 0..20 {
+            self.turn(&mut RtuDouble::default());
+            if let Some(answer) = self.bus.answer() {
+                return answer;
+            }
+        }
+        panic!("no answer to {request:?}");
+    }
+
+    /// FC 16 on the PLC's bus.
+    fn write(&mut self, first: u16, values: &[u16]) {
+        let [high, low] = first.to_be_bytes();
+        let count = values.len() as u8;
+        let mut request = vec![1, 16, high, low, 0, count, 2 * count];
+        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        assert_eq!(self.ask(&request)[1], 16);
+    }
+
+    fn settings(&mut self) -> Vec<u16> {
+        let answer = self.ask(&[1, 3, 0, FIRST_SETTING as u8, 0, SETTINGS.len() as u8]);
+        answer[3..]
+            .chunks_exact(2)
+            .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
+            .take(SETTINGS.len())
+            .collect()
+    }
+
+    /// The fingers travel, slowly, and no PLC is missed.
+    fn begin_to_move(&mut self) {
+        self.write(setting("BUS_TIMEOUT"), &[0]);
+        self.write(0, &[0, 0, 0, 0]);
+        self.write(0, &[0x0800, 0, 0, 0]);
+    }
+}
+
+fn station() -> Station<Double> {
+    let buffers: &'static DpBuffers = Box::leak(Box::default());
+    Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), buffers)
+}
+
+/// A plant that is served from a thread.
+struct Served {
+    terminal: Terminal,
+    faults: Arc<Faults>,
+    acts: Sender<Act>,
+    plant: Option<JoinHandle<()>>,
+    end: Arc<AtomicBool>,
+}
+
+impl Served {
+    /// One whose fingers travel for long.
+    fn new() -> Self {
+        Self::with(2.0)
+    }
+
+    fn with(homing_speed: f32) -> Self {
+        let (near, far) = UnixStream::pair().unwrap();
+        near.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        let faults = Arc::<Faults>::default();
+        let waiting = VecDeque::new();
+        let mut line = Line { stream: near, waiting, faults: Arc::clone(&faults), has_written: false };
+        let end = Arc::new(AtomicBool::new(false));
+        let (acts, to_do) = mpsc::channel::<Act>();
+        let is_ended = Arc::clone(&end);
+        let plant = thread::spawn(move || {
+            let mut plant = Plant::new(homing_speed);
+            while !is_ended.load(Ordering::SeqCst) {
+                // A request is there as a whole once a read brings no more.
+                while line.read() {}
+                plant.turn(&mut line);
+                if std::mem::take(&mut line.has_written) && line.faults.meddles.swap(false, Ordering::SeqCst)
+                {
+                    plant.write(setting("RECIPE0_SPEED"), &[12_34]);
+                }
+                to_do.try_iter().for_each(|act| act(&mut plant));
+            }
+        });
+        let served = Self { terminal: Terminal::to(far).unwrap(), faults, acts, plant: Some(plant), end };
+        // The gripper answers.
+        served.wait(|plant| plant.station.bridge().is_connected());
+        served
+    }
+
+    /// Does something between two turns.
+    fn act<T: Send + 'static>(&self, act: impl FnOnce(&mut Plant) -> T + Send + 'static) -> T {
+        let (done, doing) = mpsc::channel();
+        self.acts.send(Box::new(move |plant| done.send(act(plant)).expect("it is waited for"))).unwrap();
+        doing.recv_timeout(BOUND).expect("the plant runs")
+    }
+
+    fn wait(&self, is_so: impl Fn(&mut Plant) -> bool + Send + Clone + 'static) {
+        let end = Instant::now() + BOUND;
+        while !self.act(is_so.clone()) {
+            assert!(Instant::now() < end, "it does not become so");
+        }
+    }
+
+    fn settings(&self) -> Vec<u16> {
+        self.act(Plant::settings)
+    }
+
+    /// `wsg bridge PORT ...`
+    fn bridge(&self, arguments: &[&str]) -> (Option<i32>, String) {
+        let output = wsg(&[&["bridge", &self.terminal.path], arguments].concat(), b"");
+        (output.status.code(), said(&output))
+    }
+
+    #[track_caller]
+    fn done(&self, arguments: &[&str]) -> String {
+        let (code, said) = self.bridge(arguments);
+        assert_eq!(code, Some(0), "{said}");
+        said
+    }
+
+    #[track_caller]
+    fn refused(&self, arguments: &[&str], expected: &str) {
+        let before = self.settings();
+        let (code, said) = self.bridge(arguments);
+        assert_eq!(code, Some(1), "{said}");
+        assert!(
+            said.lines().last().is_some_and(|line| line.starts_with(&format!("wsg: {expected}"))),
+            "{said}"
+        );
+        assert_eq!(self.settings(), before);
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::SeqCst);
+        let _ = self.plant.take().map(JoinHandle::join);
+    }
+}
+
+const BOUND: Duration = Duration::from_secs(60);
+
+fn temporary(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
+}
+
+/// Compares with the file of this name.
+#[track_caller]
+fn hold(name: &str, shown: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
+    if std::env::var_os("WSG_UPDATE_GOLDEN").is_some_and(|set| set == "1") {
+        fs::write(&path, shown).unwrap();
+    }
+    let golden = fs::read_to_string(&path).unwrap_or_default();
+    assert!(golden == shown, "{} has\n{golden}\nand now it is\n{shown}", path.display());
+}
+
+#[test]
+fn bridge_and_gripper_are_shown_in_words() {
+    let served = Served::new();
+    hold("show.txt", &served.done(&["show"]));
+    hold("show_names.txt", &served.done(&["show", "recipe0_width", "PLC_BUS", "GRIPPER_LINK", "UNIT"]));
+    hold("recipes.txt", &served.done(&["recipes"]));
+    let all = served.done(&["show", "--all"]);
+    assert!(
+        all.contains("\nLINE_CHECKSUM          0\n") && all.contains("\nRESET_CAUSE            1  power-on"),
+        "{all}"
+    );
+    served.refused(
+        &["show", "RECIPE0_WITH"],
+        "there is no setting or report RECIPE0_WITH; is it RECIPE0_WIDTH?",
+    );
+    let json: serde_json::Value = serde_json::from_str(&served.done(&["show", "--json"])).unwrap();
+    assert_eq!(json["settings"]["RECIPE0_WIDTH"], 2000);
+    assert_eq!(json["reports"]["GRIPPER_LINK"], 2);
+    assert_eq!(json["input"]["state"][0], "IDLE");
+}
+
+#[test]
+fn width_is_shown_of_fingers_that_are_referenced() {
+    let served = Served::with(300.0);
+    served.act(Plant::begin_to_move);
+    // IDLE, and a width that was told.
+    served.wait(|plant| {
+        let image = plant.ask(&[1, 4, 0, 0, 0, 4]);
+        image[3] == 1 && image[9..11] != [0, 0]
+    });
+    let shown = served.done(&["show"]);
+    assert!(
+        shown.contains(
+            "\nfingers    IDLE, 110.00 mm, 0.00 N; the last command: E_SUCCESS\nsystem     REFERENCED"
+        ),
+        "{shown}"
+    );
+}
+
+#[test]
+fn events_are_told_in_words_with_what_to_do() {
+    let served = Served::new();
+    // A motion without a homing, and FASTSTOP.
+    served.act(|plant| {
+        plant.write(0, &[0, 0, 0, 0]);
+        plant.write(0, &[0x0100, 50_00, 50_00, 40_00]);
+    });
+    served.wait(|plant| plant.ask(&[1, 4, 0, 5, 0, 1])[3..5] == [0, 3]);
+    served.act(|plant| plant.write(0, &[0x2000, 50_00, 50_00, 40_00]));
+    served.wait(|plant| plant.ask(&[1, 4, 0, 133, 0, 1])[3..5] == [0, 11]);
+
+    let events = served.done(&["events"]);
+    // Ages are the wall clock's.
+    let ageless: String = events
+        .lines()
+        .map(|line| {
+            line.split_once(" s ago").map_or(line.to_owned(), |(_, rest)| format!("  N s ago{rest}")) + "\n"
+        })
+        .collect();
+    hold("events.txt", &ageless);
+    let json: serde_json::Value = serde_json::from_str(&served.done(&["events", "--json"])).unwrap();
+    assert_eq!(json["error"], "FAST_STOP_FLAG");
+    assert_eq!(json["events"][1]["command"], "21h Pre-position Fingers");
+    let watched = served.done(&["watch", "--times", "2", "--every", "50"]);
+    assert_eq!(watched.matches("error      FAST_STOP_FLAG: ").count(), 2, "{watched}");
+}
+
+#[test]
+fn settings_are_changed_stored_taken_back_and_delivered() {
+    let served = Served::new();
+    let delivered = served.settings();
+    let said = served.done(&["set", "RECIPE0_WIDTH", "15mm", "plc_bus", "CANopen", "BUS_TIMEOUT", "0"]);
+    hold("set.txt", &said);
+    let mut expected = delivered.clone();
+    for (name, value) in [("RECIPE0_WIDTH", 15_00), ("PLC_BUS", 2), ("BUS_TIMEOUT", 0)] {
+        expected[place(name)] = value;
+    }
+    assert_eq!(served.settings(), expected);
+    assert_eq!(served.done(&["set", "PLC_BUS", "2"]), "nothing changes\n");
+
+    assert!(served.done(&["restore"]).contains("PLC_BUS: CANopen becomes Modbus RTU (2 -> 1)"));
+    assert_eq!(served.settings(), delivered);
+    served.done(&["set", "RECIPE0_WIDTH", "1600"]);
+    assert_eq!(served.done(&["save"]), "stored\n");
+    served.act(Plant::start);
+    assert_eq!(served.settings()[place("RECIPE0_WIDTH")], 16_00);
+    assert!(served.done(&["show"]).contains("settings   from: stored; all of them are stored"));
+
+    served.refused(&["defaults"], "this is asked for on a terminal; --yes does it without");
+    assert!(
+        served.done(&["defaults", "--yes"]).ends_with("16.00 mm becomes 20.00 mm (1600 -> 2000)\nstored\n")
+    );
+    served.act(Plant::start);
+    assert_eq!(served.settings(), delivered);
+
+    served.act(|plant| plant.flash.fault = Some(Fault::Protected));
+    let (code, said) = served.bridge(&["set", "RECIPE0_WIDTH", "1700", "--save"]);
+    assert_eq!(code, Some(1));
+    assert!(
+        said.ends_with(
+            "wsg: the settings were not stored: `events` says why; what was stored before still is\n"
+        ),
+        "{said}"
+    );
+    assert!(served.done(&["events"]).contains("SAVE_FAILED: the settings were not stored"));
+}
+
+#[test]
+fn values_that_do_not_fit_are_refused_in_one_line_before_anything_is_written() {
+    let served = Served::new();
+    served.refused(&["set", "COLOUR", "3"], "there is no setting COLOUR");
+    served.refused(&["set", "RECIPE0_WIDTH", "1500", "UNIT", "248"], "248 does not fit: UNIT takes 1 to 247");
+    served.refused(&["set", "UNIT", "5", "CAN_NODE"], "CAN_NODE has no value");
+    served.refused(
+        &["set", "CAN_NODE", "127"],
+        "beside the other settings it does not fit: CAN_NODE takes 1 to 127",
+    );
+    served.done(&["set", "CAN_NODE", "127", "CAN_MASTER", "16"]);
+    served.act(Plant::begin_to_move);
+    served.refused(&["set", "RECIPE0_WIDTH", "1500"], "nothing was changed: the fingers move");
+}
+
+#[test]
+fn file_of_settings_is_imported_as_a_whole_or_not_at_all() {
+    let served = Served::new();
+    let file = temporary("settings.toml");
+    let path = file.to_str().unwrap();
+    served.done(&["export", path]);
+    let exported = fs::read_to_string(&file).unwrap();
+    hold("export.toml", &exported);
+    assert_eq!(served.done(&["export", "-"]), exported);
+    assert_eq!(served.done(&["import", path]), "nothing changes\n");
+
+    let changed = exported
+        .replace("RECIPE0_WIDTH = 2000", "RECIPE0_WIDTH = \"15 mm\"")
+        .replace("RECIPE15_SPEED = 5000", "RECIPE15_SPEED = 4000");
+    fs::write(&file, &changed).unwrap();
+    let before = served.settings();
+    let told = served.done(&["import", "--dry-run", path]);
+    assert_eq!(served.settings(), before);
+    let said = served.done(&["import", "--save", path]);
+    assert_eq!(said, told + "stored\n");
+    served.act(Plant::start);
+    assert_eq!(
+        (served.settings()[place("RECIPE0_WIDTH")], served.settings()[place("RECIPE15_SPEED")]),
+        (15_00, 40_00)
+    );
+
+    fs::write(&file, changed.replace("UNIT = 1 ", "UNIT = 300 ").replace("\"15 mm\"", "1800")).unwrap();
+    let line = 1 + changed.lines().position(|line| line.starts_with("UNIT")).unwrap();
+    served.refused(&["import", path], &format!("{path}: line {line}: 300 does not fit: UNIT takes 1 to 247"));
+    fs::write(&file, changed.replace("map_version = 6", "map_version = 7")).unwrap();
+    served.refused(
+        &["import", path],
+        &format!("{path}: line 3: the file is for version 7 of the register map"),
+    );
+    fs::write(&file, changed.replace("\"15 mm\"", "1800")).unwrap();
+    served.act(Plant::begin_to_move);
+    served.refused(&["import", path], "nothing was changed: the fingers move");
+    served.refused(&["import", "no/such/file"], "no/such/file cannot be read: ");
+}
+
+#[test]
+fn write_whose_answer_is_lost_is_read_back_and_one_that_others_disturb_is_taken_back() {
+    let served = Served::new();
+    served.faults.loses_answer.store(true, Ordering::SeqCst);
+    let said = served.done(&["set", "RECIPE0_WIDTH", "15mm"]);
+    assert!(said.contains("20.00 mm becomes 15.00 mm"), "{said}");
+    assert_eq!(served.settings()[place("RECIPE0_WIDTH")], 15_00);
+
+    served.faults.meddles.store(true, Ordering::SeqCst);
+    let refused = "the settings read otherwise than they were written, and the old ones are back";
+    served.refused(&["set", "RECIPE0_WIDTH", "16mm", "RECIPE0_SPEED", "40mm/s"], refused);
+}
+
+#[test]
+fn port_that_is_none_and_bridges_that_are_none_are_named_in_one_line() {
+    let one_line = |arguments: &[&str]| {
+        let output = wsg(arguments, b"");
+        assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+        let said = said(&output);
+        assert_eq!(said.matches('\n').count(), 1, "{said}");
+        said
+    };
+    let said = one_line(&["bridge", "/dev/no-such-port", "show"]);
+    assert!(said.starts_with("wsg: there is no port /dev/no-such-port; this computer has "), "{said}");
+    let file = temporary("no_port");
+    fs::write(&file, "").unwrap();
+    let said = one_line(&["bridge", file.to_str().unwrap(), "show"]);
+    assert!(said.contains("cannot be opened as a serial port: "), "{said}");
+
+    let served = Served::new();
+    served.faults.is_silent.store(true, Ordering::SeqCst);
+    let said = one_line(&["bridge", &served.terminal.path, "show"]);
+    assert!(said.starts_with("wsg: nothing answers at ") && said.contains("is the board powered"), "{said}");
+
+    // A bridge of another day.
+    let (mut near, far) = UnixStream::pair().unwrap();
+    let terminal = Terminal::to(far).unwrap();
+    let other = thread::spawn(move || {
+        let mut request = [0; 8];
+        near.read_exact(&mut request).unwrap();
+        let answer = [1, 4, 2, 0, 7];
+        near.write_all(&[&answer[..], &bus_modbus::rtu::crc(&answer).to_le_bytes()].concat()).unwrap();
+        near
+    });
+    let said = one_line(&["bridge", &terminal.path, "show"]);
+    assert!(said.contains("has version 7 of the register map, and this wsg knows version 6: "), "{said}");
+    drop(other.join());
+}
+
+#[test]
+fn watch_on_a_terminal_ends_with_q_and_with_ctrl_c() {
+    let served = Served::new();
+    for key in ["q", "\x03"] {
+        let (mut screen, far) = UnixStream::pair().unwrap();
+        screen.set_read_timeout(Some(BOUND)).unwrap();
+        let terminal = Terminal::to(far).unwrap();
+        let open = || fs::File::options().read(true).write(true).open(&terminal.path).unwrap();
+        let mut watch = std::process::Command::new(env!("CARGO_BIN_EXE_wsg"))
+            .args(["bridge", &served.terminal.path, "watch", "--every", "60000"])
+            .stdin(open())
+            .stdout(open())
+            .spawn()
+            .unwrap();
+        let mut shown = Vec::new();
+        while !String::from_utf8_lossy(&shown).contains("q ends it") {
+            let mut byte = [0];
+            screen.read_exact(&mut byte).expect("it is shown");
+            shown.extend(byte);
+        }
+        assert!(String::from_utf8_lossy(&shown).contains("gripper    answers: WSG 50"));
+        screen.write_all(key.as_bytes()).unwrap();
+        assert!(watch.wait().unwrap().success(), "{key:?}");
+    }
+}
+
+#[test]
+fn image_is_written_by_what_takes_it_and_not_while_the_fingers_move() {
+    let served = Served::new();
+    let folder = temporary("flash");
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(folder.join("drive")).unwrap();
+    let (elf, bin, note) =
+        (folder.join("wsg-bridge.elf"), folder.join("wsg-bridge.bin"), folder.join("note"));
+    fs::write(&elf, b"\x7FELF...").unwrap();
+    fs::write(&bin, [0, 0x80, 1, 0x20, 0x89, 1, 0, 8]).unwrap();
+    for program in ["probe-rs", "st-flash"] {
+        let script =
+            format!("#!/bin/sh\n[ \"$1\" = --version ] || echo {program} \"$@\" >> '{}'\n", note.display());
+        let path = folder.join(program);
+        fs::write(&path, script).unwrap();
+        fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+    }
+    let path = format!("{}:/usr/bin:/bin", folder.display());
+    let flash = |arguments: &[&str]| {
+        let all = [&["bridge", &served.terminal.path, "flash"], arguments].concat();
+        let output = wsg_with(&all, b"", &[("PATH", &path)]);
+        (output.status.code(), said(&output))
+    };
+    let noted = || fs::read_to_string(&note).unwrap_or_default();
+    let (elf, bin) = (elf.to_str().unwrap(), bin.to_str().unwrap());
+
+    let (code, said) = flash(&[elf]);
+    assert_eq!(
+        (code, said.as_str(), noted().as_str()),
+        (Some(1), "wsg: this is asked for on a terminal; --yes does it without\n", "")
+    );
+    let (code, said) = flash(&[elf, "--yes"]);
+    assert_eq!(code, Some(0), "{said}");
+    let expected = format!("probe-rs download --chip STM32L475VG {elf}\nprobe-rs reset --chip STM32L475VG\n");
+    assert_eq!(noted(), expected);
+    fs::remove_file(&note).unwrap();
+    flash(&[bin, "--yes", "--with", "st-flash"]);
+    assert_eq!(noted(), format!("st-flash --reset write {bin} 0x08000000\n"));
+    fs::remove_file(&note).unwrap();
+    let drive = folder.join("drive");
+    let (code, said) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
+    assert_eq!(code, Some(0), "{said}");
+    assert_eq!(fs::read(drive.join("wsg-bridge.bin")).unwrap(), fs::read(bin).unwrap());
+
+    let (code, said) = flash(&[bin, "--yes", "--with", "probe-rs"]);
+    assert_eq!(code, Some(1), "{said}");
+    fs::write(bin, b"GRIP(20)").unwrap();
+    let (_, said) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
+    assert!(said.contains("is no image: it does not begin with a vector table of the board"), "{said}");
+    served.act(Plant::begin_to_move);
+    let (code, said) = flash(&[elf, "--yes"]);
+    assert_eq!(
+        (code, said.as_str()),
+        (Some(1), "wsg: the fingers move: nothing is flashed before they stand\n")
+    );
+    assert_eq!(noted(), "");
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn flashed_image_is_set_up_over_its_service_port_and_keeps_it_over_a_power_cycle() {
+    let elf = PathBuf::from(
+        std::env::var_os("WSG_FIRMWARE_ELF").expect("it names the image: run `cargo xtask test`"),
+    );
+    let flash = FlashController::new();
+    let trace = Trace::new(vec![]);
+    let power_up = || {
+        flash.power_cycle();
+        let extras = Extras { models: flash.models(), ..Extras::default() };
+        let mut board = Emulator::start_with(&elf, extras).unwrap();
+        let gripper =
+            GripperEnd::start(board.take_gripper_line().unwrap(), wsg_sim::Config::default(), &trace)
+                .unwrap();
+        let cable = Terminal::to(board.take_service_line().unwrap()).unwrap();
+        (board, gripper, cable)
+    };
+    let bridge = |cable: &Terminal, arguments: &[&str]| {
+        let output = wsg(&[&["bridge", &cable.path], arguments].concat(), b"");
+        assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+        said(&output)
+    };
+    let plant = power_up();
+    let cable = &plant.2;
+    let shown =
+        (0..50).map(|_| bridge(cable, &["show"])).find(|it| it.contains("gripper    answers: WSG 50"));
+    assert!(shown.is_some(), "the gripper does not answer");
+    assert!(bridge(cable, &["recipes"]).contains("\n     0    20.00 mm   50.00 mm/s"));
+    assert!(bridge(cable, &["events"]).contains("START: the bridge started"));
+    let file = temporary("emulated.toml");
+    let path = file.to_str().unwrap();
+    bridge(cable, &["export", path]);
+    let changed =
+        fs::read_to_string(&file).unwrap().replace("RECIPE15_WIDTH = 2000", "RECIPE15_WIDTH = 1234");
+    fs::write(&file, changed).unwrap();
+    let said = bridge(cable, &["import", path, "--save"]);
+    assert!(
+        said.contains("RECIPE15_WIDTH: 20.00 mm becomes 12.34 mm") && said.ends_with("stored\n"),
+        "{said}"
+    );
+    bridge(cable, &["set", "PLC_BUS", "none", "UNIT", "9", "BUS_CHAR_TIMEOUT", "0"]);
+    drop(plant);
+
+    let plant = power_up();
+    let shown = bridge(&plant.2, &["show", "RECIPE15_WIDTH", "PLC_BUS"]);
+    assert!(shown.contains("RECIPE15_WIDTH      1234  12.34 mm") && shown.contains("Modbus RTU"), "{shown}");
+    bridge(&plant.2, &["defaults", "--yes"]);
+    assert!(bridge(&plant.2, &["show", "RECIPE15_WIDTH"]).contains("20.00 mm"));
+    assert_eq!(motions(&trace.since(0)), []);
+    assert!(flash.violations().is_empty(), "{:?}", flash.violations());
+}
