@@ -55,7 +55,7 @@ enum Format {
     Auto,
     /// Hexadecimal digits: xxd, hexdump -C, od -A x -t x1, or nothing but digits
     Hex,
-    /// The log of wsg-sim
+    /// The log of wsg-sim or of wsg gripper
     Sim,
     /// The log of candump
     Candump,
@@ -243,6 +243,11 @@ fn of_sim_log(lines: &[sim_log::Line<'_>]) -> Vec<Entry> {
                 let (direction, words) = entry::gcl_meaning(text.as_bytes(), direction);
                 let bytes = text.as_bytes().to_vec();
                 entries.push(Entry { place: place(), direction, kind: EntryKind::Line, words, bytes });
+            }
+            sim_log::Content::Told(told) => {
+                let words = format!("the log tells: {told}");
+                let (place, kind) = (place(), EntryKind::Dropped);
+                entries.push(Entry { place, direction, kind, words, bytes: Vec::new() });
             }
             sim_log::Content::OfABus => of_buses += 1,
         }

@@ -46,6 +46,10 @@ fn log_of_a_session_with_the_simulator_is_decoded_frame_by_frame() {
     let config = Config { time_scale: 50.0, ..Config::default() };
     let server = ServerThread::start(config, &lines, Some(Log::to(log.clone()))).unwrap();
     let mut stream = connect(server.tcp_address());
+    let mut damaged: Vec<u8> = FrameEncoder::new(0x22, Request::Stop).collect();
+    damaged[7] ^= 1;
+    // It is not answered.
+    stream.write_all(&damaged).unwrap();
     let mut ask = |request: Request<'_>, answers: usize| {
         let frame: Vec<u8> = FrameEncoder::new(request.id().code(), request).collect();
         stream.write_all(&frame).unwrap();
@@ -70,6 +74,7 @@ fn log_of_a_session_with_the_simulator_is_decoded_frame_by_frame() {
     let text = said(&output);
     assert!(output.status.success(), "{text}");
     let frames = [
+        "!!  the log tells: wrong checksum: 22h Stop with 0 bytes of payload",
         "->  24h Acknowledge FAST STOP",
         "<-  24h Acknowledge FAST STOP E_SUCCESS",
         "->  20h Homing positive direction",

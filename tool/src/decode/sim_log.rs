@@ -1,4 +1,4 @@
-//! The log of `wsg-sim`: `12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 0E 76 22h Stop`.
+//! The log of `wsg-sim` and of `wsg gripper`: `12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 0E 76 22h Stop`.
 
 use wsg_protocol::Direction;
 
@@ -16,11 +16,22 @@ pub(crate) struct Line<'a> {
 pub(crate) enum Content<'a> {
     /// Bytes of a frame.
     Frame(Vec<u8>),
-    /// A line of GCL, or what the log says of a frame that it does not show.
+    /// A line of GCL.
     Text(&'a str),
+    /// What the log says of a message that it does not show as it was.
+    Told(&'a str),
     /// Bytes of Modbus/TCP or PROFIBUS.
     OfABus,
 }
+
+/// How what a log tells of damage begins and ends.
+const TOLD: [(&str, &str); 5] = [
+    ("wrong checksum: ", " bytes of payload"),
+    ("too long: ", " bytes of payload"),
+    ("", " bytes of no frame"),
+    ("", " bytes of another protocol"),
+    ("a length that no frame has", ""),
+];
 
 pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     let line = line.trim();
@@ -35,9 +46,11 @@ pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     let content = if rest.starts_with("AA AA AA ") {
         // A checksum that the log does not know is `?? ??`: the frame is told as its log tells it.
         let bytes: Vec<u8> = words().map(|(_, byte)| byte).collect();
-        if rest.contains(" ?? ?? ") { Content::Text(rest) } else { Content::Frame(bytes) }
+        if rest.contains(" ?? ?? ") { Content::Told(rest) } else { Content::Frame(bytes) }
     } else if words().nth(1).is_some() {
         Content::OfABus
+    } else if TOLD.iter().any(|(begin, end)| rest.starts_with(begin) && rest.ends_with(end)) {
+        Content::Told(rest)
     } else {
         Content::Text(rest)
     };
@@ -67,6 +80,9 @@ mod tests {
             parse_line("0.000001 s modbus 127.0.0.1:1 <- 00 01 00 00 00 03 01 84 0A FC 4, exception 10")
                 .unwrap();
         assert_eq!(bus.content, Content::OfABus);
+        let told = "wrong checksum: 25h Grip Part with 8 bytes of payload";
+        let line = format!("0.000001 s tcp 127.0.0.1:1 -> {told}");
+        assert_eq!(parse_line(&line).unwrap().content, Content::Told(told));
         assert_eq!(parse_line("0.000001 s tcp 127.0.0.1:1 connected"), None);
         assert_eq!(parse_line("later s tcp -> AA"), None);
     }
