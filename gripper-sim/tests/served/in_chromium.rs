@@ -551,6 +551,11 @@ fn look(tab: &mut Tab, (width, height, scheme): (u32, u32, &str)) {
     );
 }
 
+/// These and others, down to the smallest telephones.
+fn sizes() -> impl Iterator<Item = (u32, u32, &'static str)> {
+    LOOKS.into_iter().chain([320, 360, 810, 1920].map(|width| (width, 800, "light")))
+}
+
 #[test]
 #[ignore = "needs Chromium: see the top of this file"]
 fn nothing_is_cut_off_or_overlaps_and_all_text_has_contrast_in_light_and_dark() {
@@ -560,7 +565,7 @@ fn nothing_is_cut_off_or_overlaps_and_all_text_has_contrast_in_light_and_dark() 
     grip(&mut tab);
     let _client = gripper.acknowledge();
     tab.until("document.getElementById('clients').childElementCount > 0");
-    for size in LOOKS {
+    for size in sizes() {
         look(&mut tab, size);
         assert_eq!(tab.eval(PROBLEMS), json!([]), "{size:?}");
     }
@@ -568,7 +573,7 @@ fn nothing_is_cut_off_or_overlaps_and_all_text_has_contrast_in_light_and_dark() 
     tab.until(&flag_is_on("FAST_STOP"));
     tab.click("#home");
     tab.until("document.getElementById('message').textContent !== ''");
-    for size in LOOKS {
+    for size in sizes() {
         look(&mut tab, size);
         assert_eq!(tab.eval(PROBLEMS), json!([]), "{size:?}, behind a FAST STOP");
     }
