@@ -77,6 +77,7 @@ pub mod iwdg;
 pub mod line_errors;
 pub mod load_store;
 pub mod masters;
+#[cfg(unix)]
 pub mod mcp2515;
 pub mod modbus_bench;
 #[cfg(unix)]

@@ -6,10 +6,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
 
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver, Transport};
-use wsg_protocol::driver::host::{self, StdClock, Stream, Tcp, Udp};
+use wsg_protocol::driver::host::{self, StdClock, Tcp, Udp};
 use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, OnBlock, Protocol};
 use wsg_protocol::{HomingDirection, SystemFlags};
-use wsg_sim::server::{Lines, SerialLine, ServerThread, UdpLine};
+use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, Part};
 
 /// No test waits longer for what must happen.
@@ -79,14 +79,6 @@ fn blocking_driver_grips_over_gcl_on_udp() {
     let server = serve(&Lines { gcl_udp: Some(loopback()), ..Lines::default() });
     let line = Udp::connect(server.gcl_udp_address().unwrap(), 0).unwrap();
     grips(&mut GclGripper::new(line, StdClock::new()));
-}
-
-#[test]
-fn blocking_driver_grips_over_a_serial_port() {
-    let server = serve(&Lines { serial: Some(SerialLine::Pty), ..Lines::default() });
-    let path = server.serial_path().unwrap().to_str().unwrap().to_owned();
-    let port = serialport::new(path, 115_200).timeout(Duration::from_millis(1)).open().unwrap();
-    grips(&mut Gripper::new(Stream::new(port), StdClock::new()));
 }
 
 /// Waits until the fingers stand still, over a connection of its own.
@@ -222,13 +214,13 @@ mod on_tokio {
     use tokio::net::UdpSocket;
     use tokio::sync::oneshot;
     use wsg_protocol::driver::asynch::{self, Gripper};
-    use wsg_protocol::driver::tokio::{Stream, Tcp, TokioTimer, Udp, with_gripper};
+    use wsg_protocol::driver::tokio::{Tcp, TokioTimer, Udp, with_gripper};
 
-    fn run<T>(program: impl Future<Output = T>) -> T {
+    pub(super) fn run<T>(program: impl Future<Output = T>) -> T {
         tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(program)
     }
 
-    async fn grips<IO, P>(gripper: &mut asynch::GripperOver<IO, TokioTimer, P>)
+    pub(super) async fn grips<IO, P>(gripper: &mut asynch::GripperOver<IO, TokioTimer, P>)
     where
         IO: asynch::Transport<Error = io::Error>,
         P: driver::Protocol,
@@ -271,17 +263,6 @@ mod on_tokio {
         });
     }
 
-    #[cfg(unix)]
-    #[test]
-    fn async_driver_grips_over_a_stream() {
-        let path = std::env::temp_dir().join(format!("wsg-protocol-{}.socket", std::process::id()));
-        let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
-        run(async {
-            let stream = tokio::net::UnixStream::connect(server.serial_path().unwrap()).await.unwrap();
-            grips(&mut Gripper::new(Stream::new(stream), TokioTimer::new())).await;
-        });
-    }
-
     #[test]
     fn future_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
         let (_server, address) = on_tcp();
@@ -300,5 +281,33 @@ mod on_tokio {
         });
         let flags = flags_at_rest(address);
         assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
+    }
+}
+
+/// A pseudo terminal and a Unix socket, as serial lines.
+#[cfg(unix)]
+mod on_unix {
+    use super::*;
+    use ::tokio::net::UnixStream;
+    use wsg_protocol::driver::{asynch, tokio};
+    use wsg_sim::server::SerialLine;
+
+    #[test]
+    fn blocking_driver_grips_over_a_serial_port() {
+        let server = serve(&Lines { serial: Some(SerialLine::Pty), ..Lines::default() });
+        let path = server.serial_path().unwrap().to_str().unwrap().to_owned();
+        let port = serialport::new(path, 115_200).timeout(Duration::from_millis(1)).open().unwrap();
+        grips(&mut Gripper::new(host::Stream::new(port), StdClock::new()));
+    }
+
+    #[test]
+    fn async_driver_grips_over_a_stream() {
+        let path = std::env::temp_dir().join(format!("wsg-protocol-{}.socket", std::process::id()));
+        let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
+        on_tokio::run(async {
+            let stream = UnixStream::connect(server.serial_path().unwrap()).await.unwrap();
+            let line = tokio::Stream::new(stream);
+            on_tokio::grips(&mut asynch::Gripper::new(line, tokio::TokioTimer::new())).await;
+        });
     }
 }
