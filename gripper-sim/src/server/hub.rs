@@ -19,7 +19,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
-#[cfg(feature = "profinet")]
+#[cfg(all(feature = "profinet", target_os = "linux"))]
 use wsg_protocol::SystemFlags;
 use wsg_protocol::fieldbus::{InputImage, OutputImage};
 use wsg_protocol::{Command, Status};
@@ -257,7 +257,7 @@ impl Hub {
     }
 
     /// What a master reads now, and the system state.
-    #[cfg(feature = "profinet")]
+    #[cfg(all(feature = "profinet", target_os = "linux"))]
     pub(super) fn shown(&self) -> (InputImage, SystemFlags) {
         self.with_gripper(|gripper, now| {
             gripper.advance(now);
@@ -355,14 +355,14 @@ impl Client {
     }
 
     /// Takes an image that a master wrote.
-    #[cfg(feature = "profinet")]
+    #[cfg(all(feature = "profinet", target_os = "linux"))]
     pub(super) fn write_image(&self, image: &OutputImage, is_first: bool) {
         self.connected.heard_at.set(Instant::now());
         self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
     }
 
     /// The master that writes images has stopped, or is silent.
-    #[cfg(feature = "profinet")]
+    #[cfg(all(feature = "profinet", target_os = "linux"))]
     pub(super) fn end_images(&self) {
         self.hub.act(|gripper, now| gripper.end_images(self.connected.id, now));
     }

@@ -5,12 +5,14 @@ mod ip;
 
 use super::lines::ProfinetLine;
 use anyhow::Result;
+#[cfg(target_os = "linux")]
 use bus_profinet::{IpParameters, StationName};
-use std::fs;
-use std::io;
 use std::path::Path;
+#[cfg(target_os = "linux")]
+use std::{fs, io};
 
 /// Keeps name and address in the configuration file that they came from: their lines are replaced, and all others stay.
+#[cfg(target_os = "linux")]
 fn keep(path: &Path, name: &StationName, ip: &IpParameters) -> io::Result<()> {
     let text = fs::read_to_string(path)?;
     let is_kept = |line: &&str| {
@@ -278,7 +280,7 @@ mod no_interface {
 #[cfg(not(target_os = "linux"))]
 pub(super) use no_interface::Interface;
 
-#[cfg(test)]
+#[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
 
