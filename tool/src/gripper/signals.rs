@@ -25,6 +25,12 @@ impl Caught {
     pub(crate) const INTERRUPT: Self = Self(SIGINT.unsigned_abs() as u8);
 }
 
+/// What ends a program, of what the system has.
+#[cfg(unix)]
+const SIGNALS: [i32; 4] = [SIGINT, SIGTERM, signal_hook::consts::SIGHUP, signal_hook::consts::SIGQUIT];
+#[cfg(not(unix))]
+const SIGNALS: [i32; 2] = [SIGINT, SIGTERM];
+
 impl Display for Caught {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         write!(f, "signal {}", self.0)
@@ -37,10 +43,7 @@ impl Signals {
     /// Catches them from now on.
     pub(crate) fn catch() -> io::Result<Self> {
         let caught = Arc::new(AtomicUsize::new(0));
-        let mut signals = vec![SIGINT, SIGTERM];
-        #[cfg(unix)]
-        signals.extend([signal_hook::consts::SIGHUP, signal_hook::consts::SIGQUIT]);
-        for signal in signals {
+        for signal in SIGNALS {
             signal_hook::flag::register_usize(signal, Arc::clone(&caught), signal.unsigned_abs() as usize)?;
         }
         Ok(Self { caught, heeded: Arc::new(AtomicBool::new(true)) })
