@@ -10,7 +10,7 @@ mod gripper;
 #[cfg(feature = "telemetry")]
 mod telemetry;
 
-use std::io;
+use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -47,12 +47,23 @@ fn main() -> ExitCode {
         #[cfg(feature = "telemetry")]
         Command::Telemetry(arguments) => telemetry::run(&arguments),
         Command::Completions { shell } => {
-            clap_complete::generate(shell, &mut Arguments::command(), "wsg", &mut io::stdout());
-            Ok(ExitCode::SUCCESS)
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Arguments::command(), "wsg", &mut script);
+            io::stdout().write_all(&script).map(|()| ExitCode::SUCCESS).map_err(anyhow::Error::from)
         }
     };
     result.unwrap_or_else(|error| {
         eprintln!("wsg: {error:#}");
         ExitCode::FAILURE
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn command_line_is_one_that_clap_takes() {
+        Arguments::command().debug_assert();
+    }
 }
