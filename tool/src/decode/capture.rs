@@ -223,10 +223,8 @@ fn take(
             if tcp.syn() {
                 conversation.opened_by_lower = Some(is_from_lower == is_new);
             }
-            let [own, other] = match &mut conversation.streams {
-                [lower, upper] if side == 0 => [lower, upper],
-                [lower, upper] => [upper, lower],
-            };
+            let [lower, upper] = &mut conversation.streams;
+            let own = if is_from_lower { lower } else { upper };
             if tcp.syn() {
                 own.start(tcp.sequence_number());
             } else if !tcp.payload().is_empty() {
@@ -234,9 +232,6 @@ fn take(
                 if let Some(has_data) = conversation.has_data.get_mut(side) {
                     *has_data = true;
                 }
-            }
-            if tcp.ack() {
-                other.acknowledge(tcp.acknowledgment_number());
             }
         }
         Some(TransportSlice::Udp(udp)) => {

@@ -69,14 +69,6 @@ impl Stream {
         }
     }
 
-    /// The other side has all bytes before this number: what is missing of them the capture has missed.
-    pub(crate) fn acknowledge(&mut self, number: u32) {
-        let acknowledged = self.place(number);
-        while self.held.first_key_value().is_some_and(|(start, _)| *start < acknowledged) {
-            self.skip_gap();
-        }
-    }
-
     /// All of it, and whatever waits behind gaps.
     pub(crate) fn finish(mut self) -> Vec<Stretch> {
         while !self.held.is_empty() {
@@ -147,19 +139,29 @@ mod tests {
     }
 
     #[test]
-    fn gap_that_was_acknowledged_is_told_and_the_stream_goes_on() {
+    fn gap_is_told_once_nothing_can_fill_it_and_the_stream_goes_on() {
         let mut stream = Stream::default();
         stream.start(u32::MAX - 3);
         stream.receive(1, u32::MAX - 2, b"ab");
         // Two bytes are missing, over the wrap of the numbers.
         stream.receive(2, 1, b"ef");
-        assert_eq!(bytes(&stream.stretches), [(0, 0, &b"ab"[..])]);
-        stream.acknowledge(1);
         assert_eq!(bytes(&stream.stretches), [(0, 0, &b"ab"[..])], "they may still come");
-        stream.acknowledge(3);
         let stretches = stream.finish();
         assert_eq!(bytes(&stretches), [(0, 0, &b"ab"[..]), (2, 4, &b"ef"[..])]);
         assert_eq!((stretches[0].packet_of(1), stretches[1].packet_of(0)), (1, 2));
+    }
+
+    #[test]
+    fn no_more_is_held_behind_a_gap_than_a_receiver_has_room_for() {
+        let mut stream = Stream::default();
+        stream.start(0);
+        let payload = vec![7; MAX_HELD / 2];
+        for number in 0..3 {
+            stream.receive(number, 3 + (number * payload.len()) as u32, &payload);
+        }
+        assert_eq!((stream.held_len, stream.held.len()), (0, 0));
+        let gaps: Vec<_> = stream.finish().iter().map(|it| (it.missing_before, it.bytes.len())).collect();
+        assert_eq!(gaps, [(2, 3 * payload.len())]);
     }
 
     #[test]

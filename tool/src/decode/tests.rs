@@ -134,7 +134,7 @@ fn capture() -> Vec<u8> {
     tcp(true, 1_005, 5_000, &grip[5..]);
     tcp(false, 5_010, 1_016, &width);
     tcp(false, 5_000, 1_016, &pending);
-    // 14 bytes of the gripper are missing, and the client has them.
+    // 14 bytes of the gripper are missing.
     tcp(false, 5_038, 1_016, &width);
     tcp(true, 1_016, 5_052, &request(Command::Stop));
     capture.udp((CLIENT, 50_000), (GRIPPER, 1_500), &request(Command::Stop));
@@ -149,6 +149,71 @@ fn tcp_in_order_without_what_was_sent_again_and_udp() {
     hold("capture.txt", &shown(&capture(), &[]));
     let by_port = shown(&capture(), &["--port", "53"]);
     assert!(by_port.contains("left out, with port 1000, 1500"), "{by_port}");
+}
+
+/// The packets of a file that [`Capture`] made: seconds, microseconds, bytes.
+fn packets(file: &[u8]) -> Vec<(u32, u32, Vec<u8>)> {
+    let mut rest = &file[24..];
+    let mut packets = Vec::new();
+    while !rest.is_empty() {
+        let word = |at: usize| u32::from_le_bytes(rest[at..at + 4].try_into().unwrap());
+        let len = word(8) as usize;
+        packets.push((word(0), word(4), rest[16..16 + len].to_vec()));
+        rest = &rest[16 + len..];
+    }
+    packets
+}
+
+#[test]
+fn pcapng_and_pcap_of_either_order_and_resolution_give_the_same() {
+    let expected = shown(&capture(), &[]);
+    let packets = packets(&capture());
+    let padded = |bytes: &[u8]| [bytes, &vec![0; bytes.len().next_multiple_of(4) - bytes.len()]].concat();
+    let block = |kind: u32, body: &[u8]| {
+        let len = (12 + body.len() as u32).to_le_bytes();
+        [&kind.to_le_bytes()[..], &len, body, &len].concat()
+    };
+    let mut ng =
+        block(0x0A0D_0D0A, &[0x4D, 0x3C, 0x2B, 0x1A, 1, 0, 0, 0, 255, 255, 255, 255, 255, 255, 255, 255]);
+    // Ethernet, times in nanoseconds.
+    ng.extend(block(1, &[1, 0, 0, 0, 0, 0, 4, 0, 9, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0, 0]));
+    let mut nanoseconds =
+        vec![0xA1, 0xB2, 0x3C, 0x4D, 0, 2, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0, 0, 1];
+    for (seconds, micros, bytes) in &packets {
+        let ticks = u64::from(*seconds) * 1_000_000_000 + u64::from(*micros) * 1_000;
+        let words = [0, (ticks >> 32) as u32, ticks as u32, bytes.len() as u32, bytes.len() as u32];
+        let head: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        ng.extend(block(6, &[head, padded(bytes)].concat()));
+        let words = [*seconds, micros * 1_000, bytes.len() as u32, bytes.len() as u32];
+        nanoseconds.extend(words.iter().flat_map(|word| word.to_be_bytes()));
+        nanoseconds.extend(bytes);
+    }
+    assert_eq!(shown(&ng, &[]), expected);
+    assert_eq!(shown(&nanoseconds, &[]), expected);
+}
+
+#[test]
+fn every_link_that_carries_ip_gives_the_same() {
+    let expected = shown(&capture(), &[]);
+    // What stands before a packet of IP instead of Ethernet's addresses and type.
+    let links: [(u32, &[u8]); 5] = [
+        (0, &[2, 0, 0, 0]),
+        (101, &[]),
+        (108, &[0, 0, 0, 2]),
+        (113, &[0, 0, 0, 1, 0, 6, 2, 2, 2, 2, 2, 2, 0, 0, 0x08, 0x00]),
+        (276, &[0x08, 0x00, 0, 0, 0, 0, 0, 2, 0, 1, 0, 6, 2, 2, 2, 2, 2, 2, 0, 0]),
+    ];
+    for (link, before) in links {
+        let mut file = capture()[..20].to_vec();
+        file.extend(link.to_le_bytes());
+        for (seconds, micros, bytes) in packets(&capture()) {
+            let bytes = [before, &bytes[14..]].concat();
+            let len = bytes.len() as u32;
+            file.extend([seconds, micros, len, len].iter().flat_map(|word| word.to_le_bytes()));
+            file.extend(bytes);
+        }
+        assert_eq!(shown(&file, &[]), expected, "{link}");
+    }
 }
 
 #[test]
