@@ -1,8 +1,9 @@
-//! `wsg telemetry`: any number of grippers to an MQTT broker, by Sparkplug B. It only reads.
+//! `wsg telemetry`: any number of grippers and bridges to an MQTT broker, by Sparkplug B. It only reads.
 //!
 //! A task for each device reads it and reports what changed; one task has the broker, and turns reports into messages:
-//! `gripper` -> `node` and its `store` -> `broker`. All run in one thread.
+//! `gripper` and `bridge` -> `node` and its `store` -> `broker`. All run in one thread.
 
+mod bridge;
 mod broker;
 mod config;
 mod gripper;
@@ -26,8 +27,8 @@ use tokio::{
     task::{JoinSet, LocalSet},
 };
 
-use config::Telemetry;
-use metrics::GRIPPER;
+use config::{Source, Telemetry};
+use metrics::{BRIDGE, GRIPPER, Metric};
 use node::Node;
 use report::Reporter;
 use sequence::Sequence;
@@ -35,7 +36,7 @@ use sequence::Sequence;
 /// Reports that wait for the task with the broker; readers wait when there are more.
 const REPORTS: usize = 4_096;
 
-/// Sends what grippers tell to an MQTT broker, by Sparkplug B. It only reads. docs/telemetry.md has the settings.
+/// Sends what grippers and bridges tell to an MQTT broker, by Sparkplug B. It only reads. docs/telemetry.md has the settings.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// The settings, a TOML file.
@@ -77,16 +78,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
 async fn send(telemetry: Telemetry, broker: broker::Broker, sequence: &mut Sequence) -> Result<()> {
     let (stop, stopping) = watch::channel(false);
     let (sender, reports) = mpsc::channel(REPORTS);
-    let devices: Vec<_> = telemetry.devices.iter().map(|device| (device.name.clone(), GRIPPER)).collect();
+    let devices: Vec<_> =
+        telemetry.devices.iter().map(|device| (device.name.clone(), device.source.table())).collect();
     let mut node = Node::new(&telemetry.group, &telemetry.node, &devices, telemetry.store);
     let sockets = Rc::new(line::Sockets::default());
     let mut readers = JoinSet::new();
     for (device, of) in (0_u16..).zip(telemetry.devices) {
         let reporter = Reporter { device, name: of.name, reports: sender.clone() };
         let (data, sockets, stopping) = (telemetry.data, Rc::clone(&sockets), stopping.clone());
-        readers.spawn_local(async move {
-            gripper::read(of.address, data, &sockets, reporter, stopping).await;
-        });
+        match of.source {
+            Source::Gripper(address) => readers.spawn_local(async move {
+                gripper::read(address, data, &sockets, reporter, stopping).await;
+            }),
+            Source::Bridge(port) => readers.spawn_local(bridge::read(port, data, reporter, stopping)),
+        };
     }
     drop(sender);
     // The broker is told NDEATH, and each gripper that its connection ends, at the same time.
@@ -98,6 +103,16 @@ async fn send(telemetry: Telemetry, broker: broker::Broker, sequence: &mut Seque
     let ((), outcome) = tokio::join!(broker.run(&mut node, reports, sequence, stopping), end);
     while readers.join_next().await.is_some() {}
     outcome
+}
+
+impl Source {
+    /// What is told of it.
+    const fn table(&self) -> &'static [Metric] {
+        match self {
+            Self::Gripper(_) => GRIPPER,
+            Self::Bridge(_) => BRIDGE,
+        }
+    }
 }
 
 /// Is ready when the program is asked to end.

@@ -60,7 +60,14 @@ pub(super) struct Data {
 #[derive(Debug)]
 pub(super) struct Device {
     pub(super) name: String,
-    pub(super) address: Address,
+    pub(super) source: Source,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    Gripper(Address),
+    /// The serial port of a bridge's service port.
+    Bridge(String),
 }
 
 /// Where a gripper is.
@@ -143,13 +150,13 @@ impl Telemetry {
         let mut devices: Vec<Device> = Vec::new();
         let mut names = BTreeSet::new();
         for section in sections.iter().filter(|section| REPEATED.contains(&section.name)) {
-            let device = Device { name: section.text("name").to_owned(), address: gripper_address(section)? };
+            let device = Device { name: section.text("name").to_owned(), source: source_of(section)? };
             if !names.insert(device.name.clone()) {
                 return Err(section.wrong("name", "another device has this name"));
             }
             devices.push(device);
         }
-        ensure!(!devices.is_empty(), "{name}: there is no [[gripper]]");
+        ensure!(!devices.is_empty(), "{name}: there is no [[gripper]] and no [[bridge]]");
         ensure!(devices.len() < usize::from(u16::MAX), "{name}: too many devices, at most 65534");
         let (group, node_name) = (node.text("group").to_owned(), node.text("name").to_owned());
         Ok(Self {
@@ -184,7 +191,9 @@ fn sections(file: &str, text: &str) -> Result<Vec<Section>> {
         let place = place_of(key.span().start);
         let key: &str = key.get_ref();
         let Some(name) = SETTINGS.iter().map(|setting| setting.section).find(|name| *name == key) else {
-            bail!("{place}: there is no section {key:?}: expected [broker], [node], [data] or [[gripper]]");
+            bail!(
+                "{place}: there is no section {key:?}: expected [broker], [node], [data], [[gripper]] or [[bridge]]"
+            );
         };
         let is_repeated = REPEATED.contains(&name);
         match value.get_ref() {
@@ -305,9 +314,13 @@ fn password_of(section: &Section) -> Result<Option<Secret>> {
     Ok(Some(Secret(password)))
 }
 
-fn gripper_address(section: &Section) -> Result<Address> {
+fn source_of(section: &Section) -> Result<Source> {
+    if section.name == "bridge" {
+        return Ok(Source::Bridge(section.text("device").to_owned()));
+    }
     let expected = "expected tcp://HOST[:1000], udp://HOST[:1500][?local=1501] or serial:DEVICE";
-    address_of(section.text("address")).ok_or_else(|| section.wrong("address", expected))
+    let address = address_of(section.text("address"));
+    address.map(Source::Gripper).ok_or_else(|| section.wrong("address", expected))
 }
 
 fn address_of(text: &str) -> Option<Address> {

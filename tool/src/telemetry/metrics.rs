@@ -1,4 +1,4 @@
-//! What is told of a gripper and of this edge node: one table each, from which births, data and the document
+//! What is told of a gripper, of a bridge and of this edge node: one table each, from which births, data and the document
 //! derive.
 
 use super::payload::{DataType, MetricValue};
@@ -81,6 +81,31 @@ table! {
         Firmware: "Properties/Firmware" String "" "version of the gripper's firmware";
         BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum or length, since the program started";
         Connections: "Diagnostics/Connections" UInt64 "" "how often the gripper was found, since the program started";
+    }
+}
+
+table! {
+    /// What is told of a bridge and the gripper behind it.
+    BRIDGE, OfBridge {
+        Width: "Width" Float "mm" "opening width; null while the fingers are not referenced. This and all down to `Status` is null while no gripper answers";
+        Force: "Force" Float "N" "gripping force, summed over both fingers";
+        State: "State" String "" "gripper state in words, as for a gripper";
+        Flags: "Flags" UInt64 "" "SYSSTATE: system state flags (command set, appendix B)";
+        Referenced: "Referenced" Boolean "" "the fingers are referenced";
+        Moving: "Moving" Boolean "" "the fingers move";
+        FastStop: "Fast Stop" Boolean "" "FAST STOP is latched";
+        Fault: "Fault" Boolean "" "a fault of temperature, supply, motor or finger";
+        Status: "Status" String "" "status code of the last command";
+        Link: "Gripper Link" String "" "whether a gripper answers the bridge: never answered, silent, answers";
+        Cause: "Error Cause" String "" "why ERROR is high, the name of an event (registers.md); empty: it is low";
+        Events: "Events" UInt64 "" "events since the bridge started";
+        Device: "Properties/Device" String "" "the gripper's model";
+        Serial: "Properties/Serial Number" UInt64 "" "the gripper's serial number; 0: not known";
+        Bridge: "Properties/Bridge Firmware" String "" "version of the bridge's firmware";
+        Disconnects: "Diagnostics/Disconnects" UInt64 "" "how often the gripper fell silent since the bridge started";
+        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames of the gripper with a wrong checksum since then";
+        Repeated: "Diagnostics/Repeated" UInt64 "" "requests to the gripper that were sent again since then";
+        Timeouts: "Diagnostics/Bus Timeouts" UInt64 "" "how often the PLC that commanded was silent for too long since then";
     }
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::{
-    metrics::{GRIPPER, Metric, NODE},
+    metrics::{BRIDGE, GRIPPER, Metric, NODE},
     settings::{Kind, REPEATED, SETTINGS},
 };
 
@@ -36,7 +36,11 @@ fn write(text: &mut String) -> std::fmt::Result {
         };
         writeln!(text, "| `{section}` `{}` | {default} | {}{range} |", setting.name, setting.meaning)?;
     }
-    for (title, table) in [("Metrics of the edge node", NODE), ("Metrics of a gripper", GRIPPER)] {
+    for (title, table) in [
+        ("Metrics of the edge node", NODE),
+        ("Metrics of a gripper", GRIPPER),
+        ("Metrics of a bridge", BRIDGE),
+    ] {
         writeln!(text, "\n### {title}\n\n| metric | type | unit | what it is |\n|---|---|---|---|")?;
         for Metric { name, datatype, unit, meaning } in table {
             writeln!(text, "| `{name}` | {datatype:?} | {unit} | {meaning} |")?;

@@ -51,7 +51,7 @@ const fn setting(
 }
 
 /// Sections that may be there any number of times, as `[[name]]`.
-pub(super) const REPEATED: [&str; 1] = ["gripper"];
+pub(super) const REPEATED: [&str; 2] = ["gripper", "bridge"];
 
 /// Every setting.
 pub(super) const SETTINGS: &[Setting] = &[
@@ -152,6 +152,14 @@ pub(super) const SETTINGS: &[Setting] = &[
         Kind::Text,
         None,
         "`tcp://HOST[:1000]`, `udp://HOST[:1500]` (answers come to port 1501; another: `udp://HOST:1500?local=1502`), or `serial:DEVICE` (115 200 bit/s, 8N1)",
+    ),
+    setting("bridge", "name", Kind::Name, None, "Sparkplug's name of the device; its own in this file"),
+    setting(
+        "bridge",
+        "device",
+        Kind::Text,
+        None,
+        "the serial port of the bridge's service port, such as `/dev/ttyACM0`",
     ),
 ];
 

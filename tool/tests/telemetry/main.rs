@@ -2,6 +2,7 @@
 
 #![cfg(all(unix, feature = "telemetry"))]
 
+mod bridged;
 mod load;
 mod rig;
 

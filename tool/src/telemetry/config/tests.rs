@@ -19,7 +19,7 @@ fn file_with_the_least_that_is_needed_has_the_defaults_of_the_table() {
     assert!(telemetry.broker.tls_name.is_none() && telemetry.broker.user.is_none());
     assert_eq!((telemetry.broker.keep_alive.as_secs(), telemetry.store), (10, 100_000));
     assert_eq!((telemetry.data.period_ms, telemetry.data.width_deadband), (100, 0.05));
-    assert_eq!(telemetry.devices[0].address, Address::Tcp("192.168.1.20:1000".to_owned()));
+    assert_eq!(telemetry.devices[0].source, Source::Gripper(Address::Tcp("192.168.1.20:1000".to_owned())));
 }
 
 #[test]
@@ -73,7 +73,11 @@ fn whatever_is_wrong_is_told_in_one_line_with_its_place_and_what_is_expected() {
             "cell.toml, line 4",
             "password_file already",
         ),
-        (in_broker("[brokers]"), "cell.toml, line 3", "expected [broker], [node], [data] or [[gripper]]"),
+        (
+            in_broker("[brokers]"),
+            "cell.toml, line 3",
+            "expected [broker], [node], [data], [[gripper]] or [[bridge]]",
+        ),
         (in_broker("[gripper]\nname = \"a\"").replace(GRIPPER, ""), "cell.toml, line 3", "double brackets"),
         (["[[broker]]\n", NODE, GRIPPER].concat(), "cell.toml, line 1", "expected [broker]"),
         (
