@@ -35,20 +35,23 @@ const { values: options, positionals } = parseArgs({
 // boards/pico has them in its pin table.
 const BUS_DRIVER = 6;
 const CAN_SELECT = 17, CAN_INTERRUPT = 20;
-const SPI0 = 0x4003c, UARTS = [0x40034, 0x40038], UART_INTERRUPTS = [20, 21], IO_BANK0 = 0x40014, GPIO_OUT_XOR = 0x1c;
+const SPI0 = 0x4003c, UARTS = [0x40034, 0x40038], UART_INTERRUPTS = [20, 21], IO_BANK0 = 0x40014, GPIO_OUT_XOR = 0x1c, NVIC_ICPR = 0x280;
 
 // Where the boot ROM leaves the core (data sheet, 2.8.1.4).
 const BOOT_STACK = 0x20041f00, BOOT_ENTRY = 0x10000000;
 
 // How far the machine's time may be ahead of the wall's when it sleeps, which saves a pause that no host could make so short;
 // and by how much it may be late and still catch up.
-const AHEAD_NANOS = 1e6, LATE_NANOS = 4e6;
-// How long, on the wall, until commands and bytes are looked at.
-const SLICE_MILLIS = 1;
+const AHEAD_NANOS = 1e6, LATE_NANOS = 50e6;
+// How long, on the wall and for the machine, until commands and bytes are looked at.
+const SLICE_MILLIS = 1, SLICE_NANOS = 2e6;
 
 // Pins that firmware drives one by one change one after the other: told is how they are a moment after the first of them, shorter
 // than any input of a PLC is filtered.
 const SETTLE_NANOS = 5000;
+
+// The longest piece of what the lines send.
+const PIECE = [16, 256, 1];
 
 const outputMask = Number(options.outputs);
 
@@ -123,16 +126,42 @@ class Pico {
         this.look();
     }
 
-    // rp2040js takes an exception that is masked when the core sleeps, and does not wake for SysTick.
+    // rp2040js takes an exception that is masked when the core sleeps, does not wake for SysTick, forgets an interrupt that was
+    // pended by software when its line falls, and has an odd program counter in handlers, which spoils jumps by a table. Here it is
+    // as ARMv6-M has it (B1.5, B3.4): a line that rises pends its interrupt, as a store to ISPR does; that ends with its handler's
+    // entry, and begins anew behind it if the line is still high.
     correctCore() {
-        const { core } = this.rp2040;
+        const { core, ppb } = this.rp2040;
+        let lines = 0, active = 0;
+        const pend = (bits) => {
+            core.pendingInterrupts |= bits;
+            core.interruptsUpdated = true;
+        };
         core.setInterrupt = (irq, value) => {
-            if (value) {
-                core.pendingInterrupts |= 1 << irq;
-                core.interruptsUpdated = true;
-            } else {
-                core.pendingInterrupts &= ~(1 << irq);
+            const bit = 1 << irq;
+            if (value && !(lines & bit)) pend(bit);
+            lines = value ? lines | bit : lines & ~bit;
+        };
+        const { exceptionEntry, exceptionReturn } = core;
+        core.exceptionEntry = (number) => {
+            if (number >= 16) {
+                core.pendingInterrupts &= ~(1 << (number - 16));
+                active |= 1 << (number - 16);
             }
+            exceptionEntry.call(core, number);
+            core.PC &= ~1;
+        };
+        core.exceptionReturn = (value) => {
+            const left = core.IPSR >= 16 ? 1 << (core.IPSR - 16) : 0;
+            exceptionReturn.call(core, value);
+            active &= ~left;
+            pend(lines & left);
+        };
+        const write = ppb.writeUint32;
+        ppb.writeUint32 = (offset, value) => {
+            if (offset !== NVIC_ICPR) return write.call(ppb, offset, value);
+            core.pendingInterrupts &= ~value;
+            return pend(lines & value & ~active);
         };
         this.mayWake = () =>
             (core.pendingInterrupts & core.enabledInterrupts) !== 0 ||
@@ -260,15 +289,19 @@ class Pico {
         }
     }
 
+    get isRunning() {
+        return this.ended === null && !this.isReset;
+    }
+
     run() {
         const { clock, flash } = this;
         const { core } = this.rp2040;
-        const until = performance.now() + SLICE_MILLIS;
+        const until = performance.now() + SLICE_MILLIS, untilNanos = clock.nanosCounter + SLICE_NANOS;
         const cycleNanos = 1e9 / this.rp2040.clkSys;
         let late = this.wall() - clock.nanosCounter;
         if (late > LATE_NANOS) this.offset += late - LATE_NANOS;
         do {
-            for (let n = 0; n < 1000 && this.ended === null && !this.isReset; n++) {
+            for (let n = 0; n < 1000 && this.isRunning && clock.nanosCounter < untilNanos; n++) {
                 if (!core.waiting) {
                     let nanos = core.executeInstruction() * cycleNanos;
                     if (!flash.isMapped) nanos += this.unmapped();
@@ -286,10 +319,11 @@ class Pico {
                         this.pause = setTimeout(() => this.goOn(), Math.min(Math.floor(ahead / 1e6), 1000));
                         return;
                     }
-                    clock.tick(alarm - clock.nanosCounter);
+                    clock.nanosCounter = alarm;
+                    clock.tick(0);
                 }
             }
-        } while (this.ended === null && !this.isReset && performance.now() < until);
+        } while (this.isRunning && clock.nanosCounter < untilNanos && performance.now() < until);
         this.flush();
         if (this.isReset) this.restart();
         if (this.ended === null) setImmediate(() => this.run());
@@ -302,10 +336,13 @@ class Pico {
         return this.flash.takeNanos();
     }
 
+    // Passes on what was sent. A frame goes in one piece: on a busy host its bytes would else come too far apart for a master.
     flush() {
         this.lines.forEach((line, n) => {
-            if (this.toSend[n].length && !line.destroyed) line.write(Uint8Array.from(this.toSend[n]));
-            this.toSend[n].length = 0;
+            const bytes = this.toSend[n];
+            if (!bytes.length || (this.uarts[n]?.isSending && bytes.length < PIECE[n])) return;
+            if (!line.destroyed) line.write(Uint8Array.from(bytes));
+            bytes.length = 0;
         });
     }
 

@@ -65,6 +65,10 @@ class Pl011 extends BasePeripheral {
         return Math.round(1e9 / this.bitNanos);
     }
 
+    get isSending() {
+        return this.shifting !== null;
+    }
+
     level(shift) {
         return this.lcr & FEN ? LEVELS[(this.ifls >> shift) & 7] : 1;
     }

@@ -8,7 +8,7 @@ const { createSetupPacket, DataDirection, SetupRecipient, SetupType, SetupReques
 
 const CONFIGURATION = 2, HEADER_LEN = 9;
 const INTERFACE = 4, ENDPOINT = 5, CDC_DATA = 10, BULK = 2;
-const PAUSE_NANOS = 1e6;
+const PAUSE_NANOS = 1e6, RECOVERY_NANOS = 10e6;
 const SET_CONTROL_LINE_STATE = 0x22, DTR_AND_RTS = 3;
 
 class UsbHost {
@@ -22,9 +22,15 @@ class UsbHost {
         this.next = usb.rp2040.clock.createAlarm(() => this.then(this.received));
         this.endpoints = { in: -1, out: -1 };
         usb.onUSBEnabled = () => usb.resetDevice();
-        usb.onResetReceived = () => this.enumerate();
+        usb.onResetReceived = () => this.recover(() => this.enumerate());
         usb.onEndpointWrite = (endpoint, bytes) => this.onSent(endpoint, bytes);
         usb.onEndpointRead = (endpoint, len) => this.onListening(endpoint, len);
+    }
+
+    // USB 2.0, 7.1.7.5: a device has 10 ms behind a reset.
+    recover(then) {
+        Object.assign(this, { then });
+        this.next.schedule(RECOVERY_NANOS);
     }
 
     enumerate() {

@@ -1,11 +1,12 @@
 //! A Raspberry Pi Pico in rp2040js: `emulators/rp2040/main.js` runs under Node.js, and takes commands on a socket.
 
 use std::io::{BufRead, BufReader, Read, Write};
+use std::num::NonZero;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, Sender};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -41,6 +42,32 @@ const LOOK: Duration = Duration::from_millis(50);
 pub(super) struct Rp2040 {
     process: Child,
     control: Mutex<Control>,
+    _turn: Turn,
+}
+
+/// Leave to run one. Each computes a good third of the time; many at once would all be late for what is on their lines. Whoever
+/// has one and starts another may wait for ever.
+#[derive(Debug)]
+struct Turn;
+
+/// How many run.
+static RUNNING: Mutex<usize> = Mutex::new(0);
+static HAS_ENDED: Condvar = Condvar::new();
+
+impl Turn {
+    fn wait() -> Self {
+        let most = thread::available_parallelism().map_or(1, NonZero::get);
+        let running = HAS_ENDED.wait_while(lock(&RUNNING), |running| *running >= most);
+        *running.unwrap_or_else(PoisonError::into_inner) += 1;
+        Self
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        *lock(&RUNNING) -= 1;
+        HAS_ENDED.notify_one();
+    }
 }
 
 #[derive(Debug)]
@@ -81,6 +108,7 @@ impl Rp2040 {
         if extras.can.is_some() {
             command.arg("--can").stdin(Stdio::piped()).stdout(Stdio::piped());
         }
+        let turn = Turn::wait();
         let process = command.spawn().context("cannot run node")?;
         let mut started = Started(Some(process));
         if let Some(said) = started.process().stderr.take() {
@@ -105,7 +133,7 @@ impl Rp2040 {
             [GRIPPER_LINE, BUS_LINE, SERVICE_LINE].map(|name| sockets.accept(name).map(Some));
         let lines = Lines { gripper: gripper?, bus: bus?, service: service? };
         let control = Mutex::new(Control { line, answers });
-        Ok((Self { process: started.keep()?, control }, lines))
+        Ok((Self { process: started.keep()?, control, _turn: turn }, lines))
     }
 
     /// What it answers to a command, behind its `ok`.
