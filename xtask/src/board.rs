@@ -13,6 +13,8 @@ pub(crate) struct Board {
     pub(crate) triple: &'static str,
     /// The microcontroller's name for probe-rs.
     pub(crate) chip: &'static str,
+    /// What the names of its tests' environment variables end in.
+    pub(crate) variables: &'static str,
     /// Whether its boot ROM takes an image as UF2, which is then made beside the ELF file.
     pub(crate) takes_uf2: bool,
     /// What the image may take of flash.
@@ -26,6 +28,7 @@ pub(crate) static BOARDS: [Board; 2] = [
         package: "wsg-b-l475e-iot01a",
         triple: "thumbv7em-none-eabihf",
         chip: "STM32L475VG",
+        variables: "",
         takes_uf2: false,
         // 64 KiB before settings stayed and the service port came; 4 KB of it are the start values of the static RAM.
         flash_limit: 80 * 1024,
@@ -35,6 +38,7 @@ pub(crate) static BOARDS: [Board; 2] = [
         package: "wsg-pico",
         triple: "thumbv6m-none-eabi",
         chip: "RP2040",
+        variables: "_PICO",
         takes_uf2: true,
         // Of 2 MiB. A Cortex-M0+ takes more instructions for the same, and there is a USB device in it.
         flash_limit: 96 * 1024,

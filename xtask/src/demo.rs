@@ -2,14 +2,19 @@
 
 use std::{ffi::OsString, process::ExitStatus};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 
-use crate::{firmware::Image, process, workspace::Workspace};
+use crate::{firmware::Image, process, setup, workspace::Workspace};
 
 /// Runs the demonstration on `image` with its own `arguments`, and hands back how it ended.
 pub(crate) fn run(workspace: &Workspace, image: &Image, arguments: &[OsString]) -> Result<ExitStatus> {
     let mut cargo = workspace.cargo_in_current_dir("run");
     cargo.args(["-q", "-p", "host-tests", "--bin", "demo", "--", "--elf"]).arg(&image.path).args(arguments);
+    if image.board.name == "pico" {
+        let node =
+            setup::node(workspace).context("there is no Node.js with npm, for the emulator of the Pico")?;
+        cargo.env(setup::NODE_VARIABLE, node);
+    }
     process::run_for_status(&mut cargo)
 }
 

@@ -25,9 +25,9 @@ pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 
 const PROFILE: &str = "firmware";
 
-/// What settings can choose besides what is delivered, and the variable that tells the emulator tests which image has it so:
-/// who is on CAN, each at another rate, no bus, and PROFIBUS at the slowest, because the emulator makes pauses.
-pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 5] = [
+/// What settings can choose, as delivered first, and the variable that tells the emulator tests which image has it so: who is on CAN, each at another rate, no bus, and PROFIBUS at the slowest, because the emulator makes pauses.
+pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 6] = [
+    (IMAGE_VARIABLE, &[]),
     ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1), ("CAN_RATE", 1000)]),
     ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2), ("CAN_RATE", 250)]),
     ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2)]),

@@ -60,8 +60,8 @@ Commands
                      [--board NAME]: b-l475e-iot01a, or pico, which has a UF2 file beside it;
                      [--set NAME=VALUE]: a setting that it is delivered with (docs/registers.md);
                      [--features X]: more features. The image then has a name of its own
-  demo [ARGS]        boot the image in QEMU between a PLC and a virtual gripper;
-                     ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
+  demo [ARGS]        boot the image in an emulator between a PLC and a virtual gripper;
+                     [--board NAME] first, as for build; ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
   test [FILTER]      every check of the workspace, the emulator tests included;
                      with FILTER only the tests whose names match it; --strict before it: fails where
                      something could not be checked or compared, which is else only said
@@ -107,7 +107,7 @@ Environment
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
   WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH,
   WSG_FIRMWARE_ELF_NO_BUS, WSG_FIRMWARE_ELF_PROFIBUS
-                     the same for images whose settings put them on these
+                     the same for images whose settings put them on these; each with _PICO behind it for the Pico
   WSG_WHOLE=1        set by ci: tests that take long are run in full
   WSG_SIM_EXE        set by platforms for its tests: the program for Windows
   WSG_MODBUS_PYTHON, WSG_MODBUS_NODE
@@ -156,9 +156,17 @@ fn run() -> Result<ExitCode> {
         }
         "demo" => {
             let workspace = Workspace::from_env()?;
+            let mut arguments = rest(arguments)?;
+            let mut board = <&Board>::default();
+            if let [option, name, ..] = &arguments[..]
+                && option == "--board"
+            {
+                board = Board::named(&name.to_string_lossy())?;
+                arguments.drain(..2);
+            }
             let toolchain = setup::thumb_and_qemu(&workspace)?;
-            let image = firmware::build(&workspace, &toolchain, &Variant::default())?;
-            return Ok(exit_code(demo::run(&workspace, &image, &rest(arguments)?)?));
+            let image = firmware::build(&workspace, &toolchain, &Variant { board, ..Variant::default() })?;
+            return Ok(exit_code(demo::run(&workspace, &image, &arguments)?));
         }
         "test" => {
             let workspace = Workspace::from_env()?;

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use crate::{
     bench,
     board::{BOARDS, Board},
-    firmware::{self, IMAGE_VARIABLE, Image, Variant},
+    firmware::{self, Image, Variant},
     gate,
     matrix::{self, Extent},
     panics, platforms,
@@ -33,10 +33,11 @@ pub(crate) fn run(
 ) -> Result<()> {
     let masters = setup::masters(workspace);
     let mut chosen = Vec::new();
-    for (variable, settings) in firmware::CHOICES {
+    for (board, (variable, settings)) in BOARDS.iter().flat_map(|it| firmware::CHOICES.map(|of| (it, of))) {
         let settings =
             settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
-        let variant = Variant { settings, ..Variant::default() };
+        let variant = Variant { board, settings, ..Variant::default() };
+        let variable = format!("{variable}{}", board.variables);
         chosen.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
     let mut record = Record::default();
@@ -58,8 +59,8 @@ struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain,
     image: &'a Image,
-    /// Those with other settings than the delivered ones, by the variables that name them.
-    chosen: Vec<(&'static str, Image)>,
+    /// Those of all boards and settings, by the variables that name them.
+    chosen: Vec<(String, Image)>,
     masters: &'a Masters,
     extent: Extent,
 }
@@ -146,7 +147,6 @@ impl Checks<'_> {
         // the manifest says `test = true`.
         process::run(self.workspace.cargo("build").args(targets).arg("--examples"))?;
         let mut tests = self.workspace.cargo("test");
-        tests.env(IMAGE_VARIABLE, &self.image.path);
         tests.env(PYTHON_VARIABLE, &self.masters.python).env(NODE_VARIABLE, &self.masters.node);
         tests.args(targets).args(["--", "--include-ignored"]);
         // Those with an emulator wait more than they compute: with two threads a core it stands idle for half of the time.

@@ -65,7 +65,22 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     if !has_python() && !installing_is_forbidden() {
         report(fill(&environment, &lists));
     }
-    let packages = workspace.target_dir.join("modbus-masters-node");
+    let mut missing = Vec::new();
+    if !has_python() {
+        missing.extend(FROM_PYPI);
+    }
+    let node = node(workspace);
+    if node.is_none() {
+        missing.extend(FROM_NPM);
+    }
+    missing.extend(lacking(&FROM_DEBIAN));
+    Masters { python, node: node.unwrap_or_default(), missing }
+}
+
+/// The folder that Node.js finds the packages from npm in, which are installed where that may be.
+pub(crate) fn node(workspace: &Workspace) -> Option<PathBuf> {
+    let (lists, packages) =
+        (workspace.root.join("host-tests"), workspace.target_dir.join("modbus-masters-node"));
     let node = packages.join("node_modules");
     let has_node = || {
         let mut start = Command::new("node");
@@ -75,15 +90,7 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     if !has_node() && !installing_is_forbidden() && process::exists("npm") {
         report(fill_node(&packages, &lists));
     }
-    let mut missing = Vec::new();
-    if !has_python() {
-        missing.extend(FROM_PYPI);
-    }
-    if !has_node() {
-        missing.extend(FROM_NPM);
-    }
-    missing.extend(lacking(&FROM_DEBIAN));
-    Masters { python, node, missing }
+    has_node().then_some(node)
 }
 
 /// Installs those programs that are not there, where that may be; what those are called that still are not.

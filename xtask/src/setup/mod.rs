@@ -13,7 +13,9 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 pub(crate) use component::{CLIPPY, RUSTFMT};
-pub(crate) use masters::{Masters, NODE_VARIABLE, PYTHON_VARIABLE, Program, lacking, provide as masters};
+pub(crate) use masters::{
+    Masters, NODE_VARIABLE, PYTHON_VARIABLE, Program, lacking, node, provide as masters,
+};
 pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, has_target, rustup};
 
 use crate::{board::MACHINE, process, workspace::Workspace};
