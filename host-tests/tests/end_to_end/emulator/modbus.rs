@@ -1,4 +1,4 @@
-//! The flashed image between a Modbus master and a virtual gripper, in the emulator, over LPUART1.
+//! The flashed image between a Modbus master and a virtual gripper, in the emulator.
 
 use std::time::{Duration, Instant};
 
@@ -12,7 +12,7 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::{CommandId, Status};
 use wsg_sim::{Config, Part};
 
-use super::image;
+use super::Board;
 
 const UNIT: u8 = 1;
 
@@ -25,8 +25,8 @@ struct Plant {
 
 impl Plant {
     /// A board whose FAST STOP wire is high, a gripper that answers, and a bus that has written zeros.
-    fn start(config: Config) -> Self {
-        let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
+    fn start(board: Board, config: Config) -> Self {
+        let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
         board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
         let trace = Trace::new(vec![]);
         let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
@@ -105,10 +105,8 @@ fn quick() -> Config {
     Config { time_scale: 10.0, ..Config::default() }
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn grip_cycles_over_the_bus_of_the_emulated_board() {
-    let mut plant = Plant::start(Config { part: Part::of_width(20.0), ..quick() });
+fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
+    let mut plant = Plant::start(board, Config { part: Part::of_width(20.0), ..quick() });
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     for _ in 0..10 {
         assert_eq!(plant.command(MOVE, [80_00, 200_00, 40_00]), (IDLE, 0));
@@ -120,10 +118,8 @@ fn grip_cycles_over_the_bus_of_the_emulated_board() {
     assert_eq!(motions(&plant.trace.since(0)), expected);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board() {
-    let mut plant = Plant::start(Config { part: Part::of_width(20.0), ..Config::default() });
+fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board(board: Board) {
+    let mut plant = Plant::start(board, Config { part: Part::of_width(20.0), ..Config::default() });
     let fast_stopped = |plant: &mut Plant| plant.input()[1] & FAST_STOP != 0;
     let stops = |plant: &mut Plant| plant.wait("a FAST STOP", |input| input[1] & FAST_STOP != 0);
     let acknowledge = |plant: &mut Plant| {
@@ -173,10 +169,8 @@ fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board() {
     assert_eq!(motions(&plant.trace.since(0)), expected);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence() {
-    let mut plant = Plant::start(Config::default());
+fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence(board: Board) {
+    let mut plant = Plant::start(board, Config::default());
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(plant.command(MOVE, [20_00, 300_00, 40_00]), (IDLE, 0));
     let jog_plus = [1 << 14, 20_00, 5_00, 40_00];
@@ -197,10 +191,8 @@ fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_maste
     assert!(input[3] < 100_00, "{input:?}");
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_are_answered() {
-    let mut plant = Plant::start(quick());
+fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_are_answered(board: Board) {
+    let mut plant = Plant::start(board, quick());
     // HOMING, which would move, for this unit and for another.
     let homing = |unit: u8| Master::frame(unit, &[6, 0, 0, 1 << HOMING, 0]);
     let read = [3, 0, 1, 0, 1];
@@ -241,11 +233,9 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
     assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line() {
+fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(board: Board) {
     let requests = extent::of(10_000);
-    let mut plant = Plant::start(quick());
+    let mut plant = Plant::start(board, quick());
     // One byte in ten thousand, each way, by a generator that is the same in every run (xorshift).
     let mut state = 0x2545_F491u32;
     let mut damaged = 0;
@@ -275,3 +265,11 @@ fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line() {
     assert!(failed.after_damage <= 1, "{damaged} damaged bytes: {failed:?}");
     assert_eq!(motions(&plant.trace.since(0)), []);
 }
+
+on_both_boards!(
+    grip_cycles_over_the_bus_of_the_emulated_board,
+    rules_of_the_fieldbus_manual_hold_on_the_emulated_board,
+    jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence,
+    noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_are_answered,
+    requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line,
+);

@@ -1,4 +1,4 @@
-//! The service port of the flashed image, USART1, with a master that others wrote: whatever bus the PLC is on.
+//! The service port of the flashed image, with a master that others wrote: whatever bus the PLC is on.
 
 use host_tests::can_bus::CanBus;
 use host_tests::document::read;
@@ -10,7 +10,7 @@ use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
 use wsg_sim::Config;
 
-use super::image;
+use super::{Board, image};
 
 /// `mbpoll` as the manual has it: unit 1, 115 200 bit/s, 8N1, references from 0, once.
 pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> String {
@@ -56,16 +56,12 @@ fn reads_and_sets(mut board: Emulator, plc_bus: &str) {
     drop(gripper);
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
-fn mbpoll_reads_and_sets_over_the_service_port_without_a_plc_bus() {
-    reads_and_sets(Emulator::start(&image("WSG_FIRMWARE_ELF_NO_BUS")).unwrap(), "no bus");
+fn mbpoll_reads_and_sets_over_the_service_port_without_a_plc_bus(board: Board) {
+    reads_and_sets(Emulator::start(&board.image("WSG_FIRMWARE_ELF_NO_BUS")).unwrap(), "no bus");
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
-fn mbpoll_reads_and_sets_over_the_service_port_beside_modbus() {
-    reads_and_sets(Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap(), "Modbus");
+fn mbpoll_reads_and_sets_over_the_service_port_beside_modbus(board: Board) {
+    reads_and_sets(Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap(), "Modbus");
 }
 
 #[test]
@@ -77,10 +73,8 @@ fn mbpoll_reads_and_sets_over_the_service_port_beside_canopen() {
     reads_and_sets(board, "CANopen");
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
-fn mbpoll_commands_of_the_document_work_when_pasted() {
-    let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
+fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
+    let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
     let trace = Trace::new(vec![]);
     let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), Config::default(), &trace).unwrap();
     let terminal = Terminal::to(board.take_service_line().unwrap()).unwrap();
@@ -105,3 +99,9 @@ fn mbpoll_commands_of_the_document_work_when_pasted() {
     assert_eq!(motions(&trace.since(0)), []);
     drop(gripper);
 }
+
+on_both_boards!(
+    mbpoll_reads_and_sets_over_the_service_port_without_a_plc_bus,
+    mbpoll_reads_and_sets_over_the_service_port_beside_modbus,
+    mbpoll_commands_of_the_document_work_when_pasted,
+);

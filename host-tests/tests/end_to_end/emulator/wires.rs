@@ -13,7 +13,7 @@ use wsg_protocol::session::FastStopPattern;
 use wsg_protocol::{CommandId, FrameEncoder, Reply, Status, SystemFlags};
 use wsg_sim::{Config, Part};
 
-use super::image;
+use super::{Board, image};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
 
@@ -30,18 +30,18 @@ fn with_part() -> Config {
     Config { part: Part::of_width(20.0), ..quick() }
 }
 
-fn powered(config: Config) -> Rig {
-    Rig::power_up(&image("WSG_FIRMWARE_ELF"), config, Trace::new(vec![])).unwrap()
+fn powered(board: Board, config: Config) -> Rig {
+    Rig::power_up(&board.image("WSG_FIRMWARE_ELF"), config, Trace::new(vec![])).unwrap()
 }
 
-fn ready(config: Config) -> Rig {
-    let rig = powered(config);
+fn ready(board: Board, config: Config) -> Rig {
+    let rig = powered(board, config);
     rig.release_fast_stop().unwrap();
     rig
 }
 
-fn homed(config: Config) -> Rig {
-    let rig = ready(config);
+fn homed(board: Board, config: Config) -> Rig {
+    let rig = ready(board, config);
     assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
     rig
 }
@@ -59,11 +59,9 @@ fn cycle(rig: &Rig, number: usize) {
     assert_eq!(rig.command(Inputs::RELEASE).unwrap(), IDLE, "RELEASE of cycle {number}");
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn grip_cycles_without_one_deviation() {
+fn grip_cycles_without_one_deviation(board: Board) {
     let cycles = extent::of(200);
-    let rig = homed(with_part());
+    let rig = homed(board, with_part());
     rig.catch_up().unwrap();
     let mark = rig.trace().mark();
 
@@ -90,8 +88,8 @@ fn grip_cycles_without_one_deviation() {
 
 /// The main job once, from READY on. (At power-up the board, the gripper and the PLC start each in its own time: whether
 /// the first question or the FAST STOP of the low wire goes out first is nobody's to say.)
-fn main_job() -> Sequences {
-    let rig = powered(with_part());
+fn main_job(board: Board) -> Sequences {
+    let rig = powered(board, with_part());
     // A PLC takes longer from one action to the next than the 10 ms that lie between two reports of one value, so no
     // report is drawn together with the one after it.
     let next = || rig.pass(20).unwrap();
@@ -118,10 +116,8 @@ fn main_job() -> Sequences {
     Sequences::of(&rig.trace().since(0), mark)
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn two_runs_give_the_same_edges_frames_and_output_changes() {
-    let (first, second) = (main_job(), main_job());
+fn two_runs_give_the_same_edges_frames_and_output_changes(board: Board) {
+    let (first, second) = (main_job(board), main_job(board));
     assert!(first.frames.len() > 25 && first.edges.len() > 15 && first.outputs.len() > 15);
     assert_eq!(first.edges, second.edges);
     assert_eq!(first.output_edges(), second.output_edges());
@@ -130,10 +126,8 @@ fn two_runs_give_the_same_edges_frames_and_output_changes() {
     assert_eq!(first.frames, second.frames);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged() {
-    let rig = powered(quick());
+fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged(board: Board) {
+    let rig = powered(board, quick());
     rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
     let commands = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
     let try_all = || commands.iter().for_each(|wire| rig.pulse(*wire).unwrap());
@@ -151,20 +145,16 @@ fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged
     assert_eq!(rig.motions_since(0).unwrap(), [CommandId::Homing]);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn command_wire_that_is_high_at_power_up_starts_nothing() {
-    let rig = powered(quick());
+fn command_wire_that_is_high_at_power_up_starts_nothing(board: Board) {
+    let rig = powered(board, quick());
     rig.set(Inputs::HOME | Inputs::GRIP, true).unwrap();
     rig.release_fast_stop().unwrap();
     rig.pass(300).unwrap();
     assert_eq!(rig.motions_since(0).unwrap(), []);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from() {
-    let rig = homed(with_part());
+fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from(board: Board) {
+    let rig = homed(board, with_part());
     let mark = rig.trace().mark();
     let false_starts: [&[u8]; 4] = [
         &[0x00, 0xFF, 0xAA],
@@ -195,10 +185,8 @@ fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from() 
     cycle(&rig, 0);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from() {
-    let rig = homed(quick());
+fn reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from(board: Board) {
+    let rig = homed(board, quick());
     rig.select_recipe(WIDE).unwrap();
     for damaged in [Status::CmdPending, Status::Success] {
         let target = frame(Reply::status_only(CommandId::PrePosition, damaged));
@@ -227,10 +215,8 @@ fn reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from
     }
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn answers_to_nothing_ever_asked_change_nothing() {
-    let rig = homed(quick());
+fn answers_to_nothing_ever_asked_change_nothing(board: Board) {
+    let rig = homed(board, quick());
     let (mark, changes) = (rig.trace().mark(), rig.board().output_changes());
     let before = changes.try_iter().count();
     for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
@@ -245,10 +231,8 @@ fn answers_to_nothing_ever_asked_change_nothing() {
     assert_eq!(rig.motions_since(mark).unwrap(), []);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
-    let rig = powered(quick());
+fn gripper_that_never_answers_is_asked_and_never_told_to_move(board: Board) {
+    let rig = powered(board, quick());
     rig.gripper().tamper(Some(Box::new(|_| vec![])));
     rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     for _ in 0..5 {
@@ -265,10 +249,8 @@ fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
     assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done() {
-    let rig = homed(quick());
+fn line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done(board: Board) {
+    let rig = homed(board, quick());
     rig.gripper().cut(true);
     rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::ERROR).unwrap();
     rig.pulse(Inputs::MOVE).unwrap();
@@ -280,10 +262,8 @@ fn line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done() {
     assert!(rig.board().outputs().contains(Outputs::ERROR), "the refused MOVE shows");
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn restarted_gripper_shows_that_homing_is_due() {
-    let rig = homed(quick());
+fn restarted_gripper_shows_that_homing_is_due(board: Board) {
+    let rig = homed(board, quick());
     rig.gripper().restart().unwrap();
     let outputs = rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::REFERENCED)).unwrap();
     assert!(!outputs.contains(Outputs::HOLDING), "{}", names(outputs));
@@ -292,14 +272,12 @@ fn restarted_gripper_shows_that_homing_is_due() {
 }
 
 /// The image's queues and interrupts keep a burst together: what `fault_sweep` shows of the library in virtual time.
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist() {
+fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist(board: Board) {
     let is_fast_stop =
         |entry: &&Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes) == Some(0x23));
     for high_byte_of_the_size in 1..=3 {
         // It does not give up by itself, however slow this machine is.
-        let rig = homed(Config { frame_timeout_ms: 60_000, ..Config::default() });
+        let rig = homed(board, Config { frame_timeout_ms: 60_000, ..Config::default() });
         rig.begin(Inputs::MOVE).unwrap();
         rig.catch_up().unwrap();
         let mark = rig.trace().mark();
@@ -319,6 +297,20 @@ fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_
         rig.release_fast_stop().unwrap();
     }
 }
+
+on_both_boards!(
+    grip_cycles_without_one_deviation,
+    two_runs_give_the_same_edges_frames_and_output_changes,
+    fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged,
+    command_wire_that_is_high_at_power_up_starts_nothing,
+    noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from,
+    reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from,
+    answers_to_nothing_ever_asked_change_nothing,
+    gripper_that_never_answers_is_asked_and_never_told_to_move,
+    line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done,
+    restarted_gripper_shows_that_homing_is_due,
+    fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist,
+);
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]

@@ -20,7 +20,7 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
 use wsg_sim::{Config, Part};
 
-use super::image;
+use super::Board;
 
 struct Plant {
     _board: Emulator,
@@ -30,8 +30,8 @@ struct Plant {
 }
 
 /// A board whose gripper answers; the FAST STOP of power-up is not acknowledged yet.
-fn plant() -> Plant {
-    let mut board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
+fn plant(board: Board) -> Plant {
+    let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
     let trace = Trace::new(vec![]);
     let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
@@ -58,7 +58,7 @@ fn assert_one_cycle(plant: &Plant, said: &str) {
 
 /// Runs a script that homes, grips, releases and asserts what it sees on the way.
 fn run_python(script: &str) {
-    let plant = plant();
+    let plant = plant(Board::DEFAULT);
     let script = script.replace("# cycle.py\n", include_str!("cycle.py"));
     let output = masters::python(&script, &[&plant.terminal.path]);
     assert!(output.status.success(), "{}", said(&output));
@@ -83,19 +83,15 @@ fn modbus_tk_runs_a_grip_cycle() {
     run_python(include_str!("modbus_tk.py"));
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware image and jsmodbus: run `cargo xtask test`"]
-fn jsmodbus_runs_a_grip_cycle() {
-    let plant = plant();
+fn jsmodbus_runs_a_grip_cycle(board: Board) {
+    let plant = plant(board);
     let output = masters::node(include_str!("../../jsmodbus.js"), &["rtu", &plant.terminal.path]);
     assert!(output.status.success(), "{}", said(&output));
     assert_one_cycle(&plant, &said(&output));
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
-fn mbpoll_reads_writes_and_homes() {
-    let plant = plant();
+fn mbpoll_reads_writes_and_homes(board: Board) {
+    let plant = plant(board);
     // References from 0, once, 8N1, and values behind the terminal.
     let poll = |arguments: &[&str], values: &[&str]| {
         let line = ["-m", "rtu", "-a", "1", "-b", "19200", "-P", "none", "-o", "5", "-0", "-1", "-q"];
@@ -138,7 +134,7 @@ fn mbpoll_reads_writes_and_homes() {
 #[test]
 #[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
 fn mbpoll_commands_of_the_document_grip_when_pasted() {
-    let plant = plant();
+    let plant = plant(Board::DEFAULT);
     let changes = [("/dev/ttyUSB0", plant.terminal.path.as_str()), ("-P even", "-P none")];
     let status = "$M -t 3 -r 5 -c 1 $T";
     let said = masters::paste(&read("docs/commissioning.md"), "$M", &changes, status);
@@ -147,10 +143,8 @@ fn mbpoll_commands_of_the_document_grip_when_pasted() {
     assert_one_cycle(&plant, &said);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn tokio_modbus_runs_a_grip_cycle() {
-    let plant = plant();
+fn tokio_modbus_runs_a_grip_cycle(board: Board) {
+    let plant = plant(board);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let port = serial2_tokio::SerialPort::open(&plant.terminal.path, 19_200).unwrap();
@@ -194,7 +188,7 @@ async fn tokio_command(client: &mut Context, image: &[u16; 4]) -> (u16, u16) {
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn gripping_cycle_example_runs_over_rtu_and_counts() {
-    let plant = plant();
+    let plant = plant(Board::DEFAULT);
     let arguments = ["--rtu", &plant.terminal.path, "--cycles", "2"];
     let program = host_tests::example::path("gripping_cycle");
     let output = std::process::Command::new(program).args(arguments).output().unwrap();
@@ -203,3 +197,5 @@ fn gripping_cycle_example_runs_over_rtu_and_counts() {
     let counted = "2 parts held, 0 not found, 0 lost; 1 homings, 0 errors\n";
     assert!(said.starts_with("2 cycles in ") && said.contains(counted), "{said}");
 }
+
+on_both_boards!(jsmodbus_runs_a_grip_cycle, mbpoll_reads_writes_and_homes, tokio_modbus_runs_a_grip_cycle,);
