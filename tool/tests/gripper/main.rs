@@ -5,5 +5,7 @@ mod bad_input;
 mod bench;
 mod ends;
 mod golden;
+// Terminals of other systems have no `setsid --ctty`.
+#[cfg(target_os = "linux")]
 mod terminal;
 mod transports;
