@@ -269,7 +269,7 @@ fn write_image(port: &str, arguments: &flash::Arguments, output: &mut impl Write
     }
     confirm(&plan.question, arguments.yes)?;
     plan.run()?;
-    writeln!(output, "written; the green LED2 flashes once the image runs")?;
+    writeln!(output, "written; the board starts with it")?;
     Ok(())
 }
 

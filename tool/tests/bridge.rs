@@ -1,5 +1,5 @@
 //! `wsg bridge` as a program: with the bridge's library behind a pseudo terminal, and with the flashed image in the emulator. What
-//! people read is in `golden/`; `WSG_UPDATE_GOLDEN=1` writes it anew.
+//! people read is in `golden/`; `WSG_UPDATE_DOCS=1` writes it anew.
 #![cfg(unix)]
 
 #[path = "common/program.rs"]
@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 use bus_modbus::rtu::Character;
 use host_tests::addresses::{place, setting};
 use host_tests::can_bench::Double;
+use host_tests::document::hold_file;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
 use host_tests::flash_model::{Fault, FlashModel};
@@ -33,7 +34,7 @@ use program::{said, wsg, wsg_with};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::DpBuffers;
-use wsg_bridge_fw::registers::{FIRST_SETTING, SETTINGS};
+use wsg_bridge_fw::registers::{FIRST_SETTING, MAP_VERSION, SETTINGS};
 use wsg_bridge_fw::{Board, BusPort, Config, ResetCause, Station};
 use wsg_sim::Time;
 
@@ -277,19 +278,18 @@ impl Drop for Served {
 
 const BOUND: Duration = Duration::from_secs(60);
 
+/// The line of a file of settings that says for which register map it is.
+fn of_map(version: u16) -> String {
+    format!("map_version = {version}\n")
+}
+
 fn temporary(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
 }
 
 /// Compares with the file of this name.
-#[track_caller]
 fn hold(name: &str, shown: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
-    if std::env::var_os("WSG_UPDATE_GOLDEN").is_some_and(|set| set == "1") {
-        fs::write(&path, shown).unwrap();
-    }
-    let golden = fs::read_to_string(&path).unwrap_or_default();
-    assert!(golden == shown, "{} has\n{golden}\nand now it is\n{shown}", path.display());
+    hold_file(&format!("tool/tests/golden/{name}"), shown);
 }
 
 #[test]
@@ -443,10 +443,11 @@ fn file_of_settings_is_imported_as_a_whole_or_not_at_all() {
     fs::write(&file, changed.replace("UNIT = 1 ", "UNIT = 300 ").replace("\"15 mm\"", "1800")).unwrap();
     let line = 1 + changed.lines().position(|line| line.starts_with("UNIT")).unwrap();
     served.refused(&["import", path], &format!("{path}: line {line}: 300 does not fit: UNIT takes 1 to 247"));
-    fs::write(&file, changed.replace("map_version = 6", "map_version = 7")).unwrap();
+    fs::write(&file, changed.replace(&of_map(MAP_VERSION), &of_map(MAP_VERSION + 1))).unwrap();
+    let other = MAP_VERSION + 1;
     served.refused(
         &["import", path],
-        &format!("{path}: line 3: the file is for version 7 of the register map"),
+        &format!("{path}: line 3: the file is for version {other} of the register map"),
     );
     fs::write(&file, changed.replace("\"15 mm\"", "1800")).unwrap();
     served.act(Plant::begin_to_move);
@@ -494,12 +495,16 @@ fn port_that_is_none_and_bridges_that_are_none_are_named_in_one_line() {
     let other = thread::spawn(move || {
         let mut request = [0; 8];
         near.read_exact(&mut request).unwrap();
-        let answer = [1, 4, 2, 0, 7];
+        let answer = [1, 4, 2, 0, MAP_VERSION as u8 + 1];
         near.write_all(&[&answer[..], &bus_modbus::rtu::crc(&answer).to_le_bytes()].concat()).unwrap();
         near
     });
     let said = one_line(&["bridge", &terminal.path, "show"]);
-    assert!(said.contains("has version 7 of the register map, and this wsg knows version 6: "), "{said}");
+    let versions = format!(
+        "has version {} of the register map, and this wsg knows version {MAP_VERSION}: ",
+        MAP_VERSION + 1
+    );
+    assert!(said.contains(&versions), "{said}");
     drop(other.join());
 }
 

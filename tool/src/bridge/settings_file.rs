@@ -106,6 +106,10 @@ mod tests {
     use super::*;
     use crate::bridge::names::place;
 
+    fn of_this_map(text: &str) -> String {
+        format!("map_version = {MAP_VERSION}\n{text}")
+    }
+
     fn record() -> Record {
         Config::DEFAULT.record()
     }
@@ -120,8 +124,8 @@ mod tests {
 
     #[test]
     fn part_of_a_file_changes_that_part_and_takes_units_and_choices() {
-        let text = "map_version = 6\n[settings]\nRECIPE0_WIDTH = \"15 mm\"\nPLC_BUS = \"CANopen\"\nCAN_ID = 0x1_40\n";
-        let new = imported(text, &record()).unwrap();
+        let text = "[settings]\nRECIPE0_WIDTH = \"15 mm\"\nPLC_BUS = \"CANopen\"\nCAN_ID = 0x1_40\n";
+        let new = imported(&of_this_map(text), &record()).unwrap();
         let mut expected = record();
         expected[place("RECIPE0_WIDTH")] = 15_00;
         expected[place("PLC_BUS")] = 2;
@@ -131,7 +135,11 @@ mod tests {
 
     #[test]
     fn what_does_not_fit_is_refused_with_its_line() {
-        let with = |lines: &str| format!("map_version = 6\n[settings]\nUNIT = 5\n{lines}\n");
+        let with = |lines: &str| of_this_map(&format!("[settings]\nUNIT = 5\n{lines}\n"));
+        let other = MAP_VERSION + 1;
+        let of_other = format!(
+            "line 1: the file is for version {other} of the register map, and this wsg knows version"
+        );
         for (text, error) in [
             (with("COLOUR = 3"), "line 4: there is no setting COLOUR; `show` lists all"),
             (with("RECIPE0_WITH = 3"), "line 4: there is no setting RECIPE0_WITH; is it RECIPE0_WIDTH?"),
@@ -152,10 +160,7 @@ mod tests {
                 "line 4: beside the other settings it does not fit: CAN_RATE takes 125 to 1000: ",
             ),
             (with("[more]"), "line 4: more is unknown; settings stand below [settings]"),
-            (
-                "map_version = 5\n".to_owned(),
-                "line 1: the file is for version 5 of the register map, and this wsg knows version 6",
-            ),
+            (format!("map_version = {other}\n"), of_other.as_str()),
             ("[settings]\nUNIT = 5\n".to_owned(), "the file has no map_version"),
             ("map_version = \n".to_owned(), "line 1: "),
             ("settings = 3\n".to_owned(), "line 1: settings is something else in such a file"),
@@ -167,7 +172,7 @@ mod tests {
 
     #[test]
     fn both_of_two_values_that_go_together_may_change() {
-        let text = "map_version = 6\n[settings]\nCAN_NODE = 127\nCAN_MASTER = 16\n";
-        assert!(imported(text, &record()).is_ok());
+        let text = of_this_map("[settings]\nCAN_NODE = 127\nCAN_MASTER = 16\n");
+        assert!(imported(&text, &record()).is_ok());
     }
 }

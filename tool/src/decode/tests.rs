@@ -1,8 +1,7 @@
-//! Whole recordings. What they give is in `golden/`; `WSG_UPDATE_GOLDEN=1` writes it anew.
-
-use std::path::Path;
+//! Whole recordings. What they give is in `golden/`; `WSG_UPDATE_DOCS=1` writes it anew.
 
 use clap::Parser;
+use host_tests::document::hold_file;
 use proptest::prelude::*;
 use wsg_protocol::{Command, FrameEncoder};
 
@@ -25,14 +24,8 @@ fn shown(bytes: &[u8], options: &[&str]) -> String {
 }
 
 /// Compares with the file of this name.
-#[track_caller]
 fn hold(name: &str, shown: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/decode/golden").join(name);
-    if std::env::var_os("WSG_UPDATE_GOLDEN").is_some_and(|set| set == "1") {
-        fs::write(&path, shown).unwrap();
-    }
-    let golden = fs::read_to_string(&path).unwrap_or_default();
-    assert!(golden == shown, "{} has\n{golden}\nand now it is\n{shown}", path.display());
+    hold_file(&format!("tool/src/decode/golden/{name}"), shown);
 }
 
 fn request(command: Command<'_>) -> Vec<u8> {
