@@ -25,6 +25,7 @@ pub mod byte_queue;
 pub mod can;
 mod config;
 pub mod gripper;
+pub mod handler;
 pub mod indicator;
 pub mod io;
 mod liveness;

@@ -70,6 +70,19 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
             outcome.passed += targets.len();
         }
     }
+    if extent == Extent::Whole {
+        // Not linked: the flags of this workspace would be added to its own.
+        let mut template = workspace.cargo("check");
+        template.args([
+            "--quiet",
+            "--manifest-path",
+            "boards/template/Cargo.toml",
+            "--target",
+            setup::TRIPLE,
+        ]);
+        process::run(&mut template)?;
+        outcome.passed += 1;
+    }
     for target in targets.into_iter().filter(|target| extent == Extent::Whole || *target == TARGETS[0]) {
         let mut example = workspace.cargo("build");
         process::run(example.args(["--quiet", "--target", target]).args(BOARD_EXAMPLE))?;

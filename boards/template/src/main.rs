@@ -1,0 +1,186 @@
+//! The bridge on a board of one's own: here a NUCLEO-F446RE by `stm32f4xx-hal`, never run. docs/porting.md goes through it.
+#![no_std]
+#![no_main]
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use bus_slcan::ClassicFrame;
+use cortex_m::peripheral::{NVIC, SCB};
+use cortex_m_rt::{entry, exception};
+use stm32f4xx_hal::gpio::{Output, Pin};
+use stm32f4xx_hal::pac::{self, Interrupt, interrupt};
+use stm32f4xx_hal::serial::{Event, Serial, config::Config as SerialConfig};
+use stm32f4xx_hal::watchdog::IndependentWatchdog;
+use stm32f4xx_hal::{Listen, prelude::*, rcc};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
+use wsg_bridge_fw::gripper::{Uart, UartBuffers, UartLine};
+use wsg_bridge_fw::handler::Owned;
+use wsg_bridge_fw::io::{HalInputs, HalOutputs, InputPort, OutputPort};
+use wsg_bridge_fw::plc::{DpBuffers, Interrupts, RtuBuffers, RtuPort, RtuUart};
+use wsg_bridge_fw::storage::NoFlash;
+use wsg_bridge_fw::{Board, BusConfig, Config, ResetCause, Station};
+
+/// The settings of this image: as delivered, so the PLC is on wires and on Modbus RTU.
+const CONFIG: Config = Config::DEFAULT;
+
+/// What handlers and main loop share.
+static GRIPPER: UartBuffers<128, 32> = UartBuffers::new();
+static BUS: RtuBuffers<512, 256> = RtuBuffers::new();
+static SERVICE: RtuBuffers<512, 256> = RtuBuffers::new();
+static PROFIBUS: DpBuffers = DpBuffers::new();
+static NOW_MS: AtomicU32 = AtomicU32::new(0);
+
+/// The UARTs, for their handlers alone once they run.
+static GRIPPER_UART: Owned<Serial<pac::USART1>> = Owned::new();
+static BUS_UART: Owned<(Serial<pac::UART4>, Pin<'A', 8, Output>)> = Owned::new();
+static SERVICE_UART: Owned<Serial<pac::USART2>> = Owned::new();
+
+/// The main loop's end of a line: it has the handler run.
+struct Line(Interrupt);
+
+impl Uart for Line {
+    fn pend(&mut self) {
+        NVIC::pend(self.0);
+    }
+
+    fn is_idle(&mut self) -> bool {
+        !GRIPPER.has_to_send()
+    }
+}
+
+impl RtuUart for Line {
+    fn pend(&mut self) {
+        NVIC::pend(self.0);
+    }
+
+    fn now_us(&mut self) -> u32 {
+        now_us()
+    }
+}
+
+/// Microseconds, which wrap: TIM2 counts them.
+fn now_us() -> u32 {
+    // SAFETY: reading the counter changes nothing.
+    unsafe { (*pac::TIM2::ptr()).cnt().read().bits() }
+}
+
+#[entry]
+fn main() -> ! {
+    static mut STATION: Station<NoCan<ClassicFrame>> =
+        Station::new(CanBus::new(NoCan::new(), BusOffPolicy::DEFAULT), &PROFIBUS);
+    let (Some(mut core), Some(device)) = (cortex_m::Peripherals::take(), pac::Peripherals::take()) else {
+        SCB::sys_reset()
+    };
+    let mut watchdog = IndependentWatchdog::new(device.IWDG);
+    watchdog.start(100.millis());
+    let mut rcc = device.RCC.freeze(rcc::Config::hsi().sysclk(84.MHz()));
+
+    // Wires, in the order of `Inputs` and `Outputs`. Outputs are low from here on.
+    let (a, b) = (device.GPIOA.split(&mut rcc), device.GPIOB.split(&mut rcc));
+    let c = device.GPIOC.split(&mut rcc);
+    macro_rules! inputs { ($($pin:expr),*) => { HalInputs::new([$($pin.into_pull_down_input().erase()),*]) } }
+    macro_rules! outputs { ($($pin:expr),*) => { HalOutputs::new([$($pin.into_push_pull_output().erase()),*]) } }
+    let mut inputs = inputs!(c.pc0, c.pc1, c.pc2, c.pc3, c.pc4, c.pc5, c.pc6, c.pc7);
+    let mut outputs = outputs!(b.pb0, b.pb1, b.pb2, b.pb8, b.pb9, b.pb10, b.pb12);
+    let mut led = a.pa5.into_push_pull_output();
+
+    // Clocks: milliseconds by SysTick, microseconds by TIM2.
+    let mut micros = device.TIM2.counter_us(&mut rcc);
+    let _ = micros.start(u32::MAX.micros());
+    core.SYST.set_reload(84_000 - 1);
+    core.SYST.clear_current();
+    core.SYST.set_clock_source(cortex_m::peripheral::syst::SystClkSource::Core);
+    core.SYST.enable_interrupt();
+    core.SYST.enable_counter();
+
+    // The lines.
+    STATION.start(&CONFIG, Board { name: "my bridge", serial: 0 }, ResetCause::Unknown);
+    BUS.start(&CONFIG.bus);
+    SERVICE.start(&BusConfig::SERVICE);
+    // The bus as delivered: 8E1. The others: 115 200 bit/s, 8N1. The HAL divides by the rate.
+    let even = SerialConfig::default().baudrate(CONFIG.bus.baud.bps()).parity_even().wordlength_9();
+    let gripper = Serial::new(device.USART1, (a.pa9, a.pa10), SerialConfig::default(), &mut rcc);
+    let bus = Serial::new(device.UART4, (a.pa0, a.pa1), even, &mut rcc);
+    let service = Serial::new(device.USART2, (a.pa2, a.pa3), SerialConfig::default(), &mut rcc);
+    let driver_enable = a.pa8.into_push_pull_output();
+    let (Ok(mut gripper), Ok(mut bus), Ok(mut service)) = (gripper, bus, service) else { SCB::sys_reset() };
+    gripper.listen(Event::RxNotEmpty);
+    bus.listen(Event::RxNotEmpty);
+    service.listen(Event::RxNotEmpty);
+    GRIPPER_UART.give(gripper);
+    BUS_UART.give((bus, driver_enable));
+    SERVICE_UART.give(service);
+    for interrupt in [Interrupt::USART1, Interrupt::UART4, Interrupt::USART2] {
+        // SAFETY: no critical section depends on these being masked.
+        unsafe { NVIC::unmask(interrupt) };
+    }
+
+    let mut gripper_line = UartLine::new(Line(Interrupt::USART1), &GRIPPER);
+    let mut bus_line = RtuPort::new(Line(Interrupt::UART4), &BUS);
+    let mut service_line = RtuPort::new(Line(Interrupt::USART2), &SERVICE);
+    loop {
+        let now_ms = NOW_MS.load(Ordering::Relaxed);
+        let levels = inputs.read();
+        let (bus, service) = (&mut bus_line, &mut service_line);
+        outputs.write(STATION.turn(now_ms, levels, &mut gripper_line, bus, service, &mut NoFlash));
+        led.set_state(STATION.bridge().indication().is_lit(now_ms).into());
+        if STATION.bridge().may_feed_watchdog(now_ms) {
+            watchdog.feed();
+        }
+        cortex_m::interrupt::free(|_| {
+            if NOW_MS.load(Ordering::Relaxed) == now_ms && !GRIPPER.has_received() {
+                cortex_m::asm::wfi();
+            }
+        });
+    }
+}
+
+/// The interrupts that a handler needs next.
+fn expect<U: Listen<Event = Event>>(uart: &mut U, next: Interrupts) {
+    uart.listen_only(Event::RxNotEmpty);
+    if next.transmit_empty {
+        uart.listen(Event::TxEmpty);
+    }
+    if next.transmission_complete {
+        uart.listen(Event::TransmissionComplete);
+    }
+}
+
+#[interrupt]
+fn USART1() {
+    GRIPPER_UART.with(|uart| {
+        let transmit_empty = GRIPPER.serve(uart);
+        expect(uart, Interrupts { transmit_empty, transmission_complete: false });
+    });
+}
+
+#[interrupt]
+fn UART4() {
+    BUS_UART.with(|(uart, driver)| {
+        // On before the first byte, off once nothing is to be sent: it echoes nothing, or what the library knows.
+        let before = BUS.interrupts();
+        driver.set_state((before.transmit_empty || before.transmission_complete).into());
+        let next = BUS.serve(uart, now_us());
+        driver.set_state((next.transmit_empty || next.transmission_complete).into());
+        expect(uart, next);
+    });
+}
+
+#[interrupt]
+fn USART2() {
+    SERVICE_UART.with(|uart| {
+        let next = SERVICE.serve(uart, now_us());
+        expect(uart, next);
+    });
+}
+
+#[exception]
+fn SysTick() {
+    NOW_MS.store(NOW_MS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+}
+
+/// A reset puts every output low and lets the bridge start from what it can know for sure.
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo) -> ! {
+    SCB::sys_reset()
+}
