@@ -68,7 +68,7 @@ pub(crate) fn start(config: &BusConfig) {
     unmask();
 }
 
-/// Starts PROFIBUS on the bus instead: the handler begins with the first [`serve_profibus`].
+/// Starts PROFIBUS on the bus instead: the handler begins with the first [`serve`].
 pub(crate) fn start_profibus() {
     IS_PROFIBUS.store(true, Ordering::Relaxed);
     unmask();
@@ -79,9 +79,9 @@ pub(crate) fn is_silent() -> bool {
     peripheral!(SIO).gpio_out().read().bits() & DRIVER == 0
 }
 
-/// Has the handler take what the main loop's turn has brought. Once a millisecond is enough: each run ends the main loop's
-/// sleep.
-pub(crate) fn serve_profibus() {
+/// Has the handler take what the main loop's turn has brought, and look whether the last bit has been sent. Once a millisecond is
+/// enough: each run ends the main loop's sleep.
+pub(crate) fn serve() {
     NVIC::pend(Interrupt::UART1_IRQ);
 }
 

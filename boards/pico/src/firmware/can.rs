@@ -29,6 +29,9 @@ const SSE: u32 = 1 << 1;
 /// SSPSR: a frame was received.
 const RNE: u32 = 1 << 2;
 
+/// Frames that the receiver holds.
+const FIFO_LEN: u32 = 8;
+
 /// Looks at a byte that is under way: it takes 112 cycles of the clock, and a look takes 4 at the least.
 const MAX_LOOKS: u32 = 1_000;
 
@@ -93,6 +96,13 @@ impl ErrorType for Spi {
 
 impl SpiDevice for Spi {
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Stuck> {
+        // What came after it had been given up.
+        let spi = peripheral!(SPI0);
+        for _ in 0..FIFO_LEN {
+            if spi.sspsr().read().bits() & RNE != 0 {
+                let _ = spi.sspdr().read();
+            }
+        }
         write(peripheral!(SIO).gpio_out_clr(), CHIP_SELECT);
         let result = operations.iter_mut().try_for_each(run);
         write(peripheral!(SIO).gpio_out_set(), CHIP_SELECT);

@@ -45,7 +45,8 @@ enum Operation {
 /// The two sectors.
 pub(crate) struct SettingsSectors {
     operation: Operation,
-    may_pause: bool,
+    /// How the last one ended.
+    result: Result<(), FlashError>,
     page: [u8; PROGRAM_BYTES],
     boot2: [u32; BOOT2_WORDS],
 }
@@ -55,18 +56,21 @@ impl SettingsSectors {
     pub(crate) const fn new() -> Self {
         Self {
             operation: Operation::Nothing,
-            may_pause: false,
+            result: Ok(()),
             page: [0; PROGRAM_BYTES],
             boot2: [0; BOOT2_WORDS],
         }
     }
 
-    /// Says whether everything may stand still for a moment: the fingers stand, and nothing is being sent.
-    pub(crate) const fn set_may_pause(&mut self, may_pause: bool) {
-        self.may_pause = may_pause;
+    /// Does what is to be done, if anything is. Behind a turn of the main loop, while everything may stand still: the fingers
+    /// stand, and nothing is being sent.
+    pub(crate) fn work(&mut self) {
+        let operation = core::mem::replace(&mut self.operation, Operation::Nothing);
+        if !matches!(operation, Operation::Nothing) {
+            self.result = self.run(operation);
+        }
     }
 
-    /// Does what is to be done, with nothing beside it.
     fn run(&mut self, operation: Operation) -> Result<(), FlashError> {
         // SAFETY: the address is the boot ROM's; where there is none, it reads as something else.
         let magic = unsafe { with_exposed_provenance::<u32>(ROM_MAGIC_AT).read_volatile() };
@@ -165,15 +169,11 @@ impl NorFlash for SettingsSectors {
         Ok(())
     }
 
-    /// Here it is done, once everything may stand still. Whether it did its work, a read tells.
+    /// Whether it did its work, a read tells.
     fn poll(&mut self) -> nb::Result<(), FlashError> {
         match self.operation {
-            Operation::Nothing => Ok(()),
-            _ if !self.may_pause => Err(nb::Error::WouldBlock),
-            operation => {
-                self.operation = Operation::Nothing;
-                self.run(operation).map_err(nb::Error::Other)
-            }
+            Operation::Nothing => self.result.map_err(nb::Error::Other),
+            _ => Err(nb::Error::WouldBlock),
         }
     }
 }

@@ -79,13 +79,17 @@ fn main() -> ! {
         let (bus, service) = (&mut modbus_line, &mut service_line);
         let outputs = STATION.turn(now_ms, wires.inputs.read(), &mut gripper_line, bus, service, FLASH);
         wires.outputs.write(outputs);
-        FLASH.set_may_pause(!outputs.contains(Outputs::BUSY) && uart::is_silent() && bus::is_silent());
+        let bus_is_silent = bus::is_silent();
+        if bus_is_silent && uart::is_silent() && !outputs.contains(Outputs::BUSY) {
+            FLASH.work();
+        }
         wires.indicate(STATION.bridge().indication().is_lit(now_ms));
         if STATION.uses_can() {
             can::rearm();
         }
-        if STATION.uses_profibus() && core::mem::replace(&mut served_ms, now_ms) != now_ms {
-            bus::serve_profibus();
+        if (STATION.uses_profibus() || !bus_is_silent) && core::mem::replace(&mut served_ms, now_ms) != now_ms
+        {
+            bus::serve();
         }
         if STATION.bridge().may_feed_watchdog(now_ms) {
             watchdog.feed();

@@ -171,7 +171,8 @@ pub(crate) fn start() {
 
 /// Whether nothing is being sent.
 pub(crate) fn is_silent() -> bool {
-    !BUFFERS.has_to_send() && port().is_complete()
+    // One that was not started is in reset, and has nothing to tell.
+    !NVIC::is_enabled(Interrupt::UART0_IRQ) || (!BUFFERS.has_to_send() && port().is_complete())
 }
 
 /// One byte each way per call; the interrupt stays pending while there is more.
