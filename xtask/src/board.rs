@@ -13,8 +13,9 @@ pub(crate) struct Board {
     pub(crate) triple: &'static str,
     /// The microcontroller's name for probe-rs.
     pub(crate) chip: &'static str,
-    /// What the names of its tests' environment variables end in.
+    /// What the names of its tests' environment variables end in, and what else those images are set to.
     pub(crate) variables: &'static str,
+    pub(crate) settings: &'static [(&'static str, u16)],
     /// Whether its boot ROM takes an image as UF2, which is then made beside the ELF file.
     pub(crate) takes_uf2: bool,
     /// What the image may take of flash.
@@ -29,6 +30,7 @@ pub(crate) static BOARDS: [Board; 2] = [
         triple: "thumbv7em-none-eabihf",
         chip: "STM32L475VG",
         variables: "",
+        settings: &[],
         takes_uf2: false,
         // 64 KiB before settings stayed and the service port came; 4 KB of it are the start values of the static RAM.
         flash_limit: 80 * 1024,
@@ -39,6 +41,8 @@ pub(crate) static BOARDS: [Board; 2] = [
         triple: "thumbv6m-none-eabi",
         chip: "RP2040",
         variables: "_PICO",
+        // At higher rates the gripper's longer messages overrun the two receive buffers of its MCP2515.
+        settings: &[("CAN_RATE", 250)],
         takes_uf2: true,
         // Of 2 MiB. A Cortex-M0+ takes more instructions for the same, and there is a USB device in it.
         flash_limit: 96 * 1024,

@@ -34,8 +34,8 @@ pub(crate) fn run(
     let masters = setup::masters(workspace);
     let mut chosen = Vec::new();
     for (board, (variable, settings)) in BOARDS.iter().flat_map(|it| firmware::CHOICES.map(|of| (it, of))) {
-        let settings =
-            settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
+        let settings = settings.iter().chain(board.settings);
+        let settings = settings.map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
         let variant = Variant { board, settings, ..Variant::default() };
         let variable = format!("{variable}{}", board.variables);
         chosen.push((variable, firmware::build(workspace, toolchain, &variant)?));

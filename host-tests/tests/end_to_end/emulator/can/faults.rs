@@ -20,8 +20,8 @@ use wsg_protocol::CommandId;
 use wsg_sim::Config;
 
 use super::{
-    BOTH_ON_CAN, GRIPPER_ON_CAN, READY, assert_one_cycle, command, config, make_ready, pass, power_up, pulse,
-    wait,
+    BOTH_ON_CAN, CanBoard, GRIPPER_ON_CAN, READY, assert_one_cycle, command, config, make_ready, pass,
+    power_up, pulse, wait,
 };
 
 /// Identifiers of an image as delivered: what the gripper sends, and the bridge's TPDO1.
@@ -30,7 +30,6 @@ const TPDO1: u16 = 0x190;
 
 /// Registers of CAN1.
 const TSR: u32 = 0x08;
-const ESR: u32 = 0x18;
 
 /// Input registers of the bridge (docs/registers.md).
 const CAN_STATE: u16 = 126;
@@ -38,16 +37,16 @@ const CAN_BUS_OFFS: u16 = 129;
 const CAN_OVERRUNS: u16 = 130;
 
 /// A board that is READY, with a gripper on its bus.
-struct Plant {
+struct Plant<C> {
     board: Emulator,
-    bus: CanBus,
+    bus: CanBus<C>,
     gripper: GripperEnd,
     trace: Trace,
     _master: std::os::unix::net::UnixStream,
 }
 
-fn plant(image: (&str, u32), config: Config) -> Plant {
-    let (board, bus, hub) = power_up(image);
+fn plant<C: CanBoard>(image: (&str, u32), config: Config) -> Plant<C> {
+    let (board, bus, hub) = power_up::<C>(image);
     let CanHub { gripper, master } = hub;
     let trace = Trace::new(vec![]);
     let gripper = GripperEnd::start(gripper, config, &trace).unwrap();
@@ -55,15 +54,15 @@ fn plant(image: (&str, u32), config: Config) -> Plant {
     Plant { board, bus, gripper, trace, _master: master }
 }
 
-impl Plant {
+impl<C: CanBoard> Plant<C> {
     /// One of the bridge's input registers, by Modbus.
     fn register(&self, master: &mut Master, address: u16) -> u16 {
         let answer = master.ask(&[&[4][..], &address.to_be_bytes(), &[0, 1]].concat()).unwrap();
         u16::from_be_bytes([answer[2], answer[3]])
     }
 
-    fn esr(&self) -> u32 {
-        load(&mut self.bus.controller(), ESR)
+    fn faults(&self) -> (bool, bool, bool) {
+        self.bus.controller().faults()
     }
 
     /// The commands that the gripper has heard since.
@@ -103,7 +102,7 @@ struct Storm {
 const STORM_QUEUE: usize = 200;
 
 impl Storm {
-    fn on(bus: &CanBus, frames: &'static [WireFrame]) -> Self {
+    fn on<C: CanBoard>(bus: &CanBus<C>, frames: &'static [WireFrame]) -> Self {
         let is_over = Arc::new(AtomicBool::new(false));
         let (station, over) = (bus.join(), Arc::clone(&is_over));
         let thread = thread::spawn(move || {
@@ -128,11 +127,9 @@ impl Drop for Storm {
     }
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
-fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_after_it() {
+fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_after_it<C: CanBoard>() {
     // At the real gripper's speed, homing takes longer than bus-off.
-    let mut plant = plant(GRIPPER_ON_CAN, Config::default());
+    let mut plant = plant::<C>(GRIPPER_ON_CAN, Config::default());
     let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
     plant.board.set_input(Inputs::HOME, true).unwrap();
     plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
@@ -156,17 +153,15 @@ fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_
     plant.board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
     plant.acknowledge();
     assert_eq!(motions(&plant.trace.since(mark)), [], "the motion is not gone on with");
-    assert_eq!(plant.esr() & 0b111, 0, "the bus is well again");
+    assert_eq!(plant.faults(), (false, false, false), "the bus is well again");
     assert_eq!(plant.register(&mut master, CAN_STATE), 0);
     assert_eq!(plant.register(&mut master, CAN_BUS_OFFS), 1);
     assert!(plant.gripper.state().speed.abs() < 0.001);
-    assert_eq!(plant.bus.controller().violations(), [""; 0]);
+    C::assert_set_up(&plant.board, &plant.bus, C::image_rate(GRIPPER_ON_CAN.1));
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
-fn a_command_that_nobody_acknowledges_does_not_leave_later() {
-    let mut plant = plant(GRIPPER_ON_CAN, config());
+fn a_command_that_nobody_acknowledges_does_not_leave_later<C: CanBoard>() {
+    let mut plant = plant::<C>(GRIPPER_ON_CAN, config());
     let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
 
     plant.bus.set_fault(Fault::Cut);
@@ -175,7 +170,7 @@ fn a_command_that_nobody_acknowledges_does_not_leave_later() {
     plant.board.wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
     plant.board.set_input(Inputs::HOME, false).unwrap();
     assert_eq!(plant.register(&mut master, CAN_STATE), 0x80, "error passive, not off");
-    assert_eq!(plant.esr() & 0b111, 0b011);
+    assert_eq!(plant.faults(), (false, true, true));
     plant.bus.set_fault(Fault::None);
     plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
 
@@ -189,7 +184,7 @@ fn a_command_that_nobody_acknowledges_does_not_leave_later() {
 #[test]
 #[ignore = "needs QEMU and the firmware image with both on CAN: run `cargo xtask test`"]
 fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
-    let plant = plant(BOTH_ON_CAN, config());
+    let plant = plant::<Bxcan>(BOTH_ON_CAN, config());
     let master = plant.bus.join();
     // More urgent than what the bridge tells the PLC, less so than what it tells the gripper.
     static BETWEEN: [WireFrame; 1] = [WireFrame { id: id(0x150), is_remote: false, dlc: 8, data: [0; 8] }];
@@ -229,10 +224,8 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
     }
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
-fn an_overrun_is_counted_and_moves_nothing() {
-    let mut plant = plant(GRIPPER_ON_CAN, config());
+fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
+    let mut plant = plant::<C>(GRIPPER_ON_CAN, config());
     let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
     assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 0);
     let mark = plant.trace.mark();
@@ -252,7 +245,7 @@ fn an_overrun_is_counted_and_moves_nothing() {
 #[test]
 #[ignore = "needs QEMU and the firmware image with the gripper on CAN: run `cargo xtask test`"]
 fn a_full_bus_of_foreign_frames_disturbs_nothing() {
-    let plant = plant(GRIPPER_ON_CAN, config());
+    let plant = plant::<Bxcan>(GRIPPER_ON_CAN, config());
     let wanted = [0x000, FROM_GRIPPER, 0x210, 0x610, 0x701];
     // Identifiers that nobody wants; the wanted ones as the beginning of 29 bits; remote frames of the wanted ones.
     let foreign = [0x122, 0x300, 0x7FF].map(|id| WireFrame::standard(id, &[0xAA; 8]));
@@ -286,3 +279,9 @@ const fn id(raw: u16) -> Id {
         None => panic!("11 bits"),
     }
 }
+
+on_both_boards!(
+    bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_after_it,
+    a_command_that_nobody_acknowledges_does_not_leave_later,
+    an_overrun_is_counted_and_moves_nothing,
+);
