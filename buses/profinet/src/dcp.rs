@@ -175,7 +175,8 @@ impl Dcp {
             return None;
         }
         match (frame_id, service) {
-            (IDENTIFY, service::IDENTIFY) if frame.destination == IDENTIFY_MULTICAST => {
+            // Tools ask one station, too.
+            (IDENTIFY, service::IDENTIFY) if [IDENTIFY_MULTICAST, about.mac].contains(&frame.destination) => {
                 if matches_all(blocks, about)? {
                     let factor = delay_factor.clamp(1, MAX_DELAY_FACTOR);
                     let [.., high, low] = about.mac.0;

@@ -12,5 +12,7 @@ mod faults;
 mod modbus_tcp;
 #[cfg(unix)]
 mod profibus;
+#[cfg(target_os = "linux")]
+mod profinet;
 #[cfg(unix)]
 mod wine;

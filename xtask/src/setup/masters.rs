@@ -25,7 +25,17 @@ const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
 const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The masters from PyPI, as they stand in the names of the tests that need them.
-const FROM_PYPI: [&str; 6] = ["pymodbus", "minimalmodbus", "modbus_tk", "canopen", "pyprofibus", "pytest"];
+const FROM_PYPI: [&str; 9] = [
+    "pymodbus",
+    "minimalmodbus",
+    "modbus_tk",
+    "canopen",
+    "pyprofibus",
+    "pytest",
+    "profinet_py",
+    "pnio_dcp",
+    "scapy",
+];
 
 /// The packages from npm the same way: a master, and the emulator of the Pico.
 const FROM_NPM: [&str; 3] = ["jsmodbus", "rp2040js", "sparkplug_payload"];
@@ -34,7 +44,8 @@ const FROM_NPM: [&str; 3] = ["jsmodbus", "rp2040js", "sparkplug_payload"];
 pub(crate) type Program = (&'static str, &'static str, &'static str);
 
 /// Debian's programs, called as in the names of the tests that need them.
-const FROM_DEBIAN: [Program; 6] = [
+const FROM_DEBIAN: [Program; 7] = [
+    (NAMESPACES, "ip", "iproute2"),
     ("mbpoll", "mbpoll", "mbpoll"),
     ("by_hand_with_nc", "nc", "netcat-openbsd"),
     ("in_chromium", "chromium", "chromium"),
@@ -42,6 +53,9 @@ const FROM_DEBIAN: [Program; 6] = [
     ("mosquitto", "mosquitto", "mosquitto"),
     ("mosquitto", "mosquitto_sub", "mosquitto-clients"),
 ];
+
+/// As tests have it in their names that have networks of their own, which not every root may make.
+const NAMESPACES: &str = "in_namespaces";
 
 /// The masters on this machine, as far as they are not missing.
 pub(crate) struct Masters {
@@ -74,6 +88,11 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
         missing.extend(FROM_NPM);
     }
     missing.extend(lacking(&FROM_DEBIAN));
+    if !missing.contains(&NAMESPACES)
+        && process::answer(Command::new("unshare").args(["-n", "true"])).is_none()
+    {
+        missing.push(NAMESPACES);
+    }
     Masters { python, node: node.unwrap_or_default(), missing }
 }
 

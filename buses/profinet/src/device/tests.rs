@@ -41,6 +41,14 @@ fn identify(bench: &mut Bench, delay: u16, blocks: &[u8]) {
     assert_eq!(bench.device.receive(bench.now, &request), None);
 }
 
+#[test]
+fn identify_that_is_for_this_station_alone_is_answered() {
+    let mut bench = Bench::new();
+    let request = dcp_frame(DEVICE, 0xFEFE, [5, 0], 1, &dcp_block([0xFF, 0xFF], &[]));
+    assert_eq!(bench.device.receive(bench.now, &request), None);
+    assert_eq!(bench.sent().len(), 1);
+}
+
 /// The whole answer to a controller that asks who is there.
 #[test]
 fn identify_is_answered_with_all_that_a_controller_wants_to_know() {
@@ -219,7 +227,7 @@ fn dcp_for_another_station_or_another_kind_is_not_answered() {
     for (to, id, service) in [
         (OTHER, 0xFEFD, [3, 0]),
         (MULTICAST, 0xFEFD, [3, 0]),
-        (DEVICE, 0xFEFE, [5, 0]),
+        (OTHER, 0xFEFE, [5, 0]),
         (DEVICE, 0xFEFD, [3, 1]),
         (DEVICE, 0xFEFD, [9, 0]),
         (DEVICE, 0xFEFF, [5, 1]),

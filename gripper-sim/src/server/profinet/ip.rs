@@ -2,6 +2,7 @@
 
 use smoltcp::iface::{Config, Interface, SocketHandle, SocketSet};
 use smoltcp::phy::{self, Checksum, DeviceCapabilities, Medium};
+use smoltcp::socket::Socket as Handed;
 use smoltcp::socket::udp::{PacketBuffer, PacketMetadata, Socket};
 use smoltcp::time::Instant;
 use smoltcp::wire::{
@@ -38,11 +39,8 @@ impl IpStack {
         let config = Config::new(HardwareAddress::Ethernet(EthernetAddress(mac.0)));
         let interface = Interface::new(config, &mut wire, instant(now_us));
         let buffer = || PacketBuffer::new(vec![PacketMetadata::EMPTY; DATAGRAMS], vec![0; DATAGRAM_BYTES]);
-        let mut udp = Socket::new(buffer(), buffer());
-        // An unbound socket takes any port but 0.
-        let _ = udp.bind(IpListenEndpoint::from(RPC_PORT));
         let mut sockets = SocketSet::new(vec![]);
-        let socket = sockets.add(udp);
+        let socket = sockets.add(opened(Socket::new(buffer(), buffer())));
         Self { interface, sockets, socket, wire, ip: IpParameters::NONE }
     }
 
@@ -75,9 +73,15 @@ impl IpStack {
         }
     }
 
-    /// Sends a datagram; whether there was room for it.
+    /// Sends a datagram; whether there was room for it. One that still waits because nobody has its address is given up.
     pub(super) fn send(&mut self, now_us: u64, to: Endpoint, datagram: &[u8]) -> bool {
         let to = IpEndpoint::new(IpAddress::Ipv4(Ipv4Address::from(to.address)), to.port);
+        if self.sockets.get::<Socket<'_>>(self.socket).send_queue() > 0 {
+            // `smoltcp` asks for an address for ever, and nothing passes what waits: a stranger could make the device mute.
+            let Handed::Udp(mut udp) = self.sockets.remove(self.socket);
+            udp.close();
+            self.socket = self.sockets.add(opened(udp));
+        }
         let is_taken = self.sockets.get_mut::<Socket<'_>>(self.socket).send_slice(datagram, to).is_ok();
         self.poll(now_us);
         is_taken
@@ -105,6 +109,13 @@ impl IpStack {
     fn poll(&mut self, now_us: u64) {
         self.interface.poll(instant(now_us), &mut self.wire, &mut self.sockets);
     }
+}
+
+/// The socket, with nothing in it, at the port of RPC.
+fn opened(mut udp: Socket<'static>) -> Socket<'static> {
+    // One that is not open takes any port but 0.
+    let _ = udp.bind(IpListenEndpoint::from(RPC_PORT));
+    udp
 }
 
 fn instant(now_us: u64) -> Instant {

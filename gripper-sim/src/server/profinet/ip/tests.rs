@@ -91,6 +91,21 @@ fn datagram_that_has_its_checksum_made_by_nobody_yet_is_taken() {
 }
 
 #[test]
+fn answer_to_nobody_does_not_hold_up_the_next_one() {
+    let mut stack = IpStack::new(OWN, 0);
+    stack.set_parameters(&IP);
+    stack.receive(0, &arp(1, IP.address));
+    sent(&mut stack);
+    for last in 100..110 {
+        assert!(stack.send(0, Endpoint { address: [192, 168, 0, last], port: 1 }, b"nobody"));
+    }
+    sent(&mut stack);
+    assert!(stack.send(0, Endpoint { address: [192, 168, 0, 1], port: 1 }, b"somebody"));
+    let frames = sent(&mut stack);
+    assert!(frames.iter().any(|frame| frame.ends_with(b"somebody")), "{frames:?}");
+}
+
+#[test]
 fn other_networks_are_reached_by_the_router() {
     let mut stack = IpStack::new(OWN, 0);
     stack.set_parameters(&IP);

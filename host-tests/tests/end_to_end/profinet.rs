@@ -1,0 +1,240 @@
+//! The virtual gripper on PROFINET, in network namespaces with a cable between them: with controllers that others wrote, `tshark`
+//! as a witness, and with frames of one who means no good.
+//!
+//! Those that take long are for `cargo xtask ci` (`WSG_WHOLE`). Needs root. `cargo xtask test` leaves out what cannot be had, by the names: `profinet_py`, `pnio_dcp`, `scapy`, `tshark`,
+//! `in_namespaces`.
+
+use host_tests::extent;
+use host_tests::masters::{PYTHON_VARIABLE, said};
+use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader};
+use std::os::fd::AsFd;
+use std::path::PathBuf;
+use std::process::{Child, Command, Output, Stdio, id};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::thread;
+use wsg_sim::server::{Lines, ProfinetLine, ServerThread};
+use wsg_sim::{Config, Part};
+
+const CONTROLLER: &str = include_str!("profinet/profinet_py.py");
+const DCP: &str = include_str!("profinet/pnio_dcp.py");
+const HOSTILE: &str = include_str!("profinet/hostile.py");
+
+static NETWORKS: AtomicU32 = AtomicU32::new(0);
+
+/// Two namespaces and a cable: the gripper's, and the controller's, which has 192.168.7.1/24.
+struct Network {
+    name: String,
+}
+
+impl Network {
+    fn new() -> Self {
+        let name = format!("wsg{}x{}", id(), NETWORKS.fetch_add(1, Ordering::Relaxed));
+        let network = Self { name };
+        let (gripper, controller) = (network.gripper(), network.controller());
+        for arguments in [
+            vec!["netns", "add", &gripper],
+            vec!["netns", "add", &controller],
+            vec![
+                "link",
+                "add",
+                "eth0",
+                "netns",
+                &gripper,
+                "type",
+                "veth",
+                "peer",
+                "eth0",
+                "netns",
+                &controller,
+            ],
+            vec!["-n", &gripper, "link", "set", "eth0", "up"],
+            vec!["-n", &controller, "link", "set", "eth0", "up"],
+            vec!["-n", &controller, "link", "set", "lo", "up"],
+            vec!["-n", &controller, "address", "add", "192.168.7.1/24", "dev", "eth0"],
+        ] {
+            let output = Command::new("ip").args(&arguments).output().expect("Debian's iproute2");
+            assert!(output.status.success(), "ip {arguments:?}: {}", said(&output));
+        }
+        network
+    }
+
+    fn gripper(&self) -> String {
+        format!("{}g", self.name)
+    }
+
+    fn controller(&self) -> String {
+        format!("{}c", self.name)
+    }
+
+    /// A gripper of its own there.
+    fn serve(&self, config: Config) -> ServerThread {
+        let namespace = File::open(format!("/run/netns/{}", self.gripper())).unwrap();
+        // The server's thread is in the namespace of the one that starts it.
+        let start = move || {
+            move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
+            // Ahead of what else this machine does, as a controller of its own would be.
+            let _ = rustix::process::setpriority_process(None, -20);
+            let line = ProfinetLine {
+                interface: "eth0".to_owned(),
+                station: bus_profinet::StationName::NONE,
+                ip: bus_profinet::IpParameters::NONE,
+                keep: None,
+            };
+            let lines = Lines { profinet: Some(line), ..Lines::default() };
+            ServerThread::start(config, &lines, None).unwrap()
+        };
+        thread::spawn(start).join().unwrap()
+    }
+
+    /// A program at the controller's end.
+    fn at_controller(&self, program: &str) -> Command {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", &self.controller(), "nice", "-n", "-20", program]);
+        command
+    }
+
+    fn python(&self, script: &str, arguments: &[&str]) -> Output {
+        let Some(python) = std::env::var(PYTHON_VARIABLE).ok() else {
+            panic!("{PYTHON_VARIABLE} names no Python that has the masters: run `cargo xtask test`");
+        };
+        self.at_controller(&python).args(["-c", script]).args(arguments).output().unwrap()
+    }
+
+    /// Begins to write all that passes by to a file.
+    fn capture(&self) -> Capture {
+        let file = std::env::temp_dir().join(format!("{}.pcap", self.name));
+        let mut tshark = self.at_controller("tshark");
+        tshark.args(["-i", "eth0", "-F", "pcap", "-w"]).arg(&file);
+        let mut child = tshark.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        // It says when it has begun.
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        let begun = lines.by_ref().map(Result::unwrap).any(|line| line.starts_with("Capturing on"));
+        assert!(begun, "tshark ends before it begins");
+        // Whatever else it says has somebody who reads it.
+        thread::spawn(move || lines.for_each(drop));
+        Capture { child, file }
+    }
+}
+
+impl Drop for Network {
+    fn drop(&mut self) {
+        for namespace in [self.gripper(), self.controller()] {
+            let _ = Command::new("ip").args(["netns", "delete", &namespace]).output();
+        }
+    }
+}
+
+/// What passes by, as it is written to a file.
+struct Capture {
+    child: Child,
+    file: PathBuf,
+}
+
+impl Capture {
+    /// Ends it, and gives what `tshark` says of the packets that this filter fits.
+    fn finish(mut self, filter: &str, fields: &[&str]) -> Vec<String> {
+        self.end();
+        let mut tshark = Command::new("tshark");
+        tshark.args(["-n", "-r"]).arg(&self.file).args(["-Y", filter, "-T", "fields"]);
+        tshark.args(fields.iter().flat_map(|field| ["-e", field]));
+        let output = tshark.output().unwrap();
+        String::from_utf8_lossy(&output.stdout).lines().map(str::to_owned).collect()
+    }
+
+    fn end(&mut self) {
+        let pid = rustix::process::Pid::from_child(&self.child);
+        let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+        let _ = self.child.wait();
+    }
+}
+
+impl Drop for Capture {
+    fn drop(&mut self) {
+        self.end();
+        let _ = fs::remove_file(&self.file);
+    }
+}
+
+fn config() -> Config {
+    Config { part: Part::of_width(20.0), time_scale: 5.0, serial_number: 4_711, ..Config::default() }
+}
+
+/// Malformed packets, and what is worth a warning.
+const SUSPICIOUS: &str = "_ws.malformed || _ws.expert.severity >= \"Warning\"";
+
+#[test]
+#[ignore = "needs profinet-py, tshark and root: run `cargo xtask test`"]
+fn profinet_py_runs_a_grip_cycle_in_namespaces_and_tshark_finds_no_fault() {
+    let network = Network::new();
+    let capture = network.capture();
+    let _server = network.serve(config());
+    let output = network.python(CONTROLLER, &["cycle"]);
+    assert!(output.status.success(), "{}", said(&output));
+    let warnings = capture.finish(SUSPICIOUS, &["frame.number", "frame.protocols", "_ws.expert.message"]);
+    assert_eq!(warnings, Vec::<String>::new());
+}
+
+#[test]
+#[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+fn profinet_py_comes_back_in_namespaces_after_a_cut_cable_and_the_motion_has_stopped() {
+    if !extent::is_whole() {
+        return;
+    }
+    let network = Network::new();
+    let _server = network.serve(Config { time_scale: 1.0, ..config() });
+    let output = network.python(CONTROLLER, &["cut"]);
+    assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+#[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+fn profinet_py_that_is_killed_in_namespaces_has_its_motion_stopped() {
+    let network = Network::new();
+    let _server = network.serve(Config { time_scale: 1.0, ..config() });
+    let output = network.python(CONTROLLER, &["killed"]);
+    assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+#[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+fn profinet_py_exchanges_data_at_8_ms_in_namespaces_and_misses_one_in_a_thousand_at_the_most() {
+    if !extent::is_whole() {
+        return;
+    }
+    let network = Network::new();
+    let _server = network.serve(config());
+    let output = network.python(CONTROLLER, &["soak", "60"]);
+    assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+#[ignore = "needs pnio-dcp and root: run `cargo xtask test`"]
+fn pnio_dcp_finds_names_addresses_and_resets_in_namespaces() {
+    let network = Network::new();
+    let _server = network.serve(config());
+    let output = network.python(DCP, &[]);
+    assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+#[ignore = "needs scapy, profinet-py, tshark and root: run `cargo xtask test`"]
+fn hostile_frames_by_scapy_in_namespaces_move_nothing_and_profinet_py_and_tshark_see_the_device_as_before() {
+    if !extent::is_whole() {
+        return;
+    }
+    let network = Network::new();
+    let mut capture = network.capture();
+    let server = network.serve(config());
+    let output = network.python(CONTROLLER, &["cycle"]);
+    assert!(output.status.success(), "{}", said(&output));
+    capture.end();
+    let file = capture.file.to_str().unwrap().to_owned();
+    let output = network.python(HOSTILE, &[&file, "1", "20000"]);
+    assert!(output.status.success(), "{}", said(&output));
+    // It is as it was, but for a name and an address that the frames may have set.
+    let output = network.python(CONTROLLER, &["unmoved"]);
+    assert!(output.status.success(), "{}", said(&output));
+    server.stop().unwrap();
+}

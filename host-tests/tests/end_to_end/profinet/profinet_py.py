@@ -1,0 +1,217 @@
+# A controller by `profinet-py` at the virtual gripper: python3 -c SCRIPT PART [SECONDS].
+# `profinet-py` is GPL: it is run here, by a program of the tests, and never a part of what is delivered.
+import os
+import struct
+import subprocess
+import sys
+import time
+
+import profinet
+from profinet import IOCRSetup, IOSlot, ProfinetDevice, dcp
+from profinet.exceptions import ProfinetError
+from profinet.util import ethernet_socket, get_mac
+
+INTERFACE, NAME, ADDRESS = "eth0", "wsg-test", "192.168.7.5"
+MOVE, GRIP, RELEASE, HOMING, ACK, FASTSTOP = (1 << bit for bit in range(6))
+IDLE, HOLDING = 0x01, 0x10
+REFERENCED, IS_FAST_STOPPED = 1 << 0, 1 << 12
+E_SUCCESS = 0
+BOUND = 60
+SLOTS = [
+    IOSlot(0, 1, 0, 0, 1, 1),
+    IOSlot(0, 0x8000, 0, 0, 1, 0x8000),
+    IOSlot(0, 0x8001, 0, 0, 1, 0x8001),
+    IOSlot(1, 1, 12, 0, 0x10, 0x11),
+    IOSlot(2, 1, 0, 8, 0x20, 0x21),
+]
+
+
+def until(what, value):
+    """The first value that is none of nothing."""
+    end = time.monotonic() + BOUND
+    while time.monotonic() < end:
+        found = value()
+        if found:
+            return found
+        time.sleep(0.004)
+    raise SystemExit(f"{what}: not within {BOUND} s")
+
+
+def sock():
+    return ethernet_socket(INTERFACE)
+
+
+def set_up():
+    own = get_mac(INTERFACE)
+    mac = until("identify", lambda: [device.mac for device in profinet.scan(INTERFACE, timeout=1)])[0]
+    assert dcp.set_param(sock(), own, mac, "name", NAME, permanent=True)
+    assert dcp.set_ip(sock(), own, mac, ADDRESS, "255.255.255.0", "192.168.7.1", permanent=True)
+    assert dcp.signal_device(sock(), own, mac, duration_ms=10)
+
+
+class Plc:
+    """A program that exchanges images."""
+
+    def __init__(self):
+        self.device = until("discover", self.discover)
+        self.alarms = []
+        self.device.on_alarm(lambda alarm: self.alarms.append(alarm.alarm_type_name))
+        # 8 ms; silence of 1.6 s ends it, however busy the machine is.
+        setup = IOCRSetup(slots=SLOTS, reduction_ratio=8, watchdog_factor=200, data_hold_factor=200)
+        self.cyclic = until("connect", lambda: self.connect(setup))
+        self.write(0)
+        until("inputs", self.read)
+        # Some images of zeros have reached the gripper: flags count.
+        time.sleep(0.1)
+
+    @staticmethod
+    def discover():
+        try:
+            return ProfinetDevice.discover(NAME, INTERFACE, timeout=2)
+        except (ProfinetError, OSError):
+            return None
+
+    def connect(self, setup):
+        try:
+            return self.device.start_cyclic(setup, max_consecutive_timeouts=0)
+        except (ProfinetError, RuntimeError, OSError) as error:
+            print("not connected yet:", error)
+            return None
+
+    def write(self, flags, width=20_00, speed=100_00, force=40_00):
+        self.cyclic.set_output_data(2, 1, struct.pack(">BBhHh", flags, 0, width, speed, force))
+
+    def read(self):
+        """State, system state, width, status."""
+        data = self.cyclic.get_input_data(1, 1)
+        if data is None:
+            return None
+        return data[0], *struct.unpack("<I", data[2:6]), *struct.unpack(">hxxH", data[6:12])
+
+    def command(self, flags, is_done, **parameters):
+        self.write(0, **parameters)
+        time.sleep(0.05)
+        self.write(flags, **parameters)
+        until(f"{flags:#x} {self.read()}", lambda: is_done(*self.read()))
+
+    def release(self):
+        self.cyclic.stop()
+        self.device.disconnect()
+        self.device.close()
+
+    def home(self):
+        self.command(HOMING, lambda state, flags, _, status: flags & REFERENCED and state == IDLE and status == E_SUCCESS)
+
+
+def cycle():
+    set_up()
+    plc = Plc()
+    plc.home()
+    plc.command(GRIP, lambda state, *_: state == HOLDING)
+    plc.command(RELEASE, lambda state, flags, width, status: state == IDLE and width == 50_00, width=50_00)
+    plc.command(FASTSTOP, lambda state, flags, *_: flags & IS_FAST_STOPPED)
+    until("alarm", lambda: plc.alarms == ["Diagnosis"])
+    plc.command(ACK, lambda state, flags, *_: not flags & IS_FAST_STOPPED)
+    until("end of the alarm", lambda: plc.alarms == ["Diagnosis", "DiagnosisDisappears"])
+    plc.release()
+
+    # Records, by a connection that only reads.
+    with ProfinetDevice.discover(NAME, INTERFACE, timeout=5) as device:
+        im0 = device.read_im0()
+        assert im0.vendor_id_high << 8 | im0.vendor_id_low == 0x02A2, im0
+        assert b"4711 " in bytes(im0), im0
+        slots = [(slot.slot, slot.subslot) for slot in device.discover_slots()]
+        assert slots == [(slot.slot, slot.subslot) for slot in SLOTS], slots
+        assert device.read_topology().interface.chassis_id == NAME
+        try:
+            device.write(0, 1, 0xAFF2, b"\x00\x22\x00\x12\x01\x00" + b"2026-11-23 16:00")
+            raise SystemExit("the connection that only reads has written")
+        except ProfinetError:
+            pass
+
+    # Again, after a release.
+    plc = Plc()
+    assert plc.read()[2] == 50_00, plc.read()
+    plc.release()
+
+
+def is_stopped(plc, flags):
+    """The motion that ran has ended before its target, and nothing begins again."""
+    state, system, width, _ = plc.read()
+    assert state == IDLE and not system & IS_FAST_STOPPED, (state, system)
+    assert 20_00 < width < 110_00, width
+    plc.write(flags)
+    time.sleep(0.2)
+    assert plc.read()[2] == width, (plc.read(), width)
+
+
+def begin_to_move():
+    plc = Plc()
+    plc.home()
+    # 90 mm at 5 mm/s.
+    plc.command(MOVE, lambda state, flags, width, _: width < 109_00, speed=5_00)
+    return plc
+
+
+def cut():
+    set_up()
+    plc = begin_to_move()
+    cable = lambda state: subprocess.run(["ip", "link", "set", INTERFACE, state], check=True)
+    cable("down")
+    plc.cyclic.stop()
+    # The time that the gripper waits, and some: it has no way to tell.
+    time.sleep(2.5)
+    cable("up")
+    subprocess.run(["ip", "address", "replace", "192.168.7.1/24", "dev", INTERFACE], check=True)
+    plc = Plc()
+    is_stopped(plc, 0)
+    plc.release()
+
+
+def killed():
+    set_up()
+    reads, writes = os.pipe()
+    child = os.fork()
+    if child == 0:
+        plc = begin_to_move()
+        os.write(writes, b"x")
+        time.sleep(BOUND)
+        os._exit(1)
+    assert os.read(reads, 1) == b"x"
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    # It connects as soon as the gripper has noticed.
+    plc = Plc()
+    is_stopped(plc, 0)
+    plc.release()
+
+
+def unmoved():
+    """Where `cycle` has left it, after whatever came since; and it still does what it is told."""
+    set_up()
+    plc = Plc()
+    state, flags, width, _ = plc.read()
+    assert (state, flags & REFERENCED, flags & IS_FAST_STOPPED, width) == (IDLE, REFERENCED, 0, 50_00), plc.read()
+    plc.command(GRIP, lambda state, *_: state == HOLDING)
+    plc.release()
+
+
+def soak(seconds):
+    set_up()
+    plc = Plc()
+    plc.cyclic.stats.reset()
+    end = time.monotonic() + seconds
+    plc.home()
+    while time.monotonic() < end:
+        plc.command(GRIP, lambda state, *_: state == HOLDING)
+        plc.command(RELEASE, lambda state, flags, width, status: state == IDLE and width == 50_00, width=50_00)
+    stats = plc.cyclic.stats
+    print(stats)
+    assert stats.frames_received > 0.9 * 125 * seconds, stats
+    assert stats.frames_missed <= 0.001 * stats.frames_received, stats
+    assert stats.frames_invalid == stats.frames_out_of_order == 0, stats
+    plc.release()
+
+
+part, *arguments = sys.argv[1:]
+{"cycle": cycle, "unmoved": unmoved, "cut": cut, "killed": killed, "soak": soak}[part](*map(float, arguments))
