@@ -7,6 +7,7 @@
 //! |---|---|
 //! | [`Device`] | DCP, the connection to a controller (CM over RPC), cyclic data, alarms, records, LLDP |
 //! | [`Profile`] | what is fixed about a device: numbers, modules, faults |
+//! | [`Gsdml`] | the GSDML file, from the same profile |
 //! | [`Stored`] | what has to outlast a power cycle: name, IP parameters, I&M 1 to 3 |
 //!
 //! Not here: an Ethernet driver, ARP, IP and UDP, and a clock, which are the caller's; a controller; real time classes 2 (with a switch) and 3.
@@ -95,6 +96,7 @@ mod dcp;
 mod device;
 mod epm;
 mod frame;
+mod gsdml;
 mod lldp;
 mod profile;
 mod records;
@@ -104,6 +106,7 @@ mod station;
 
 pub use device::{Counters, Device, Transmit};
 pub use frame::{MAX_FRAME_LEN, MacAddress};
+pub use gsdml::{Gsdml, GsdmlFacts};
 pub use profile::{Fault, MAX_SUBMODULES, Module, Priority, Profile, Submodule};
 pub use rpc::{Endpoint, RPC_PORT};
 pub use state::{Cause, Event, State};

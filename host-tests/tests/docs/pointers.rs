@@ -16,6 +16,8 @@ const DOCUMENTS: &[&str] = &[
     "docs/function-block.md",
     "docs/grip-cycle.md",
     "docs/profibus.md",
+    "docs/profinet.md",
+    "docs/porting.md",
     "docs/wiring.md",
     "docs/protocol.md",
     "docs/quick-start.md",

@@ -1,6 +1,8 @@
-//! docs/WSGB5555.gsd is what the tables say, and a third-party parser reads the same out of it.
+//! Device files: docs/WSGB5555.gsd, and the GSDML file, are what the tables say, and a third-party parser reads the same out of it.
 //!
-//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test gsd` writes the file anew.
+//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test gsd` writes the files anew.
+
+mod gsdml;
 
 use bus_profibus::{Baud, Gsd, GsdFacts};
 use host_tests::document::{hold_file, root};
