@@ -46,6 +46,9 @@ fn tests_in(source: &str) -> Vec<String> {
             is_test = false;
         }
     }
+    // Functions that the macro makes tests of.
+    let lists = source.split("on_both_boards!(").skip(1).filter_map(|rest| rest.split(");").next());
+    names.extend(lists.flat_map(|list| list.split(',').map(|name| name.trim().to_owned())));
     names
 }
 

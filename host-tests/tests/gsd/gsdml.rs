@@ -47,7 +47,8 @@ fn numbers_of_the_file_are_those_of_the_device() {
     let modules = all(&document, "DeviceAccessPointItem").chain(all(&document, "ModuleItem"));
     let idents: Vec<u32> = modules.map(|module| number(module, "ModuleIdentNumber")).collect();
     assert_eq!(idents, PROFILE.modules.iter().map(|module| module.ident).collect::<Vec<_>>());
-    let fixed: Vec<u32> = all(&document, "ModuleItemRef").map(|module| number(module, "FixedInSlots")).collect();
+    let fixed: Vec<u32> =
+        all(&document, "ModuleItemRef").map(|module| number(module, "FixedInSlots")).collect();
     assert_eq!(fixed, [1, 2]);
 
     let mut listed = vec![];
@@ -90,7 +91,8 @@ fn every_text_that_the_file_names_is_there_once_and_every_id_is_another_one() {
     ids.sort_unstable();
     ids.dedup();
     assert_eq!(ids.len(), count);
-    for target in all(&document, "ModuleItemRef").map(|module| module.attribute("ModuleItemTarget").unwrap()) {
+    for target in all(&document, "ModuleItemRef").map(|module| module.attribute("ModuleItemTarget").unwrap())
+    {
         assert!(ids.contains(&target), "{target}");
     }
 }
