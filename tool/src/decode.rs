@@ -240,8 +240,8 @@ fn of_sim_log(lines: &[sim_log::Line<'_>]) -> Vec<Entry> {
         match content {
             sim_log::Content::Frame(bytes) => entries.extend(entry::of_binary(bytes, direction, |_| place())),
             sim_log::Content::Text(text) => {
-                let (direction, words) = entry::gcl_meaning(text.as_bytes(), direction);
-                let bytes = text.as_bytes().to_vec();
+                let (direction, words) = entry::gcl_meaning(text, direction);
+                let bytes = text.clone();
                 entries.push(Entry { place: place(), direction, kind: EntryKind::Line, words, bytes });
             }
             sim_log::Content::Told(told) => {

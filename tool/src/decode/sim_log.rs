@@ -17,7 +17,7 @@ pub(crate) enum Content<'a> {
     /// Bytes of a frame.
     Frame(Vec<u8>),
     /// A line of GCL.
-    Text(&'a str),
+    Text(Vec<u8>),
     /// What the log says of a message that it does not show as it was.
     Told(&'a str),
     /// Bytes of Modbus/TCP or PROFIBUS.
@@ -52,9 +52,32 @@ pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     } else if TOLD.iter().any(|(begin, end)| rest.starts_with(begin) && rest.ends_with(end)) {
         Content::Told(rest)
     } else {
-        Content::Text(rest)
+        Content::Text(unescaped(rest))
     };
     Some(Line { place, direction, content })
+}
+
+/// The bytes that a log shows in the form of `escape_ascii`.
+fn unescaped(text: &str) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut rest = text.as_bytes();
+    while let [first, behind @ ..] = rest {
+        let (byte, behind) = match (first, behind) {
+            (b'\\', [b't', behind @ ..]) => (b'\t', behind),
+            (b'\\', [b'r', behind @ ..]) => (b'\r', behind),
+            (b'\\', [b'n', behind @ ..]) => (b'\n', behind),
+            (b'\\', [escaped @ (b'\\' | b'"' | b'\''), behind @ ..]) => (*escaped, behind),
+            (b'\\', [b'x', high, low, behind @ ..]) => {
+                let digits = [*high, *low];
+                let byte = std::str::from_utf8(&digits).ok().and_then(byte_of);
+                byte.map_or((b'\\', rest.get(1..).unwrap_or(&[])), |byte| (byte, behind))
+            }
+            (byte, behind) => (*byte, behind),
+        };
+        bytes.push(byte);
+        rest = behind;
+    }
+    bytes
 }
 
 /// Two digits.
@@ -75,7 +98,10 @@ mod tests {
         assert_eq!(stop.direction, Direction::ToGripper);
         assert_eq!(stop.content, Content::Frame(vec![0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0x0E, 0x76]));
         let ack = parse_line("0.000001 s gcl 127.0.0.1:1 <- ACK HOME").unwrap();
-        assert_eq!((ack.direction, ack.content), (Direction::FromGripper, Content::Text("ACK HOME")));
+        assert_eq!(
+            (ack.direction, ack.content),
+            (Direction::FromGripper, Content::Text(b"ACK HOME".to_vec()))
+        );
         let bus =
             parse_line("0.000001 s modbus 127.0.0.1:1 <- 00 01 00 00 00 03 01 84 0A FC 4, exception 10")
                 .unwrap();
@@ -83,6 +109,8 @@ mod tests {
         let told = "wrong checksum: 25h Grip Part with 8 bytes of payload";
         let line = format!("0.000001 s tcp 127.0.0.1:1 -> {told}");
         assert_eq!(parse_line(&line).unwrap().content, Content::Told(told));
+        let quoted = parse_line(r#"0.000001 s gcl 127.0.0.1:1 <- TAG=\"a\\b\xe4\x\""#).unwrap();
+        assert_eq!(quoted.content, Content::Text(b"TAG=\"a\\b\xE4\\x\"".to_vec()));
         assert_eq!(parse_line("0.000001 s tcp 127.0.0.1:1 connected"), None);
         assert_eq!(parse_line("later s tcp -> AA"), None);
     }

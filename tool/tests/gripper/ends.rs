@@ -1,7 +1,7 @@
 //! However it ends: the fingers stop, and no FAST STOP stays behind.
 
 use std::fs::File;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
 use rustix::process::Signal;
 use wsg_protocol::SystemFlags;
@@ -117,6 +117,12 @@ fn log_shows_both_directions_until_ctrl_c() {
 #[test]
 fn log_of_gcl_shows_its_lines() {
     let bench = Bench::new(real());
+    let file = crate::bench::Scratch::new("gcl.log", "");
+    assert_eq!(Program::run(&[&bench.gcl(), "info", "--record", file.path()]).status, 0);
+    let decoded = Command::new(env!("CARGO_BIN_EXE_wsg")).args(["decode", file.path()]).output().unwrap();
+    let decoded = String::from_utf8(decoded.stdout).unwrap();
+    assert!(decoded.contains("BYE") && !decoded.contains("not understood"), "{decoded}");
+
     let ended = Program::run(&[&bench.gcl(), "width", "--record", "-"]);
     assert_eq!(ended.stdout, "width 0.00 mm\n");
     assert!(ended.stderr.contains(" -> POS?\n") && ended.stderr.contains(" <- POS=0"), "{ended:?}");
