@@ -9,6 +9,7 @@
 //! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
 //! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
 //! | [`profibus`] | what the DP model says of each telegram, and no output without data exchange |
+//! | [`profinet`] | no output without data exchange and none but those that came, and what is due is done once |
 //! | [`can`] | the reassembler finds what a reader of the whole capture finds |
 //! | [`storage`] | what is loaded was saved whole, and a save works on whatever the flash holds |
 //! | [`bridge`] | no motion without an edge, FAST STOP in time, true outputs, and settings as they were written, whatever gripper, line, wires, Modbus bus and service port do |
@@ -37,6 +38,7 @@ mod oracle;
 mod outputs;
 mod overheard;
 mod profibus;
+mod profinet;
 mod rtu_line;
 mod session;
 mod stops;
@@ -54,6 +56,7 @@ pub use gcl::gcl;
 pub use generate::generated;
 pub use modbus::modbus;
 pub use profibus::profibus;
+pub use profinet::profinet;
 pub use session::session;
 pub use storage::storage;
 pub use typed::typed;
@@ -116,7 +119,7 @@ impl Drop for Case {
 }
 
 /// Every body.
-pub const ALL: [Body; 12] = [
+pub const ALL: [Body; 13] = [
     Body { name: "frames", run: frames, pieces: generate::BINARY },
     Body { name: "typed", run: typed, pieces: generate::BINARY },
     Body { name: "session", run: session, pieces: generate::BINARY },
@@ -129,4 +132,5 @@ pub const ALL: [Body; 12] = [
     Body { name: "modbus", run: modbus, pieces: generate::BINARY },
     Body { name: "storage", run: storage, pieces: generate::STORAGE },
     Body { name: "profibus", run: profibus, pieces: generate::PROFIBUS },
+    Body { name: "profinet", run: profinet, pieces: generate::PROFINET },
 ];

@@ -70,6 +70,11 @@ fn profibus_60_000_cases() {
 }
 
 #[test]
+fn profinet_60_000_cases() {
+    smoke("profinet");
+}
+
+#[test]
 fn every_committed_seed_passes() {
     let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
     for Body { name, run, .. } in fuzz_bodies::ALL {
