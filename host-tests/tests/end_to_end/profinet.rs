@@ -74,8 +74,6 @@ impl Network {
         // The server's thread is in the namespace of the one that starts it.
         let start = move || {
             move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
-            // Ahead of what else this machine does, as a controller of its own would be.
-            let _ = rustix::process::setpriority_process(None, -20);
             let line = ProfinetLine {
                 interface: "eth0".to_owned(),
                 station: bus_profinet::StationName::NONE,
@@ -85,13 +83,20 @@ impl Network {
             let lines = Lines { profinet: Some(line), ..Lines::default() };
             ServerThread::start(config, &lines, None).unwrap()
         };
-        thread::spawn(start).join().unwrap()
+        let server = thread::spawn(start).join().unwrap();
+        // Ahead of what else this machine does, as a controller of its own would be.
+        for task in fs::read_dir("/proc/self/task").unwrap().map(Result::unwrap) {
+            if fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name == "wsg-sim\n") {
+                let _ = Command::new("chrt").args(["--fifo", "--pid", "20"]).arg(task.file_name()).output();
+            }
+        }
+        server
     }
 
     /// A program at the controller's end.
     fn at_controller(&self, program: &str) -> Command {
         let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.controller(), "nice", "-n", "-20", program]);
+        command.args(["netns", "exec", &self.controller(), "chrt", "--fifo", "20", program]);
         command
     }
 

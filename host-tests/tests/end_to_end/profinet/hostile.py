@@ -14,6 +14,8 @@ with open(f"/sys/class/net/{INTERFACE}/address") as file:
     own = bytes.fromhex(file.read().replace(":", ""))
 # What the controller sent: DCP, RPC, alarms, cyclic data.
 frames = [frame for frame in frames if frame[6:12] == own]
+# Of IP, what is for RPC: the system has more to say.
+frames = [frame for frame in frames if frame[12:14] != b"\x08\x00" or frame[23] == 17]
 kinds = {}
 for frame in frames:
     at = 16 if frame[12:14] == b"\x81\x00" else 12
