@@ -109,6 +109,7 @@ Environment
   WSG_FIRMWARE_ELF_NO_BUS, WSG_FIRMWARE_ELF_PROFIBUS
                      the same for images whose settings put them on these; each with _PICO behind it for the Pico
   WSG_WHOLE=1        set by ci: tests that take long are run in full
+  WSG_LOAD=1         set by ci: the test with 500 grippers runs
   WSG_SIM_EXE        set by platforms for its tests: the program for Windows
   WSG_MODBUS_PYTHON, WSG_MODBUS_NODE
                      set by test for those with masters: the Python, and the folder, that have them

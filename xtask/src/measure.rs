@@ -10,6 +10,7 @@ use crate::{
     matrix::Extent,
     mutants, no_more, panics, platforms,
     probe::Probes,
+    process,
     setup::{self, ThumbToolchain},
     size, soak, stack, test, undefined_behaviour,
     workspace::Workspace,
@@ -53,6 +54,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             let Built { workspace, toolchain, image } = Built::new()?;
             dependencies::check(&workspace)?;
             test::run(&workspace, &toolchain, &image, &[], Extent::Whole, true)?;
+            telemetry(&workspace)?;
             platforms::run(&workspace)?;
             fast_stop::run(&workspace)?;
             explore::run(&workspace, explore::STATES)?;
@@ -96,6 +98,12 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         }
         unknown => bail!("no command `{unknown}`; `cargo xtask help` lists them"),
     }
+}
+
+/// 500 virtual grippers that `wsg telemetry` reads, with nothing else beside them.
+fn telemetry(workspace: &Workspace) -> Result<()> {
+    let test = ["--release", "-p", "wsg-tool", "--test", "telemetry", "five_hundred", "--", "--nocapture"];
+    process::run(workspace.cargo("test").args(test).env("WSG_LOAD", "1"))
 }
 
 /// What is measured.
