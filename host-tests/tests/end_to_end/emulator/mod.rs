@@ -35,6 +35,7 @@ mod line_errors;
 mod line_rates;
 mod masters;
 mod modbus;
+mod pico;
 mod profibus;
 mod quick_start;
 mod service_port;

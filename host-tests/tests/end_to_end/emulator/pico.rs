@@ -1,0 +1,102 @@
+//! What only the Pico's registers and its emulator show: pins, the LED, the flash that keeps settings.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use host_tests::addresses::{report, setting};
+use host_tests::emulator::{Emulator, Extras};
+use host_tests::modbus_master::Master;
+use host_tests::rig::PATIENCE;
+use wsg_bridge_fw::indicator::Indication;
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, FIRST_COMMAND};
+use wsg_pico::{INDICATOR, INPUTS};
+
+use super::Board;
+
+/// Levels of all pins, as they are and as they are driven (RP2040, 2.3.1.7).
+const GPIO_IN: u32 = 0xD000_0004;
+const GPIO_OUT: u32 = 0xD000_0010;
+
+fn image() -> PathBuf {
+    Board::PICO.image("WSG_FIRMWARE_ELF")
+}
+
+fn read(master: &mut Master, function: u8, address: u16) -> u16 {
+    let answer = master.ask(&[&[function][..], &address.to_be_bytes(), &[0, 1]].concat()).unwrap();
+    u16::from_be_bytes([answer[2], answer[3]])
+}
+
+fn write(master: &mut Master, address: u16, value: u16) {
+    let pdu = [&[6][..], &address.to_be_bytes(), &value.to_be_bytes()].concat();
+    assert_eq!(master.ask(&pdu).unwrap(), pdu);
+}
+
+#[test]
+#[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
+fn each_input_wire_reaches_its_pin_and_is_low_when_broken_in_rp2040js() {
+    let board = Emulator::start(&image()).unwrap();
+    let levels = || -> Inputs {
+        let pins = board.readl(GPIO_IN).unwrap();
+        INPUTS.iter().filter(|wire| pins & 1 << wire.gpio != 0).map(|wire| wire.signal).collect()
+    };
+    assert_eq!(levels(), Inputs::empty());
+    for wire in Inputs::all().iter() {
+        board.set_inputs(wire).unwrap();
+        assert_eq!(levels(), wire);
+    }
+}
+
+#[test]
+#[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
+fn led_tells_that_the_gripper_has_never_answered_in_rp2040js() {
+    let board = Emulator::start(&image()).unwrap();
+    let is_lit = || board.readl(GPIO_OUT).unwrap() & 1 << INDICATOR != 0;
+    // From one flash to the next.
+    let mut edges = Vec::new();
+    let (mut was_lit, bound) = (is_lit(), Instant::now() + PATIENCE);
+    while edges.len() < 3 {
+        assert!(Instant::now() < bound, "the LED does not flash: {edges:?}");
+        let now_lit = is_lit();
+        if std::mem::replace(&mut was_lit, now_lit) != now_lit {
+            edges.push(board.now_ms().unwrap());
+        }
+    }
+    let period = (1..=10_000).find(|ms| {
+        (0..10_000)
+            .all(|at| Indication::NeverAnswered.is_lit(at) == Indication::NeverAnswered.is_lit(at + ms))
+    });
+    let (seen, told) = (edges[2] - edges[0], period.expect("it repeats"));
+    // Looks from outside are apart by what the host takes for them.
+    assert!(seen.abs_diff(told) <= told / 4, "{seen} ms instead of {told} ms");
+}
+
+#[test]
+#[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
+fn settings_that_were_saved_survive_the_power_in_rp2040js() {
+    const SAVED: u16 = 2;
+    let folder = std::env::temp_dir().join(format!("wsg-pico-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let flash = folder.join("flash");
+    let power_up = || {
+        let extras = Extras { flash: Some(&flash), ..Extras::default() };
+        let mut board = Emulator::start_with(&image(), extras).unwrap();
+        let master = Master::new(board.take_service_line().unwrap(), 1);
+        (board, master)
+    };
+    let (board, mut master) = power_up();
+    let debounce = setting("DEBOUNCE");
+    assert_eq!(read(&mut master, 3, debounce), 2);
+    write(&mut master, debounce, 7);
+    let save = COMMANDS.iter().position(|command| command.name == "SAVE").unwrap() as u16;
+    write(&mut master, FIRST_COMMAND + save, COMMAND_KEY);
+    let bound = Instant::now() + PATIENCE;
+    while read(&mut master, 4, report("SAVE_STATE")) != SAVED {
+        assert!(Instant::now() < bound, "the save does not end");
+    }
+    drop(board);
+
+    let (_board, mut master) = power_up();
+    assert_eq!(read(&mut master, 3, debounce), 7);
+    std::fs::remove_dir_all(&folder).unwrap();
+}
