@@ -161,6 +161,7 @@ fn what_windows_lacks_is_said_in_one_line() {
             "the Unix socket x cannot be opened: it is served on Unix alone; expected a device, such as COM3",
         ),
         (["--can", "can0"], "the CAN interface can0 cannot be opened: SocketCAN is Linux's alone"),
+        (["--profinet", "eth0"], "PROFINET on eth0: packet sockets are Linux's alone"),
     ] {
         let output = program(&arguments).output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();
