@@ -13,8 +13,9 @@ const STATIC_RAM_LIMIT: u64 = 12 * 1024;
 const FRAME_LIMIT: u64 = 1_900;
 const SMALL_FRAME_LIMIT: u64 = 1_100;
 
-/// The whole protocol crate but its text protocol, MODBUS server and drivers: held where it stands.
-const PROTOCOL_LIMIT: u64 = 30_500;
+/// The whole protocol crate but its text protocol, MODBUS server and drivers: held where it stands. 1 100 B of it are units and
+/// meanings in texts, which a board that shows none does not link.
+const PROTOCOL_LIMIT: u64 = 31_600;
 
 /// The two that are not in that: set by what they take, so that they do not grow unseen.
 const GCL_LIMIT: u64 = 42 * 1024;
