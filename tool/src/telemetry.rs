@@ -1,10 +1,14 @@
-//! `wsg telemetry`: any number of grippers and bridges to an MQTT broker, by Sparkplug B. It only reads.
+//! `wsg telemetry`: any number of grippers and bridges to an MQTT broker, by Sparkplug B. It only reads,
+//! unless a gripper allows commands.
 //!
 //! A task for each device reads it and reports what changed; one task has the broker, and turns reports into messages:
-//! `gripper` and `bridge` -> `node` and its `store` -> `broker`. All run in one thread.
+//! `gripper` and `bridge` -> `node` and its `store` -> `broker`. Commands go back: `broker` -> `node`, which takes or refuses them by
+//! `command` -> `commander` in the gripper's task. All run in one thread.
 
 mod bridge;
 mod broker;
+mod command;
+mod commander;
 mod config;
 mod gripper;
 mod line;
@@ -30,13 +34,13 @@ use tokio::{
 use config::{Source, Telemetry};
 use metrics::{BRIDGE, GRIPPER, Metric};
 use node::Node;
-use report::Reporter;
+use report::{Reporter, now_ms};
 use sequence::Sequence;
 
 /// Reports that wait for the task with the broker; readers wait when there are more.
 const REPORTS: usize = 4_096;
 
-/// Sends what grippers and bridges tell to an MQTT broker, by Sparkplug B. It only reads. docs/telemetry.md has the settings.
+/// Sends what grippers and bridges tell to an MQTT broker, by Sparkplug B. It only reads, unless a gripper allows commands. docs/telemetry.md has the settings.
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
     /// The settings, a TOML file.
@@ -86,9 +90,14 @@ async fn send(telemetry: Telemetry, broker: broker::Broker, sequence: &mut Seque
     for (device, of) in (0_u16..).zip(telemetry.devices) {
         let reporter = Reporter { device, name: of.name, reports: sender.clone() };
         let (data, sockets, stopping) = (telemetry.data, Rc::clone(&sockets), stopping.clone());
+        let orders = of.allows_commands.then(|| {
+            let (orders, queue) = command::queue();
+            node.allow_commands(device, orders, telemetry.command_age_ms, now_ms());
+            queue
+        });
         match of.source {
             Source::Gripper(address) => readers.spawn_local(async move {
-                gripper::read(address, data, &sockets, reporter, stopping).await;
+                gripper::read(address, data, &sockets, reporter, orders, stopping).await;
             }),
             Source::Bridge(port) => readers.spawn_local(bridge::read(port, data, reporter, stopping)),
         };

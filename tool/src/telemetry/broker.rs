@@ -229,6 +229,8 @@ struct Link {
     /// The PINGREQ that has no answer yet: when it was sent, and what the store had given before.
     ping: Option<(Instant, u64)>,
     last_ping: Instant,
+    /// Of commands.
+    refusals: Teller,
 }
 
 /// What came from the broker.
@@ -236,7 +238,7 @@ enum Received {
     Connack(ConnectReturnCode),
     Suback(bool),
     Pong,
-    Command { topic: String, payload: Vec<u8> },
+    Command { topic: String, payload: Vec<u8>, is_retained: bool },
 }
 
 impl Link {
@@ -247,7 +249,17 @@ impl Link {
         let mut mqtt = Connection::with_options(Version::V3_1_1, options);
         mqtt.set_auto_pub_response(true);
         let last_ping = Instant::now();
-        Self { reader, writer, mqtt, out: Vec::new(), written: 0, needs_flush: false, ping: None, last_ping }
+        Self {
+            reader,
+            writer,
+            mqtt,
+            out: Vec::new(),
+            written: 0,
+            needs_flush: false,
+            ping: None,
+            last_ping,
+            refusals: Teller::default(),
+        }
     }
 
     /// CONNECT with the will, and the subscription to commands.
@@ -378,10 +390,12 @@ impl Link {
                     node.confirm(mark);
                 }
             }
-            Received::Command { topic, payload } => match node.command(&topic, &payload) {
-                Ok(()) => eprintln!("wsg: a host asked for all births again"),
-                Err(why) => eprintln!("wsg: a command on {topic} was refused: {why}"),
-            },
+            Received::Command { topic, payload, is_retained } => {
+                match node.command(&topic, &payload, is_retained, now_ms()) {
+                    Ok(what) => eprintln!("wsg: a host asked on {topic}: {what}"),
+                    Err(why) => self.refusals.tell(format!("a command on {topic} was refused: {why}")),
+                }
+            }
             Received::Connack(_) | Received::Suback(_) => {}
         }
     }
@@ -459,6 +473,7 @@ impl Link {
                     Packet::V3_1_1Publish(publish) => Some(Received::Command {
                         topic: publish.topic_name().to_owned(),
                         payload: publish.payload().as_slice().to_vec(),
+                        is_retained: publish.retain(),
                     }),
                     _ => None,
                 }),

@@ -20,6 +20,8 @@ pub(super) struct Telemetry {
     pub(super) node: String,
     pub(super) state_file: PathBuf,
     pub(super) store: usize,
+    /// How far the time in a command may be from this computer's, in ms.
+    pub(super) command_age_ms: u64,
     pub(super) data: Data,
     pub(super) devices: Vec<Device>,
 }
@@ -61,6 +63,7 @@ pub(super) struct Data {
 pub(super) struct Device {
     pub(super) name: String,
     pub(super) source: Source,
+    pub(super) allows_commands: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -150,7 +153,11 @@ impl Telemetry {
         let mut devices: Vec<Device> = Vec::new();
         let mut names = BTreeSet::new();
         for section in sections.iter().filter(|section| REPEATED.contains(&section.name)) {
-            let device = Device { name: section.text("name").to_owned(), source: source_of(section)? };
+            let device = Device {
+                name: section.text("name").to_owned(),
+                source: source_of(section)?,
+                allows_commands: section.text("allow_commands") == "true",
+            };
             if !names.insert(device.name.clone()) {
                 return Err(section.wrong("name", "another device has this name"));
             }
@@ -165,6 +172,7 @@ impl Telemetry {
             node: node_name,
             state_file: node.text("state_file").into(),
             store: node.number("store"),
+            command_age_ms: node.number("command_age_ms"),
             data: Data {
                 period_ms: data.number("period_ms"),
                 width_deadband: data.number("width_deadband"),

@@ -1,6 +1,6 @@
 //! Reads a gripper: finds it, has it send its values by itself, and tells what changed.
 
-use std::time::Duration;
+use std::{future::pending, time::Duration};
 
 use tokio::{sync::watch, time::sleep};
 use wsg_protocol::{
@@ -14,9 +14,12 @@ use wsg_protocol::{
 };
 
 use super::{
+    command::{Order, Queue},
+    commander::{self, Commander},
     config::{Address, Data},
     line::{Line, Sockets},
-    metrics::{GRIPPER, OfGripper, Value},
+    metrics::{COMMANDS, GRIPPER, OfCommand, OfGripper, Value},
+    payload::DataType,
     report::{Reporter, Teller, What, stopped},
     values::Values,
 };
@@ -32,16 +35,19 @@ const FAREWELL: Duration = Duration::from_millis(500);
 const FLAGS: [OfGripper; 5] =
     [OfGripper::Flags, OfGripper::Referenced, OfGripper::Moving, OfGripper::FastStop, OfGripper::Fault];
 
-/// Reads the gripper until `stop` says so, then announces the disconnect, so that it enters no FAST STOP.
+/// Reads the gripper, and carries out the orders if there may be any, until `stop` says so, then announces the disconnect, so that it enters no FAST STOP.
 pub(super) async fn read(
     address: Address,
     data: Data,
     sockets: &Sockets,
     reporter: Reporter,
+    orders: Option<Queue>,
     mut stop: watch::Receiver<bool>,
 ) {
     let mut teller = Teller::default();
-    let mut reader = Reader { data, reporter, values: Values::new(GRIPPER), connections: 0, bad_before: 0 };
+    let commander = orders.map(|queue| Commander::new(queue, reporter.clone()));
+    let values = Values::new(GRIPPER);
+    let mut reader = Reader { data, reporter, values, commander, connections: 0, bad_before: 0 };
     loop {
         let ended = tokio::select! {
             line = Line::open(&address, sockets) => match line {
@@ -72,6 +78,7 @@ struct Reader {
     data: Data,
     reporter: Reporter,
     values: Values,
+    commander: Option<Commander>,
     connections: u64,
     /// Bad frames on lines before this one.
     bad_before: u64,
@@ -123,6 +130,9 @@ impl Reader {
             let found = self.found(gripper.known());
             self.reporter.tell(found).await;
             let end = self.watch(&mut gripper, stop).await;
+            if let Some(commander) = &mut self.commander {
+                commander.lost().await;
+            }
             self.reporter.tell(What::Lost).await;
             match end {
                 Some(Error::NotConnected) => teller.tell(format!("{}: answers no more", self.reporter.name)),
@@ -140,14 +150,33 @@ impl Reader {
         &mut self,
         gripper: &mut Gripper<IO, TokioTimer>,
         stop: &mut watch::Receiver<bool>,
-    ) -> Option<Error<IO::Error>> {
+    ) -> Option<Error<IO::Error>>
+    where
+        IO::Error: std::fmt::Display,
+    {
         let period_ms = self.data.period_ms;
         loop {
-            let within_ms = self.values.due_in(period_ms).unwrap_or(LOOK_MS);
-            let update = tokio::select! {
-                update = gripper.next_update(within_ms) => update,
+            let mut within_ms = self.values.due_in(period_ms).unwrap_or(LOOK_MS);
+            if self.commander.as_ref().is_some_and(Commander::is_moving) {
+                within_ms = within_ms.min(commander::LOOK_MS);
+            }
+            let next = tokio::select! {
+                biased;
                 () = stopped(stop) => return None,
+                order = next_order(&mut self.commander) => Next::Order(order),
+                update = gripper.next_update(within_ms) => Next::Update(update),
             };
+            let update = match (next, &mut self.commander) {
+                (Next::Update(update), _) => update,
+                (Next::Order(order), Some(commander)) => {
+                    commander.carry_out(gripper, order, stop).await;
+                    gripper.next_update(0).await
+                }
+                (Next::Order(_), None) => continue,
+            };
+            if let Some(commander) = &mut self.commander {
+                commander.look(gripper).await;
+            }
             let is_urgent = match update {
                 Ok(update) => update.is_some_and(|update| self.values.take(update, &self.data)),
                 Err(error) => return Some(error),
@@ -176,7 +205,41 @@ impl Reader {
             ranges[usize::from(OfGripper::Speed)] = Some((-limits.max_speed, limits.max_speed));
             ranges[usize::from(OfGripper::Force)] = Some((0.0, force));
         }
-        What::Found { values: self.values.all(), ranges }
+        let mut values = self.values.all();
+        if let Some(commander) = &mut self.commander {
+            commander.found(self.connections);
+            for metric in COMMANDS {
+                let is_command = metric.datatype == DataType::Boolean;
+                values.push(is_command.then_some(Value::Boolean(false)));
+            }
+            let mut accepted = vec![None; COMMANDS.len()];
+            if let Some(limits) = &known.limits {
+                accepted[usize::from(OfCommand::Width)] = Some((0.0, limits.stroke));
+                accepted[usize::from(OfCommand::Speed)] = Some((limits.min_speed, limits.max_speed));
+                // Not what overdrive allows: it is not on.
+                accepted[usize::from(OfCommand::Force)] = Some((limits.min_force, limits.nominal_force));
+            }
+            ranges.extend(accepted);
+        }
+        What::Found { values, ranges }
+    }
+}
+
+/// What there is to do.
+enum Next<E> {
+    Order(Order),
+    Update(Result<Option<Update>, Error<E>>),
+}
+
+/// The next order. May be given up. Waits where there are none.
+async fn next_order(commander: &mut Option<Commander>) -> Order {
+    let next = match commander {
+        Some(commander) => commander.next().await,
+        None => None,
+    };
+    match next {
+        Some(order) => order,
+        None => pending().await,
     }
 }
 

@@ -85,6 +85,23 @@ table! {
 }
 
 table! {
+    /// How a gripper is commanded that allows it: behind its other rows.
+    COMMANDS, OfCommand {
+        Home: "Command/Home" Boolean "" "true: references the fingers; no parameters";
+        Move: "Command/Move" Boolean "" "true: moves the fingers to `Command/Width` by `Command/Speed`; they stop where something is in the way";
+        Grip: "Command/Grip" Boolean "" "true: grips a part of `Command/Width` by `Command/Speed`";
+        Release: "Command/Release" Boolean "" "true: opens the fingers to `Command/Width` by `Command/Speed`, to release a part";
+        Stop: "Command/Stop" Boolean "" "true: stops the fingers; a part is held no longer";
+        FastStop: "Command/Fast Stop" Boolean "" "true: FAST STOP, which locks the fingers until it is acknowledged";
+        Acknowledge: "Command/Acknowledge" Boolean "" "true: acknowledges FAST STOP or a fault";
+        Width: "Command/Width" Float "mm" "parameter: opening width";
+        Speed: "Command/Speed" Float "mm/s" "parameter: finger speed";
+        Force: "Command/Force" Float "N" "parameter of `Command/Grip` and `Command/Move` that may be left out: the force limit from now on; left out: it stays as it is";
+        Result: "Command/Result" String "" "what the last command came to; null: there was none";
+    }
+}
+
+table! {
     /// What is told of a bridge and the gripper behind it.
     BRIDGE, OfBridge {
         Width: "Width" Float "mm" "opening width; null while the fingers are not referenced. This and all down to `Status` is null while no gripper answers";

@@ -8,7 +8,8 @@ use std::{collections::VecDeque, rc::Rc};
 use prost::Message as _;
 
 use super::{
-    metrics::{GRIPPER, Metric, NODE, OfNode, Value},
+    command::{Order, Orders, Situation},
+    metrics::{COMMANDS, GRIPPER, Metric, NODE, OfCommand, OfNode, Value},
     payload::{self, DataType, MetricValue, Payload, PropertySet},
     report::{Report, What},
     store::{Entry, Store},
@@ -16,7 +17,7 @@ use super::{
 
 /// Aliases of a device: this many times its number, counted from 1, plus the place in its table. The node's are below.
 const ALIASES: u64 = 64;
-const _: () = assert!(GRIPPER.len() < ALIASES as usize && NODE.len() < ALIASES as usize);
+const _: () = assert!(GRIPPER.len() + COMMANDS.len() < ALIASES as usize && NODE.len() < ALIASES as usize);
 
 /// How often the node's own values are sent at the most, in ms.
 const NODE_PERIOD_MS: u64 = 1_000;
@@ -50,6 +51,10 @@ pub(super) struct Node {
 #[derive(Debug)]
 struct Device {
     table: &'static [Metric],
+    /// Of one that may be commanded; its rows are behind those of the table.
+    commanding: Option<Commanding>,
+    /// Where its commands come.
+    command: Rc<str>,
     birth: Rc<str>,
     data: Rc<str>,
     death: Rc<str>,
@@ -59,6 +64,31 @@ struct Device {
     ranges: Vec<Option<(f32, f32)>>,
     /// When its birth was sent over this connection, if it was, and no death since.
     born_at: Option<u64>,
+}
+
+/// What is to be known of a device to command it.
+#[derive(Debug)]
+struct Commanding {
+    orders: Orders,
+    age_ms: u64,
+    /// The latest time of its commands, taken or not: what was refused once is refused also when it comes again.
+    last_at: u64,
+    /// Whether a motion was taken whose outcome is not known.
+    is_moving: bool,
+    /// How often it was found.
+    life: u64,
+}
+
+impl Device {
+    fn rows(&self) -> impl Iterator<Item = &'static Metric> + use<> {
+        let commands = self.commanding.as_ref().map_or(&[][..], |_| COMMANDS);
+        self.table.iter().chain(commands)
+    }
+
+    /// The place of a row of [`COMMANDS`].
+    fn place_of(&self, row: OfCommand) -> usize {
+        self.table.len() + usize::from(row)
+    }
 }
 
 /// What there is while there is a connection.
@@ -120,6 +150,8 @@ impl Node {
         let topic = |kind: &str, device: &str| format!("{}/{device}", identity.topic(kind)).into();
         let device = |(device, table): &(String, &'static [Metric])| Device {
             table,
+            commanding: None,
+            command: topic("DCMD", device),
             birth: topic("DBIRTH", device),
             data: topic("DDATA", device),
             death: topic("DDEATH", device),
@@ -132,6 +164,15 @@ impl Node {
         Self { identity, devices, store: Store::new(capacity), session: None, own: Own::default() }
     }
 
+    /// Lets hosts command a device. Commands from before `now` are refused, so that none is taken again that was taken before
+    /// the program was started.
+    pub(super) fn allow_commands(&mut self, device: u16, orders: Orders, age_ms: u64, now: u64) {
+        if let Some(device) = self.devices.get_mut(usize::from(device)) {
+            let commanding = Commanding { orders, age_ms, last_at: now, is_moving: false, life: 0 };
+            device.commanding = Some(commanding);
+        }
+    }
+
     /// Who this is.
     pub(super) const fn identity(&self) -> &Identity {
         &self.identity
@@ -142,8 +183,15 @@ impl Node {
         let Report { device: number, at, what } = report;
         let Some(device) = self.devices.get_mut(usize::from(number)) else { return };
         let life = match what {
-            What::Found { values, ranges } => {
+            What::Found { mut values, ranges } => {
                 device.is_online = true;
+                let result = device.place_of(OfCommand::Result);
+                if let Some(commanding) = &mut device.commanding {
+                    commanding.life += 1;
+                    if let (Some(new), Some(old)) = (values.get_mut(result), device.values.get(result)) {
+                        new.clone_from(old);
+                    }
+                }
                 device.values = values;
                 device.ranges = ranges;
                 Entry::Found { device: number }
@@ -155,6 +203,13 @@ impl Node {
                     }
                 }
                 self.store.push(Entry::Sample { device: number, at, values });
+                return;
+            }
+            What::Outcome { of, text } => {
+                if let Some(commanding) = &mut device.commanding {
+                    commanding.is_moving &= !of.is_motion();
+                }
+                self.tell_result(number, text, at);
                 return;
             }
             What::Lost => {
@@ -238,7 +293,7 @@ impl Node {
                     let metrics = values.iter().map(|(place, value)| payload::Metric {
                         alias: Some(alias(number, usize::from(*place))),
                         timestamp: Some(at),
-                        datatype: device.table.get(usize::from(*place)).map(Metric::datatype),
+                        datatype: device.rows().nth(usize::from(*place)).map(Metric::datatype),
                         is_historical: is_historical.then_some(true),
                         is_null: value.is_none().then_some(true),
                         value: value.as_ref().map(Value::encode),
@@ -282,7 +337,7 @@ impl Node {
             return self.message("".into(), Vec::new(), now);
         };
         device.born_at = Some(now);
-        let metrics = device.table.iter().enumerate().map(|(place, metric)| {
+        let metrics = device.rows().enumerate().map(|(place, metric)| {
             let value = device.values.get(place).and_then(Option::as_ref);
             let range = device.ranges.get(place).copied().flatten();
             birth_metric(metric, alias(number, place), value, range, now)
@@ -353,34 +408,86 @@ impl Node {
         Message { topic, payload: payload.encode_to_vec() }
     }
 
-    /// Takes a command of a host. Only the rebirth of the node is one; what else is asked for, the error says.
+    /// Takes a command of a host: the rebirth of the node, or one to a device that allows it. Returns what was asked for.
     ///
     /// # Errors
     /// Why the command is refused.
-    pub(super) fn command(&mut self, topic: &str, payload: &[u8]) -> Result<(), String> {
-        let outcome = self.rebirth_request(topic, payload);
-        match outcome {
-            Ok(()) => self.rebirth(),
-            Err(_) => self.own.refused += 1,
+    pub(super) fn command(
+        &mut self,
+        topic: &str,
+        payload: &[u8],
+        is_retained: bool,
+        now: u64,
+    ) -> Result<String, String> {
+        let outcome = match Payload::decode(payload) {
+            Err(_) => Err("it is no payload of Sparkplug B".to_owned()),
+            Ok(payload) if self.identity.topic("NCMD") == topic => {
+                rebirth_request(&payload).map(|()| "all births again".to_owned())
+            }
+            Ok(payload) => self.device_command(topic, &payload, is_retained, now),
+        };
+        match &outcome {
+            Ok(_) if self.identity.topic("NCMD") == topic => self.rebirth(),
+            Ok(_) => {}
+            Err(why) => {
+                self.own.refused += 1;
+                let of = self.devices.iter().position(|device| *device.command == *topic);
+                if let Some(number) = of.and_then(|place| u16::try_from(place).ok()) {
+                    self.tell_result(number, format!("refused: {why}"), now);
+                }
+            }
         }
         outcome
     }
 
-    fn rebirth_request(&self, topic: &str, payload: &[u8]) -> Result<(), String> {
-        let payload = Payload::decode(payload).map_err(|_| "it is no payload of Sparkplug B".to_owned())?;
-        if self.identity.command_topics().first().is_none_or(|own| own != topic) {
-            return Err("devices take no commands: telemetry only reads".to_owned());
-        }
-        let is_rebirth = |metric: &payload::Metric| {
-            metric.name.as_deref() == Some(REBIRTH) && metric.value == Some(MetricValue::Boolean(true))
+    fn device_command(
+        &mut self,
+        topic: &str,
+        payload: &Payload,
+        is_retained: bool,
+        now: u64,
+    ) -> Result<String, String> {
+        let of = (0_u16..).zip(&mut self.devices).find(|(_, device)| *device.command == *topic);
+        let Some((number, device)) = of else { return Err("there is no such device".to_owned()) };
+        let (first, is_online) = (device.table.len(), device.is_online);
+        let Some(commanding) = &mut device.commanding else {
+            return Err("this device takes no commands: telemetry only reads it".to_owned());
         };
-        match payload.metrics.iter().find(|metric| !is_rebirth(metric)) {
-            None if payload.metrics.is_empty() => Err("it has no metric".to_owned()),
-            None => Ok(()),
-            Some(other) => Err(format!(
-                "only \"{REBIRTH}\" = true is taken, not {:?}",
-                other.name.as_deref().unwrap_or("a metric without a name")
-            )),
+        let situation = Situation {
+            now,
+            age_ms: commanding.age_ms,
+            last_at: commanding.last_at,
+            is_online,
+            is_moving: commanding.is_moving,
+            ranges: device.ranges.get(first..).unwrap_or(&[]),
+            first_alias: alias(number, first),
+        };
+        let at = situation.time_of(payload)?;
+        commanding.last_at = at;
+        if is_retained {
+            return Err("it is retained: the broker has kept it, and nobody gives it now".to_owned());
+        }
+        let action = situation.decide(payload)?;
+        let expires_at = at.min(now) + commanding.age_ms;
+        if !commanding.orders.push(Order { action, at, expires_at, life: commanding.life }) {
+            return Err("too many commands wait".to_owned());
+        }
+        commanding.is_moving |= action.of().is_motion();
+        Ok(action.of().title().to_owned())
+    }
+
+    /// Tells hosts what a command to a device came to, also if it is the same as before.
+    fn tell_result(&mut self, number: u16, text: String, at: u64) {
+        let Some(device) = self.devices.get_mut(usize::from(number)) else { return };
+        let place = device.place_of(OfCommand::Result);
+        // There is no such place where commands are not allowed, and before it was found for the first time.
+        let Some(slot) = device.values.get_mut(place).filter(|_| device.commanding.is_some()) else { return };
+        let value = Some(Value::Text(text));
+        slot.clone_from(&value);
+        if device.is_online
+            && let Ok(place) = u8::try_from(place)
+        {
+            self.store.push(Entry::Sample { device: number, at, values: vec![(place, value)] });
         }
     }
 
@@ -397,6 +504,20 @@ impl Node {
     /// The broker has all that was given when [`mark`](Self::mark) said this.
     pub(super) fn confirm(&mut self, mark: u64) {
         self.store.confirm(mark);
+    }
+}
+
+fn rebirth_request(payload: &Payload) -> Result<(), String> {
+    let is_rebirth = |metric: &payload::Metric| {
+        metric.name.as_deref() == Some(REBIRTH) && metric.value == Some(MetricValue::Boolean(true))
+    };
+    match payload.metrics.iter().find(|metric| !is_rebirth(metric)) {
+        None if payload.metrics.is_empty() => Err("it has no metric".to_owned()),
+        None => Ok(()),
+        Some(other) => Err(format!(
+            "only \"{REBIRTH}\" = true is taken, not {:?}",
+            other.name.as_deref().unwrap_or("a metric without a name")
+        )),
     }
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::{
-    metrics::{BRIDGE, GRIPPER, Metric, NODE},
+    metrics::{BRIDGE, COMMANDS, GRIPPER, Metric, NODE},
     settings::{Kind, REPEATED, SETTINGS},
 };
 
@@ -30,6 +30,7 @@ fn write(text: &mut String) -> std::fmt::Result {
         };
         let range = match setting.kind {
             Kind::Text => String::new(),
+            Kind::Switch => "; `true` or `false`".to_owned(),
             Kind::Name => "; without `+`, `#` and `/`".to_owned(),
             Kind::Whole(low, high) => format!("; {low} to {high}"),
             Kind::Number(low, high) => format!("; {low} to {high}"),
@@ -39,6 +40,7 @@ fn write(text: &mut String) -> std::fmt::Result {
     for (title, table) in [
         ("Metrics of the edge node", NODE),
         ("Metrics of a gripper", GRIPPER),
+        ("Further metrics of a gripper with `allow_commands`", COMMANDS),
         ("Metrics of a bridge", BRIDGE),
     ] {
         writeln!(text, "\n### {title}\n\n| metric | type | unit | what it is |\n|---|---|---|---|")?;

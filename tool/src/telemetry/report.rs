@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use tokio::sync::{mpsc, watch};
 
-use super::metrics::Value;
+use super::metrics::{OfCommand, Value};
 
 /// What is told about a device by whoever reads it.
 #[derive(Debug)]
@@ -22,6 +22,8 @@ pub(super) enum What {
     Found { values: Vec<Option<Value>>, ranges: Vec<Option<(f32, f32)>> },
     /// Values that changed, by their places in its table.
     Changed(Vec<(u8, Option<Value>)>),
+    /// What a command came to.
+    Outcome { of: OfCommand, text: String },
     /// It answers no more.
     Lost,
 }

@@ -27,6 +27,8 @@ pub(super) enum Kind {
     Whole(u32, u32),
     /// A number in this range.
     Number(f32, f32),
+    /// true or false.
+    Switch,
 }
 
 /// A row of the table.
@@ -118,6 +120,13 @@ pub(super) const SETTINGS: &[Setting] = &[
         "samples that are kept in memory while the broker is away; the oldest give way",
     ),
     setting(
+        "node",
+        "command_age_ms",
+        Kind::Whole(100, 60_000),
+        Some("2000"),
+        "how far the time in a command may be from this computer's, in ms; others are refused",
+    ),
+    setting(
         "data",
         "period_ms",
         Kind::Whole(10, 60_000),
@@ -152,6 +161,13 @@ pub(super) const SETTINGS: &[Setting] = &[
         Kind::Text,
         None,
         "`tcp://HOST[:1000]`, `udp://HOST[:1500]` (answers come to port 1501; another: `udp://HOST:1500?local=1502`), or `serial:DEVICE` (115 200 bit/s, 8N1)",
+    ),
+    setting(
+        "gripper",
+        "allow_commands",
+        Kind::Switch,
+        Some("false"),
+        "whether hosts may command this gripper, and so move its fingers",
     ),
     setting("bridge", "name", Kind::Name, None, "Sparkplug's name of the device; its own in this file"),
     setting(
@@ -191,6 +207,8 @@ impl Setting {
                 Ok(number) if (low..=high).contains(&number) => Ok(()),
                 _ => wrong(&format!("a number from {low} to {high}")),
             },
+            Kind::Switch if matches!(text, "true" | "false") => Ok(()),
+            Kind::Switch => wrong("true or false"),
         }
     }
 }

@@ -3,6 +3,7 @@
 #![cfg(all(unix, feature = "telemetry"))]
 
 mod bridged;
+mod commanded;
 mod load;
 mod rig;
 

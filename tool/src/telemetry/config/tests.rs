@@ -19,7 +19,17 @@ fn file_with_the_least_that_is_needed_has_the_defaults_of_the_table() {
     assert!(telemetry.broker.tls_name.is_none() && telemetry.broker.user.is_none());
     assert_eq!((telemetry.broker.keep_alive.as_secs(), telemetry.store), (10, 100_000));
     assert_eq!((telemetry.data.period_ms, telemetry.data.width_deadband), (100, 0.05));
+    assert_eq!((telemetry.command_age_ms, telemetry.devices[0].allows_commands), (2_000, false));
     assert_eq!(telemetry.devices[0].source, Source::Gripper(Address::Tcp("192.168.1.20:1000".to_owned())));
+}
+
+#[test]
+fn commands_are_allowed_to_the_gripper_that_says_so_alone() {
+    let telemetry = parsed(
+        &[BROKER, NODE, GRIPPER, "allow_commands = true\n", &GRIPPER.replace("left", "right")].concat(),
+    );
+    let allowed = telemetry.unwrap().devices.into_iter().map(|device| device.allows_commands);
+    assert_eq!(allowed.collect::<Vec<_>>(), [true, false]);
 }
 
 #[test]
@@ -91,6 +101,17 @@ fn whatever_is_wrong_is_told_in_one_line_with_its_place_and_what_is_expected() {
             "cell.toml, line 7",
             "\"address\" is missing",
         ),
+        (
+            [BROKER, NODE, GRIPPER, "allow_commands = \"yes\"\n"].concat(),
+            "cell.toml, line 10",
+            "true or false",
+        ),
+        (
+            [BROKER, NODE, "[[bridge]]\nname = \"a\"\ndevice = \"b\"\nallow_commands = true\n"].concat(),
+            "cell.toml, line 10",
+            "has no setting \"allow_commands\"",
+        ),
+        ([BROKER, NODE, "command_age_ms = 99\n", GRIPPER].concat(), "cell.toml, line 7", "from 100 to 60000"),
         ([BROKER, NODE, GRIPPER, GRIPPER].concat(), "cell.toml, line 11", "another device has this name"),
         (
             [BROKER, NODE, &GRIPPER.replace("left", "a/b")].concat(),

@@ -125,7 +125,7 @@ fn sequence_numbers_run_from_0_to_255_and_around_and_begin_again_with_a_rebirth(
         }],
         ..Payload::default()
     };
-    node.command("spBv1.0/plant/NCMD/cell", &rebirth.encode_to_vec()).unwrap();
+    node.command("spBv1.0/plant/NCMD/cell", &rebirth.encode_to_vec(), false, 3).unwrap();
 
     let births: Vec<_> = std::iter::from_fn(|| node.poll_transmit(3)).collect();
     assert_eq!(births.iter().map(text_of).collect::<Vec<_>>(), ["NBIRTH ", "DBIRTH left"]);
@@ -159,7 +159,164 @@ fn commands_other_than_a_rebirth_are_refused_and_counted() {
         ("spBv1.0/plant/NCMD/cell", b"\xFF"),
         ("spBv1.0/plant/DCMD/cell/left", b""),
     ] {
-        node.command(topic, payload).unwrap_err();
+        node.command(topic, payload, false, 1).unwrap_err();
     }
     assert_eq!(node.own.refused, 3);
+}
+
+/// A node whose device "left" may be commanded since 1000, and where its orders come out.
+fn commanded() -> (Node, crate::telemetry::command::Queue) {
+    let mut node = node_of(100);
+    let (orders, queue) = crate::telemetry::command::queue();
+    node.allow_commands(0, orders, 2_000, 1_000);
+    node.connected(0);
+    found_commanded(&mut node, 1);
+    (node, queue)
+}
+
+fn found_commanded(node: &mut Node, at: u64) {
+    let Report { device, at, what } = found(0, at);
+    let What::Found { mut values, mut ranges } = what else { panic!("it is found") };
+    values.extend(vec![None; COMMANDS.len()]);
+    ranges.extend(vec![Some((0.0, 100.0)); COMMANDS.len()]);
+    node.take(Report { device, at, what: What::Found { values, ranges } });
+}
+
+fn dcmd(
+    node: &mut Node,
+    at: Option<u64>,
+    names: &[&str],
+    is_retained: bool,
+    now: u64,
+) -> Result<String, String> {
+    let metric = |name: &&str| payload::Metric {
+        name: Some((*name).to_owned()),
+        value: Some(MetricValue::Boolean(true)),
+        ..payload::Metric::default()
+    };
+    let payload = Payload { timestamp: at, metrics: names.iter().map(metric).collect(), seq: None };
+    node.command("spBv1.0/plant/DCMD/cell/left", &payload.encode_to_vec(), is_retained, now)
+}
+
+/// All results that were sent to hosts.
+fn results(node: &mut Node, now: u64) -> Vec<String> {
+    let messages = std::iter::from_fn(|| node.poll_transmit(now));
+    let mut results = Vec::new();
+    for message in messages.filter(|message| message.topic.contains("DDATA")) {
+        for metric in Payload::decode(message.payload.as_slice()).unwrap().metrics {
+            assert_eq!((metric.alias, metric.datatype), (Some(alias(0, TABLE.len() + 10)), Some(12)));
+            let Some(MetricValue::String(text)) = metric.value else { panic!("{:?}", metric.value) };
+            results.push(text);
+        }
+    }
+    results
+}
+
+#[test]
+fn command_is_taken_once_and_refused_when_it_comes_again() {
+    let (mut node, mut queue) = commanded();
+    assert_eq!(dcmd(&mut node, Some(1_001), &["Command/Home"], false, 1_500), Ok("Home".to_owned()));
+    let order = queue.others.try_recv().unwrap();
+    assert_eq!((order.at, order.expires_at, order.life), (1_001, 3_001, 1));
+    node.take(Report {
+        device: 0,
+        at: 1_510,
+        what: What::Outcome { of: OfCommand::Home, text: "Home: done".into() },
+    });
+
+    let again = dcmd(&mut node, Some(1_001), &["Command/Home"], false, 1_520).unwrap_err();
+
+    assert!(again.contains("not later"), "{again}");
+    queue.others.try_recv().unwrap_err();
+    assert_eq!(node.own.refused, 1);
+    assert_eq!(results(&mut node, 1_600), ["Home: done".to_owned(), format!("refused: {again}")]);
+}
+
+#[test]
+fn what_was_refused_once_is_refused_when_it_comes_again() {
+    let (mut node, mut queue) = commanded();
+    dcmd(&mut node, Some(1_001), &["Command/Home"], false, 1_001).unwrap();
+    queue.others.try_recv().unwrap();
+    let why = dcmd(&mut node, Some(1_002), &["Command/Home"], false, 1_002).unwrap_err();
+    assert!(why.contains("not over"), "{why}");
+    node.take(Report {
+        device: 0,
+        at: 1_003,
+        what: What::Outcome { of: OfCommand::Home, text: String::new() },
+    });
+
+    dcmd(&mut node, Some(1_002), &["Command/Home"], false, 1_004).unwrap_err();
+
+    queue.others.try_recv().unwrap_err();
+    dcmd(&mut node, Some(1_003), &["Command/Home"], false, 1_004).unwrap();
+}
+
+#[test]
+fn stops_are_taken_during_a_motion_and_apart_from_other_orders() {
+    let (mut node, mut queue) = commanded();
+    dcmd(&mut node, Some(1_001), &["Command/Home"], false, 1_001).unwrap();
+    dcmd(&mut node, Some(1_002), &["Command/Fast Stop"], false, 1_002).unwrap();
+    dcmd(&mut node, Some(1_003), &["Command/Acknowledge"], false, 1_003).unwrap();
+
+    assert_eq!(queue.urgent.try_recv().unwrap().action, crate::telemetry::command::Action::FastStop);
+    assert_eq!(queue.others.try_recv().unwrap().at, 1_001);
+    assert_eq!(queue.others.try_recv().unwrap().at, 1_003);
+}
+
+#[test]
+fn commands_that_are_refused_reach_no_queue_and_are_told_and_counted() {
+    let (mut node, mut queue) = commanded();
+    let home: &[&str] = &["Command/Home"];
+    let cases = [
+        (None, home, false, 1_500, "no timestamp"),
+        // From before the start of the program.
+        (Some(1_000), home, false, 1_500, "or of the start"),
+        (Some(1_001), home, false, 3_002, "older than 2000 ms"),
+        (Some(5_001), home, false, 3_000, "ahead"),
+        (Some(3_001), home, true, 3_002, "retained"),
+        (Some(3_002), &["Command/Home", "Command/Grip"][..], false, 3_002, "more than one"),
+    ];
+    for (at, names, is_retained, now, expected) in cases {
+        let why = dcmd(&mut node, at, names, is_retained, now).unwrap_err();
+        assert!(why.contains(expected), "{why}");
+    }
+    for number in 0..4 {
+        dcmd(&mut node, Some(4_000 + number), &["Command/Stop"], false, 4_000).unwrap();
+    }
+    let why = dcmd(&mut node, Some(4_010), &["Command/Stop"], false, 4_000).unwrap_err();
+    assert!(why.contains("too many"), "{why}");
+    queue.others.try_recv().unwrap_err();
+    assert_eq!((node.own.refused, results(&mut node, 4_000).len()), (7, 7));
+
+    // The gripper is away: there is no data of it, and its next birth tells.
+    node.take(lost(0, 4_001));
+    let why = dcmd(&mut node, Some(4_020), home, false, 4_020).unwrap_err();
+    assert!(why.contains("does not answer"), "{why}");
+    assert_eq!(results(&mut node, 4_021), [""; 0]);
+    found_commanded(&mut node, 4_030);
+    let result = &node.devices[0].values[TABLE.len() + 10];
+    assert_eq!(*result, Some(Value::Text(format!("refused: {why}"))));
+    dcmd(&mut node, Some(4_031), home, false, 4_031).unwrap();
+    assert_eq!(queue.others.try_recv().unwrap().life, 2);
+}
+
+#[test]
+fn device_that_does_not_allow_commands_takes_none() {
+    let (mut node, _queue) = commanded();
+    node.take(found(1, 1));
+    sent(&mut node, 1_100);
+    let payload = Payload {
+        timestamp: Some(1_100),
+        metrics: vec![payload::Metric {
+            name: Some("Command/Home".to_owned()),
+            value: Some(MetricValue::Boolean(true)),
+            ..payload::Metric::default()
+        }],
+        seq: None,
+    };
+    for device in ["right", "none", "left/x"] {
+        let topic = format!("spBv1.0/plant/DCMD/cell/{device}");
+        node.command(&topic, &payload.encode_to_vec(), false, 1_100).unwrap_err();
+    }
+    assert_eq!((node.own.refused, sent(&mut node, 1_101)), (3, Vec::new()));
 }

@@ -1,0 +1,105 @@
+use tokio::{
+    io::{AsyncReadExt, DuplexStream, duplex},
+    sync::mpsc,
+};
+use wsg_protocol::driver::tokio::Stream;
+
+use super::*;
+use crate::telemetry::{
+    command::{Orders, queue},
+    report::Report,
+};
+
+/// A commander of a gripper that was found once, with what it tells.
+struct Rig {
+    commander: Commander,
+    gripper: Gripper<Stream<DuplexStream>, TokioTimer>,
+    line: DuplexStream,
+    orders: Orders,
+    reports: mpsc::Receiver<Report>,
+    stop: watch::Sender<bool>,
+}
+
+impl Rig {
+    fn new() -> Self {
+        let ((near, line), (orders, queue)) = (duplex(1_024), queue());
+        let (sender, reports) = mpsc::channel(16);
+        let reporter = Reporter { device: 0, name: "left".to_owned(), reports: sender };
+        let mut commander = Commander::new(queue, reporter);
+        commander.found(1);
+        let gripper = Gripper::new(Stream::new(near), TokioTimer::new());
+        Self { commander, gripper, line, orders, reports, stop: watch::channel(false).0 }
+    }
+
+    async fn carry_out(&mut self, order: Order) {
+        let mut stop = self.stop.subscribe();
+        self.commander.carry_out(&mut self.gripper, order, &mut stop).await;
+    }
+
+    /// What was told of outcomes since.
+    fn told(&mut self) -> Vec<String> {
+        let reports = std::iter::from_fn(|| self.reports.try_recv().ok());
+        let text = reports.map(|report| match report.what {
+            What::Outcome { text, .. } => text,
+            other => panic!("{other:?}"),
+        });
+        text.collect()
+    }
+}
+
+fn order(action: Action, at: u64) -> Order {
+    Order { action, at, expires_at: u64::MAX, life: 1 }
+}
+
+#[tokio::test(start_paused = true)]
+async fn orders_of_a_connection_that_is_lost_or_that_waited_for_too_long_are_dropped_and_told() {
+    let mut rig = Rig::new();
+
+    rig.carry_out(Order { life: 0, ..order(Action::Home, 5) }).await;
+    rig.carry_out(Order { life: 0, ..order(Action::FastStop, 6) }).await;
+    rig.carry_out(Order { expires_at: 1, ..order(Action::Home, 7) }).await;
+
+    let told = rig.told();
+    assert_eq!(told[0], "Home: dropped: the connection to the gripper was lost meanwhile");
+    assert_eq!(told[1], "Fast Stop: dropped: the connection to the gripper was lost meanwhile");
+    assert_eq!(told[2], "Home: dropped: it waited for too long");
+    drop(rig.gripper);
+    assert_eq!(rig.line.read(&mut [0; 64]).await.unwrap(), 0, "bytes for the gripper");
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_was_asked_for_before_a_stop_is_dropped_behind_it() {
+    let mut rig = Rig::new();
+    for (number, action) in [Action::Home, Action::Acknowledge, Action::FastStop].into_iter().enumerate() {
+        assert!(rig.orders.push(order(action, 10 + number as u64)));
+    }
+
+    for _ in 0..3 {
+        let next = rig.commander.next().await.unwrap();
+        rig.carry_out(next).await;
+    }
+
+    let told = rig.told();
+    assert!(told[0].starts_with("Fast Stop: "), "{told:?}");
+    assert_eq!(told[1], "Home: dropped: a stop was asked for since");
+    assert_eq!(told[2], "Acknowledge: dropped: a stop was asked for since");
+    rig.carry_out(order(Action::Home, 13)).await;
+    assert!(!rig.told()[0].contains("dropped"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn stop_that_comes_before_a_motion_has_begun_is_sent_and_the_motion_is_not() {
+    let mut rig = Rig::new();
+    assert!(rig.orders.push(order(Action::FastStop, 11)));
+
+    rig.carry_out(order(Action::Home, 10)).await;
+
+    let told = rig.told();
+    assert_eq!(told[0], "Home: dropped or ended by Fast Stop");
+    assert!(told[1].starts_with("Fast Stop: "), "{told:?}");
+    drop(rig.gripper);
+    let mut sent = Vec::new();
+    rig.line.read_to_end(&mut sent).await.unwrap();
+    assert!(!sent.is_empty());
+    assert!(sent.chunks(8).all(|frame| frame.starts_with(&[0xAA, 0xAA, 0xAA, 0x23])), "{sent:02X?}");
+}

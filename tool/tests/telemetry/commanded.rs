@@ -1,0 +1,250 @@
+//! Commands of hosts by DCMD: what is carried out, and that nothing else reaches the gripper.
+
+use std::{
+    io::Write,
+    net::SocketAddr,
+    sync::{Arc, Mutex},
+    time::{SystemTime, UNIX_EPOCH},
+};
+
+use serde_json::{Value, json};
+use wsg_sim::{
+    Config, Part,
+    server::{Lines, Log, ServerThread},
+};
+
+use crate::{
+    is_whole, latest,
+    rig::{Broker, Folder, Host, Telemetry, encoded, metric, wait_for},
+    told,
+};
+
+/// The log of a virtual gripper.
+#[derive(Clone, Default)]
+struct Heard(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Heard {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Heard {
+    /// The requests that move fingers, stop them, unlock them or set a force, in order.
+    fn commands(&self) -> Vec<String> {
+        let text = String::from_utf8(self.0.lock().unwrap().clone()).unwrap();
+        let requests =
+            text.lines().filter_map(|line| line.split_once(" -> AA AA AA ")).map(|(_, frame)| frame);
+        let commands = requests.map(|frame| frame.split(' ').next().unwrap().to_owned());
+        commands.filter(|id| id.starts_with('2') || id == "32").collect()
+    }
+}
+
+/// A gripper with a part of 20 mm, and its log.
+fn gripper(time_scale: f32) -> (ServerThread, SocketAddr, Heard) {
+    let heard = Heard::default();
+    let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+    let config = Config { time_scale, part: Part::of_width(20.0), ..Config::default() };
+    let server = ServerThread::start(config, &lines, Some(Log::to(heard.clone()))).unwrap();
+    let address = server.tcp_address().unwrap();
+    (server, address, heard)
+}
+
+fn now_ms() -> u64 {
+    u64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_millis()).unwrap()
+}
+
+fn section(name: &str, address: SocketAddr, settings: &str) -> String {
+    format!("[[gripper]]\nname = {name:?}\naddress = \"tcp://{address}\"\n{settings}\n")
+}
+
+fn command(name: &str) -> Value {
+    json!({ "name": format!("Command/{name}"), "type": "Boolean", "value": true })
+}
+
+fn number(name: &str, value: f64) -> Value {
+    json!({ "name": format!("Command/{name}"), "type": "Float", "value": value })
+}
+
+fn payload(at: u64, metrics: &[Value]) -> Vec<u8> {
+    encoded(&json!({ "timestamp": at, "metrics": metrics }))
+}
+
+/// A host that commands the gripper "left".
+struct Commander<'a> {
+    broker: &'a Broker,
+    host: &'a Host,
+    birth: Value,
+    last_at: u64,
+}
+
+impl Commander<'_> {
+    fn send(&self, payload: &[u8]) {
+        self.broker.publish("spBv1.0/plant/DCMD/cell/left", payload, &[]);
+    }
+
+    /// Sends a command with a new time, and returns its payload.
+    fn order(&mut self, metrics: &[Value]) -> Vec<u8> {
+        self.last_at = now_ms().max(self.last_at + 1);
+        let payload = payload(self.last_at, metrics);
+        self.send(&payload);
+        payload
+    }
+
+    /// Waits for a result, and forgets the messages so far.
+    fn wait_for_result(&self, result: &str) {
+        self.host.wait(result, |messages| {
+            let told = latest(messages, &self.birth, "Command/Result");
+            told.and_then(Value::as_str).is_some_and(|told| told.contains(result))
+        });
+        self.host.clear();
+    }
+}
+
+#[test]
+fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_and_sparkplug_payload() {
+    if !is_whole() {
+        return;
+    }
+    let folder = Folder::new();
+    let ((_server, address, heard), (_other, closed_address, untouched)) = (gripper(20.0), gripper(20.0));
+    let broker = Broker::start(&folder);
+    // What the broker has kept, of a time that is right.
+    let kept = payload(now_ms() + 30_000, &[command("Home")]);
+    broker.publish("spBv1.0/plant/DCMD/cell/left", &kept, &["-r"]);
+    let host = Host::watch(&broker);
+    let devices = "command_age_ms = 60000\n".to_owned()
+        + &section("left", address, "allow_commands = true")
+        + &section("right", closed_address, "");
+    let telemetry = Telemetry::at(&folder, broker.port, &devices);
+    let birth = host.wait_for("DBIRTH", "left");
+    let width = metric(&birth, "Command/Width");
+    assert_eq!(width["properties"]["engHigh"]["value"], 110);
+    assert_eq!(metric(&birth, "Command/Home")["value"], false);
+    let other = host.wait_for("DBIRTH", "right");
+    assert!(
+        other["metrics"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .all(|metric| { !metric["name"].as_str().unwrap().starts_with("Command/") })
+    );
+    telemetry.wait_until_it_says("it is retained");
+    let mut commander = Commander { broker: &broker, host: &host, birth, last_at: now_ms() + 30_000 };
+
+    // Not referenced.
+    commander.order(&[command("Grip"), number("Width", 20.0), number("Speed", 100.0)]);
+    commander.wait_for_result("Grip: refused, E_NOT_INITIALIZED");
+    let home = commander.order(&[command("Home")]);
+    commander.wait_for_result("Home: done");
+    let parameters = [number("Width", 20.0), number("Speed", 100.0), number("Force", 30.0)];
+    commander.order(&[&[command("Grip")][..], &parameters].concat());
+    commander.wait_for_result("Grip: held");
+    commander.order(&[command("Release"), number("Width", 60.0), number("Speed", 100.0)]);
+    commander.wait_for_result("Release: done");
+    let done = ["25", "20", "32", "25", "26"];
+    assert_eq!(heard.commands(), done);
+
+    // None of these reaches the gripper.
+    commander.send(&home);
+    commander.wait_for_result("not later");
+    commander.send(&payload(now_ms() - 61_000, &[command("Home")]));
+    commander.wait_for_result("older than 60000 ms");
+    commander.send(&payload(now_ms() + 120_000, &[command("Home")]));
+    commander.wait_for_result("ahead");
+    commander.order(&[command("Home"), command("Acknowledge")]);
+    commander.wait_for_result("more than one command");
+    commander.order(&[command("Move"), number("Width", 200.0), number("Speed", 100.0)]);
+    commander.wait_for_result("Command/Width = 200 is not in 0 to 110");
+    commander.order(&[command("Move"), number("Width", 30.0)]);
+    commander.wait_for_result("needs a width and a speed");
+    let to_the_other = payload(now_ms(), &[command("Home")]);
+    broker.publish("spBv1.0/plant/DCMD/cell/right", &to_the_other, &[]);
+    telemetry.wait_until_it_says("DCMD/cell/right was refused: this device takes no commands");
+
+    // What comes behind them does, so they would have come.
+    commander.order(&[command("Fast Stop")]);
+    commander.wait_for_result("Fast Stop: done");
+    commander.order(&[command("Home")]);
+    commander.wait_for_result("Home: refused, E_ACCESS_DENIED");
+    commander.order(&[command("Acknowledge")]);
+    commander.wait_for_result("Acknowledge: done");
+    assert_eq!(heard.commands(), [&done[..], &["23", "20", "24"]].concat());
+    assert_eq!(untouched.commands(), [""; 0]);
+    telemetry.end();
+}
+
+#[test]
+fn stop_ends_a_motion_and_values_are_told_meanwhile_by_mosquitto_and_sparkplug_payload() {
+    if !is_whole() {
+        return;
+    }
+    let folder = Folder::new();
+    let (_server, address, heard) = gripper(1.0);
+    let broker = Broker::start(&folder);
+    let host = Host::watch(&broker);
+    let devices = "command_age_ms = 60000\n".to_owned() + &section("left", address, "allow_commands = true");
+    let telemetry = Telemetry::at(&folder, broker.port, &devices);
+    let birth = host.wait_for("DBIRTH", "left");
+    let mut commander = Commander { broker: &broker, host: &host, birth, last_at: 0 };
+    commander.order(&[command("Home")]);
+    commander.wait_for_result("Home: done");
+
+    // By the slowest speed it takes as long as a busy machine may need.
+    commander.order(&[command("Move"), number("Width", 30.0), number("Speed", 5.0)]);
+    let width = metric(&commander.birth, "Width")["alias"].clone();
+    host.wait("widths during the motion", |messages| told(messages, &width).len() >= 5);
+    commander.order(&[command("Home")]);
+    commander.wait_for_result("the motion before is not over");
+    commander.order(&[command("Stop")]);
+    host.wait("both results", |messages| {
+        let text = serde_json::to_string(messages).unwrap();
+        text.contains("Move: the motion was aborted") && text.contains("Stop: done")
+    });
+
+    // It takes motions again.
+    commander.order(&[command("Home")]);
+    commander.wait_for_result("Home: done");
+    assert_eq!(heard.commands(), ["20", "21", "22", "20"]);
+    telemetry.end();
+}
+
+#[test]
+fn gripper_that_goes_during_a_motion_is_not_commanded_again_by_mosquitto_and_sparkplug_payload() {
+    if !is_whole() {
+        return;
+    }
+    let folder = Folder::new();
+    let (server, address, heard) = gripper(1.0);
+    let broker = Broker::start(&folder);
+    let host = Host::watch(&broker);
+    let devices = "command_age_ms = 60000\n".to_owned() + &section("left", address, "allow_commands = true");
+    let telemetry = Telemetry::at(&folder, broker.port, &devices);
+    let birth = host.wait_for("DBIRTH", "left");
+    let mut commander = Commander { broker: &broker, host: &host, birth, last_at: 0 };
+    commander.order(&[command("Home")]);
+    wait_for("the motion", || (heard.commands() == ["20"]).then_some(()));
+
+    server.stop().unwrap();
+    commander.wait_for_result("Home: ");
+    let lines = Lines { tcp: Some(address), ..Lines::default() };
+    let again = Heard::default();
+    let _server = wait_for("the address", || {
+        ServerThread::start(Config::default(), &lines, Some(Log::to(again.clone()))).ok()
+    });
+    let birth = host.wait_for("DBIRTH", "left");
+
+    let result = metric(&birth, "Command/Result")["value"].as_str().unwrap().to_owned();
+    assert!(result.starts_with("Home: "), "{result}");
+    assert_eq!(metric(&birth, "Diagnostics/Connections")["value"], 2);
+    // Only this does.
+    commander.order(&[command("Stop")]);
+    commander.wait_for_result("Stop: done");
+    assert_eq!(again.commands(), ["22"]);
+    telemetry.end();
+}
