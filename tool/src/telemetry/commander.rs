@@ -163,7 +163,8 @@ impl Commander {
             }),
         };
         let text = match ended {
-            Ok(None) => return,
+            // Of a line that is gone, `lost` tells.
+            Ok(None) | Err(Error::Closed | Error::Transport(_)) => return,
             Ok(Some(text)) => text.to_owned(),
             Err(error) => reason(&error),
         };
@@ -210,6 +211,7 @@ fn reason<E: Display>(error: &Error<E>) -> String {
     match error {
         Error::Refused(status) => format!("refused, {status}: {}", status.meaning()),
         Error::Failed(status) => format!("failed, {status}: {}", status.meaning()),
+        Error::Closed | Error::Transport(_) => format!("{error}; what became of it is not known"),
         error => error.to_string(),
     }
 }

@@ -43,6 +43,12 @@ impl Heard {
         let commands = requests.map(|frame| frame.split(' ').next().unwrap().to_owned());
         commands.filter(|id| id.starts_with('2') || id == "32").collect()
     }
+
+    /// Asserts that these have come, the last of which was answered; the log is written a little later.
+    fn expect(&self, expected: &[&str]) {
+        wait_for("the log", || (self.commands().len() >= expected.len()).then_some(()));
+        assert_eq!(self.commands(), expected);
+    }
 }
 
 /// A gripper with a part of 20 mm, and its log.
@@ -112,7 +118,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
         return;
     }
     let folder = Folder::new();
-    let ((_server, address, heard), (_other, closed_address, untouched)) = (gripper(20.0), gripper(20.0));
+    let ((_server, address, heard), (closed, closed_address, untouched)) = (gripper(20.0), gripper(20.0));
     let broker = Broker::start(&folder);
     // What the broker has kept, of a time that is right.
     let kept = payload(now_ms() + 30_000, &[command("Home")]);
@@ -148,7 +154,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
     commander.order(&[command("Release"), number("Width", 60.0), number("Speed", 100.0)]);
     commander.wait_for_result("Release: done");
     let done = ["25", "20", "32", "25", "26"];
-    assert_eq!(heard.commands(), done);
+    heard.expect(&done);
 
     // None of these reaches the gripper.
     commander.send(&home);
@@ -174,9 +180,10 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
     commander.wait_for_result("Home: refused, E_ACCESS_DENIED");
     commander.order(&[command("Acknowledge")]);
     commander.wait_for_result("Acknowledge: done");
-    assert_eq!(heard.commands(), [&done[..], &["23", "20", "24"]].concat());
-    assert_eq!(untouched.commands(), [""; 0]);
+    heard.expect(&[&done[..], &["23", "20", "24"]].concat());
     telemetry.end();
+    closed.stop().unwrap();
+    assert_eq!(untouched.commands(), [""; 0]);
 }
 
 #[test]
@@ -210,7 +217,7 @@ fn stop_ends_a_motion_and_values_are_told_meanwhile_by_mosquitto_and_sparkplug_p
     // It takes motions again.
     commander.order(&[command("Home")]);
     commander.wait_for_result("Home: done");
-    assert_eq!(heard.commands(), ["20", "21", "22", "20"]);
+    heard.expect(&["20", "21", "22", "20"]);
     telemetry.end();
 }
 
@@ -220,7 +227,8 @@ fn gripper_that_goes_during_a_motion_is_not_commanded_again_by_mosquitto_and_spa
         return;
     }
     let folder = Folder::new();
-    let (server, address, heard) = gripper(1.0);
+    // So slow that it is away before the motion is over.
+    let (server, address, heard) = gripper(0.05);
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
     let devices = "command_age_ms = 60000\n".to_owned() + &section("left", address, "allow_commands = true");
@@ -231,7 +239,7 @@ fn gripper_that_goes_during_a_motion_is_not_commanded_again_by_mosquitto_and_spa
     wait_for("the motion", || (heard.commands() == ["20"]).then_some(()));
 
     server.stop().unwrap();
-    commander.wait_for_result("Home: ");
+    commander.wait_for_result("not known");
     let lines = Lines { tcp: Some(address), ..Lines::default() };
     let again = Heard::default();
     let _server = wait_for("the address", || {
@@ -240,11 +248,10 @@ fn gripper_that_goes_during_a_motion_is_not_commanded_again_by_mosquitto_and_spa
     let birth = host.wait_for("DBIRTH", "left");
 
     let result = metric(&birth, "Command/Result")["value"].as_str().unwrap().to_owned();
-    assert!(result.starts_with("Home: "), "{result}");
-    assert_eq!(metric(&birth, "Diagnostics/Connections")["value"], 2);
+    assert!(result.starts_with("Home: ") && result.ends_with("not known"), "{result}");
     // Only this does.
     commander.order(&[command("Stop")]);
     commander.wait_for_result("Stop: done");
-    assert_eq!(again.commands(), ["22"]);
+    again.expect(&["22"]);
     telemetry.end();
 }
