@@ -232,10 +232,12 @@ impl File<'_, '_> {
             for (direction, len) in [("Input", *input_len), ("Output", *output_len)] {
                 if len > 0 {
                     self.line(8, format_args!(r#"<{direction} Consistency="All items consistency">"#))?;
-                    let item = format_args!(
-                        r#"<DataItem DataType="OctetString" Length="{len}" TextId="TOK_Slot_{slot}"/>"#
-                    );
-                    self.line(9, item)?;
+                    self.line(
+                        9,
+                        format_args!(
+                            r#"<DataItem DataType="OctetString" Length="{len}" TextId="TOK_Slot_{slot}"/>"#
+                        ),
+                    )?;
                     self.line(8, format_args!("</{direction}>"))?;
                 }
             }
