@@ -35,6 +35,7 @@
 //! | [`registers`] | peripherals that QEMU lacks, served by models |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
+//! | [`service_bench`] | the bridge library and a virtual gripper, with the service port at the end of a stream |
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
 //! | [`uninterrupted`] | reads and writes that a signal cannot fail |
@@ -92,6 +93,8 @@ pub mod registers;
 pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
+#[cfg(unix)]
+pub mod service_bench;
 #[cfg(unix)]
 pub mod terminal;
 pub mod trace;

@@ -5,9 +5,8 @@
 #[path = "common/program.rs"]
 mod program;
 
-use std::collections::VecDeque;
 use std::fs;
-use std::io::{ErrorKind, Read, Write};
+use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,30 +17,22 @@ use std::time::{Duration, Instant};
 
 use bus_modbus::rtu::Character;
 use host_tests::addresses::{place, setting};
-use host_tests::can_bench::Double;
 use host_tests::document::hold_file;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
-use host_tests::flash_model::{Fault, FlashModel};
+use host_tests::flash_model::Fault;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::rig::motions;
-use host_tests::rtu_double::RtuDouble;
-use host_tests::serial_gripper::SerialGripper;
+use host_tests::service_bench::{ServiceBench, ServiceLine};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
-use host_tests::uninterrupted;
 use program::{said, wsg, wsg_with};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
-use wsg_bridge_fw::io::Inputs;
-use wsg_bridge_fw::plc::DpBuffers;
-use wsg_bridge_fw::registers::{FIRST_SETTING, MAP_VERSION, SETTINGS};
-use wsg_bridge_fw::{Board, BusPort, Config, ResetCause, Station};
-use wsg_sim::Time;
+use wsg_bridge_fw::BusPort;
+use wsg_bridge_fw::registers::MAP_VERSION;
 
-/// The service port's end of the line, whose master is at the other.
+/// The service port's end of the line, and what is wrong with it.
 struct Line {
-    stream: UnixStream,
-    waiting: VecDeque<(Character, u32)>,
+    line: ServiceLine,
     faults: Arc<Faults>,
     /// FC 16 was answered, or would have been.
     has_written: bool,
@@ -58,32 +49,13 @@ struct Faults {
     meddles: AtomicBool,
 }
 
-impl Line {
-    /// What came; whether anything did.
-    fn read(&mut self) -> bool {
-        let mut bytes = [0; 256];
-        match uninterrupted::read(&mut self.stream, &mut bytes) {
-            Ok(len) => {
-                for byte in bytes.iter().take(len) {
-                    self.waiting.push_back((Character::Byte(*byte), 0));
-                }
-                len > 0
-            }
-            Err(error) => {
-                assert!(matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut), "{error}");
-                false
-            }
-        }
-    }
-}
-
 impl BusPort for Line {
     fn receive(&mut self) -> Option<(Character, u32)> {
-        self.waiting.pop_front()
+        self.line.receive()
     }
 
     fn silence_us(&mut self) -> u32 {
-        100_000
+        self.line.silence_us()
     }
 
     fn send(&mut self, frame: &[u8]) {
@@ -91,98 +63,14 @@ impl BusPort for Line {
         self.has_written |= is_write;
         let is_lost = is_write && self.faults.loses_answer.swap(false, Ordering::SeqCst);
         if !is_lost && !self.faults.is_silent.load(Ordering::SeqCst) {
-            self.stream.write_all(frame).expect("the master's end is open");
+            self.line.send(frame);
         }
     }
 }
 
-type Act = Box<dyn FnOnce(&mut Plant) + Send>;
+type Act = Box<dyn FnOnce(&mut ServiceBench) + Send>;
 
-/// A bridge with a gripper; a millisecond of its time is at most one of the wall clock's.
-struct Plant {
-    station: Station<Double>,
-    gripper: SerialGripper,
-    flash: FlashModel,
-    /// The PLC's bus.
-    bus: RtuDouble,
-    now_ms: u32,
-}
-
-impl Plant {
-    fn new(homing_speed: f32) -> Self {
-        let mut plant = Self {
-            station: station(),
-            gripper: SerialGripper::new(wsg_sim::Config {
-                homing_speed: Some(homing_speed),
-                ..wsg_sim::Config::default()
-            }),
-            flash: FlashModel::new(),
-            bus: RtuDouble::default(),
-            now_ms: 0,
-        };
-        plant.start();
-        plant
-    }
-
-    /// Power comes on, with what the flash has.
-    fn start(&mut self) {
-        self.station = station();
-        let config =
-            self.station.load(&Config::DEFAULT.record(), &self.flash).expect("these settings are right");
-        self.station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
-    }
-
-    fn turn(&mut self, service: &mut dyn BusPort) {
-        self.now_ms += 1;
-        let Self { station, gripper, flash, bus, now_ms } = self;
-        station.turn(*now_ms, Inputs::FAST_STOP_OK, &mut gripper.line, bus, service, flash);
-        gripper.advance(Time::from_millis((*now_ms).into()));
-    }
-
-    /// Asks as the PLC does.
-    fn ask(&mut self, request: &[u8]) -> Vec<u8> {
-        self.bus.ask(request);
-        for _ in 0..20 {
-            self.turn(&mut RtuDouble::default());
-            if let Some(answer) = self.bus.answer() {
-                return answer;
-            }
-        }
-        panic!("no answer to {request:?}");
-    }
-
-    /// FC 16 on the PLC's bus.
-    fn write(&mut self, first: u16, values: &[u16]) {
-        let [high, low] = first.to_be_bytes();
-        let count = values.len() as u8;
-        let mut request = vec![1, 16, high, low, 0, count, 2 * count];
-        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
-        assert_eq!(self.ask(&request)[1], 16);
-    }
-
-    fn settings(&mut self) -> Vec<u16> {
-        let answer = self.ask(&[1, 3, 0, FIRST_SETTING as u8, 0, SETTINGS.len() as u8]);
-        answer[3..]
-            .chunks_exact(2)
-            .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
-            .take(SETTINGS.len())
-            .collect()
-    }
-
-    /// The fingers travel, slowly, and no PLC is missed.
-    fn begin_to_move(&mut self) {
-        self.write(setting("BUS_TIMEOUT"), &[0]);
-        self.write(0, &[0, 0, 0, 0]);
-        self.write(0, &[0x0800, 0, 0, 0]);
-    }
-}
-
-fn station() -> Station<Double> {
-    let buffers: &'static DpBuffers = Box::leak(Box::default());
-    Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), buffers)
-}
-
-/// A plant that is served from a thread.
+/// A bridge that is served from a thread; a millisecond of its time is at most one of the wall clock's.
 struct Served {
     terminal: Terminal,
     faults: Arc<Faults>,
@@ -198,19 +86,19 @@ impl Served {
     }
 
     fn with(homing_speed: f32) -> Self {
-        let (near, far) = UnixStream::pair().unwrap();
-        near.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
         let faults = Arc::<Faults>::default();
-        let waiting = VecDeque::new();
-        let mut line = Line { stream: near, waiting, faults: Arc::clone(&faults), has_written: false };
+        let (line, far) = ServiceLine::new();
+        let mut line = Line { line, faults: Arc::clone(&faults), has_written: false };
         let end = Arc::new(AtomicBool::new(false));
         let (acts, to_do) = mpsc::channel::<Act>();
         let is_ended = Arc::clone(&end);
         let plant = thread::spawn(move || {
-            let mut plant = Plant::new(homing_speed);
+            let mut plant = ServiceBench::new(wsg_sim::Config {
+                homing_speed: Some(homing_speed),
+                ..wsg_sim::Config::default()
+            });
             while !is_ended.load(Ordering::SeqCst) {
-                // A request is there as a whole once a read brings no more.
-                while line.read() {}
+                line.line.read();
                 plant.turn(&mut line);
                 if std::mem::take(&mut line.has_written) && line.faults.meddles.swap(false, Ordering::SeqCst)
                 {
@@ -226,13 +114,13 @@ impl Served {
     }
 
     /// Does something between two turns.
-    fn act<T: Send + 'static>(&self, act: impl FnOnce(&mut Plant) -> T + Send + 'static) -> T {
+    fn act<T: Send + 'static>(&self, act: impl FnOnce(&mut ServiceBench) -> T + Send + 'static) -> T {
         let (done, doing) = mpsc::channel();
         self.acts.send(Box::new(move |plant| done.send(act(plant)).expect("it is waited for"))).unwrap();
         doing.recv_timeout(BOUND).expect("the plant runs")
     }
 
-    fn wait(&self, is_so: impl Fn(&mut Plant) -> bool + Send + Clone + 'static) {
+    fn wait(&self, is_so: impl Fn(&mut ServiceBench) -> bool + Send + Clone + 'static) {
         let end = Instant::now() + BOUND;
         while !self.act(is_so.clone()) {
             assert!(Instant::now() < end, "it does not become so");
@@ -240,7 +128,7 @@ impl Served {
     }
 
     fn settings(&self) -> Vec<u16> {
-        self.act(Plant::settings)
+        self.act(ServiceBench::settings)
     }
 
     /// `wsg bridge PORT ...`
@@ -316,7 +204,7 @@ fn bridge_and_gripper_are_shown_in_words() {
 #[test]
 fn width_is_shown_of_fingers_that_are_referenced() {
     let served = Served::with(300.0);
-    served.act(Plant::begin_to_move);
+    served.act(ServiceBench::begin_to_move);
     // IDLE, and a width that was told.
     served.wait(|plant| {
         let image = plant.ask(&[1, 4, 0, 0, 0, 4]);
@@ -376,7 +264,7 @@ fn settings_are_changed_stored_taken_back_and_delivered() {
     assert_eq!(served.settings(), delivered);
     served.done(&["set", "RECIPE0_WIDTH", "1600"]);
     assert_eq!(served.done(&["save"]), "stored\n");
-    served.act(Plant::start);
+    served.act(ServiceBench::start);
     assert_eq!(served.settings()[place("RECIPE0_WIDTH")], 16_00);
     assert!(served.done(&["show"]).contains("settings   from: stored; all of them are stored"));
 
@@ -384,7 +272,7 @@ fn settings_are_changed_stored_taken_back_and_delivered() {
     assert!(
         served.done(&["defaults", "--yes"]).ends_with("16.00 mm becomes 20.00 mm (1600 -> 2000)\nstored\n")
     );
-    served.act(Plant::start);
+    served.act(ServiceBench::start);
     assert_eq!(served.settings(), delivered);
 
     served.act(|plant| plant.flash.fault = Some(Fault::Protected));
@@ -410,7 +298,7 @@ fn values_that_do_not_fit_are_refused_in_one_line_before_anything_is_written() {
         "beside the other settings it does not fit: CAN_NODE takes 1 to 127",
     );
     served.done(&["set", "CAN_NODE", "127", "CAN_MASTER", "16"]);
-    served.act(Plant::begin_to_move);
+    served.act(ServiceBench::begin_to_move);
     served.refused(&["set", "RECIPE0_WIDTH", "1500"], "nothing was changed: the fingers move");
 }
 
@@ -434,7 +322,7 @@ fn file_of_settings_is_imported_as_a_whole_or_not_at_all() {
     assert_eq!(served.settings(), before);
     let said = served.done(&["import", "--save", path]);
     assert_eq!(said, told + "stored\n");
-    served.act(Plant::start);
+    served.act(ServiceBench::start);
     assert_eq!(
         (served.settings()[place("RECIPE0_WIDTH")], served.settings()[place("RECIPE15_SPEED")]),
         (15_00, 40_00)
@@ -450,7 +338,7 @@ fn file_of_settings_is_imported_as_a_whole_or_not_at_all() {
         &format!("{path}: line 3: the file is for version {other} of the register map"),
     );
     fs::write(&file, changed.replace("\"15 mm\"", "1800")).unwrap();
-    served.act(Plant::begin_to_move);
+    served.act(ServiceBench::begin_to_move);
     served.refused(&["import", path], "nothing was changed: the fingers move");
     served.refused(&["import", "no/such/file"], "no/such/file cannot be read: ");
 }
@@ -583,7 +471,7 @@ fn image_is_written_by_what_takes_it_and_not_while_the_fingers_move() {
     fs::write(bin, b"GRIP(20)").unwrap();
     let (_, said) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
     assert!(said.contains("is no image: it does not begin with a vector table of the board"), "{said}");
-    served.act(Plant::begin_to_move);
+    served.act(ServiceBench::begin_to_move);
     let (code, said) = flash(&[elf, "--yes"]);
     assert_eq!(
         (code, said.as_str()),

@@ -62,6 +62,15 @@ impl Terminal {
         Self { child, keys: Some(keys), shown: Some(shown), text: String::new() }
     }
 
+    /// A prompt at which the gripper was homed.
+    fn homed(bench: &Bench) -> Self {
+        let mut terminal = Self::start(&[&bench.tcp()]);
+        terminal.until("> ");
+        terminal.press(&format!("home{ENTER}"));
+        terminal.until("done");
+        terminal
+    }
+
     /// The terminal is gone.
     fn hang_up(mut self) {
         (self.keys, self.shown) = (None, None);
@@ -157,10 +166,7 @@ fn prompt_completes_shows_the_state_and_remembers() {
 #[test]
 fn control_c_in_mid_travel_stops_the_fingers_and_the_prompt_comes_back() {
     let mut bench = Bench::new(real());
-    let mut terminal = Terminal::start(&[&bench.tcp()]);
-    terminal.until("> ");
-    terminal.press(&format!("home{ENTER}"));
-    terminal.until("done");
+    let mut terminal = Terminal::homed(&bench);
     terminal.press(&format!("move 5 5{ENTER}"));
     terminal.until("[POSITIONING  1");
     bench.until_moving();
@@ -190,10 +196,7 @@ fn control_c_in_mid_travel_of_one_command_stops_it_and_ends() {
 #[test]
 fn terminal_that_is_closed_in_mid_travel_stops_the_fingers() {
     let mut bench = Bench::new(real());
-    let mut terminal = Terminal::start(&[&bench.tcp()]);
-    terminal.until("> ");
-    terminal.press(&format!("home{ENTER}"));
-    terminal.until("done");
+    let mut terminal = Terminal::homed(&bench);
     terminal.press(&format!("move 5 5{ENTER}"));
     bench.until_moving();
     // SIGHUP, and nothing can be written any more.

@@ -1,70 +1,22 @@
 //! A bridge, read over its service port: the bridge's library behind a pseudo terminal, in the wall clock's time.
 
 use std::{
-    collections::VecDeque,
-    io::{ErrorKind, Read, Write},
-    os::unix::net::UnixStream,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
     thread::{self, JoinHandle},
-    time::Duration,
 };
 
-use bus_modbus::rtu::Character;
 use host_tests::{
-    can_bench::Double, flash_model::FlashModel, rtu_double::RtuDouble, serial_gripper::SerialGripper,
+    service_bench::{ServiceBench, ServiceLine},
     terminal::Terminal,
 };
-use wsg_bridge_fw::{
-    Board, BusPort, Config, ResetCause, Station,
-    can::{BusOffPolicy, CanBus},
-    io::Inputs,
-    plc::DpBuffers,
-};
-use wsg_sim::Time;
 
 use crate::{
     is_whole, latest,
     rig::{Broker, Folder, Host, Telemetry, metric},
 };
-
-/// The service port's end of the line.
-struct Line {
-    stream: UnixStream,
-    waiting: VecDeque<(Character, u32)>,
-}
-
-impl Line {
-    /// Takes what came within a millisecond; whether anything did.
-    fn read(&mut self) -> bool {
-        let mut byte = [0; 1];
-        match self.stream.read_exact(&mut byte) {
-            Ok(()) => self.waiting.push_back((Character::Byte(byte[0]), 0)),
-            Err(error) => {
-                let kind = error.kind();
-                assert!(matches!(kind, ErrorKind::WouldBlock | ErrorKind::TimedOut), "{error}");
-                return false;
-            }
-        }
-        true
-    }
-}
-
-impl BusPort for Line {
-    fn receive(&mut self) -> Option<(Character, u32)> {
-        self.waiting.pop_front()
-    }
-
-    fn silence_us(&mut self) -> u32 {
-        100_000
-    }
-
-    fn send(&mut self, frame: &[u8]) {
-        self.stream.write_all(frame).expect("the other end is open");
-    }
-}
 
 /// What fails.
 #[derive(Default)]
@@ -85,11 +37,10 @@ struct Bridged {
 
 impl Bridged {
     fn start() -> Self {
-        let (near, far) = UnixStream::pair().unwrap();
-        near.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        let (line, far) = ServiceLine::new();
         let faults = Arc::<Faults>::default();
         let seen = Arc::clone(&faults);
-        let thread = thread::spawn(move || serve(Line { stream: near, waiting: VecDeque::new() }, &seen));
+        let thread = thread::spawn(move || serve(line, &seen));
         Self { terminal: Terminal::to(far).unwrap(), faults, thread: Some(thread) }
     }
 }
@@ -103,30 +54,19 @@ impl Drop for Bridged {
     }
 }
 
-fn serve(mut line: Line, faults: &Faults) {
-    let buffers: &'static DpBuffers = Box::leak(Box::default());
-    let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), buffers);
-    let mut flash = FlashModel::new();
-    let config = station.load(&Config::DEFAULT.record(), &flash).expect("these settings are right");
-    station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
-    let mut gripper =
-        SerialGripper::new(wsg_sim::Config { serial_number: 70_000, ..wsg_sim::Config::default() });
-    let mut now_ms = 0;
+fn serve(mut line: ServiceLine, faults: &Faults) {
+    let mut bench =
+        ServiceBench::new(wsg_sim::Config { serial_number: 70_000, ..wsg_sim::Config::default() });
     while !faults.end.load(Ordering::SeqCst) {
-        // A request is there as a whole once a read brings no more.
-        while line.read() {}
+        line.read();
         if faults.bridge.load(Ordering::SeqCst) {
-            line.waiting.clear();
-            continue;
-        }
-        now_ms += 1;
-        let bus = &mut RtuDouble::default();
-        station.turn(now_ms, Inputs::FAST_STOP_OK, &mut gripper.line, bus, &mut line, &mut flash);
-        if faults.gripper.load(Ordering::SeqCst) {
+            line.clear();
+        } else if faults.gripper.load(Ordering::SeqCst) {
+            bench.turn_alone(&mut line);
             // What the bridge sends goes nowhere.
-            gripper.line.take_sent();
+            bench.gripper.line.take_sent();
         } else {
-            gripper.advance(Time::from_millis(now_ms.into()));
+            bench.turn(&mut line);
         }
     }
 }

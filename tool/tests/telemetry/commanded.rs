@@ -112,6 +112,19 @@ impl Commander<'_> {
     }
 }
 
+/// One device that takes commands, and who gives them.
+fn commanded<'a>(
+    folder: &Folder,
+    broker: &'a Broker,
+    host: &'a Host,
+    address: SocketAddr,
+) -> (Telemetry, Commander<'a>) {
+    let devices = "command_age_ms = 60000\n".to_owned() + &section("left", address, "allow_commands = true");
+    let telemetry = Telemetry::at(folder, broker.port, &devices);
+    let birth = host.wait_for("DBIRTH", "left");
+    (telemetry, Commander { broker, host, birth, last_at: 0 })
+}
+
 #[test]
 fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
@@ -195,10 +208,7 @@ fn stop_ends_a_motion_and_values_are_told_meanwhile_by_mosquitto_and_sparkplug_p
     let (_server, address, heard) = gripper(1.0);
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
-    let devices = "command_age_ms = 60000\n".to_owned() + &section("left", address, "allow_commands = true");
-    let telemetry = Telemetry::at(&folder, broker.port, &devices);
-    let birth = host.wait_for("DBIRTH", "left");
-    let mut commander = Commander { broker: &broker, host: &host, birth, last_at: 0 };
+    let (telemetry, mut commander) = commanded(&folder, &broker, &host, address);
     commander.order(&[command("Home")]);
     commander.wait_for_result("Home: done");
 
@@ -231,10 +241,7 @@ fn gripper_that_goes_during_a_motion_is_not_commanded_again_by_mosquitto_and_spa
     let (server, address, heard) = gripper(0.05);
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
-    let devices = "command_age_ms = 60000\n".to_owned() + &section("left", address, "allow_commands = true");
-    let telemetry = Telemetry::at(&folder, broker.port, &devices);
-    let birth = host.wait_for("DBIRTH", "left");
-    let mut commander = Commander { broker: &broker, host: &host, birth, last_at: 0 };
+    let (telemetry, mut commander) = commanded(&folder, &broker, &host, address);
     commander.order(&[command("Home")]);
     wait_for("the motion", || (heard.commands() == ["20"]).then_some(()));
 
