@@ -1,5 +1,7 @@
 //! Connect (IEC 61158-6-10, 5.2.4 ff.): what a controller asks for, checked against what the device is.
 
+use core::ops::Range;
+
 use crate::cursor::Reader;
 use crate::frame::{ETHERTYPE_PROFINET, MacAddress};
 use crate::profile::{MAX_SUBMODULES, Profile};
@@ -376,22 +378,45 @@ fn parse_iocr(
     if hold_factor == 0 || iocr.hold_us > MAX_HOLD_US {
         return Err(wrong(16));
     }
+    let mut parts = Parts::default();
     for _ in 0..reader.u16().ok_or(short)? {
         if reader.u32().ok_or(short)? != 0 {
             return Err(wrong(20));
         }
         for _ in 0..reader.u16().ok_or(short)? {
-            parse_object(&mut reader, &mut iocr, expected, profile, Some(is_input), (22, 24))?;
+            let part = parse_object(&mut reader, &mut iocr, expected, profile, Some(is_input), (22, 24))?;
+            parts.add(part).ok_or(wrong(24))?;
         }
         for _ in 0..reader.u16().ok_or(short)? {
-            parse_object(&mut reader, &mut iocr, expected, profile, None, (26, 28))?;
+            let part = parse_object(&mut reader, &mut iocr, expected, profile, None, (26, 28))?;
+            parts.add(part).ok_or(wrong(28))?;
         }
     }
     Ok((is_input, iocr))
 }
 
+/// The parts of a frame that objects have taken. Two that share a byte would let data pass for a status.
+#[derive(Default)]
+struct Parts {
+    taken: [Range<u32>; 2 * MAX_SUBMODULES],
+    count: usize,
+}
+
+impl Parts {
+    /// Notes a part; `None` if another object has some of it.
+    fn add(&mut self, part: Range<u32>) -> Option<()> {
+        let is_free = |other: &Range<u32>| part.end <= other.start || other.end <= part.start;
+        if !self.taken.iter().take(self.count).all(is_free) {
+            return None;
+        }
+        *self.taken.get_mut(self.count)? = part;
+        self.count = self.count.saturating_add(1);
+        Some(())
+    }
+}
+
 /// An object of a frame: data with its status of inputs or outputs (`data`), or the status of a consumer. `blame`: the parameters
-/// that its slot and its offset are.
+/// that its slot and its offset are. Returns the part of the frame that it is in.
 fn parse_object(
     reader: &mut Reader<'_>,
     iocr: &mut Iocr,
@@ -399,7 +424,7 @@ fn parse_object(
     profile: &'static Profile,
     data: Option<bool>,
     blame: (u8, u8),
-) -> Result<(), PnioStatus> {
+) -> Result<Range<u32>, PnioStatus> {
     let wrong = |parameter| PnioStatus::connect(blamed::IOCR, parameter);
     let short = wrong(1);
     let slot = reader.u16().ok_or(short)?;
@@ -413,13 +438,14 @@ fn parse_object(
         None => 0,
     };
     // A status follows.
-    let end = u32::from(offset).saturating_add(len.into()).saturating_add(1);
-    if end > iocr.data_len.into() {
+    let start = u32::from(offset);
+    let part = start..start.saturating_add(len.into()).saturating_add(1);
+    if part.end > iocr.data_len.into() {
         return Err(wrong(blame.1));
     }
     if found.compare(profile) != Match::Proper {
         // Of what is not there, the frame says nothing: zeros are no data, and a bad status.
-        return Ok(());
+        return Ok(part);
     }
     let at = profile
         .submodules()
@@ -429,7 +455,7 @@ fn parse_object(
     if field.replace(offset).is_some() {
         return Err(wrong(blame.0));
     }
-    Ok(())
+    Ok(part)
 }
 
 fn parse_alarm_cr(body: &[u8]) -> Result<AlarmCr, PnioStatus> {

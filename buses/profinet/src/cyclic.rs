@@ -25,12 +25,12 @@ const NEWER: u16 = 61_440;
 pub(crate) enum Received {
     /// All outputs, good.
     Good,
-    /// The controller is there, and has no outputs: it has stopped, or says that they are bad.
+    /// The controller is there, and has no outputs: it has stopped, is the backup of another, or says that they are bad.
     Bad,
 }
 
 /// Reads a frame behind its identifier; the outputs are written where they belong if all of them are good. `None`: it is none of
-/// this connection, an old one, or not valid.
+/// this connection, an old one, or not valid, and does not count as heard.
 pub(crate) fn receive(
     payload: &[u8],
     iocr: &Iocr,
@@ -43,7 +43,8 @@ pub(crate) fn receive(
     let counter = reader.u16()?;
     let status = reader.u8()?;
     let transfer = reader.u8()?;
-    if status & data_status::VALID == 0 || transfer != 0 {
+    // No filler: with 40 bytes of data and more the shortest frame is full.
+    if status & data_status::VALID == 0 || transfer != 0 || !reader.rest().is_empty() {
         return None;
     }
     if let Some(last) = *last_counter {
@@ -64,7 +65,9 @@ pub(crate) fn receive(
     };
     let has_all = places().map(|(_, data, _)| data.len()).sum::<usize>() == outputs.len();
     let are_good = places().all(|(_, _, provider)| provider & GOOD != 0);
-    if status & data_status::RUN == 0 || !are_good || !has_all {
+    // A backup controller has nothing to say: there is no redundancy here.
+    let commands = data_status::PRIMARY | data_status::RUN;
+    if status & commands != commands || !are_good || !has_all {
         return Some(Received::Bad);
     }
     for (at, data, _) in places() {

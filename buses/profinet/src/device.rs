@@ -152,8 +152,8 @@ pub struct Device<const OUT: usize, const IN: usize> {
     response: Response,
     farewell: Option<(Ends, u8)>,
     next_lldp: u64,
-    /// An event that came with another one.
-    later: Option<Event>,
+    /// A reset that ended a connection has also changed what is stored: that is told next.
+    is_stored_due: bool,
     rpc_refused: u32,
 }
 
@@ -187,7 +187,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             },
             farewell: None,
             next_lldp: 0,
-            later: None,
+            is_stored_due: false,
             rpc_refused: 0,
         }
     }
@@ -290,8 +290,8 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
 
     /// Ends a wait that is over at `now`, and says what came of it.
     pub fn poll(&mut self, now: u64) -> Option<Event> {
-        if let Some(event) = self.later.take() {
-            return Some(event);
+        if core::mem::take(&mut self.is_stored_due) {
+            return Some(Event::Stored);
         }
         if self
             .reader
@@ -307,9 +307,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         match connection.phase {
             Phase::Parameters { until } if now >= until => self.leave(Cause::Silence),
             Phase::Ready { due, tries: 0 } if now >= due => self.leave(Cause::NotConfirmed),
-            Phase::Data if now >= connection.heard.saturating_add(connection.output.hold_us) => {
-                self.leave(Cause::Silence)
-            }
+            Phase::Data if now >= connection.silent_at() => self.leave(Cause::Silence),
             _ => {
                 connection.tell(now, self.faults, self.profile);
                 None
@@ -358,7 +356,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
     /// When [`poll`](Self::poll) and [`poll_transmit`](Self::poll_transmit) have something to do by themselves, after `now`.
     #[must_use]
     pub fn poll_timeout(&self, now: u64) -> u64 {
-        if self.later.is_some() || self.farewell.is_some() || self.response.is_due {
+        if self.is_stored_due || self.farewell.is_some() || self.response.is_due {
             return now;
         }
         let mut next = self.next_lldp;
@@ -372,7 +370,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             consider(Some(match connection.phase {
                 Phase::Parameters { until } => until,
                 Phase::Ready { due, .. } => due,
-                Phase::Data => connection.heard.saturating_add(connection.output.hold_us),
+                Phase::Data => connection.silent_at(),
             }));
         }
         next
@@ -392,19 +390,24 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             self.ip = ip;
             self.stored.ip = if is_permanent { ip } else { IpParameters::NONE };
         }
-        let mut event = None;
+        let mut left = None;
         if wishes.reset {
             self.stored = Stored::NONE;
             self.name = StationName::NONE;
             self.ip = IpParameters::NONE;
             self.reader = None;
-            event = self.leave(Cause::Reset);
+            left = self.leave(Cause::Reset);
         }
-        if self.stored != before || self.name != name || self.ip != ip {
-            self.later = event;
+        let is_changed = self.stored != before || self.name != name || self.ip != ip;
+        // The end of outputs is told at once: whatever comes next must not take its place.
+        if left.is_some() {
+            self.is_stored_due |= is_changed;
+            return left;
+        }
+        if is_changed {
             return Some(Event::Stored);
         }
-        event.or(wishes.signal.then_some(Event::Signal))
+        wishes.signal.then_some(Event::Signal)
     }
 
     fn receive_alarm(&mut self, frame_id: u16, frame: &Frame<'_>, payload: &[u8]) -> Option<Event> {
@@ -434,6 +437,10 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         })?;
         if connection.phase != Phase::Data {
             return None;
+        }
+        // A caller that was late to poll: its watchdog has expired all the same, and no frame brings it back.
+        if now >= connection.silent_at() {
+            return self.leave(Cause::Silence);
         }
         let Connection { output, last_counter, heard, has_outputs, .. } = connection;
         let received = cyclic::receive(payload, output, last_counter, profile, outputs)?;
@@ -819,6 +826,11 @@ impl Connection {
             has_outputs: false,
             sequence: 0,
         }
+    }
+
+    /// When the controller has been silent for its hold time, if no outputs come before.
+    const fn silent_at(&self) -> u64 {
+        self.heard.saturating_add(self.output.hold_us)
     }
 
     /// The controller goes on with its start.

@@ -197,11 +197,25 @@ fn reset_ends_the_connection_and_leaves_nothing_stored() {
         let answer = frames.iter().find(|frame| frame[14..16] == [0xFE, 0xFD]).unwrap();
         assert_eq!(answer[32], fault, "{what:?} {qualifier}");
         let is_reset = fault == 0;
-        assert_eq!(event, is_reset.then_some(Event::Stored));
-        assert_eq!(bench.poll(), is_reset.then_some(Event::Left(Cause::Reset)));
+        assert_eq!(event, is_reset.then_some(Event::Left(Cause::Reset)));
+        assert!(!is_reset || bench.device.poll_timeout(bench.now) == bench.now);
+        assert_eq!((bench.poll(), bench.poll()), (is_reset.then_some(Event::Stored), None));
         assert_eq!(*bench.device.stored() == Stored::NONE, is_reset);
         assert_eq!(bench.device.state(), if is_reset { State::Unconnected } else { State::Data });
     }
+}
+
+/// The application hears of the end of outputs whatever the next frames bring before it polls.
+#[test]
+fn reset_is_told_ahead_of_a_name_that_is_set_at_once_behind_it() {
+    let mut bench = Bench::in_data();
+    bench.outputs([1, 2, 3]);
+    let reset = dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &dcp_block([5, 6], &[0, 4]));
+    assert_eq!(bench.device.receive(bench.now, &reset), Some(Event::Left(Cause::Reset)));
+    bench.acyclic();
+    assert_eq!(set(&mut bench, true, [2, 2], b"gripper"), (Some(Event::Stored), 0));
+    assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
+    assert_eq!((bench.poll(), bench.poll()), (Some(Event::Stored), None));
 }
 
 #[test]
@@ -356,6 +370,35 @@ fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
         // And no frame of inputs.
         bench.now += CYCLE_US;
         assert_eq!(bench.sent().len(), 0);
+    }
+}
+
+/// Else a byte of data could say of itself that it is good.
+#[test]
+fn parts_of_a_frame_that_share_a_byte_are_refused() {
+    let blocks = Wanted::default().blocks();
+    // The offsets of slot 2's outputs (2 bytes and a status), and of the consumer statuses behind them, in the second frame.
+    let frame = blocks.windows(2).rposition(|pair| pair == [0x01, 0x02]).unwrap();
+    let second = frame + 4 + usize::from(u16::from_be_bytes([blocks[frame + 2], blocks[frame + 3]]));
+    let (consumers, outputs) = (second - 4 * 6, second - 4 * 6 - 2 - 2);
+    assert_eq!(
+        (blocks[outputs..outputs + 2].to_vec(), blocks[consumers + 4..consumers + 6].to_vec()),
+        (vec![0, 2], vec![0, 5])
+    );
+    for (at, offset, status) in [
+        (outputs, 0, 0xDB81_0218),
+        (outputs, 1, 0xDB81_0218),
+        (outputs, 3, 0xDB81_021C),
+        (consumers + 4, 4, 0xDB81_021C),
+        (consumers + 4, 6, 0xDB81_021C),
+        (outputs, 2, 0),
+        (outputs, 9, 0),
+        (consumers + 4, 39, 0),
+        (consumers + 4, 40, 0xDB81_021C),
+    ] {
+        let mut changed = blocks.clone();
+        changed[at + 1] = offset;
+        assert_eq!(Bench::new().call(0, &changed).status, status, "{at} {offset}");
     }
 }
 
@@ -683,11 +726,13 @@ fn inputs_are_bad_until_parameters_have_ended_and_a_fault_shows_in_the_data_stat
 fn outputs_count_only_when_all_that_is_said_about_them_is_good() {
     for (statuses, status, expected) in [
         ([0x80, 0x80], 0x35, Some(Event::Outputs)),
-        // Another problem of the controller's, and its standby: no matter.
+        // Another problem of the controller's: no matter.
         ([0x80, 0x80], 0x15, Some(Event::Outputs)),
         ([0x00, 0x80], 0x35, Some(Event::Cleared)),
         ([0x80, 0x60], 0x35, Some(Event::Cleared)),
+        // It has stopped; it is the backup of another one.
         ([0x80, 0x80], 0x25, Some(Event::Cleared)),
+        ([0x80, 0x80], 0x34, Some(Event::Cleared)),
         // Not valid: as if it had not come.
         ([0x80, 0x80], 0x31, None),
     ] {
@@ -730,6 +775,7 @@ fn old_and_repeated_frames_and_such_of_others_are_not_taken() {
     let mut marked = next.clone();
     *marked.last_mut().unwrap() = 1;
     assert_eq!(take(&marked), None, "a bad transfer");
+    assert_eq!(take(&[&next[..], &[0]].concat()), None, "longer than agreed");
     assert_eq!(take(&next), Some(Event::Outputs));
 }
 
@@ -748,6 +794,33 @@ fn silent_controller_is_left_when_its_time_is_over_and_is_told() {
     );
     // It may come back.
     assert_eq!(bench.call(0, &Wanted::default().blocks()).status, 0);
+}
+
+#[test]
+fn frames_that_do_not_count_keep_no_controller_alive() {
+    for (counter, status) in [(0x1000, 0x35), (0x0F80, 0x35), (0x1080, 0x31)] {
+        let mut bench = Bench::in_data();
+        let good = outputs_frame([1, 2, 3], 0x1000, [0x80; 2], 0x35);
+        assert_eq!(bench.device.receive(bench.now, &good), Some(Event::Outputs));
+        bench.now += HOLD_US - 1;
+        let other = outputs_frame([4, 5, 6], counter, [0x80; 2], status);
+        assert_eq!(bench.device.receive(bench.now, &other), None);
+        assert_eq!(bench.device.outputs(), &[1, 2, 3]);
+        bench.now += 1;
+        assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)), "{counter:X} {status:X}");
+    }
+}
+
+/// As after a pause of the caller's in which frames have piled up.
+#[test]
+fn outputs_behind_the_hold_time_do_not_count_though_nobody_polled() {
+    let mut bench = Bench::in_data();
+    bench.outputs([1, 2, 3]);
+    bench.now += HOLD_US - 1;
+    assert_eq!(bench.outputs([4, 5, 6]), Some(Event::Outputs));
+    bench.now += HOLD_US;
+    assert_eq!(bench.outputs([7, 8, 9]), Some(Event::Left(Cause::Silence)));
+    assert_eq!((bench.outputs([7, 8, 9]), bench.device.outputs()), (None, &[0; 3]));
 }
 
 // --- Alarms
