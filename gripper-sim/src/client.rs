@@ -7,6 +7,7 @@ use crate::port::{Completion, FrameBuffer, PortCounters, PortId, PortKind, Proto
 use crate::time::Time;
 use crate::updates::Readings;
 use crate::{binary, gcl, modbus, profibus};
+use wsg_protocol::fieldbus::SilenceReaction;
 
 /// A client, by what it speaks.
 #[derive(Clone, Debug)]
@@ -52,6 +53,16 @@ impl Client {
             Self::Text(client) => client.is_missed(),
             // Masters that connect for each request are common; a bus has a watchdog.
             Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => false,
+        }
+    }
+
+    /// What becomes of a motion that it has begun by the register interface when it is gone.
+    pub(crate) const fn reaction_to_its_end(&self, config: &Config) -> SilenceReaction {
+        match self {
+            // Masters that connect for each request are common.
+            Self::Binary(_) | Self::Text(_) | Self::Modbus(_) => SilenceReaction::Hold,
+            // The watchdog of the bus went with its line.
+            Self::Profibus(_) | Self::Images(_) => config.bus_reaction,
         }
     }
 

@@ -62,7 +62,7 @@ pub struct Config {
     /// How long a Modbus master that has written may be silent, in milliseconds; 0: for ever. A PROFIBUS master brings a
     /// watchdog of its own.
     pub bus_timeout_ms: u16,
-    /// What is done then; a jog ends in any case.
+    /// What is done then, and when the master of PROFIBUS or PROFINET has stopped or is silent; a jog ends in any case.
     pub bus_reaction: SilenceReaction,
     /// The address on PROFIBUS, 0 to 125 (fieldbus, 2.2).
     pub profibus_address: u8,

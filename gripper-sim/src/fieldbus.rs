@@ -104,20 +104,12 @@ impl Fieldbus {
         self.in_use = true;
     }
 
-    /// A client is gone. If it was the one that commands, a jog ends: nobody holds its button any more. What else runs
-    /// goes on, because masters that connect for each request are common; the image stays.
-    pub(crate) fn leave(&mut self, device: &Device, client: PortId) {
+    /// A client is gone, has stopped, or is silent. If it was the one that commands, what runs ends as `reaction` says, and a
+    /// jog in any case: nobody holds its button any more. The image stays.
+    pub(crate) fn leave(&mut self, device: &Device, client: PortId, reaction: SilenceReaction) {
         if self.writer == Some(client) {
             self.writer = None;
-            self.controller.silence(SilenceReaction::Hold, &known(device));
-        }
-    }
-
-    /// The master on this bus has stopped, or is silent.
-    pub(crate) fn silence(&mut self, device: &Device, client: PortId) {
-        if self.writer == Some(client) {
-            self.writer = None;
-            self.controller.silence(device.config().bus_reaction, &known(device));
+            self.controller.silence(reaction, &known(device));
         }
     }
 

@@ -114,13 +114,14 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.advance(now);
         let Some(client) = self.client(id) else { return };
         let is_error = client.is_missed();
+        let reaction = client.reaction_to_its_end(self.device.config());
         if let Some(slot) = self.clients.get_mut(usize::from(id.index)) {
             *slot = None;
         }
         if is_error && self.device.config().disconnect_error {
             self.device.fast_stop();
         }
-        self.fieldbus.leave(&self.device, id);
+        self.fieldbus.leave(&self.device, id, reaction);
         self.settle();
     }
 
@@ -334,7 +335,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// configured ([`Config::bus_reaction`]); a jog ends in any case.
     pub fn end_images(&mut self, id: PortId, now: Time) {
         self.advance(now);
-        self.fieldbus.silence(&self.device, id);
+        self.fieldbus.leave(&self.device, id, self.device.config().bus_reaction);
         self.settle();
     }
 

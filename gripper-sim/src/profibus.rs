@@ -133,10 +133,11 @@ impl Client {
                 let is_first = !core::mem::replace(&mut self.has_outputs, true);
                 fieldbus.write(device, self.id, &image, is_first);
             }
-            // Nobody commands; what runs goes on, and a jog ends.
+            // Clear is a master that has stopped, and not the zeros that the outputs are then: those would be no more than
+            // flags that went.
             Event::Cleared | Event::Left(_) => {
                 self.has_outputs = false;
-                fieldbus.leave(device, self.id);
+                fieldbus.leave(device, self.id, device.config().bus_reaction);
             }
             // The profile lets no master change it.
             Event::Address(_) => {}

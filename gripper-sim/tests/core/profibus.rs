@@ -1,7 +1,7 @@
 //! A PROFIBUS master at the virtual gripper, telegram by telegram, in virtual time.
 
 use wsg_protocol::fieldbus::{
-    CommandFlags as Flag, Diagnosis, GripperFlags as Shown, InputImage, OutputImage,
+    CommandFlags as Flag, Diagnosis, GripperFlags as Shown, InputImage, OutputImage, SilenceReaction,
 };
 use wsg_protocol::{Status, SystemFlags};
 use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
@@ -15,6 +15,9 @@ const WATCHDOG_MS: u64 = 200;
 
 const PARAMETERS: OutputImage =
     OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
+
+/// What a master does to leave.
+type Leave = fn(&mut Master);
 
 /// A master at a gripper, and the time.
 struct Master {
@@ -51,7 +54,11 @@ impl Master {
     }
 
     fn homed(part: Option<Part>) -> Self {
-        let mut master = Self::exchanging(Config { part, ..Config::default() });
+        Self::homed_with(Config { part, ..Config::default() })
+    }
+
+    fn homed_with(config: Config) -> Self {
+        let mut master = Self::exchanging(config);
         master.set(Flag::HOMING);
         master.wait(4_000);
         master.set(Flag::empty());
@@ -156,6 +163,36 @@ fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
     master.set(Flag::GRIP);
     master.wait(100);
     assert!(master.gripper.state().width < width, "an edge does");
+}
+
+#[test]
+fn master_that_leaves_ends_its_motion_as_it_is_configured_and_a_jog_in_any_case() {
+    let falls_silent = |master: &mut Master| master.fall_silent(WATCHDOG_MS + 5);
+    let clears = |master: &mut Master| {
+        // Global_Control to all: Clear_Data.
+        let _ = master.send(&sd2(&[0xFF, MASTER | 0x80, 0x46, 58, 62, 0x02, 0]));
+    };
+    let is_cut = |master: &mut Master| master.gripper.disconnect(master.port, master.now);
+    let ways: [(&str, Leave); 3] = [("silent", falls_silent), ("cleared", clears), ("cut", is_cut)];
+    for (way, leave) in ways {
+        for (bus_reaction, flag, goes_on, stops_fast) in [
+            (SilenceReaction::Hold, Flag::MOVE, true, false),
+            (SilenceReaction::Hold, Flag::JOG_MINUS, false, false),
+            (SilenceReaction::Stop, Flag::MOVE, false, false),
+            (SilenceReaction::FastStop, Flag::MOVE, false, true),
+        ] {
+            let mut master = Master::homed_with(Config { bus_reaction, ..Config::default() });
+            master.image.speed = 10_00;
+            master.set(flag);
+            master.wait(50);
+            assert!(master.gripper.state().speed < 0.0);
+            leave(&mut master);
+            master.gripper.advance(master.now.plus_millis(10));
+            let state = master.gripper.state();
+            let shown = (state.speed < 0.0, state.flags.contains(SystemFlags::FAST_STOP));
+            assert_eq!(shown, (goes_on, stops_fast), "{way} {bus_reaction:?} {flag:?}");
+        }
+    }
 }
 
 #[test]

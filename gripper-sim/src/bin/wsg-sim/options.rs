@@ -260,7 +260,7 @@ const SETTINGS: &[Setting] = &[
             draft.bus_reaction = Some(reaction(text)?);
             Some(())
         },
-        "what is done then, and when a PROFINET controller has left: also `hold`, `fast-stop`; a jog ends in any case",
+        "what is done then, and when the master of PROFIBUS or PROFINET has left: also `hold`, `fast-stop`; a jog ends in any case",
     ),
     setting(
         "profibus",
@@ -792,8 +792,8 @@ impl Draft {
             ),
             (
                 self.bus_reaction.is_some(),
-                config.bus_timeout_ms > 0 || has_profinet,
-                "--bus-reaction is of no use without --bus-timeout MS or --profinet IFACE",
+                config.bus_timeout_ms > 0 || lines.profibus.is_some() || has_profinet,
+                "--bus-reaction is of no use without --bus-timeout MS, --profibus LINE or --profinet IFACE",
             ),
             (
                 self.profibus_address.is_some(),
@@ -968,6 +968,8 @@ mod tests {
         assert_eq!(options.lines, Lines { profibus: Some(SerialLine::Pty), ..Lines::default() });
         assert_eq!(options.config.profibus_address, 12);
         assert_eq!(options_of("--profibus pty").config.profibus_address, 7);
+        let given = options_of("--profibus pty --bus-reaction fast-stop");
+        assert_eq!(given.config.bus_reaction, SilenceReaction::FastStop);
     }
 
     #[cfg(feature = "profinet")]
