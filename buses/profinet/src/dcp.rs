@@ -8,10 +8,7 @@ use crate::station::{IpParameters, StationName};
 
 /// Where requests of Identify go.
 pub(crate) const IDENTIFY_MULTICAST: MacAddress = MacAddress([0x01, 0x0E, 0xCF, 0, 0, 0]);
-/// Where a device announces itself.
-const HELLO_MULTICAST: MacAddress = MacAddress([0x01, 0x0E, 0xCF, 0, 0, 1]);
 
-pub(crate) const HELLO: u16 = 0xFEFC;
 pub(crate) const GET_SET: u16 = 0xFEFD;
 pub(crate) const IDENTIFY: u16 = 0xFEFE;
 const IDENTIFY_ANSWER: u16 = 0xFEFF;
@@ -21,7 +18,6 @@ mod service {
     pub(super) const GET: u8 = 3;
     pub(super) const SET: u8 = 4;
     pub(super) const IDENTIFY: u8 = 5;
-    pub(super) const HELLO: u8 = 6;
 }
 
 /// Service types.
@@ -45,7 +41,6 @@ mod option {
     pub(super) const RESPONSE: (u8, u8) = (5, 4);
     pub(super) const FACTORY_RESET: (u8, u8) = (5, 5);
     pub(super) const RESET: (u8, u8) = (5, 6);
-    pub(super) const INITIATIVE: (u8, u8) = (6, 1);
     pub(super) const ALL: (u8, u8) = (0xFF, 0xFF);
 }
 
@@ -59,10 +54,6 @@ const TOLD: [(u8, u8); 7] = [
     option::ROLE,
     option::INSTANCE,
 ];
-
-/// What it announces itself with.
-const ANNOUNCED: [(u8, u8); 5] =
-    [option::NAME, option::IP, option::DEVICE_ID, option::INSTANCE, option::INITIATIVE];
 
 /// All that the device knows, for DeviceOptions.
 const OPTIONS: [(u8, u8); 13] = [
@@ -129,7 +120,6 @@ enum Kind {
     Get([(u8, u8); MAX_BLOCKS], usize),
     /// Options that were to be set, and what came of it.
     Set([((u8, u8), Fault); MAX_BLOCKS], usize),
-    Hello,
 }
 
 /// The DCP server of a device.
@@ -215,11 +205,6 @@ impl Dcp {
         }
     }
 
-    /// Announces the device to controllers.
-    pub(crate) fn announce(&mut self, now: u64) {
-        self.answer(Answer { to: HELLO_MULTICAST, xid: 1, due: now, kind: Kind::Hello });
-    }
-
     fn answer(&mut self, answer: Answer) {
         match self.answers.iter_mut().find(|place| place.is_none()) {
             Some(place) => *place = Some(answer),
@@ -237,21 +222,19 @@ impl Dcp {
         let Answer { to, xid, kind, .. } = self.answers.iter_mut().find(is_due)?.take()?;
         let mut writer = Writer::new(buffer);
         frame::header(&mut writer, to, about.mac, None, ETHERTYPE_PROFINET);
-        let (frame_id, service, service_type) = match kind {
-            Kind::Identify => (IDENTIFY_ANSWER, service::IDENTIFY, SUCCESS),
-            Kind::Get(..) => (GET_SET, service::GET, SUCCESS),
-            Kind::Set(..) => (GET_SET, service::SET, SUCCESS),
-            Kind::Hello => (HELLO, service::HELLO, REQUEST),
+        let (frame_id, service) = match kind {
+            Kind::Identify => (IDENTIFY_ANSWER, service::IDENTIFY),
+            Kind::Get(..) => (GET_SET, service::GET),
+            Kind::Set(..) => (GET_SET, service::SET),
         };
         writer.u16(frame_id);
-        writer.bytes(&[service, service_type]);
+        writer.bytes(&[service, SUCCESS]);
         writer.u32(xid);
         writer.u16(0);
         let length_at = writer.len();
         writer.u16(0);
         match kind {
             Kind::Identify => TOLD.iter().for_each(|what| tell(&mut writer, *what, about)),
-            Kind::Hello => ANNOUNCED.iter().for_each(|what| tell(&mut writer, *what, about)),
             Kind::Get(asked, count) => {
                 for what in asked.iter().take(count) {
                     match what {
@@ -399,7 +382,6 @@ fn value(writer: &mut Writer<'_>, what: (u8, u8), about: &About<'_>) {
             OPTIONS.iter().for_each(|(option, suboption)| writer.bytes(&[*option, *suboption]))
         }
         option::INSTANCE => writer.u16(INSTANCE),
-        option::INITIATIVE => writer.u16(1),
         _ => {}
     }
 }

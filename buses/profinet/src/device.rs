@@ -227,11 +227,6 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         self.faults = faults;
     }
 
-    /// Tells controllers that the device is here (DCP Hello).
-    pub fn announce(&mut self, now: u64) {
-        self.dcp.announce(now);
-    }
-
     /// How far a controller has come.
     #[must_use]
     pub fn state(&self) -> State {

@@ -252,16 +252,6 @@ fn dcp_for_another_station_or_another_kind_is_not_answered() {
     }
 }
 
-#[test]
-fn hello_names_the_device() {
-    let mut bench = Bench::new();
-    bench.device.announce(bench.now);
-    let frames = bench.sent();
-    assert_eq!(frames[0][..6], [1, 0x0E, 0xCF, 0, 0, 1]);
-    assert_eq!(frames[0][14..18], [0xFE, 0xFC, 6, 0]);
-    assert_eq!(frames[0][26..41], *b"\x02\x02\x00\x0b\x00\x00example-1");
-}
-
 // --- LLDP
 
 #[test]
