@@ -75,8 +75,8 @@ pub(crate) enum Heard {
 pub(crate) struct Alarms {
     priority: Priority,
     state: State,
-    /// The number of the last frame of data that was sent, and the last that came.
-    sent: u16,
+    /// The numbers of the last frames of data: that arrived, and that came.
+    arrived: u16,
     received: u16,
     ack_due: bool,
     /// Counts alarms, modulo 2048.
@@ -95,7 +95,7 @@ pub(crate) struct Ends {
 
 impl Alarms {
     pub(crate) const fn new(priority: Priority) -> Self {
-        Self { priority, state: State::Idle, sent: 0xFFFF, received: 0xFFFE, ack_due: false, number: 0 }
+        Self { priority, state: State::Idle, arrived: 0xFFFE, received: 0xFFFE, ack_due: false, number: 0 }
     }
 
     pub(crate) fn is_idle(&self) -> bool {
@@ -125,12 +125,12 @@ impl Alarms {
         }
         match kind {
             pdu::ERR => return Some(Heard::Aborted),
-            pdu::ACK | pdu::DATA if acknowledged == self.sent => {
+            pdu::ACK | pdu::DATA if acknowledged == following(self.arrived) => {
                 if let State::Sending { alarm, tries, .. } = self.state
                     && tries <= ends.cr.retries
                 {
                     self.state = State::Sent(alarm);
-                    self.sent = following(self.sent);
+                    self.arrived = acknowledged;
                 }
             }
             _ => {}
@@ -186,7 +186,7 @@ impl Alarms {
         profile: &Profile,
     ) -> Option<usize> {
         if core::mem::take(&mut self.ack_due) {
-            return frame(buffer, ends, self.priority, pdu::ACK, (self.last_sent(), self.received), |_| {});
+            return frame(buffer, ends, self.priority, pdu::ACK, (self.arrived, self.received), |_| {});
         }
         let State::Sending { alarm, due, tries } = self.state else { return None };
         if due > now || tries == 0 {
@@ -195,18 +195,9 @@ impl Alarms {
         let due = now.saturating_add(ends.cr.timeout_us);
         self.state = State::Sending { alarm, due, tries: tries.saturating_sub(1) };
         let priority = self.priority;
-        frame(buffer, ends, priority, pdu::DATA, (self.sent, self.received), |writer| {
+        frame(buffer, ends, priority, pdu::DATA, (following(self.arrived), self.received), |writer| {
             notification(writer, alarm, priority, profile);
         })
-    }
-
-    /// The number of the last frame of data that arrived.
-    const fn last_sent(&self) -> u16 {
-        match self.sent {
-            0xFFFF => 0xFFFE,
-            0 => 0xFFFF,
-            number => number.wrapping_sub(1) & 0x7FFF,
-        }
     }
 }
 

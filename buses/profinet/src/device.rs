@@ -706,8 +706,8 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         if let Some(connection) = self.connection.as_mut().filter(|_| is_controller) {
             connection.go_on(call.now);
         }
-        let mut data = [0; MAX_DATAGRAM_LEN];
-        let max_len = call.max_len.saturating_sub(Record::ANSWER_LEN).min(record.len).min(MAX_RECORD_LEN);
+        let mut data = [0; MAX_RECORD_LEN];
+        let max_len = call.max_len.saturating_sub(Record::ANSWER_LEN).min(record.len).min(data.len());
         let mut writer = Writer::new(data.get_mut(..max_len).unwrap_or(&mut []));
         let expected =
             self.connection.as_ref().filter(|_| is_controller).map(|connection| &connection.expected);

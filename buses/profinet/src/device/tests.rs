@@ -90,6 +90,7 @@ fn identify_is_answered_by_the_device_that_all_filters_fit() {
         (dcp_block([2, 6], b"port-001.example"), false),
         (dcp_block([1, 2], &[192, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0]), true),
         (dcp_block([9, 9], &[1]), false),
+        (dcp_block([9, 9], &[]), false),
         // Cut short.
         (vec![2, 2, 0, 9, b'e'], false),
     ] {
@@ -142,6 +143,29 @@ fn name_and_address_that_are_set_count_at_once_and_stay_if_they_are_permanent() 
     assert_eq!(set(&mut bench, false, [1, 2], &[0; 12]), (Some(Event::Stored), 0));
     assert_eq!((bench.device.name().as_str(), bench.device.stored().name), ("other", StationName::NONE));
     assert_eq!((bench.device.ip().is_set(), bench.device.stored().ip), (false, IpParameters::NONE));
+}
+
+#[test]
+fn each_change_of_what_counts_or_of_what_is_stored_is_told_and_the_same_again_is_not() {
+    let mut bench = Bench::new();
+    let (first, second) = ([10, 0, 0, 7, 255, 0, 0, 0, 0, 0, 0, 0], [10, 0, 0, 8, 255, 0, 0, 0, 0, 0, 0, 0]);
+    for (is_permanent, what, data, is_told) in [
+        (false, [2, 2], &b"one"[..], true),
+        // What counts, and nothing is stored.
+        (false, [2, 2], b"two", true),
+        (false, [2, 2], b"two", false),
+        // What is stored, and it counts already.
+        (true, [2, 2], b"two", true),
+        (true, [2, 2], b"two", false),
+        (false, [1, 2], &first, true),
+        (false, [1, 2], &second, true),
+        (false, [1, 2], &second, false),
+        (true, [1, 2], &second, true),
+        (true, [1, 2], &second, false),
+    ] {
+        let expected = (is_told.then_some(Event::Stored), 0);
+        assert_eq!(set(&mut bench, is_permanent, what, data), expected, "{what:?} {is_permanent} {data:?}");
+    }
 }
 
 #[test]
@@ -238,17 +262,22 @@ fn get_gives_what_it_is_asked_for_and_says_what_there_is_not() {
 
 #[test]
 fn dcp_for_another_station_or_another_kind_is_not_answered() {
-    for (to, id, service) in [
-        (OTHER, 0xFEFD, [3, 0]),
-        (MULTICAST, 0xFEFD, [3, 0]),
-        (OTHER, 0xFEFE, [5, 0]),
-        (DEVICE, 0xFEFD, [3, 1]),
-        (DEVICE, 0xFEFD, [9, 0]),
-        (DEVICE, 0xFEFF, [5, 1]),
+    let all = dcp_block([0xFF, 0xFF], &[]);
+    let name = dcp_block([2, 2], b"\0\x01other");
+    for (to, id, service, blocks) in [
+        (OTHER, 0xFEFD, [3, 0], &[2, 2][..]),
+        (MULTICAST, 0xFEFD, [3, 0], &[2, 2]),
+        (OTHER, 0xFEFD, [4, 0], &name),
+        (MULTICAST, 0xFEFD, [4, 0], &name),
+        (OTHER, 0xFEFE, [5, 0], &all),
+        (DEVICE, 0xFEFD, [3, 1], &[2, 2]),
+        (DEVICE, 0xFEFD, [9, 0], &[2, 2]),
+        (DEVICE, 0xFEFF, [5, 1], &all),
     ] {
         let mut bench = Bench::new();
-        assert_eq!(bench.device.receive(bench.now, &dcp_frame(to, id, service, 1, &[2, 2])), None);
+        assert_eq!(bench.device.receive(bench.now, &dcp_frame(to, id, service, 1, blocks)), None);
         assert_eq!(bench.sent().len(), 0, "{to} {id:X} {service:?}");
+        assert_eq!(bench.device.name().as_str(), "example-1");
     }
 }
 
@@ -312,6 +341,8 @@ fn controller_connects_writes_no_parameters_and_exchanges_data() {
     assert_eq!((call[0], call[1], &call[68..70]), (4, 0, &[0, 4][..]));
     assert_eq!(call[8..24], [0xDE; 16], "the object that the controller said");
     assert_eq!(call[24..28], [0xDE, 0xA0, 0, 2]);
+    // An activity of this device, of this start: an answer to a call of another one is none.
+    assert_eq!(call[40..56], [0, 0, 0xB0, 7, 0, 0, 0x10, 0, 0x80, 0, 0x02, 0, 0, 0, 0, 0x10]);
     assert_eq!(call[100..], control(0x0112, AR, 2));
     // Nothing counts before the controller has confirmed.
     assert_eq!(bench.outputs([1, 2, 3]), None);
@@ -336,14 +367,20 @@ fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
         (Wanted { mac: MULTICAST, ..default() }, 1, 7),
         (Wanted { properties: 0x10, ..default() }, 1, 9),
         (Wanted { properties: 0x4000_0011, ..default() }, 1, 9),
+        (Wanted { properties: 0x211, ..default() }, 1, 9),
+        (Wanted { properties: 0x411, ..default() }, 1, 9),
         (Wanted { class: 3, ..default() }, 2, 7),
         (Wanted { data_len: 39, ..default() }, 2, 8),
         (Wanted { data_len: 1_441, ..default() }, 2, 8),
         (Wanted { input_id: 0x7FFF, ..default() }, 2, 9),
         (Wanted { output_id: 0xBC00, ..default() }, 2, 9),
         (Wanted { output_id: 0xFC00, ..default() }, 2, 9),
+        (Wanted { send_clock: 0, ..default() }, 2, 10),
+        (Wanted { send_clock: 129, ..default() }, 2, 10),
         (Wanted { reduction: 0, ..default() }, 2, 11),
-        (Wanted { reduction: 1_024, ..default() }, 2, 11),
+        (Wanted { send_clock: 16, reduction: 1_024, ..default() }, 2, 11),
+        (Wanted { send_clock: 31, reduction: 1, ..default() }, 2, 11),
+        (Wanted { send_clock: 33, reduction: 512, hold: 1, ..default() }, 2, 11),
         (Wanted { hold: 0, ..default() }, 2, 16),
         (Wanted { hold: 481, ..default() }, 2, 16),
         (Wanted { alarm_properties: 2, ..default() }, 4, 6),
@@ -361,6 +398,35 @@ fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
         bench.now += CYCLE_US;
         assert_eq!(bench.sent().len(), 0);
     }
+}
+
+#[test]
+fn cycles_hold_times_and_addresses_at_their_limits_are_taken() {
+    let default = Wanted::default;
+    for wanted in [
+        Wanted { send_clock: 32, reduction: 1, ..default() },
+        Wanted { send_clock: 1, reduction: 32, ..default() },
+        Wanted { send_clock: 128, reduction: 128, ..default() },
+        Wanted { send_clock: 32, reduction: 512, ..default() },
+        Wanted { hold: 480, ..default() },
+        Wanted { data_len: 1_440, ..default() },
+        Wanted { retries: 15, ..default() },
+        Wanted { mac: MacAddress([0, 0, 0, 0, 0, 1]), ..default() },
+    ] {
+        assert_eq!(Bench::new().call(0, &wanted.blocks()).status, 0, "{wanted:?}");
+    }
+}
+
+#[test]
+fn data_that_has_no_place_in_its_frame_is_missed() {
+    for placed in [[false, true, true], [true, false, true], [true, true, false]] {
+        let mut bench = Bench::new();
+        let answer = bench.call(0, &Wanted { placed, ..Wanted::default() }.blocks());
+        assert_eq!((answer.status, bench.device.state()), (0xDB81_0215, State::Unconnected), "{placed:?}");
+    }
+    // That of a module that is not there is not looked for.
+    let wanted = Wanted { placed: [true, true, false], modules: [0x20, 0x99], ..Wanted::default() };
+    assert_eq!(Bench::new().call(0, &wanted.blocks()).status, 0);
 }
 
 /// Else a byte of data could say of itself that it is good.
@@ -508,6 +574,7 @@ fn repeated_call_gets_the_same_answer_and_is_done_once() {
     let mut bench = Bench::new();
     let request = datagram(false, 0, 5, 0, &arguments(false, &Wanted::default().blocks()));
     assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
+    assert_eq!(bench.device.poll_timeout(bench.now), bench.now, "the answer is due");
     let is_answer = |(to, _): &(Option<Endpoint>, Vec<u8>)| *to == Some(HOST);
     let first: Vec<_> = bench.transmitted().into_iter().filter(is_answer).collect();
     assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
@@ -516,7 +583,29 @@ fn repeated_call_gets_the_same_answer_and_is_done_once() {
     // High bytes first, as it was asked.
     assert_eq!(first[0].1[68..74], [0, 0, 0xFF, 0xFF, 0xFF, 0xFF]);
     assert_eq!(first[0].1[64..68], [0, 0, 0, 5]);
+    assert_eq!(first[0].1[56..60], [0, 0, 0xB0, 7], "this start of the device");
     assert_eq!(first[0].1[100..102], [0x81, 0x01]);
+}
+
+#[test]
+fn first_call_is_served_whatever_its_numbers_are() {
+    let nobody = Endpoint { address: [0; 4], port: 0 };
+    let mut request = datagram(true, 0, 0, 5, &arguments(true, &record(9, [0; 16], 0, 1, 0xAFF0, 64)));
+    request[40..56].fill(0);
+    let mut bench = Bench::new();
+    bench.device.receive_datagram(bench.now, nobody, &request);
+    let sent = bench.transmitted();
+    let answer = Answer::of(None, &sent[0].1);
+    assert_eq!((answer.kind, answer.status, answer.blocks.len()), (2, 0, 64 + 60));
+}
+
+#[test]
+fn identification_is_read_without_a_connection_and_nothing_else_of_one() {
+    let mut bench = Bench::new();
+    let answer = bench.call(5, &record(9, [0; 16], 0, 1, 0xAFF0, 64));
+    assert_eq!((answer.status, answer.blocks.len()), (0, 64 + 60));
+    assert_eq!(bench.call(5, &record(9, [0; 16], 0, 0, 0xE000, 4_096)).status, 0xDE80_A900);
+    assert_eq!(bench.call(2, &record(9, [0; 16], 0, 1, 0xAFF0, 64)).status, 0xDE80_B600);
 }
 
 #[test]
@@ -630,6 +719,12 @@ fn only_the_controllers_own_confirmation_counts() {
     bench.call(0, &Wanted::default().blocks());
     assert_eq!(bench.confirm(&call), None);
     assert_eq!(bench.device.state(), State::Parameters);
+    let end = datagram(true, 0, 9, 4, &arguments(true, &control(0x0110, AR, 1)));
+    bench.device.receive_datagram(bench.now, HOST, &end);
+    assert_eq!(bench.confirm(&call), None);
+    assert_eq!(bench.device.state(), State::Ready);
+    assert_eq!(bench.calls(), [&call[..]]);
+    assert_eq!(bench.confirm(&call), Some(Event::Connected));
 }
 
 #[test]
@@ -777,6 +872,7 @@ fn silent_controller_is_left_when_its_time_is_over_and_is_told() {
     assert_eq!((bench.poll(), bench.device.outputs()), (None, &[1, 2, 3]));
     bench.now += 1;
     assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)));
+    assert_eq!(bench.device.poll_timeout(bench.now), bench.now, "the controller is to be told");
     assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
     assert_eq!(
         bench.acyclic()[0][18..34],
@@ -877,6 +973,84 @@ fn fault_is_told_acknowledged_twice_and_told_when_it_is_gone() {
     assert_eq!(sent[0][8..12], [0, 0, 0xFF, 0xFF]);
     assert_eq!(sent[0][20..22], [0, 0x0C]);
     assert_eq!(sent[0][38..], [0x08, 1, 0x80, 0, 0x80, 0, 0x10, 0, 0x01, 0x00]);
+}
+
+#[test]
+fn each_fault_is_told_once_and_so_is_its_end() {
+    let mut bench = Bench::in_data();
+    let (mut sequence, mut number, mut ours) = (0xFFFF_u16, 0, 0xFFFF_u16);
+    let following = |number: u16| number.wrapping_add(1) & 0x7FFF;
+    // What is shown, and what is told of it: the fault, and whether it appears.
+    for (faults, told) in [
+        (0b001, Some((0x0100, true))),
+        (0b101, Some((0x0102, true))),
+        (0b101, None),
+        (0b100, Some((0x0100, false))),
+        (0b100, None),
+        (0b101, Some((0x0100, true))),
+        (0b001, Some((0x0102, false))),
+        (0b000, Some((0x0100, false))),
+        (0b000, None),
+    ] {
+        bench.device.show_faults(faults);
+        assert_eq!(bench.poll(), None);
+        let sent = alarms(&mut bench);
+        let found = sent.first().map(|alarm| {
+            let word = |at: usize| u16::from_be_bytes([alarm[at], alarm[at + 1]]);
+            assert_eq!(word(8), ours, "the transport's number");
+            assert_eq!(word(38) & 0x07FF, number, "the alarm's number");
+            // There is one on the submodule, and in the connection.
+            assert_eq!(word(38) & 0xA000, if faults == 0 { 0 } else { 0xA000 });
+            (word(46), word(20) == 1)
+        });
+        assert_eq!((sent.len(), found), (usize::from(told.is_some()), told), "{faults:b}");
+        if let Some((_, appears)) = told {
+            let ack = alarm_ack(false, if appears { 1 } else { 0x0C }, number);
+            bench.device.receive(bench.now, &rta(false, 0x11, sequence, ours, &ack));
+            assert_eq!(bench.device.poll_timeout(bench.now), bench.now, "the acknowledgement is due");
+            assert_eq!(alarms(&mut bench).len(), 1);
+            (sequence, ours, number) = (following(sequence), following(ours), number + 1);
+        }
+    }
+}
+
+#[test]
+fn alarm_is_due_at_once_and_again_after_its_timeout() {
+    let mut bench =
+        Bench::in_data_as(&Wanted { send_clock: 128, reduction: 128, hold: 3, ..Wanted::default() });
+    bench.sent();
+    bench.device.show_faults(1);
+    bench.poll();
+    assert_eq!(bench.device.poll_timeout(bench.now), bench.now);
+    assert_eq!(alarms(&mut bench).len(), 1);
+    assert_eq!(bench.device.poll_timeout(bench.now), bench.now + 100_000);
+}
+
+#[test]
+fn only_the_acknowledgement_of_the_alarm_that_was_told_ends_it() {
+    let mut bench = Bench::in_data();
+    bench.device.show_faults(1);
+    bench.poll();
+    assert_eq!(alarms(&mut bench).len(), 1);
+    let mut sequence = 0xFFFF_u16;
+    // Of the other priority, of another alarm, and none: the frame is acknowledged, the alarm is not over.
+    for ack in [alarm_ack(true, 1, 0), alarm_ack(false, 1, 1), block(0x8002, &[0; 4]), vec![]] {
+        bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &ack));
+        assert_eq!(alarms(&mut bench)[0][6], 0x13);
+        // The same frame again is acknowledged again, and one out of turn is not.
+        bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &ack));
+        assert_eq!(alarms(&mut bench).len(), 1);
+        let ahead = rta(false, 0x11, sequence.wrapping_add(2) & 0x7FFF, 0xFFFF, &alarm_ack(false, 1, 0));
+        bench.device.receive(bench.now, &ahead);
+        assert_eq!(alarms(&mut bench).len(), 0);
+        bench.device.show_faults(0);
+        bench.poll();
+        assert_eq!(alarms(&mut bench).len(), 0, "that the fault is gone waits");
+        sequence = sequence.wrapping_add(1) & 0x7FFF;
+    }
+    bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &alarm_ack(false, 1, 0)));
+    bench.poll();
+    assert_eq!(alarms(&mut bench).len(), 2, "the acknowledgement, and that the fault is gone");
 }
 
 #[test]
@@ -1039,6 +1213,12 @@ fn many_writes_at_once_are_answered_one_by_one() {
     let statuses: Vec<&[u8]> = answer.blocks.chunks(64).map(|answer| &answer[44..48]).collect();
     assert_eq!(statuses, [&[0; 4][..], &[0; 4], &[0xDF, 0x80, 0xB0, 0], &[0; 4]]);
     assert_eq!(bench.device.stored().maintenance.descriptor, [b'z'; 54]);
+    // What there is no answer for is not done.
+    let parts: Vec<u8> = (b'a'..=b'q').flat_map(|letter| part(0xAFF3, &block(0x23, &[letter; 54]))).collect();
+    let request = [record(8, AR, 0, 0, 0xE040, parts.len() as u32), parts].concat();
+    let answer = bench.call(3, &request);
+    assert_eq!((answer.status, answer.blocks.len()), (0, 64 * 17));
+    assert_eq!(bench.device.stored().maintenance.descriptor, [b'p'; 54], "the 16th");
 }
 
 #[test]
@@ -1199,5 +1379,11 @@ fn endpoint_mapper_tells_of_one_interface_and_then_of_none() {
         );
         let end = lookup(&first[..20]);
         assert_eq!((&end[20..24], &end[36..]), (&order(0)[..], &order(0x16C9_A0D6)[..]));
+        // The handle may be given back.
+        let mut request = datagram(is_low_first, 0, 9, 4, &[0; 20]);
+        request[24..40].copy_from_slice(&epm);
+        bench.device.receive_datagram(bench.now, HOST, &request);
+        let sent = bench.transmitted();
+        assert_eq!((sent[0].1[1], &sent[0].1[80..]), (2, &[0; 24][..]));
     }
 }

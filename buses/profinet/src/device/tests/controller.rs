@@ -73,11 +73,14 @@ pub(super) struct Wanted {
     pub(super) output_id: u16,
     pub(super) class: u32,
     pub(super) data_len: u16,
+    pub(super) send_clock: u16,
     pub(super) reduction: u16,
     pub(super) hold: u16,
     pub(super) modules: [u32; 2],
     pub(super) submodules: [u32; 2],
     pub(super) output_len: u16,
+    /// Whether there is a place for the inputs of slot 1, for its outputs, and for those of slot 2.
+    pub(super) placed: [bool; 3],
     pub(super) alarm_properties: u32,
     pub(super) retries: u16,
     /// Blocks at the end.
@@ -95,11 +98,13 @@ impl Default for Wanted {
             output_id: OUTPUT_ID,
             class: 1,
             data_len: 40,
+            send_clock: 32,
             reduction: 4,
             hold: 3,
             modules: [0x20, 0x30],
             submodules: [0x21, 0x31],
             output_len: 2,
+            placed: [true; 3],
             alarm_properties: 0,
             retries: 3,
             more: vec![],
@@ -140,13 +145,25 @@ impl Wanted {
             return [ar, self.more.clone()].concat();
         }
         // Data of slot 1 first, then of slot 2, then what has none; statuses of consumers behind.
-        let inputs: [&[u16]; 2] = [&[0, 1, 0, 0, 0x8000, 1, 0, 0x8001, 2, 1, 1, 3], &[1, 1, 6, 2, 1, 7]];
-        let outputs: [&[u16]; 2] = [&[1, 1, 0, 2, 1, 2], &[0, 1, 5, 0, 0x8000, 6, 0, 0x8001, 7, 1, 1, 8]];
+        let objects = |objects: &[([u16; 3], bool)]| {
+            let placed = objects.iter().filter(|(_, is_placed)| *is_placed);
+            placed.flat_map(|(object, _)| *object).collect::<Vec<u16>>()
+        };
+        let [slot_1_in, slot_1_out, slot_2_out] = self.placed;
+        let inputs = objects(&[
+            ([0, 1, 0], true),
+            ([0, 0x8000, 1], true),
+            ([0, 0x8001, 2], true),
+            ([1, 1, 3], slot_1_in),
+        ]);
+        let inputs: [&[u16]; 2] = [&inputs, &[1, 1, 6, 2, 1, 7]];
+        let outputs = objects(&[([1, 1, 0], slot_1_out), ([2, 1, 2], slot_2_out)]);
+        let outputs: [&[u16]; 2] = [&outputs, &[0, 1, 5, 0, 0x8000, 6, 0, 0x8001, 7, 1, 1, 8]];
         let iocr = |kind: u16, id: u16, [data, consumers]: [&[u16]; 2]| {
             let body = [
                 &numbers(&[kind, 10 + kind, 0x8892])[..],
                 &self.class.to_be_bytes(),
-                &numbers(&[self.data_len, id, 32, self.reduction, 1, 0]),
+                &numbers(&[self.data_len, id, self.send_clock, self.reduction, 1, 0]),
                 &[0xFF; 4],
                 &numbers(&[self.hold, self.hold, 0xC000, 0, 0, 0]),
                 &numbers(&[1, 0, 0, data.len() as u16 / 3]),
