@@ -1,7 +1,7 @@
 //! Where a gripper is served: addresses, serial lines and CAN buses, as its user names them.
 
 #[cfg(feature = "profinet")]
-use bus_profinet::{IpParameters, StationName};
+use bus_profinet::{IpParameters, Maintenance, Stored};
 #[cfg(feature = "profinet")]
 use std::net::Ipv4Addr;
 use std::net::SocketAddr;
@@ -71,11 +71,9 @@ pub struct UdpLine {
 pub struct ProfinetLine {
     /// The network interface, such as `eth0`. Its Ethernet address is the gripper's; its IP address is not, and must differ.
     pub interface: String,
-    /// The name of the station that it has from the start.
-    pub station: StationName,
-    /// The IP parameters that it has from the start.
-    pub ip: IpParameters,
-    /// The configuration file that keeps both.
+    /// What it has from the start: name, IP parameters, I&M 1 to 3.
+    pub stored: Stored,
+    /// The configuration file that keeps these.
     pub keep: Option<PathBuf>,
 }
 
@@ -85,6 +83,40 @@ impl ProfinetLine {
     pub const STATION: &str = "station";
     /// What the IP parameters are called there.
     pub const IP: &str = "profinet-ip";
+    /// What I&M 1 is called there (function, location), I&M 2 (date) and I&M 3 (descriptor).
+    pub const MAINTENANCE: [&str; 4] = ["im-function", "im-location", "im-date", "im-descriptor"];
+
+    /// All that is kept in the configuration file: its name there, and its text. Empty: it is as delivered.
+    #[must_use]
+    pub fn kept(stored: &Stored) -> [(&'static str, String); 6] {
+        let Stored { name, ip, maintenance: Maintenance { function, location, date, descriptor } } = stored;
+        let [function_key, location_key, date_key, descriptor_key] = Self::MAINTENANCE;
+        [
+            (Self::STATION, name.as_str().to_owned()),
+            (Self::IP, if ip.is_set() { Self::ip_text(ip) } else { String::new() }),
+            (function_key, Self::maintenance_text(function)),
+            (location_key, Self::maintenance_text(location)),
+            (date_key, Self::maintenance_text(date)),
+            (descriptor_key, Self::maintenance_text(descriptor)),
+        ]
+    }
+
+    /// A field of I&M as text, without the blanks that fill it up. Its bytes are Latin-1: a controller may write any.
+    fn maintenance_text(field: &[u8]) -> String {
+        let text: String = field.iter().copied().map(char::from).collect();
+        text.trim_end_matches(' ').to_owned()
+    }
+
+    /// The field of I&M that a text says, if it has room for it.
+    #[must_use]
+    pub fn maintenance_of_text<const N: usize>(text: &str) -> Option<[u8; N]> {
+        let mut field = [b' '; N];
+        let mut places = field.iter_mut();
+        for letter in text.chars() {
+            *places.next()? = u8::try_from(letter).ok()?;
+        }
+        Some(field)
+    }
 
     /// IP parameters as text, such as `192.168.0.5/24` or `192.168.0.5/24,192.168.0.1` with a router.
     #[must_use]

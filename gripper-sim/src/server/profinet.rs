@@ -6,31 +6,42 @@ mod ip;
 use super::lines::ProfinetLine;
 use anyhow::Result;
 #[cfg(target_os = "linux")]
-use bus_profinet::{IpParameters, StationName};
+use bus_profinet::Stored;
 use std::path::Path;
 #[cfg(target_os = "linux")]
 use std::{fs, io};
 
-/// Keeps name and address in the configuration file that they came from: their lines are replaced, and all others stay.
+/// Keeps name, address and I&M in the configuration file that they came from: their lines are replaced, and all others stay.
 #[cfg(target_os = "linux")]
-fn keep(path: &Path, name: &StationName, ip: &IpParameters) -> io::Result<()> {
+fn keep(path: &Path, stored: &Stored) -> io::Result<()> {
     let text = fs::read_to_string(path)?;
-    let is_kept = |line: &&str| {
+    let stored = ProfinetLine::kept(stored);
+    let is_other = |line: &&str| {
         let key = line.split('=').next().unwrap_or("").trim();
-        !matches!(key, ProfinetLine::STATION | ProfinetLine::IP)
+        stored.iter().all(|(name, _)| *name != key)
     };
-    let mut kept: Vec<String> = text.lines().filter(is_kept).map(str::to_owned).collect();
-    if !name.is_empty() {
-        kept.push(format!("{} = \"{}\"", ProfinetLine::STATION, name.as_str()));
-    }
-    if ip.is_set() {
-        kept.push(format!("{} = \"{}\"", ProfinetLine::IP, ProfinetLine::ip_text(ip)));
-    }
+    let mut kept: Vec<String> = text.lines().filter(is_other).map(str::to_owned).collect();
+    let set = stored.iter().filter(|(_, text)| !text.is_empty());
+    kept.extend(set.map(|(name, text)| format!("{name} = {}", quoted(text))));
     // Beside it and then in its place, so that no failure leaves half of it.
     let mut new = path.as_os_str().to_owned();
     new.push(".new");
     fs::write(&new, kept.join("\n") + "\n")?;
     fs::rename(&new, path)
+}
+
+/// A text as TOML has it.
+#[cfg(target_os = "linux")]
+fn quoted(text: &str) -> String {
+    let mut quoted = String::from("\"");
+    for letter in text.chars() {
+        match letter {
+            '"' | '\\' => quoted.extend(['\\', letter]),
+            letter if letter.is_control() => quoted.push_str(&format!("\\u{:04X}", u32::from(letter))),
+            letter => quoted.push(letter),
+        }
+    }
+    quoted + "\""
 }
 
 #[cfg(target_os = "linux")]
@@ -40,7 +51,7 @@ mod interface {
     use crate::port::PortKind;
     use crate::server::hub::{Client, Hub};
     use anyhow::{Context, bail};
-    use bus_profinet::{Event, MAX_FRAME_LEN, MacAddress, Maintenance, Profile, Stored, Transmit};
+    use bus_profinet::{Event, MAX_FRAME_LEN, MacAddress, Profile, Transmit};
     use nix::errno::Errno;
     use nix::ifaddrs::getifaddrs;
     use nix::sys::socket::{AddressFamily, SockFlag, SockProtocol, SockType, bind, socket};
@@ -99,10 +110,14 @@ mod interface {
             let client = hub
                 .connect(PortKind::Profinet, &line.interface)
                 .context("the gripper has no place for PROFINET")?;
-            let stored = Stored { name: line.station, ip: line.ip, maintenance: Maintenance::NONE };
             let now = hub.now().as_micros();
             let mut station = Station {
-                device: Box::new(Device::new(profile(hub.config().serial_number), mac, stored, session())),
+                device: Box::new(Device::new(
+                    profile(hub.config().serial_number),
+                    mac,
+                    line.stored,
+                    session(),
+                )),
                 ip: IpStack::new(mac, now),
                 client,
                 line,
@@ -210,14 +225,13 @@ mod interface {
                 }
                 Event::Signal => note(format_args!("signal: somebody looks for this device")),
                 Event::Stored => {
-                    let Stored { name, ip, .. } = self.device.stored();
                     note(format_args!(
                         "name {:?}, {}",
                         self.device.name(),
                         ProfinetLine::ip_text(self.device.ip())
                     ));
                     if let Some(path) = &self.line.keep
-                        && let Err(error) = keep(path, name, ip)
+                        && let Err(error) = keep(path, self.device.stored())
                     {
                         note(format_args!("{} cannot be written: {error}", path.display()));
                     }
@@ -283,18 +297,44 @@ pub(super) use no_interface::Interface;
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
+    use bus_profinet::{Maintenance, StationName};
 
     #[test]
-    fn name_and_address_replace_their_lines_in_the_file_and_all_others_stay() {
+    fn what_is_stored_replaces_its_lines_in_the_file_and_all_others_stay() {
         let path = std::env::temp_dir().join(format!("wsg-profinet-{}.toml", std::process::id()));
-        fs::write(&path, "# A cell\nmodel = \"wsg32\"\nstation=\"old\"\nprofinet = \"eth0\"\nprofinet-ip = \"1.2.3.4/8\"\n").unwrap();
-        let ip = ProfinetLine::ip_of_text("10.0.0.5/8,10.0.0.1").unwrap();
-        keep(&path, &StationName::new("new").unwrap(), &ip).unwrap();
-        let kept = "# A cell\nmodel = \"wsg32\"\nprofinet = \"eth0\"\n";
-        let expected = format!("{kept}station = \"new\"\nprofinet-ip = \"10.0.0.5/8,10.0.0.1\"\n");
-        assert_eq!(fs::read_to_string(&path).unwrap(), expected);
-        keep(&path, &StationName::NONE, &IpParameters::NONE).unwrap();
-        assert_eq!(fs::read_to_string(&path).unwrap(), kept);
+        let others = "# A cell\nmodel = \"wsg32\"\nprofinet = \"eth0\"\n";
+        fs::write(
+            &path,
+            others.to_owned() + "station=\"old\"\nim-date = \"1999\"\nprofinet-ip = \"1.2.3.4/8\"\n",
+        )
+        .unwrap();
+        let stored = Stored {
+            name: StationName::new("new").unwrap(),
+            ip: ProfinetLine::ip_of_text("10.0.0.5/8,10.0.0.1").unwrap(),
+            maintenance: Maintenance {
+                function: ProfinetLine::maintenance_of_text("+A \"1\" \\ gr\u{FC}n\u{1}").unwrap(),
+                ..Maintenance::NONE
+            },
+        };
+        keep(&path, &stored).unwrap();
+        let kept = "station = \"new\"\nprofinet-ip = \"10.0.0.5/8,10.0.0.1\"\n\
+                    im-function = \"+A \\\"1\\\" \\\\ gr\u{FC}n\\u0001\"\n";
+        assert_eq!(fs::read_to_string(&path).unwrap(), others.to_owned() + kept);
+        keep(&path, &Stored::NONE).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), others);
         fs::remove_file(&path).unwrap();
+    }
+
+    #[test]
+    fn fields_of_maintenance_come_back_from_their_text_whatever_a_controller_wrote() {
+        let mut stored = Stored::NONE;
+        for (at, byte) in stored.maintenance.descriptor.iter_mut().enumerate() {
+            *byte = (at * 5) as u8;
+        }
+        let [.., (_, text)] = ProfinetLine::kept(&stored);
+        assert_eq!(ProfinetLine::maintenance_of_text(&text), Some(stored.maintenance.descriptor));
+        assert_eq!(ProfinetLine::maintenance_of_text::<2>("abc"), None, "too long");
+        assert_eq!(ProfinetLine::maintenance_of_text::<2>("\u{100}"), None, "no byte");
+        assert_eq!(ProfinetLine::maintenance_of_text::<3>("a"), Some(*b"a  "));
     }
 }

@@ -4,21 +4,24 @@
 //! Those that take long are for `cargo xtask ci` (`WSG_WHOLE`). Needs root. `cargo xtask test` leaves out what cannot be had, by the names: `profinet_py`, `pnio_dcp`, `scapy`, `tshark`,
 //! `in_namespaces`.
 
-use host_tests::extent;
+use bus_profinet::Stored;
 use host_tests::masters::{PYTHON_VARIABLE, said};
+use host_tests::{example, extent};
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
 use std::os::fd::AsFd;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio, id};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
+use std::time::{Duration, Instant};
 use wsg_sim::server::{Lines, ProfinetLine, ServerThread};
 use wsg_sim::{Config, Part};
 
 const CONTROLLER: &str = include_str!("profinet/profinet_py.py");
 const DCP: &str = include_str!("profinet/pnio_dcp.py");
+const EPM: &str = include_str!("profinet/epm.py");
 const HOSTILE: &str = include_str!("profinet/hostile.py");
 
 static NETWORKS: AtomicU32 = AtomicU32::new(0);
@@ -68,18 +71,18 @@ impl Network {
         format!("{}c", self.name)
     }
 
-    /// A gripper of its own there.
+    /// A gripper of its own there, as delivered.
     fn serve(&self, config: Config) -> ServerThread {
+        self.serve_as(config, Stored::NONE)
+    }
+
+    /// The same with a name or an address from the start.
+    fn serve_as(&self, config: Config, stored: Stored) -> ServerThread {
         let namespace = File::open(format!("/run/netns/{}", self.gripper())).unwrap();
         // The server's thread is in the namespace of the one that starts it.
         let start = move || {
             move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
-            let line = ProfinetLine {
-                interface: "eth0".to_owned(),
-                station: bus_profinet::StationName::NONE,
-                ip: bus_profinet::IpParameters::NONE,
-                keep: None,
-            };
+            let line = ProfinetLine { interface: "eth0".to_owned(), stored, keep: None };
             let lines = Lines { profinet: Some(line), ..Lines::default() };
             ServerThread::start(config, &lines, None).unwrap()
         };
@@ -91,6 +94,22 @@ impl Network {
             }
         }
         server
+    }
+
+    /// A gripper as its user starts it, with this configuration file; it says when it serves.
+    fn start(&self, file: &Path) -> Program {
+        let mut ip = Command::new("ip");
+        ip.args(["netns", "exec", &self.gripper()])
+            .arg(example::program("wsg-sim"))
+            .arg("--config")
+            .arg(file);
+        let mut child = ip.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
+        let program = Program(child);
+        assert!(lines.any(|line| line == "profinet eth0"), "it ends before it serves");
+        // Whatever else it says has somebody who reads it.
+        thread::spawn(move || lines.for_each(drop));
+        program
     }
 
     /// A program at the controller's end.
@@ -131,6 +150,16 @@ impl Drop for Network {
     }
 }
 
+/// A `wsg-sim` that runs; dropped, it is killed.
+struct Program(Child);
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// What passes by, as it is written to a file.
 struct Capture {
     child: Child,
@@ -141,6 +170,24 @@ impl Capture {
     /// Ends it, and gives what `tshark` says of the packets that this filter fits.
     fn finish(mut self, filter: &str, fields: &[&str]) -> Vec<String> {
         self.end();
+        self.packets(filter, fields)
+    }
+
+    /// What `tshark` says of the packets that this filter fits, as soon as there are so many: it is some time behind.
+    fn wait_for(&self, count: usize, filter: &str, fields: &[&str]) -> Vec<String> {
+        let end = Instant::now() + Duration::from_secs(60);
+        loop {
+            let packets = self.packets(filter, fields);
+            if packets.len() >= count {
+                return packets;
+            }
+            assert!(Instant::now() < end, "{packets:?}");
+            thread::sleep(Duration::from_millis(100));
+        }
+    }
+
+    /// What `tshark` says of the packets so far that this filter fits.
+    fn packets(&self, filter: &str, fields: &[&str]) -> Vec<String> {
         let mut tshark = Command::new("tshark");
         tshark.args(["-n", "-r"]).arg(&self.file).args(["-Y", filter, "-T", "fields"]);
         tshark.args(fields.iter().flat_map(|field| ["-e", field]));
@@ -212,6 +259,44 @@ fn profinet_py_exchanges_data_at_8_ms_in_namespaces_and_misses_one_in_a_thousand
     let _server = network.serve(config());
     let output = network.python(CONTROLLER, &["soak", "60"]);
     assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+#[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+fn profinet_py_finds_in_namespaces_after_a_restart_what_it_has_written() {
+    let network = Network::new();
+    let file = std::env::temp_dir().join(format!("{}.toml", network.name));
+    fs::write(&file, "# Cell 7\nprofinet = \"eth0\"\ntime-scale = 5\n").unwrap();
+    // Killed each time: what was written has to be kept at once.
+    for part in ["label", "labelled"] {
+        let _program = network.start(&file);
+        let output = network.python(CONTROLLER, &[part]);
+        assert!(output.status.success(), "{}", said(&output));
+    }
+    let kept = fs::read_to_string(&file).unwrap();
+    fs::remove_file(&file).unwrap();
+    assert!(kept.starts_with("# Cell 7\nprofinet = \"eth0\"\ntime-scale = 5\n"), "{kept}");
+}
+
+#[test]
+#[ignore = "needs tshark and root: run `cargo xtask test`"]
+fn endpoint_mapper_tells_in_namespaces_of_the_device_as_tshark_reads_it() {
+    let stored = Stored { ip: ProfinetLine::ip_of_text("192.168.7.5/24").unwrap(), ..Stored::NONE };
+    let network = Network::new();
+    let capture = network.capture();
+    let _server = network.serve_as(config(), stored);
+    let output = network.python(EPM, &[]);
+    assert!(output.status.success(), "{}", said(&output));
+    let entries = capture.wait_for(
+        2,
+        "epm.num_ents == 1",
+        &["epm.proto.udp_port", "epm.proto.ip", "epm.tower.num_floors", "epm.rc"],
+    );
+    assert_eq!(entries, ["34964\t192.168.7.5\t5\t0x00000000"; 2]);
+    // The last answer of all: a handle that was given back.
+    capture.wait_for(2, "epm.opnum == 4 && dcerpc.pkt_type == 2", &["frame.number"]);
+    let warnings = capture.finish(SUSPICIOUS, &["frame.number", "frame.protocols", "_ws.expert.message"]);
+    assert_eq!(warnings, Vec::<String>::new());
 }
 
 #[test]

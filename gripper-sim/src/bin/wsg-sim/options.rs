@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, anyhow, bail};
 #[cfg(feature = "profinet")]
-use bus_profinet::{IpParameters, StationName};
+use bus_profinet::{StationName, Stored};
 use lexopt::{Arg, Parser, ValueExt};
 use std::fmt::Write as _;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -58,10 +58,9 @@ struct Draft {
     profibus_address: Option<u8>,
     #[cfg(feature = "profinet")]
     profinet: Option<String>,
+    /// What is given of it, and the option that began it.
     #[cfg(feature = "profinet")]
-    station: Option<StationName>,
-    #[cfg(feature = "profinet")]
-    profinet_ip: Option<IpParameters>,
+    stored: Option<(&'static str, Stored)>,
     /// The file that options came from.
     #[cfg(feature = "profinet")]
     file: Option<PathBuf>,
@@ -106,6 +105,8 @@ const U16: &str = "a number from 0 to 65535";
 const LENGTH: &str = "a number from 0 to 1000";
 const POSITIVE: &str = "a number above 0";
 const SWITCH: &str = "true or false";
+#[cfg(feature = "profinet")]
+const MAINTENANCE: [&str; 4] = ProfinetLine::MAINTENANCE;
 
 /// Every option, in the order in which they are shown.
 const SETTINGS: &[Setting] = &[
@@ -303,7 +304,7 @@ const SETTINGS: &[Setting] = &[
         "none: a controller gives it",
         "a name of a to z, 0 to 9, hyphens and dots",
         |draft, text| {
-            draft.station = Some(StationName::new(text)?);
+            draft.stored(ProfinetLine::STATION).name = StationName::new(text)?;
             Some(())
         },
         "its name; kept in the file of `--config` when a controller sets another",
@@ -315,10 +316,62 @@ const SETTINGS: &[Setting] = &[
         "none: a controller gives it",
         "an address such as 192.168.0.5/24, with a router 192.168.0.5/24,192.168.0.1",
         |draft, text| {
-            draft.profinet_ip = Some(ProfinetLine::ip_of_text(text)?);
+            draft.stored(ProfinetLine::IP).ip = ProfinetLine::ip_of_text(text)?;
             Some(())
         },
         "its IP address, which must not be the interface's; kept likewise",
+    ),
+    #[cfg(feature = "profinet")]
+    setting(
+        MAINTENANCE[0],
+        "TEXT",
+        "",
+        "up to 32 letters of Latin-1",
+        |draft, text| {
+            let field = ProfinetLine::maintenance_of_text(text)?;
+            draft.stored(MAINTENANCE[0]).maintenance.function = field;
+            Some(())
+        },
+        "what it is there for, in its records (I&M 1); kept likewise",
+    ),
+    #[cfg(feature = "profinet")]
+    setting(
+        MAINTENANCE[1],
+        "TEXT",
+        "",
+        "up to 22 letters of Latin-1",
+        |draft, text| {
+            let field = ProfinetLine::maintenance_of_text(text)?;
+            draft.stored(MAINTENANCE[1]).maintenance.location = field;
+            Some(())
+        },
+        "where it is (I&M 1); kept likewise",
+    ),
+    #[cfg(feature = "profinet")]
+    setting(
+        MAINTENANCE[2],
+        "TEXT",
+        "",
+        "up to 16 letters of Latin-1, such as \"2026-11-23 16:00\"",
+        |draft, text| {
+            let field = ProfinetLine::maintenance_of_text(text)?;
+            draft.stored(MAINTENANCE[2]).maintenance.date = field;
+            Some(())
+        },
+        "when it was installed (I&M 2); kept likewise",
+    ),
+    #[cfg(feature = "profinet")]
+    setting(
+        MAINTENANCE[3],
+        "TEXT",
+        "",
+        "up to 54 letters of Latin-1",
+        |draft, text| {
+            let field = ProfinetLine::maintenance_of_text(text)?;
+            draft.stored(MAINTENANCE[3]).maintenance.descriptor = field;
+            Some(())
+        },
+        "anything about it (I&M 3); kept likewise",
     ),
     setting(
         "no-checksum-check",
@@ -737,6 +790,12 @@ fn flat(error: anyhow::Error) -> anyhow::Error {
 }
 
 impl Draft {
+    /// What is given of a PROFINET station, for the option of this name to change.
+    #[cfg(feature = "profinet")]
+    fn stored(&mut self, name: &'static str) -> &mut Stored {
+        &mut self.stored.get_or_insert((name, Stored::NONE)).1
+    }
+
     /// Puts together what belongs together.
     fn finish(self) -> Result<Request> {
         let Self { mut config, mut lines, log, .. } = self;
@@ -761,19 +820,12 @@ impl Draft {
         };
         #[cfg(feature = "profinet")]
         {
-            let (station, ip) = (self.station, self.profinet_ip);
-            lines.profinet = self.profinet.map(|interface| ProfinetLine {
-                interface,
-                station: station.unwrap_or(StationName::NONE),
-                ip: ip.unwrap_or(IpParameters::NONE),
-                keep: self.file,
-            });
-            if lines.profinet.is_none() && station.is_some() {
-                bail!("--station is of no use without --profinet IFACE");
+            if let (None, Some((name, _))) = (&self.profinet, &self.stored) {
+                bail!("--{name} is of no use without --profinet IFACE");
             }
-            if lines.profinet.is_none() && ip.is_some() {
-                bail!("--profinet-ip is of no use without --profinet IFACE");
-            }
+            let stored = self.stored.map_or(Stored::NONE, |(_, stored)| stored);
+            let line = |interface| ProfinetLine { interface, stored, keep: self.file };
+            lines.profinet = self.profinet.map(line);
         }
         #[cfg(feature = "profinet")]
         let has_profinet = lines.profinet.is_some();
@@ -978,19 +1030,20 @@ mod tests {
         let given = options_of("--profinet eth0 --bus-reaction hold");
         let line = given.lines.profinet.unwrap();
         assert_eq!((given.lines.tcp, given.config.bus_reaction), (None, SilenceReaction::Hold));
-        assert_eq!((line.interface.as_str(), line.station, line.keep), ("eth0", StationName::NONE, None));
-        assert_eq!(line.ip, IpParameters::NONE);
+        assert_eq!((line.interface.as_str(), line.stored, line.keep), ("eth0", Stored::NONE, None));
         let line =
             options_of("--profinet eth0 --station wsg-1 --profinet-ip 10.0.0.5/8,10.0.0.1").lines.profinet;
         let line = line.unwrap();
         assert_eq!(
-            (line.station.as_str(), line.ip.mask, line.ip.gateway),
+            (line.stored.name.as_str(), line.stored.ip.mask, line.stored.ip.gateway),
             ("wsg-1", [255, 0, 0, 0], [10, 0, 0, 1])
         );
-        assert_eq!(ProfinetLine::ip_text(&line.ip), "10.0.0.5/8,10.0.0.1");
+        assert_eq!(ProfinetLine::ip_text(&line.stored.ip), "10.0.0.5/8,10.0.0.1");
         for (arguments, expected) in [
             (&["--station", "wsg-1"][..], "--profinet IFACE"),
             (&["--profinet-ip", "10.0.0.5/8"], "--profinet IFACE"),
+            (&["--im-date", "2026"], "--profinet IFACE"),
+            (&["--profinet", "eth0", "--im-location", "a place with a long name"], "up to 22"),
             (&["--profinet", "eth0", "--station", "WSG"], "hyphens"),
             (&["--profinet", "eth0", "--profinet-ip", "10.0.0.5"], "192.168.0.5/24"),
             (&["--profinet", "eth0", "--profinet-ip", "10.0.0.5/31"], "192.168.0.5/24"),
@@ -1005,10 +1058,12 @@ mod tests {
 
     #[cfg(feature = "profinet")]
     #[test]
-    fn name_and_address_in_a_file_are_kept_there() {
-        let text = "profinet = \"eth0\"\nstation = \"wsg-1\"\nprofinet-ip = \"10.0.0.5/8\"\n";
+    fn what_a_file_has_of_a_station_is_kept_there() {
+        let text = "profinet = \"eth0\"\nstation = \"wsg-1\"\nprofinet-ip = \"10.0.0.5/8\"\nim-function = \"gr\u{FC}n\"\n\
+                    im-location = \"+B\"\nim-date = \"2026-11-23 16:00\"\nim-descriptor = \"\\\"x\\\"\"\n";
         let line = options_of_file("profinet", text, &[]).unwrap().lines.profinet.unwrap();
-        assert_eq!(line.station.as_str(), "wsg-1");
+        let kept = ProfinetLine::kept(&line.stored).map(|(_, text)| text);
+        assert_eq!(kept, ["wsg-1", "10.0.0.5/8", "gr\u{FC}n", "+B", "2026-11-23 16:00", "\"x\""]);
         assert!(line.keep.unwrap().to_str().unwrap().ends_with("profinet.toml"));
     }
 

@@ -135,6 +135,32 @@ def cycle():
     plc.release()
 
 
+# I&M 1 (function and location), 2, 3: the type of the block, and what it says, quotation marks and an umlaut included.
+LABELS = {
+    0xAFF1: (0x21, b"= gripper 1".ljust(32) + b"+ cell \"7\"".ljust(22)),
+    0xAFF2: (0x22, b"2026-11-23 16:00"),
+    0xAFF3: (0x23, "gr\u00fcn \\ links".encode("latin-1").ljust(54)),
+}
+
+
+def label():
+    set_up()
+    plc = Plc()
+    for index, (kind, text) in LABELS.items():
+        plc.device.write(0, 1, index, struct.pack(">HHBB", kind, len(text) + 2, 1, 0) + text)
+    plc.release()
+
+
+def labelled():
+    """By the name and at the address that it was given before its restart."""
+    device = until("discover", Plc.discover)
+    assert device.ip == ADDRESS, device.ip
+    with device:
+        for index, (_, text) in LABELS.items():
+            record = bytes(device.read(0, 1, index))
+            assert record.endswith(text), (index, record)
+
+
 def is_stopped(plc, flags):
     """The motion that ran has ended before its target, and nothing begins again."""
     state, system, width, _ = plc.read()
@@ -214,4 +240,4 @@ def soak(seconds):
 
 
 part, *arguments = sys.argv[1:]
-{"cycle": cycle, "unmoved": unmoved, "cut": cut, "killed": killed, "soak": soak}[part](*map(float, arguments))
+{"cycle": cycle, "label": label, "labelled": labelled, "unmoved": unmoved, "cut": cut, "killed": killed, "soak": soak}[part](*map(float, arguments))
