@@ -60,7 +60,7 @@ pub(crate) fn receive(
             let start = usize::from(place.data?);
             let data = data.get(start..start.saturating_add(len))?;
             let provider = data_at(payload, start.saturating_add(len));
-            (len > 0).then_some((slotted.output_at, data, provider))
+            Some((slotted.output_at, data, provider))
         })
     };
     let has_all = places().map(|(_, data, _)| data.len()).sum::<usize>() == outputs.len();

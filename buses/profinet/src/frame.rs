@@ -75,3 +75,14 @@ pub(crate) fn finish(mut writer: Writer<'_>) -> Option<usize> {
     writer.fill(0, MIN_FRAME_LEN.saturating_sub(writer.len()));
     writer.finish()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::string::ToString;
+
+    #[test]
+    fn address_is_shown_as_people_write_it() {
+        assert_eq!(MacAddress([0x02, 0, 0x5E, 0xAB, 0, 0x01]).to_string(), "02:00:5e:ab:00:01");
+    }
+}

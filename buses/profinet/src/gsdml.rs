@@ -332,3 +332,6 @@ impl File<'_, '_> {
         self.line(3, format_args!("</ExternalTextList>"))
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -136,3 +136,6 @@ impl Profile {
             && self.min_interval >= 32
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -185,6 +185,26 @@ mod tests {
             assert_eq!(StationName::new(right).unwrap().as_str(), right);
         }
         assert_eq!(StationName::from_bytes(&[0xFF]), None);
+        assert_eq!(std::format!("{:?}", StationName::new("a-1").unwrap()), "\"a-1\"");
+    }
+
+    #[test]
+    fn addresses_and_ports_are_no_names() {
+        for wrong in ["192.168.0.1", "1.2.3.4", "port-001", "port-999", "port-001-00000", "port-123-45678"] {
+            assert_eq!(StationName::new(wrong), None, "{wrong}");
+        }
+        for right in [
+            "1.2.3.a",
+            "a.2.3.4",
+            "1-2.3.4.5",
+            "port-00a",
+            "port-a00",
+            "port-001-0000a",
+            "port-001-000000",
+            "port-0a1-00000",
+        ] {
+            assert!(StationName::new(right).is_some(), "{right}");
+        }
     }
 
     #[test]

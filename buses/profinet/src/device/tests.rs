@@ -524,6 +524,24 @@ fn other_modules_than_there_are_show_as_differences() {
             Wanted { submodules: [0x21, 0x99], ..default() },
             &[0, 1, 0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0x30, 0, 2, 0, 1, 0, 1, 0, 0, 0, 0x31, 0x90, 0],
         ),
+        // A module that there is no slot for, with a submodule.
+        (
+            Wanted {
+                more: block(
+                    0x0104,
+                    &[
+                        0, 1, 0, 0, 0, 0, 0, 9, 0, 0, 0, 0x40, 0, 0, 0, 1, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0,
+                        0, 1, 1,
+                    ],
+                ),
+                submodules: [0x21, 0x99],
+                ..default()
+            },
+            &[
+                0, 1, 0, 0, 0, 0, 0, 2, 0, 2, 0, 0, 0, 0x30, 0, 2, 0, 1, 0, 1, 0, 0, 0, 0x31, 0x90, 0, 0, 9,
+                0, 0, 0, 0, 0, 0, 0, 0,
+            ],
+        ),
         // One with data of another length.
         (
             Wanted { output_len: 1, ..default() },
@@ -1175,7 +1193,11 @@ fn maintenance_is_written_by_the_controller_alone_and_stays() {
     assert_eq!(bench.device.stored().maintenance.date, *b"2026-11-23 16:00");
     assert_eq!(write(&mut bench, AR, 0xAFF1, &block(0x21, &[b'x'; 54])), (Some(Event::Stored), 0));
     assert_eq!(write(&mut bench, AR, 0xAFF3, &block(0x23, &[b'y'; 54])), (Some(Event::Stored), 0));
-    assert_eq!(read(&mut bench, AR, 0, 1, 0xAFF3).unwrap(), block(0x23, &[b'y'; 54]));
+    for (index, kind, text) in
+        [(0xAFF1, 0x21, &[b'x'; 54][..]), (0xAFF2, 0x22, b"2026-11-23 16:00"), (0xAFF3, 0x23, &[b'y'; 54])]
+    {
+        assert_eq!(read(&mut bench, AR, 0, 1, index).unwrap(), block(kind, text));
+    }
     let before = *bench.device.stored();
     for (uuid, index, data, reason) in [
         (AR, 0xAFF2, &block(0x22, &[b'x'; 15]), 0xB1),
@@ -1187,6 +1209,17 @@ fn maintenance_is_written_by_the_controller_alone_and_stays() {
     ] {
         let status = u32::from_be_bytes([0xDF, 0x80, reason, 0]);
         assert_eq!(write(&mut bench, uuid, index, data), (None, status), "{index:X}");
+    }
+    // Of another API, of a submodule that is not there.
+    let date_of = |header: Vec<u8>| [header, date.clone()].concat();
+    let mut other = record(8, AR, 0, 1, 0xAFF2, date.len() as u32);
+    other[27] = 1;
+    for header in [
+        other,
+        record(8, AR, 0, 2, 0xAFF2, date.len() as u32),
+        record(8, AR, 9, 1, 0xAFF2, date.len() as u32),
+    ] {
+        assert_eq!(bench.call(3, &date_of(header)).status, 0xDF80_B200);
     }
     // Data that is shorter than it says it is.
     assert_eq!(bench.call(3, &record(8, AR, 0, 1, 0xAFF2, 9)).status, 0xDF80_B100);
@@ -1358,15 +1391,16 @@ fn endpoint_mapper_tells_of_one_interface_and_then_of_none() {
         } else {
             [0xE1, 0xAF, 0x83, 8, 0x5D, 0x1F, 0x11, 0xC9, 0x91, 0xA4, 8, 0, 0x2B, 0x14, 0xA0, 0xFA]
         };
-        let mut lookup = |handle: &[u8]| {
-            let body = [&order(0)[..], &order(0), &order(0), &order(1), handle, &order(1)].concat();
+        let mut lookup = |handle: (&[u8], u32)| {
+            let (handle, max_entries) = handle;
+            let body = [&order(0)[..], &order(0), &order(0), &order(1), handle, &order(max_entries)].concat();
             bench.sequence += 1;
             let mut request = datagram(is_low_first, 0, bench.sequence, 2, &body);
             request[24..40].copy_from_slice(&epm);
             bench.device.receive_datagram(bench.now, HOST, &request);
             bench.transmitted().remove(0).1[80..].to_vec()
         };
-        let first = lookup(&[0; 20]);
+        let first = lookup((&[0; 20], 1));
         assert_eq!(first[20..24], order(1));
         let text = String::from_utf8_lossy(&first[64..128]).into_owned();
         assert_eq!(text, "example                   EX-1                     3 V  1  2 13\0");
@@ -1377,7 +1411,20 @@ fn endpoint_mapper_tells_of_one_interface_and_then_of_none() {
             floors[floors.len() - 4 - 20..floors.len() - 5],
             [0, 0, 0, 1, 0, 8, 2, 0, 0x88, 0x94, 1, 0, 9, 4, 0, 192, 168, 0, 5][..]
         );
-        let end = lookup(&first[..20]);
+        let object: [u8; 16] = if is_low_first {
+            [0, 0, 0xA0, 0xDE, 0x97, 0x6C, 0xD1, 0x11, 0x82, 0x71, 0, 1, 0x56, 0x78, 0x12, 0x34]
+        } else {
+            [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 1, 0x56, 0x78, 0x12, 0x34]
+        };
+        assert_eq!(first[36..52], object);
+        assert_eq!(first[128..136], [order(75), order(75)].concat(), "how long the floors are");
+        assert_eq!(
+            floors[5..21],
+            [1, 0, 0xA0, 0xDE, 0x97, 0x6C, 0xD1, 0x11, 0x82, 0x71, 0, 0xA0, 0x24, 0x42, 0xDF, 0x7D]
+        );
+        let none = lookup((&[0; 20], 0));
+        assert_eq!((&none[20..24], &none[36..]), (&order(0)[..], &order(0x16C9_A0D6)[..]), "room for none");
+        let end = lookup((&first[..20], 1));
         assert_eq!((&end[20..24], &end[36..]), (&order(0)[..], &order(0x16C9_A0D6)[..]));
         // The handle may be given back.
         let mut request = datagram(is_low_first, 0, 9, 4, &[0; 20]);
