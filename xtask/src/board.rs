@@ -13,24 +13,31 @@ pub(crate) struct Board {
     pub(crate) triple: &'static str,
     /// The microcontroller's name for probe-rs.
     pub(crate) chip: &'static str,
-    /// What the names of its tests' environment variables end in, and what else those images are set to.
-    pub(crate) variables: &'static str,
-    pub(crate) settings: &'static [(&'static str, u16)],
+    /// How an emulator runs it. A board that none has was never run.
+    pub(crate) emulated: Option<Emulated>,
     /// Whether its boot ROM takes an image as UF2, which is then made beside the ELF file.
     pub(crate) takes_uf2: bool,
     /// What the image may take of flash.
     pub(crate) flash_limit: u64,
 }
 
+/// What the tests of a board in an emulator differ in.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Emulated {
+    /// What the names of their environment variables end in.
+    pub(crate) variables: &'static str,
+    /// What their images are set to besides.
+    pub(crate) settings: &'static [(&'static str, u16)],
+}
+
 /// All of them, the default board first.
-pub(crate) static BOARDS: [Board; 2] = [
+pub(crate) static BOARDS: [Board; 3] = [
     Board {
         name: "b-l475e-iot01a",
         package: "wsg-b-l475e-iot01a",
         triple: "thumbv7em-none-eabihf",
         chip: "STM32L475VG",
-        variables: "",
-        settings: &[],
+        emulated: Some(Emulated { variables: "", settings: &[] }),
         takes_uf2: false,
         // 64 KiB before settings stayed and the service port came; 4 KB of it are the start values of the static RAM.
         flash_limit: 80 * 1024,
@@ -40,12 +47,20 @@ pub(crate) static BOARDS: [Board; 2] = [
         package: "wsg-pico",
         triple: "thumbv6m-none-eabi",
         chip: "RP2040",
-        variables: "_PICO",
         // At higher rates the gripper's longer messages overrun the two receive buffers of its MCP2515.
-        settings: &[("CAN_RATE", 250)],
+        emulated: Some(Emulated { variables: "_PICO", settings: &[("CAN_RATE", 250)] }),
         takes_uf2: true,
         // Of 2 MiB. A Cortex-M0+ takes more instructions for the same, and there is a USB device in it.
         flash_limit: 96 * 1024,
+    },
+    Board {
+        name: "nucleo-g474re",
+        package: "wsg-nucleo-g474re",
+        triple: "thumbv7em-none-eabihf",
+        chip: "STM32G474RE",
+        emulated: None,
+        takes_uf2: false,
+        flash_limit: 80 * 1024,
     },
 ];
 
@@ -62,7 +77,7 @@ impl Board {
     pub(crate) fn named(name: &str) -> Result<&'static Self> {
         BOARDS.iter().find(|board| board.name == name).with_context(|| {
             let names = BOARDS.each_ref().map(|board| board.name);
-            format!("there is no board {name}; there are {}", names.join(" and "))
+            format!("there is no board {name}; there are {}", names.join(", "))
         })
     }
 }
@@ -82,6 +97,6 @@ mod tests {
         assert_eq!(<&Board>::default().name, MACHINE);
         assert_eq!(Board::named("pico").unwrap().triple, "thumbv6m-none-eabi");
         let unknown = Board::named("arduino").unwrap_err().to_string();
-        assert_eq!(unknown, "there is no board arduino; there are b-l475e-iot01a and pico");
+        assert_eq!(unknown, "there is no board arduino; there are b-l475e-iot01a, pico, nucleo-g474re");
     }
 }

@@ -41,7 +41,7 @@ use std::{
     process::{ExitCode, ExitStatus},
 };
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use lexopt::{Arg, Parser, ValueExt};
 
 use board::Board;
@@ -57,11 +57,12 @@ Commands
   setup              install what build, demo and test need: the thumb target's Rust, QEMU, and
                      the masters of the tests (mbpoll, packages of Python, and of Node.js if it is there)
   build              build the firmware image, print its path and SHA-256
-                     [--board NAME]: b-l475e-iot01a, or pico, which has a UF2 file beside it;
+                     [--board NAME]: b-l475e-iot01a; pico, which has a UF2 file beside it; or
+                     nucleo-g474re, which no emulator has, so that nobody has ever run its image;
                      [--set NAME=VALUE]: a setting that it is delivered with (docs/registers.md);
                      [--features X]: more features. The image then has a name of its own
   demo [ARGS]        boot the image in an emulator between a PLC and a virtual gripper;
-                     [--board NAME] first, as for build; ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
+                     [--board NAME] first, one that an emulator has; ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
   test [FILTER]      every check of the workspace, the emulator tests included;
                      with FILTER only the tests whose names match it; --strict before it: fails where
                      something could not be checked or compared, which is else only said
@@ -163,6 +164,7 @@ fn run() -> Result<ExitCode> {
                 && option == "--board"
             {
                 board = Board::named(&name.to_string_lossy())?;
+                ensure!(board.emulated.is_some(), "no emulator has the board {}", board.name);
                 arguments.drain(..2);
             }
             let toolchain = setup::thumb_and_qemu(&workspace)?;
@@ -205,6 +207,9 @@ fn run() -> Result<ExitCode> {
 
 fn print_image(image: &firmware::Image) {
     println!("{}\nsha256 {}", image.path.display(), image.sha256);
+    if image.board.emulated.is_none() {
+        println!("nobody has ever run an image for {}: no emulator has that board", image.board.name);
+    }
 }
 
 /// `--board NAME`; `--features X` and `--set NAME=VALUE`, each as often as wanted.

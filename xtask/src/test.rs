@@ -36,11 +36,14 @@ pub(crate) fn run(
 ) -> Result<()> {
     let masters = setup::masters(workspace);
     let mut chosen = Vec::new();
-    for (board, (variable, settings)) in BOARDS.iter().flat_map(|it| firmware::CHOICES.map(|of| (it, of))) {
-        let settings = settings.iter().chain(board.settings);
+    let emulated = BOARDS.iter().filter_map(|board| Some((board, board.emulated.as_ref()?)));
+    for ((board, emulated), (variable, settings)) in
+        emulated.flat_map(|it| firmware::CHOICES.map(|choice| (it, choice)))
+    {
+        let settings = settings.iter().chain(emulated.settings);
         let settings = settings.map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
         let variant = Variant { board, settings, ..Variant::default() };
-        let variable = format!("{variable}{}", board.variables);
+        let variable = format!("{variable}{}", emulated.variables);
         chosen.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
     let mut record = Record::default();

@@ -1,0 +1,15 @@
+//! Tells the linker about the board's memory. Builds for the host need no such thing.
+
+use std::env;
+use std::path::PathBuf;
+
+fn main() {
+    println!("cargo:rerun-if-changed=build.rs");
+    if env::var_os("CARGO_FEATURE_FIRMWARE").is_none() {
+        return;
+    }
+    // link.x of cortex-m-rt includes the memory.x at the top, and that the board's.
+    let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    println!("cargo:rerun-if-changed={}", board.join("board-memory.x").display());
+    println!("cargo:rustc-link-search={}", board.display());
+}

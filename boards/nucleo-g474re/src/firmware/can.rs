@@ -1,0 +1,233 @@
+//! FDCAN1 on PA11 (RX, CN10-14) and PA12 (TX, CN10-12), as a controller of classic CAN, behind a transceiver for 3.3 V (RM0440,
+//! FDCAN).
+//!
+//! Its clock is the crystal's. The interrupt wakes the main loop; the work is done there. Nothing waits without a bound.
+
+use bus_slcan::ClassicFrame;
+use cortex_m::peripheral::NVIC;
+use embedded_can::ErrorKind;
+use stm32_metapac::can::regs::{Txbar, Txbcr, Txbtie};
+use stm32_metapac::can::vals::{Anfe, Anfs, Tfqm};
+use stm32_metapac::rcc::vals::Fdcansel;
+use stm32_metapac::{FDCAN1, FDCANRAM1, Interrupt, RCC, interrupt};
+use wsg_bridge_fw::can::{CanConfig, CanController, Health};
+use wsg_nucleo_g474re::BitTiming;
+use wsg_nucleo_g474re::message_ram::{ELEMENT_STRIDE, ELEMENTS, Fifo, element, filter, frame, id_word};
+
+use crate::clock::HSE_HZ;
+
+/// The receive error counter stops at 127; that it went beyond is a flag of its own.
+const REC_BEYOND: u8 = 128;
+
+/// All transmit buffers, as bits of the registers that have one for each.
+const ALL_BUFFERS: u32 = (1 << ELEMENTS) - 1;
+
+/// How often the peripheral's answer to a change of its mode is looked at. It takes a few cycles of the crystal.
+const MAX_LOOKS: u32 = 10_000;
+
+/// The controller.
+#[derive(Debug)]
+pub(crate) struct Can {
+    config: Option<CanConfig>,
+    /// Whether timing and filters are in its registers.
+    is_set_up: bool,
+}
+
+impl Can {
+    /// One that was not started. To be asked for once.
+    pub(crate) const fn new() -> Self {
+        Self { config: None, is_set_up: false }
+    }
+
+    /// Starts the controller. The crystal runs, the pins are set up. Only what the bridge may want passes its filters.
+    pub(crate) fn start(&mut self, config: &CanConfig) {
+        RCC.ccipr().modify(|w| w.set_fdcansel(Fdcansel::HSE));
+        RCC.apb1enr1().modify(|w| w.set_fdcanen(true));
+        let _ = RCC.apb1enr1().read();
+        self.config = Some(*config);
+        self.join();
+        // SAFETY: no critical section depends on this interrupt being masked; the handler shares nothing.
+        unsafe { NVIC::unmask(Interrupt::FDCAN1_IT0) };
+    }
+
+    /// Goes through initialisation and on to the bus: where it was bus-off, it then waits for 129 times 11 recessive bits. What
+    /// was to be sent and what was received before is forgotten.
+    fn join(&mut self) {
+        let Some(config) = self.config else { return };
+        FDCAN1.cccr().modify(|w| w.set_init(true));
+        let entered = (0..MAX_LOOKS).any(|_| FDCAN1.cccr().read().init());
+        self.is_set_up = entered && set_up(&config);
+        if self.is_set_up {
+            // No FD, no test, no restriction; out of initialisation. It synchronises in its own time; the first frames wait for that.
+            FDCAN1.cccr().write(|_| {});
+        }
+    }
+
+    /// The empty transmit buffer for a frame; they leave in the order of their identifiers.
+    ///
+    /// One is the gripper's: FAST STOP waits for no message of another. The others are anybody's, but never hold two of one
+    /// identifier: which one left first would be the buffers' order.
+    fn buffer_for(&self, id: u32) -> Option<usize> {
+        let waiting = FDCAN1.txbrp().read().0;
+        let [gripper, one, other] = [1 << 0, 1 << 1, 1 << 2].map(|buffer| waiting & buffer == 0);
+        let its_id = self.config.map(|config| id_word(config.gripper.controller().transmit.into()));
+        if its_id == Some(id) {
+            return gripper.then_some(0);
+        }
+        let has_same = |buffer: usize| FDCANRAM1.txbuf(buffer * ELEMENT_STRIDE).read() == id;
+        match (one, other) {
+            (true, true) => Some(1),
+            (true, false) if !has_same(2) => Some(1),
+            (false, true) if !has_same(1) => Some(2),
+            _ => None,
+        }
+    }
+}
+
+/// Whether a frame waits.
+pub(crate) fn has_received() -> bool {
+    FDCAN1.rxfs(0).read().ffl() != 0 || FDCAN1.rxfs(1).read().ffl() != 0
+}
+
+/// Timing, filters and interrupts, in initialisation mode; whether there is a timing for the rate.
+fn set_up(config: &CanConfig) -> bool {
+    let Some(timing) = BitTiming::for_rate(HSE_HZ, config.kbit_rate) else { return false };
+    // Unlocks the registers, and empties FIFOs and transmit buffers.
+    FDCAN1.cccr().modify(|w| w.set_cce(true));
+    // Each field holds one less than it means.
+    FDCAN1.nbtp().write(|w| {
+        w.set_nbrp(timing.prescaler.saturating_sub(1));
+        w.set_ntseg1(timing.before_sample.saturating_sub(1));
+        w.set_ntseg2(timing.behind_sample.saturating_sub(1));
+        w.set_nsjw(timing.jump.saturating_sub(1));
+    });
+    let gripper = config.gripper.controller().receive.as_raw();
+    let filters = [
+        filter(Fifo::Gripper, gripper, 0x7FF),
+        // NMT; SYNC; what is for this node; heartbeats.
+        filter(Fifo::Others, 0x000, 0x7FF),
+        filter(Fifo::Others, 0x080, 0x7FF),
+        filter(Fifo::Others, config.node.node.into(), 0x07F),
+        filter(Fifo::Others, 0x700, 0x780),
+    ];
+    for (n, filter) in filters.iter().enumerate() {
+        FDCANRAM1.flssa(n).write_value(*filter);
+    }
+    FDCAN1.rxgfc().write(|w| {
+        w.set_lss(filters.len() as u8);
+        // Everything else is dropped; and so is what finds its FIFO full, which sets a flag.
+        w.set_anfs(Anfs::REJECT);
+        w.set_anfe(Anfe::REJECT);
+        w.set_rrfs(true);
+        w.set_rrfe(true);
+    });
+    FDCAN1.txbc().write(|w| w.set_tfqm(Tfqm::QUEUE));
+    FDCAN1.txbtie().write_value(Txbtie(ALL_BUFFERS));
+    FDCAN1.ie().write(|w| {
+        w.set_rfne(0, true);
+        w.set_rfne(1, true);
+        w.set_tce(true);
+    });
+    // All of them on the first of the two interrupts, as reset leaves it.
+    FDCAN1.ile().write(|w| w.set_eint0(true));
+    true
+}
+
+/// A frame found no room in its FIFO, and was dropped.
+#[derive(Debug)]
+pub(crate) struct Overrun;
+
+impl embedded_can::Error for Overrun {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Overrun
+    }
+}
+
+/// The frame that waits longest in a FIFO, none for one that is empty.
+fn take<const FIFO: usize>() -> Result<Option<ClassicFrame>, Overrun> {
+    if FDCAN1.ir().read().rfl(FIFO) {
+        FDCAN1.ir().write(|w| w.set_rfl(FIFO, true));
+        return Err(Overrun);
+    }
+    let status = FDCAN1.rxfs(FIFO).read();
+    if status.ffl() == 0 {
+        return Ok(None);
+    }
+    let index = usize::from(status.fgi()).min(ELEMENTS - 1);
+    let word = |n: usize| {
+        let n = index * ELEMENT_STRIDE + n;
+        if FIFO == 0 { FDCANRAM1.rxfifo0(n).read() } else { FDCANRAM1.rxfifo1(n).read() }
+    };
+    let element = [word(0), word(1), word(2), word(3)];
+    FDCAN1.rxfa(FIFO).write(|w| w.set_fai(index as u8));
+    Ok(frame(element))
+}
+
+impl embedded_can::nb::Can for Can {
+    type Frame = ClassicFrame;
+    type Error = Overrun;
+
+    fn transmit(&mut self, frame: &ClassicFrame) -> nb::Result<Option<ClassicFrame>, Overrun> {
+        if !self.is_set_up {
+            return Err(nb::Error::WouldBlock);
+        }
+        let words = element(frame);
+        let [id, ..] = words;
+        let buffer = self.buffer_for(id).ok_or(nb::Error::WouldBlock)?;
+        for (n, word) in words.iter().enumerate() {
+            FDCANRAM1.txbuf(buffer * ELEMENT_STRIDE + n).write_value(*word);
+        }
+        FDCAN1.txbar().write_value(Txbar(1 << buffer));
+        Ok(None)
+    }
+
+    fn receive(&mut self) -> nb::Result<ClassicFrame, Overrun> {
+        if !self.is_set_up {
+            return Err(nb::Error::WouldBlock);
+        }
+        let gripper = take::<0>().map_err(nb::Error::Other)?;
+        let frame = match gripper {
+            Some(frame) => Some(frame),
+            None => take::<1>().map_err(nb::Error::Other)?,
+        };
+        frame.ok_or(nb::Error::WouldBlock)
+    }
+}
+
+impl CanController for Can {
+    /// One that could not be set up is as good as bus-off, and the policy tries again. So is one that sends nothing any more
+    /// because it could not reach its message RAM in time.
+    fn health(&mut self) -> Health {
+        if !self.is_set_up {
+            return Health { is_off: true, ..Health::default() };
+        }
+        let status = FDCAN1.psr().read();
+        let errors = FDCAN1.ecr().read();
+        Health {
+            is_off: status.bo() || FDCAN1.cccr().read().asm(),
+            is_passive: status.ep(),
+            transmit_errors: if status.bo() { u8::MAX } else { errors.tec() },
+            receive_errors: if errors.rp() { REC_BEYOND } else { errors.rec() },
+        }
+    }
+
+    /// What is being sent at this moment goes on to its end, and is not tried again.
+    fn abort(&mut self) {
+        FDCAN1.txbcr().write_value(Txbcr(ALL_BUFFERS));
+    }
+
+    fn recover(&mut self) {
+        self.join();
+    }
+}
+
+/// A frame came, or one has left: that ended the main loop's sleep.
+#[interrupt]
+fn FDCAN1_IT0() {
+    // Writing a one clears a flag. That a frame was lost stays noted.
+    FDCAN1.ir().write(|w| {
+        w.set_rfn(0, true);
+        w.set_rfn(1, true);
+        w.set_tc(true);
+    });
+}

@@ -1,0 +1,198 @@
+//! The settings' two pages: the last ones of flash bank 2 (RM0440, FLASH of category 3 devices).
+//!
+//! The program runs from bank 1, so it goes on while they are programmed or erased. That there are two banks is what an STM32G474RE
+//! is delivered with (option DBANK). As one bank it has other pages, and the program would stand still while one is erased: then,
+//! and where the banks have changed places (option BFB2), settings are read, and none are written.
+
+use core::ptr::with_exposed_provenance;
+use core::sync::atomic::{AtomicU8, Ordering};
+
+use cortex_m::asm::{dsb, isb};
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::exception;
+use stm32_metapac::FLASH;
+use stm32_metapac::flash::regs::Sr;
+use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
+
+/// Where the first page begins: the end of the 512 KiB, less two pages. board-memory.x keeps the linker off.
+const FIRST_PAGE: usize = 0x0807_F000;
+const PAGE_BYTES: usize = 2048;
+const DOUBLE_WORD_BYTES: usize = 8;
+const _: () = assert!(FIRST_PAGE + 2 * PAGE_BYTES == 0x0808_0000);
+
+/// The number of the first page in its bank of 256 KiB.
+const FIRST_PAGE_NUMBER: u8 = 126;
+const _: () = assert!(0x0804_0000 + FIRST_PAGE_NUMBER as usize * PAGE_BYTES == FIRST_PAGE);
+
+/// What unlocks FLASH_CR.
+const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
+
+/// What NMI has to know of [`NorFlash::read`].
+static READ: AtomicU8 = AtomicU8::new(NO_READ);
+const NO_READ: u8 = 0;
+const READING: u8 = 1;
+const UNREADABLE: u8 = 2;
+
+/// The two pages.
+pub(crate) struct SettingsPages(());
+
+/// The two pages. To be asked for once.
+pub(crate) const fn settings_pages() -> SettingsPages {
+    SettingsPages(())
+}
+
+/// The address of a double word.
+fn address(page: Page, index: usize) -> Option<usize> {
+    let page = match page {
+        Page::First => FIRST_PAGE,
+        Page::Second => FIRST_PAGE + PAGE_BYTES,
+    };
+    (index < SettingsPages::PAGE_LEN).then(|| page.wrapping_add(index.wrapping_mul(DOUBLE_WORD_BYTES)))
+}
+
+impl SettingsPages {
+    /// Makes FLASH_CR writable, and clears the flags of what was before: some keep an operation from starting.
+    fn prepare(&mut self) -> Result<(), FlashError> {
+        let options = FLASH.optr().read();
+        if !options.dbank() || options.bfb2() {
+            return Err(FlashError::Protected);
+        }
+        if FLASH.sr().read().bsy() {
+            return Err(FlashError::Busy);
+        }
+        // Writing a one clears a flag.
+        FLASH.sr().write_value(errors());
+        if FLASH.cr().read().lock() {
+            for key in KEYS {
+                FLASH.keyr().write_value(key);
+            }
+        }
+        if FLASH.cr().read().lock() {
+            return Err(FlashError::Protected);
+        }
+        // By an erratum a read of one bank while the other is written can spoil the data cache; ST's own driver turns
+        // it off as well. The instruction cache stays on.
+        FLASH.acr().modify(|w| w.set_dcen(false));
+        Ok(())
+    }
+}
+
+impl NorFlash for SettingsPages {
+    const PAGE_LEN: usize = PAGE_BYTES / DOUBLE_WORD_BYTES;
+
+    fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
+        let low = with_exposed_provenance::<u32>(address(page, index).ok_or(Unreadable)?);
+        // While a flag is set, the next wrong double word is not noticed (FLASH_ECCR).
+        clear_ecc_flags();
+        READ.store(READING, Ordering::SeqCst);
+        // SAFETY: both words are in flash, aligned, and nothing but this driver writes them, by registers.
+        let (low, high) = unsafe { (low.read_volatile(), low.wrapping_add(1).read_volatile()) };
+        // NMI comes now at the latest.
+        dsb();
+        isb();
+        match READ.swap(NO_READ, Ordering::SeqCst) {
+            READING => Ok(u64::from(low) | u64::from(high) << 32),
+            _ => Err(Unreadable),
+        }
+    }
+
+    fn start_program(&mut self, page: Page, index: usize, value: u64) -> Result<(), FlashError> {
+        let low = with_exposed_provenance::<u32>(address(page, index).ok_or(FlashError::Failed)?).cast_mut();
+        self.prepare()?;
+        // An operation that was given up may have left the other bit.
+        FLASH.cr().modify(|w| {
+            w.set_per(false);
+            w.set_pg(true);
+        });
+        // SAFETY: with PG set, two stores to one double word of the settings' pages program it. No reference
+        // to it exists, and it is read by `read_volatile` alone.
+        unsafe {
+            low.write_volatile(value as u32);
+            // The low word first, whatever buffers there are.
+            isb();
+            low.wrapping_add(1).write_volatile((value >> 32) as u32);
+        }
+        // The flags are looked at after the stores.
+        dsb();
+        Ok(())
+    }
+
+    fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
+        self.prepare()?;
+        FLASH.cr().modify(|w| {
+            w.set_pg(false);
+            w.set_per(true);
+            w.set_bker(true);
+            w.set_pnb(match page {
+                Page::First => FIRST_PAGE_NUMBER,
+                Page::Second => FIRST_PAGE_NUMBER + 1,
+            });
+        });
+        FLASH.cr().modify(|w| w.set_strt(true));
+        dsb();
+        Ok(())
+    }
+
+    fn poll(&mut self) -> nb::Result<(), FlashError> {
+        let status = FLASH.sr().read();
+        if status.bsy() {
+            return Err(nb::Error::WouldBlock);
+        }
+        // EOP is set with its interrupt enabled only (FLASH_SR): that the operation did its work, a read tells.
+        let result = if status.wrperr() {
+            Err(FlashError::Protected)
+        } else if status.progerr() {
+            Err(FlashError::NotErased)
+        } else if status.0 & errors().0 != 0 {
+            Err(FlashError::Failed)
+        } else {
+            Ok(())
+        };
+        FLASH.cr().modify(|w| {
+            w.set_pg(false);
+            w.set_per(false);
+        });
+        FLASH.cr().modify(|w| w.set_lock(true));
+        // It may hold what was there before. It is reset while it is off (FLASH_ACR).
+        FLASH.acr().modify(|w| w.set_dcrst(true));
+        FLASH.acr().modify(|w| w.set_dcrst(false));
+        FLASH.acr().modify(|w| w.set_dcen(true));
+        result.map_err(nb::Error::Other)
+    }
+}
+
+/// The flags of every way in which an operation fails (FLASH_SR).
+fn errors() -> Sr {
+    let mut errors = Sr(0);
+    errors.set_operr(true);
+    errors.set_progerr(true);
+    errors.set_wrperr(true);
+    errors.set_pgaerr(true);
+    errors.set_sizerr(true);
+    errors.set_pgserr(true);
+    errors.set_miserr(true);
+    errors.set_fasterr(true);
+    errors
+}
+
+/// Writing a one clears a flag. The register's other bit that can be written is an interrupt's enable, which stays off.
+fn clear_ecc_flags() {
+    FLASH.eccr().write(|w| {
+        w.set_eccc(true);
+        w.set_eccd(true);
+    });
+}
+
+/// Flash with more wrong bits than can be corrected raises it: in the settings that is a power cut's work and no reason to
+/// start over, which would never end. Anywhere else the program is wrong.
+// SAFETY: the handler shares only an atomic with the program that was interrupted.
+#[exception]
+unsafe fn NonMaskableInt() {
+    // Each of the two words of a double word may raise it. Nothing interrupts this handler, so a load and a store do.
+    if FLASH.eccr().read().eccd() && READ.load(Ordering::SeqCst) != NO_READ {
+        READ.store(UNREADABLE, Ordering::SeqCst);
+        clear_ecc_flags();
+    } else {
+        SCB::sys_reset();
+    }
+}

@@ -1,0 +1,174 @@
+//! The bridge on the board NUCLEO-G474RE (STM32G474RE): start, main loop, faults.
+//!
+//! Here are pins, clocks, interrupts and nothing else; what the bridge does is in its library. Register names are those of ST's
+//! RM0440. Compiled, linked and measured; never run.
+
+#![no_std]
+#![no_main]
+#![deny(
+    clippy::undocumented_unsafe_blocks,
+    clippy::indexing_slicing,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic
+)]
+
+mod bus;
+mod can;
+mod clock;
+mod flash;
+mod pins;
+mod reset;
+mod settings;
+mod tick;
+mod uart;
+mod watchdog;
+
+use core::panic::PanicInfo;
+
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::{entry, exception};
+use stm32_metapac::UID;
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::indicator::Indication;
+use wsg_bridge_fw::io::{InputPort, OutputPort};
+use wsg_bridge_fw::registers::WrongSetting;
+use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_nucleo_g474re::NAME;
+
+use crate::can::Can;
+use crate::flash::SettingsPages;
+use crate::pins::Pins;
+
+#[entry]
+fn main() -> ! {
+    // Too large for the stack. (`entry` lends it safely: it runs once.)
+    static mut STATION: Station<Can> =
+        Station::new(CanBus::new(Can::new(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
+
+    // Outputs first: they show "not ready" through everything that may go wrong below.
+    let mut pins = pins::init();
+    let Some(core) = cortex_m::Peripherals::take() else { SCB::sys_reset() };
+    let reset_cause = reset::take_cause();
+    let watchdog = watchdog::start();
+    if clock::start().is_err() {
+        // No crystal, no baud rate to talk to the gripper with.
+        stay_not_ready(&mut pins, clock::RESET_HZ);
+    }
+    let mut flash = flash::settings_pages();
+    tick::start(core.SYST);
+    if start(STATION, &flash, reset_cause).is_err() {
+        // With other recipes than were asked for, no gripper should be moved.
+        stay_not_ready(&mut pins, clock::HCLK_HZ);
+    }
+    let mut gripper_line = uart::line();
+    let mut service_line = bus::service_line();
+    let mut modbus_line = bus::line();
+
+    let mut served_ms = 0;
+    loop {
+        let now_ms = tick::now_ms();
+        let (bus, service) = (&mut modbus_line, &mut service_line);
+        let outputs = STATION.turn(now_ms, pins.read(), &mut gripper_line, bus, service, &mut flash);
+        pins.write(outputs);
+        pins.indicate(STATION.bridge().indication().is_lit(now_ms));
+        if STATION.uses_profibus() && core::mem::replace(&mut served_ms, now_ms) != now_ms {
+            bus::serve_profibus();
+        }
+        if STATION.bridge().may_feed_watchdog(now_ms) {
+            watchdog.feed();
+        }
+        let uses_can = STATION.uses_can();
+        sleep_unless(|| {
+            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can::has_received())
+        });
+    }
+}
+
+/// Starts the bridge with its settings, and the lines that they choose. Apart: the configuration would be on the stack for ever.
+#[inline(never)]
+fn start(
+    station: &mut Station<Can>,
+    flash: &SettingsPages,
+    reset_cause: ResetCause,
+) -> Result<(), WrongSetting> {
+    // By reference: taken out of the result it would be there twice.
+    let loaded = load(station, flash);
+    let config = loaded.as_ref().map_err(|wrong| *wrong)?;
+    station.start(config, Board { name: NAME, serial: serial_number() }, reset_cause);
+    if config.gripper_line == GripperLine::Serial {
+        uart::start();
+    }
+    bus::start_service();
+    match config.plc_bus {
+        PlcBus::Modbus => bus::start(&config.bus),
+        PlcBus::Profibus => bus::start_profibus(),
+        PlcBus::Off | PlcBus::Canopen => {}
+    }
+    if station.uses_can() {
+        station.can().controller().start(&config.can);
+    }
+    Ok(())
+}
+
+#[inline(never)]
+fn load(station: &mut Station<Can>, flash: &SettingsPages) -> Result<Config, WrongSetting> {
+    station.load(&settings::delivered(), flash)
+}
+
+/// What of the MCU's unique identification fits into 32 bits (RM0440, "Unique device ID register"): the place on the wafer, the
+/// wafer with a part of the lot, and the rest of the lot.
+fn serial_number() -> u32 {
+    let words = [UID.uid(0).read(), UID.uid(1).read(), UID.uid(2).read()];
+    words.into_iter().fold(0, |number: u32, word| number.rotate_left(11) ^ word)
+}
+
+/// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.
+fn stay_not_ready(pins: &mut Pins, core_hz: u32) -> ! {
+    let mut now_ms = 0u32;
+    loop {
+        pins.indicate(Indication::NotStarted.is_lit(now_ms));
+        cortex_m::asm::delay(core_hz / 1_000);
+        now_ms = now_ms.wrapping_add(1);
+    }
+}
+
+/// Sleeps until the next interrupt, unless `there_is_work`.
+fn sleep_unless(there_is_work: impl FnOnce() -> bool) {
+    // An interrupt that comes between the look and `wfi` would be slept over until the next one. With
+    // interrupts masked it stays pending instead, and a pending interrupt ends `wfi` at once.
+    cortex_m::interrupt::free(|_| {
+        if !there_is_work() {
+            cortex_m::asm::wfi();
+        }
+    });
+}
+
+/// A reset puts every output low and lets the bridge start from what it can know for sure.
+#[cfg(not(feature = "prove-panic-free"))]
+#[panic_handler]
+fn panic(_: &PanicInfo) -> ! {
+    SCB::sys_reset()
+}
+
+#[cfg(feature = "prove-panic-free")]
+#[panic_handler]
+fn panic(_: &PanicInfo) -> ! {
+    unsafe extern "C" {
+        safe fn a_panic_can_be_reached() -> !;
+    }
+    a_panic_can_be_reached()
+}
+
+// SAFETY: the handler uses nothing of the program that was interrupted.
+#[exception(trampoline = false)]
+unsafe fn HardFault() -> ! {
+    SCB::sys_reset()
+}
+
+/// An interrupt that nobody enabled is as much a fault as a bus error.
+// SAFETY: the handler uses nothing of the program that was interrupted.
+#[exception]
+unsafe fn DefaultHandler(_interrupt: i16) -> ! {
+    SCB::sys_reset()
+}

@@ -1,0 +1,216 @@
+//! Where the PLC's wires are on the board NUCLEO-G474RE (STM32G474RE; ST UM2505, connectors CN7 and CN10).
+//!
+//! The firmware's pins and the documents both have them from these tables. Taken besides: USART1 to the gripper on PC4 (TX) and
+//! PC5 (RX); USART3 to the bus on PB10 (TX), PB11 (RX) and PB14 (driver enable); FDCAN1 on PA11 (RX) and PA12 (TX); USART2, the
+//! service port, on PA2 (TX) and PA3 (RX), which go to the ST-LINK.
+//!
+//! Left alone: PA13 to PA15, PB3 and PB4, the debug port; PB4 and PB6, which USB-C's dead battery logic pulls down after a
+//! reset; PB8, which is BOOT0; PC13, the button; PC14 and PC15, the slow crystal.
+
+#![no_std]
+#![forbid(unsafe_code)]
+#![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg_attr(test, allow(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod bit_timing;
+pub mod message_ram;
+mod uart_clock;
+
+pub use bit_timing::BitTiming;
+pub use uart_clock::UartClock;
+
+use wsg_bridge_fw::io::{Inputs, Outputs};
+
+/// The name of the board.
+pub const NAME: &str = "NUCLEO-G474RE";
+
+/// A GPIO port of the STM32G474RE that wires are on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Port {
+    /// GPIOA.
+    A,
+    /// GPIOB.
+    B,
+    /// GPIOC.
+    C,
+}
+
+impl Port {
+    /// The letter in the port's name.
+    #[must_use]
+    pub const fn letter(self) -> char {
+        match self {
+            Port::A => 'A',
+            Port::B => 'B',
+            Port::C => 'C',
+        }
+    }
+}
+
+/// A wire from the PLC and the pin it ends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InputWire {
+    /// The one bit of [`Inputs`] this wire is.
+    pub signal: Inputs,
+    /// The pin's port.
+    pub port: Port,
+    /// The pin's number in its port, 0 to 15.
+    pub pin: u8,
+    /// The pin on ST's Morpho connectors: CN7 or CN10, and its number there.
+    pub connector: &'static str,
+}
+
+/// A wire to the PLC and the pin of [`OUTPUT_PORT`] it starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutputWire {
+    /// The one bit of [`Outputs`] this wire is.
+    pub signal: Outputs,
+    /// The pin's number in its port, 0 to 15.
+    pub pin: u8,
+    /// The pin on ST's Morpho connectors: CN7 or CN10, and its number there.
+    pub connector: &'static str,
+}
+
+/// The input wires, in the order of the bits of [`Inputs`].
+pub const INPUTS: [InputWire; Inputs::COUNT] = [
+    InputWire { signal: Inputs::GRIP, port: Port::A, pin: 0, connector: "CN7-28" },
+    InputWire { signal: Inputs::RELEASE, port: Port::A, pin: 1, connector: "CN7-30" },
+    InputWire { signal: Inputs::MOVE, port: Port::A, pin: 4, connector: "CN7-32" },
+    InputWire { signal: Inputs::HOME, port: Port::B, pin: 0, connector: "CN7-34" },
+    InputWire { signal: Inputs::STOP_ACK, port: Port::C, pin: 1, connector: "CN7-36" },
+    InputWire { signal: Inputs::FAST_STOP_OK, port: Port::C, pin: 0, connector: "CN7-38" },
+    InputWire { signal: Inputs::RECIPE0, port: Port::C, pin: 2, connector: "CN7-35" },
+    InputWire { signal: Inputs::RECIPE1, port: Port::C, pin: 3, connector: "CN7-37" },
+];
+
+/// The port all outputs are on, so that one write changes them together.
+pub const OUTPUT_PORT: Port = Port::C;
+
+/// The output wires, in the order of the bits of [`Outputs`].
+pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
+    OutputWire { signal: Outputs::READY, pin: 6, connector: "CN10-4" },
+    OutputWire { signal: Outputs::BUSY, pin: 7, connector: "CN10-19" },
+    OutputWire { signal: Outputs::HOLDING, pin: 8, connector: "CN10-2" },
+    OutputWire { signal: Outputs::PART_FAULT, pin: 9, connector: "CN10-1" },
+    OutputWire { signal: Outputs::ERROR, pin: 10, connector: "CN7-1" },
+    OutputWire { signal: Outputs::REFERENCED, pin: 11, connector: "CN7-2" },
+    OutputWire { signal: Outputs::LINK_OK, pin: 12, connector: "CN7-3" },
+];
+
+/// All pins of [`OUTPUTS`] as a mask of [`OUTPUT_PORT`].
+pub const OUTPUT_PINS: u16 = {
+    let mut mask = 0;
+    let mut wire = 0;
+    while wire < OUTPUTS.len() {
+        #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
+        {
+            mask |= 1 << OUTPUTS[wire].pin;
+        }
+        wire += 1;
+    }
+    mask
+};
+
+const _: () = assert!(OUTPUT_PINS.count_ones() as usize == Outputs::COUNT);
+
+/// The port and pin of the board's green LD2, lit when high: it shows the bridge's
+/// [`Indication`](wsg_bridge_fw::indicator::Indication).
+pub const INDICATOR: (Port, u8) = (Port::A, 5);
+
+/// The levels of [`OUTPUT_PORT`] that show `outputs`; unused pins are 0.
+#[must_use]
+pub fn port_from_outputs(outputs: Outputs) -> u16 {
+    OUTPUTS.iter().filter(|wire| outputs.contains(wire.signal)).fold(0, |levels, wire| levels | 1 << wire.pin)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The pins of the MCU on the Morpho connectors, by the numbers there (UM2505).
+    const CN7: [(u8, char, u8); 21] = [
+        (1, 'C', 10),
+        (2, 'C', 11),
+        (3, 'C', 12),
+        (4, 'D', 2),
+        (13, 'A', 13),
+        (15, 'A', 14),
+        (17, 'A', 15),
+        (21, 'B', 7),
+        (23, 'C', 13),
+        (25, 'C', 14),
+        (27, 'C', 15),
+        (28, 'A', 0),
+        (29, 'F', 0),
+        (30, 'A', 1),
+        (31, 'F', 1),
+        (32, 'A', 4),
+        (34, 'B', 0),
+        (35, 'C', 2),
+        (36, 'C', 1),
+        (37, 'C', 3),
+        (38, 'C', 0),
+    ];
+    const CN10: [(u8, char, u8); 8] = [
+        (1, 'C', 9),
+        (2, 'C', 8),
+        (3, 'B', 8),
+        (4, 'C', 6),
+        (5, 'B', 9),
+        (6, 'C', 5),
+        (11, 'A', 5),
+        (19, 'C', 7),
+    ];
+
+    fn is_there(connector: &str, port: Port, pin: u8) -> bool {
+        let (connector, number) = connector.split_once('-').unwrap();
+        let pins: &[_] = match connector {
+            "CN7" => &CN7,
+            "CN10" => &CN10,
+            _ => panic!("there is no {connector}"),
+        };
+        pins.contains(&(number.parse().unwrap(), port.letter(), pin))
+    }
+
+    #[test]
+    fn tables_follow_the_order_of_the_bits() {
+        assert!(INPUTS.iter().map(|wire| wire.signal).eq(Inputs::all().iter()));
+        assert!(OUTPUTS.iter().map(|wire| wire.signal).eq(Outputs::all().iter()));
+    }
+
+    #[test]
+    fn each_pin_is_where_the_board_has_it() {
+        for wire in INPUTS {
+            assert!(is_there(wire.connector, wire.port, wire.pin), "{wire:?}");
+        }
+        for wire in OUTPUTS {
+            assert!(is_there(wire.connector, OUTPUT_PORT, wire.pin), "{wire:?}");
+        }
+    }
+
+    #[test]
+    fn no_pin_is_used_twice() {
+        // What has functions of its own: lines, CAN, debug port, BOOT0, button, crystals, and what USB-C pulls down.
+        let mut used = [
+            1 << 2 | 1 << 3 | 0b1_1111 << 11,
+            1 << 3 | 1 << 4 | 1 << 6 | 1 << 8 | 1 << 10 | 1 << 11 | 1 << 14,
+            1 << 4 | 1 << 5 | 0b111u16 << 13,
+        ];
+        let wires = INPUTS.iter().map(|wire| (wire.port, wire.pin));
+        let wires = wires.chain(OUTPUTS.iter().map(|wire| (OUTPUT_PORT, wire.pin)));
+        for (port, pin) in wires.chain([INDICATOR]) {
+            let taken = &mut used[port as usize];
+            assert_eq!(*taken & 1 << pin, 0, "P{}{pin}", port.letter());
+            *taken |= 1 << pin;
+        }
+    }
+
+    #[test]
+    fn each_output_is_shown_at_its_pin_alone() {
+        for wire in OUTPUTS {
+            assert_eq!(port_from_outputs(wire.signal), 1 << wire.pin);
+        }
+        assert_eq!(port_from_outputs(Outputs::all()), OUTPUT_PINS);
+        assert_eq!(port_from_outputs(Outputs::empty()), 0);
+    }
+}
