@@ -25,6 +25,7 @@ const DOCUMENTS: &[&str] = &[
     "docs/service-port.md",
     "docs/states.md",
     "docs/pico.md",
+    "docs/nucleo-g474re.md",
     "docs/decode.md",
     "docs/telemetry.md",
     "docs/tool.md",

@@ -69,6 +69,16 @@ fn wires_of_the_pico() -> String {
     )
 }
 
+fn wires_of_the_nucleo() -> String {
+    use wsg_nucleo_g474re::{INPUTS, OUTPUT_PORT, OUTPUTS, Port};
+    let pins = |connector: &str, port: Port, pin| [connector.to_owned(), format!("P{}{pin}", port.letter())];
+    wires(
+        "pin",
+        INPUTS.map(|wire| (wire.signal, pins(wire.connector, wire.port, wire.pin))),
+        OUTPUTS.map(|wire| (wire.signal, pins(wire.connector, OUTPUT_PORT, wire.pin))),
+    )
+}
+
 fn recipes() -> String {
     let hundredths = |value: i32| format!("{:.1}", f64::from(value) / 100.0);
     let by_wires = 1 << 2;
@@ -125,6 +135,7 @@ fn fast_stop() -> String {
 fn wiring_in_the_documents_is_that_of_the_board_files() {
     hold("docs/wiring.md", "wires", &wires_of_the_default_board());
     hold("docs/pico.md", "wires", &wires_of_the_pico());
+    hold("docs/nucleo-g474re.md", "wires", &wires_of_the_nucleo());
 }
 
 #[test]
