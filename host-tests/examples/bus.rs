@@ -31,7 +31,7 @@ fn main() -> Result<()> {
     let trace = Trace::new(vec![Box::new(std::io::stderr())]);
     let config = Config { part: Part::of_width(20.0), ..Config::default() };
     let line = board.take_gripper_line().context("the gripper's line is taken")?;
-    let _gripper = GripperEnd::start(line, config, &trace)?;
+    let _gripper = GripperEnd::start(line, board.clock(), config, &trace)?;
     loop {
         std::thread::park();
     }

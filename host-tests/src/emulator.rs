@@ -7,7 +7,7 @@
 //! The emulator ends with the process that started it, however that ends.
 //!
 //! Peripherals that QEMU's machine lacks are models, for those who want them ([`Extras::models`]); the Pico's lines run at their
-//! rates. What nothing here shows are real time, baud rates on QEMU's lines and electrical levels.
+//! rates, and its time stands until a gripper on one of them has come up to it ([`Emulator::clock`]). What nothing here shows are real time, baud rates on QEMU's lines and electrical levels.
 
 mod output_port;
 mod qemu;
@@ -32,6 +32,7 @@ use self::qemu::{QEMU, Qemu};
 use self::rp2040::{NODE, Rp2040};
 use self::watch::Watch;
 use crate::can_bus::CanBus;
+use crate::clock::Clock;
 use crate::mcp2515::Mcp2515;
 use crate::registers::RegisterModel;
 
@@ -65,6 +66,7 @@ pub struct Emulator {
     inputs: Mutex<Inputs>,
     lines: Lines,
     watch: Arc<Watch>,
+    clock: Clock,
 }
 
 /// What a board may have besides its wires.
@@ -112,14 +114,15 @@ impl Emulator {
     pub fn start_with(elf: &Path, extras: Extras<'_>) -> Result<Self> {
         let is_pico = entry(elf).is_some_and(|entry| rp2040::FLASH.contains(&entry));
         let watch = Arc::new(Watch::of(if is_pico { NODE } else { QEMU }));
+        let clock = if is_pico { Clock::of_machine() } else { Clock::wall() };
         let (chip, lines): (Box<dyn Chip>, Lines) = if is_pico {
-            let (rp2040, lines) = Rp2040::start(elf, &extras, &watch)?;
+            let (rp2040, lines) = Rp2040::start(elf, &extras, &watch, &clock)?;
             (Box::new(rp2040), lines)
         } else {
             let (qemu, lines) = Qemu::start(elf, extras, &watch)?;
             (Box::new(qemu), lines)
         };
-        Ok(Self { chip, inputs: Mutex::new(Inputs::empty()), lines, watch })
+        Ok(Self { chip, inputs: Mutex::new(Inputs::empty()), lines, watch, clock })
     }
 
     /// The gripper's end of the line: what the firmware sends comes out, what goes in it receives.
@@ -142,6 +145,12 @@ impl Emulator {
     /// [`take_modbus_line`](Self::take_modbus_line).
     pub fn take_service_line(&mut self) -> Option<UnixStream> {
         self.lines.service.take()
+    }
+
+    /// The clock that a virtual gripper on one of its lines goes by.
+    #[must_use]
+    pub fn clock(&self) -> Clock {
+        self.clock.clone()
     }
 
     /// Drives all input wires; those that change do so one after the other, in the order of their bits.

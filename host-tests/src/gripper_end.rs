@@ -1,16 +1,17 @@
-//! The gripper's end of the line: a virtual gripper in real time, and a line that can be cut and disturbed.
+//! The gripper's end of the line: a virtual gripper in the board's time, and a line that can be cut and disturbed.
 
 use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use wsg_protocol::{Event, FrameParser, frame::MAX_MESSAGE_LEN};
 use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
 
+use crate::clock::Clock;
 use crate::faulty_link::FaultyWay;
 use crate::trace::{Entry, Trace};
 use crate::uninterrupted;
@@ -47,16 +48,18 @@ struct World {
     seen: FrameParser<MAX_MESSAGE_LEN>,
     traced_width: f32,
     config: Config,
-    start: Instant,
+    clock: Clock,
+    /// When it was switched on.
+    start: Duration,
     trace: Trace,
 }
 
 impl GripperEnd {
-    /// Switches a gripper on at this end of a line.
+    /// Switches a gripper on at this end of a line, which goes by this clock: that of the board at the other end.
     ///
     /// # Errors
     /// When the line or a thread cannot be set up.
-    pub fn start(line: UnixStream, config: Config, trace: &Trace) -> Result<Self> {
+    pub fn start(line: UnixStream, clock: Clock, config: Config, trace: &Trace) -> Result<Self> {
         let reader = line.try_clone().context("cannot listen on the gripper's line")?;
         let (gripper, port) = switch_on(config)?;
         let world = World {
@@ -69,13 +72,20 @@ impl GripperEnd {
             seen: FrameParser::new(),
             traced_width: f32::NAN,
             config,
-            start: Instant::now(),
+            start: clock.now(),
+            clock: clock.clone(),
             trace: trace.clone(),
         };
         let shared = Arc::new(Shared { world: Mutex::new(world), over: AtomicBool::new(false) });
-        let serving = Arc::clone(&shared);
-        let thread = thread::Builder::new().name("gripper".into()).spawn(move || serve(&serving, &reader))?;
-        Ok(Self { shared, thread: Some(thread) })
+        if clock.is_wall() {
+            let serving = Arc::clone(&shared);
+            let thread = thread::Builder::new().name("gripper".into());
+            let thread = thread.spawn(move || serve(&serving, &reader))?;
+            return Ok(Self { shared, thread: Some(thread) });
+        }
+        let followed = Arc::downgrade(&shared);
+        clock.follow(move || followed.upgrade().is_some_and(|shared| come_up(&shared, &reader)));
+        Ok(Self { shared, thread: None })
     }
 
     /// How the gripper is at this moment.
@@ -115,7 +125,7 @@ impl GripperEnd {
         let mut world = self.world();
         let (gripper, port) = switch_on(world.config)?;
         (world.gripper, world.port) = (gripper, port);
-        world.start = Instant::now();
+        world.start = world.clock.now();
         Ok(())
     }
 
@@ -168,20 +178,41 @@ fn switch_on(config: Config) -> Result<(VirtualGripper<1>, PortId)> {
 
 /// Passes bytes and time to the gripper until this end is dropped or the other one hangs up.
 fn serve(shared: &Shared, line: &UnixStream) {
-    let mut chunk = [0; 256];
     while !shared.over.load(Ordering::Relaxed) {
         let wait = lock(&shared.world).until_next_wake().clamp(Duration::from_micros(100), LOOK_AROUND);
-        let bytes = match uninterrupted::read_within(line, &mut chunk, wait) {
-            Ok(Some(0)) | Err(_) => return,
-            Ok(count) => chunk.get(..count.unwrap_or(0)).unwrap_or(&[]),
-        };
-        lock(&shared.world).turn(bytes);
+        if !take(shared, line, wait) {
+            return;
+        }
     }
+}
+
+/// The same once, for what has come; whether it is to go on.
+fn come_up(shared: &Shared, line: &UnixStream) -> bool {
+    match uninterrupted::is_readable_within(line, Duration::ZERO) {
+        Ok(true) => take(shared, line, Duration::ZERO),
+        Ok(false) => {
+            lock(&shared.world).turn(&[]);
+            true
+        }
+        Err(_) => false,
+    }
+}
+
+/// Passes what comes within this time; whether the other end is still there.
+fn take(shared: &Shared, line: &UnixStream, within: Duration) -> bool {
+    let mut chunk = [0; 256];
+    let bytes = match uninterrupted::read_within(line, &mut chunk, within) {
+        Ok(Some(0)) | Err(_) => return false,
+        Ok(count) => chunk.get(..count.unwrap_or(0)).unwrap_or(&[]),
+    };
+    lock(&shared.world).turn(bytes);
+    true
 }
 
 impl World {
     fn now(&self) -> Time {
-        Time::from_micros(self.start.elapsed().as_micros().try_into().unwrap_or(u64::MAX))
+        let since = self.clock.now().saturating_sub(self.start);
+        Time::from_micros(since.as_micros().try_into().unwrap_or(u64::MAX))
     }
 
     fn until_next_wake(&self) -> Duration {

@@ -10,6 +10,7 @@
 //! | [`can_controller`] | what a bus asks of a CAN controller |
 //! | [`can_hub`] | those on that bus besides the board: a gripper, a master |
 //! | [`can_wire`] | a frame as it is on the wire of a CAN bus |
+//! | [`clock`] | the time that those beside an emulated board go by |
 //! | [`document`] | the documents as files, and the writer of what is generated in them |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`chance`] | numbers that look random, the same ones for the same seed |
@@ -55,6 +56,7 @@ pub mod can_controller;
 pub mod can_hub;
 pub mod can_wire;
 pub mod chance;
+pub mod clock;
 pub mod document;
 #[cfg(unix)]
 pub mod emulator;

@@ -52,7 +52,7 @@ impl Rig {
     pub fn power_up(elf: &Path, config: Config, trace: Trace) -> Result<Self> {
         let mut board = Emulator::start(elf)?;
         let line = board.take_gripper_line().context("the board's line was taken")?;
-        let gripper = GripperEnd::start(line, config, &trace)?;
+        let gripper = GripperEnd::start(line, board.clock(), config, &trace)?;
         let changes = Mutex::new((board.output_changes(), Outputs::empty()));
         let (traced, watched) = (trace.clone(), board.output_changes());
         thread::spawn(move || {

@@ -492,9 +492,13 @@ fn flashed_image_is_set_up_over_its_service_port_and_keeps_it_over_a_power_cycle
         flash.power_cycle();
         let extras = Extras { models: flash.models(), ..Extras::default() };
         let mut board = Emulator::start_with(&elf, extras).unwrap();
-        let gripper =
-            GripperEnd::start(board.take_gripper_line().unwrap(), wsg_sim::Config::default(), &trace)
-                .unwrap();
+        let gripper = GripperEnd::start(
+            board.take_gripper_line().unwrap(),
+            board.clock(),
+            wsg_sim::Config::default(),
+            &trace,
+        )
+        .unwrap();
         let cable = Terminal::to(board.take_service_line().unwrap()).unwrap();
         (board, gripper, cable)
     };

@@ -4,7 +4,8 @@
 //
 // In the folder are the sockets that this connects to: `control`, a line a command and a line an answer or an event; `gripper`
 // (UART0), `bus` (UART1) and `service` (USB). With --can an MCP2515 is on SPI0, whose model asks and answers over standard input
-// and output. Time is the machine's: asleep it follows the clock on the wall; busy, it takes as long as it does.
+// and output. Time is the machine's: asleep it follows the clock on the wall; busy, it takes as long as it does. It stands again
+// and again until those beside it have come up to it: event `time MICROS`, and then the line `go on`, which has no answer.
 //
 // Commands: `in PIN LEVEL`; `read ADDRESS LEN`; `time`; `error UART KIND EVERY`, `error UART none`; `cut OPERATIONS`.
 // Answers: `ok ...`, `refused WHY`. Events: `out LEVELS` of the pins in MASK; `served LEVELS`, the first that
@@ -43,8 +44,8 @@ const BOOT_STACK = 0x20041f00, BOOT_ENTRY = 0x10000000;
 // How far the machine's time may be ahead of the wall's when it sleeps, which saves a pause that no host could make so short;
 // and by how much it may be late and still catch up.
 const AHEAD_NANOS = 1e6, LATE_NANOS = 50e6;
-// How long, on the wall and for the machine, until commands and bytes are looked at.
-const SLICE_MILLIS = 1, SLICE_NANOS = 2e6;
+// How long, on the wall, until commands and bytes are looked at; and how far the machine may be ahead of those beside it.
+const SLICE_MILLIS = 1, AHEAD_OF_OTHERS_NANOS = 2e6;
 
 // Pins that firmware drives one by one change one after the other: told is how they are a moment after the first of them, shorter
 // than any input of a PLC is filtered.
@@ -69,6 +70,9 @@ class Pico {
         this.toSend = this.lines.map(() => []);
         this.control = connect("control").on("data", (text) => this.onControl(text)).on("close", () => process.exit());
         this.partial = "";
+        // What those beside the machine know of its time, and whether it waits for them.
+        this.toldNanos = 0;
+        this.isHeld = false;
         this.offset = 0;
         this.model = options.can ? new SpiToModel() : null;
         this.powerUp(0);
@@ -232,6 +236,12 @@ class Pico {
         const lines = (this.partial + text).split("\n");
         this.partial = lines.pop();
         for (const line of lines) {
+            if (line === "go on") {
+                this.isHeld = false;
+                // Behind what came together with it on the other lines.
+                setImmediate(() => this.run());
+                continue;
+            }
             try {
                 const answer = this.command(line.split(" "));
                 this.tell(answer === undefined ? "ok" : `ok ${answer}`);
@@ -277,7 +287,7 @@ class Pico {
     wakeUp() {
         const { clock } = this;
         if (!this.rp2040.core.waiting) return;
-        const until = Math.min(this.wall(), clock.nextAlarm?.nanos ?? Infinity);
+        const until = Math.min(this.wall(), clock.nextAlarm?.nanos ?? Infinity, this.untilNanos);
         if (until > clock.nanosCounter) clock.tick(until - clock.nanosCounter);
     }
 
@@ -289,14 +299,19 @@ class Pico {
         }
     }
 
+    // When it waits at the latest; while it does, that is now.
+    get untilNanos() {
+        return this.isHeld ? this.clock.nanosCounter : this.toldNanos + AHEAD_OF_OTHERS_NANOS;
+    }
+
     get isRunning() {
         return this.ended === null && !this.isReset;
     }
 
     run() {
-        const { clock, flash } = this;
+        const { clock, flash, untilNanos } = this;
         const { core } = this.rp2040;
-        const until = performance.now() + SLICE_MILLIS, untilNanos = clock.nanosCounter + SLICE_NANOS;
+        const until = performance.now() + SLICE_MILLIS;
         const cycleNanos = 1e9 / this.rp2040.clkSys;
         let late = this.wall() - clock.nanosCounter;
         if (late > LATE_NANOS) this.offset += late - LATE_NANOS;
@@ -312,7 +327,7 @@ class Pico {
                     core.waiting = false;
                     core.interruptsUpdated = true;
                 } else {
-                    const alarm = clock.nextAlarm?.nanos ?? Infinity;
+                    const alarm = Math.min(clock.nextAlarm?.nanos ?? Infinity, untilNanos);
                     const ahead = alarm - this.wall();
                     if (ahead > AHEAD_NANOS) {
                         this.flush();
@@ -326,7 +341,16 @@ class Pico {
         } while (this.isRunning && clock.nanosCounter < untilNanos && performance.now() < until);
         this.flush();
         if (this.isReset) this.restart();
-        if (this.ended === null) setImmediate(() => this.run());
+        if (this.ended !== null) return;
+        if (clock.nanosCounter < untilNanos) setImmediate(() => this.run());
+        else this.hold();
+    }
+
+    // Until those beside the machine are as far as it is.
+    hold() {
+        this.toldNanos = this.clock.nanosCounter;
+        this.isHeld = true;
+        this.tell(`time ${Math.floor(this.toldNanos / 1000)}`);
     }
 
     // What the flash has taken, and that nobody runs from it meanwhile.

@@ -54,7 +54,7 @@ impl Rig {
         let mut board = Emulator::start_with(elf, extras)?;
         let line = board.take_gripper_line().context("the board's line was taken")?;
         let config = Config { time_scale: 10.0, ..Config::default() };
-        let gripper = GripperEnd::start(line, config, &Trace::new(vec![]))?;
+        let gripper = GripperEnd::start(line, board.clock(), config, &Trace::new(vec![]))?;
         Ok(Self { board, gripper })
     }
 

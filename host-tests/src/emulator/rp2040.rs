@@ -1,6 +1,6 @@
 //! A Raspberry Pi Pico in rp2040js: `emulators/rp2040/main.js` runs under Node.js, and takes commands on a socket.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::num::NonZero;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
@@ -18,6 +18,7 @@ use super::sockets::Sockets;
 use super::watch::Watch;
 use super::{Chip, Extras, Lines, PATIENCE, end, lock};
 use crate::can_bus::CanBus;
+use crate::clock::Clock;
 use crate::masters::NODE_VARIABLE;
 use crate::mcp2515::Mcp2515;
 
@@ -45,8 +46,8 @@ pub(super) struct Rp2040 {
     _turn: Turn,
 }
 
-/// Leave to run one. Each computes a good third of the time; many at once would all be late for what is on their lines. Whoever
-/// has one and starts another may wait for ever.
+/// Leave to run one. Each computes a good third of the time; many at once would all be slow for masters that go by the wall.
+/// Whoever has one and starts another may wait for ever.
 #[derive(Debug)]
 struct Turn;
 
@@ -72,13 +73,28 @@ impl Drop for Turn {
 
 #[derive(Debug)]
 struct Control {
-    line: UnixStream,
+    commands: Commands,
     answers: Receiver<String>,
+}
+
+/// Where commands go to it, a whole line at a time, from whatever thread.
+#[derive(Clone, Debug)]
+struct Commands(Arc<Mutex<UnixStream>>);
+
+impl Commands {
+    fn send(&self, line: &str) -> io::Result<()> {
+        lock(&self.0).write_all(format!("{line}\n").as_bytes())
+    }
 }
 
 impl Rp2040 {
     /// Starts it, and returns when the firmware's main loop runs.
-    pub(super) fn start(elf: &Path, extras: &Extras<'_>, watch: &Arc<Watch>) -> Result<(Self, Lines)> {
+    pub(super) fn start(
+        elf: &Path,
+        extras: &Extras<'_>,
+        watch: &Arc<Watch>,
+        clock: &Clock,
+    ) -> Result<(Self, Lines)> {
         ensure!(
             extras.models.is_empty() && extras.semihosting.is_none() && extras.qemu_arguments.is_empty(),
             "the image is for the Pico, what it is to have for QEMU"
@@ -124,23 +140,24 @@ impl Rp2040 {
         let line = started.accept(&sockets, CONTROL);
         let line = line.with_context(|| lock(&watch.seen).last_words())?;
         let (answer, answers) = mpsc::channel();
-        let (told, told_to) = (line.try_clone()?, Arc::clone(watch));
-        thread::spawn(move || follow(told, &answer, &told_to));
+        let (told, commands) = (line.try_clone()?, Commands(Arc::new(Mutex::new(line))));
+        let (told_to, clock, and_back) = (Arc::clone(watch), clock.clone(), commands.clone());
+        thread::spawn(move || follow(told, &answer, &told_to, &clock, &and_back));
         let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
         running.with_context(|| format!("no firmware for this board comes up from {}", elf.display()))?;
         // It connects the other lines first.
         let [gripper, bus, service] =
             [GRIPPER_LINE, BUS_LINE, SERVICE_LINE].map(|name| sockets.accept(name).map(Some));
         let lines = Lines { gripper: gripper?, bus: bus?, service: service? };
-        let control = Mutex::new(Control { line, answers });
+        let control = Mutex::new(Control { commands, answers });
         Ok((Self { process: started.keep()?, control, _turn: turn }, lines))
     }
 
     /// What it answers to a command, behind its `ok`.
     fn ask(&self, command: &str) -> Result<String> {
-        let mut control = lock(&self.control);
+        let control = lock(&self.control);
         let no_answer = || format!("{NODE} does not answer `{command}`");
-        writeln!(control.line, "{command}").with_context(no_answer)?;
+        control.commands.send(command).with_context(no_answer)?;
         let answer = control.answers.recv_timeout(PATIENCE).with_context(no_answer)?;
         match answer.split_once(' ').unwrap_or((&answer, "")) {
             ("ok", told) => Ok(told.to_owned()),
@@ -260,14 +277,19 @@ fn hear(said: ChildStderr, watch: &Watch) {
     watch.end();
 }
 
-/// Takes in its answers and events until it ends.
-fn follow(line: UnixStream, answer: &Sender<String>, watch: &Watch) {
+/// Takes in its answers and events until it ends, and lets it go on when those beside it have come up to its time.
+fn follow(line: UnixStream, answer: &Sender<String>, watch: &Watch, clock: &Clock, commands: &Commands) {
     for line in BufReader::new(line).lines().map_while(Result::ok) {
         match line.split_once(' ').unwrap_or((&line, "")) {
             (event @ ("out" | "served"), levels) => {
                 watch.show(outputs_from_gpios(levels.parse().unwrap_or(0)), event == "served");
             }
             ("end", why) => watch.fail(why),
+            ("time", micros) => {
+                clock.tell(micros.parse().unwrap_or(0));
+                // It may have ended.
+                let _ = commands.send("go on");
+            }
             ("reset", _) => {}
             // Who asked may have given up.
             _ => drop(answer.send(line)),

@@ -42,7 +42,8 @@ impl Plant {
         board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
         let trace = Trace::new(vec![]);
         let config = Config { time_scale: 10.0, ..Config::default() };
-        let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+        let gripper =
+            GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
         let master = Master::new(board.take_modbus_line().unwrap(), UNIT);
         let mut plant = Self { board, trace, master, _gripper: gripper };
         // BUS_TIMEOUT to BUS_CHAR_TIMEOUT: a host may pause inside of frames.

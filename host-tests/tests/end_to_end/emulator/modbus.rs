@@ -29,7 +29,8 @@ impl Plant {
         let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
         board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
         let trace = Trace::new(vec![]);
-        let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+        let gripper =
+            GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
         let master = Master::new(board.take_modbus_line().unwrap(), UNIT);
         let mut plant = Self { board, gripper, trace, master };
         let bound = Instant::now() + Duration::from_secs(60);

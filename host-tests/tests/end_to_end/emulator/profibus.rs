@@ -89,7 +89,8 @@ fn board() -> (Emulator, Trace, GripperEnd, UnixStream) {
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
     let trace = Trace::new(vec![]);
     let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
-    let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+    let gripper =
+        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
     let line = board.take_modbus_line().unwrap();
     (board, trace, gripper, line)
 }

@@ -43,7 +43,8 @@ impl Plant {
         let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
         let trace = Trace::new(vec![]);
         let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
-        let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+        let gripper =
+            GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
         let cable = Terminal::to(board.take_service_line().unwrap()).unwrap();
         let plant = Self { board, _gripper: gripper, cable, trace };
         plant.wait(107, 2);

@@ -27,7 +27,9 @@ pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> 
 /// What a person with a USB cable does, to a board whose gripper is on RS-232.
 fn reads_and_sets(mut board: Emulator, plc_bus: &str) {
     let trace = Trace::new(vec![]);
-    let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), Config::default(), &trace).unwrap();
+    let gripper =
+        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), Config::default(), &trace)
+            .unwrap();
     let terminal = Terminal::to(board.take_service_line().unwrap()).unwrap();
     let poll = |arguments: &[&str], values: &[&str]| poll(&terminal, arguments, values);
 
@@ -76,7 +78,9 @@ fn mbpoll_reads_and_sets_over_the_service_port_beside_canopen() {
 fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
     let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
     let trace = Trace::new(vec![]);
-    let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), Config::default(), &trace).unwrap();
+    let gripper =
+        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), Config::default(), &trace)
+            .unwrap();
     let terminal = Terminal::to(board.take_service_line().unwrap()).unwrap();
     let answers = (0..50)
         .map(|_| poll(&terminal, &["-t", "3", "-r", "107", "-c", "1"], &[]))

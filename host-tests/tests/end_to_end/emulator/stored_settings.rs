@@ -65,7 +65,7 @@ impl Plant {
         let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
         let trace = Trace::new(vec![]);
         let line = board.take_gripper_line().unwrap();
-        let gripper = GripperEnd::start(line, Config::default(), &trace).unwrap();
+        let gripper = GripperEnd::start(line, board.clock(), Config::default(), &trace).unwrap();
         let service = Master::new(board.take_service_line().unwrap(), 1);
         Self { board, flash, service, _gripper: gripper, trace }
     }

@@ -28,7 +28,9 @@ fn firmware_that_hangs_is_reset_and_its_outputs_go_low() {
     let extras = Extras { models: vec![Box::new(iwdg.clone()), Box::new(iwdg.flags())], ..Extras::default() };
     let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
     let trace = Trace::new(vec![]);
-    let _gripper = GripperEnd::start(board.take_gripper_line().unwrap(), Config::default(), &trace).unwrap();
+    let _gripper =
+        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), Config::default(), &trace)
+            .unwrap();
     let mut master = Master::new(board.take_modbus_line().unwrap(), 1);
     let mut reset_cause = || u16::from(*master.ask(&[4, 0, RESET_CAUSE, 0, 1]).unwrap().last().unwrap());
     // At the nominal rate of its clock.

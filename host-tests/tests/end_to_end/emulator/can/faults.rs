@@ -49,7 +49,7 @@ fn plant<C: CanBoard>(image: (&str, u32), config: Config) -> Plant<C> {
     let (board, bus, hub) = power_up::<C>(image);
     let CanHub { gripper, master } = hub;
     let trace = Trace::new(vec![]);
-    let gripper = GripperEnd::start(gripper, config, &trace).unwrap();
+    let gripper = GripperEnd::start(gripper, board.clock(), config, &trace).unwrap();
     make_ready(&board);
     Plant { board, bus, gripper, trace, _master: master }
 }

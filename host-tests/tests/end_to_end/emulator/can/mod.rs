@@ -225,7 +225,7 @@ fn assert_one_cycle(gripper: &GripperEnd, trace: &Trace) {
 fn gripper_on_can_runs_a_grip_cycle_by_wires<C: CanBoard>() {
     let (board, bus, hub) = power_up::<C>(GRIPPER_ON_CAN);
     let trace = Trace::new(vec![]);
-    let gripper = GripperEnd::start(hub.gripper, config(), &trace).unwrap();
+    let gripper = GripperEnd::start(hub.gripper, board.clock(), config(), &trace).unwrap();
     make_ready(&board);
     command(&board, Inputs::HOME, READY | Outputs::REFERENCED);
     command(&board, Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
@@ -239,7 +239,7 @@ fn run_master(settings: (&str, u32), gripper_on_bus: bool) {
     let (mut board, bus, hub) = power_up::<Bxcan>(settings);
     let line = if gripper_on_bus { hub.gripper } else { board.take_gripper_line().unwrap() };
     let trace = Trace::new(vec![]);
-    let gripper = GripperEnd::start(line, config(), &trace).unwrap();
+    let gripper = GripperEnd::start(line, board.clock(), config(), &trace).unwrap();
     // The gripper confirms the FAST STOP of power-up.
     board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();

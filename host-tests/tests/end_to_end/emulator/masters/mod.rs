@@ -35,7 +35,8 @@ fn plant(board: Board) -> Plant {
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
     let trace = Trace::new(vec![]);
     let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
-    let gripper = GripperEnd::start(board.take_gripper_line().unwrap(), config, &trace).unwrap();
+    let gripper =
+        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
     let mut master = Master::new(board.take_modbus_line().unwrap(), 1);
     let bound = Instant::now() + Duration::from_secs(60);
     while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
