@@ -21,9 +21,6 @@ use crate::{
 
 const TESTS: &str = "tests, emulator included";
 
-/// The emulator of the Pico, as it stands in the names of its tests.
-const PICO: &str = "rp2040js";
-
 /// Runs all checks; with `filter` only the tests that it names. What could not be checked or compared is told at the end, and
 /// fails a strict run.
 pub(crate) fn run(
@@ -152,25 +149,11 @@ impl Checks<'_> {
         // Tests run the examples. `cargo test --examples` would link each once more, and most have no tests: of those that have,
         // the manifest says `test = true`.
         process::run(self.workspace.cargo("build").args(targets).arg("--examples"))?;
-        if !filter.is_empty() {
-            return process::run(self.cargo_test(&targets, 4).args(filter));
-        }
-        process::run(self.cargo_test(&targets, 4).args(["--skip", PICO]))?;
-        // Of `ci` alone as long as they are not steady.
-        if self.extent == Extent::Quick || self.masters.missing.contains(&PICO) {
-            return Ok(());
-        }
-        // There time goes on while the virtual gripper waits for a processor: so nothing runs beside them, and few at a time.
-        process::run(self.cargo_test(&targets, 1).arg(PICO))
-    }
-
-    /// The tests of these targets, with so many threads for each core.
-    fn cargo_test(&self, targets: &[&str], threads_a_core: usize) -> Command {
         let mut tests = self.workspace.cargo("test");
         tests.env(PYTHON_VARIABLE, &self.masters.python).env(NODE_VARIABLE, &self.masters.node);
         tests.args(targets).args(["--", "--include-ignored"]);
         // Those with an emulator wait more than they compute: with two threads a core it stands idle for half of the time.
-        let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(threads_a_core);
+        let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(4);
         tests.env("RUST_TEST_THREADS", threads.to_string());
         if self.extent == Extent::Whole {
             tests.env("WSG_WHOLE", "1");
@@ -181,7 +164,7 @@ impl Checks<'_> {
         for skipped in self.masters.missing.iter().chain([&platforms::TESTS]) {
             tests.args(["--skip", skipped]);
         }
-        tests
+        process::run(tests.args(filter))
     }
 }
 
