@@ -24,7 +24,7 @@ use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use object::Object;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
@@ -34,7 +34,7 @@ use self::watch::Watch;
 use crate::can_bus::CanBus;
 use crate::clock::Clock;
 use crate::mcp2515::Mcp2515;
-use crate::registers::RegisterModel;
+use crate::registers::{Derailment, RegisterModel};
 
 /// An emulator starts in tens of milliseconds and answers in less; this is for a host that is very busy.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -49,6 +49,14 @@ trait Chip: fmt::Debug + Send + Sync {
     fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>>;
 
     fn now_ms(&self) -> Result<u32>;
+
+    fn derail(&self, _how: Derailment) -> Result<()> {
+        bail!("the watchdog of this board is a model beside it")
+    }
+
+    fn watchdog_resets(&self) -> Result<(u32, Duration)> {
+        bail!("the watchdog of this board is a model beside it")
+    }
 }
 
 /// The other ends of a board's lines, until they are taken.
@@ -240,6 +248,22 @@ impl Emulator {
     /// When the image for QEMU has no symbols, or the emulator has ended.
     pub fn now_ms(&self) -> Result<u32> {
         self.ask(|chip| chip.now_ms())
+    }
+
+    /// Of the Pico: lets its firmware hang behind the next time that it feeds the watchdog, which is its main loop's.
+    ///
+    /// # Errors
+    /// When this is another board, or the emulator has ended.
+    pub fn derail(&self, how: Derailment) -> Result<()> {
+        self.ask(|chip| chip.derail(how))
+    }
+
+    /// Of the Pico: how often its watchdog has reset it, and how long the last time came behind the main loop's last turn.
+    ///
+    /// # Errors
+    /// When this is another board, or the emulator has ended.
+    pub fn watchdog_resets(&self) -> Result<(u32, Duration)> {
+        self.ask(|chip| chip.watchdog_resets())
     }
 
     fn ask<T>(&self, question: impl FnOnce(&dyn Chip) -> Result<T>) -> Result<T> {

@@ -7,7 +7,8 @@
 // and output. Time is the machine's: asleep it follows the clock on the wall; busy, it takes as long as it does. It stands again
 // and again until those beside it have come up to it: event `time MICROS`, and then the line `go on`, which has no answer.
 //
-// Commands: `in PIN LEVEL`; `read ADDRESS LEN`; `time`; `error UART KIND EVERY`, `error UART none`; `cut OPERATIONS`.
+// Commands: `in PIN LEVEL`; `read ADDRESS LEN`; `time`; `error UART KIND EVERY`, `error UART none`; `cut OPERATIONS`; `derail HOW`,
+// the firmware, from the next time on that it feeds the watchdog; `resets`: how many by that, and MICROS from the feed to the last.
 // Answers: `ok ...`, `refused WHY`. Events: `out LEVELS` of the pins in MASK; `served LEVELS`, the first that
 // were written with all of them driven; `reset`; `end WHY`.
 "use strict";
@@ -21,6 +22,7 @@ const { Flash, hex } = require("./flash.js");
 const { Pl011 } = require("./pl011.js");
 const { SpiToModel } = require("./spi.js");
 const { UsbHost } = require("./usb.js");
+const { Watchdog } = require("./watchdog.js");
 
 const { values: options, positionals } = parseArgs({
     allowPositionals: true,
@@ -75,12 +77,13 @@ class Pico {
         this.isHeld = false;
         this.offset = 0;
         this.model = options.can ? new SpiToModel() : null;
+        this.watchdog = new Watchdog();
         this.powerUp(0);
         this.offset = this.wall();
     }
 
     // A reset: of what there was, the flash, the time, the watchdog's notes and what is wrong with the lines stay.
-    powerUp(nanos, watchdogBefore) {
+    powerUp(nanos) {
         this.rp2040 = new RP2040();
         const { rp2040 } = this;
         this.clock = rp2040.clock;
@@ -92,10 +95,7 @@ class Pico {
             warn: (name, message) => message.match(/invalid|undefined/) && this.end(`${message}, PC ${hex(rp2040.core.PC)}`),
             error: (name, message) => this.end(`${name}: ${message}, PC ${hex(rp2040.core.PC)}`),
         };
-        const watchdog = rp2040.peripherals[0x40058];
-        watchdog.reason = watchdogBefore?.reason ?? 0;
-        if (watchdogBefore) watchdog.scratchData.set(watchdogBefore.scratchData);
-        watchdog.onWatchdogTrigger = () => (this.isReset = true);
+        this.watchdog.install(rp2040, { reset: () => (this.isReset = true), fail: (why) => this.end(why) });
         this.isReset = false;
         this.settled = this.clock.createAlarm(() => this.show());
         this.flash.install(rp2040);
@@ -270,6 +270,11 @@ class Pico {
                 this.errors[numbers[0]] = [kind, every];
                 return this.uarts[numbers[0]].setError(kind, every);
             }
+            case "derail":
+                this.watchdog.derailment = words[0];
+                return undefined;
+            case "resets":
+                return `${this.watchdog.resets} ${Math.ceil(this.watchdog.lastedNanos / 1000)}`;
             case "cut":
                 this.flash.cut = numbers[0];
                 return undefined;
@@ -371,9 +376,8 @@ class Pico {
     }
 
     restart() {
-        const watchdog = this.rp2040.peripherals[0x40058];
         if (!options.reboot) return this.end("the firmware has reset itself");
-        this.powerUp(this.clock.nanosCounter, watchdog);
+        this.powerUp(this.clock.nanosCounter);
         this.tell("reset");
     }
 }

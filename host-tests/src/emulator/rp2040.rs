@@ -21,6 +21,7 @@ use crate::can_bus::CanBus;
 use crate::clock::Clock;
 use crate::masters::NODE_VARIABLE;
 use crate::mcp2515::Mcp2515;
+use crate::registers::Derailment;
 
 pub(super) const NODE: &str = "node with rp2040js";
 
@@ -187,6 +188,21 @@ impl Chip for Rp2040 {
     fn now_ms(&self) -> Result<u32> {
         let micros: u64 = self.ask("time")?.parse()?;
         Ok((micros / 1_000) as u32)
+    }
+
+    fn derail(&self, how: Derailment) -> Result<()> {
+        let how = match how {
+            Derailment::Loop => "loop",
+            Derailment::Masked => "masked",
+            Derailment::Handler => "handler",
+        };
+        self.ask(&format!("derail {how}")).map(drop)
+    }
+
+    fn watchdog_resets(&self) -> Result<(u32, Duration)> {
+        let told = self.ask("resets")?;
+        let (resets, micros) = told.split_once(' ').context("two numbers")?;
+        Ok((resets.parse()?, Duration::from_micros(micros.parse()?)))
     }
 }
 

@@ -13,28 +13,25 @@ use wsg_bridge_fw::ResetCause;
 use wsg_bridge_fw::io::Outputs;
 use wsg_sim::Config;
 
-use super::image;
+use super::{Board, image};
 
 /// Input register RESET_CAUSE (docs/registers.md).
 const RESET_CAUSE: u8 = 132;
 
-/// How long the machine goes on without a reset while the firmware is well, in its milliseconds: ten times the watchdog's.
+/// The time that a main loop has.
+const TIMEOUT: Duration = Duration::from_millis(100);
+
+/// How long the machine goes on without a reset while the firmware is well, in its milliseconds: ten times that.
 const WELL_MS: u32 = 1_000;
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn firmware_that_hangs_is_reset_and_its_outputs_go_low() {
-    let iwdg = Iwdg::new();
-    let extras = Extras { models: vec![Box::new(iwdg.clone()), Box::new(iwdg.flags())], ..Extras::default() };
-    let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+/// Firmware that hangs in any way is reset, its outputs go low, and it says why when it is up again. `derail` lets it hang, and
+/// `resets` counts.
+fn is_reset(mut board: Emulator, derail: impl Fn(&Emulator, Derailment), resets: impl Fn(&Emulator) -> u32) {
     let trace = Trace::new(vec![]);
-    let _gripper =
-        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), Config::default(), &trace)
-            .unwrap();
+    let line = board.take_gripper_line().unwrap();
+    let _gripper = GripperEnd::start(line, board.clock(), Config::default(), &trace).unwrap();
     let mut master = Master::new(board.take_modbus_line().unwrap(), 1);
     let mut reset_cause = || u16::from(*master.ask(&[4, 0, RESET_CAUSE, 0, 1]).unwrap().last().unwrap());
-    // At the nominal rate of its clock.
-    assert_eq!(iwdg.timeout(), Some(Duration::from_millis(100)));
     let has_link = |outputs: Outputs| outputs.contains(Outputs::LINK_OK);
     board.wait_outputs(PATIENCE, has_link).unwrap();
     assert_eq!(reset_cause(), ResetCause::PowerOn as u16);
@@ -42,21 +39,47 @@ fn firmware_that_hangs_is_reset_and_its_outputs_go_low() {
     while board.now_ms().unwrap() < WELL_MS {
         assert!(Instant::now() < bound, "the board's clock stands still");
     }
-    assert_eq!(iwdg.resets(), 0);
+    assert_eq!(resets(&board), 0);
 
-    for (resets, how) in (1..).zip([Derailment::Loop, Derailment::Masked, Derailment::Handler]) {
+    for (expected, how) in (1..).zip([Derailment::Loop, Derailment::Masked, Derailment::Handler]) {
         let changes = board.output_changes();
         let seen = changes.try_iter().count();
-        iwdg.derail(how);
+        derail(&board, how);
         // Low, and up again when the bridge has begun anew.
         let went_low =
             || board.output_changes().try_iter().skip(seen).any(|change| change.outputs.is_empty());
         let bound = Instant::now() + PATIENCE;
-        while iwdg.resets() < resets || !went_low() {
-            assert!(Instant::now() < bound, "{how:?}: {} resets, {:?}", iwdg.resets(), board.outputs());
+        while resets(&board) < expected || !went_low() {
+            assert!(Instant::now() < bound, "{how:?}: {} resets, {:?}", resets(&board), board.outputs());
         }
         board.wait_outputs(PATIENCE, has_link).unwrap();
         assert_eq!(reset_cause(), ResetCause::Watchdog as u16, "{how:?}");
-        assert_eq!(iwdg.resets(), resets, "{how:?}");
+        assert_eq!(resets(&board), expected, "{how:?}");
     }
+}
+
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn firmware_that_hangs_is_reset_and_its_outputs_go_low() {
+    let iwdg = Iwdg::new();
+    let extras = Extras { models: vec![Box::new(iwdg.clone()), Box::new(iwdg.flags())], ..Extras::default() };
+    let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+    // At the nominal rate of its clock.
+    assert_eq!(iwdg.timeout(), Some(TIMEOUT));
+    is_reset(board, |_, how| iwdg.derail(how), |_| iwdg.resets());
+}
+
+#[test]
+#[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
+fn firmware_that_hangs_is_reset_in_time_and_its_outputs_go_low_in_rp2040js() {
+    let extras = Extras { may_reset: true, ..Extras::default() };
+    let board = Emulator::start_with(&Board::PICO.image("WSG_FIRMWARE_ELF"), extras).unwrap();
+    let derail = |board: &Emulator, how| board.derail(how).unwrap();
+    is_reset(board, derail, |board| {
+        let (resets, behind_last_turn) = board.watchdog_resets().unwrap();
+        // Outputs are low from the reset on. It comes with the first instruction behind the end of the time.
+        let is_in_time = behind_last_turn.abs_diff(TIMEOUT) < Duration::from_micros(10);
+        assert!(resets == 0 || is_in_time, "{behind_last_turn:?}");
+        resets
+    });
 }
