@@ -88,6 +88,43 @@ impl<const N: usize> ByteQueue<N> {
         Some(byte)
     }
 
+    /// Puts bytes at the end of the queue, all of them or none: the consumer never sees a part. For the producer.
+    ///
+    /// # Errors
+    /// [`Full`] when there is no room for all of them; `bytes` are dropped.
+    pub fn push_all(&self, bytes: &[u8]) -> Result<(), Full> {
+        if bytes.len() > self.room() {
+            return Err(Full);
+        }
+        let pushed = self.pushed.load(Ordering::Relaxed);
+        for (n, byte) in bytes.iter().enumerate() {
+            if let Some(place) = self.bytes.get(pushed.wrapping_add(n) & (N - 1)) {
+                place.store(*byte, Ordering::Relaxed);
+            }
+        }
+        self.pushed.store(pushed.wrapping_add(bytes.len()), Ordering::Release);
+        Ok(())
+    }
+
+    /// Takes the `L` bytes that wait longest, if so many wait. For the consumer.
+    pub fn pop_all<const L: usize>(&self) -> Option<[u8; L]> {
+        let popped = self.popped.load(Ordering::Relaxed);
+        if self.pushed.load(Ordering::Acquire).wrapping_sub(popped) < L {
+            return None;
+        }
+        let mut bytes = [0; L];
+        for (n, byte) in bytes.iter_mut().enumerate() {
+            *byte = self.bytes.get(popped.wrapping_add(n) & (N - 1))?.load(Ordering::Relaxed);
+        }
+        self.popped.store(popped.wrapping_add(L), Ordering::Release);
+        Some(bytes)
+    }
+
+    /// Drops what waits. For the consumer.
+    pub fn clear(&self) {
+        self.popped.store(self.pushed.load(Ordering::Acquire), Ordering::Release);
+    }
+
     /// How many more bytes can be pushed, as the producer sees it.
     #[must_use]
     pub fn room(&self) -> usize {
@@ -137,6 +174,30 @@ mod tests {
         }
         assert!(queue.is_empty());
         assert_eq!(queue.pop(), None);
+    }
+
+    #[test]
+    fn bytes_that_are_pushed_together_come_together_or_not_at_all() {
+        let queue = ByteQueue::<4> {
+            pushed: AtomicUsize::new(usize::MAX - 1),
+            popped: AtomicUsize::new(usize::MAX - 1),
+            ..ByteQueue::new()
+        };
+        assert_eq!(queue.push_all(&[1, 2, 3]), Ok(()));
+        assert_eq!(queue.push_all(&[4, 5]), Err(Full));
+        assert_eq!(queue.pop_all::<4>(), None);
+        assert_eq!(queue.pop_all(), Some([1, 2]));
+        assert_eq!(queue.push_all(&[4, 5, 6]), Ok(()));
+        assert_eq!(queue.pop_all(), Some([3, 4, 5, 6]));
+        assert!(queue.is_empty());
+    }
+
+    #[test]
+    fn what_is_cleared_is_gone_and_leaves_its_room() {
+        let queue = ByteQueue::<2>::new();
+        assert_eq!(queue.push_all(&[1, 2]), Ok(()));
+        queue.clear();
+        assert_eq!((queue.pop(), queue.room()), (None, 2));
     }
 
     #[test]

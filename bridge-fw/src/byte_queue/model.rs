@@ -109,3 +109,32 @@ fn what_either_end_is_told_of_the_other_is_never_too_much() {
         assert!(popped.iter().copied().eq(1..=popped.len() as u8), "{popped:?}");
     });
 }
+
+#[test]
+fn what_is_pushed_together_is_seen_together() {
+    loom::model(|| {
+        let queue = Arc::new(ByteQueue::<4>::empty());
+        let pushing = Arc::clone(&queue);
+        let producer = thread::spawn(move || {
+            for pair in [[1, 2], [3, 4], [5, 6]] {
+                while pushing.push_all(&pair) == Err(Full) {
+                    thread::yield_now();
+                }
+            }
+        });
+        for expected in [[1, 2], [3, 4]] {
+            let pair = loop {
+                match queue.pop_all() {
+                    Some(pair) => break pair,
+                    None => thread::yield_now(),
+                }
+            };
+            assert_eq!(pair, expected);
+        }
+        // Whole pairs are dropped, too.
+        queue.clear();
+        producer.join().unwrap();
+        assert!(matches!(queue.pop_all(), None | Some([5, 6])));
+        assert!(queue.is_empty());
+    });
+}
