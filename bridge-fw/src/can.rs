@@ -17,7 +17,7 @@ pub use crate::config::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canop
 pub use bus::{CanBus, CanNode, NullNode};
 pub use bus_off::{BusOffPolicy, BusState};
 pub use controller::{CanController, Health, NoCan};
-pub use mcp2515::{Mcp2515, Overrun};
+pub use mcp2515::{Mcp2515, Mcp2515Buffers, Overrun};
 pub use node::{
     DataType, FAULTS, Fault, INPUT_INDEX, Key, NmtState, Node, OBJECTS, OUTPUT_INDEX, Object, REPORTS_INDEX,
     SETTINGS_INDEX, write_eds,

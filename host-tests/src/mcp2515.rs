@@ -115,6 +115,7 @@ pub struct Mcp2515 {
     is_receiving: bool,
     instruction: Option<Instruction>,
     accepted: Vec<WireFrame>,
+    lost: Vec<WireFrame>,
     violations: Vec<String>,
 }
 
@@ -140,6 +141,7 @@ impl Mcp2515 {
             is_receiving: false,
             instruction: None,
             accepted: Vec::new(),
+            lost: Vec::new(),
             violations: Vec::new(),
         }
     }
@@ -155,6 +157,12 @@ impl Mcp2515 {
     #[must_use]
     pub fn accepted(&self) -> &[WireFrame] {
         &self.accepted
+    }
+
+    /// What of it was lost.
+    #[must_use]
+    pub fn lost(&self) -> &[WireFrame] {
+        &self.lost
     }
 
     /// What the driver did that the data sheet forbids and the chip ignores.
@@ -492,6 +500,7 @@ impl BusController for Mcp2515 {
                 let target = if rolls_over { 1 } else { buffer };
                 if is_full(target) {
                     self.overflow(target);
+                    self.lost.push(*frame);
                 } else {
                     self.receive[target].put(frame, filter);
                     self.flags |= RX0IF << target;

@@ -13,21 +13,12 @@ pub(crate) struct Board {
     pub(crate) triple: &'static str,
     /// The microcontroller's name for probe-rs.
     pub(crate) chip: &'static str,
-    /// How an emulator runs it. A board that none has was never run.
-    pub(crate) emulated: Option<Emulated>,
+    /// What the names of its tests' environment variables end in. A board that no emulator has was never run.
+    pub(crate) emulated: Option<&'static str>,
     /// Whether its boot ROM takes an image as UF2, which is then made beside the ELF file.
     pub(crate) takes_uf2: bool,
     /// What the image may take of flash.
     pub(crate) flash_limit: u64,
-}
-
-/// What the tests of a board in an emulator differ in.
-#[derive(Debug, PartialEq)]
-pub(crate) struct Emulated {
-    /// What the names of their environment variables end in.
-    pub(crate) variables: &'static str,
-    /// What their images are set to besides.
-    pub(crate) settings: &'static [(&'static str, u16)],
 }
 
 /// All of them, the default board first.
@@ -37,7 +28,7 @@ pub(crate) static BOARDS: [Board; 3] = [
         package: "wsg-b-l475e-iot01a",
         triple: "thumbv7em-none-eabihf",
         chip: "STM32L475VG",
-        emulated: Some(Emulated { variables: "", settings: &[] }),
+        emulated: Some(""),
         takes_uf2: false,
         // 64 KiB before settings stayed and the service port came; 4 KB of it are the start values of the static RAM.
         flash_limit: 80 * 1024,
@@ -47,8 +38,7 @@ pub(crate) static BOARDS: [Board; 3] = [
         package: "wsg-pico",
         triple: "thumbv6m-none-eabi",
         chip: "RP2040",
-        // At higher rates the gripper's longer messages overrun the two receive buffers of its MCP2515.
-        emulated: Some(Emulated { variables: "_PICO", settings: &[("CAN_RATE", 250)] }),
+        emulated: Some("_PICO"),
         takes_uf2: true,
         // Of 2 MiB. A Cortex-M0+ takes more instructions for the same, and there is a USB device in it.
         flash_limit: 96 * 1024,

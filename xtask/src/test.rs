@@ -33,14 +33,14 @@ pub(crate) fn run(
 ) -> Result<()> {
     let masters = setup::masters(workspace);
     let mut chosen = Vec::new();
-    let emulated = BOARDS.iter().filter_map(|board| Some((board, board.emulated.as_ref()?)));
-    for ((board, emulated), (variable, settings)) in
-        emulated.flat_map(|it| firmware::CHOICES.map(|choice| (it, choice)))
+    let emulated = BOARDS.iter().filter_map(|board| Some((board, board.emulated?)));
+    for ((board, ending), (variable, settings)) in
+        emulated.flat_map(|it| firmware::CHOICES.map(|of| (it, of)))
     {
-        let settings = settings.iter().chain(emulated.settings);
-        let settings = settings.map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
+        let settings =
+            settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
         let variant = Variant { board, settings, ..Variant::default() };
-        let variable = format!("{variable}{}", emulated.variables);
+        let variable = format!("{variable}{ending}");
         chosen.push((variable, firmware::build(workspace, toolchain, &variant)?));
     }
     let mut record = Record::default();

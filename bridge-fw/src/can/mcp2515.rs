@@ -2,12 +2,19 @@
 //!
 //! The crate `mcp2515` tells neither error counters nor overflows, withdraws nothing, and sends two frames of one identifier in
 //! any order. Here every wait is bounded: an MCP2515 that is not there counts as one that is bus-off.
+//!
+//! Received frames are taken by the handler of its interrupt, through [`Mcp2515Buffers`]; all else is the main loop's.
+
+mod buffers;
+
+pub use buffers::Mcp2515Buffers;
 
 use core::marker::PhantomData;
 
 use embedded_can::{ErrorKind, ExtendedId, Frame, Id, StandardId};
 use embedded_hal::spi::{Operation, SpiDevice};
 
+use self::buffers::{RawFrame, read_status};
 use super::{CanController, Health};
 use crate::config::CanConfig;
 
@@ -16,8 +23,6 @@ const RESET: u8 = 0xC0;
 const READ: u8 = 0x03;
 const WRITE: u8 = 0x02;
 const BIT_MODIFY: u8 = 0x05;
-const READ_STATUS: u8 = 0xA0;
-const READ_RX: [u8; 2] = [0x90, 0x94];
 const LOAD_TX: [u8; 3] = [0x40, 0x42, 0x44];
 const RTS: [u8; 3] = [0x81, 0x82, 0x84];
 
@@ -29,7 +34,6 @@ const TEC: u8 = 0x1C;
 const RXM: [u8; 2] = [0x20, 0x24];
 const CNF3: u8 = 0x28;
 const CANINTE: u8 = 0x2B;
-const CANINTF: u8 = 0x2C;
 const EFLG: u8 = 0x2D;
 const TXBCTRL: [u8; 3] = [0x30, 0x40, 0x50];
 const RXBCTRL: [u8; 2] = [0x60, 0x70];
@@ -40,7 +44,7 @@ const NORMAL: u8 = 0;
 const CONFIGURATION: u8 = 0b100 << 5;
 /// CNF2: PHSEG2 is as CNF3 says.
 const BTLMODE: u8 = 1 << 7;
-/// CANINTE and CANINTF: a frame is in either buffer.
+/// CANINTE: a frame is in either buffer.
 const RX_INTERRUPTS: u8 = 0b11;
 /// RXB0CTRL: what finds the first buffer full goes to the second.
 const BUKT: u8 = 1 << 2;
@@ -52,8 +56,6 @@ const TXBO: u8 = 1 << 5;
 const PASSIVE: u8 = 0b11 << 3;
 const OVERFLOWS: u8 = 0b11 << 6;
 /// READ STATUS.
-const RX0IF: u8 = 1 << 0;
-const RX1IF: u8 = 1 << 1;
 const TXREQS: [u8; 3] = [1 << 2, 1 << 4, 1 << 6];
 
 /// In an identifier's second register: an extended one; a standard one of a remote frame that was received. In its length's:
@@ -117,13 +119,15 @@ impl embedded_can::Error for Overrun {
     }
 }
 
-/// An MCP2515, and the SPI that it is on: mode 0, 10 MHz at the most.
+/// An MCP2515, and the SPI that it is on: mode 0, 10 MHz at the most. No transaction may be interrupted by the handler of its
+/// interrupt: mask that one meanwhile, and no other.
 ///
 /// It leaves bus-off by itself, after 128 times 11 recessive bits; nothing is sent and nothing that it has received counts
 /// until it is told to [`recover`](CanController::recover).
 #[derive(Debug)]
 pub struct Mcp2515<S, F> {
     spi: S,
+    received: &'static Mcp2515Buffers,
     crystal_hz: u32,
     config: Option<CanConfig>,
     /// Whether timing and filters are in its registers.
@@ -132,24 +136,22 @@ pub struct Mcp2515<S, F> {
     is_off: bool,
     /// Frames were lost, which was not said yet.
     has_overrun: bool,
-    /// What is in the second receive buffer is older than what is in the first.
-    second_is_older: bool,
     /// The identifiers' registers that the transmit buffers were given last.
     sent: [[u8; 4]; 3],
     frames: PhantomData<fn() -> F>,
 }
 
 impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
-    /// One that was not started, with a crystal of so many Hz.
-    pub const fn new(spi: S, crystal_hz: u32) -> Self {
+    /// One that was not started, with a crystal of so many Hz, and what its handler takes from it.
+    pub const fn new(spi: S, crystal_hz: u32, received: &'static Mcp2515Buffers) -> Self {
         Self {
             spi,
+            received,
             crystal_hz,
             config: None,
             is_set_up: false,
             is_off: false,
             has_overrun: false,
-            second_is_older: false,
             sent: [[0; 4]; 3],
             frames: PhantomData,
         }
@@ -162,10 +164,13 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
     }
 
     fn join(&mut self) {
+        self.received.close();
         self.has_overrun = false;
-        self.second_is_older = false;
         self.is_set_up = self.config.is_some_and(|config| self.set_up(&config).unwrap_or(false));
         self.is_off = false;
+        if self.is_set_up {
+            self.received.open();
+        }
     }
 
     /// Whether it is there, and has a timing for the rate.
@@ -215,18 +220,12 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         self.spi.write(&[BIT_MODIFY, register, mask, value])
     }
 
-    fn status(&mut self) -> Result<u8, S::Error> {
-        let mut status = [READ_STATUS, 0];
-        self.spi.transfer_in_place(&mut status)?;
-        Ok(status[1])
-    }
-
     /// The empty buffer for a frame.
     ///
     /// One is the gripper's, and leaves first: FAST STOP waits for no message of another. The others are anybody's, but never
     /// hold two of one identifier: the second might leave first.
     fn buffer_for(&mut self, id: [u8; 4]) -> Result<Option<usize>, S::Error> {
-        let status = self.status()?;
+        let status = read_status(&mut self.spi)?;
         let [gripper, one, other] = TXREQS.map(|waits| status & waits == 0);
         let its_id = self.config.map(|config| id_registers(config.gripper.controller().transmit.into()));
         if its_id == Some(id) {
@@ -263,37 +262,6 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         Ok(true)
     }
 
-    /// The frame that waits longest.
-    fn take(&mut self) -> Result<Option<F>, S::Error> {
-        let status = self.status()?;
-        let buffer = match (status & RX0IF != 0, status & RX1IF != 0) {
-            (false, false) => return Ok(None),
-            (true, true) => usize::from(self.second_is_older),
-            (_, second) => usize::from(second),
-        };
-        let mut raw = [0; 13];
-        let Some(read) = READ_RX.get(buffer) else { return Ok(None) };
-        self.spi.transaction(&mut [Operation::Write(&[*read]), Operation::Read(&mut raw)])?;
-        // What has come to the second while the first was full is older than what comes to the first from now on.
-        self.second_is_older = buffer == 0 && self.status()? & RX1IF != 0;
-        let [high, low, e8, e0, len, data @ ..] = raw;
-        let is_extended = low & EXIDE != 0;
-        let count = (len & 0xF).min(MAX_DATA_LEN).into();
-        let id = if is_extended {
-            let top = u32::from(high) << 21 | u32::from(low >> 5) << 18 | u32::from(low & 0b11) << 16;
-            let id = top | u32::from(u16::from_be_bytes([e8, e0]));
-            Id::Extended(ExtendedId::new(id).unwrap_or(ExtendedId::MAX))
-        } else {
-            Id::Standard(standard(u16::from(high) << 3 | u16::from(low >> 5)))
-        };
-        let is_remote = if is_extended { len & RTR != 0 } else { low & SRR != 0 };
-        Ok(if is_remote {
-            F::new_remote(id, count)
-        } else {
-            F::new(id, data.get(..count).unwrap_or_default())
-        })
-    }
-
     fn look(&mut self) -> Result<Health, S::Error> {
         let [control] = self.read(CANCTRL)?;
         let [transmit_errors, receive_errors] = self.read(TEC)?;
@@ -309,8 +277,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         self.is_off |= flags & TXBO != 0;
         if self.is_off {
             // What comes meanwhile would be long ago when the bus is there again.
-            self.modify(CANINTF, RX_INTERRUPTS, 0)?;
-            self.second_is_older = false;
+            self.received.clear();
         }
         Ok(Health {
             is_off: self.is_off,
@@ -349,13 +316,8 @@ impl<S: SpiDevice, F: Frame> embedded_can::nb::Can for Mcp2515<S, F> {
         if core::mem::take(&mut self.has_overrun) {
             return Err(nb::Error::Other(Overrun));
         }
-        if self.is_set_up && !self.is_off {
-            let result = self.take();
-            if let Some(Some(frame)) = self.unless_lost(result) {
-                return Ok(frame);
-            }
-        }
-        Err(nb::Error::WouldBlock)
+        let raw = if self.is_set_up && !self.is_off { self.received.pop() } else { None };
+        raw.and_then(frame).ok_or(nb::Error::WouldBlock)
     }
 }
 
@@ -370,7 +332,10 @@ impl<S: SpiDevice, F: Frame> CanController for Mcp2515<S, F> {
         };
         match health {
             Some(health) if self.is_set_up => health,
-            _ => Health { is_off: true, ..Health::default() },
+            _ => {
+                self.received.close();
+                Health { is_off: true, ..Health::default() }
+            }
         }
     }
 
@@ -400,6 +365,21 @@ fn id_registers(id: Id) -> [u8; 4] {
             [(id.as_raw() >> 21) as u8, low, e8, e0]
         }
     }
+}
+
+/// The frame that is in a receive buffer's registers.
+fn frame<F: Frame>([high, low, e8, e0, len, data @ ..]: RawFrame) -> Option<F> {
+    let is_extended = low & EXIDE != 0;
+    let count = (len & 0xF).min(MAX_DATA_LEN).into();
+    let id = if is_extended {
+        let top = u32::from(high) << 21 | u32::from(low >> 5) << 18 | u32::from(low & 0b11) << 16;
+        let id = top | u32::from(u16::from_be_bytes([e8, e0]));
+        Id::Extended(ExtendedId::new(id).unwrap_or(ExtendedId::MAX))
+    } else {
+        Id::Standard(standard(u16::from(high) << 3 | u16::from(low >> 5)))
+    };
+    let is_remote = if is_extended { len & RTR != 0 } else { low & SRR != 0 };
+    if is_remote { F::new_remote(id, count) } else { F::new(id, data.get(..count).unwrap_or_default()) }
 }
 
 fn standard(id: u16) -> StandardId {

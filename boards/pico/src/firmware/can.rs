@@ -1,18 +1,22 @@
 //! CAN: an MCP2515 with a crystal of 16 MHz on SPI0 (RP2040, 4.4), GP16 to GP19, and its INT on GP20.
 //!
-//! Its interrupt wakes the main loop and masks itself; the work is done there.
+//! The handler of its interrupt takes what it receives; all else is done in the main loop. Both use SPI0: the handler waits until the
+//! main loop's transaction is over.
 
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
 use embedded_hal::spi::{Error, ErrorKind, ErrorType, Operation, SpiDevice};
 use rp2040_hal::pac::{Interrupt, interrupt};
-use wsg_bridge_fw::can::{CanConfig, Mcp2515};
+use wsg_bridge_fw::can::{CanConfig, Mcp2515, Mcp2515Buffers};
 
 use crate::clock::SYS_HZ;
 use crate::registers::{peripheral, reset, reset_bit, write};
 
 /// The controller.
-pub(crate) type Can = Mcp2515<Spi, ClassicFrame>;
+pub(crate) type Can = Mcp2515<MainLoopSpi, ClassicFrame>;
+
+/// What it has received.
+pub(crate) static BUFFERS: Mcp2515Buffers = Mcp2515Buffers::new();
 
 /// Its crystal.
 const CRYSTAL_HZ: u32 = 16_000_000;
@@ -42,13 +46,16 @@ const INT: u32 = 20;
 const INT_LOW: u32 = 1 << (4 * (INT % 8));
 const INT_WORD: usize = (INT / 8) as usize;
 
+/// The priority of its handler, which takes 25 µs for a frame: the lowest. No UART waits for it.
+const PRIORITY: u8 = 0xC0;
+
 /// The one that was not started. To be asked for once.
 pub(crate) const fn controller() -> Can {
-    Mcp2515::new(Spi(()), CRYSTAL_HZ)
+    Mcp2515::new(MainLoopSpi(()), CRYSTAL_HZ, &BUFFERS)
 }
 
 /// Starts the controller. The clock runs, the pins are set up.
-pub(crate) fn start(controller: &mut Can, config: &CanConfig) {
+pub(crate) fn start(controller: &mut Can, config: &CanConfig, nvic: &mut NVIC) {
     // Should it not come out of reset, every exchange fails, which is a controller that is not there.
     let _ = reset(reset_bit::SPI0);
     let spi = peripheral!(SPI0);
@@ -57,26 +64,50 @@ pub(crate) fn start(controller: &mut Can, config: &CanConfig) {
     write(spi.sspcr1(), SSE);
     controller.start(config);
     write(peripheral!(IO_BANK0).proc0_inte(INT_WORD), INT_LOW);
+    // SAFETY: it is still masked, and no critical section is by priority.
+    unsafe { nvic.set_priority(INTERRUPT, PRIORITY) };
     rearm();
 }
 
-/// Whether a frame waits.
-pub(crate) fn has_received() -> bool {
-    peripheral!(SIO).gpio_in().read().bits() & 1 << INT == 0
+/// Lets the handler run again, behind each turn of the main loop: it may have masked itself.
+pub(crate) fn rearm() {
+    // SAFETY: the main loop's transactions depend on it being masked, and this is behind them; the handler shares only atomics.
+    unsafe { NVIC::unmask(INTERRUPT) };
 }
 
-/// Lets the interrupt wake the main loop again.
-pub(crate) fn rearm() {
-    // SAFETY: no critical section depends on it being masked; its handler does nothing but mask it.
-    unsafe { NVIC::unmask(Interrupt::IO_IRQ_BANK0) };
-}
+const INTERRUPT: Interrupt = Interrupt::IO_IRQ_BANK0;
 
 #[interrupt]
 fn IO_IRQ_BANK0() {
-    NVIC::mask(Interrupt::IO_IRQ_BANK0);
+    if !BUFFERS.serve(&mut Spi(())) {
+        NVIC::mask(INTERRUPT);
+    }
 }
 
-/// SPI0 and the chip select.
+/// The main loop's SPI0: the handler does not run during a transaction.
+#[derive(Debug)]
+pub(crate) struct MainLoopSpi(());
+
+impl ErrorType for MainLoopSpi {
+    type Error = Stuck;
+}
+
+impl SpiDevice for MainLoopSpi {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Stuck> {
+        let was_unmasked = NVIC::is_enabled(INTERRUPT);
+        NVIC::mask(INTERRUPT);
+        // From here on it does not begin any more (ARMv6-M, B3.4.3).
+        cortex_m::asm::dsb();
+        cortex_m::asm::isb();
+        let result = Spi(()).transaction(operations);
+        if was_unmasked {
+            rearm();
+        }
+        result
+    }
+}
+
+/// SPI0 and the chip select, of whoever runs.
 #[derive(Debug)]
 pub(crate) struct Spi(());
 

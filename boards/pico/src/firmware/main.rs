@@ -27,6 +27,7 @@ mod watchdog;
 
 use core::panic::PanicInfo;
 
+use cortex_m::peripheral::NVIC;
 use cortex_m_rt::{entry, exception};
 use rp2040_hal::pac;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
@@ -57,7 +58,7 @@ fn main() -> ! {
     // Before everything that waits: whatever does not come up, the MCU starts over.
     let watchdog = watchdog::start();
     // SAFETY: `main` runs once, and nothing else takes them.
-    let (core, peripherals) = unsafe { (cortex_m::Peripherals::steal(), pac::Peripherals::steal()) };
+    let (mut core, peripherals) = unsafe { (cortex_m::Peripherals::steal(), pac::Peripherals::steal()) };
     // Outputs first: they show "not ready" through everything that may go wrong below.
     let mut wires = pins::init(peripherals);
     if clock::start().is_err() {
@@ -65,7 +66,7 @@ fn main() -> ! {
         stay_not_ready(&mut wires, clock::RESET_HZ);
     }
     tick::start(core.SYST);
-    if start(STATION, FLASH, reset_cause).is_err() {
+    if start(STATION, FLASH, reset_cause, &mut core.NVIC).is_err() {
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready(&mut wires, clock::SYS_HZ);
     }
@@ -94,9 +95,8 @@ fn main() -> ! {
         if STATION.bridge().may_feed_watchdog(now_ms) {
             watchdog.feed();
         }
-        let uses_can = STATION.uses_can();
         sleep_unless(|| {
-            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can::has_received())
+            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || can::BUFFERS.has_received()
         });
     }
 }
@@ -107,6 +107,7 @@ fn start(
     station: &mut Station<Can>,
     flash: &SettingsSectors,
     reset_cause: ResetCause,
+    nvic: &mut NVIC,
 ) -> Result<(), WrongSetting> {
     // By reference: taken out of the result it would be there twice.
     let loaded = load(station, flash);
@@ -122,7 +123,7 @@ fn start(
         PlcBus::Off | PlcBus::Canopen => {}
     }
     if station.uses_can() {
-        can::start(station.can().controller(), &config.can);
+        can::start(station.can().controller(), &config.can, nvic);
     }
     Ok(())
 }

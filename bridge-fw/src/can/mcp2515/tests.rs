@@ -2,6 +2,7 @@
 
 use core::cell::RefCell;
 use core::convert::Infallible;
+use std::boxed::Box;
 use std::rc::Rc;
 use std::vec::Vec;
 
@@ -12,7 +13,9 @@ use embedded_hal::spi::ErrorType;
 use super::*;
 
 const CRYSTAL_HZ: u32 = 16_000_000;
-const CANINTF_AT: usize = CANINTF as usize;
+const CANINTF_AT: usize = 0x2C;
+/// What the instructions of the handler are to it.
+const READ_STATUS: u8 = 0xA0;
 
 /// The registers behind SPI, as tests look at them.
 struct Registers {
@@ -20,6 +23,8 @@ struct Registers {
     /// Nothing answers: lines that are pulled up.
     is_missing: bool,
     resets: u32,
+    /// The frame of one byte that comes to a buffer as soon as that was read.
+    comes_next: Option<(usize, [u8; 4], u8)>,
 }
 
 #[derive(Clone)]
@@ -27,7 +32,7 @@ struct Chip(Rc<RefCell<Registers>>);
 
 impl Chip {
     fn new() -> Self {
-        let registers = Registers { values: [0; 128], is_missing: false, resets: 0 };
+        let registers = Registers { values: [0; 128], is_missing: false, resets: 0, comes_next: None };
         Self(Rc::new(RefCell::new(registers)))
     }
 
@@ -41,12 +46,11 @@ impl Chip {
 
     /// Puts a frame into a receive buffer.
     fn receive(&self, buffer: usize, id: [u8; 4], data: &[u8]) {
-        let mut chip = self.0.borrow_mut();
-        let start = usize::from(RXBCTRL[buffer]) + 1;
-        chip.values[start..start + 4].copy_from_slice(&id);
-        chip.values[start + 4] = data.len() as u8;
-        chip.values[start + 5..start + 5 + data.len()].copy_from_slice(data);
-        chip.values[CANINTF_AT] |= 1 << buffer;
+        self.0.borrow_mut().receive(buffer, id, data);
+    }
+
+    fn status(&self) -> u8 {
+        self.0.borrow().status()
     }
 
     /// Takes the frame that a transmit buffer was told to send: its first identifier register and its data.
@@ -68,6 +72,14 @@ impl Registers {
         self.values[usize::from(CANSTAT)] = CONFIGURATION;
         self.values[usize::from(CANCTRL)] = 0x87;
         self.resets += 1;
+    }
+
+    fn receive(&mut self, buffer: usize, id: [u8; 4], data: &[u8]) {
+        let start = usize::from(RXBCTRL[buffer]) + 1;
+        self.values[start..start + 4].copy_from_slice(&id);
+        self.values[start + 4] = data.len() as u8;
+        self.values[start + 5..start + 5 + data.len()].copy_from_slice(data);
+        self.values[CANINTF_AT] |= 1 << buffer;
     }
 
     fn status(&self) -> u8 {
@@ -109,6 +121,9 @@ impl Registers {
                 let start = usize::from(RXBCTRL[buffer]) + 1;
                 out[1..].copy_from_slice(&self.values[start..start + bytes.len() - 1]);
                 self.values[CANINTF_AT] &= !(1 << buffer);
+                if let Some((_, id, byte)) = self.comes_next.take_if(|(to, ..)| *to == buffer) {
+                    self.receive(buffer, id, &[byte]);
+                }
             }
             [load @ (0x40 | 0x42 | 0x44), values @ ..] => {
                 let start = usize::from(TXBCTRL[usize::from(load - 0x40) / 2]) + 1;
@@ -156,12 +171,26 @@ impl SpiDevice for Chip {
     }
 }
 
+fn on(chip: &Chip) -> Mcp2515<Chip, ClassicFrame> {
+    Mcp2515::new(chip.clone(), CRYSTAL_HZ, Box::leak(Box::new(Mcp2515Buffers::new())))
+}
+
 fn started() -> (Chip, Mcp2515<Chip, ClassicFrame>) {
     let chip = Chip::new();
-    let mut controller = Mcp2515::new(chip.clone(), CRYSTAL_HZ);
+    let mut controller = on(&chip);
     controller.start(&CanConfig::DEFAULT);
     assert!(!controller.health().is_off);
     (chip, controller)
+}
+
+/// The handler of its interrupt runs; whether it may go on.
+fn interrupt(chip: &Chip, controller: &Mcp2515<Chip, ClassicFrame>) -> bool {
+    controller.received.serve(&mut chip.clone())
+}
+
+/// What the main loop finds, all of it.
+fn received(controller: &mut Mcp2515<Chip, ClassicFrame>) -> Vec<ClassicFrame> {
+    core::iter::from_fn(|| controller.receive().ok()).collect()
 }
 
 fn frame(id: u16, data: &[u8]) -> ClassicFrame {
@@ -223,7 +252,7 @@ fn what_the_bridge_wants_passes_the_filters_and_other_traffic_does_not() {
 fn one_that_is_not_there_counts_as_bus_off_until_it_comes() {
     let chip = Chip::new();
     chip.0.borrow_mut().is_missing = true;
-    let mut controller = Mcp2515::<_, ClassicFrame>::new(chip.clone(), CRYSTAL_HZ);
+    let mut controller = on(&chip);
     controller.start(&CanConfig::DEFAULT);
     assert!(controller.health().is_off);
     assert_eq!(controller.transmit(&frame(1, &[])), Err(nb::Error::WouldBlock));
@@ -280,12 +309,62 @@ fn received_frames_come_in_their_order() {
     let id = id_registers(Id::Standard(standard(0x121)));
     chip.receive(0, id, &[1]);
     chip.receive(1, id, &[2]);
-    assert_eq!(controller.receive().unwrap().data(), [1]);
-    // The first buffer is free again and takes the next before the second was read.
-    chip.receive(0, id, &[3]);
-    assert_eq!(controller.receive().unwrap().data(), [2]);
-    assert_eq!(controller.receive().unwrap().data(), [3]);
-    assert_eq!(controller.receive(), Err(nb::Error::WouldBlock));
+    // The first buffer takes the next as soon as it is free, before the second was read.
+    chip.0.borrow_mut().comes_next = Some((0, id, 3));
+    assert!(interrupt(&chip, &controller));
+    let data: Vec<u8> = received(&mut controller).iter().map(|frame| frame.data()[0]).collect();
+    assert_eq!(data, [1, 2, 3]);
+}
+
+#[test]
+fn frames_that_the_main_loop_does_not_take_stay_in_the_controller_when_the_queue_is_full() {
+    let (chip, mut controller) = started();
+    let id = id_registers(Id::Standard(standard(0x121)));
+    let mut came = 0;
+    loop {
+        chip.receive(0, id, &[came]);
+        came += 1;
+        if !interrupt(&chip, &controller) {
+            break;
+        }
+    }
+    assert!(usize::from(came) > crate::can::bus::MAX_RECEIVED_PER_POLL);
+    assert_eq!(chip.status() & 0b11, 0b01, "the last one is still there");
+    assert!(!interrupt(&chip, &controller));
+    let data = |frames: Vec<ClassicFrame>| frames.iter().map(|frame| frame.data()[0]).collect::<Vec<u8>>();
+    assert!(data(received(&mut controller)).into_iter().eq(0..came - 1));
+
+    assert!(interrupt(&chip, &controller));
+
+    assert_eq!(data(received(&mut controller)), [came - 1]);
+    assert_eq!(controller.health(), Health::default());
+}
+
+#[test]
+fn handler_leaves_a_controller_alone_that_is_not_set_up() {
+    let chip = Chip::new();
+    chip.0.borrow_mut().is_missing = true;
+    let mut controller = on(&chip);
+    assert!(!interrupt(&chip, &controller));
+    controller.start(&CanConfig::DEFAULT);
+    // Lines that are pulled up read as two frames for ever.
+    assert!(!interrupt(&chip, &controller));
+    assert!(!controller.received.has_received());
+
+    chip.0.borrow_mut().is_missing = false;
+    controller.recover();
+    assert!(interrupt(&chip, &controller));
+
+    // It vanishes while frames are on their way: the handler ends, and no frame counts that came before it is there again.
+    chip.0.borrow_mut().is_missing = true;
+    assert!(!interrupt(&chip, &controller));
+    assert!(controller.health().is_off);
+    assert!(!interrupt(&chip, &controller));
+    assert_eq!(received(&mut controller), []);
+    chip.0.borrow_mut().is_missing = false;
+    controller.recover();
+    assert!(!controller.health().is_off);
+    assert_eq!(received(&mut controller), []);
 }
 
 #[test]
@@ -297,14 +376,17 @@ fn identifiers_lengths_and_remote_frames_survive_both_ways() {
     ] {
         assert_eq!(id_registers(id), registers);
         chip.receive(0, registers, &[1, 2, 3, 4, 5, 6, 7, 8]);
+        assert!(interrupt(&chip, &controller));
         let frame = controller.receive().unwrap();
         assert_eq!((frame.id(), frame.data().len()), (id, 8));
     }
     chip.receive(0, [0xF4, 0xA0 | SRR, 0, 0], &[]);
+    assert!(interrupt(&chip, &controller));
     assert!(controller.receive().unwrap().is_remote_frame());
     // A length above 8 means 8.
     chip.receive(0, [0xF4, 0xA0, 0, 0], &[0; 8]);
     chip.set(RXBCTRL[0] + 5, 0xF);
+    assert!(interrupt(&chip, &controller));
     assert_eq!(controller.receive().unwrap().data().len(), 8);
 }
 
@@ -328,6 +410,7 @@ fn after_bus_off_nothing_goes_and_nothing_old_comes_before_it_is_told_to_recover
     // It has recovered by itself.
     chip.set(EFLG, 0);
     chip.receive(0, id_registers(Id::Standard(standard(0x121))), &[1]);
+    assert!(interrupt(&chip, &controller));
     assert!(controller.health().is_off);
     assert_eq!(controller.transmit(&frame(gripper_id(), &[])), Err(nb::Error::WouldBlock));
     controller.recover();
