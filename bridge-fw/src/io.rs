@@ -77,8 +77,8 @@ pub trait InputPort {
 pub trait OutputPort {
     /// Drives all wires to these levels.
     ///
-    /// Outputs change together. Where the hardware cannot do that, the PLC may see the outputs that
-    /// are set both before and after, never one that belongs to neither state.
+    /// Outputs change together. Where the hardware cannot do that, the PLC may see states in between, none of which claims more
+    /// than the one before or the one after: [`HalOutputs`] has the order.
     fn write(&mut self, outputs: Outputs);
 }
 
@@ -106,34 +106,55 @@ impl<P: InputPin> InputPort for HalInputs<P> {
 
 /// [`OutputPort`] over seven pins of any HAL, for a board whose outputs share no port.
 ///
-/// Outputs that become low change first, so what shows in between is what old and new state have
-/// in common.
+/// The pins change one after the other, in an order in which a PLC may sample any state in between: first those that become
+/// cautious, then those that become confident. BUSY, ERROR and PART_FAULT are cautious while they are high, the others while they
+/// are low. So each state in between
+/// - is at least as cautious as the one before or the one after it in every wire: no READY, HOLDING, REFERENCED or LINK_OK that both
+///   lack, and no ERROR or PART_FAULT hidden that both have;
+/// - shows BUSY, if that changes, together with whatever else is changing: a PLC that waits until BUSY is low, and then reads the others,
+///   reads those that belong to it;
+/// - has ERROR high while LINK_OK is low, as both ends have it.
 #[derive(Debug)]
 pub struct HalOutputs<P> {
     pins: [P; Outputs::COUNT],
 }
 
 impl<P: OutputPin> HalOutputs<P> {
+    /// The order in which outputs become cautious. They become confident in the reverse order.
+    const ORDER: [Outputs; Outputs::COUNT] = [
+        Outputs::BUSY,
+        Outputs::ERROR,
+        Outputs::PART_FAULT,
+        Outputs::READY,
+        Outputs::HOLDING,
+        Outputs::REFERENCED,
+        Outputs::LINK_OK,
+    ];
+
+    /// Outputs that are cautious while they are high.
+    const CAUTIOUS_HIGH: Outputs = Outputs::BUSY.union(Outputs::ERROR).union(Outputs::PART_FAULT);
+
     /// `pins` in the order of the bits of [`Outputs`], set up as outputs.
     pub const fn new(pins: [P; Outputs::COUNT]) -> Self {
         Self { pins }
+    }
+
+    fn drive(&mut self, output: Outputs, is_high: bool) {
+        let Some(pin) = self.pins.get_mut(output.bits().trailing_zeros() as usize) else { return };
+        // A pin that refuses has no better place to report to: the main loop writes again in its
+        // next turn.
+        let _ = if is_high { pin.set_high() } else { pin.set_low() };
     }
 }
 
 impl<P: OutputPin> OutputPort for HalOutputs<P> {
     fn write(&mut self, outputs: Outputs) {
-        let high = |bit: usize| outputs.bits() & (1 << bit) != 0;
-        // A pin that refuses has no better place to report to: the main loop writes again in its
-        // next turn.
-        for (bit, pin) in self.pins.iter_mut().enumerate() {
-            if !high(bit) {
-                let _ = pin.set_low();
-            }
+        let cautious = !(outputs ^ Self::CAUTIOUS_HIGH);
+        for output in Self::ORDER.into_iter().filter(|output| cautious.contains(*output)) {
+            self.drive(output, outputs.contains(output));
         }
-        for (bit, pin) in self.pins.iter_mut().enumerate() {
-            if high(bit) {
-                let _ = pin.set_high();
-            }
+        for output in Self::ORDER.into_iter().rev().filter(|output| !cautious.contains(*output)) {
+            self.drive(output, outputs.contains(output));
         }
     }
 }
@@ -222,22 +243,59 @@ mod tests {
         assert_eq!(port.read(), !Inputs::FAST_STOP_OK);
     }
 
-    #[test]
-    fn outputs_show_nothing_that_belongs_to_neither_state() {
-        for (before, after) in [
-            (Outputs::BUSY | Outputs::LINK_OK, Outputs::READY | Outputs::HOLDING | Outputs::LINK_OK),
-            (Outputs::all(), Outputs::empty()),
-            (Outputs::empty(), Outputs::all()),
-        ] {
-            let shown = RefCell::new(std::vec![before]);
-            let mut port = HalOutputs::new(core::array::from_fn(|bit| NotingPin { bit, port: &shown }));
+    /// Every state that the outputs show while they change, from the first to the last.
+    fn shown(before: Outputs, after: Outputs) -> Vec<Outputs> {
+        let shown = RefCell::new(std::vec![before]);
+        let mut port = HalOutputs::new(core::array::from_fn(|bit| NotingPin { bit, port: &shown }));
+        port.write(after);
+        assert_eq!(shown.borrow().last(), Some(&after));
+        shown.into_inner()
+    }
 
-            port.write(after);
-
-            let shown = shown.borrow();
-            assert_eq!(*shown.last().unwrap(), after);
-            assert!(shown.iter().all(|&seen| before.contains(seen) || after.contains(seen)), "{shown:?}");
-            assert!(shown.iter().all(|&seen| seen.contains(before & after)), "{shown:?}");
+    /// Calls it with what is shown during each change from one state to another.
+    fn for_each_change(check: impl Fn(&[Outputs], [Outputs; 2])) {
+        let states = || (0..=Outputs::all().bits()).map(Outputs::from_bits_retain);
+        for before in states() {
+            states().for_each(|after| check(&shown(before, after), [before, after]));
         }
+    }
+
+    #[test]
+    fn no_state_in_between_claims_more_than_the_one_before_or_the_one_after() {
+        let warnings = Outputs::BUSY | Outputs::ERROR | Outputs::PART_FAULT;
+        for_each_change(|shown, ends| {
+            for &seen in shown {
+                let claims_no_more = |end: Outputs| {
+                    (end - warnings).contains(seen - warnings) && (seen & warnings).contains(end & warnings)
+                };
+                assert!(ends.into_iter().any(claims_no_more), "{seen:?} between {ends:?}");
+            }
+        });
+    }
+
+    #[test]
+    fn busy_is_low_together_with_what_belongs_to_it_alone() {
+        for_each_change(|shown, ends| {
+            let [was_busy, is_busy] = ends.map(|end| end.contains(Outputs::BUSY));
+            for &seen in shown.iter().filter(|seen| was_busy != is_busy && !seen.contains(Outputs::BUSY)) {
+                assert_eq!(seen, ends[usize::from(was_busy)], "between {ends:?}");
+            }
+        });
+    }
+
+    #[test]
+    fn error_is_high_without_link_ok_in_between_too() {
+        let is_told = |state: &Outputs| state.intersects(Outputs::LINK_OK | Outputs::ERROR);
+        for_each_change(|shown, ends| {
+            assert!(shown.iter().all(is_told) || !ends.iter().all(is_told), "{shown:?}");
+        });
+    }
+
+    #[test]
+    fn each_output_changes_once_at_the_most() {
+        for_each_change(|shown, [before, after]| {
+            let changes = shown.windows(2).filter(|pair| pair[0] != pair[1]).count();
+            assert_eq!(changes, (before ^ after).bits().count_ones() as usize, "{shown:?}");
+        });
     }
 }
