@@ -42,7 +42,7 @@ pub struct RtuBuffers<const RX: usize, const TX: usize> {
     character_us: AtomicU32,
     /// When the last character ended, in microseconds.
     received_at: AtomicU32,
-    /// A frame is being sent. Set by the main loop while it is not, cleared by the handler.
+    /// A frame is being sent: from the first byte that was given to the transmitter until the last bit has left. The handler's own.
     sending: AtomicBool,
     /// Bytes of this frame that were sent, and that came back from a transceiver that echoes. The handler's own.
     sent: AtomicU32,
@@ -132,6 +132,7 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
     pub fn on_transmit(&self, has_room: bool, is_complete: bool) -> Option<u8> {
         let byte = if has_room { self.to_send.pop() } else { None };
         if byte.is_some() {
+            self.sending.store(true, Ordering::Relaxed);
             self.sent.store(self.sent.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
         } else if self.sending.load(Ordering::Relaxed) && is_complete && self.to_send.is_empty() {
             self.sent.store(0, Ordering::Relaxed);
@@ -217,14 +218,12 @@ impl<U: RtuUart, const RX: usize, const TX: usize> BusPort for RtuPort<U, RX, TX
     }
 
     fn send(&mut self, frame: &[u8]) {
-        if self.buffers.sending.load(Ordering::Relaxed) {
+        // In this order: the handler has said that it sends before the queue is empty.
+        if !self.buffers.to_send.is_empty() || self.buffers.sending.load(Ordering::Relaxed) {
             return;
         }
-        self.buffers.sending.store(true, Ordering::Relaxed);
-        for &byte in frame {
-            // There is room for the longest.
-            let _ = self.buffers.to_send.push(byte);
-        }
+        // At once, or a handler that runs meanwhile for something else would take a part for the whole. There is room for the longest.
+        let _ = self.buffers.to_send.push_all(frame);
         self.uart.pend();
     }
 }
