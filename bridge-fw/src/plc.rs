@@ -19,6 +19,7 @@ pub(crate) use motion_end::MotionEnd;
 pub(crate) use view::{Facts, force_unit};
 
 use crate::registers::Link;
+use bus_modbus::rtu::Character;
 use wsg_protocol::Instant;
 use wsg_protocol::fieldbus::{GripperFlags, InputImage, OutputImage};
 
@@ -97,9 +98,21 @@ pub struct Shown {
     pub ignores_motions: bool,
 }
 
-/// No bus beside the wires.
+/// No bus beside the wires; or the line of one that a board does not have, the service port included.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoBus;
+
+impl BusPort for NoBus {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        None
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        u32::MAX
+    }
+
+    fn send(&mut self, _: &[u8]) {}
+}
 
 impl PlcSide for NoBus {
     fn receive(&mut self, _: Instant, _: &mut View<'_>) -> Option<PlcEvent> {

@@ -10,7 +10,7 @@ use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::DpBuffers;
 use wsg_bridge_fw::registers::{FIRST_SETTING, SETTINGS};
-use wsg_bridge_fw::{Board, BusPort, Config, ResetCause, Station};
+use wsg_bridge_fw::{Board, BusPort, Config, NoBus, ResetCause, Station};
 use wsg_sim::Time;
 
 use crate::addresses::setting;
@@ -138,7 +138,7 @@ impl ServiceBench {
     pub fn ask(&mut self, request: &[u8]) -> Vec<u8> {
         self.bus.ask(request);
         for _ in 0..TURNS_TO_ANSWER {
-            self.turn(&mut RtuDouble::default());
+            self.turn(&mut NoBus);
             if let Some(answer) = self.bus.answer() {
                 return answer;
             }
