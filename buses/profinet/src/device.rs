@@ -730,8 +730,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         let status = result.map_or_else(PnioStatus::read, |_| PnioStatus::OK);
         let len = result.unwrap_or(0);
         self.respond(call, status, |writer| {
-            record.answer(writer, block::READ, len);
-            writer.fill(0, 24);
+            record.answer(writer, block::READ, len, PnioStatus::OK);
             writer.bytes(data.get(..len).unwrap_or(&[]));
         });
         None
@@ -992,27 +991,27 @@ impl Record {
         Some((record, reader.bytes(record.len)?))
     }
 
-    /// Writes the header of an answer up to its 24 last bytes.
-    fn answer(&self, writer: &mut Writer<'_>, kind: u16, len: usize) {
-        writer.u16(kind | block::ANSWER);
-        writer.u16(60);
-        writer.bytes(&[1, 0]);
-        writer.u16(self.sequence);
-        writer.bytes(&self.uuid);
-        writer.u32(self.address.api);
-        writer.u16(self.address.slot);
-        writer.u16(self.address.subslot);
-        writer.u16(0);
-        writer.u16(self.address.index);
-        writer.u32(len as u32);
+    /// Writes the header of an answer. That to a read has no status of its own: zeros.
+    fn answer(&self, writer: &mut Writer<'_>, kind: u16, len: usize, status: PnioStatus) {
+        writer.block(kind | block::ANSWER, 0, |writer| {
+            writer.u16(self.sequence);
+            writer.bytes(&self.uuid);
+            writer.u32(self.address.api);
+            writer.u16(self.address.slot);
+            writer.u16(self.address.subslot);
+            writer.u16(0);
+            writer.u16(self.address.index);
+            writer.u32(len as u32);
+            writer.u32(0);
+            writer.u32(status.0);
+            writer.fill(0, 16);
+        });
     }
 
     /// Writes the answer to a write.
     fn answer_write(&self, writer: &mut Writer<'_>, len: usize, result: Result<(), u8>) {
-        self.answer(writer, block::WRITE, len);
-        writer.u32(0);
-        writer.u32(result.map_or_else(PnioStatus::write, |()| PnioStatus::OK).0);
-        writer.fill(0, 16);
+        let status = result.map_or_else(PnioStatus::write, |()| PnioStatus::OK);
+        self.answer(writer, block::WRITE, len, status);
     }
 }
 
@@ -1035,4 +1034,4 @@ impl Answers {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,6 +1,6 @@
 //! What the device does, as a controller sees it.
 
-mod controller;
+pub(crate) mod controller;
 
 use super::*;
 use controller::*;

@@ -22,7 +22,7 @@ pub(super) const HOLD_US: u64 = 12_000;
 pub(super) const INPUT_ID: u16 = 0xC001;
 pub(super) const OUTPUT_ID: u16 = 0x8001;
 
-pub(super) static PROFILE: Profile = Profile {
+pub(crate) static PROFILE: Profile = Profile {
     vendor_id: 0x1234,
     device_id: 0x5678,
     station_type: "example",
