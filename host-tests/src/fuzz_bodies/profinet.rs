@@ -37,14 +37,7 @@ struct Network {
 /// Each op is a byte that says what happens, and bytes that say how.
 pub fn profinet(data: &[u8]) {
     let mut input = Input::new(data);
-    let mut network = Network {
-        device: Device::new(&PROFILE_OF_ALL, DEVICE, Stored::NONE, 1),
-        now: 0,
-        sequence: 0,
-        counter: 0,
-        call: None,
-        offered: None,
-    };
+    let mut network = Network::new();
     while !input.is_empty() {
         network.offered = None;
         let before = network.device.state();
@@ -55,6 +48,17 @@ pub fn profinet(data: &[u8]) {
 }
 
 impl Network {
+    fn new() -> Self {
+        Self {
+            device: Device::new(&PROFILE_OF_ALL, DEVICE, Stored::NONE, 1),
+            now: 0,
+            sequence: 0,
+            counter: 0,
+            call: None,
+            offered: None,
+        }
+    }
+
     fn happen(&mut self, input: &mut Input<'_>) -> Option<Event> {
         let who = |input: &mut Input<'_>| usize::from(input.byte()) % 2;
         match input.byte() % 14 {
@@ -200,10 +204,10 @@ impl Network {
         frame.extend([0x35, 0]);
         damage(&mut frame, input);
         // As a reader of the network sees it: from the controller, all good.
-        let is_good = frame.len() >= 60
+        let is_good = frame.len() == 60
             && frame[..16] == [&DEVICE.0[..], &CONTROLLERS[0].0, &numbers(&[0x8892, OUTPUT_ID])].concat()
             && frame[24] & 0x80 != 0
-            && frame[58] & 0x14 == 0x14
+            && frame[58] & 0x15 == 0x15
             && frame[59] == 0;
         self.offered = is_good.then(|| frame[16..24].try_into().expect("eight"));
         self.device.receive(self.now, &frame)
@@ -372,14 +376,7 @@ mod tests {
     /// The ops of the seeds do what they are there for.
     #[test]
     fn connection_of_this_body_leads_to_outputs() {
-        let mut network = Network {
-            device: Device::new(&PROFILE_OF_ALL, DEVICE, Stored::NONE, 1),
-            now: 0,
-            sequence: 0,
-            counter: 0,
-            call: None,
-            offered: None,
-        };
+        let mut network = Network::new();
         let mut events = vec![];
         for op in [&[3, 0, 1, 0][..], &[4, 0, 0], &[6, 0, 0], &[7, 1, 2, 3, 4, 5, 6, 7, 8, 1, 0]] {
             events.extend(network.happen(&mut Input::new(op)));
