@@ -251,6 +251,18 @@ fn profinet_py_that_is_killed_in_namespaces_has_its_motion_stopped() {
 
 #[test]
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+fn profinet_py_in_namespaces_moves_nothing_by_frames_that_do_not_count_and_by_flags_that_it_holds() {
+    if !extent::is_whole() {
+        return;
+    }
+    let network = Network::new();
+    let _server = network.serve(Config { time_scale: 1.0, ..config() });
+    let output = network.python(CONTROLLER, &["unasked"]);
+    assert!(output.status.success(), "{}", said(&output));
+}
+
+#[test]
+#[ignore = "needs profinet-py and root: run `cargo xtask test`"]
 fn profinet_py_exchanges_data_at_8_ms_in_namespaces_and_misses_one_in_a_thousand_at_the_most() {
     if !extent::is_whole() {
         return;

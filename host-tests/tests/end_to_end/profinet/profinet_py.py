@@ -7,7 +7,7 @@ import sys
 import time
 
 import profinet
-from profinet import IOCRSetup, IOSlot, ProfinetDevice, dcp
+from profinet import CyclicController, IOCRSetup, IOSlot, ProfinetDevice, dcp
 from profinet.exceptions import ProfinetError
 from profinet.util import ethernet_socket, get_mac
 
@@ -49,15 +49,19 @@ def set_up():
     assert dcp.signal_device(sock(), own, mac, duration_ms=10)
 
 
+def image(flags, width=20_00, speed=100_00, force=40_00):
+    return struct.pack(">BBhHh", flags, 0, width, speed, force)
+
+
 class Plc:
     """A program that exchanges images."""
 
-    def __init__(self):
+    def __init__(self, watchdog=200):
         self.device = until("discover", self.discover)
         self.alarms = []
         self.device.on_alarm(lambda alarm: self.alarms.append(alarm.alarm_type_name))
         # 8 ms; silence of 1.6 s ends it, however busy the machine is.
-        setup = IOCRSetup(slots=SLOTS, reduction_ratio=8, watchdog_factor=200, data_hold_factor=200)
+        setup = IOCRSetup(slots=SLOTS, reduction_ratio=8, watchdog_factor=watchdog, data_hold_factor=watchdog)
         self.cyclic = until("connect", lambda: self.connect(setup))
         self.write(0)
         until("inputs", self.read)
@@ -78,8 +82,8 @@ class Plc:
             print("not connected yet:", error)
             return None
 
-    def write(self, flags, width=20_00, speed=100_00, force=40_00):
-        self.cyclic.set_output_data(2, 1, struct.pack(">BBhHh", flags, 0, width, speed, force))
+    def write(self, flags, **parameters):
+        self.cyclic.set_output_data(2, 1, image(flags, **parameters))
 
     def read(self):
         """State, system state, width, status."""
@@ -222,6 +226,115 @@ def unmoved():
     plc.release()
 
 
+class Tampered:
+    """What its frames of outputs are sent by, changed on their way."""
+
+    def __init__(self, socket, change):
+        self.socket, self.change = socket, change
+
+    def __getattr__(self, name):
+        return getattr(self.socket, name)
+
+    def send(self, frame):
+        return self.socket.send(bytes(self.change(bytearray(frame))))
+
+
+def unasked():
+    """Frames that ask for a motion and must not count, and those behind them that hold what they asked for."""
+    set_up()
+    plc = Plc()
+    plc.home()
+    width = plc.read()[2]
+    plc.release()
+
+    def status(bit):
+        def clear(frame):
+            frame[-2] &= ~bit
+            return frame
+        return clear
+
+    def of_another_station(frame):
+        frame[6:12] = bytes([2, 0, 0, 0, 0, 0x66])
+        return frame
+
+    def of_another_connection(frame):
+        frame[19] ^= 1
+        return frame
+
+    def bad(frame):
+        # Data of slot 2 is first, its status behind it.
+        assert frame[28] == 0x80, frame.hex()
+        frame[28] = 0
+        return frame
+
+    def stuck(counter):
+        def change(frame):
+            frame[-4:-2] = struct.pack(">H", counter & 0xFFFF)
+            return frame
+        return change
+
+    # The controller is silent for the gripper, and is given up.
+    for name, change in [
+        ("another station", lambda _: of_another_station),
+        ("another connection", lambda _: of_another_connection),
+        ("longer", lambda _: lambda frame: frame + b"\0"),
+        ("not valid", lambda _: status(0x04)),
+        ("a stuck counter", lambda counter: stuck(counter)),
+        ("an old counter", lambda counter: stuck(counter - 256)),
+    ]:
+        plc = Plc(watchdog=25)
+        sender = plc.cyclic._tx_sock
+        plc.cyclic._tx_sock = Tampered(sender, change(plc.cyclic._cycle_counter))
+        time.sleep(0.05)
+        plc.write(MOVE)
+        # More than its watchdog. The frames are good again, but nobody listens.
+        time.sleep(0.5)
+        plc.cyclic._tx_sock = sender
+        time.sleep(0.1)
+        plc.cyclic.stop()
+        plc.device.close()
+        plc = Plc()
+        assert plc.read()[2] == width, (name, plc.read())
+        plc.release()
+
+    # It is there, and has no outputs; when it has, the flag that it holds is no edge.
+    plc = Plc()
+    sender = plc.cyclic._tx_sock
+    for name, change in [("bad", bad), ("stopped", status(0x10)), ("a backup", status(0x01))]:
+        plc.write(0)
+        time.sleep(0.05)
+        plc.cyclic._tx_sock = Tampered(sender, change)
+        time.sleep(0.05)
+        plc.write(MOVE)
+        time.sleep(0.2)
+        assert plc.read()[2] == width, (name, plc.read())
+        plc.cyclic._tx_sock = sender
+        time.sleep(0.2)
+        assert plc.read()[2] == width, (name, plc.read())
+
+    # The same flag is one when all is well.
+    plc.command(MOVE, lambda state, flags, now, _: now < width - 1_00, speed=5_00)
+    # Back with the image that it had when its cable was cut.
+    plc.cyclic._tx_sock = Tampered(sender, of_another_station)
+    time.sleep(2)
+    plc.cyclic.stop()
+    plc.device.close()
+    start = CyclicController.start
+    def with_the_old_image(cyclic):
+        cyclic.set_output_data(2, 1, image(MOVE, speed=5_00))
+        start(cyclic)
+    CyclicController.start = with_the_old_image
+    Plc.write, write = lambda *_: None, Plc.write
+    plc = Plc()
+    Plc.write = write
+    state, _, width, _ = plc.read()
+    assert state == IDLE, state
+    time.sleep(0.3)
+    assert plc.read()[2] == width, (width, plc.read())
+    plc.command(MOVE, lambda state, flags, now, _: now < width - 1_00, speed=5_00)
+    plc.release()
+
+
 def soak(seconds):
     set_up()
     plc = Plc()
@@ -240,4 +353,4 @@ def soak(seconds):
 
 
 part, *arguments = sys.argv[1:]
-{"cycle": cycle, "label": label, "labelled": labelled, "unmoved": unmoved, "cut": cut, "killed": killed, "soak": soak}[part](*map(float, arguments))
+{"cycle": cycle, "label": label, "labelled": labelled, "unasked": unasked, "unmoved": unmoved, "cut": cut, "killed": killed, "soak": soak}[part](*map(float, arguments))
