@@ -9,6 +9,7 @@ use crate::{
     firmware,
     probe::{Probes, Profile},
     process, public_functions,
+    setup::TRIPLE,
 };
 
 /// What the panic handler calls.
@@ -38,13 +39,13 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
     );
     for profile in Profile::ALL {
         let level = profile.opt_level();
-        let control = outcome(&mut probes.cargo("build", "panics", "on-target", profile))?;
+        let control = outcome(&mut probes.cargo(TRIPLE, "panics", "on-target", profile))?;
         ensure!(
             control == Outcome::Panics,
             "the program that panics links at {level}: this check checks nothing"
         );
         let what = "protocol and buses, every public function";
-        hold(what, level, &mut probes.cargo("build", FUNCTIONS, FEATURES, profile))?;
+        hold(what, level, &mut probes.cargo(TRIPLE, FUNCTIONS, FEATURES, profile))?;
         for board in &BOARDS {
             hold(board.name, level, &mut firmware_build(probes, board, profile))?;
         }

@@ -43,7 +43,7 @@ impl Profile {
     }
 }
 
-/// Builds probes for the thumb target.
+/// Builds probes for thumb targets.
 pub(crate) struct Probes<'a> {
     /// Where they are.
     pub(crate) workspace: &'a Workspace,
@@ -52,22 +52,28 @@ pub(crate) struct Probes<'a> {
 }
 
 impl Probes<'_> {
-    /// Cargo's `subcommand` for this program.
-    pub(crate) fn cargo(&self, subcommand: &str, name: &str, features: &str, profile: Profile) -> Command {
-        let mut cargo = self.toolchain.cargo(self.workspace, subcommand, TRIPLE);
+    /// Cargo's `build` of this program for a target.
+    pub(crate) fn cargo(&self, triple: &str, name: &str, features: &str, profile: Profile) -> Command {
+        let mut cargo = self.toolchain.cargo(self.workspace, "build", triple);
         cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name()]);
         cargo
     }
 
     /// Builds this program, and gives its path. The next one of its name takes its place.
-    pub(crate) fn build(&self, name: &str, features: &str, profile: Profile) -> Result<PathBuf> {
-        process::run(&mut self.cargo("build", name, features, profile))?;
-        Ok(self.toolchain.output_dir(self.workspace, TRIPLE, profile.name()).join(name))
+    pub(crate) fn build(
+        &self,
+        triple: &str,
+        name: &str,
+        features: &str,
+        profile: Profile,
+    ) -> Result<PathBuf> {
+        process::run(&mut self.cargo(triple, name, features, profile))?;
+        Ok(self.toolchain.output_dir(self.workspace, triple, profile.name()).join(name))
     }
 
     /// What this program takes, at opt-level s.
     pub(crate) fn footprint(&self, name: &str, features: &str) -> Result<Footprint> {
-        let path = self.build(name, features, Profile::Size)?;
+        let path = self.build(TRIPLE, name, features, Profile::Size)?;
         let what_failed = || format!("cannot read the sections of {}", path.display());
         let bytes = fs::read(&path).with_context(what_failed)?;
         Ok(Footprint::of(&footprint::sections_of(&bytes).with_context(what_failed)?))

@@ -138,7 +138,7 @@ impl Checks<'_> {
 
     fn probes_clippy(&self) -> Command {
         let mut clippy = self.toolchain.cargo(self.workspace, "clippy", setup::TRIPLE);
-        clippy.args(["-p", "wsg-probes", "--bins", "--features", "bench,every-function"]);
+        clippy.args(["-p", "wsg-probes", "--bins", "--features", "edges,every-function"]);
         clippy.args(["--profile", "firmware", "--", "-D", "warnings"]);
         clippy
     }
