@@ -15,6 +15,16 @@ const XIP = 0x10000000;
 const ERASE_NANOS = 45e6;
 const PROGRAM_NANOS = 0.4e6;
 
+// W25Q16JV, 8.2.29: Read Unique ID, where its answer has the number, and one of a chip.
+const READ_UNIQUE_ID = 0x4b;
+const UNIQUE_ID_AT = 5;
+const UNIQUE_ID = [0xe6, 0x60, 0x58, 0x38, 0x83, 0x2a, 0x47, 0x2f];
+
+// Registers of the interface (4.10.13) and of the pin that selects the chip (2.19.6.2), which can be driven low.
+const SSI = 0x18000, SSIENR = 0x08, SR = 0x28, DR0 = 0x60;
+const TFNF = 1 << 1, RFNE = 1 << 3, FIFO_LEN = 16;
+const IO_QSPI = 0x40018, SS_CTRL = 0x0c, DRIVEN_LOW = 2;
+
 // Where in the ROM the tables and the breakpoints are.
 const FUNCTIONS = 0x100;
 const DATA = 0x180;
@@ -62,12 +72,30 @@ class Flash {
             if (rp2040.core.PC >= 0x4000) this.fail(`breakpoint ${code} at ${hex(rp2040.core.PC)}`);
             else this.call(CODES[code], rp2040.core.registers);
         };
-        // Boot from flash maps it: the second stage enables the interface.
-        const ssi = rp2040.peripherals[0x18000];
-        const write = ssi.writeUint32.bind(ssi);
+        this.connectInterface(rp2040.peripherals[SSI], rp2040.peripherals[IO_QSPI]);
+    }
+
+    // While the flash is not mapped, bytes go to the chip and come from it one by one.
+    connectInterface(ssi, pins) {
+        this.isSelected = false;
+        let asked = [], answers = [];
+        const [read, write] = [ssi.readUint32.bind(ssi), ssi.writeUint32.bind(ssi)];
+        ssi.readUint32 = (offset) => {
+            if (this.isMapped || ![SR, DR0].includes(offset)) return read(offset);
+            return offset === SR ? TFNF | (answers.length ? RFNE : 0) : (answers.shift() ?? 0);
+        };
         ssi.writeUint32 = (offset, value) => {
-            if (offset === 0x08 && value === 1) this.isMapped = true;
-            write(offset, value);
+            // Boot from flash maps it: the second stage enables the interface.
+            if (offset === SSIENR && value === 1) this.isMapped = true;
+            if (this.isMapped || offset !== DR0) return write(offset, value);
+            if (!this.isSelected || answers.length === FIFO_LEN) return this.fail(`the byte ${hex(value)} to the flash is lost`);
+            const at = asked.push(value) - 1 - UNIQUE_ID_AT;
+            answers.push(asked[0] === READ_UNIQUE_ID && at >= 0 ? UNIQUE_ID[at % UNIQUE_ID.length] : 0xff);
+        };
+        pins.writeUint32 = (offset, value) => {
+            if (offset !== SS_CTRL) return;
+            this.isSelected = ((value >> 8) & 3) === DRIVEN_LOW;
+            [asked, answers] = [[], []];
         };
     }
 
@@ -96,6 +124,8 @@ class Flash {
                 this.isMapped = true;
                 break;
             case "FC":
+                // It gives the pin that selects the chip back to the interface, too.
+                this.isSelected = false;
                 break;
             case "RE":
                 this.erase(first, second);

@@ -1,10 +1,10 @@
-//! The settings' two sectors: the last ones of the QSPI flash (RP2040, 2.6 and 2.8.3.1.3; Winbond W25Q16JV).
+//! The settings' two sectors: the last ones of the QSPI flash (RP2040, 2.6 and 2.8.3.1.3; Winbond W25Q16JV). And that chip's number.
 //!
 //! The program runs from the same flash. While a sector is erased (45 ms, 400 ms at the most) or a page programmed (3 ms at
 //! the most) nothing can be read from it, so nothing runs but a few instructions in RAM and the boot ROM's. That is done only
 //! while the fingers stand and nothing is being sent. Where there is no boot ROM, as in an emulator, it fails.
 
-use core::ptr::with_exposed_provenance;
+use core::ptr::{with_exposed_provenance, with_exposed_provenance_mut};
 
 use rp2040_hal::rom_data;
 use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
@@ -33,10 +33,29 @@ const BOOT2_WORDS: usize = 64;
 const ROM_MAGIC_AT: usize = 0x10;
 const ROM_MAGIC: u32 = 0x01_75_4D;
 
+/// The pin that selects the flash chip (RP2040, 2.19.6.2), driven low or high whatever the interface does; its function stays XIP.
+const QSPI_SS_CTRL: usize = 0x4001_800C;
+const SELECTED: u32 = 2 << 8;
+const DESELECTED: u32 = 3 << 8;
+/// The interface (4.10.13): whether a byte was received, and the bytes both ways.
+const SSI_SR: usize = 0x1800_0028;
+const RFNE: u32 = 1 << 3;
+const SSI_DR0: usize = 0x1800_0060;
+/// Looks at a byte that takes 0.4 µs.
+const MAX_LOOKS: u32 = 1_000;
+
+/// Read Unique ID (W25Q16JV, 8.2.29): the instruction, four bytes without a meaning, and eight of the number.
+const READ_UNIQUE_ID: u32 = 0x4B;
+const UNIQUE_ID: core::ops::Range<usize> = 5..13;
+/// The interface's queues hold all of it.
+const _: () = assert!(UNIQUE_ID.end <= 16);
+
 /// What is to be done.
 #[derive(Clone, Copy)]
 enum Operation {
     Nothing,
+    /// The chip's answer to Read Unique ID goes to the page buffer.
+    Identify,
     Erase(u32),
     /// The page buffer, at this place.
     Program(u32),
@@ -71,6 +90,21 @@ impl SettingsSectors {
         }
     }
 
+    /// The serial number: of the flash chip's, for the RP2040 has none, what fits into 32 bits. 0 if it has none either. Before the
+    /// main loop.
+    pub(crate) fn serial_number(&mut self) -> u32 {
+        if self.run(Operation::Identify).is_err() {
+            return 0;
+        }
+        let number =
+            self.page.get(UNIQUE_ID).and_then(|bytes| Some(u64::from_be_bytes(*bytes.first_chunk()?)));
+        match number {
+            // Lines that nobody drives.
+            None | Some(0 | u64::MAX) => 0,
+            Some(number) => ((number >> 32) as u32).rotate_left(11) ^ number as u32,
+        }
+    }
+
     fn run(&mut self, operation: Operation) -> Result<(), FlashError> {
         // SAFETY: the address is the boot ROM's; where there is none, it reads as something else.
         let magic = unsafe { with_exposed_provenance::<u32>(ROM_MAGIC_AT).read_volatile() };
@@ -91,7 +125,9 @@ impl SettingsSectors {
         watchdog::wait_for_flash();
         // SAFETY: interrupts are off, and the function is in RAM with all that it uses: the ROM's functions, and the buffers of
         // this value. What is erased or programmed is in the settings' sectors.
-        cortex_m::interrupt::free(|_| unsafe { run_in_ram(&rom, operation, &self.page, &self.boot2) });
+        cortex_m::interrupt::free(|_| unsafe {
+            run_in_ram(&rom, operation, &mut self.page, &self.boot2);
+        });
         Ok(())
     }
 }
@@ -105,7 +141,7 @@ struct Rom {
     flash_flush_cache: unsafe extern "C" fn(),
 }
 
-/// Erases or programs. In RAM: flash is no memory meanwhile.
+/// Erases, programs or identifies. In RAM: flash is no memory meanwhile.
 ///
 /// # Safety
 /// Interrupts are off, nothing else uses flash, and `boot2` is the second boot stage.
@@ -114,7 +150,7 @@ struct Rom {
 unsafe fn run_in_ram(
     rom: &Rom,
     operation: Operation,
-    page: &[u8; PROGRAM_BYTES],
+    page: &mut [u8; PROGRAM_BYTES],
     boot2: &[u32; BOOT2_WORDS],
 ) {
     // SAFETY: in the order that the data sheet asks for. The second boot stage returns where it was called, and leaves flash
@@ -124,6 +160,7 @@ unsafe fn run_in_ram(
         (rom.flash_exit_xip)();
         match operation {
             Operation::Nothing => {}
+            Operation::Identify => identify(page),
             Operation::Erase(at) => (rom.flash_range_erase)(at, SECTOR_BYTES, BLOCK_BYTES, ERASE_BLOCK),
             Operation::Program(at) => (rom.flash_range_program)(at, page.as_ptr(), PROGRAM_BYTES),
         }
@@ -131,6 +168,26 @@ unsafe fn run_in_ram(
         let boot2 = boot2.as_ptr().wrapping_byte_add(1);
         let make_readable = core::mem::transmute::<*const u32, unsafe extern "C" fn()>(boot2);
         make_readable();
+    }
+}
+
+/// Has the chip tell its number. The ROM's flush of the cache gives the pin back to the interface.
+///
+/// # Safety
+/// As for [`run_in_ram`], of which it is a part; the interface is as the ROM's exit from XIP leaves it: bytes, one line each way.
+#[inline(always)]
+unsafe fn identify(answer: &mut [u8; PROGRAM_BYTES]) {
+    let [select, status, data] = [QSPI_SS_CTRL, SSI_SR, SSI_DR0].map(with_exposed_provenance_mut::<u32>);
+    // SAFETY: they are registers, and nobody else uses them meanwhile.
+    unsafe {
+        select.write_volatile(SELECTED);
+        data.write_volatile(READ_UNIQUE_ID);
+        (1..UNIQUE_ID.end).for_each(|_| data.write_volatile(0));
+        for place in answer.iter_mut().take(UNIQUE_ID.end) {
+            let _ = (0..MAX_LOOKS).any(|_| status.read_volatile() & RFNE != 0);
+            *place = data.read_volatile() as u8;
+        }
+        select.write_volatile(DESELECTED);
     }
 }
 

@@ -105,14 +105,14 @@ fn main() -> ! {
 #[inline(never)]
 fn start(
     station: &mut Station<Can>,
-    flash: &SettingsSectors,
+    flash: &mut SettingsSectors,
     reset_cause: ResetCause,
     nvic: &mut NVIC,
 ) -> Result<(), WrongSetting> {
     // By reference: taken out of the result it would be there twice.
     let loaded = load(station, flash);
     let config = loaded.as_ref().map_err(|wrong| *wrong)?;
-    station.start(config, Board { name: NAME, serial: 0 }, reset_cause);
+    station.start(config, Board { name: NAME, serial: flash.serial_number() }, reset_cause);
     if config.gripper_line == GripperLine::Serial {
         uart::start();
     }

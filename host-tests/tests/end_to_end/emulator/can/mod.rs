@@ -34,6 +34,7 @@ use host_tests::bxcan::Bxcan;
 use host_tests::can_bus::CanBus;
 use host_tests::can_controller::BusController;
 use host_tests::can_hub::CanHub;
+use host_tests::can_wire::WireFrame;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
@@ -244,6 +245,30 @@ fn run_master<C: CanBoard>(settings: (&str, u32), gripper_on_bus: bool) {
     assert_eq!(motions(&trace.since(0)), expected, "{}", said(&output));
     C::assert_set_up(&board, &bus, settings.1);
     drop(gripper);
+}
+
+/// The number of the chip that `emulators/rp2040/flash.js` plays.
+const FLASH_CHIP: [u32; 2] = [0xE660_5838, 0x832A_472F];
+
+#[test]
+#[ignore = "needs rp2040js and the firmware image with the PLC on CAN: run `cargo xtask test`"]
+fn serial_number_is_made_of_the_flash_chips_in_rp2040js() {
+    let (_board, bus, _hub) = power_up::<Mcp2515>(PLC_ON_CAN);
+    let master = bus.join();
+    let hear = |id: u16| {
+        let id = WireFrame::standard(id, &[]).id;
+        let bound = Instant::now() + PATIENCE;
+        let heard = std::iter::from_fn(|| master.heard.recv_timeout(PATIENCE).ok());
+        heard.take_while(|_| Instant::now() < bound).find(|frame| frame.id == id).expect("it is sent")
+    };
+    // It takes part in the bus.
+    hear(0x710);
+    // SDO: object 1018h, entry 4 is read, and its four bytes come.
+    master.send(WireFrame::standard(0x610, &[0x40, 0x18, 0x10, 4, 0, 0, 0, 0]));
+    let answer = hear(0x590);
+    let (of, number) = answer.data.split_at(4);
+    assert_eq!(of, [0x43, 0x18, 0x10, 4]);
+    assert_eq!(number, (FLASH_CHIP[0].rotate_left(11) ^ FLASH_CHIP[1]).to_le_bytes());
 }
 
 fn plc_on_can_is_served_to_a_master_of_canopen<C: CanBoard>() {
