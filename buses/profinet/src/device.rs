@@ -897,7 +897,8 @@ const fn activity(session: u32, mac: MacAddress) -> [u8; 16] {
 }
 
 /// The longest record: what an answer has room for.
-const MAX_RECORD_LEN: usize = MAX_DATAGRAM_LEN - rpc::HEADER_LEN - 20 - Record::ANSWER_LEN;
+const MAX_RECORD_LEN: usize = 1_308;
+const _: () = assert!(rpc::HEADER_LEN + 20 + Record::ANSWER_LEN + MAX_RECORD_LEN == MAX_DATAGRAM_LEN);
 
 fn ar_answer(writer: &mut Writer<'_>, relation: &Relation, mac: MacAddress) {
     writer.block(block::AR, 0, |writer| {
