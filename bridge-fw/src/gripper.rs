@@ -5,5 +5,5 @@ mod serial;
 mod would_block;
 
 pub use can::GripperLink;
-pub use serial::{LostBytes, ReceiveErrors, Uart, UartBuffers, UartLine};
+pub use serial::{BAUD, LostBytes, ReceiveErrors, TO_SEND_MAX, Uart, UartBuffers, UartLine};
 pub use would_block::WouldBlock;

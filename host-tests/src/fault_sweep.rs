@@ -11,6 +11,7 @@ use crate::chance::Chance;
 use crate::faulty_link::{Fault, FaultyWay, Rates};
 use bus_modbus::rtu::{Character, crc};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use wsg_bridge_fw::gripper::TO_SEND_MAX;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusPort, Config};
@@ -19,9 +20,6 @@ use wsg_sim::{MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
 /// Hundredths of a byte that the line carries in a millisecond: 10 bits a byte.
 const HUNDREDTHS_PER_MS: u32 = 1_152;
-
-/// Bytes that the board's queue holds beside the one on the line.
-const TO_SEND_MAX: usize = 32;
 
 /// Each fault of a byte: changed to any other value, lost, doubled, and any other byte before it.
 fn every_fault() -> Vec<Fault> {

@@ -8,15 +8,32 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use embedded_hal_nb::serial::{self, Error as _};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 
+use wsg_protocol::Command;
+use wsg_protocol::frame::OVERHEAD;
+
 use super::would_block::WouldBlock;
 use crate::byte_queue::ByteQueue;
 
-/// The bytes on their way, `RX` received ones and `TX` to be sent at the most, both powers of two. It is a plain `static`.
+/// The rate of a gripper's RS-232 line in bit/s; 8 data bits, no parity, 1 stop bit.
+pub const BAUD: u32 = 115_200;
+
+/// Bytes that are received before the main loop reads them: what comes in 10 ms, at 10 bits a byte, is ten times what comes between
+/// two turns of it.
+const RECEIVED_MAX: usize = 128;
+const _: () = assert!(RECEIVED_MAX >= (BAUD / 10 / 100) as usize);
+
+/// Bytes that wait to be sent: the longest frame that the bridge sends. It gives one frame at a time, so that a FAST STOP never waits
+/// for more than the rest of one.
+pub const TO_SEND_MAX: usize = 32;
+const _: () = assert!(TO_SEND_MAX >= Command::MAX_FIXED_LEN + OVERHEAD);
+
+/// The bytes on their way, `RX` received ones and `TX` to be sent at the most, both powers of two; as many as a gripper needs where
+/// neither is given. It is a plain `static`.
 ///
 /// ```
 /// use wsg_bridge_fw::gripper::{ReceiveErrors, UartBuffers};
 ///
-/// static BUFFERS: UartBuffers<128, 32> = UartBuffers::new();
+/// static BUFFERS: UartBuffers = UartBuffers::new();
 ///
 /// // In the handler: what the status register says, and the byte if there is one.
 /// BUFFERS.on_receive(Some(0xAA), ReceiveErrors { framing: false, overrun: false });
@@ -24,7 +41,7 @@ use crate::byte_queue::ByteQueue;
 /// assert_eq!(BUFFERS.next_to_send(), None);
 /// ```
 #[derive(Debug)]
-pub struct UartBuffers<const RX: usize, const TX: usize> {
+pub struct UartBuffers<const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND_MAX> {
     received: ByteQueue<RX>,
     to_send: ByteQueue<TX>,
     overrun: AtomicU32,
@@ -92,7 +109,7 @@ impl<const RX: usize, const TX: usize> UartBuffers<RX, TX> {
     /// use embedded_hal_nb::serial::{Read, Write};
     /// use wsg_bridge_fw::gripper::UartBuffers;
     ///
-    /// static BUFFERS: UartBuffers<128, 32> = UartBuffers::new();
+    /// static BUFFERS: UartBuffers = UartBuffers::new();
     ///
     /// fn on_interrupt(uart: &mut (impl Read + Write)) {
     ///     let _needs_transmit_interrupt = BUFFERS.serve(uart);
@@ -171,7 +188,7 @@ pub trait Uart {
 /// [`WouldBlock`] where they would have to wait; after [`ReadReady::read_ready`] or [`WriteReady::write_ready`] said yes,
 /// reading or writing succeeds.
 #[derive(Debug)]
-pub struct UartLine<U, const RX: usize, const TX: usize> {
+pub struct UartLine<U, const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND_MAX> {
     uart: U,
     buffers: &'static UartBuffers<RX, TX>,
 }

@@ -23,12 +23,8 @@ use wsg_bridge_fw::{BusConfig, Format};
 
 use crate::tick;
 
-/// What comes in 7 ms at 230 400 bit/s.
-const RECEIVED_MAX: usize = 512;
-const TO_SEND_MAX: usize = 256;
-
 /// One type for both lines, so that there is one copy of their code.
-type Buffers = RtuBuffers<RECEIVED_MAX, TO_SEND_MAX>;
+type Buffers = RtuBuffers;
 
 static BUS: Buffers = RtuBuffers::new();
 static SERVICE: Buffers = RtuBuffers::new();
@@ -50,7 +46,7 @@ const _: () =
     assert!((HCLK_HZ / SERVICE_DIVIDER).abs_diff(BusConfig::SERVICE.baud) < BusConfig::SERVICE.baud / 1_000);
 
 /// The bridge's end of Modbus RTU on a line; nothing comes and goes before its start.
-pub(crate) type Line = RtuPort<Registers, RECEIVED_MAX, TO_SEND_MAX>;
+pub(crate) type Line = RtuPort<Registers>;
 
 /// The end of the bus. To be asked for once.
 pub(crate) const fn line() -> Line {

@@ -2,32 +2,18 @@
 
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::{Interrupt, RCC, USART1, interrupt};
-use wsg_bridge_fw::gripper::{ReceiveErrors, Uart, UartBuffers, UartLine};
-use wsg_protocol::Command;
-use wsg_protocol::frame::OVERHEAD;
+use wsg_bridge_fw::gripper::{BAUD, ReceiveErrors, Uart, UartBuffers, UartLine};
 
 use crate::clock::HCLK_HZ;
 
-const BAUD: u32 = 115_200;
 const DIVIDER: u32 = HCLK_HZ / BAUD;
 const _: () = assert!(DIVIDER * BAUD == HCLK_HZ);
 
-/// What arrives in 10 ms, at 10 bits a byte: ten times what arrives between two turns of the main loop.
-const BYTES_PER_10_MS: usize = (BAUD / 10 / 100) as usize;
-const RECEIVED_MAX: usize = 128;
-const _: () = assert!(RECEIVED_MAX >= BYTES_PER_10_MS);
-
-/// The longest frame the bridge sends. It gives one frame at a time, so that a FAST STOP never waits for more than the
-/// rest of one.
-const LONGEST_FRAME: usize = Command::MAX_FIXED_LEN + OVERHEAD;
-const TO_SEND_MAX: usize = 32;
-const _: () = assert!(TO_SEND_MAX >= LONGEST_FRAME);
-
 /// The bytes on their way.
-pub(crate) static BUFFERS: UartBuffers<RECEIVED_MAX, TO_SEND_MAX> = UartBuffers::new();
+pub(crate) static BUFFERS: UartBuffers = UartBuffers::new();
 
 /// The bridge's end of the line to the gripper; nothing comes and goes before [`start`].
-pub(crate) type GripperLine = UartLine<Registers, RECEIVED_MAX, TO_SEND_MAX>;
+pub(crate) type GripperLine = UartLine<Registers>;
 
 /// The end of the line. To be asked for once.
 pub(crate) const fn line() -> GripperLine {

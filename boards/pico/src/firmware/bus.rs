@@ -18,11 +18,7 @@ use crate::registers::{peripheral, reset, reset_bit, write};
 use crate::tick;
 use crate::uart::Port;
 
-/// What comes in 7 ms at 230 400 bit/s.
-const RECEIVED_MAX: usize = 512;
-const TO_SEND_MAX: usize = 256;
-
-static BUS: RtuBuffers<RECEIVED_MAX, TO_SEND_MAX> = RtuBuffers::new();
+static BUS: RtuBuffers = RtuBuffers::new();
 
 /// The driver's pin, in the registers of SIO.
 const DRIVER: u32 = 1 << BUS_DRIVER_ENABLE;
@@ -37,7 +33,7 @@ static IS_PROFIBUS: AtomicBool = AtomicBool::new(false);
 static TWO_BITS_US: AtomicU32 = AtomicU32::new(0);
 
 /// The bridge's end of Modbus RTU on the bus; nothing comes and goes before its start.
-pub(crate) type Line = RtuPort<Uart1, RECEIVED_MAX, TO_SEND_MAX>;
+pub(crate) type Line = RtuPort<Uart1>;
 
 /// The end of the bus. To be asked for once.
 pub(crate) const fn line() -> Line {

@@ -5,25 +5,10 @@ use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
 use rp2040_hal::pac::uart0::RegisterBlock as Registers;
 use rp2040_hal::pac::{Interrupt, interrupt};
 use wsg_bridge_fw::Format;
-use wsg_bridge_fw::gripper::{Uart, UartBuffers, UartLine};
-use wsg_protocol::Command;
-use wsg_protocol::frame::OVERHEAD;
+use wsg_bridge_fw::gripper::{BAUD, Uart, UartBuffers, UartLine};
 
 use crate::clock::SYS_HZ;
 use crate::registers::{peripheral, reset, reset_bit, write};
-
-const BAUD: u32 = 115_200;
-
-/// What arrives in 10 ms, at 10 bits a byte: ten times what arrives between two turns of the main loop.
-const BYTES_PER_10_MS: usize = (BAUD / 10 / 100) as usize;
-const RECEIVED_MAX: usize = 128;
-const _: () = assert!(RECEIVED_MAX >= BYTES_PER_10_MS);
-
-/// The longest frame the bridge sends. It gives one frame at a time, so that a FAST STOP never waits for more than the
-/// rest of one.
-const LONGEST_FRAME: usize = Command::MAX_FIXED_LEN + OVERHEAD;
-const TO_SEND_MAX: usize = 32;
-const _: () = assert!(TO_SEND_MAX >= LONGEST_FRAME);
 
 /// UARTFR: sending; nothing received; no room to send.
 const BUSY: u32 = 1 << 3;
@@ -132,10 +117,10 @@ fn divider(baud: u32) -> (u32, u32) {
 const _: () = assert!(SYS_HZ <= u32::MAX / 8);
 
 /// The bytes on their way.
-pub(crate) static BUFFERS: UartBuffers<RECEIVED_MAX, TO_SEND_MAX> = UartBuffers::new();
+pub(crate) static BUFFERS: UartBuffers = UartBuffers::new();
 
 /// The bridge's end of the line to the gripper; nothing comes and goes before [`start`].
-pub(crate) type GripperLine = UartLine<Uart0, RECEIVED_MAX, TO_SEND_MAX>;
+pub(crate) type GripperLine = UartLine<Uart0>;
 
 /// The end of the line. To be asked for once.
 pub(crate) const fn line() -> GripperLine {

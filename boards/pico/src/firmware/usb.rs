@@ -13,10 +13,7 @@ use wsg_bridge_fw::usb_serial::{self, Answer, PACKET_LEN};
 use crate::registers::{peripheral, reset, reset_bit, write};
 use crate::tick;
 
-const RECEIVED_MAX: usize = 512;
-const TO_SEND_MAX: usize = 256;
-
-static SERVICE: RtuBuffers<RECEIVED_MAX, TO_SEND_MAX> = RtuBuffers::new();
+static SERVICE: RtuBuffers = RtuBuffers::new();
 
 /// The memory that the controller shares: the packet that begins a control transfer, the endpoints' controls, and buffers.
 const DPRAM: usize = 0x5010_0000;
@@ -64,7 +61,7 @@ const FORCE_VBUS: u32 = 1 << 2 | 1 << 3;
 const CONTROLLER_ON: u32 = 1 << 0;
 
 /// The bridge's end of the service port.
-pub(crate) type ServiceLine = RtuPort<Usb, RECEIVED_MAX, TO_SEND_MAX>;
+pub(crate) type ServiceLine = RtuPort<Usb>;
 
 /// The end of the service port. To be asked for once.
 pub(crate) const fn service_line() -> ServiceLine {

@@ -22,20 +22,27 @@ const DAMAGED: u16 = 0x8000;
 /// A character in the queue: silence, high byte first, and the byte.
 const ENTRY_LEN: usize = 3;
 
-/// The characters on their way; `RX` bytes for received ones, three for each, and `TX` for a frame, both powers of two. It is a
-/// plain `static`.
+/// Bytes for characters that are received before the main loop reads them: what comes in 7 ms at 230 400 bit/s.
+const RECEIVED_MAX: usize = 512;
+
+/// Bytes for the frame that is being sent.
+const TO_SEND_MAX: usize = 256;
+const _: () = assert!(TO_SEND_MAX >= MAX_FRAME_LEN);
+
+/// The characters on their way; `RX` bytes for received ones, three for each, and `TX` for a frame, both powers of two; enough for
+/// every rate of Modbus where neither is given. It is a plain `static`.
 ///
 /// ```
 /// use wsg_bridge_fw::plc::RtuBuffers;
 ///
-/// static BUFFERS: RtuBuffers<512, 256> = RtuBuffers::new();
+/// static BUFFERS: RtuBuffers = RtuBuffers::new();
 ///
 /// // In the handler, at 1 000 us: a byte without damage while nothing is being sent.
 /// BUFFERS.on_receive(0x01, false, true, 1_000);
 /// assert_eq!(BUFFERS.on_transmit(true, true), None);
 /// ```
 #[derive(Debug)]
-pub struct RtuBuffers<const RX: usize, const TX: usize> {
+pub struct RtuBuffers<const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND_MAX> {
     received: ByteQueue<RX>,
     to_send: ByteQueue<TX>,
     /// The time of a character, rounded up, in microseconds.
@@ -187,7 +194,7 @@ pub trait RtuUart {
 
 /// The main loop's end of the line. There is one value of it for each [`RtuBuffers`].
 #[derive(Debug)]
-pub struct RtuPort<U, const RX: usize, const TX: usize> {
+pub struct RtuPort<U, const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND_MAX> {
     uart: U,
     buffers: &'static RtuBuffers<RX, TX>,
 }
