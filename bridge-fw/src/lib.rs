@@ -35,6 +35,7 @@ pub mod registers;
 mod station;
 pub mod storage;
 mod stored_settings;
+pub mod tick;
 pub mod usb_serial;
 
 pub use arbiter::ControlSource;

@@ -2,10 +2,8 @@
 #![no_std]
 #![no_main]
 
-use core::sync::atomic::{AtomicU32, Ordering};
-
 use bus_slcan::ClassicFrame;
-use cortex_m::peripheral::{NVIC, SCB};
+use cortex_m::peripheral::{NVIC, SCB, SYST};
 use cortex_m_rt::{entry, exception};
 use stm32f4xx_hal::gpio::{Output, Pin};
 use stm32f4xx_hal::pac::{self, Interrupt, interrupt};
@@ -18,17 +16,18 @@ use wsg_bridge_fw::handler::Owned;
 use wsg_bridge_fw::io::{HalInputs, HalOutputs, InputPort, OutputPort};
 use wsg_bridge_fw::plc::{DpBuffers, Interrupts, RtuBuffers, RtuPort, RtuUart};
 use wsg_bridge_fw::storage::NoFlash;
+use wsg_bridge_fw::tick::Tick;
 use wsg_bridge_fw::{Board, BusConfig, Config, ResetCause, Station};
 
 /// The settings of this image: as delivered, so the PLC is on wires and on Modbus RTU.
 const CONFIG: Config = Config::DEFAULT;
 
 /// What handlers and main loop share.
-static GRIPPER: UartBuffers<128, 32> = UartBuffers::new();
-static BUS: RtuBuffers<512, 256> = RtuBuffers::new();
-static SERVICE: RtuBuffers<512, 256> = RtuBuffers::new();
+static GRIPPER: UartBuffers = UartBuffers::new();
+static BUS: RtuBuffers = RtuBuffers::new();
+static SERVICE: RtuBuffers = RtuBuffers::new();
 static PROFIBUS: DpBuffers = DpBuffers::new();
-static NOW_MS: AtomicU32 = AtomicU32::new(0);
+static TICK: Tick<84_000> = Tick::new();
 
 /// The UARTs, for their handlers alone once they run.
 static GRIPPER_UART: Owned<Serial<pac::USART1>> = Owned::new();
@@ -58,10 +57,8 @@ impl RtuUart for Line {
     }
 }
 
-/// Microseconds, which wrap: TIM2 counts them.
 fn now_us() -> u32 {
-    // SAFETY: reading the counter changes nothing.
-    unsafe { (*pac::TIM2::ptr()).cnt().read().bits() }
+    cortex_m::interrupt::free(|_| TICK.now_us(SYST::get_current(), SCB::is_pendst_pending()))
 }
 
 #[entry]
@@ -84,10 +81,8 @@ fn main() -> ! {
     let mut outputs = outputs!(b.pb0, b.pb1, b.pb2, b.pb8, b.pb9, b.pb10, b.pb12);
     let mut led = a.pa5.into_push_pull_output();
 
-    // Clocks: milliseconds by SysTick, microseconds by TIM2.
-    let mut micros = device.TIM2.counter_us(&mut rcc);
-    let _ = micros.start(u32::MAX.micros());
-    core.SYST.set_reload(84_000 - 1);
+    // The clock: milliseconds, and the microseconds between them.
+    core.SYST.set_reload(Tick::<84_000>::RELOAD);
     core.SYST.clear_current();
     core.SYST.set_clock_source(cortex_m::peripheral::syst::SystClkSource::Core);
     core.SYST.enable_interrupt();
@@ -119,7 +114,7 @@ fn main() -> ! {
     let mut bus_line = RtuPort::new(Line(Interrupt::UART4), &BUS);
     let mut service_line = RtuPort::new(Line(Interrupt::USART2), &SERVICE);
     loop {
-        let now_ms = NOW_MS.load(Ordering::Relaxed);
+        let now_ms = TICK.now_ms();
         let levels = inputs.read();
         let (bus, service) = (&mut bus_line, &mut service_line);
         outputs.write(STATION.turn(now_ms, levels, &mut gripper_line, bus, service, &mut NoFlash));
@@ -128,7 +123,7 @@ fn main() -> ! {
             watchdog.feed();
         }
         cortex_m::interrupt::free(|_| {
-            if NOW_MS.load(Ordering::Relaxed) == now_ms && !GRIPPER.has_received() {
+            if TICK.now_ms() == now_ms && !GRIPPER.has_received() {
                 cortex_m::asm::wfi();
             }
         });
@@ -176,7 +171,7 @@ fn USART2() {
 
 #[exception]
 fn SysTick() {
-    NOW_MS.store(NOW_MS.load(Ordering::Relaxed).wrapping_add(1), Ordering::Relaxed);
+    TICK.count();
 }
 
 /// A reset puts every output low and lets the bridge start from what it can know for sure.

@@ -1,22 +1,21 @@
 //! Milliseconds since start, by the core's SysTick.
 
-use core::sync::atomic::{AtomicU32, Ordering};
-
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::peripheral::{SCB, SYST};
 use cortex_m_rt::exception;
+use wsg_bridge_fw::tick::Tick;
 
 use crate::clock::HCLK_HZ;
 
-const CYCLES_PER_MS: u32 = HCLK_HZ / 1_000;
-const _: () = assert!(HCLK_HZ.is_multiple_of(1_000) && CYCLES_PER_MS - 1 <= 0x00FF_FFFF);
+type Systick = Tick<{ HCLK_HZ / 1_000 }>;
+const _: () = assert!(HCLK_HZ.is_multiple_of(1_000));
 
-static NOW_MS: AtomicU32 = AtomicU32::new(0);
+static TICK: Systick = Tick::new();
 
 /// Starts counting.
 pub(crate) fn start(mut systick: SYST) {
     systick.set_clock_source(SystClkSource::Core);
-    systick.set_reload(CYCLES_PER_MS - 1);
+    systick.set_reload(Systick::RELOAD);
     systick.clear_current();
     systick.enable_interrupt();
     systick.enable_counter();
@@ -24,23 +23,15 @@ pub(crate) fn start(mut systick: SYST) {
 
 /// Milliseconds since [`start`]; starts again from 0 after 49 days.
 pub(crate) fn now_ms() -> u32 {
-    NOW_MS.load(Ordering::Relaxed)
+    TICK.now_ms()
 }
 
 /// Microseconds since [`start`]; starts again from 0 after 71 minutes. Also for interrupt handlers.
 pub(crate) fn now_us() -> u32 {
-    cortex_m::interrupt::free(|_| {
-        let left = SYST::get_current();
-        // The counter may have begun anew while its interrupt waits for this code to end.
-        let late = SCB::is_pendst_pending() && left > CYCLES_PER_MS / 2;
-        let ms = now_ms().wrapping_add(u32::from(late));
-        let cycles = (CYCLES_PER_MS - 1).saturating_sub(left);
-        ms.wrapping_mul(1_000).wrapping_add(cycles / (CYCLES_PER_MS / 1_000))
-    })
+    cortex_m::interrupt::free(|_| TICK.now_us(SYST::get_current(), SCB::is_pendst_pending()))
 }
 
 #[exception]
 fn SysTick() {
-    // Written here alone, so a load and a store do.
-    NOW_MS.store(now_ms().wrapping_add(1), Ordering::Relaxed);
+    TICK.count();
 }

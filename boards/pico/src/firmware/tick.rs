@@ -1,19 +1,18 @@
 //! Milliseconds by the core's SysTick, microseconds by the timer (RP2040, 4.6), and its alarms.
 
-use core::sync::atomic::{AtomicU32, Ordering};
-
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::peripheral::{NVIC, SYST};
 use cortex_m_rt::exception;
 use rp2040_hal::pac::{Interrupt, interrupt};
+use wsg_bridge_fw::tick::Tick;
 
 use crate::clock::SYS_HZ;
 use crate::registers::{peripheral, reset, reset_bit, write};
 
-const CYCLES_PER_MS: u32 = SYS_HZ / 1_000;
-const _: () = assert!(SYS_HZ.is_multiple_of(1_000) && CYCLES_PER_MS - 1 <= 0x00FF_FFFF);
+type Systick = Tick<{ SYS_HZ / 1_000 }>;
+const _: () = assert!(SYS_HZ.is_multiple_of(1_000));
 
-static NOW_MS: AtomicU32 = AtomicU32::new(0);
+static TICK: Systick = Tick::new();
 
 /// Alarm 0 runs the handler of the bus.
 const ALARM_0: u32 = 1 << 0;
@@ -26,7 +25,7 @@ pub(crate) fn start(mut systick: SYST) {
     // SAFETY: no critical section depends on this interrupt being masked; the handler shares nothing.
     unsafe { NVIC::unmask(Interrupt::TIMER_IRQ_0) };
     systick.set_clock_source(SystClkSource::Core);
-    systick.set_reload(CYCLES_PER_MS - 1);
+    systick.set_reload(Systick::RELOAD);
     systick.clear_current();
     systick.enable_interrupt();
     systick.enable_counter();
@@ -34,7 +33,7 @@ pub(crate) fn start(mut systick: SYST) {
 
 /// Milliseconds since [`start`]; starts again from 0 after 49 days.
 pub(crate) fn now_ms() -> u32 {
-    NOW_MS.load(Ordering::Relaxed)
+    TICK.now_ms()
 }
 
 /// Microseconds; starts again from 0 after 71 minutes. Also for interrupt handlers.
@@ -57,6 +56,5 @@ fn TIMER_IRQ_0() {
 
 #[exception]
 fn SysTick() {
-    // Written here alone, so a load and a store do.
-    NOW_MS.store(now_ms().wrapping_add(1), Ordering::Relaxed);
+    TICK.count();
 }
