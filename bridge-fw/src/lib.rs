@@ -46,4 +46,4 @@ pub use config::{
 };
 pub use plc::{BusPort, NoBus};
 pub use registers::ResetCause;
-pub use station::Station;
+pub use station::{Lines, Station};

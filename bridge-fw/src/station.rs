@@ -5,7 +5,7 @@ use wsg_protocol::Instant;
 
 use crate::bridge::Bridge;
 use crate::can::{BusReport, CanBus, CanController, CanNode, LinkCounters, Node, NullNode};
-use crate::config::{Board, Config, GripperLine, PlcBus};
+use crate::config::{Board, BusConfig, CanConfig, Config, GripperLine, PlcBus};
 use crate::gripper::GripperLink;
 use crate::io::{Inputs, Outputs};
 use crate::plc::{BusPort, DpBuffers, Modbus, ModbusLine, PlcEvent, PlcSide, Profibus, Shown, View};
@@ -29,6 +29,24 @@ pub struct Station<C: CanController> {
     can: CanBus<C>,
     link: GripperLink,
     node: Node,
+}
+
+/// How a board starts its lines. [`Station::boot`] calls what the settings ask for, each once at the most.
+pub trait Lines<C> {
+    /// Starts the UART to the gripper.
+    fn start_gripper(&mut self);
+
+    /// Starts the service port.
+    fn start_service(&mut self);
+
+    /// Starts the PLC's bus with Modbus RTU.
+    fn start_modbus(&mut self, config: &BusConfig);
+
+    /// Starts the PLC's bus with PROFIBUS.
+    fn start_profibus(&mut self);
+
+    /// Starts the CAN controller.
+    fn start_can(&mut self, controller: &mut C, config: &CanConfig);
 }
 
 impl<C: CanController> Station<C> {
@@ -74,6 +92,49 @@ impl<C: CanController> Station<C> {
         self.link = GripperLink::new(config.can.gripper);
         self.node = Node::new(config.can.node);
         self.node.set_board(board);
+    }
+
+    /// [Loads](Self::load) the settings, [starts](Self::start) with them, and starts the lines that they choose: all that a board does
+    /// before its main loop, once clock, wires and watchdog run.
+    ///
+    /// # Errors
+    /// As [`load`](Self::load); then no line was started.
+    // Apart, as `start`, and `load_delivered` with it: neither configuration nor record is on the stack any more when it returns.
+    #[inline(never)]
+    pub fn boot(
+        &mut self,
+        delivered: impl FnOnce() -> Record,
+        flash: &impl NorFlash,
+        board: Board,
+        reset_cause: ResetCause,
+        lines: &mut impl Lines<C>,
+    ) -> Result<(), WrongSetting> {
+        // By reference: taken out of the result it would be there twice.
+        let loaded = self.load_delivered(delivered, flash);
+        let config = loaded.as_ref().map_err(|wrong| *wrong)?;
+        self.start(config, board, reset_cause);
+        if config.gripper_line == GripperLine::Serial {
+            lines.start_gripper();
+        }
+        lines.start_service();
+        match config.plc_bus {
+            PlcBus::Modbus => lines.start_modbus(&config.bus),
+            PlcBus::Profibus => lines.start_profibus(),
+            PlcBus::Off | PlcBus::Canopen => {}
+        }
+        if self.uses_can() {
+            lines.start_can(self.can.controller(), &config.can);
+        }
+        Ok(())
+    }
+
+    #[inline(never)]
+    fn load_delivered(
+        &mut self,
+        delivered: impl FnOnce() -> Record,
+        flash: &impl NorFlash,
+    ) -> Result<Config, WrongSetting> {
+        self.load(&delivered(), flash)
     }
 
     /// One turn of the main loop: takes what the lines and wires brought, sends what is due, and returns the levels of the

@@ -27,14 +27,13 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use wsg_b_l475e_iot01a::NAME;
 use wsg_b_l475e_iot01a::drivers::can1::{self, Can1};
-use wsg_b_l475e_iot01a::drivers::flash::{self, SettingsPages};
+use wsg_b_l475e_iot01a::drivers::flash;
 use wsg_b_l475e_iot01a::drivers::pins::{self, Pins};
 use wsg_b_l475e_iot01a::drivers::{clock, uart};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{InputPort, OutputPort};
-use wsg_bridge_fw::registers::WrongSetting;
-use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{Board, BusConfig, Lines, Station};
 
 #[entry]
 fn main() -> ! {
@@ -55,7 +54,8 @@ fn main() -> ! {
     }
     let mut flash = flash::settings_pages();
     tick::start(core.SYST);
-    if start(STATION, &flash, reset_cause).is_err() {
+    let board = Board { name: NAME, serial: serial_number::read() };
+    if STATION.boot(settings::delivered, &flash, board, reset_cause, &mut BoardLines).is_err() {
         log::wrong_settings();
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready(&mut pins, clock::HCLK_HZ);
@@ -89,35 +89,29 @@ fn main() -> ! {
     }
 }
 
-/// Starts the bridge with its settings, and the lines that they choose. Apart: the configuration would be on the stack for ever.
-#[inline(never)]
-fn start(
-    station: &mut Station<Can1>,
-    flash: &SettingsPages,
-    reset_cause: ResetCause,
-) -> Result<(), WrongSetting> {
-    // By reference: taken out of the result it would be there twice.
-    let loaded = load(station, flash);
-    let config = loaded.as_ref().map_err(|wrong| *wrong)?;
-    station.start(config, Board { name: NAME, serial: serial_number::read() }, reset_cause);
-    if config.gripper_line == GripperLine::Serial {
+/// The lines of this board.
+struct BoardLines;
+
+impl Lines<Can1> for BoardLines {
+    fn start_gripper(&mut self) {
         uart::start();
     }
-    bus::start_service();
-    match config.plc_bus {
-        PlcBus::Modbus => bus::start(&config.bus),
-        PlcBus::Profibus => bus::start_profibus(),
-        PlcBus::Off | PlcBus::Canopen => {}
-    }
-    if station.uses_can() {
-        station.can().controller().start(&config.can);
-    }
-    Ok(())
-}
 
-#[inline(never)]
-fn load(station: &mut Station<Can1>, flash: &SettingsPages) -> Result<Config, WrongSetting> {
-    station.load(&settings::delivered(), flash)
+    fn start_service(&mut self) {
+        bus::start_service();
+    }
+
+    fn start_modbus(&mut self, config: &BusConfig) {
+        bus::start(config);
+    }
+
+    fn start_profibus(&mut self) {
+        bus::start_profibus();
+    }
+
+    fn start_can(&mut self, controller: &mut Can1, config: &CanConfig) {
+        controller.start(config);
+    }
 }
 
 /// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.

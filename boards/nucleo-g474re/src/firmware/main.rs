@@ -29,15 +29,13 @@ use core::panic::PanicInfo;
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use stm32_metapac::UID;
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{InputPort, OutputPort};
-use wsg_bridge_fw::registers::WrongSetting;
-use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{Board, BusConfig, Lines, Station};
 use wsg_nucleo_g474re::NAME;
 
 use crate::can::Can;
-use crate::flash::SettingsPages;
 use crate::pins::Pins;
 
 #[entry]
@@ -57,7 +55,8 @@ fn main() -> ! {
     }
     let mut flash = flash::settings_pages();
     tick::start(core.SYST);
-    if start(STATION, &flash, reset_cause).is_err() {
+    let board = Board { name: NAME, serial: serial_number() };
+    if STATION.boot(settings::delivered, &flash, board, reset_cause, &mut BoardLines).is_err() {
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready(&mut pins, clock::HCLK_HZ);
     }
@@ -85,35 +84,29 @@ fn main() -> ! {
     }
 }
 
-/// Starts the bridge with its settings, and the lines that they choose. Apart: the configuration would be on the stack for ever.
-#[inline(never)]
-fn start(
-    station: &mut Station<Can>,
-    flash: &SettingsPages,
-    reset_cause: ResetCause,
-) -> Result<(), WrongSetting> {
-    // By reference: taken out of the result it would be there twice.
-    let loaded = load(station, flash);
-    let config = loaded.as_ref().map_err(|wrong| *wrong)?;
-    station.start(config, Board { name: NAME, serial: serial_number() }, reset_cause);
-    if config.gripper_line == GripperLine::Serial {
+/// The lines of this board.
+struct BoardLines;
+
+impl Lines<Can> for BoardLines {
+    fn start_gripper(&mut self) {
         uart::start();
     }
-    bus::start_service();
-    match config.plc_bus {
-        PlcBus::Modbus => bus::start(&config.bus),
-        PlcBus::Profibus => bus::start_profibus(),
-        PlcBus::Off | PlcBus::Canopen => {}
-    }
-    if station.uses_can() {
-        station.can().controller().start(&config.can);
-    }
-    Ok(())
-}
 
-#[inline(never)]
-fn load(station: &mut Station<Can>, flash: &SettingsPages) -> Result<Config, WrongSetting> {
-    station.load(&settings::delivered(), flash)
+    fn start_service(&mut self) {
+        bus::start_service();
+    }
+
+    fn start_modbus(&mut self, config: &BusConfig) {
+        bus::start(config);
+    }
+
+    fn start_profibus(&mut self) {
+        bus::start_profibus();
+    }
+
+    fn start_can(&mut self, controller: &mut Can, config: &CanConfig) {
+        controller.start(config);
+    }
 }
 
 /// What of the MCU's unique identification fits into 32 bits (RM0440, "Unique device ID register"): the place on the wafer, the

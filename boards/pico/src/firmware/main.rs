@@ -30,11 +30,10 @@ use core::panic::PanicInfo;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::{entry, exception};
 use rp2040_hal::pac;
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{InputPort, OutputPort, Outputs};
-use wsg_bridge_fw::registers::WrongSetting;
-use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{Board, BusConfig, Lines, Station};
 use wsg_pico::NAME;
 
 use crate::can::Can;
@@ -66,7 +65,9 @@ fn main() -> ! {
         stay_not_ready(&mut wires, clock::RESET_HZ);
     }
     tick::start(core.SYST);
-    if start(STATION, FLASH, reset_cause, &mut core.NVIC).is_err() {
+    let board = Board { name: NAME, serial: FLASH.serial_number() };
+    let lines = &mut BoardLines { nvic: &mut core.NVIC };
+    if STATION.boot(settings::delivered, FLASH, board, reset_cause, lines).is_err() {
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready(&mut wires, clock::SYS_HZ);
     }
@@ -101,36 +102,31 @@ fn main() -> ! {
     }
 }
 
-/// Starts the bridge with its settings, and the lines that they choose. Apart: the configuration would be on the stack for ever.
-#[inline(never)]
-fn start(
-    station: &mut Station<Can>,
-    flash: &mut SettingsSectors,
-    reset_cause: ResetCause,
-    nvic: &mut NVIC,
-) -> Result<(), WrongSetting> {
-    // By reference: taken out of the result it would be there twice.
-    let loaded = load(station, flash);
-    let config = loaded.as_ref().map_err(|wrong| *wrong)?;
-    station.start(config, Board { name: NAME, serial: flash.serial_number() }, reset_cause);
-    if config.gripper_line == GripperLine::Serial {
-        uart::start();
-    }
-    usb::start_service();
-    match config.plc_bus {
-        PlcBus::Modbus => bus::start(&config.bus),
-        PlcBus::Profibus => bus::start_profibus(),
-        PlcBus::Off | PlcBus::Canopen => {}
-    }
-    if station.uses_can() {
-        can::start(station.can().controller(), &config.can, nvic);
-    }
-    Ok(())
+/// The lines of this board.
+struct BoardLines<'a> {
+    nvic: &'a mut NVIC,
 }
 
-#[inline(never)]
-fn load(station: &mut Station<Can>, flash: &SettingsSectors) -> Result<Config, WrongSetting> {
-    station.load(&settings::delivered(), flash)
+impl Lines<Can> for BoardLines<'_> {
+    fn start_gripper(&mut self) {
+        uart::start();
+    }
+
+    fn start_service(&mut self) {
+        usb::start_service();
+    }
+
+    fn start_modbus(&mut self, config: &BusConfig) {
+        bus::start(config);
+    }
+
+    fn start_profibus(&mut self) {
+        bus::start_profibus();
+    }
+
+    fn start_can(&mut self, controller: &mut Can, config: &CanConfig) {
+        can::start(controller, config, self.nvic);
+    }
 }
 
 /// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.
