@@ -91,6 +91,8 @@ pub struct Extras<'a> {
     pub can: Option<CanBus<Mcp2515>>,
     /// Of the Pico: the file that keeps what the flash holds. Without it the flash is forgotten.
     pub flash: Option<&'a Path>,
+    /// Of the Pico: what each byte of its RAM is when the power comes; without this 0.
+    pub ram: Option<u8>,
     /// Of the Pico: its watchdog resets it; without this it ends then.
     pub may_reset: bool,
 }
@@ -120,7 +122,7 @@ impl Emulator {
     /// # Errors
     /// See [`start`](Self::start).
     pub fn start_with(elf: &Path, extras: Extras<'_>) -> Result<Self> {
-        let is_pico = entry(elf).is_some_and(|entry| rp2040::FLASH.contains(&entry));
+        let is_pico = is_for_pico(elf);
         let watch = Arc::new(Watch::of(if is_pico { NODE } else { QEMU }));
         let clock = if is_pico { Clock::of_machine() } else { Clock::wall() };
         let (chip, lines): (Box<dyn Chip>, Lines) = if is_pico {
@@ -276,9 +278,11 @@ impl Emulator {
     }
 }
 
-/// Where the image begins to run, which tells the board that it is for.
-fn entry(elf: &Path) -> Option<u64> {
-    Some(object::File::parse(&*fs::read(elf).ok()?).ok()?.entry())
+/// Whether this image is for the Pico, which its entry tells.
+#[must_use]
+pub fn is_for_pico(elf: &Path) -> bool {
+    let entry = || Some(object::File::parse(&*fs::read(elf).ok()?).ok()?.entry());
+    entry().is_some_and(|entry| rp2040::FLASH.contains(&entry))
 }
 
 fn end(process: &mut Child) {

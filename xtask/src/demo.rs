@@ -2,7 +2,7 @@
 
 use std::{ffi::OsString, process::ExitStatus};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
 use crate::{firmware::Image, process, setup, workspace::Workspace};
 
@@ -10,11 +10,7 @@ use crate::{firmware::Image, process, setup, workspace::Workspace};
 pub(crate) fn run(workspace: &Workspace, image: &Image, arguments: &[OsString]) -> Result<ExitStatus> {
     let mut cargo = workspace.cargo_in_current_dir("run");
     cargo.args(["-q", "-p", "host-tests", "--bin", "demo", "--", "--elf"]).arg(&image.path).args(arguments);
-    if image.board.name == "pico" {
-        let node =
-            setup::node(workspace).context("there is no Node.js with npm, for the emulator of the Pico")?;
-        cargo.env(setup::NODE_VARIABLE, node);
-    }
+    setup::tell_emulator(workspace, image.board, &mut cargo)?;
     process::run_for_status(&mut cargo)
 }
 

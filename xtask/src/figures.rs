@@ -14,8 +14,7 @@ pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> 
     let mut gates = size::of_images(images)?;
     gates.extend(size::of_protocol(probes)?);
     gates.extend(stack::walked(probes.workspace, probes.toolchain, images)?);
-    // The emulator is that of the default board, which comes first.
-    gates.push(stack::painted(probes.workspace, &images[0])?);
+    gates.extend(stack::painted(probes.workspace, images)?);
     gates.extend(bench::counted(probes, false)?.gates);
     gates.extend(bench::throughput(probes.workspace)?);
 

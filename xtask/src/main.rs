@@ -179,7 +179,7 @@ fn run() -> Result<ExitCode> {
             let mut filter = rest(arguments)?;
             let is_strict = filter.first().is_some_and(|first| first == "--strict");
             filter.drain(..usize::from(is_strict));
-            test::run(&workspace, &toolchain, &image, &filter, Extent::Quick, is_strict)?;
+            test::run(&workspace, &toolchain, &filter, Extent::Quick, is_strict)?;
         }
         "dist" => {
             no_more(arguments)?;

@@ -29,8 +29,9 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         "stack" => {
             no_more(arguments)?;
             let built = Built::new()?;
-            let mut gates = stack::walked(&built.workspace, &built.toolchain, &built.images()?)?;
-            gates.push(stack::painted(&built.workspace, &built.image)?);
+            let images = built.images()?;
+            let mut gates = stack::walked(&built.workspace, &built.toolchain, &images)?;
+            gates.extend(stack::painted(&built.workspace, &images)?);
             gate::check(&gates)
         }
         "panics" => {
@@ -51,9 +52,9 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         }
         "ci" => {
             no_more(arguments)?;
-            let Built { workspace, toolchain, image } = Built::new()?;
+            let Built { workspace, toolchain, .. } = Built::new()?;
             dependencies::check(&workspace)?;
-            test::run(&workspace, &toolchain, &image, &[], Extent::Whole, true)?;
+            test::run(&workspace, &toolchain, &[], Extent::Whole, true)?;
             telemetry(&workspace)?;
             platforms::run(&workspace)?;
             fast_stop::run(&workspace)?;

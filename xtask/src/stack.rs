@@ -13,7 +13,7 @@ use crate::{
     firmware::{self, Image},
     gate::Gate,
     process,
-    setup::ThumbToolchain,
+    setup::{self, ThumbToolchain},
     workspace::Workspace,
 };
 
@@ -66,16 +66,21 @@ fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Res
     Ok(Gate::bytes(what, deepest.program.bytes + exceptions, LIMIT))
 }
 
-/// The deepest that the stack of this image was seen: an example of host-tests boots it on painted memory, puts it
+/// The deepest that the stack of each image was seen: an example of host-tests boots it on painted memory, puts it
 /// through the worst that it knows, and looks how far the paint is gone.
-pub(crate) fn painted(workspace: &Workspace, image: &Image) -> Result<Gate> {
+pub(crate) fn painted(workspace: &Workspace, images: &[Image]) -> Result<Vec<Gate>> {
     // As a part of the workspace: with the features that the tests have, nothing is built twice.
     process::run(workspace.cargo("build").args(["-q", "--workspace", "--example", "painted_stack"]))?;
+    images.iter().map(|image| paint(workspace, image)).collect()
+}
+
+fn paint(workspace: &Workspace, image: &Image) -> Result<Gate> {
     let mut program = Command::new(workspace.target_dir.join("debug/examples/painted_stack"));
+    setup::tell_emulator(workspace, image.board, &mut program)?;
     let said = process::output(program.arg(&image.path))?;
     let bytes = said.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
     let bytes = bytes.context("the program painted-stack told no figure")?;
-    Ok(Gate::bytes("worst-case stack, painted in the emulator", bytes, LIMIT))
+    Ok(Gate::bytes(image.board.figure("worst-case stack, painted in the emulator"), bytes, LIMIT))
 }
 
 /// The image once more, with a section of stack sizes that takes no memory.

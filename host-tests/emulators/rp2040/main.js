@@ -1,6 +1,6 @@
 // A Raspberry Pi Pico for the tests: rp2040js runs the image, and this is what is round the chip.
 //
-//   node main.js ELF --sockets FOLDER --outputs MASK [--flash FILE] [--can] [--reboot]
+//   node main.js ELF --sockets FOLDER --outputs MASK [--flash FILE] [--can] [--reboot] [--ram BYTE]
 //
 // In the folder are the sockets that this connects to: `control`, a line a command and a line an answer or an event; `gripper`
 // (UART0), `bus` (UART1) and `service` (USB). With --can an MCP2515 is on SPI0, whose model asks and answers over standard input
@@ -32,6 +32,7 @@ const { values: options, positionals } = parseArgs({
         flash: { type: "string" },
         can: { type: "boolean", default: false },
         reboot: { type: "boolean", default: false },
+        ram: { type: "string", default: "0" },
     },
 });
 
@@ -86,6 +87,7 @@ class Pico {
     powerUp(nanos) {
         this.rp2040 = new RP2040();
         const { rp2040 } = this;
+        rp2040.sram.fill(Number(options.ram));
         this.clock = rp2040.clock;
         this.clock.nanosCounter = nanos;
         rp2040.logger = {

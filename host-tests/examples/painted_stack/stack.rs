@@ -1,21 +1,22 @@
 //! An image on painted memory, with a gripper and a bus, at its worst.
 
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use host_tests::emulator::{Emulator, Extras};
+use host_tests::emulator::{Emulator, Extras, is_for_pico};
 use host_tests::gripper_end::GripperEnd;
 use host_tests::trace::Trace;
-use object::{Object, ObjectSection};
+use object::{Object, ObjectSection, ObjectSymbol};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
 use wsg_sim::{Config, Part};
 
-/// SRAM1, as board-memory.x has it: the stack begins at its end.
+/// Where RAM begins on every board, and the symbol of cortex-m-rt at its end: there the stack begins.
 const RAM: u32 = 0x2000_0000;
-const RAM_END: u32 = RAM + 96 * 1024;
+const STACK_START: &str = "_stack_start";
 
 /// No value that a program is likely to put on its stack.
 const PAINT: u8 = 0xC5;
@@ -26,15 +27,18 @@ const CHUNK: u32 = 4096;
 /// Of the image that the first argument names: the bytes of stack that were used.
 pub(crate) fn deepest_of_image() -> Result<u32> {
     let elf: PathBuf = std::env::args_os().nth(1).context("give the image")?.into();
-    let first = end_of_static(&elf)?;
-    let paint = Paint::new(first)?;
-    let loader = format!("loader,file={}", paint.path.display());
-    let extras = Extras { qemu_arguments: &["-device", &loader], ..Extras::default() };
-    let rig = Rig::power_up(&elf, extras)?;
+    let stack = room_for_stack(&elf)?;
+    let rig = if is_for_pico(&elf) {
+        Rig::power_up(&elf, Extras { ram: Some(PAINT), ..Extras::default() })?
+    } else {
+        let paint = Paint::new(&stack)?;
+        let loader = format!("loader,file={}", paint.path.display());
+        Rig::power_up(&elf, Extras { qemu_arguments: &["-device", &loader], ..Extras::default() })?
+    };
 
     worst(&rig)?;
 
-    Ok(RAM_END - deepest(&rig, first)?)
+    Ok(stack.end - deepest(&rig, &stack)?)
 }
 
 /// How long anything may take.
@@ -139,13 +143,13 @@ fn noise(rig: &Rig, seed: u8) -> Result<()> {
 }
 
 /// The lowest address whose paint is gone.
-fn deepest(rig: &Rig, first: u32) -> Result<u32> {
-    let mut address = first;
-    while address < RAM_END {
-        let length = CHUNK.min(RAM_END - address);
+fn deepest(rig: &Rig, stack: &Range<u32>) -> Result<u32> {
+    let mut address = stack.start;
+    while address < stack.end {
+        let length = CHUNK.min(stack.end - address);
         let bytes = rig.board.read_memory(address, length as usize)?;
         if let Some(at) = bytes.iter().position(|&byte| byte != PAINT) {
-            ensure!(address + at as u32 > first, "the stack has reached the static variables");
+            ensure!(address + at as u32 > stack.start, "the stack has reached the static variables");
             return Ok(address + at as u32);
         }
         address += length;
@@ -153,13 +157,16 @@ fn deepest(rig: &Rig, first: u32) -> Result<u32> {
     anyhow::bail!("no byte of the stack was written: was this image started?")
 }
 
-/// Where the stack would meet the static variables.
-fn end_of_static(elf: &Path) -> Result<u32> {
+/// From where the stack would meet the static variables up to where it begins.
+fn room_for_stack(elf: &Path) -> Result<Range<u32>> {
     let image = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
     let image = object::File::parse(&*image)?;
+    let start = image.symbols().find(|symbol| symbol.name() == Ok(STACK_START));
+    let start = start.with_context(|| format!("the image has no symbol {STACK_START}"))?.address();
     let ends = image.sections().map(|section| section.address() + section.size());
-    let end = ends.filter(|end| (u64::from(RAM)..u64::from(RAM_END)).contains(end)).max();
-    Ok(u32::try_from(end.unwrap_or(RAM.into()))?.next_multiple_of(8))
+    let end = ends.filter(|end| (u64::from(RAM)..start).contains(end)).max();
+    let end = u32::try_from(end.unwrap_or(RAM.into()))?.next_multiple_of(8);
+    Ok(end..u32::try_from(start)?)
 }
 
 /// A file of paint for QEMU to load; gone when this is dropped.
@@ -168,11 +175,11 @@ struct Paint {
 }
 
 impl Paint {
-    /// Paint from `first` to the end of memory. An ELF file of one segment: QEMU takes raw files only for machines whose
+    /// Paint for this room. An ELF file of one segment: QEMU takes raw files only for machines whose
     /// memory can be chosen.
-    fn new(first: u32) -> Result<Self> {
+    fn new(&Range { start: first, end }: &Range<u32>) -> Result<Self> {
         const HEADERS: u32 = 52 + 32;
-        let length = RAM_END - first;
+        let length = end - first;
         // Little endian, executable, Arm; one program header behind this header, no sections.
         let ident = *b"\x7FELF\x01\x01\x01\0\0\0\0\0\0\0\0\0";
         let mut bytes = ident.to_vec();

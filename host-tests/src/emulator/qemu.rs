@@ -47,7 +47,7 @@ impl Qemu {
     /// Starts it, and returns when the firmware's main loop runs.
     pub(super) fn start(elf: &Path, extras: Extras<'_>, watch: &Arc<Watch>) -> Result<(Self, Lines)> {
         ensure!(
-            extras.can.is_none() && extras.flash.is_none() && !extras.may_reset,
+            extras.can.is_none() && extras.flash.is_none() && extras.ram.is_none() && !extras.may_reset,
             "the image is for the board in QEMU, what it is to have for the Pico"
         );
         let sockets = Sockets::bind(&[GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE])?;

@@ -119,6 +119,9 @@ impl Rp2040 {
         if let Some(file) = extras.flash {
             command.arg("--flash").arg(file);
         }
+        if let Some(byte) = extras.ram {
+            command.args(["--ram", &byte.to_string()]);
+        }
         if extras.may_reset {
             command.arg("--reboot");
         }

@@ -14,7 +14,7 @@ use super::{
     apt::{self, Packages},
     installing_is_forbidden, obstacle_to_installing, report,
 };
-use crate::{process, workspace::Workspace};
+use crate::{board::Board, process, workspace::Workspace};
 
 /// The environment variables that tell the tests where the masters' Python is, and the packages from npm.
 pub(crate) const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
@@ -110,6 +110,15 @@ pub(crate) fn node(workspace: &Workspace) -> Option<PathBuf> {
         report(fill_node(&packages, &lists));
     }
     has_node().then_some(node)
+}
+
+/// Tells a program that runs an emulator of this board where that is.
+pub(crate) fn tell_emulator(workspace: &Workspace, board: &Board, program: &mut Command) -> Result<()> {
+    if board.name == "pico" {
+        let node = node(workspace).context("there is no Node.js with npm, for the emulator of the Pico")?;
+        program.env(NODE_VARIABLE, node);
+    }
+    Ok(())
 }
 
 /// Installs those programs that are not there, where that may be; what those are called that still are not.
