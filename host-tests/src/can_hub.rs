@@ -4,15 +4,17 @@ use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use bus_slcan::{Adapter, ClassicFrame, Decoder, Line, encode};
 use embedded_can::Id;
 use wsg_protocol::can::{Identifiers, Segmenter};
 
-use crate::can_bus::{CanBus, Station};
+use crate::can_bus::Station;
 use crate::can_controller::BusController;
 use crate::can_wire::WireFrame;
+use crate::clock::Clock;
 use crate::uninterrupted;
 
 /// The lines of those on the bus. They serve until their other ends are gone.
@@ -25,40 +27,53 @@ pub struct CanHub {
 }
 
 impl CanHub {
-    /// Puts a gripper and a master on the bus.
+    /// Puts a gripper and a master on the bus, in these places. The gripper's goes by this clock, as the gripper does.
     ///
     /// # Errors
     /// When a line or a thread cannot be made.
-    pub fn start<C: BusController>(bus: &CanBus<C>) -> Result<Self> {
+    pub fn start<C: BusController>([first, second]: [Station<C>; 2], clock: &Clock) -> Result<Self> {
         let (gripper, own_gripper) = UnixStream::pair()?;
         let (master, own_master) = UnixStream::pair()?;
-        serve_gripper(bus.join(), own_gripper)?;
-        serve_master(bus.join(), own_master)?;
+        serve_gripper(first, own_gripper, clock)?;
+        serve_master(second, own_master)?;
         Ok(Self { gripper, master })
     }
 }
 
-fn serve_gripper<C: BusController>(station: Station<C>, line: UnixStream) -> Result<()> {
+fn serve_gripper<C: BusController>(station: Station<C>, line: UnixStream, clock: &Clock) -> Result<()> {
     let pair = Identifiers::DEFAULT.gripper();
     let (send, mut segmenter) = (station.sender(), Segmenter::new());
     let from_gripper = line.try_clone()?;
-    spawn(move || {
-        each_byte(&from_gripper, |byte| {
-            let frame = segmenter.push(byte).and_then(|segment| segment.frame::<ClassicFrame>(pair.transmit));
-            if let Some(frame) = frame {
-                send(WireFrame::of(&frame));
+    let mut segment = move |byte| {
+        let frame = segmenter.push(byte).and_then(|segment| segment.frame::<ClassicFrame>(pair.transmit));
+        if let Some(frame) = frame {
+            send(WireFrame::of(&frame));
+        }
+    };
+    let (heard, mut to_gripper) = (station.heard, line);
+    let mut pass = move |frame: WireFrame| {
+        let is_for_gripper = frame.id == Id::Standard(pair.receive) && !frame.is_remote;
+        !is_for_gripper || to_gripper.write_all(frame.payload()).is_ok()
+    };
+    if clock.is_wall() {
+        spawn(move || each_byte(&from_gripper, segment))?;
+        return spawn(move || {
+            for frame in heard {
+                if !pass(frame) {
+                    return;
+                }
             }
         });
-    })?;
-    let (heard, mut to_gripper) = (station.heard, line);
-    spawn(move || {
-        for frame in heard {
-            let is_for_gripper = frame.id == Id::Standard(pair.receive) && !frame.is_remote;
-            if is_for_gripper && to_gripper.write_all(frame.payload()).is_err() {
-                return;
+    }
+    clock.follow(move || {
+        while uninterrupted::is_readable_within(&from_gripper, Duration::ZERO).unwrap_or(false) {
+            if !some_bytes(&from_gripper, &mut segment) {
+                return false;
             }
         }
-    })
+        heard.try_iter().all(&mut pass)
+    });
+    Ok(())
 }
 
 fn serve_master<C: BusController>(station: Station<C>, line: UnixStream) -> Result<()> {
@@ -94,10 +109,15 @@ fn spawn(run: impl FnOnce() + Send + 'static) -> Result<()> {
 }
 
 fn each_byte(line: &UnixStream, mut take: impl FnMut(u8)) {
+    while some_bytes(line, &mut take) {}
+}
+
+/// Those of one read; whether the other end is still there.
+fn some_bytes(line: &UnixStream, mut take: impl FnMut(u8)) -> bool {
     let mut chunk = [0; 256];
-    while let Ok(count @ 1..) = uninterrupted::read(line, &mut chunk) {
-        chunk[..count].iter().for_each(|&byte| take(byte));
-    }
+    let count = uninterrupted::read(line, &mut chunk).unwrap_or(0);
+    chunk[..count].iter().for_each(|&byte| take(byte));
+    count > 0
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

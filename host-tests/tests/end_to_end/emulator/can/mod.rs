@@ -131,8 +131,11 @@ impl CanBoard for Mcp2515 {
 /// A board on a bus, with its main loop running.
 fn power_up<C: CanBoard>((variable, rate): (&str, u32)) -> (Emulator, CanBus<C>, CanHub) {
     let bus = C::new_bus(rate);
-    let hub = CanHub::start(&bus).unwrap();
-    (Emulator::start_with(&C::BOARD.image(variable), C::extras(&bus)).unwrap(), bus, hub)
+    // Who acknowledges is there before the board.
+    let places = [bus.join(), bus.join()];
+    let board = Emulator::start_with(&C::BOARD.image(variable), C::extras(&bus)).unwrap();
+    let hub = CanHub::start(places, &board.clock()).unwrap();
+    (board, bus, hub)
 }
 
 /// MODER and AFRH of port B, and the register that switches CAN1's clock on (RM0351, 8.5, 6.4.19).
