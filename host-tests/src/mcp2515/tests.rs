@@ -293,6 +293,7 @@ fn a_message_rolls_over_and_the_third_is_lost_and_told_of() {
     assert_eq!([0x62, 0x72].map(|at| read(&mut can, at) >> 5), [1, 2]);
     modify(&mut can, EFLG, RX1OVR, 0);
     assert_eq!((read(&mut can, EFLG), can.accepted().len()), (0, 3));
+    assert_eq!(can.lost(), [WireFrame::standard(3, &[])]);
 
     let mut can = normal();
     modify(&mut can, 0x60, 1 << 2, 0);

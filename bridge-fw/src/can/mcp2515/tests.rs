@@ -359,12 +359,41 @@ fn handler_leaves_a_controller_alone_that_is_not_set_up() {
     chip.0.borrow_mut().is_missing = true;
     assert!(!interrupt(&chip, &controller));
     assert!(controller.health().is_off);
-    assert!(!interrupt(&chip, &controller));
-    assert_eq!(received(&mut controller), []);
     chip.0.borrow_mut().is_missing = false;
+    chip.receive(0, [0; 4], &[1]);
+    assert!(!interrupt(&chip, &controller));
+    assert_eq!(chip.status() & 0b11, 0b01);
+    assert_eq!(received(&mut controller), []);
     controller.recover();
     assert!(!controller.health().is_off);
     assert_eq!(received(&mut controller), []);
+
+    // Nor one that is started anew and cannot be set up.
+    controller.start(&CanConfig { kbit_rate: 300, ..CanConfig::DEFAULT });
+    assert!(!interrupt(&chip, &controller));
+}
+
+#[test]
+fn which_frame_is_older_is_forgotten_with_the_frames() {
+    let (chip, mut controller) = started();
+    // The queue is full behind the first of two frames, and another follows it.
+    let id = id_registers(Id::Standard(standard(0x121)));
+    chip.receive(0, id, &[0]);
+    while interrupt(&chip, &controller) {
+        chip.receive(0, id, &[0]);
+    }
+    assert!(controller.receive().is_ok());
+    chip.receive(1, id, &[1]);
+    assert!(!interrupt(&chip, &controller));
+    assert_eq!(chip.status() & 0b11, 0b10);
+
+    controller.start(&CanConfig::DEFAULT);
+    chip.receive(0, id, &[2]);
+    chip.receive(1, id, &[3]);
+
+    assert!(interrupt(&chip, &controller));
+    let data: Vec<u8> = received(&mut controller).iter().map(|frame| frame.data()[0]).collect();
+    assert_eq!(data, [2, 3]);
 }
 
 #[test]
