@@ -2,7 +2,6 @@
 #![no_std]
 #![no_main]
 
-use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::{NVIC, SCB, SYST};
 use cortex_m_rt::{entry, exception};
 use stm32f4xx_hal::gpio::{Output, Pin};
@@ -17,10 +16,13 @@ use wsg_bridge_fw::io::{HalInputs, HalOutputs, InputPort, OutputPort};
 use wsg_bridge_fw::plc::{DpBuffers, Interrupts, RtuBuffers, RtuPort, RtuUart};
 use wsg_bridge_fw::storage::NoFlash;
 use wsg_bridge_fw::tick::Tick;
-use wsg_bridge_fw::{Board, BusConfig, Config, ResetCause, Station};
+use wsg_bridge_fw::{Board, BusConfig, Config, Format, GripperLine, PlcBus, ResetCause, Station};
 
 /// The settings of this image: as delivered, so the PLC is on wires and on Modbus RTU.
 const CONFIG: Config = Config::DEFAULT;
+// What is set up below serves no other settings than these; a constant is checked by nobody else.
+const _: () = assert!(matches!(CONFIG.gripper_line, GripperLine::Serial));
+const _: () = assert!(matches!((CONFIG.plc_bus, CONFIG.bus.format), (PlcBus::Modbus, Format::Even1)));
 
 /// What handlers and main loop share.
 static GRIPPER: UartBuffers = UartBuffers::new();
@@ -43,7 +45,8 @@ impl Uart for Line {
     }
 
     fn is_idle(&mut self) -> bool {
-        !GRIPPER.has_to_send()
+        // SAFETY: reading the status changes nothing.
+        unsafe { (*pac::USART1::ptr()).sr().read().tc().bit() }
     }
 }
 
@@ -63,8 +66,7 @@ fn now_us() -> u32 {
 
 #[entry]
 fn main() -> ! {
-    static mut STATION: Station<NoCan<ClassicFrame>> =
-        Station::new(CanBus::new(NoCan::new(), BusOffPolicy::DEFAULT), &PROFIBUS);
+    static mut STATION: Station<NoCan> = Station::new(CanBus::new(NoCan, BusOffPolicy::DEFAULT), &PROFIBUS);
     let (Some(mut core), Some(device)) = (cortex_m::Peripherals::take(), pac::Peripherals::take()) else {
         SCB::sys_reset()
     };
@@ -174,8 +176,21 @@ fn SysTick() {
     TICK.count();
 }
 
-/// A reset puts every output low and lets the bridge start from what it can know for sure.
+/// A reset puts every output low and lets the bridge start from what it can know for sure. A fault, and an interrupt that nobody
+/// enabled, are no better than a panic.
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo) -> ! {
+    SCB::sys_reset()
+}
+
+// SAFETY: the handler uses nothing of the program that was interrupted.
+#[exception(trampoline = false)]
+unsafe fn HardFault() -> ! {
+    SCB::sys_reset()
+}
+
+// SAFETY: as above.
+#[exception]
+unsafe fn DefaultHandler(_: i16) -> ! {
     SCB::sys_reset()
 }

@@ -1,8 +1,6 @@
 //! What a CAN controller has to tell and to do besides frames.
 
-use core::marker::PhantomData;
-
-use embedded_can::{ErrorKind, Frame};
+use embedded_can::{ErrorKind, Frame, Id};
 
 /// How a controller sees the bus (ISO 11898-1, fault confinement).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,37 +31,57 @@ pub trait CanController: embedded_can::nb::Can {
 }
 
 /// No controller, for a board that has none: as good as one that is bus-off.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct NoCan;
+
+/// A frame of [`NoCan`], of which there is none.
 #[derive(Clone, Copy, Debug)]
-pub struct NoCan<F>(PhantomData<fn() -> F>);
+pub enum NoFrame {}
 
-impl<F> NoCan<F> {
-    /// None.
-    #[must_use]
-    pub const fn new() -> Self {
-        Self(PhantomData)
+impl Frame for NoFrame {
+    fn new(_: impl Into<Id>, _: &[u8]) -> Option<Self> {
+        None
+    }
+
+    fn new_remote(_: impl Into<Id>, _: usize) -> Option<Self> {
+        None
+    }
+
+    fn is_extended(&self) -> bool {
+        match *self {}
+    }
+
+    fn is_remote_frame(&self) -> bool {
+        match *self {}
+    }
+
+    fn id(&self) -> Id {
+        match *self {}
+    }
+
+    fn dlc(&self) -> usize {
+        match *self {}
+    }
+
+    fn data(&self) -> &[u8] {
+        match *self {}
     }
 }
 
-impl<F> Default for NoCan<F> {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl<F: Frame> embedded_can::nb::Can for NoCan<F> {
-    type Frame = F;
+impl embedded_can::nb::Can for NoCan {
+    type Frame = NoFrame;
     type Error = ErrorKind;
 
-    fn transmit(&mut self, _: &F) -> nb::Result<Option<F>, ErrorKind> {
-        Err(nb::Error::WouldBlock)
+    fn transmit(&mut self, frame: &NoFrame) -> nb::Result<Option<NoFrame>, ErrorKind> {
+        match *frame {}
     }
 
-    fn receive(&mut self) -> nb::Result<F, ErrorKind> {
+    fn receive(&mut self) -> nb::Result<NoFrame, ErrorKind> {
         Err(nb::Error::WouldBlock)
     }
 }
 
-impl<F: Frame> CanController for NoCan<F> {
+impl CanController for NoCan {
     fn health(&mut self) -> Health {
         Health { is_off: true, ..Health::default() }
     }
