@@ -458,6 +458,15 @@ fn parts_of_a_frame_that_share_a_byte_are_refused() {
     }
 }
 
+/// As many as submodules can have, data and the status of a consumer each.
+#[test]
+fn frame_has_32_parts_at_the_most() {
+    // Of a module that is not there, a status may come again and again.
+    let wanted = |statuses| Wanted { modules: [0x20, 0x99], statuses, ..Wanted::default() };
+    assert_eq!(Bench::new().call(0, &wanted(26).blocks()).status, 0);
+    assert_eq!(Bench::new().call(0, &wanted(27).blocks()).status, 0xDB81_021C);
+}
+
 #[test]
 fn missing_blocks_are_named() {
     let blocks = Wanted::default().blocks();

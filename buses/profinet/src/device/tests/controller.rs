@@ -83,6 +83,8 @@ pub(super) struct Wanted {
     pub(super) placed: [bool; 3],
     pub(super) alarm_properties: u32,
     pub(super) retries: u16,
+    /// How many further statuses of slot 2 are in the frame of outputs.
+    pub(super) statuses: u16,
     /// Blocks at the end.
     pub(super) more: Vec<u8>,
 }
@@ -105,6 +107,7 @@ impl Default for Wanted {
             submodules: [0x21, 0x31],
             output_len: 2,
             placed: [true; 3],
+            statuses: 0,
             alarm_properties: 0,
             retries: 3,
             more: vec![],
@@ -158,7 +161,9 @@ impl Wanted {
         ]);
         let inputs: [&[u16]; 2] = [&inputs, &[1, 1, 6, 2, 1, 7]];
         let outputs = objects(&[([1, 1, 0], slot_1_out), ([2, 1, 2], slot_2_out)]);
-        let outputs: [&[u16]; 2] = [&outputs, &[0, 1, 5, 0, 0x8000, 6, 0, 0x8001, 7, 1, 1, 8]];
+        let mut consumers = vec![0, 1, 5, 0, 0x8000, 6, 0, 0x8001, 7, 1, 1, 8];
+        consumers.extend((0..self.statuses).flat_map(|more| [2, 1, 9 + more]));
+        let outputs: [&[u16]; 2] = [&outputs, &consumers];
         let iocr = |kind: u16, id: u16, [data, consumers]: [&[u16]; 2]| {
             let body = [
                 &numbers(&[kind, 10 + kind, 0x8892])[..],
