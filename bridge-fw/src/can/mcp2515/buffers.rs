@@ -27,6 +27,19 @@ const _: () = assert!(QUEUE_LEN / FRAME_LEN >= MAX_RECEIVED_PER_POLL * 3 / 2);
 ///
 /// The MCP2515 holds two frames, and at 1 Mbit/s the third may end 94 µs behind the first: too soon for a main loop. Both use its
 /// SPI, each by a [`SpiDevice`] of its own; that of the main loop keeps the handler out for each transaction.
+///
+/// ```
+/// use embedded_hal::spi::SpiDevice;
+/// use wsg_bridge_fw::can::Mcp2515Buffers;
+///
+/// static BUFFERS: Mcp2515Buffers = Mcp2515Buffers::new();
+///
+/// fn on_interrupt(spi: &mut impl SpiDevice, mask: impl FnOnce()) {
+///     if !BUFFERS.serve(spi) {
+///         mask();
+///     }
+/// }
+/// ```
 #[derive(Debug)]
 pub struct Mcp2515Buffers {
     frames: ByteQueue<QUEUE_LEN>,
