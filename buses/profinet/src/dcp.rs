@@ -95,13 +95,22 @@ const DELAY_UNIT_US: u64 = 10_000;
 
 const MAX_DELAY_FACTOR: u16 = 0x1900;
 
+/// What becomes as it was delivered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Reset {
+    /// Name and IP parameters.
+    Communication,
+    /// I&M as well.
+    All,
+}
+
 /// What somebody asked the device to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Wishes {
     pub(crate) name: Option<(StationName, bool)>,
     pub(crate) ip: Option<(IpParameters, bool)>,
     pub(crate) signal: bool,
-    pub(crate) reset: bool,
+    pub(crate) reset: Option<Reset>,
 }
 
 /// What an answer is made of, besides what is true when it leaves.
@@ -329,10 +338,10 @@ fn wish(wishes: &mut Wishes, what: (u8, u8), data: &[u8], about: &About<'_>, is_
             [1, 0] => wishes.signal = true,
             _ => return Fault::NotSet,
         },
-        option::FACTORY_RESET => wishes.reset = true,
+        option::FACTORY_RESET => wishes.reset = Some(Reset::All),
         option::RESET => match qualifier >> 1 {
-            // Communication parameters, and all.
-            2 | 4 | 8 => wishes.reset = true,
+            2 => wishes.reset = Some(Reset::Communication),
+            4 | 8 => wishes.reset = Some(Reset::All),
             _ => return Fault::Suboption,
         },
         what if TOLD.contains(&what) || what == option::MAC => return Fault::NotSet,

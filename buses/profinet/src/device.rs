@@ -4,7 +4,7 @@ use crate::alarm::{self, Alarms, Ends, Heard};
 use crate::connect::{AlarmCr, Configuration, Iocr, Relation, Request};
 use crate::cursor::{Reader, Writer};
 use crate::cyclic::{self, Inputs, Received};
-use crate::dcp::{self, About, Dcp};
+use crate::dcp::{self, About, Dcp, Reset};
 use crate::epm;
 use crate::frame::{ETHERTYPE_PROFINET, Frame, MAX_FRAME_LEN, MacAddress};
 use crate::lldp;
@@ -386,10 +386,13 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             self.stored.ip = if is_permanent { ip } else { IpParameters::NONE };
         }
         let mut left = None;
-        if wishes.reset {
-            self.stored = Stored::NONE;
+        if let Some(reset) = wishes.reset {
             self.name = StationName::NONE;
             self.ip = IpParameters::NONE;
+            self.stored = match reset {
+                Reset::Communication => Stored { maintenance: before.maintenance, ..Stored::NONE },
+                Reset::All => Stored::NONE,
+            };
             self.reader = None;
             left = self.leave(Cause::Reset);
         }

@@ -3,6 +3,7 @@
 pub(crate) mod controller;
 
 use super::*;
+use crate::Maintenance;
 use controller::*;
 use std::string::String;
 use std::vec;
@@ -226,6 +227,23 @@ fn reset_ends_the_connection_and_leaves_nothing_stored() {
         assert_eq!((bench.poll(), bench.poll()), (is_reset.then_some(Event::Stored), None));
         assert_eq!(*bench.device.stored() == Stored::NONE, is_reset);
         assert_eq!(bench.device.state(), if is_reset { State::Unconnected } else { State::Data });
+    }
+}
+
+#[test]
+fn reset_of_communication_leaves_what_a_person_wrote_about_the_device() {
+    for (what, qualifier, leaves_it) in
+        [([5, 6], 4, true), ([5, 6], 8, false), ([5, 6], 16, false), ([5, 5], 0, false)]
+    {
+        let mut bench = Bench::in_data();
+        let date = block(0x22, b"2026-11-23 16:00");
+        bench.call(3, &[&record(8, AR, 0, 1, 0xAFF2, date.len() as u32)[..], &date].concat());
+        let before = bench.device.stored().maintenance;
+        assert_eq!(before.date, *b"2026-11-23 16:00");
+        let request = dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &dcp_block(what, &[0, qualifier]));
+        bench.device.receive(bench.now, &request);
+        let maintenance = if leaves_it { before } else { Maintenance::NONE };
+        assert_eq!(*bench.device.stored(), Stored { maintenance, ..Stored::NONE }, "{what:?} {qualifier}");
     }
 }
 
