@@ -7,16 +7,20 @@ use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use bus_modbus::rtu::crc;
 
+use crate::clock::Clock;
 use crate::uninterrupted;
 
-/// How long an answer may take: the emulator runs as fast as its host lets it.
+/// How long an answer may take, in the board's time.
 const PATIENCE: Duration = Duration::from_millis(1_000);
 
-/// After so much silence what has come is all.
+/// After so much silence what has come is all, in the board's time.
 const PAUSE: Duration = Duration::from_millis(50);
+
+/// A board whose time stands for so long, on the wall, is off.
+const STANDSTILL: Duration = Duration::from_secs(60);
 
 /// How often a request is sent at the most.
 const ATTEMPTS: u32 = 10;
@@ -27,6 +31,7 @@ pub type Disturbance<'a> = &'a mut dyn FnMut(u8) -> u8;
 /// A master for one unit.
 pub struct Master {
     line: UnixStream,
+    clock: Clock,
     unit: u8,
     /// Attempts without an intact answer.
     pub failed: Failed,
@@ -44,10 +49,10 @@ pub struct Failed {
 }
 
 impl Master {
-    /// A master on this line.
+    /// A master on this line, which goes by the board's clock.
     #[must_use]
-    pub const fn new(line: UnixStream, unit: u8) -> Self {
-        Self { line, unit, failed: Failed { damaged: 0, undamaged: 0, after_damage: 0 } }
+    pub const fn new(line: UnixStream, clock: Clock, unit: u8) -> Self {
+        Self { line, clock, unit, failed: Failed { damaged: 0, undamaged: 0, after_damage: 0 } }
     }
 
     /// Hands the line back, without a time-out.
@@ -112,14 +117,14 @@ impl Master {
         self.line.write_all(bytes).context("the board takes nothing any more")
     }
 
-    /// Whether the line stays silent for `time`; what came meanwhile is dropped.
+    /// Whether the line stays silent for this time of the board; what came meanwhile is dropped.
     ///
     /// # Errors
     /// When the board is off.
     pub fn is_silent(&mut self, time: Duration) -> Result<bool> {
-        let bound = Instant::now() + time;
+        let bound = self.clock.now() + time;
         let mut silent = true;
-        while Instant::now() < bound {
+        while self.clock.now() < bound {
             silent &= self.receive()?.is_empty();
         }
         Ok(silent)
@@ -131,8 +136,8 @@ impl Master {
     /// When the board is off.
     pub fn answer(&mut self, disturb: Disturbance<'_>) -> Result<Option<Vec<u8>>> {
         let mut answer = vec![];
-        let bound = Instant::now() + PATIENCE;
-        while Instant::now() < bound {
+        let bound = self.clock.now() + PATIENCE;
+        while self.clock.now() < bound {
             let received = self.receive()?;
             if received.is_empty() && !answer.is_empty() {
                 return Ok(None);
@@ -151,9 +156,14 @@ impl Master {
 
     fn receive(&mut self) -> Result<Vec<u8>> {
         let mut chunk = [0; 256];
-        match uninterrupted::read_within(&self.line, &mut chunk, PAUSE)? {
-            Some(0) => bail!("the board went off"),
-            count => Ok(chunk[..count.unwrap_or(0)].to_vec()),
+        let (end, bound) = (self.clock.now() + PAUSE, Instant::now() + STANDSTILL);
+        loop {
+            match uninterrupted::read_within(&self.line, &mut chunk, PAUSE)? {
+                Some(0) => bail!("the board went off"),
+                Some(count) => return Ok(chunk[..count].to_vec()),
+                None if self.clock.now() >= end => return Ok(vec![]),
+                None => ensure!(Instant::now() < bound, "the board's clock stands still"),
+            }
         }
     }
 }

@@ -44,7 +44,7 @@ impl Plant {
         let config = Config { time_scale: 10.0, ..Config::default() };
         let gripper =
             GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-        let master = Master::new(board.take_modbus_line().unwrap(), UNIT);
+        let master = Master::new(board.take_modbus_line().unwrap(), board.clock(), UNIT);
         let mut plant = Self { board, trace, master, _gripper: gripper };
         // BUS_TIMEOUT to BUS_CHAR_TIMEOUT: a host may pause inside of frames.
         let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);

@@ -31,7 +31,7 @@ impl Plant {
         let trace = Trace::new(vec![]);
         let gripper =
             GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-        let master = Master::new(board.take_modbus_line().unwrap(), UNIT);
+        let master = Master::new(board.take_modbus_line().unwrap(), board.clock(), UNIT);
         let mut plant = Self { board, gripper, trace, master };
         let bound = Instant::now() + Duration::from_secs(60);
         while plant.ask(&[4, 0, 0, 0, 6])[0] != 4 {

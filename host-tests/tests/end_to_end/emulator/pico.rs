@@ -81,7 +81,7 @@ fn settings_that_were_saved_survive_the_power_in_rp2040js() {
     let power_up = || {
         let extras = Extras { flash: Some(&flash), ..Extras::default() };
         let mut board = Emulator::start_with(&image(), extras).unwrap();
-        let master = Master::new(board.take_service_line().unwrap(), 1);
+        let master = Master::new(board.take_service_line().unwrap(), board.clock(), 1);
         (board, master)
     };
     let (board, mut master) = power_up();

@@ -8,6 +8,7 @@ use host_tests::addresses::{report, setting};
 use host_tests::can_bus::CanBus;
 use host_tests::can_wire::WireFrame;
 use host_tests::chance::Chance;
+use host_tests::clock::Clock;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::extent;
 use host_tests::flash_controller::{ErrorFlag, Fault, FlashController};
@@ -66,7 +67,7 @@ impl Plant {
         let trace = Trace::new(vec![]);
         let line = board.take_gripper_line().unwrap();
         let gripper = GripperEnd::start(line, board.clock(), Config::default(), &trace).unwrap();
-        let service = Master::new(board.take_service_line().unwrap(), 1);
+        let service = Master::new(board.take_service_line().unwrap(), board.clock(), 1);
         Self { board, flash, service, _gripper: gripper, trace }
     }
 
@@ -79,7 +80,7 @@ impl Plant {
 
     /// The service port as a person with a computer has it. The master has none then.
     fn on_cable(mut self) -> (Self, Terminal) {
-        let nothing = Master::new(UnixStream::pair().unwrap().0, 1);
+        let nothing = Master::new(UnixStream::pair().unwrap().0, Clock::wall(), 1);
         let service = std::mem::replace(&mut self.service, nothing);
         (self, Terminal::to(service.into_line().unwrap()).unwrap())
     }
@@ -184,7 +185,7 @@ const HSI16_HZ: u32 = 16_000_000;
 fn assert_bus_runs(board: &mut Emulator, unit: u8, rate: u32) {
     let divider = (256 * HSI16_HZ + rate / 2) / rate;
     assert_eq!(board.readl(LPUART1_BRR).unwrap(), divider & 0xFFFF);
-    let mut bus = Master::new(board.take_modbus_line().unwrap(), unit);
+    let mut bus = Master::new(board.take_modbus_line().unwrap(), board.clock(), unit);
     let unit_setting = [&[3][..], &setting("UNIT").to_be_bytes(), &[0, 1]].concat();
     assert_eq!(bus.ask(&unit_setting).unwrap(), [3, 2, 0, unit]);
 }

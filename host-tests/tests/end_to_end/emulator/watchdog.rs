@@ -30,7 +30,7 @@ fn is_reset(mut board: Emulator, derail: impl Fn(&Emulator, Derailment), resets:
     let trace = Trace::new(vec![]);
     let line = board.take_gripper_line().unwrap();
     let _gripper = GripperEnd::start(line, board.clock(), Config::default(), &trace).unwrap();
-    let mut master = Master::new(board.take_modbus_line().unwrap(), 1);
+    let mut master = Master::new(board.take_modbus_line().unwrap(), board.clock(), 1);
     let mut reset_cause = || u16::from(*master.ask(&[4, 0, RESET_CAUSE, 0, 1]).unwrap().last().unwrap());
     let has_link = |outputs: Outputs| outputs.contains(Outputs::LINK_OK);
     board.wait_outputs(PATIENCE, has_link).unwrap();

@@ -131,7 +131,7 @@ impl Drop for Storm {
 fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_after_it<C: CanBoard>() {
     // At the real gripper's speed, homing takes longer than bus-off.
     let mut plant = plant::<C>(GRIPPER_ON_CAN, Config::default());
-    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
+    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), plant.board.clock(), 1);
     plant.board.set_input(Inputs::HOME, true).unwrap();
     plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
     plant.board.set_input(Inputs::HOME, false).unwrap();
@@ -163,7 +163,7 @@ fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_
 
 fn a_command_that_nobody_acknowledges_does_not_leave_later<C: CanBoard>() {
     let mut plant = plant::<C>(GRIPPER_ON_CAN, config());
-    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
+    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), plant.board.clock(), 1);
 
     plant.bus.set_fault(Fault::Cut);
     let mark = plant.trace.mark();
@@ -227,7 +227,7 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
 
 fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
     let mut plant = plant::<C>(GRIPPER_ON_CAN, config());
-    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), 1);
+    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), plant.board.clock(), 1);
     assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 0);
     let mark = plant.trace.mark();
 

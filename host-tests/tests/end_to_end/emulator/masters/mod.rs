@@ -37,7 +37,7 @@ fn plant(board: Board) -> Plant {
     let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
     let gripper =
         GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-    let mut master = Master::new(board.take_modbus_line().unwrap(), 1);
+    let mut master = Master::new(board.take_modbus_line().unwrap(), board.clock(), 1);
     let bound = Instant::now() + Duration::from_secs(60);
     while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
         assert!(Instant::now() < bound, "the gripper does not answer");
