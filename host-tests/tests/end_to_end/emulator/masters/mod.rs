@@ -58,30 +58,24 @@ fn assert_one_cycle(plant: &Plant, said: &str) {
 }
 
 /// Runs a script that homes, grips, releases and asserts what it sees on the way.
-fn run_python(script: &str) {
-    let plant = plant(Board::DEFAULT);
+fn run_python(board: Board, script: &str) {
+    let plant = plant(board);
     let script = script.replace("# cycle.py\n", include_str!("cycle.py"));
     let output = masters::python(&script, &[&plant.terminal.path]);
     assert!(output.status.success(), "{}", said(&output));
     assert_one_cycle(&plant, &said(&output));
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware image and pymodbus: run `cargo xtask test`"]
-fn pymodbus_runs_a_grip_cycle() {
-    run_python(include_str!("pymodbus.py"));
+fn pymodbus_runs_a_grip_cycle(board: Board) {
+    run_python(board, include_str!("pymodbus.py"));
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware image and minimalmodbus: run `cargo xtask test`"]
-fn minimalmodbus_runs_a_grip_cycle() {
-    run_python(include_str!("minimalmodbus.py"));
+fn minimalmodbus_runs_a_grip_cycle(board: Board) {
+    run_python(board, include_str!("minimalmodbus.py"));
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware image and modbus-tk: run `cargo xtask test`"]
-fn modbus_tk_runs_a_grip_cycle() {
-    run_python(include_str!("modbus_tk.py"));
+fn modbus_tk_runs_a_grip_cycle(board: Board) {
+    run_python(board, include_str!("modbus_tk.py"));
 }
 
 fn jsmodbus_runs_a_grip_cycle(board: Board) {
@@ -132,10 +126,8 @@ fn mbpoll_reads_writes_and_homes(board: Board) {
     );
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
-fn mbpoll_commands_of_the_document_grip_when_pasted() {
-    let plant = plant(Board::DEFAULT);
+fn mbpoll_commands_of_the_document_grip_when_pasted(board: Board) {
+    let plant = plant(board);
     let changes = [("/dev/ttyUSB0", plant.terminal.path.as_str()), ("-P even", "-P none")];
     let status = "$M -t 3 -r 5 -c 1 $T";
     let said = masters::paste(&read("docs/commissioning.md"), "$M", &changes, status);
@@ -186,10 +178,8 @@ async fn tokio_command(client: &mut Context, image: &[u16; 4]) -> (u16, u16) {
     }
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn gripping_cycle_example_runs_over_rtu_and_counts() {
-    let plant = plant(Board::DEFAULT);
+fn gripping_cycle_example_runs_over_rtu_and_counts(board: Board) {
+    let plant = plant(board);
     let arguments = ["--rtu", &plant.terminal.path, "--cycles", "2"];
     let program = host_tests::example::path("gripping_cycle");
     let output = std::process::Command::new(program).args(arguments).output().unwrap();
@@ -199,4 +189,13 @@ fn gripping_cycle_example_runs_over_rtu_and_counts() {
     assert!(said.starts_with("2 cycles in ") && said.contains(counted), "{said}");
 }
 
-on_both_boards!(jsmodbus_runs_a_grip_cycle, mbpoll_reads_writes_and_homes, tokio_modbus_runs_a_grip_cycle,);
+on_both_boards!(
+    gripping_cycle_example_runs_over_rtu_and_counts,
+    jsmodbus_runs_a_grip_cycle,
+    mbpoll_commands_of_the_document_grip_when_pasted,
+    mbpoll_reads_writes_and_homes,
+    minimalmodbus_runs_a_grip_cycle,
+    modbus_tk_runs_a_grip_cycle,
+    pymodbus_runs_a_grip_cycle,
+    tokio_modbus_runs_a_grip_cycle,
+);
