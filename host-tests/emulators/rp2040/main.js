@@ -116,7 +116,7 @@ class Pico {
             const write = of.writeUint32.bind(of);
             of.writeUint32 = (offset, value) => {
                 write(offset, value);
-                if (offset < 0x100) this.look(of === rp2040.sio && offset <= GPIO_OUT_XOR);
+                if (offset < 0x100) this.look(of === rp2040.sio && offset <= GPIO_OUT_XOR && (value & outputMask) !== 0);
             };
         }
         if (this.model) {
@@ -186,7 +186,8 @@ class Pico {
         this.rp2040.gpio[pin].setInputValue(level);
     }
 
-    // A store may have changed the pins; `isLevels`: one of levels.
+    // A store may have changed the pins; `isLevels`: it gave outputs their levels. The first one behind that which made the last of them an
+    // output is the main loop's.
     look(isLevels = false) {
         if (!this.settled.scheduled && this.levels() !== this.shown) this.settled.schedule(SETTLE_NANOS);
         if (isLevels && !this.isServed && this.levels("outputEnable") === outputMask) {

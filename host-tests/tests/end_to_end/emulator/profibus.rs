@@ -151,8 +151,8 @@ fn master_of_profirust_runs_grip_cycles_on_the_emulated_board(board: Board) {
     let mut plant = Plant::start(board);
     let shows = |state| move |input: &InputImage| (input.state, input.status) == (state, Status::Success);
     let is_stopped = |input: &InputImage| input.system.contains(SystemFlags::FAST_STOP);
-    // The wire of FAST STOP was low until just now, and a board may have seen it so or not.
-    plant.command(Flag::empty(), |_| true);
+    // The wire of FAST STOP was low until just now.
+    plant.command(Flag::empty(), is_stopped);
     plant.command(Flag::STOP_ACK, |input| !is_stopped(input));
     plant.command(Flag::empty(), |_| true);
     plant.command(Flag::HOMING, |input| {
