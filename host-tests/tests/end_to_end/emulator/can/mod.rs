@@ -66,6 +66,9 @@ trait CanBoard: BusController {
     /// Whether it is bus-off, error passive, and warns.
     fn faults(&mut self) -> (bool, bool, bool);
 
+    /// Whether its filters have let nothing pass but these frames; where they cannot be so narrow, that it has lost none of these.
+    fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool;
+
     /// What holds of any driver: the bus's rate, a sample point at 87.5 % where the controller's clock allows it (CiA 301, table 1),
     /// and nothing that the manual forbids; that no frame was lost where the controller's model tells; and what only registers of the
     /// board show.
@@ -87,6 +90,10 @@ impl CanBoard for Bxcan {
         const ESR: u32 = 0x18;
         let esr = self.load(ESR).unwrap();
         (esr & 1 << 2 != 0, esr & 1 << 1 != 0, esr & 1 << 0 != 0)
+    }
+
+    fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool {
+        self.accepted().iter().all(is_wanted)
     }
 
     fn assert_set_up(board: &Emulator, bus: &CanBus, rate: u32) {
@@ -116,6 +123,10 @@ impl CanBoard for Mcp2515 {
         let bytes = [0x03, EFLG, 0].map(|byte| self.exchange(byte).unwrap());
         self.deselect();
         (bytes[2] & 1 << 5 != 0, bytes[2] & 0b11 << 3 != 0, bytes[2] & 1 << 0 != 0)
+    }
+
+    fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool {
+        !self.lost().iter().any(is_wanted)
     }
 
     fn assert_set_up(_: &Emulator, bus: &CanBus<Self>, rate: u32) {
