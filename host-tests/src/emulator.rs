@@ -33,6 +33,7 @@ use self::rp2040::{NODE, Rp2040};
 use self::watch::Watch;
 use crate::can_bus::CanBus;
 use crate::clock::Clock;
+use crate::line_errors::LineError;
 use crate::mcp2515::Mcp2515;
 use crate::registers::{Derailment, RegisterModel};
 
@@ -50,6 +51,10 @@ trait Chip: fmt::Debug + Send + Sync {
 
     fn now_ms(&self) -> Result<u32>;
 
+    fn set_line_error(&self, _line: Line, _error: Option<(LineError, u32)>) -> Result<()> {
+        bail!("line errors of this board are a model beside it")
+    }
+
     fn derail(&self, _how: Derailment) -> Result<()> {
         bail!("the watchdog of this board is a model beside it")
     }
@@ -57,6 +62,15 @@ trait Chip: fmt::Debug + Send + Sync {
     fn watchdog_resets(&self) -> Result<(u32, Duration)> {
         bail!("the watchdog of this board is a model beside it")
     }
+}
+
+/// A line of a board that errors can be on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// The gripper's.
+    Gripper,
+    /// The PLC's bus.
+    Bus,
 }
 
 /// The other ends of a board's lines, until they are taken.
@@ -250,6 +264,14 @@ impl Emulator {
     /// When the image for QEMU has no symbols, or the emulator has ended.
     pub fn now_ms(&self) -> Result<u32> {
         self.ask(|chip| chip.now_ms())
+    }
+
+    /// Of the Pico: lets each n-th byte that arrives from now on have this error; `None`: the line is well.
+    ///
+    /// # Errors
+    /// When this is another board, or the emulator has ended.
+    pub fn set_line_error(&self, line: Line, error: Option<(LineError, u32)>) -> Result<()> {
+        self.ask(|chip| chip.set_line_error(line, error))
     }
 
     /// Of the Pico: lets its firmware hang behind the next time that it feeds the watchdog, which is its main loop's.

@@ -16,9 +16,10 @@ use wsg_pico::{INPUTS, OUTPUTS, outputs_from_gpios};
 
 use super::sockets::Sockets;
 use super::watch::Watch;
-use super::{Chip, Extras, Lines, PATIENCE, end, lock};
+use super::{Chip, Extras, Line, Lines, PATIENCE, end, lock};
 use crate::can_bus::CanBus;
 use crate::clock::Clock;
+use crate::line_errors::LineError;
 use crate::masters::NODE_VARIABLE;
 use crate::mcp2515::Mcp2515;
 use crate::registers::Derailment;
@@ -191,6 +192,21 @@ impl Chip for Rp2040 {
     fn now_ms(&self) -> Result<u32> {
         let micros: u64 = self.ask("time")?.parse()?;
         Ok((micros / 1_000) as u32)
+    }
+
+    fn set_line_error(&self, line: Line, error: Option<(LineError, u32)>) -> Result<()> {
+        let uart = match line {
+            Line::Gripper => 0,
+            Line::Bus => 1,
+        };
+        let Some((error, every)) = error else { return self.ask(&format!("error {uart} none")).map(drop) };
+        let kind = match error {
+            LineError::Parity => "parity",
+            LineError::Framing => "framing",
+            LineError::Noise => "noise",
+            LineError::Overrun => "overrun",
+        };
+        self.ask(&format!("error {uart} {kind} {every}")).map(drop)
     }
 
     fn derail(&self, how: Derailment) -> Result<()> {

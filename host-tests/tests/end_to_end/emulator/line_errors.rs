@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use host_tests::emulator::{Emulator, Extras};
+use host_tests::emulator::{Emulator, Extras, Line};
 use host_tests::gripper_end::GripperEnd;
 use host_tests::line_errors::{LPUART1, LineError, LineErrors, UART4};
 use host_tests::modbus_master::Master;
@@ -12,7 +12,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;
 
-use super::image;
+use super::Board;
 
 const UNIT: u8 = 1;
 
@@ -27,6 +27,9 @@ const NOTHING: [u8; 14] = [16, 0, 0, 0, 4, 8, 0, 0, 0, 0, 0, 0, 0, 0];
 const STOP_ACK: [u8; 14] = [16, 0, 0, 0, 4, 8, 1 << 4, 0, 0, 0, 0, 0, 0, 0];
 
 struct Plant {
+    kind: Board,
+    /// Of the default board: the gripper's line and the bus.
+    models: [LineErrors; 2],
     board: Emulator,
     trace: Trace,
     master: Master,
@@ -34,23 +37,43 @@ struct Plant {
 }
 
 impl Plant {
-    /// A board that is READY; on these lines.
-    fn on(lines: &[&LineErrors]) -> Self {
-        let models = lines.iter().map(|line| Box::new((*line).clone()) as _).collect();
-        let extras = Extras { models, ..Extras::default() };
-        let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+    /// A board that is READY.
+    fn start(kind: Board) -> Self {
+        let models = [UART4, LPUART1].map(LineErrors::on);
+        let served = if kind == Board::DEFAULT { &models[..] } else { &[] };
+        let served = served.iter().map(|line| Box::new(line.clone()) as _).collect();
+        let extras = Extras { models: served, ..Extras::default() };
+        let mut board = Emulator::start_with(&kind.image("WSG_FIRMWARE_ELF"), extras).unwrap();
         board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
         let trace = Trace::new(vec![]);
         let config = Config { time_scale: 10.0, ..Config::default() };
         let gripper =
             GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
         let master = Master::new(board.take_modbus_line().unwrap(), board.clock(), UNIT);
-        let mut plant = Self { board, trace, master, _gripper: gripper };
+        let mut plant = Self { kind, models, board, trace, master, _gripper: gripper };
         // BUS_TIMEOUT to BUS_CHAR_TIMEOUT: a host may pause inside of frames.
         let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
         plant.ask(&[&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat());
         plant.acknowledge();
         plant
+    }
+
+    fn set(&self, line: Line, error: Option<(LineError, u32)>) {
+        if self.kind == Board::PICO {
+            return self.board.set_line_error(line, error).unwrap();
+        }
+        let [gripper, bus] = &self.models;
+        match line {
+            Line::Gripper => gripper.set(error),
+            Line::Bus => bus.set(error),
+        }
+    }
+
+    /// Errors that the board's UART tells of: a PL011 does not of noise.
+    fn told(&self) -> &'static [LineError] {
+        const ALL: [LineError; 4] =
+            [LineError::Parity, LineError::Framing, LineError::Overrun, LineError::Noise];
+        if self.kind == Board::PICO { &ALL[..3] } else { &ALL }
     }
 
     fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
@@ -65,31 +88,28 @@ impl Plant {
     fn acknowledge(&mut self) {
         let bound = Instant::now() + PATIENCE;
         loop {
-            self.ask(&NOTHING);
-            self.ask(&STOP_ACK);
+            for image in [NOTHING, STOP_ACK, NOTHING] {
+                self.ask(&image);
+            }
             let ready = |outputs: Outputs| outputs.contains(Outputs::READY);
             match self.board.wait_outputs(Duration::from_secs(2), ready) {
-                Ok(_) => break,
+                Ok(_) => return,
                 Err(error) => assert!(Instant::now() < bound, "{error:#}"),
             }
         }
-        self.ask(&NOTHING);
     }
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn a_bus_with_line_errors_moves_nothing_and_counts() {
-    let bus = LineErrors::on(LPUART1);
-    let mut plant = Plant::on(&[&bus]);
-    for error in [LineError::Parity, LineError::Framing, LineError::Noise, LineError::Overrun] {
+fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
+    let mut plant = Plant::start(board);
+    for &error in plant.told() {
         let before = plant.register(BUS_OVERRUNS);
         // One damaged byte of 17 is enough, whatever checksum the frame has. A lost one is told with the byte behind it, or
         // by itself before that comes.
-        bus.set(Some((error, 9)));
+        plant.set(Line::Bus, Some((error, 9)));
         plant.master.send(&Master::frame(UNIT, &HOMING)).unwrap();
         assert!(plant.master.is_silent(Duration::from_millis(200)).unwrap(), "{error:?} is answered");
-        bus.set(None);
+        plant.set(Line::Bus, None);
         let after = plant.register(BUS_OVERRUNS);
         assert!(after > before, "{error:?} is not counted: {before}, {after}");
         assert_eq!(motions(&plant.trace.since(0)), [], "{error:?}");
@@ -100,29 +120,33 @@ fn a_bus_with_line_errors_moves_nothing_and_counts() {
     assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn a_gripper_line_with_errors_is_told_and_moves_nothing() {
-    let line = LineErrors::on(UART4);
-    let mut plant = Plant::on(&[&line]);
-    // What noise leaves of a byte is for the checksum to judge.
-    line.set(Some((LineError::Noise, 1)));
-    let start = plant.board.now_ms().unwrap();
-    while plant.board.now_ms().unwrap().wrapping_sub(start) < 1_000 {}
-    assert!(plant.board.outputs().contains(Outputs::LINK_OK | Outputs::READY));
-    assert_eq!(plant.register(DISCONNECTS), 0);
+fn a_gripper_line_with_errors_is_told_and_moves_nothing(board: Board) {
+    let mut plant = Plant::start(board);
+    if plant.told().contains(&LineError::Noise) {
+        // What it leaves of a byte is for the checksum to judge.
+        plant.set(Line::Gripper, Some((LineError::Noise, 1)));
+        let start = plant.board.now_ms().unwrap();
+        while plant.board.now_ms().unwrap().wrapping_sub(start) < 1_000 {}
+        assert!(plant.board.outputs().contains(Outputs::LINK_OK | Outputs::READY));
+        assert_eq!(plant.register(DISCONNECTS), 0);
+    }
 
     for (disconnects, error) in (1..).zip([LineError::Framing, LineError::Overrun]) {
         let dropped = plant.register(LINE_DROPPED);
-        line.set(Some((error, 3)));
+        plant.set(Line::Gripper, Some((error, 3)));
         plant.board.wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
         plant.ask(&HOMING);
         assert!(plant.register(LINE_DROPPED) > dropped, "{error:?}");
         plant.ask(&NOTHING);
-        line.set(None);
+        plant.set(Line::Gripper, None);
         plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
         assert_eq!(plant.register(DISCONNECTS), disconnects, "{error:?}");
         plant.acknowledge();
     }
     assert_eq!(motions(&plant.trace.since(0)), []);
 }
+
+on_both_boards!(
+    a_bus_with_line_errors_moves_nothing_and_counts,
+    a_gripper_line_with_errors_is_told_and_moves_nothing,
+);

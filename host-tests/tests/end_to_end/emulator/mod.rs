@@ -46,7 +46,7 @@ mod wires;
 use std::path::PathBuf;
 
 /// A board, by what the names of its images' variables end in.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 struct Board(&'static str);
 
 impl Board {
