@@ -68,11 +68,12 @@ macro_rules! define_commands {
                 }
             }
 
-            /// The manual's name of it.
+            /// The manual's name of it; `script command` for A0h to BFh, which scripts on the gripper answer.
             #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$name => $title,)*
+                    Self::Unknown(0xA0..=0xBF) => "script command",
                     Self::Unknown(_) => "unknown command",
                 }
             }

@@ -24,7 +24,7 @@ mod registers;
 
 pub use controller::{Controller, SilenceReaction};
 pub use diagnosis::Diagnosis;
-pub use image::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
+pub use image::{CommandFlags, ForceUnit, GripperFlags, InputImage, MaskedFlags, OutputImage};
 pub use incident::{Cause, Incident};
 #[cfg(feature = "modbus")]
 pub use modbus::Images;

@@ -39,6 +39,9 @@ impl Display for Direction {
 /// assert_eq!(reply.to_string(), "25h Grip Part E_CMD_PENDING");
 /// let neither = Meaning { direction: Direction::FromGripper, frame: Frame { id: 0x25, payload: &[26] } };
 /// assert_eq!(neither.to_string(), "25h Grip Part: payload too short");
+/// // Answers of a script have no form.
+/// let script = Meaning { direction: Direction::FromGripper, frame: Frame { id: 0xA0, payload: &[1, 0, 7] } };
+/// assert_eq!(script.to_string(), "A0h script command 3 bytes");
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Meaning<'a> {
@@ -60,6 +63,11 @@ impl Display for Meaning<'_> {
                 Err(refusal) => refusal,
             },
         };
-        write!(f, "{}: {refusal}", CommandId::from_code(self.frame.id))
+        let id = CommandId::from_code(self.frame.id);
+        match id {
+            // A script answers as it likes.
+            CommandId::Unknown(0xA0..=0xBF) => write!(f, "{id} {} bytes", self.frame.payload.len()),
+            _ => write!(f, "{id}: {refusal}"),
+        }
     }
 }

@@ -9,7 +9,9 @@
 ///
 /// A type whose text has its units itself goes without one: `""`, or nothing in a reply.
 /// `immediate` are the status codes of the first answer, `completion` those of the second one, which only commands
-/// have that are carried out asynchronously (command set, 1.3).
+/// have that are carried out asynchronously (command set, 1.3). They are the lists of the English and the German manual
+/// united, with two additions: E_SUCCESS of Loop (06h), without which nothing could come back (1.2.2), and
+/// E_NOT_INITIALIZED of Grip Part and Release Part (25h, 26h), because Homing precedes every motion (3.2.1).
 macro_rules! for_each_command {
     ($make:ident) => {
         $make! {
@@ -99,7 +101,7 @@ macro_rules! for_each_command {
             0x31 GetAcceleration "Get Acceleration" "3.3.2" Query
                 request reply (f32 = "mm/s²")
                 immediate [Success, NoParamExpected] completion [];
-            /// Sets the greatest force of the motions that follow; clamped to the gripper's limits.
+            /// Sets the greatest force of the grips and pre-positions that follow; clamped to the gripper's limits.
             0x32 SetForceLimit "Set Force Limit" "3.3.3" Setting
                 request {
                     /// Force, summed over both fingers, in N.
@@ -191,12 +193,12 @@ macro_rules! for_each_command {
             /// Asks for the temperature of the device.
             0x46 GetTemperature "Get Temperature" "3.4.7" Query
                 request reply (Temperature)
-                immediate [Success, NoParamExpected] completion [];
+                immediate [Success, NoParamExpected, InsufficientResources] completion [];
 
             /// Asks for device type, versions and serial number.
             0x50 GetSystemInfo "Get System Information" "3.5.1" Query
                 request reply (SystemInfo)
-                immediate [Success, NoParamExpected] completion [];
+                immediate [Success, NoParamExpected, InsufficientResources] completion [];
             /// Sets the device tag.
             0x51 SetDeviceTag "Set Device Tag" "3.5.2" Setting
                 request {
@@ -204,7 +206,7 @@ macro_rules! for_each_command {
                     tag: DeviceTag<'a> = ""
                 }
                 reply
-                immediate [Success, Overrun, InvalidParameter] completion [];
+                immediate [Success, Overrun, InvalidParameter, InsufficientResources] completion [];
             /// Asks for the device tag.
             0x52 GetDeviceTag "Get Device Tag" "3.5.3" Query
                 request reply (DeviceTag<'a>)
@@ -212,16 +214,16 @@ macro_rules! for_each_command {
             /// Asks for the physical limits.
             0x53 GetSystemLimits "Get System Limits" "3.5.4" Query
                 request reply (SystemLimits)
-                immediate [Success, NoParamExpected] completion [];
+                immediate [Success, NoParamExpected, InsufficientResources] completion [];
 
             /// Asks what finger 1 is.
             0x60 GetFinger1Info "Get Finger 1 Info" "3.6.1" Query
                 request reply (FingerInfo)
-                immediate [Success, CmdFormatError] completion [];
+                immediate [Success, CmdFormatError, InsufficientResources] completion [];
             /// Asks for the state flags of finger 1.
             0x61 GetFinger1Flags "Get Finger 1 Flags" "3.6.2" Query
                 request reply (FingerFlags)
-                immediate [Success, CmdFormatError] completion [];
+                immediate [Success, CmdFormatError, IndexOutOfBounds, InsufficientResources] completion [];
             /// Switches the supply of finger 1; on completes after about 500 ms.
             0x62 Finger1Power "Finger 1 Power Control" "3.6.3" Setting
                 request {
@@ -237,11 +239,11 @@ macro_rules! for_each_command {
             /// Asks what finger 2 is.
             0x70 GetFinger2Info "Get Finger 2 Info" "3.6.5" Query
                 request reply (FingerInfo)
-                immediate [Success, CmdFormatError] completion [];
+                immediate [Success, CmdFormatError, InsufficientResources] completion [];
             /// Asks for the state flags of finger 2.
             0x71 GetFinger2Flags "Get Finger 2 Flags" "3.6.6" Query
                 request reply (FingerFlags)
-                immediate [Success, CmdFormatError] completion [];
+                immediate [Success, CmdFormatError, InsufficientResources] completion [];
             /// Switches the supply of finger 2; on completes after about 500 ms.
             0x72 Finger2Power "Finger 2 Power Control" "3.6.7" Setting
                 request {

@@ -91,6 +91,66 @@ fn finger_flags_have_bit_10_from_the_gcl_manual() {
     assert_eq!(FingerFlags::INIT_FAULT.bits(), 1 << 10);
 }
 
+/// Command set, 3.4.7: in steps of 0.1 °C as the other examples have it, FFF5h is -1.1 °C and not the -1.0 °C that are printed.
+#[test]
+fn temperature_fff5h_is_minus_1_1_degrees() {
+    for (raw, text) in [
+        (0xFFF5, "-1.1 °C"),
+        (0xFFF6, "-1.0 °C"),
+        (0xFFFF, "-0.1 °C"),
+        (0, "0.0 °C"),
+        (0x0A, "1.0 °C"),
+        (0xC8, "20.0 °C"),
+        (0x1F4, "50.0 °C"),
+    ] {
+        let [low, high] = u16::to_le_bytes(raw);
+        let payload = [0, 0, low, high];
+        let reply = Reply::decode(&Frame { id: 0x46, payload: &payload }).unwrap();
+        let Some(Value::GetTemperature(temperature)) = reply.value() else { panic!("{reply}") };
+        assert_eq!(temperature.to_string(), text);
+    }
+}
+
+/// The lists of chapter 3, "Possible Status Codes" and "Mögliche Statuscodes", of the commands in which the English and the
+/// German manual differ or this project adds to both: (id, in English, in German as well, added).
+#[test]
+fn status_codes_are_those_of_both_manuals_and_the_additions_are_these() {
+    use Status::{
+        AccessDenied, AlreadyRunning, CmdFailed, CmdFormatError, CmdPending, IndexOutOfBounds,
+        InsufficientResources, InvalidParameter, IoError, NoParamExpected, NotAvailable, NotInitialized,
+        Overrun, RangeError, Success,
+    };
+    type List = &'static [Status];
+    const MOTION: List = &[AccessDenied, AlreadyRunning, CmdFormatError, RangeError, CmdPending];
+    const QUERY: List = &[Success, NoParamExpected];
+    const FINGER: List = &[Success, CmdFormatError];
+    let lists: [(u8, List, List, List); 16] = [
+        (0x06, &[CmdFormatError, InvalidParameter, CmdPending], &[], &[Success]),
+        (0x25, MOTION, &[], &[NotInitialized]),
+        (0x26, MOTION, &[], &[NotInitialized]),
+        (0x46, QUERY, &[InsufficientResources], &[]),
+        (0x50, QUERY, &[InsufficientResources], &[]),
+        (0x51, &[Success, Overrun, InvalidParameter], &[InsufficientResources], &[]),
+        (0x52, &[Success, NoParamExpected, NotAvailable, InsufficientResources], &[], &[]),
+        (0x53, QUERY, &[InsufficientResources], &[]),
+        (0x60, FINGER, &[InsufficientResources], &[]),
+        (0x61, FINGER, &[IndexOutOfBounds, InsufficientResources], &[]),
+        (0x62, &[Success, CmdFormatError, CmdFailed, CmdPending], &[], &[]),
+        (0x63, &[Success, CmdFormatError, IoError, NotAvailable], &[], &[]),
+        (0x70, FINGER, &[InsufficientResources], &[]),
+        (0x71, FINGER, &[InsufficientResources], &[]),
+        (0x72, &[Success, CmdFormatError, CmdFailed, CmdPending], &[], &[]),
+        (0x73, &[Success, CmdFormatError, IoError, NotAvailable], &[], &[]),
+    ];
+    for (id, english, german, added) in lists {
+        let mut expected = [english, german, added].concat();
+        let mut listed = CommandId::from_code(id).immediate_statuses().to_vec();
+        expected.sort_by_key(|status| status.code());
+        listed.sort_by_key(|status| status.code());
+        assert_eq!(listed, expected, "{id:02X}h");
+    }
+}
+
 #[test]
 fn status_19_is_e_cmd_aborted() {
     assert_eq!(Status::from_code(19).symbol(), "E_CMD_ABORTED");

@@ -3,6 +3,7 @@
 use embedded_can::{Frame, StandardId};
 
 use super::FULL;
+use crate::checksum;
 use crate::frame::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
 
 /// The data of one CAN frame, 1 to 8 bytes.
@@ -12,6 +13,9 @@ pub struct Segment {
     bytes: [u8; FULL],
     len: u8,
 }
+
+/// In the high bytes of a float, a value of 3.4e38: beyond every limit, and unlike a NaN greater than it.
+const SPOILT: u8 = 0x7F;
 
 impl Segment {
     const EMPTY: Self = Self { bytes: [0; FULL], len: 0 };
@@ -26,6 +30,40 @@ impl Segment {
     #[must_use]
     pub fn frame<F: Frame>(&self, id: StandardId) -> Option<F> {
         F::new(id, self.data())
+    }
+
+    /// Spoils a segment of a message that was cut, where earlier segments of it were sent. They cannot be left alone: a
+    /// receiver waits for as many bytes as the size field says, and would take the next message for the rest.
+    ///
+    /// Its bytes become 7Fh, so each width and speed of which a high byte was unsent is beyond every limit, for a gripper that
+    /// does not evaluate checksums (command set, 1.4.1). The last byte of the message (`is_last`) becomes one with which the
+    /// checksum is wrong, whether the gripper compares it or computes 0 over the whole message.
+    ///
+    /// `checksum` is the [running value](crate::checksum) over the bytes before the segment, as they were sent. Returns that
+    /// after it.
+    ///
+    /// ```
+    /// use wsg_protocol::can::Segments;
+    /// use wsg_protocol::checksum::{START, push_slice};
+    /// use wsg_protocol::{Command, FrameEncoder, HomingDirection};
+    ///
+    /// let homing = Command::Homing { direction: HomingDirection::Positive };
+    /// let mut segments = Segments::new(FrameEncoder::new(homing.id().code(), homing));
+    /// let [sent, mut last] = [segments.next().unwrap(), segments.next().unwrap()];
+    /// let running = push_slice(START, sent.data());
+    /// assert_eq!(push_slice(running, last.data()), 0);
+    /// assert_ne!(last.spoil(running, true), 0);
+    /// ```
+    pub fn spoil(&mut self, checksum: u16, is_last: bool) -> u16 {
+        let bytes = self.bytes.get_mut(..usize::from(self.len)).unwrap_or_default();
+        bytes.fill(SPOILT);
+        let running = checksum::push_slice(checksum, bytes);
+        if let (true, 0, Some(end)) = (is_last, running, bytes.last_mut()) {
+            // No other value of the last byte leads to 0.
+            *end = !SPOILT;
+            return checksum::push_slice(checksum, bytes);
+        }
+        running
     }
 
     /// Puts a byte behind the others; says whether the segment is full.

@@ -208,7 +208,10 @@ fn commands_read_as_a_person_would_write_them() {
         (Command::GetSpeed { update: AutoUpdate::once() }, "44h Get Speed once"),
         (Command::OverdriveMode { enabled: true }, "37h Overdrive Mode on"),
         (Command::SetDeviceTag { tag: DeviceTag::new("cell 4").unwrap() }, "51h Set Device Tag \"cell 4\""),
-        (Command::Unknown { id: 0xB0, payload: &[1, 2] }, "B0h unknown command 2 bytes"),
+        (Command::Unknown { id: 0x9F, payload: &[] }, "9Fh unknown command 0 bytes"),
+        (Command::Unknown { id: 0xA0, payload: &[1, 2] }, "A0h script command 2 bytes"),
+        (Command::Unknown { id: 0xBF, payload: &[1, 2] }, "BFh script command 2 bytes"),
+        (Command::Unknown { id: 0xC0, payload: &[1, 2] }, "C0h unknown command 2 bytes"),
     ] {
         assert_eq!(command.to_string(), text);
     }

@@ -340,7 +340,7 @@ macro_rules! methods {
             }) $($await)*
         }
 
-        /// Sets the greatest force of the motions that follow, in N, summed over both fingers; clamped to the gripper's
+        /// Sets the greatest force of the grips and pre-positions that follow, in N, summed over both fingers; clamped to the gripper's
         /// limits (command set, 3.3.3).
         ///
         /// # Errors

@@ -14,10 +14,6 @@ use crate::types::{
     AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
 };
 
-/// The flags that begin a motion on their rising edge.
-const MOTIONS: CommandFlags =
-    CommandFlags::MOVE.union(CommandFlags::GRIP).union(CommandFlags::RELEASE).union(CommandFlags::HOMING);
-
 /// Commands that may wait to be fetched: a FAST STOP replaces all others, so one motion's two at the most.
 const OUTGOING_LEN: usize = 2;
 
@@ -37,8 +33,10 @@ const INCIDENTS_LEN: usize = 4;
 ///   edge is lost.
 /// - WIDTH, SPEED or FORCELIMIT changed while the fingers move: FAST STOP. So is SPEED or FORCELIMIT outside the
 ///   limits with MOVE, GRIP or RELEASE; HOMING has no parameters.
-/// - A FAST STOP is left only by a rising edge of STOP/ACK while FASTSTOP is 0, and once the gripper has confirmed it: by
-///   E_SUCCESS, and by system flags that show it behind that. A gripper whose flags do not show it is sent another one.
+/// - FASTSTOP is a level (fieldbus, 6.6). While it is 1, a gripper whose flags stop showing FAST STOP is sent another one,
+///   whether a third party acknowledged it or the gripper was restarted.
+/// - A FAST STOP ends only while FASTSTOP is 0 and after the gripper has confirmed it: by E_SUCCESS, then by system flags
+///   that show it. A rising edge of STOP/ACK acknowledges it; so may a third party, after which the flag is gone.
 /// - STOP/ACK withdraws every motion that was asked for before it.
 /// - A Stop that is not answered in time, while the fingers are not known to stand, becomes a FAST STOP.
 /// - GRIP leaves only behind the answer to its own force limit, or at once while the gripper is known to have that limit
@@ -61,7 +59,8 @@ const INCIDENTS_LEN: usize = 4;
 ///   begins again only after both flags were 0. It is refused while a part is held.
 /// - When the connection goes while the fingers may be moving, a FAST STOP is the first thing that the gripper hears
 ///   when it comes back: nobody could stop them in the meantime.
-/// - With soft limits set the gripper refuses the end of the stroke (E_RANGE_ERROR), and so the jog.
+/// - A gripper with soft limits refuses the end of the stroke (E_RANGE_ERROR). The controller then queries the limits and
+///   runs the jog to the one in its direction. At that limit, or beyond it, the jog ends with E_RANGE_ERROR.
 #[derive(Clone, Debug, Hash)]
 pub struct Controller {
     /// The last image; none before the first.
@@ -72,8 +71,6 @@ pub struct Controller {
     fast_stop: FastStop,
     /// Acknowledgements without an outcome so far: what is answered before that may be an earlier FAST STOP, which they undo.
     acknowledgements_open: u8,
-    /// A FAST STOP was answered meanwhile, and is given again behind the acknowledgement.
-    fast_stop_again: bool,
     /// Set Force Limit commands without an outcome so far.
     force_limits_open: u8,
     /// The motion whose result is awaited.
@@ -104,8 +101,13 @@ pub struct Controller {
 enum FastStop {
     /// None, or acknowledged.
     Clear,
-    /// Asked for; the gripper has not answered.
+    /// Requested; the gripper has not answered.
     Asked,
+    /// Requested once more before the gripper answered. The answer may be from before the second request, and a third party
+    /// may have acknowledged in between: the next FAST STOP follows the answer.
+    AskedTwice,
+    /// Answered while an acknowledgement was open, which may have undone it: given again after the acknowledgement's outcome.
+    Undone,
     /// Answered; its system flags do not show it yet.
     Answered,
     /// Confirmed; awaits STOP/ACK.
@@ -144,8 +146,8 @@ pub enum SilenceReaction {
 #[derive(Clone, Copy, Debug, Hash)]
 struct Motion {
     command: Command<'static>,
-    /// The force limit is being set first.
-    prepares: bool,
+    /// The command that must be answered before the motion is sent: Set Force Limit, or Get Soft Limits for a jog.
+    awaits: Option<CommandId>,
 }
 
 impl Controller {
@@ -158,7 +160,6 @@ impl Controller {
             is_acquainted: false,
             fast_stop: FastStop::Clear,
             acknowledgements_open: 0,
-            fast_stop_again: false,
             force_limits_open: 0,
             motion: None,
             unseen: Unseen::No,
@@ -216,7 +217,7 @@ impl Controller {
             self.stop_or_acknowledge(known);
         } else {
             if !image.flags.contains(CommandFlags::STOP_ACK) {
-                self.begin_lowest(rising.intersection(MOTIONS), image, known, may_begin);
+                self.begin_lowest(rising.intersection(CommandFlags::MOTIONS), image, known, may_begin);
             }
             self.follow_jog(known);
         }
@@ -294,9 +295,10 @@ impl Controller {
                 self.settled = None;
                 self.jog.disarm(self.image.as_ref());
                 let is_answered = match self.fast_stop {
-                    FastStop::Clear => false,
-                    FastStop::Asked => self.fast_stop_again,
-                    FastStop::Answered | FastStop::Latched | FastStop::Acknowledged => true,
+                    FastStop::Clear | FastStop::Asked | FastStop::AskedTwice => false,
+                    FastStop::Undone | FastStop::Answered | FastStop::Latched | FastStop::Acknowledged => {
+                        true
+                    }
                 };
                 if is_answered {
                     // The gripper may be restarted and forget it: it shall be the first thing that it hears.
@@ -340,7 +342,8 @@ impl Controller {
         match id {
             CommandId::Acknowledge => {
                 self.acknowledgements_open = self.acknowledgements_open.saturating_sub(1);
-                if self.acknowledgements_open == 0 && core::mem::take(&mut self.fast_stop_again) {
+                if self.acknowledgements_open == 0 && self.fast_stop == FastStop::Undone {
+                    self.fast_stop = FastStop::Asked;
                     self.send(Command::FastStop);
                 }
             }
@@ -374,6 +377,13 @@ impl Controller {
     /// Compares the gripper's system flags with the FAST STOP that it has answered.
     fn supervise_fast_stop(&mut self, flags: SystemFlags) {
         match (self.fast_stop, flags.contains(SystemFlags::FAST_STOP)) {
+            // A third party has acknowledged it, or the gripper was restarted.
+            (FastStop::Latched, false) if self.holds(CommandFlags::FASTSTOP) => {
+                self.fast_stop(Cause::Flag, 0)
+            }
+            // The same, before an earlier acknowledgement has its outcome.
+            (FastStop::Undone, false) if self.holds(CommandFlags::FASTSTOP) => self.give_fast_stop(),
+            (FastStop::Latched, false) => self.fast_stop = FastStop::Clear,
             // The answer was to an earlier one.
             (FastStop::Answered, false) => self.give_fast_stop(),
             (FastStop::Answered, true) => {
@@ -388,6 +398,11 @@ impl Controller {
             }
             _ => {}
         }
+    }
+
+    /// Whether one of these flags is 1 in the last image.
+    fn holds(&self, any_of: CommandFlags) -> bool {
+        self.image.is_some_and(|image| image.flags.intersects(any_of))
     }
 
     /// Whether a FAST STOP that the controller asked for lasts.
@@ -462,6 +477,15 @@ impl Controller {
         self.status == Status::CmdPending && self.refused.is_some()
     }
 
+    /// Refuses the motions or jog of these flags, for a caller that does not let them reach the controller.
+    pub fn refuse(&mut self, flags: CommandFlags) {
+        if self.status == Status::CmdPending {
+            self.refuse_beside_motion(flags);
+        } else {
+            self.show(Status::AccessDenied, Cause::NotReady);
+        }
+    }
+
     /// A motion or jog that is asked for while the fingers move.
     fn refuse_beside_motion(&mut self, flags: CommandFlags) {
         self.note(Cause::MotionRuns, self.motion.map(|motion| motion.command.id()), 0);
@@ -520,25 +544,30 @@ impl Controller {
     #[must_use]
     pub fn ignores_motions(&self, known: &Known) -> bool {
         let held = CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP);
-        self.is_moving(known) || self.image.is_some_and(|image| image.flags.intersects(held))
+        self.is_moving(known) || self.holds(held)
     }
 
     fn fast_stop(&mut self, cause: Cause, value: u16) {
         self.note(cause, self.motion.map(|motion| motion.command.id()), value);
+        let is_open = matches!(self.fast_stop, FastStop::Asked | FastStop::AskedTwice);
         self.give_fast_stop();
+        if is_open {
+            self.fast_stop = FastStop::AskedTwice;
+        }
     }
 
     /// Gives one, be it again.
     fn give_fast_stop(&mut self) {
         self.fast_stop = FastStop::Asked;
-        self.fast_stop_again = false;
         self.jog.stage = Stage::Off;
         self.jog.disarm(self.image.as_ref());
         self.send_alone(Command::FastStop);
     }
 
     fn stop_or_acknowledge(&mut self, known: &Known) {
-        if matches!(self.fast_stop, FastStop::Asked | FastStop::Answered) {
+        let is_confirmed =
+            matches!(self.fast_stop, FastStop::Clear | FastStop::Latched | FastStop::Acknowledged);
+        if !is_confirmed {
             // The gripper has not heard of it yet: an acknowledgement now would be undone by the FAST STOP behind it.
             self.show(Status::AccessDenied, Cause::FastStopLasts);
         } else if !self.connected {
@@ -625,7 +654,7 @@ impl Controller {
             self.force_limits_open = self.force_limits_open.saturating_add(1);
         }
         self.send(force.map_or(command, |force| Command::SetForceLimit { force }));
-        self.motion = Some(Motion { command, prepares: force.is_some() });
+        self.motion = Some(Motion { command, awaits: force.map(|_| CommandId::SetForceLimit) });
         self.shown = Some(command.id());
         (self.status, self.refused) = (Status::CmdPending, None);
         self.failed = false;
@@ -678,9 +707,11 @@ impl Controller {
         if self.is_of_earlier_motion(id) {
             return;
         }
-        if let Some(motion) = self.motion.filter(|motion| motion.prepares && id == CommandId::SetForceLimit) {
-            if status == Status::Success {
-                self.motion = Some(Motion { prepares: false, ..motion });
+        if let Some(motion) = self.motion.filter(|motion| motion.awaits == Some(id)) {
+            if let Some(Value::GetSoftLimits(limits)) = reply.value() {
+                self.jog_within(limits, known);
+            } else if status == Status::Success {
+                self.motion = Some(Motion { awaits: None, ..motion });
                 self.send(motion.command);
             } else {
                 self.came_to_nothing(id, status, Cause::Gripper, known);
@@ -697,14 +728,14 @@ impl Controller {
 
     /// Whether this is the result of the motion.
     fn is_result_of_motion(&self, id: CommandId) -> bool {
-        self.motion.is_some_and(|motion| !motion.prepares && id == motion.command.id())
+        self.motion.is_some_and(|motion| motion.awaits.is_none() && id == motion.command.id())
     }
 
     /// Whether this is the outcome of something earlier: of a motion like the one that is not sent yet, or of a force limit
     /// whose motion was dropped.
     fn is_of_earlier_motion(&self, id: CommandId) -> bool {
-        let prepares = |motion: Motion| motion.prepares && id == motion.command.id();
-        self.motion.is_some_and(prepares) || (id == CommandId::SetForceLimit && self.force_limits_open > 0)
+        let is_unsent = |motion: Motion| motion.awaits.is_some() && id == motion.command.id();
+        self.motion.is_some_and(is_unsent) || (id == CommandId::SetForceLimit && self.force_limits_open > 0)
     }
 
     fn show_held_back(&mut self, known: &Known) {
@@ -716,6 +747,9 @@ impl Controller {
     /// The outcome of a command, for the PLC to see.
     fn show_outcome(&mut self, id: CommandId, status: Status, known: &Known) {
         let is_result = self.is_result_of_motion(id);
+        if is_result && self.jog_meets_soft_limit(status) {
+            return;
+        }
         // That no part was found is a result.
         if (is_result || self.shown == Some(id)) && implied_state(id, status).is_none() {
             self.note(Cause::Gripper, Some(id), status.code());
@@ -732,7 +766,9 @@ impl Controller {
         }
         match (id, status, self.fast_stop) {
             (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
-            (CommandId::FastStop, Status::Success, FastStop::Asked) => return self.fast_stop_answered(),
+            (CommandId::FastStop, Status::Success, FastStop::Asked | FastStop::AskedTwice) => {
+                return self.fast_stop_answered();
+            }
             // A FAST STOP that was asked for in the meantime stays, in whatever order the two are answered.
             (CommandId::Acknowledge, Status::Success, FastStop::Acknowledged | FastStop::Clear) => {
                 self.fast_stop = FastStop::Clear;
@@ -749,11 +785,14 @@ impl Controller {
     /// The gripper has answered a FAST STOP: maybe an earlier one. Its flags tell.
     fn fast_stop_answered(&mut self) {
         if self.acknowledgements_open > 0 {
-            self.fast_stop_again = true;
-            return;
+            self.fast_stop = FastStop::Undone;
+        } else if self.fast_stop == FastStop::AskedTwice {
+            self.fast_stop = FastStop::Asked;
+            self.send(Command::FastStop);
+        } else {
+            self.fast_stop = FastStop::Answered;
+            self.send(Command::GetSystemState { update: AutoUpdate::once() });
         }
-        self.fast_stop = FastStop::Answered;
-        self.send(Command::GetSystemState { update: AutoUpdate::once() });
     }
 
     /// A command that was not carried out, or of which that is not known.
@@ -761,9 +800,8 @@ impl Controller {
         if self.is_of_earlier_motion(id) {
             return;
         }
-        let of_motion = self.motion.is_some_and(|motion| {
-            id == motion.command.id() || (motion.prepares && id == CommandId::SetForceLimit)
-        });
+        let of_motion =
+            self.motion.is_some_and(|motion| id == motion.command.id() || motion.awaits == Some(id));
         if of_motion || self.shown == Some(id) {
             self.note(cause, Some(id), if cause == Cause::Gripper { status.code() } else { 0 });
         }

@@ -48,6 +48,12 @@ bitflags! {
 }
 
 impl CommandFlags {
+    /// The flags that begin a motion on their rising edge.
+    pub const MOTIONS: Self = Self::MOVE.union(Self::GRIP).union(Self::RELEASE).union(Self::HOMING);
+
+    /// Both directions of JOG.
+    pub const JOG: Self = Self::JOG_PLUS.union(Self::JOG_MINUS);
+
     /// The set flag with the lowest bit number: of several that rise at once the one that counts.
     ///
     /// ```
@@ -60,6 +66,57 @@ impl CommandFlags {
     pub const fn lowest(self) -> Option<Self> {
         let lowest = self.bits() & self.bits().wrapping_neg();
         if lowest == 0 { None } else { Some(Self::from_bits_retain(lowest)) }
+    }
+}
+
+/// Flags of a PLC that do not count until it writes them 0, because they were 1 when they must not give an edge.
+///
+/// While a JOG flag is masked, the other one is too. JOG counts again after both were 0, since both at once mean a stop
+/// (fieldbus, 6.7).
+///
+/// ```
+/// use wsg_protocol::fieldbus::{CommandFlags, MaskedFlags};
+///
+/// let mut masked = MaskedFlags::NONE;
+/// let first = CommandFlags::MOVE | CommandFlags::FASTSTOP;
+/// masked.see(first, true);
+/// assert_eq!(masked.counting(first), CommandFlags::FASTSTOP);
+/// masked.see(CommandFlags::empty(), false);
+/// assert_eq!(masked.counting(CommandFlags::MOVE), CommandFlags::MOVE);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct MaskedFlags(CommandFlags);
+
+impl MaskedFlags {
+    /// All flags count.
+    pub const NONE: Self = Self(CommandFlags::empty());
+
+    /// Takes the flags that a PLC has written. Those that are 1 in its first image are masked, except FASTSTOP, which
+    /// counts by its level.
+    pub fn see(&mut self, written: CommandFlags, is_first: bool) {
+        self.0 &= written;
+        if is_first {
+            self.mask(written.difference(CommandFlags::FASTSTOP));
+        }
+        self.mask_jog(written);
+    }
+
+    /// Masks flags that are 1.
+    pub fn mask(&mut self, flags: CommandFlags) {
+        self.0 |= flags;
+    }
+
+    /// Masks the second JOG flag beside a masked one. Of these flags, only those that are 1 can be masked.
+    fn mask_jog(&mut self, written: CommandFlags) {
+        if self.0.intersects(CommandFlags::JOG) {
+            self.mask(written.intersection(CommandFlags::JOG));
+        }
+    }
+
+    /// Returns those of the written flags that count.
+    #[must_use]
+    pub const fn counting(self, written: CommandFlags) -> CommandFlags {
+        written.difference(self.0)
     }
 }
 

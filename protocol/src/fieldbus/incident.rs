@@ -41,6 +41,20 @@ pub enum Cause {
 }
 
 impl Cause {
+    /// Whether the controller refused a command for this reason, so that the gripper never received it.
+    #[must_use]
+    pub const fn is_refusal(self) -> bool {
+        matches!(
+            self,
+            Self::NotConnected
+                | Self::FastStopLasts
+                | Self::MotionRuns
+                | Self::NotReady
+                | Self::PartHeld
+                | Self::NotIdle
+        )
+    }
+
     /// Whether a FAST STOP came of it.
     #[must_use]
     pub const fn is_fast_stop(self) -> bool {

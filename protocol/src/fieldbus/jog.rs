@@ -1,9 +1,7 @@
 //! What JOG+ and JOG- ask for, and where a jog stands (fieldbus, 6.7). What is sent for it is the controller's.
 
 use super::{CommandFlags, OutputImage};
-
-/// Both flags.
-const JOG: CommandFlags = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
+use crate::types::SoftLimits;
 
 /// Which way the fingers go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -27,7 +25,7 @@ pub(super) struct Drive {
 impl Drive {
     /// What this image asks for; both flags ask for a stop.
     fn asked_by(image: &OutputImage) -> Option<Self> {
-        let direction = match image.flags.intersection(JOG) {
+        let direction = match image.flags.intersection(CommandFlags::JOG) {
             CommandFlags::JOG_PLUS => Direction::Plus,
             CommandFlags::JOG_MINUS => Direction::Minus,
             _ => return None,
@@ -50,17 +48,19 @@ pub(super) enum Stage {
 /// The flags as levels: a jog that has ended by itself, was refused or overruled begins again only after both flags
 /// were 0. The same goes for flags that are 1 in the first image, or beside STOP/ACK or FASTSTOP: to let go of these, or to
 /// acknowledge, moves nothing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Hash)]
 pub(super) struct Jog {
     pub(super) stage: Stage,
     /// The last one ended with an error, and nothing was asked for since: the gripper's ERROR is its own.
     pub(super) failed: bool,
+    /// The gripper's soft limits, once it has refused the end of the stroke because of them. Known until both flags are 0.
+    pub(super) soft_limits: Option<SoftLimits>,
     armed: bool,
 }
 
 impl Jog {
     pub(super) const fn new() -> Self {
-        Self { stage: Stage::Off, failed: false, armed: false }
+        Self { stage: Stage::Off, failed: false, soft_limits: None, armed: false }
     }
 
     pub(super) fn is_on(&self) -> bool {
@@ -70,12 +70,14 @@ impl Jog {
     /// Takes a look at an image.
     pub(super) fn see(&mut self, image: &OutputImage) {
         let overruled = image.flags.intersects(CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP));
-        self.armed = !image.flags.intersects(JOG) || (self.armed && !overruled);
+        let is_asked = image.flags.intersects(CommandFlags::JOG);
+        self.armed = !is_asked || (self.armed && !overruled);
+        self.soft_limits = self.soft_limits.filter(|_| is_asked);
     }
 
     /// Lets what the flags ask for now no longer count.
     pub(super) fn disarm(&mut self, image: Option<&OutputImage>) {
-        self.armed = image.is_some_and(|image| !image.flags.intersects(JOG));
+        self.armed = image.is_some_and(|image| !image.flags.intersects(CommandFlags::JOG));
     }
 
     /// What is asked for, as far as it counts.

@@ -163,10 +163,10 @@ impl<'a> Description<'a> {
         is_one_line.then_some(Self(text))
     }
 
-    /// What this crate's gripper says of a status: the manual's name of it.
+    /// The text for a status: its [meaning](Status::meaning) in words (GCL, 1.3 and appendix A).
     #[must_use]
     pub const fn of(status: Status) -> Description<'static> {
-        Description(status.symbol().as_bytes())
+        Description(status.meaning().as_bytes())
     }
 
     /// The bytes.

@@ -12,7 +12,9 @@ pub struct Config {
     pub reply_timeout_ms: u32,
     /// How often a request that may be repeated is sent before the connection counts as lost.
     pub attempts: u8,
-    /// How long after one of the subscribed values was asked for the next one is.
+    /// How often each subscribed value is requested again, besides its automatic updates. The requests are spread evenly
+    /// over this time, and each is repeated after a quarter of `reply_timeout_ms`. So on a line that loses one message, no
+    /// state gets older than both times together and the time of one answer.
     pub refresh_ms: u32,
     /// How long to wait before connecting is tried again. A gripper that took a damaged frame for the head of a long one
     /// hears nothing until it gives that up, which it does in silence alone: wait for longer than it does.
@@ -101,7 +103,7 @@ impl Config {
     pub const DEFAULT: Self = Self {
         reply_timeout_ms: 200,
         attempts: 3,
-        refresh_ms: 250,
+        refresh_ms: 500,
         reconnect_ms: 600,
         motion_timeout_ms: 60_000,
         result_grace_ms: 1_000,

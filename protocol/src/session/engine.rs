@@ -21,6 +21,9 @@ pub const QUEUE_LEN: usize = 4;
 /// Room for an acknowledgement behind a full queue, which it withdraws.
 const QUEUE_CAPACITY: usize = QUEUE_LEN + 1;
 
+/// How often a refresh is sent within the time-out of a request: one lost answer must not let a state grow old.
+const REFRESH_REPEATS: u32 = 4;
+
 /// Where the connection stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Link {
@@ -195,7 +198,7 @@ impl<D: Dialect> Engine<D> {
             // The gripper may hear although it is not heard. But it is now or never: a Stop that arrives over another
             // connection would drop the part that is held then.
             if !self.stop.awaits(name) {
-                self.stop.open(request);
+                self.stop.open(request, self.timing.reply_timeout(name));
             }
             self.overtake();
             return Ok(());
@@ -242,10 +245,21 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Cancels the last polled request if not one byte of it was sent; returns whether it could. No event tells of
-    /// it. A query, Stop and FAST STOP cannot be cancelled: they may be sent late.
+    /// Cancels the last polled request if the gripper cannot have it: not one byte of it was sent, or what was sent is no
+    /// message. Returns whether it could. No event tells of it. A query, Stop and FAST STOP cannot be cancelled: they may be sent late.
     pub fn take_back(&mut self, name: NameOf<D>) -> bool {
         name.kind() != Kind::Query && self.request.take_back(name)
+    }
+
+    /// Returns whether a motion or acknowledgement that was polled must not be carried out any more: a Stop or FAST STOP is not
+    /// answered, or an Acknowledge was requested after it. A line that still holds a part of it withdraws it, for
+    /// [`take_back`](Self::take_back).
+    ///
+    /// An answer does not count: it may be a late one to an earlier command.
+    #[must_use]
+    pub fn has_overtaken(&self) -> bool {
+        let is_overtaken = |name: NameOf<D>| matches!(name.kind(), Kind::Motion | Kind::Acknowledge);
+        self.is_urgent() || self.request.overtaken().is_some_and(is_overtaken)
     }
 
     /// Returns what is subscribed to, for a change, which the gripper is told when nothing else is due.
@@ -346,7 +360,7 @@ impl<D: Dialect> Engine<D> {
         }
         [&mut self.stop, &mut self.request, &mut self.refresh]
             .into_iter()
-            .find_map(|transaction| transaction.send(now, &self.timing, borrowed))
+            .find_map(|transaction| transaction.send(now, borrowed))
     }
 
     /// When [`tick`](Self::tick) must be called at the latest, if nothing else happens.
@@ -501,7 +515,7 @@ impl<D: Dialect> Engine<D> {
         {
             self.reading_back = Some(setting);
             self.confirmed = now;
-            self.request.open(Request::Own(query));
+            self.request.open(Request::Own(query), self.timing.reply_timeout(query.name()));
             return Routed::Taken;
         }
         if status == Status::Success && D::is_farewell(name) {
@@ -516,7 +530,6 @@ impl<D: Dialect> Engine<D> {
             self.subscriptions.confirm(request);
         }
         self.refresh.close();
-        self.refresh_at = now.plus(self.timing.refresh_ms);
         match self.link {
             Link::Connecting { step } => {
                 let next = step.saturating_add(1);
@@ -526,6 +539,7 @@ impl<D: Dialect> Engine<D> {
                 } else {
                     self.link = Link::Up;
                     self.refresh_step = 0;
+                    self.refresh_at = now.plus(self.refresh_interval_ms());
                     Routed::Connected
                 }
             }
@@ -557,7 +571,11 @@ impl<D: Dialect> Engine<D> {
         if self.upkeep_at.is_some_and(|at| now.has_reached(at)) {
             self.keep_up(now);
         }
-        let attempts = if self.is_connected() { self.timing.attempts } else { 1 };
+        let (attempts, refresh_attempts) = if self.is_connected() {
+            (self.timing.attempts, self.timing.attempts.saturating_mul(REFRESH_REPEATS as u8))
+        } else {
+            (1, 1)
+        };
         if !self.is_connected() && self.stop.is_overdue(now) {
             self.stop.close();
             self.stop_report = Some(StopReport::Unanswered);
@@ -566,7 +584,8 @@ impl<D: Dialect> Engine<D> {
         if stop == Expired::Repeated {
             self.stop_report = Some(StopReport::Late);
         }
-        for expired in [stop, self.request.expire(now, attempts), self.refresh.expire(now, attempts)] {
+        for expired in [stop, self.request.expire(now, attempts), self.refresh.expire(now, refresh_attempts)]
+        {
             match expired {
                 Expired::No => {}
                 // Only a caller's request can be overtaken.
@@ -584,8 +603,8 @@ impl<D: Dialect> Engine<D> {
             }
         }
         if !self.fast_stop.is_idle() {
-            self.request.hold(now, &self.timing);
-            self.refresh.hold(now, &self.timing);
+            self.request.hold(now);
+            self.refresh.hold(now);
         }
         if matches!(self.link, Link::Down { .. }) {
             self.refresh.close();
@@ -677,7 +696,7 @@ impl<D: Dialect> Engine<D> {
             && !self.may_take_a_doubled_answer()
             && let Some(request) = self.queue.pop_front()
         {
-            self.request.open(request);
+            self.request.open(request, self.timing.reply_timeout(request.name()));
         }
         if !self.refresh.is_idle() {
             return;
@@ -685,7 +704,7 @@ impl<D: Dialect> Engine<D> {
         if self.link == Link::Up
             && let Some(changed) = self.subscriptions.changed()
         {
-            self.refresh.open(Request::Own(changed));
+            self.open_refresh(changed);
             return;
         }
         match self.link {
@@ -693,14 +712,15 @@ impl<D: Dialect> Engine<D> {
             Link::Down { retry_at } => {
                 if !self.is_urgent() && retry_at.is_none_or(|at| now.has_reached(at)) {
                     self.link = Link::Connecting { step: 0 };
-                    self.open_refresh(0);
+                    self.open_step(0);
                 }
             }
-            Link::Connecting { step } => self.open_refresh(step),
+            Link::Connecting { step } => self.open_step(step),
             Link::Up if now.has_reached(self.refresh_at) => {
                 let step = self.refresh_step;
                 if let Some(request) = self.dialect.refresh(step, &self.subscriptions) {
-                    self.refresh.open(Request::Own(request));
+                    self.open_refresh(request);
+                    self.refresh_at = now.plus(self.refresh_interval_ms());
                 }
                 let next = step.saturating_add(1);
                 let goes_on = self.dialect.refresh(next, &self.subscriptions).is_some();
@@ -708,6 +728,13 @@ impl<D: Dialect> Engine<D> {
             }
             Link::Up | Link::Closing { .. } | Link::Ended => {}
         }
+    }
+
+    /// The time between two refreshes: within `refresh_ms` each value is requested once.
+    fn refresh_interval_ms(&self) -> u32 {
+        let is_value = |step: &u8| self.dialect.refresh(*step, &self.subscriptions).is_some();
+        let values = (0..=u8::MAX).take_while(is_value).fold(0u32, |count, _| count.saturating_add(1));
+        self.timing.refresh_ms.checked_div(values).unwrap_or(self.timing.refresh_ms)
     }
 
     /// Whether the refresh is an upkeep, and awaits its answer: it is sent once.
@@ -737,7 +764,7 @@ impl<D: Dialect> Engine<D> {
         match D::upkeep(&self.known) {
             Some(query) if self.refresh.is_idle() => {
                 self.upkeep_opened = now;
-                self.refresh.open(Request::Own(query));
+                self.open_refresh(query);
             }
             None if !self.refresh.own().is_some_and(D::is_upkeep) => self.upkeep_at = None,
             _ => {}
@@ -749,10 +776,17 @@ impl<D: Dialect> Engine<D> {
         self.doubled.is_some_and(|(name, _)| self.queue.front().map(Request::name) == Some(name))
     }
 
-    fn open_refresh(&mut self, step: u8) {
+    fn open_step(&mut self, step: u8) {
         if let Some(request) = self.dialect.setup(step, &self.subscriptions) {
-            self.refresh.open(Request::Own(request));
+            self.open_refresh(request);
         }
+    }
+
+    /// Opens one of the session's own requests. While the link is up, a lost answer must not let a state grow old.
+    fn open_refresh(&mut self, request: D::Request) {
+        let reply_ms = self.timing.reply_timeout(request.name());
+        let timeout_ms = if self.is_connected() { reply_ms / REFRESH_REPEATS } else { reply_ms };
+        self.refresh.open(Request::Own(request), timeout_ms);
     }
 }
 

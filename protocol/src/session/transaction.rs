@@ -1,6 +1,5 @@
 //! One request on its way: waiting to be sent, sent and awaiting its first answer, or none.
 
-use super::config::Timing;
 use super::message::{Message, Name};
 use crate::time::Instant;
 
@@ -56,6 +55,8 @@ impl<M: Message> Request<M> {
 pub(super) struct Transaction<M: Message> {
     /// None while the transaction is idle.
     request: Option<Request<M>>,
+    /// How long its answer may take, in milliseconds.
+    timeout_ms: u32,
     /// When its answer should have come; none while it waits to be sent.
     deadline: Option<Instant>,
     /// How often it was sent.
@@ -79,12 +80,12 @@ pub(super) enum Expired {
 
 impl<M: Message> Transaction<M> {
     pub(super) const fn new() -> Self {
-        Self { request: None, deadline: None, sent: 0, only_once: false }
+        Self { request: None, timeout_ms: 0, deadline: None, sent: 0, only_once: false }
     }
 
-    /// Opens it for this request, in place of the one before.
-    pub(super) fn open(&mut self, request: Request<M>) {
-        *self = Self { request: Some(request), ..Self::new() };
+    /// Opens it for this request, in place of the previous one. Its answer may take `timeout_ms` each time it is sent.
+    pub(super) fn open(&mut self, request: Request<M>, timeout_ms: u32) {
+        *self = Self { request: Some(request), timeout_ms, ..Self::new() };
     }
 
     pub(super) const fn close(&mut self) {
@@ -122,30 +123,22 @@ impl<M: Message> Transaction<M> {
         self.deadline
     }
 
-    /// The request, if it waits to be sent and is at hand; it counts as sent.
-    pub(super) fn send(
-        &mut self,
-        now: Instant,
-        timing: &Timing<M::Name>,
-        borrowed: Option<M::Name>,
-    ) -> Option<Outgoing<'_, M>> {
+    /// Returns the request if it waits to be sent and is at hand; it counts as sent.
+    pub(super) fn send(&mut self, now: Instant, borrowed: Option<M::Name>) -> Option<Outgoing<'_, M>> {
         if self.deadline.is_some() {
             return None;
         }
         let request = self.request.as_ref()?;
         let outgoing = request.outgoing(borrowed)?;
-        self.deadline = Some(now.plus(timing.reply_timeout(request.name())));
+        self.deadline = Some(now.plus(self.timeout_ms));
         self.sent = self.sent.saturating_add(1);
         Some(outgoing)
     }
 
     /// Counts a repetition that is due as sent, and does not send it: something else has the line to itself.
-    pub(super) fn hold(&mut self, now: Instant, timing: &Timing<M::Name>) {
-        if self.deadline.is_none()
-            && self.sent > 0
-            && let Some(request) = &self.request
-        {
-            self.deadline = Some(now.plus(timing.reply_timeout(request.name())));
+    pub(super) fn hold(&mut self, now: Instant) {
+        if self.deadline.is_none() && self.sent > 0 && self.request.is_some() {
+            self.deadline = Some(now.plus(self.timeout_ms));
             self.sent = self.sent.saturating_add(1);
         }
     }
@@ -153,6 +146,11 @@ impl<M: Message> Transaction<M> {
     /// From now on the request is not sent again. One that is not sent yet stays as it is.
     pub(super) const fn forbid_repeat(&mut self) {
         self.only_once = true;
+    }
+
+    /// Its name if it was sent, and may not be sent again.
+    pub(super) fn overtaken(&self) -> Option<M::Name> {
+        if self.only_once && self.sent > 0 { self.name() } else { None }
     }
 
     /// Whether it is to be sent once more, now.

@@ -67,7 +67,7 @@ statuses! {
     1 NotAvailable "E_NOT_AVAILABLE" "function or data not available";
     2 NoSensor "E_NO_SENSOR" "no measurement converter connected";
     3 NotInitialized "E_NOT_INITIALIZED" "device not initialized: the fingers are not referenced";
-    4 AlreadyRunning "E_ALREADY_RUNNING" "it is running already: the fingers are moving";
+    4 AlreadyRunning "E_ALREADY_RUNNING" "already running: the fingers move or hold a part";
     5 FeatureNotSupported "E_FEATURE_NOT_SUPPORTED" "feature currently not available";
     6 InconsistentData "E_INCONSISTENT_DATA" "parameters contradict each other";
     7 Timeout "E_TIMEOUT" "time-out";

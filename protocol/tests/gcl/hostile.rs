@@ -184,9 +184,9 @@ fn refusal_says_what_was_wrong_with_which_request() {
 }
 
 #[test]
-fn verbose_mode_adds_the_name_of_the_code() {
+fn verbose_mode_adds_the_meaning_of_the_code() {
     let refused = Request::parse(b"move()").unwrap_err();
-    assert_eq!(refused.answer(true).to_string(), "ERR MOVE 13 E_NOT_ENOUGH_PARAMS");
+    assert_eq!(refused.answer(true).to_string(), "ERR MOVE 13 too few parameters");
     assert_eq!(refused.name, Named::at_start_of(b"MOVE"));
 }
 

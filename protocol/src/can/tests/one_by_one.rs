@@ -1,6 +1,8 @@
 //! The edges of the mapping.
 
 use super::*;
+use crate::Frame;
+use crate::types::{AckKey, HomingDirection, PrePositionFlags};
 
 fn grip() -> Message {
     Message::command(Command::GripPart { width: 20.0, speed: 50.0 })
@@ -231,4 +233,54 @@ fn controller_sends_on_n_and_the_gripper_on_the_next_identifier() {
     assert_eq!((pair.gripper().transmit.as_raw(), pair.gripper().receive.as_raw()), (0x7FF, 0x7FE));
     assert_eq!(Identifiers::from_base(0x7FF), None);
     assert_eq!(Identifiers::from_base(u16::MAX), None);
+}
+
+#[test]
+fn spoilt_rest_of_a_motion_makes_it_invalid_whether_checksums_are_checked_or_not() {
+    // Command set, 1.4.1: the gripper's evaluation of checksums can be disabled.
+    for command in [
+        Command::Homing { direction: HomingDirection::Positive },
+        Command::PrePosition { flags: PrePositionFlags::empty(), width: 20.0, speed: 50.0 },
+        Command::GripPart { width: 20.0, speed: 50.0 },
+        Command::ReleasePart { width: 20.0, speed: 50.0 },
+        Command::Acknowledge { key: AckKey },
+    ] {
+        let segments: Vec<Segment> = Segments::new(FrameEncoder::new(command.id().code(), command)).collect();
+        let intact = segments.iter().flat_map(|segment| segment.data().to_vec()).collect::<Vec<u8>>();
+        for sent in 1..segments.len() {
+            let mut segments = segments.clone();
+            let count = segments.len();
+            let (before, rest) = segments.split_at_mut(sent);
+            let mut running = checksum::START;
+            for segment in before {
+                running = checksum::push_slice(running, segment.data());
+            }
+            for (n, segment) in rest.iter_mut().enumerate() {
+                running = segment.spoil(running, sent + n + 1 == count);
+            }
+            let spoilt = segments.iter().flat_map(|segment| segment.data().to_vec()).collect::<Vec<u8>>();
+            assert_eq!(spoilt.len(), intact.len(), "the gripper's next message begins after it");
+            let (covered, received) = spoilt.split_last_chunk().unwrap();
+            assert_ne!(
+                checksum::push_slice(checksum::START, covered).to_le_bytes(),
+                *received,
+                "{command:?}"
+            );
+            assert_ne!(checksum::push_slice(checksum::START, &spoilt), 0, "{command:?}, {sent} sent");
+            let payload = |message: &[u8]| message[6..message.len() - 2].to_vec();
+            if payload(&spoilt) == payload(&intact) {
+                // All of it was sent before: the checksum is all that is left.
+                continue;
+            }
+            let payload = payload(&spoilt);
+            match Command::decode(&Frame { id: command.id().code(), payload: &payload }) {
+                Err(_) => {}
+                Ok(Command::PrePosition { width, speed, .. } | Command::GripPart { width, speed })
+                | Ok(Command::ReleasePart { width, speed }) => {
+                    assert!(width > 1e38 && speed > 1e38, "{command:?}, {sent} sent: {width}, {speed}");
+                }
+                Ok(taken) => panic!("{command:?}, {sent} sent: {taken:?}"),
+            }
+        }
+    }
 }

@@ -1,11 +1,11 @@
-//! JOG in commands (fieldbus, 6.7): the force limit and a Pre-position to the end of the stroke, and a Stop.
+//! JOG in commands (fieldbus, 6.7): the force limit, a Pre-position to the end of the stroke or to a soft limit, and a Stop.
 
-use super::{Controller, force_unit, within_limits};
+use super::{Controller, Motion, force_unit, within_limits};
 use crate::command::{Command, CommandId};
 use crate::fieldbus::jog::{Direction, Drive, Stage};
 use crate::fieldbus::{Cause, CommandFlags, GripperFlags, OutputImage};
 use crate::session::Known;
-use crate::types::{GripperState, PrePositionFlags, Status};
+use crate::types::{GripperState, PrePositionFlags, SoftLimits, Status};
 
 impl Controller {
     /// Ends what runs by a Stop; a jog is over once the gripper has answered for all of it.
@@ -15,7 +15,7 @@ impl Controller {
             let ended = self.held_back.is_some_and(|(id, _)| id == CommandId::PrePosition);
             let motion_open = match self.jog.stage {
                 Stage::Stops { motion_open, .. } => motion_open,
-                _ => !unsent && !ended && self.motion.is_some_and(|motion| !motion.prepares),
+                _ => !unsent && !ended && self.motion.is_some_and(|motion| motion.awaits.is_none()),
             };
             self.jog.stage = Stage::Stops { stop_open: true, motion_open };
         }
@@ -29,7 +29,7 @@ impl Controller {
             (Stage::Off, None) | (Stage::Stops { .. }, _) => {}
             (Stage::Off, Some(drive)) => self.begin_jog(drive, known),
             (Stage::Runs(running), Some(drive)) if running == drive => {}
-            (Stage::Runs(_), Some(drive)) if jog_command(drive, known).is_none() => {
+            (Stage::Runs(_), Some(drive)) if self.jog_command(drive, known).is_none() => {
                 self.jog_outside_limits(drive, known);
             }
             (Stage::Runs(_), _) => self.stop(),
@@ -38,7 +38,7 @@ impl Controller {
 
     fn begin_jog(&mut self, drive: Drive, known: &Known) {
         if self.connected && !self.is_fast_stopped(known) && self.is_moving(known) {
-            let jogs = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
+            let jogs = CommandFlags::JOG;
             self.refuse_beside_motion(self.image.map_or(jogs, |image| image.flags.intersection(jogs)));
         } else if !self.connected {
             self.show(Status::IoError, Cause::NotConnected);
@@ -46,7 +46,9 @@ impl Controller {
             self.show(Status::AccessDenied, Cause::FastStopLasts);
         } else if self.state(known) == GripperFlags::HOLDING {
             self.show(Status::AccessDenied, Cause::PartHeld);
-        } else if let Some((command, force)) = jog_command(drive, known) {
+        } else if !self.has_room(drive, known) {
+            self.end_jog_at_limit();
+        } else if let Some((command, force)) = self.jog_command(drive, known) {
             self.begin_motion(command, Some(force), known);
             self.jog.stage = Stage::Runs(drive);
             return;
@@ -62,6 +64,62 @@ impl Controller {
         let speed = if drive.speed == 0 { least } else { drive.speed };
         let image = OutputImage { speed, force_limit: drive.force_limit, ..OutputImage::ZERO };
         self.outside_limits(&image, known);
+    }
+
+    /// Queries the soft limits if they are why the gripper refused a jog. Returns whether it does.
+    pub(super) fn jog_meets_soft_limit(&mut self, status: Status) -> bool {
+        let runs = matches!(self.jog.stage, Stage::Runs(_));
+        let Some(motion) = self.motion.filter(|_| runs && status == Status::RangeError) else { return false };
+        if self.jog.soft_limits.is_some() {
+            return false;
+        }
+        self.send(Command::GetSoftLimits);
+        self.motion = Some(Motion { awaits: Some(CommandId::GetSoftLimits), ..motion });
+        true
+    }
+
+    /// Sends the jog to the soft limit in its direction, unless the fingers are there or beyond.
+    pub(super) fn jog_within(&mut self, limits: SoftLimits, known: &Known) {
+        self.jog.soft_limits = Some(limits);
+        let Stage::Runs(drive) = self.jog.stage else { return };
+        match self.jog_command(drive, known) {
+            Some((command, _)) if self.has_room(drive, known) => {
+                self.motion = Some(Motion { command, awaits: None });
+                self.send(command);
+            }
+            _ => self.end_jog_at_limit(),
+        }
+    }
+
+    /// Whether no soft limit is known in the direction of a jog, or the fingers have not reached it. Beyond it, a Pre-position
+    /// to the limit would move them the other way.
+    fn has_room(&self, drive: Drive, known: &Known) -> bool {
+        let Some(limits) = self.jog.soft_limits else { return true };
+        known.width.is_some_and(|width| match drive.direction {
+            Direction::Plus => width < limits.plus,
+            Direction::Minus => width > limits.minus,
+        })
+    }
+
+    fn end_jog_at_limit(&mut self) {
+        self.note(Cause::Gripper, Some(CommandId::PrePosition), Status::RangeError.code());
+        self.end_jog(Status::RangeError);
+    }
+
+    /// Returns the Pre-position that a jog is, and its force limit; `None` when they are outside the gripper's limits.
+    fn jog_command(&self, drive: Drive, known: &Known) -> Option<(Command<'static>, f32)> {
+        let image = OutputImage { speed: drive.speed, force_limit: drive.force_limit, ..OutputImage::ZERO };
+        let limits = known.limits?;
+        let speed = if drive.speed == 0 { limits.min_speed } else { image.speed_mm_s() };
+        let force = image.force_limit_n(force_unit(known));
+        let width = match (drive.direction, self.jog.soft_limits) {
+            (Direction::Plus, Some(soft)) => soft.plus,
+            (Direction::Plus, None) => limits.stroke,
+            (Direction::Minus, Some(soft)) => soft.minus,
+            (Direction::Minus, None) => 0.0,
+        };
+        let command = Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed };
+        within_limits(speed, force, known).then_some((command, force))
     }
 
     /// A jog is over by itself, or did not begin: GSTATE is IDLE, after an error as well (fieldbus, 6.7).
@@ -105,18 +163,4 @@ impl Controller {
         };
         of_jog && !self.stands(known)
     }
-}
-
-/// The Pre-position that a jog is, and its force limit; `None` when they are outside the gripper's limits.
-fn jog_command(drive: Drive, known: &Known) -> Option<(Command<'static>, f32)> {
-    let image = OutputImage { speed: drive.speed, force_limit: drive.force_limit, ..OutputImage::ZERO };
-    let limits = known.limits?;
-    let speed = if drive.speed == 0 { limits.min_speed } else { image.speed_mm_s() };
-    let force = image.force_limit_n(force_unit(known));
-    let width = match drive.direction {
-        Direction::Plus => limits.stroke,
-        Direction::Minus => 0.0,
-    };
-    let command = Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed };
-    within_limits(speed, force, known).then_some((command, force))
 }

@@ -139,6 +139,10 @@ impl Plc {
         self.controller.handle(&Event::Reported(Value::GetSystemState(flags)), &self.known);
     }
 
+    fn is_fast_stopped(&self) -> bool {
+        self.controller.input(&self.known).system.contains(SystemFlags::FAST_STOP)
+    }
+
     fn commands(&mut self) -> Vec<Command<'static>> {
         let mut commands = vec![];
         while let Some(command) = self.controller.poll_command() {
@@ -289,7 +293,7 @@ fn stop_after_a_failed_motion_acknowledges_it_too() {
 
 #[test]
 fn flags_that_are_set_at_power_up_start_nothing() {
-    for flag in MOTIONS.iter().chain([CommandFlags::STOP_ACK]) {
+    for flag in CommandFlags::MOTIONS.iter().chain([CommandFlags::STOP_ACK]) {
         let mut plc = Plc::with_first_image(OutputImage { flags: flag, ..PARAMETERS });
         plc.connect();
         assert_eq!(plc.write(|_| {}), [], "{flag:?}");
@@ -387,7 +391,7 @@ fn fast_stop_at_power_up_locks_motion_until_it_is_acknowledged() {
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop], "the level counts, without an edge");
     plc.connect();
     plc.confirm_fast_stop();
-    for flag in MOTIONS.iter() {
+    for flag in CommandFlags::MOTIONS.iter() {
         assert_eq!(plc.raise(flag), []);
         plc.lower(flag);
     }
@@ -395,6 +399,69 @@ fn fast_stop_at_power_up_locks_motion_until_it_is_acknowledged() {
     assert_eq!(plc.raise(CommandFlags::HOMING), [], "high again, but not acknowledged");
     plc.lower(CommandFlags::HOMING);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+}
+
+/// Fieldbus, 6.6.
+#[test]
+fn fast_stop_flag_that_disappears_while_faststop_is_1_is_answered_with_fast_stop_each_time() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.confirm_fast_stop();
+    for times in 0..3 {
+        plc.report_flags(SystemFlags::REFERENCED);
+        assert!(plc.is_fast_stopped());
+        assert_eq!(plc.commands(), [Command::FastStop], "acknowledged by a third party, {times}");
+        assert_eq!(plc.raise(CommandFlags::MOVE), [], "{times}");
+        plc.lower(CommandFlags::MOVE);
+        plc.confirm_fast_stop();
+    }
+    let causes: Vec<_> = incidents(&mut plc).iter().map(|incident| incident.cause).collect();
+    assert_eq!(causes, [Cause::Flag; 4]);
+    // A restart within the time-out of the link.
+    plc.report_flags(SystemFlags::empty());
+    assert_eq!(plc.commands(), [Command::FastStop]);
+}
+
+/// Fieldbus, 6.6.
+#[test]
+fn fast_stop_flag_that_disappears_before_an_acknowledgement_has_its_outcome_is_answered_at_once() {
+    let mut plc = Plc::acknowledging_a_fast_stop();
+    plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+    assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [], "the acknowledgement is still open");
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.commands(), [Command::FastStop]);
+}
+
+#[test]
+fn fast_stop_that_is_requested_again_before_its_answer_is_sent_again_after_it() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    // A third party acknowledges at the gripper while the answer is on its way.
+    plc.lower(CommandFlags::FASTSTOP);
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.lower(CommandFlags::FASTSTOP);
+    assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [Command::FastStop]);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert!(plc.is_fast_stopped());
+    plc.confirm_fast_stop();
+}
+
+/// Fieldbus, 6.6.
+#[test]
+fn third_party_that_acknowledges_after_faststop_is_0_again_unlocks_motion() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    plc.confirm_fast_stop();
+    plc.lower(CommandFlags::FASTSTOP);
+    assert!(plc.is_fast_stopped());
+
+    plc.report_flags(SystemFlags::REFERENCED);
+
+    assert_eq!(plc.commands(), []);
+    assert!(!plc.is_fast_stopped());
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
 }
 
 #[test]

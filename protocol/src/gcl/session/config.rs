@@ -11,7 +11,8 @@ pub struct Config {
     pub reply_timeout_ms: u32,
     /// How often a request that may be repeated is sent before the connection counts as lost.
     pub attempts: u8,
-    /// How long after one of the subscribed values was asked for the next one is.
+    /// How often each subscribed value is requested again, besides its automatic updates, as in
+    /// [`session::Config`](crate::session::Config::refresh_ms).
     pub refresh_ms: u32,
     /// How long to wait before connecting is tried again.
     pub reconnect_ms: u32,
@@ -41,7 +42,7 @@ impl Config {
     pub const DEFAULT: Self = Self {
         reply_timeout_ms: 200,
         attempts: 3,
-        refresh_ms: 250,
+        refresh_ms: 500,
         reconnect_ms: 250,
         motion_timeout_ms: 60_000,
         result_grace_ms: 1_000,

@@ -1,6 +1,7 @@
 //! JOG (fieldbus, 6.7), the silence of a PLC, and the user flags, with a session's part played by each test.
 
 use super::*;
+use crate::types::SoftLimits;
 
 const MINUS: Command<'static> = jog(0.0, 50.0);
 const PLUS: Command<'static> = jog(110.0, 50.0);
@@ -26,10 +27,6 @@ impl Plc {
         self.answer(CommandId::Stop, Status::Success);
         self.report_flags(SystemFlags::REFERENCED | SystemFlags::AXIS_STOPPED);
         self.commands()
-    }
-
-    fn is_fast_stopped(&self) -> bool {
-        self.controller.input(&self.known).system.contains(SystemFlags::FAST_STOP)
     }
 }
 
@@ -71,6 +68,98 @@ fn jog_that_fails_is_idle_and_shows_why() {
     plc.raise(CommandFlags::JOG_MINUS);
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), [], "nothing moves");
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::CmdFormatError));
+}
+
+impl Plc {
+    /// A gripper with soft limits at 30 and 80 mm, its fingers at 50 mm, which has refused the end of the stroke.
+    fn jogging_into_soft_limits(flag: CommandFlags) -> Self {
+        let mut plc = Self::ready();
+        plc.raise(flag);
+        plc.answer(CommandId::SetForceLimit, Status::Success);
+        assert_eq!(plc.answer(CommandId::PrePosition, Status::RangeError), [Command::GetSoftLimits]);
+        assert_eq!(plc.shows(), (GripperFlags::RELEASING, Status::CmdPending));
+        plc
+    }
+
+    fn answer_soft_limits(&mut self) -> Vec<Command<'static>> {
+        let reply = Reply::success(Value::GetSoftLimits(SoftLimits { minus: 30.0, plus: 80.0 }));
+        self.controller.handle(&Event::Answered(reply), &self.known);
+        self.commands()
+    }
+}
+
+/// Fieldbus, 6.7; command set, 3.3.5.
+#[test]
+fn jog_of_a_gripper_with_soft_limits_runs_to_the_limit_in_its_direction() {
+    for (flag, limit) in [(CommandFlags::JOG_PLUS, 80.0), (CommandFlags::JOG_MINUS, 30.0)] {
+        let mut plc = Plc::jogging_into_soft_limits(flag);
+        assert_eq!(plc.answer_soft_limits(), [jog(limit, 50.0)]);
+        plc.begins(CommandId::PrePosition);
+        assert_eq!(plc.write(|image| image.speed = 60_00), [Command::Stop], "it follows the dial");
+        plc.answer(CommandId::PrePosition, Status::CmdAborted);
+        assert_eq!(plc.answer(CommandId::Stop, Status::Success), [FORCE]);
+        assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [jog(limit, 60.0)]);
+        assert_eq!(plc.answer(CommandId::PrePosition, Status::Success), []);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+        // The limits may change while no flag is 1.
+        plc.lower(flag);
+        plc.raise(flag);
+        let end = if flag == CommandFlags::JOG_PLUS { 110.0 } else { 0.0 };
+        assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [jog(end, 60.0)]);
+    }
+}
+
+#[test]
+fn jog_at_a_soft_limit_or_beyond_it_moves_nothing_and_shows_e_range_error() {
+    for width in [80.0, 81.0] {
+        let mut plc = Plc::jogging_into_soft_limits(CommandFlags::JOG_PLUS);
+        plc.known.width = Some(width);
+        assert_eq!(plc.answer_soft_limits(), [], "at {width} mm");
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::RangeError));
+        let range = incident(Cause::Gripper, Some(CommandId::PrePosition), Status::RangeError.code());
+        assert_eq!(incidents(&mut plc), range);
+    }
+}
+
+/// The fingers are outside both limits in turn, where only the way back is open (command set, 3.3.5).
+#[test]
+fn jog_beyond_a_known_soft_limit_never_moves_the_fingers_the_other_way() {
+    let outside = [
+        (CommandFlags::JOG_MINUS, CommandFlags::JOG_PLUS, 100.0),
+        (CommandFlags::JOG_PLUS, CommandFlags::JOG_MINUS, 10.0),
+    ];
+    for (back, onward, width) in outside {
+        let mut plc = Plc::jogging_into_soft_limits(back);
+        plc.known.width = Some(width);
+        assert_eq!(plc.answer_soft_limits().len(), 1, "back into the range");
+        assert_eq!(plc.raise(onward), [Command::Stop], "both stop");
+        plc.answer(CommandId::PrePosition, Status::CmdAborted);
+        plc.answer(CommandId::Stop, Status::Success);
+        assert_eq!(plc.lower(back), [], "{onward:?} at {width} mm");
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::RangeError));
+    }
+}
+
+#[test]
+fn jog_whose_soft_limits_do_not_help_ends_with_e_range_error() {
+    let mut plc = Plc::jogging_into_soft_limits(CommandFlags::JOG_PLUS);
+    assert_eq!(plc.answer(CommandId::GetSoftLimits, Status::NotAvailable), [], "cleared meanwhile");
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::NotAvailable));
+
+    let mut plc = Plc::jogging_into_soft_limits(CommandFlags::JOG_PLUS);
+    plc.answer_soft_limits();
+    assert_eq!(plc.answer(CommandId::PrePosition, Status::RangeError), [], "moved meanwhile");
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::RangeError));
+}
+
+#[test]
+fn jog_flag_that_goes_while_soft_limits_are_queried_moves_nothing() {
+    let mut plc = Plc::jogging_into_soft_limits(CommandFlags::JOG_PLUS);
+    assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
+    assert_eq!(plc.answer_soft_limits(), []);
+    assert_eq!(plc.answer(CommandId::Stop, Status::Success), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE], "and begins again");
 }
 
 #[test]
@@ -472,5 +561,38 @@ fn silence_of_the_plc_behind_a_cut_line_leaves_a_fast_stop_for_fingers_that_may_
         plc.controller.silence(SilenceReaction::Stop, &plc.known);
         let expected: &[Command<'_>] = if ends { &[] } else { &[Command::FastStop] };
         assert_eq!(plc.commands(), expected, "the motion has ended: {ends}");
+    }
+}
+
+/// FASTSTOP has priority over all other commands (fieldbus, 6.6), and its end moves nothing.
+#[test]
+fn jog_flag_of_before_a_fast_stop_counts_for_nothing_whoever_acknowledges() {
+    type Begin = fn() -> Plc;
+    let of_a_parameter: Begin = || {
+        let mut plc = Plc::jogging();
+        assert_eq!(plc.write(|image| image.speed = 420_01), [Command::FastStop]);
+        plc.confirm_fast_stop();
+        plc.answer(CommandId::PrePosition, Status::CmdAborted);
+        plc.write(|image| image.speed = 50_00);
+        plc
+    };
+    let beside_its_flag: Begin = || {
+        let mut plc = Plc::ready();
+        plc.raise(CommandFlags::FASTSTOP);
+        plc.confirm_fast_stop();
+        plc.raise(CommandFlags::JOG_PLUS);
+        plc.lower(CommandFlags::FASTSTOP);
+        plc
+    };
+    for begin in [of_a_parameter, beside_its_flag] {
+        let mut plc = begin();
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success), "the FAST STOP's");
+        let causes: Vec<Cause> = incidents(&mut plc).iter().map(|incident| incident.cause).collect();
+        assert!(!causes.contains(&Cause::FastStopLasts), "no jog was refused: {causes:?}");
+        // On the gripper's web page.
+        plc.report_flags(SystemFlags::REFERENCED);
+        assert_eq!(plc.commands(), []);
+        assert_eq!(plc.write(|image| image.user ^= 1), [], "JOG+ is still 1");
+        assert_eq!(plc.write(|image| image.speed = 60_00), []);
     }
 }
