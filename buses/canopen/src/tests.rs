@@ -1412,3 +1412,35 @@ fn output_image_takes_the_same_again_by_sdo_and_nothing_else() {
     assert_eq!(bus.events, [READ; 6]);
     assert_eq!(bus.upload(0x2000, 1), Ok(vec![1]));
 }
+
+#[test]
+fn other_nodes_and_broken_frames_do_not_stand_in_for_the_master() {
+    let remote = ClassicFrame::new_remote(StandardId::new(0x700 | MASTER).unwrap(), 1).unwrap();
+    for has_heartbeat in [true, false] {
+        let mut bus = Bus::operational();
+        if has_heartbeat {
+            bus.bring(0x700 | MASTER, &[5]);
+        } else {
+            bus.bring(0x210, &[0; 8]);
+        }
+        for _ in 0..TIME_MS / 10 {
+            assert!(!bus.events.contains(&SILENT), "too early");
+            for (id, data) in [
+                (0x700 | (MASTER - 1), &[5][..]),
+                (0x700 | MASTER, &[5, 5]),
+                (0x700 | MASTER, &[]),
+                (0x211, &[0; 8]),
+                (0x210, &[0; 7]),
+                (0x310, &[0; 3]),
+                (0x080, &[]),
+                (0x000, &[0x01, 0x11]),
+                (0x610, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]),
+            ] {
+                bus.bring(id, data);
+            }
+            bus.device.on_frame(bus.now_ms, &remote);
+            bus.pass(10);
+        }
+        assert_eq!(bus.events.last(), Some(&SILENT), "heartbeat: {has_heartbeat}");
+    }
+}

@@ -32,6 +32,7 @@ const FACTS: GsdFacts<'_> = GsdFacts {
     min_slave_interval: 10,
     module: "8 outputs, 8 inputs",
     max_diagnosis_len: 8,
+    bitmaps: None,
     diagnosis_bits: &[(0, "short circuit of an output")],
 };
 

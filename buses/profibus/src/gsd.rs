@@ -29,6 +29,9 @@ pub struct GsdFacts<'a> {
     pub module: &'a str,
     /// Max_Diag_Data_Len: the longest diagnosis, its first six bytes included.
     pub max_diagnosis_len: u8,
+    /// The names of the bitmaps beside the file, up to 8 characters without `.bmp`, which show the device in normal operation, with a
+    /// diagnosis and in special operating modes: 70 x 40 pixels, 16 colours.
+    pub bitmaps: Option<[&'a str; 3]>,
     /// What bits of the device's own part of the diagnosis mean; 0 is the lowest bit after its header.
     pub diagnosis_bits: &'a [(u16, &'a str)],
 }
@@ -58,6 +61,7 @@ pub struct GsdFacts<'a> {
 ///     min_slave_interval: 10,
 ///     module: "8 outputs, 8 inputs",
 ///     max_diagnosis_len: 8,
+///     bitmaps: None,
 ///     diagnosis_bits: &[(0, "short circuit")],
 /// };
 /// let text = Gsd { facts, profile: &PROFILE }.to_string();
@@ -101,6 +105,11 @@ impl fmt::Display for Gsd<'_> {
         lines.flag("Redundancy", false)?;
         lines.number("Repeater_Ctrl_Sig", 0)?;
         lines.number("24V_Pins", 0)?;
+        if let Some([device, diagnosis, special]) = facts.bitmaps {
+            lines.text("Bitmap_Device", device)?;
+            lines.text("Bitmap_Diag", diagnosis)?;
+            lines.text("Bitmap_SF", special)?;
+        }
         lines.flag("Freeze_Mode_supp", profile.freeze)?;
         lines.flag("Sync_Mode_supp", profile.sync)?;
         lines.flag("Auto_Baud_supp", facts.auto_baud)?;

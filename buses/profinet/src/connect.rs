@@ -3,6 +3,7 @@
 use core::ops::Range;
 
 use crate::cursor::Reader;
+use crate::epm;
 use crate::frame::{ETHERTYPE_PROFINET, MacAddress};
 use crate::profile::{MAX_SUBMODULES, Profile};
 use crate::rpc::{Endpoint, PnioStatus, server};
@@ -33,6 +34,15 @@ const UNSUPPORTED: u32 = 3 << 9 | 1 << 30;
 
 /// The longest wait for data of a controller, in µs.
 const MAX_HOLD_US: u64 = 1_920_000;
+
+/// The longest name of a station.
+const MAX_NAME_LEN: u16 = 240;
+
+/// VLAN tags of cyclic data and of alarms (IEC 61158-6-10, 5.2.4): priority 6 or 5, no VLAN. The bit between the two is
+/// reserved and not checked.
+const PRIORITY_6: u16 = 0xC000;
+const PRIORITY_5: u16 = 0xA000;
+const RESERVED_OF_TAG: u16 = 0x1000;
 
 /// The shortest and the longest cyclic data, in bytes.
 const DATA_LEN: core::ops::RangeInclusive<u16> = 40..=1_440;
@@ -249,6 +259,7 @@ fn parse_ar(body: &[u8], host: Endpoint) -> Result<Relation, PnioStatus> {
     reader.skip(2).ok_or(short)?;
     let name_len = reader.u16().ok_or(short)?;
     reader.bytes(name_len.into()).ok_or(wrong(12))?;
+    let has_name = (1..=MAX_NAME_LEN).contains(&name_len);
     let is_access = properties & DEVICE_ACCESS != 0;
     match kind {
         AR_TYPE_CONTROLLER if !is_access => {}
@@ -262,12 +273,18 @@ fn parse_ar(body: &[u8], host: Endpoint) -> Result<Relation, PnioStatus> {
     if first & 1 == 1 {
         return Err(wrong(7));
     }
+    if !epm::is_object(&object) {
+        return Err(wrong(8));
+    }
     // Active, and nothing that the device has not.
     if properties & 7 != 1 || properties & UNSUPPORTED != 0 {
         return Err(wrong(9));
     }
     if !(1..=1_000).contains(&timeout_factor) {
         return Err(wrong(10));
+    }
+    if !has_name {
+        return Err(wrong(12));
     }
     let activity_us = u64::from(timeout_factor).saturating_mul(100_000);
     Ok(Relation { kind, uuid, session_key, mac, object, host, activity_us })
@@ -339,9 +356,10 @@ fn parse_iocr(
     let frame_id = reader.u16().ok_or(short)?;
     let send_clock = reader.u16().ok_or(short)?;
     let reduction = reader.u16().ok_or(short)?;
-    // Phase, sequence, offset: when in a cycle is the device's choice in class 1.
+    let phase = reader.u16().ok_or(short)?;
+    // Sequence and offset: the device chooses the moment within a phase in class 1. The hold factor below replaces the
+    // watchdog factor.
     reader.skip(8).ok_or(short)?;
-    reader.skip(2).ok_or(short)?;
     let hold_factor = reader.u16().ok_or(short)?;
     let tag = reader.u16().ok_or(short)?;
     reader.skip(6).ok_or(short)?;
@@ -372,11 +390,18 @@ fn parse_iocr(
     if !(1..=512).contains(&reduction) || cycle < profile.min_interval || cycle > 16_384 {
         return Err(wrong(11));
     }
+    // A phase is one of the send clocks of a cycle, counted from 1.
+    if !(1..=reduction).contains(&phase) {
+        return Err(wrong(12));
+    }
     let places = [Place::default(); MAX_SUBMODULES];
     let mut iocr = Iocr { reference, frame_id, data_len, cycle, hold_us: 0, tag, places };
     iocr.hold_us = iocr.cycle_us().saturating_mul(hold_factor.into());
     if hold_factor == 0 || iocr.hold_us > MAX_HOLD_US {
         return Err(wrong(16));
+    }
+    if tag & !RESERVED_OF_TAG != PRIORITY_6 {
+        return Err(wrong(17));
     }
     let mut parts = Parts::default();
     for _ in 0..reader.u16().ok_or(short)? {
@@ -489,6 +514,12 @@ fn parse_alarm_cr(body: &[u8]) -> Result<AlarmCr, PnioStatus> {
     }
     if !(200..=1_432).contains(&max_len) {
         return Err(wrong(10));
+    }
+    if tag_high & !RESERVED_OF_TAG != PRIORITY_6 {
+        return Err(wrong(11));
+    }
+    if tag_low & !RESERVED_OF_TAG != PRIORITY_5 {
+        return Err(wrong(12));
     }
     let timeout_us = u64::from(timeout_factor).saturating_mul(100_000);
     let is_low_only = properties & 1 != 0;

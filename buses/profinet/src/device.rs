@@ -525,6 +525,11 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             self.refuse(from, &header, kind::REJECT, status::NO_SUCH_INTERFACE);
             return None;
         }
+        // A controller that has another device in mind gets no connection. All other calls name the connection.
+        if header.operation == operation::CONNECT && header.object != epm::object(self.profile) {
+            self.refuse(from, &header, kind::REJECT, status::NO_SUCH_OBJECT);
+            return None;
+        }
         let Some((max_len, blocks)) = rpc::arguments(body, header.order) else {
             self.refuse(from, &header, kind::FAULT, status::PROTOCOL);
             return None;

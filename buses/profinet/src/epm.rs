@@ -26,12 +26,21 @@ mod floor {
 
 const ANNOTATION_LEN: usize = 64;
 
-/// The object that a device is for RPC: its instance, and what it is.
+/// The first bytes of every PROFINET object UUID (IEC 61158-6-10, ObjectUUID): of devices and of controllers.
+const OBJECT_PREFIX: [u8; 10] = [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71];
+
+/// Returns the object UUID of a device: instance, device number and vendor number after the common prefix.
 pub(crate) fn object(profile: &Profile) -> [u8; 16] {
+    let [o0, o1, o2, o3, o4, o5, o6, o7, o8, o9] = OBJECT_PREFIX;
     let [i0, i1] = INSTANCE.to_be_bytes();
     let [d0, d1] = profile.device_id.to_be_bytes();
     let [v0, v1] = profile.vendor_id.to_be_bytes();
-    [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, i0, i1, d0, d1, v0, v1]
+    [o0, o1, o2, o3, o4, o5, o6, o7, o8, o9, i0, i1, d0, d1, v0, v1]
+}
+
+/// Returns whether a UUID is that of a PROFINET object, of any vendor.
+pub(crate) fn is_object(uuid: &[u8; 16]) -> bool {
+    uuid.starts_with(&OBJECT_PREFIX)
 }
 
 /// Writes the answer to a lookup; `None` if the request cannot be read.

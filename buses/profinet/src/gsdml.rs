@@ -1,6 +1,6 @@
 //! The GSDML file (GSDML V2.3x, ISO 15745-4), from what the device uses.
 
-use core::fmt;
+use core::fmt::{self, Write as _};
 
 use crate::lldp::MAU_TYPE;
 use crate::profile::{Module, Profile, Submodule};
@@ -17,6 +17,8 @@ pub struct GsdmlFacts<'a> {
     pub main_family: &'a str,
     /// What it is, in a sentence.
     pub info: &'a str,
+    /// The name of the bitmap beside the file that shows the device, without `.bmp`: 70 x 40 pixels.
+    pub bitmap: Option<&'a str>,
 }
 
 /// The GSDML file of a device, as text.
@@ -41,15 +43,14 @@ pub struct GsdmlFacts<'a> {
 ///     }],
 ///     faults: &[],
 /// };
-/// let facts = GsdmlFacts { vendor: "example", family: "EX", main_family: "I/O", info: "Eight inputs, eight outputs" };
+/// let facts = GsdmlFacts { vendor: "example", family: "EX", main_family: "I/O", info: "Eight inputs, eight outputs", bitmap: None };
 /// let text = Gsdml { facts, profile: &PROFILE }.to_string();
 /// assert!(text.contains(r#"<DeviceIdentity VendorID="0x1234" DeviceID="0x0001">"#));
 /// assert!(text.contains(r#"DNS_CompatibleName="example""#));
 /// ```
-/// No schema of GSDML is public: it is written after the specification, and no tool of a PLC's
-/// vendor has read it.
 ///
-/// The texts of a profile and of facts are put into attributes as they are: they must have none of `<`, `>`, `&` and `"`.
+/// No schema of GSDML is public. The text follows the specification and public reports of what TIA Portal's checker demands;
+/// no engineering tool has read it yet. The name of the file starts with `GSDML-` and [`Gsdml::SCHEMA_VERSION`].
 #[derive(Clone, Copy, Debug)]
 pub struct Gsdml<'a> {
     /// What it says besides the profile.
@@ -58,8 +59,14 @@ pub struct Gsdml<'a> {
     pub profile: &'a Profile,
 }
 
-/// The versions of the schema and of the language that the file is written to.
-const VERSION: &str = "V2.31";
+impl Gsdml<'_> {
+    /// The version of the schema, which the name of the file has to repeat.
+    pub const SCHEMA_VERSION: &'static str = "V2.31";
+}
+
+/// The version of PROFINET that the device conforms to. From V2.31 on, TIA Portal's checker demands CertificationInfo,
+/// LLDP_NoD_Supported, PTP_BoundarySupported and DCP_BoundarySupported, none of which this device has.
+const PNIO_VERSION: &str = "V2.3";
 
 /// Reduction ratios of real time class 1.
 const RATIOS: [u16; 10] = [1, 2, 4, 8, 16, 32, 64, 128, 256, 512];
@@ -69,6 +76,7 @@ const SEND_CLOCK: u16 = 32;
 impl fmt::Display for Gsdml<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { facts, profile } = *self;
+        let version = Self::SCHEMA_VERSION;
         let mut file = File(out);
         file.line(0, format_args!(r#"<?xml version="1.0" encoding="utf-8"?>"#))?;
         let base = "http://www.profibus.com/GSDML/2003/11";
@@ -78,7 +86,7 @@ impl fmt::Display for Gsdml<'_> {
         file.line(
             4,
             format_args!(
-                r#"xsi:schemaLocation="{base}/DeviceProfile ..\xsd\GSDML-DeviceProfile-{VERSION}.xsd">"#
+                r#"xsi:schemaLocation="{base}/DeviceProfile ..\xsd\GSDML-DeviceProfile-{version}.xsd">"#
             ),
         )?;
         file.header()?;
@@ -89,10 +97,10 @@ impl fmt::Display for Gsdml<'_> {
             format_args!(r#"<DeviceIdentity VendorID="0x{vendor_id:04X}" DeviceID="0x{device_id:04X}">"#),
         )?;
         file.line(3, format_args!(r#"<InfoText TextId="TOK_Info"/>"#))?;
-        file.line(3, format_args!(r#"<VendorName Value="{}"/>"#, facts.vendor))?;
+        file.line(3, format_args!(r#"<VendorName Value="{}"/>"#, Escaped(facts.vendor)))?;
         file.line(2, format_args!("</DeviceIdentity>"))?;
         file.line(2, format_args!("<DeviceFunction>"))?;
-        let GsdmlFacts { main_family, family, .. } = facts;
+        let (main_family, family) = (Escaped(facts.main_family), Escaped(facts.family));
         file.line(3, format_args!(r#"<Family MainFamily="{main_family}" ProductFamily="{family}"/>"#))?;
         file.line(2, format_args!("</DeviceFunction>"))?;
         file.line(2, format_args!("<ApplicationProcess>"))?;
@@ -101,10 +109,30 @@ impl fmt::Display for Gsdml<'_> {
             file.modules(modules)?;
         }
         file.faults(profile)?;
+        if let Some(bitmap) = facts.bitmap {
+            file.line(3, format_args!("<GraphicsList>"))?;
+            file.line(4, format_args!(r#"<GraphicItem ID="Symbol" GraphicFile="{}"/>"#, Escaped(bitmap)))?;
+            file.line(3, format_args!("</GraphicsList>"))?;
+        }
         file.texts(&facts, profile)?;
         file.line(2, format_args!("</ApplicationProcess>"))?;
         file.line(1, format_args!("</ProfileBody>"))?;
         file.line(0, format_args!("</ISO15745Profile>"))
+    }
+}
+
+/// A text as the value of an attribute.
+struct Escaped<'a>(&'a str);
+
+impl fmt::Display for Escaped<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.chars().try_for_each(|letter| match letter {
+            '&' => out.write_str("&amp;"),
+            '<' => out.write_str("&lt;"),
+            '>' => out.write_str("&gt;"),
+            '"' => out.write_str("&quot;"),
+            letter => out.write_char(letter),
+        })
     }
 }
 
@@ -151,7 +179,7 @@ impl File<'_, '_> {
         let (ident, min_interval) = (access_point.ident, profile.min_interval);
         self.line(3, format_args!("<DeviceAccessPointList>"))?;
         self.line(4, format_args!("<DeviceAccessPointItem"))?;
-        self.line(6, format_args!(r#"ID="DAP" PNIO_Version="{VERSION}" RequiredSchemaVersion="V2.3""#))?;
+        self.line(6, format_args!(r#"ID="DAP" PNIO_Version="{PNIO_VERSION}" RequiredSchemaVersion="V2.3""#))?;
         self.line(
             6,
             format_args!(r#"ModuleIdentNumber="0x{ident:08X}" MinDeviceInterval="{min_interval}""#),
@@ -169,15 +197,16 @@ impl File<'_, '_> {
         self.line(6, format_args!(r#"ImplementationType="STANDARD-MAC" ResetToFactoryModes="2">"#))?;
         let info = |file: &mut Self, depth| {
             let [major, minor, patch] = profile.software_revision;
-            file.line(depth, format_args!(r#"<VendorName Value="{}"/>"#, facts.vendor))?;
-            file.line(depth, format_args!(r#"<OrderNumber Value="{}"/>"#, profile.order_id))?;
+            file.line(depth, format_args!(r#"<VendorName Value="{}"/>"#, Escaped(facts.vendor)))?;
+            file.line(depth, format_args!(r#"<OrderNumber Value="{}"/>"#, Escaped(profile.order_id)))?;
             file.line(depth, format_args!(r#"<HardwareRelease Value="{}"/>"#, profile.hardware_revision))?;
             file.line(depth, format_args!(r#"<SoftwareRelease Value="V{major}.{minor}.{patch}"/>"#))
         };
         self.info(5, format_args!("TOK_Slot_0"), info)?;
-        let submodules = || profile.submodules().map(|slotted| slotted.submodule);
-        let inputs = submodules().map(|submodule| submodule.input_len).fold(0, u16::saturating_add);
-        let outputs = submodules().map(|submodule| submodule.output_len).fold(0, u16::saturating_add);
+        let frame_lens = profile.submodules().map(|slotted| slotted.submodule.frame_lens());
+        let (inputs, outputs) = frame_lens.fold((0, 0), |(inputs, outputs), (input, output)| {
+            (input.saturating_add(inputs), output.saturating_add(outputs))
+        });
         self.line(
             5,
             format_args!(r#"<IOConfigData MaxInputLength="{inputs}" MaxOutputLength="{outputs}"/>"#),
@@ -196,6 +225,14 @@ impl File<'_, '_> {
             self.system_defined(submodule, profile.min_interval)?;
         }
         self.line(5, format_args!("</SystemDefinedSubmoduleList>"))?;
+        if facts.bitmap.is_some() {
+            self.line(5, format_args!("<Graphics>"))?;
+            self.line(
+                6,
+                format_args!(r#"<GraphicItemRef Type="DeviceSymbol" GraphicItemTarget="Symbol"/>"#),
+            )?;
+            self.line(5, format_args!("</Graphics>"))?;
+        }
         self.line(4, format_args!("</DeviceAccessPointItem>"))?;
         self.line(3, format_args!("</DeviceAccessPointList>"))
     }
@@ -317,7 +354,7 @@ impl File<'_, '_> {
         self.line(3, format_args!("<ExternalTextList>"))?;
         self.line(4, format_args!("<PrimaryLanguage>"))?;
         let mut text = |id: fmt::Arguments<'_>, value: &str| {
-            self.line(5, format_args!(r#"<Text TextId="{id}" Value="{value}"/>"#))
+            self.line(5, format_args!(r#"<Text TextId="{id}" Value="{}"/>"#, Escaped(value)))
         };
         text(format_args!("TOK_Info"), facts.info)?;
         text(format_args!("TOK_Interface"), "Interface")?;

@@ -83,6 +83,20 @@ pub(crate) struct Slotted {
     pub(crate) output_at: usize,
 }
 
+impl Submodule {
+    /// Returns how many bytes it takes of a frame of inputs and of a frame of outputs: its data, each with the status of the
+    /// provider, and the status of the consumer of data in the other direction. A submodule without data counts as inputs.
+    pub(crate) const fn frame_lens(&self) -> (u16, u16) {
+        let Self { input_len, output_len, .. } = *self;
+        let has_outputs = output_len > 0;
+        let has_inputs = input_len > 0 || !has_outputs;
+        let (provided, consumed) = (has_inputs as u16, has_outputs as u16);
+        let inputs = input_len.saturating_add(provided).saturating_add(consumed);
+        let outputs = output_len.saturating_add(consumed).saturating_add(provided);
+        (inputs, outputs)
+    }
+}
+
 impl Profile {
     /// Every submodule, in the order of the tables.
     pub(crate) fn submodules(&self) -> impl Iterator<Item = Slotted> + use<> {

@@ -26,6 +26,8 @@ pub(crate) mod status {
     pub(crate) const NO_SUCH_INTERFACE: u32 = 0x1C01_0003;
     /// `nca_s_proto_error`: this is no request.
     pub(crate) const PROTOCOL: u32 = 0x1C01_000B;
+    /// `nca_s_unsupported_type`: no object here has this UUID.
+    pub(crate) const NO_SUCH_OBJECT: u32 = 0x1C01_0017;
 }
 
 /// Operations of the context manager.

@@ -25,10 +25,11 @@ const FACTS: GsdFacts<'_> = GsdFacts {
     min_slave_interval: 300,
     module: "8 out, 12 in",
     max_diagnosis_len: 16,
+    bitmaps: Some(["DEV_R", "DEV_D", "DEV_S"]),
     diagnosis_bits: &[(4, "hot"), (20, "cold")],
 };
 
-const FILE: [&str; 49] = [
+const FILE: [&str; 52] = [
     "#Profibus_DP",
     "GSD_Revision = 1",
     "Vendor_Name = \"maker\"",
@@ -63,6 +64,9 @@ const FILE: [&str; 49] = [
     "Redundancy = 0",
     "Repeater_Ctrl_Sig = 0",
     "24V_Pins = 0",
+    "Bitmap_Device = \"DEV_R\"",
+    "Bitmap_Diag = \"DEV_D\"",
+    "Bitmap_SF = \"DEV_S\"",
     "Freeze_Mode_supp = 0",
     "Sync_Mode_supp = 1",
     "Auto_Baud_supp = 1",
@@ -85,6 +89,12 @@ fn file_has_a_line_for_each_fact() {
     let text = Gsd { facts: FACTS, profile: &PROFILE }.to_string();
     let lines: Vec<&str> = text.split("\r\n").collect();
     assert_eq!(lines, FILE);
+}
+
+#[test]
+fn file_without_bitmaps_names_none() {
+    let text = Gsd { facts: GsdFacts { bitmaps: None, ..FACTS }, profile: &PROFILE }.to_string();
+    assert!(!text.contains("Bitmap"), "{text}");
 }
 
 #[test]

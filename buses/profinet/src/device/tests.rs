@@ -357,7 +357,7 @@ fn controller_connects_writes_no_parameters_and_exchanges_data() {
     let calls = bench.calls();
     let [call] = &calls[..] else { panic!("{calls:?}") };
     assert_eq!((call[0], call[1], &call[68..70]), (4, 0, &[0, 4][..]));
-    assert_eq!(call[8..24], [0xDE; 16], "the object that the controller said");
+    assert_eq!(call[8..24], PLC_OBJECT, "the object that the controller said");
     assert_eq!(call[24..28], [0xDE, 0xA0, 0, 2]);
     // An activity of this device, of this start: an answer to a call of another one is none.
     assert_eq!(call[40..56], [0, 0, 0xB0, 7, 0, 0, 0x10, 0, 0x80, 0, 0x02, 0, 0, 0, 0, 0x10]);
@@ -383,10 +383,14 @@ fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
         (Wanted { properties: 0x111, ..default() }, 1, 4),
         (Wanted { uuid: [0; 16], ..default() }, 1, 5),
         (Wanted { mac: MULTICAST, ..default() }, 1, 7),
+        (Wanted { object: [0; 16], ..default() }, 1, 8),
+        (Wanted { object: AR, ..default() }, 1, 8),
         (Wanted { properties: 0x10, ..default() }, 1, 9),
         (Wanted { properties: 0x4000_0011, ..default() }, 1, 9),
         (Wanted { properties: 0x211, ..default() }, 1, 9),
         (Wanted { properties: 0x411, ..default() }, 1, 9),
+        (Wanted { name: b"", ..default() }, 1, 12),
+        (Wanted { name: &[b'a'; 241], ..default() }, 1, 12),
         (Wanted { class: 3, ..default() }, 2, 7),
         (Wanted { data_len: 39, ..default() }, 2, 8),
         (Wanted { data_len: 1_441, ..default() }, 2, 8),
@@ -399,11 +403,18 @@ fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
         (Wanted { send_clock: 16, reduction: 1_024, ..default() }, 2, 11),
         (Wanted { send_clock: 31, reduction: 1, ..default() }, 2, 11),
         (Wanted { send_clock: 33, reduction: 512, hold: 1, ..default() }, 2, 11),
+        (Wanted { phase: 0, ..default() }, 2, 12),
+        (Wanted { phase: 5, ..default() }, 2, 12),
         (Wanted { hold: 0, ..default() }, 2, 16),
         (Wanted { hold: 481, ..default() }, 2, 16),
+        (Wanted { tags: [0, 0xC000, 0xA000], ..default() }, 2, 17),
+        (Wanted { tags: [0xA000, 0xC000, 0xA000], ..default() }, 2, 17),
+        (Wanted { tags: [0xC001, 0xC000, 0xA000], ..default() }, 2, 17),
         (Wanted { alarm_properties: 2, ..default() }, 4, 6),
         (Wanted { retries: 2, ..default() }, 4, 8),
         (Wanted { retries: 16, ..default() }, 4, 8),
+        (Wanted { tags: [0xC000, 0, 0xA000], ..default() }, 4, 11),
+        (Wanted { tags: [0xC000, 0xC000, 0], ..default() }, 4, 12),
         (Wanted { more: unknown, ..default() }, 0x40, 1),
         (Wanted { more: again, ..default() }, 1, 0),
         (Wanted { more: vec![1], ..default() }, 0x40, 0),
@@ -418,6 +429,27 @@ fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
     }
 }
 
+/// IEC 61158-6-10, RPCObjectUUID: instance, device and vendor number name one device.
+#[test]
+fn connect_for_the_object_of_another_device_is_rejected() {
+    let blocks = Wanted::default().blocks();
+    for is_low_first in [true, false] {
+        // Of the vendor, of the device and of the instance.
+        for at in [22, 20, 19] {
+            let mut bench = Bench::new();
+            let mut request = datagram(is_low_first, 0, 1, 0, &arguments(is_low_first, &blocks));
+            request[at] ^= 1;
+            assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
+            let [(Some(HOST), answer)] = &bench.transmitted()[..] else { panic!("{at}") };
+            let status: [u8; 4] = answer[80..].try_into().unwrap();
+            let status = if is_low_first { u32::from_le_bytes(status) } else { u32::from_be_bytes(status) };
+            assert_eq!((answer[1], status), (6, 0x1C01_0017), "{at}");
+            assert_eq!(bench.device.state(), State::Unconnected);
+            assert_eq!(bench.device.counters().rpc_refused, 1);
+        }
+    }
+}
+
 #[test]
 fn cycles_hold_times_and_addresses_at_their_limits_are_taken() {
     let default = Wanted::default;
@@ -426,7 +458,10 @@ fn cycles_hold_times_and_addresses_at_their_limits_are_taken() {
         Wanted { send_clock: 1, reduction: 32, ..default() },
         Wanted { send_clock: 128, reduction: 128, ..default() },
         Wanted { send_clock: 32, reduction: 512, ..default() },
+        Wanted { phase: 4, ..default() },
         Wanted { hold: 480, ..default() },
+        Wanted { name: &[b'a'; 240], ..default() },
+        Wanted { tags: [0xD000, 0xD000, 0xB000], ..default() },
         Wanted { data_len: 1_440, ..default() },
         Wanted { retries: 15, ..default() },
         Wanted { mac: MacAddress([0, 0, 0, 0, 0, 1]), ..default() },

@@ -6,7 +6,13 @@ use std::string::ToString;
 
 #[test]
 fn file_says_all_of_a_profile() {
-    let facts = GsdmlFacts { vendor: "example", family: "EX", main_family: "I/O", info: "A few bytes" };
+    let facts = GsdmlFacts {
+        vendor: "Example & <\"Co.\">",
+        family: "EX",
+        main_family: "I/O",
+        info: "A few bytes",
+        bitmap: Some("GSDML-1234-5678-EX"),
+    };
     // 2 ms: 1 ms is not offered.
     let profile = Profile { min_interval: 64, ..PROFILE };
     let text = Gsdml { facts, profile: &profile }.to_string();

@@ -12,6 +12,11 @@ pub(super) const PLC: MacAddress = MacAddress([0x02, 0, 0, 0, 0, 0x01]);
 pub(super) const OTHER: MacAddress = MacAddress([0x02, 0, 0, 0, 0, 0x02]);
 pub(super) const HOST: Endpoint = Endpoint { address: [192, 168, 0, 1], port: 50_000 };
 pub(super) const AR: [u8; 16] = [0xA5; 16];
+/// The object UUIDs of the device (instance 1, device 5678h, vendor 1234h) and of a controller.
+pub(super) const DEVICE_OBJECT: [u8; 16] =
+    [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 1, 0x56, 0x78, 0x12, 0x34];
+pub(super) const PLC_OBJECT: [u8; 16] =
+    [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 1, 0x01, 0x0D, 0x00, 0x2A];
 pub(super) const SESSION_KEY: u16 = 7;
 /// What the controller calls its end of the alarms.
 pub(super) const PLC_REFERENCE: u16 = 3;
@@ -67,6 +72,9 @@ pub(crate) static PROFILE: Profile = Profile {
 pub(super) struct Wanted {
     pub(super) uuid: [u8; 16],
     pub(super) mac: MacAddress,
+    /// The controller's own object.
+    pub(super) object: [u8; 16],
+    pub(super) name: &'static [u8],
     pub(super) ar_type: u16,
     pub(super) properties: u32,
     pub(super) input_id: u16,
@@ -75,7 +83,10 @@ pub(super) struct Wanted {
     pub(super) data_len: u16,
     pub(super) send_clock: u16,
     pub(super) reduction: u16,
+    pub(super) phase: u16,
     pub(super) hold: u16,
+    /// The tag of cyclic data, and those of alarms of high and of low priority.
+    pub(super) tags: [u16; 3],
     pub(super) modules: [u32; 2],
     pub(super) submodules: [u32; 2],
     pub(super) output_len: u16,
@@ -94,6 +105,8 @@ impl Default for Wanted {
         Self {
             uuid: AR,
             mac: PLC,
+            object: PLC_OBJECT,
+            name: b"plc",
             ar_type: 1,
             properties: 0x11,
             input_id: INPUT_ID,
@@ -102,7 +115,9 @@ impl Default for Wanted {
             data_len: 40,
             send_clock: 32,
             reduction: 4,
+            phase: 1,
             hold: 3,
+            tags: [0xC000, 0xC000, 0xA000],
             modules: [0x20, 0x30],
             submodules: [0x21, 0x31],
             output_len: 2,
@@ -136,11 +151,11 @@ impl Wanted {
             &self.uuid,
             &numbers(&[SESSION_KEY]),
             &self.mac.0,
-            &[0xDE; 16],
+            &self.object,
             &self.properties.to_be_bytes(),
             // 1 s; no real time over UDP; its name.
-            &numbers(&[10, 0x8892, 3]),
-            b"plc",
+            &numbers(&[10, 0x8892, self.name.len() as u16]),
+            self.name,
         ]
         .concat();
         let ar = block(0x0101, &ar);
@@ -164,13 +179,14 @@ impl Wanted {
         let mut consumers = vec![0, 1, 5, 0, 0x8000, 6, 0, 0x8001, 7, 1, 1, 8];
         consumers.extend((0..self.statuses).flat_map(|more| [2, 1, 9 + more]));
         let outputs: [&[u16]; 2] = [&outputs, &consumers];
+        let [cyclic_tag, high_tag, low_tag] = self.tags;
         let iocr = |kind: u16, id: u16, [data, consumers]: [&[u16]; 2]| {
             let body = [
                 &numbers(&[kind, 10 + kind, 0x8892])[..],
                 &self.class.to_be_bytes(),
-                &numbers(&[self.data_len, id, self.send_clock, self.reduction, 1, 0]),
+                &numbers(&[self.data_len, id, self.send_clock, self.reduction, self.phase, 0]),
                 &[0xFF; 4],
-                &numbers(&[self.hold, self.hold, 0xC000, 0, 0, 0]),
+                &numbers(&[self.hold, self.hold, cyclic_tag, 0, 0, 0]),
                 &numbers(&[1, 0, 0, data.len() as u16 / 3]),
                 &numbers(data),
                 &numbers(&[consumers.len() as u16 / 3]),
@@ -181,7 +197,7 @@ impl Wanted {
         let alarms = [
             &numbers(&[1, 0x8892])[..],
             &self.alarm_properties.to_be_bytes(),
-            &numbers(&[1, self.retries, PLC_REFERENCE, 200, 0xC000, 0xA000]),
+            &numbers(&[1, self.retries, PLC_REFERENCE, 200, high_tag, low_tag]),
         ];
         let submodule = |subslot: u16, ident: u32, data: &[(u16, u16)]| {
             let properties = data.iter().map(|(direction, len)| if *len > 0 { *direction } else { 0 }).sum();
@@ -253,9 +269,15 @@ pub(super) fn datagram(is_low_first: bool, kind: u8, sequence: u32, operation: u
     let long = |value: u32| if is_low_first { value.to_le_bytes() } else { value.to_be_bytes() };
     let short = |value: u16| if is_low_first { value.to_le_bytes() } else { value.to_be_bytes() };
     let interface = if is_low_first { LOW_FIRST } else { DEVICE_INTERFACE };
+    let mut object = DEVICE_OBJECT;
+    if is_low_first {
+        for field in [0..4, 4..6, 6..8] {
+            object[field].reverse();
+        }
+    }
     [
         &[4, kind, 0x20, 0, if is_low_first { 0x10 } else { 0 }, 0, 0, 0][..],
-        &[0xDE; 16],
+        &object,
         &interface,
         &[0xAC; 16],
         &long(0),
