@@ -14,14 +14,10 @@
 //!    other side's change nothing.
 
 use crate::config::Recipe;
-use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, OutputImage};
-
-/// The flags of the command wires.
-const MOTIONS: CommandFlags =
-    CommandFlags::MOVE.union(CommandFlags::GRIP).union(CommandFlags::RELEASE).union(CommandFlags::HOMING);
+use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, MaskedFlags, OutputImage};
 
 /// What moves fingers.
-const MOVERS: CommandFlags = MOTIONS.union(CommandFlags::JOG_PLUS).union(CommandFlags::JOG_MINUS);
+const MOVERS: CommandFlags = CommandFlags::MOTIONS.union(CommandFlags::JOG);
 
 /// Whose motion command was the last.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -44,8 +40,8 @@ pub(crate) struct Arbiter {
     bus: OutputImage,
     /// The next image of the bus is its first.
     bus_is_new: bool,
-    /// Flags of the bus that do not count until they are written 0.
-    masked: CommandFlags,
+    /// Flags of the bus that do not count.
+    masked: MaskedFlags,
     /// Nothing that moves fingers counts.
     refuses: bool,
     control_source: ControlSource,
@@ -59,7 +55,7 @@ impl Arbiter {
             wires: None,
             bus: OutputImage::ZERO,
             bus_is_new: true,
-            masked: CommandFlags::empty(),
+            masked: MaskedFlags::NONE,
             refuses: false,
             control_source: ControlSource::Nobody,
             parameters: OutputImage::ZERO,
@@ -73,6 +69,12 @@ impl Arbiter {
     /// What the bus wrote last, whether or not it counts.
     pub(crate) const fn bus_image(&self) -> &OutputImage {
         &self.bus
+    }
+
+    /// Whether the bus holds STOP/ACK, which keeps every motion from beginning (fieldbus, table 1). In a master's first
+    /// image it gives no edge, but its level counts.
+    pub(crate) const fn bus_holds_stop(&self) -> bool {
+        !self.bus_is_new && self.bus.flags.contains(CommandFlags::STOP_ACK)
     }
 
     /// Says whether what moves fingers shall not count, from the bus's next image on.
@@ -94,22 +96,35 @@ impl Arbiter {
         mut to_controller: impl FnMut(&OutputImage),
     ) {
         let before = self.wires.replace(*image);
-        let rising =
-            before.map_or(MOTIONS, |before| image.flags.difference(before.flags)).intersection(MOTIONS);
+        let rising = before
+            .map_or(CommandFlags::MOTIONS, |before| image.flags.difference(before.flags))
+            .intersection(CommandFlags::MOTIONS);
         let effective = self.bus_flags();
-        if image.flags.intersects(MOTIONS) {
-            self.masked |= self.bus.flags.intersection(MOVERS);
+        if image.flags.intersects(CommandFlags::MOTIONS) {
+            self.masked.mask(self.bus.flags.intersection(MOVERS));
         }
         if let Some(before) = before
             && effective != self.bus_flags()
         {
             to_controller(&self.merged(before.flags));
         }
-        if !rising.is_empty() && image.flags.intersects(MOTIONS) && !moving {
+        if !rising.is_empty() && image.flags.intersects(CommandFlags::MOTIONS) && !moving {
             self.control_source = ControlSource::Wires;
             self.parameters = *image;
         }
         to_controller(&self.merged(image.flags));
+    }
+
+    /// Returns the flags of a bus image that rise and move fingers, but are refused: a command wire is high, or motions are
+    /// locked.
+    pub(crate) fn refused(&self, image: &OutputImage) -> CommandFlags {
+        let wires = self.wires.unwrap_or_default();
+        let refuses = wires.flags.intersects(CommandFlags::MOTIONS) || self.refuses;
+        if refuses && !self.bus_is_new {
+            image.flags.difference(self.bus.flags).intersection(MOVERS)
+        } else {
+            CommandFlags::empty()
+        }
     }
 
     /// Takes an image that the bus wrote. Gives the one for the controller, if the wires have settled.
@@ -122,16 +137,13 @@ impl Arbiter {
         recipe: Option<(Recipe, ForceUnit)>,
         moving: bool,
     ) -> Option<OutputImage> {
+        let refused = self.refused(&image);
         let before = core::mem::replace(&mut self.bus, image);
-        self.masked &= image.flags;
         let rising = image.flags.difference(before.flags);
-        if core::mem::take(&mut self.bus_is_new) {
-            self.masked |= image.flags.difference(CommandFlags::FASTSTOP);
-        }
-        let wires = self.wires.unwrap_or_default();
-        let stopped = image.flags.contains(CommandFlags::STOP_ACK);
-        if wires.flags.intersects(MOTIONS) || stopped || self.refuses {
-            self.masked |= rising.intersection(MOVERS);
+        self.masked.mask(refused);
+        self.masked.see(image.flags, core::mem::take(&mut self.bus_is_new));
+        if image.flags.contains(CommandFlags::STOP_ACK) {
+            self.masked.mask(rising.intersection(MOVERS));
         }
         let commanded = rising.intersection(MOVERS);
         let commands = self.bus_flags().intersects(commanded);
@@ -153,12 +165,12 @@ impl Arbiter {
     /// Takes notice that the bus is silent: nothing that it wrote counts any more, but FASTSTOP.
     pub(crate) fn lose_bus(&mut self) -> Option<OutputImage> {
         self.bus_is_new = true;
-        self.masked |= self.bus.flags.difference(CommandFlags::FASTSTOP);
+        self.masked.mask(self.bus.flags.difference(CommandFlags::FASTSTOP));
         self.wires.map(|wires| self.merged(wires.flags))
     }
 
     fn bus_flags(&self) -> CommandFlags {
-        self.bus.flags.difference(self.masked)
+        self.masked.counting(self.bus.flags)
     }
 
     fn merged(&self, wires: CommandFlags) -> OutputImage {
@@ -301,6 +313,35 @@ mod tests {
         arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), None, false);
         let merged = arbiter.take_bus(image(CommandFlags::STOP_ACK | MOVE, 3), None, false);
         assert_eq!(flags(merged), CommandFlags::empty());
+    }
+
+    #[test]
+    fn jog_of_the_bus_counts_only_after_both_flags_were_0_once_one_of_them_was_masked() {
+        const PLUS: CommandFlags = CommandFlags::JOG_PLUS;
+        const MINUS: CommandFlags = CommandFlags::JOG_MINUS;
+        let mut arbiter = Arbiter::new();
+        take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
+        let mut write = |flags_written| flags(arbiter.take_bus(image(flags_written, 3), None, false));
+        for written in [MINUS, MINUS | PLUS, PLUS] {
+            assert_eq!(write(written), CommandFlags::empty(), "{written:?} after JOG- in the first image");
+        }
+        write(CommandFlags::empty());
+        assert_eq!(write(PLUS), PLUS);
+    }
+
+    #[test]
+    fn stop_that_the_bus_holds_keeps_motions_back_until_it_goes_or_the_bus_is_lost() {
+        let mut arbiter = Arbiter::new();
+        take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
+        assert!(!arbiter.bus_holds_stop());
+        let merged = arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), None, false);
+        assert_eq!(flags(merged), CommandFlags::empty(), "no edge");
+        assert!(arbiter.bus_holds_stop());
+        arbiter.lose_bus();
+        assert!(!arbiter.bus_holds_stop(), "what a lost master wrote counts as 0");
+        arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), None, false);
+        arbiter.take_bus(image(CommandFlags::empty(), 3), None, false);
+        assert!(!arbiter.bus_holds_stop());
     }
 
     #[test]

@@ -180,6 +180,7 @@ impl Bridge {
             motion_is_open,
             ignores_motions: motion_is_open
                 || self.controller.ignores_motions(self.session.known())
+                || self.arbiter.bus_holds_stop()
                 || self.facts.store.from.is_refusal(),
         };
         shown.error_cause = self.cause_of_error(&shown);
@@ -220,13 +221,26 @@ impl Bridge {
     /// The connection is given up at once and not after a silence: what was asked for does not leave when the way is
     /// there again.
     pub fn set_link_lost(&mut self, is_lost: bool) {
-        if is_lost {
-            self.sending = None;
-            if !self.facts.link_is_lost {
-                self.session.disconnect();
-            }
+        if is_lost && !self.facts.link_is_lost {
+            self.session.disconnect();
         }
         self.facts.link_is_lost = is_lost;
+    }
+
+    /// Returns whether the gripper must not carry out a motion or acknowledgement any more that was written to the link, after a
+    /// poll: something that stops it was requested since. A link that holds unsent frames of it withdraws them, and the bridge
+    /// learns that by [`withdrawn`](Self::withdrawn).
+    #[must_use]
+    pub fn has_overtaken(&self) -> bool {
+        self.session.has_overtaken()
+    }
+
+    /// Takes that the link has withdrawn this command, before a poll: the gripper never gets it whole.
+    pub fn withdrawn(&mut self, id: CommandId) {
+        if self.session.take_back(id) {
+            let withdrawn = Some(Event::Withdrawn(id));
+            notify(&mut self.controller, &mut self.facts.motion_end, &self.session, withdrawn);
+        }
     }
 
     /// Whether the watchdog may be fed: since this was true last, time has passed, and wires, line, bus and outputs were
@@ -363,8 +377,12 @@ impl Bridge {
                     let known = self.session.known();
                     let recipe = self.settings.bus_recipe().map(|recipe| (recipe, force_unit(known)));
                     let moving = self.controller.is_moving(known);
+                    let refused = self.arbiter.refused(&image);
                     if let Some(image) = self.arbiter.take_bus(image, recipe, moving) {
                         self.controller.set_output(&image, known);
+                    }
+                    if !refused.is_empty() {
+                        self.controller.refuse(refused);
                     }
                     self.note_incidents();
                 }

@@ -6,11 +6,7 @@
 #[cfg(all(loom, test))]
 mod model;
 
-use core::sync::atomic::Ordering;
-#[cfg(not(all(loom, test)))]
-use core::sync::atomic::{AtomicU8 as Place, AtomicUsize};
-#[cfg(all(loom, test))]
-use model::{AtomicUsize, Place};
+use crate::atomic::{AtomicUsize, Ordering, Place};
 
 /// A queue of up to `N` bytes, `N` a power of two, from one producer to one consumer.
 ///
@@ -42,7 +38,6 @@ pub struct Full;
 
 impl<const N: usize> ByteQueue<N> {
     /// An empty queue.
-    #[cfg(not(all(loom, test)))]
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(N.is_power_of_two()) };

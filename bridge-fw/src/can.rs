@@ -14,9 +14,10 @@ mod node;
 mod report;
 
 pub use crate::config::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canopen};
+pub(crate) use bus::MAX_ON_THE_WAY;
 pub use bus::{CanBus, CanNode, NullNode};
 pub use bus_off::{BusOffPolicy, BusState};
-pub use controller::{CanController, Health, NoCan, NoFrame};
+pub use controller::{CanController, Health, NoCan, NoFrame, Withdrawal};
 pub use mcp2515::{Mcp2515, Mcp2515Buffers, Overrun};
 pub use node::{
     DataType, FAULTS, Fault, INPUT_INDEX, Key, NmtState, Node, OBJECTS, OUTPUT_INDEX, Object, REPORTS_INDEX,

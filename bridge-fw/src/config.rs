@@ -91,10 +91,12 @@ pub struct Config {
     pub profibus: ProfibusConfig,
 }
 
-/// Towards the gripper: settings are read back, because a force limit that a damaged frame changed would hurt; and a Stop
-/// that is not answered soon becomes a FAST STOP while there is time for one.
+/// Towards the gripper: settings are read back, because a force limit that a damaged frame changed would hurt. A Stop that
+/// is not answered soon becomes a FAST STOP while there is time for one. States are refreshed often enough that none
+/// that the PLC sees is older than 250 ms, even when the line loses one message.
 const SESSION: session::Config = session::Config {
     verify_settings: true,
+    refresh_ms: 150,
     timeouts: &[Timeout { id: CommandId::Stop, reply_ms: STOP_ANSWER_MS, result_ms: STOP_ANSWER_MS }],
     ..session::Config::DEFAULT
 };

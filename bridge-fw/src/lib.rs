@@ -20,6 +20,7 @@
 extern crate std;
 
 mod arbiter;
+mod atomic;
 mod bridge;
 pub mod byte_queue;
 pub mod can;

@@ -8,7 +8,7 @@ use crate::can::{BusReport, CanBus, CanController, CanNode, LinkCounters, Node, 
 use crate::config::{Board, BusConfig, CanConfig, Config, GripperLine, PlcBus};
 use crate::gripper::GripperLink;
 use crate::io::{Inputs, Outputs};
-use crate::plc::{BusPort, DpBuffers, Modbus, ModbusLine, PlcEvent, PlcSide, Profibus, Shown, View};
+use crate::plc::{BusPort, DpBuffers, Modbus, ModbusLine, NoBus, PlcEvent, PlcSide, Profibus, Shown, View};
 use crate::registers::{Record, ResetCause, WrongSetting};
 use crate::storage::NorFlash;
 use crate::stored_settings::StoredSettings;
@@ -166,11 +166,13 @@ impl<C: CanController> Station<C> {
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
         let Self { bridge, can, link, node, profibus, .. } = self;
-        let mut on_port = if self.plc_bus == PlcBus::Profibus {
-            bridge.set_profibus_reports(profibus.reports());
-            OnPort::Profibus(profibus)
-        } else {
-            OnPort::Modbus(self.modbus.over(modbus))
+        let mut on_port = match self.plc_bus {
+            PlcBus::Modbus => OnPort::Modbus(self.modbus.over(modbus)),
+            PlcBus::Profibus => {
+                bridge.set_profibus_reports(profibus.reports());
+                OnPort::Profibus(profibus)
+            }
+            PlcBus::Off | PlcBus::Canopen => OnPort::Nothing(NoBus),
         };
         match (self.gripper_line, self.plc_bus) {
             (GripperLine::Serial, PlcBus::Off | PlcBus::Modbus | PlcBus::Profibus) => {
@@ -234,6 +236,7 @@ impl<C: CanController> Station<C> {
 
 /// The bus on the serial port of the PLC. One type for both, so that the bridge's turn is not in the image for each.
 enum OnPort<'a> {
+    Nothing(NoBus),
     Modbus(ModbusLine<'a>),
     Profibus(&'a mut Profibus),
 }
@@ -241,6 +244,7 @@ enum OnPort<'a> {
 impl PlcSide for OnPort<'_> {
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         match self {
+            Self::Nothing(side) => PlcSide::receive(side, now, view),
             Self::Modbus(side) => side.receive(now, view),
             Self::Profibus(side) => side.receive(now, view),
         }
@@ -248,6 +252,7 @@ impl PlcSide for OnPort<'_> {
 
     fn show(&mut self, now: Instant, shown: &Shown) {
         match self {
+            Self::Nothing(side) => side.show(now, shown),
             Self::Modbus(side) => side.show(now, shown),
             Self::Profibus(side) => side.show(now, shown),
         }
@@ -266,6 +271,9 @@ fn listen<C: CanController>(
     link.expire(now);
     // Before the bridge's turn: what a bus that is lost carried must not be gone on with.
     bridge.set_link_lost(can.is_lost());
+    if let Some(id) = link.take_withdrawn() {
+        bridge.withdrawn(id);
+    }
     let report = can.report(link.counters());
     bridge.set_can_reports(report.registers());
     report
@@ -279,7 +287,10 @@ fn talk<C: CanController>(
     link: &mut GripperLink,
     other: &mut impl CanNode<C::Frame>,
 ) {
-    // Before anything is said: what was said to a gripper that is lost must not leave.
+    // Before anything is sent: no frame of before may reach a gripper that was lost, or was told to stop since.
     link.set_connected(bridge.is_connected());
+    if bridge.has_overtaken() {
+        link.withdraw();
+    }
     can.talk(now, link, other);
 }

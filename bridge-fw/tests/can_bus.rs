@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, CanNode, Health, NullNode};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, CanNode, Health, NullNode, Withdrawal};
 use wsg_protocol::Instant;
 
 /// What the controller does with a frame that it is offered.
@@ -27,6 +27,9 @@ struct Scripted {
     /// Identifiers for which there never is room.
     full: Vec<Id>,
     taken: Vec<Id>,
+    /// What becomes of withdrawals, and of which identifiers they were.
+    outcomes: VecDeque<Withdrawal>,
+    withdrawn: Vec<Id>,
 }
 
 #[derive(Debug)]
@@ -66,6 +69,11 @@ impl CanController for Scripted {
         Health::default()
     }
 
+    fn withdraw(&mut self, id: Id) -> Withdrawal {
+        self.withdrawn.push(id);
+        self.outcomes.pop_front().unwrap_or(Withdrawal::TooLate)
+    }
+
     fn abort(&mut self) {}
 
     fn recover(&mut self) {}
@@ -77,11 +85,14 @@ struct Speaker {
     id: Id,
     left: usize,
     losses: usize,
+    takes_back: bool,
+    /// How many frames came back.
+    back: Option<usize>,
 }
 
 impl Speaker {
     fn new(id: Id, left: usize) -> Self {
-        Self { id, left, losses: 0 }
+        Self { id, left, losses: 0, takes_back: false, back: None }
     }
 }
 
@@ -99,6 +110,15 @@ impl CanNode<ClassicFrame> for Speaker {
 
     fn lost(&mut self) {
         self.losses += 1;
+    }
+
+    fn takes_back(&self) -> Option<Id> {
+        self.takes_back.then_some(self.id)
+    }
+
+    fn taken_back(&mut self, count: usize) {
+        self.takes_back = false;
+        self.back = Some(count);
     }
 
     fn bus_changed(&mut self, _: bool) {}
@@ -226,4 +246,57 @@ fn only_he_whose_frame_was_refused_is_told() {
         assert_eq!((first.losses, second.losses), losses);
         assert_eq!(bus.counters().refused, 1);
     }
+}
+
+#[test]
+fn frames_that_one_takes_back_are_counted_and_those_of_the_other_stay() {
+    // In the controller, and waiting for it.
+    for (outcome, waits, count) in [
+        (Withdrawal::Withdrawn, true, 2),
+        (Withdrawal::Withdrawn, false, 1),
+        (Withdrawal::TooLate, true, 1),
+        (Withdrawal::TooLate, false, 0),
+    ] {
+        for (taker, other) in [(1u16, 2u16), (2, 1)] {
+            let mut bus = bus(Scripted::default());
+            let mut speakers = [1, 2].map(|id| Speaker::new(standard(id), 1));
+            let [first, second] = &mut speakers;
+            talk(&mut bus, first, second);
+            bus.controller().full = vec![standard(1), standard(2)];
+            speakers.iter_mut().for_each(|speaker| speaker.left = 1);
+            speakers[usize::from(taker - 1)].left = usize::from(waits);
+            let [first, second] = &mut speakers;
+            talk(&mut bus, first, second);
+
+            speakers[usize::from(taker - 1)].takes_back = true;
+            bus.controller().outcomes.push_back(outcome);
+            bus.controller().full.clear();
+            let [first, second] = &mut speakers;
+            talk(&mut bus, first, second);
+
+            assert_eq!(bus.controller().withdrawn, [standard(taker)]);
+            assert_eq!(speakers[usize::from(taker - 1)].back, Some(count), "{outcome:?}, {waits}");
+            let other_back = &speakers[usize::from(other - 1)];
+            assert_eq!((other_back.back, other_back.losses), (None, 0));
+            assert_eq!(bus.controller().taken[2..], [standard(other)], "its frame is sent once");
+        }
+    }
+}
+
+#[test]
+fn nothing_of_one_that_takes_back_is_sent_until_the_controller_has_decided() {
+    let mut bus = bus(Scripted { full: vec![standard(1)], ..Scripted::default() });
+    let (mut first, mut second) = (Speaker::new(standard(1), 1), Speaker::new(standard(2), 1));
+    talk(&mut bus, &mut first, &mut second);
+    (first.takes_back, second.left) = (true, 1);
+    // The frame on the bus has ended in this very turn, so there would be room.
+    bus.controller().full.clear();
+    bus.controller().outcomes.extend([Withdrawal::Undecided, Withdrawal::TooLate]);
+
+    talk(&mut bus, &mut first, &mut second);
+    assert_eq!((bus.controller().taken.as_slice(), first.back), (&[standard(2); 2][..], None));
+
+    talk(&mut bus, &mut first, &mut second);
+    assert_eq!(first.back, Some(1));
+    assert_eq!(bus.controller().taken, [standard(2); 2]);
 }

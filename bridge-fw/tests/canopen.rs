@@ -1068,3 +1068,53 @@ fn eds_file_is_that_of_the_tables() {
     write_eds(&mut made, &NODE).unwrap();
     hold_file("docs/wsg-bridge.eds", &made);
 }
+
+/// The heartbeat consumer (CiA 301, 7.2.8.3) and, without one, RPDO1 watch the master. BUS_TIMEOUT is the time of both.
+#[test]
+fn silent_master_is_missed_in_time_beside_other_traffic_on_the_bus() {
+    let (node, of_master) = (u16::from(NODE.node), 0x700 | u16::from(NODE.master));
+    let frame = |id: u16, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
+    let traffic = [
+        ("the heartbeat of another node", frame(of_master - 1, &[5])),
+        ("a heartbeat of two bytes", frame(of_master, &[5, 5])),
+        (
+            "a heartbeat that is asked for",
+            ClassicFrame::new_remote(StandardId::new(of_master).unwrap(), 1).unwrap(),
+        ),
+        ("an RPDO of another node", frame(0x200 | (node + 1), &[0; 8])),
+        ("an RPDO of seven bytes", frame(0x200 | node, &[0; 7])),
+        ("a SYNC", frame(0x080, &[])),
+        ("an NMT command for another node", frame(0x000, &[1, NODE.node + 1])),
+        ("a client of SDO", frame(0x600 | node, &sdo::encode_upload_request(Address::new(0x1000, 0)))),
+    ];
+    for beats in [true, false] {
+        for (what, frame) in &traffic {
+            let mut master = Master::homed(None, 1.0);
+            if !beats {
+                // Without the heartbeat that was heard so far.
+                master.beats = false;
+                master.pass(2 * TIMEOUT_MS);
+                master.nmt(NmtCommand::StartRemoteNode);
+                master.command(Cmd::empty());
+            }
+            master.command(Cmd::MOVE);
+            master.until(1_000, |master| master.is(SystemFlags::MOVING));
+            if beats {
+                master.send(of_master, &[5]);
+                master.beats = false;
+            } else {
+                master.command(Cmd::MOVE);
+            }
+            master.bench.take_sent();
+            let mut pass = |ms: u32| {
+                for _ in 0..ms / 10 {
+                    master.bench.say(*frame);
+                    master.pass(10);
+                }
+                (master.bench.node().state(), master.bench.take_sent().contains(&CommandId::Stop))
+            };
+            assert_eq!(pass(TIMEOUT_MS - 20), (NmtState::Operational, false), "too early beside {what}");
+            assert_eq!(pass(40), (NmtState::PreOperational, true), "beside {what}, heartbeat: {beats}");
+        }
+    }
+}

@@ -7,7 +7,7 @@ use wsg_bridge_fw::can::CanNode;
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_protocol::can::{Identifiers, Segments};
 use wsg_protocol::frame::OVERHEAD;
-use wsg_protocol::{DeviceTag, FrameEncoder, Instant};
+use wsg_protocol::{Command, CommandId, DeviceTag, FrameEncoder, Instant};
 
 const IDENTIFIERS: Identifiers = Identifiers::DEFAULT;
 const LATER: Instant = Instant::from_millis(1);
@@ -38,6 +38,10 @@ fn read_all(link: &mut GripperLink) -> Vec<u8> {
         bytes.extend(&buffer[..count]);
     }
     bytes
+}
+
+fn takes_back(link: &GripperLink) -> bool {
+    CanNode::<ClassicFrame>::takes_back(link).is_some()
 }
 
 fn say(link: &mut GripperLink) -> Option<ClassicFrame> {
@@ -182,15 +186,17 @@ fn frames_that_the_controller_does_not_take_for_100_ms_are_withdrawn_with_what_i
     write_all(&mut link, &message(10));
     link.expire(at(1));
     link.expire(at(100));
-    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link));
+    assert!(!takes_back(&link));
     // One is taken: the time begins anew.
     assert!(say(&mut link).is_some());
     link.expire(at(101));
     link.expire(at(200));
-    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link));
+    assert!(!takes_back(&link));
     link.expire(at(201));
-    assert!(CanNode::<ClassicFrame>::withdraws(&mut link));
-    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link), "said once");
+    assert!(takes_back(&link));
+    assert!(!link.write_ready().unwrap() && say(&mut link).is_none());
+    CanNode::<ClassicFrame>::taken_back(&mut link, 1);
+    assert!(!takes_back(&link) && link.write_ready().unwrap());
     assert!(say(&mut link).is_none());
     assert_eq!(link.counters().broken, 1);
 }
@@ -199,12 +205,47 @@ fn frames_that_the_controller_does_not_take_for_100_ms_are_withdrawn_with_what_i
 fn what_was_said_to_a_gripper_that_is_lost_is_withdrawn() {
     let mut link = link();
     link.set_connected(false);
-    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link), "nothing was lost");
+    assert!(!takes_back(&link), "nothing was lost");
     link.set_connected(true);
     write_all(&mut link, &message(0));
     link.set_connected(true);
-    assert!(!CanNode::<ClassicFrame>::withdraws(&mut link));
+    assert!(!takes_back(&link));
     link.set_connected(false);
-    assert!(CanNode::<ClassicFrame>::withdraws(&mut link));
+    assert!(takes_back(&link));
     assert!(say(&mut link).is_none());
+}
+
+#[test]
+fn withdrawn_message_is_removed_or_spoilt_and_the_message_after_it_is_kept() {
+    let grip = Command::GripPart { width: 20.0, speed: 50.0 };
+    let grip: Vec<u8> = FrameEncoder::new(grip.id().code(), grip).collect();
+    // How many of the last frames that the bus was given were not sent.
+    for unsent in 0..=2 {
+        let mut link = link();
+        // Of four messages before it, the bus has none any more.
+        for _ in 0..4 {
+            write_all(&mut link, &message(0));
+            assert!(say(&mut link).is_some());
+        }
+        link.withdraw();
+        assert!(!takes_back(&link), "a query is not withdrawn");
+        write_all(&mut link, &grip);
+        assert!(say(&mut link).is_some() && say(&mut link).is_some());
+        write_all(&mut link, &message(0));
+
+        link.withdraw();
+        assert!(takes_back(&link) && !link.write_ready().unwrap());
+        assert!(say(&mut link).is_none(), "nothing overtakes it");
+        CanNode::<ClassicFrame>::taken_back(&mut link, unsent);
+
+        let rest: Vec<Vec<u8>> =
+            core::iter::from_fn(|| say(&mut link)).map(|frame| frame.data().to_vec()).collect();
+        let spoilt = if unsent == 1 { vec![vec![0x7F; 8]] } else { vec![] };
+        assert_eq!(rest, [spoilt, vec![message(0)]].concat(), "{unsent} unsent");
+        let withdrawn = (unsent > 0).then_some(CommandId::GripPart);
+        assert_eq!(link.take_withdrawn(), withdrawn, "{unsent} unsent");
+        assert_eq!(link.take_withdrawn(), None);
+        link.withdraw();
+        assert!(!takes_back(&link), "{unsent} unsent: decided");
+    }
 }

@@ -388,6 +388,29 @@ fn second_motion_is_refused_and_the_first_still_ends() {
 }
 
 #[test]
+fn each_refusal_counts_and_shows_its_status_also_beside_a_command_wire() {
+    let mut bench = Bench::homed(with_part());
+    bench.command(GRIP, 20_00, 50_00, 40_00);
+    let refused = |bench: &mut Bench| bench.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
+    assert_eq!(refused(&mut bench), 0);
+    for count in 1..=3 {
+        bench.write(0, &[u16::from(MOVE) << 8, 80_00, 50_00, 40_00]);
+        bench.write(0, &[0, 80_00, 50_00, 40_00]);
+        assert_eq!((bench.state(), bench.status()), (HOLDING, Status::AccessDenied.code()), "{count}");
+        assert_eq!(refused(&mut bench), count);
+    }
+    bench.command(RELEASE, 40_00, 50_00, 40_00);
+    bench.take_motions();
+    bench.set(Inputs::HOME, true);
+    assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::BUSY)));
+    assert!(bench.until(60_000, |outputs| outputs.contains(Outputs::READY)));
+    bench.write(0, &[u16::from(MOVE) << 8, 80_00, 50_00, 40_00]);
+    bench.pass(20);
+    assert_eq!(bench.take_motions(), [CommandId::Homing], "the wire is high");
+    assert_eq!((bench.status(), refused(&mut bench)), (Status::AccessDenied.code(), 4));
+}
+
+#[test]
 fn gripper_that_never_answered_is_0a_and_one_that_fell_silent_is_0b() {
     let mut bench = Bench::new(Config::DEFAULT, quick());
     bench.set_cut(true);
@@ -474,7 +497,7 @@ fn reports_name_versions_and_the_gripper() {
     let mut bench = Bench::ready_with(Config::DEFAULT, gripper);
     let reports = bench.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
     let of = |name: &str| reports[usize::from(report(name) - FIRST_REPORT)];
-    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (6, 0x0001));
+    assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (7, 0x0001));
     assert_eq!((of("GRIPPER_TYPE"), of("GRIPPER_LINK")), (1, 2));
     assert_eq!((of("SERIAL_HIGH"), of("SERIAL_LOW")), (3, 2));
     assert_eq!((of("BUS_RATE"), of("BUS_FORMAT")), (192, 0));
@@ -582,5 +605,38 @@ proptest! {
         bench.write(0, &[0, 0, 50_00, 40_00]);
         bench.command(MOVE, 40_00, 50_00, 40_00);
         prop_assert_eq!(bench.status(), SUCCESS);
+    }
+}
+
+/// BUS_TIMEOUT (docs/registers.md) counts from the last intact request for this unit.
+#[test]
+fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
+    let read = [4, 0, 0, 0, 1];
+    let request = Bench::frame(UNIT, &read);
+    let mut wrong_checksum = request.clone();
+    wrong_checksum[6] ^= 1;
+    let traffic = [
+        ("a request for another unit", Bench::frame(UNIT + 1, &read)),
+        ("the response of another unit", Bench::frame(UNIT + 1, &[4, 2, 0, 0])),
+        ("a broadcast that is switched off", Bench::frame(0, &[6, 0, 1, 0, 0])),
+        ("a request with a wrong checksum", wrong_checksum),
+        ("half a request", request[..4].to_vec()),
+        ("noise", vec![0xFF]),
+    ];
+    for (what, bytes) in traffic {
+        let bus = BusConfig { timeout_ms: 300, broadcast: false, ..BusConfig::DEFAULT };
+        let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+        bench.command(HOMING, 0, 0, 0);
+        bench.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
+        bench.take_sent();
+        let mut pass = |ms: u32| {
+            for _ in 0..ms / 10 {
+                bench.send_raw(&bytes);
+                bench.pass(10);
+            }
+            bench.take_sent().contains(&CommandId::Stop)
+        };
+        assert!(!pass(280), "too early beside {what}");
+        assert!(pass(50), "not missed beside {what}");
     }
 }

@@ -27,8 +27,13 @@ fn with_reaction(reaction: SilenceReaction) -> Config {
 
 /// A bench whose fingers are on a long way, by MOVE.
 fn moving(reaction: SilenceReaction) -> Bench {
+    moving_with(reaction, WATCHDOG)
+}
+
+/// The same, of a master with this watchdog.
+fn moving_with(reaction: SilenceReaction, watchdog: u8) -> Bench {
     let slow = wsg_sim::Config::default();
-    let mut bench = Bench::exchanging(with_reaction(reaction), slow, WATCHDOG);
+    let mut bench = Bench::exchanging(with_reaction(reaction), slow, watchdog);
     bench.command(Flag::HOMING);
     bench.image.width = 10_00;
     bench.image.speed = 10_00;
@@ -515,4 +520,46 @@ fn rate_that_is_not_set_is_searched_until_telegrams_come() {
     // Five seconds of silence, and it goes on.
     bench.pass_silent(5_010);
     assert_eq!(bench.board.rate(), Some(Baud::M1_5));
+}
+
+/// The watchdog (IEC 61158-6-3) and BUS_TIMEOUT (docs/registers.md) count from the last request of the master that commands.
+#[test]
+fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
+    let image = [&[Flag::MOVE.bits(), 0][..], &[0; 6]].concat();
+    let sd1 =
+        |station: u8, master: u8| vec![0x10, station, master, 0x49, sum(&[station, master, 0x49]), 0x16];
+    let sd3 = |station: u8, master: u8| {
+        let body = [&[station, master, 0x5D][..], &image].concat();
+        [&[0xA2], &body[..], &[sum(&body), 0x16]].concat()
+    };
+    let mut wrong_sum = sd3(STATION, MASTER);
+    wrong_sum[11] ^= 1;
+    let diagnosis = [STATION | 0x80, SECOND_MASTER | 0x80, 0x5D, points::SLAVE_DIAG, points::MASTER];
+    let traffic = [
+        ("the master's exchange with another slave", sd3(STATION + 1, MASTER)),
+        ("the answer of another slave", sd2(&[&[MASTER, STATION + 1, 0x08][..], &[0; 12]].concat())),
+        ("a token", vec![0xDC, SECOND_MASTER, MASTER]),
+        ("an exchange with a wrong check sum", wrong_sum),
+        ("half an exchange", sd3(STATION, MASTER)[..7].to_vec()),
+        ("another master's exchange", sd3(STATION, SECOND_MASTER)),
+        ("another master that reads the diagnosis", sd2(&diagnosis)),
+        ("another master that looks for stations", sd1(STATION, SECOND_MASTER)),
+    ];
+    let bus_timeout_ms = u32::from(Config::DEFAULT.bus.timeout_ms);
+    for (watchdog, limit_ms) in [(WATCHDOG, WATCHDOG_MS), (0, bus_timeout_ms)] {
+        for (what, telegram) in &traffic {
+            let mut bench = moving_with(SilenceReaction::Stop, watchdog);
+            bench.exchange();
+            let from = bench.board.now_ms();
+            let mut pass = |until_ms: u32| {
+                while bench.board.now_ms() - from < until_ms {
+                    bench.send(telegram);
+                    bench.pass_silent(3);
+                }
+                stops(&mut bench)
+            };
+            assert_eq!(pass(limit_ms - 15), [], "too early beside {what}");
+            assert_eq!(pass(limit_ms + 15), [CommandId::Stop], "beside {what}, watchdog {watchdog}");
+        }
+    }
 }

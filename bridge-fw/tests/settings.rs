@@ -454,3 +454,25 @@ fn commands_of_the_bus_take_the_recipe_that_was_chosen() {
     plant.pass(2_000);
     assert_eq!(width(&mut plant), 44_00);
 }
+
+#[test]
+fn motion_that_arrives_in_the_turn_of_a_store_command_begins_after_it() {
+    let mut plant = Plant::start(FlashModel::new());
+    plant.get_ready();
+    plant.set("RECIPE12_WIDTH", 33_00);
+    plant.set("BUS_TIMEOUT", 0);
+    plant.set("BUS_RECIPE", 12);
+    plant.write_image(CommandFlags::empty(), [44_00, 50_00, 40_00]);
+    plant.sent.clear();
+    let [high, low] = command("DEFAULTS").to_be_bytes();
+    let [key_high, key_low] = COMMAND_KEY.to_be_bytes();
+    plant.bus.ask(&[1, 6, high, low, key_high, key_low]);
+    let mut write = vec![1, 16, 0, 0, 0, 4, 8, CommandFlags::MOVE.bits(), 0];
+    write.extend([44_00, 50_00, 40_00].into_iter().flat_map(u16::to_be_bytes));
+    plant.bus.ask(&write);
+    plant.pass(1);
+    assert!(!plant.has_moved(), "settings never change during a motion");
+    plant.pass(2_000);
+    assert_eq!(motions(plant.sent.clone()), [CommandId::PrePosition]);
+    assert_eq!(plant.read(4, 3), 44_00, "the default is no recipe for the bus");
+}

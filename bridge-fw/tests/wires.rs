@@ -6,7 +6,11 @@ use host_tests::wires::Wires;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus};
-use wsg_protocol::{Command, CommandId, DeviceTag, FrameEncoder, Kind, Reply, Status, SystemFlags, Value};
+use wsg_protocol::frame::MAX_MESSAGE_LEN;
+use wsg_protocol::{
+    Command, CommandId, DeviceTag, Event, FrameEncoder, FrameParser, GripperState, HomingDirection, Kind,
+    Reply, Status, SystemFlags, Value,
+};
 use wsg_sim::{Config, Fault, Part, Time};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
@@ -141,7 +145,67 @@ fn motion_before_homing_is_refused_by_the_gripper_and_shows_error() {
     let mut bench = Bench::ready(quick());
     bench.pulse(Inputs::MOVE);
     assert!(bench.until(100, |outputs| outputs.contains(Outputs::ERROR)));
+    assert!(bench.until(60, |outputs| outputs.contains(Outputs::READY)));
     assert_eq!(bench.command(Inputs::HOME), IDLE, "and homing clears it");
+}
+
+/// Gives an edge at READY and returns for how long BUSY is high, and the outputs after it.
+fn edge_at_ready(bench: &mut Bench, wire: Inputs) -> (u32, Outputs) {
+    assert!(bench.outputs().contains(Outputs::READY), "{:?}", bench.outputs());
+    bench.set(wire, true);
+    assert!(bench.until(5, |outputs| outputs.contains(Outputs::BUSY)), "{wire:?}: {:?}", bench.outputs());
+    let begun = bench.now();
+    assert!(bench.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
+    let busy_ms = (bench.now().as_micros() - begun.as_micros()) / 1_000;
+    bench.set(wire, false);
+    bench.pass(5);
+    (busy_ms as u32, bench.outputs())
+}
+
+#[test]
+fn edge_that_is_refused_at_ready_shows_busy_for_50_ms_also_when_error_was_high_before() {
+    // The gripper ends a motion with an error: GSTATE is ERROR, and READY is high.
+    let mut bench = Bench::homed(quick());
+    let now = bench.now();
+    bench.gripper().set_part(Part::of_width(90.0), now);
+    let (_, outputs) = edge_at_ready(&mut bench, Inputs::MOVE);
+    let in_error = IDLE | Outputs::ERROR;
+    assert_eq!(outputs, in_error, "blocked");
+    bench.take_sent();
+    for _ in 0..3 {
+        let (busy_ms, outputs) = edge_at_ready(&mut bench, Inputs::MOVE);
+        assert!((50..=52).contains(&busy_ms), "{busy_ms} ms");
+        assert_eq!(outputs, in_error);
+        assert_eq!(bench.take_motions(), []);
+    }
+    // The way out, by wires alone.
+    let now = bench.now();
+    bench.gripper().set_part(None, now);
+    bench.pulse(Inputs::STOP_ACK);
+    assert!(bench.until(100, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+    assert_eq!(bench.command(Inputs::MOVE), IDLE);
+}
+
+#[test]
+fn move_is_refused_after_no_part_until_a_release() {
+    let mut bench = Bench::homed(quick());
+    let (_, no_part) = edge_at_ready(&mut bench, Inputs::GRIP);
+    assert_eq!(no_part, IDLE | Outputs::PART_FAULT);
+    let (busy_ms, refused) = edge_at_ready(&mut bench, Inputs::MOVE);
+    assert!((50..=52).contains(&busy_ms), "{busy_ms} ms");
+    assert_eq!(refused, no_part | Outputs::ERROR);
+    assert_eq!(bench.command(Inputs::RELEASE), IDLE);
+    assert_eq!(bench.command(Inputs::MOVE), IDLE);
+}
+
+#[test]
+fn motion_that_the_gripper_refuses_at_once_shows_busy_for_50_ms() {
+    let mut bench = Bench::ready(quick());
+    for _ in 0..2 {
+        let (busy_ms, outputs) = edge_at_ready(&mut bench, Inputs::GRIP);
+        assert!((50..=52).contains(&busy_ms), "{busy_ms} ms");
+        assert_eq!(outputs, Outputs::READY | Outputs::ERROR | Outputs::LINK_OK, "not referenced");
+    }
 }
 
 #[test]
@@ -338,14 +402,68 @@ fn answers_to_nothing_ever_asked_change_nothing() {
 }
 
 #[test]
-fn restarted_gripper_shows_that_homing_is_due() {
+fn restarted_gripper_shows_within_250_ms_that_homing_is_due_whatever_is_subscribed() {
+    for offset_ms in (0..200).step_by(7) {
+        let mut bench = Bench::homed(quick());
+        bench.pass(offset_ms);
+        bench.restart_gripper(quick());
+        let shown = bench.until(250, |outputs| outputs == Outputs::READY | Outputs::LINK_OK);
+        assert!(shown, "{offset_ms}: {:?}", bench.outputs());
+    }
+}
+
+/// A bench in a FAST STOP that the gripper has confirmed, with `FAST_STOP_OK` low.
+fn held_in_fast_stop() -> Bench {
     let mut bench = Bench::homed(quick());
-    bench.restart_gripper(quick());
-    assert!(
-        bench.until(1_500, |outputs| outputs == Outputs::READY | Outputs::LINK_OK),
-        "{:?}",
-        bench.outputs()
-    );
+    bench.set(Inputs::FAST_STOP_OK, false);
+    bench.pass(100);
+    assert!(bench.gripper().state().flags.contains(SystemFlags::FAST_STOP));
+    bench
+}
+
+/// Fieldbus, 6.6: FASTSTOP is a level.
+#[test]
+fn fast_stop_wire_that_is_low_stops_fingers_that_a_third_party_acknowledges_and_moves() {
+    for offset_ms in 0..40 {
+        let mut bench = held_in_fast_stop();
+        for _ in 0..3 {
+            bench.pass(offset_ms);
+            let now = bench.now();
+            bench.gripper().command(&Command::ACKNOWLEDGE, now);
+            bench.gripper().command(&Command::Homing { direction: HomingDirection::Default }, now);
+            bench.pass(250);
+            let state = bench.gripper().state();
+            assert!(state.flags.contains(SystemFlags::FAST_STOP), "{offset_ms}: {state:?}");
+            assert_eq!(state.speed, 0.0, "{offset_ms}");
+            assert_eq!(bench.outputs() & (Outputs::ERROR | Outputs::READY), Outputs::ERROR);
+        }
+    }
+}
+
+/// Fieldbus, 6.6.
+#[test]
+fn fast_stop_wire_that_is_high_again_lets_a_third_party_acknowledge() {
+    let mut bench = held_in_fast_stop();
+    bench.set(Inputs::FAST_STOP_OK, true);
+    bench.pass(100);
+    assert!(bench.outputs().contains(Outputs::ERROR), "not acknowledged");
+    let now = bench.now();
+    bench.gripper().command(&Command::ACKNOWLEDGE, now);
+    assert!(bench.until(250, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+    assert_eq!(bench.command(Inputs::MOVE), IDLE);
+}
+
+/// Fieldbus, 6.6.
+#[test]
+fn gripper_that_is_restarted_while_the_fast_stop_wire_is_low_is_in_fast_stop_within_250_ms() {
+    for offset_ms in (0..200).step_by(7) {
+        let mut bench = held_in_fast_stop();
+        bench.pass(offset_ms);
+        bench.restart_gripper(quick());
+        bench.pass(250);
+        assert!(bench.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{offset_ms}");
+        assert_eq!(bench.outputs(), Outputs::ERROR | Outputs::LINK_OK, "{offset_ms}");
+    }
 }
 
 #[test]
@@ -626,9 +744,9 @@ fn ready_stays_low_until_the_motion_that_was_stopped_has_answered() {
     }
     bench.pass(60);
     assert_eq!(bench.outputs(), Outputs::BUSY | Outputs::REFERENCED | Outputs::LINK_OK, "MIN_BUSY is over");
-    // It is refused, and ends BUSY.
+    // It is refused, which ends BUSY after its minimum.
     bench.set(Inputs::GRIP, true);
-    bench.pass(5);
+    bench.pass(60);
     assert_eq!(bench.outputs(), Outputs::ERROR | Outputs::REFERENCED | Outputs::LINK_OK);
 }
 
@@ -706,4 +824,71 @@ fn two_hundred_cycles_in_virtual_time_are_all_alike() {
         wsg_bridge_fw::Counters::default(),
         "nothing was lost, repeated or unsolicited"
     );
+}
+
+/// Fieldbus manual, 6.2: a part that got lost is a fault at once, whatever the fingers do since.
+#[test]
+fn lost_part_shows_at_once_although_the_fingers_move_and_a_missing_one_with_the_end_of_busy() {
+    let mut bench = Bench::homed(with_part(20.0));
+    bench.command(Inputs::GRIP);
+    let flags = bench.gripper().state().flags | SystemFlags::MOVING;
+    for (state, is_shown) in [(GripperState::PartLost, true), (GripperState::NoPart, false)] {
+        for value in [Value::GetSystemState(flags), Value::GetGripperState(state)] {
+            bench.far.inject(&frame(Reply::success(value)));
+        }
+        bench.pass(1);
+        let outputs = bench.outputs();
+        assert!(outputs.contains(Outputs::BUSY), "{state:?}: {outputs:?}");
+        assert_eq!(outputs.contains(Outputs::PART_FAULT), is_shown, "{state:?}");
+    }
+}
+
+fn id_of(event: Option<Event<'_>>) -> Option<CommandId> {
+    match event {
+        Some(Event::Frame(frame)) => Some(CommandId::from_code(frame.id)),
+        _ => None,
+    }
+}
+
+/// Completing the frame later would start a motion that was commanded over an earlier connection.
+#[test]
+fn frame_that_a_blocked_transmitter_cut_is_not_completed_after_the_connection_was_given_up() {
+    let mut far = SerialGripper::new(quick());
+    let mut bridge = Bridge::new(BridgeConfig::DEFAULT);
+    let mut now_ms = 0;
+    let mut inputs = Inputs::FAST_STOP_OK;
+    for (wires, ms) in [(inputs, 300), (inputs | Inputs::STOP_ACK, 10), (inputs, 200)] {
+        for _ in 0..ms {
+            now_ms += 1;
+            bridge.poll(now_ms, wires, &mut far.line, &mut NoBus);
+            far.advance(Time::from_millis(now_ms.into()));
+        }
+    }
+    inputs |= Inputs::MOVE;
+    let mut outputs = Outputs::empty();
+    for _ in 0..620 {
+        now_ms += 1;
+        outputs = bridge.poll(now_ms, inputs, &mut far.line, &mut NoBus);
+    }
+    assert!(!outputs.contains(Outputs::LINK_OK), "{outputs:?}");
+    let mut bytes = far.line.take_sent();
+    let whole = FrameEncoder::new(CommandId::PrePosition.code(), &[0; 9][..]).len();
+    assert!(bytes.starts_with(&[0xAA, 0xAA, 0xAA, CommandId::PrePosition.code()]) && bytes.len() < whole);
+    for _ in 0..2_000 {
+        now_ms += 1;
+        bridge.poll(now_ms, inputs, &mut far.line, &mut NoBus);
+        bytes.extend(far.line.take_sent());
+    }
+    let mut parser = FrameParser::<MAX_MESSAGE_LEN>::new();
+    let mut ids = Vec::new();
+    let mut rest = &bytes[..];
+    while !rest.is_empty() {
+        let (taken, event) = parser.push_slice(rest);
+        rest = &rest[taken..];
+        ids.extend(id_of(event));
+    }
+    while let Some(event) = parser.expire() {
+        ids.extend(id_of(Some(event)));
+    }
+    assert!(!ids.is_empty() && !ids.contains(&CommandId::PrePosition), "{ids:?}");
 }

@@ -14,6 +14,7 @@ mod bit_timing;
 mod bus_clock;
 #[cfg(feature = "drivers")]
 pub mod drivers;
+pub mod transmit_status;
 
 pub use bit_timing::BitTiming;
 pub use bus_clock::BusClock;

@@ -1,63 +1,17 @@
 //! The queue under every interleaving and every reordering that the memory model allows: `cargo xtask loom`.
-//!
-//! The atomics are those of `loom`, which plays both ends in every order, and lets a relaxed load see an old value. It does not
-//! let a load see a value that is stored later, as a processor may; so each place also notes who is at it, and it is
-//! an error when one end is there before it can know that the other has left.
 
 extern crate std;
 
 use super::{ByteQueue, Full};
-use core::sync::atomic::Ordering;
-use loom::cell::UnsafeCell;
-use loom::sync::atomic::AtomicU8;
-pub(super) use loom::sync::atomic::AtomicUsize;
+use crate::atomic::model::made;
 use loom::thread;
 use std::sync::Arc;
 use std::vec::Vec;
 
-/// A place for a byte.
-#[derive(Debug)]
-pub(super) struct Place {
-    byte: AtomicU8,
-    visitors: UnsafeCell<()>,
-}
-
-impl Place {
-    fn new() -> Self {
-        Self { byte: AtomicU8::new(0), visitors: UnsafeCell::new(()) }
-    }
-
-    pub(super) fn load(&self, order: Ordering) -> u8 {
-        self.visitors.with(|_| ());
-        self.byte.load(order)
-    }
-
-    pub(super) fn store(&self, byte: u8, order: Ordering) {
-        self.visitors.with_mut(|_| ());
-        self.byte.store(byte, order);
-    }
-}
-
-impl<const N: usize> ByteQueue<N> {
-    /// What the statics of lines are made of, which no model has: the atomics of `loom` are not made at compile time.
-    pub(crate) const fn new() -> Self {
-        panic!("a model begins with an empty queue")
-    }
-
-    /// An empty queue.
-    fn empty() -> Self {
-        Self {
-            bytes: core::array::from_fn(|_| Place::new()),
-            pushed: AtomicUsize::new(0),
-            popped: AtomicUsize::new(0),
-        }
-    }
-}
-
 /// Sends so many bytes from one thread to another, in every way in which they can run.
 fn send<const N: usize>(count: u8) {
     loom::model(move || {
-        let queue = Arc::new(ByteQueue::<N>::empty());
+        let queue = Arc::new(made::<ByteQueue<N>>());
         let pushing = Arc::clone(&queue);
         let producer = thread::spawn(move || {
             for byte in 1..=count {
@@ -92,7 +46,7 @@ fn every_byte_arrives_once_and_in_order_through_two_places() {
 #[test]
 fn what_either_end_is_told_of_the_other_is_never_too_much() {
     loom::model(|| {
-        let queue = Arc::new(ByteQueue::<2>::empty());
+        let queue = Arc::new(made::<ByteQueue<2>>());
         let popping = Arc::clone(&queue);
         queue.push(1).unwrap();
         let consumer = thread::spawn(move || {
@@ -113,7 +67,7 @@ fn what_either_end_is_told_of_the_other_is_never_too_much() {
 #[test]
 fn what_is_pushed_together_is_seen_together() {
     loom::model(|| {
-        let queue = Arc::new(ByteQueue::<4>::empty());
+        let queue = Arc::new(made::<ByteQueue<4>>());
         let pushing = Arc::clone(&queue);
         let producer = thread::spawn(move || {
             for pair in [[1, 2], [3, 4], [5, 6]] {

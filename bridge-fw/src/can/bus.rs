@@ -4,7 +4,9 @@ use embedded_can::{Frame, Id};
 use wsg_protocol::Instant;
 
 use super::bus_off::{BusOff, Step};
-use super::{BusCounters, BusOffPolicy, BusReport, BusState, CanController, Health, LinkCounters};
+use super::{
+    BusCounters, BusOffPolicy, BusReport, BusState, CanController, Health, LinkCounters, Withdrawal,
+};
 
 /// Frames taken from the controller in one turn, at the most: at 1 Mbit/s a millisecond brings 9 of 8 bytes, or 21 empty
 /// ones.
@@ -12,6 +14,9 @@ pub(super) const MAX_RECEIVED_PER_POLL: usize = 24;
 
 /// Frames given to the controller in one turn, at the most.
 const MAX_SENT_PER_POLL: usize = 8;
+
+/// Frames of one participant that can be on their way at once: one in the controller, two that wait for it.
+pub(crate) const MAX_ON_THE_WAY: usize = 3;
 
 /// Places of the participants among those who wait.
 const FIRST: usize = 0;
@@ -34,11 +39,15 @@ pub trait CanNode<F> {
     /// The bus is lost, or there again. What was to be said before is not said after.
     fn bus_changed(&mut self, is_on: bool);
 
-    /// Whether what the controller was given and has not sent must not leave any more; says so once. A frame that nobody
-    /// acknowledges waits there for ever, and leaves when somebody comes.
-    fn withdraws(&mut self) -> bool {
-        false
+    /// Returns the identifier of the frames that it takes back: all of its own that were not sent. A frame that is never
+    /// acknowledged waits in the controller for ever, and is sent as soon as somebody joins the bus. It sends nothing before
+    /// [`taken_back`](Self::taken_back).
+    fn takes_back(&self) -> Option<Id> {
+        None
     }
+
+    /// It has its frames back: the last `count` of those that it gave were not sent, and all before them were.
+    fn taken_back(&mut self, _count: usize) {}
 }
 
 /// NullNode.
@@ -82,6 +91,10 @@ struct Waiting<F> {
 
 impl<F> Waiting<F> {
     const NOTHING: Self = Self { next: None, behind: None };
+
+    fn count(&self) -> usize {
+        usize::from(self.next.is_some()).saturating_add(self.behind.is_some().into())
+    }
 }
 
 impl<C: CanController> CanBus<C> {
@@ -190,24 +203,36 @@ impl<C: CanController> CanBus<C> {
         first: &mut impl CanNode<C::Frame>,
         second: &mut impl CanNode<C::Frame>,
     ) {
-        let withdrawn = [first.withdraws(), second.withdraws()];
-        if withdrawn.contains(&true) {
-            // The controller forgets the other's frames as well; it is told.
-            self.forget();
-            first.lost();
-            second.lost();
-        }
         if self.is_lost() {
             return;
         }
+        let may_send = [self.take_back(FIRST, first), self.take_back(SECOND, second)];
         for _ in 0..MAX_SENT_PER_POLL {
             let [own, other] = &mut self.waiting;
             fill(own, now, first);
             fill(other, now, second);
-            if !self.send(FIRST, first, second) && !self.send(SECOND, first, second) {
+            let [first_may, second_may] = may_send;
+            let is_given = (first_may && self.send(FIRST, first, second))
+                || (second_may && self.send(SECOND, first, second));
+            if !is_given {
                 return;
             }
         }
+    }
+
+    /// Gives a participant its unsent frames back, if it asks for them. Returns whether it may send: not while it is open
+    /// whether the frame in the controller can still be withdrawn.
+    fn take_back(&mut self, whose: usize, node: &mut impl CanNode<C::Frame>) -> bool {
+        let Some(id) = node.takes_back() else { return true };
+        let in_controller = match self.controller.withdraw(id) {
+            Withdrawal::Undecided => return false,
+            Withdrawal::Withdrawn => 1,
+            Withdrawal::TooLate => 0,
+        };
+        let waiting =
+            self.waiting.get_mut(whose).map(|waiting| core::mem::replace(waiting, Waiting::NOTHING));
+        node.taken_back(waiting.map_or(0, |waiting| waiting.count()).saturating_add(in_controller));
+        true
     }
 
     fn forget(&mut self) {

@@ -1,4 +1,4 @@
-//! What a CAN controller has to tell and to do besides frames.
+//! A CAN controller: frames, error counters, withdrawal, bus-off.
 
 use embedded_can::{ErrorKind, Frame, Id};
 
@@ -15,15 +15,47 @@ pub struct Health {
     pub receive_errors: u8,
 }
 
+/// The outcome of [`CanController::withdraw`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Withdrawal {
+    /// The frame is being sent, and may still fail. Withdraw it again in the next turn.
+    Undecided,
+    /// It was not sent and never will be.
+    Withdrawn,
+    /// It was sent, or there was none.
+    TooLate,
+}
+
+impl Withdrawal {
+    /// Returns the outcome by what every controller reports of a mailbox after the request: whether it is still occupied, and
+    /// whether its last frame was sent.
+    #[must_use]
+    pub const fn of(is_occupied: bool, was_sent: bool) -> Self {
+        match (is_occupied, was_sent) {
+            (true, _) => Self::Undecided,
+            (false, false) => Self::Withdrawn,
+            (false, true) => Self::TooLate,
+        }
+    }
+}
+
 /// A CAN controller that does not leave bus-off by itself.
 ///
-/// Frames go by `embedded_can::nb::Can`. Frames of one identifier must leave in the order in which they were given; of
-/// others, one that takes another's place gives it back, as that trait says.
+/// It takes and gives frames by `embedded_can::nb::Can`. It holds at most one frame with a given identifier, so frames with
+/// the same identifier are sent in the order in which it took them. A frame that takes the place of another gives that one
+/// back, as the trait defines.
 pub trait CanController: embedded_can::nb::Can {
     /// How it sees the bus now.
     fn health(&mut self) -> Health;
 
-    /// Forgets the frames that it was given and has not sent.
+    /// Withdraws the frame with this identifier that it took and has not sent. Frames with other identifiers stay, though they
+    /// may have to wait until the withdrawal is decided. Does not wait.
+    ///
+    /// No controller stops a frame that is being sent. It completes that frame, but does not repeat it if it fails. Until then
+    /// the withdrawal is [`Undecided`](Withdrawal::Undecided), and the caller repeats it once a turn.
+    fn withdraw(&mut self, id: Id) -> Withdrawal;
+
+    /// Forgets all frames that it took and has not sent, and a withdrawal that is not decided.
     fn abort(&mut self);
 
     /// Begins to leave bus-off, which takes 128 times 11 recessive bits. Does not wait for that.
@@ -84,6 +116,10 @@ impl embedded_can::nb::Can for NoCan {
 impl CanController for NoCan {
     fn health(&mut self) -> Health {
         Health { is_off: true, ..Health::default() }
+    }
+
+    fn withdraw(&mut self, _: Id) -> Withdrawal {
+        Withdrawal::TooLate
     }
 
     fn abort(&mut self) {}

@@ -15,7 +15,7 @@ use embedded_can::{ErrorKind, ExtendedId, Frame, Id, StandardId};
 use embedded_hal::spi::{Operation, SpiDevice};
 
 use self::buffers::{RawFrame, read_status};
-use super::{CanController, Health};
+use super::{CanController, Health, Withdrawal};
 use crate::config::CanConfig;
 
 /// Instructions (12.0).
@@ -34,6 +34,7 @@ const TEC: u8 = 0x1C;
 const RXM: [u8; 2] = [0x20, 0x24];
 const CNF3: u8 = 0x28;
 const CANINTE: u8 = 0x2B;
+const CANINTF: u8 = 0x2C;
 const EFLG: u8 = 0x2D;
 const TXBCTRL: [u8; 3] = [0x30, 0x40, 0x50];
 const RXBCTRL: [u8; 2] = [0x60, 0x70];
@@ -42,6 +43,10 @@ const RXBCTRL: [u8; 2] = [0x60, 0x70];
 const MODE: u8 = 0b111 << 5;
 const NORMAL: u8 = 0;
 const CONFIGURATION: u8 = 0b100 << 5;
+/// CANCTRL: abort all transmissions, and begin none as long as it is set (3.6).
+const ABAT: u8 = 1 << 4;
+/// CANINTF: a buffer's frame was sent.
+const TXIF: [u8; 3] = [1 << 2, 1 << 3, 1 << 4];
 /// CNF2: PHSEG2 is as CNF3 says.
 const BTLMODE: u8 = 1 << 7;
 /// CANINTE: a frame is in either buffer.
@@ -55,8 +60,9 @@ const TXP_HIGHEST: u8 = 0b11;
 const TXBO: u8 = 1 << 5;
 const PASSIVE: u8 = 0b11 << 3;
 const OVERFLOWS: u8 = 0b11 << 6;
-/// READ STATUS.
+/// READ STATUS: TXREQ and TXnIF of each buffer.
 const TXREQS: [u8; 3] = [1 << 2, 1 << 4, 1 << 6];
+const TXIFS: [u8; 3] = [1 << 3, 1 << 5, 1 << 7];
 
 /// In an identifier's second register: an extended one; a standard one of a remote frame that was received. In its length's:
 /// a remote frame.
@@ -138,6 +144,8 @@ pub struct Mcp2515<S, F> {
     has_overrun: bool,
     /// The identifiers' registers that the transmit buffers were given last.
     sent: [[u8; 4]; 3],
+    /// The buffer whose frame is being withdrawn, and the status before.
+    withdrawing: Option<(usize, u8)>,
     frames: PhantomData<fn() -> F>,
 }
 
@@ -153,6 +161,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
             is_off: false,
             has_overrun: false,
             sent: [[0; 4]; 3],
+            withdrawing: None,
             frames: PhantomData,
         }
     }
@@ -166,6 +175,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
     fn join(&mut self) {
         self.received.close();
         self.has_overrun = false;
+        self.withdrawing = None;
         self.is_set_up = self.config.is_some_and(|config| self.set_up(&config).unwrap_or(false));
         self.is_off = false;
         if self.is_set_up {
@@ -241,9 +251,18 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
     }
 
     fn send(&mut self, frame: &F) -> Result<bool, S::Error> {
+        if self.withdrawing.is_some() {
+            return Ok(false);
+        }
         let id = id_registers(frame.id());
         let Some(buffer) = self.buffer_for(id)? else { return Ok(false) };
-        let (Some(load), Some(rts)) = (LOAD_TX.get(buffer), RTS.get(buffer)) else { return Ok(false) };
+        let (Some(load), Some(rts), Some(&was_sent)) =
+            (LOAD_TX.get(buffer), RTS.get(buffer), TXIF.get(buffer))
+        else {
+            return Ok(false);
+        };
+        // For `withdraw`: from now on it means this frame.
+        self.modify(CANINTF, was_sent, 0)?;
         if let Some(sent) = self.sent.get_mut(buffer) {
             *sent = id;
         }
@@ -287,8 +306,45 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         })
     }
 
-    fn withdraw(&mut self) -> Result<(), S::Error> {
-        TXBCTRL.into_iter().try_for_each(|control| self.modify(control, TXREQ, 0))
+    /// Aborts all buffers, and requests the others anew. A buffer whose TXREQ the host clears gives no sign of when its frame has
+    /// ended; with ABAT, TXREQ stays until then (3.6).
+    fn withdraw_frame(&mut self, id: Id) -> Result<Withdrawal, S::Error> {
+        let (buffer, before) = match self.withdrawing {
+            Some(withdrawing) => withdrawing,
+            None => {
+                let (id, status) = (id_registers(id), read_status(&mut self.spi)?);
+                let mut buffers = self.sent.iter().zip(TXREQS);
+                let Some(buffer) = buffers.position(|(sent, waits)| *sent == id && status & waits != 0)
+                else {
+                    return Ok(Withdrawal::TooLate);
+                };
+                self.modify(CANCTRL, ABAT, ABAT)?;
+                *self.withdrawing.insert((buffer, status))
+            }
+        };
+        let status = read_status(&mut self.spi)?;
+        if TXREQS.iter().any(|waits| status & waits != 0) {
+            return Ok(Withdrawal::Undecided);
+        }
+        self.withdrawing = None;
+        self.modify(CANCTRL, ABAT, 0)?;
+        let mut was_sent = false;
+        for (n, ((waits, sent), rts)) in TXREQS.into_iter().zip(TXIFS).zip(RTS).enumerate() {
+            if n == buffer {
+                was_sent = status & sent != 0;
+            } else if before & waits != 0 && status & sent == 0 {
+                self.spi.write(&[rts])?;
+            }
+        }
+        Ok(Withdrawal::of(false, was_sent))
+    }
+
+    fn forget_all(&mut self) -> Result<(), S::Error> {
+        TXBCTRL.into_iter().try_for_each(|control| self.modify(control, TXREQ, 0))?;
+        if self.withdrawing.take().is_some() {
+            self.modify(CANCTRL, ABAT, 0)?;
+        }
+        Ok(())
     }
 
     /// What SPI gave; an error of it is one of a controller that is not there.
@@ -339,9 +395,17 @@ impl<S: SpiDevice, F: Frame> CanController for Mcp2515<S, F> {
         }
     }
 
+    fn withdraw(&mut self, id: Id) -> Withdrawal {
+        if !self.is_set_up || self.is_off {
+            return Withdrawal::TooLate;
+        }
+        let result = self.withdraw_frame(id);
+        self.unless_lost(result).unwrap_or(Withdrawal::TooLate)
+    }
+
     /// What is being sent at this moment goes on to its end.
     fn abort(&mut self) {
-        let result = self.withdraw();
+        let result = self.forget_all();
         self.unless_lost(result);
     }
 

@@ -3,8 +3,6 @@
 //! A board's handler moves bytes between its registers and [`UartBuffers`], by [`UartBuffers::serve`] where a HAL has the UART; it
 //! alone touches the registers, so main loop and handler never change the same one. [`UartLine`] is the main loop's end.
 
-use core::sync::atomic::{AtomicU32, Ordering};
-
 use embedded_hal_nb::serial::{self, Error as _};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 
@@ -12,6 +10,7 @@ use wsg_protocol::Command;
 use wsg_protocol::frame::OVERHEAD;
 
 use super::would_block::WouldBlock;
+use crate::atomic::{AtomicU32, Ordering};
 use crate::byte_queue::ByteQueue;
 
 /// The rate of a gripper's RS-232 line in bit/s; 8 data bits, no parity, 1 stop bit.
@@ -244,3 +243,6 @@ impl<U: Uart, const RX: usize, const TX: usize> Write for UartLine<U, RX, TX> {
 const fn moved(count: usize, buf: &[u8]) -> Result<usize, WouldBlock> {
     if count == 0 && !buf.is_empty() { Err(WouldBlock) } else { Ok(count) }
 }
+
+#[cfg(all(loom, test))]
+mod model;

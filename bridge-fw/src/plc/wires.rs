@@ -24,7 +24,7 @@ pub(crate) struct Wires {
     levels: Option<Inputs>,
     image: OutputImage,
     min_busy_ms: u32,
-    /// Since when BUSY is high.
+    /// When the wire of a motion rose last, or BUSY did: it is high for `min_busy_ms` from then on at least.
     busy_since: Option<Instant>,
     /// What the PLC is shown.
     shown: Outputs,
@@ -57,8 +57,8 @@ impl Wires {
 
     /// Takes a reading of the wires; the output image when it has changed.
     ///
-    /// The recipe is taken when its command rises while READY is shown, so never during a motion: there a parameter that
-    /// changes is a FAST STOP (fieldbus, table 1).
+    /// Reads the recipe when its command rises. The arbiter ignores the parameters of a command that rises while READY is low:
+    /// a parameter that changes during a motion is a FAST STOP (fieldbus, table 1).
     fn update(
         &mut self,
         now: Instant,
@@ -77,9 +77,12 @@ impl Wires {
         flags.set(CommandFlags::FASTSTOP, !levels.contains(Inputs::FAST_STOP_OK));
         let rising = flags.difference(self.image.flags);
         self.image.flags = flags;
-        if self.is_ready() {
-            self.take_recipe(rising, levels, recipe);
+        let held = CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP);
+        if before.is_some() && rising.intersects(CommandFlags::MOTIONS) && !flags.intersects(held) {
+            // Whatever becomes of the command, the PLC sees BUSY: an ERROR may have been high before.
+            self.busy_since = Some(now);
         }
+        self.take_recipe(rising, levels, recipe);
         Some(&self.image)
     }
 
@@ -130,14 +133,15 @@ impl Wires {
         outputs
     }
 
-    /// Whether a motion runs, has not answered, or ran too short for a PLC to have seen it. An error shows at once, and stays
-    /// to be seen.
+    /// Whether a motion runs or has not answered, or a command was given too recently for a PLC to have seen BUSY. What
+    /// locks the gripper ends BUSY at once: READY stays low then.
     fn is_busy(&mut self, now: Instant, shown: &Shown) -> bool {
         let gripper = &shown.image;
         let runs = is_moving(gripper) || (shown.motion_is_open && !is_error(gripper));
         let since = self.busy_since.or(runs.then_some(now));
         let too_short = since.is_some_and(|since| now.since(since) < self.min_busy_ms);
-        let busy = shown.link == Link::Up && (runs || (too_short && !is_error(gripper)));
+        let locked = gripper.system.intersects(SystemFlags::LOCKS);
+        let busy = shown.link == Link::Up && (runs || (too_short && !locked));
         self.busy_since = since.filter(|_| busy);
         busy
     }

@@ -133,6 +133,7 @@ pub(crate) struct Events {
     ring: [Option<Entry>; EVENTS_KEPT],
     next: u8,
     count: u16,
+    refusals: u16,
     /// The FAST STOP that was asked for last.
     fast_stop: Option<Entry>,
     /// When ages were counted last.
@@ -147,6 +148,7 @@ impl Events {
             ring: [None; EVENTS_KEPT],
             next: 0,
             count: 0,
+            refusals: 0,
             fast_stop: None,
             counted_at: Instant::from_millis(0),
             flags: SystemFlags::empty(),
@@ -178,6 +180,7 @@ impl Events {
         if cause.is_fast_stop() {
             self.fast_stop = Some(entry);
         }
+        self.refusals = self.refusals.saturating_add(cause.is_refusal().into());
         self.push(entry);
     }
 
@@ -205,6 +208,11 @@ impl Events {
     /// How many there were.
     pub(super) const fn count(&self) -> u16 {
         self.count
+    }
+
+    /// How many commands the bridge has refused.
+    pub(super) const fn refusals(&self) -> u16 {
+        self.refusals
     }
 
     /// A register of one of them, the last first; 0 of one that has not happened.

@@ -12,7 +12,7 @@ use wsg_protocol::session::Session;
 pub const FIRST_REPORT: u16 = 100;
 
 /// The version of the register map: the last register or meaning that was added or changed.
-pub const MAP_VERSION: u16 = 6;
+pub const MAP_VERSION: u16 = 7;
 
 /// An input register that reports on the bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,6 +70,7 @@ enum Subject {
     SettingsChanged,
     /// One of [`ProfibusReports`].
     Profibus(u8),
+    CommandsRefused,
 }
 
 /// The names and meanings of the last events' registers, by their numbers.
@@ -102,7 +103,7 @@ pub const REPORTS: [Report; BEFORE_EVENTS.len() + EVENTS_KEPT * EVENT_LEN + BEHI
     joined(BEFORE_EVENTS, EVENT_REPORTS, BEHIND_EVENTS);
 
 /// What stands behind the events.
-const BEHIND_EVENTS: [Report; 7] = [
+const BEHIND_EVENTS: [Report; 8] = [
     report(
         "SETTINGS_FROM",
         Subject::SettingsFrom,
@@ -129,6 +130,11 @@ const BEHIND_EVENTS: [Report; 7] = [
         "PROFIBUS_DAMAGED",
         Subject::Profibus(3),
         "PROFIBUS: what was no telegram, such as noise or one with a wrong check sum",
+    ),
+    report(
+        "COMMANDS_REFUSED",
+        Subject::CommandsRefused,
+        "commands of the PLC that the bridge refused, from wires and bus (events 30 to 34 and 39)",
     ),
 ];
 
@@ -358,6 +364,7 @@ impl ReportSource<'_> {
             Subject::CanDropped => self.can.0[5],
             Subject::ResetCause => self.reset_cause as u16,
             Subject::ErrorCause => self.error_cause.into(),
+            Subject::CommandsRefused => self.events.refusals(),
             Subject::EventCount => self.events.count(),
             Subject::FastStop(field) => self.events.fast_stop_register(field),
             Subject::Event(number, field) => self.events.register(number, field),

@@ -118,7 +118,12 @@ const BEFORE_RECIPES: [Setting; Place::Recipes as usize] = [
         (0, 1_000),
         "how long a wire must keep its level; a low FAST_STOP_OK counts at once, whatever is set here",
     ),
-    setting("MIN_BUSY", "ms", (0, 10_000), "how long the wire BUSY is high at the least"),
+    setting(
+        "MIN_BUSY",
+        "ms",
+        (0, 10_000),
+        "how long the wire BUSY is high at the least; below the PLC's cycle it may miss the refusal of a command",
+    ),
     setting(
         "HALF_FRAME",
         "ms",

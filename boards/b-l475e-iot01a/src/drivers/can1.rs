@@ -8,13 +8,11 @@ use embedded_can::{ErrorKind, ExtendedId, Frame, Id, StandardId};
 use stm32_metapac::can::Tx;
 use stm32_metapac::can::regs::Tir;
 use stm32_metapac::{CAN1, Interrupt, RCC, interrupt};
-use wsg_bridge_fw::can::{CanConfig, CanController, Health};
+use wsg_bridge_fw::can::{CanConfig, CanController, Health, Withdrawal};
 
 use super::clock::HCLK_HZ;
 use crate::BitTiming;
-
-/// In TSR: whether mailboxes 0, 1 and 2 are empty (46.9.2).
-const TME: [u32; 3] = [1 << 26, 1 << 27, 1 << 28];
+use crate::transmit_status::{self, MAILBOXES, TME};
 
 /// Fields of an identifier's register, the same ones for sending, receiving and filters (46.7.4, 46.9.3).
 const STANDARD_AT: u32 = 21;
@@ -38,6 +36,8 @@ pub struct Can1 {
     config: Option<CanConfig>,
     /// Whether timing and filters are in its registers.
     is_set_up: bool,
+    /// The mailbox whose frame is being withdrawn.
+    withdrawing: Option<usize>,
 }
 
 impl Can1 {
@@ -45,7 +45,7 @@ impl Can1 {
     #[must_use]
     #[expect(clippy::new_without_default, reason = "there is one")]
     pub const fn new() -> Self {
-        Self { config: None, is_set_up: false }
+        Self { config: None, is_set_up: false, withdrawing: None }
     }
 
     /// Starts the controller. The clock runs, the pins are set up. Only what the bridge may want passes its filters.
@@ -73,10 +73,11 @@ impl Can1 {
     /// Lets the interrupts wake the main loop again.
     pub fn rearm(&mut self) {
         if !NVIC::is_enabled(Interrupt::CAN1_TX) {
+            // That clears TXOK as well, which a withdrawal still has to read.
             CAN1.tsr().write(|w| {
-                w.set_rqcp(0, true);
-                w.set_rqcp(1, true);
-                w.set_rqcp(2, true);
+                for mailbox in 0..MAILBOXES {
+                    w.set_rqcp(mailbox, self.withdrawing != Some(mailbox));
+                }
             });
         }
         // SAFETY: no critical section depends on these being masked; their handlers do nothing but mask them.
@@ -232,8 +233,32 @@ impl CanController for Can1 {
         }
     }
 
+    fn withdraw(&mut self, id: Id) -> Withdrawal {
+        let mailbox = match self.withdrawing {
+            Some(mailbox) => mailbox,
+            None => {
+                let status = CAN1.tsr().read().0;
+                let id = standard_or_extended(id);
+                let holds_it = |mailbox: usize| CAN1.tx(mailbox).tir().read().0 & !TXRQ == id;
+                let occupied = TME.iter().map(|empty| status & empty == 0);
+                let Some(mailbox) = occupied.zip(0..).position(|(is_occupied, n)| is_occupied && holds_it(n))
+                else {
+                    return Withdrawal::TooLate;
+                };
+                CAN1.tsr().write(|w| w.set_abrq(mailbox, true));
+                *self.withdrawing.insert(mailbox)
+            }
+        };
+        let outcome = transmit_status::withdrawal(CAN1.tsr().read().0, mailbox);
+        if outcome != Withdrawal::Undecided {
+            self.withdrawing = None;
+        }
+        outcome
+    }
+
     /// What is being sent at this moment goes on to its end, and is not tried again.
     fn abort(&mut self) {
+        self.withdrawing = None;
         CAN1.tsr().write(|w| {
             w.set_abrq(0, true);
             w.set_abrq(1, true);
@@ -247,11 +272,15 @@ impl CanController for Can1 {
 }
 
 fn id_register(frame: &ClassicFrame) -> u32 {
-    let id = match frame.id() {
+    let id = standard_or_extended(frame.id());
+    if frame.is_remote_frame() { id | RTR } else { id }
+}
+
+fn standard_or_extended(id: Id) -> u32 {
+    match id {
         Id::Standard(id) => u32::from(id.as_raw()) << STANDARD_AT,
         Id::Extended(id) => id.as_raw() << EXTENDED_AT | IDE,
-    };
-    if frame.is_remote_frame() { id | RTR } else { id }
+    }
 }
 
 fn id_of(register: u32) -> Id {

@@ -5,12 +5,12 @@
 
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
-use embedded_can::ErrorKind;
+use embedded_can::{ErrorKind, Id};
 use stm32_metapac::can::regs::{Txbar, Txbcr, Txbtie};
 use stm32_metapac::can::vals::{Anfe, Anfs, Tfqm};
 use stm32_metapac::rcc::vals::Fdcansel;
 use stm32_metapac::{FDCAN1, FDCANRAM1, Interrupt, RCC, interrupt};
-use wsg_bridge_fw::can::{CanConfig, CanController, Health};
+use wsg_bridge_fw::can::{CanConfig, CanController, Health, Withdrawal};
 use wsg_nucleo_g474re::BitTiming;
 use wsg_nucleo_g474re::message_ram::{ELEMENT_STRIDE, ELEMENTS, Fifo, element, filter, frame, id_word};
 
@@ -31,12 +31,14 @@ pub(crate) struct Can {
     config: Option<CanConfig>,
     /// Whether timing and filters are in its registers.
     is_set_up: bool,
+    /// The transmit buffer whose frame is being withdrawn.
+    withdrawing: Option<usize>,
 }
 
 impl Can {
     /// One that was not started. To be asked for once.
     pub(crate) const fn new() -> Self {
-        Self { config: None, is_set_up: false }
+        Self { config: None, is_set_up: false, withdrawing: None }
     }
 
     /// Starts the controller. The crystal runs, the pins are set up. Only what the bridge may want passes its filters.
@@ -211,8 +213,32 @@ impl CanController for Can {
         }
     }
 
+    /// TXBRP stays set as long as the frame is being sent, and TXBTO is set if it was sent; a new request clears TXBTO.
+    fn withdraw(&mut self, id: Id) -> Withdrawal {
+        let buffer = match self.withdrawing {
+            Some(buffer) => buffer,
+            None => {
+                let (id, waiting) = (id_word(id), FDCAN1.txbrp().read().0);
+                let holds_it = |buffer: usize| FDCANRAM1.txbuf(buffer * ELEMENT_STRIDE).read() == id;
+                let Some(buffer) = (0..ELEMENTS).find(|&n| waiting & 1 << n != 0 && holds_it(n)) else {
+                    return Withdrawal::TooLate;
+                };
+                FDCAN1.txbcr().write_value(Txbcr(1 << buffer));
+                *self.withdrawing.insert(buffer)
+            }
+        };
+        // In this order: once TXBRP is clear, TXBTO no longer changes.
+        let is_waiting = FDCAN1.txbrp().read().0 & 1 << buffer != 0;
+        let outcome = Withdrawal::of(is_waiting, FDCAN1.txbto().read().0 & 1 << buffer != 0);
+        if outcome != Withdrawal::Undecided {
+            self.withdrawing = None;
+        }
+        outcome
+    }
+
     /// What is being sent at this moment goes on to its end, and is not tried again.
     fn abort(&mut self) {
+        self.withdrawing = None;
         FDCAN1.txbcr().write_value(Txbcr(ALL_BUFFERS));
     }
 

@@ -13,7 +13,6 @@ use embedded_hal::spi::ErrorType;
 use super::*;
 
 const CRYSTAL_HZ: u32 = 16_000_000;
-const CANINTF_AT: usize = 0x2C;
 /// What the instructions of the handler are to it.
 const READ_STATUS: u8 = 0xA0;
 
@@ -25,6 +24,8 @@ struct Registers {
     resets: u32,
     /// The frame of one byte that comes to a buffer as soon as that was read.
     comes_next: Option<(usize, [u8; 4], u8)>,
+    /// The transmit buffer whose frame is on the bus.
+    sending: Option<usize>,
 }
 
 #[derive(Clone)]
@@ -32,7 +33,8 @@ struct Chip(Rc<RefCell<Registers>>);
 
 impl Chip {
     fn new() -> Self {
-        let registers = Registers { values: [0; 128], is_missing: false, resets: 0, comes_next: None };
+        let registers =
+            Registers { values: [0; 128], is_missing: false, resets: 0, comes_next: None, sending: None };
         Self(Rc::new(RefCell::new(registers)))
     }
 
@@ -79,14 +81,35 @@ impl Registers {
         self.values[start..start + 4].copy_from_slice(&id);
         self.values[start + 4] = data.len() as u8;
         self.values[start + 5..start + 5 + data.len()].copy_from_slice(data);
-        self.values[CANINTF_AT] |= 1 << buffer;
+        self.values[usize::from(CANINTF)] |= 1 << buffer;
     }
 
     fn status(&self) -> u8 {
         let waits = |buffer: usize| self.values[usize::from(TXBCTRL[buffer])] & TXREQ != 0;
-        (0..3)
-            .filter(|&buffer| waits(buffer))
-            .fold(self.values[CANINTF_AT] & 0b11, |status, buffer| status | TXREQS[buffer])
+        let flags = self.values[usize::from(CANINTF)];
+        (0..3).fold(flags & 0b11, |status, buffer| {
+            let waits = if waits(buffer) { TXREQS[buffer] } else { 0 };
+            let was_sent = if flags & TXIF[buffer] != 0 { TXIFS[buffer] } else { 0 };
+            status | waits | was_sent
+        })
+    }
+
+    /// The frame on the bus ends.
+    fn end_frame(&mut self, is_acknowledged: bool) {
+        let Some(buffer) = self.sending.take() else { return };
+        if is_acknowledged || self.values[usize::from(CANCTRL)] & ABAT != 0 {
+            self.values[usize::from(TXBCTRL[buffer])] &= !TXREQ;
+        }
+        if is_acknowledged {
+            self.values[usize::from(CANINTF)] |= TXIF[buffer];
+        }
+    }
+
+    /// All frames that wait are aborted, but for the one on the bus.
+    fn abort_all(&mut self) {
+        for buffer in (0..3).filter(|&buffer| self.sending != Some(buffer)) {
+            self.values[usize::from(TXBCTRL[buffer])] &= !TXREQ;
+        }
     }
 
     /// What the chip gives for the bytes of one selection.
@@ -111,6 +134,9 @@ impl Registers {
             [BIT_MODIFY, at, mask, value] => {
                 let register = &mut self.values[usize::from(*at)];
                 *register = *register & !mask | value & mask;
+                if *at == CANCTRL && mask & value & ABAT != 0 {
+                    self.abort_all();
+                }
             }
             [READ_STATUS, ..] => {
                 let status = self.status();
@@ -120,7 +146,7 @@ impl Registers {
                 let buffer = usize::from(*read == 0x94);
                 let start = usize::from(RXBCTRL[buffer]) + 1;
                 out[1..].copy_from_slice(&self.values[start..start + bytes.len() - 1]);
-                self.values[CANINTF_AT] &= !(1 << buffer);
+                self.values[usize::from(CANINTF)] &= !(1 << buffer);
                 if let Some((_, id, byte)) = self.comes_next.take_if(|(to, ..)| *to == buffer) {
                     self.receive(buffer, id, &[byte]);
                 }
@@ -457,4 +483,42 @@ fn what_is_withdrawn_does_not_leave() {
     }
     controller.abort();
     assert_eq!([chip.sent(0), chip.sent(1), chip.sent(2)], [None, None, None]);
+}
+
+#[test]
+fn one_frame_is_withdrawn_and_the_others_are_requested_anew() {
+    let (chip, mut controller) = started();
+    let gripper = Id::Standard(standard(gripper_id()));
+    for id in [gripper_id(), 0x180, 0x280] {
+        assert_eq!(controller.transmit(&frame(id, &[1])), Ok(None));
+    }
+    assert_eq!(controller.withdraw(Id::Standard(standard(0x380))), Withdrawal::TooLate);
+
+    assert_eq!(controller.withdraw(gripper), Withdrawal::Withdrawn);
+
+    assert_eq!(chip.at(CANCTRL) & ABAT, 0);
+    assert_eq!(chip.sent(0), None);
+    assert!(chip.sent(1).is_some() && chip.sent(2).is_some());
+    assert_eq!(controller.withdraw(gripper), Withdrawal::TooLate);
+}
+
+#[test]
+fn frame_on_the_bus_is_undecided_until_it_has_ended() {
+    for (is_acknowledged, outcome) in [(true, Withdrawal::TooLate), (false, Withdrawal::Withdrawn)] {
+        let (chip, mut controller) = started();
+        let gripper = Id::Standard(standard(gripper_id()));
+        // Of an earlier frame the chip still says that it was sent.
+        chip.set(CANINTF, TXIF[0]);
+        assert_eq!(controller.transmit(&frame(gripper_id(), &[1])), Ok(None));
+        assert_eq!(controller.transmit(&frame(0x180, &[2])), Ok(None));
+        chip.0.borrow_mut().sending = Some(0);
+
+        assert_eq!(controller.withdraw(gripper), Withdrawal::Undecided);
+        assert_eq!(controller.transmit(&frame(0x280, &[3])), Err(nb::Error::WouldBlock));
+        chip.0.borrow_mut().end_frame(is_acknowledged);
+
+        assert_eq!(controller.withdraw(gripper), outcome);
+        assert_eq!(chip.sent(1), Some((0x30, std::vec![2])));
+        assert_eq!(controller.transmit(&frame(gripper_id(), &[4])), Ok(None));
+    }
 }

@@ -4,12 +4,11 @@
 //! A board's handler moves bytes between its registers and [`RtuBuffers`], by [`RtuBuffers::serve`] where a HAL has the UART; it
 //! alone touches the registers, so main loop and handler never change the same one. [`RtuPort`] is the main loop's end.
 
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-
 use bus_modbus::rtu::{Character, MAX_FRAME_LEN};
 use embedded_hal_nb::serial::{self, Error as _};
 
 use super::BusPort;
+use crate::atomic::{AtomicBool, AtomicU32, Ordering};
 use crate::byte_queue::ByteQueue;
 use crate::config::BusConfig;
 
@@ -71,7 +70,7 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
     /// Empty queues. Silences count from [`start`](Self::start).
     #[must_use]
     pub const fn new() -> Self {
-        const { assert!(TX >= MAX_FRAME_LEN) };
+        const { assert!(TX >= MAX_FRAME_LEN || cfg!(all(loom, test))) };
         Self {
             received: ByteQueue::new(),
             to_send: ByteQueue::new(),
@@ -119,7 +118,7 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
 
     fn take(&self, byte: u8, damaged: bool, now_us: u32) {
         let distance_us = now_us.wrapping_sub(self.received_at.load(Ordering::Relaxed));
-        self.received_at.store(now_us, Ordering::Relaxed);
+        self.received_at.store(now_us, Ordering::Release);
         if self.received.room() < ENTRY_LEN {
             self.lost.store(true, Ordering::Relaxed);
             return;
@@ -129,9 +128,8 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
         let void = damaged || self.lost.load(Ordering::Relaxed);
         self.lost.store(false, Ordering::Relaxed);
         let [high, low] = if void { steps | DAMAGED } else { steps }.to_be_bytes();
-        for byte in [high, low, byte] {
-            let _ = self.received.push(byte);
-        }
+        // There is room.
+        let _ = self.received.push_all(&[high, low, byte]);
     }
 
     /// Returns the next byte of a frame for a transmit register that `has_room`, or ends the frame: its last bit has been
@@ -208,18 +206,16 @@ impl<U: RtuUart, const RX: usize, const TX: usize> RtuPort<U, RX, TX> {
 
 impl<U: RtuUart, const RX: usize, const TX: usize> BusPort for RtuPort<U, RX, TX> {
     fn receive(&mut self) -> Option<(Character, u32)> {
-        let received = &self.buffers.received;
-        // The handler pushes the three together, and this code does not interrupt it.
-        let silence = u16::from_be_bytes([received.pop()?, received.pop()?]);
-        let byte = received.pop()?;
+        let [high, low, byte]: [u8; ENTRY_LEN] = self.buffers.received.pop_all()?;
+        let silence = u16::from_be_bytes([high, low]);
         let character = if silence & DAMAGED != 0 { Character::Damaged } else { Character::Byte(byte) };
         Some((character, u32::from(silence & !DAMAGED).saturating_mul(STEP_US)))
     }
 
     fn silence_us(&mut self) -> u32 {
-        // In this order: a character that comes between the two readings would make the silence negative, that is, end
-        // a frame in its middle.
-        let received_at = self.buffers.received_at.load(Ordering::Relaxed);
+        // Acquire: the clock is read after it. A character received between these in the other order would make the silence
+        // negative, which ends a frame in its middle.
+        let received_at = self.buffers.received_at.load(Ordering::Acquire);
         let silence_us = self.uart.now_us().wrapping_sub(received_at);
         if self.buffers.received.is_empty() { silence_us } else { 0 }
     }
@@ -234,3 +230,6 @@ impl<U: RtuUart, const RX: usize, const TX: usize> BusPort for RtuPort<U, RX, TX
         self.uart.pend();
     }
 }
+
+#[cfg(all(loom, test))]
+mod model;

@@ -1,27 +1,26 @@
 //! The slave in the interrupt handler of its UART, and what it shares with the main loop.
 //!
 //! A board's handler tells [`DpResponder::step`] what its registers say, and does what that returns; it alone touches them.
-//! It interrupts the main loop and is not interrupted by it: what one of both writes in several pieces, the other takes
-//! whole.
-
-use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
+//! Both exchange outputs and inputs whole, in whatever order they run: `cargo xtask loom`.
 
 use bus_profibus::{Address, Baud, Character, Counters, Event, Outcome, State};
 use wsg_protocol::SystemFlags;
 use wsg_protocol::fieldbus::profibus::{ADDRESS, PROFILE, Slave};
 use wsg_protocol::fieldbus::{Diagnosis, InputImage, OutputImage};
 
+use crate::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 use crate::byte_queue::ByteQueue;
 use crate::config::ProfibusConfig;
 use crate::plc::Interrupts;
 
-/// Room for 14 images that differ, between two turns of the main loop.
-const QUEUE_LEN: usize = 128;
+/// Room for 14 images that differ, between two turns of the main loop; in a model for one.
+const QUEUE_LEN: usize = if cfg!(all(loom, test)) { 16 } else { 128 };
 
 /// An event in the queue: its tag, and behind that of outputs the image.
 const OUTPUT: u8 = 0;
 const LEFT: u8 = 1;
 const LEFT_SILENT: u8 = 2;
+const OUTPUT_LEN: usize = 1 + OutputImage::LEN;
 
 /// Bits of a character: start, eight of data, parity, stop.
 const CHARACTER_BITS: u32 = 11;
@@ -50,9 +49,12 @@ pub struct DpBuffers {
     damaged: AtomicU32,
     /// The slave's state, as PROFIBUS_STATE has it.
     state: AtomicU8,
-    /// The input image, for the handler as long as `is_fresh`; that keeps a copy.
+    /// The input image, written by the main loop alone; the handler keeps a copy.
     input: [AtomicU32; 3],
-    is_fresh: AtomicBool,
+    /// Counts the beginnings and ends of writing it, and wraps: odd while it is being written.
+    input_version: AtomicU32,
+    /// The version of the handler's copy. The handler's own.
+    taken_version: AtomicU32,
     /// Counts from the first rate on.
     address: AtomicU8,
     /// In bit/s; 0 before the start.
@@ -79,7 +81,8 @@ impl DpBuffers {
             damaged: AtomicU32::new(0),
             state: AtomicU8::new(0),
             input: [const { AtomicU32::new(0) }; 3],
-            is_fresh: AtomicBool::new(false),
+            input_version: AtomicU32::new(0),
+            taken_version: AtomicU32::new(0),
             address: AtomicU8::new(0),
             rate: AtomicU32::new(0),
         }
@@ -97,27 +100,24 @@ impl DpBuffers {
 
     /// Shows the master this input image from the handler's next step on. For the main loop.
     pub(super) fn show(&self, image: [u8; InputImage::LEN]) {
-        // A handler that comes between these goes on with its copy.
-        self.is_fresh.store(false, Ordering::Relaxed);
+        let version = self.input_version.load(Ordering::Relaxed);
+        // A handler that runs between these keeps its copy.
+        self.input_version.store(version.wrapping_add(1), Ordering::Relaxed);
+        fence(Ordering::Release);
         for (place, word) in self.input.iter().zip(image.as_chunks().0) {
             place.store(u32::from_le_bytes(*word), Ordering::Relaxed);
         }
-        self.is_fresh.store(true, Ordering::Release);
+        self.input_version.store(version.wrapping_add(2), Ordering::Release);
     }
 
     /// The event that waits longest. For the main loop.
     pub(super) fn take(&self) -> Option<FromMaster> {
-        // The handler pushes the parts of an event together, and this code does not interrupt it.
-        match self.events.pop()? {
-            OUTPUT => {
-                let mut image = [0; OutputImage::LEN];
-                for place in &mut image {
-                    *place = self.events.pop()?;
-                }
-                Some(FromMaster::Output(image))
-            }
-            tag => Some(FromMaster::Left { silent: tag == LEFT_SILENT }),
+        if self.events.peek()? == OUTPUT {
+            let [_, image @ ..]: [u8; OUTPUT_LEN] = self.events.pop_all()?;
+            return Some(FromMaster::Output(image));
         }
+        let tag = self.events.pop()?;
+        Some(FromMaster::Left { silent: tag == LEFT_SILENT })
     }
 
     pub(super) fn exchanges(&self) -> u32 {
@@ -138,32 +138,35 @@ impl DpBuffers {
 
     /// Gives the main loop an event; whether there was room. For the handler.
     fn push(&self, event: FromMaster) -> bool {
-        let (tag, image) = match event {
-            FromMaster::Output(image) => (OUTPUT, Some(image)),
-            FromMaster::Left { silent: false } => (LEFT, None),
-            FromMaster::Left { silent: true } => (LEFT_SILENT, None),
-        };
-        let has_room = self.events.room() > OutputImage::LEN;
-        if has_room {
-            let _ = self.events.push(tag);
-            for byte in image.into_iter().flatten() {
-                let _ = self.events.push(byte);
-            }
+        if self.events.room() < OUTPUT_LEN {
+            return false;
         }
-        has_room
+        let pushed = match event {
+            FromMaster::Output([a, b, c, d, e, f, g, h]) => {
+                self.events.push_all(&[OUTPUT, a, b, c, d, e, f, g, h])
+            }
+            FromMaster::Left { silent: false } => self.events.push(LEFT),
+            FromMaster::Left { silent: true } => self.events.push(LEFT_SILENT),
+        };
+        pushed.is_ok()
     }
 
     /// The input image, if it is another than before. For the handler.
     fn take_input(&self) -> Option<[u8; InputImage::LEN]> {
-        if !self.is_fresh.load(Ordering::Acquire) {
+        let version = self.input_version.load(Ordering::Acquire);
+        if version == self.taken_version.load(Ordering::Relaxed) {
             return None;
         }
-        self.is_fresh.store(false, Ordering::Relaxed);
         let mut image = [0; InputImage::LEN];
         for (place, word) in image.as_chunks_mut().0.iter_mut().zip(&self.input) {
             *place = word.load(Ordering::Relaxed).to_le_bytes();
         }
-        Some(image)
+        fence(Ordering::Acquire);
+        let is_whole = version.is_multiple_of(2) && self.input_version.load(Ordering::Relaxed) == version;
+        is_whole.then(|| {
+            self.taken_version.store(version, Ordering::Relaxed);
+            image
+        })
     }
 }
 
@@ -406,6 +409,9 @@ impl DpResponder {
         }
     }
 }
+
+#[cfg(all(loom, test))]
+mod model;
 
 #[cfg(test)]
 mod tests;

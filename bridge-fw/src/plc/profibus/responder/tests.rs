@@ -203,7 +203,7 @@ fn inputs_are_those_that_were_shown_whole() {
     assert_eq!(buffers.take_input(), Some(first));
     assert_eq!(buffers.take_input(), None, "nothing new");
     // The handler comes while the main loop writes.
-    buffers.is_fresh.store(false, Ordering::Relaxed);
+    buffers.input_version.store(3, Ordering::Relaxed);
     buffers.input[0].store(0xFFFF_FFFF, Ordering::Relaxed);
     responder.step(IDLE, 0, 0);
     assert_eq!(buffers.take_input(), None);
