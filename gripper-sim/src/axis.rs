@@ -6,6 +6,8 @@
 
 /// A distance in mm that counts as none.
 const NOTHING: f64 = 1e-9;
+/// Seconds in which the drive builds up its force against something that does not give way. Assumed.
+const BUILD_UP_S: f64 = 0.05;
 
 /// A moving direction of the fingers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,13 +74,16 @@ impl Part {
     }
 }
 
-/// What the drive is told: where to, how, and how hard it may push.
+/// An order to the drive: where to, how, and how hard it may push.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Travel {
     pub(crate) target: f64,
     pub(crate) speed: f64,
     pub(crate) acceleration: f64,
+    /// The force limit in N.
     pub(crate) force: f64,
+    /// The force limit in N against a part.
+    pub(crate) squeeze: f64,
 }
 
 /// What stands in the way.
@@ -111,6 +116,8 @@ pub(crate) struct Axis {
     seated: bool,
     jammed: bool,
     block: Option<Block>,
+    /// Force in N against an end stop or a jam, which rises to the force limit.
+    push: f64,
 }
 
 impl Axis {
@@ -126,6 +133,7 @@ impl Axis {
             seated: false,
             jammed: false,
             block: None,
+            push: 0.0,
         };
         axis.set_part(part);
         axis
@@ -155,16 +163,19 @@ impl Axis {
     pub(crate) fn force(&self) -> f64 {
         match (self.drive, self.block) {
             (None, _) => 0.0,
-            (Some(travel), Some(Block { obstacle: Obstacle::EndStop | Obstacle::Jam, .. })) => travel.force,
+            (_, Some(Block { obstacle: Obstacle::EndStop | Obstacle::Jam, .. })) => self.push,
             _ => self.penetration() * self.part.map_or(0.0, |part| f64::from(part.stiffness)),
         }
     }
 
-    /// Begins to travel, from rest.
+    /// Begins to travel, from rest. A block in the same direction stays known unless this force overcomes it.
     pub(crate) fn start(&mut self, travel: Travel) {
+        self.push = self.force().min(travel.force);
         self.drive = Some(travel);
         self.speed = 0.0;
-        self.block = None;
+        let direction = Direction::of(travel.target - self.width);
+        let stands = !self.has_arrived() && self.room().is_some_and(|room| room <= NOTHING);
+        self.block = self.block.filter(|block| stands && block.direction == direction);
     }
 
     /// Goes on at this speed, which the fingers had before they were started anew in the same direction.
@@ -207,9 +218,15 @@ impl Axis {
         self.drive.is_some() && self.block.is_none() && !self.has_arrived()
     }
 
+    /// Whether the drive is still building up its force against what blocks it.
+    pub(crate) fn builds_up(&self) -> bool {
+        let is_rigid = self.block.is_some_and(|block| block.obstacle != Obstacle::Part);
+        is_rigid && self.drive.is_some_and(|travel| self.push < travel.force)
+    }
+
     /// Whether a step changes anything.
     pub(crate) fn is_active(&self) -> bool {
-        self.is_moving() || self.room().unwrap_or(-self.penetration()) < -NOTHING
+        self.is_moving() || self.builds_up() || self.room().unwrap_or(-self.penetration()) < -NOTHING
     }
 
     /// Puts a part between the fingers or takes it away. A part that is wider than the opening goes in when the fingers
@@ -242,7 +259,7 @@ impl Axis {
             return;
         }
         let direction = Direction::of(travel.target - self.width);
-        let (limit, obstacle) = self.limit(direction, travel.force);
+        let (limit, obstacle) = self.limit(direction, &travel);
         let room = (limit - self.width) * direction.sign();
         if room <= NOTHING {
             if room < 0.0 {
@@ -250,15 +267,14 @@ impl Axis {
             } else {
                 self.width = limit;
             }
-            self.block = Some(Block { direction, obstacle });
-            self.speed = 0.0;
+            self.meet(Block { direction, obstacle }, &travel);
+            self.push = (self.push + travel.force * seconds / BUILD_UP_S).min(travel.force);
             return;
         }
         let (advance, speed) = profile(distance, self.speed.abs(), &travel, seconds);
         if advance >= room && room < distance - NOTHING {
             self.width = limit;
-            self.block = Some(Block { direction, obstacle });
-            self.speed = 0.0;
+            self.meet(Block { direction, obstacle }, &travel);
         } else if advance >= distance - NOTHING {
             self.width = travel.target;
             self.speed = 0.0;
@@ -268,20 +284,29 @@ impl Axis {
         }
     }
 
+    /// Something blocks the fingers. What does not give way meets the force that they have at this moment.
+    fn meet(&mut self, block: Block, travel: &Travel) {
+        if self.block.is_none_or(|before| before.obstacle != block.obstacle) {
+            self.push = self.force().min(travel.force);
+        }
+        self.block = Some(block);
+        self.speed = 0.0;
+    }
+
     /// The part pushes the fingers open, by `distance` at most.
     fn spring_back(&mut self, distance: f64, seconds: f64) {
         self.width += distance.min(self.spring_back_speed * seconds);
     }
 
-    /// The furthest width in this direction that a drive of this force reaches, and what ends it there.
-    fn limit(&self, direction: Direction, force: f64) -> (f64, Obstacle) {
+    /// The furthest width in this direction that the drive reaches with its force, and what ends it there.
+    fn limit(&self, direction: Direction, travel: &Travel) -> (f64, Obstacle) {
         if self.jammed {
             return (self.width, Obstacle::Jam);
         }
         match (direction, self.part) {
             (Direction::Plus, _) => (self.stroke, Obstacle::EndStop),
-            (Direction::Minus, Some(part)) if self.seated && part.squeezed(force) > 0.0 => {
-                (part.squeezed(force), Obstacle::Part)
+            (Direction::Minus, Some(part)) if self.seated && part.squeezed(travel.squeeze) > 0.0 => {
+                (part.squeezed(travel.squeeze), Obstacle::Part)
             }
             (Direction::Minus, _) => (0.0, Obstacle::EndStop),
         }
@@ -291,7 +316,7 @@ impl Axis {
     fn room(&self) -> Option<f64> {
         let travel = self.drive?;
         let direction = Direction::of(travel.target - self.width);
-        Some((self.limit(direction, travel.force).0 - self.width) * direction.sign())
+        Some((self.limit(direction, &travel).0 - self.width) * direction.sign())
     }
 
     /// How deep the fingers are in the part, in mm.
@@ -350,7 +375,8 @@ mod tests {
     use super::*;
 
     const STEP: f64 = 0.001;
-    const TRAVEL: Travel = Travel { target: 10.0, speed: 100.0, acceleration: 1_000.0, force: 40.0 };
+    const TRAVEL: Travel =
+        Travel { target: 10.0, speed: 100.0, acceleration: 1_000.0, force: 40.0, squeeze: 40.0 };
 
     fn axis(part: Option<Part>) -> Axis {
         Axis::new(110.0, 420.0, part)

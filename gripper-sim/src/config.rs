@@ -4,7 +4,7 @@ use crate::axis::{Direction, Part};
 use crate::finger::Finger;
 use crate::model::Model;
 use wsg_protocol::fieldbus::SilenceReaction;
-use wsg_protocol::{DecodeError, DeviceTag};
+use wsg_protocol::{DecodeError, DeviceTag, SoftLimits};
 
 /// The settings of a [`VirtualGripper`](crate::VirtualGripper). The default is a WSG 50-110 as it leaves the factory,
 /// with no part between the fingers.
@@ -25,6 +25,10 @@ pub struct Config {
     pub tag: Tag,
     /// Which way Homing goes when the request leaves it open.
     pub homing_default: Direction,
+    /// Whether the gripper homes by itself after switching on (fieldbus, 6.4).
+    pub homing_at_start: bool,
+    /// The soft limits after switching on (command set, 3.3.5); those with minus above plus are ignored.
+    pub soft_limits: Option<SoftLimits>,
     /// What lies between the fingers at the start.
     pub part: Option<Part>,
     /// How many times as fast as the real ones the fingers travel, [`MIN_TIME_SCALE`](Self::MIN_TIME_SCALE) to
@@ -87,6 +91,8 @@ impl Default for Config {
             serial_number: 1,
             tag: Tag::EMPTY,
             homing_default: Direction::Plus,
+            homing_at_start: false,
+            soft_limits: None,
             part: None,
             time_scale: 1.0,
             check_checksum: true,

@@ -155,7 +155,7 @@ impl Device {
             (SystemFlags::TEMP_WARNING, self.thermal.has_warning()),
             (SystemFlags::TEMP_FAULT, self.thermal.has_fault()),
             (SystemFlags::POWER_FAULT, self.supply_fault),
-            (SystemFlags::CURR_FAULT, self.motor_fault),
+            (SystemFlags::CURR_FAULT, self.has_motor_fault()),
             (SystemFlags::FINGER_FAULT, self.fingers.iter().any(FingerPort::has_fault)),
             (SystemFlags::CMD_FAILURE, self.command_failure),
             (SystemFlags::SCRIPT_RUNNING, self.script.state() == ScriptState::Running),
@@ -300,9 +300,13 @@ impl Device {
         self.state() == GripperState::Holding && self.fingers.iter().any(FingerPort::measures_force)
     }
 
+    fn has_motor_fault(&self) -> bool {
+        self.motor_fault || self.thermal.has_motor_fault()
+    }
+
     /// Whether a fault lasts that no acknowledgement can overcome.
     fn has_lasting_fault(&self) -> bool {
-        self.supply_fault || self.motor_fault || self.thermal.has_fault()
+        self.supply_fault || self.has_motor_fault() || self.thermal.has_fault()
     }
 
     /// Keeps FAST STOP latched as long as a fault lasts, so that motions need to ask for nothing else.

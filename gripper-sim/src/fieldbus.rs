@@ -9,7 +9,9 @@ use crate::device::Device;
 use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
 use bus_modbus::{Bits, Exception, Identification, MAX_PDU_LEN, Words};
-use wsg_protocol::fieldbus::{CommandFlags, Controller, Images, InputImage, OutputImage, SilenceReaction};
+use wsg_protocol::fieldbus::{
+    CommandFlags, Controller, Images, InputImage, MaskedFlags, OutputImage, SilenceReaction,
+};
 use wsg_protocol::session::{Event, Known};
 use wsg_protocol::{Reply, Status, Value};
 
@@ -30,12 +32,15 @@ pub(crate) struct Fieldbus {
     writer: Option<PortId>,
     /// Whether anything has been written: before, the controller waits for nothing.
     in_use: bool,
-    /// What was written last, whoever did.
+    /// The last outputs, of whichever master.
     written: OutputImage,
+    /// The master with cyclic data that exchanges, and its outputs.
+    cyclic: Option<(PortId, OutputImage)>,
+    /// A Modbus master asserts FASTSTOP in the image that it wrote last.
+    modbus_fast_stop: bool,
     /// When a Modbus master asked for something last, since one has written.
     heard: Option<Time>,
-    /// Flags that do not count until they are written 0.
-    masked: CommandFlags,
+    masked: MaskedFlags,
     /// What a Modbus master writes next is the first since they fell silent.
     is_new: bool,
 }
@@ -52,8 +57,10 @@ impl Fieldbus {
             writer: None,
             in_use: false,
             written: OutputImage::ZERO,
+            cyclic: None,
+            modbus_fast_stop: false,
             heard: None,
-            masked: CommandFlags::empty(),
+            masked: MaskedFlags::NONE,
             is_new: false,
         }
     }
@@ -75,6 +82,7 @@ impl Fieldbus {
         }
         if let Some(image) = written {
             let is_first = core::mem::take(&mut self.is_new);
+            self.modbus_fast_stop = image.flags.contains(CommandFlags::FASTSTOP);
             self.write(device, asked.port, &image, is_first);
         }
         len
@@ -85,20 +93,34 @@ impl Fieldbus {
         self.controller.input(&known(device))
     }
 
-    /// What a master wrote last.
+    /// Returns the outputs: those that a master wrote last, and zeros after [`end_outputs`](Self::end_outputs).
     pub(crate) const fn written(&self) -> &OutputImage {
         &self.written
     }
 
-    /// Takes an image that this client wrote as a whole. What it leads to is due at the next [`follow`](Self::follow). Flags in
-    /// its first one count after they were 0, but FASTSTOP.
-    pub(crate) fn write(&mut self, device: &Device, client: PortId, image: &OutputImage, is_first: bool) {
-        self.written = *image;
-        self.masked &= image.flags;
-        if is_first {
-            self.masked |= image.flags.difference(CommandFlags::FASTSTOP);
+    /// Sets OF, as a script on the gripper does.
+    pub(crate) const fn set_user_outputs(&mut self, flags: u8) {
+        self.controller.set_user_outputs(flags);
+    }
+
+    /// Takes the outputs of a master with cyclic data. Only a change counts: the same image again must not undo, or repeat as
+    /// an edge, what another client wrote in between. What it leads to is due at the next [`follow`](Self::follow).
+    pub(crate) fn exchange(&mut self, device: &Device, client: PortId, image: &OutputImage, is_first: bool) {
+        let before = self.cyclic.replace((client, *image));
+        if is_first || before != Some((client, *image)) {
+            self.write(device, client, image, is_first);
         }
-        let counting = OutputImage { flags: image.flags.difference(self.masked), ..*image };
+    }
+
+    /// Takes an image that this client wrote as a whole. Flags in its first one count after they were 0, but FASTSTOP, which
+    /// counts as long as any client asserts it.
+    fn write(&mut self, device: &Device, client: PortId, image: &OutputImage, is_first: bool) {
+        self.written = *image;
+        self.masked.see(image.flags, is_first);
+        let cyclic = self.cyclic.map_or(CommandFlags::empty(), |(_, image)| image.flags);
+        let mut flags = self.masked.counting(image.flags) | cyclic.intersection(CommandFlags::FASTSTOP);
+        flags.set(CommandFlags::FASTSTOP, flags.contains(CommandFlags::FASTSTOP) || self.modbus_fast_stop);
+        let counting = OutputImage { flags, ..*image };
         self.controller.set_output(&counting, &known(device));
         self.writer = Some(client);
         self.in_use = true;
@@ -109,8 +131,20 @@ impl Fieldbus {
     pub(crate) fn leave(&mut self, device: &Device, client: PortId, reaction: SilenceReaction) {
         if self.writer == Some(client) {
             self.writer = None;
+            // Its FASTSTOP stays until the next master writes.
+            self.modbus_fast_stop = false;
             self.controller.silence(reaction, &known(device));
         }
+    }
+
+    /// The master of a bus with cyclic data has left, has stopped, or says that its outputs are bad. Its outputs are zeros now, as
+    /// the bus itself has it; apart from that it is [`leave`](Self::leave).
+    pub(crate) fn end_outputs(&mut self, device: &Device, client: PortId, reaction: SilenceReaction) {
+        if self.writer == Some(client) {
+            self.written = OutputImage::ZERO;
+        }
+        self.cyclic = self.cyclic.filter(|(cyclic, _)| *cyclic != client);
+        self.leave(device, client, reaction);
     }
 
     /// When the Modbus masters have been silent for too long.
@@ -125,6 +159,7 @@ impl Fieldbus {
         if is_due {
             self.is_new = true;
             self.writer = None;
+            self.modbus_fast_stop = false;
             self.heard = None;
             self.controller.silence(device.config().bus_reaction, &known(device));
         }
@@ -153,10 +188,15 @@ impl Fieldbus {
             let id = command.id();
             let reply = device.execute(Request { port: PortId::FIELDBUS, now }, &command);
             let status = reply.status();
+            // The one value that the controller takes from an answer: all others are reported.
+            let answer = match reply.value() {
+                Some(Value::GetSoftLimits(limits)) => Reply::success(Value::GetSoftLimits(limits)),
+                _ => Reply::status_only(id, status),
+            };
             device.note_result(id.kind(), status);
             let event = match status {
                 Status::CmdPending => Event::Pending(id),
-                status => Event::Answered(Reply::status_only(id, status)),
+                _ => Event::Answered(answer),
             };
             self.controller.handle(&event, &known(device));
         }

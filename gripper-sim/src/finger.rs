@@ -31,12 +31,6 @@ impl Finger {
         }
     }
 
-    /// The finger of this name.
-    #[must_use]
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.iter().copied().find(|finger| finger.name() == name)
-    }
-
     /// Whether Finger Power Control may switch its supply: only where no known type was detected.
     const fn is_switchable(self) -> bool {
         matches!(self, Self::None | Self::Generic)
@@ -57,6 +51,8 @@ pub enum Jaw {
 pub(crate) struct FingerPort {
     finger: Finger,
     powered: bool,
+    /// Whether its configuration has been read since its supply came on.
+    initialized: bool,
     short_circuit: bool,
     communication_fault: bool,
     /// Force on this jaw that counts as 0 N since Tare Force Sensor.
@@ -80,7 +76,14 @@ pub(crate) enum NoData {
 
 impl FingerPort {
     pub(crate) const fn new(finger: Finger) -> Self {
-        Self { finger, powered: true, short_circuit: false, communication_fault: false, tare: 0.0 }
+        Self {
+            finger,
+            powered: true,
+            initialized: true,
+            short_circuit: false,
+            communication_fault: false,
+            tare: 0.0,
+        }
     }
 
     pub(crate) const fn kind(&self) -> Finger {
@@ -98,16 +101,20 @@ impl FingerPort {
     pub(crate) fn flags(&self) -> FingerFlags {
         let mut flags = FingerFlags::empty();
         let powered = self.is_powered();
+        let is_known = powered && !self.finger.is_switchable();
         flags.set(FingerFlags::POWER_ON, powered);
-        flags.set(FingerFlags::CONFIG_AVAIL, powered && !self.finger.is_switchable());
+        flags.set(FingerFlags::CONFIG_AVAIL, is_known && self.initialized);
         flags.set(FingerFlags::COMM_OPEN, self.communicates());
         flags.set(FingerFlags::POWER_FAULT, self.has_short_circuit());
-        flags.set(FingerFlags::COMM_FAULT, self.communication_fault && !self.finger.is_switchable());
+        flags.set(FingerFlags::COMM_FAULT, is_known && self.initialized && self.communication_fault);
+        flags.set(FingerFlags::INIT_FAULT, is_known && !self.initialized);
         flags
     }
 
     pub(crate) fn has_fault(&self) -> bool {
-        self.flags().intersects(FingerFlags::POWER_FAULT.union(FingerFlags::COMM_FAULT))
+        const FAULTS: FingerFlags =
+            FingerFlags::POWER_FAULT.union(FingerFlags::COMM_FAULT).union(FingerFlags::INIT_FAULT);
+        self.flags().intersects(FAULTS)
     }
 
     /// Switches the supply.
@@ -125,10 +132,18 @@ impl FingerPort {
         if self.has_short_circuit() && self.finger.is_switchable() {
             self.powered = false;
         }
+        self.initialize();
     }
 
     pub(crate) const fn set_communication_fault(&mut self, on: bool) {
         self.communication_fault = on;
+        self.initialize();
+    }
+
+    /// Reads the configuration of a finger without a supply in vain, and that of one that answers with success. Trying goes on
+    /// until it succeeds; what fails after that is no matter of the initialization (GCL, appendix C).
+    const fn initialize(&mut self) {
+        self.initialized = self.is_powered() && (self.initialized || !self.communication_fault);
     }
 
     /// Whether it is a force sensor that works.
@@ -170,6 +185,6 @@ impl FingerPort {
     }
 
     const fn communicates(&self) -> bool {
-        self.is_powered() && !self.communication_fault && !self.finger.is_switchable()
+        self.is_powered() && self.initialized && !self.communication_fault && !self.finger.is_switchable()
     }
 }

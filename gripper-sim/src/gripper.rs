@@ -115,13 +115,18 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let Some(client) = self.client(id) else { return };
         let is_error = client.is_missed();
         let reaction = client.reaction_to_its_end(self.device.config());
+        let has_cyclic_outputs = matches!(client, Client::Profibus(_) | Client::Images(_));
         if let Some(slot) = self.clients.get_mut(usize::from(id.index)) {
             *slot = None;
         }
         if is_error && self.device.config().disconnect_error {
             self.device.fast_stop();
         }
-        self.fieldbus.leave(&self.device, id, reaction);
+        if has_cyclic_outputs {
+            self.fieldbus.end_outputs(&self.device, id, reaction);
+        } else {
+            self.fieldbus.leave(&self.device, id, reaction);
+        }
         self.settle();
     }
 
@@ -230,10 +235,13 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.settle();
     }
 
-    /// Says whether a script runs on the gripper. When it ends, the commands that it has claimed are unknown again.
+    /// Says whether a script runs on the gripper. When it ends, the commands that it has claimed are unknown again, and OF is 0.
     pub fn set_script_state(&mut self, state: ScriptState, now: Time) {
         self.advance(now);
         self.device.script_mut().set_state(state);
+        if state != ScriptState::Running {
+            self.fieldbus.set_user_outputs(0);
+        }
         self.settle();
     }
 
@@ -241,6 +249,24 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// Returns whether scripts may claim it ([`SCRIPT_IDS`](crate::SCRIPT_IDS)).
     pub fn claim_for_script(&mut self, id: u8) -> bool {
         self.device.script_mut().claim(id)
+    }
+
+    /// Gives an id back that the script has claimed: its commands are unknown from now on. Harmless for an id that is not
+    /// claimed. Returns whether scripts may claim it.
+    pub fn release_for_script(&mut self, id: u8) -> bool {
+        self.device.script_mut().release(id)
+    }
+
+    /// The number of commands that wait for the script.
+    #[must_use]
+    pub fn script_requests(&mut self) -> usize {
+        self.device.script_mut().waiting()
+    }
+
+    /// Sets OF: the user flags OF1 (bit 0) to OF8 that every fieldbus master reads (fieldbus manual, 5.1.1). They are 0 again
+    /// when the script ends. [`fieldbus_images`](Self::fieldbus_images) gives IF and OF.
+    pub const fn set_user_outputs(&mut self, flags: u8) {
+        self.fieldbus.set_user_outputs(flags);
     }
 
     /// The next command for the script.
@@ -302,7 +328,8 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.device.finger_reading(jaw)
     }
 
-    /// Both images of the register interface: what a master wrote last, and what one reads now.
+    /// Returns both images of the register interface: the outputs that a master wrote last, and the inputs that one reads now. The
+    /// outputs are zeros after the master of PROFIBUS or PROFINET has left, cleared them or stopped.
     #[must_use]
     pub fn fieldbus_images(&self) -> (OutputImage, InputImage) {
         (*self.fieldbus.written(), self.fieldbus.input(&self.device))
@@ -326,7 +353,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     pub fn write_image(&mut self, id: PortId, now: Time, image: &OutputImage, is_first: bool) {
         self.advance(now);
         if self.client(id).is_some() {
-            self.fieldbus.write(&self.device, id, image, is_first);
+            self.fieldbus.exchange(&self.device, id, image, is_first);
             self.settle();
         }
     }
@@ -335,7 +362,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// configured ([`Config::bus_reaction`]); a jog ends in any case.
     pub fn end_images(&mut self, id: PortId, now: Time) {
         self.advance(now);
-        self.fieldbus.leave(&self.device, id, self.device.config().bus_reaction);
+        self.fieldbus.end_outputs(&self.device, id, self.device.config().bus_reaction);
         self.settle();
     }
 

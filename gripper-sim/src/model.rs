@@ -53,12 +53,6 @@ impl Model {
         }
     }
 
-    /// The model of this name.
-    #[must_use]
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.iter().copied().find(|model| model.name() == name)
-    }
-
     /// The figures of this model.
     #[must_use]
     pub const fn parameters(self) -> &'static Parameters {

@@ -106,6 +106,8 @@ pub(crate) struct MotionControl {
     referenced: bool,
     state: GripperState,
     motion: Option<Motion>,
+    /// The drive has been started and has made no step since.
+    is_fresh: bool,
     /// The motion that ended last, to be answered.
     ended: Option<Completion>,
     /// Where the last grip went, as long as its outcome stands.
@@ -117,8 +119,17 @@ pub(crate) struct MotionControl {
 }
 
 impl MotionControl {
-    /// The fingers half open, at rest and not referenced.
+    /// The fingers half open and not referenced: at rest, or homing if that is configured (fieldbus, 6.4).
     pub(crate) fn new(config: &Config) -> Self {
+        let mut control = Self::at_rest(config);
+        if config.homing_at_start {
+            let request = Request { port: PortId::HAND, now: Time::ZERO };
+            control.start_homing(request, HomingDirection::Default);
+        }
+        control
+    }
+
+    fn at_rest(config: &Config) -> Self {
         let parameters = config.model.parameters();
         let limits = &parameters.limits;
         let time_scale = config.time_scale.clamp(Config::MIN_TIME_SCALE, Config::MAX_TIME_SCALE);
@@ -138,6 +149,7 @@ impl MotionControl {
             referenced: false,
             state: GripperState::Idle,
             motion: None,
+            is_fresh: false,
             ended: None,
             grip_direction: None,
             statistics: GrippingStatistics::default(),
@@ -262,6 +274,10 @@ impl MotionControl {
         width: f32,
         speed: f32,
     ) -> Status {
+        // It neither grips nor releases (command set, 3.2.2; GCL, 2.2.2).
+        if self.state == GripperState::Holding {
+            return Status::AlreadyRunning;
+        }
         let from = if flags.contains(PrePositionFlags::RELATIVE) { self.width() } else { 0.0 };
         let target = (from + f64::from(width)).clamp(0.0, self.stroke());
         if let Err(refused) = self.may_go_to(target) {
@@ -313,7 +329,7 @@ impl MotionControl {
         if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
-        let travel = self.travel(target, speed, self.settings.force_limit().into());
+        let travel = self.release_travel(target, speed);
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
 
@@ -379,8 +395,12 @@ impl MotionControl {
         }
     }
 
-    /// Ends a running motion and nothing else (Disconnect Announcement, command set 3.1.2).
+    /// Ends every finger movement and nothing else (Disconnect Announcement, command set 3.1.2): a running motion, or fingers
+    /// that snap to their target after the part is gone.
     pub(crate) fn abort(&mut self) {
+        if self.motion.is_none() && self.axis.is_moving() {
+            self.axis.halt();
+        }
         self.halt_motion(Status::CmdAborted);
     }
 
@@ -419,6 +439,7 @@ impl MotionControl {
 
     /// Starts the axis towards a target in the widths that the gripper believes in.
     fn drive(&mut self, travel: Travel) {
+        self.is_fresh = true;
         self.axis.start(Travel { target: travel.target + self.origin, ..travel });
     }
 
@@ -481,17 +502,21 @@ impl MotionControl {
             speed: speed.clamp(limits.min_speed, limits.max_speed).into(),
             acceleration: self.settings.acceleration().into(),
             force,
+            squeeze: force,
         }
     }
 
-    fn homing_travel(&self, target: f64, speed: f64) -> Travel {
+    /// A release pushes with the nominal force, but it does not squeeze the part (fieldbus, 6.3).
+    fn release_travel(&self, target: f64, speed: f32) -> Travel {
         let limits = &self.parameters.limits;
-        Travel {
-            target,
-            speed,
-            acceleration: self.settings.acceleration().into(),
-            force: limits.min_force.into(),
-        }
+        let nominal = limits.nominal_force.into();
+        let squeeze = self.force().clamp(limits.min_force.into(), nominal);
+        Travel { squeeze, ..self.travel(target, speed, nominal) }
+    }
+
+    fn homing_travel(&self, target: f64, speed: f64) -> Travel {
+        let force = self.parameters.limits.min_force.into();
+        Travel { target, speed, acceleration: self.settings.acceleration().into(), force, squeeze: force }
     }
 
     fn stroke(&self) -> f64 {

@@ -131,13 +131,13 @@ impl Client {
             Event::Outputs => {
                 let image = OutputImage::from_bytes(*self.slave.outputs());
                 let is_first = !core::mem::replace(&mut self.has_outputs, true);
-                fieldbus.write(device, self.id, &image, is_first);
+                fieldbus.exchange(device, self.id, &image, is_first);
             }
             // Clear is a master that has stopped, and not the zeros that the outputs are then: those would be no more than
             // flags that went.
             Event::Cleared | Event::Left(_) => {
                 self.has_outputs = false;
-                fieldbus.leave(device, self.id, device.config().bus_reaction);
+                fieldbus.end_outputs(device, self.id, device.config().bus_reaction);
             }
             // The profile lets no master change it.
             Event::Address(_) => {}

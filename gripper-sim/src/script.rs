@@ -68,6 +68,13 @@ impl Script {
         bit != 0
     }
 
+    /// Gives an id back: its commands are unknown from now on. Returns whether a script may claim it.
+    pub(crate) fn release(&mut self, id: u8) -> bool {
+        let bit = bit(id);
+        self.claimed &= !bit;
+        bit != 0
+    }
+
     /// Keeps a request for the script. `None` if none has claimed its id; else whether it could be kept.
     pub(crate) fn keep(&mut self, port: PortId, id: u8, payload: &[u8]) -> Option<Result<(), Status>> {
         if self.claimed & bit(id) == 0 {
@@ -80,6 +87,11 @@ impl Script {
 
     pub(crate) fn take(&mut self) -> Option<ScriptRequest> {
         self.waiting.pop_front()
+    }
+
+    /// The number of requests that wait for the script.
+    pub(crate) fn waiting(&self) -> usize {
+        self.waiting.len()
     }
 }
 

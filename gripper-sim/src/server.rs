@@ -4,6 +4,7 @@
 //! write, and TCP does not delay: a client that takes what one `recv` gives for one frame is right. [`Server`] is for
 //! programs that have such a runtime, [`ServerThread`] for all others.
 
+mod accept;
 mod can;
 mod control;
 mod echoes;
@@ -69,6 +70,7 @@ pub struct Server {
     can: Option<CanPort>,
     gcl: Option<TcpListener>,
     gcl_udp: Option<UdpSocket>,
+    udp_unanswered: u32,
     modbus: Option<TcpListener>,
     profibus: Option<SerialPort>,
     #[cfg(feature = "profinet")]
@@ -118,6 +120,7 @@ impl Server {
             can,
             gcl,
             gcl_udp,
+            udp_unanswered: lines.udp_unanswered.unwrap_or(udp::UNANSWERED),
             modbus,
             profibus,
             #[cfg(feature = "profinet")]
@@ -194,7 +197,9 @@ impl Server {
     /// # Errors
     /// That of the line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
-        let Self { hub, tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, control, .. } = self;
+        let Self {
+            hub, tcp, udp, serial, can, gcl, gcl_udp, udp_unanswered, modbus, profibus, control, ..
+        } = self;
         #[cfg(feature = "script")]
         let script = self.script;
         #[cfg(feature = "profinet")]
@@ -208,7 +213,14 @@ impl Server {
                     tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::Tcp));
                 }
                 if let Some((socket, remote_port)) = udp {
-                    tasks.spawn_local(udp::serve(Rc::clone(&hub), socket, Some(remote_port), PortKind::Udp));
+                    let hub = Rc::clone(&hub);
+                    tasks.spawn_local(udp::serve(
+                        hub,
+                        socket,
+                        Some(remote_port),
+                        PortKind::Udp,
+                        udp_unanswered,
+                    ));
                 }
                 if let Some(port) = serial {
                     tasks.spawn_local(port.serve(Rc::clone(&hub), Carried::Bytes));
@@ -226,7 +238,13 @@ impl Server {
                     tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::GclTcp));
                 }
                 if let Some(socket) = gcl_udp {
-                    tasks.spawn_local(udp::serve(Rc::clone(&hub), socket, None, PortKind::GclUdp));
+                    tasks.spawn_local(udp::serve(
+                        Rc::clone(&hub),
+                        socket,
+                        None,
+                        PortKind::GclUdp,
+                        udp_unanswered,
+                    ));
                 }
                 if let Some(listener) = modbus {
                     tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::ModbusTcp));

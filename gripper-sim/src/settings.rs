@@ -24,6 +24,9 @@ impl Settings {
             overdrive: false,
             soft_limits: None,
         };
+        if let Some(limits) = config.soft_limits {
+            settings.set_soft_limits(limits);
+        }
         settings.set_acceleration(config.acceleration.unwrap_or(parameters.default_acceleration));
         settings.set_force_limit(config.force_limit.unwrap_or(parameters.default_force));
         settings

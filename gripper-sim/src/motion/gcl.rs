@@ -27,8 +27,8 @@ impl MotionControl {
         if let Err(refused) = self.may_move() {
             return refused;
         }
-        // A part that is held is released first.
-        if self.state == GripperState::Holding {
+        // No GRIP follows another one whose outcome stands: RELEASE comes first (GCL, 2.2.3).
+        if matches!(self.state, GripperState::Holding | GripperState::NoPart | GripperState::PartLost) {
             return Status::AlreadyRunning;
         }
         let least = self.settings.soft_limits().map_or(0.0, |limits| f64::from(limits.minus).max(0.0));
@@ -79,7 +79,7 @@ impl MotionControl {
         if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
-        let travel = self.travel(target, speed, self.settings.force_limit().into());
+        let travel = self.release_travel(target, speed);
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
 }

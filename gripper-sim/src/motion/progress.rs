@@ -53,9 +53,10 @@ impl MotionControl {
         self.watch_part();
     }
 
-    /// Whether a step of the axis changes anything; a motion to where the fingers are ends in one step.
+    /// Whether a step of the axis changes anything. A motion to where the fingers are, or against what blocks them, ends in
+    /// one step.
     fn needs_step(&self) -> bool {
-        self.axis.is_active() || (self.motion.is_some() && self.axis.has_arrived())
+        self.axis.is_active() || (self.motion.is_some() && (self.is_fresh || self.axis.has_arrived()))
     }
 
     fn step_axis(&mut self) {
@@ -65,6 +66,7 @@ impl MotionControl {
         let stretch_s = step_s / f64::from(stretches);
         for _ in 0..stretches {
             let before = self.width();
+            self.is_fresh = false;
             self.axis.step(stretch_s);
             self.follow_motion(before);
             if !self.axis.is_active() {
@@ -80,6 +82,8 @@ impl MotionControl {
         }
         let Some(motion) = self.motion else {
             self.watch_part();
+            // Fingers that clamped on a part reach their target when the part is removed (command set, 3.2.2 and appendix B).
+            self.target_reached |= self.axis.has_arrived();
             return;
         };
         match motion.task {
@@ -148,9 +152,13 @@ impl MotionControl {
         let sign = grip.direction.sign();
         let past = |mark: f64| (width - mark) * sign >= -NOTHING;
         if let Some(block) = self.axis.block() {
-            // With a clamping travel as long as the stroke there is no wrong place for a part.
-            let is_anywhere = block.obstacle == Obstacle::Part && grip.clamping_travel >= self.stroke();
-            if is_anywhere || past(grip.nominal - sign * grip.tolerance) {
+            // For Grip Part (25h), which names no tolerance, a clamping travel as long as the stroke allows a part anywhere.
+            let is_anywhere = block.obstacle == Obstacle::Part
+                && grip.early_block == EarlyBlock::NoPart
+                && grip.clamping_travel >= self.stroke();
+            if self.axis.builds_up() {
+                // No part is gripped before the force is established.
+            } else if is_anywhere || past(grip.nominal - sign * grip.tolerance) {
                 self.state = GripperState::Holding;
                 self.end_motion(Status::Success);
             } else if grip.early_block == EarlyBlock::AxisBlocked {

@@ -8,6 +8,7 @@ mod commands;
 mod events;
 mod page;
 
+use super::accept::{Accepted, Acceptor};
 use super::faulty_line::{Direction, LineCounts, LineFaults};
 use super::hub::{Hub, Report};
 use crate::axis::Part;
@@ -30,12 +31,14 @@ use hyper_util::rt::TokioIo;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::convert::Infallible;
+use std::io;
 use std::net::IpAddr;
 use std::rc::Rc;
 use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, spawn_local, yield_now};
-use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
 use wsg_protocol::{Status, SystemFlags};
 
@@ -51,8 +54,13 @@ const TIME_LIMIT: Duration = Duration::from_secs(5);
 const PERIOD: Duration = Duration::from_millis(50);
 /// How often they are told that nothing has.
 const HEARTBEAT: Duration = Duration::from_millis(500);
-/// How long no connection is accepted after the system refused one.
-const RECOVERY: Duration = Duration::from_millis(100);
+/// How long a connection that cannot be served may take to read why.
+const REFUSAL_TIME: Duration = Duration::from_millis(100);
+/// What it reads: there is no descriptor left to serve it with.
+const NO_ROOM: &[u8] =
+    b"HTTP/1.1 503 Service Unavailable\r\nContent-Type: application/json\r\nContent-Length: 65\r\n\
+    Cache-Control: no-store\r\nConnection: close\r\nRetry-After: 1\r\n\r\n\
+    {\"error\":\"the system has no descriptor left; close connections\"}\n";
 
 const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness may be left out), or null for no part"#;
 const FAULT_EXPECTED: &str =
@@ -65,9 +73,10 @@ pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, names: Vec<String
     let watchers = Rc::new(Watchers::default());
     spawn_local(publish(Rc::clone(&hub), Rc::clone(&watchers)));
     let mut connections = Connections::default();
+    let mut acceptor = Acceptor::new(listener);
     loop {
-        match listener.accept().await {
-            Ok((stream, _)) => {
+        match acceptor.accept().await {
+            Accepted::Client(stream, _) => {
                 let link = Link::new();
                 let site =
                     Site { hub: Rc::clone(&hub), names: Rc::clone(&names), watchers: Rc::clone(&watchers) };
@@ -82,9 +91,21 @@ pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, names: Vec<String
                 // A request that came with its connection is answered before others can push it out.
                 yield_now().await;
             }
-            Err(_) => sleep(RECOVERY).await,
+            Accepted::Refused(stream) => {
+                // Whoever does not read it is cut off.
+                let _ = timeout(REFUSAL_TIME, refuse(stream)).await;
+            }
         }
     }
+}
+
+/// Tells a client that it cannot be served. Its request is read, so that the answer is not taken back by the system.
+async fn refuse(mut stream: TcpStream) -> io::Result<()> {
+    stream.write_all(NO_ROOM).await?;
+    stream.shutdown().await?;
+    let mut request = [0; 1_024];
+    while stream.read(&mut request).await? > 0 {}
+    Ok(())
 }
 
 /// What every request is about.

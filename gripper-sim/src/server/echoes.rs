@@ -3,12 +3,15 @@
 //! A datagram may name as its sender whoever its author likes, and what makes no sense is answered with an error, which
 //! makes no sense either. The form does not tell an answer from a request: `VERBOSE=1` is both.
 
+use crate::script::SCRIPT_IDS;
 use std::collections::VecDeque;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
+use wsg_protocol::gcl::{Answer, Request};
+use wsg_protocol::{Command, CommandId, Frame, Reply};
 
-/// How many of the latest answers are compared.
-const REMEMBERED: usize = 8;
+/// How many of the latest answers are compared. What can be a request as well as an answer circles in as many kinds at the most.
+const REMEMBERED: usize = 64;
 
 /// How many datagrams in a row may be what was just sent: clients do repeat a setting that is answered by itself.
 const TOLERATED: u32 = 16;
@@ -37,7 +40,7 @@ impl Echoes {
     /// Whether what is received at `now` must not be answered: it only comes back, and not for the first time. What
     /// others ask meanwhile does not keep a loop alive.
     pub(super) fn must_end(&mut self, now: Instant, from: SocketAddr, datagram: &[u8]) -> bool {
-        if !self.sent.iter().any(|sent| sent == datagram) {
+        if !is_answer(datagram) && !self.sent.iter().any(|sent| is_echo(sent, datagram)) {
             if self.last.is_some_and(|(_, peer)| peer == from) {
                 self.in_a_row = 0;
             }
@@ -50,6 +53,35 @@ impl Echoes {
         self.in_a_row = self.in_a_row.saturating_add(1);
         self.in_a_row > TOLERATED
     }
+}
+
+/// Whether a datagram came back: as it was sent, or, of a Loop (06h), behind the status of another one's answer to it.
+fn is_echo(sent: &[u8], datagram: &[u8]) -> bool {
+    let of_loop = |bytes| match whole_frame(bytes) {
+        Some(Frame { id, payload }) if id == CommandId::Loop.code() => Some(payload),
+        _ => None,
+    };
+    sent == datagram || of_loop(sent).zip(of_loop(datagram)).is_some_and(|(sent, echo)| echo.ends_with(sent))
+}
+
+/// Whether a datagram is what grippers send and no request: a frame, or lines of text.
+fn is_answer(datagram: &[u8]) -> bool {
+    if let Some(frame) = whole_frame(datagram) {
+        let is_request = match Command::decode(&frame) {
+            Ok(Command::Unknown { id, .. }) => SCRIPT_IDS.contains(&id),
+            request => request.is_ok(),
+        };
+        return !is_request && Reply::decode(&frame).is_ok();
+    }
+    let mut lines =
+        datagram.split(|byte| matches!(byte, b'\n' | b'\r')).filter(|line| !line.is_empty()).peekable();
+    lines.peek().is_some() && lines.all(|line| Request::parse(line).is_err() && Answer::parse(line).is_ok())
+}
+
+/// The frame that a datagram is, whatever its checksum.
+fn whole_frame(datagram: &[u8]) -> Option<Frame<'_>> {
+    let [0xAA, 0xAA, 0xAA, id, l0, l1, payload @ .., _, _] = datagram else { return None };
+    (payload.len() == usize::from(u16::from_le_bytes([*l0, *l1]))).then_some(Frame { id: *id, payload })
 }
 
 #[cfg(test)]
@@ -91,6 +123,49 @@ mod tests {
             })
             .count();
         assert!(answered <= 3 + TOLERATED as usize, "{answered}");
+    }
+
+    /// What each of two peers answers to what the other one sends, until nothing is under way any more.
+    fn exchanged(begin: impl Iterator<Item = Vec<u8>>, answer: impl Fn(&[u8]) -> Vec<u8>) -> usize {
+        let now = Instant::now();
+        let mut ends = [Echoes::default(), Echoes::default()];
+        let mut under_way: VecDeque<(usize, Vec<u8>)> = begin.map(|datagram| (0, datagram)).collect();
+        let mut answered = 0;
+        while let Some((to, datagram)) = under_way.pop_front() {
+            if ends[to].must_end(now, peer(1), &datagram) {
+                continue;
+            }
+            answered += 1;
+            assert!(answered < 10_000, "for ever");
+            let answer = answer(&datagram);
+            ends[to].sent(&answer);
+            under_way.push_back((1 - to, answer));
+        }
+        answered
+    }
+
+    fn encoded(id: u8, payload: &[u8]) -> Vec<u8> {
+        wsg_protocol::FrameEncoder::new(id, payload).collect()
+    }
+
+    #[test]
+    fn exchange_of_more_answers_than_are_remembered_ends() {
+        let frames = (0..=0xFF).filter(|id| *id != CommandId::Loop.code()).map(|id| encoded(id, &[14, 0]));
+        let answered = exchanged(frames, |request| encoded(request[3], &[14, 0]));
+        assert!(answered < 200, "{answered}");
+        let lines = (0..200).map(|number| format!("POS={number}.5\n").into_bytes());
+        let answered = exchanged(lines, <[u8]>::to_vec);
+        assert!(answered < 200, "{answered}");
+    }
+
+    #[test]
+    fn loop_that_grows_with_each_answer_ends() {
+        let requests = (0..6u8).map(|number| encoded(0x06, &[number]));
+        let answered = exchanged(requests, |request| {
+            let payload = [&[0, 0], &request[6..request.len() - 2]].concat();
+            encoded(0x06, &payload)
+        });
+        assert!(answered < 100, "{answered}");
     }
 
     #[test]

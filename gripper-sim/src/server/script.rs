@@ -8,6 +8,7 @@ mod calls;
 use super::hub::Hub;
 use crate::script::{ScriptRequest, ScriptState};
 use anyhow::{Context, Result};
+use mlua::chunk::ChunkMode;
 use mlua::{HookTriggers, Lua, LuaOptions, StdLib, VmState};
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -22,6 +23,13 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 /// What a script may hold, in bytes. Assumed.
 const MAX_MEMORY: usize = 16 << 20;
 
+/// The stack of a script's thread, in bytes. Lua nests C calls 200 deep, and a match recurses once for each item of its pattern,
+/// which is bounded in `sandbox.lua`. Only touched pages take memory.
+const STACK_SIZE: usize = 64 << 20;
+
+/// The longest text of a script in one line of the log, in characters. Assumed.
+const MAX_LINE_LEN: usize = 1_024;
+
 /// How often a script is looked at that waits for nothing, in instructions.
 const LOOK_EVERY: u32 = 1_000;
 
@@ -35,7 +43,7 @@ const REST: Duration = Duration::from_millis(10);
 #[derive(Debug)]
 pub(super) struct Script {
     path: PathBuf,
-    source: String,
+    source: Vec<u8>,
 }
 
 /// What a script asks of the gripper. One at a time: it waits for the answer.
@@ -56,8 +64,8 @@ impl Script {
     /// # Errors
     /// One that names it.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let source = std::fs::read_to_string(path)
-            .with_context(|| format!("the script {} cannot be read", path.display()))?;
+        let source =
+            std::fs::read(path).with_context(|| format!("the script {} cannot be read", path.display()))?;
         Ok(Self { path: path.to_owned(), source })
     }
 
@@ -67,7 +75,8 @@ impl Script {
         let is_over = Over::default();
         let seen = Arc::clone(&is_over.0);
         set_state(&hub, ScriptState::Running);
-        thread::Builder::new().name("wsg-sim script".to_owned()).spawn(move || self.run(&asks, &seen))?;
+        let thread = thread::Builder::new().name("wsg-sim script".to_owned()).stack_size(STACK_SIZE);
+        thread.spawn(move || self.run(&asks, &seen))?;
         answer(&hub, &mut asked).await;
         // The gripper goes on without it.
         std::future::pending().await
@@ -84,7 +93,7 @@ impl Script {
         let lua = Lua::new_with(libraries, LuaOptions::default())?;
         lua.set_memory_limit(MAX_MEMORY)?;
         let looks = Rc::new(Cell::new(0));
-        calls::install(&lua, asks, &looks)?;
+        calls::install(&lua, asks, &looks, self.path.parent().unwrap_or(Path::new("")))?;
         let is_over = Arc::clone(is_over);
         let every = HookTriggers::new().every_nth_instruction(LOOK_EVERY);
         lua.set_global_hook(every, move |lua, _| {
@@ -104,7 +113,7 @@ impl Script {
             Ok(VmState::Continue)
         })?;
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        lua.load(&self.source).set_name(format!("@{name}")).exec()
+        lua.load(&self.source).set_name(format!("@{name}")).set_mode(ChunkMode::Text).exec()
     }
 }
 
@@ -134,6 +143,7 @@ async fn answer(hub: &Hub, asked: &mut UnboundedReceiver<Call>) {
             Call::Ended(error) => return end(hub, error),
         }
     }
+    end(hub, Some("its thread ended without a word".to_owned()));
 }
 
 fn end(hub: &Hub, error: Option<String>) {
@@ -143,6 +153,7 @@ fn end(hub: &Hub, error: Option<String>) {
             set_state(hub, ScriptState::None);
         }
         Some(error) => {
+            let error = clipped(&error);
             // Whoever keeps no log would not know why nothing is answered any more.
             eprintln!("wsg-sim: the script failed: {error}");
             hub.note_of("script", format_args!("failed: {error}"));
@@ -161,7 +172,17 @@ fn first_line(error: &mlua::Error) -> String {
         mlua::Error::RuntimeError(text) | mlua::Error::SyntaxError { message: text, .. } => text.clone(),
         other => other.to_string(),
     };
-    text.lines().next().unwrap_or_default().to_owned()
+    clipped(text.lines().next().unwrap_or_default())
+}
+
+/// A text of a script as one line of the log: bounded, and without control characters.
+fn clipped(text: &str) -> String {
+    let printable = |char: char| if char.is_control() && char != '\t' { '\u{FFFD}' } else { char };
+    let mut line: String = text.chars().take(MAX_LINE_LEN).map(printable).collect();
+    if line.len() < text.len() {
+        line.push('…');
+    }
+    line
 }
 
 /// Has `act` done beside the gripper.
@@ -206,7 +227,7 @@ mod tests {
             "while true do pcall(function() while true do end end) end",
             "while true do pcall(function() while true do pcall(cmd.read) end end) end",
         ] {
-            let script = Script { path: PathBuf::from("endless.lua"), source: source.to_owned() };
+            let script = Script { path: PathBuf::from("endless.lua"), source: source.into() };
             let (asks, asked) = unbounded_channel();
             let is_over = Arc::new(AtomicBool::new(false));
             let seen = Arc::clone(&is_over);

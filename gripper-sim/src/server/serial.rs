@@ -3,6 +3,8 @@
 #[cfg(unix)]
 mod unix;
 
+#[cfg(unix)]
+use super::accept;
 use super::hub::{Client, Hub};
 use super::lines::SerialLine;
 use super::slcan;
@@ -85,8 +87,7 @@ impl SerialPort {
             }
             #[cfg(unix)]
             Open::Socket(socket) => loop {
-                let (stream, _) =
-                    socket.listener.accept().await.with_context(|| format!("{name} accepts no more"))?;
+                let (stream, _) = accept::insist(|| socket.listener.accept()).await;
                 tokio::task::spawn_local(serve_client(Rc::clone(&hub), stream, name.clone(), carried));
             },
         }

@@ -1,5 +1,6 @@
 //! TCP: any number of clients, one after the other or at once.
 
+use super::accept::{Accepted, Acceptor};
 use super::hub::Hub;
 use super::stream::{self, Pace};
 use crate::port::PortKind;
@@ -11,10 +12,6 @@ use std::rc::Rc;
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::spawn_local;
-use tokio::time::sleep;
-
-/// How long no connection is accepted after the system refused one, for want of descriptors for example.
-const RECOVERY: Duration = Duration::from_millis(100);
 
 /// How long a Modbus/TCP connection is silent before the system asks whether its master is still there.
 const KEEP_ALIVE_AFTER: Duration = Duration::from_secs(60);
@@ -25,12 +22,14 @@ const KEEP_ALIVE_RETRIES: u32 = 3;
 
 /// `kind` says which protocol is spoken.
 pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, kind: PortKind) -> Result<()> {
+    let mut acceptor = Acceptor::new(listener);
     loop {
-        match listener.accept().await {
-            Ok((stream, peer)) => {
+        match acceptor.accept().await {
+            Accepted::Client(stream, peer) => {
                 spawn_local(serve_client(Rc::clone(&hub), stream, peer, kind));
             }
-            Err(_) => sleep(RECOVERY).await,
+            // Closed at once.
+            Accepted::Refused(_) => {}
         }
     }
 }
@@ -38,10 +37,8 @@ pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, kind: PortKind) -
 async fn serve_client(hub: Rc<Hub>, mut stream: TcpStream, peer: SocketAddr, kind: PortKind) {
     // One too many: the connection is closed at once.
     let Some(client) = hub.connect(kind, &peer.to_string()) else { return };
-    if kind == PortKind::ModbusTcp {
-        // Where the system cannot do that, the end of a connection is noticed later.
-        let _ = keep_alive(&stream);
-    }
+    // Where the system cannot do that, the end of a connection is noticed later.
+    let _ = keep_alive(&stream);
     if stream.set_nodelay(true).is_ok() {
         let (reader, writer) = stream.split();
         // However it ends, the client is gone; that is all there is to say about it.
@@ -49,8 +46,8 @@ async fn serve_client(hub: Rc<Hub>, mut stream: TcpStream, peer: SocketAddr, kin
     }
 }
 
-/// Has the system notice a master that lost its power or its network: its connection ends, and with it a jog (guide,
-/// 4.3.2).
+/// Has the system notice a client that lost its power or its network. The connection ends, with a FAST STOP (command set,
+/// 1.4.2), or with the end of a Modbus master's jog (guide, 4.3.2).
 fn keep_alive(stream: &TcpStream) -> io::Result<()> {
     let keep_alive = TcpKeepalive::new()
         .with_time(KEEP_ALIVE_AFTER)

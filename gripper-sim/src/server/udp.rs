@@ -14,36 +14,51 @@ use tokio::task::yield_now;
 /// The longest datagram there is.
 const DATAGRAM_LEN: usize = 65_535;
 
+/// How many datagrams a client is sent while it sends nothing, unless [`Lines::udp_unanswered`](super::Lines::udp_unanswered) says
+/// otherwise. A datagram may name anybody as its sender, and updates go on by themselves.
+pub(super) const UNANSWERED: u32 = 1_000;
+
 /// A signal, or what the system tells about an earlier datagram that found nobody.
 const fn is_of_the_past(error: ErrorKind) -> bool {
     matches!(error, ErrorKind::Interrupted | ErrorKind::ConnectionRefused | ErrorKind::ConnectionReset)
 }
 
-/// `remote_port`: where answers go; `None`: to the port that asked. `kind` says which protocol is spoken.
+/// Who is at the other end.
+#[derive(Default)]
+struct Remote {
+    address: Option<SocketAddr>,
+    /// Datagrams sent to it since it sent something.
+    unanswered: u32,
+    echoes: Echoes,
+}
+
+/// `remote_port`: where answers go; `None`: to the port that asked. `kind` says which protocol is spoken. `unanswered`: how many
+/// datagrams a client is sent that sends nothing; 0: any number.
 pub(super) async fn serve(
     hub: Rc<Hub>,
     socket: UdpSocket,
     remote_port: Option<u16>,
     kind: PortKind,
+    unanswered: u32,
 ) -> Result<()> {
     let client =
         hub.connect(kind, &socket.local_addr()?.to_string()).context("the gripper has no place for UDP")?;
     let mut datagram = vec![0; DATAGRAM_LEN];
-    let mut remote: Option<SocketAddr> = None;
-    let mut echoes = Echoes::default();
+    let mut remote = Remote::default();
     loop {
-        send_waiting(&client, &socket, remote, &mut echoes).await;
+        send_waiting(&client, &socket, &mut remote, unanswered).await;
         tokio::select! {
             received = socket.recv_from(&mut datagram) => match received {
                 Ok((len, from)) => {
                     let received = datagram.get(..len).unwrap_or(&[]);
-                    if !echoes.must_end(Instant::now(), from, received) {
+                    if !remote.echoes.must_end(Instant::now(), from, received) {
                         let here = SocketAddr::new(from.ip(), remote_port.unwrap_or(from.port()));
-                        if remote.is_some_and(|before| before != here) {
+                        if remote.address.is_some_and(|before| before != here) {
                             client.end_updates();
-                            send_waiting(&client, &socket, remote, &mut echoes).await;
+                            send_waiting(&client, &socket, &mut remote, unanswered).await;
                         }
-                        remote = Some(here);
+                        remote.address = Some(here);
+                        remote.unanswered = 0;
                         client.receive(received);
                     }
                     // A client that sends without end gets no more than its turn.
@@ -58,14 +73,18 @@ pub(super) async fn serve(
     }
 }
 
-/// Sends every frame that waits.
-async fn send_waiting(client: &Client, socket: &UdpSocket, remote: Option<SocketAddr>, echoes: &mut Echoes) {
+/// Sends every frame that waits; none any more to a client that has sent nothing for too long, and its updates end.
+async fn send_waiting(client: &Client, socket: &UdpSocket, remote: &mut Remote, most: u32) {
     let mut buffer = [0; MAX_FRAME_LEN];
     while let Some(frame) = client.transmit(&mut buffer) {
-        if let Some(address) = remote {
-            echoes.sent(frame);
-            // Nobody may listen there; a datagram is lost then, as datagrams are.
-            let _ = socket.send_to(frame, address).await;
+        let Some(address) = remote.address else { continue };
+        if most > 0 && remote.unanswered >= most {
+            client.end_updates();
+            continue;
         }
+        remote.unanswered += 1;
+        remote.echoes.sent(frame);
+        // Nobody may listen there; a datagram is lost then, as datagrams are.
+        let _ = socket.send_to(frame, address).await;
     }
 }

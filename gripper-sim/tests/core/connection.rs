@@ -2,7 +2,7 @@
 
 use crate::common::{Rig, go_to, parse, texts};
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, LoopData, Status, SystemFlags};
-use wsg_sim::{Config, DEFAULT_PORTS, MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
+use wsg_sim::{Config, DEFAULT_PORTS, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
 fn frame(command: Command<'_>) -> Vec<u8> {
     FrameEncoder::new(command.id().code(), command).collect()
@@ -68,6 +68,20 @@ fn announced_disconnection_aborts_a_motion() {
         ["07h Disconnect Announcement E_SUCCESS", "21h Pre-position Fingers E_CMD_ABORTED"]
     );
     assert!(!rig.flags().intersects(SystemFlags::MOVING | SystemFlags::FAST_STOP));
+}
+
+/// Command set, 3.1.2: the announcement stops any finger movement.
+#[test]
+fn announced_disconnection_stops_fingers_that_snap_to_their_target() {
+    let mut rig = Rig::on(PortKind::Tcp, Config { part: Part::of_width(60.0), ..Config::default() });
+    rig.home();
+    assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
+    rig.set_part(None);
+    rig.wait(20);
+    rig.send(Command::DisconnectAnnouncement);
+    let width = rig.gripper.state().width;
+    rig.wait(500);
+    assert!(rig.gripper.state().width == width && width > 10.0, "{width}");
 }
 
 #[test]

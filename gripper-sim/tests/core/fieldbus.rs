@@ -2,7 +2,7 @@
 //! writes over Modbus/TCP, and what it reads.
 
 use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
-use wsg_protocol::{GripperState, Status, SystemFlags};
+use wsg_protocol::{Command, GripperState, PrePositionFlags, SoftLimits, Status, SystemFlags};
 use wsg_sim::{
     Config, Direction, Fault, MAX_FRAME_LEN, Model, Part, PortId, PortKind, SilenceReaction, Time,
     VirtualGripper,
@@ -321,6 +321,31 @@ fn fast_stop_of_the_plc_is_left_by_an_edge_of_stop_while_its_flag_is_0() {
     assert_eq!(plc.read().width, 20_00);
 }
 
+/// Fieldbus, 6.6: FASTSTOP is a level.
+#[test]
+fn faststop_that_is_1_outlasts_an_acknowledgement_by_a_third_party() {
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::FASTSTOP);
+    for _ in 0..3 {
+        let now = plc.now;
+        plc.gripper.command(&Command::ACKNOWLEDGE, now);
+        let width = plc.width();
+        let there = Command::PrePosition { flags: PrePositionFlags::empty(), width: 20.0, speed: 100.0 };
+        plc.gripper.command(&there, now);
+        plc.wait(250);
+        plc.assert_fast_stopped();
+        assert_eq!(plc.width(), width);
+    }
+    plc.lower(Flag::FASTSTOP);
+    plc.assert_fast_stopped();
+    let now = plc.now;
+    plc.gripper.command(&Command::ACKNOWLEDGE, now);
+    assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty());
+    plc.raise(Flag::MOVE);
+    plc.wait(2_000);
+    assert_eq!(plc.read().width, 20_00, "the acknowledgement unlocks motion");
+}
+
 #[test]
 fn stop_ends_a_motion_and_leaves_no_error() {
     let mut plc = Plc::homed(None);
@@ -444,6 +469,34 @@ fn jog_follows_the_dial_without_a_fast_stop() {
     plc.wait(100);
     assert_eq!(plc.gripper.state().speed, -5.0, "0 is the least speed");
     assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+}
+
+/// Fieldbus, 6.7; command set, 3.3.5 and appendix B.
+#[test]
+fn jog_runs_to_the_soft_limit_and_sets_its_flag() {
+    let both = [
+        (Flag::JOG_PLUS, 80_00, SystemFlags::SOFT_LIMIT_PLUS),
+        (Flag::JOG_MINUS, 30_00, SystemFlags::SOFT_LIMIT_MINUS),
+    ];
+    for (flag, limit, reached) in both {
+        let mut plc = Plc::homed(None);
+        plc.change(|image| image.width = 50_00);
+        plc.raise(Flag::MOVE);
+        plc.wait(2_000);
+        plc.lower(Flag::MOVE);
+        let now = plc.now;
+        let limits = SoftLimits { minus: 30.0, plus: 80.0 };
+        assert_eq!(plc.gripper.command(&Command::SetSoftLimits { limits }, now), Status::Success);
+        plc.raise(flag);
+        assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+        plc.wait(2_000);
+        assert_eq!((plc.shows(), plc.read().width), ((Shown::IDLE, Status::Success), limit));
+        assert!(plc.flags().contains(reached), "{:?}", plc.flags());
+        plc.lower(flag);
+        plc.raise(flag);
+        plc.wait(500);
+        assert_eq!((plc.shows(), plc.read().width), ((Shown::IDLE, Status::RangeError), limit));
+    }
 }
 
 #[test]

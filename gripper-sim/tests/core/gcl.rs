@@ -170,6 +170,55 @@ fn release_is_for_after_a_grip_only() {
     assert_eq!(desk.one("RELEASE()"), "ERR RELEASE 1");
 }
 
+/// 2.2.3: "Es ist nicht möglich, auf einen Greifbefehl hin einen weiteren Greifbefehl auszuführen."
+#[test]
+fn grip_after_grip_is_refused_until_release_or_move() {
+    for (held, outcome) in [(part(20.0), "FIN GRIP"), (None, "ERR GRIP 18")] {
+        let mut desk = Desk::homed(held);
+        assert_eq!(desk.run("GRIP(40,20)"), outcome);
+        for again in ["GRIP()", "GRIP(20)", "GRIP(40,20)", "GRIP(40,90,50)"] {
+            assert_eq!(desk.one(again), "ERR GRIP 4", "{outcome}");
+        }
+        assert_eq!(desk.run("RELEASE(30)"), "FIN RELEASE");
+        assert_eq!(desk.run("GRIP(40,20)"), outcome);
+    }
+    let mut desk = Desk::homed(part(20.0));
+    assert_eq!(desk.run("GRIP(40,20)"), "FIN GRIP");
+    desk.gripper.set_part(None, desk.now);
+    assert_eq!(desk.one("GRIP(40,20)"), "ERR GRIP 4", "PART LOST");
+    assert_eq!(desk.run("MOVE(50)"), "FIN MOVE");
+    assert_eq!(desk.run("GRIP(40,20)"), "ERR GRIP 18");
+}
+
+/// 2.2.2: "Der Befehl MOVE kann nicht zum Greifen oder Loslassen von Teilen verwendet werden."
+#[test]
+fn move_does_not_release_a_part_that_is_held() {
+    let mut desk = Desk::homed(part(20.0));
+    assert_eq!(desk.run("GRIP(40,20)"), "FIN GRIP");
+    assert_eq!(desk.one("MOVE(100)"), "ERR MOVE 4");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=4");
+    assert_eq!(desk.one("FORCE?"), "FORCE=40.0");
+    assert_eq!(desk.run("RELEASE(30)"), "FIN RELEASE");
+    assert_eq!(desk.run("MOVE(100)"), "FIN MOVE");
+    assert_eq!(desk.one("GRIPSTATS?"), "GRIPSTATS=[1,0,0]");
+}
+
+/// 2.2.3, cases 1 and 2: the end stop counts as a part, once the force is established.
+#[test]
+fn force_against_the_end_stop_rises_before_the_grip_counts() {
+    let mut desk = Desk::homed(None);
+    assert_eq!(desk.ask("GRIP(60)"), ["ACK GRIP"]);
+    let mut rising = vec![];
+    while desk.wait(1).is_empty() {
+        rising.push(desk.gripper.state().force);
+        assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=1");
+    }
+    assert!(rising.iter().filter(|force| (1.0..59.0).contains(*force)).count() > 10, "{rising:?}");
+    assert!(rising.windows(2).all(|pair| pair[0] <= pair[1]), "{rising:?}");
+    assert_eq!(desk.one("FORCE?"), "FORCE=60.0");
+    assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=4");
+}
+
 #[test]
 fn release_after_an_outward_grip_goes_inward() {
     let mut desk = Desk::homed(None);
@@ -314,15 +363,19 @@ fn datagrams_have_no_bye_and_end_their_line() {
     assert!(!desk.flags().contains(SystemFlags::FAST_STOP));
 }
 
+/// 1.3: "eine textuelle Beschreibung des aufgetretenen Fehlers".
 #[test]
 fn verbose_mode_adds_a_text_on_this_connection() {
     let mut desk = Desk::new(Config::default());
     assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
     assert_eq!(desk.one("VERBOSE=1"), "VERBOSE=1");
-    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3 E_NOT_INITIALIZED");
-    assert_eq!(desk.one("dance()"), "ERR DANCE 14 E_CMD_UNKNOWN");
+    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3 device not initialized: the fingers are not referenced");
+    assert_eq!(desk.one("dance()"), "ERR DANCE 14 unknown command");
+    assert_eq!(desk.run("HOME(1)"), "FIN HOME");
+    assert_eq!(desk.run("GRIP(40)"), "FIN GRIP");
+    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 4 already running: the fingers move or hold a part");
     assert_eq!(desk.one("VERBOSE=0"), "VERBOSE=0");
-    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
+    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 4");
 }
 
 #[test]

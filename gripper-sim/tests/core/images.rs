@@ -1,8 +1,8 @@
 //! A bus that brings whole images, such as PROFINET, in virtual time: who writes, and what happens when they leave.
 
 use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, OutputImage};
-use wsg_protocol::{Status, SystemFlags};
-use wsg_sim::{Config, PortId, PortKind, SilenceReaction, Time, VirtualGripper};
+use wsg_protocol::{Command, HomingDirection, Status, SystemFlags};
+use wsg_sim::{Config, PortId, PortKind, ScriptState, SilenceReaction, Time, VirtualGripper};
 
 const PARAMETERS: OutputImage =
     OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 50_00, force_limit: 40_00 };
@@ -92,6 +92,25 @@ fn master_that_falls_silent_ends_its_motion_as_it_is_configured() {
     }
 }
 
+/// The control server shows them (`/state`).
+#[test]
+fn outputs_are_zeros_after_their_master_has_left_and_those_of_another_stay() {
+    for is_cut in [false, true] {
+        let mut bus = Bus::homed(Config::default());
+        bus.write(Flag::GRIP, false);
+        let other = bus.gripper.connect(PortKind::Profinet).expect("a port is free");
+        bus.gripper.end_images(other, bus.now);
+        bus.gripper.disconnect(other, bus.now);
+        assert_eq!(bus.gripper.fieldbus_images().0, OutputImage { flags: Flag::GRIP, ..PARAMETERS });
+        if is_cut {
+            bus.gripper.disconnect(bus.port, bus.now);
+        } else {
+            bus.gripper.end_images(bus.port, bus.now);
+        }
+        assert_eq!(bus.gripper.fieldbus_images().0, OutputImage::ZERO);
+    }
+}
+
 #[test]
 fn jog_ends_with_its_master_in_any_case() {
     let config = Config { bus_reaction: SilenceReaction::Hold, ..Config::default() };
@@ -116,4 +135,64 @@ fn silence_of_a_master_that_does_not_command_changes_nothing() {
     bus.gripper.write_image(other, bus.now, &OutputImage { flags: Flag::FASTSTOP, ..PARAMETERS }, false);
     bus.wait(10);
     assert!(bus.is_moving());
+}
+
+/// Fieldbus manual, 5.1.1. A script that ended can answer for none of its flags.
+#[test]
+fn user_flags_cross_the_images_both_ways_and_end_with_the_script() {
+    let mut bus = Bus::homed(Config::default());
+    bus.gripper.set_script_state(ScriptState::Running, bus.now);
+    bus.gripper.write_image(bus.port, bus.now, &OutputImage { user: 0xA5, ..PARAMETERS }, false);
+    bus.gripper.set_user_outputs(0x5A);
+    let (written, shown) = bus.gripper.fieldbus_images();
+    assert_eq!((written.user, shown.user), (0xA5, 0x5A));
+    for state in [ScriptState::Failed, ScriptState::None] {
+        bus.gripper.set_user_outputs(0x5A);
+        bus.gripper.set_script_state(state, bus.now);
+        assert_eq!(bus.gripper.fieldbus_images().1.user, 0, "{state:?}");
+    }
+}
+
+/// Writes the image by Modbus/TCP.
+fn modbus_writes(bus: &mut Bus, modbus: PortId, flags: Flag) {
+    let image = OutputImage { flags, ..PARAMETERS };
+    let pdu = [&[16, 0, 0, 0, 4, 8][..], &image.to_bytes()].concat();
+    let header = [0, 1, 0, 0, 0, pdu.len() as u8 + 1, 0xFF];
+    bus.gripper.receive(modbus, bus.now, &[&header, &pdu[..]].concat());
+}
+
+#[test]
+fn cyclic_image_that_does_not_change_is_no_edge_after_another_master_wrote() {
+    let mut bus = Bus::homed(Config::default());
+    let modbus = bus.gripper.connect(PortKind::ModbusTcp).expect("a port is free");
+    bus.write(Flag::MOVE, false);
+    bus.wait(5_000);
+    bus.gripper.command(&Command::Homing { direction: HomingDirection::Default }, bus.now);
+    bus.wait(5_000);
+    modbus_writes(&mut bus, modbus, Flag::empty());
+    bus.write(Flag::MOVE, false);
+    bus.wait(100);
+    assert!(!bus.is_moving(), "the master holds MOVE since its motion");
+    bus.write(Flag::empty(), false);
+    bus.write(Flag::MOVE, false);
+    bus.wait(100);
+    assert!(bus.is_moving());
+}
+
+#[test]
+fn fast_stop_counts_as_long_as_any_master_asserts_it() {
+    let mut bus = Bus::homed(Config::default());
+    let modbus = bus.gripper.connect(PortKind::ModbusTcp).expect("a port is free");
+    bus.write(Flag::FASTSTOP, false);
+    modbus_writes(&mut bus, modbus, Flag::empty());
+    modbus_writes(&mut bus, modbus, Flag::STOP_ACK);
+    assert!(bus.gripper.state().flags.contains(SystemFlags::FAST_STOP), "the cyclic master asserts it");
+    modbus_writes(&mut bus, modbus, Flag::FASTSTOP);
+    bus.write(Flag::empty(), false);
+    bus.write(Flag::STOP_ACK, false);
+    assert!(bus.gripper.state().flags.contains(SystemFlags::FAST_STOP), "the Modbus master asserts it");
+    modbus_writes(&mut bus, modbus, Flag::empty());
+    bus.write(Flag::empty(), false);
+    bus.write(Flag::STOP_ACK, false);
+    assert!(!bus.gripper.state().flags.contains(SystemFlags::FAST_STOP));
 }

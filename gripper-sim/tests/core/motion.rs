@@ -1,7 +1,9 @@
 //! Motion commands: what moves, how it ends, what is refused (command set, 3.2 and appendix C).
 
 use crate::common::{Rig, Sent, go_by, go_to, go_to_or_stop, grip, release, texts};
-use wsg_protocol::{AutoUpdate, Command, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
+use wsg_protocol::{
+    AutoUpdate, Command, GripperState, HomingDirection, SoftLimits, Status, SystemFlags, Value,
+};
 use wsg_sim::{Config, Direction, Fault, Finger, Model, Part};
 
 #[test]
@@ -564,4 +566,189 @@ fn statistics_count_grips_and_what_became_of_them_and_reset_after_reading() {
         read(&mut rig, false),
         "42h Get Gripping Statistics E_SUCCESS 0 grips, 0 without part, 0 lost"
     );
+}
+
+/// The forces while time passes, one a millisecond.
+fn forces(rig: &mut Rig, millis: u64) -> Vec<f32> {
+    (0..millis)
+        .map(|_| {
+            rig.now = rig.now.plus_millis(1);
+            rig.gripper.advance(rig.now);
+            rig.force()
+        })
+        .collect()
+}
+
+/// Fieldbus, 6.3: "Zum Loslassen wird die Nennkraft des Greifers verwendet", reached "durch sukzessives Erhöhen der internen
+/// Kraftgrenze".
+#[test]
+fn release_raises_its_force_step_by_step_to_the_nominal_force_whatever_the_limit_is() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.status(Command::SetForceLimit { force: 10.0 });
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    assert_eq!(rig.force(), 10.0);
+    // What keeps the fingers from opening shows the force with which they try.
+    rig.set_fault(Fault::AxisBlocked, true);
+    assert_eq!(rig.status(release(50.0)), Status::CmdPending);
+    let forces = forces(&mut rig, 100);
+    assert!(forces[0] < 15.0, "{forces:?}");
+    assert!(forces.windows(2).all(|pair| (0.0..5.0).contains(&(pair[1] - pair[0]))), "{forces:?}");
+    assert_eq!(forces[99], 80.0);
+    assert_eq!(rig.ask(Command::GetForceLimit).f32(), 10.0, "the limit that is set stays");
+    rig.set_fault(Fault::AxisBlocked, false);
+    assert_eq!(rig.next().status(), Status::Success);
+    assert_eq!((rig.width(), rig.force()), (50.0, 0.0));
+}
+
+/// Fieldbus, 6.3: "Der RELEASE-Befehl quetscht das Teil nicht ein".
+#[test]
+fn release_does_not_squeeze_the_part_though_it_points_inward() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.status(Command::SetForceLimit { force: 30.0 });
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    assert_eq!(rig.status(release(10.0)), Status::CmdPending);
+    let forces = forces(&mut rig, 500);
+    assert!(forces.iter().all(|force| (force - 30.0).abs() < 1e-3), "{forces:?}");
+    assert!((rig.width() - 19.7).abs() < 1e-3, "{}", rig.width());
+}
+
+/// Command set, 3.2.6: a part is gripped once the gripper "can establish the desired gripping force within the defined clamping
+/// travel".
+#[test]
+fn force_of_a_grip_rises_gradually_and_holding_begins_when_it_is_established() {
+    let mut rig = Rig::homed(Part::new(20.0, 20.0));
+    rig.status(Command::SetForceLimit { force: 60.0 });
+    assert_eq!(rig.status(grip(20.0)), Status::CmdPending);
+    let mut rising = Vec::new();
+    while rig.state() == GripperState::Gripping {
+        rising.extend(forces(&mut rig, 1).into_iter().filter(|force| *force > 0.0));
+    }
+    assert!(rising.len() > 10 && rising.windows(2).all(|pair| pair[0] <= pair[1]), "{rising:?}");
+    assert_eq!((rig.state(), rig.force()), (GripperState::Holding, 60.0));
+}
+
+/// Appendix B: D2 "will be reset if either the blocking condition is resolved or a stop command is issued".
+#[test]
+fn blocked_stays_set_until_the_block_is_resolved_or_a_stop_is_issued() {
+    let blocked = |rig: &Rig| rig.flags().contains(SystemFlags::BLOCKED_MINUS);
+    let moving = |rig: &Rig| rig.flags().contains(SystemFlags::MOVING);
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
+    assert!(blocked(&rig));
+    // Another motion in the same direction does not resolve it.
+    assert_eq!(rig.status(go_to(5.0)), Status::CmdPending);
+    assert!(blocked(&rig) && !moving(&rig), "fingers that stand on a part do not move");
+    assert_eq!(rig.next().status(), Status::AxisBlocked);
+    assert!(blocked(&rig));
+    // Fingers that move away do.
+    assert_eq!(rig.status(go_to(40.0)), Status::CmdPending);
+    rig.wait(20);
+    assert!(!blocked(&rig) && moving(&rig));
+    assert_eq!(rig.next().status(), Status::Success);
+    // So does the removal of the part.
+    assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
+    assert!(blocked(&rig));
+    rig.set_part(None);
+    assert!(!blocked(&rig));
+    // A stop resets the flag though the part is still there.
+    rig.wait(500);
+    rig.run(go_to(40.0));
+    rig.set_part(Some(20.0));
+    for stop in [Command::Stop, Command::FastStop] {
+        assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
+        assert!(blocked(&rig));
+        rig.status(stop);
+        assert!(!blocked(&rig), "{stop}");
+        rig.status(Command::ACKNOWLEDGE);
+        rig.wait(20);
+    }
+}
+
+/// Command set, 3.2.2: "If the blocking condition is removed while clamping [...], the fingers will snap to the target position",
+/// and appendix B, D7: "Set if the target position was reached".
+#[test]
+fn fingers_that_snap_to_their_target_set_target_pos_reached() {
+    let reached = |rig: &Rig| rig.flags().contains(SystemFlags::TARGET_POS_REACHED);
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
+    rig.wait(100);
+    assert!(!reached(&rig));
+    rig.set_part(None);
+    rig.wait(20);
+    assert!(!reached(&rig), "still under way");
+    rig.wait(500);
+    assert!(reached(&rig) && rig.width() == 10.0);
+    assert_eq!(rig.state(), GripperState::Error, "until the next command (3.4.2)");
+}
+
+/// Command set, 3.2.2: "To grip or release a part, please use the Grip Part [...] and Release Part [...] commands". GCL, 2.2.2:
+/// "kann nicht zum Greifen oder Loslassen von Teilen verwendet werden".
+#[test]
+fn pre_position_does_not_release_a_part_that_is_held() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    let hand = |rig: &mut Rig| rig.gripper.command(&go_to(100.0), rig.now);
+    for command in [go_to(100.0), go_to(10.0), go_by(1.0), go_to_or_stop(100.0)] {
+        assert_eq!(rig.status(command), Status::AlreadyRunning, "{command}");
+        rig.wait(100);
+        assert_eq!((rig.state(), rig.force()), (GripperState::Holding, 40.0));
+    }
+    assert_eq!(hand(&mut rig), Status::AlreadyRunning);
+    // It is watched on.
+    rig.set_part(None);
+    assert_eq!(rig.state(), GripperState::PartLost);
+    assert_eq!(rig.gripper.state().statistics.part_lost, 1);
+    // "This state will persist until the next [...] Pre-position Fingers command is issued" (3.4.2).
+    assert_eq!(rig.run(go_to(100.0)), Status::Success);
+}
+
+/// Command set, 3.2.1: "Issue a STOP command, first"; 3.2.7: "Release a previously gripped part".
+#[test]
+fn release_and_stop_lead_out_of_holding_to_a_pre_position() {
+    for way_out in [release(40.0), Command::Stop] {
+        let mut rig = Rig::homed(Part::of_width(20.0));
+        assert_eq!(rig.run(grip(20.0)), Status::Success);
+        if rig.status(way_out) == Status::CmdPending {
+            assert_eq!(rig.next().status(), Status::Success);
+        }
+        assert_eq!(rig.run(go_to(100.0)), Status::Success, "{way_out}");
+        assert_eq!(rig.gripper.state().statistics.part_lost, 0, "it was let go, not lost");
+    }
+}
+
+/// Fieldbus, 6.4: the web interface sets "die Richtung der Referenzierung [...] sowie das automatische Homing beim Starten".
+#[test]
+fn automatic_homing_references_the_gripper_in_its_default_direction_without_a_command() {
+    for (homing_default, reference) in [(Direction::Plus, 110.0), (Direction::Minus, 0.0)] {
+        let mut rig = Rig::new(Config { homing_at_start: true, homing_default, ..Config::default() });
+        assert_eq!(rig.state(), GripperState::Positioning);
+        assert!(rig.flags().contains(SystemFlags::MOVING));
+        assert_eq!(rig.status(go_to(50.0)), Status::AlreadyRunning);
+        assert_eq!(rig.wait(4_000), [], "no client asked for it");
+        assert!(rig.flags().contains(SystemFlags::REFERENCED));
+        assert_eq!((rig.width(), rig.state()), (reference, GripperState::Idle));
+        assert_eq!(rig.run(go_to(50.0)), Status::Success);
+    }
+    let mut rig = Rig::new(Config::default());
+    rig.wait(4_000);
+    assert_eq!((rig.width(), rig.flags()), (55.0, SystemFlags::empty()), "as delivered it stays where it is");
+}
+
+/// Command set, 3.3.5: "soft limits that are loaded by default on power-up".
+#[test]
+fn soft_limits_of_the_configuration_hold_from_power_up_and_yield_to_commands() {
+    let limits = SoftLimits { minus: 20.0, plus: 80.0 };
+    let mut rig = Rig::homed_with(Config { soft_limits: Some(limits), ..Config::default() });
+    rig.ask(Command::GetSoftLimits)
+        .with(|reply| assert_eq!(reply.value(), Some(Value::GetSoftLimits(limits))));
+    assert!(rig.flags().contains(SystemFlags::SOFT_LIMIT_PLUS), "homing ignores them (3.2.1)");
+    assert_eq!(rig.run(go_to(50.0)), Status::Success);
+    assert_eq!(rig.status(go_to(10.0)), Status::RangeError);
+    assert_eq!(rig.status(Command::ClearSoftLimits), Status::Success);
+    assert_eq!(rig.status(Command::GetSoftLimits), Status::NotAvailable);
+    assert_eq!(rig.run(go_to(10.0)), Status::Success);
+    // None where minus is above plus.
+    let limits = SoftLimits { minus: 80.0, plus: 20.0 };
+    let mut rig = Rig::new(Config { soft_limits: Some(limits), ..Config::default() });
+    assert_eq!(rig.status(Command::GetSoftLimits), Status::NotAvailable);
 }

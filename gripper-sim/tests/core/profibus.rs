@@ -186,11 +186,13 @@ fn master_that_leaves_ends_its_motion_as_it_is_configured_and_a_jog_in_any_case(
             master.set(flag);
             master.wait(50);
             assert!(master.gripper.state().speed < 0.0);
+            assert_eq!(master.gripper.fieldbus_images().0.flags, flag);
             leave(&mut master);
             master.gripper.advance(master.now.plus_millis(10));
             let state = master.gripper.state();
             let shown = (state.speed < 0.0, state.flags.contains(SystemFlags::FAST_STOP));
             assert_eq!(shown, (goes_on, stops_fast), "{way} {bus_reaction:?} {flag:?}");
+            assert_eq!(master.gripper.fieldbus_images().0, OutputImage::ZERO, "{way}");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What scripts share with the gripper: claimed commands, and motions of the script, in virtual time.
 
-use crate::common::{Rig, go_to, grip};
+use crate::common::{Rig, go_to, grip, release};
 use wsg_protocol::{Command, FrameEncoder, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
 use wsg_sim::{Config, Fault, MAX_REQUEST_LEN, Part, PortKind, ScriptState};
 
@@ -122,6 +122,56 @@ fn velocity_mode_pushes_against_a_part_with_the_force_limit_for_as_long_as_it_la
     assert_eq!(rig.width(), 0.0, "it goes on when the part is gone");
 }
 
+/// Appendix B, D1 and D2, as a controller meets them that repeats its speed 30 to 60 times a second: the flags that it reads
+/// right after the command are those of fingers that stand on the part.
+#[test]
+fn speed_that_is_repeated_against_a_part_leaves_the_axis_blocked_and_not_moving() {
+    for (speed, period_ms) in [(-50.0, 33), (-50.0, 16), (-5.0, 1)] {
+        let mut rig = running(Part::of_width(20.0));
+        rig.status(Command::SetForceLimit { force: 80.0 });
+        run(&mut rig, -200.0);
+        rig.wait(1_500);
+        for cycle in 0..60 {
+            assert_eq!(run(&mut rig, speed), Status::CmdPending);
+            let flags = rig.flags();
+            assert!(flags.contains(SystemFlags::BLOCKED_MINUS), "cycle {cycle}: {flags:?}");
+            assert!(!flags.contains(SystemFlags::MOVING), "cycle {cycle}: {flags:?}");
+            rig.wait(period_ms);
+            assert_eq!(rig.force(), 80.0);
+        }
+        // A lower force limit does not resolve it, nor does a speed in the same direction after that.
+        rig.status(Command::SetForceLimit { force: 20.0 });
+        run(&mut rig, speed);
+        assert!(rig.flags().contains(SystemFlags::BLOCKED_MINUS));
+        rig.wait(period_ms + 20);
+        assert_eq!(rig.force(), 20.0);
+        // The other direction resolves it, and so does a speed of 0, which is a stop.
+        run(&mut rig, -speed);
+        rig.wait(20);
+        assert!(!rig.flags().contains(SystemFlags::BLOCKED_MINUS));
+        run(&mut rig, -200.0);
+        rig.wait(1_000);
+        assert!(rig.flags().contains(SystemFlags::BLOCKED_MINUS));
+        assert_eq!(run(&mut rig, 0.0), Status::Success);
+        assert!(!rig.flags().contains(SystemFlags::BLOCKED_MINUS));
+    }
+}
+
+#[test]
+fn speed_that_is_repeated_against_a_jam_keeps_its_force_and_follows_a_lower_limit() {
+    let mut rig = running(None);
+    rig.set_fault(Fault::AxisBlocked, true);
+    for (limit, least) in [(60.0, 0.0), (60.0, 60.0), (25.0, 25.0)] {
+        rig.status(Command::SetForceLimit { force: limit });
+        for _ in 0..10 {
+            run(&mut rig, -50.0);
+            assert!((least..=limit).contains(&rig.force()), "{} N of {limit} N", rig.force());
+            rig.wait(10);
+        }
+        assert_eq!(rig.force(), limit);
+    }
+}
+
 #[test]
 fn any_command_takes_the_place_of_velocity_mode_and_it_takes_the_place_of_any_motion() {
     let mut rig = running(Part::of_width(20.0));
@@ -129,7 +179,7 @@ fn any_command_takes_the_place_of_velocity_mode_and_it_takes_the_place_of_any_mo
     rig.wait(50);
     assert_eq!(rig.run(grip(20.0)), Status::Success);
     assert_eq!(rig.state(), GripperState::Holding);
-    assert_eq!(rig.status(go_to(100.0)), Status::CmdPending);
+    assert_eq!(rig.status(release(100.0)), Status::CmdPending);
     assert_eq!(run(&mut rig, 5.0), Status::CmdPending);
     assert_eq!(rig.next().status(), Status::CmdAborted, "whoever had asked for the motion is told");
     assert_eq!(rig.status(Command::Stop), Status::Success);
@@ -169,4 +219,23 @@ fn answer_to_a_client_that_is_gone_reaches_nobody() {
     rig.port = rig.gripper.connect(PortKind::Serial).unwrap();
     assert!(rig.gripper.answer_for_script(request.port, request.id, &[0, 0]));
     assert_eq!(rig.frames(), []);
+}
+
+#[test]
+fn command_that_a_script_gives_back_is_unknown_again_and_those_that_wait_are_counted() {
+    let mut rig = running(None);
+    assert!(rig.gripper.claim_for_script(0xB0) && rig.gripper.claim_for_script(0xB1));
+    assert_eq!(rig.gripper.script_requests(), 0);
+    call(&mut rig, 0xB0, &[]);
+    call(&mut rig, 0xB1, &[]);
+    assert_eq!(rig.gripper.script_requests(), 2);
+    assert!(
+        rig.gripper.release_for_script(0xB0) && rig.gripper.release_for_script(0xB0),
+        "it may be given back twice"
+    );
+    assert!(!rig.gripper.release_for_script(0x20));
+    call(&mut rig, 0xB0, &[]);
+    assert_eq!(rig.frames().pop().map(|answer| answer.frame[6]), Some(14), "E_CMD_UNKNOWN");
+    call(&mut rig, 0xB1, &[]);
+    assert_eq!(rig.gripper.script_requests(), 3);
 }

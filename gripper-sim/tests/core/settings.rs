@@ -269,6 +269,66 @@ fn finger_faults_show_in_flags_and_answers() {
     assert_eq!(rig.status(Command::Finger2Power { enabled: true }), Status::CmdPending);
 }
 
+/// GCL, appendix C, bit 10: "Während der Initialisierung des Fingers ist ein Fehler aufgetreten"; bit 9: "Während der Laufzeit".
+#[test]
+fn finger_that_does_not_answer_when_its_supply_comes_on_shows_init_fault_until_it_does() {
+    let flags = |rig: &mut Rig| {
+        let frame = rig.ask(Command::GetFinger1Flags).frame;
+        FingerFlags::from_bits_retain(u16::from_le_bytes([frame[8], frame[9]]))
+    };
+    let works = FingerFlags::POWER_ON | FingerFlags::CONFIG_AVAIL | FingerFlags::COMM_OPEN;
+    for finger in [Finger::Fmf, Finger::Dsa] {
+        let mut rig = Rig::new(Config { fingers: [finger, Finger::None], ..Config::default() });
+        assert_eq!(flags(&mut rig), works);
+        let (short, silent) = (Fault::FingerShortCircuit(Jaw::One), Fault::FingerCommunication(Jaw::One));
+        rig.set_fault(short, true);
+        assert_eq!(flags(&mut rig), FingerFlags::POWER_FAULT);
+        rig.set_fault(silent, true);
+        rig.set_fault(short, false);
+        assert_eq!(flags(&mut rig), FingerFlags::POWER_ON | FingerFlags::INIT_FAULT);
+        assert!(rig.flags().contains(SystemFlags::FINGER_FAULT));
+        rig.set_fault(silent, false);
+        assert_eq!(flags(&mut rig), works, "it ends by itself once the finger answers");
+        assert!(!rig.flags().contains(SystemFlags::FINGER_FAULT));
+        // At run time it is the other flag.
+        rig.set_fault(silent, true);
+        let open = FingerFlags::POWER_ON | FingerFlags::CONFIG_AVAIL;
+        assert_eq!(flags(&mut rig), open | FingerFlags::COMM_FAULT);
+    }
+}
+
+/// Appendix B, D16: "The engine has reached its maximum thermal power consumption. The flag will be reset automatically as soon
+/// as the engine has recovered. Then the corresponding Fast Stop can be committed."
+#[test]
+fn motor_overheats_under_the_overdrive_force_recovers_by_itself_and_is_acknowledged_then() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
+    rig.status(Command::OverdriveMode { enabled: true });
+    rig.status(Command::SetForceLimit { force: 120.0 });
+    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    let fault = |rig: &Rig| rig.flags().contains(SystemFlags::CURR_FAULT);
+    let start = rig.now;
+    while !fault(&rig) {
+        assert_eq!(rig.state(), GripperState::Holding);
+        rig.wait(100);
+        assert!(rig.now < start.plus_millis(120_000), "it never comes");
+    }
+    assert!(rig.now > start.plus_millis(30_000), "{}", rig.now);
+    assert!(rig.flags().contains(SystemFlags::FAST_STOP) && rig.force() == 0.0);
+    assert!(!rig.flags().contains(SystemFlags::TEMP_FAULT), "the electronics are slower");
+    // Not before the motor has recovered.
+    assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
+    assert!(rig.flags().contains(SystemFlags::FAST_STOP));
+    let wake = rig.gripper.next_wake().expect("a flag is about to change");
+    assert!(wake <= rig.now.plus_millis(100), "{wake}");
+    rig.wait(10_000);
+    assert!(fault(&rig), "a motor does not recover at once");
+    rig.wait(50_000);
+    assert!(!fault(&rig) && rig.flags().contains(SystemFlags::FAST_STOP));
+    assert_eq!(rig.status(go_to(50.0)), Status::AccessDenied);
+    rig.status(Command::ACKNOWLEDGE);
+    assert_eq!(rig.run(go_to(50.0)), Status::Success);
+}
+
 #[test]
 fn severe_faults_cause_a_fast_stop_that_outlasts_them() {
     for (fault, flag) in [

@@ -267,6 +267,45 @@ fn udp_answers_go_to_the_fixed_remote_port_whatever_port_asked() {
     }
 }
 
+/// The sender of a datagram may be forged: updates go to whoever it names, at 400 a second here, and nobody ends them.
+#[test]
+fn udp_peer_that_sends_nothing_is_sent_a_bounded_number_of_datagrams() {
+    let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let udp =
+        UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port: peer.local_addr().unwrap().port() };
+    let lines = Lines { udp: Some(udp), udp_unanswered: Some(100), ..Lines::default() };
+    let served = serve(Config::default(), lines);
+    let gripper = served.udp_address().unwrap();
+    let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let update = AutoUpdate::every(10);
+    let subscribe = || {
+        for command in [
+            Command::GetSystemState { update },
+            Command::GetGripperState { update },
+            Command::GetOpeningWidth { update },
+            Command::GetSpeed { update },
+            Command::GetForce { update },
+        ] {
+            uninterrupted::send_to(&sender, &frame(command), gripper).unwrap();
+        }
+    };
+    let count = || {
+        // Updates come every 10 ms as long as they come.
+        peer.set_read_timeout(Some(Duration::from_secs(2))).unwrap();
+        let mut datagrams = 0;
+        while uninterrupted::recv_from(&peer, &mut [0; 2_048]).is_ok() {
+            datagrams += 1;
+            assert!(datagrams <= 105, "for ever");
+        }
+        datagrams
+    };
+    subscribe();
+    assert!((100..=105).contains(&count()));
+    // Whoever is there says so, and is answered again.
+    subscribe();
+    assert!((100..=105).contains(&count()));
+}
+
 #[test]
 fn log_tells_time_direction_line_bytes_and_meaning() {
     let path = scratch("log");

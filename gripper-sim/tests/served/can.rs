@@ -277,7 +277,7 @@ fn interface_that_does_not_exist_is_named_in_one_line() {
 fn program_says_where_the_slcan_line_is() {
     let mut program = Program::start(&["--slcan", "pty", "--can-id", "0x345"]);
     assert_eq!(program.line(), "model wsg50-110");
-    let terminal = open_terminal(Path::new(&program.place_of("can")));
+    let terminal = open_terminal(Path::new(&program.place_of("slcan")));
     let mut controller = Controller::new(terminal.try_clone().unwrap(), terminal);
     controller.open();
     controller.send(Command::GetTemperature);

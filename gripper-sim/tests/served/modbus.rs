@@ -414,3 +414,21 @@ fn program_serves_modbus_and_says_where() {
     }
     assert_eq!(master.ask(&[4, 0, 3, 0, 1]), [4, 2, 0xF8, 0x2A], "110.00 mm, low byte first");
 }
+
+/// Fieldbus manual, 5.1.1.
+#[cfg(feature = "script")]
+#[test]
+fn user_flags_reach_a_script_and_come_from_it() {
+    use crate::scripts::{MIRRORS_USER_FLAGS, script_file};
+    let (_file, path) = script_file("modbus-flags", MIRRORS_USER_FLAGS);
+    let served = serve(Lines { script: Some(path), ..Lines::default() });
+    let mut master = Master::of(&served);
+    // IF1 is coil 8, OF1 input 8.
+    for (inputs, outputs) in [(0b0000_0001, 0b0100_0000), (0b1000_0110, 0b1011_0000), (0, 0)] {
+        assert_eq!(master.ask(&[15, 0, 8, 0, 8, 1, inputs]), [15, 0, 8, 0, 8]);
+        let end = Instant::now() + BOUND;
+        while master.ask(&[2, 0, 8, 0, 8]) != [2, 1, outputs] {
+            assert!(Instant::now() < end, "{inputs:08b}");
+        }
+    }
+}

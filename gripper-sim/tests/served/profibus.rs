@@ -9,8 +9,10 @@ use profirust::{Address, Baudrate};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use serde_json::Value;
 use std::fs::File;
-use std::io::Write;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 use std::time::{Duration, Instant as RealInstant};
 use wsg_protocol::fieldbus::profibus::PROFILE;
@@ -129,7 +131,8 @@ impl Plc {
 #[test]
 fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
     let config = Config { time_scale: QUICK, part: Part::of_width(20.0), ..Config::default() };
-    let lines = Lines { profibus: Some(SerialLine::Pty), ..Lines::default() };
+    let control = "127.0.0.1:0".parse().ok();
+    let lines = Lines { profibus: Some(SerialLine::Pty), control, ..Lines::default() };
     let server = ServerThread::start(config, &lines, None).expect("the server is up");
     let mut plc = Plc::new(server.profibus_path().expect("it was asked for"));
 
@@ -142,4 +145,40 @@ fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
     plc.command(Flag::GRIP, shows(Shown::HOLDING));
     plc.command(Flag::empty(), shows(Shown::HOLDING));
     plc.command(Flag::RELEASE, shows(Shown::IDLE));
+
+    let outputs = || state_outputs(server.control_address().expect("it was asked for"));
+    assert_eq!(outputs(), plc.image.to_bytes());
+    // Global_Control to all stations: Clear_Data. The master of profirust sends no more.
+    plc.line.line.write_all(&[0x68, 7, 7, 0x68, 0xFF, 0x82, 0x46, 58, 62, 2, 0, 0x41, 0x16]).unwrap();
+    let start = RealInstant::now();
+    while outputs() != [0; OutputImage::LEN] {
+        assert!(start.elapsed() < BOUND, "{:?}", outputs());
+    }
+}
+
+/// Returns the output image that the control server shows.
+fn state_outputs(control: SocketAddr) -> [u8; OutputImage::LEN] {
+    let mut stream = TcpStream::connect(control).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("an answer in time");
+    let (_, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
+    let state: Value = serde_json::from_str(body).expect("every answer is JSON");
+    serde_json::from_value(state["fieldbus"]["output"].clone()).expect("an image")
+}
+
+/// Fieldbus manual, 5.1.1.
+#[cfg(feature = "script")]
+#[test]
+fn user_flags_reach_a_script_and_come_from_it_over_profibus() {
+    use crate::scripts::{MIRRORS_USER_FLAGS, script_file};
+    let (_file, path) = script_file("profibus-flags", MIRRORS_USER_FLAGS);
+    let lines = Lines { profibus: Some(SerialLine::Pty), script: Some(path), ..Lines::default() };
+    let server = ServerThread::start(Config::default(), &lines, None).expect("the server is up");
+    let mut plc = Plc::new(server.profibus_path().expect("it was asked for"));
+    for (inputs, outputs) in [(0b0000_0001, 0b0100_0000), (0b1000_0110, 0b1011_0000), (0, 0)] {
+        plc.image.user = inputs;
+        plc.command(Flag::empty(), |input| input.user == outputs);
+    }
 }

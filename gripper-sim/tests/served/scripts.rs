@@ -333,6 +333,295 @@ fn whatever_is_asked_of_the_example_it_answers_and_goes_on() {
     served.stop().unwrap();
 }
 
+/// Runs a script until its log has a line that ends with `last`; the log.
+fn log_of(name: &str, config: Config, script: &Path, last: &str) -> String {
+    let log = std::env::temp_dir().join(format!("wsg-sim-{}-{name}-log", std::process::id()));
+    let served = ServerThread::start(config, &lines(script), Some(Log::to_file(&log).unwrap())).unwrap();
+    let start = Instant::now();
+    let text = loop {
+        let text = std::fs::read_to_string(&log).unwrap();
+        if text.lines().any(|line| line.ends_with(last)) {
+            break text;
+        }
+        assert!(start.elapsed() < BOUND, "{name}: {text}");
+        std::thread::yield_now();
+    };
+    served.stop().unwrap();
+    let _ = std::fs::remove_file(&log);
+    text
+}
+
+/// The log of a script that prints `end` at last.
+fn printed(name: &str, source: &str) -> String {
+    log_of(name, Config { time_scale: QUICK, ..Config::default() }, &File::new(name, source).0, " script end")
+}
+
+#[test]
+fn no_call_however_deep_overflows_the_stack_of_a_script() {
+    // Each ends with an error of Lua, or without one; a stack that overflows ends this process.
+    let attempts = [
+        r#"string.find(("a"):rep(50000), ("a?"):rep(50000))"#,
+        r#"string.match(("a"):rep(50000), ("a?"):rep(50000))"#,
+        r#"for _ in string.gmatch(("a"):rep(50000), ("a?"):rep(50000)) do end"#,
+        r#"for _ in string.gfind(("a"):rep(50000), ("a?"):rep(50000)) do end"#,
+        r#"string.gsub(("a"):rep(50000), ("a?"):rep(50000), "")"#,
+        r#"("a"):rep(50000):find(("a-"):rep(50000) .. "b")"#,
+        r#"string.find("a", ("("):rep(100000))"#,
+        // As deep as the bounds allow, at the bottom of as many calls as Lua allows.
+        r#"local p = ("a?"):rep(512)
+           local function f() return (("a"):gsub("a", function() p:rep(1):gsub(p, f) f() end)) end f()"#,
+        r#"local function f() coroutine.wrap(f)() end f()"#,
+        r#"local function f() coroutine.resume(coroutine.create(f)) end f()"#,
+        r#"local t = setmetatable({}, {}) getmetatable(t).__tostring = function() print(t) return "" end print(t)"#,
+        r#"local t = setmetatable({}, {}) getmetatable(t).__index = function(_, k) return t[k] end return t.x"#,
+        r#"local function f() pcall(f) error(("x"):rep(100)) end f()"#,
+        r#"local function f() return xpcall(f, f) end f()"#,
+        r#"local function f() table.sort({1, 2, 3}, f) end f()"#,
+        r#"assert(loadstring(("("):rep(100000)))"#,
+        r#"assert(loadstring("return " .. ("{"):rep(100000)))"#,
+        r#"assert(load(function() return "do " end))"#,
+        r#"unpack({}, 1, 1e8) "#,
+        r#"unpack({}, 0, 2^31 - 1)"#,
+        r#"string.byte(("x"):rep(1e6), 1, -1)"#,
+        // A table that holds itself.
+        r#"cmd.register(0xA0) local t = {} t[1] = t cmd.send(0xA0, t)"#,
+        r#"getmetatable(newproxy(true)).__gc = function() error("x") end"#,
+    ];
+    let mut source = String::new();
+    for (number, attempt) in attempts.iter().enumerate() {
+        source += &format!("print({number}, pcall(function() {attempt} end))\n");
+    }
+    let log = printed("deep", &(source + "print('end')"));
+    let outcome = |number: usize| {
+        let start = format!(" script {number}\t");
+        log.lines()
+            .find_map(|line| Some(line.split_once(&start)?.1))
+            .unwrap_or_else(|| panic!("{number}: {log}"))
+    };
+    for number in 0..7 {
+        assert!(outcome(number).contains("a pattern has 1024 bytes at the most"), "{}", outcome(number));
+    }
+    for number in 0..attempts.len() {
+        assert!(!outcome(number).is_empty());
+    }
+}
+
+#[test]
+fn patterns_find_what_they_did_and_their_errors_name_the_line() {
+    let log = printed(
+        "patterns",
+        r#"print(("a.b"):find(".", 1, true), ("x=1, y=2"):gsub("(%w+)=(%w+)", "%2=%1"), ("abc"):match("b(.)"))
+        for word in ("one two"):gmatch("%a+") do print(word) end
+        print(#("x"):rep(2000), (("x"):rep(2000) .. "y"):find(("x"):rep(2000), 1, true))
+        print(("abc"):gsub("%w", { a = 1 }), ("abc"):gsub("%w", function(letter) return letter:upper() end, 2))
+        print(pcall(function() local at = ("a"):find("[") end))
+        print(pcall(function() return ("a"):gsub("a", function() error("own") end) end))
+        print('end')"#,
+    );
+    for line in [
+        " 2\t1=x, 2=y\tc",
+        " script one",
+        " script two",
+        " 2000\t1\t2000",
+        " 1bc\tABc\t2",
+        " false\tpatterns.lua:5: malformed pattern (missing ']')",
+        " false\tpatterns.lua:6: own",
+    ] {
+        let named = line.replace("patterns.lua", &format!("wsg-sim-{}-patterns.lua", std::process::id()));
+        assert!(log.lines().any(|logged| logged.ends_with(&named)), "{named} in {log}");
+    }
+}
+
+#[test]
+fn script_is_text_and_has_no_way_to_bytecode() {
+    let log = printed(
+        "text",
+        r#"print(string.dump, newproxy, dofile, loadfile)
+        local code = "\27Lua" .. ("\0"):rep(100)
+        print(loadstring(code))
+        local sent = false
+        print(load(function() if not sent then sent = true return code end end))
+        print(loadstring("return 1 + 1")(), load(function() return nil end)())
+        print('end')"#,
+    );
+    assert!(log.contains(" nil\tnil\tnil\tnil\n"), "{log}");
+    assert_eq!(log.matches(" nil\ta script is text; expected no bytecode\n").count(), 2, "{log}");
+    assert!(log.contains(" script 2\n"), "{log}");
+
+    let bytecode = File::new("bytecode", "\u{1b}LuaQ");
+    let log = log_of("bytecode", Config::default(), &bytecode.0, ")");
+    assert!(log.contains("failed: ") && log.contains("binary"), "{log}");
+}
+
+#[test]
+fn script_that_prints_without_end_fills_no_disk() {
+    let start = Instant::now();
+    let log = printed(
+        "prints",
+        "for _ = 1, 200000 do print('a line') end print(('long'):rep(100000))
+        sleep(100) print('one\\ntwo\\27[2J\\n') printf('%s\\n', 'three') print('end')",
+    );
+    // A thousand at once, then a hundred a second, each of which may follow a note of omitted lines.
+    let most = 1_000 + 200 * (start.elapsed().as_secs() as usize + 1);
+    let lines = log.lines().filter(|line| line.contains(" script ")).count();
+    assert!((1_000..=most).contains(&lines), "{lines} lines");
+    assert!(log.contains(" lines are left out here: a script may write 100 a second\n"), "{log}");
+    let longest = log.lines().map(str::len).max();
+    assert!(longest.is_some_and(|len| len < 1_200), "{longest:?}");
+    assert!(log.contains(" script one\n") && log.contains(" script two\u{FFFD}[2J\n"), "{log}");
+    assert!(log.contains(" script three\n"), "{log}");
+}
+
+#[test]
+fn module_beside_the_script_is_loaded_once_and_nothing_else_is() {
+    let module = format!("wsg-sim-{}-module", std::process::id());
+    let _module = File::new(
+        "module",
+        "local NAME = ...\nlocal M = {}\nfunction M.name() return NAME end\nloads = (loads or 0) + 1\nreturn M",
+    );
+    let _wrong = File::new("wrong", "local a = = 1");
+    let _raising = File::new("raising", "error('own')");
+    let _circular = File::new("circular", &format!("require '{}'", module.replace("module", "circular")));
+    let source = r#"
+        local M = require "MODULE"
+        print(M.name(), M == require "MODULE", loads, require "socket" == socket)
+        for _, name in ipairs { "../MODULE", "/etc/passwd", "..", "a.b", "", "nowhere", "x\0y", ("x"):rep(1e6) } do
+          print(pcall(require, name))
+        end
+        print(pcall(require))
+        print(pcall(require, "WRONG"))
+        print(pcall(require, "RAISING"))
+        print(pcall(require, "RAISING"))
+        print(pcall(require, "CIRCULAR"))
+        print("end")"#;
+    let source = ["wrong", "raising", "circular", "module"].iter().fold(source.to_owned(), |source, name| {
+        source.replace(&name.to_uppercase(), &module.replace("module", name))
+    });
+    let log = printed("requires", &source);
+    assert!(log.contains(&format!(" {module}\ttrue\t1\ttrue\n")), "{log}");
+    assert_eq!(log.matches("is no name; expected letters, digits, _ and -").count(), 7, "{log}");
+    assert!(log.contains("there is no \"nowhere.lua\" beside the script"), "{log}");
+    assert!(log.contains("-wrong.lua:1: unexpected symbol near '='"), "{log}");
+    assert_eq!(log.matches("-raising.lua:1: own").count(), 2, "{log}");
+    assert!(log.contains("-circular requires itself"), "{log}");
+}
+
+#[test]
+fn calls_that_public_scripts_make_are_there() {
+    let source = r#"
+        cmd.unregister(0xB0)
+        cmd.register(0xB0) cmd.register(0xB1)
+        print("pid", mc.pid())
+        mc.pid(0.1, 2, 3)
+        print("pid", mc.pid())
+        for i = 0, finger.count() - 1 do
+          finger.interface(i, "uart", 115200)
+          finger.write(i, "z") finger.write(i, {0x7E, 0xFF})
+          print("finger", finger.type(i), finger.bytes_available(i), #finger.read(i), #finger.read(i, 50))
+          finger.interface(i, "spi", 140625, 8, 0, 0)
+          print("spi", #finger.spi(i, {1, 2, 3}), #finger.spi(i, 7))
+          print("power", finger.power(i, false), finger.power(i, true))
+        end
+        print(pcall(finger.write, 0, {256}))
+        print(pcall(finger.interface, 0, "i2c"))
+        while cmd.available() == 0 do sleep(1) end
+        local id = cmd.read()
+        cmd.send(id, true, false, "ab", {1, {"c", {{{2}}}}})
+        print("nested", pcall(cmd.send, id, {{{{{{1}}}}}}))
+        cmd.unregister(0xB0)
+        print("end")
+        cmd.read()"#;
+    let script = File::new("public", source);
+    let log = std::env::temp_dir().join(format!("wsg-sim-{}-public-log", std::process::id()));
+    let config = Config { fingers: [wsg_sim::Finger::Generic, wsg_sim::Finger::Fmf], ..Config::default() };
+    let served = ServerThread::start(config, &lines(&script.0), Some(Log::to_file(&log).unwrap())).unwrap();
+    let mut client = connect(&served);
+    let answer = client.call_when_claimed(0xB0, &[]);
+    assert_eq!(
+        (answer.0.code(), answer.1),
+        (0x0001, b"ab\x01c\x02".to_vec()),
+        "true and false as bytes 1 and 0"
+    );
+    let text = client.until(|_| {
+        let text = std::fs::read_to_string(&log).unwrap();
+        text.contains(" script end\n").then_some(text)
+    });
+    assert_eq!(client.call(0xB0, &[]).0, Status::CmdUnknown, "it was given back");
+    served.stop().unwrap();
+    let _ = std::fs::remove_file(&log);
+    for line in [
+        "pid\t1\t0\t0",
+        "pid\t0.1\t2\t3",
+        "finger\tgeneric\t0\t0\t0",
+        "finger\tfmf\t0\t0\t0",
+        "spi\t3\t1",
+        "power\t0\t0",
+        // A WSG-FMF is supplied by the gripper alone (3.6.3).
+        "power\t18\t18",
+    ] {
+        assert!(text.contains(&format!(" script {line}\n")), "{line} in {text}");
+    }
+    assert!(text.contains("finger.write: 256 is no byte; expected 0 to 255"), "{text}");
+    assert!(text.contains("finger.interface: \"i2c\" is none; expected \"uart\" or \"spi\""), "{text}");
+    assert!(
+        text.contains("nested\tfalse") && text.contains("tables are nested 5 deep at the most"),
+        "{text}"
+    );
+    assert!(!text.contains(" is not there"), "{text}");
+}
+
+#[test]
+fn grasping_waits_for_the_end_of_its_motions() {
+    let source = r#"
+        while mc.busy() do sleep(1) end
+        mc.homing(1)
+        while mc.busy() do sleep(1) end
+        print("open", grasping.move(60, 400), mc.position(), grasping.state())
+        print("grasped", grasping.grasp(20, 100, 30), mc.force(), grasping.state())
+        print("released", grasping.release(50, 100), mc.position(), grasping.state())
+        print("missed", grasping.grasp(10, 100), grasping.state())
+        print("released", grasping.release(40, 100), mc.position())
+        print("clamped", grasping.clamp(2, 20), mc.aforce())
+        print("near", grasping.move(22, 100))
+        print("clamped", grasping.clamp(3, 20), mc.blocked(), mc.aforce())
+        print("stopped", grasping.stop_clamping(), mc.aforce())
+        print("refused", grasping.move(500, 100))
+        print("end")"#;
+    let config = Config { part: Part::of_width(20.0), time_scale: 20.0, ..Config::default() };
+    let log = log_of("grasping", config, &File::new("grasping", source).0, " script end");
+    for line in [
+        "open\t0\t60\t0",
+        "grasped\t0\t30\t4",
+        "released\t0\t50\t0",
+        "missed\t18\t2",
+        "released\t0\t40",
+        "clamped\t18\t0",
+        "near\t0",
+        "clamped\t0\ttrue\t20",
+        "stopped\t0\t0",
+        "refused\t",
+    ] {
+        assert!(log.contains(&format!(" script {line}")), "{line} in {log}");
+    }
+}
+
+/// A script that answers each user flag of the PLC by the one on the other side, and sets OF8 by its number.
+pub(super) const MIRRORS_USER_FLAGS: &str = "
+    while true do
+      local flags = 0
+      for number = 1, 7 do if fieldbus.input(number) then flags = flags + 2 ^ (7 - number) end end
+      fieldbus.outputs(flags)
+      fieldbus.output(8, fieldbus.inputs() >= 128)
+      sleep(1)
+    end";
+
+/// The file of a script; gone with it.
+pub(super) fn script_file(name: &str, source: &str) -> (impl Sized, PathBuf) {
+    let file = File::new(name, source);
+    let path = file.0.clone();
+    (file, path)
+}
+
 /// A Unix socket as a serial line.
 #[cfg(unix)]
 mod unix {

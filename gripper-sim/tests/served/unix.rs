@@ -159,3 +159,76 @@ fn binary_serves_until_it_is_interrupted() {
     assert_eq!(Client(&stream).ask(Command::GetSystemInfo), Status::Success);
     assert!(program.interrupt().success());
 }
+
+/// Lowers how many descriptors the program may have to those that it has, and `more`.
+#[cfg(target_os = "linux")]
+fn leave_descriptors(program: &Program, more: u64) {
+    use rustix::process::{Resource, Rlimit, prlimit};
+    let pid = program.pid();
+    // Its highest number counts, and they are given from below.
+    let open = std::fs::read_dir(format!("/proc/{}/fd", pid.as_raw_nonzero())).unwrap().count() as u64;
+    let limit = Rlimit { current: Some(open + more), maximum: Some(open + more) };
+    prlimit(Some(pid), Resource::Nofile, limit).unwrap();
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn without_a_descriptor_left_the_control_port_answers_503_and_every_port_recovers() {
+    let path = scratch("descriptors");
+    let arguments = ["--tcp", "127.0.0.1:0", "--gcl", "127.0.0.1:0", "--modbus", "127.0.0.1:0"];
+    let serial = format!("unix:{}", path.display());
+    let more = ["--serial", &serial, "--control", "127.0.0.1:0"];
+    let mut program = Program::start(&[&arguments[..], &more].concat());
+    program.place_of("model");
+    let tcp = program.place_of("tcp");
+    program.place_of("serial");
+    let (gcl, modbus) = (program.place_of("gcl"), program.place_of("modbus"));
+    let control = program.place_of("control");
+    let state = || {
+        let mut stream = TcpStream::connect(&control).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    };
+    assert!(state().starts_with("HTTP/1.1 200 "));
+
+    leave_descriptors(&program, 8);
+    // Those that are served have their answers, however many others are refused.
+    let served: Vec<TcpStream> = (0..40)
+        .map(|_| TcpStream::connect(&tcp).unwrap())
+        .filter_map(|mut stream| {
+            stream.set_read_timeout(Some(BOUND)).unwrap();
+            let is_served =
+                stream.write_all(&frame(Command::Stop)).and_then(|()| stream.read_exact(&mut [0; 10]));
+            is_served.is_ok().then_some(stream)
+        })
+        .collect();
+    assert!((1..40).contains(&served.len()), "{}", served.len());
+    for port in [&gcl, &modbus] {
+        let mut refused = TcpStream::connect(port).unwrap();
+        refused.set_read_timeout(Some(BOUND)).unwrap();
+        // The end, or a reset.
+        assert!(!matches!(uninterrupted::read(&mut refused, &mut [0; 1]), Ok(1..)), "it is closed");
+    }
+    let answer = state();
+    assert!(answer.starts_with("HTTP/1.1 503 ") && answer.ends_with("close connections\"}\n"), "{answer}");
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    assert!(head.contains(&format!("Content-Length: {}\r\n", body.len())), "{answer}");
+    // It waits for a descriptor.
+    let serial = UnixStream::connect(&path).unwrap();
+    serial.set_read_timeout(Some(BOUND)).unwrap();
+    assert!(state().starts_with("HTTP/1.1 503 "));
+
+    drop(served);
+    assert_eq!(
+        Client(serial).ask(Command::Acknowledge { key: wsg_protocol::types::AckKey }),
+        Status::Success
+    );
+    while !state().starts_with("HTTP/1.1 200 ") {}
+    let mut again = TcpStream::connect(&tcp).unwrap();
+    again.set_read_timeout(Some(BOUND)).unwrap();
+    again.write_all(&frame(Command::Stop)).unwrap();
+    again.read_exact(&mut [0; 10]).unwrap();
+}

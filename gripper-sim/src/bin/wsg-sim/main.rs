@@ -3,12 +3,13 @@
 mod options;
 
 use anyhow::{Context, Result};
-use options::{LogTo, Options, Request};
+use options::Options;
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::path::Path;
 use std::process::ExitCode;
 use tokio::net::TcpListener;
-use wsg_sim::server::{Log, Server};
+use wsg_sim::server::{CanBus, CanLine, Log, Server};
 
 /// Exit status for options that are wrong.
 const WRONG_USE: u8 = 2;
@@ -16,10 +17,8 @@ const WRONG_USE: u8 = 2;
 const UNPRIVILEGED_TCP: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 11_000));
 
 fn main() -> ExitCode {
-    let options = match options::parse(lexopt::Parser::from_env()) {
-        Ok(Request::Serve(options)) => *options,
-        Ok(Request::Help) => return print(&options::usage()),
-        Ok(Request::Version) => return print(concat!("wsg-sim ", env!("CARGO_PKG_VERSION"), "\n")),
+    let options = match options::parse(std::env::args_os().skip(1).collect()) {
+        Ok(options) => options,
         Err(error) => return fail(&error, WRONG_USE),
     };
     match serve(options) {
@@ -30,8 +29,8 @@ fn main() -> ExitCode {
 
 fn serve(options: Options) -> Result<()> {
     let log = match &options.log {
-        Some(LogTo::Stdout) => Some(Log::to_stdout()),
-        Some(LogTo::File(path)) => Some(Log::to_file(path)?),
+        Some(path) if path.as_os_str() == "-" => Some(Log::to_stdout()),
+        Some(path) => Some(Log::to_file(path)?),
         None => None,
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
@@ -109,46 +108,28 @@ async fn may_listen(address: SocketAddr) -> bool {
 fn announce(options: &Options, server: &Server) -> io::Result<()> {
     let mut out = io::stdout().lock();
     writeln!(out, "model {}", options.config.model)?;
-    if let Some(address) = server.tcp_address() {
-        writeln!(out, "tcp {address}")?;
-    }
-    if let Some(address) = server.udp_address() {
-        writeln!(out, "udp {address}")?;
-    }
-    if let Some(path) = server.serial_path() {
-        writeln!(out, "serial {}", path.display())?;
-    }
-    if let Some(path) = server.can_path() {
-        writeln!(out, "can {}", path.display())?;
-    }
-    if let Some(address) = server.gcl_address() {
-        writeln!(out, "gcl {address}")?;
-    }
-    if let Some(address) = server.gcl_udp_address() {
-        writeln!(out, "gcl-udp {address}")?;
-    }
-    if let Some(address) = server.modbus_address() {
-        writeln!(out, "modbus {address}")?;
-    }
-    if let Some(path) = server.profibus_path() {
-        writeln!(out, "profibus {}", path.display())?;
-    }
-    #[cfg(feature = "profinet")]
-    if let Some(path) = server.profinet_path() {
-        writeln!(out, "profinet {}", path.display())?;
-    }
-    if let Some(address) = server.control_address() {
-        writeln!(out, "control {address}")?;
-        writeln!(out, "page http://{address}/")?;
+    let is_slcan = matches!(&options.lines.can, Some(CanLine { bus: CanBus::Slcan(_), .. }));
+    let address = |address: Option<SocketAddr>| address.map(|address| address.to_string());
+    let path = |path: Option<&Path>| path.map(|path| path.display().to_string());
+    for (line, place) in [
+        ("tcp", address(server.tcp_address())),
+        ("udp", address(server.udp_address())),
+        ("serial", path(server.serial_path())),
+        (if is_slcan { "slcan" } else { "can" }, path(server.can_path())),
+        ("gcl", address(server.gcl_address())),
+        ("gcl-udp", address(server.gcl_udp_address())),
+        ("modbus", address(server.modbus_address())),
+        ("profibus", path(server.profibus_path())),
+        #[cfg(feature = "profinet")]
+        ("profinet", path(server.profinet_path())),
+        ("control", address(server.control_address())),
+        ("page", server.control_address().map(|address| format!("http://{address}/"))),
+    ] {
+        if let Some(place) = place {
+            writeln!(out, "{line} {place}")?;
+        }
     }
     out.flush()
-}
-
-fn print(text: &str) -> ExitCode {
-    match io::stdout().write_all(text.as_bytes()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(_) => ExitCode::FAILURE,
-    }
 }
 
 /// One line that says what was wrong.

@@ -1,14 +1,17 @@
-//! The options: one table for the command line, the configuration file, `--help` and `docs/simulator.md`.
+//! The options: the command line, the configuration file, `--help` and the table of `docs/simulator.md` share them.
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 #[cfg(feature = "profinet")]
-use bus_profinet::{StationName, Stored};
-use lexopt::{Arg, Parser, ValueExt};
-use std::fmt::Write as _;
+use bus_profinet::{IpParameters, Maintenance, StationName, Stored};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::error::ErrorKind;
+use clap::{Arg, ArgAction, Command, CommandFactory, FromArgMatches, Parser};
+use std::ffi::OsString;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use toml::de::{DeTable, DeValue};
+use wsg_protocol::SoftLimits;
 use wsg_protocol::can::Identifiers;
 #[cfg(feature = "profinet")]
 use wsg_sim::server::ProfinetLine;
@@ -16,729 +19,277 @@ use wsg_sim::server::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 use wsg_sim::{Config, Direction, Finger, Model, Part, SilenceReaction, Tag};
 
 const LOOPBACK: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
-/// The TCP address when no line is asked for: the gripper's own port, on this machine only.
+/// The TCP address when no line is given: the gripper's own port, on this machine only.
 const DEFAULT_TCP: SocketAddr = SocketAddr::new(LOOPBACK, 1_000);
 const DEFAULT_UDP_REMOTE_PORT: u16 = 1_501;
 
-/// What the command line asks for.
-#[derive(Debug)]
-pub(crate) enum Request {
-    Serve(Box<Options>),
-    Help,
-    Version,
-}
-
-/// Everything that `wsg-sim` is told.
+/// All options in the form that the server takes.
 #[derive(Debug)]
 pub(crate) struct Options {
     pub(crate) config: Config,
     pub(crate) lines: Lines,
-    /// No line was asked for: the gripper's own is served.
+    /// No line is given: the gripper's own is served.
     pub(crate) is_default_line: bool,
-    pub(crate) log: Option<LogTo>,
+    /// The log file; `-` is standard output.
+    pub(crate) log: Option<PathBuf>,
 }
-
-/// Where the log goes.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) enum LogTo {
-    Stdout,
-    File(PathBuf),
-}
-
-/// What was asked for so far.
-#[derive(Debug, Default)]
-struct Draft {
-    config: Config,
-    lines: Lines,
-    log: Option<LogTo>,
-    udp_address: Option<SocketAddr>,
-    udp_remote_port: Option<u16>,
-    can_bus: Option<CanBus>,
-    can_id: Option<Identifiers>,
-    profibus_address: Option<u8>,
-    #[cfg(feature = "profinet")]
-    profinet: Option<String>,
-    /// What is given of it, and the option that began it.
-    #[cfg(feature = "profinet")]
-    stored: Option<(&'static str, Stored)>,
-    /// The file that options came from.
-    #[cfg(feature = "profinet")]
-    file: Option<PathBuf>,
-    bus_reaction: Option<SilenceReaction>,
-}
-
-/// One option.
-struct Setting {
-    /// Behind two hyphens on the command line, by itself in the file.
-    name: &'static str,
-    /// What its value is called; empty: a switch, which has none.
-    value: &'static str,
-    /// What counts without it.
-    default: &'static str,
-    /// What it does, for `--help` and the document.
-    meaning: &'static str,
-    /// What its value may be.
-    expected: &'static str,
-    /// Takes a value; `None` if it is wrong.
-    take: fn(&mut Draft, &str) -> Option<()>,
-}
-
-const fn setting(
-    name: &'static str,
-    value: &'static str,
-    default: &'static str,
-    expected: &'static str,
-    take: fn(&mut Draft, &str) -> Option<()>,
-    meaning: &'static str,
-) -> Setting {
-    Setting { name, value, default, meaning, expected, take }
-}
-
-/// Takes no value in a file, and may be given again.
-const CONFIG: &str = "config";
-const CONTROL_HOST: &str = "control-host";
 
 const ADDRESS: &str = "an address with a port, such as 127.0.0.1:1000";
 const LINE: &str = "pty, unix:PATH or a device such as /dev/ttyUSB0 or COM3";
-const FINGERS: &str = "none, generic, fmf or dsa";
 const U16: &str = "a number from 0 to 65535";
 const LENGTH: &str = "a number from 0 to 1000";
 const POSITIVE: &str = "a number above 0";
-const SWITCH: &str = "true or false";
-#[cfg(feature = "profinet")]
-const MAINTENANCE: [&str; 4] = ProfinetLine::MAINTENANCE;
 
-/// Every option, in the order in which they are shown.
-const SETTINGS: &[Setting] = &[
-    setting(
-        CONFIG,
-        "FILE",
-        "",
-        "a file",
-        |_, _| None,
-        "options from a TOML file, `name = value` with the names of this table; the command line counts more",
-    ),
-    setting(
-        "tcp",
-        "ADDR",
-        "127.0.0.1:1000 (or 11000, see above), if no other line is asked for",
-        ADDRESS,
-        |draft, text| {
-            draft.lines.tcp = Some(parsed(text)?);
-            Some(())
-        },
-        "listen for TCP",
-    ),
-    setting(
-        "udp",
-        "ADDR",
-        "",
-        ADDRESS,
-        |draft, text| {
-            draft.udp_address = Some(parsed(text)?);
-            Some(())
-        },
-        "listen for UDP; 1500 is the port in the field",
-    ),
-    setting(
-        "udp-remote-port",
-        "PORT",
-        "1501",
-        "a port from 1 to 65535",
-        |draft, text| {
-            draft.udp_remote_port = Some(port(text)?);
-            Some(())
-        },
-        "answers go to this port of whoever asked last, whatever port that was; not that of `--udp`",
-    ),
-    setting(
-        "gcl",
-        "ADDR",
-        "",
-        ADDRESS,
-        |draft, text| {
-            draft.lines.gcl = Some(parsed(text)?);
-            Some(())
-        },
-        "listen for the text protocol over TCP, beside the binary one or alone ([gcl.md](gcl.md))",
-    ),
-    setting(
-        "gcl-udp",
-        "ADDR",
-        "",
-        ADDRESS,
-        |draft, text| {
-            draft.lines.gcl_udp = Some(parsed(text)?);
-            Some(())
-        },
-        "listen for the text protocol over UDP; answers go to the port that asked",
-    ),
-    setting(
-        "serial",
-        "LINE",
-        "",
-        LINE,
-        |draft, text| {
-            draft.lines.serial = Some(serial(text)?);
-            Some(())
-        },
-        "a serial line: `pty` opens a pseudo terminal and says its path, `unix:PATH` listens on a Unix socket as \
-         emulators have it for a UART, any other path is a terminal device or a port such as COM3, set to 115200 8N1",
-    ),
-    setting(
-        "can",
-        "IFACE",
-        "",
-        "an interface, such as can0",
-        |draft, text| {
-            draft.can_bus = Some(interface(text)?);
-            Some(())
-        },
-        "CAN by an interface of Linux SocketCAN",
-    ),
-    setting(
-        "slcan",
-        "LINE",
-        "",
-        LINE,
-        |draft, text| {
-            draft.can_bus = Some(CanBus::Slcan(serial(text)?));
-            Some(())
-        },
-        "CAN by SLCAN: with `pty` and `unix:PATH` the gripper is on the bus of the adapter that a host opens there, \
-         behind a terminal device or a port an adapter is expected, 500 kbit/s",
-    ),
-    setting(
-        "can-id",
-        "N",
-        "0x120",
-        "an identifier from 0 to 0x7FE",
-        |draft, text| {
-            draft.can_id = Some(identifiers(text)?);
-            Some(())
-        },
-        "listen to this identifier, send on the next",
-    ),
-    setting(
-        "modbus",
-        "ADDR",
-        "",
-        ADDRESS,
-        |draft, text| {
-            draft.lines.modbus = Some(parsed(text)?);
-            Some(())
-        },
-        "listen for Modbus/TCP; port 502 on the real gripper",
-    ),
-    setting(
-        "modbus-swap-bytes",
-        "",
-        "off",
-        SWITCH,
-        |draft, _| {
-            draft.config.modbus_swap_bytes = true;
-            Some(())
-        },
-        "low byte first in the numbers of the registers; flags stay",
-    ),
-    setting(
-        "bus-timeout",
-        "MS",
-        "0: for ever",
-        U16,
-        |draft, text| {
-            draft.config.bus_timeout_ms = parsed(text)?;
-            Some(())
-        },
-        "how long a Modbus master that has written may be silent",
-    ),
-    setting(
-        "bus-reaction",
-        "WHAT",
-        "`stop`",
-        "hold, stop or fast-stop",
-        |draft, text| {
-            draft.bus_reaction = Some(reaction(text)?);
-            Some(())
-        },
-        "what is done then, and when the master of PROFIBUS or PROFINET has left: also `hold`, `fast-stop`; a jog ends in any case",
-    ),
-    setting(
-        "profibus",
-        "LINE",
-        "",
-        LINE,
-        |draft, text| {
-            draft.lines.profibus = Some(serial(text)?);
-            Some(())
-        },
-        "a PROFIBUS DP slave on a serial line, as for `--serial`",
-    ),
-    setting(
-        "profibus-address",
-        "N",
-        "7",
-        "an address from 0 to 125",
-        |draft, text| {
-            draft.profibus_address = Some(station(text)?);
-            Some(())
-        },
-        "its address, 0 to 125",
-    ),
+/// What lies between the fingers, as the value of an option that is always present.
+type MaybePart = Option<Part>;
+
+/// A virtual gripper of the WSG series.
+#[derive(Debug, Parser)]
+#[command(version, no_binary_name = true, args_override_self = true, next_line_help = true)]
+struct Arguments {
+    /// Reads options from a TOML file, `name = value` with the names of this table; the command line takes precedence
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Listens for TCP [default: 127.0.0.1:1000 (or 11000, see above), if no other line is given]
+    #[arg(long, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    tcp: Option<SocketAddr>,
+    /// Listens for UDP; grippers in the field use port 1500
+    #[arg(long, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    udp: Option<SocketAddr>,
+    /// Sends answers to this port of the latest client, whatever its source port; not the port of `--udp` [default: 1501]
+    #[arg(long, value_name = "PORT")]
+    #[arg(value_parser = expected("a port from 1 to 65535", |text| parsed(text).filter(|port: &u16| *port > 0)))]
+    udp_remote_port: Option<u16>,
+    /// Listens for the text protocol over TCP, beside the binary one or alone ([gcl.md](gcl.md))
+    #[arg(long, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    gcl: Option<SocketAddr>,
+    /// Listens for the text protocol over UDP; answers go to the source port of the request
+    #[arg(long, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    gcl_udp: Option<SocketAddr>,
+    /// Ends the automatic updates of a UDP client after this many datagrams without one from the client; 0: never [default: 1000]
+    #[arg(long, value_name = "N", value_parser = expected("a number of datagrams; 0: any number", parsed::<u32>))]
+    udp_unanswered: Option<u32>,
+    /// Opens a serial line: `pty` creates a pseudo terminal and prints its path, `unix:PATH` listens on a Unix socket as
+    /// emulators provide it for a UART, any other path is a terminal device or a port such as COM3, set to 115200 8N1
+    #[arg(long, value_name = "LINE", value_parser = expected(LINE, serial))]
+    serial: Option<SerialLine>,
+    /// Opens CAN on an interface of Linux SocketCAN
+    #[arg(long, value_name = "IFACE", value_parser = expected("an interface, such as can0", not_empty))]
+    can: Option<String>,
+    /// Opens CAN by SLCAN: with `pty` and `unix:PATH` the gripper is on the bus of the adapter that a host opens there; a
+    /// terminal device or a port leads to an adapter, 500 kbit/s
+    #[arg(long, value_name = "LINE", overrides_with = "can", value_parser = expected(LINE, serial))]
+    slcan: Option<SerialLine>,
+    /// Listens to this identifier and sends on the next [default: 0x120]
+    #[arg(long, value_name = "N", value_parser = expected("an identifier from 0 to 0x7FE", identifiers))]
+    can_id: Option<Identifiers>,
+    /// Listens for Modbus/TCP; port 502 on the real gripper
+    #[arg(long, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    modbus: Option<SocketAddr>,
+    /// Sends the low byte first in the numbers of the registers; flags stay
+    #[arg(long)]
+    modbus_swap_bytes: bool,
+    /// Limits the silence of a Modbus master that has written; 0: no limit
+    #[arg(long, value_name = "MS", default_value = "0", value_parser = expected(U16, parsed::<u16>))]
+    bus_timeout: u16,
+    /// Reaction to that silence, and to the loss of the PROFIBUS or PROFINET master; a jog ends in any case [default: stop]
+    #[arg(long, value_name = "WHAT", value_parser = one_of(vec![
+        ("hold", SilenceReaction::Hold),
+        ("stop", SilenceReaction::Stop),
+        ("fast-stop", SilenceReaction::FastStop),
+    ]))]
+    bus_reaction: Option<SilenceReaction>,
+    /// Opens a PROFIBUS DP slave on a serial line, as for `--serial`
+    #[arg(long, value_name = "LINE", value_parser = expected(LINE, serial))]
+    profibus: Option<SerialLine>,
+    /// Address on PROFIBUS, 0 to 125 [default: 7]
+    #[arg(long, value_name = "N")]
+    #[arg(value_parser = expected("an address from 0 to 125", |text| parsed(text).filter(|n: &u8| *n <= 125)))]
+    profibus_address: Option<u8>,
     #[cfg(feature = "profinet")]
-    setting(
-        "profinet",
-        "IFACE",
-        "",
-        "a network interface, such as eth0",
-        |draft, text| {
-            draft.profinet = Some((!text.is_empty()).then(|| text.to_owned())?);
-            Some(())
-        },
-        "a PROFINET IO device on a network interface, Linux only ([profinet.md](profinet.md))",
-    ),
-    #[cfg(feature = "profinet")]
-    setting(
-        ProfinetLine::STATION,
-        "NAME",
-        "none: a controller gives it",
-        "a name of a to z, 0 to 9, hyphens and dots",
-        |draft, text| {
-            draft.stored(ProfinetLine::STATION).name = StationName::new(text)?;
-            Some(())
-        },
-        "its name; kept in the file of `--config` when a controller sets another",
-    ),
-    #[cfg(feature = "profinet")]
-    setting(
-        ProfinetLine::IP,
-        "IP/BITS[,ROUTER]",
-        "none: a controller gives it",
-        "an address such as 192.168.0.5/24, with a router 192.168.0.5/24,192.168.0.1",
-        |draft, text| {
-            draft.stored(ProfinetLine::IP).ip = ProfinetLine::ip_of_text(text)?;
-            Some(())
-        },
-        "its IP address, which must not be the interface's; kept likewise",
-    ),
-    #[cfg(feature = "profinet")]
-    setting(
-        MAINTENANCE[0],
-        "TEXT",
-        "",
-        "up to 32 letters of Latin-1",
-        |draft, text| {
-            let field = ProfinetLine::maintenance_of_text(text)?;
-            draft.stored(MAINTENANCE[0]).maintenance.function = field;
-            Some(())
-        },
-        "what it is there for, in its records (I&M 1); kept likewise",
-    ),
-    #[cfg(feature = "profinet")]
-    setting(
-        MAINTENANCE[1],
-        "TEXT",
-        "",
-        "up to 22 letters of Latin-1",
-        |draft, text| {
-            let field = ProfinetLine::maintenance_of_text(text)?;
-            draft.stored(MAINTENANCE[1]).maintenance.location = field;
-            Some(())
-        },
-        "where it is (I&M 1); kept likewise",
-    ),
-    #[cfg(feature = "profinet")]
-    setting(
-        MAINTENANCE[2],
-        "TEXT",
-        "",
-        "up to 16 letters of Latin-1, such as \"2026-11-23 16:00\"",
-        |draft, text| {
-            let field = ProfinetLine::maintenance_of_text(text)?;
-            draft.stored(MAINTENANCE[2]).maintenance.date = field;
-            Some(())
-        },
-        "when it was installed (I&M 2); kept likewise",
-    ),
-    #[cfg(feature = "profinet")]
-    setting(
-        MAINTENANCE[3],
-        "TEXT",
-        "",
-        "up to 54 letters of Latin-1",
-        |draft, text| {
-            let field = ProfinetLine::maintenance_of_text(text)?;
-            draft.stored(MAINTENANCE[3]).maintenance.descriptor = field;
-            Some(())
-        },
-        "anything about it (I&M 3); kept likewise",
-    ),
-    setting(
-        "no-checksum-check",
-        "",
-        "off",
-        SWITCH,
-        |draft, _| {
-            draft.config.check_checksum = false;
-            Some(())
-        },
-        "take frames whatever the two bytes of their checksum are; they must be there",
-    ),
-    setting(
-        "answer-bad-checksum",
-        "",
-        "off",
-        SWITCH,
-        |draft, _| {
-            draft.config.answer_bad_checksum = true;
-            Some(())
-        },
-        "answer E_CHECKSUM_ERROR to a wrong checksum; otherwise there is silence",
-    ),
-    setting(
-        "updates-idle",
-        "SECONDS",
-        "0: never",
-        U16,
-        |draft, text| {
-            draft.config.updates_idle_s = parsed(text)?;
-            Some(())
-        },
-        "end the automatic updates of a client by UDP, serial line or CAN that has sent nothing for so long",
-    ),
-    setting(
-        "no-disconnect-error",
-        "",
-        "off",
-        SWITCH,
-        |draft, _| {
-            draft.config.disconnect_error = false;
-            Some(())
-        },
-        "no FAST STOP when a TCP connection ends unannounced",
-    ),
-    setting(
-        "profile",
-        "PROFILE",
-        "`instant`",
-        "instant or real",
-        |draft, text| {
-            draft.lines.profile = profile(text)?;
-            Some(())
-        },
-        "how soon the command interface answers: at once, or as late as real grippers do by field reports",
-    ),
-    setting(
-        "model",
-        "MODEL",
-        "`wsg50-110`",
-        "wsg50-110, wsg50-210, wsg32, wsg25 or wsg70",
-        |draft, text| {
-            draft.config.model = Model::from_name(text)?;
-            Some(())
-        },
-        "also `wsg50-210`, `wsg32`, `wsg25`, `wsg70`; figures in [models.md](models.md)",
-    ),
-    setting(
-        "serial-number",
-        "N",
-        "1",
-        "a number from 0 to 4294967295",
-        |draft, text| {
-            draft.config.serial_number = parsed(text)?;
-            Some(())
-        },
-        "what Get System Information answers",
-    ),
-    setting(
-        "tag",
-        "TEXT",
-        "none",
-        "up to 64 printable ASCII characters",
-        |draft, text| {
-            draft.config.tag = Tag::new(text).ok()?;
-            Some(())
-        },
-        "what Get Device Tag answers, up to 64 ASCII characters",
-    ),
-    setting(
-        "finger1",
-        "KIND",
-        "`none`",
-        FINGERS,
-        |draft, text| {
-            draft.config.fingers[0] = Finger::from_name(text)?;
-            Some(())
-        },
-        "also `generic`, `fmf`, `dsa`",
-    ),
-    setting(
-        "finger2",
-        "KIND",
-        "`none`",
-        FINGERS,
-        |draft, text| {
-            draft.config.fingers[1] = Finger::from_name(text)?;
-            Some(())
-        },
-        "also `generic`, `fmf`, `dsa`",
-    ),
-    setting(
-        "homing-default",
-        "DIR",
-        "`out`",
-        "out or in",
-        |draft, text| {
-            draft.config.homing_default = direction(text)?;
-            Some(())
-        },
-        "also `in`",
-    ),
-    setting(
-        "homing-speed",
-        "MM_S",
-        "the model's",
-        POSITIVE,
-        |draft, text| {
-            draft.config.homing_speed = Some(positive(text)?);
-            Some(())
-        },
-        "speed of homing, within the model's limits",
-    ),
-    setting(
-        "part-width-tolerance",
-        "MM",
-        "5",
-        LENGTH,
-        |draft, text| {
-            draft.config.part_width_tolerance = length(text)?;
-            Some(())
-        },
-        "how much before the nominal width of a grip a part may be met; one met earlier is the wrong one",
-    ),
-    setting(
-        "clamping-travel",
-        "MM",
-        "5",
-        LENGTH,
-        |draft, text| {
-            draft.config.clamping_travel = length(text)?;
-            Some(())
-        },
-        "how far a grip goes on to build up its force; with the stroke or more any part is the right one, so that a grip \
-         at 0 mm holds it",
-    ),
-    setting(
-        "force",
-        "N",
-        "the model's",
-        POSITIVE,
-        |draft, text| {
-            draft.config.force_limit = Some(positive(text)?);
-            Some(())
-        },
-        "force limit after switching on, within the model's limits",
-    ),
-    setting(
-        "acceleration",
-        "MM_S2",
-        "the model's",
-        POSITIVE,
-        |draft, text| {
-            draft.config.acceleration = Some(positive(text)?);
-            Some(())
-        },
-        "acceleration after switching on, within the model's limits",
-    ),
-    setting(
-        "speed",
-        "MM_S",
-        "100",
-        POSITIVE,
-        |draft, text| {
-            draft.config.speed = positive(text)?;
-            Some(())
-        },
-        "speed of MOVE and GRIP of the text protocol, and of the page, where none is given",
-    ),
-    setting(
-        "release-distance",
-        "MM",
-        "10",
-        LENGTH,
-        |draft, text| {
-            draft.config.release_distance = length(text)?;
-            Some(())
-        },
-        "distance of RELEASE of the text protocol where none is given",
-    ),
-    setting(
-        "release-speed",
-        "MM_S",
-        "the model's greatest",
-        POSITIVE,
-        |draft, text| {
-            draft.config.release_speed = Some(positive(text)?);
-            Some(())
-        },
-        "speed of RELEASE of the text protocol where none is given",
-    ),
-    setting(
-        "part",
-        "WIDTH[:STIFFNESS]",
-        "`none`",
-        "none, or WIDTH_MM[:STIFFNESS_N_PER_MM] with numbers above 0",
-        |draft, text| {
-            draft.config.part = part(text)?;
-            Some(())
-        },
-        "what lies between the fingers, in mm and N/mm",
-    ),
-    setting(
-        "time-scale",
-        "X",
-        "1",
-        "a number from 0.01 to 1000",
-        |draft, text| {
-            draft.config.time_scale = time_scale(text)?;
-            Some(())
-        },
-        "the fingers travel X times as fast, 0.01 to 1000; periods and time-outs stay",
-    ),
+    #[command(flatten)]
+    profinet: Profinet,
+    /// Accepts frames with any checksum; the two bytes must be present
+    #[arg(long)]
+    no_checksum_check: bool,
+    /// Answers E_CHECKSUM_ERROR to a wrong checksum instead of ignoring the frame
+    #[arg(long)]
+    answer_bad_checksum: bool,
+    /// Ends the automatic updates of a client by UDP, serial line or CAN after this silence; 0: never
+    #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = expected(U16, parsed::<u16>))]
+    updates_idle: u16,
+    /// Suppresses the FAST STOP after a TCP connection that ends unannounced
+    #[arg(long)]
+    no_disconnect_error: bool,
+    /// Latency of the command interface: none, or that of real grippers by field reports
+    #[arg(long, value_name = "PROFILE", default_value = "instant")]
+    #[arg(value_parser = one_of(vec![("instant", Profile::Instant), ("real", Profile::Real)]))]
+    profile: Profile,
+    /// Model; [models.md](models.md) has the figures
+    #[arg(long, value_name = "MODEL", default_value = "wsg50-110")]
+    #[arg(value_parser = one_of(Model::ALL.iter().map(|model| (model.name(), *model)).collect()))]
+    model: Model,
+    /// Serial number in the answer to Get System Information
+    #[arg(long, value_name = "N", default_value = "1")]
+    #[arg(value_parser = expected("a number from 0 to 4294967295", parsed::<u32>))]
+    serial_number: u32,
+    /// Text of the answer to Get Device Tag, up to 64 ASCII characters [default: none]
+    #[arg(long, value_name = "TEXT")]
+    #[arg(value_parser = expected("up to 64 printable ASCII characters", |text| Tag::new(text).ok()))]
+    tag: Option<Tag>,
+    /// Finger 1
+    #[arg(long, value_name = "KIND", default_value = "none", value_parser = finger())]
+    finger1: Finger,
+    /// Finger 2
+    #[arg(long, value_name = "KIND", default_value = "none", value_parser = finger())]
+    finger2: Finger,
+    /// Direction of homing where the request leaves it open
+    #[arg(long, value_name = "DIR", default_value = "out")]
+    #[arg(value_parser = one_of(vec![("out", Direction::Plus), ("in", Direction::Minus)]))]
+    homing_default: Direction,
+    /// Homes after power-up without a command, in the direction of `--homing-default`
+    #[arg(long)]
+    homing_at_start: bool,
+    /// Soft limits after power-up in mm, such as `10:90`; Set Soft Limits and Clear Soft Limits change them for the
+    /// session [default: none]
+    #[arg(long, value_name = "MINUS:PLUS", value_parser = expected(
+        "two widths in mm from 0 to 1000, the smaller one first, such as 10:90",
+        soft_limits,
+    ))]
+    soft_limits: Option<SoftLimits>,
+    /// Speed of homing, within the model's limits [default: the model's]
+    #[arg(long, value_name = "MM_S", value_parser = expected(POSITIVE, positive))]
+    homing_speed: Option<f32>,
+    /// Distance before the nominal width of a grip within which a part is the right one; a part met earlier is the wrong one
+    #[arg(long, value_name = "MM", default_value = "5", value_parser = expected(LENGTH, length))]
+    part_width_tolerance: f32,
+    /// Distance beyond the nominal width in which a grip builds up its force; with the stroke or more any part is the right
+    /// one, so that a grip at 0 mm holds it
+    #[arg(long, value_name = "MM", default_value = "5", value_parser = expected(LENGTH, length))]
+    clamping_travel: f32,
+    /// Force limit after power-up, within the model's limits [default: the model's]
+    #[arg(long, value_name = "N", value_parser = expected(POSITIVE, positive))]
+    force: Option<f32>,
+    /// Acceleration after power-up, within the model's limits [default: the model's]
+    #[arg(long, value_name = "MM_S2", value_parser = expected(POSITIVE, positive))]
+    acceleration: Option<f32>,
+    /// Speed of MOVE and GRIP of the text protocol, and of the page, where none is given
+    #[arg(long, value_name = "MM_S", default_value = "100", value_parser = expected(POSITIVE, positive))]
+    speed: f32,
+    /// Distance of RELEASE of the text protocol where none is given
+    #[arg(long, value_name = "MM", default_value = "10", value_parser = expected(LENGTH, length))]
+    release_distance: f32,
+    /// Speed of RELEASE of the text protocol where none is given [default: the model's greatest]
+    #[arg(long, value_name = "MM_S", value_parser = expected(POSITIVE, positive))]
+    release_speed: Option<f32>,
+    /// Part between the fingers, in mm and N/mm, or `none`
+    #[arg(long, value_name = "WIDTH[:STIFFNESS]", default_value = "none")]
+    #[arg(value_parser = expected("none, or WIDTH_MM[:STIFFNESS_N_PER_MM] with numbers above 0", part))]
+    part: MaybePart,
+    /// Factor on the travel of the fingers, 0.01 to 1000; periods and time-outs stay
+    #[arg(long, value_name = "X", default_value = "1")]
+    #[arg(value_parser = expected("a number from 0.01 to 1000", time_scale))]
+    time_scale: f32,
+    /// Runs a Lua script on the gripper ([scripts.md](scripts.md))
     #[cfg(feature = "script")]
-    setting(
-        "script",
-        "FILE",
-        "",
-        "a file",
-        |draft, text| {
-            draft.lines.script = Some(text.into());
-            Some(())
-        },
-        "a Lua script that runs on the gripper ([scripts.md](scripts.md))",
-    ),
-    setting(
-        "control",
-        "ADDR",
-        "",
-        "an address with a port, such as 127.0.0.1:8080, or a port",
-        |draft, text| {
-            draft.lines.control = Some(control(text)?);
-            Some(())
-        },
-        "the page and the control interface; a port alone is one of this machine",
-    ),
-    setting(
-        CONTROL_HOST,
-        "HOST",
-        "",
-        "a name or address without a port, such as bench.example",
-        |draft, text| {
-            draft.lines.control_hosts.push(host(text)?);
-            Some(())
-        },
-        "a name of this machine that requests to `--control` may be for, beside `localhost` and its address; may be \
-         given again, in a file as a list",
-    ),
-    setting(
-        "seed",
-        "N",
-        "0",
-        "a number from 0 to 18446744073709551615",
-        |draft, text| {
-            draft.lines.seed = parsed(text)?;
-            Some(())
-        },
-        "which frames line faults hit",
-    ),
-    setting(
-        "log",
-        "FILE",
-        "",
-        "a file, or -",
-        |draft, text| {
-            draft.log = Some(if text == "-" { LogTo::Stdout } else { LogTo::File(text.into()) });
-            Some(())
-        },
-        "each frame with time, line, direction, bytes and meaning, at once; `-` is standard output. The gripper does \
-         not wait for whoever takes the log slowly: lines are left out then, and how many is said",
-    ),
-];
-
-fn named(name: &str) -> Result<&'static Setting> {
-    let found = SETTINGS.iter().find(|setting| setting.name == name);
-    found.with_context(|| format!("{name} is unknown; expected options as --help lists them"))
+    #[arg(long, value_name = "FILE")]
+    script: Option<PathBuf>,
+    /// Serves the page and the control interface; a port alone is one of this machine
+    #[arg(long, value_name = "ADDR")]
+    #[arg(value_parser = expected("an address with a port, such as 127.0.0.1:8080, or a port", control))]
+    control: Option<SocketAddr>,
+    /// Accepts this host name in requests to `--control`, beside `localhost` and the machine's address; may be repeated, in a
+    /// file as a list
+    #[arg(long, value_name = "HOST")]
+    #[arg(value_parser = expected("a name or address without a port, such as bench.example", host))]
+    control_host: Vec<String>,
+    /// Selects the frames that line faults hit
+    #[arg(long, value_name = "N", default_value = "0")]
+    #[arg(value_parser = expected("a number from 0 to 18446744073709551615", parsed::<u64>))]
+    seed: u64,
+    /// Logs each frame with time, line, direction, bytes and meaning, at once; `-` is standard output. The gripper does not
+    /// wait for a slow reader of the log: it omits lines and logs how many
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
 }
 
-impl Setting {
-    /// `--tcp ADDR`
-    fn usage(&self) -> String {
-        format!("--{} {}", self.name, self.value).trim_end().to_owned()
-    }
-
-    /// `shown`: how the value was given.
-    fn take(&self, draft: &mut Draft, text: &str, shown: &str) -> Result<()> {
-        (self.take)(draft, text).with_context(|| format!("{shown} is wrong; expected {}", self.expected))
-    }
+/// The options of PROFINET.
+#[cfg(feature = "profinet")]
+#[derive(Debug, clap::Args)]
+struct Profinet {
+    /// Opens a PROFINET IO device on a network interface, Linux only ([profinet.md](profinet.md))
+    #[arg(long, value_name = "IFACE", value_parser = expected("a network interface, such as eth0", not_empty))]
+    profinet: Option<String>,
+    /// Station name; the file of `--config` keeps the one that a controller sets [default: none: a controller gives it]
+    #[arg(long = ProfinetLine::STATION, value_name = "NAME")]
+    #[arg(value_parser = expected("a name of a to z, 0 to 9, hyphens and dots", StationName::new))]
+    station: Option<StationName>,
+    /// IP address, which must not be the interface's; kept likewise [default: none: a controller gives it]
+    #[arg(long = ProfinetLine::IP, value_name = "IP/BITS[,ROUTER]", value_parser = expected(
+        "an address such as 192.168.0.5/24, with a router 192.168.0.5/24,192.168.0.1",
+        ProfinetLine::ip_of_text,
+    ))]
+    ip: Option<IpParameters>,
+    /// Function of the station, in its records (I&M 1); kept likewise
+    #[arg(long = ProfinetLine::MAINTENANCE[0], value_name = "TEXT")]
+    #[arg(value_parser = expected("up to 32 letters of Latin-1", ProfinetLine::maintenance_of_text::<32>))]
+    function: Option<[u8; 32]>,
+    /// Location (I&M 1); kept likewise
+    #[arg(long = ProfinetLine::MAINTENANCE[1], value_name = "TEXT")]
+    #[arg(value_parser = expected("up to 22 letters of Latin-1", ProfinetLine::maintenance_of_text::<22>))]
+    location: Option<[u8; 22]>,
+    /// Date of installation (I&M 2); kept likewise
+    #[arg(long = ProfinetLine::MAINTENANCE[2], value_name = "TEXT", value_parser = expected(
+        "up to 16 letters of Latin-1, such as \"2026-11-23 16:00\"",
+        ProfinetLine::maintenance_of_text::<16>,
+    ))]
+    date: Option<[u8; 16]>,
+    /// Any description (I&M 3); kept likewise
+    #[arg(long = ProfinetLine::MAINTENANCE[3], value_name = "TEXT")]
+    #[arg(value_parser = expected("up to 54 letters of Latin-1", ProfinetLine::maintenance_of_text::<54>))]
+    descriptor: Option<[u8; 54]>,
 }
 
-/// What `--help` shows.
-pub(crate) fn usage() -> String {
-    let mut usage = "A virtual gripper of the WSG series.\n\nUsage: wsg-sim [OPTION]...\n\n".to_owned();
-    for setting in SETTINGS {
-        let default = match setting.default {
-            "" => String::new(),
-            default => format!(" (default: {default})"),
-        };
-        // Writing to a string does not fail.
-        let _ = writeln!(usage, "  {}\n        {}{default}", setting.usage(), setting.meaning);
-    }
-    usage + "  --help\n        show this\n  --version\n        show the version\n"
+/// The name of an option's value; a switch has none.
+fn value_name(arg: &Arg) -> Option<&str> {
+    arg.get_value_names().filter(|_| arg.get_action().takes_values()).map(|names| names[0].as_str())
 }
 
-/// Reads the command line, and the file that it names.
-pub(crate) fn parse(mut parser: Parser) -> Result<Request> {
-    let mut given: Vec<(&Setting, String)> = Vec::new();
-    let mut file = None;
-    while let Some(argument) = parser.next()? {
-        let Arg::Long(name) = argument else {
-            return Err(anyhow!(argument.unexpected()).context("expected options as --help lists them"));
-        };
-        let name = name.to_owned();
-        match name.as_str() {
-            "help" => return Ok(Request::Help),
-            "version" => return Ok(Request::Version),
-            _ => {}
-        }
-        let setting = named(&name).with_context(|| format!("--{name}")).map_err(flat)?;
-        if setting.value.is_empty() {
-            given.push((setting, String::new()));
-            continue;
-        }
-        let text = parser.value().and_then(|value| value.string());
-        let text = text.with_context(|| format!("--{name} expects {}", setting.expected))?;
-        if setting.name == CONFIG {
-            file = Some(PathBuf::from(text));
-        } else {
-            given.push((setting, text));
-        }
-    }
-    let mut draft = Draft::default();
-    if let Some(path) = file {
-        take_file(&mut draft, &path)?;
-        #[cfg(feature = "profinet")]
-        {
-            draft.file = Some(path);
-        }
-    }
-    for (setting, text) in given {
-        setting.take(&mut draft, &text, &format!("--{} {text:?}", setting.name))?;
-    }
-    draft.finish()
+/// The command line as clap knows it. Values may begin with a hyphen, as the designations of plants do: `-K1`.
+fn command() -> Command {
+    Arguments::command().mut_args(|arg| {
+        let has_value = value_name(&arg).is_some();
+        arg.allow_hyphen_values(has_value)
+    })
 }
 
-/// Takes the options of a file.
-fn take_file(draft: &mut Draft, path: &Path) -> Result<()> {
+/// Reads the command line, without the program's name, and the file that it names. Help and version end the program.
+pub(crate) fn parse(arguments: Vec<OsString>) -> Result<Options> {
+    let mut matches = command().try_get_matches_from(&arguments).map_err(one_line)?;
+    if let Some(path) = matches.get_one::<PathBuf>("config") {
+        let arguments = [words_of_file(path)?, arguments].concat();
+        matches = command().try_get_matches_from(arguments).map_err(one_line)?;
+    }
+    Arguments::from_arg_matches(&matches)?.options()
+}
+
+/// clap's message in one line, without the usage. Help and version are no errors: they end the program.
+fn one_line(error: clap::Error) -> anyhow::Error {
+    if !error.use_stderr() {
+        error.exit();
+    }
+    let text = error.to_string();
+    let lines = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
+    let lines: Vec<_> = lines.map(str::trim).filter(|line| !line.is_empty()).collect();
+    let hint = match error.kind() {
+        ErrorKind::InvalidValue | ErrorKind::UnknownArgument => "; expected options as --help lists them",
+        _ => "",
+    };
+    anyhow!("{}{hint}", lines.join("; ").trim_start_matches("error: "))
+}
+
+/// The options of a file as words of a command line, each checked so that an error names its line.
+fn words_of_file(path: &Path) -> Result<Vec<OsString>> {
     let name = path.display();
     let text = std::fs::read_to_string(path).with_context(|| format!("--config {name} cannot be read"))?;
     let line_of = |at: usize| 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
@@ -747,156 +298,190 @@ fn take_file(draft: &mut Draft, path: &Path) -> Result<()> {
         let what = error.message().lines().collect::<Vec<_>>().join(", ");
         anyhow!("{name}, line {line}: {what}; expected TOML")
     })?;
+    let command = command();
+    let mut words = Vec::new();
     for (key, value) in table.get_ref() {
         let place = format!("{name}, line {}", line_of(key.span().start));
         let key: &str = key.get_ref();
-        let setting = named(key).with_context(|| place.clone()).map_err(flat)?;
-        if setting.name == CONFIG {
-            bail!("{place}: {key} is for the command line alone");
-        }
-        for text in texts(setting, value.get_ref()).with_context(|| {
-            let expected = setting.expected;
+        let Some(arg) = command.get_arguments().find(|arg| arg.get_long() == Some(key)) else {
+            bail!("{place}: {key} is unknown; expected options as --help lists them");
+        };
+        ensure!(key != "config", "{place}: {key} is for the command line alone");
+        for word in words_of(arg, key, value.get_ref()).with_context(|| {
+            let expected = value_name(arg).unwrap_or("true or false");
             format!("{place}: {key} is of another kind; expected {expected}, a text where it is no number")
         })? {
-            setting.take(draft, &text, &format!("{place}: {key} = {text:?}"))?;
+            let checked = command.clone().try_get_matches_from([&word]);
+            checked.map_err(one_line).with_context(|| place.clone())?;
+            words.push(word);
         }
     }
-    Ok(())
+    Ok(words)
 }
 
-/// The values of an option in a file, as the command line would have them.
-fn texts(setting: &Setting, value: &DeValue<'_>) -> Option<Vec<String>> {
+/// The words for an option of a file; `None` if its value is of another kind.
+fn words_of(arg: &Arg, key: &str, value: &DeValue<'_>) -> Option<Vec<OsString>> {
+    let is_switch = value_name(arg).is_none();
     let text = match value {
-        DeValue::Boolean(on) if setting.value.is_empty() => {
-            return Some(if *on { vec![String::new()] } else { vec![] });
-        }
-        _ if setting.value.is_empty() => return None,
-        DeValue::Array(items) if setting.name == CONTROL_HOST => {
-            let texts: Option<Vec<_>> = items.iter().map(|item| texts(setting, item.get_ref())).collect();
-            return Some(texts?.concat());
+        DeValue::Boolean(true) if is_switch => return Some(vec![format!("--{key}").into()]),
+        DeValue::Boolean(false) if is_switch => return Some(vec![]),
+        _ if is_switch => return None,
+        DeValue::Array(items) if matches!(arg.get_action(), ArgAction::Append) => {
+            let words: Option<Vec<_>> = items.iter().map(|item| words_of(arg, key, item.get_ref())).collect();
+            return Some(words?.concat());
         }
         DeValue::String(text) => text.clone().into_owned(),
         DeValue::Integer(number) => i128::from_str_radix(number.as_str(), number.radix()).ok()?.to_string(),
         DeValue::Float(number) => number.as_str().to_owned(),
         DeValue::Boolean(_) | DeValue::Datetime(_) | DeValue::Array(_) | DeValue::Table(_) => return None,
     };
-    Some(vec![text])
+    Some(vec![format!("--{key}={text}").into()])
 }
 
-/// An error and its context in one sentence, the other way round than a chain.
-fn flat(error: anyhow::Error) -> anyhow::Error {
-    let parts: Vec<String> = error.chain().map(ToString::to_string).collect();
-    anyhow!(parts.join(": "))
+/// Rejects an option that has no effect without another.
+fn check(option: &str, is_given: bool, has_effect: bool, others: &str) -> Result<()> {
+    ensure!(has_effect || !is_given, "--{option} has no effect without {others}");
+    Ok(())
 }
 
-impl Draft {
-    /// What is given of a PROFINET station, for the option of this name to change.
-    #[cfg(feature = "profinet")]
-    fn stored(&mut self, name: &'static str) -> &mut Stored {
-        &mut self.stored.get_or_insert((name, Stored::NONE)).1
-    }
-
+impl Arguments {
     /// Puts together what belongs together.
-    fn finish(self) -> Result<Request> {
-        let Self { mut config, mut lines, log, .. } = self;
-        lines.udp = match (self.udp_address, self.udp_remote_port) {
-            (Some(address), port) => {
-                let remote_port = port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
-                if remote_port == address.port() {
-                    bail!(
-                        "--udp {address} listens on the port that answers go to; \
-                         expected another there, or in --udp-remote-port"
-                    );
-                }
-                Some(UdpLine { address, remote_port })
-            }
-            (None, Some(_)) => bail!("--udp-remote-port is of no use without --udp ADDR"),
-            (None, None) => None,
-        };
-        lines.can = match (self.can_bus, self.can_id) {
-            (Some(bus), id) => Some(CanLine { bus, identifiers: id.unwrap_or(Identifiers::DEFAULT) }),
-            (None, Some(_)) => bail!("--can-id is of no use without --can IFACE or --slcan LINE"),
-            (None, None) => None,
-        };
+    fn options(self) -> Result<Options> {
         #[cfg(feature = "profinet")]
-        {
-            if let (None, Some((name, _))) = (&self.profinet, &self.stored) {
-                bail!("--{name} is of no use without --profinet IFACE");
-            }
-            let stored = self.stored.map_or(Stored::NONE, |(_, stored)| stored);
-            let line = |interface| ProfinetLine { interface, stored, keep: self.file };
-            lines.profinet = self.profinet.map(line);
-        }
+        let profinet = self.profinet.line(self.config)?;
         #[cfg(feature = "profinet")]
-        let has_profinet = lines.profinet.is_some();
+        let has_profinet = profinet.is_some();
         #[cfg(not(feature = "profinet"))]
         let has_profinet = false;
-        for (is_given, is_of_use, what) in [
-            (
-                config.modbus_swap_bytes,
-                lines.modbus.is_some(),
-                "--modbus-swap-bytes is of no use without --modbus ADDR",
-            ),
-            (
-                config.bus_timeout_ms > 0,
-                lines.modbus.is_some(),
-                "--bus-timeout is of no use without --modbus ADDR",
-            ),
-            (
-                self.bus_reaction.is_some(),
-                config.bus_timeout_ms > 0 || lines.profibus.is_some() || has_profinet,
-                "--bus-reaction is of no use without --bus-timeout MS, --profibus LINE or --profinet IFACE",
-            ),
-            (
-                self.profibus_address.is_some(),
-                lines.profibus.is_some(),
-                "--profibus-address is of no use without --profibus LINE",
-            ),
-            (
-                !lines.control_hosts.is_empty(),
-                lines.control.is_some(),
-                "--control-host is of no use without --control ADDR",
-            ),
-        ] {
-            if is_given && !is_of_use {
-                bail!(what);
-            }
+        let can_bus = self.can.map(CanBus::Interface).or(self.slcan.map(CanBus::Slcan));
+        let has_profibus = self.profibus.is_some();
+        let has_watch = self.bus_timeout > 0 || has_profibus || has_profinet;
+        check("udp-remote-port", self.udp_remote_port.is_some(), self.udp.is_some(), "--udp ADDR")?;
+        check("can-id", self.can_id.is_some(), can_bus.is_some(), "--can IFACE or --slcan LINE")?;
+        check("modbus-swap-bytes", self.modbus_swap_bytes, self.modbus.is_some(), "--modbus ADDR")?;
+        check("bus-timeout", self.bus_timeout > 0, self.modbus.is_some(), "--modbus ADDR")?;
+        let watched = "--bus-timeout MS, --profibus LINE or --profinet IFACE";
+        check("bus-reaction", self.bus_reaction.is_some(), has_watch, watched)?;
+        check("profibus-address", self.profibus_address.is_some(), has_profibus, "--profibus LINE")?;
+        check("control-host", !self.control_host.is_empty(), self.control.is_some(), "--control ADDR")?;
+        let remote_port = self.udp_remote_port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
+        if let Some(address) = self.udp.filter(|address| address.port() == remote_port) {
+            bail!("--udp {address} has the port of the answers; expected another, or --udp-remote-port");
         }
-        config.bus_reaction = self.bus_reaction.unwrap_or(config.bus_reaction);
-        config.profibus_address = self.profibus_address.unwrap_or(config.profibus_address);
-        let Lines { tcp, udp, serial, can, gcl, gcl_udp, modbus, profibus, .. } = &lines;
-        let has_address = [tcp, gcl, gcl_udp, modbus].into_iter().any(Option::is_some);
-        let has_line = serial.is_some() || profibus.is_some() || has_profinet;
-        let is_default_line = !has_address && !has_line && udp.is_none() && can.is_none();
-        if is_default_line {
-            lines.tcp = Some(DEFAULT_TCP);
-        }
-        Ok(Request::Serve(Box::new(Options { config, lines, is_default_line, log })))
+        let addresses = [self.tcp, self.udp, self.gcl, self.gcl_udp, self.modbus];
+        let has_bus = self.serial.is_some() || can_bus.is_some() || has_profibus || has_profinet;
+        let is_default_line = !has_bus && addresses.iter().all(Option::is_none);
+        let default = Config::default();
+        let config = Config {
+            model: self.model,
+            serial_number: self.serial_number,
+            tag: self.tag.unwrap_or(default.tag),
+            homing_default: self.homing_default,
+            homing_at_start: self.homing_at_start,
+            soft_limits: self.soft_limits,
+            part: self.part,
+            time_scale: self.time_scale,
+            check_checksum: !self.no_checksum_check,
+            answer_bad_checksum: self.answer_bad_checksum,
+            disconnect_error: !self.no_disconnect_error,
+            fingers: [self.finger1, self.finger2],
+            clamping_travel: self.clamping_travel,
+            part_width_tolerance: self.part_width_tolerance,
+            force_limit: self.force,
+            acceleration: self.acceleration,
+            homing_speed: self.homing_speed,
+            speed: self.speed,
+            release_distance: self.release_distance,
+            release_speed: self.release_speed,
+            modbus_swap_bytes: self.modbus_swap_bytes,
+            bus_timeout_ms: self.bus_timeout,
+            bus_reaction: self.bus_reaction.unwrap_or(default.bus_reaction),
+            profibus_address: self.profibus_address.unwrap_or(default.profibus_address),
+            updates_idle_s: self.updates_idle,
+            ..default
+        };
+        let identifiers = self.can_id.unwrap_or(Identifiers::DEFAULT);
+        let lines = Lines {
+            tcp: if is_default_line { Some(DEFAULT_TCP) } else { self.tcp },
+            udp: self.udp.map(|address| UdpLine { address, remote_port }),
+            serial: self.serial,
+            can: can_bus.map(|bus| CanLine { bus, identifiers }),
+            gcl: self.gcl,
+            gcl_udp: self.gcl_udp,
+            udp_unanswered: self.udp_unanswered,
+            modbus: self.modbus,
+            profibus: self.profibus,
+            #[cfg(feature = "profinet")]
+            profinet,
+            control: self.control,
+            control_hosts: self.control_host,
+            #[cfg(feature = "script")]
+            script: self.script,
+            profile: self.profile,
+            seed: self.seed,
+        };
+        Ok(Options { config, lines, is_default_line, log: self.log })
     }
+}
+
+#[cfg(feature = "profinet")]
+impl Profinet {
+    /// The line on the interface, and the file that keeps its data.
+    fn line(self, keep: Option<PathBuf>) -> Result<Option<ProfinetLine>> {
+        let none = Stored::NONE;
+        let maintenance = Maintenance {
+            function: self.function.unwrap_or(none.maintenance.function),
+            location: self.location.unwrap_or(none.maintenance.location),
+            date: self.date.unwrap_or(none.maintenance.date),
+            descriptor: self.descriptor.unwrap_or(none.maintenance.descriptor),
+        };
+        let stored =
+            Stored { name: self.station.unwrap_or(none.name), ip: self.ip.unwrap_or(none.ip), maintenance };
+        for (option, text) in ProfinetLine::kept(&stored) {
+            check(option, !text.is_empty(), self.profinet.is_some(), "--profinet IFACE")?;
+        }
+        Ok(self.profinet.map(|interface| ProfinetLine { interface, stored, keep }))
+    }
+}
+
+/// A parser of values that names the expected ones in its error.
+fn expected<T: Clone + Send + Sync + 'static>(
+    what: &'static str,
+    take: fn(&str) -> Option<T>,
+) -> impl TypedValueParser<Value = T> {
+    move |text: &str| take(text).ok_or_else(|| format!("expected {what}"))
+}
+
+/// A parser of names.
+fn one_of<T: Copy + Send + Sync + 'static>(
+    values: Vec<(&'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let names = PossibleValuesParser::new(values.iter().map(|(name, _)| *name));
+    names.try_map(move |text| {
+        values.iter().find_map(|(name, value)| (*name == text).then_some(*value)).context("unknown")
+    })
+}
+
+fn finger() -> impl TypedValueParser<Value = Finger> {
+    one_of(Finger::ALL.iter().map(|finger| (finger.name(), *finger)).collect())
 }
 
 fn parsed<T: FromStr>(text: &str) -> Option<T> {
     text.parse().ok()
 }
 
-fn port(text: &str) -> Option<u16> {
-    parsed(text).filter(|port| *port != 0)
+fn not_empty(text: &str) -> Option<String> {
+    (!text.is_empty()).then(|| text.to_owned())
 }
 
-fn station(text: &str) -> Option<u8> {
-    parsed(text).filter(|address| *address <= 125)
-}
-
-/// Where the control interface listens; a port alone never leads beyond this machine.
+/// The address of the control interface; a port alone never leads beyond this machine.
 fn control(text: &str) -> Option<SocketAddr> {
     parsed(text).or_else(|| Some(SocketAddr::new(LOOPBACK, parsed(text)?)))
 }
 
 fn host(text: &str) -> Option<String> {
-    (!text.is_empty()
-        && !text.contains(['/', '['])
-        && (parsed::<IpAddr>(text).is_some() || !text.contains(':')))
-    .then(|| text.to_owned())
+    let is_address = parsed::<IpAddr>(text).is_some();
+    not_empty(text).filter(|text| !text.contains(['/', '[']) && (is_address || !text.contains(':')))
 }
 
 fn serial(text: &str) -> Option<SerialLine> {
@@ -904,16 +489,11 @@ fn serial(text: &str) -> Option<SerialLine> {
         Some("") => None,
         Some(path) => Some(SerialLine::Unix(path.into())),
         None if text == "pty" => Some(SerialLine::Pty),
-        None if text.is_empty() => None,
-        None => Some(SerialLine::Device(text.into())),
+        None => not_empty(text).map(|path| SerialLine::Device(path.into())),
     }
 }
 
-fn interface(text: &str) -> Option<CanBus> {
-    (!text.is_empty()).then(|| CanBus::Interface(text.to_owned()))
-}
-
-/// N, in decimal or, behind 0x, in hexadecimal.
+/// N, in decimal or, after 0x, in hexadecimal.
 fn identifiers(text: &str) -> Option<Identifiers> {
     let n = match text.strip_prefix("0x") {
         Some(digits) => u16::from_str_radix(digits, 16).ok()?,
@@ -922,25 +502,8 @@ fn identifiers(text: &str) -> Option<Identifiers> {
     Identifiers::from_base(n)
 }
 
-fn direction(text: &str) -> Option<Direction> {
-    match text {
-        "out" => Some(Direction::Plus),
-        "in" => Some(Direction::Minus),
-        _ => None,
-    }
-}
-
-fn reaction(text: &str) -> Option<SilenceReaction> {
-    match text {
-        "hold" => Some(SilenceReaction::Hold),
-        "stop" => Some(SilenceReaction::Stop),
-        "fast-stop" => Some(SilenceReaction::FastStop),
-        _ => None,
-    }
-}
-
-/// `none` is a part that is read well: no part.
-fn part(text: &str) -> Option<Option<Part>> {
+/// `none` is a valid value: no part.
+fn part(text: &str) -> Option<MaybePart> {
     if text == "none" {
         return Some(None);
     }
@@ -955,7 +518,7 @@ fn time_scale(text: &str) -> Option<f32> {
     parsed(text).filter(|scale| (Config::MIN_TIME_SCALE..=Config::MAX_TIME_SCALE).contains(scale))
 }
 
-/// A number above 0 that is no infinity.
+/// A finite number above 0.
 fn positive(text: &str) -> Option<f32> {
     parsed(text).filter(|value: &f32| value.is_finite() && *value > 0.0)
 }
@@ -965,12 +528,11 @@ fn length(text: &str) -> Option<f32> {
     parsed(text).filter(|value| (0.0..=1_000.0).contains(value))
 }
 
-fn profile(text: &str) -> Option<Profile> {
-    match text {
-        "instant" => Some(Profile::Instant),
-        "real" => Some(Profile::Real),
-        _ => None,
-    }
+/// Soft limits in mm.
+fn soft_limits(text: &str) -> Option<SoftLimits> {
+    let (minus, plus) = text.split_once(':')?;
+    let limits = SoftLimits { minus: length(minus)?, plus: length(plus)? };
+    (limits.minus <= limits.plus).then_some(limits)
 }
 
 #[cfg(test)]
@@ -978,10 +540,7 @@ mod tests {
     use super::*;
 
     fn options(arguments: &[&str]) -> Result<Options> {
-        match parse(Parser::from_args(arguments))? {
-            Request::Serve(options) => Ok(*options),
-            request => bail!("{request:?}"),
-        }
+        parse(arguments.iter().map(OsString::from).collect())
     }
 
     fn options_of(line: &str) -> Options {
@@ -990,8 +549,9 @@ mod tests {
 
     #[test]
     fn without_any_line_tcp_is_served_on_this_machine() {
-        let lines = options(&[]).unwrap().lines;
-        assert_eq!(lines, Lines { tcp: Some("127.0.0.1:1000".parse().unwrap()), ..Lines::default() });
+        let options = options(&[]).unwrap();
+        assert_eq!(options.config, Config::default());
+        assert_eq!(options.lines, Lines { tcp: "127.0.0.1:1000".parse().ok(), ..Lines::default() });
     }
 
     #[test]
@@ -1012,6 +572,8 @@ mod tests {
         assert_eq!(can.bus, CanBus::Interface("can0".to_owned()));
         assert_eq!(can.identifiers.controller().transmit.as_raw(), 0x120);
         assert_eq!(options_of("--can can0 --can-id 288").lines.can, Some(can));
+        let last = options_of("--can can0 --slcan pty").lines.can.unwrap();
+        assert_eq!(last.bus, CanBus::Slcan(SerialLine::Pty));
     }
 
     #[test]
@@ -1031,13 +593,9 @@ mod tests {
         let line = given.lines.profinet.unwrap();
         assert_eq!((given.lines.tcp, given.config.bus_reaction), (None, SilenceReaction::Hold));
         assert_eq!((line.interface.as_str(), line.stored, line.keep), ("eth0", Stored::NONE, None));
-        let line =
-            options_of("--profinet eth0 --station wsg-1 --profinet-ip 10.0.0.5/8,10.0.0.1").lines.profinet;
-        let line = line.unwrap();
-        assert_eq!(
-            (line.stored.name.as_str(), line.stored.ip.mask, line.stored.ip.gateway),
-            ("wsg-1", [255, 0, 0, 0], [10, 0, 0, 1])
-        );
+        let given = options_of("--profinet eth0 --station wsg-1 --profinet-ip 10.0.0.5/8,10.0.0.1");
+        let line = given.lines.profinet.unwrap();
+        assert_eq!(line.stored.name.as_str(), "wsg-1");
         assert_eq!(ProfinetLine::ip_text(&line.stored.ip), "10.0.0.5/8,10.0.0.1");
         for (arguments, expected) in [
             (&["--station", "wsg-1"][..], "--profinet IFACE"),
@@ -1089,8 +647,8 @@ mod tests {
     fn every_option_arrives() {
         let all = "--profile real --homing-speed 30 --part-width-tolerance 7 --clamping-travel 250 --force 33 \
                    --acceleration 700 --speed 60 --release-distance 12 --release-speed 90 --model wsg32 --serial-number 7 --tag cell --tcp 127.0.0.1:0 --udp 127.0.0.1:1500 \
-                   --udp-remote-port 9 --serial pty --part 20:50 --finger1 fmf --finger2 dsa --no-checksum-check \
-                   --answer-bad-checksum --updates-idle 60 --no-disconnect-error --homing-default in --time-scale 2.5 --log - --seed 9 \
+                   --udp-remote-port 9 --udp-unanswered 0 --serial pty --part 20:50 --finger1 fmf --finger2 dsa --no-checksum-check \
+                   --answer-bad-checksum --updates-idle 60 --no-disconnect-error --homing-default in --homing-at-start --soft-limits 7.5:60 --time-scale 2.5 --log - --seed 9 \
                    --control 127.0.0.1:8080";
         let options = options_of(all);
         let expected = Config {
@@ -1098,6 +656,8 @@ mod tests {
             serial_number: 7,
             tag: Tag::new("cell").unwrap(),
             homing_default: Direction::Minus,
+            homing_at_start: true,
+            soft_limits: Some(SoftLimits { minus: 7.5, plus: 60.0 }),
             part: Part::new(20.0, 50.0),
             time_scale: 2.5,
             check_checksum: false,
@@ -1119,7 +679,7 @@ mod tests {
         assert_eq!(options.lines.profile, Profile::Real);
         assert_eq!(options.lines.serial, Some(SerialLine::Pty));
         assert_eq!(options.lines.udp.unwrap().remote_port, 9);
-        assert_eq!(options.log, Some(LogTo::Stdout));
+        assert_eq!(options.log, Some("-".into()));
         assert_eq!((options.lines.seed, options.lines.control), (9, "127.0.0.1:8080".parse().ok()));
     }
 
@@ -1141,34 +701,36 @@ mod tests {
     #[test]
     fn wrong_options_say_what_was_wrong_and_what_was_expected() {
         for (arguments, wrong, expected) in [
-            (&["--model", "wsg99"][..], "--model \"wsg99\"", "wsg50-110"),
-            (&["--part", "-3"], "--part \"-3\"", "WIDTH_MM"),
-            (&["--part", "20:"], "--part \"20:\"", "STIFFNESS"),
-            (&["--tcp", "1000"], "--tcp \"1000\"", "127.0.0.1:1000"),
-            (&["--time-scale", "0"], "--time-scale \"0\"", "0.01"),
-            (&["--time-scale"], "--time-scale", "0.01"),
-            (&["--finger1", "thumb"], "--finger1 \"thumb\"", "generic"),
-            (&["--control", "here"], "--control \"here\"", "127.0.0.1:8080"),
+            (&["--model", "wsg99"][..], "'wsg99' for '--model", "wsg50-110"),
+            (&["--part", "-3"], "'-3' for '--part", "WIDTH_MM"),
+            (&["--part", "20:"], "'20:' for '--part", "STIFFNESS"),
+            (&["--tcp", "1000"], "'1000' for '--tcp", "127.0.0.1:1000"),
+            (&["--soft-limits", "10"], "'10' for '--soft-limits", "10:90"),
+            (&["--soft-limits", "90:10"], "'90:10' for '--soft-limits", "the smaller one first"),
+            (&["--time-scale", "0"], "'0' for '--time-scale", "0.01"),
+            (&["--time-scale"], "--time-scale", "--help"),
+            (&["--finger1", "thumb"], "'thumb' for '--finger1", "generic"),
+            (&["--control", "here"], "'here' for '--control", "127.0.0.1:8080"),
             (&["--control-host", "bench"], "--control-host", "--control ADDR"),
             (
                 &["--control", "8080", "--control-host", "bench:80"],
-                "--control-host \"bench:80\"",
-                "without a port",
+                "'bench:80' for '--control-host",
+                "a port",
             ),
             (&["--control", "8080", "--control-host", "http://bench/"], "http://bench/", "bench.example"),
-            (&["--seed", "-1"], "--seed \"-1\"", "number"),
+            (&["--seed", "-1"], "'-1' for '--seed", "number"),
             (&["--udp-remote-port", "9"], "--udp-remote-port", "--udp"),
             (&["--udp", "127.0.0.1:9", "--udp-remote-port", "9"], "--udp 127.0.0.1:9", "--udp-remote-port"),
             (&["--udp", "127.0.0.1:1501"], "--udp 127.0.0.1:1501", "--udp-remote-port"),
             (&["--can-id", "9"], "--can-id", "--slcan"),
-            (&["--slcan", "pty", "--can-id", "0x7FF"], "--can-id \"0x7FF\"", "0x7FE"),
-            (&["--slcan", "pty", "--can-id", "x"], "--can-id \"x\"", "0x7FE"),
-            (&["--slcan", "unix:"], "--slcan \"unix:\"", "unix:PATH"),
-            (&["--can", ""], "--can \"\"", "can0"),
-            (&["--modbus", "502"], "--modbus \"502\"", "127.0.0.1:1000"),
+            (&["--slcan", "pty", "--can-id", "0x7FF"], "'0x7FF' for '--can-id", "0x7FE"),
+            (&["--slcan", "pty", "--can-id", "x"], "'x' for '--can-id", "0x7FE"),
+            (&["--slcan", "unix:"], "'unix:' for '--slcan", "unix:PATH"),
+            (&["--can", ""], "'' for '--can", "can0"),
+            (&["--modbus", "502"], "'502' for '--modbus", "127.0.0.1:1000"),
             (&["--modbus-swap-bytes"], "--modbus-swap-bytes", "--modbus ADDR"),
-            (&["--profibus", "unix:"], "--profibus \"unix:\"", "unix:PATH"),
-            (&["--profibus", "pty", "--profibus-address", "126"], "--profibus-address \"126\"", "125"),
+            (&["--profibus", "unix:"], "'unix:' for '--profibus", "unix:PATH"),
+            (&["--profibus", "pty", "--profibus-address", "126"], "'126' for '--profibus-address", "125"),
             (&["--profibus-address", "9"], "--profibus-address", "--profibus LINE"),
             (&["--fast"], "--fast", "--help"),
             (&["stray"], "stray", "--help"),
@@ -1200,25 +762,34 @@ mod tests {
             clamping-travel = 250
             force = 12.5
             part = "20:50"
+            homing-at-start = true
+            soft-limits = "10:90"
             control = 8080
-            control-host = ["bench", "cell.example"]
+            control-host = ["bench"]
         "#;
-        let options = options_of_file("all", text, &["--model", "wsg25", "--force", "9"]).unwrap();
+        let options = options_of_file(
+            "all",
+            text,
+            &["--model", "wsg25", "--can", "can0", "--tag", "-K1", "--control-host", "cell.example"],
+        )
+        .unwrap();
         let expected = Config {
             model: Model::Wsg25,
             check_checksum: false,
             clamping_travel: 250.0,
-            force_limit: Some(9.0),
+            force_limit: Some(12.5),
+            tag: Tag::new("-K1").unwrap(),
+            homing_at_start: true,
+            soft_limits: Some(SoftLimits { minus: 10.0, plus: 90.0 }),
             part: Part::new(20.0, 50.0),
             ..Config::default()
         };
         assert_eq!(options.config, expected);
         let lines = options.lines;
-        assert_eq!(
-            (lines.tcp, lines.control),
-            ("127.0.0.1:11000".parse().ok(), "127.0.0.1:8080".parse().ok())
-        );
-        assert_eq!(lines.can.unwrap().identifiers, Identifiers::from_base(0x140).unwrap());
+        assert_eq!(lines.tcp, "127.0.0.1:11000".parse().ok());
+        assert_eq!(lines.control, "127.0.0.1:8080".parse().ok());
+        let bus = CanBus::Interface("can0".to_owned());
+        assert_eq!(lines.can, Identifiers::from_base(0x140).map(|identifiers| CanLine { bus, identifiers }));
         assert_eq!(lines.control_hosts, ["bench", "cell.example"]);
     }
 
@@ -1231,9 +802,9 @@ mod tests {
             ),
             (
                 "clamping-travel = -1",
-                ", line 1: clamping-travel = \"-1\" is wrong; expected a number from 0 to 1000",
+                ", line 1: invalid value '-1' for '--clamping-travel <MM>': expected a number",
             ),
-            ("force = nan", "is wrong; expected a number above 0"),
+            ("force = nan", "'nan' for '--force <N>': expected a number above 0"),
             ("no-checksum-check = 1", "no-checksum-check is of another kind; expected true or false"),
             ("force = true", "force is of another kind"),
             ("tcp = [\"127.0.0.1:1\"]", "tcp is of another kind"),
@@ -1241,7 +812,7 @@ mod tests {
             ("config = \"other\"", "config is for the command line alone"),
             ("model = \"wsg32\"\nmodel = \"wsg25\"", ", line 2: "),
             ("model wsg32", "expected TOML"),
-            ("can-id = 1", "--can-id is of no use without"),
+            ("can-id = 1", "--can-id has no effect without"),
         ] {
             let error = format!("{:#}", options_of_file("wrong", text, &[]).unwrap_err());
             assert!(error.contains(expected) && error.lines().count() == 1, "{text:?}: {error}");
@@ -1252,7 +823,7 @@ mod tests {
 
     /// Every option with its default and its meaning, as the document has it.
     #[test]
-    fn options_in_the_document_are_those_of_the_table() {
+    fn options_in_the_document_are_those_of_the_program() {
         const BEGIN: &str = "<!-- generated: options -->\n";
         const END: &str = "<!-- end -->";
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/simulator.md");
@@ -1260,8 +831,18 @@ mod tests {
         let (before, rest) = document.split_once(BEGIN).unwrap();
         let (shown, behind) = rest.split_once(END).unwrap();
         let mut table = "| option | default | meaning |\n|---|---|---|\n".to_owned();
-        for setting in SETTINGS {
-            table += &format!("| `{}` | {} | {} |\n", setting.usage(), setting.default, setting.meaning);
+        for arg in command().get_arguments() {
+            let name = arg.get_long().unwrap();
+            let help = arg.get_help().unwrap().to_string();
+            let (value, default) =
+                value_name(arg).map_or((String::new(), "off"), |name| (format!(" {name}"), ""));
+            let (meaning, default) =
+                help.trim_end_matches(']').split_once(" [default: ").unwrap_or((&help, default));
+            let default = arg.get_default_values().first().map_or(default, |value| value.to_str().unwrap());
+            let values = arg.get_possible_values();
+            let names: Vec<_> = values.iter().map(|value| format!("`{}`", value.get_name())).collect();
+            let names = if names.is_empty() { String::new() } else { format!(" ({})", names.join(", ")) };
+            table += &format!("| `--{name}{value}` | {default} | {meaning}{names} |\n");
         }
         let table = table.replace("|  |", "| |");
         if std::env::var_os("WSG_UPDATE_DOCS").is_some() {

@@ -1,26 +1,49 @@
 //! What a script can call (`docs/scripts.md`).
 
-use super::{Call, ask, ask_for, first_line};
+use super::{Call, ask, ask_for, clipped, first_line};
 use crate::finger::{Finger, Jaw};
 use crate::gripper::State;
 use crate::port::{MAX_FRAME_LEN, PortId};
 use crate::script::SCRIPT_IDS;
 use crate::server::hub::Hub;
-use mlua::{Function, IntoLuaMulti, Lua, MultiValue, Result, Table, Value};
+use mlua::chunk::ChunkMode;
+use mlua::{Function, IntoLuaMulti, Lua, LuaString, MultiValue, Result, Table, Value};
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
+use std::path::Path;
 use std::rc::Rc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::sync::mpsc::UnboundedSender;
 use wsg_protocol::frame::OVERHEAD;
-use wsg_protocol::{Command, HomingDirection, PrePositionFlags, Status, SystemFlags};
+use wsg_protocol::{Command, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags};
 
 /// The longest answer.
 const MAX_ANSWER_LEN: usize = MAX_FRAME_LEN - OVERHEAD;
 
 /// How many things a script is told of once.
 const MAX_NOTED: usize = 100;
+
+/// How deep tables of an answer may be nested.
+const MAX_NESTING: usize = 5;
+
+/// How many lines a script may write to the log at once, and how many a second in the long run. Assumed.
+const LINES_AT_ONCE: f64 = 1_000.0;
+const LINES_PER_SECOND: f64 = 100.0;
+
+/// The longest pattern of `string.find` and its like, in bytes. Assumed.
+const MAX_PATTERN_LEN: usize = 1_024;
+
+/// The longest module, in bytes. Assumed.
+const MAX_MODULE_LEN: u64 = 1 << 20;
+
+/// The longest time for a motion that a script waits for.
+const MAX_MOTION: Duration = Duration::from_secs(60);
+/// How often it is looked whether the motion has ended.
+const LOOK_AT_MOTION: Duration = Duration::from_millis(5);
+
+/// What Lua has and a script must not have, and `require`.
+const SANDBOX: &str = include_str!("sandbox.lua");
 
 /// A script's side of the gripper.
 struct Caller {
@@ -32,30 +55,78 @@ struct Caller {
     /// Who asked last at all.
     client: Cell<Option<PortId>>,
     noted: RefCell<BTreeSet<String>>,
+    printed: Cell<Printed>,
+    /// The gains of the speed controller. They change nothing here.
+    gains: Cell<[f64; 3]>,
+}
+
+/// How much a script has written to the log.
+#[derive(Clone, Copy)]
+struct Printed {
+    /// Lines that it may still write, as of `at`.
+    allowed: f64,
+    at: Instant,
+    /// Lines left out since it wrote one.
+    lost: u64,
+}
+
+impl Printed {
+    fn new() -> Self {
+        Self { allowed: LINES_AT_ONCE, at: Instant::now(), lost: 0 }
+    }
+
+    /// Whether another line may be written.
+    fn takes_line(&mut self) -> bool {
+        let earned = self.at.elapsed().as_secs_f64() * LINES_PER_SECOND;
+        *self = Self { allowed: (self.allowed + earned).min(LINES_AT_ONCE), at: Instant::now(), ..*self };
+        if self.allowed < 1.0 {
+            self.lost += 1;
+            return false;
+        }
+        self.allowed -= 1.0;
+        true
+    }
 }
 
 /// Gives a script everything that it can call, and takes away what could harm the machine that it runs on.
-pub(super) fn install(lua: &Lua, asks: &UnboundedSender<Call>, looks: &Rc<Cell<u32>>) -> Result<()> {
+///
+/// `directory`: where the files are that it may `require`.
+pub(super) fn install(
+    lua: &Lua,
+    asks: &UnboundedSender<Call>,
+    looks: &Rc<Cell<u32>>,
+    directory: &Path,
+) -> Result<()> {
     let caller = Rc::new(Caller {
         asks: asks.clone(),
         looks: Rc::clone(looks),
         clients: RefCell::default(),
         client: Cell::default(),
         noted: RefCell::default(),
+        printed: Cell::new(Printed::new()),
+        gains: Cell::new([1.0, 0.0, 0.0]),
     });
     let globals = lua.globals();
-    for file in ["dofile", "loadfile"] {
-        globals.raw_set(file, Value::Nil)?;
-    }
     for status in Status::ALL {
         globals.raw_set(status.symbol(), status.code())?;
     }
     commands(lua, &caller)?;
     motions(lua, &caller)?;
+    grasping(lua, &caller)?;
     sensors(lua, &caller)?;
+    finger_interfaces(lua, &caller)?;
+    user_flags(lua, &caller)?;
     numbers(lua, &caller)?;
     time_and_text(lua, &caller)?;
-    for name in ["cmd", "mc", "gripper", "finger", "math", "string", "table", "socket"] {
+    let sandbox = lua.load(SANDBOX).set_name("=sandbox");
+    sandbox.call::<()>((
+        MAX_PATTERN_LEN,
+        module_loader(lua, directory)?,
+        globals.raw_get::<Table>("socket")?,
+    ))?;
+    for name in
+        ["cmd", "mc", "grasping", "gripper", "finger", "fieldbus", "math", "string", "table", "socket"]
+    {
         name_what_is_missing(lua, &caller, &globals.raw_get(name)?, &format!("{name}."))?;
     }
     name_what_is_missing(lua, &caller, &globals, "")
@@ -72,9 +143,34 @@ impl Caller {
         ask_for(&self.asks, call)
     }
 
-    /// Writes a line to the log.
-    fn log(&self, text: String) -> Result<()> {
-        self.ask(move |hub| hub.note_of("script", format_args!("{text}")))
+    /// Writes lines to the log.
+    fn log(&self, lines: Vec<String>) -> Result<()> {
+        self.ask(move |hub| {
+            for line in lines {
+                hub.note_of("script", format_args!("{line}"));
+            }
+        })
+    }
+
+    /// Writes what a script prints to the log, as far as it may.
+    fn print(&self, text: &str) -> Result<()> {
+        let mut printed = self.printed.get();
+        let mut lines = Vec::new();
+        for line in if text.is_empty() { "\n" } else { text }.lines() {
+            let lost = printed.lost;
+            if !printed.takes_line() {
+                continue;
+            }
+            if lost > 0 {
+                lines.push(format!(
+                    "{lost} lines are left out here: a script may write {LINES_PER_SECOND} a second"
+                ));
+                printed.lost = 0;
+            }
+            lines.push(clipped(line));
+        }
+        self.printed.set(printed);
+        if lines.is_empty() { Ok(()) } else { self.log(lines) }
     }
 
     /// Writes a line to the log, once, with the line of the script. `above`: how many functions above it this is.
@@ -84,8 +180,39 @@ impl Caller {
             Some(line) => format!("line {line}: {what}"),
             None => what.to_string(),
         };
+        let text = clipped(&text);
         let is_new = self.noted.borrow().len() < MAX_NOTED && self.noted.borrow_mut().insert(text.clone());
-        if is_new { self.log(text) } else { Ok(()) }
+        if is_new { self.log(vec![text]) } else { Ok(()) }
+    }
+
+    /// Waits until the fingers are where `is_there` wants them to be; false when that takes too long.
+    fn wait_until(&self, mut is_there: impl FnMut(&State) -> bool) -> Result<bool> {
+        let start = Instant::now();
+        while !is_there(&self.ask(state)?) {
+            if start.elapsed() > MAX_MOTION {
+                return Ok(false);
+            }
+            self.wait(|answer| Call::Sleep(LOOK_AT_MOTION, answer))?;
+        }
+        Ok(true)
+    }
+
+    /// Carries out a motion and waits for its end.
+    fn motion(&self, lua: &Lua, call: &str, order: Command<'static>) -> Result<u16> {
+        let status = self.command(lua, call, move |hub| command(hub, &order))?;
+        if status != Status::Success.code() {
+            return Ok(status);
+        }
+        let mut last = GripperState::Idle;
+        let has_ended = self.wait_until(|state| {
+            last = state.gripper;
+            !matches!(last, GripperState::Gripping | GripperState::Releasing | GripperState::Positioning)
+        })?;
+        Ok(match last {
+            _ if !has_ended => Status::Timeout.code(),
+            GripperState::NoPart | GripperState::Error => Status::CmdFailed.code(),
+            _ => Status::Success.code(),
+        })
     }
 
     /// Carries out a command; what refused it is in the log, once, and returned.
@@ -178,6 +305,13 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
                 "cmd.register: {id:02X}h is no id for scripts; expected {first:02X}h to {last:02X}h"
             )))
         })?
+        .function("unregister", |_, caller, id: u32| match u8::try_from(id) {
+            Ok(id) => caller.ask(move |hub| hub.act(|gripper, _| gripper.release_for_script(id))).map(drop),
+            Err(_) => Ok(()),
+        })?
+        .function("available", |_, caller, ()| {
+            caller.ask(|hub| hub.act(|gripper, _| gripper.script_requests()))
+        })?
         .function("online", |_, caller, ()| caller.ask(|hub| hub.interface(None).is_some()))?
         .function("interface", |_, caller, ()| {
             let last = caller.client.get();
@@ -192,7 +326,7 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
         .function("send", |_, caller, (id, values): (u8, MultiValue)| {
             let mut payload = Vec::new();
             for value in &values {
-                append(&mut payload, value)?;
+                append(&mut payload, value, 0)?;
             }
             let Some(port) = caller.clients.borrow().get(&id).copied() else {
                 return Err(wrong(format_args!(
@@ -206,31 +340,44 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// Puts a number, or all numbers of a table, behind what there is of an answer.
-fn append(payload: &mut Vec<u8>, value: &Value) -> Result<()> {
-    let number = match value {
-        Value::Integer(number) => *number as f64,
-        Value::Number(number) => *number,
+/// Puts a value behind what there is of an answer: numbers are bytes, booleans 0 or 1, texts their bytes; tables hold any of these.
+fn append(payload: &mut Vec<u8>, value: &Value, depth: usize) -> Result<()> {
+    match value {
+        Value::Integer(number) => put(payload, &[byte("cmd.send", *number as f64)?]),
+        Value::Number(number) => put(payload, &[byte("cmd.send", *number)?]),
+        Value::Boolean(flag) => put(payload, &[u8::from(*flag)]),
+        Value::String(text) => put(payload, &text.as_bytes()),
+        Value::Table(_) if depth == MAX_NESTING => {
+            Err(wrong(format_args!("cmd.send: tables are nested {MAX_NESTING} deep at the most")))
+        }
         Value::Table(table) => {
-            return table.sequence_values::<Value>().try_for_each(|value| append(payload, &value?));
+            table.sequence_values::<Value>().try_for_each(|value| append(payload, &value?, depth + 1))
         }
         other => {
             let kind = other.type_name();
-            return Err(wrong(format_args!(
-                "cmd.send: a {kind} is no byte; expected numbers, or tables of them"
-            )));
+            Err(wrong(format_args!(
+                "cmd.send: a {kind} is no byte; expected numbers, booleans, strings, or tables of them"
+            )))
         }
-    };
-    // As C takes a fraction.
-    let byte = number.trunc();
-    if !(0.0..=255.0).contains(&byte) {
-        return Err(wrong(format_args!("cmd.send: {number} is no byte; expected 0 to 255")));
     }
-    if payload.len() >= MAX_ANSWER_LEN {
+}
+
+fn put(payload: &mut Vec<u8>, bytes: &[u8]) -> Result<()> {
+    if payload.len() + bytes.len() > MAX_ANSWER_LEN {
         return Err(wrong(format_args!("cmd.send: an answer has {MAX_ANSWER_LEN} bytes at the most")));
     }
-    payload.push(byte as u8);
+    payload.extend_from_slice(bytes);
     Ok(())
+}
+
+/// A number as a byte; a fraction is cut off, as C does.
+fn byte(call: &str, number: f64) -> Result<u8> {
+    let byte = number.trunc();
+    if (0.0..=255.0).contains(&byte) {
+        Ok(byte as u8)
+    } else {
+        Err(wrong(format_args!("{call}: {number} is no byte; expected 0 to 255")))
+    }
 }
 
 fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
@@ -289,8 +436,86 @@ fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
                 }
             };
             caller.command(lua, "mc.homing", move |hub| command(hub, &Command::Homing { direction }))
+        })?
+        .function("pid", |_, caller, gains: (Option<f64>, Option<f64>, Option<f64>)| {
+            match gains {
+                (None, None, None) => {}
+                (Some(p), Some(i), Some(d)) if [p, i, d].iter().all(|gain| gain.is_finite()) => {
+                    caller.gains.set([p, i, d]);
+                }
+                _ => return Err(wrong(format_args!("mc.pid: expected three gains, or none to read them"))),
+            }
+            let [p, i, d] = caller.gains.get();
+            Ok((p, i, d))
         })?;
     Ok(())
+}
+
+/// Gripping, as the gripper does it by itself. Public scripts call these one after the other: each waits for its end.
+fn grasping(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
+    Module::new(lua, caller, "grasping")?
+        .function("state", |_, caller, ()| caller.ask(|hub| state(hub).gripper.code()))?
+        .function("move", |lua, caller, (width, speed): (f32, f32)| {
+            let flags = PrePositionFlags::STOP_ON_BLOCK;
+            finite("grasping.move", &[width, speed])?;
+            caller.motion(lua, "grasping.move", Command::PrePosition { flags, width, speed })
+        })?
+        .function("grasp", |lua, caller, (width, speed, force): (f32, f32, Option<f32>)| {
+            finite("grasping.grasp", &[width, speed, force.unwrap_or(0.0)])?;
+            if let Some(status) = refused_force(lua, caller, "grasping.grasp", force)? {
+                return Ok(status);
+            }
+            caller.motion(lua, "grasping.grasp", Command::GripPart { width, speed })
+        })?
+        .function("release", |lua, caller, (width, speed): (f32, f32)| {
+            finite("grasping.release", &[width, speed])?;
+            caller.motion(lua, "grasping.release", Command::ReleasePart { width, speed })
+        })?
+        .function("clamp", |lua, caller, (travel, force): (f32, Option<f32>)| {
+            finite("grasping.clamp", &[travel, force.unwrap_or(0.0)])?;
+            if let Some(status) = refused_force(lua, caller, "grasping.clamp", force)? {
+                return Ok(status);
+            }
+            let from = caller.ask(|hub| state(hub).width)?;
+            let status = caller.command(lua, "grasping.clamp", |hub| {
+                let speed = -hub.config().speed;
+                hub.act(|gripper, now| gripper.run_for_script(speed, now))
+            })?;
+            if status != Status::Success.code() {
+                return Ok(status);
+            }
+            let mut is_clamped = false;
+            caller.wait_until(|state| {
+                is_clamped = state.flags.contains(SystemFlags::BLOCKED_MINUS) && state.force > 0.0;
+                is_clamped
+                    || from - state.width > travel.abs()
+                    || !matches!(state.gripper, GripperState::Positioning)
+            })?;
+            if is_clamped {
+                return Ok(status);
+            }
+            caller.command(lua, "grasping.clamp", |hub| command(hub, &Command::Stop))?;
+            Ok(Status::CmdFailed.code())
+        })?
+        .function("stop_clamping", |lua, caller, ()| {
+            caller.command(lua, "grasping.stop_clamping", |hub| command(hub, &Command::Stop))
+        })?;
+    Ok(())
+}
+
+/// Sets the force limit, if there is one to be set; the status that refuses it.
+fn refused_force(lua: &Lua, caller: &Caller, call: &str, force: Option<f32>) -> Result<Option<u16>> {
+    let Some(force) = force else { return Ok(None) };
+    let status = caller.command(lua, call, move |hub| command(hub, &Command::SetForceLimit { force }))?;
+    Ok((status != Status::Success.code()).then_some(status))
+}
+
+fn finite(call: &str, numbers: &[f32]) -> Result<()> {
+    if numbers.iter().all(|number| number.is_finite()) {
+        Ok(())
+    } else {
+        Err(wrong(format_args!("{call}: expected finite numbers in mm, mm/s and N")))
+    }
 }
 
 fn sensors(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
@@ -307,8 +532,108 @@ fn sensors(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             let jaw = jaw(index)?;
             let (_, force) = caller.ask(move |hub| hub.act(|gripper, _| gripper.finger(jaw)))?;
             Ok(force)
+        })?
+        .function("count", |_, _, ()| Ok(2))?
+        .function("power", |lua, caller, (index, enabled): (u8, bool)| {
+            let order = match jaw(index)? {
+                Jaw::One => Command::Finger1Power { enabled },
+                Jaw::Two => Command::Finger2Power { enabled },
+            };
+            caller.command(lua, "finger.power", move |hub| command(hub, &order))
         })?;
     Ok(())
+}
+
+/// The interface of a finger for electronics of one's own. Nothing is connected there: what is written is lost, and nothing comes.
+fn finger_interfaces(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
+    let module = Module { lua, caller, table: lua.globals().raw_get("finger")? };
+    module
+        .function("interface", |_, _, (index, kind): (u8, String)| {
+            jaw(index)?;
+            match kind.as_str() {
+                "uart" | "spi" => Ok(()),
+                _ => Err(wrong(format_args!(
+                    "finger.interface: {kind:?} is none; expected \"uart\" or \"spi\""
+                ))),
+            }
+        })?
+        .function("write", |lua, caller, (index, data): (u8, Value)| {
+            jaw(index)?;
+            bytes("finger.write", &data)?;
+            caller.note(lua, 2, "finger.write: no electronics are connected; the bytes are lost")
+        })?
+        .function("read", |lua, _, (index, _): (u8, Option<u32>)| {
+            jaw(index)?;
+            lua.create_table()
+        })?
+        .function("bytes_available", |_, _, index: u8| jaw(index).map(|_| 0))?
+        .function("spi", |_, _, (index, data): (u8, Value)| {
+            jaw(index)?;
+            Ok(vec![0u8; bytes("finger.spi", &data)?])
+        })?;
+    Ok(())
+}
+
+/// How many bytes a number, a text or a table of numbers is.
+fn bytes(call: &str, data: &Value) -> Result<usize> {
+    match data {
+        Value::Integer(number) => byte(call, *number as f64).map(|_| 1),
+        Value::Number(number) => byte(call, *number).map(|_| 1),
+        Value::String(text) => Ok(text.as_bytes().len()),
+        Value::Table(table) => {
+            table.sequence_values::<f64>().try_fold(0, |count, number| byte(call, number?).map(|_| count + 1))
+        }
+        other => {
+            let kind = other.type_name();
+            Err(wrong(format_args!(
+                "{call}: a {kind} is no data; expected a string, a byte or a table of bytes"
+            )))
+        }
+    }
+}
+
+/// The user flags of the register interface (fieldbus manual, 5.1.1): IF come from the PLC, OF go to it.
+fn user_flags(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
+    Module::new(lua, caller, "fieldbus")?
+        .function("inputs", |_, caller, ()| caller.ask(inputs))?
+        .function("input", |_, caller, number: u32| {
+            let flag = flag("fieldbus.input", number)?;
+            Ok(caller.ask(inputs)? & flag != 0)
+        })?
+        .function("outputs", |_, caller, flags: Option<f64>| {
+            if let Some(flags) = flags {
+                let flags = byte("fieldbus.outputs", flags)?;
+                caller.ask(move |hub| hub.act(|gripper, _| gripper.set_user_outputs(flags)))?;
+            }
+            caller.ask(outputs)
+        })?
+        .function("output", |_, caller, (number, on): (u32, Option<bool>)| {
+            let flag = flag("fieldbus.output", number)?;
+            let flags = caller.ask(outputs)?;
+            let Some(on) = on else { return Ok(flags & flag != 0) };
+            let flags = if on { flags | flag } else { flags & !flag };
+            caller.ask(move |hub| hub.act(|gripper, _| gripper.set_user_outputs(flags)))?;
+            Ok(on)
+        })?;
+    Ok(())
+}
+
+/// IF.
+fn inputs(hub: &Hub) -> u8 {
+    hub.act(|gripper, _| gripper.fieldbus_images().0.user)
+}
+
+/// OF.
+fn outputs(hub: &Hub) -> u8 {
+    hub.act(|gripper, _| gripper.fieldbus_images().1.user)
+}
+
+/// The bit of a user flag by its number.
+fn flag(call: &str, number: u32) -> Result<u8> {
+    match number {
+        1..=8 => Ok(1 << (number - 1)),
+        _ => Err(wrong(format_args!("{call}: there is no flag {number}; expected 1 to 8"))),
+    }
 }
 
 fn jaw(index: u8) -> Result<Jaw> {
@@ -337,15 +662,10 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Module::new(lua, caller, "socket")?.function("gettime", |_, _, ()| {
         Ok(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64())
     })?;
-    let socket: Table = globals.raw_get("socket")?;
     let to_string: Function = globals.raw_get("tostring")?;
     let format: Function = globals.raw_get::<Table>("string")?.raw_get("format")?;
     let module = Module { lua, caller, table: globals };
     module
-        .function("require", move |_, _, name: String| match name.as_str() {
-            "socket" => Ok(socket.clone()),
-            _ => Err(wrong(format_args!("require: there is no {name:?} here; expected \"socket\""))),
-        })?
         .function("sleep", |_, caller, milliseconds: f64| {
             // A time that is over already is none.
             let duration = Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0)
@@ -353,11 +673,41 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             caller.wait(|answer| Call::Sleep(duration, answer))
         })?
         .function("print", move |_, caller, values: MultiValue| {
-            let texts = values.iter().map(|value| to_string.call::<String>(value));
-            caller.log(texts.collect::<Result<Vec<_>>>()?.join("\t"))
+            let texts = values.iter().map(|value| Ok(to_string.call::<LuaString>(value)?.to_string_lossy()));
+            caller.print(&texts.collect::<Result<Vec<_>>>()?.join("\t"))
         })?
-        .function("printf", move |_, caller, values: MultiValue| caller.log(format.call(values)?))?;
+        .function("printf", move |_, caller, values: MultiValue| {
+            caller.print(&format.call::<LuaString>(values)?.to_string_lossy())
+        })?;
     Ok(())
+}
+
+/// Gives a module by its name, as a function; or nil, and why not. A module is a file of text beside the script: a name has no
+/// way out of its directory.
+fn module_loader(lua: &Lua, directory: &Path) -> Result<Function> {
+    let directory = directory.to_owned();
+    lua.create_function(move |lua, name: Value| {
+        let name = name.as_string().map(|name| name.to_string_lossy()).unwrap_or_default();
+        let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'_' | b'-');
+        if name.is_empty() || !name.bytes().all(is_name) {
+            let why = format!("require: {:?} is no name; expected letters, digits, _ and -", clipped(&name));
+            return Ok((None, Some(why)));
+        }
+        let file = format!("{name}.lua");
+        let path = directory.join(&file);
+        let is_module = path.metadata().is_ok_and(|file| file.is_file() && file.len() <= MAX_MODULE_LEN);
+        let source = if is_module { std::fs::read(&path).ok() } else { None };
+        let Some(source) = source else {
+            return Ok((
+                None,
+                Some(format!("require: there is no {file:?} beside the script, or it cannot be read")),
+            ));
+        };
+        match lua.load(source).set_name(format!("@{file}")).set_mode(ChunkMode::Text).into_function() {
+            Ok(run) => Ok((Some(run), None)),
+            Err(error) => Ok((None, Some(first_line(&error)))),
+        }
+    })
 }
 
 /// Names in the log what a script asks for that there is not.
