@@ -522,7 +522,9 @@ end
 local function describe(id, payload, is_request, tree)
   local command = COMMANDS[id]
   local input = reader(payload)
-  local title = string.format("%02Xh %s", id, command and command.name or "unknown command")
+  local is_script = id >= 0xA0 and id <= 0xBF
+  local name = command and command.name or is_script and "script command" or "unknown command"
+  local title = string.format("%02Xh %s", id, name)
   local words, why
   if is_request then
     if not command then
@@ -544,10 +546,14 @@ local function describe(id, payload, is_request, tree)
       end
     end
   end
-  if not words then
-    return title .. ": " .. why, true
+  if words then
+    return title .. words, false
   end
-  return title .. words, false
+  -- A script answers as it likes.
+  if is_script then
+    return string.format("%s %d bytes", title, input.len), false
+  end
+  return title .. ": " .. why, true
 end
 
 local function size_of(tvb, at)

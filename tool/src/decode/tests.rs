@@ -75,6 +75,23 @@ fn direction_that_is_said_settles_what_a_frame_is() {
 }
 
 #[test]
+fn commands_of_scripts_are_named_and_their_answers_need_no_form() {
+    let frames = [reply(0xA0, &[1, 2]), reply(0xBF, &[]), reply(0x9F, &[])].concat();
+    let to = shown(&frames, &["--direction", "to"]);
+    for words in [
+        "->  A0h script command 2 bytes\n",
+        "->  BFh script command 0 bytes\n",
+        "->  9Fh unknown command 0 bytes\n",
+    ] {
+        assert!(to.contains(words), "{to}");
+    }
+    let answers = [reply(0xA0, &[0, 0, 7]), reply(0xB0, &[1, 0, 7])].concat();
+    let from = shown(&answers, &["--direction", "from"]);
+    assert!(from.contains("<-  A0h script command E_SUCCESS 1 byte"), "{from}");
+    assert!(from.contains("<-  B0h script command 3 bytes\n"), "{from}");
+}
+
+#[test]
 fn text_of_gcl() {
     let text = "VERBOSE=1\nHOME()\r\nACK HOME\r\nFIN HOME\nGRIP(20,50)\nERR GRIP 18 command failed\n\
                 @POS=20.5\nPOS?\nPOS=20.5\nDANCE(1)\nERR DANCE 14\nBYE()\n";

@@ -157,6 +157,12 @@ impl From<io::Error> for Trouble {
 impl Display for Trouble {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match self {
+            // Only 62h and 72h are refused so (3.6.3): a grip without a part begins, and fails.
+            Self::Driver(Error::Refused(status @ Status::CmdFailed)) => write!(
+                f,
+                "refused: {status}; the gripper switches the supply of generic fingers only (`finger-info`), and a finger with \
+                 POWER_FAULT is short-circuited (`finger-flags`)"
+            ),
             Self::Driver(Error::Refused(status)) => {
                 write!(f, "refused: {status}, {}", status.meaning())?;
                 match status {

@@ -101,8 +101,8 @@ impl Reader {
             speed: true,
             force: true,
             update_period_ms: period_ms,
-            // Values come by themselves; asking again only notices a gripper that was restarted.
-            refresh_ms: LOOK_MS,
+            // The gripper sends values by itself. One request each second is enough to notice a restart.
+            refresh_ms: LOOK_MS * session::Topic::ALL.len() as u32,
             ..session::Config::DEFAULT
         };
         let config = Config { session, ..Config::DEFAULT };

@@ -1,6 +1,7 @@
 //! What a user may write wrong: said in words that tell what was expected, before anything is sent.
 
 use crate::bench::{Bench, Program, Scratch, quick};
+use wsg_sim::{Config, Finger};
 
 /// Nobody is there: what gets as far as to connect ends with 6.
 const NOBODY: &str = "tcp://127.0.0.1:1";
@@ -75,6 +76,19 @@ fn script_ends_at_the_first_line_that_fails_and_names_it() {
         ended.stdout.lines().map(|line| serde_json::from_str(line).expect("it is JSON")).collect();
     assert_eq!(lines.len(), 2, "{lines:?}");
     assert_eq!((&lines[1]["line"], &lines[1]["status"]), (&3.into(), &"E_RANGE_ERROR".into()));
+}
+
+/// Command set, 3.6.3.
+#[test]
+fn supply_that_is_not_switched_names_where_to_look() {
+    let bench = Bench::new(Config { fingers: [Finger::Fmf, Finger::None], ..quick() });
+    let ended = Program::run(&[&bench.tcp(), "finger-power", "1", "off"]);
+    assert_eq!(ended.status, 4, "{ended:?}");
+    assert!(
+        ended.stderr.contains("refused: E_CMD_FAILED; ") && ended.stderr.contains("`finger-info`"),
+        "{ended:?}"
+    );
+    assert!(!ended.stderr.contains("part"), "{ended:?}");
 }
 
 #[test]

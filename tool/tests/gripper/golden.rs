@@ -19,6 +19,7 @@ state
 flags
 release 60 200
 grip 50 200
+release 60 200
 grip 20 100 --force 400
 force-limit 30N
 force-limit
