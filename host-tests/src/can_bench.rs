@@ -7,7 +7,9 @@ use std::rc::Rc;
 use bus_modbus::rtu::Character;
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig, CanController, Health, Node, NodeConfig};
+use wsg_bridge_fw::can::{
+    BusOffPolicy, CanBus, CanConfig, CanController, Health, Node, NodeConfig, Withdrawal,
+};
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::DpBuffers;
@@ -46,6 +48,11 @@ struct DoubleState {
     recoveries_in_vain: u32,
     recoveries: u32,
     aborts: u32,
+    /// The frame that is on the bus now, one of none of the mailboxes.
+    on_wire: Option<ClassicFrame>,
+    /// What becomes of its withdrawal, once it was asked for.
+    withdrawal: Option<Withdrawal>,
+    withdrawn: u32,
     overrun: bool,
     refuses: bool,
     /// Nobody acknowledges: frames stay in the mailboxes.
@@ -77,6 +84,43 @@ impl Double {
         self.0.borrow().aborts
     }
 
+    /// The frames that wait in its mailboxes.
+    #[must_use]
+    pub fn waiting(&self) -> Vec<ClassicFrame> {
+        self.0.borrow().mailboxes.clone()
+    }
+
+    /// How many frames were withdrawn from it one by one.
+    #[must_use]
+    pub fn withdrawn(&self) -> u32 {
+        self.0.borrow().withdrawn
+    }
+
+    /// Begins to send the most urgent frame, heard or not, and returns it.
+    pub fn begin_frame(&self) -> Option<ClassicFrame> {
+        let mut state = self.0.borrow_mut();
+        state.on_wire = state.take_most_urgent();
+        state.on_wire
+    }
+
+    /// Ends that frame, which is returned if it was acknowledged, and repeated otherwise.
+    pub fn end_frame(&self, is_acknowledged: bool) -> Option<ClassicFrame> {
+        let mut state = self.0.borrow_mut();
+        let frame = state.on_wire.take()?;
+        let is_withdrawn = state.withdrawal.is_some() && !is_acknowledged;
+        if let Some(outcome) = &mut state.withdrawal {
+            *outcome = Withdrawal::of(false, is_acknowledged);
+        }
+        state.withdrawn += u32::from(is_withdrawn);
+        if is_acknowledged {
+            return Some(frame);
+        }
+        if !is_withdrawn {
+            state.mailboxes.push(frame);
+        }
+        None
+    }
+
     /// Loses the next frame for want of room.
     pub fn overrun(&self) {
         self.0.borrow_mut().overrun = true;
@@ -98,8 +142,7 @@ impl Double {
         if state.health.is_off || state.unheard {
             return None;
         }
-        let winner = (0..state.mailboxes.len()).min_by_key(|&at| priority(&state.mailboxes[at]))?;
-        Some(state.mailboxes.remove(winner))
+        state.take_most_urgent()
     }
 
     /// Brings a frame from the bus.
@@ -108,6 +151,13 @@ impl Double {
         if !state.health.is_off {
             state.received.push_back(frame);
         }
+    }
+}
+
+impl DoubleState {
+    fn take_most_urgent(&mut self) -> Option<ClassicFrame> {
+        let winner = (0..self.mailboxes.len()).min_by_key(|&at| priority(&self.mailboxes[at]))?;
+        Some(self.mailboxes.remove(winner))
     }
 }
 
@@ -130,12 +180,13 @@ impl embedded_can::nb::Can for Double {
         if state.refuses {
             return Err(nb::Error::Other(Trouble));
         }
-        if state.mailboxes.iter().any(|pending| priority(pending) <= priority(frame)) {
+        let mut pending = state.mailboxes.iter().chain(&state.on_wire);
+        if pending.any(|pending| priority(pending) <= priority(frame)) {
             return Err(nb::Error::WouldBlock);
         }
         let mut displaced = None;
-        if state.mailboxes.len() == MAILBOXES {
-            let least = (0..MAILBOXES).max_by_key(|&at| priority(&state.mailboxes[at]));
+        if state.mailboxes.len() + usize::from(state.on_wire.is_some()) == MAILBOXES {
+            let least = (0..state.mailboxes.len()).max_by_key(|&at| priority(&state.mailboxes[at]));
             displaced = least.map(|at| state.mailboxes.remove(at));
         }
         state.mailboxes.push(*frame);
@@ -154,9 +205,26 @@ impl CanController for Double {
         self.0.borrow().health
     }
 
+    fn withdraw(&mut self, id: Id) -> Withdrawal {
+        let mut state = self.0.borrow_mut();
+        if state.on_wire.is_some_and(|frame| frame.id() == id) {
+            return *state.withdrawal.insert(Withdrawal::Undecided);
+        }
+        if let Some(outcome) = state.withdrawal.take() {
+            return outcome;
+        }
+        let Some(at) = state.mailboxes.iter().position(|frame| frame.id() == id) else {
+            return Withdrawal::TooLate;
+        };
+        state.mailboxes.remove(at);
+        state.withdrawn += 1;
+        Withdrawal::Withdrawn
+    }
+
     fn abort(&mut self) {
         let mut state = self.0.borrow_mut();
         state.mailboxes.clear();
+        (state.on_wire, state.withdrawal) = (None, None);
         state.aborts += 1;
     }
 
@@ -343,7 +411,16 @@ impl CanBench {
         self.outputs = station.turn(*now_ms, *inputs, line, &mut NoLine, &mut NoLine, flash);
     }
 
-    fn reach_gripper(&mut self, now: Instant, time: Time, frame: ClassicFrame) {
+    /// Ends the frame that the controller has [begun](Double::begin_frame).
+    pub fn end_frame(&mut self, is_acknowledged: bool) {
+        if let Some(frame) = self.double.end_frame(is_acknowledged) {
+            self.to_plc.push((self.now_ms, frame));
+            self.reach_gripper(frame);
+        }
+    }
+
+    fn reach_gripper(&mut self, frame: ClassicFrame) {
+        let (now, time) = (Instant::from_millis(self.now_ms), Time::from_millis(self.now_ms.into()));
         let Self { seen, sent, .. } = self;
         seen.receive(now, &frame, |event| {
             if let Event::Frame(message) = event {
@@ -373,13 +450,12 @@ impl Wires for CanBench {
 
     fn step(&mut self) {
         self.now_ms += 1;
-        let now = Instant::from_millis(self.now_ms);
         self.turn();
         let time = Time::from_millis(self.now_ms.into());
         for _ in 0..FRAMES_PER_MS {
             if let Some(frame) = self.double.take_winner() {
                 self.to_plc.push((self.now_ms, frame));
-                self.reach_gripper(now, time, frame);
+                self.reach_gripper(frame);
             } else if let Some(frame) = self.from_plc.pop_front() {
                 self.double.bring(frame);
             } else if let Some(frame) = self.from_gripper.pop_front() {

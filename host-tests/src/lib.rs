@@ -11,6 +11,7 @@
 //! | [`can_hub`] | those on that bus besides the board: a gripper, a master |
 //! | [`can_wire`] | a frame as it is on the wire of a CAN bus |
 //! | [`clock`] | the time that those beside an emulated board go by |
+//! | [`device_files`] | the names of the device files for PLCs, and of their bitmaps |
 //! | [`document`] | the documents as files, and the writer of what is generated in them |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`chance`] | numbers that look random, the same ones for the same seed |
@@ -57,6 +58,7 @@ pub mod can_hub;
 pub mod can_wire;
 pub mod chance;
 pub mod clock;
+pub mod device_files;
 pub mod document;
 #[cfg(unix)]
 pub mod emulator;

@@ -174,8 +174,7 @@ impl Rig {
         self.pass(HOLD_MS)
     }
 
-    /// Mends the wire of FAST STOP and acknowledges as a PLC does: STOP/ACK up until ERROR goes, and once more where it does
-    /// not; then the bridge becomes READY.
+    /// Raises the wire of FAST STOP, [acknowledges](Self::acknowledge), and waits for READY.
     ///
     /// # Errors
     /// When it does not in time.
@@ -183,6 +182,17 @@ impl Rig {
         self.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).context("no link")?;
         self.set(Inputs::FAST_STOP_OK, true)?;
         self.pass(HOLD_MS)?;
+        self.acknowledge()?;
+        self.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::READY))
+            .context("not READY after the acknowledgement")?;
+        Ok(())
+    }
+
+    /// Acknowledges an error or a FAST STOP as a PLC does: raises STOP_ACK until ERROR is low, and again when it stays high.
+    ///
+    /// # Errors
+    /// When ERROR stays high.
+    pub fn acknowledge(&self) -> Result<()> {
         let bound = Instant::now() + PATIENCE;
         loop {
             self.set(Inputs::STOP_ACK, true)?;
@@ -190,15 +200,12 @@ impl Rig {
                 self.await_outputs(ACKNOWLEDGED_WITHIN, |outputs| !outputs.contains(Outputs::ERROR));
             self.set(Inputs::STOP_ACK, false)?;
             match outputs {
-                Ok(_) => break,
+                Ok(_) => return Ok(()),
                 // On a busy host the edge may come before the FAST STOP is confirmed, and counts for nothing then.
                 Err(_) if Instant::now() < bound => self.pass(HOLD_MS)?,
-                Err(error) => return Err(error).context("the FAST STOP is not acknowledged"),
+                Err(error) => return Err(error).context("STOP_ACK does not end ERROR"),
             }
         }
-        self.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::READY))
-            .context("not READY after the acknowledgement")?;
-        Ok(())
     }
 
     /// Waits until the recording has everything that the bridge has sent and shown so far. Its regular questions come at

@@ -162,7 +162,7 @@ fn load() -> Vec<(String, usize, bool, bool)> {
         + message_bits(0x41, Reply::success(Value::GetGripperState(GripperState::Idle)));
     let measured = message_bits(0x43, Reply::success(Value::GetOpeningWidth(0.0)))
         + message_bits(0x45, Reply::success(Value::GetForce(0.0)));
-    let refresh = usize::try_from(wsg_protocol::session::Config::DEFAULT.refresh_ms).unwrap();
+    let refresh = usize::try_from(wsg_bridge_fw::Config::DEFAULT.session.refresh_ms).unwrap();
     let asked = AutoUpdate::on_change(AutoUpdate::MIN_PERIOD_MS);
     let subscription = message_bits(0x40, Command::GetSystemState { update: asked });
     let limit = message_bits(0x33, Command::GetForceLimit)
@@ -178,12 +178,17 @@ fn load() -> Vec<(String, usize, bool, bool)> {
         ("gripper: state and system state, every 10 ms".into(), state * per_second(update), true, false),
         ("gripper: width and force, every 10 ms".into(), measured * per_second(update), true, false),
         (
-            "gripper: a subscription renewed".into(),
-            subscription * per_second(refresh) + state * per_second(refresh),
+            format!("gripper: states, width and force requested again, every {refresh} ms"),
+            (4 * subscription + state + measured) * per_second(refresh),
             true,
             true,
         ),
-        ("gripper: the force limit asked for again".into(), limit * per_second(refresh / 2), true, true),
+        (
+            format!("gripper: the force limit requested again, every {} ms", refresh / 2),
+            limit * per_second(refresh / 2),
+            true,
+            true,
+        ),
         ("gripper: a Grip Part a second, force limit before it".into(), motion, true, false),
         (format!("PLC: TPDO1, every {} ms", NODE.inhibit[0] / 10), pdo(0, 8), false, false),
         (format!("PLC: TPDO2, every {} ms", NODE.inhibit[1] / 10), pdo(1, 4), false, false),

@@ -68,8 +68,8 @@ Commands
                      something could not be checked or compared, which is else only said
   matrix             the protocol crate with every combination of its features on three targets,
                      the workspace on the oldest Rust, and the package for crates.io
-  ci                 deny, test --strict with all of what test does in part, then platforms, fast-stop,
-                     explore, loom and Miri: before a release
+  ci                 deny, test --strict with all of what test does in part, then platforms, a short
+                     soak, fast-stop, explore, loom and Miri: before a release
   platforms          wsg-sim.exe under Wine, and what `cargo test` builds compiled for Windows and macOS
   deny               licences, bans and sources of all dependencies against deny.toml; cargo-deny
   size               flash and static RAM of each board's image, and of the protocol beside an empty
@@ -90,7 +90,7 @@ Commands
   mutants [FILE...]  changes of protocol, buses and the bridge's library, or of these files of them, that no
                      test notices; takes hours for all [--jobs N: at a time, 1] [--shard K/N: every N-th,
                      a sample] [--again: but those that the run before has caught]; cargo-mutants
-  loom               the queue of the interrupts under every order of events
+  loom               what interrupt handlers and the main loop share, under every order of events
   miri               the bridge's host tests under Miri; nightly Rust
   coverage           lines of protocol and buses that their tests reach; cargo-llvm-cov
   figures            measure all that docs/figures.md tells, and write it

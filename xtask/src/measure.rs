@@ -52,11 +52,12 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
         }
         "ci" => {
             no_more(arguments)?;
-            let Built { workspace, toolchain, .. } = Built::new()?;
+            let Built { workspace, toolchain, image, .. } = Built::new()?;
             dependencies::check(&workspace)?;
             test::run(&workspace, &toolchain, &[], Extent::Whole, true)?;
             telemetry(&workspace)?;
             platforms::run(&workspace)?;
+            soak::run(&workspace, &image, &soak::Extent::CI)?;
             fast_stop::run(&workspace)?;
             explore::run(&workspace, explore::STATES)?;
             interleavings::run(&workspace)?;

@@ -1,6 +1,9 @@
 //! The folder that a PLC engineer gets: the image, what a master's tools read, the manual, the licences. Run it by
 //! `cargo xtask dist`. The same sources give the same bytes, wherever they lie.
 
+mod archive;
+mod bitmap;
+mod device_archives;
 mod image;
 mod licences;
 mod manual;
@@ -13,12 +16,13 @@ use std::{
 };
 
 use anyhow::{Context, Result, ensure};
+use host_tests::device_files::GSD;
 use host_tests::document::root;
 use lexopt::{Arg, Parser};
 use sha2::{Digest, Sha256};
 
 /// Files of `docs` that are in the folder as they are.
-const COPIED: [&str; 4] = ["wsg-bridge.eds", "WSGB5555.gsd", "FB_WSG_GRIP.st", "PRG_WSG_MODBUS.st"];
+const COPIED: [&str; 4] = ["wsg-bridge.eds", GSD, "FB_WSG_GRIP.st", "PRG_WSG_MODBUS.st"];
 
 const REGISTERS: &str = "registers.csv";
 const SUMS: &str = "SHA256SUMS";
@@ -38,6 +42,10 @@ manual.html          the manual
 registers.csv        all Modbus registers, coils and discrete inputs
 wsg-bridge.eds       CANopen: the device for a master's tool
 WSGB5555.gsd         PROFIBUS: the device for a master's tool
+WSGB5555.zip         the same file with its bitmaps, to unpack and install
+GSDML-WSG.zip        PROFINET: the virtual gripper (wsg-sim) for a controller's tool;
+                     in TIA Portal's catalogue under Other field devices ->
+                     PROFINET IO -> I/O -> Weiss Robotics GmbH & Co. KG
 FB_WSG_GRIP.st       a function block in IEC 61131-3 structured text
 PRG_WSG_MODBUS.st    a program that connects it to Modbus registers
 LICENCES.txt         what the image is made of, and under which licences
@@ -84,6 +92,7 @@ fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
     for name in COPIED {
         files.push((name, fs::read(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?));
     }
+    files.extend(device_archives::archives()?);
     files.sort();
     let mut sums = String::new();
     for (name, bytes) in &files {
@@ -110,6 +119,7 @@ fn write(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use device_archives::{GSD_ARCHIVE, GSDML_ARCHIVE};
 
     #[test]
     fn folder_holds_the_files_and_nothing_from_before() {
@@ -127,7 +137,7 @@ mod tests {
 
     #[test]
     fn readme_names_every_file() {
-        for name in FILES {
+        for name in FILES.into_iter().chain([GSD_ARCHIVE, GSDML_ARCHIVE]) {
             assert!(README.contains(&format!("\n{name} ")), "{name}");
         }
     }

@@ -1,4 +1,6 @@
 use embedded_can::Id;
+use wsg_b_l475e_iot01a::transmit_status::{TME, withdrawal};
+use wsg_bridge_fw::can::Withdrawal;
 
 use super::*;
 
@@ -270,6 +272,54 @@ fn a_message_is_aborted_at_once_unless_it_is_being_sent() {
     can.fail_transmission(0, ErrorCode::BitDominant);
     assert_eq!(can.next_transmission(), None, "and not tried again when it failed");
     assert_eq!(can.load(TSR).unwrap() & 0xFF, 0b1001);
+}
+
+#[test]
+fn what_became_of_an_aborted_message_is_read_from_tsr_by_the_driver() {
+    for mailbox in 0..MAILBOXES {
+        let abort = 1 << (7 + 8 * mailbox);
+        let mut can = normal();
+        let outcome = |can: &mut Bxcan| withdrawal(can.load(TSR).unwrap(), mailbox);
+        // Of the frame before it was said that it was sent.
+        request(&mut can, mailbox, 0x120);
+        can.begin_transmission(mailbox);
+        can.end_transmission(mailbox);
+        request(&mut can, mailbox, 0x120);
+        can.store(TSR, abort).unwrap();
+        assert_eq!(outcome(&mut can), Withdrawal::Withdrawn, "not begun");
+
+        for (is_acknowledged, expected) in [(true, Withdrawal::TooLate), (false, Withdrawal::Withdrawn)] {
+            request(&mut can, mailbox, 0x120);
+            can.begin_transmission(mailbox);
+            can.store(TSR, abort).unwrap();
+            assert_eq!(outcome(&mut can), Withdrawal::Undecided, "being sent");
+            if is_acknowledged {
+                can.end_transmission(mailbox);
+            } else {
+                can.fail_transmission(mailbox, ErrorCode::Acknowledgement);
+            }
+            assert_eq!(outcome(&mut can), expected);
+            assert_eq!(can.next_transmission(), None, "not repeated");
+        }
+
+        // It is sent just before it is aborted.
+        request(&mut can, mailbox, 0x120);
+        can.begin_transmission(mailbox);
+        can.end_transmission(mailbox);
+        can.store(TSR, abort).unwrap();
+        assert_eq!(outcome(&mut can), Withdrawal::TooLate);
+    }
+}
+
+#[test]
+fn an_abort_leaves_the_other_mailboxes_alone() {
+    let mut can = normal();
+    for mailbox in 0..MAILBOXES {
+        request(&mut can, mailbox, 0x100 + mailbox as u16);
+    }
+    can.store(TSR, 1 << 7).unwrap();
+    assert_eq!(next(&can), Some((1, standard(0x101))));
+    assert_eq!(can.load(TSR).unwrap() & TME.iter().sum::<u32>(), TME[0]);
 }
 
 #[test]

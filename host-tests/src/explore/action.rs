@@ -43,6 +43,8 @@ pub(super) enum Action {
     LosePart,
     /// The gripper raises FAST STOP by itself, as at a soft limit.
     GripperStopsFast,
+    /// A third party, such as the gripper's web page, acknowledges FAST STOP.
+    ThirdPartyAcknowledges,
     /// The gripper is switched off and on.
     RestartGripper,
     /// The bridge is reset.
@@ -79,7 +81,7 @@ pub(super) enum Image {
 }
 
 /// The actions beside a PLC with wires.
-pub(super) const WIRES: [Action; 24] = {
+pub(super) const WIRES: [Action; 25] = {
     use Action::*;
     [
         Toggle(Wire::Grip),
@@ -103,6 +105,7 @@ pub(super) const WIRES: [Action; 24] = {
         Fail,
         LosePart,
         GripperStopsFast,
+        ThirdPartyAcknowledges,
         RestartGripper,
         RestartBridge,
         Wait,
@@ -110,7 +113,7 @@ pub(super) const WIRES: [Action; 24] = {
 };
 
 /// The actions beside a PLC with a bus and three wires.
-pub(super) const BUS: [Action; 26] = {
+pub(super) const BUS: [Action; 27] = {
     use Action::*;
     [
         Write(Image::Zero),
@@ -136,6 +139,7 @@ pub(super) const BUS: [Action; 26] = {
         Fail,
         LosePart,
         GripperStopsFast,
+        ThirdPartyAcknowledges,
         RestartGripper,
         RestartBridge,
         Wait,

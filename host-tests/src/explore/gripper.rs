@@ -173,10 +173,7 @@ impl Gripper {
                 self.fast_stop(answers);
             }
             Command::Acknowledge { .. } => {
-                self.fast_stop = false;
-                if self.state == GripperState::Error {
-                    self.state = GripperState::Idle;
-                }
+                self.leave_fast_stop();
                 answers.push(Answer::status(id, Status::Success));
             }
             Command::SetForceLimit { force } => {
@@ -220,6 +217,19 @@ impl Gripper {
     pub(super) fn raise_fast_stop(&mut self, answers: &mut Answers) {
         self.fast_stop(answers);
         self.tell(answers);
+    }
+
+    /// Takes the acknowledgement of a third party.
+    pub(super) fn acknowledge(&mut self, answers: &mut Answers) {
+        self.leave_fast_stop();
+        self.tell(answers);
+    }
+
+    fn leave_fast_stop(&mut self) {
+        self.fast_stop = false;
+        if self.state == GripperState::Error {
+            self.state = GripperState::Idle;
+        }
     }
 
     fn begin(&mut self, id: CommandId) -> Status {

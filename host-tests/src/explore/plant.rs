@@ -144,6 +144,11 @@ impl Plant {
         Instant::from_millis(self.now_ms)
     }
 
+    /// Whether the PLC asserts FAST STOP, by wire or bus.
+    fn holds_fast_stop(&self) -> bool {
+        !self.wires.contains(Inputs::FAST_STOP_OK) || self.image == Some(Image::FastStop)
+    }
+
     fn say(&mut self, what: impl FnOnce(&mut String) -> std::fmt::Result) {
         if let Some(story) = &mut self.story {
             what(story).expect("a string takes all text");
@@ -196,7 +201,14 @@ impl Plant {
             Action::Fail => self.change_gripper(|gripper, answers| gripper.finish(false, answers)),
             Action::LosePart => self.change_gripper(Gripper::lose_part),
             Action::GripperStopsFast => self.change_gripper(Gripper::raise_fast_stop),
+            Action::ThirdPartyAcknowledges => {
+                self.promises.leave_elsewhere(self.now());
+                self.change_gripper(Gripper::acknowledge)
+            }
             Action::RestartGripper => {
+                if self.gripper.fast_stop {
+                    self.promises.leave_elsewhere(self.now());
+                }
                 self.gripper = Gripper::SWITCHED_ON;
                 self.answers = Answers::NONE;
                 Ok(())
@@ -241,7 +253,10 @@ impl Plant {
         }
         let motion = self.motion_of(rising).filter(|_| !stops);
         match motion {
-            Some(motion) if was_ready => self.promises.want(motion),
+            Some(motion) if was_ready => {
+                self.promises.want(motion);
+                self.promises.expect_busy(self.now());
+            }
             Some(_) => self.promises.refuse(),
             None => {}
         }
@@ -258,14 +273,15 @@ impl Plant {
     fn judge_command(&self, motion: Motion, was_ready: bool, before: Outputs) -> Kept {
         let shows = |output| self.outputs.contains(output);
         if was_ready {
+            keep(Promise::ReadyEdgeShowsBusy, shows(Outputs::BUSY))?;
             // MOVE is refused unless GSTATE is IDLE. ERROR also shows that a command was refused in IDLE.
             let is_refused =
                 motion == Motion::Move && before.intersects(Outputs::HOLDING | Outputs::PART_FAULT);
             let may_be_refused = motion == Motion::Move && before.contains(Outputs::ERROR);
-            return if is_refused || (may_be_refused && shows(Outputs::ERROR)) {
+            return if is_refused {
                 keep(Promise::RefusedCommandShowsError, shows(Outputs::ERROR))
             } else {
-                keep(Promise::ReadyCommandIsTaken, shows(Outputs::BUSY))
+                keep(Promise::ReadyCommandIsTaken, may_be_refused || !shows(Outputs::ERROR))
             };
         }
         // A command beside STOP/ACK or FAST STOP is lost.
@@ -283,7 +299,9 @@ impl Plant {
 
     /// Takes the turn in which FAST STOP is asked for, and one more if it does not leave in that.
     fn ask_for_fast_stop(&mut self, bus: Bus, incoming: &[u8]) -> Kept {
-        let is_due = self.promises.fast_stop(self.now());
+        // One that is on its way is sent again once it is answered, or was not.
+        let is_pending = self.bridge.session().fast_stop_pending();
+        let is_due = self.promises.fast_stop(self.now()) && !is_pending;
         self.turn(incoming, bus)?;
         if is_due && !self.promises.has_fast_stop_left() {
             self.now_ms += 1;
@@ -395,7 +413,9 @@ impl Plant {
             }
             self.turn(&bytes, Bus::SILENT)?;
             if self.answers.waiting().is_empty() {
-                return Ok(());
+                let knows = self.is_line_up && self.bridge.is_connected();
+                let is_pending = !knows || self.bridge.session().fast_stop_pending();
+                return self.promises.delivered(&self.gripper, is_pending);
             }
         }
         Err(Promise::ConversationEnds)
@@ -433,7 +453,7 @@ impl Plant {
     fn turn(&mut self, incoming: &[u8], mut bus: Bus) -> Kept {
         let now = self.now();
         let mut line = Line::bringing(incoming);
-        self.promises.begin_turn();
+        self.promises.begin_turn(self.holds_fast_stop());
         self.outputs = self.bridge.poll(self.now_ms, self.wires, &mut line, &mut self.modbus.over(&mut bus));
         for command in line.commands() {
             self.say(|story| write!(story, "\n        -> {command}"));
@@ -477,6 +497,7 @@ impl Model for Plant {
                     !refuses && !fast_stop && motion.is_none()
                 }
                 Action::Finish | Action::Fail | Action::GripperStopsFast => self.motion().is_some(),
+                Action::ThirdPartyAcknowledges => self.gripper.fast_stop,
                 Action::LosePart => self.gripper.state == GripperState::Holding,
             };
             possible |= u32::from(is_possible) << number;

@@ -49,6 +49,8 @@ pub enum Promise {
     FastStopLeavesAtOnce,
     /// FAST STOP leaves again within a second until the gripper has taken it.
     FastStopIsRepeated,
+    /// A gripper that leaves FAST STOP while the PLC asserts it is sent another one within a second.
+    FastStopIsALevel,
     /// A motion that goes on 250 ms after STOP/ACK, the end of a jog or a silent bus has been sent a FAST STOP.
     UnheardStopBecomesFastStop,
     /// A gripper that moves at power-up is stopped as soon as that is known.
@@ -73,6 +75,8 @@ pub enum Promise {
     LinkOkGoesLow,
     /// A command that rises while READY is high is taken.
     ReadyCommandIsTaken,
+    /// A command that rises while READY is high shows BUSY for 50 ms, taken or refused.
+    ReadyEdgeShowsBusy,
     /// A command that rises while READY is low raises ERROR.
     RefusedCommandShowsError,
     /// Question and answer come to an end within a second when the line delivers everything.
@@ -148,6 +152,14 @@ pub(super) struct Promises {
     jogs: bool,
     /// When a motion that still runs was to be stopped.
     stop_given: Option<Instant>,
+    /// When the gripper left a FAST STOP that the bridge did not acknowledge: by a third party, or by a restart.
+    left_elsewhere: Option<Instant>,
+    /// The bridge was told so while the PLC asserted FAST STOP.
+    left_is_known: bool,
+    /// The PLC asserts FAST STOP.
+    holds_fast_stop: bool,
+    /// When the last command rose while READY was high.
+    edge: Option<Instant>,
     /// In this turn.
     fast_stop_left: bool,
     /// In this turn, a gripper that moves was reported last.
@@ -164,6 +176,7 @@ impl Hash for Promises {
     fn hash<H: Hasher>(&self, state: &mut H) {
         let Self { wanted, acknowledgements, lock, power_up, jogs, stop_given, .. } = self;
         (wanted, acknowledgements, lock, power_up, jogs, stop_given).hash(state);
+        (self.left_elsewhere, self.left_is_known, self.edge).hash(state);
     }
 }
 
@@ -178,6 +191,8 @@ pub(super) fn keep(promise: Promise, is_kept: bool) -> Kept {
 const STOP_MS: u32 = 250;
 /// The longest time between two FAST STOPs, and from the last frame until LINK_OK goes low, in milliseconds.
 const SECOND_MS: u32 = 1_000;
+/// How long BUSY is high after a command at READY, in milliseconds.
+const BUSY_MS: u32 = 50;
 
 impl Promises {
     /// Those of a bridge that has just been switched on.
@@ -189,6 +204,10 @@ impl Promises {
             power_up: PowerUp::New { stop_left: false },
             jogs: false,
             stop_given: None,
+            left_elsewhere: None,
+            left_is_known: false,
+            holds_fast_stop: false,
+            edge: None,
             fast_stop_left: false,
             found_moving: false,
             withdrawn_by: Promise::MotionHasItsEdge,
@@ -262,6 +281,8 @@ impl Promises {
         self.withdraw(Promise::FastStopWithdraws);
         self.acknowledgements = 0;
         self.stop_given = None;
+        self.left_elsewhere = None;
+        self.left_is_known = false;
         let is_new = !matches!(self.lock, Lock::FastStop { .. });
         if is_new {
             self.lock = Lock::FastStop { untaken: Some(now) };
@@ -277,14 +298,39 @@ impl Promises {
             self.lock = Lock::Open;
         }
         if let Some(flags) = answer.flags() {
+            let has_left = self.left_elsewhere.is_some() && !flags.contains(SystemFlags::FAST_STOP);
+            if has_left && !self.holds_fast_stop {
+                self.lock = Lock::Open;
+                self.left_elsewhere = None;
+            }
+            self.left_is_known |= has_left && self.holds_fast_stop;
             self.reported = flags;
             self.found_moving = flags.contains(SystemFlags::MOVING);
         }
     }
 
-    /// Begins a turn.
-    pub(super) const fn begin_turn(&mut self) {
+    /// Begins a turn. `holds_fast_stop`: the PLC asserts FAST STOP.
+    pub(super) const fn begin_turn(&mut self, holds_fast_stop: bool) {
         self.fast_stop_left = false;
+        self.holds_fast_stop = holds_fast_stop;
+    }
+
+    /// Judges what the bridge has sent once the line has delivered everything. `is_pending`: it is not connected, or
+    /// still awaits the answer to a FAST STOP.
+    pub(super) fn delivered(&self, gripper: &Gripper, is_pending: bool) -> Kept {
+        keep(Promise::FastStopIsALevel, !self.left_is_known || gripper.fast_stop || is_pending)
+    }
+
+    /// Takes a command that rises while READY is high.
+    pub(super) const fn expect_busy(&mut self, now: Instant) {
+        self.edge = Some(now);
+    }
+
+    /// Takes a FAST STOP that ends without an acknowledgement of the bridge's.
+    pub(super) fn leave_elsewhere(&mut self, now: Instant) {
+        if matches!(self.lock, Lock::FastStop { untaken: None }) {
+            self.left_elsewhere = Some(now);
+        }
     }
 
     /// Takes a command that leaves. The gripper has not taken it yet, and will if it `arrives`.
@@ -309,7 +355,9 @@ impl Promises {
                     *stop_left = true;
                 }
                 if command.id() == CommandId::FastStop {
+                    let is_level = self.left_elsewhere.is_some() && !arrives;
                     self.fast_stop(now);
+                    self.left_elsewhere = is_level.then_some(now);
                     self.fast_stop_left = true;
                     if let Lock::FastStop { untaken: untaken @ Some(_) } = &mut self.lock {
                         *untaken = if arrives { None } else { Some(now) };
@@ -368,6 +416,14 @@ impl Promises {
         }
         let is_late = self.stop_given.is_some_and(|given| now.since(given) > STOP_MS);
         keep(Promise::UnheardStopBecomesFastStop, !is_late)?;
+        let is_free = self.holds_fast_stop
+            && !gripper.fast_stop
+            && self.left_elsewhere.is_some_and(|left| now.since(left) > SECOND_MS);
+        keep(Promise::FastStopIsALevel, !is_free)?;
+        // What locks the gripper ends BUSY, and keeps READY low.
+        let is_locked = !self.is_open() || self.reported.intersects(SystemFlags::LOCKS);
+        self.edge = self.edge.filter(|edge| connected && !is_locked && now.since(*edge) < BUSY_MS);
+        keep(Promise::ReadyEdgeShowsBusy, self.edge.is_none_or(|_| shows(Outputs::BUSY)))?;
         let is_away = match self.lock {
             Lock::FastStop { untaken: Some(left) } => now.since(left) > SECOND_MS,
             _ => false,

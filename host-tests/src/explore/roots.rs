@@ -30,9 +30,11 @@ pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
     let holding = gripping.after(&[Finish, Toggle(Wire::Grip)]).after(&rest);
     let fast_stop_asked = moving.after(&[Toggle(Wire::FastStopOk)]);
     let fast_stop_unheard = moving.after(&[ToggleLine, Toggle(Wire::FastStopOk), Wait]);
-    let latched = fast_stop_asked.after(&[AnswersAll, Toggle(Wire::FastStopOk)]);
+    let fast_stop_held = fast_stop_asked.after(&[AnswersAll]);
+    let latched = fast_stop_held.after(&[Toggle(Wire::FastStopOk)]);
     let acknowledged = latched.after(&[Toggle(Wire::StopAck)]);
-    let link_down = homed.after(&[ToggleLine, Wait, Wait, Wait, Wait]);
+    // A refresh is sent twelve times before the link counts as lost.
+    let link_down = homed.after(&[ToggleLine]).after(&[Wait; 14]);
     let mut roots = vec![
         ("switched on", switched_on),
         ("ready", ready),
@@ -44,6 +46,7 @@ pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
         ("holding", holding),
         ("FAST STOP asked for", fast_stop_asked),
         ("FAST STOP unheard", fast_stop_unheard),
+        ("FAST STOP held", fast_stop_held),
         ("FAST STOP latched", latched),
         ("acknowledgement sent", acknowledged),
         ("link down", link_down),

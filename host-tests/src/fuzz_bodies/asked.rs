@@ -82,6 +82,8 @@ pub(super) struct Asked {
     pub(super) is_ready: bool,
     /// In this turn the edge of a command wire came while it did not.
     pub(super) is_refused: bool,
+    /// In this turn a motion wire rose while it did.
+    pub(super) has_edge: bool,
     /// In this turn FAST STOP or STOP/ACK was asked for, or what a jog goes by that runs was taken away or changed.
     pub(super) asks_fast_stop: bool,
     pub(super) asks_stop: bool,
@@ -120,6 +122,7 @@ impl Asked {
             jog: (None, false),
             is_ready: false,
             is_refused: false,
+            has_edge: false,
             asks_fast_stop: false,
             asks_stop: false,
             ends_jog: false,
@@ -132,13 +135,25 @@ impl Asked {
     /// Whether the wires have settled, and neither side holds STOP/ACK or FAST STOP.
     pub(super) fn is_released(&self) -> bool {
         let held = CommandFlags::STOP_ACK | CommandFlags::FASTSTOP;
-        self.wires.is_some_and(|wires| !(wires | self.bus).intersects(held))
+        // STOP/ACK of a first image gives no edge, but holds.
+        let stop = self.image.unwrap_or_default().flags & CommandFlags::STOP_ACK;
+        self.wires.is_some_and(|wires| !(wires | self.bus | stop).intersects(held))
+    }
+
+    /// Whether either side asserts FAST STOP.
+    pub(super) fn holds_fast_stop(&self) -> bool {
+        match self.flags {
+            Some(flags) => flags.contains(CommandFlags::FASTSTOP),
+            // It does not wait for the other wires.
+            None => self.groups[2].counts == Some(Inputs::empty()),
+        }
     }
 
     /// The wires are read.
     pub(super) fn read_wires(&mut self, now_ms: u32, reading: Inputs) {
         self.now_ms = now_ms;
         (self.is_refused, self.asks_fast_stop, self.asks_stop, self.ends_jog) = (false, false, false, false);
+        self.has_edge = false;
         for group in &mut self.groups {
             group.read(now_ms, reading, self.debounce_ms);
         }
@@ -310,6 +325,7 @@ impl Asked {
             && let Some((_, id)) = MOTIONS.iter().find(|(flag, _)| rising.contains(*flag))
         {
             self.is_refused = of_wire && !self.is_ready;
+            self.has_edge |= of_wire && self.is_ready;
             if !self.is_refused {
                 let goes_by = self.parameters(*id, of_wire);
                 self.forces.push((goes_by[2], self.now_ms, false));

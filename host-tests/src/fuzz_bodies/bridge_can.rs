@@ -7,8 +7,8 @@
 //! - the watchdog may be fed;
 //! - the device is in the state that CANopen's NMT and the silence of the master make of it, and nobody commands when it is
 //!   not operational or the RPDO is disabled ([`Device`]); one that waits for a SYNC counts with it; remote frames, 29-bit identifiers and other lengths do nothing;
-//! - of what was said to a gripper on the bus each message leaves once at the most, whole, in order; none that was said before the bus
-//!   or the connection was lost.
+//! - of the messages to a gripper on the bus each is sent once at most, whole and in order; none from before the bus or the connection was
+//!   lost, and no motion or acknowledgement from before a stop, of which a spoilt rest may be sent.
 //!
 //! A case ends where it shows in no answer whether a setting was taken by SDO.
 
@@ -129,6 +129,13 @@ struct Model {
     left: Reassembler<8>,
     /// The controller was told to forget frames, or refused some.
     is_troubled: bool,
+    /// A message was withdrawn, of which the rest may be sent spoilt.
+    is_spoilt: bool,
+    /// What was withdrawn in the turn before.
+    withdrawn: Option<CommandId>,
+    /// The link takes back whatever it was given.
+    takes_all_back: bool,
+    was_connected: bool,
     /// Nobody acknowledges.
     is_unheard: bool,
     /// The controller refuses frames.
@@ -446,6 +453,10 @@ impl Model {
             said: Vec::new(),
             left: Reassembler::new(standard(TO_GRIPPER), u32::MAX / 2),
             is_troubled: false,
+            is_spoilt: false,
+            withdrawn: None,
+            takes_all_back: false,
+            was_connected: false,
             is_unheard: false,
             refuses: false,
             overrun: false,
@@ -607,8 +618,13 @@ impl Model {
         let aborts = self.double.aborts();
         let Self { bus, link, bridge, node, .. } = self;
         bus.listen(now, link, node);
+        let took_back = takes_back(link);
         link.expire(now);
+        self.takes_all_back |= takes_back(link) && !took_back;
         bridge.set_link_lost(bus.is_lost());
+        if let Some(id) = self.withdrawn.take() {
+            bridge.withdrawn(id);
+        }
         let report = bus.report(link.counters());
         node.set_report(report);
         bridge.set_can_reports(report.registers());
@@ -622,11 +638,25 @@ impl Model {
         self.said.extend(messages.iter().cloned().map(|message| (message, self.now_ms)));
 
         let (aborts, connected) = (self.double.aborts(), self.bridge.is_connected());
-        let Self { bus, link, node, .. } = self;
+        let Self { bus, link, bridge, node, .. } = self;
         let mut said = vec![];
         link.set_connected(connected);
+        self.takes_all_back |= std::mem::replace(&mut self.was_connected, connected) && !connected;
+        if bridge.has_overtaken() {
+            link.withdraw();
+        }
         bus.talk(now, link, &mut Ear { node, said: &mut said });
+        self.withdrawn = link.take_withdrawn();
+        let has_them_back = !takes_back(link);
         self.forget_if(aborts);
+        if let Some(id) = self.withdrawn {
+            let of_it = self.said.iter().rposition(|(message, _)| message.id == id);
+            self.said.remove(of_it.expect("what was not said is not withdrawn"));
+            self.is_spoilt = true;
+        }
+        if self.takes_all_back && has_them_back {
+            self.forget();
+        }
         self.follow(&heard, &said);
         Turn { outputs, messages }
     }
@@ -700,10 +730,15 @@ impl Model {
     /// The controller has been told to forget what it had to send.
     fn forget_if(&mut self, aborts_before: u32) {
         if self.double.aborts() != aborts_before {
-            self.said.clear();
-            self.left.reset();
-            self.is_troubled = true;
+            self.forget();
         }
+    }
+
+    fn forget(&mut self) {
+        self.said.clear();
+        self.left.reset();
+        self.is_troubled = true;
+        self.takes_all_back = false;
     }
 
     /// What the bus takes in a millisecond; the gripper answers.
@@ -711,22 +746,32 @@ impl Model {
         let mut left = vec![];
         for _ in 0..FRAMES_PER_MS {
             let Some(frame) = self.double.take_winner() else { break };
-            let is_troubled = self.is_troubled;
+            let (is_troubled, is_spoilt) = (self.is_troubled, &mut self.is_spoilt);
             self.left.receive(Instant::from_millis(self.now_ms), &frame, |event| match event {
                 Event::Frame(message) => left.push(Message::from(message)),
-                broken => assert!(is_troubled, "a broken message leaves: {broken:?}"),
+                broken => {
+                    let is_spoilt = std::mem::take(is_spoilt);
+                    assert!(is_troubled || is_spoilt, "a broken message leaves: {broken:?}");
+                }
             });
         }
         for message in left {
             let place = self.said.iter().position(|(said, _)| *said == message);
             let place = place.expect("a message leaves once, and not when what was said is void");
             assert!(place == 0 || self.is_troubled, "messages leave in order");
+            let is_stopped = self.said.iter().skip(place + 1).any(|(later, _)| later.id.kind() == Kind::Stop);
+            let is_overtaken = is_stopped && matches!(message.id.kind(), Kind::Motion | Kind::Acknowledge);
+            assert!(!is_overtaken, "{} is sent although a stop was said after it", message.id);
             let (_, said_ms) = self.said.drain(..=place).next_back().unwrap_or((message.clone(), 0));
             let late = message.id.kind() == Kind::Motion && self.now_ms - said_ms > LATE_MS;
             assert!(!late, "{} leaves {} ms after it was said", message.id, self.now_ms - said_ms);
             self.gripper.hear(self.now_ms, &message);
         }
     }
+}
+
+fn takes_back(link: &GripperLink) -> bool {
+    CanNode::<ClassicFrame>::takes_back(link).is_some()
 }
 
 /// Frames that the bus takes in a millisecond.

@@ -150,8 +150,11 @@ pub(super) struct Gripper {
     faults: [Option<u32>; 2],
     /// Somebody else has spoken in its name.
     is_forged: bool,
-    /// When it heard a FAST STOP.
+    /// When it heard a FAST STOP, and when it left one that the bridge has not acknowledged.
     fast_stop_ms: Option<u32>,
+    left_ms: Option<u32>,
+    /// It has forgotten its force limit, and was neither homed nor given another one since.
+    is_restarted: bool,
 }
 
 impl Gripper {
@@ -174,6 +177,8 @@ impl Gripper {
             faults: [None; 2],
             is_forged: false,
             fast_stop_ms: None,
+            left_ms: None,
+            is_restarted: false,
         }
     }
 
@@ -188,8 +193,9 @@ impl Gripper {
         self.deliveries.clear();
     }
 
-    /// A byte says whether it answers (bit 0), how many bytes follow that say what becomes of one command and
-    /// answer after the other (bits 1 to 3), and its condition (bits 4 to 6); with bit 7 it begins to move, or loses its part.
+    /// A byte says whether it answers (bit 0), how many bytes follow that say what becomes of one command and answer after the
+    /// other (bits 1 to 3), and its condition (bits 4 to 6). Condition 2 is a restart. With bit 7 it begins to move or loses
+    /// its part; a third party acknowledges its FAST STOP if that is its condition.
     pub(super) fn change(&mut self, now_ms: u32, input: &mut Input<'_>) {
         let how = input.byte();
         let was_dead = !std::mem::replace(&mut self.answers, how & 1 != 0);
@@ -200,7 +206,21 @@ impl Gripper {
         self.deliveries = input.bytes(usize::from(how >> 1 & 7)).to_vec();
         self.delivered = 0;
         let (flags, has_part) = CONDITIONS[usize::from(how >> 4 & 7)];
+        let was_fast_stopped = self.flags.contains(SystemFlags::FAST_STOP);
         (self.flags, self.has_part) = (flags | self.flags & SystemFlags::FAST_STOP, has_part);
+        let is_acknowledged = flags.contains(SystemFlags::FAST_STOP) && how & 0x80 != 0;
+        if is_acknowledged || flags.is_empty() {
+            self.flags -= SystemFlags::FAST_STOP;
+            self.left_ms = if was_fast_stopped { Some(now_ms) } else { self.left_ms };
+        }
+        if is_acknowledged && self.state == GripperState::Error {
+            self.state = GripperState::Idle;
+        }
+        if flags.is_empty() {
+            (self.motion, self.reports, self.state) = (None, false, GripperState::Idle);
+            (self.force_limit, self.on_the_way) = (LIMITS.nominal_force, Vec::new());
+            self.is_restarted = true;
+        }
         if self.flags.contains(SystemFlags::FAST_STOP) {
             self.abort(now_ms, Delivery::Late(0));
             self.state = GripperState::Error;
@@ -246,6 +266,7 @@ impl Gripper {
             Command::GetOpeningWidth { .. } => value = Some(Value::GetOpeningWidth(50.0)),
             Command::GetForce { .. } => value = Some(Value::GetForce(0.0)),
             Command::SetForceLimit { force } => {
+                self.is_restarted = false;
                 self.force_limit = force.clamp(LIMITS.min_force, LIMITS.nominal_force);
             }
             Command::FastStop => {
@@ -285,14 +306,20 @@ impl Gripper {
         self.is_forged |= bytes.windows(PREAMBLE.len()).any(|window| window == PREAMBLE);
     }
 
-    /// The force limit in hundredths, if the bridge can know it.
+    /// The force limit in hundredths, if the bridge can know it. A gripper that was restarted refuses to grip until it is homed.
     pub(super) fn force_limit(&self) -> Option<i32> {
-        (!self.is_forged).then_some((self.force_limit * 100.0).round() as i32)
+        (!self.is_forged && !self.is_restarted).then_some((self.force_limit * 100.0).round() as i32)
     }
 
     /// Whether the gripper has heard a FAST STOP since it was asked for, or may still have to wait for it. One that is dead
-    /// cannot hear.
-    pub(super) fn has_stopped(&self, now_ms: u32, asked_ms: u32) -> bool {
+    /// cannot hear. While it `is_held`, one that has left it must hear another.
+    pub(super) fn has_stopped(&self, now_ms: u32, asked_ms: u32, is_held: bool) -> bool {
+        // The bridge learns of it by a report, which may be late or lost.
+        if let Some(left_ms) = self.left_ms.filter(|left_ms| is_held && *left_ms > asked_ms) {
+            let healthy_ms = self.faults[0].map_or(left_ms, |fault_ms| fault_ms.max(left_ms));
+            let has_heard = self.fast_stop_ms.is_some_and(|heard_ms| heard_ms >= left_ms);
+            return has_heard || !self.answers || self.is_forged || now_ms <= healthy_ms + HEALTHY_MS;
+        }
         let latest_ms = match self.faults {
             [Some(last_ms), Some(second_ms)] if second_ms + HEALTHY_MS > asked_ms => {
                 last_ms.max(asked_ms) + HEALTHY_MS
@@ -373,6 +400,7 @@ impl Gripper {
             _ => GripperState::Idle,
         };
         if id == CommandId::Homing {
+            self.is_restarted = false;
             self.flags |= SystemFlags::REFERENCED;
         }
         let delivery = self.delivery();

@@ -3,7 +3,7 @@
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{Command, CommandId, Kind};
+use wsg_protocol::{Command, CommandId, Kind, SystemFlags};
 
 use super::asked::Asked;
 use super::gripper::Gripper;
@@ -17,6 +17,8 @@ pub(super) struct Oracle {
     pub(super) told: Told,
     pub(super) shown: Shown,
     stops: Stops,
+    /// The gripper has confirmed a FAST STOP that is not acknowledged.
+    is_latched: bool,
     now_ms: u32,
     /// How long a frame may wait for the one before it, in milliseconds; none: nothing can reach the gripper.
     patience_ms: Option<u32>,
@@ -30,6 +32,7 @@ impl Oracle {
             told: Told::new(config.half_frame_ms),
             shown: Shown::new(config.min_busy_ms),
             stops: Stops::new(),
+            is_latched: false,
             now_ms: 0,
             patience_ms: None,
         }
@@ -39,6 +42,17 @@ impl Oracle {
     pub(super) fn begin_turn(&mut self, now_ms: u32, heard: &[u8], wires: Inputs) {
         self.now_ms = now_ms;
         self.told.read(now_ms, heard);
+        // A third party has acknowledged it, or the gripper was restarted (fieldbus, 6.6).
+        let is_connected = self.shown.outputs.contains(Outputs::LINK_OK);
+        let may_be_latched = self.stops.is_answered() || self.told.is_answered(CommandId::FastStop);
+        if self.told.has_left_fast_stop && is_connected && may_be_latched {
+            if !self.asked.holds_fast_stop() {
+                self.asked.stopped_ms = None;
+                self.stops.leave_fast_stop();
+            } else if self.is_latched {
+                self.stops.owe_fast_stop(now_ms);
+            }
+        }
         if self.told.is_answered(CommandId::PrePosition) {
             self.asked.jogs = false;
         }
@@ -73,7 +87,14 @@ impl Oracle {
         self.asked.is_ready = outputs.contains(Outputs::READY);
         self.stops.end_turn(self.now_ms, outputs, &self.told, self.patience_ms);
         if let Some(since_ms) = self.asked.stopped_ms {
-            assert!(gripper.has_stopped(self.now_ms, since_ms), "FAST STOP has not reached the gripper");
+            let is_held = self.asked.holds_fast_stop();
+            assert!(
+                gripper.has_stopped(self.now_ms, since_ms, is_held),
+                "FAST STOP has not reached the gripper"
+            );
         }
+        let is_reported = self.told.flags.is_some_and(|flags| flags.contains(SystemFlags::FAST_STOP));
+        let is_answered = self.stops.is_answered() && self.asked.stopped_ms.is_some();
+        self.is_latched = is_connected && is_answered && is_reported;
     }
 }

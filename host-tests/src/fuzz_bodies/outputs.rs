@@ -16,22 +16,26 @@ pub(super) struct Shown {
     pub(super) min_busy_ms: u32,
     pub(super) outputs: Outputs,
     busy_since: u32,
+    /// When the last motion wire rose while READY was high.
+    edge_ms: Option<u32>,
 }
 
 impl Shown {
     /// All wires are low.
     pub(super) const fn new(min_busy_ms: u32) -> Self {
-        Self { min_busy_ms, outputs: Outputs::empty(), busy_since: 0 }
+        Self { min_busy_ms, outputs: Outputs::empty(), busy_since: 0, edge_ms: None }
     }
 
     /// The bridge shows this at the end of a turn.
     pub(super) fn show(&mut self, now_ms: u32, outputs: Outputs, told: &Told, asked: &Asked) {
         let before = std::mem::replace(&mut self.outputs, outputs);
         let has = |wires| outputs.intersects(wires);
+        self.edge_ms = if asked.has_edge { Some(now_ms) } else { self.edge_ms };
         let error = has(Outputs::ERROR);
         if !has(Outputs::LINK_OK) {
             assert!(Outputs::ERROR.contains(outputs), "{outputs:?}");
             assert!(error || asked.stopped_ms.is_none(), "FAST STOP without ERROR");
+            self.edge_ms = None;
             return;
         }
         let (Some(flags), Some(state)) = (told.flags, told.state) else {
@@ -42,7 +46,13 @@ impl Shown {
 
         let locked = asked.stopped_ms.is_some() || flags.intersects(SystemFlags::LOCKS);
         let is_at_fault = locked || asked.is_refused || flags.contains(SystemFlags::FINGER_FAULT);
-        assert!(error || !is_at_fault, "{}", what());
+        assert!(
+            error || !is_at_fault,
+            "{} stopped {:?} refused {}",
+            what(),
+            asked.stopped_ms,
+            asked.is_refused
+        );
 
         let (ready, busy) = (has(Outputs::READY), has(Outputs::BUSY));
         let may_be_ready = asked.is_released() && !locked && !busy;
@@ -53,6 +63,11 @@ impl Shown {
         }
         let ends = before.contains(Outputs::BUSY) && !busy && !error;
         assert!(!ends || now_ms - self.busy_since >= self.min_busy_ms, "{}", what());
+
+        // A FAST STOP ends BUSY; ERROR without READY shows as well.
+        let is_stopped = error && !ready && !busy;
+        self.edge_ms = self.edge_ms.filter(|edge_ms| !is_stopped && now_ms - edge_ms < self.min_busy_ms);
+        assert!(busy || self.edge_ms.is_none(), "an edge at READY without an answer: {}", what());
 
         let (holding, fault) = (has(Outputs::HOLDING), has(Outputs::PART_FAULT));
         assert!(!(holding && (busy || fault)), "{}", what());

@@ -286,6 +286,9 @@ const INTERFACE: [u8; 16] =
     [0xDE, 0xA0, 0, 1, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 0xA0, 0x24, 0x42, 0xDF, 0x7D];
 const EPM: [u8; 16] = [0xE1, 0xAF, 0x83, 8, 0x5D, 0x1F, 0x11, 0xC9, 0x91, 0xA4, 8, 0, 0x2B, 0x14, 0xA0, 0xFA];
 
+/// The object of the device: instance 1, device 0001h, vendor 02A2h.
+const OBJECT: [u8; 16] = [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 1, 0, 1, 0x02, 0xA2];
+
 fn uuid(who: usize) -> [u8; 16] {
     [0xA0 + who as u8; 16]
 }
@@ -305,7 +308,7 @@ fn control(kind: u16, uuid: [u8; 16], command: u16) -> Vec<u8> {
 fn datagram(interface: &[u8; 16], sequence: u32, operation: u16, body: &[u8]) -> Vec<u8> {
     [
         &[4, 0, 0x20, 0, 0, 0, 0, 0][..],
-        &[0xDE; 16],
+        &OBJECT,
         interface,
         &[0xAC; 16],
         &[0, 0, 0, 0, 0, 0, 0, 1],
@@ -324,7 +327,7 @@ fn connect(who: usize, is_access: bool) -> Vec<u8> {
         &uuid(who),
         &numbers(&[SESSION_KEY]),
         &CONTROLLERS[who].0,
-        &[0xDE; 16],
+        &OBJECT,
         &properties.to_be_bytes(),
         &numbers(&[10, 0x8892, 3]),
         b"plc",

@@ -42,6 +42,8 @@ pub(super) struct Stops {
     runaway_ms: Option<u32>,
     /// The gripper was connected, or was stopped when it was met first.
     is_acquainted: bool,
+    /// A FAST STOP was left by a third party; the bridge may still await a later report before it knows.
+    may_be_stopped: bool,
 }
 
 impl Stops {
@@ -53,7 +55,23 @@ impl Stops {
             acknowledges: false,
             runaway_ms: None,
             is_acquainted: false,
+            may_be_stopped: false,
         }
+    }
+
+    /// Whether every FAST STOP is answered.
+    pub(super) const fn is_answered(&self) -> bool {
+        matches!(self.fast_stop, FastStop::Answered)
+    }
+
+    /// The gripper has left a FAST STOP that the PLC still asserts: another one must be sent.
+    pub(super) const fn owe_fast_stop(&mut self, now_ms: u32) {
+        self.fast_stop = FastStop::Due(now_ms);
+    }
+
+    /// The gripper has left a FAST STOP that the PLC asserts no more.
+    pub(super) const fn leave_fast_stop(&mut self) {
+        self.may_be_stopped = true;
     }
 
     /// What was read and asked for in this turn, before anything leaves.
@@ -70,6 +88,7 @@ impl Stops {
         }
         self.acknowledges &= !told.is_answered(CommandId::Acknowledge);
         let is_stopped = asked.stopped_ms.is_some()
+            || self.may_be_stopped
             || told.flags.is_some_and(|flags| flags.contains(SystemFlags::FAST_STOP));
         let must_stop = asked.asks_stop || asked.ends_jog && !told.stands();
         if must_stop && !is_stopped && !self.acknowledges && self.stop_ms.is_none() {
@@ -105,6 +124,7 @@ impl Stops {
 
     /// The turn is over.
     pub(super) fn end_turn(&mut self, now_ms: u32, outputs: Outputs, told: &Told, patience_ms: Option<u32>) {
+        self.may_be_stopped &= !outputs.contains(Outputs::READY);
         if outputs.contains(Outputs::LINK_OK) {
             self.is_acquainted = true;
         } else {

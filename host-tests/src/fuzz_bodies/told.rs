@@ -16,6 +16,8 @@ pub(super) struct Told {
     pub(super) state: Option<GripperState>,
     /// The result of a grip, since a command that moves or stops was sent.
     pub(super) grip: Option<Status>,
+    /// In this turn, a report of FAST STOP was followed by one without it.
+    pub(super) has_left_fast_stop: bool,
     /// What was answered by a status alone in this turn.
     answered: Vec<(CommandId, Status)>,
 }
@@ -30,6 +32,7 @@ impl Told {
             flags: None,
             state: None,
             grip: None,
+            has_left_fast_stop: false,
             answered: Vec::new(),
         }
     }
@@ -62,6 +65,7 @@ impl Told {
     /// The bridge reads this, in this turn.
     pub(super) fn read(&mut self, now_ms: u32, mut bytes: &[u8]) {
         self.answered.clear();
+        self.has_left_fast_stop = false;
         if !bytes.is_empty() {
             self.read_ms = now_ms;
         }
@@ -82,7 +86,10 @@ impl Told {
     fn take(&mut self, now_ms: u32, heard: Heard) {
         match heard {
             Heard::Nothing => return,
-            Heard::Flags(flags) => self.flags = Some(flags),
+            Heard::Flags(flags) => {
+                let before = self.flags.replace(flags).unwrap_or_default();
+                self.has_left_fast_stop |= (before - flags).contains(SystemFlags::FAST_STOP);
+            }
             Heard::State(state) => self.state = Some(state),
             Heard::Status(id, status) => {
                 self.answered.push((id, status));

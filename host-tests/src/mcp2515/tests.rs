@@ -1,3 +1,5 @@
+mod driver;
+
 use super::*;
 use crate::can_bus::CanBus;
 

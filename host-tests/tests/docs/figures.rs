@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use host_tests::document::{part, read};
+use host_tests::document::{part, read, root};
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, SectionFlags, elf};
 
@@ -48,6 +48,13 @@ fn limits_in_the_document_are_those_of_the_size_gate() {
         assert!(read(file).contains(source), "{what}: the limit is no longer {limit}");
         assert_eq!(row(what)[1], limit, "{what}");
     }
+}
+
+#[test]
+fn number_of_fuzz_targets_in_the_document_is_that_of_the_folder() {
+    let count = std::fs::read_dir(root().join("host-tests/fuzz/fuzz_targets")).unwrap().count();
+    let start = format!("| `cargo xtask fuzz` | {count} targets, ");
+    assert!(read(DOCUMENT).contains(&start), "{DOCUMENT} has no \"{start}\"");
 }
 
 #[test]

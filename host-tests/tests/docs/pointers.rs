@@ -58,6 +58,20 @@ fn links_lead_to_files_of_this_repository() {
     }
 }
 
+/// What a document must not deny, and the source that has it.
+const EXISTING: [(&str, &str, &str); 2] = [
+    ("docs/simulator.md", "\n- PROFINET.", "gripper-sim/src/server/profinet.rs"),
+    ("docs/wiring.md", "no watchdog", "host-tests/src/iwdg.rs"),
+];
+
+#[test]
+fn documents_deny_nothing_that_exists() {
+    for (document, denial, source) in EXISTING {
+        assert!(root().join(source).exists(), "{source} is gone: may {document} deny it?");
+        assert!(!read(document).contains(denial), "{document} denies {source}");
+    }
+}
+
 /// What a link to this heading has behind its `#`; none for any other line.
 fn anchor(line: &str) -> Option<String> {
     let heading = line.strip_prefix('#')?.trim_start_matches('#').strip_prefix(' ')?;

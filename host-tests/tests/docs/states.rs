@@ -9,9 +9,10 @@ use wsg_protocol::{CommandId, Status};
 const DOCUMENT: &str = "docs/states.md";
 
 /// Each command flag and the commands that it sends.
-const SENT: [(&str, &[CommandId]); 6] = [
+const SENT: [(&str, &[CommandId]); 7] = [
     ("HOMING", &[CommandId::Homing]),
-    ("MOVE, JOG", &[CommandId::PrePosition]),
+    ("MOVE", &[CommandId::PrePosition]),
+    ("JOG", &[CommandId::SetForceLimit, CommandId::PrePosition, CommandId::GetSoftLimits]),
     ("GRIP", &[CommandId::SetForceLimit, CommandId::GripPart]),
     ("RELEASE", &[CommandId::ReleasePart]),
     ("STOP/ACK", &[CommandId::Stop, CommandId::Acknowledge]),
@@ -101,7 +102,11 @@ fn about_status(status: Status) -> Option<(&'static str, &'static str)> {
             "no connection to the gripper",
             "supply, cable and interface setting of the gripper; `GRIPPER_LINK` and `LINE_CHECKSUM` tell more",
         ),
-        Status::RangeError => ("", "WIDTH outside the stroke or the soft limits of this gripper"),
+        Status::NotAvailable => ("", "the soft limits were cleared while a jog ran into them: give it again"),
+        Status::RangeError => (
+            "",
+            "JOG: the fingers are at the soft limit in its direction, or beyond it; others: WIDTH is outside the stroke or the soft limits of this gripper",
+        ),
         Status::AxisBlocked => ("", "look what is in the way of the fingers; STOP/ACK, then HOMING"),
         Status::InvalidParameter => {
             ("the command could not be built from the registers", "check WIDTH, SPEED and FORCELIMIT")
@@ -129,12 +134,12 @@ fn shown_after(status: Status) -> String {
 
 #[test]
 fn commands_that_events_name_are_those_that_the_flags_send() {
-    let mut rows: Vec<_> =
-        SENT.iter().flat_map(|(flag, ids)| ids.iter().map(move |id| (id.code(), id.name(), *flag))).collect();
-    rows.sort_unstable();
-    let rows = rows
-        .into_iter()
-        .map(|(code, name, flag)| [format!("{code} ({code:02X}h)"), name.to_owned(), flag.to_owned()]);
+    let rows = CommandId::ALL.iter().filter_map(|id| {
+        let flags: Vec<_> = SENT.iter().filter(|(_, ids)| ids.contains(id)).map(|(flag, _)| *flag).collect();
+        let code = id.code();
+        let row = [format!("{code} ({code:02X}h)"), id.name().to_owned(), flags.join(", ")];
+        (!flags.is_empty()).then_some(row)
+    });
     hold(DOCUMENT, "command-ids", &table(["id", "command", "sent after"], rows));
 }
 

@@ -117,7 +117,7 @@ fn times() -> String {
         ("FAST STOPs in a burst", session.fast_stop.burst_frames.to_string()),
         ("silence behind a burst", ms(session.fast_stop.pause_ms)),
         ("times a repeatable request is sent before the link counts as lost", session.attempts.to_string()),
-        ("the gripper's states are asked for again every", ms(session.refresh_ms)),
+        ("the bridge requests each state of the gripper again every", ms(session.refresh_ms)),
         ("a lost link is tried again every", ms(session.reconnect_ms)),
         ("a motion may take", ms(session.motion_timeout_ms)),
         ("a result may come after the gripper stands still", ms(session.result_grace_ms)),

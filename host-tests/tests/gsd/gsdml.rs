@@ -1,26 +1,31 @@
 //! The GSDML file, and the tables of docs/profinet.md.
 
 use bus_profinet::{Gsdml, GsdmlFacts, Priority};
+use host_tests::device_files::{GSDML, GSDML_BITMAP, VENDOR};
 use host_tests::document::{hold, hold_file, read, table};
 use roxmltree::{Document, Node};
 use wsg_protocol::fieldbus::profinet::PROFILE;
 use wsg_protocol::fieldbus::{InputImage, OutputImage};
 
-/// Named as tools want it: version of the language, vendor, device, date.
-const FILE: &str = "docs/GSDML-V2.31-wsg-sim-WSG-20261123.xml";
 const PAGE: &str = "docs/profinet.md";
 
 const FACTS: GsdmlFacts<'_> = GsdmlFacts {
-    vendor: "wsg-sim",
-    family: "WSG",
     // Where the gripper's own file is listed (fieldbus, 3.1).
+    vendor: VENDOR,
+    family: "WSG",
     main_family: "I/O",
-    info: "A servo gripper of the WSG series: 8 bytes of outputs, 12 bytes of inputs",
+    info: "wsg-sim, a virtual gripper of the WSG series: 8 bytes of outputs, 12 bytes of inputs",
+    bitmap: Some(GSDML_BITMAP),
 };
+
+/// The file's path from the root.
+fn path() -> String {
+    format!("docs/{GSDML}")
+}
 
 #[test]
 fn gsdml_file_is_that_of_the_tables() {
-    hold_file(FILE, &Gsdml { facts: FACTS, profile: &PROFILE }.to_string());
+    hold_file(&path(), &Gsdml { facts: FACTS, profile: &PROFILE }.to_string());
 }
 
 /// The elements of this name.
@@ -39,7 +44,7 @@ fn number(node: Node<'_, '_>, attribute: &str) -> u32 {
 
 #[test]
 fn numbers_of_the_file_are_those_of_the_device() {
-    let text = read(FILE);
+    let text = read(&path());
     let document = Document::parse(&text).expect("well-formed");
     let identity = all(&document, "DeviceIdentity").next().unwrap();
     assert_eq!((number(identity, "VendorID"), number(identity, "DeviceID")), (0x02A2, 0x0001));
@@ -70,16 +75,148 @@ fn numbers_of_the_file_are_those_of_the_device() {
         .map(|item| (item.parent().unwrap().tag_name().name(), number(item, "Length") as usize))
         .collect();
     assert_eq!(lens, [("Input", InputImage::LEN), ("Output", OutputImage::LEN)]);
+    // With the statuses of two submodules of data, of the access point, of its interface and of its port.
     let data = all(&document, "IOConfigData").next().unwrap();
-    assert_eq!((number(data, "MaxInputLength"), number(data, "MaxOutputLength")), (12, 8));
+    assert_eq!((number(data, "MaxInputLength"), number(data, "MaxOutputLength")), (17, 13));
 
     let errors: Vec<u32> = all(&document, "ChannelDiagItem").map(|item| number(item, "ErrorType")).collect();
     assert_eq!(errors, PROFILE.faults.iter().map(|fault| fault.error_type.into()).collect::<Vec<u32>>());
 }
 
+/// Returns whether a file, as text and as elements, keeps a rule.
+type Check = fn(&str, &Document<'_>) -> bool;
+
+/// What TIA Portal's checker demands beyond the schema (public logs of it and p-net's guide), each with a change of the file that it
+/// has to reject. Checks of PROFINET V2.31 bind no device that declares V2.3.
+const RULES: [(&str, Check, [&str; 2]); 11] = [
+    (
+        "CertificationInfo from V2.31 on",
+        |_, file| is_before_v2_31(file) || all(file, "CertificationInfo").next().is_some(),
+        ["PNIO_Version=\"V2.3\"", "PNIO_Version=\"V2.31\""],
+    ),
+    (
+        "LLDP_NoD_Supported from V2.31 on",
+        |_, file| is_before_v2_31(file) || is_true(file, "DeviceAccessPointItem", "LLDP_NoD_Supported"),
+        ["PNIO_Version=\"V2.3\"", "PNIO_Version=\"V2.31\""],
+    ),
+    (
+        "PTP_BoundarySupported from V2.31 on",
+        |_, file| is_before_v2_31(file) || is_true(file, "InterfaceSubmoduleItem", "PTP_BoundarySupported"),
+        ["PNIO_Version=\"V2.3\"", "PNIO_Version=\"V2.4\""],
+    ),
+    (
+        "DCP_BoundarySupported from V2.31 on",
+        |_, file| is_before_v2_31(file) || is_true(file, "InterfaceSubmoduleItem", "DCP_BoundarySupported"),
+        ["PNIO_Version=\"V2.3\"", "PNIO_Version=\"V2.4\""],
+    ),
+    (
+        "ResetToFactoryModes has mode 2",
+        |_, file| item(file, "DeviceAccessPointItem").attribute("ResetToFactoryModes") == Some("2"),
+        ["ResetToFactoryModes=\"2\"", "ResetToFactoryModes=\"1\""],
+    ),
+    (
+        // PDInterfaceAdjust (8071h) sets what LLDP_NoD_Supported offers, and the device has no such record.
+        "record 8071h is not offered",
+        |_, file| !is_true(file, "DeviceAccessPointItem", "LLDP_NoD_Supported"),
+        ["MultipleWriteSupported=", "LLDP_NoD_Supported=\"true\" MultipleWriteSupported="],
+    ),
+    (
+        "CheckDeviceID_Allowed and NameOfStationNotTransferable are given",
+        |_, file| {
+            ["CheckDeviceID_Allowed", "NameOfStationNotTransferable"]
+                .iter()
+                .all(|name| item(file, "DeviceAccessPointItem").has_attribute(*name))
+        },
+        ["NameOfStationNotTransferable=\"false\"", ""],
+    ),
+    (
+        "MaxInputLength counts IOPS and IOCS",
+        |_, file| number(item(file, "IOConfigData"), "MaxInputLength") == frame_len(file, "Input"),
+        ["MaxInputLength=\"17\"", "MaxInputLength=\"12\""],
+    ),
+    (
+        "MaxOutputLength counts IOPS and IOCS",
+        |_, file| number(item(file, "IOConfigData"), "MaxOutputLength") == frame_len(file, "Output"),
+        ["MaxOutputLength=\"13\"", "MaxOutputLength=\"8\""],
+    ),
+    (
+        "the name of the file has the version of the schema",
+        |text, _| {
+            let version = GSDML.split('-').nth(1).unwrap();
+            text.contains(&format!("GSDML-DeviceProfile-{version}.xsd"))
+        },
+        ["DeviceProfile-V2.31.xsd", "DeviceProfile-V2.3.xsd"],
+    ),
+    (
+        "the device's symbol is a bitmap named by vendor and device number",
+        |_, file| {
+            let target = item(file, "GraphicItemRef").attribute("GraphicItemTarget");
+            let picture = item(file, "GraphicItem");
+            picture.attribute("ID") == target
+                && picture.attribute("GraphicFile") == Some("GSDML-02A2-0001-WSG")
+        },
+        ["GraphicItemTarget=\"Symbol\"", "GraphicItemTarget=\"Other\""],
+    ),
+];
+
+/// The one element of this name.
+fn item<'a>(file: &'a Document<'_>, name: &'static str) -> Node<'a, 'a> {
+    all(file, name).next().unwrap_or_else(|| panic!("no {name}"))
+}
+
+fn is_true(file: &Document<'_>, name: &'static str, attribute: &str) -> bool {
+    item(file, name).attribute(attribute) == Some("true")
+}
+
+/// Returns whether the device conforms to an older version of PROFINET. V2.2 < V2.25 < V2.3 < V2.31 (GSDML, 5.1): they are decimals.
+fn is_before_v2_31(file: &Document<'_>) -> bool {
+    let version = item(file, "DeviceAccessPointItem").attribute("PNIO_Version").unwrap();
+    version.strip_prefix('V').unwrap().parse::<f32>().unwrap() < 2.31
+}
+
+/// Returns the length of the cyclic data in a direction: a provider status after the data of each submodule, a consumer status for
+/// each with data in the other direction. Submodules without data count as inputs.
+fn frame_len(file: &Document<'_>, direction: &str) -> u32 {
+    let names = ["VirtualSubmoduleItem", "InterfaceSubmoduleItem", "PortSubmoduleItem"];
+    let submodules = file.descendants().filter(|node| names.contains(&node.tag_name().name()));
+    let lens = submodules.map(|submodule| {
+        let len = |direction: &str| -> u32 {
+            let data = submodule.descendants().filter(|node| node.tag_name().name() == direction);
+            data.flat_map(|data| data.children().filter(Node::is_element))
+                .map(|item| number(item, "Length"))
+                .sum()
+        };
+        let statuses = if len("Input") > 0 && len("Output") > 0 { 2 } else { 1 };
+        len(direction) + statuses
+    });
+    lens.sum()
+}
+
+#[test]
+fn file_keeps_every_rule_of_tia_portal() {
+    let text = read(&path());
+    for (rule, holds, [part, change]) in RULES {
+        assert!(holds(&text, &Document::parse(&text).unwrap()), "broken: {rule}");
+        assert_eq!(text.matches(part).count(), 1, "{rule}: {part}");
+        let broken = text.replace(part, change);
+        assert!(!holds(&broken, &Document::parse(&broken).unwrap()), "without effect: {rule}");
+    }
+}
+
+/// Fieldbus, 3.1: PROFINET IO -> I/O -> Weiss Robotics GmbH & Co. KG.
+#[test]
+fn gsdml_file_has_the_catalogue_path_of_the_manual() {
+    let text = read(&path());
+    let file = Document::parse(&text).unwrap();
+    assert_eq!(item(&file, "Family").attribute("MainFamily"), Some("I/O"));
+    for vendor in all(&file, "VendorName") {
+        assert_eq!(vendor.attribute("Value"), Some("Weiss Robotics GmbH & Co. KG"));
+    }
+}
+
 #[test]
 fn every_text_that_the_file_names_is_there_once_and_every_id_is_another_one() {
-    let text = read(FILE);
+    let text = read(&path());
     let document = Document::parse(&text).unwrap();
     let texts: Vec<_> = all(&document, "Text").map(|text| text.attribute("TextId").unwrap()).collect();
     let named = document.descendants().filter(|node| node.tag_name().name() != "Text");

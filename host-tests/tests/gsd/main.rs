@@ -5,7 +5,8 @@
 mod gsdml;
 
 use bus_profibus::{Baud, Gsd, GsdFacts};
-use host_tests::document::{hold_file, root};
+use host_tests::device_files::{GSD_BITMAPS, VENDOR};
+use host_tests::document::{hold_file, read, root};
 use wsg_protocol::fieldbus::profibus::PROFILE;
 use wsg_protocol::fieldbus::{Diagnosis, InputImage, OutputImage};
 
@@ -23,7 +24,7 @@ fn diagnosis_bits() -> Vec<(u16, &'static str)> {
 
 fn facts<'a>(diagnosis_bits: &'a [(u16, &'static str)]) -> GsdFacts<'a> {
     GsdFacts {
-        vendor: "wsg-bridge",
+        vendor: VENDOR,
         model: "wsg-bridge",
         revision: "1.0",
         hardware_release: "1.0",
@@ -36,6 +37,7 @@ fn facts<'a>(diagnosis_bits: &'a [(u16, &'static str)]) -> GsdFacts<'a> {
         min_slave_interval: 10,
         module: "8 bytes out, 12 bytes in",
         max_diagnosis_len: Diagnosis::LEN as u8,
+        bitmaps: Some(GSD_BITMAPS),
         diagnosis_bits,
     }
 }
@@ -46,11 +48,26 @@ fn gsd_file_is_that_of_the_tables() {
     hold_file(FILE, &Gsd { facts: facts(&bits), profile: &PROFILE }.to_string());
 }
 
+/// Fieldbus, 2.1: PROFIBUS DP -> Drives -> Weiss Robotics GmbH & Co. KG; and the bitmaps.
+#[test]
+fn gsd_file_has_the_catalogue_path_and_the_bitmaps_of_the_manual() {
+    let text = read(FILE);
+    for line in [
+        "Slave_Family = 1",
+        "Vendor_Name = \"Weiss Robotics GmbH & Co. KG\"",
+        "Bitmap_Device = \"WSG_R\"",
+        "Bitmap_Diag = \"WSG_D\"",
+        "Bitmap_SF = \"WSG_S\"",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line}");
+    }
+}
+
 #[test]
 fn parser_of_profirust_reads_what_the_tables_say() {
     let gsd = gsd_parser::parse_from_file(root().join(FILE));
     assert_eq!((gsd.ident_number, gsd.gsd_revision), (0x5555, 1));
-    assert_eq!((gsd.vendor.as_str(), gsd.model.as_str()), ("wsg-bridge", "wsg-bridge"));
+    assert_eq!((gsd.vendor.as_str(), gsd.model.as_str()), (VENDOR, "wsg-bridge"));
     assert!(!gsd.modular_station);
     assert!(gsd.fail_safe && gsd.auto_baud_supported);
     assert!(!gsd.freeze_mode_supported && !gsd.sync_mode_supported && !gsd.set_slave_addr_supported);

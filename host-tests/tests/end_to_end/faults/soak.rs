@@ -35,11 +35,12 @@ const WIDE: u8 = 1;
 /// How long anything may take: a lost link is back in seconds, but a busy machine may lose it several times.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What the PLC was told.
+/// What the PLC was shown.
 #[derive(Debug, Default)]
 struct Told {
     done: usize,
     trouble: usize,
+    /// The link was lost at the moment of the edge.
     not_taken: usize,
 }
 
@@ -87,10 +88,9 @@ fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64
         if (before.width - rest).abs() > 0.02 {
             bail!("before command {number} the fingers moved from {rest} mm to {} mm", before.width);
         }
-        // As the wires tell: a part that is held is released, whatever went wrong before.
-        let outputs = rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::READY));
-        let is_holding = outputs.context("not READY")?.contains(Outputs::HOLDING);
-        let job = match (is_holding, number % 2) {
+        let outputs = recover(&rig).with_context(|| format!("before command {number}"))?;
+        let must_open = outputs.intersects(Outputs::HOLDING | Outputs::PART_FAULT);
+        let job = match (must_open, number % 2) {
             (true, _) => RELEASE,
             (false, 0) => MOVE,
             (false, _) => GRIP,
@@ -104,13 +104,27 @@ fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64
     Ok((told, [ways.0.counts(), ways.1.counts()], start.elapsed().as_secs()))
 }
 
+/// Gets to READY without ERROR by wires alone, as docs/wiring.md describes: STOP_ACK ends an error.
+fn recover(rig: &Rig) -> Result<Outputs> {
+    let ready = |outputs: Outputs| outputs.contains(Outputs::READY);
+    let outputs = rig.await_outputs(PATIENCE, |outputs| {
+        ready(outputs)
+            || outputs.contains(Outputs::ERROR | Outputs::LINK_OK) && !outputs.contains(Outputs::BUSY)
+    });
+    if !outputs.context("neither READY nor ERROR")?.contains(Outputs::ERROR) {
+        return rig.await_outputs(PATIENCE, ready).context("not READY");
+    }
+    rig.acknowledge()?;
+    rig.await_outputs(PATIENCE, ready).context("not READY after STOP_ACK")
+}
+
 /// Gives a command as a PLC does, and holds what it is told to what the gripper did.
 fn command(rig: &Rig, (wire, _, is_done): Job, told: &mut Told) -> Result<()> {
     rig.select_recipe(if wire == Inputs::MOVE { WIDE } else { 0 })?;
     rig.set(wire, true)?;
-    // A link that is lost at this very moment: the edge is refused, which shows as well.
-    let shown = |outputs: Outputs| outputs.contains(Outputs::BUSY) || !outputs.contains(Outputs::LINK_OK);
-    let taken = rig.await_outputs(PATIENCE, shown).context("neither taken nor refused")?;
+    // A link that is lost at this very moment lowers READY.
+    let shown = |outputs: Outputs| outputs.contains(Outputs::BUSY) || !outputs.contains(Outputs::READY);
+    let taken = rig.await_outputs(PATIENCE, shown).context("neither BUSY nor READY low")?;
     rig.set(wire, false)?;
     if !taken.contains(Outputs::BUSY) {
         told.not_taken += 1;

@@ -66,7 +66,7 @@ fn values() {
 fn session() {
     functions! {
         Session: new, handle, tick, request, request_borrowed, poll_transmit, poll_transmit_borrowed, poll_timeout;
-        Session: take_back, withdraw, disconnect, subscribe, known, motion, counters;
+        Session: take_back, has_overtaken, withdraw, disconnect, subscribe, known, motion, counters;
         Session: is_connected, is_busy, motion_is_open, fast_stop_pending;
         Known: is_moving;
         Topic: id, of;
