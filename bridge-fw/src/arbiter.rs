@@ -322,7 +322,7 @@ mod tests {
         let mut arbiter = Arbiter::new();
         take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
         let mut write = |flags_written| flags(arbiter.take_bus(image(flags_written, 3), None, false));
-        for written in [MINUS, MINUS | PLUS, PLUS] {
+        for written in [MINUS, MINUS | PLUS, PLUS, MINUS, PLUS] {
             assert_eq!(write(written), CommandFlags::empty(), "{written:?} after JOG- in the first image");
         }
         write(CommandFlags::empty());

@@ -305,6 +305,20 @@ fn motion_that_nobody_acknowledged_does_not_leave_when_somebody_comes() {
     }
 }
 
+/// With nobody who acknowledges, every other repetition waits in the controller's mailbox until it is given up.
+#[test]
+fn link_ok_falls_within_a_second_of_the_last_answer_whenever_the_plug_is_pulled() {
+    for offset_ms in 0..150 {
+        let mut bench = homed();
+        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+        assert_eq!(bench.command(Inputs::RELEASE), IDLE);
+        bench.pass(offset_ms);
+        bench.double().set_unheard(true);
+        bench.to_bridge = Some(Box::new(|_| vec![]));
+        assert!(bench.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)), "{offset_ms}");
+    }
+}
+
 #[test]
 fn message_that_the_bus_does_not_take_is_withdrawn_before_its_time() {
     // Frames come in, but none goes out, as with nobody but a listener on the bus.

@@ -8,7 +8,8 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES, ResetCause};
 use wsg_protocol::fieldbus::SilenceReaction;
-use wsg_protocol::{CommandId, Status};
+use wsg_protocol::types::SoftLimits;
+use wsg_protocol::{Command, CommandId, Status, SystemFlags};
 use wsg_sim::Part;
 
 fn with_part() -> wsg_sim::Config {
@@ -99,6 +100,65 @@ fn jog_moves_while_its_coil_is_set() {
     assert!(stands > from && stands < 109.0, "{stands}");
     bench.pass(500);
     assert_eq!(bench.gripper().state().width, stands);
+}
+
+/// Fieldbus, 6.7; command set, 3.3.5: the limits are at 40 and 80 mm, over the bridge's own session.
+#[test]
+fn jog_runs_to_the_soft_limits_of_the_gripper_and_sets_their_flags() {
+    let parameters = [0, 40_00, 40_00];
+    let mut bench = Bench::homed(quick());
+    bench.command(MOVE, 60_00, 400_00, 40_00);
+    let now = bench.now();
+    let limits = Command::SetSoftLimits { limits: SoftLimits { minus: 40.0, plus: 80.0 } };
+    assert_eq!(bench.gripper().command(&limits, now), Status::Success);
+    for (flag, limit, reached) in
+        [(JOG_PLUS, 80.0, SystemFlags::SOFT_LIMIT_PLUS), (JOG_MINUS, 40.0, SystemFlags::SOFT_LIMIT_MINUS)]
+    {
+        bench.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
+        bench.pass(2_000);
+        let state = bench.gripper().state();
+        assert!((state.width - limit).abs() < 0.05 && state.flags.contains(reached), "{state:?}");
+        assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
+        assert!(bench.bit(16 + reached.bits().trailing_zeros() as u16), "SYSSTATE");
+        bench.write(0, &[&[0], &parameters[..]].concat());
+        bench.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
+        bench.pass(500);
+        assert_eq!((bench.state(), bench.status()), (IDLE, Status::RangeError.code()), "there already");
+        assert!((bench.gripper().state().width - limit).abs() < 0.05);
+        bench.write(0, &[&[0], &parameters[..]].concat());
+    }
+}
+
+/// A bus subscribes to width and force besides the states.
+#[test]
+fn restarted_gripper_shows_on_the_bus_within_250_ms_that_homing_is_due() {
+    for offset_ms in (0..200).step_by(7) {
+        let mut bench = Bench::homed(quick());
+        bench.pass(offset_ms);
+        bench.restart_gripper(quick());
+        bench.pass(250);
+        // SYSSTATE, byte 2 and bit 0, in the high byte of the second register.
+        assert_eq!(bench.input(1, 1).unwrap()[0] >> 8 & 1, 0, "REFERENCED, {offset_ms}");
+    }
+}
+
+/// STOP/ACK in a master's first image is no edge, but its level keeps motions back (fieldbus, table 1).
+#[test]
+fn stop_in_the_first_image_of_the_bus_keeps_ready_low_and_refuses_the_wires() {
+    let mut bench = Bench::new(Config::DEFAULT, quick());
+    bench.pass(200);
+    bench.write(0, &[u16::from(STOP_ACK) << 8, 0, 0, 0]);
+    bench.pass(100);
+    let held = Outputs::LINK_OK;
+    assert_eq!(bench.outputs(), held, "no READY");
+    bench.set(Inputs::HOME, true);
+    bench.pass(100);
+    assert_eq!((bench.outputs(), bench.take_motions()), (held | Outputs::ERROR, vec![]));
+    bench.set(Inputs::HOME, false);
+    bench.write(0, &[0, 0, 0, 0]);
+    bench.pass(20);
+    assert!(bench.outputs().contains(Outputs::READY), "{:?}", bench.outputs());
+    assert_eq!(Wires::command(&mut bench, Inputs::HOME), held | Outputs::READY | Outputs::REFERENCED);
 }
 
 #[test]

@@ -198,6 +198,52 @@ fn move_is_refused_after_no_part_until_a_release() {
     assert_eq!(bench.command(Inputs::MOVE), IDLE);
 }
 
+/// A PLC that watches HOLDING must not take a refusal for a lost part.
+#[test]
+fn refused_edge_leaves_holding_and_part_fault_as_they_are() {
+    for (config, result) in [(with_part(20.0), Outputs::HOLDING), (quick(), Outputs::PART_FAULT)] {
+        let mut bench = Bench::homed(config);
+        assert_eq!(bench.command(Inputs::GRIP), IDLE | result);
+        bench.set(Inputs::MOVE, true);
+        assert!(bench.until(5, |outputs| outputs.contains(Outputs::BUSY)));
+        assert!(!bench.until(100, |outputs| !outputs.contains(result)), "{:?}", bench.outputs());
+        assert_eq!(bench.outputs(), IDLE | result | Outputs::ERROR);
+    }
+}
+
+#[test]
+fn part_that_is_lost_is_released_or_gripped_again_by_wires_alone() {
+    for way_out in [Inputs::RELEASE, Inputs::GRIP] {
+        let mut bench = Bench::homed(with_part(20.0));
+        bench.command(Inputs::GRIP);
+        let now = bench.now();
+        bench.gripper().set_part(None, now);
+        assert!(bench.until(50, |outputs| outputs == IDLE | Outputs::PART_FAULT), "{:?}", bench.outputs());
+        let (_, refused) = edge_at_ready(&mut bench, Inputs::MOVE);
+        assert_eq!(refused, IDLE | Outputs::PART_FAULT | Outputs::ERROR);
+        let taken = bench.command(way_out);
+        assert!(!taken.contains(Outputs::ERROR), "{way_out:?}: {taken:?}");
+        if way_out == Inputs::GRIP {
+            assert_eq!(taken, IDLE | Outputs::PART_FAULT, "the part is gone");
+            bench.command(Inputs::RELEASE);
+        }
+        let now = bench.now();
+        bench.gripper().set_part(Part::of_width(20.0), now);
+        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    }
+}
+
+#[test]
+fn refusal_shows_busy_for_50_ms_whatever_min_busy_is() {
+    for (min_busy_ms, expected) in [(0, 50..=52), (70, 70..=72)] {
+        let mut bench = Bench::with_bridge(BridgeConfig { min_busy_ms, ..BridgeConfig::DEFAULT }, quick());
+        bench.get_homed();
+        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::PART_FAULT);
+        let (busy_ms, _) = edge_at_ready(&mut bench, Inputs::MOVE);
+        assert!(expected.contains(&busy_ms), "MIN_BUSY {min_busy_ms}: {busy_ms} ms");
+    }
+}
+
 #[test]
 fn motion_that_the_gripper_refuses_at_once_shows_busy_for_50_ms() {
     let mut bench = Bench::ready(quick());
@@ -406,6 +452,22 @@ fn restarted_gripper_shows_within_250_ms_that_homing_is_due_whatever_is_subscrib
     for offset_ms in (0..200).step_by(7) {
         let mut bench = Bench::homed(quick());
         bench.pass(offset_ms);
+        bench.restart_gripper(quick());
+        let shown = bench.until(250, |outputs| outputs == Outputs::READY | Outputs::LINK_OK);
+        assert!(shown, "{offset_ms}: {:?}", bench.outputs());
+    }
+}
+
+/// Switched off for 200 ms, which is too short for LINK_OK to fall.
+#[test]
+fn gripper_that_was_off_for_200_ms_shows_within_250_ms_that_homing_is_due() {
+    for offset_ms in (0..200).step_by(7) {
+        let mut bench = Bench::homed(quick());
+        bench.pass(offset_ms);
+        bench.far.to_gripper = Some(Box::new(Vec::clear));
+        bench.far.to_bridge = Some(Box::new(Vec::clear));
+        bench.pass(200);
+        (bench.far.to_gripper, bench.far.to_bridge) = (None, None);
         bench.restart_gripper(quick());
         let shown = bench.until(250, |outputs| outputs == Outputs::READY | Outputs::LINK_OK);
         assert!(shown, "{offset_ms}: {:?}", bench.outputs());

@@ -158,10 +158,13 @@ impl Fieldbus {
         let is_due = self.next_due(device).is_some_and(|due| due <= now);
         if is_due {
             self.is_new = true;
-            self.writer = None;
             self.modbus_fast_stop = false;
             self.heard = None;
-            self.controller.silence(device.config().bus_reaction, &known(device));
+            // A master with cyclic data that has taken over commands on.
+            if self.cyclic.is_none_or(|(cyclic, _)| self.writer != Some(cyclic)) {
+                self.writer = None;
+                self.controller.silence(device.config().bus_reaction, &known(device));
+            }
         }
         is_due
     }

@@ -70,7 +70,7 @@ pub struct Server {
     can: Option<CanPort>,
     gcl: Option<TcpListener>,
     gcl_udp: Option<UdpSocket>,
-    udp_unanswered: u32,
+    udp_unanswered: Option<u32>,
     modbus: Option<TcpListener>,
     profibus: Option<SerialPort>,
     #[cfg(feature = "profinet")]
@@ -120,7 +120,7 @@ impl Server {
             can,
             gcl,
             gcl_udp,
-            udp_unanswered: lines.udp_unanswered.unwrap_or(udp::UNANSWERED),
+            udp_unanswered: lines.udp_unanswered,
             modbus,
             profibus,
             #[cfg(feature = "profinet")]

@@ -30,9 +30,15 @@ impl Bench {
     /// A bench with all wires of the PLC low.
     #[must_use]
     pub fn new(config: wsg_sim::Config) -> Self {
+        Self::with_bridge(Config::DEFAULT, config)
+    }
+
+    /// A bench with all wires of the PLC low, and these settings of bridge and gripper.
+    #[must_use]
+    pub fn with_bridge(bridge: Config, gripper: wsg_sim::Config) -> Self {
         Self {
-            bridge: Bridge::new(Config::DEFAULT),
-            far: SerialGripper::new(config),
+            bridge: Bridge::new(bridge),
+            far: SerialGripper::new(gripper),
             now_ms: 0,
             is_frozen: false,
             inputs: Inputs::empty(),

@@ -8,7 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use wsg_protocol::{Event, FrameParser, frame::MAX_MESSAGE_LEN};
+use wsg_protocol::{Command, Event, FrameParser, Status, frame::MAX_MESSAGE_LEN};
 use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
 
 use crate::clock::Clock;
@@ -127,6 +127,15 @@ impl GripperEnd {
         (world.gripper, world.port) = (gripper, port);
         world.start = world.clock.now();
         Ok(())
+    }
+
+    /// Gives the gripper a command of a third party, as its web page does. Returns its first status.
+    pub fn command(&self, command: &Command<'_>) -> Status {
+        let mut world = self.world();
+        let now = world.now();
+        let status = world.gripper.command(command, now);
+        world.turn(&[]);
+        status
     }
 
     /// Lets `tampering` have every frame that the gripper sends from now on; `None`: they arrive as they are.

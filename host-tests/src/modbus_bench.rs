@@ -112,6 +112,11 @@ impl Bench {
         &mut self.far.gripper
     }
 
+    /// Switches the gripper off and on again: it has forgotten everything.
+    pub fn restart_gripper(&mut self, config: wsg_sim::Config) {
+        self.far.restart(config, self.now());
+    }
+
     /// Lets a test do over the service port what it would do over the bus.
     pub fn by_service<T>(&mut self, test: impl FnOnce(&mut Self) -> T) -> T {
         self.change_line();
@@ -297,6 +302,7 @@ named! { "CMDFLAGS, byte 0":
     STOP_ACK: u8 = 1 << 4;
     FASTSTOP: u8 = 1 << 5;
     JOG_PLUS: u8 = 1 << 6;
+    JOG_MINUS: u8 = 1 << 7;
 }
 
 named! { "GSTATE, byte 0":

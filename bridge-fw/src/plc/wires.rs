@@ -16,6 +16,9 @@ const COMMANDS: [(Inputs, CommandFlags); 5] = [
     (Inputs::STOP_ACK, CommandFlags::STOP_ACK),
 ];
 
+/// How long BUSY answers an edge that bridge or gripper refuses, in milliseconds, whatever MIN_BUSY is: the cycle of a slow PLC.
+const REFUSAL_MS: u32 = 50;
+
 /// The wires between a PLC and the register images.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Wires {
@@ -24,8 +27,10 @@ pub(crate) struct Wires {
     levels: Option<Inputs>,
     image: OutputImage,
     min_busy_ms: u32,
-    /// When the wire of a motion rose last, or BUSY did: it is high for `min_busy_ms` from then on at least.
+    /// When the wire of a motion rose last, or BUSY did: it is high for some time from then on at least.
     busy_since: Option<Instant>,
+    /// A motion has run since BUSY rose: its result shows when BUSY falls.
+    has_run: bool,
     /// What the PLC is shown.
     shown: Outputs,
 }
@@ -40,6 +45,7 @@ impl Wires {
             image: OutputImage::ZERO,
             min_busy_ms,
             busy_since: None,
+            has_run: false,
             shown: Outputs::empty(),
         }
     }
@@ -125,10 +131,13 @@ impl Wires {
         outputs.set(Outputs::LINK_OK, true);
         outputs.set(Outputs::READY, !busy && !locked && released && !shown.ignores_motions);
         outputs.set(Outputs::BUSY, busy);
-        // A result shows when BUSY goes, not before.
-        outputs.set(Outputs::HOLDING, has(GripperFlags::HOLDING) && !busy);
-        outputs
-            .set(Outputs::PART_FAULT, has(GripperFlags::PART_LOST) || (has(GripperFlags::NO_PART) && !busy));
+        // A result shows when BUSY falls, not before. While BUSY answers a refused edge, the last result stays.
+        let is_over = !self.has_run;
+        outputs.set(Outputs::HOLDING, has(GripperFlags::HOLDING) && is_over);
+        outputs.set(
+            Outputs::PART_FAULT,
+            has(GripperFlags::PART_LOST) || (has(GripperFlags::NO_PART) && is_over),
+        );
         outputs.set(Outputs::REFERENCED, gripper.system.contains(SystemFlags::REFERENCED));
         outputs
     }
@@ -138,11 +147,15 @@ impl Wires {
     fn is_busy(&mut self, now: Instant, shown: &Shown) -> bool {
         let gripper = &shown.image;
         let runs = is_moving(gripper) || (shown.motion_is_open && !is_error(gripper));
+        let has_run = runs || self.has_run;
         let since = self.busy_since.or(runs.then_some(now));
-        let too_short = since.is_some_and(|since| now.since(since) < self.min_busy_ms);
+        let is_refused = !has_run || is_error(gripper);
+        let least_ms = if is_refused { self.min_busy_ms.max(REFUSAL_MS) } else { self.min_busy_ms };
+        let too_short = since.is_some_and(|since| now.since(since) < least_ms);
         let locked = gripper.system.intersects(SystemFlags::LOCKS);
         let busy = shown.link == Link::Up && (runs || (too_short && !locked));
         self.busy_since = since.filter(|_| busy);
+        self.has_run = has_run && busy;
         busy
     }
 

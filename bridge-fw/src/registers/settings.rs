@@ -122,7 +122,7 @@ const BEFORE_RECIPES: [Setting; Place::Recipes as usize] = [
         "MIN_BUSY",
         "ms",
         (0, 10_000),
-        "how long the wire BUSY is high at the least; below the PLC's cycle it may miss the refusal of a command",
+        "how long the wire BUSY is high at the least; for the refusal of a command, at least 50 ms",
     ),
     setting(
         "HALF_FRAME",

@@ -23,8 +23,8 @@ pub struct Lines {
     pub gcl: Option<SocketAddr>,
     /// The text protocol (GCL) over UDP: the address to listen on. Answers go to the port that asked.
     pub gcl_udp: Option<SocketAddr>,
-    /// How many datagrams a client by UDP is sent while it sends nothing; then its updates end. `None`: 1000; 0: any number, as the
-    /// real gripper has it as far as the manual says. A datagram may name anybody as its sender.
+    /// How many datagrams a UDP client is sent while it sends nothing; then its updates end. `None`: 1000 for clients on other
+    /// machines, since the sender of a datagram can be forged. 0: any number, as the manual has it.
     pub udp_unanswered: Option<u32>,
     /// Modbus/TCP: the address to listen on; port 502 on the real one.
     pub modbus: Option<SocketAddr>,

@@ -179,6 +179,21 @@ fn cyclic_image_that_does_not_change_is_no_edge_after_another_master_wrote() {
     assert!(bus.is_moving());
 }
 
+/// A Modbus master that wrote once and left is missed, but commands no more.
+#[test]
+fn silence_of_a_modbus_master_leaves_the_motion_of_a_cyclic_one_alone() {
+    let config = Config { bus_timeout_ms: 50, ..Config::default() };
+    let mut bus = Bus::homed(config);
+    let modbus = bus.gripper.connect(PortKind::ModbusTcp).expect("a port is free");
+    modbus_writes(&mut bus, modbus, Flag::empty());
+    bus.write(Flag::MOVE, false);
+    bus.wait(100);
+    assert!(bus.is_moving());
+    bus.gripper.end_images(bus.port, bus.now);
+    assert_eq!(bus.gripper.fieldbus_images().0, OutputImage::ZERO);
+    assert!(!bus.is_moving(), "the end of the one that commands counts");
+}
+
 #[test]
 fn fast_stop_counts_as_long_as_any_master_asserts_it() {
     let mut bus = Bus::homed(Config::default());

@@ -2,6 +2,7 @@
 //! socket.
 
 use crate::common::{go_to, grip, parse, uninterrupted};
+use crate::modbus::Master;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
@@ -30,7 +31,7 @@ impl Rig {
 
     fn with_log(config: Config, seed: u64, log: Option<Log>) -> Self {
         let any = "127.0.0.1:0".parse().ok();
-        let lines = Lines { tcp: any, control: any, seed, ..Lines::default() };
+        let lines = Lines { tcp: any, control: any, modbus: any, seed, ..Lines::default() };
         let server = ServerThread::start(config, &lines, log).expect("the server is up");
         let client = TcpStream::connect(server.tcp_address().unwrap()).unwrap();
         client.set_read_timeout(Some(BOUND)).unwrap();
@@ -410,6 +411,36 @@ fn pages_home_and_grip_by_commands_and_all_see_the_fingers_move_and_the_part_go(
     assert!(status == 409 && refused["error"].as_str().unwrap().contains("E_ACCESS_DENIED"), "{refused}");
     rig.post("/command", &json!({"command":"acknowledge"}));
     assert_eq!(rig.state()["gripper_state"], "IDLE");
+}
+
+/// Fieldbus manual, 6.6: FASTSTOP is a level. A third party acknowledges while the PLC asserts it.
+#[test]
+fn fast_stop_that_the_plc_asserts_outlasts_every_acknowledgement_on_the_page() {
+    const FASTSTOP: u8 = 1 << 5;
+    const MOVE: u8 = 1;
+    let is_fast_stopped = |plc: &mut Master| plc.ask(&[2, 0, 28, 0, 1]) == [2, 1, 1];
+    let rig = Rig::homed();
+    let mut plc = Master::of(&rig.server);
+    plc.write(0);
+    plc.write(FASTSTOP);
+    assert!(is_fast_stopped(&mut plc));
+    let width = rig.state()["width_mm"].clone();
+    for _ in 0..3 {
+        rig.post("/command", &json!({"command":"acknowledge"}));
+        assert!(is_fast_stopped(&mut plc), "latched again before the PLC can see it gone");
+        let (status, refused) = rig.request("POST", "/command", r#"{"command":"move","width_mm":50}"#);
+        assert_eq!(status, 409, "{refused}");
+        plc.write(FASTSTOP | MOVE);
+        plc.write(FASTSTOP);
+    }
+    assert_eq!(rig.state()["width_mm"], width, "nothing has moved");
+
+    plc.write(0);
+    assert!(is_fast_stopped(&mut plc), "the PLC's release alone unlocks nothing");
+    rig.post("/command", &json!({"command":"acknowledge"}));
+    assert!(!is_fast_stopped(&mut plc));
+    plc.run(MOVE);
+    assert_eq!(rig.state()["width_mm"], json!(20.0));
 }
 
 #[test]

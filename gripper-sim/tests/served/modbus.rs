@@ -33,7 +33,7 @@ fn frame(transaction: u16, unit: u8, pdu: &[u8]) -> Vec<u8> {
     [&transaction.to_be_bytes()[..], &[0, 0], &length, &[unit], pdu].concat()
 }
 
-struct Master {
+pub(crate) struct Master {
     stream: TcpStream,
     transaction: u16,
 }
@@ -47,7 +47,7 @@ impl Master {
         Self { stream, transaction: 0 }
     }
 
-    fn of(served: &ServerThread) -> Self {
+    pub(crate) fn of(served: &ServerThread) -> Self {
         Self::new(served.modbus_address().expect("it was asked for"))
     }
 
@@ -65,7 +65,7 @@ impl Master {
         (u16::from_be_bytes([t1, t0]), unit, pdu)
     }
 
-    fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
+    pub(crate) fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
         self.transaction = self.transaction.wrapping_add(1);
         self.send(&frame(self.transaction, 0xFF, pdu));
         let (transaction, unit, answer) = self.recv();
@@ -74,7 +74,7 @@ impl Master {
     }
 
     /// CMDFLAGS with the parameters of a grip at 20 mm.
-    fn write(&mut self, flags: u8) {
+    pub(crate) fn write(&mut self, flags: u8) {
         let image = [flags, 0, 0x07, 0xD0, 0x27, 0x10, 0x0F, 0xA0];
         let answer = self.ask(&[&[16, 0, 0, 0, 4, 8][..], &image].concat());
         assert_eq!(answer, [16, 0, 0, 0, 4]);
@@ -101,7 +101,7 @@ impl Master {
         }
     }
 
-    fn run(&mut self, flags: u8) {
+    pub(crate) fn run(&mut self, flags: u8) {
         self.write(0);
         self.write(flags);
         assert_eq!(self.wait_for_result(), 0);

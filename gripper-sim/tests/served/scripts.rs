@@ -605,6 +605,29 @@ fn grasping_waits_for_the_end_of_its_motions() {
     }
 }
 
+/// The loop of public force controllers: a speed that is repeated against a part (command set, appendix B, D2 and D3).
+#[test]
+fn speed_that_a_script_repeats_against_a_part_leaves_the_fingers_blocked_and_not_busy() {
+    let source = r#"
+        while mc.busy() do sleep(1) end
+        mc.homing(1)
+        while mc.busy() do sleep(1) end
+        mc.speed(-400)
+        while not mc.blocked() do sleep(1) end
+        local blocked, busy = 0, 0
+        for _ = 1, 60 do
+          mc.speed(-50)
+          if mc.blocked() then blocked = blocked + 1 end
+          if mc.busy() then busy = busy + 1 end
+          sleep(2)
+        end
+        print("cycles", blocked, busy)
+        print("end")"#;
+    let config = Config { part: Part::of_width(20.0), time_scale: 20.0, ..Config::default() };
+    let log = log_of("blocked", config, &File::new("blocked", source).0, " script end");
+    assert!(log.contains(" script cycles\t60\t0\n"), "{log}");
+}
+
 /// A script that answers each user flag of the PLC by the one on the other side, and sets OF8 by its number.
 pub(super) const MIRRORS_USER_FLAGS: &str = "
     while true do

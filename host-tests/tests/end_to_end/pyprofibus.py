@@ -28,14 +28,20 @@ master.addSlave(gripper)
 master.initialize()
 
 
+def rise(flags):
+    """Prints every edge, for the test to compare with the commands that the gripper received."""
+    print(f"edge {flags:02x}", flush=True)
+    return flags
+
+
 def run(flags, is_done, what):
     """Writes these flags until the input image is as it has to become."""
     end = time.monotonic() + 120
-    exchanges, image, written = 0, None, flags
+    exchanges, image, written = 0, None, rise(flags)
     while time.monotonic() < end:
         if not gripper.isConnected():
-            # On a busy machine answers come later than this master waits, and it begins anew. What it writes first then commands
-            # nothing, so a program lets go, and asks again.
+            # On a busy machine, answers arrive after this master's time-out, and it connects again. Its first outputs are no
+            # edge then, so the program writes zeros and raises the flags again.
             exchanges, written = 0, 0
         # WIDTH 20 mm, SPEED 100 mm/s, FORCELIMIT 40 N.
         gripper.setMasterOutData(bytearray([written, 0, 0x07, 0xD0, 0x27, 0x10, 0x0F, 0xA0]))
@@ -49,7 +55,7 @@ def run(flags, is_done, what):
         if exchanges > 3 and is_done(image):
             return
         if exchanges > 3 and written != flags:
-            exchanges, written = 0, flags
+            exchanges, written = 0, rise(flags)
     sys.exit(f"waited in vain for {what}: {image!r}")
 
 

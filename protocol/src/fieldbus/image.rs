@@ -94,23 +94,20 @@ impl MaskedFlags {
     /// Takes the flags that a PLC has written. Those that are 1 in its first image are masked, except FASTSTOP, which
     /// counts by its level.
     pub fn see(&mut self, written: CommandFlags, is_first: bool) {
+        // Also when the masked flag goes as the other one rises: both were not 0.
+        let jog_was_masked = self.0.intersects(CommandFlags::JOG);
         self.0 &= written;
         if is_first {
             self.mask(written.difference(CommandFlags::FASTSTOP));
         }
-        self.mask_jog(written);
+        if jog_was_masked || self.0.intersects(CommandFlags::JOG) {
+            self.mask(written.intersection(CommandFlags::JOG));
+        }
     }
 
     /// Masks flags that are 1.
     pub fn mask(&mut self, flags: CommandFlags) {
         self.0 |= flags;
-    }
-
-    /// Masks the second JOG flag beside a masked one. Of these flags, only those that are 1 can be masked.
-    fn mask_jog(&mut self, written: CommandFlags) {
-        if self.0.intersects(CommandFlags::JOG) {
-            self.mask(written.intersection(CommandFlags::JOG));
-        }
     }
 
     /// Returns those of the written flags that count.

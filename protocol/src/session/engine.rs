@@ -366,12 +366,13 @@ impl<D: Dialect> Engine<D> {
     /// When [`tick`](Self::tick) must be called at the latest, if nothing else happens.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
+        let (attempts, refresh_attempts) = self.attempts();
         let transactions = [
             self.fast_stop.deadline(),
             self.fast_stop_deadline().filter(|_| self.is_connected()),
-            self.stop.deadline(),
-            self.request.deadline(),
-            self.refresh.deadline(),
+            self.stop.expires_at(attempts),
+            self.request.expires_at(attempts),
+            self.refresh.expires_at(refresh_attempts),
             self.doubled.filter(|_| !self.queue.is_empty() && self.request.is_idle()).map(|(_, until)| until),
         ];
         let link = match self.link {
@@ -571,11 +572,7 @@ impl<D: Dialect> Engine<D> {
         if self.upkeep_at.is_some_and(|at| now.has_reached(at)) {
             self.keep_up(now);
         }
-        let (attempts, refresh_attempts) = if self.is_connected() {
-            (self.timing.attempts, self.timing.attempts.saturating_mul(REFRESH_REPEATS as u8))
-        } else {
-            (1, 1)
-        };
+        let (attempts, refresh_attempts) = self.attempts();
         if !self.is_connected() && self.stop.is_overdue(now) {
             self.stop.close();
             self.stop_report = Some(StopReport::Unanswered);
@@ -608,6 +605,15 @@ impl<D: Dialect> Engine<D> {
         }
         if matches!(self.link, Link::Down { .. }) {
             self.refresh.close();
+        }
+    }
+
+    /// How often a request is sent before the connection counts as lost, and how often a refresh is.
+    const fn attempts(&self) -> (u8, u8) {
+        if self.is_connected() {
+            (self.timing.attempts, self.timing.attempts.saturating_mul(REFRESH_REPEATS as u8))
+        } else {
+            (1, 1)
         }
     }
 
@@ -785,7 +791,7 @@ impl<D: Dialect> Engine<D> {
     /// Opens one of the session's own requests. While the link is up, a lost answer must not let a state grow old.
     fn open_refresh(&mut self, request: D::Request) {
         let reply_ms = self.timing.reply_timeout(request.name());
-        let timeout_ms = if self.is_connected() { reply_ms / REFRESH_REPEATS } else { reply_ms };
+        let timeout_ms = if self.is_connected() { (reply_ms / REFRESH_REPEATS).max(1) } else { reply_ms };
         self.refresh.open(Request::Own(request), timeout_ms);
     }
 }

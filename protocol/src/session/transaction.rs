@@ -61,6 +61,8 @@ pub(super) struct Transaction<M: Message> {
     deadline: Option<Instant>,
     /// How often it was sent.
     sent: u8,
+    /// When it was sent first.
+    begun: Instant,
     /// It is not sent again.
     only_once: bool,
 }
@@ -80,7 +82,8 @@ pub(super) enum Expired {
 
 impl<M: Message> Transaction<M> {
     pub(super) const fn new() -> Self {
-        Self { request: None, timeout_ms: 0, deadline: None, sent: 0, only_once: false }
+        let begun = Instant::from_millis(0);
+        Self { request: None, timeout_ms: 0, deadline: None, sent: 0, begun, only_once: false }
     }
 
     /// Opens it for this request, in place of the previous one. Its answer may take `timeout_ms` each time it is sent.
@@ -131,6 +134,9 @@ impl<M: Message> Transaction<M> {
         let request = self.request.as_ref()?;
         let outgoing = request.outgoing(borrowed)?;
         self.deadline = Some(now.plus(self.timeout_ms));
+        if self.sent == 0 {
+            self.begun = now;
+        }
         self.sent = self.sent.saturating_add(1);
         Some(outgoing)
     }
@@ -173,11 +179,21 @@ impl<M: Message> Transaction<M> {
         self.deadline.is_some_and(|deadline| now.has_reached(deadline))
     }
 
-    /// Processes a time-out that is due at `now`: a request that may be repeated is, up to `attempts` times in all.
+    /// Returns when [`expire`](Self::expire) has something to do: at the deadline, or when a repetition that waits to be sent
+    /// has waited too long.
+    pub(super) fn expires_at(&self, attempts: u8) -> Option<Instant> {
+        let last = || self.begun.plus(self.timeout_ms.saturating_mul(attempts.into()));
+        self.deadline.or_else(|| self.is_due_again().then(last))
+    }
+
+    /// Processes a time-out that is due at `now`. A request that may be repeated is, up to `attempts` times in all. A line that
+    /// does not take the repetitions does not extend the time that they have together.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
-        let Some(request) = self.request.as_ref().filter(|_| self.is_overdue(now)) else {
+        let is_due = self.expires_at(attempts).is_some_and(|at| now.has_reached(at));
+        let Some(request) = self.request.as_ref().filter(|_| is_due) else {
             return Expired::No;
         };
+        let is_over = now.since(self.begun) >= self.timeout_ms.saturating_mul(attempts.into());
         let is_repeatable = request.is_repeatable();
         if is_repeatable && matches!(request, Request::Orphan(_)) {
             self.close();
@@ -186,7 +202,7 @@ impl<M: Message> Transaction<M> {
         if is_repeatable && self.only_once {
             return Expired::Overtaken;
         }
-        if is_repeatable && self.sent < attempts {
+        if is_repeatable && self.sent < attempts && !is_over {
             self.deadline = None;
             Expired::Repeated
         } else {

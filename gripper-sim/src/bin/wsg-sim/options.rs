@@ -66,7 +66,8 @@ struct Arguments {
     /// Listens for the text protocol over UDP; answers go to the source port of the request
     #[arg(long, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
     gcl_udp: Option<SocketAddr>,
-    /// Ends the automatic updates of a UDP client after this many datagrams without one from the client; 0: never [default: 1000]
+    /// Ends the automatic updates of a UDP client on another machine after this many datagrams without one from the client; 0:
+    /// never [default: 1000]
     #[arg(long, value_name = "N", value_parser = expected("a number of datagrams; 0: any number", parsed::<u32>))]
     udp_unanswered: Option<u32>,
     /// Opens a serial line: `pty` creates a pseudo terminal and prints its path, `unix:PATH` listens on a Unix socket as
@@ -357,6 +358,8 @@ impl Arguments {
         let has_profibus = self.profibus.is_some();
         let has_watch = self.bus_timeout > 0 || has_profibus || has_profinet;
         check("udp-remote-port", self.udp_remote_port.is_some(), self.udp.is_some(), "--udp ADDR")?;
+        let has_udp = self.udp.is_some() || self.gcl_udp.is_some();
+        check("udp-unanswered", self.udp_unanswered.is_some(), has_udp, "--udp ADDR or --gcl-udp ADDR")?;
         check("can-id", self.can_id.is_some(), can_bus.is_some(), "--can IFACE or --slcan LINE")?;
         check("modbus-swap-bytes", self.modbus_swap_bytes, self.modbus.is_some(), "--modbus ADDR")?;
         check("bus-timeout", self.bus_timeout > 0, self.modbus.is_some(), "--modbus ADDR")?;

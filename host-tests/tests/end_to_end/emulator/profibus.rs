@@ -174,8 +174,20 @@ fn pyprofibus_runs_a_grip_cycle_on_the_emulated_board(board: Board) {
     let terminal = Terminal::to(line).unwrap();
     let output = masters::python(include_str!("../pyprofibus.py"), &[&terminal.path, &gsd_file()]);
     assert!(output.status.success(), "{}", said(&output));
-    let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(motions(&trace.since(0)), expected, "{}", said(&output));
+    let printed = String::from_utf8_lossy(&output.stdout);
+    let mut commands = motions(&trace.since(0));
+    for (edge, command) in [
+        ("edge 08", CommandId::Homing),
+        ("edge 02", CommandId::GripPart),
+        ("edge 04", CommandId::ReleasePart),
+    ] {
+        // One edge, unless this busy machine made the master connect again; then the edge before may have been lost.
+        let edges = printed.lines().filter(|line| *line == edge).count();
+        let sent = commands.iter().take_while(|sent| **sent == command).count();
+        assert!((1..=edges).contains(&sent), "{command:?} sent {sent} times: {}", said(&output));
+        commands.drain(..sent);
+    }
+    assert_eq!(commands, [], "{}", said(&output));
 }
 
 on_both_boards!(

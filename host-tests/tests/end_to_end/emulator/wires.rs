@@ -10,7 +10,7 @@ use wsg_b_l475e_iot01a::INDICATOR;
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::session::FastStopPattern;
-use wsg_protocol::{CommandId, FrameEncoder, Reply, Status, SystemFlags};
+use wsg_protocol::{Command, CommandId, FrameEncoder, Reply, Status, SystemFlags};
 use wsg_sim::{Config, Part};
 
 use super::{Board, image};
@@ -271,6 +271,39 @@ fn restarted_gripper_shows_that_homing_is_due(board: Board) {
     assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
 }
 
+/// Fieldbus manual, 6.6: FAST STOP is a level. The PLC holds the wire low while somebody acknowledges at the gripper, and while
+/// the gripper is restarted.
+fn fast_stop_wire_that_is_low_outlasts_third_parties_and_a_restart(board: Board) {
+    let rig = homed(board, quick());
+    let is_stopped = || rig.gripper().state().flags.contains(SystemFlags::FAST_STOP);
+    let await_stopped = |what: &str| {
+        let bound = Instant::now() + PATIENCE;
+        while !is_stopped() {
+            assert!(Instant::now() < bound, "{what}: no FAST STOP follows");
+            rig.pass(1).unwrap();
+        }
+    };
+    rig.set(Inputs::FAST_STOP_OK, false).unwrap();
+    await_stopped("wire");
+    rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::READY)).unwrap();
+    let mark = rig.trace().mark();
+    for _ in 0..3 {
+        assert_eq!(rig.gripper().command(&Command::ACKNOWLEDGE), Status::Success);
+        rig.pulse(Inputs::MOVE).unwrap();
+        await_stopped("third party");
+    }
+    rig.gripper().restart().unwrap();
+    await_stopped("restart");
+    assert_eq!(rig.motions_since(mark).unwrap(), []);
+
+    rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+    rig.pass(500).unwrap();
+    assert!(is_stopped() && !rig.board().outputs().contains(Outputs::READY), "high alone unlocks nothing");
+    assert_eq!(rig.gripper().command(&Command::ACKNOWLEDGE), Status::Success);
+    rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::READY | Outputs::LINK_OK).unwrap();
+    assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
+}
+
 /// The image's queues and interrupts keep a burst together: what `fault_sweep` shows of the library in virtual time.
 fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist(board: Board) {
     let is_fast_stop =
@@ -309,6 +342,7 @@ on_both_boards!(
     gripper_that_never_answers_is_asked_and_never_told_to_move,
     line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done,
     restarted_gripper_shows_that_homing_is_due,
+    fast_stop_wire_that_is_low_outlasts_third_parties_and_a_restart,
     fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist,
 );
 

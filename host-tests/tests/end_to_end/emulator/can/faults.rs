@@ -182,6 +182,27 @@ fn a_command_that_nobody_acknowledges_does_not_leave_later<C: CanBoard>() {
     assert_eq!(motions(&plant.trace.since(mark)), [CommandId::Homing]);
 }
 
+/// Nobody acknowledges, so the motion waits in a mailbox when it is withdrawn, and the bus is well again before LINK_OK falls.
+fn a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop<C: CanBoard>() {
+    for (wire, high, command) in
+        [(Inputs::STOP_ACK, true, CommandId::Stop), (Inputs::FAST_STOP_OK, false, CommandId::FastStop)]
+    {
+        let plant = plant::<C>(GRIPPER_ON_CAN, config());
+        let mark = plant.trace.mark();
+        plant.bus.set_fault(Fault::Cut);
+        plant.board.set_input(Inputs::HOME, true).unwrap();
+        pass(&plant.board, 20);
+        plant.board.set_input(wire, high).unwrap();
+        pass(&plant.board, 20);
+        assert_eq!(motions(&plant.trace.since(mark)), [], "the bus is cut");
+        plant.bus.set_fault(Fault::None);
+        let is_heard = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(command));
+        assert!(plant.trace.wait(mark, PATIENCE, is_heard), "{command}: {:?}", plant.heard_since(mark));
+        pass(&plant.board, 300);
+        assert_eq!(motions(&plant.trace.since(mark)), [], "{command}: {:?}", plant.heard_since(mark));
+    }
+}
+
 #[test]
 #[ignore = "needs QEMU and the firmware image with both on CAN: run `cargo xtask test`"]
 fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
@@ -299,6 +320,7 @@ const fn id(raw: u16) -> Id {
 on_both_boards!(
     bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_after_it,
     a_command_that_nobody_acknowledges_does_not_leave_later,
+    a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop,
     an_overrun_is_counted_and_moves_nothing,
     a_full_bus_of_foreign_frames_disturbs_nothing,
 );
