@@ -9,7 +9,8 @@ use host_tests::masters::{PYTHON_VARIABLE, said};
 use host_tests::{example, extent};
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio, id};
@@ -53,6 +54,7 @@ impl Network {
                 &controller,
             ],
             vec!["-n", &gripper, "link", "set", "eth0", "up"],
+            vec!["-n", &gripper, "link", "set", "lo", "up"],
             vec!["-n", &controller, "link", "set", "eth0", "up"],
             vec!["-n", &controller, "link", "set", "lo", "up"],
             vec!["-n", &controller, "address", "add", "192.168.7.1/24", "dev", "eth0"],
@@ -83,7 +85,8 @@ impl Network {
         let start = move || {
             move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
             let line = ProfinetLine { interface: "eth0".to_owned(), stored, keep: None };
-            let lines = Lines { profinet: Some(line), ..Lines::default() };
+            let control = "127.0.0.1:0".parse().ok();
+            let lines = Lines { profinet: Some(line), control, ..Lines::default() };
             ServerThread::start(config, &lines, None).unwrap()
         };
         let server = thread::spawn(start).join().unwrap();
@@ -94,6 +97,27 @@ impl Network {
             }
         }
         server
+    }
+
+    /// Waits until `/state` of a gripper there shows these outputs.
+    fn await_outputs(&self, server: &ServerThread, expected: &str) {
+        let namespace = File::open(format!("/run/netns/{}", self.gripper())).unwrap();
+        let (address, expected) = (server.control_address().unwrap(), format!("\"output\":{expected}"));
+        let wait = move || {
+            move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
+            let end = Instant::now() + Duration::from_secs(60);
+            loop {
+                let mut stream = TcpStream::connect(address).unwrap();
+                stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+                let mut answer = String::new();
+                stream.read_to_string(&mut answer).unwrap();
+                if answer.contains(&expected) {
+                    return;
+                }
+                assert!(Instant::now() < end, "{answer}");
+            }
+        };
+        thread::spawn(wait).join().unwrap();
     }
 
     /// A gripper as its user starts it, with this configuration file; it says when it serves.
@@ -221,9 +245,11 @@ const SUSPICIOUS: &str = "_ws.malformed || _ws.expert.severity >= \"Warning\"";
 fn profinet_py_runs_a_grip_cycle_in_namespaces_and_tshark_finds_no_fault() {
     let network = Network::new();
     let capture = network.capture();
-    let _server = network.serve(config());
+    let server = network.serve(config());
     let output = network.python(CONTROLLER, &["cycle"]);
     assert!(output.status.success(), "{}", said(&output));
+    // Its last outputs had a width and a speed; it has left.
+    network.await_outputs(&server, "[0,0,0,0,0,0,0,0]");
     let warnings = capture.finish(SUSPICIOUS, &["frame.number", "frame.protocols", "_ws.expert.message"]);
     assert_eq!(warnings, Vec::<String>::new());
 }
