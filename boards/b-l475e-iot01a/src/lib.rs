@@ -10,69 +10,19 @@
 #![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg_attr(test, allow(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
-mod bit_timing;
 mod bus_clock;
 #[cfg(feature = "drivers")]
 pub mod drivers;
 pub mod transmit_status;
 
-pub use bit_timing::BitTiming;
 pub use bus_clock::BusClock;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
+pub use wsg_stm32::Port;
+use wsg_stm32::{InputWire, OutputWire, output_pins};
 
 /// The name of the board.
 pub const NAME: &str = "B-L475E-IOT01A";
-
-/// A GPIO port of the STM32L475VG.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Port {
-    /// GPIOA.
-    A,
-    /// GPIOB.
-    B,
-    /// GPIOC.
-    C,
-    /// GPIOD.
-    D,
-}
-
-impl Port {
-    /// The letter in the port's name.
-    #[must_use]
-    pub const fn letter(self) -> char {
-        match self {
-            Port::A => 'A',
-            Port::B => 'B',
-            Port::C => 'C',
-            Port::D => 'D',
-        }
-    }
-}
-
-/// A wire from the PLC and the pin it ends on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct InputWire {
-    /// The one bit of [`Inputs`] this wire is.
-    pub signal: Inputs,
-    /// The pin's port.
-    pub port: Port,
-    /// The pin's number in its port, 0 to 15.
-    pub pin: u8,
-    /// The pin's name on the Arduino connector.
-    pub connector: &'static str,
-}
-
-/// A wire to the PLC and the pin of [`OUTPUT_PORT`] it starts from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OutputWire {
-    /// The one bit of [`Outputs`] this wire is.
-    pub signal: Outputs,
-    /// The pin's number in its port, 0 to 15.
-    pub pin: u8,
-    /// The pin's name on the Arduino connector.
-    pub connector: &'static str,
-}
 
 /// The input wires, in the order of the bits of [`Inputs`].
 pub const INPUTS: [InputWire; Inputs::COUNT] = [
@@ -104,36 +54,11 @@ pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
 ];
 
 /// All pins of [`OUTPUTS`] as a mask of [`OUTPUT_PORT`].
-pub const OUTPUT_PINS: u16 = {
-    let mut mask = 0;
-    let mut wire = 0;
-    while wire < OUTPUTS.len() {
-        #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
-        {
-            mask |= 1 << OUTPUTS[wire].pin;
-        }
-        wire += 1;
-    }
-    mask
-};
-
-const _: () = assert!(OUTPUT_PINS.count_ones() as usize == Outputs::COUNT);
+pub const OUTPUT_PINS: u16 = output_pins(&OUTPUTS);
 
 /// The port and pin of the board's green LED2, lit when high: it shows the bridge's
 /// [`Indication`](wsg_bridge_fw::indicator::Indication).
 pub const INDICATOR: (Port, u8) = (Port::B, 14);
-
-/// The levels of [`OUTPUT_PORT`] that show `outputs`; unused pins are 0.
-#[must_use]
-pub fn port_from_outputs(outputs: Outputs) -> u16 {
-    OUTPUTS.iter().filter(|wire| outputs.contains(wire.signal)).fold(0, |levels, wire| levels | 1 << wire.pin)
-}
-
-/// What the levels of [`OUTPUT_PORT`] show.
-#[must_use]
-pub fn outputs_from_port(levels: u16) -> Outputs {
-    OUTPUTS.iter().filter(|wire| levels & (1 << wire.pin) != 0).map(|wire| wire.signal).collect()
-}
 
 #[cfg(test)]
 mod tests {
@@ -152,14 +77,6 @@ mod tests {
             assert_ne!((wire.port, wire.pin), INDICATOR);
             assert!(INPUTS.iter().skip(n + 1).all(|other| (wire.port, wire.pin) != (other.port, other.pin)));
             assert!(wire.port != OUTPUT_PORT || OUTPUT_PINS & (1 << wire.pin) == 0);
-        }
-    }
-
-    #[test]
-    fn every_set_of_outputs_survives_the_port() {
-        for bits in 0..=Outputs::all().bits() {
-            let outputs = Outputs::from_bits_retain(bits);
-            assert_eq!(outputs_from_port(port_from_outputs(outputs)), outputs);
         }
     }
 }

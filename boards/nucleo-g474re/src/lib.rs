@@ -12,64 +12,14 @@
 #![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg_attr(test, allow(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
-mod bit_timing;
 pub mod message_ram;
-mod uart_clock;
-
-pub use bit_timing::BitTiming;
-pub use uart_clock::UartClock;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
+pub use wsg_stm32::Port;
+use wsg_stm32::{InputWire, OutputWire};
 
 /// The name of the board.
 pub const NAME: &str = "NUCLEO-G474RE";
-
-/// A GPIO port of the STM32G474RE that wires are on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Port {
-    /// GPIOA.
-    A,
-    /// GPIOB.
-    B,
-    /// GPIOC.
-    C,
-}
-
-impl Port {
-    /// The letter in the port's name.
-    #[must_use]
-    pub const fn letter(self) -> char {
-        match self {
-            Port::A => 'A',
-            Port::B => 'B',
-            Port::C => 'C',
-        }
-    }
-}
-
-/// A wire from the PLC and the pin it ends on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct InputWire {
-    /// The one bit of [`Inputs`] this wire is.
-    pub signal: Inputs,
-    /// The pin's port.
-    pub port: Port,
-    /// The pin's number in its port, 0 to 15.
-    pub pin: u8,
-    /// The pin on ST's Morpho connectors: CN7 or CN10, and its number there.
-    pub connector: &'static str,
-}
-
-/// A wire to the PLC and the pin of [`OUTPUT_PORT`] it starts from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OutputWire {
-    /// The one bit of [`Outputs`] this wire is.
-    pub signal: Outputs,
-    /// The pin's number in its port, 0 to 15.
-    pub pin: u8,
-    /// The pin on ST's Morpho connectors: CN7 or CN10, and its number there.
-    pub connector: &'static str,
-}
 
 /// The input wires, in the order of the bits of [`Inputs`].
 pub const INPUTS: [InputWire; Inputs::COUNT] = [
@@ -97,31 +47,9 @@ pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
     OutputWire { signal: Outputs::LINK_OK, pin: 12, connector: "CN7-3" },
 ];
 
-/// All pins of [`OUTPUTS`] as a mask of [`OUTPUT_PORT`].
-pub const OUTPUT_PINS: u16 = {
-    let mut mask = 0;
-    let mut wire = 0;
-    while wire < OUTPUTS.len() {
-        #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
-        {
-            mask |= 1 << OUTPUTS[wire].pin;
-        }
-        wire += 1;
-    }
-    mask
-};
-
-const _: () = assert!(OUTPUT_PINS.count_ones() as usize == Outputs::COUNT);
-
 /// The port and pin of the board's green LD2, lit when high: it shows the bridge's
 /// [`Indication`](wsg_bridge_fw::indicator::Indication).
 pub const INDICATOR: (Port, u8) = (Port::A, 5);
-
-/// The levels of [`OUTPUT_PORT`] that show `outputs`; unused pins are 0.
-#[must_use]
-pub fn port_from_outputs(outputs: Outputs) -> u16 {
-    OUTPUTS.iter().filter(|wire| outputs.contains(wire.signal)).fold(0, |levels, wire| levels | 1 << wire.pin)
-}
 
 #[cfg(test)]
 mod tests {
@@ -203,14 +131,5 @@ mod tests {
             assert_eq!(*taken & 1 << pin, 0, "P{}{pin}", port.letter());
             *taken |= 1 << pin;
         }
-    }
-
-    #[test]
-    fn each_output_is_shown_at_its_pin_alone() {
-        for wire in OUTPUTS {
-            assert_eq!(port_from_outputs(wire.signal), 1 << wire.pin);
-        }
-        assert_eq!(port_from_outputs(Outputs::all()), OUTPUT_PINS);
-        assert_eq!(port_from_outputs(Outputs::empty()), 0);
     }
 }

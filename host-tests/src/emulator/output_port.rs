@@ -7,7 +7,7 @@
 
 use std::str::SplitWhitespace;
 
-use wsg_b_l475e_iot01a::{OUTPUT_PINS, OUTPUT_PORT, outputs_from_port};
+use wsg_b_l475e_iot01a::{OUTPUT_PINS, OUTPUT_PORT, OUTPUTS};
 use wsg_bridge_fw::io::Outputs;
 
 /// QEMU's trace event for a write to a GPIO port.
@@ -62,7 +62,7 @@ impl OutputPort {
 
     /// Levels of the wires to the PLC. One that is not driven is low: each has a pull-down.
     pub(super) fn outputs(&self) -> Outputs {
-        outputs_from_port(self.driven() & self.odr as u16)
+        wsg_stm32::outputs_from_port(&OUTPUTS, self.driven() & self.odr as u16)
     }
 
     /// Whether the firmware has shown anything on wires that it drives, which its main loop does first.

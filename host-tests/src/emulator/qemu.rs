@@ -29,7 +29,7 @@ const MODBUS_LINE: &str = "lpuart1";
 const SERVICE_LINE: &str = "usart1";
 
 /// Part of the name of the board file's millisecond counter.
-const CLOCK_SYMBOL: &str = "4tick4TICK";
+const CLOCK_SYMBOL: &str = "5board4TICK";
 
 /// Whose inputs are the interrupt lines.
 const CORE: &str = "/machine/soc/armv7m";

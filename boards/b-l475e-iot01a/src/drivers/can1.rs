@@ -5,13 +5,13 @@
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
 use embedded_can::{ErrorKind, ExtendedId, Frame, Id, StandardId};
-use stm32_metapac::can::Tx;
-use stm32_metapac::can::regs::Tir;
-use stm32_metapac::{CAN1, Interrupt, RCC, interrupt};
 use wsg_bridge_fw::can::{CanConfig, CanController, Health, Withdrawal};
+use wsg_stm32::pac::can::Tx;
+use wsg_stm32::pac::can::regs::Tir;
+use wsg_stm32::pac::{CAN1, Interrupt, RCC, interrupt};
+use wsg_stm32::{BitTiming, Segments};
 
 use super::clock::HCLK_HZ;
-use crate::BitTiming;
 use crate::transmit_status::{self, MAILBOXES, TME};
 
 /// Fields of an identifier's register, the same ones for sending, receiving and filters (46.7.4, 46.9.3).
@@ -26,6 +26,9 @@ const EXACT: u32 = 0x7FF << STANDARD_AT | IDE | RTR;
 
 /// Bytes of data in a frame. Its length field goes up to 15; above 8 it also means 8 (ISO 11898-1).
 const MAX_DATA_LEN: u8 = 8;
+
+/// Aborts the request of mailbox 0, in TSR; the bits of the others are 8 and 16 higher. `set_abrq` of a variable mailbox can panic.
+const ABRQ0: u32 = 1 << 7;
 
 /// How often the peripheral's answer to a change of its mode is looked at. It takes a few cycles of the bus clock.
 const MAX_LOOKS: u32 = 10_000;
@@ -117,12 +120,12 @@ pub fn has_received() -> bool {
 
 /// Timing, filters and interrupts, in initialisation mode; whether there is a timing for the rate.
 fn set_up(config: &CanConfig) -> bool {
-    let Some(timing) = BitTiming::for_rate(HCLK_HZ, config.kbit_rate) else { return false };
+    let Some(timing) = BitTiming::for_rate(Segments::BXCAN, HCLK_HZ, config.kbit_rate) else { return false };
     // Each field holds one less than it means.
     CAN1.btr().write(|w| {
         w.set_brp(timing.prescaler.saturating_sub(1));
         w.set_ts(0, timing.before_sample.saturating_sub(1));
-        w.set_ts(1, timing.behind_sample.saturating_sub(1));
+        w.set_ts(1, timing.after_sample.saturating_sub(1));
         w.set_sjw(timing.jump.saturating_sub(1));
     });
     let standard = |id: u16, mask: u16| {
@@ -245,7 +248,7 @@ impl CanController for Can1 {
                 else {
                     return Withdrawal::TooLate;
                 };
-                CAN1.tsr().write(|w| w.set_abrq(mailbox, true));
+                CAN1.tsr().write(|w| w.0 = ABRQ0 << (8 * mailbox));
                 *self.withdrawing.insert(mailbox)
             }
         };

@@ -1,13 +1,10 @@
 //! 80 MHz from the PLL (RM0351, chapter 6).
 
-use stm32_metapac::rcc::vals::{Pllsrc, Sw};
-use stm32_metapac::{FLASH, RCC};
+use wsg_stm32::pac::rcc::vals::{Pllsrc, Sw};
+use wsg_stm32::pac::{FLASH, RCC};
 
 /// Clock of the core and, undivided, of all buses.
 pub const HCLK_HZ: u32 = 80_000_000;
-
-/// Clock of the core from reset until [`start`] has switched.
-pub const RESET_HZ: u32 = 4_000_000;
 
 /// HSI16 rather than the MSI the MCU starts with: 1 % over temperature without a crystal, which a
 /// UART needs.

@@ -21,9 +21,11 @@ mod defmt_log {
     use wsg_bridge_fw::ResetCause;
     use wsg_bridge_fw::gripper::LostBytes;
 
-    use crate::{clock, tick, uart};
+    use wsg_stm32::gripper_line;
 
-    defmt::timestamp!("{=u32:ms}", tick::now_ms());
+    use crate::clock;
+
+    defmt::timestamp!("{=u32:ms}", crate::TICK.now_ms());
 
     /// Says why the MCU was reset.
     pub(crate) fn boot(cause: ResetCause) {
@@ -53,7 +55,7 @@ mod defmt_log {
     /// Says so when bytes from the gripper have been lost since the last call.
     pub(crate) fn line_errors() {
         static SAID: AtomicU32 = AtomicU32::new(0);
-        let LostBytes { overrun, framing, queue_full } = uart::BUFFERS.lost();
+        let LostBytes { overrun, framing, queue_full } = gripper_line::BUFFERS.lost();
         let all = overrun.wrapping_add(framing).wrapping_add(queue_full);
         if all != SAID.load(Ordering::Relaxed) {
             SAID.store(all, Ordering::Relaxed);

@@ -13,27 +13,21 @@
     clippy::panic
 )]
 
-mod bus;
 mod log;
-mod reset;
-mod serial_number;
-mod settings;
-mod tick;
-mod watchdog;
-
-use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use wsg_b_l475e_iot01a::NAME;
 use wsg_b_l475e_iot01a::drivers::can1::{self, Can1};
-use wsg_b_l475e_iot01a::drivers::flash;
-use wsg_b_l475e_iot01a::drivers::pins::{self, Pins};
-use wsg_b_l475e_iot01a::drivers::{clock, uart};
+use wsg_b_l475e_iot01a::drivers::{Iot01a, TICK, clock};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{InputPort, OutputPort};
 use wsg_bridge_fw::{Board, BusConfig, Lines, Station};
+use wsg_stm32::bus::Responder;
+use wsg_stm32::gpio::Pins;
+use wsg_stm32::pac::interrupt;
+use wsg_stm32::{bus, chip, delivered, flash, gripper_line, reset, unique_id, watchdog};
 
 #[entry]
 fn main() -> ! {
@@ -42,7 +36,7 @@ fn main() -> ! {
         Station::new(CanBus::new(Can1::new(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
 
     // Outputs first: they show "not ready" through everything that may go wrong below.
-    let mut pins = pins::init();
+    let mut pins = Pins::<Iot01a>::init();
     let Some(core) = cortex_m::Peripherals::take() else { SCB::sys_reset() };
     let reset_cause = reset::take_cause();
     log::boot(reset_cause);
@@ -50,24 +44,24 @@ fn main() -> ! {
     if clock::start().is_err() {
         log::no_clock();
         // No PLL, no baud rate to talk to the gripper with.
-        stay_not_ready(&mut pins, clock::RESET_HZ);
+        stay_not_ready(&mut pins, chip::RESET_HZ);
     }
     let mut flash = flash::settings_pages();
-    tick::start(core.SYST);
-    let board = Board { name: NAME, serial: serial_number::read() };
-    if STATION.boot(settings::delivered, &flash, board, reset_cause, &mut BoardLines).is_err() {
+    TICK.start(core.SYST);
+    let board = Board { name: NAME, serial: unique_id::serial_number() };
+    if STATION.boot(delivered::settings, &flash, board, reset_cause, &mut BoardLines).is_err() {
         log::wrong_settings();
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready(&mut pins, clock::HCLK_HZ);
     }
-    let mut gripper_line = uart::line();
-    let mut service_line = bus::service_line();
-    let mut modbus_line = bus::line();
+    let mut gripper_line = gripper_line::line::<Iot01a>();
+    let mut service_line = bus::service_line::<Iot01a>();
+    let mut modbus_line = bus::line::<Iot01a>();
     log::running();
 
     let mut served_ms = 0;
     loop {
-        let now_ms = tick::now_ms();
+        let now_ms = TICK.now_ms();
         let (bus, service) = (&mut modbus_line, &mut service_line);
         let outputs = STATION.turn(now_ms, pins.read(), &mut gripper_line, bus, service, &mut flash);
         pins.write(outputs);
@@ -76,7 +70,7 @@ fn main() -> ! {
             STATION.can().controller().rearm();
         }
         if STATION.uses_profibus() && core::mem::replace(&mut served_ms, now_ms) != now_ms {
-            bus::serve_profibus();
+            bus::serve_profibus::<Iot01a>();
         }
         if STATION.bridge().may_feed_watchdog(now_ms) {
             watchdog.feed();
@@ -84,7 +78,9 @@ fn main() -> ! {
         log::line_errors();
         let uses_can = STATION.uses_can();
         sleep_unless(|| {
-            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can1::has_received())
+            TICK.now_ms() != now_ms
+                || gripper_line::BUFFERS.has_received()
+                || (uses_can && can1::has_received())
         });
     }
 }
@@ -94,19 +90,19 @@ struct BoardLines;
 
 impl Lines<Can1> for BoardLines {
     fn start_gripper(&mut self) {
-        uart::start();
+        gripper_line::start::<Iot01a>();
     }
 
     fn start_service(&mut self) {
-        bus::start_service();
+        bus::start_service::<Iot01a>();
     }
 
     fn start_modbus(&mut self, config: &BusConfig) {
-        bus::start(config);
+        bus::start::<Iot01a>(config);
     }
 
     fn start_profibus(&mut self) {
-        bus::start_profibus();
+        bus::start_profibus::<Iot01a>();
     }
 
     fn start_can(&mut self, controller: &mut Can1, config: &CanConfig) {
@@ -115,7 +111,7 @@ impl Lines<Can1> for BoardLines {
 }
 
 /// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.
-fn stay_not_ready(pins: &mut Pins, core_hz: u32) -> ! {
+fn stay_not_ready(pins: &mut Pins<Iot01a>, core_hz: u32) -> ! {
     let mut now_ms = 0u32;
     loop {
         pins.indicate(Indication::NotStarted.is_lit(now_ms));
@@ -135,31 +131,23 @@ fn sleep_unless(there_is_work: impl FnOnce() -> bool) {
     });
 }
 
-/// A reset puts every output low and lets the bridge start from what it can know for sure.
-#[cfg(not(feature = "prove-panic-free"))]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    SCB::sys_reset()
-}
-
-#[cfg(feature = "prove-panic-free")]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    unsafe extern "C" {
-        safe fn a_panic_can_be_reached() -> !;
-    }
-    a_panic_can_be_reached()
-}
-
-// SAFETY: the handler uses nothing of the program that was interrupted.
-#[exception(trampoline = false)]
-unsafe fn HardFault() -> ! {
-    SCB::sys_reset()
-}
-
-/// An interrupt that nobody enabled is as much a fault as a bus error.
-// SAFETY: the handler uses nothing of the program that was interrupted.
 #[exception]
-unsafe fn DefaultHandler(_interrupt: i16) -> ! {
-    SCB::sys_reset()
+fn SysTick() {
+    TICK.count();
+}
+
+#[interrupt]
+fn LPUART1() {
+    static mut RESPONDER: Responder = Responder::new();
+    bus::on_bus_interrupt::<Iot01a>(RESPONDER);
+}
+
+#[interrupt]
+fn USART1() {
+    bus::on_service_interrupt::<Iot01a>();
+}
+
+#[interrupt]
+fn TIM6_DAC() {
+    bus::on_timer_interrupt::<Iot01a>();
 }

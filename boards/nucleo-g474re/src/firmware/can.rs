@@ -6,13 +6,13 @@
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
 use embedded_can::{ErrorKind, Id};
-use stm32_metapac::can::regs::{Txbar, Txbcr, Txbtie};
-use stm32_metapac::can::vals::{Anfe, Anfs, Tfqm};
-use stm32_metapac::rcc::vals::Fdcansel;
-use stm32_metapac::{FDCAN1, FDCANRAM1, Interrupt, RCC, interrupt};
 use wsg_bridge_fw::can::{CanConfig, CanController, Health, Withdrawal};
-use wsg_nucleo_g474re::BitTiming;
 use wsg_nucleo_g474re::message_ram::{ELEMENT_STRIDE, ELEMENTS, Fifo, element, filter, frame, id_word};
+use wsg_stm32::pac::can::regs::{Txbar, Txbcr, Txbtie};
+use wsg_stm32::pac::can::vals::{Anfe, Anfs, Tfqm};
+use wsg_stm32::pac::rcc::vals::Fdcansel;
+use wsg_stm32::pac::{FDCAN1, FDCANRAM1, Interrupt, RCC, interrupt};
+use wsg_stm32::{BitTiming, Segments};
 
 use crate::clock::HSE_HZ;
 
@@ -93,14 +93,14 @@ pub(crate) fn has_received() -> bool {
 
 /// Timing, filters and interrupts, in initialisation mode; whether there is a timing for the rate.
 fn set_up(config: &CanConfig) -> bool {
-    let Some(timing) = BitTiming::for_rate(HSE_HZ, config.kbit_rate) else { return false };
+    let Some(timing) = BitTiming::for_rate(Segments::FDCAN, HSE_HZ, config.kbit_rate) else { return false };
     // Unlocks the registers, and empties FIFOs and transmit buffers.
     FDCAN1.cccr().modify(|w| w.set_cce(true));
     // Each field holds one less than it means.
     FDCAN1.nbtp().write(|w| {
         w.set_nbrp(timing.prescaler.saturating_sub(1));
         w.set_ntseg1(timing.before_sample.saturating_sub(1));
-        w.set_ntseg2(timing.behind_sample.saturating_sub(1));
+        w.set_ntseg2(timing.after_sample.saturating_sub(1));
         w.set_nsjw(timing.jump.saturating_sub(1));
     });
     let gripper = config.gripper.controller().receive.as_raw();

@@ -1,14 +1,11 @@
 //! 144 MHz from the PLL and the board's crystal X3 (RM0440, RCC).
 
-use stm32_metapac::flash::vals::Latency;
-use stm32_metapac::rcc::vals::{Hpre, Pllm, Plln, Pllr, Pllsrc, Sw};
-use stm32_metapac::{FLASH, RCC};
+use wsg_stm32::pac::flash::vals::Latency;
+use wsg_stm32::pac::rcc::vals::{Hpre, Pllm, Plln, Pllr, Pllsrc, Sw};
+use wsg_stm32::pac::{FLASH, RCC};
 
 /// Clock of the core and, undivided, of all buses: all rates of Modbus and most of PROFIBUS divide it, and it needs no boost.
 pub(crate) const HCLK_HZ: u32 = 144_000_000;
-
-/// Clock of the core from reset until [`start`] has switched: HSI16.
-pub(crate) const RESET_HZ: u32 = 16_000_000;
 
 /// The crystal. CAN runs from it.
 pub(crate) const HSE_HZ: u32 = 24_000_000;

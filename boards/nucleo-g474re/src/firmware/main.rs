@@ -13,30 +13,22 @@
     clippy::panic
 )]
 
-mod bus;
+mod board;
 mod can;
 mod clock;
-mod flash;
-mod pins;
-mod reset;
-mod settings;
-mod tick;
-mod uart;
-mod watchdog;
-
-use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
-use cortex_m_rt::{entry, exception};
-use stm32_metapac::UID;
+use cortex_m_rt::entry;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{InputPort, OutputPort};
 use wsg_bridge_fw::{Board, BusConfig, Lines, Station};
 use wsg_nucleo_g474re::NAME;
+use wsg_stm32::gpio::Pins;
+use wsg_stm32::{bus, chip, delivered, flash, gripper_line, reset, unique_id, watchdog};
 
+use crate::board::{Nucleo, TICK};
 use crate::can::Can;
-use crate::pins::Pins;
 
 #[entry]
 fn main() -> ! {
@@ -45,41 +37,43 @@ fn main() -> ! {
         Station::new(CanBus::new(Can::new(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
 
     // Outputs first: they show "not ready" through everything that may go wrong below.
-    let mut pins = pins::init();
+    let mut pins = Pins::<Nucleo>::init();
     let Some(core) = cortex_m::Peripherals::take() else { SCB::sys_reset() };
     let reset_cause = reset::take_cause();
     let watchdog = watchdog::start();
     if clock::start().is_err() {
         // No crystal, no baud rate to talk to the gripper with.
-        stay_not_ready(&mut pins, clock::RESET_HZ);
+        stay_not_ready(&mut pins, chip::RESET_HZ);
     }
     let mut flash = flash::settings_pages();
-    tick::start(core.SYST);
-    let board = Board { name: NAME, serial: serial_number() };
-    if STATION.boot(settings::delivered, &flash, board, reset_cause, &mut BoardLines).is_err() {
+    TICK.start(core.SYST);
+    let board = Board { name: NAME, serial: unique_id::serial_number() };
+    if STATION.boot(delivered::settings, &flash, board, reset_cause, &mut BoardLines).is_err() {
         // With other recipes than were asked for, no gripper should be moved.
         stay_not_ready(&mut pins, clock::HCLK_HZ);
     }
-    let mut gripper_line = uart::line();
-    let mut service_line = bus::service_line();
-    let mut modbus_line = bus::line();
+    let mut gripper_line = gripper_line::line::<Nucleo>();
+    let mut service_line = bus::service_line::<Nucleo>();
+    let mut modbus_line = bus::line::<Nucleo>();
 
     let mut served_ms = 0;
     loop {
-        let now_ms = tick::now_ms();
+        let now_ms = TICK.now_ms();
         let (bus, service) = (&mut modbus_line, &mut service_line);
         let outputs = STATION.turn(now_ms, pins.read(), &mut gripper_line, bus, service, &mut flash);
         pins.write(outputs);
         pins.indicate(STATION.bridge().indication().is_lit(now_ms));
         if STATION.uses_profibus() && core::mem::replace(&mut served_ms, now_ms) != now_ms {
-            bus::serve_profibus();
+            bus::serve_profibus::<Nucleo>();
         }
         if STATION.bridge().may_feed_watchdog(now_ms) {
             watchdog.feed();
         }
         let uses_can = STATION.uses_can();
         sleep_unless(|| {
-            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || (uses_can && can::has_received())
+            TICK.now_ms() != now_ms
+                || gripper_line::BUFFERS.has_received()
+                || (uses_can && can::has_received())
         });
     }
 }
@@ -89,19 +83,19 @@ struct BoardLines;
 
 impl Lines<Can> for BoardLines {
     fn start_gripper(&mut self) {
-        uart::start();
+        gripper_line::start::<Nucleo>();
     }
 
     fn start_service(&mut self) {
-        bus::start_service();
+        bus::start_service::<Nucleo>();
     }
 
     fn start_modbus(&mut self, config: &BusConfig) {
-        bus::start(config);
+        bus::start::<Nucleo>(config);
     }
 
     fn start_profibus(&mut self) {
-        bus::start_profibus();
+        bus::start_profibus::<Nucleo>();
     }
 
     fn start_can(&mut self, controller: &mut Can, config: &CanConfig) {
@@ -109,15 +103,8 @@ impl Lines<Can> for BoardLines {
     }
 }
 
-/// What of the MCU's unique identification fits into 32 bits (RM0440, "Unique device ID register"): the place on the wafer, the
-/// wafer with a part of the lot, and the rest of the lot.
-fn serial_number() -> u32 {
-    let words = [UID.uid(0).read(), UID.uid(1).read(), UID.uid(2).read()];
-    words.into_iter().fold(0, |number: u32, word| number.rotate_left(11) ^ word)
-}
-
 /// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.
-fn stay_not_ready(pins: &mut Pins, core_hz: u32) -> ! {
+fn stay_not_ready(pins: &mut Pins<Nucleo>, core_hz: u32) -> ! {
     let mut now_ms = 0u32;
     loop {
         pins.indicate(Indication::NotStarted.is_lit(now_ms));
@@ -135,33 +122,4 @@ fn sleep_unless(there_is_work: impl FnOnce() -> bool) {
             cortex_m::asm::wfi();
         }
     });
-}
-
-/// A reset puts every output low and lets the bridge start from what it can know for sure.
-#[cfg(not(feature = "prove-panic-free"))]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    SCB::sys_reset()
-}
-
-#[cfg(feature = "prove-panic-free")]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    unsafe extern "C" {
-        safe fn a_panic_can_be_reached() -> !;
-    }
-    a_panic_can_be_reached()
-}
-
-// SAFETY: the handler uses nothing of the program that was interrupted.
-#[exception(trampoline = false)]
-unsafe fn HardFault() -> ! {
-    SCB::sys_reset()
-}
-
-/// An interrupt that nobody enabled is as much a fault as a bus error.
-// SAFETY: the handler uses nothing of the program that was interrupted.
-#[exception]
-unsafe fn DefaultHandler(_interrupt: i16) -> ! {
-    SCB::sys_reset()
 }

@@ -7,20 +7,21 @@ use cortex_m_semihosting::hprintln;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use heapless::{Deque, Vec};
 // What is counted is what runs on the board.
-use wsg_b_l475e_iot01a::drivers::pins::{self, Pins};
-use wsg_b_l475e_iot01a::drivers::uart::{self, GripperLine};
+use wsg_b_l475e_iot01a::drivers::Iot01a;
 use wsg_bridge_fw::gripper::WouldBlock;
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_protocol::CommandId;
 use wsg_protocol::frame::PREAMBLE_LEN;
 use wsg_sim::{MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
+use wsg_stm32::gpio::Pins;
+use wsg_stm32::gripper_line::{self, GripperLine};
 
 use crate::counting::{self, Counter, Moment};
 
 /// The board's line, which the virtual gripper listens in on and answers to.
 struct Line {
-    board: GripperLine,
+    board: GripperLine<Iot01a>,
     sent: Vec<u8, 64>,
     answers: Deque<u8, 512>,
     first_byte: Cell<Option<Moment>>,
@@ -98,10 +99,14 @@ const LAST_BYTE: &str = "edge-to-last-byte/grip";
 // Apart from the others, whose registers would be its own.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
-    let mut pins = pins::init();
-    uart::start();
-    let mut line =
-        Line { board: uart::line(), sent: Vec::new(), answers: Deque::new(), first_byte: Cell::new(None) };
+    let mut pins = Pins::<Iot01a>::init();
+    gripper_line::start::<Iot01a>();
+    let mut line = Line {
+        board: gripper_line::line(),
+        sent: Vec::new(),
+        answers: Deque::new(),
+        first_byte: Cell::new(None),
+    };
     for (name, wire, script, command) in EDGES {
         let (instructions, bytes) = count_one(counter, &mut pins, &mut line, wire, script, command);
         hprintln!("{} {} {}", name, instructions, if name == LAST_BYTE { bytes } else { 1 });
@@ -111,7 +116,7 @@ pub(crate) fn count(counter: &Counter) {
 /// Instructions to the first byte, and the bytes that leave in that turn: the frame of this command is the first of them.
 fn count_one(
     counter: &Counter,
-    pins: &mut Pins,
+    pins: &mut Pins<Iot01a>,
     line: &mut Line,
     wire: Inputs,
     script: &Script,

@@ -1,8 +1,10 @@
-//! The independent watchdog: resets the MCU unless the main loop comes round (RM0440, IWDG).
+//! The independent watchdog: resets the MCU unless the main loop comes round (RM0351, chapter 36; RM0440, IWDG).
 
 use stm32_metapac::IWDG;
 use stm32_metapac::iwdg::regs::Kr;
 use stm32_metapac::iwdg::vals::Pr;
+
+use crate::chip::RESET_HZ;
 
 /// Time without a turn of the main loop after which the MCU resets, with the watchdog's own 32 kHz
 /// clock at its nominal rate; 94 to 109 ms over its tolerance.
@@ -15,21 +17,21 @@ const KEY_RELOAD: Kr = Kr(0xAAAA);
 const KEY_UNLOCK: Kr = Kr(0x5555);
 const KEY_START: Kr = Kr(0xCCCC);
 
-/// Looks at the status register before the wait for new values is given up: at least 10 ms at the
-/// 16 MHz of reset, where the watchdog takes some of its 32 kHz cycles.
-const MAX_LOOKS: u32 = 40_000;
+/// Reads of the status register before the wait for new values is given up: at least 10 ms at the clock of reset, because a read takes
+/// 4 cycles or more. The watchdog takes some of its 32 kHz cycles.
+const MAX_READS: u32 = RESET_HZ / 400;
 
 /// The running watchdog.
-pub(crate) struct Watchdog(());
+pub struct Watchdog(());
 
 /// Starts the watchdog; nothing stops it again but a reset.
-pub(crate) fn start() -> Watchdog {
+pub fn start() -> Watchdog {
     IWDG.kr().write_value(KEY_START);
     IWDG.kr().write_value(KEY_UNLOCK);
     IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY4));
     IWDG.rlr().write(|w| w.0 = RELOAD);
     // Should the values never be taken over, the watchdog runs with those of its reset: 512 ms.
-    let _ = (0..MAX_LOOKS).any(|_| IWDG.sr().read().0 == 0);
+    let _ = (0..MAX_READS).any(|_| IWDG.sr().read().0 == 0);
     let watchdog = Watchdog(());
     watchdog.feed();
     watchdog
@@ -37,7 +39,7 @@ pub(crate) fn start() -> Watchdog {
 
 impl Watchdog {
     /// Starts the time anew. For the main loop alone: fed from an interrupt it would watch nothing.
-    pub(crate) fn feed(&self) {
+    pub fn feed(&self) {
         IWDG.kr().write_value(KEY_RELOAD);
     }
 }

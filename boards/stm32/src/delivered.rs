@@ -1,5 +1,5 @@
-//! The settings that the image was delivered with. They lie in flash, where `cargo xtask build --set` and `flash --set`
-//! change them in the image.
+//! The settings that the image was delivered with. They are in flash, where `cargo xtask build --set` and `flash --set` change them
+//! in the image.
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::Record;
@@ -10,7 +10,7 @@ use wsg_bridge_fw::registers::Record;
 static WSG_SETTINGS: Record = Config::DEFAULT.record();
 
 /// Reads them.
-pub(crate) fn delivered() -> Record {
+pub fn settings() -> Record {
     let mut record = [0; _];
     // One by one: read as a whole they would be on the stack twice.
     for (value, delivered) in record.iter_mut().zip(&WSG_SETTINGS) {

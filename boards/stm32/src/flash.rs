@@ -1,8 +1,7 @@
-//! The settings' two pages: the last ones of flash bank 2 (RM0440, FLASH of category 3 devices).
+//! The settings' two pages: the last ones of flash bank 2 (RM0351, chapter 3; RM0440, FLASH of category 3 devices).
 //!
-//! The program runs from bank 1, so it goes on while they are programmed or erased. That there are two banks is what an STM32G474RE
-//! is delivered with (option DBANK). As one bank it has other pages, and the program would stand still while one is erased: then,
-//! and where the banks have changed places (option BFB2), settings are read, and none are written.
+//! The program runs from bank 1, so it goes on while they are programmed or erased. Tested on the default board in the emulator with a
+//! model of the interface, not on hardware yet. The emulator alone reads 0 and swallows stores, which the store notices.
 
 use core::ptr::with_exposed_provenance;
 use core::sync::atomic::{AtomicU8, Ordering};
@@ -14,17 +13,19 @@ use stm32_metapac::FLASH;
 use stm32_metapac::flash::regs::Sr;
 use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
 
-/// Where the first page begins: the end of the 512 KiB, less two pages. board-memory.x keeps the linker off.
-const FIRST_PAGE: usize = 0x0807_F000;
+use crate::chip::{self, FLASH_BANK_BYTES, FLASH_END};
+
 const PAGE_BYTES: usize = 2048;
 const DOUBLE_WORD_BYTES: usize = 8;
-const _: () = assert!(FIRST_PAGE + 2 * PAGE_BYTES == 0x0808_0000);
 
-/// The number of the first page in its bank of 256 KiB.
-const FIRST_PAGE_NUMBER: u8 = 126;
-const _: () = assert!(0x0804_0000 + FIRST_PAGE_NUMBER as usize * PAGE_BYTES == FIRST_PAGE);
+/// Where the first page begins: the end of flash, less two pages. The board's board-memory.x keeps the linker off.
+const FIRST_PAGE: usize = FLASH_END - 2 * PAGE_BYTES;
 
-/// What unlocks FLASH_CR.
+/// The number of the first page in its bank.
+const FIRST_PAGE_NUMBER: u8 = (FLASH_BANK_BYTES / PAGE_BYTES - 2) as u8;
+const _: () = assert!(FLASH_BANK_BYTES / PAGE_BYTES <= 256);
+
+/// What unlocks FLASH_CR (RM0351, 3.3.5).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
 /// What NMI has to know of [`NorFlash::read`].
@@ -34,10 +35,11 @@ const READING: u8 = 1;
 const UNREADABLE: u8 = 2;
 
 /// The two pages.
-pub(crate) struct SettingsPages(());
+pub struct SettingsPages(());
 
-/// The two pages. To be asked for once.
-pub(crate) const fn settings_pages() -> SettingsPages {
+/// Returns the two pages. To be called once.
+#[must_use]
+pub const fn settings_pages() -> SettingsPages {
     SettingsPages(())
 }
 
@@ -51,10 +53,9 @@ fn address(page: Page, index: usize) -> Option<usize> {
 }
 
 impl SettingsPages {
-    /// Makes FLASH_CR writable, and clears the flags of what was before: some keep an operation from starting.
+    /// Makes FLASH_CR writable, and clears the flags of what was before: some keep an operation from starting (RM0351, 3.3.7).
     fn prepare(&mut self) -> Result<(), FlashError> {
-        let options = FLASH.optr().read();
-        if !options.dbank() || options.bfb2() {
+        if !chip::has_two_banks() {
             return Err(FlashError::Protected);
         }
         if FLASH.sr().read().bsy() {
@@ -82,7 +83,7 @@ impl NorFlash for SettingsPages {
 
     fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
         let low = with_exposed_provenance::<u32>(address(page, index).ok_or(Unreadable)?);
-        // While a flag is set, the next wrong double word is not noticed (FLASH_ECCR).
+        // While a flag is set, the next wrong double word is not noticed (RM0351, 3.7.7).
         clear_ecc_flags();
         READ.store(READING, Ordering::SeqCst);
         // SAFETY: both words are in flash, aligned, and nothing but this driver writes them, by registers.
@@ -104,7 +105,7 @@ impl NorFlash for SettingsPages {
             w.set_per(false);
             w.set_pg(true);
         });
-        // SAFETY: with PG set, two stores to one double word of the settings' pages program it. No reference
+        // SAFETY: with PG set, two stores to one double word of the settings' pages program it (RM0351, 3.3.7). No reference
         // to it exists, and it is read by `read_volatile` alone.
         unsafe {
             low.write_volatile(value as u32);
@@ -128,7 +129,7 @@ impl NorFlash for SettingsPages {
                 Page::Second => FIRST_PAGE_NUMBER + 1,
             });
         });
-        FLASH.cr().modify(|w| w.set_strt(true));
+        FLASH.cr().modify(chip::start_erase);
         dsb();
         Ok(())
     }
@@ -138,7 +139,7 @@ impl NorFlash for SettingsPages {
         if status.bsy() {
             return Err(nb::Error::WouldBlock);
         }
-        // EOP is set with its interrupt enabled only (FLASH_SR): that the operation did its work, a read tells.
+        // EOP is set with its interrupt enabled only (RM0351, 3.7.5): that the operation did its work, a read tells.
         let result = if status.wrperr() {
             Err(FlashError::Protected)
         } else if status.progerr() {
@@ -153,7 +154,7 @@ impl NorFlash for SettingsPages {
             w.set_per(false);
         });
         FLASH.cr().modify(|w| w.set_lock(true));
-        // It may hold what was there before. It is reset while it is off (FLASH_ACR).
+        // It may hold what was there before. It is reset while it is off (RM0351, 3.7.1).
         FLASH.acr().modify(|w| w.set_dcrst(true));
         FLASH.acr().modify(|w| w.set_dcrst(false));
         FLASH.acr().modify(|w| w.set_dcen(true));
@@ -161,7 +162,7 @@ impl NorFlash for SettingsPages {
     }
 }
 
-/// The flags of every way in which an operation fails (FLASH_SR).
+/// The flags of every way in which an operation fails (RM0351, 3.7.5).
 fn errors() -> Sr {
     let mut errors = Sr(0);
     errors.set_operr(true);

@@ -1,0 +1,96 @@
+//! The board for the shared drivers: UART4 to the gripper, LPUART1 for the PLC's bus, and USART1, the service port, which the
+//! board's ST-Link hands on over USB.
+
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_stm32::board::Stm32Board;
+use wsg_stm32::gpio::{LinePin, Pull};
+use wsg_stm32::pac::rcc::vals::Lpuart1sel;
+use wsg_stm32::pac::{PWR, RCC, interrupt};
+use wsg_stm32::tick::SysTick;
+use wsg_stm32::uart::{Lpuart1, Uart4, Usart1};
+use wsg_stm32::{Divider, InputWire, OutputWire, Port, gripper_line};
+
+use super::clock::HCLK_HZ;
+use crate::{BusClock, INDICATOR, INPUTS, OUTPUT_PORT, OUTPUTS};
+
+/// The functions of pins (data sheet of the STM32L475, alternate functions).
+const AF_USART1: u8 = 7;
+const AF_UART4: u8 = 8;
+const AF_LPUART1: u8 = 8;
+const AF_CAN1: u8 = 9;
+
+/// The time.
+pub static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
+
+/// The board B-L475E-IOT01A.
+pub enum Iot01a {}
+
+impl Stm32Board for Iot01a {
+    const INPUTS: [InputWire; Inputs::COUNT] = INPUTS;
+    const OUTPUT_PORT: Port = OUTPUT_PORT;
+    const OUTPUTS: [OutputWire; Outputs::COUNT] = OUTPUTS;
+    const INDICATOR: (Port, u8) = INDICATOR;
+    const LINES: &'static [LinePin] = &[
+        // UART4: transmitter, receiver.
+        LinePin { port: Port::A, pin: 0, function: AF_UART4, pull: Pull::None },
+        LinePin { port: Port::A, pin: 1, function: AF_UART4, pull: Pull::Up },
+        // LPUART1: transmitter, receiver, driver enable, which is off also while nobody drives it.
+        LinePin { port: Port::C, pin: 1, function: AF_LPUART1, pull: Pull::Up },
+        LinePin { port: Port::C, pin: 0, function: AF_LPUART1, pull: Pull::Up },
+        LinePin { port: Port::B, pin: 1, function: AF_LPUART1, pull: Pull::Down },
+        // USART1: transmitter, receiver.
+        LinePin { port: Port::B, pin: 6, function: AF_USART1, pull: Pull::Up },
+        LinePin { port: Port::B, pin: 7, function: AF_USART1, pull: Pull::Up },
+        // CAN1: receiver, transmitter.
+        LinePin { port: Port::B, pin: 8, function: AF_CAN1, pull: Pull::Up },
+        LinePin { port: Port::B, pin: 9, function: AF_CAN1, pull: Pull::Up },
+    ];
+
+    const HCLK_HZ: u32 = HCLK_HZ;
+
+    type GripperUart = Uart4;
+    type BusUart = Lpuart1;
+    type ServiceUart = Usart1;
+
+    /// Clocks of LPUART1: a microsecond of HSI16, a third of a bit at 1.5 Mbit/s.
+    const DRIVER_TIME: u8 = 16;
+
+    fn select_bus_clock(baud: u32) -> Option<Divider> {
+        let (clock, brr) = BusClock::for_rate(baud)?;
+        let select = match clock {
+            BusClock::Lse => {
+                start_lse();
+                Lpuart1sel::LSE
+            }
+            // It runs for the PLL anyway.
+            BusClock::Hsi16 => Lpuart1sel::HSI,
+            BusClock::Pclk1 => Lpuart1sel::PCLK1,
+        };
+        RCC.ccipr().modify(|w| w.set_lpuart1sel(select));
+        Some(Divider { is_halved: false, brr })
+    }
+
+    fn now_ms() -> u32 {
+        TICK.now_ms()
+    }
+
+    fn now_us() -> u32 {
+        TICK.now_us()
+    }
+}
+
+/// Switches the crystal of 32.768 kHz on. It takes up to 2 s to swing; until then the bus is deaf, and nobody waits.
+fn start_lse() {
+    RCC.apb1enr1().modify(|w| w.set_pwren(true));
+    let _ = RCC.apb1enr1().read();
+    // The register is in the backup domain, which is write-protected after a reset.
+    PWR.cr1().modify(|w| w.set_dbp(true));
+    // The protection is lifted within some cycles; an emulator without PWR never says so.
+    let _ = (0..16).any(|_| PWR.cr1().read().dbp());
+    RCC.bdcr().modify(|w| w.set_lseon(true));
+}
+
+#[interrupt]
+fn UART4() {
+    gripper_line::on_interrupt::<Iot01a>();
+}

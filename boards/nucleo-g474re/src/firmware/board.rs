@@ -1,0 +1,94 @@
+//! The board for the shared drivers: USART1 to the gripper, USART3 for the PLC's bus, and USART2, the service port, which the board's
+//! ST-LINK hands on over USB.
+
+use cortex_m_rt::exception;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_nucleo_g474re::{INDICATOR, INPUTS, OUTPUT_PORT, OUTPUTS};
+use wsg_stm32::board::Stm32Board;
+use wsg_stm32::bus::{self, Responder};
+use wsg_stm32::gpio::{LinePin, Pull};
+use wsg_stm32::pac::interrupt;
+use wsg_stm32::tick::SysTick;
+use wsg_stm32::uart::{Usart1, Usart2, Usart3};
+use wsg_stm32::{Divider, InputWire, OutputWire, Port, gripper_line};
+
+use crate::clock::HCLK_HZ;
+
+/// The function of the USARTs on their pins, and that of FDCAN1 (data sheet DS12288, alternate functions).
+const AF_USART: u8 = 7;
+const AF_FDCAN1: u8 = 9;
+
+/// The time.
+pub(crate) static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
+
+/// The board NUCLEO-G474RE.
+pub(crate) enum Nucleo {}
+
+impl Stm32Board for Nucleo {
+    const INPUTS: [InputWire; Inputs::COUNT] = INPUTS;
+    const OUTPUT_PORT: Port = OUTPUT_PORT;
+    const OUTPUTS: [OutputWire; Outputs::COUNT] = OUTPUTS;
+    const INDICATOR: (Port, u8) = INDICATOR;
+    const LINES: &'static [LinePin] = &[
+        // USART1: transmitter, receiver.
+        LinePin { port: Port::C, pin: 4, function: AF_USART, pull: Pull::None },
+        LinePin { port: Port::C, pin: 5, function: AF_USART, pull: Pull::Up },
+        // USART3: transmitter, receiver, driver enable, which is off also while nobody drives it.
+        LinePin { port: Port::B, pin: 10, function: AF_USART, pull: Pull::Up },
+        LinePin { port: Port::B, pin: 11, function: AF_USART, pull: Pull::Up },
+        LinePin { port: Port::B, pin: 14, function: AF_USART, pull: Pull::Down },
+        // USART2: transmitter, receiver.
+        LinePin { port: Port::A, pin: 2, function: AF_USART, pull: Pull::Up },
+        LinePin { port: Port::A, pin: 3, function: AF_USART, pull: Pull::Up },
+        // FDCAN1: receiver, transmitter.
+        LinePin { port: Port::A, pin: 11, function: AF_FDCAN1, pull: Pull::Up },
+        LinePin { port: Port::A, pin: 12, function: AF_FDCAN1, pull: Pull::Up },
+    ];
+
+    const HCLK_HZ: u32 = HCLK_HZ;
+
+    type GripperUart = Usart1;
+    type BusUart = Usart3;
+    type ServiceUart = Usart2;
+
+    /// Half a bit, in sixteenths.
+    const DRIVER_TIME: u8 = 8;
+
+    fn select_bus_clock(baud: u32) -> Option<Divider> {
+        Divider::for_rate(HCLK_HZ, baud)
+    }
+
+    fn now_ms() -> u32 {
+        TICK.now_ms()
+    }
+
+    fn now_us() -> u32 {
+        TICK.now_us()
+    }
+}
+
+#[exception]
+fn SysTick() {
+    TICK.count();
+}
+
+#[interrupt]
+fn USART1() {
+    gripper_line::on_interrupt::<Nucleo>();
+}
+
+#[interrupt]
+fn USART2() {
+    bus::on_service_interrupt::<Nucleo>();
+}
+
+#[interrupt]
+fn USART3() {
+    static mut RESPONDER: Responder = Responder::new();
+    bus::on_bus_interrupt::<Nucleo>(RESPONDER);
+}
+
+#[interrupt]
+fn TIM6_DAC() {
+    bus::on_timer_interrupt::<Nucleo>();
+}

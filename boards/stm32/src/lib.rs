@@ -1,0 +1,60 @@
+//! Drivers that STM32 boards of the bridge share: pins, the lines' UARTs, flash, watchdog, timers.
+//!
+//! A board implements [`Stm32Board`](board::Stm32Board), which holds its pins, clocks and UARTs. Its crate also holds the interrupt
+//! vectors, the memory layout and the CAN controller. The feature of the chip selects the registers, and [`chip`] holds the
+//! differences between the chips. On the host only the tables and the arithmetic are compiled.
+
+#![no_std]
+#![deny(unsafe_code)]
+#![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![deny(clippy::undocumented_unsafe_blocks)]
+#![cfg_attr(test, allow(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod bit_timing;
+mod divider;
+mod wires;
+
+pub use bit_timing::{BitTiming, Segments};
+pub use divider::Divider;
+pub use wires::{InputWire, OutputWire, Port, output_pins, outputs_from_port, port_from_outputs};
+
+#[cfg(target_os = "none")]
+pub mod board;
+#[cfg(target_os = "none")]
+#[expect(unsafe_code, reason = "the PROFIBUS slave is initialised by its interrupt handler")]
+pub mod bus;
+#[cfg(target_os = "none")]
+pub mod chip;
+#[cfg(target_os = "none")]
+#[expect(
+    unsafe_code,
+    reason = "the linker finds the settings by their symbol, and reads of them are volatile"
+)]
+pub mod delivered;
+#[cfg(all(target_os = "none", feature = "faults"))]
+#[expect(unsafe_code, reason = "fault handlers are unsafe to define")]
+mod faults;
+#[cfg(target_os = "none")]
+#[expect(unsafe_code, reason = "flash is read and programmed by address; NMI is an exception of its own")]
+pub mod flash;
+#[cfg(target_os = "none")]
+pub mod gpio;
+#[cfg(target_os = "none")]
+pub mod gripper_line;
+#[cfg(target_os = "none")]
+pub mod reset;
+#[cfg(target_os = "none")]
+pub mod tick;
+#[cfg(target_os = "none")]
+#[expect(
+    unsafe_code,
+    reason = "interrupts are unmasked, which only the author of their handlers can call safe"
+)]
+pub mod uart;
+#[cfg(target_os = "none")]
+pub mod unique_id;
+#[cfg(target_os = "none")]
+pub mod watchdog;
+
+#[cfg(target_os = "none")]
+pub use stm32_metapac as pac;
