@@ -11,7 +11,8 @@ use std::convert::Infallible;
 use std::rc::Rc;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
-use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, OnBlock, blocking::Gripper};
+use wsg_protocol::driver::blocking::{Gripper, Transport};
+use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, OnBlock};
 use wsg_protocol::{HomingDirection, Instant};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
@@ -68,16 +69,25 @@ impl ErrorType for Bench {
 }
 
 impl ReadReady for Bench {
-    /// When nothing is there, a millisecond passes.
     fn read_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(!self.0.borrow().received.is_empty())
+    }
+}
+
+impl Transport for Bench {
+    /// Time passes until something is there.
+    fn wait(&mut self, at_most_ms: u32) -> Result<(), Infallible> {
         let mut world = self.0.borrow_mut();
-        if world.received.is_empty() {
+        for _ in 0..at_most_ms {
+            if !world.received.is_empty() {
+                break;
+            }
             world.now = world.now.plus_millis(1);
             let now = world.now;
             world.gripper.advance(now);
             world.collect();
         }
-        Ok(!world.received.is_empty())
+        Ok(())
     }
 }
 

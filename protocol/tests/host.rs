@@ -186,9 +186,10 @@ fn udp_takes_nothing_from_another_host_and_nothing_of_empty_datagrams() {
             host_send(&gripper, datagram, here);
         }
         let begin = Instant::now();
-        let mut ready = line.read_ready().unwrap();
+        let mut ready = false;
         while is_heard && !ready {
             assert!(begin.elapsed() < PATIENCE);
+            line.wait(100).unwrap();
             ready = line.read_ready().unwrap();
         }
         // What came is in the socket's queue already: loopback.
@@ -292,6 +293,10 @@ mod on_unix {
     use wsg_protocol::driver::{asynch, tokio};
     use wsg_sim::server::SerialLine;
 
+    fn socket_path(name: &str) -> std::path::PathBuf {
+        std::env::temp_dir().join(format!("wsg-protocol-{name}-{}.socket", std::process::id()))
+    }
+
     #[test]
     fn blocking_driver_grips_over_a_serial_port() {
         let server = serve(&Lines { serial: Some(SerialLine::Pty), ..Lines::default() });
@@ -301,8 +306,16 @@ mod on_unix {
     }
 
     #[test]
+    fn blocking_driver_grips_over_a_unix_socket() {
+        let path = socket_path("blocking");
+        let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
+        let stream = std::os::unix::net::UnixStream::connect(server.serial_path().unwrap()).unwrap();
+        grips(&mut Gripper::new(host::PolledStream::new(stream), StdClock::new()));
+    }
+
+    #[test]
     fn async_driver_grips_over_a_stream() {
-        let path = std::env::temp_dir().join(format!("wsg-protocol-{}.socket", std::process::id()));
+        let path = socket_path("async");
         let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
         on_tokio::run(async {
             let stream = UnixStream::connect(server.serial_path().unwrap()).await.unwrap();

@@ -159,7 +159,7 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
             if is_over {
                 return Ok(false);
             }
-            let moment = self.next_moment(until);
+            let moment = self.engine.next_due(until);
             let mut chunk = [0; CHUNK_LEN];
             let read = self.io.read(&mut chunk);
             if let First::One(read) = first(read, wait_until(&mut self.clock, moment)).await {
@@ -201,7 +201,7 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
         awaited: &mut Awaited<'_>,
         until: Option<Instant>,
     ) -> Result<bool, Error<IO::Error>> {
-        let moment = self.next_moment(until);
+        let moment = self.engine.next_due(until);
         let written = if self.engine.outbox().needs_flush() {
             match first(self.io.flush(), wait_until(&mut self.clock, moment)).await {
                 First::One(flushed) => {
@@ -230,9 +230,5 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
             }
         }
         Ok(true)
-    }
-
-    fn next_moment(&self, until: Option<Instant>) -> Option<Instant> {
-        [until, self.engine.next_timeout()].into_iter().flatten().reduce(Instant::earlier_of)
     }
 }

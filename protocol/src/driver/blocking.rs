@@ -21,31 +21,40 @@ use crate::types::{
     AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
     LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
 };
-use embedded_io::{Read, ReadReady, Write};
+use embedded_io::{ErrorType, Read, ReadReady, Write};
 
 /// Bytes read at a time.
 const CHUNK_LEN: usize = 64;
 /// Chunks read before time is looked at again: a line that never falls silent must not stop the clock.
 const MAX_CHUNKS: usize = 64;
 
-/// The transport of the blocking driver: every type with these traits of `embedded_io` is one.
+/// The transport of the blocking driver: a byte stream that can wait for bytes.
 ///
-/// `embedded_io_adapters::std::FromStd` of a `TcpStream` is none, because it does not tell whether there are bytes to
-/// read:
+/// The driver sends what is due, takes the bytes that are there, and only then waits, by [`wait`](Self::wait). The three
+/// traits below it therefore never wait for input: `read_ready` looks, and `read` is called only when it returned `true`.
 ///
-/// ```compile_fail,E0277
-/// use wsg_protocol::Instant;
-/// use wsg_protocol::driver::blocking::Gripper;
-/// # struct FromStd<T>(T);
-/// # impl<T> embedded_io::ErrorType for FromStd<T> {
+/// The transports of feature `std` (`host::Tcp`, `host::Udp`) wait by readiness. [`Spinning`] makes a transport of any type
+/// that has the three traits, such as the UART of a HAL. A type of its own can sleep until the next interrupt:
+///
+/// ```
+/// use wsg_protocol::driver::blocking::Transport;
+/// # use embedded_io::{ErrorType, Read, ReadReady, Write};
+/// # fn wait_for_interrupt() {}
+/// # struct Uart;
+/// # impl ErrorType for Uart {
 /// #     type Error = core::convert::Infallible;
 /// # }
-/// # impl<T> embedded_io::Read for FromStd<T> {
+/// # impl Read for Uart {
 /// #     fn read(&mut self, _: &mut [u8]) -> Result<usize, Self::Error> {
 /// #         Ok(0)
 /// #     }
 /// # }
-/// # impl<T> embedded_io::Write for FromStd<T> {
+/// # impl ReadReady for Uart {
+/// #     fn read_ready(&mut self) -> Result<bool, Self::Error> {
+/// #         Ok(false)
+/// #     }
+/// # }
+/// # impl Write for Uart {
 /// #     fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
 /// #         Ok(bytes.len())
 /// #     }
@@ -54,27 +63,76 @@ const MAX_CHUNKS: usize = 64;
 /// #     }
 /// # }
 ///
-/// # fn new(stream: std::net::TcpStream) {
-/// let gripper = Gripper::new(FromStd(stream), || Instant::from_millis(0));
-/// # }
+/// // `Uart` implements `Read`, `ReadReady` and `Write`; its receiver and a tick of 1 ms raise interrupts.
+/// impl Transport for Uart {
+///     fn wait(&mut self, _at_most_ms: u32) -> Result<(), Self::Error> {
+///         wait_for_interrupt();
+///         Ok(())
+///     }
+/// }
 /// ```
-///
-/// `host::Tcp` is one, by feature `std`.
 #[diagnostic::on_unimplemented(
     message = "`{Self}` is no transport of the blocking driver",
-    label = "this needs `embedded_io::Read`, `ReadReady` and `Write`",
-    note = "`FromStd` of a socket has no `ReadReady`: `wsg_protocol::driver::host::Tcp` has it, by feature `std`"
+    label = "this needs `wsg_protocol::driver::blocking::Transport`",
+    note = "`Spinning` makes one of every type with `embedded_io::Read`, `ReadReady` and `Write`; for a socket take \
+            `wsg_protocol::driver::host::Tcp`, by feature `std`"
 )]
-pub trait Transport: Read + ReadReady + Write {}
+pub trait Transport: Read + ReadReady + Write {
+    /// Waits for bytes, for `at_most_ms` milliseconds.
+    ///
+    /// Returns as soon as bytes may be there, the other end may have closed, or the time is over. It may return earlier for
+    /// any other reason, such as an interrupt or a signal, because the driver looks again and calls it again. It must not
+    /// return later: until then the driver neither sends nor reports a time-out. With 0 it returns at once.
+    ///
+    /// The default returns at once, so the driver spins while it waits.
+    ///
+    /// # Errors
+    /// The transport failed.
+    fn wait(&mut self, at_most_ms: u32) -> Result<(), Self::Error> {
+        let _ = at_most_ms;
+        Ok(())
+    }
+}
 
-#[diagnostic::do_not_recommend]
-impl<IO: Read + ReadReady + Write> Transport for IO {}
+impl<IO: Transport + ?Sized> Transport for &mut IO {
+    fn wait(&mut self, at_most_ms: u32) -> Result<(), Self::Error> {
+        (**self).wait(at_most_ms)
+    }
+}
+
+/// A transport that spins while it waits, made of any type with the traits of `embedded_io`.
+#[derive(Clone, Copy, Debug)]
+pub struct Spinning<T>(pub T);
+
+impl<T: ErrorType> ErrorType for Spinning<T> {
+    type Error = T::Error;
+}
+
+impl<T: Read> Read for Spinning<T> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, T::Error> {
+        self.0.read(buffer)
+    }
+}
+
+impl<T: ReadReady> ReadReady for Spinning<T> {
+    fn read_ready(&mut self) -> Result<bool, T::Error> {
+        self.0.read_ready()
+    }
+}
+
+impl<T: Write> Write for Spinning<T> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, T::Error> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> Result<(), T::Error> {
+        self.0.flush()
+    }
+}
+
+impl<T: Read + ReadReady + Write> Transport for Spinning<T> {}
 
 /// A gripper at the other end of a transport.
-///
-/// While it waits it asks the transport again and again whether there are bytes, and the clock for the time. A transport
-/// that waits a millisecond for bytes in `read_ready`, or a clock that sleeps in `now` (`wfi`), saves the processor's
-/// time.
 ///
 /// `RX` is the longest payload of a reply that is taken, at least 34, and `TX` the longest frame that is sent, at least
 /// 17; both can be lower than what [`new`](Self::new) takes where RAM is short and Loop is not used.
@@ -138,8 +196,13 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
         goal: Goal,
         until: Option<Instant>,
     ) -> Result<bool, Error<IO::Error>> {
+        let mut now = self.clock.now();
+        if self.engine.link().is_urgent() {
+            // Before anything is read: a Stop waits for nothing.
+            self.transmit(now, awaited)?;
+        }
         loop {
-            let now = self.clock.now();
+            // What is there is read before time passes: it may have come in time.
             self.receive(now, awaited)?;
             self.engine.elapse(now, awaited);
             self.transmit(now, awaited)?;
@@ -149,6 +212,8 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
             if until.is_some_and(|until| now.has_reached(until)) {
                 return Ok(false);
             }
+            self.io.wait(self.engine.idle_ms(now, until)).map_err(Error::Transport)?;
+            now = self.clock.now();
         }
     }
 

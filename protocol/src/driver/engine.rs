@@ -11,6 +11,10 @@ use crate::time::Instant;
 use crate::types::Status;
 use heapless::Deque;
 
+/// The longest wait for bytes: a program that waits for nothing in particular still looks once a second.
+#[cfg(feature = "embedded-io")]
+const LONGEST_WAIT_MS: u32 = 1_000;
+
 /// What a method waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Goal {
@@ -218,11 +222,16 @@ impl<P: Protocol> Engine<P> {
         }
     }
 
-    /// When something is due even if no byte comes.
-    #[cfg(feature = "embedded-io-async")]
-    pub(super) fn next_timeout(&self) -> Option<Instant> {
+    /// When something is due even if no byte comes: `until`, or a step of the protocol before it.
+    pub(super) fn next_due(&self, until: Option<Instant>) -> Option<Instant> {
         let half = self.link.is_mid_message().then(|| self.received_at.plus(self.config.half_frame_ms));
-        [self.link.poll_timeout(), half].into_iter().flatten().reduce(Instant::earlier_of)
+        [until, self.link.poll_timeout(), half].into_iter().flatten().reduce(Instant::earlier_of)
+    }
+
+    /// For how many milliseconds nothing is due if no byte comes.
+    #[cfg(feature = "embedded-io")]
+    pub(super) fn idle_ms(&self, now: Instant, until: Option<Instant>) -> u32 {
+        self.next_due(until).map_or(LONGEST_WAIT_MS, |due| due.since(now).min(LONGEST_WAIT_MS))
     }
 }
 

@@ -4,7 +4,8 @@
 //! |---|---|---|
 //! | [`Tcp`] | a TCP connection, whose end is announced | `192.168.1.20:1000` |
 //! | [`Udp`] | a UDP socket | `192.168.1.20:1500` |
-//! | [`Stream`] | anything that reads and writes: a port of the crate `serialport`, a Unix socket | |
+//! | [`PolledStream`] | a byte stream with a file descriptor: a port of the crate `serial2`, a Unix socket | |
+//! | [`Stream`] | anything else that reads and writes, with a read time-out: a port of the crate `serialport`, any port on Windows | |
 //! | [`StdClock`] | the clock | |
 //!
 //! [`with_gripper`] takes them together, for the binary protocol over TCP. For anything else give the parts to the driver:
@@ -22,10 +23,13 @@
 //! # }
 //! ```
 
+mod polled_stream;
+mod readiness;
 mod stream;
 mod tcp;
 mod udp;
 
+pub use polled_stream::PolledStream;
 pub use stream::Stream;
 pub use tcp::Tcp;
 pub use udp::Udp;
@@ -37,8 +41,9 @@ use core::time::Duration;
 use std::io;
 use std::net::ToSocketAddrs;
 
-/// How long a read waits for bytes, so that the driver does not spin.
-const READ_TIMEOUT: Duration = Duration::from_millis(1);
+/// How long a read may take that has nothing to read although the system reported bytes, such as a datagram whose checksum
+/// then proved wrong.
+const SPURIOUS: Duration = Duration::from_millis(1);
 
 /// Runs a program with the gripper at this address, over TCP and the binary protocol, and announces the end of the
 /// connection however the program ends, so that it may leave by `?` at any place. Only a program that panics leaves the

@@ -22,6 +22,11 @@ impl<const N: usize> Received<N> {
         self.at >= self.len && !self.has_ended
     }
 
+    /// How many bytes the last read had.
+    pub(super) const fn len(&self) -> usize {
+        self.len
+    }
+
     /// Where the next bytes are read to.
     pub(super) const fn space(&mut self) -> &mut [u8] {
         &mut self.bytes

@@ -4,6 +4,7 @@ mod cancelled;
 mod framing;
 mod rig;
 mod updates;
+mod waiting;
 mod waking;
 
 use super::*;

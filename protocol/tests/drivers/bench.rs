@@ -9,7 +9,7 @@ use std::rc::Rc;
 use std::task::{Context, Poll, Waker};
 
 use wsg_protocol::Instant;
-use wsg_protocol::driver::{Clock, Timer};
+use wsg_protocol::driver::{Clock, Timer, blocking::Transport};
 use wsg_sim::{Config, MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 
 /// A minute and a half: no motion takes longer.
@@ -165,14 +165,23 @@ impl embedded_io::ErrorType for Bench {
 }
 
 impl embedded_io::ReadReady for Bench {
-    /// When nothing is there, a millisecond passes.
     fn read_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(self.world(|world| {
-            if world.to_driver.is_empty() && !world.closed {
+        Ok(self.world(|world| !world.to_driver.is_empty() || world.closed))
+    }
+}
+
+impl Transport for Bench {
+    /// Time passes until something is there.
+    fn wait(&mut self, at_most_ms: u32) -> Result<(), Infallible> {
+        self.world(|world| {
+            for _ in 0..at_most_ms {
+                if !world.to_driver.is_empty() || world.closed {
+                    break;
+                }
                 world.pass();
             }
-            !world.to_driver.is_empty() || world.closed
-        }))
+        });
+        Ok(())
     }
 }
 

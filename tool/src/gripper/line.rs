@@ -8,14 +8,21 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 use serial2::SerialPort;
 use wsg_protocol::Direction;
 use wsg_protocol::driver::blocking::Transport;
-use wsg_protocol::driver::host::{Stream, Tcp, Udp};
+use wsg_protocol::driver::host::{Tcp, Udp};
 
 use super::address::Address;
 use super::record::Recorder;
+use super::run::LOOK_MS;
 use super::signals::Signals;
 use super::slcan::Slcan;
 
-/// How long a read of a serial port waits, so that the driver does not spin.
+/// Serial ports: the operating system reports received bytes, except on Windows.
+#[cfg(unix)]
+use wsg_protocol::driver::host::PolledStream as SerialStream;
+#[cfg(not(unix))]
+use wsg_protocol::driver::host::Stream as SerialStream;
+
+/// How long a read of a serial port waits where the operating system does not report received bytes.
 const READ_TIMEOUT: Duration = Duration::from_millis(1);
 /// How long a serial port may take nothing.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
@@ -39,10 +46,10 @@ impl Line {
             Address::Tcp(host) | Address::Gcl(host) => boxed(Tcp::connect(host.as_str())),
             Address::Udp { gripper, answer_port } => boxed(Udp::connect(gripper.as_str(), *answer_port)),
             Address::GclUdp(host) => boxed(Udp::connect(host.as_str(), 0)),
-            Address::Serial { device, rate } => boxed(open_port(device, *rate).map(Stream::new)),
+            Address::Serial { device, rate } => boxed(open_port(device, *rate).map(SerialStream::new)),
             Address::Slcan { device, kbit, identifiers } => {
                 let port = open_port(device, SLCAN_RATE);
-                boxed(port.and_then(|port| Slcan::open(port, *kbit, *identifiers)).map(Stream::new))
+                boxed(port.and_then(|port| Slcan::open(port, *kbit, *identifiers)).map(SerialStream::new))
             }
         };
         let wire = wire.with_context(|| address.to_string())?;
@@ -84,6 +91,14 @@ impl ReadReady for Line {
     fn read_ready(&mut self) -> io::Result<bool> {
         self.signals.check()?;
         self.wire.read_ready()
+    }
+}
+
+impl Transport for Line {
+    fn wait(&mut self, at_most_ms: u32) -> io::Result<()> {
+        // A signal that arrives just before the wait does not end it.
+        self.wire.wait(at_most_ms.min(LOOK_MS))?;
+        self.signals.check()
     }
 }
 

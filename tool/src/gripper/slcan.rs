@@ -104,3 +104,10 @@ impl<S: Read + Write> Drop for Slcan<S> {
         let _ = self.port.write_all(b"C\r");
     }
 }
+
+#[cfg(unix)]
+impl<S: Read + Write + std::os::fd::AsFd> std::os::fd::AsFd for Slcan<S> {
+    fn as_fd(&self) -> std::os::fd::BorrowedFd<'_> {
+        self.port.as_fd()
+    }
+}

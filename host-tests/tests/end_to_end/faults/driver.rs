@@ -8,7 +8,8 @@ use std::rc::Rc;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use host_tests::faulty_link::{FaultyLink, FaultyWay, Rates};
-use wsg_protocol::driver::{Clock, Culprit, Error, Grip, Mm, MmPerS, OnBlock, blocking::Gripper};
+use wsg_protocol::driver::blocking::{Gripper, Transport};
+use wsg_protocol::driver::{Clock, Culprit, Error, Grip, Mm, MmPerS, OnBlock};
 use wsg_protocol::{CommandId, Event, FrameParser, GripperState, HomingDirection, Instant, Kind};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
 
@@ -130,6 +131,9 @@ impl<L: Write> Write for Tap<L> {
         self.link.flush()
     }
 }
+
+/// Time passes while it is asked whether bytes are there, so it need not wait.
+impl<L: Read + ReadReady + Write> Transport for Tap<L> {}
 
 /// What the program asks for, one after the other, and how the gripper is when it was done.
 const JOBS: [fn(&State) -> bool; 3] = [

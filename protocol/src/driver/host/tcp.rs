@@ -1,6 +1,7 @@
 //! TCP, whose end is announced.
 
-use super::{READ_TIMEOUT, Stream};
+use super::{PolledStream, SPURIOUS};
+use crate::driver::blocking::Transport;
 use crate::driver::farewell::Farewell;
 use crate::frame::OVERHEAD;
 use core::time::Duration;
@@ -23,7 +24,7 @@ const MAX_UNREAD: usize = 64;
 /// gripper's confirmation.
 #[derive(Debug)]
 pub struct Tcp {
-    stream: Stream<TcpStream>,
+    stream: PolledStream<TcpStream>,
     farewell: Farewell,
 }
 
@@ -54,9 +55,9 @@ impl Tcp {
         // A frame is one segment, and it leaves at once.
         stream.set_nodelay(true)?;
         stream.set_nonblocking(false)?;
-        stream.set_read_timeout(Some(READ_TIMEOUT))?;
+        stream.set_read_timeout(Some(SPURIOUS))?;
         stream.set_write_timeout(Some(WRITE_TIMEOUT))?;
-        Ok(Self { stream: Stream::new(stream), farewell: Farewell::NEW })
+        Ok(Self { stream: PolledStream::new(stream), farewell: Farewell::NEW })
     }
 }
 
@@ -67,6 +68,12 @@ impl ErrorType for Tcp {
 impl ReadReady for Tcp {
     fn read_ready(&mut self) -> io::Result<bool> {
         self.stream.read_ready()
+    }
+}
+
+impl Transport for Tcp {
+    fn wait(&mut self, at_most_ms: u32) -> io::Result<()> {
+        self.stream.wait(at_most_ms)
     }
 }
 

@@ -1,6 +1,8 @@
 //! UDP.
 
-use super::READ_TIMEOUT;
+use super::SPURIOUS;
+use super::readiness::{LONG_MS, Readiness};
+use crate::driver::blocking::Transport;
 use crate::driver::received::Received;
 use crate::driver::udp::{self, MAX_DATAGRAM_LEN};
 use embedded_io::{ErrorType, ReadReady};
@@ -17,6 +19,7 @@ pub struct Udp {
     socket: UdpSocket,
     gripper: SocketAddr,
     received: Received<MAX_DATAGRAM_LEN>,
+    readiness: Readiness,
 }
 
 impl Udp {
@@ -42,8 +45,8 @@ impl Udp {
     /// # Errors
     /// The options of the socket cannot be set.
     pub fn new(socket: UdpSocket, gripper: SocketAddr) -> io::Result<Self> {
-        socket.set_read_timeout(Some(READ_TIMEOUT))?;
-        Ok(Self { socket, gripper, received: Received::new() })
+        socket.set_read_timeout(Some(SPURIOUS))?;
+        Ok(Self { socket, gripper, received: Received::new(), readiness: Readiness::new() })
     }
 }
 
@@ -53,7 +56,13 @@ impl ErrorType for Udp {
 
 impl ReadReady for Udp {
     fn read_ready(&mut self) -> io::Result<bool> {
-        let Self { socket, gripper, received } = self;
+        let Self { socket, gripper, received, readiness } = self;
+        if !received.is_empty() {
+            return Ok(true);
+        }
+        if !readiness.may_read(socket)? {
+            return Ok(false);
+        }
         #[expect(
             clippy::disallowed_methods,
             reason = "a signal is taken for silence, and the driver asks again"
@@ -69,7 +78,9 @@ impl ReadReady for Udp {
 
 impl embedded_io::Read for Udp {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        while !self.read_ready()? {}
+        while !self.read_ready()? {
+            self.readiness.wait(&self.socket, LONG_MS)?;
+        }
         Ok(self.received.take(buffer))
     }
 }
@@ -88,5 +99,14 @@ impl embedded_io::Write for Udp {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+impl Transport for Udp {
+    fn wait(&mut self, at_most_ms: u32) -> io::Result<()> {
+        if !self.received.is_empty() {
+            return Ok(());
+        }
+        self.readiness.wait(&self.socket, at_most_ms)
     }
 }

@@ -1,5 +1,6 @@
 //! Both ends in one process, in virtual time: a transport and a clock for the driver, a scripted gripper behind them.
 
+use crate::driver::blocking::Transport;
 use crate::driver::{Clock, Timer};
 use crate::session::tests::{INFO, LIMITS};
 use crate::{
@@ -49,6 +50,8 @@ pub(super) struct World {
     pub(super) heard: Vec<(u8, Vec<u8>)>,
     /// Bytes of each write.
     pub(super) writes: Vec<usize>,
+    /// How often the blocking driver has waited.
+    pub(super) waits: u32,
     /// Bytes that were written leave at the flush.
     pub(super) holds_back: bool,
     held_back: Vec<u8>,
@@ -62,6 +65,8 @@ pub(super) struct World {
     pub(super) noise: bool,
     /// The next write fails; what was written before is forgotten.
     pub(super) refuses: bool,
+    /// The system state.
+    pub(super) flags: SystemFlags,
     pub(super) force_limit: f32,
     /// The last subscription to the width.
     pub(super) width_update: Option<Vec<u8>>,
@@ -88,6 +93,7 @@ impl Rig {
             scripted: vec![],
             heard: vec![],
             writes: vec![],
+            waits: 0,
             holds_back: false,
             held_back: vec![],
             wakes_at: None,
@@ -96,6 +102,7 @@ impl Rig {
             closed: false,
             noise: false,
             refuses: false,
+            flags: SystemFlags::REFERENCED,
             force_limit: 80.0,
             width_update: None,
         })))
@@ -214,7 +221,7 @@ impl World {
         let value = match *command {
             Command::GetSystemInfo => Value::GetSystemInfo(INFO),
             Command::GetSystemLimits => Value::GetSystemLimits(LIMITS),
-            Command::GetSystemState { .. } => Value::GetSystemState(SystemFlags::REFERENCED),
+            Command::GetSystemState { .. } => Value::GetSystemState(self.flags),
             Command::GetGripperState { .. } => Value::GetGripperState(GripperState::Positioning),
             Command::GetOpeningWidth { .. } => Value::GetOpeningWidth(42.5),
             Command::GetForceLimit => Value::GetForceLimit(self.force_limit),
@@ -289,14 +296,23 @@ impl embedded_io::ErrorType for Rig {
 
 impl embedded_io::ReadReady for Rig {
     fn read_ready(&mut self) -> Result<bool, Noise> {
-        let is_due = self.world(|world| world.is_due());
-        if !is_due {
-            self.pass(1);
-            self.world(|world| {
-                assert!(world.now.since(BEGIN) < 600_000, "a call comes to an end within ten minutes")
-            });
-        }
-        Ok(is_due)
+        Ok(self.world(|world| world.is_due()))
+    }
+}
+
+/// Time passes up to the next byte, and no further than the driver allows.
+impl Transport for Rig {
+    fn wait(&mut self, at_most_ms: u32) -> Result<(), Noise> {
+        self.world(|world| {
+            world.waits += 1;
+            if world.is_due() {
+                return;
+            }
+            let end = world.now.plus(at_most_ms);
+            world.now = world.coming.iter().map(|(at, _)| *at).fold(end, Instant::earlier_of);
+            assert!(world.now.since(BEGIN) < 600_000, "a call comes to an end within ten minutes");
+        });
+        Ok(())
     }
 }
 

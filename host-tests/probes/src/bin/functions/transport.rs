@@ -33,3 +33,7 @@ impl Write for Line {
         Ok(())
     }
 }
+
+/// It spins.
+#[cfg(feature = "drivers")]
+impl wsg_protocol::driver::blocking::Transport for Line {}

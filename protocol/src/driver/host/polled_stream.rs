@@ -1,0 +1,107 @@
+//! A transport over a byte stream that the operating system can wait for.
+
+use super::readiness::{AsPollable, LONG_MS, Readiness};
+use crate::driver::blocking::Transport;
+use crate::driver::received::Received;
+use embedded_io::{ErrorType, ReadReady};
+use std::io::{self, ErrorKind};
+
+/// Bytes read at a time.
+const CHUNK_LEN: usize = 512;
+
+/// A transport over a byte stream that the operating system can wait for. On Unix that is every stream with a file
+/// descriptor, such as a serial port of the crate `serial2` or a Unix socket; on Windows it is a TCP socket.
+///
+/// It reads only when bytes are there, so the read time-out of the stream does not matter. A write that takes nothing
+/// should end with `TimedOut` after a while.
+///
+/// Over TCP use [`Tcp`](super::Tcp), which announces its end. For streams without a file descriptor there is
+/// [`Stream`](super::Stream).
+#[derive(Debug)]
+pub struct PolledStream<T> {
+    stream: T,
+    received: Received<CHUNK_LEN>,
+    readiness: Readiness,
+}
+
+impl<T: io::Read + io::Write + AsPollable> PolledStream<T> {
+    /// A transport over this stream.
+    #[must_use]
+    pub const fn new(stream: T) -> Self {
+        Self { stream, received: Received::new(), readiness: Readiness::new() }
+    }
+}
+
+impl<T> PolledStream<T> {
+    /// The stream. Bytes that were received and not taken by the driver are lost.
+    #[must_use]
+    pub fn into_inner(self) -> T {
+        self.stream
+    }
+
+    pub(super) const fn get_ref(&self) -> &T {
+        &self.stream
+    }
+}
+
+impl<T> ErrorType for PolledStream<T> {
+    type Error = io::Error;
+}
+
+impl<T: io::Read + AsPollable> ReadReady for PolledStream<T> {
+    fn read_ready(&mut self) -> io::Result<bool> {
+        let Self { stream, received, readiness } = self;
+        if !received.is_empty() {
+            return Ok(true);
+        }
+        if !readiness.may_read(stream)? {
+            return Ok(false);
+        }
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "a signal is taken for silence, and the driver asks again"
+        )]
+        let is_filled = received.fill(|buffer| io::Read::read(stream, buffer))?;
+        if received.len() < CHUNK_LEN {
+            readiness.is_emptied();
+        }
+        Ok(is_filled)
+    }
+}
+
+impl<T: io::Read + AsPollable> embedded_io::Read for PolledStream<T> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        while !self.read_ready()? {
+            self.readiness.wait(&self.stream, LONG_MS)?;
+        }
+        Ok(self.received.take(buffer))
+    }
+}
+
+impl<T: io::Write> embedded_io::Write for PolledStream<T> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        loop {
+            #[expect(
+                clippy::disallowed_methods,
+                reason = "the call is made again; the driver sends the rest"
+            )]
+            match io::Write::write(&mut self.stream, bytes) {
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                result => return result,
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::Write::flush(&mut self.stream)
+    }
+}
+
+impl<T: io::Read + io::Write + AsPollable> Transport for PolledStream<T> {
+    fn wait(&mut self, at_most_ms: u32) -> io::Result<()> {
+        if !self.received.is_empty() {
+            return Ok(());
+        }
+        self.readiness.wait(&self.stream, at_most_ms)
+    }
+}

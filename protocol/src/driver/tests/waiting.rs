@@ -1,0 +1,96 @@
+//! When the blocking driver waits, and for how long: after it has sent what is due, and never longer than nothing is due.
+
+use super::*;
+
+/// How often the driver waits while this runs.
+fn waits(rig: &Rig, call: impl FnOnce()) -> u32 {
+    let before = rig.world(|world| world.waits);
+    call();
+    rig.world(|world| world.waits) - before
+}
+
+#[test]
+fn query_is_sent_before_the_first_wait_and_answered_by_the_end_of_it() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    assert_eq!(waits(&rig, || assert_eq!(gripper.width(), Ok(42.5))), 1);
+}
+
+#[test]
+fn stop_and_fast_stop_are_sent_before_anything_is_read() {
+    for id in [CommandId::Stop, CommandId::FastStop] {
+        let rig = Rig::new();
+        let mut gripper = connected(&rig);
+        rig.world(|world| world.noise = true);
+        let result = if id == CommandId::Stop { gripper.stop() } else { gripper.fast_stop() };
+        assert_eq!(result, Err(Error::Transport(Noise)), "the first read fails");
+        assert_eq!(rig.heard(id), 1);
+    }
+}
+
+#[test]
+fn motion_is_waited_for_with_few_wake_ups() {
+    const SECONDS: u32 = 20;
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let id = CommandId::PrePosition;
+    let end = (SECONDS * 1_000, status(id, Status::Success));
+    rig.script(id, vec![(1, status(id, Status::CmdPending)), end]);
+    rig.world(|world| world.flags |= SystemFlags::MOVING);
+    let waits = waits(&rig, || gripper.move_to(Mm(50.0), MmPerS(5.0), OnBlock::Stop).unwrap());
+    // Each refresh costs two: until it is due, and for its answer.
+    assert!(waits <= 12 * SECONDS, "{waits}");
+}
+
+#[test]
+fn poll_and_next_update_of_no_time_do_not_wait() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
+    while gripper.next_update(0).unwrap().is_some() {}
+    let idle = waits(&rig, || {
+        assert_eq!(gripper.poll(&grip), Ok(None));
+        assert_eq!(gripper.next_update(0), Ok(None));
+    });
+    assert_eq!(idle, 0);
+}
+
+#[test]
+fn gripper_that_is_off_is_given_up_in_time() {
+    let rig = Rig::new();
+    rig.world(|world| world.silent = true);
+    let begun = rig.world(|world| world.now);
+    let mut gripper = Blocking::new(rig.clone(), Watch(rig.clone()));
+    assert_eq!(gripper.connect(), Err(Error::NotConnected));
+    assert_eq!(rig.world(|world| world.now).since(begun), Config::DEFAULT.connect_timeout_ms);
+}
+
+#[test]
+fn gripper_that_falls_silent_is_noticed_in_time() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    rig.world(|world| world.silent = true);
+    let begun = rig.world(|world| world.now);
+    assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Err(Error::Unanswered));
+    assert_eq!(rig.world(|world| world.now).since(begun), Config::DEFAULT.session.reply_timeout_ms);
+}
+
+#[test]
+fn update_that_does_not_come_is_waited_for_as_long_as_asked() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    while gripper.next_update(0).unwrap().is_some() {}
+    let begun = rig.world(|world| world.now);
+    assert_eq!(gripper.next_update(30), Ok(None));
+    assert_eq!(rig.world(|world| world.now).since(begun), 30);
+}
+
+#[test]
+fn answers_that_came_while_the_program_was_busy_came_in_time() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
+    rig.pass(60_000);
+    assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
+    assert_eq!(gripper.counters().session.disconnects, 0);
+}
