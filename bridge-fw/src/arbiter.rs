@@ -14,7 +14,7 @@
 //!    other side's change nothing.
 
 use crate::config::Recipe;
-use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, MaskedFlags, OutputImage};
+use wsg_fieldbus::{CommandFlags, ForceUnit, MaskedFlags, OutputImage};
 
 /// What moves fingers.
 const MOVERS: CommandFlags = CommandFlags::MOTIONS.union(CommandFlags::JOG);

@@ -13,7 +13,7 @@ use crate::registers::{
     SettingsFrom, StoreCommand, StoreReports,
 };
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use wsg_protocol::fieldbus::{Controller, InputImage};
+use wsg_fieldbus::{Controller, InputImage};
 use wsg_protocol::session::{self, Event, Session, Topic};
 use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, SystemFlags, frame};
 

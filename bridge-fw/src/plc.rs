@@ -20,8 +20,8 @@ pub(crate) use view::{Facts, force_unit};
 
 use crate::registers::Link;
 use bus_modbus::rtu::Character;
+use wsg_fieldbus::{GripperFlags, InputImage, OutputImage};
 use wsg_protocol::Instant;
-use wsg_protocol::fieldbus::{GripperFlags, InputImage, OutputImage};
 
 /// GSTATE while a motion command is carried out.
 const MOTION_STATES: GripperFlags =
@@ -35,7 +35,7 @@ const MOTION_STATES: GripperFlags =
 /// ```
 /// use wsg_bridge_fw::plc::{PlcEvent, PlcSide, Shown, View};
 /// use wsg_protocol::Instant;
-/// use wsg_protocol::fieldbus::OutputImage;
+/// use wsg_fieldbus::OutputImage;
 ///
 /// /// A PLC that writes its image into shared memory.
 /// struct SharedMemory {

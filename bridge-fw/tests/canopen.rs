@@ -17,8 +17,8 @@ use wsg_bridge_fw::can::{
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, SETTINGS};
 use wsg_bridge_fw::{Bridge, ControlSource};
+use wsg_fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::can::Identifiers;
-use wsg_protocol::fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
 use wsg_sim::{Config, Part, Time};
 

@@ -18,7 +18,7 @@ use wsg_bridge_fw::registers::{
 };
 use wsg_bridge_fw::storage::{Progress, Store};
 use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
-use wsg_protocol::fieldbus::CommandFlags as Cmd;
+use wsg_fieldbus::CommandFlags as Cmd;
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
 use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Instant, Status};
 use wsg_sim::{Fault, Finger, Jaw, Part, Time};

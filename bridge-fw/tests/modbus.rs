@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES, ResetCause};
-use wsg_protocol::fieldbus::SilenceReaction;
+use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::types::SoftLimits;
 use wsg_protocol::{Command, CommandId, Status, SystemFlags};
 use wsg_sim::Part;

@@ -5,9 +5,7 @@ use host_tests::modbus_bench::quick;
 use host_tests::profibus_bench::*;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, ProfibusConfig};
-use wsg_protocol::fieldbus::{
-    CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction,
-};
+use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction};
 use wsg_protocol::{CommandId, Status, SystemFlags};
 use wsg_sim::{Fault, Part, Time};
 

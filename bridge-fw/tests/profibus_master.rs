@@ -11,8 +11,8 @@ use profirust::phy::{ProfibusPhy, SimulatorPhy};
 use profirust::time::{Duration, Instant};
 use wsg_bridge_fw::plc::UartStatus;
 use wsg_bridge_fw::{Config, ProfibusConfig};
-use wsg_protocol::fieldbus::profibus::PROFILE;
-use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
+use wsg_fieldbus::profibus::PROFILE;
+use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{CommandId, Status};
 use wsg_sim::Part;
 

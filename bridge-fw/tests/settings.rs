@@ -11,7 +11,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, Record};
 use wsg_bridge_fw::storage::{NorFlash, Page, Progress, Store};
 use wsg_bridge_fw::{Board, Config, ResetCause, Station};
-use wsg_protocol::fieldbus::CommandFlags;
+use wsg_fieldbus::CommandFlags;
 use wsg_protocol::{CommandId, Instant};
 use wsg_sim::Time;
 

@@ -7,7 +7,7 @@ use crate::port::{Completion, FrameBuffer, PortCounters, PortId, PortKind, Proto
 use crate::time::Time;
 use crate::updates::Readings;
 use crate::{binary, gcl, modbus, profibus};
-use wsg_protocol::fieldbus::SilenceReaction;
+use wsg_fieldbus::SilenceReaction;
 
 /// A client, by what it speaks.
 #[derive(Clone, Debug)]

@@ -3,7 +3,7 @@
 use crate::axis::{Direction, Part};
 use crate::finger::Finger;
 use crate::model::Model;
-use wsg_protocol::fieldbus::SilenceReaction;
+use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::{DecodeError, DeviceTag, SoftLimits};
 
 /// The settings of a [`VirtualGripper`](crate::VirtualGripper). The default is a WSG 50-110 as it leaves the factory,
@@ -110,7 +110,7 @@ impl Default for Config {
             modbus_swap_bytes: false,
             bus_timeout_ms: 0,
             bus_reaction: SilenceReaction::Stop,
-            profibus_address: wsg_protocol::fieldbus::profibus::ADDRESS.station,
+            profibus_address: wsg_fieldbus::profibus::ADDRESS.station,
             updates_idle_s: 0,
             frame_timeout_ms: 500,
         }

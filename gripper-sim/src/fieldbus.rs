@@ -9,9 +9,7 @@ use crate::device::Device;
 use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
 use bus_modbus::{Bits, Exception, Identification, MAX_PDU_LEN, Words};
-use wsg_protocol::fieldbus::{
-    CommandFlags, Controller, Images, InputImage, MaskedFlags, OutputImage, SilenceReaction,
-};
+use wsg_fieldbus::{CommandFlags, Controller, Images, InputImage, MaskedFlags, OutputImage, SilenceReaction};
 use wsg_protocol::session::{Event, Known};
 use wsg_protocol::{Reply, Status, Value};
 

@@ -10,7 +10,7 @@ use crate::finger::{Finger, Jaw};
 use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
 use crate::script::{ScriptRequest, ScriptState};
 use crate::time::{Time, earlier};
-use wsg_protocol::fieldbus::{InputImage, OutputImage};
+use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, GripperState, GrippingStatistics, Status, SystemFlags, Temperature};
 
@@ -339,7 +339,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// began to write; flags in it count after they were 0, but FASTSTOP.
     ///
     /// ```
-    /// use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+    /// use wsg_fieldbus::{CommandFlags, OutputImage};
     /// use wsg_sim::{Config, PortKind, Time, VirtualGripper};
     ///
     /// let mut gripper = VirtualGripper::new(Config::default());

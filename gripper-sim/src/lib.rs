@@ -60,7 +60,7 @@ pub use model::{Model, Parameters};
 pub use port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
 pub use script::{MAX_REQUEST_LEN, SCRIPT_IDS, ScriptRequest, ScriptState};
 pub use time::Time;
-pub use wsg_protocol::fieldbus::SilenceReaction;
+pub use wsg_fieldbus::SilenceReaction;
 
 /// The example in the document compiles and runs.
 #[cfg(all(doctest, feature = "std"))]

@@ -6,8 +6,8 @@ use crate::port::{FrameBuffer, PortCounters, PortId};
 use crate::time::Time;
 use bus_profibus::{Address, Character, Event, SYNC_BITS};
 use heapless::Vec;
-use wsg_protocol::fieldbus::profibus::{PROFILE, Slave};
-use wsg_protocol::fieldbus::{Diagnosis, OutputImage};
+use wsg_fieldbus::profibus::{PROFILE, Slave};
+use wsg_fieldbus::{Diagnosis, OutputImage};
 use wsg_protocol::{FrameCounters, SystemFlags};
 
 /// The longest telegram.

@@ -2,7 +2,7 @@
 //! fieldbus manual hold at the gripper.
 
 use proptest::prelude::*;
-use wsg_protocol::fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 

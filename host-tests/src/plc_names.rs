@@ -2,7 +2,7 @@
 //!
 //! Names, numbers and meanings are those of `wsg-protocol`; meanings stand in its sources alone, so they are read from there.
 
-use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
+use wsg_fieldbus::{CommandFlags, GripperFlags};
 use wsg_protocol::{Status, SystemFlags};
 
 use crate::document::read;
@@ -97,7 +97,7 @@ fn flags(source: &str, names: impl Iterator<Item = (&'static str, u32)>) -> Vec<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wsg_protocol::fieldbus::{InputImage, OutputImage};
+    use wsg_fieldbus::{InputImage, OutputImage};
 
     #[test]
     fn meanings_are_found_in_the_sources() {

@@ -5,8 +5,8 @@ use bus_profibus::{Baud, Character};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::{DpBuffers, DpResponder, Profibus, UartStatus};
 use wsg_bridge_fw::{Bridge, Config, PlcBus, ProfibusConfig};
+use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::CommandId;
-use wsg_protocol::fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
 use wsg_sim::{Time, VirtualGripper};
 
 use crate::serial_gripper::{SerialGripper, motions};

@@ -11,7 +11,7 @@ use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, EVENTS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, FIRST_START_SETTING,
     MAP_VERSION, REPORTS, SETTINGS, Setting,
 };
-use wsg_protocol::fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
+use wsg_fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 
 fn line() -> String {
     let bus = Config::DEFAULT.bus;

@@ -13,7 +13,6 @@
 //! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
 //! | [`session`] | the controller's side of a connection | command set, 1.3 |
 //! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async`; on a computer by `std` and `tokio` | command set, chapter 3 |
-//! | [`fieldbus`] | the register images and the controller behind them; by feature `modbus`, the images as a MODBUS server's tables | fieldbus, chapters 4 to 6 |
 //! | `can` | the messages over CAN frames, both directions, by feature `embedded-can` | command set, 1.1 |
 //! | `gcl` | the text protocol, both directions, by feature `gcl` | GCL |
 //!
@@ -73,12 +72,12 @@ pub mod command;
 #[cfg(any(feature = "embedded-io", feature = "embedded-io-async"))]
 pub mod driver;
 mod field;
-pub mod fieldbus;
 pub mod frame;
 #[cfg(feature = "gcl")]
 pub mod gcl;
 mod meaning;
-mod queue;
+#[doc(hidden)]
+pub mod queue;
 pub mod reply;
 pub mod session;
 mod table;

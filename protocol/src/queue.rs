@@ -1,4 +1,4 @@
-//! A bounded queue that can be hashed, which `heapless::Deque` cannot.
+//! A bounded queue that can be hashed, which `heapless::Deque` cannot. Internal to this crate and `wsg-fieldbus`.
 
 use core::hash::{Hash, Hasher};
 use core::ops::{Deref, DerefMut};
@@ -7,10 +7,13 @@ use heapless::Deque;
 
 /// At most `N` items, first in, first out.
 #[derive(Clone, Debug)]
-pub(crate) struct Queue<T, const N: usize>(Deque<T, N>);
+pub struct Queue<T, const N: usize>(Deque<T, N>);
 
 impl<T, const N: usize> Queue<T, N> {
-    pub(crate) const fn new() -> Self {
+    /// An empty queue.
+    #[must_use]
+    #[expect(clippy::new_without_default, reason = "internal")]
+    pub const fn new() -> Self {
         Self(Deque::new())
     }
 }

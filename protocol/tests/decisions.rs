@@ -3,11 +3,10 @@
 //! `docs/decisions.md` lists every decision with the test that holds it; those that belong to no module's own tests
 //! stand here.
 
-use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use wsg_protocol::{
-    Command, CommandId, DecodeError, Event, FingerFlags, Frame, FrameEncoder, FrameParser, GripperState,
-    LoopData, PrePositionFlags, Reply, Status, SystemFlags, Value, checksum,
+    Command, CommandId, DecodeError, Event, FingerFlags, Frame, FrameEncoder, FrameParser, LoopData,
+    PrePositionFlags, Reply, Status, Value, checksum,
 };
 
 /// The parser's one event for a whole frame.
@@ -16,25 +15,6 @@ fn parsed(line: &[u8], check: impl FnOnce(Event<'_>)) {
     let (taken, event) = parser.push_slice(line);
     assert_eq!(taken, line.len());
     check(event.expect("an event at the frame's last byte"));
-}
-
-/// An input image in which only `change` is not 0.
-fn input(change: impl FnOnce(&mut InputImage)) -> [u8; InputImage::LEN] {
-    let mut image = InputImage {
-        state: GripperFlags::empty(),
-        user: 0,
-        system: SystemFlags::empty(),
-        width: 0,
-        force: 0,
-        status: Status::Success,
-    };
-    change(&mut image);
-    image.to_bytes()
-}
-
-/// The numbers of the coils or discrete inputs that are set: number n is bit n mod 8 of byte n div 8.
-fn numbers(bytes: &[u8]) -> Vec<usize> {
-    (0..8 * bytes.len()).filter(|n| bytes[n / 8] & (1 << (n % 8)) != 0).collect()
 }
 
 #[test]
@@ -65,25 +45,6 @@ fn ids_that_the_manual_misprints_are_those_of_its_own_sections() {
     ] {
         assert_eq!((id.code(), id.section()), (code, section), "{id}");
     }
-}
-
-#[test]
-fn release_is_bit_2_of_the_command_flags_and_homing_bit_3() {
-    assert_eq!(CommandFlags::RELEASE.bits(), 1 << 2);
-    assert_eq!(CommandFlags::HOMING.bits(), 1 << 3);
-}
-
-#[test]
-fn force_register_counts_hundredths_of_a_newton_and_tenths_on_a_wsg_70() {
-    let image = OutputImage { force_limit: 405, ..OutputImage::ZERO };
-    assert_eq!(image.force_limit_n(ForceUnit::Hundredth), 4.05);
-    assert_eq!(image.force_limit_n(ForceUnit::Tenth), 40.5);
-}
-
-#[test]
-fn gripper_state_1_is_one_state_under_both_names() {
-    assert_eq!(GripperState::from_code(1), Some(GripperState::Gripping));
-    assert_eq!(GripperFlags::from(GripperState::Gripping), GripperFlags::GRIPPING);
 }
 
 #[test]
@@ -154,48 +115,6 @@ fn status_codes_are_those_of_both_manuals_and_the_additions_are_these() {
 #[test]
 fn status_19_is_e_cmd_aborted() {
     assert_eq!(Status::from_code(19).symbol(), "E_CMD_ABORTED");
-}
-
-#[test]
-fn first_byte_of_an_image_is_the_high_byte_of_register_0() {
-    let image = OutputImage { flags: CommandFlags::MOVE, user: 1 << 5, ..OutputImage::ZERO };
-    let [high, low, ..] = image.to_bytes();
-    assert_eq!(u16::from_be_bytes([high, low]), 288);
-}
-
-#[test]
-fn coils_and_inputs_count_from_byte_0_bit_0_of_the_whole_image() {
-    let output = |flags, user| numbers(&OutputImage { flags, user, ..OutputImage::ZERO }.to_bytes());
-    assert_eq!(output(CommandFlags::MOVE, 0), [0], "MOVE");
-    assert_eq!(output(CommandFlags::empty(), 1), [8], "IF1");
-    assert_eq!(numbers(&input(|image| image.state = GripperFlags::IDLE)), [0], "IDLE");
-    assert_eq!(numbers(&input(|image| image.user = 1)), [8], "OF1");
-    assert_eq!(numbers(&input(|image| image.system = SystemFlags::REFERENCED)), [16], "REFERENCED");
-    assert_eq!(numbers(&input(|image| image.system = SystemFlags::SCRIPT_FAILURE)), [36], "SCRIPT_FAILURE");
-}
-
-#[test]
-fn numbers_stand_high_byte_first_and_sysstate_as_a_vector_of_bits() {
-    let image = OutputImage { width: -0x0102, speed: 0x0304, force_limit: 0x0506, ..OutputImage::ZERO };
-    assert_eq!(image.to_bytes()[2..], [0xFE, 0xFE, 0x03, 0x04, 0x05, 0x06]);
-
-    let image =
-        input(|image| (image.width, image.force, image.status) = (0x0102, 0x0304, Status::CmdPending));
-    assert_eq!(image[6..], [0x01, 0x02, 0x03, 0x04, 0x00, 26]);
-    let system = input(|image| image.system = SystemFlags::from_bits_retain(0x0D0C_0B0A));
-    assert_eq!(system[2..6], [0x0A, 0x0B, 0x0C, 0x0D], "byte 2 holds bits 0 to 7");
-}
-
-#[test]
-fn sysstate_read_as_one_big_endian_number_shows_referenced_as_01000000h() {
-    let image = input(|image| image.system = SystemFlags::REFERENCED);
-    assert_eq!(u32::from_be_bytes([image[2], image[3], image[4], image[5]]), 0x0100_0000);
-}
-
-#[test]
-fn state_shows_as_exactly_one_bit() {
-    let shown = GripperState::ALL.iter().map(|&state| GripperFlags::from(state).bits());
-    assert!(shown.eq((0..8).map(|bit| 1 << bit)));
 }
 
 #[test]

@@ -3,8 +3,6 @@
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use bus_modbus::Words;
-use wsg_protocol::fieldbus::{CommandFlags, Controller, GripperFlags, Images, InputImage, OutputImage};
 use wsg_protocol::session::{self, Event, Known, Session};
 use wsg_protocol::{
     Command, CommandId, Event as FrameEvent, Frame, FrameEncoder, FrameParser, Instant, Kind, Reply, Status,
@@ -113,26 +111,6 @@ fn parsers_differ_by_what_they_hold_and_not_by_what_they_held() {
 }
 
 #[test]
-fn images_differ_by_what_is_written_and_not_by_what_is_shown() {
-    let nothing = Images::new(false);
-    let mut shown = nothing.clone();
-    shown.set_input(&InputImage {
-        state: GripperFlags::IDLE,
-        user: 0,
-        system: SystemFlags::empty(),
-        width: 1,
-        force: 1,
-        status: Status::Success,
-    });
-    assert_eq!(hash(&shown), hash(&nothing));
-    let mut written = nothing.clone();
-    written.write_registers(0, Words::new(&[1, 0])).unwrap();
-    let mut taken = written.clone();
-    assert!(taken.take_written().is_some());
-    assert!(differ(&[nothing, written, taken]));
-}
-
-#[test]
 fn sessions_differ_by_what_they_wait_for_and_not_by_their_counts() {
     let now = Instant::from_millis(0);
     let fresh = Session::new(session::Config::DEFAULT);
@@ -152,14 +130,4 @@ fn sessions_differ_by_what_they_wait_for_and_not_by_their_counts() {
     assert_eq!(sent.tick(now), None);
     assert_eq!(sent.poll_transmit(now).map(|command| command.id().kind()), Some(Kind::Stop));
     assert!(differ(&[fresh, unsolicited, stopped, sent]));
-}
-
-#[test]
-fn controllers_differ_by_the_commands_that_wait() {
-    let mut waits = Controller::new();
-    let image = OutputImage { flags: CommandFlags::FASTSTOP, ..OutputImage::ZERO };
-    waits.set_output(&image, &Known::NOTHING);
-    let mut fetched = waits.clone();
-    assert_eq!(fetched.poll_command(), Some(Command::FastStop));
-    assert!(differ(&[Controller::new(), waits, fetched]));
 }

@@ -19,8 +19,8 @@ use crossterm::event::{self, Event, KeyCode, KeyModifiers};
 use crossterm::terminal;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{Record, StoreCommand};
+use wsg_fieldbus::GripperFlags;
 use wsg_protocol::SystemFlags;
-use wsg_protocol::fieldbus::GripperFlags;
 
 use self::client::Client;
 use self::state::State;

@@ -22,7 +22,7 @@ const ALL_CAUGHT_IN: [&str; 7] = [
     "protocol/src/checksum.rs",
     "protocol/src/frame",
     "protocol/src/can",
-    "protocol/src/fieldbus",
+    "fieldbus/",
     "protocol/src/session",
     "buses/",
     "bridge-fw/src/",
@@ -47,9 +47,9 @@ struct Part {
 const DECIMAL: &str = "^protocol/src/gcl/decimal";
 
 /// What has all its tests in the crate itself, and needs no other to be built and linked each time.
-const SESSION: &str = "^protocol/src/(session|fieldbus)";
+const SESSION: &str = "^protocol/src/session";
 
-const PARTS: [Part; 10] = [
+const PARTS: [Part; 11] = [
     Part {
         name: "protocol",
         package: "wsg-protocol",
@@ -79,6 +79,13 @@ const PARTS: [Part; 10] = [
         folder: "protocol/",
         options: &["--features", "small-table", "--re", "^protocol/src/checksum.*(lookup|chunk)::"],
         tests: &["--lib"],
+    },
+    Part {
+        name: "fieldbus",
+        package: "wsg-fieldbus",
+        folder: "fieldbus/",
+        options: &[],
+        tests: &["--lib", "--tests"],
     },
     Part { name: "modbus", package: "bus-modbus", folder: "buses/modbus/", options: &[], tests: &["--lib"] },
     Part { name: "slcan", package: "bus-slcan", folder: "buses/slcan/", options: &[], tests: &["--lib"] },

@@ -11,13 +11,14 @@ use anyhow::{Context, Result};
 
 /// The crates for other people's boards, by package and folder: built for each target, free of panics, published as packages.
 /// A crate stands behind those that it depends on.
-pub(crate) const TARGET_CRATES: [(&str, &str); 6] = [
+pub(crate) const TARGET_CRATES: [(&str, &str); 7] = [
     ("bus-modbus", "buses/modbus"),
     ("bus-slcan", "buses/slcan"),
     ("bus-canopen", "buses/canopen"),
     ("bus-profibus", "buses/profibus"),
     ("bus-profinet", "buses/profinet"),
     ("wsg-protocol", "protocol"),
+    ("wsg-fieldbus", "fieldbus"),
 ];
 
 /// The workspace that `cargo xtask` was called in.

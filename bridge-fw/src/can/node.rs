@@ -25,8 +25,8 @@ pub use objects::{INPUT_INDEX, Key, OBJECTS, OUTPUT_INDEX, Object, REPORTS_INDEX
 
 use bus_canopen::{Device, Event, Profile, Rpdo};
 use embedded_can::{Frame, Id};
+use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::Instant;
-use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
 
 use self::objects::Objects;
 use super::bus::MAX_RECEIVED_PER_POLL;

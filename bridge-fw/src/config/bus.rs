@@ -1,7 +1,7 @@
 //! What is fixed about the bus when the bridge starts: rate and format, and what the settings begin with.
 
 use bus_modbus::rtu::Timing;
-use wsg_protocol::fieldbus::SilenceReaction;
+use wsg_fieldbus::SilenceReaction;
 
 /// The bits of a character besides the eight of data (MODBUS over serial line, 2.5.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,7 +1,7 @@
 //! What is fixed about PROFIBUS when the bridge starts: its address, and the rate of the bus.
 
 use bus_profibus::Baud;
-use wsg_protocol::fieldbus::profibus::ADDRESS;
+use wsg_fieldbus::profibus::ADDRESS;
 
 /// The bridge as a DP slave at power-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

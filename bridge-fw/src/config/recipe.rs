@@ -1,6 +1,6 @@
 //! Recipes: what motion commands mean in millimetres and newtons.
 
-use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, OutputImage};
+use wsg_fieldbus::{CommandFlags, ForceUnit, OutputImage};
 
 /// Parameters of the motion commands, chosen by the wires RECIPE0 and RECIPE1, or by BUS_RECIPE for the bus's.
 ///

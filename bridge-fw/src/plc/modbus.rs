@@ -14,8 +14,8 @@ use crate::registers::{
 };
 use bus_modbus::rtu::{self, Character, Event, Mode, Server};
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
+use wsg_fieldbus::Images;
 use wsg_protocol::Instant;
-use wsg_protocol::fieldbus::Images;
 
 /// What the bridge calls itself (FC 43/14).
 pub const IDENTIFICATION: Identification = Identification {

@@ -5,7 +5,7 @@
 //! grip. So both are asked for when the fingers stand, and the end is shown with the answers.
 
 use super::MOTION_STATES;
-use wsg_protocol::fieldbus::{GripperFlags, InputImage};
+use wsg_fieldbus::{GripperFlags, InputImage};
 use wsg_protocol::session::Event;
 use wsg_protocol::{CommandId, Instant, SystemFlags};
 

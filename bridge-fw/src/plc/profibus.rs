@@ -11,8 +11,8 @@ mod responder;
 pub use responder::{Action, DpBuffers, DpResponder, UartStatus};
 
 use bus_profibus::{Baud, BaudSearch};
+use wsg_fieldbus::OutputImage;
 use wsg_protocol::Instant;
-use wsg_protocol::fieldbus::OutputImage;
 
 use self::responder::FromMaster;
 use super::{PlcEvent, PlcSide, Shown, View};

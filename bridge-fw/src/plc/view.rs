@@ -7,7 +7,7 @@ use crate::registers::{
     BusCounts, CanReports, Events, Link, ProfibusReports, RegisterError, ReportSource, ResetCause, SaveState,
     Settings, StoreCommand, StoreReports,
 };
-use wsg_protocol::fieldbus::{Controller, ForceUnit, GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{Controller, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::session::{Known, Session};
 use wsg_protocol::{FrameParser, Status};
 

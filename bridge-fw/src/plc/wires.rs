@@ -4,7 +4,7 @@ use super::{Debounce, MOTION_STATES, PlcEvent, PlcSide, Shown, View};
 use crate::config::Recipe;
 use crate::io::{Inputs, Outputs};
 use crate::registers::{Link, Settings};
-use wsg_protocol::fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Instant, Status, SystemFlags};
 
 /// Each command wire and the flag that it stands for. FAST STOP is apart: its wire is active low.

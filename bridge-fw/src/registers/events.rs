@@ -2,7 +2,7 @@
 
 use core::hash::{Hash, Hasher};
 
-use wsg_protocol::fieldbus::{Cause, Incident};
+use wsg_fieldbus::{Cause, Incident};
 use wsg_protocol::{Instant, SystemFlags};
 
 /// An event of the table, for those who read its code.

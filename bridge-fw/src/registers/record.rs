@@ -2,8 +2,8 @@
 
 use super::settings::{Place, RANGES, Record, Settings, WrongSetting, reaction_of, recipe_of, value_of};
 use crate::config::{BusConfig, Config, Format, GripperLine, PlcBus, ProfibusConfig, RECIPE_COUNT};
+use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::can::Identifiers;
-use wsg_protocol::fieldbus::SilenceReaction;
 
 impl Config {
     /// Returns the settings of this configuration as a record, each value brought into its range.

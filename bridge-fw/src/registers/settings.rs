@@ -5,8 +5,8 @@ use super::{RegisterError, StoreCommand};
 use crate::config::{
     CanConfig, Config, NodeConfig, PlcBus, ProfibusConfig, RECIPE_COUNT, Recipe, collides_with_canopen,
 };
+use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::can::Identifiers;
-use wsg_protocol::fieldbus::SilenceReaction;
 
 /// A holding register that holds a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -39,7 +39,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, spawn_local, yield_now};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
-use wsg_protocol::fieldbus::{CommandFlags, GripperFlags};
+use wsg_fieldbus::{CommandFlags, GripperFlags};
 use wsg_protocol::{Status, SystemFlags};
 
 /// The longest body that is read, in bytes.

@@ -19,9 +19,9 @@ use std::rc::Rc;
 use std::sync::Arc;
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
+use wsg_fieldbus::{InputImage, OutputImage};
 #[cfg(all(feature = "profinet", target_os = "linux"))]
 use wsg_protocol::SystemFlags;
-use wsg_protocol::fieldbus::{InputImage, OutputImage};
 use wsg_protocol::{Command, Status};
 
 /// How many clients a server takes at a time.

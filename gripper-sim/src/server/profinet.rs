@@ -60,8 +60,8 @@ mod interface {
     use std::time::SystemTime;
     use tokio::net::UnixDatagram;
     use tokio::task::yield_now;
-    use wsg_protocol::fieldbus::OutputImage;
-    use wsg_protocol::fieldbus::profinet::{Device, PROFILE, faults};
+    use wsg_fieldbus::OutputImage;
+    use wsg_fieldbus::profinet::{Device, PROFILE, faults};
 
     /// How many frames are taken before it is somebody else's turn.
     const FRAMES_A_TURN: usize = 16;

@@ -1,7 +1,7 @@
 //! The rules of the fieldbus manual (chapters 4 to 6) at the virtual gripper, one by one, in virtual time: what a PLC
 //! writes over Modbus/TCP, and what it reads.
 
-use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
+use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{Command, GripperState, PrePositionFlags, SoftLimits, Status, SystemFlags};
 use wsg_sim::{
     Config, Direction, Fault, MAX_FRAME_LEN, Model, Part, PortId, PortKind, SilenceReaction, Time,

@@ -1,6 +1,6 @@
 //! A bus that brings whole images, such as PROFINET, in virtual time: who writes, and what happens when they leave.
 
-use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, OutputImage};
+use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, OutputImage};
 use wsg_protocol::{Command, HomingDirection, Status, SystemFlags};
 use wsg_sim::{Config, PortId, PortKind, ScriptState, SilenceReaction, Time, VirtualGripper};
 

@@ -1,6 +1,6 @@
 //! A PROFIBUS master at the virtual gripper, telegram by telegram, in virtual time.
 
-use wsg_protocol::fieldbus::{
+use wsg_fieldbus::{
     CommandFlags as Flag, Diagnosis, GripperFlags as Shown, InputImage, OutputImage, SilenceReaction,
 };
 use wsg_protocol::{Status, SystemFlags};

@@ -5,7 +5,7 @@ use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS,
 };
-use wsg_protocol::fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
+use wsg_fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 
 const HEAD: [&str; 10] =
     ["table", "address", "number", "name", "access", "unit", "from", "to", "as delivered", "meaning"];

@@ -7,7 +7,7 @@
 //! - a motion that is over before the next scan is no motion that never began;
 //! - every wait has an end.
 
-use wsg_protocol::fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 
 /// How long a part is held, in milliseconds.

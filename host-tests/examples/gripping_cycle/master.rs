@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use tokio::time::{sleep, timeout};
 use tokio_modbus::client::{Context, rtu, tcp};
 use tokio_modbus::prelude::{Reader, Slave, Writer};
-use wsg_protocol::fieldbus::{InputImage, OutputImage};
+use wsg_fieldbus::{InputImage, OutputImage};
 
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(1);

@@ -1,7 +1,7 @@
 //! The MODBUS device of the probes: the two images and nothing else.
 
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
-use wsg_protocol::fieldbus::Images;
+use wsg_fieldbus::Images;
 
 use core::hint::black_box as opaque;
 

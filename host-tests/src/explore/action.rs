@@ -1,7 +1,7 @@
 //! What can happen: on the wires, on the bus, on the gripper's line, to the gripper and to the bridge.
 
 use wsg_bridge_fw::io::Inputs;
-use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+use wsg_fieldbus::{CommandFlags, OutputImage};
 
 use super::promises::Motion;
 

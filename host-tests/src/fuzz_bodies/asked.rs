@@ -20,7 +20,7 @@
 
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{RECIPE_COUNT, RECIPES, Recipe};
-use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::{Command, CommandId, Kind, PrePositionFlags};
 
 use super::gripper::{LEAST_SPEED, STROKE};

@@ -23,7 +23,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{COMMAND_KEY, Record};
 use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Board, BusConfig, Config, ResetCause, Station};
-use wsg_protocol::fieldbus::CommandFlags;
+use wsg_fieldbus::CommandFlags;
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{CommandId, FrameParser, Status};
 

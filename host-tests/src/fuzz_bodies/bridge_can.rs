@@ -22,8 +22,8 @@ use wsg_bridge_fw::can::{
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
+use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::can::{Identifiers, Reassembler, Segments};
-use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Instant, Kind, Status};
 
 use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS, READY};

@@ -18,8 +18,8 @@ use bus_profibus::{Address, Baud, Cause, Character, Event};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::{DpBuffers, DpResponder, PlcEvent, PlcSide, Profibus, Shown, UartStatus, View};
 use wsg_bridge_fw::{Bridge, Config, PlcBus, ProfibusConfig};
-use wsg_protocol::fieldbus::profibus::{PROFILE, Slave};
-use wsg_protocol::fieldbus::{CommandFlags, Diagnosis, InputImage, OutputImage};
+use wsg_fieldbus::profibus::{PROFILE, Slave};
+use wsg_fieldbus::{CommandFlags, Diagnosis, InputImage, OutputImage};
 use wsg_protocol::{CommandId, FrameParser, Instant, Status, SystemFlags};
 
 use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS, READY};

@@ -1,6 +1,6 @@
 //! The register controller against a small model: which edge, which command.
 
-use wsg_protocol::fieldbus::{CommandFlags, Controller, OutputImage};
+use wsg_fieldbus::{CommandFlags, Controller, OutputImage};
 use wsg_protocol::session::{Event, Known, RequestError};
 use wsg_protocol::{Command, CommandId, GripperState, Kind, Reply, Status, SystemFlags, SystemLimits, Value};
 
@@ -213,6 +213,6 @@ impl Model {
     fn shown(&self) {
         let image = self.controller.input(&self.known);
         assert!(image.state.bits().count_ones() <= 1, "{image:?}");
-        assert_eq!(wsg_protocol::fieldbus::InputImage::from_bytes(image.to_bytes()), image);
+        assert_eq!(wsg_fieldbus::InputImage::from_bytes(image.to_bytes()), image);
     }
 }

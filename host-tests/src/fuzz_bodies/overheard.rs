@@ -7,7 +7,7 @@
 use bus_modbus::rtu::Timing;
 use wsg_bridge_fw::registers::{self, COMMAND_KEY, Record};
 use wsg_bridge_fw::{RECIPE_COUNT, Recipe};
-use wsg_protocol::fieldbus::OutputImage;
+use wsg_fieldbus::OutputImage;
 
 use super::rtu_line::{Event, Requests, Way};
 

@@ -1,8 +1,8 @@
 //! The IO device with whoever is on its network: DCP, RPC, cyclic frames and alarms, whole and damaged.
 
 use bus_profinet::{Endpoint, Event, MAX_FRAME_LEN, MacAddress, State, Stored, Transmit};
-use wsg_protocol::fieldbus::profinet::{Device, PROFILE};
-use wsg_protocol::fieldbus::{InputImage, OutputImage};
+use wsg_fieldbus::profinet::{Device, PROFILE};
+use wsg_fieldbus::{InputImage, OutputImage};
 
 use super::input::Input;
 

@@ -34,6 +34,7 @@ const DOCUMENTS: &[&str] = &[
     "docs/scripts.md",
     "docs/decisions.md",
     "protocol/README.md",
+    "fieldbus/README.md",
     "buses/modbus/README.md",
     "buses/slcan/README.md",
     "buses/canopen/README.md",

@@ -2,8 +2,8 @@
 
 use host_tests::document::root;
 use host_tests::masters::{self, said};
-use wsg_protocol::fieldbus::Diagnosis;
-use wsg_protocol::fieldbus::profibus::PROFILE;
+use wsg_fieldbus::Diagnosis;
+use wsg_fieldbus::profibus::PROFILE;
 use wsg_sim::server::{Lines, SerialLine, ServerThread};
 use wsg_sim::{Config, Part};
 

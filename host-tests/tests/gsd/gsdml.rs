@@ -4,8 +4,8 @@ use bus_profinet::{Gsdml, GsdmlFacts, Priority};
 use host_tests::device_files::{GSDML, GSDML_BITMAP, VENDOR};
 use host_tests::document::{hold, hold_file, read, table};
 use roxmltree::{Document, Node};
-use wsg_protocol::fieldbus::profinet::PROFILE;
-use wsg_protocol::fieldbus::{InputImage, OutputImage};
+use wsg_fieldbus::profinet::PROFILE;
+use wsg_fieldbus::{InputImage, OutputImage};
 
 const PAGE: &str = "docs/profinet.md";
 

@@ -7,8 +7,8 @@ mod gsdml;
 use bus_profibus::{Baud, Gsd, GsdFacts};
 use host_tests::device_files::{GSD_BITMAPS, VENDOR};
 use host_tests::document::{hold_file, read, root};
-use wsg_protocol::fieldbus::profibus::PROFILE;
-use wsg_protocol::fieldbus::{Diagnosis, InputImage, OutputImage};
+use wsg_fieldbus::profibus::PROFILE;
+use wsg_fieldbus::{Diagnosis, InputImage, OutputImage};
 
 const FILE: &str = "docs/WSGB5555.gsd";
 

@@ -18,7 +18,7 @@ use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, Record,
     SETTINGS, StoreCommand,
 };
-use wsg_protocol::fieldbus::InputImage;
+use wsg_fieldbus::InputImage;
 
 use super::names::report;
 

@@ -7,7 +7,7 @@ use wsg_bridge_fw::RECIPE_COUNT;
 use wsg_bridge_fw::registers::{
     EVENTS, EVENTS_KEPT, EventText, FIRST_REPORT, FIRST_SETTING, REPORTS, Record, SETTINGS,
 };
-use wsg_protocol::fieldbus::{ForceUnit, InputImage};
+use wsg_fieldbus::{ForceUnit, InputImage};
 use wsg_protocol::{CommandId, DeviceType, FirmwareVersion, Status, SystemFlags};
 
 use super::names::{self, place, report, words};

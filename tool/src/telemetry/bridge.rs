@@ -15,10 +15,8 @@ use tokio_modbus::{
     prelude::Slave,
 };
 use wsg_bridge_fw::registers::{EVENTS, FIRST_REPORT, MAP_VERSION, REPORTS};
-use wsg_protocol::{
-    DeviceType, GripperState,
-    fieldbus::{ForceUnit, GripperFlags, InputImage},
-};
+use wsg_fieldbus::{ForceUnit, GripperFlags, InputImage};
+use wsg_protocol::{DeviceType, GripperState};
 
 use super::{
     config::Data,

@@ -4,9 +4,9 @@
 //! Both exchange outputs and inputs whole, in whatever order they run: `cargo xtask loom`.
 
 use bus_profibus::{Address, Baud, Character, Counters, Event, Outcome, State};
+use wsg_fieldbus::profibus::{ADDRESS, PROFILE, Slave};
+use wsg_fieldbus::{Diagnosis, InputImage, OutputImage};
 use wsg_protocol::SystemFlags;
-use wsg_protocol::fieldbus::profibus::{ADDRESS, PROFILE, Slave};
-use wsg_protocol::fieldbus::{Diagnosis, InputImage, OutputImage};
 
 use crate::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 use crate::byte_queue::ByteQueue;

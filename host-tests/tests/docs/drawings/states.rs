@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use host_tests::document::{hold, hold_file, table};
 use host_tests::modbus_bench::{Bench, FASTSTOP, GRIP, HOMING, JOG_PLUS, MOVE, RELEASE, STOP_ACK, quick};
+use wsg_fieldbus::InputImage;
 use wsg_protocol::SystemFlags;
-use wsg_protocol::fieldbus::InputImage;
 use wsg_sim::{Fault, Part};
 
 use super::svg::{Anchor, Svg};

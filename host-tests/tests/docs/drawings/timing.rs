@@ -6,8 +6,8 @@ use host_tests::document::hold_file;
 use host_tests::modbus_bench::{Bench, GRIP, RELEASE};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_fieldbus::InputImage;
 use wsg_protocol::SystemFlags;
-use wsg_protocol::fieldbus::InputImage;
 use wsg_sim::Part;
 
 use super::svg::{Anchor, Svg};

@@ -7,7 +7,7 @@ use host_tests::document::{hold, table};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;
-use wsg_protocol::fieldbus::{GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 use wsg_sim::Part;
 

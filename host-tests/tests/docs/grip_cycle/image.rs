@@ -1,7 +1,7 @@
 //! The images of the fieldbus manual in words.
 
 use host_tests::plc_names::command_flags;
-use wsg_protocol::fieldbus::{CommandFlags, InputImage, OutputImage};
+use wsg_fieldbus::{CommandFlags, InputImage, OutputImage};
 
 /// What a PLC writes, step by step: homing, grip and release, from power-up on.
 pub(super) struct Step {

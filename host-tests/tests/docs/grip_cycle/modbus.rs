@@ -4,7 +4,7 @@ use host_tests::document::{hold, table};
 use host_tests::modbus_bench::{Bench, UNIT};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::Inputs;
-use wsg_protocol::fieldbus::{InputImage, OutputImage};
+use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 use wsg_sim::Part;
 

@@ -19,8 +19,8 @@ use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
 use profirust::phy::ProfibusPhy;
 use wsg_bridge_fw::io::Inputs;
-use wsg_protocol::fieldbus::profibus::PROFILE;
-use wsg_protocol::fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
+use wsg_fieldbus::profibus::PROFILE;
+use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{CommandId, Status, SystemFlags};
 use wsg_sim::{Config, Part};
 

@@ -5,8 +5,8 @@ use core::hint::black_box;
 use bus_modbus::rtu::{Character, Config, Event, MAX_FRAME_LEN, Mode, Server, Timing, crc};
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
 use cortex_m_semihosting::hprintln;
+use wsg_fieldbus::Images;
 use wsg_probes::gripper::Gripper;
-use wsg_protocol::fieldbus::Images;
 
 use crate::counting::Counter;
 

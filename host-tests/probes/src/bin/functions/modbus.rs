@@ -1,8 +1,8 @@
 //! The MODBUS server, on a serial line, on TCP and without a line, and the register images as its tables.
 
 use bus_modbus::{Bits, Exception, Function, MAX_PDU_LEN, Words, rtu, serve, tcp};
+use wsg_fieldbus::{Content, Images};
 use wsg_probes::gripper::Gripper;
-use wsg_protocol::fieldbus::{Content, Images};
 
 use crate::{function, functions};
 

@@ -1,7 +1,7 @@
 //! An IO device with outputs and inputs, and what it is made of.
 
 use bus_profinet::{Device, IpParameters, Profile, StationName};
-use wsg_protocol::fieldbus::profinet;
+use wsg_fieldbus::profinet;
 
 use crate::{function, functions};
 

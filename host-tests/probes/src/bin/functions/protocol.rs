@@ -1,6 +1,6 @@
 //! The binary protocol, its session, and the fieldbus images with their controller.
 
-use wsg_protocol::fieldbus::{
+use wsg_fieldbus::{
     Cause, CommandFlags, Controller, Diagnosis, ForceUnit, GripperFlags, InputImage, OutputImage,
 };
 use wsg_protocol::session::{Known, Session, Topic};

@@ -1,11 +1,11 @@
 //! JOG in commands (fieldbus, 6.7): the force limit, a Pre-position to the end of the stroke or to a soft limit, and a Stop.
 
 use super::{Controller, Motion, force_unit, within_limits};
-use crate::command::{Command, CommandId};
-use crate::fieldbus::jog::{Direction, Drive, Stage};
-use crate::fieldbus::{Cause, CommandFlags, GripperFlags, OutputImage};
-use crate::session::Known;
-use crate::types::{GripperState, PrePositionFlags, SoftLimits, Status};
+use crate::jog::{Direction, Drive, Stage};
+use crate::{Cause, CommandFlags, GripperFlags, OutputImage};
+use wsg_protocol::command::{Command, CommandId};
+use wsg_protocol::session::Known;
+use wsg_protocol::types::{GripperState, PrePositionFlags, SoftLimits, Status};
 
 impl Controller {
     /// Ends what runs by a Stop; a jog is over once the gripper has answered for all of it.

@@ -22,7 +22,7 @@ use super::{InputImage, OutputImage};
 ///
 /// ```
 /// use bus_modbus::Words;
-/// use wsg_protocol::fieldbus::{CommandFlags, Images};
+/// use wsg_fieldbus::{CommandFlags, Images};
 ///
 /// let mut images = Images::new(false);
 /// // The manual's example: MOVE and IF6 are register 0 = 288.
@@ -83,7 +83,7 @@ impl Images {
     /// written.
     ///
     /// ```
-    /// use wsg_protocol::fieldbus::{Images, OutputImage};
+    /// use wsg_fieldbus::{Images, OutputImage};
     ///
     /// let mut images = Images::new(false);
     /// images.set_output(&OutputImage { width: 12_20, ..OutputImage::ZERO });
@@ -203,8 +203,8 @@ fn swap_numbers(bytes: &mut [u8], registers: &[Register]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fieldbus::{CommandFlags, GripperFlags};
-    use crate::types::{Status, SystemFlags};
+    use crate::{CommandFlags, GripperFlags};
+    use wsg_protocol::types::{Status, SystemFlags};
 
     const INPUT: InputImage = InputImage {
         state: GripperFlags::IDLE,

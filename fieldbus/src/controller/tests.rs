@@ -1,10 +1,10 @@
 //! The rules of the fieldbus manual, one by one, with a session's part played by each test.
 
 use super::*;
-use crate::session::Known;
-use crate::types::{DeviceType, FirmwareVersion, SystemInfo};
 use std::vec;
 use std::vec::Vec;
+use wsg_protocol::session::Known;
+use wsg_protocol::types::{DeviceType, FirmwareVersion, SystemInfo};
 
 const LIMITS: SystemLimits = SystemLimits {
     stroke: 110.0,

@@ -51,7 +51,7 @@ const fn unsigned(name: &'static str, unit: &'static str) -> Register {
 /// The holding registers from 0 on: the output image (fieldbus, table 1).
 ///
 /// ```
-/// use wsg_protocol::fieldbus::OUTPUT_REGISTERS;
+/// use wsg_fieldbus::OUTPUT_REGISTERS;
 ///
 /// assert_eq!(OUTPUT_REGISTERS[2].name, "SPEED");
 /// ```
@@ -65,7 +65,7 @@ pub const OUTPUT_REGISTERS: [Register; OutputImage::LEN / 2] = [
 /// The input registers from 0 on: the input image (fieldbus, table 2).
 ///
 /// ```
-/// use wsg_protocol::fieldbus::INPUT_REGISTERS;
+/// use wsg_fieldbus::INPUT_REGISTERS;
 ///
 /// assert_eq!(INPUT_REGISTERS[5].name, "Status Code");
 /// ```

@@ -1,12 +1,12 @@
 //! The PROFIBUS diagnosis block (fieldbus, 5.2, table 3) as data. Who sends it when is the bus stack's business.
 
-use crate::types::SystemFlags;
+use wsg_protocol::types::SystemFlags;
 
 /// What a WSG tells a PROFIBUS master about itself: 16 bytes.
 ///
 /// ```
 /// use wsg_protocol::SystemFlags;
-/// use wsg_protocol::fieldbus::Diagnosis;
+/// use wsg_fieldbus::Diagnosis;
 ///
 /// let block = Diagnosis { standard: [0x08, 0x0C, 0x00, 0x02], system: SystemFlags::FAST_STOP };
 /// let bytes = block.to_bytes();
@@ -48,7 +48,7 @@ impl Diagnosis {
     ///
     /// ```
     /// use wsg_protocol::SystemFlags;
-    /// use wsg_protocol::fieldbus::Diagnosis;
+    /// use wsg_fieldbus::Diagnosis;
     ///
     /// let (moving, stopped) = (SystemFlags::MOVING, SystemFlags::FAST_STOP);
     /// assert!(Diagnosis::is_due(moving, stopped));

@@ -7,6 +7,30 @@
 //! By the feature `modbus`, `Images` is both images as the coils and registers of a MODBUS server, for `bus_modbus`. By the
 //! feature `profibus`, the module `profibus` is what a slave of `bus_profibus` has to be; by `profinet`, the module `profinet` is the same
 //! for a device of `bus_profinet`.
+#![no_std]
+#![forbid(unsafe_code)]
+#![deny(missing_docs)]
+#![deny(
+    clippy::indexing_slicing,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::arithmetic_side_effects
+)]
+#![cfg_attr(
+    test,
+    allow(
+        clippy::indexing_slicing,
+        clippy::unwrap_used,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::arithmetic_side_effects
+    )
+)]
+#![cfg_attr(docsrs, feature(doc_cfg))]
+
+#[cfg(test)]
+extern crate std;
 
 mod controller;
 mod diagnosis;

@@ -1,7 +1,7 @@
 //! What JOG+ and JOG- ask for, and where a jog stands (fieldbus, 6.7). What is sent for it is the controller's.
 
 use super::{CommandFlags, OutputImage};
-use crate::types::SoftLimits;
+use wsg_protocol::types::SoftLimits;
 
 /// Which way the fingers go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,6 +1,6 @@
 //! Why a command came to nothing, or a FAST STOP was asked for: what the status register and GSTATE do not tell.
 
-use crate::command::CommandId;
+use wsg_protocol::command::CommandId;
 
 /// The reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

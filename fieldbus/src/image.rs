@@ -1,7 +1,7 @@
 //! The register images, byte by byte (fieldbus, 5.1).
 
-use crate::types::{DeviceType, GripperState, Status, SystemFlags};
 use bitflags::bitflags;
+use wsg_protocol::types::{DeviceType, GripperState, Status, SystemFlags};
 
 bitflags! {
     /// CMDFLAGS, byte 0 of the output image. A rising edge gives the command; JOG acts on level.
@@ -57,7 +57,7 @@ impl CommandFlags {
     /// The set flag with the lowest bit number: of several that rise at once the one that counts.
     ///
     /// ```
-    /// use wsg_protocol::fieldbus::CommandFlags;
+    /// use wsg_fieldbus::CommandFlags;
     ///
     /// assert_eq!((CommandFlags::HOMING | CommandFlags::GRIP).lowest(), Some(CommandFlags::GRIP));
     /// assert_eq!(CommandFlags::empty().lowest(), None);
@@ -75,7 +75,7 @@ impl CommandFlags {
 /// (fieldbus, 6.7).
 ///
 /// ```
-/// use wsg_protocol::fieldbus::{CommandFlags, MaskedFlags};
+/// use wsg_fieldbus::{CommandFlags, MaskedFlags};
 ///
 /// let mut masked = MaskedFlags::NONE;
 /// let first = CommandFlags::MOVE | CommandFlags::FASTSTOP;
@@ -181,7 +181,7 @@ impl ForceUnit {
 /// What the PLC writes: 8 bytes, numbers high byte first.
 ///
 /// ```
-/// use wsg_protocol::fieldbus::{CommandFlags, OutputImage};
+/// use wsg_fieldbus::{CommandFlags, OutputImage};
 ///
 /// // The manual's example: MOVE and IF6 are Modbus register 0 = 288 = 0120h.
 /// let image = OutputImage { flags: CommandFlags::MOVE, user: 1 << 5, width: 1220, ..OutputImage::ZERO };
@@ -260,7 +260,7 @@ impl OutputImage {
 /// What the PLC reads: 12 bytes, numbers high byte first, SYSSTATE as a bit vector (byte 2 holds bits 0 to 7).
 ///
 /// ```
-/// use wsg_protocol::fieldbus::{GripperFlags, InputImage};
+/// use wsg_fieldbus::{GripperFlags, InputImage};
 /// use wsg_protocol::{Status, SystemFlags};
 ///
 /// let image = InputImage {

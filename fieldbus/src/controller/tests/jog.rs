@@ -1,7 +1,7 @@
 //! JOG (fieldbus, 6.7), the silence of a PLC, and the user flags, with a session's part played by each test.
 
 use super::*;
-use crate::types::SoftLimits;
+use wsg_protocol::types::SoftLimits;
 
 const MINUS: Command<'static> = jog(0.0, 50.0);
 const PLUS: Command<'static> = jog(110.0, 50.0);

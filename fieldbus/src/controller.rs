@@ -6,11 +6,11 @@ mod jogging;
 use super::image::to_register;
 use super::jog::{Jog, Stage};
 use super::{Cause, CommandFlags, ForceUnit, GripperFlags, Incident, InputImage, OutputImage};
-use crate::command::{Command, CommandId, Kind};
-use crate::queue::Queue;
-use crate::reply::{Reply, Value};
-use crate::session::{Event, Known, RequestError};
-use crate::types::{
+use wsg_protocol::command::{Command, CommandId, Kind};
+use wsg_protocol::queue::Queue;
+use wsg_protocol::reply::{Reply, Value};
+use wsg_protocol::session::{Event, Known, RequestError};
+use wsg_protocol::types::{
     AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
 };
 
@@ -23,7 +23,7 @@ const INCIDENTS_LEN: usize = 4;
 
 /// The register interface of a gripper, whatever carries the images.
 ///
-/// Sans-IO, beside a [`Session`](crate::session::Session): give it each image by [`set_output`](Self::set_output) and
+/// Sans-IO, beside a [`Session`](wsg_protocol::session::Session): give it each image by [`set_output`](Self::set_output) and
 /// each event of the session by [`handle`](Self::handle), then fetch commands by
 /// [`poll_command`](Self::poll_command) and show the PLC [`input`](Self::input).
 ///
@@ -41,7 +41,7 @@ const INCIDENTS_LEN: usize = 4;
 /// - A Stop that is not answered in time, while the fingers are not known to stand, becomes a FAST STOP.
 /// - GRIP leaves only behind the answer to its own force limit, or at once while the gripper is known to have that limit
 ///   ([`Known::force_limit`]). Let the session read settings back
-///   ([`Config::verify_settings`](crate::session::Config::verify_settings)).
+///   ([`Config::verify_settings`](wsg_protocol::session::Config::verify_settings)).
 /// - MOVE begins only when GSTATE is IDLE (fieldbus, 6.1). While a part is held, or behind one that was not found or got lost,
 ///   RELEASE is the way to open; behind an error STOP/ACK comes first.
 /// - MOVE stops on a block: fingers that clamp and later snap to the target would move without a command.
@@ -323,7 +323,8 @@ impl Controller {
                 self.supervise_fast_stop(*flags);
                 self.show_held_back(known);
             }
-            Event::Pending(_) | Event::Reported(_) | Event::Late(_) => {}
+            // Pending answers, late ones, and reports of values that are only shown.
+            _ => {}
         }
     }
 
@@ -423,7 +424,8 @@ impl Controller {
             RequestError::MotionRunning => (Status::AlreadyRunning, Cause::MotionRuns),
             RequestError::FastStopRunning => (Status::AccessDenied, Cause::FastStopLasts),
             RequestError::Invalid(_) => (Status::InvalidParameter, Cause::OutsideLimits),
-            RequestError::QueueFull => (Status::InsufficientResources, Cause::Withdrawn),
+            // The session's queue is full.
+            _ => (Status::InsufficientResources, Cause::Withdrawn),
         };
         // What is known matters to a Stop alone, and a session that refuses one has no connection.
         self.came_to_nothing(id, status, cause, &Known::NOTHING);

@@ -3,7 +3,7 @@
 use bus_profinet::{Fault, Module, Priority, Profile, Submodule};
 
 use super::{Diagnosis, InputImage, OutputImage};
-use crate::types::SystemFlags;
+use wsg_protocol::types::SystemFlags;
 
 /// A device with both images.
 pub type Device = bus_profinet::Device<{ OutputImage::LEN }, { InputImage::LEN }>;
@@ -87,7 +87,7 @@ const fn fault(flag: SystemFlags, name: &'static str) -> Fault {
 ///
 /// ```
 /// use wsg_protocol::SystemFlags;
-/// use wsg_protocol::fieldbus::profinet::{PROFILE, faults};
+/// use wsg_fieldbus::profinet::{PROFILE, faults};
 ///
 /// let shown = faults(SystemFlags::FAST_STOP | SystemFlags::MOVING);
 /// assert_eq!(shown.count_ones(), 1);
