@@ -22,14 +22,14 @@ pub struct Flag {
 #[must_use]
 pub fn command_flags() -> Vec<Flag> {
     let names = CommandFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into()));
-    flags("protocol/src/fieldbus/image.rs", names)
+    flags("fieldbus/src/image.rs", names)
 }
 
 /// The flags of GSTATE.
 #[must_use]
 pub fn gripper_flags() -> Vec<Flag> {
     let names = GripperFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into()));
-    flags("protocol/src/fieldbus/image.rs", names)
+    flags("fieldbus/src/image.rs", names)
 }
 
 /// The flags of SYSSTATE.

@@ -3,5 +3,6 @@
 mod canopen;
 mod image;
 mod modbus;
+mod states;
 
 const DOCUMENT: &str = "docs/grip-cycle.md";

@@ -1,14 +1,12 @@
-//! docs/states.svg and the table beside it: how GSTATE goes on, as it was seen in virtual time.
+//! The table in docs/grip-cycle.md: which state follows which, as recorded in virtual time.
 
 use std::collections::BTreeSet;
 
-use host_tests::document::{hold, hold_file, table};
+use host_tests::document::{hold, table};
 use host_tests::modbus_bench::{Bench, FASTSTOP, GRIP, HOMING, JOG_PLUS, MOVE, RELEASE, STOP_ACK, quick};
 use wsg_fieldbus::InputImage;
 use wsg_protocol::SystemFlags;
 use wsg_sim::{Fault, Part};
-
-use super::svg::{Anchor, Svg};
 
 /// From a state, for a reason, to a state.
 type Transition = (&'static str, &'static str, &'static str);
@@ -191,123 +189,7 @@ fn next_states(seen: &BTreeSet<Transition>) -> String {
     table(["GSTATE", a, b, c, d, e, f, g, "by itself"], rows)
 }
 
-/// A state in the picture.
-const PLACES: [(&str, i32, i32); 9] = [
-    ("ERROR", 175, 90),
-    ("IDLE", 175, 170),
-    ("NO_PART", 175, 250),
-    ("HOLDING", 175, 330),
-    ("PART_LOST", 175, 410),
-    ("POSITIONING", 640, 110),
-    ("RELEASING", 640, 210),
-    ("GRIPPING", 640, 310),
-    (FAST_STOP, 640, 450),
-];
-/// Half of a state's box.
-const BOX: (i32, i32) = (65, 18);
-/// The frame round the states in which the fingers stand.
-const FRAME: (i32, i32, i32, i32) = (85, 40, 180, 410);
-
-fn place(state: &str) -> (i32, i32) {
-    let place = PLACES.iter().find(|place| place.0 == state);
-    place.map(|(_, x, y)| (*x, *y)).unwrap_or_else(|| panic!("{state} has no place"))
-}
-
-/// What all, or all but one, of these states have in common.
-fn is_shared(seen: &BTreeSet<Transition>, states: &[&str], (reason, to): (&str, &str)) -> bool {
-    let others = states.iter().filter(|state| **state != to);
-    others.clone().filter(|from| seen.contains(&(from, reason, to))).count() + 1 >= others.count()
-}
-
-/// What a command does in IDLE and in no other state in which the fingers stand.
-fn is_of_idle_alone(seen: &BTreeSet<Transition>, (reason, to): (&str, &str)) -> bool {
-    let mut from = STANDING.iter().filter(|from| seen.contains(&(from, reason, to)));
-    MOVING.contains(&to) && from.next() == Some(&"IDLE") && from.next().is_none()
-}
-
-fn draw(seen: &BTreeSet<Transition>) -> String {
-    let mut svg = Svg::new(860, 500, "How GSTATE goes on: commands and the ends of motions");
-    let words = "fill=\"#444\" font-size=\"12\"";
-    let given = "fill=\"none\" stroke=\"#1a5fb4\" stroke-width=\"2\" marker-end=\"url(#arrow)\"";
-    let line = "fill=\"none\" stroke=\"#444\" stroke-width=\"1.5\" marker-end=\"url(#arrow)\"";
-    let (x, y, width, height) = FRAME;
-    svg.rect((x, y), (width, height), "fill=\"#f7f7f2\" stroke=\"#998\" stroke-dasharray=\"4 3\"");
-    svg.text((x + 8, y + 18), Anchor::Start, words, "the fingers stand");
-    for (name, x, y) in PLACES {
-        let fill = if name == FAST_STOP || name == "ERROR" { "#fbe9e7" } else { "#eef3fa" };
-        svg.rect(
-            (x - BOX.0, y - BOX.1),
-            (2 * BOX.0, 2 * BOX.1),
-            &format!("fill=\"{fill}\" stroke=\"#446\" stroke-width=\"1.5\""),
-        );
-        svg.text((x, y + 5), Anchor::Middle, "font-weight=\"bold\"", name);
-    }
-    // What a command does wherever the fingers stand: one arrow from the frame.
-    let shared: BTreeSet<_> = seen
-        .iter()
-        .map(|(_, reason, to)| (*reason, *to))
-        .filter(|edge| MOVING.contains(&edge.1) && is_shared(seen, &STANDING, *edge))
-        .collect();
-    for state in MOVING {
-        let names: Vec<String> = COMMANDS
-            .iter()
-            .filter_map(|(name, _)| match (*name, state) {
-                edge if shared.contains(&edge) => Some((*name).to_owned()),
-                edge if is_of_idle_alone(seen, edge) => Some(format!("{name} in IDLE")),
-                _ => None,
-            })
-            .collect();
-        let (x, y) = place(state);
-        let (from, to) = (FRAME.0 + FRAME.2, x - BOX.0);
-        svg.path(&format!("M{from} {}H{to}", y - 10), given);
-        svg.text((to - 18, y - 15), Anchor::End, words, &names.join(", "));
-    }
-    // What it does wherever they are: an arrow out of nowhere.
-    let everywhere: Vec<&str> = STANDING.iter().chain(&MOVING).copied().collect();
-    assert!(is_shared(seen, &everywhere, ("FASTSTOP", FAST_STOP)));
-    assert!(is_shared(seen, &everywhere, ("STOP/ACK", "IDLE")));
-    let (x, y) = place(FAST_STOP);
-    svg.path(&format!("M{} {y}H{}", x + 200, x + BOX.0), given);
-    svg.text((x + 212, y - 10), Anchor::End, words, "FASTSTOP, everywhere");
-    let (x, y) = place("IDLE");
-    svg.path(&format!("M5 {y}H{}", x - BOX.0), given);
-    svg.text((5, y - 22), Anchor::Start, words, "STOP/ACK,");
-    svg.text((5, y - 8), Anchor::Start, words, "everywhere");
-    // All that is left, from box to box.
-    let mut left: Vec<(&str, &str, Vec<&str>)> = Vec::new();
-    for (from, reason, to) in seen {
-        let is_drawn = shared.contains(&(*reason, *to))
-            || is_of_idle_alone(seen, (*reason, *to))
-            || [("FASTSTOP", FAST_STOP), ("STOP/ACK", "IDLE")].contains(&(*reason, *to));
-        if is_drawn {
-            continue;
-        }
-        match left.iter_mut().find(|edge| (edge.0, edge.1) == (*from, *to)) {
-            Some(edge) => edge.2.push(reason),
-            None => left.push((from, to, vec![reason])),
-        }
-    }
-    for (from, to, reasons) in left {
-        let ((x0, y0), (x1, y1)) = (place(from), place(to));
-        if x0 == x1 {
-            let down = if y1 > y0 { BOX.1 } else { -BOX.1 };
-            svg.path(&format!("M{x0} {}V{}", y0 + down, y1 - down), line);
-            svg.text((x0 + 8, (y0 + y1) / 2 + 4), Anchor::Start, words, &reasons.join(", "));
-        } else {
-            assert!(x0 > x1, "{from} to {to} has no way in the picture");
-            let (x0, y0, x1) = (x0 - BOX.0, y0 + 8, x1 + BOX.0);
-            svg.path(&format!("M{x0} {y0}L{x1} {y1}"), line);
-            // A third of the way, above the line.
-            let (x, y) = (x0 - (x0 - x1) / 3, y0 + (y1 - y0) / 3);
-            svg.text((x, y + 16), Anchor::Middle, words, &reasons.join(", "));
-        }
-    }
-    svg.finish()
-}
-
 #[test]
 fn states_in_the_document_follow_one_another_as_they_were_seen_to() {
-    let seen = record();
-    hold("docs/grip-cycle.md", "states", &next_states(&seen));
-    hold_file("docs/states.svg", &draw(&seen));
+    hold("docs/grip-cycle.md", "states", &next_states(&record()));
 }

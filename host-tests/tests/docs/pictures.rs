@@ -1,0 +1,61 @@
+//! The pictures of the documents are drawn by hand. Each names what the code and the tables name.
+
+use host_tests::document::read;
+use wsg_b_l475e_iot01a::{INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
+use wsg_fieldbus::GripperFlags;
+
+/// The connectors and MCU pins in the first table below this heading of docs/wiring.md.
+fn pins(heading: &str) -> Vec<[String; 2]> {
+    let text = read("docs/wiring.md");
+    let below = text.split(&format!("\n{heading}\n")).nth(1);
+    let below = below.unwrap_or_else(|| panic!("docs/wiring.md has no \"{heading}\""));
+    let rows = below.lines().skip_while(|line| !line.starts_with("|---")).skip(1);
+    let rows = rows.take_while(|line| line.starts_with('|')).map(|line| {
+        let cells: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();
+        [cells[0].to_owned(), cells[1].to_owned()]
+    });
+    rows.collect()
+}
+
+/// The headings of docs/wiring.md with pins of lines and buses.
+const LINES: [&str; 3] = ["## The gripper's line", "## The bus", "### CAN"];
+
+/// Asserts that texts stand in a picture, each alone or at the beginning of a text.
+fn assert_shows(picture: &str, texts: impl IntoIterator<Item = String>) {
+    let svg = read(picture);
+    for text in texts {
+        assert!(svg.contains(&format!(">{text}")), "{picture} does not show \"{text}\"");
+    }
+}
+
+#[test]
+fn wiring_picture_shows_every_wire_line_and_pin() {
+    let inputs = INPUTS.iter().flat_map(|wire| {
+        let mcu = format!("P{}{}", wire.port.letter(), wire.pin);
+        [wire.signal.iter_names().next().unwrap().0.to_owned(), wire.connector.to_owned(), mcu]
+    });
+    let outputs = OUTPUTS.iter().flat_map(|wire| {
+        let mcu = format!("P{}{}", OUTPUT_PORT.letter(), wire.pin);
+        [wire.signal.iter_names().next().unwrap().0.to_owned(), wire.connector.to_owned(), mcu]
+    });
+    let lines = LINES.iter().flat_map(|heading| pins(heading)).flatten().filter(|name| name != "GND");
+    assert_shows("docs/wiring.svg", inputs.chain(outputs).chain(lines).chain([NAME.to_owned()]));
+}
+
+#[test]
+fn state_picture_shows_every_state() {
+    let states = GripperFlags::all().iter_names().map(|(name, _)| name.to_owned());
+    assert_shows("docs/states.svg", states.chain(["FAST STOP".to_owned()]));
+}
+
+#[test]
+fn no_connector_of_the_wiring_is_used_twice() {
+    let wires = INPUTS.iter().map(|wire| wire.connector).chain(OUTPUTS.iter().map(|wire| wire.connector));
+    let mut used: Vec<String> = wires.map(str::to_owned).collect();
+    for heading in LINES {
+        used.extend(pins(heading).into_iter().map(|[connector, _]| connector).filter(|name| name != "GND"));
+    }
+    for (at, connector) in used.iter().enumerate() {
+        assert!(!used[..at].contains(connector), "{connector} is used twice");
+    }
+}
