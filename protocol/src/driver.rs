@@ -43,6 +43,7 @@ mod engine;
 mod error;
 #[cfg(feature = "std")]
 mod farewell;
+mod gate;
 #[cfg(feature = "gcl")]
 mod gcl;
 #[cfg(feature = "std")]
@@ -51,7 +52,13 @@ mod link;
 mod methods;
 mod motion;
 #[cfg(feature = "std")]
+mod readiness;
+#[cfg(feature = "std")]
 mod received;
+#[cfg(feature = "std")]
+mod second;
+#[cfg(feature = "std")]
+mod stop;
 #[cfg(feature = "tokio")]
 pub mod tokio;
 #[cfg(feature = "std")]
@@ -64,8 +71,11 @@ pub use error::{Culprit, Error};
 pub use gcl::{GCL_LINE_LEN, Gcl};
 pub use link::Protocol;
 pub use motion::{MotionResult, Pending};
+#[cfg(feature = "std")]
+pub use stop::{StopHandle, StopLine, Stoppable};
 pub use units::{Mm, MmPerS};
 
+use crate::command::Command;
 use crate::reply::Value;
 use crate::time::Instant;
 use crate::types::{GripperState, LoopData, PrePositionFlags, SystemFlags};
@@ -157,6 +167,12 @@ impl Config {
     }
 }
 
+impl Default for Config {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
 /// What a grip came to (command set, 3.2.6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -184,6 +200,34 @@ impl OnBlock {
             Self::Stop => PrePositionFlags::STOP_ON_BLOCK,
             Self::Clamp => PrePositionFlags::empty(),
         }
+    }
+}
+
+/// How the fingers are stopped; FAST STOP is the greater one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum StopKind {
+    /// Stop: the next motion is possible at once (command set, 3.2.3).
+    Stop,
+    /// FAST STOP: the fingers are locked until it is acknowledged (command set, 3.2.4).
+    FastStop,
+}
+
+impl StopKind {
+    const fn command(self) -> Command<'static> {
+        match self {
+            Self::Stop => Command::Stop,
+            Self::FastStop => Command::FastStop,
+        }
+    }
+}
+
+impl core::fmt::Display for StopKind {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Stop => "Stop",
+            Self::FastStop => "FAST STOP",
+        })
     }
 }
 

@@ -3,14 +3,15 @@
 use std::io;
 use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver, Transport};
 use wsg_protocol::driver::host::{self, StdClock, Tcp, Udp};
-use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, OnBlock, Protocol};
-use wsg_protocol::{HomingDirection, SystemFlags};
+use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, OnBlock, Protocol, StopKind, Stoppable};
+use wsg_protocol::{FrameParser, HomingDirection, SystemFlags};
 use wsg_sim::server::{Lines, ServerThread, UdpLine};
-use wsg_sim::{Config, Part};
+use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
 /// No test waits longer for what must happen.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -163,6 +164,150 @@ fn fast_stop_that_was_asked_for_is_left_in_force() {
     assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
 }
 
+/// Begins half a minute of travel, has another thread stop it meanwhile, and says when that thread had done so.
+fn stopped_by_another_thread<IO, P>(gripper: &mut GripperOver<IO, StdClock, P>)
+where
+    IO: Transport<Error = io::Error> + Stoppable,
+    P: Protocol,
+{
+    gripper.connect().unwrap();
+    gripper.home(HomingDirection::Positive).unwrap();
+    let handle = gripper.stop_handle().unwrap();
+    for kind in [StopKind::Stop, StopKind::FastStop] {
+        let begun = Instant::now();
+        let handle = handle.clone();
+        let button = thread::spawn(move || match kind {
+            StopKind::Stop => handle.stop(),
+            StopKind::FastStop => handle.fast_stop(),
+        });
+        let moved = gripper.move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop);
+        assert!(matches!(moved, Err(Error::Stopped(by)) if by == kind), "{moved:?}");
+        assert!(begun.elapsed() < Duration::from_secs(15), "the fingers did not travel to the end");
+        button.join().unwrap().unwrap();
+    }
+    assert!(gripper.system_state().unwrap().contains(SystemFlags::FAST_STOP));
+    gripper.acknowledge().unwrap();
+    gripper.move_by(Mm(-1.0), MmPerS(50.0), OnBlock::Stop).unwrap();
+}
+
+#[test]
+fn another_thread_stops_a_motion_over_tcp() {
+    let (_server, address) = on_tcp();
+    stopped_by_another_thread(&mut Gripper::new(Tcp::connect(address).unwrap(), StdClock::new()));
+}
+
+#[test]
+fn another_thread_stops_a_motion_over_gcl() {
+    let (_server, address) = on_gcl();
+    stopped_by_another_thread(&mut GclGripper::new(Tcp::connect(address).unwrap(), StdClock::new()));
+}
+
+#[test]
+fn another_thread_stops_a_motion_over_udp() {
+    let socket = UdpSocket::bind(loopback()).unwrap();
+    let remote_port = socket.local_addr().unwrap().port();
+    let udp = UdpLine { address: loopback(), remote_port };
+    let server = serve(&Lines { udp: Some(udp), ..Lines::default() });
+    let line = Udp::new(socket, server.udp_address().unwrap()).unwrap();
+    stopped_by_another_thread(&mut Gripper::new(line, StdClock::new()));
+}
+
+#[test]
+fn fast_stop_of_a_handle_is_left_in_force_when_the_driver_is_dropped() {
+    let (_server, address) = on_tcp();
+    let mut gripper = in_motion(address);
+    let handle = gripper.stop_handle().unwrap();
+    handle.fast_stop().unwrap();
+    drop(gripper);
+    assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
+    assert_eq!(handle.stop().unwrap_err().kind(), io::ErrorKind::NotConnected);
+}
+
+#[test]
+fn handle_does_not_keep_the_connection_of_a_program_that_panics() {
+    let (_server, address) = on_tcp();
+    let mut gripper = in_motion(address);
+    let handle = gripper.stop_handle().unwrap();
+    let panicked = catch_unwind(AssertUnwindSafe(move || {
+        let _gripper = gripper;
+        std::panic::resume_unwind(Box::new("a panic that is meant"));
+    }));
+    assert!(panicked.is_err());
+    assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
+    drop(handle);
+}
+
+#[test]
+fn every_end_of_a_scope_announces_the_end_of_the_connection() {
+    fn leave_early(address: SocketAddr) -> Result<(), Error<io::Error>> {
+        let mut gripper = host::connect(address)?;
+        gripper.home(HomingDirection::Positive)?;
+        let _ = gripper.begin_move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop)?;
+        gripper.grip(Mm(20.0), MmPerS(50.0)).map(drop)
+    }
+    let (_server, address) = on_tcp();
+    let left = leave_early(address);
+    assert!(matches!(left, Err(Error::MotionRunning)), "{left:?}");
+    let flags = flags_at_rest(address);
+    assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
+}
+
+/// A gripper on a socket that says what it cannot understand: the bytes outside of frames, and frames with bad checksums.
+fn serve_and_count(listener: &TcpListener) -> (u16, u16) {
+    use std::io::{Read, Write};
+    let (mut stream, _) = listener.accept().unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let (mut parser, mut bytes) = (FrameParser::<300>::new(), [0; 64]);
+    let mut gripper = VirtualGripper::<1>::with_ports(Config::default());
+    let port = gripper.connect(PortKind::Tcp).unwrap();
+    let (begun, mut answer) = (Instant::now(), [0; MAX_FRAME_LEN]);
+    loop {
+        #[expect(clippy::disallowed_methods, reason = "no signal comes")]
+        let count = stream.read(&mut bytes).unwrap_or(0);
+        if count == 0 {
+            let counters = parser.counters();
+            return (counters.dropped, counters.bad_checksum);
+        }
+        let mut rest = &bytes[..count];
+        while let (taken, Some(_)) = parser.push_slice(rest) {
+            rest = &rest[taken..];
+        }
+        let now = Time::from_millis(begun.elapsed().as_millis() as u64);
+        gripper.advance(now);
+        gripper.receive(port, now, &bytes[..count]);
+        while let Some(message) = gripper.transmit(port, &mut answer) {
+            // A driver that is gone reads no answer.
+            let _ = stream.write_all(message);
+        }
+    }
+}
+
+#[test]
+fn messages_of_driver_and_handles_do_not_interleave() {
+    const STOPS: u32 = 300;
+    let listener = TcpListener::bind(loopback()).unwrap();
+    let address = listener.local_addr().unwrap();
+    let peer = thread::spawn(move || serve_and_count(&listener));
+    let mut gripper = host::connect(address).unwrap();
+    let handle = gripper.stop_handle().unwrap();
+    let buttons = [(); 3].map(|()| {
+        let handle = handle.clone();
+        thread::spawn(move || (0..STOPS).for_each(|_| handle.stop().unwrap()))
+    });
+    let (mut stopped, mut done) = (0, 0);
+    while !buttons.iter().all(thread::JoinHandle::is_finished) || done == 0 {
+        match gripper.loop_back(&[0xAA; 256]) {
+            Ok(()) => done += 1,
+            Err(Error::Stopped(StopKind::Stop)) => stopped += 1,
+            other => panic!("{other:?}"),
+        }
+    }
+    buttons.into_iter().for_each(|button| button.join().unwrap());
+    assert!(stopped > 0);
+    drop(gripper);
+    assert_eq!(peer.join().unwrap(), (0, 0));
+}
+
 #[test]
 fn port_that_nobody_listens_on_is_an_error_of_the_transport() {
     // It is free for as long as nobody else takes it.
@@ -215,7 +360,7 @@ mod on_tokio {
     use tokio::net::UdpSocket;
     use tokio::sync::oneshot;
     use wsg_protocol::driver::asynch::{self, Gripper};
-    use wsg_protocol::driver::tokio::{Tcp, TokioTimer, Udp, with_gripper};
+    use wsg_protocol::driver::tokio::{self as driver_on_tokio, Tcp, TokioTimer, Udp, with_gripper};
 
     pub(super) fn run<T>(program: impl Future<Output = T>) -> T {
         tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(program)
@@ -265,6 +410,21 @@ mod on_tokio {
     }
 
     #[test]
+    fn another_thread_stops_a_motion_of_the_async_driver() {
+        let (_server, address) = on_tcp();
+        run(async {
+            let mut gripper = driver_on_tokio::connect(address).await.unwrap();
+            gripper.home(HomingDirection::Positive).await.unwrap();
+            let handle = gripper.stop_handle().unwrap();
+            let button = thread::spawn(move || handle.fast_stop());
+            let moved = gripper.move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop).await;
+            assert!(matches!(moved, Err(Error::Stopped(StopKind::FastStop))), "{moved:?}");
+            button.join().unwrap().unwrap();
+        });
+        assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
+    }
+
+    #[test]
     fn future_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
         let (_server, address) = on_tcp();
         run(async {
@@ -311,6 +471,14 @@ mod on_unix {
         let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
         let stream = std::os::unix::net::UnixStream::connect(server.serial_path().unwrap()).unwrap();
         grips(&mut Gripper::new(host::PolledStream::new(stream), StdClock::new()));
+    }
+
+    #[test]
+    fn another_thread_stops_a_motion_over_a_unix_socket() {
+        let path = socket_path("stopped");
+        let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
+        let stream = std::os::unix::net::UnixStream::connect(server.serial_path().unwrap()).unwrap();
+        stopped_by_another_thread(&mut Gripper::new(host::PolledStream::new(stream), StdClock::new()));
     }
 
     #[test]

@@ -7,11 +7,14 @@ mod gcl;
 pub use gcl::GclGripper;
 
 use super::engine::{Awaited, Copied, Engine, Goal};
+use super::gate::Gate;
 use super::methods::methods;
 use super::{
     Binary, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, Mm, MmPerS,
-    MotionResult, OnBlock, Pending, Protocol, Timer, Update,
+    MotionResult, OnBlock, Pending, Protocol, StopKind, Timer, Update,
 };
+#[cfg(feature = "std")]
+use super::{StopHandle, Stoppable};
 use crate::command::{Command, CommandId};
 use crate::frame::Frame;
 use crate::reply::{Reply, Value};
@@ -124,11 +127,15 @@ async fn first<A, B>(one: impl Future<Output = A>, other: impl Future<Output = B
     .await
 }
 
-async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>) {
-    match moment {
-        Some(moment) => timer.wait_until(moment).await,
-        None => pending().await,
-    }
+/// Waits for the moment, or for the request of a stop handle.
+async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>, gate: &Gate) {
+    let moment = async {
+        match moment {
+            Some(moment) => timer.wait_until(moment).await,
+            None => pending().await,
+        }
+    };
+    first(poll_fn(|context| gate.poll_request(context)), moment).await;
 }
 
 impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
@@ -138,31 +145,38 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
     async fn drive(
         &mut self,
         awaited: &mut Awaited<'_>,
-        goal: Goal,
-        until: Option<Instant>,
+        mut goal: Goal,
+        mut until: Option<Instant>,
     ) -> Result<bool, Error<IO::Error>> {
+        let mut stopped = None;
         loop {
             self.receive(awaited).await?;
             let now = self.clock.now();
+            if let Some(kind) = self.engine.take_stop(now) {
+                stopped = stopped.max(Some(kind));
+                (goal, until) = (Goal::Stopped, Some(now.plus(self.engine.config().confirmation_ms())));
+            }
             self.engine.elapse(now, awaited);
             if self.engine.has_reached(goal, awaited) {
                 // What is due is sent also while updates keep coming, if the line takes it at once.
                 if goal == Goal::Update && self.engine.fetch(now, awaited) {
                     self.transmit(awaited, Some(now)).await?;
                 }
-                return Ok(true);
+                return stopped.map_or(Ok(true), |kind| Err(Error::Stopped(kind)));
             }
             let is_over = until.is_some_and(|until| now.has_reached(until));
             if self.engine.fetch(now, awaited) && (self.transmit(awaited, until).await? || !is_over) {
                 continue;
             }
             if is_over {
-                return Ok(false);
+                return stopped.map_or(Ok(false), |kind| Err(Error::Stopped(kind)));
             }
             let moment = self.engine.next_due(until);
             let mut chunk = [0; CHUNK_LEN];
             let read = self.io.read(&mut chunk);
-            if let First::One(read) = first(read, wait_until(&mut self.clock, moment)).await {
+            if let First::One(read) =
+                first(read, wait_until(&mut self.clock, moment, self.engine.gate())).await
+            {
                 self.take(read, &chunk, awaited)?;
             }
         }
@@ -202,8 +216,10 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
         until: Option<Instant>,
     ) -> Result<bool, Error<IO::Error>> {
         let moment = self.engine.next_due(until);
-        let written = if self.engine.outbox().needs_flush() {
-            match first(self.io.flush(), wait_until(&mut self.clock, moment)).await {
+        let needs_flush = self.engine.outbox().needs_flush();
+        let gate = self.engine.gate();
+        let written = if needs_flush {
+            match first(self.io.flush(), wait_until(&mut self.clock, moment, gate)).await {
                 First::One(flushed) => {
                     self.engine.outbox().flushed();
                     flushed.map(|()| None)
@@ -211,8 +227,14 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
                 First::Other(()) => return Ok(false),
             }
         } else {
-            match first(self.io.write(self.engine.rest()), wait_until(&mut self.clock, moment)).await {
-                First::One(written) => written.map(Some),
+            let (is_first, rest) = (self.engine.is_at_begin(), self.engine.rest());
+            let mut write = pin!(self.io.write(rest));
+            let write =
+                poll_fn(|context| gate.poll_write(is_first, rest.len(), || write.as_mut().poll(context)));
+            match first(write, wait_until(&mut self.clock, moment, gate)).await {
+                First::One(Some(written)) => written.map(Some),
+                // A stop comes first.
+                First::One(None) => return Ok(true),
                 First::Other(()) => return Ok(false),
             }
         };

@@ -146,4 +146,10 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
     fn encoded(&self) -> &[u8] {
         &self.frame
     }
+
+    #[cfg(feature = "std")]
+    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::stop::MAX_STOP_LEN]) -> usize {
+        let command = kind.command();
+        FrameEncoder::new(command.id().code(), command).write_into(buffer).unwrap_or(0)
+    }
 }

@@ -10,8 +10,10 @@ use super::engine::{Awaited, Copied, Engine, Goal};
 use super::methods::methods;
 use super::{
     Binary, Clock, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, Mm, MmPerS,
-    MotionResult, OnBlock, Pending, Protocol, Update,
+    MotionResult, OnBlock, Pending, Protocol, StopKind, Update,
 };
+#[cfg(feature = "std")]
+use super::{StopHandle, Stoppable};
 use crate::command::{Command, CommandId};
 use crate::frame::Frame;
 use crate::reply::{Reply, Value};
@@ -21,6 +23,7 @@ use crate::types::{
     AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
     LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
 };
+use core::task::Poll;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
 /// Bytes read at a time.
@@ -193,10 +196,11 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
     fn drive(
         &mut self,
         awaited: &mut Awaited<'_>,
-        goal: Goal,
-        until: Option<Instant>,
+        mut goal: Goal,
+        mut until: Option<Instant>,
     ) -> Result<bool, Error<IO::Error>> {
         let mut now = self.clock.now();
+        let mut stopped = None;
         if self.engine.link().is_urgent() {
             // Before anything is read: a Stop waits for nothing.
             self.transmit(now, awaited)?;
@@ -204,13 +208,15 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
         loop {
             // What is there is read before time passes: it may have come in time.
             self.receive(now, awaited)?;
+            if let Some(kind) = self.engine.take_stop(now) {
+                stopped = stopped.max(Some(kind));
+                (goal, until) = (Goal::Stopped, Some(now.plus(self.engine.config().confirmation_ms())));
+            }
             self.engine.elapse(now, awaited);
             self.transmit(now, awaited)?;
-            if self.engine.has_reached(goal, awaited) {
-                return Ok(true);
-            }
-            if until.is_some_and(|until| now.has_reached(until)) {
-                return Ok(false);
+            let has_reached = self.engine.has_reached(goal, awaited);
+            if has_reached || until.is_some_and(|until| now.has_reached(until)) {
+                return stopped.map_or(Ok(has_reached), |kind| Err(Error::Stopped(kind)));
             }
             self.io.wait(self.engine.idle_ms(now, until)).map_err(Error::Transport)?;
             now = self.clock.now();
@@ -240,7 +246,14 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
                 self.engine.outbox().flushed();
                 self.io.flush().map(|()| None)
             } else {
-                self.io.write(self.engine.rest()).map(Some)
+                let Self { io, engine, .. } = self;
+                let rest = engine.rest();
+                let write = || Poll::Ready(io.write(rest));
+                match engine.gate().poll_write(engine.is_at_begin(), rest.len(), write) {
+                    Poll::Ready(Some(written)) => written.map(Some),
+                    // A stop comes first.
+                    Poll::Ready(None) | Poll::Pending => return Ok(()),
+                }
             };
             match written {
                 Ok(None) => {}

@@ -1,8 +1,9 @@
 //! What both drivers share: everything but bytes and time.
 
+use super::gate::{Gate, StopRequest};
 use super::link::Protocol;
 use super::motion::{Motion, Verdict};
-use super::{Config, DriverCounters, Error, UPDATES_LEN, Update};
+use super::{Config, DriverCounters, Error, StopKind, UPDATES_LEN, Update};
 use crate::command::{Command, CommandId, Kind};
 use crate::frame::Payload;
 use crate::reply::Reply;
@@ -32,6 +33,8 @@ pub(super) enum Goal {
     Update,
     /// Every Stop and FAST STOP is confirmed, or given up.
     NothingUrgent,
+    /// The same, and no motion runs.
+    Stopped,
 }
 
 /// A request whose outcome a method waits for.
@@ -92,6 +95,7 @@ pub(super) struct Engine<P> {
     link: P,
     received_at: Instant,
     outbox: Outbox,
+    gate: Gate,
     motion: Motion,
     updates: Deque<Update, UPDATES_LEN>,
     updates_lost: u16,
@@ -104,6 +108,7 @@ impl<P: Protocol> Engine<P> {
             link,
             received_at: Instant::from_millis(0),
             outbox: Outbox::EMPTY,
+            gate: Gate::OPEN,
             motion: Motion::none(),
             updates: Deque::new(),
             updates_lost: 0,
@@ -151,6 +156,45 @@ impl<P: Protocol> Engine<P> {
         }
     }
 
+    /// Takes over what a stop handle has requested: what was not sent is withdrawn, and the stop is awaited as one that the
+    /// caller has requested.
+    pub(super) fn take_stop(&mut self, now: Instant) -> Option<StopKind> {
+        let StopRequest { kind, is_sent } = self.gate.take()?;
+        self.clear_up();
+        let is_new = !self.link.is_urgent();
+        let is_taken = self.link.request::<()>(kind.command(), None).is_ok();
+        if is_taken && is_new && is_sent && self.outbox.is_empty() {
+            // The handle's message counts as the session's, which would send another one: it is the next, before all others.
+            let _ = self.link.encode_next(now, None);
+        }
+        Some(kind)
+    }
+
+    pub(super) const fn gate(&self) -> &Gate {
+        &self.gate
+    }
+
+    /// A handle that stops the gripper from another thread; `line` opens the way if there is none yet.
+    #[cfg(feature = "std")]
+    pub(super) fn stop_handle(
+        &mut self,
+        line: impl FnOnce() -> std::io::Result<super::StopLine>,
+    ) -> std::io::Result<super::StopHandle> {
+        let shared = match self.gate.shared.take() {
+            Some(shared) => shared,
+            None => {
+                let is_mid_message = !self.outbox.is_empty() && !self.outbox.is_untouched();
+                std::sync::Arc::new(super::stop::Shared::new::<P>(line()?, is_mid_message))
+            }
+        };
+        Ok(self.gate.shared.insert(shared).handle())
+    }
+
+    /// The line is another one, which no handle knows.
+    pub(super) fn change_line(&mut self) {
+        self.gate = Gate::OPEN;
+    }
+
     /// Asks for a motion; `width` is the current one if the protocol wants it.
     pub(super) fn request_motion<E>(
         &mut self,
@@ -194,6 +238,11 @@ impl<P: Protocol> Engine<P> {
         !self.outbox.is_empty()
     }
 
+    /// Whether nothing of the message has left.
+    pub(super) const fn is_at_begin(&self) -> bool {
+        self.outbox.is_untouched()
+    }
+
     /// What is left of the message.
     pub(super) fn rest(&self) -> &[u8] {
         self.link.encoded().get(self.outbox.sent..self.outbox.len).unwrap_or(&[])
@@ -219,6 +268,7 @@ impl<P: Protocol> Engine<P> {
             Goal::MotionOver => self.motion.is_over(),
             Goal::Update => self.has_update(),
             Goal::NothingUrgent => !self.link.is_urgent(),
+            Goal::Stopped => !self.link.is_urgent() && self.link.motion().is_none(),
         }
     }
 

@@ -1,5 +1,6 @@
 //! Why a request came to nothing, by culprit.
 
+use super::StopKind;
 use crate::field::DecodeError;
 use crate::session::RequestError;
 use crate::types::Status;
@@ -23,6 +24,9 @@ pub enum Error<E> {
     NotInGcl,
     /// The caller's: GCL states the force with each grip, and `set_force_limit` was not called yet; nothing was sent.
     NoForceLimit,
+    /// The caller's: a `StopHandle` stopped the gripper during this call, or since the last one. What the call was to do was
+    /// withdrawn or ended. `fast_stop_pending` returns whether the gripper has yet to confirm a FAST STOP.
+    Stopped(StopKind),
     /// Capacity: a frame of `needed` bytes does not fit the driver, and nothing was sent; or an answer of `needed` bytes
     /// does not fit the caller's buffer, and the command was carried out.
     TooLong {
@@ -84,7 +88,8 @@ impl<E> Error<E> {
             | Self::Invalid(_)
             | Self::Superseded
             | Self::NotInGcl
-            | Self::NoForceLimit => Culprit::Caller,
+            | Self::NoForceLimit
+            | Self::Stopped(_) => Culprit::Caller,
             Self::TooLong { .. } => Culprit::Capacity,
             Self::Refused(_)
             | Self::Blocked
@@ -125,6 +130,7 @@ impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
             Self::Superseded => f.write_str("another motion was begun since"),
             Self::NotInGcl => f.write_str("the text protocol (GCL) cannot say this"),
             Self::NoForceLimit => f.write_str("no force limit is set, and a grip over GCL states one"),
+            Self::Stopped(kind) => write!(f, "a stop handle stopped the gripper: {kind}"),
             Self::TooLong { needed } => write!(f, "no room for {needed} bytes"),
             Self::Refused(Status::AccessDenied) => f.write_str(
                 "refused: E_ACCESS_DENIED; the gripper is probably in FAST STOP, as after a TCP connection that ended \

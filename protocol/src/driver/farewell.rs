@@ -2,10 +2,18 @@
 
 use crate::command::{Command, CommandId};
 use crate::frame::{FrameEncoder, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
+use std::sync::{Arc, Mutex, PoisonError};
 
-/// Looks at the messages that a driver writes, and tells how the connection may end.
-#[derive(Debug)]
+/// Looks at the messages that a driver and its stop handles write, and tells how the connection may end.
+#[derive(Clone, Debug, Default)]
 pub(super) struct Farewell {
+    /// Nothing that could panic leaves a state behind that is no state.
+    state: Arc<Mutex<State>>,
+}
+
+/// At first nothing is said, so nothing is to be announced.
+#[derive(Debug, Default)]
+struct State {
     protocol: Option<Spoken>,
     is_due: bool,
 }
@@ -19,28 +27,27 @@ enum Spoken {
 }
 
 impl Farewell {
-    /// Nothing is said, so nothing is to be announced.
-    pub(super) const NEW: Self = Self { protocol: None, is_due: false };
-
     /// Takes note of a message that was written.
     ///
     /// After a FAST STOP nothing is due until it is acknowledged: whatever became of it, an end that is not announced is
     /// another one.
-    pub(super) fn note(&mut self, message: &[u8]) {
-        if self.protocol.is_none() {
-            self.protocol = Spoken::by(message);
-            self.is_due = self.protocol.is_some();
+    pub(super) fn note(&self, message: &[u8]) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if state.protocol.is_none() {
+            state.protocol = Spoken::by(message);
+            state.is_due = state.protocol.is_some();
         }
-        match self.protocol.and_then(|protocol| protocol.id(message)) {
-            Some(CommandId::DisconnectAnnouncement | CommandId::FastStop) => self.is_due = false,
-            Some(CommandId::Acknowledge) => self.is_due = true,
+        match state.protocol.and_then(|protocol| protocol.id(message)) {
+            Some(CommandId::DisconnectAnnouncement | CommandId::FastStop) => state.is_due = false,
+            Some(CommandId::Acknowledge) => state.is_due = true,
             _ => {}
         }
     }
 
     /// The announcement, written to `buffer`, if it is due.
     pub(super) fn due<'b>(&self, buffer: &'b mut [u8; OVERHEAD]) -> Option<&'b [u8]> {
-        let len = match self.protocol.filter(|_| self.is_due)? {
+        let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let len = match state.protocol.filter(|_| state.is_due)? {
             Spoken::Binary => {
                 let command = Command::DisconnectAnnouncement;
                 FrameEncoder::new(command.id().code(), command).write_into(buffer).ok()?
@@ -95,7 +102,7 @@ mod tests {
     }
 
     fn due(messages: &[&[u8]]) -> Option<Vec<u8>> {
-        let mut farewell = Farewell::NEW;
+        let farewell = Farewell::default();
         messages.iter().for_each(|message| farewell.note(message));
         farewell.due(&mut [0; OVERHEAD]).map(<[u8]>::to_vec)
     }

@@ -250,6 +250,15 @@ impl<const RX: usize> Link for Gcl<RX> {
     fn encoded(&self) -> &[u8] {
         &self.line
     }
+
+    #[cfg(feature = "std")]
+    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::stop::MAX_STOP_LEN]) -> usize {
+        let request = match kind {
+            super::StopKind::Stop => Request::Stop,
+            super::StopKind::FastStop => Request::Faststop,
+        };
+        request.write_line_into(buffer).unwrap_or(0)
+    }
 }
 
 impl Setting {

@@ -8,7 +8,7 @@
 //! | [`Stream`] | anything else that reads and writes, with a read time-out: a port of the crate `serialport`, any port on Windows | |
 //! | [`StdClock`] | the clock | |
 //!
-//! [`with_gripper`] takes them together, for the binary protocol over TCP. For anything else give the parts to the driver:
+//! [`connect`] takes them together, for the binary protocol over TCP. For anything else give the parts to the driver:
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -24,7 +24,6 @@
 //! ```
 
 mod polled_stream;
-mod readiness;
 mod stream;
 mod tcp;
 mod udp;
@@ -45,9 +44,11 @@ use std::net::ToSocketAddrs;
 /// then proved wrong.
 const SPURIOUS: Duration = Duration::from_millis(1);
 
-/// Runs a program with the gripper at this address, over TCP and the binary protocol, and announces the end of the
-/// connection however the program ends, so that it may leave by `?` at any place. Only a program that panics leaves the
-/// gripper in FAST STOP.
+/// Connects to the gripper at this address, over TCP and the binary protocol, and waits until it answers.
+///
+/// When the gripper is dropped, it announces the end of the connection, whatever ends the scope: a return, `?`, or `break`.
+/// Otherwise a gripper on TCP enters FAST STOP. Only a program that panics, or that has requested a FAST STOP, leaves it
+/// there; see [`Tcp`].
 ///
 /// A gripper that is in FAST STOP already stays there: [`acknowledge`](super::blocking::GripperOver::acknowledge) unlocks
 /// it, when the fingers may move.
@@ -62,22 +63,62 @@ const SPURIOUS: Duration = Duration::from_millis(1);
 /// use wsg_protocol::driver::{Grip, Mm, MmPerS, host};
 ///
 /// // A real one: "192.168.1.20:1000".
-/// let grip = host::with_gripper(address, |gripper| {
-///     gripper.home(HomingDirection::Default)?;
-///     gripper.set_force_limit(40.0)?;
-///     gripper.grip(Mm(20.0), MmPerS(200.0))
-/// })?;
-/// assert_eq!(grip, Grip::Held);
+/// let mut gripper = host::connect(address)?;
+/// gripper.home(HomingDirection::Default)?;
+/// gripper.set_force_limit(40.0)?;
+/// assert_eq!(gripper.grip(Mm(20.0), MmPerS(200.0))?, Grip::Held);
 /// # Ok::<(), wsg_protocol::driver::Error<std::io::Error>>(())
 /// ```
 ///
 /// # Errors
-/// [`Error::Transport`] when there is no connection within [`Tcp::CONNECT_TIMEOUT`]; those of
-/// [`with_connection`](super::blocking::GripperOver::with_connection) and of the program.
-pub fn with_gripper<T, F: From<Error<io::Error>>>(
+/// - [`Error::Transport`]: no connection within [`Tcp::CONNECT_TIMEOUT`]; the address is wrong, the gripper is off, or its
+///   command interface is not TCP.
+/// - [`Error::NotConnected`]: the connection stands and nothing answers; the interface is perhaps set to the text protocol.
+/// - [`Error::Closed`]: the gripper has closed it; another client perhaps holds the connection.
+pub fn connect(address: impl ToSocketAddrs) -> Result<Gripper<Tcp, StdClock>, Error<io::Error>> {
+    let line = Tcp::connect(address).map_err(Error::Transport)?;
+    let mut gripper = Gripper::new(line, StdClock::new());
+    gripper.connect()?;
+    Ok(gripper)
+}
+
+/// As [`connect`], over the text protocol (GCL).
+///
+/// # Errors
+/// As [`connect`].
+#[cfg(feature = "gcl")]
+pub fn connect_gcl(
     address: impl ToSocketAddrs,
-    program: impl FnOnce(&mut Gripper<Tcp, StdClock>) -> Result<T, F>,
-) -> Result<T, F> {
+) -> Result<super::blocking::GclGripper<Tcp, StdClock>, Error<io::Error>> {
+    let line = Tcp::connect(address).map_err(Error::Transport)?;
+    let mut gripper = super::blocking::GclGripper::new(line, StdClock::new());
+    gripper.connect()?;
+    Ok(gripper)
+}
+
+/// Runs a program with the gripper at this address, as [`connect`] does, and also waits until the gripper has confirmed the
+/// end of the connection. For a program with errors of its own take [`connect`], or
+/// [`with_connection`](super::blocking::GripperOver::with_connection).
+///
+/// ```
+/// # use wsg_sim::{Config, server::{Lines, ServerThread}};
+/// # let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+/// # let server = ServerThread::start(Config::default(), &lines, None).unwrap();
+/// # let address = server.tcp_address().unwrap();
+/// use wsg_protocol::driver::host;
+///
+/// let _ = host::with_gripper(address, |gripper| {
+///     println!("{:.1} mm", gripper.width()?);
+///     Ok(())
+/// });
+/// ```
+///
+/// # Errors
+/// Those of [`connect`], of the program, and of the announcement.
+pub fn with_gripper<T>(
+    address: impl ToSocketAddrs,
+    program: impl FnOnce(&mut Gripper<Tcp, StdClock>) -> Result<T, Error<io::Error>>,
+) -> Result<T, Error<io::Error>> {
     let line = Tcp::connect(address).map_err(Error::Transport)?;
     Gripper::new(line, StdClock::new()).with_connection(program)
 }

@@ -94,4 +94,8 @@ pub trait Link: core::fmt::Debug {
 
     /// The buffer whose start is the message that was encoded last.
     fn encoded(&self) -> &[u8];
+
+    /// Writes the message that stops the fingers this way to the buffer, and says how long it is.
+    #[cfg(feature = "std")]
+    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::stop::MAX_STOP_LEN]) -> usize;
 }

@@ -48,7 +48,21 @@ macro_rules! methods {
         pub fn replace_io(&mut self, io: IO) -> IO {
             let now = self.clock.now();
             self.engine.hang_up(now, &mut Awaited::nothing(&mut |_| {}));
+            self.engine.change_line();
             core::mem::replace(&mut self.io, io)
+        }
+
+        /// A handle that stops this gripper from any thread, also while a call of this driver waits.
+        ///
+        /// # Errors
+        /// The operating system has no descriptor left.
+        #[cfg(feature = "std")]
+        pub fn stop_handle(&mut self) -> std::io::Result<StopHandle>
+        where
+            IO: Stoppable,
+        {
+            let Self { io, engine, .. } = self;
+            engine.stop_handle(|| io.stop_line())
         }
 
         /// Has the gripper send a value by itself from now on, again after each reconnect;
@@ -298,7 +312,7 @@ macro_rules! methods {
         /// # Errors
         /// [`Error`]
         pub $($async)? fn stop(&mut self) -> Result<(), Error<IO::Error>> {
-            self.urge(Command::Stop) $($await)*
+            self.urge(StopKind::Stop) $($await)*
         }
 
         /// Stops the fingers the fastest way and locks them until [`acknowledge`](Self::acknowledge) (command set,
@@ -308,7 +322,7 @@ macro_rules! methods {
         /// [`Error::Unanswered`]: not confirmed in time. It is repeated in every call from then on, over reconnects as
         /// well, until it is.
         pub $($async)? fn fast_stop(&mut self) -> Result<(), Error<IO::Error>> {
-            self.urge(Command::FastStop) $($await)*
+            self.urge(StopKind::FastStop) $($await)*
         }
 
         /// Acknowledges a FAST STOP or a fault, which unlocks the fingers (command set, 3.2.5). The driver never does
@@ -688,15 +702,21 @@ macro_rules! methods {
         }
 
         /// Stop or FAST STOP.
-        $($async)? fn urge(&mut self, command: Command<'static>) -> Result<(), Error<IO::Error>> {
+        $($async)? fn urge(&mut self, kind: StopKind) -> Result<(), Error<IO::Error>> {
+            let command = kind.command();
             self.engine.clear_up();
             self.engine.link_mut().request(command, None)?;
             let look = &mut |_: &Reply<'_>| {};
             let mut awaited = Awaited::answer(command.id(), None, look);
             // A session never gives up a FAST STOP; a caller wants to know.
             let until = self.clock.now().plus(self.engine.config().confirmation_ms());
-            self.drive(&mut awaited, Goal::Answered, Some(until)) $($await)* ?;
-            awaited.result()
+            match self.drive(&mut awaited, Goal::Answered, Some(until)) $($await)* {
+                // A handle has done the same, or less.
+                Err(Error::Stopped(by_handle)) if by_handle <= kind => {
+                    if self.engine.link().is_urgent() { Err(Error::Unanswered) } else { Ok(()) }
+                }
+                driven => driven.and_then(|_| awaited.result()),
+            }
         }
 
         /// Has what an earlier call left behind come to its end, so that no answer is taken for another's.

@@ -3,6 +3,8 @@
 mod cancelled;
 mod framing;
 mod rig;
+#[cfg(feature = "std")]
+mod stopped;
 mod updates;
 mod waiting;
 mod waking;
@@ -445,6 +447,8 @@ fn every_error_says_who_can_do_something_about_it_and_what_it_is() {
         (Error::Superseded, Culprit::Caller, "another motion"),
         (Error::NotInGcl, Culprit::Caller, "GCL"),
         (Error::NoForceLimit, Culprit::Caller, "force limit"),
+        (Error::Stopped(StopKind::Stop), Culprit::Caller, "stop handle"),
+        (Error::Stopped(StopKind::FastStop), Culprit::Caller, "FAST STOP"),
         (Error::TooLong { needed: 18 }, Culprit::Capacity, "18 bytes"),
         (Error::Refused(Status::RangeError), Culprit::Peer, "refused: E_RANGE_ERROR"),
         (Error::Refused(Status::AccessDenied), Culprit::Peer, "refused: E_ACCESS_DENIED"),

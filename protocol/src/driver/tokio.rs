@@ -7,7 +7,7 @@
 //! | [`Stream`] | anything that reads and writes: a port of the crate `tokio-serial`, a Unix socket | |
 //! | [`TokioTimer`] | the timer | |
 //!
-//! [`with_gripper`] takes them together, for the binary protocol over TCP.
+//! [`connect`] takes them together, for the binary protocol over TCP.
 
 mod stream;
 mod tcp;
@@ -23,9 +23,10 @@ use crate::time::Instant;
 use std::io;
 use tokio::net::ToSocketAddrs;
 
-/// Runs a program with the gripper at this address, over TCP and the binary protocol, and announces the end of the
-/// connection however the program ends, so that it may leave by `?` at any place. A future that is dropped announces it,
-/// too, without waiting. Only a program that panics leaves the gripper in FAST STOP.
+/// Connects to the gripper at this address, over TCP and the binary protocol, and waits until it answers.
+///
+/// When the gripper is dropped, also with a future, it announces the end of the connection without waiting, as
+/// [the blocking one](super::host::connect) does.
 ///
 /// A gripper that is in FAST STOP already stays there: [`acknowledge`](super::asynch::GripperOver::acknowledge) unlocks
 /// it, when the fingers may move.
@@ -37,27 +38,51 @@ use tokio::net::ToSocketAddrs;
 /// # let server = ServerThread::start(config, &lines, None).unwrap();
 /// # let address = server.tcp_address().unwrap();
 /// use wsg_protocol::HomingDirection;
-/// use wsg_protocol::driver::{Grip, Mm, MmPerS, tokio::with_gripper};
+/// use wsg_protocol::driver::{Grip, Mm, MmPerS, tokio::connect};
 ///
 /// # tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(async {
 /// // A real one: "192.168.1.20:1000".
-/// let grip = with_gripper(address, async |gripper| {
-///     gripper.home(HomingDirection::Default).await?;
-///     gripper.set_force_limit(40.0).await?;
-///     gripper.grip(Mm(20.0), MmPerS(200.0)).await
-/// });
-/// assert_eq!(grip.await?, Grip::Held);
+/// let mut gripper = connect(address).await?;
+/// gripper.home(HomingDirection::Default).await?;
+/// gripper.set_force_limit(40.0).await?;
+/// assert_eq!(gripper.grip(Mm(20.0), MmPerS(200.0)).await?, Grip::Held);
 /// # Ok::<(), wsg_protocol::driver::Error<std::io::Error>>(())
 /// # }).unwrap();
 /// ```
 ///
 /// # Errors
-/// [`Error::Transport`] when there is no connection within [`Tcp::CONNECT_TIMEOUT`]; those of
-/// [`with_connection`](super::asynch::GripperOver::with_connection) and of the program.
-pub async fn with_gripper<T, F: From<Error<io::Error>>>(
+/// As [the blocking one](super::host::connect).
+pub async fn connect(address: impl ToSocketAddrs) -> Result<Gripper<Tcp, TokioTimer>, Error<io::Error>> {
+    let line = Tcp::connect(address).await.map_err(Error::Transport)?;
+    let mut gripper = Gripper::new(line, TokioTimer::new());
+    gripper.connect().await?;
+    Ok(gripper)
+}
+
+/// As [`connect`], over the text protocol (GCL).
+///
+/// # Errors
+/// As [`connect`].
+#[cfg(feature = "gcl")]
+pub async fn connect_gcl(
     address: impl ToSocketAddrs,
-    program: impl AsyncFnOnce(&mut Gripper<Tcp, TokioTimer>) -> Result<T, F>,
-) -> Result<T, F> {
+) -> Result<super::asynch::GclGripper<Tcp, TokioTimer>, Error<io::Error>> {
+    let line = Tcp::connect(address).await.map_err(Error::Transport)?;
+    let mut gripper = super::asynch::GclGripper::new(line, TokioTimer::new());
+    gripper.connect().await?;
+    Ok(gripper)
+}
+
+/// Runs a program with the gripper at this address, as [`connect`] does, and also waits until the gripper has confirmed the
+/// end of the connection. For a program with errors of its own take [`connect`], or
+/// [`with_connection`](super::asynch::GripperOver::with_connection).
+///
+/// # Errors
+/// Those of [`connect`], of the program, and of the announcement.
+pub async fn with_gripper<T>(
+    address: impl ToSocketAddrs,
+    program: impl AsyncFnOnce(&mut Gripper<Tcp, TokioTimer>) -> Result<T, Error<io::Error>>,
+) -> Result<T, Error<io::Error>> {
     let line = Tcp::connect(address).await.map_err(Error::Transport)?;
     Gripper::new(line, TokioTimer::new()).with_connection(program).await
 }

@@ -1,8 +1,9 @@
 //! A transport over a byte stream that the operating system can wait for.
 
-use super::readiness::{AsPollable, LONG_MS, Readiness};
 use crate::driver::blocking::Transport;
+use crate::driver::readiness::{AsPollable, LONG_MS, Readiness, duplicate};
 use crate::driver::received::Received;
+use crate::driver::{StopLine, Stoppable, second};
 use embedded_io::{ErrorType, ReadReady};
 use std::io::{self, ErrorKind};
 
@@ -41,6 +42,10 @@ impl<T> PolledStream<T> {
 
     pub(super) const fn get_ref(&self) -> &T {
         &self.stream
+    }
+
+    pub(super) const fn readiness(&mut self) -> &mut Readiness {
+        &mut self.readiness
     }
 }
 
@@ -103,5 +108,12 @@ impl<T: io::Read + io::Write + AsPollable> Transport for PolledStream<T> {
             return Ok(());
         }
         self.readiness.wait(&self.stream, at_most_ms)
+    }
+}
+
+impl<T: AsPollable> Stoppable for PolledStream<T> {
+    fn stop_line(&mut self) -> io::Result<StopLine> {
+        let waker = self.readiness.waker()?;
+        Ok(StopLine::new(second::stream(duplicate(&self.stream)?), move || waker.wake()))
     }
 }

@@ -3,6 +3,8 @@
 use super::{PolledStream, SPURIOUS};
 use crate::driver::blocking::Transport;
 use crate::driver::farewell::Farewell;
+use crate::driver::readiness::duplicate;
+use crate::driver::{StopLine, Stoppable, second};
 use crate::frame::OVERHEAD;
 use core::time::Duration;
 use embedded_io::{ErrorType, ReadReady};
@@ -57,7 +59,7 @@ impl Tcp {
         stream.set_nonblocking(false)?;
         stream.set_read_timeout(Some(SPURIOUS))?;
         stream.set_write_timeout(Some(WRITE_TIMEOUT))?;
-        Ok(Self { stream: PolledStream::new(stream), farewell: Farewell::NEW })
+        Ok(Self { stream: PolledStream::new(stream), farewell: Farewell::default() })
     }
 }
 
@@ -92,6 +94,14 @@ impl embedded_io::Write for Tcp {
 
     fn flush(&mut self) -> io::Result<()> {
         embedded_io::Write::flush(&mut self.stream)
+    }
+}
+
+impl Stoppable for Tcp {
+    fn stop_line(&mut self) -> io::Result<StopLine> {
+        let waker = self.stream.readiness().waker()?;
+        let write = second::tcp(duplicate(self.stream.get_ref())?, self.farewell.clone());
+        Ok(StopLine::new(write, move || waker.wake()))
     }
 }
 

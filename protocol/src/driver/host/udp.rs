@@ -1,10 +1,11 @@
 //! UDP.
 
 use super::SPURIOUS;
-use super::readiness::{LONG_MS, Readiness};
 use crate::driver::blocking::Transport;
+use crate::driver::readiness::{LONG_MS, Readiness, duplicate};
 use crate::driver::received::Received;
 use crate::driver::udp::{self, MAX_DATAGRAM_LEN};
+use crate::driver::{StopLine, Stoppable, second};
 use embedded_io::{ErrorType, ReadReady};
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
@@ -108,5 +109,12 @@ impl Transport for Udp {
             return Ok(());
         }
         self.readiness.wait(&self.socket, at_most_ms)
+    }
+}
+
+impl Stoppable for Udp {
+    fn stop_line(&mut self) -> io::Result<StopLine> {
+        let waker = self.readiness.waker()?;
+        Ok(StopLine::new(second::udp(duplicate(&self.socket)?, self.gripper), move || waker.wake()))
     }
 }

@@ -68,8 +68,19 @@ pub(super) struct World {
     /// The system state.
     pub(super) flags: SystemFlags,
     pub(super) force_limit: f32,
+    /// What stop handles have written.
+    pub(super) direct: std::sync::Arc<std::sync::Mutex<Direct>>,
+    /// What somebody else does at a moment while the blocking driver waits.
+    other: Option<(Instant, std::boxed::Box<dyn FnOnce()>)>,
     /// The last subscription to the width.
     pub(super) width_update: Option<Vec<u8>>,
+}
+
+/// The line as stop handles see it.
+#[derive(Debug, Default)]
+pub(super) struct Direct {
+    bytes: Vec<u8>,
+    pub(super) is_full: bool,
 }
 
 /// The way to it, for both ends and the test.
@@ -104,6 +115,8 @@ impl Rig {
             refuses: false,
             flags: SystemFlags::REFERENCED,
             force_limit: 80.0,
+            direct: std::sync::Arc::default(),
+            other: None,
             width_update: None,
         })))
     }
@@ -122,12 +135,18 @@ impl Rig {
         self.script(id, vec![(1, status(id, Status::CmdPending)), (100, status(id, result))]);
     }
 
+    /// Somebody else does this after so many milliseconds, while the blocking driver waits.
+    pub(super) fn later(&self, ms: u32, act: impl FnOnce() + 'static) {
+        self.world(|world| world.other = Some((world.now.plus(ms), std::boxed::Box::new(act))));
+    }
+
     /// Bytes out of nowhere.
     pub(super) fn inject(&self, bytes: &[u8]) {
         self.world(|world| world.coming.push_back((world.now, bytes.to_vec())));
     }
 
     pub(super) fn heard(&self, id: CommandId) -> usize {
+        self.world(World::hear_handles);
         self.world(|world| world.heard.iter().filter(|(heard, _)| *heard == id.code()).count())
     }
 
@@ -244,7 +263,14 @@ impl World {
         self.coming.clear();
     }
 
-    pub(super) fn is_due(&self) -> bool {
+    /// Hands over what stop handles have written.
+    fn hear_handles(&mut self) {
+        let bytes = core::mem::take(&mut self.direct.lock().unwrap().bytes);
+        self.take(&bytes);
+    }
+
+    pub(super) fn is_due(&mut self) -> bool {
+        self.hear_handles();
         self.closed || self.noise || self.coming.iter().any(|(at, _)| self.now.has_reached(*at))
     }
 
@@ -267,6 +293,7 @@ impl World {
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
+        self.hear_handles();
         if core::mem::take(&mut self.refuses) {
             // Behind it the other end hears from the beginning.
             self.parser = FrameParser::new();
@@ -303,16 +330,38 @@ impl embedded_io::ReadReady for Rig {
 /// Time passes up to the next byte, and no further than the driver allows.
 impl Transport for Rig {
     fn wait(&mut self, at_most_ms: u32) -> Result<(), Noise> {
-        self.world(|world| {
+        let other = self.world(|world| {
             world.waits += 1;
             if world.is_due() {
-                return;
+                return None;
             }
             let end = world.now.plus(at_most_ms);
-            world.now = world.coming.iter().map(|(at, _)| *at).fold(end, Instant::earlier_of);
+            let other = world.other.iter().map(|(at, _)| *at);
+            world.now = world.coming.iter().map(|(at, _)| *at).chain(other).fold(end, Instant::earlier_of);
             assert!(world.now.since(BEGIN) < 600_000, "a call comes to an end within ten minutes");
+            world.other.take_if(|(at, _)| world.now.has_reached(*at))
         });
+        if let Some((_, act)) = other {
+            act();
+        }
         Ok(())
+    }
+}
+
+/// The second way to the line, for stop handles.
+#[cfg(feature = "std")]
+impl crate::driver::Stoppable for Rig {
+    fn stop_line(&mut self) -> std::io::Result<crate::driver::StopLine> {
+        let direct = self.world(|world| std::sync::Arc::clone(&world.direct));
+        let write = move |bytes: &[u8]| {
+            let mut direct = direct.lock().unwrap();
+            if direct.is_full {
+                return Err(std::io::ErrorKind::WouldBlock.into());
+            }
+            direct.bytes.extend(bytes);
+            Ok(bytes.len())
+        };
+        Ok(crate::driver::StopLine::new(write, || {}))
     }
 }
 

@@ -1,5 +1,7 @@
 //! A transport over anything that reads and writes.
 
+use crate::driver::readiness::{AsPollable, duplicate};
+use crate::driver::{StopLine, Stoppable, second};
 use core::future::poll_fn;
 use core::pin::Pin;
 use core::task::{Poll, ready};
@@ -58,5 +60,12 @@ impl<T: AsyncWrite + Unpin> embedded_io_async::Write for Stream<T> {
 
     async fn flush(&mut self) -> io::Result<()> {
         poll_fn(|context| Pin::new(&mut self.stream).poll_flush(context)).await
+    }
+}
+
+/// On Unix of any stream with a file descriptor, on Windows of a socket.
+impl<T: AsPollable> Stoppable for Stream<T> {
+    fn stop_line(&mut self) -> io::Result<StopLine> {
+        Ok(StopLine::new(second::stream(duplicate(&self.stream)?), || {}))
     }
 }

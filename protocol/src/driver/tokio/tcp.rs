@@ -2,7 +2,8 @@
 
 use super::Stream;
 use crate::driver::farewell::Farewell;
-use crate::driver::host;
+use crate::driver::readiness::duplicate;
+use crate::driver::{StopLine, Stoppable, host, second};
 use crate::frame::OVERHEAD;
 use core::pin::Pin;
 use core::task::{Context, Waker};
@@ -52,7 +53,7 @@ impl Tcp {
     pub fn new(stream: TcpStream) -> io::Result<Self> {
         // A frame is one segment, and it leaves at once.
         stream.set_nodelay(true)?;
-        Ok(Self { stream: Stream::new(stream), farewell: Farewell::NEW })
+        Ok(Self { stream: Stream::new(stream), farewell: Farewell::default() })
     }
 }
 
@@ -75,6 +76,13 @@ impl embedded_io_async::Write for Tcp {
 
     async fn flush(&mut self) -> io::Result<()> {
         self.stream.flush().await
+    }
+}
+
+impl Stoppable for Tcp {
+    fn stop_line(&mut self) -> io::Result<StopLine> {
+        let second = duplicate(self.stream.get_mut())?;
+        Ok(StopLine::new(second::tcp(second, self.farewell.clone()), || {}))
     }
 }
 

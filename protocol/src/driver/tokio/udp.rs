@@ -1,7 +1,9 @@
 //! UDP.
 
+use crate::driver::readiness::duplicate;
 use crate::driver::received::Received;
 use crate::driver::udp::{self, MAX_DATAGRAM_LEN};
+use crate::driver::{StopLine, Stoppable, second};
 use embedded_io_async::ErrorType;
 use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
@@ -64,5 +66,11 @@ impl embedded_io_async::Write for Udp {
 
     async fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+impl Stoppable for Udp {
+    fn stop_line(&mut self) -> io::Result<StopLine> {
+        Ok(StopLine::new(second::udp(duplicate(&self.socket)?, self.gripper), || {}))
     }
 }

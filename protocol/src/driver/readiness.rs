@@ -1,0 +1,165 @@
+//! When a socket or a serial port has bytes, from the operating system, and a way to end that wait. Nothing here reads them.
+
+use core::time::Duration;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use std::io;
+use std::sync::Arc;
+
+/// What the operating system can wait for: on Unix anything with a file descriptor, on Windows a socket.
+#[cfg(unix)]
+pub(super) use std::os::fd::{AsFd as AsPollable, OwnedFd as Owned};
+#[cfg(windows)]
+pub(super) use std::os::windows::io::{AsSocket as AsPollable, OwnedSocket as Owned};
+
+/// A second descriptor of the same source.
+pub(super) fn duplicate(source: &impl AsPollable) -> io::Result<Owned> {
+    #[cfg(unix)]
+    return source.as_fd().try_clone_to_owned();
+    #[cfg(windows)]
+    return source.as_socket().try_clone_to_owned();
+}
+
+/// What is known of a source of bytes without another system call.
+#[derive(Clone, Copy, Debug, Default)]
+enum Seen {
+    #[default]
+    Nothing,
+    /// Bytes are there, or the end.
+    Bytes,
+    /// The last read has emptied it.
+    Silence,
+}
+
+/// The longest single wait of a read that has no end of its own.
+pub(super) const LONG_MS: u32 = 60_000;
+
+/// When to read from one source of bytes.
+#[derive(Debug)]
+pub(super) struct Readiness {
+    seen: Seen,
+    waker: Option<Arc<Waker>>,
+}
+
+impl Readiness {
+    pub(super) const fn new() -> Self {
+        Self { seen: Seen::Nothing, waker: None }
+    }
+
+    /// Whether a read would return at once.
+    pub(super) fn may_read(&mut self, source: &impl AsPollable) -> io::Result<bool> {
+        match core::mem::take(&mut self.seen) {
+            Seen::Nothing => Ok(!flags_within(source, PollFlags::IN, None, 0)?.is_empty()),
+            Seen::Bytes => Ok(true),
+            Seen::Silence => Ok(false),
+        }
+    }
+
+    /// A read did not fill its buffer: the next question needs no system call.
+    pub(super) const fn is_emptied(&mut self) {
+        self.seen = Seen::Silence;
+    }
+
+    /// Waits until bytes are there, or the end, for so many milliseconds. A signal ends the wait, and so does the waker.
+    pub(super) fn wait(&mut self, source: &impl AsPollable, at_most_ms: u32) -> io::Result<()> {
+        let flags = flags_within(source, PollFlags::IN, self.waker.as_deref(), at_most_ms)?;
+        self.seen = if flags.is_empty() { Seen::Nothing } else { Seen::Bytes };
+        Ok(())
+    }
+
+    /// What ends the wait from another thread.
+    pub(super) fn waker(&mut self) -> io::Result<Arc<Waker>> {
+        let waker = match self.waker.take() {
+            Some(waker) => waker,
+            None => Arc::new(Waker::new()?),
+        };
+        Ok(Arc::clone(self.waker.insert(waker)))
+    }
+}
+
+/// Whether a write would take something at once.
+pub(super) fn is_writable(source: &impl AsPollable) -> io::Result<bool> {
+    Ok(flags_within(source, PollFlags::OUT, None, 0)?.contains(PollFlags::OUT))
+}
+
+/// What is so within so many milliseconds; nothing at the end of the time, or when a signal or the waker ends the wait.
+fn flags_within(
+    source: &impl AsPollable,
+    flags: PollFlags,
+    waker: Option<&Waker>,
+    at_most_ms: u32,
+) -> io::Result<PollFlags> {
+    let time = Duration::from_millis(at_most_ms.into());
+    let timeout = Timespec { tv_sec: time.as_secs() as _, tv_nsec: time.subsec_nanos() as _ };
+    let source = PollFd::new(source, flags);
+    let (polled, seen, is_woken) = match waker {
+        None => {
+            let mut all = [source];
+            let polled = poll(&mut all, Some(&timeout));
+            let [source] = all;
+            (polled, source.revents(), false)
+        }
+        Some(waker) => {
+            let mut all = [source, PollFd::new(&waker.receiver, PollFlags::IN)];
+            let polled = poll(&mut all, Some(&timeout));
+            let [source, woken] = all;
+            (polled, source.revents(), !woken.revents().is_empty())
+        }
+    };
+    match polled {
+        Ok(_) => {}
+        Err(rustix::io::Errno::INTR) => return Ok(PollFlags::empty()),
+        Err(error) => return Err(error.into()),
+    }
+    if let Some(waker) = waker.filter(|_| is_woken) {
+        waker.rest();
+    }
+    Ok(seen)
+}
+
+#[cfg(unix)]
+type Signal = std::os::unix::net::UnixDatagram;
+#[cfg(windows)]
+type Signal = std::net::UdpSocket;
+
+/// Two connected sockets: what one sends ends the wait for the other.
+#[derive(Debug)]
+pub(super) struct Waker {
+    sender: Signal,
+    receiver: Signal,
+}
+
+impl Waker {
+    fn new() -> io::Result<Self> {
+        let (sender, receiver) = pair()?;
+        sender.set_nonblocking(true)?;
+        receiver.set_nonblocking(true)?;
+        Ok(Self { sender, receiver })
+    }
+
+    /// Ends the wait, or the next one if there is none now.
+    #[cfg_attr(windows, expect(clippy::disallowed_methods, reason = "it does not wait"))]
+    pub(super) fn wake(&self) {
+        // What is full has woken it already.
+        let _ = self.sender.send(&[1]);
+    }
+
+    /// The next wait is not ended by what was sent until now.
+    #[cfg_attr(windows, expect(clippy::disallowed_methods, reason = "it does not wait"))]
+    fn rest(&self) {
+        while self.receiver.recv(&mut [0]).is_ok() {}
+    }
+}
+
+#[cfg(unix)]
+fn pair() -> io::Result<(Signal, Signal)> {
+    Signal::pair()
+}
+
+#[cfg(windows)]
+fn pair() -> io::Result<(Signal, Signal)> {
+    let [sender, receiver] = [(); 2].map(|()| Signal::bind((std::net::Ipv4Addr::LOCALHOST, 0)));
+    let (sender, receiver) = (sender?, receiver?);
+    sender.connect(receiver.local_addr()?)?;
+    receiver.connect(sender.local_addr()?)?;
+    Ok((sender, receiver))
+}

@@ -1,0 +1,232 @@
+//! Stop and FAST STOP from any thread, by feature `std`. [`gate`](super::gate) states what holds between handle and driver.
+
+use super::StopKind;
+use super::gate::StopRequest;
+use super::link::Protocol;
+#[cfg(feature = "embedded-io-async")]
+use core::task::Context;
+use core::task::{Poll, Waker};
+use core::time::Duration;
+use std::boxed::Box;
+use std::io::{self, ErrorKind};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::Instant;
+
+/// The longest message of a stop: `FASTSTOP()` and a line feed.
+pub(super) const MAX_STOP_LEN: usize = 11;
+
+/// How long a line may keep the rest of a stop of which it has taken the beginning.
+const REST_TIMEOUT: Duration = Duration::from_millis(100);
+
+/// Stops the gripper of a driver from any thread, also while that driver waits in a call.
+///
+/// A method `stop_handle` of a gripper makes one. The handle writes to the line itself, so the bytes are in the socket when
+/// its method returns, whatever the driver's thread does. The driver is woken, withdraws what it has not sent, waits until
+/// the gripper has confirmed the stop, and returns [`Error::Stopped`](super::Error::Stopped) from the call that is running.
+/// If none is, the next call does. Either way the program learns of the stop before it can move the fingers again.
+///
+/// It must not be used in a signal handler, because it locks a mutex. A thread that waits for signals, as that of the crate
+/// `signal-hook`, may use it.
+///
+/// The handle is of no use any more after `into_io`, `replace_io`, or when the gripper is dropped.
+///
+/// ```
+/// # use wsg_sim::{Config, server::{Lines, ServerThread}};
+/// # let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+/// # let server = ServerThread::start(Config::default(), &lines, None).unwrap();
+/// # let address = server.tcp_address().unwrap();
+/// use wsg_protocol::HomingDirection;
+/// use wsg_protocol::driver::{Error, Mm, MmPerS, OnBlock, StopKind, host};
+///
+/// // A real one: "192.168.1.20:1000".
+/// let mut gripper = host::connect(address)?;
+/// gripper.home(HomingDirection::Positive)?;
+/// let handle = gripper.stop_handle().map_err(Error::Transport)?;
+/// let button = std::thread::spawn(move || handle.stop());
+/// let moved = gripper.move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop);
+/// assert!(matches!(moved, Err(Error::Stopped(StopKind::Stop))));
+/// button.join().unwrap().map_err(Error::Transport)?;
+/// # Ok::<(), Error<std::io::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct StopHandle {
+    shared: Weak<Shared>,
+}
+
+impl StopHandle {
+    /// Stops the fingers; a part is held no longer (command set, 3.2.3).
+    ///
+    /// # Errors
+    /// - `NotConnected`: the driver is gone, or goes on with another transport. Nothing is sent.
+    /// - `WouldBlock`: the line takes nothing now, because the gripper does not read. The driver sends the stop as soon as it
+    ///   can, within its call or in the next one.
+    /// - Other errors of the transport. The driver tries again in its call or in the next one.
+    pub fn stop(&self) -> io::Result<()> {
+        self.request(StopKind::Stop)
+    }
+
+    /// Stops the fingers the fastest way and locks them until `acknowledge` (command set, 3.2.4).
+    ///
+    /// # Errors
+    /// As [`stop`](Self::stop).
+    pub fn fast_stop(&self) -> io::Result<()> {
+        self.request(StopKind::FastStop)
+    }
+
+    fn request(&self, kind: StopKind) -> io::Result<()> {
+        self.shared.upgrade().ok_or(ErrorKind::NotConnected)?.request(kind)
+    }
+}
+
+type Write = dyn Fn(&[u8]) -> io::Result<usize> + Send + Sync;
+
+/// A second way to write to the line of a transport, for a [`StopHandle`].
+pub struct StopLine {
+    write: Box<Write>,
+    wake: Box<dyn Fn() + Send + Sync>,
+}
+
+impl StopLine {
+    /// `write` writes a message, or the beginning of it, without waiting: `WouldBlock` if the line takes nothing. `wake` ends
+    /// the transport's [`wait`](super::blocking::Transport::wait), or the next one if there is none now; the async driver
+    /// needs none.
+    pub fn new(
+        write: impl Fn(&[u8]) -> io::Result<usize> + Send + Sync + 'static,
+        wake: impl Fn() + Send + Sync + 'static,
+    ) -> Self {
+        Self { write: Box::new(write), wake: Box::new(wake) }
+    }
+}
+
+impl core::fmt::Debug for StopLine {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("StopLine").finish_non_exhaustive()
+    }
+}
+
+/// A transport whose gripper another thread can stop.
+pub trait Stoppable {
+    /// A second way to write to its line.
+    ///
+    /// # Errors
+    /// The operating system has no descriptor left.
+    fn stop_line(&mut self) -> io::Result<StopLine>;
+}
+
+/// What a driver shares with its handles.
+#[derive(Debug)]
+pub(super) struct Shared {
+    line: StopLine,
+    /// Stop and FAST STOP in the driver's protocol.
+    messages: [([u8; MAX_STOP_LEN], usize); 2],
+    state: Mutex<State>,
+}
+
+#[derive(Debug)]
+struct State {
+    /// The driver has sent a message in part.
+    is_mid_message: bool,
+    request: Option<StopRequest>,
+    /// Who waits for a request: the task of the async driver.
+    task: Option<Waker>,
+}
+
+impl Shared {
+    /// For a driver of this protocol.
+    pub(super) fn new<P: Protocol>(line: StopLine, is_mid_message: bool) -> Self {
+        let messages = [StopKind::Stop, StopKind::FastStop].map(|kind| {
+            let mut message = [0; MAX_STOP_LEN];
+            let len = P::stop_message(kind, &mut message);
+            (message, len)
+        });
+        Self { line, messages, state: Mutex::new(State { is_mid_message, request: None, task: None }) }
+    }
+
+    pub(super) fn handle(self: &Arc<Self>) -> StopHandle {
+        StopHandle { shared: Arc::downgrade(self) }
+    }
+
+    /// Nothing that could panic leaves a state behind that is no state.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn request(&self, kind: StopKind) -> io::Result<()> {
+        let mut state = self.lock();
+        let sent = if state.is_mid_message { Err(ErrorKind::WouldBlock.into()) } else { self.send(kind) };
+        let is_sent = sent.is_ok();
+        state.request = Some(match state.request {
+            Some(earlier) if earlier.kind > kind => earlier,
+            Some(earlier) if earlier.kind == kind => {
+                StopRequest { kind, is_sent: earlier.is_sent || is_sent }
+            }
+            _ => StopRequest { kind, is_sent },
+        });
+        let task = state.task.take();
+        drop(state);
+        if let Some(task) = task {
+            task.wake();
+        }
+        (self.line.wake)();
+        sent
+    }
+
+    /// Sends it now or not at all.
+    fn send(&self, kind: StopKind) -> io::Result<()> {
+        let [stop, fast_stop] = &self.messages;
+        let (message, len) = if kind == StopKind::Stop { stop } else { fast_stop };
+        let mut rest = message.get(..*len).unwrap_or(&[]);
+        let mut begun = None;
+        while !rest.is_empty() {
+            match (self.line.write)(rest) {
+                Ok(0) => return Err(ErrorKind::WriteZero.into()),
+                Ok(count) => {
+                    rest = rest.get(count..).unwrap_or(&[]);
+                    begun = Some(Instant::now());
+                }
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                // Nothing else may be sent before the rest is.
+                Err(error)
+                    if error.kind() == ErrorKind::WouldBlock
+                        && begun.is_some_and(|begun| begun.elapsed() < REST_TIMEOUT) =>
+                {
+                    std::thread::yield_now();
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn poll_write<E>(
+        &self,
+        is_first: bool,
+        len: usize,
+        write: impl FnOnce() -> Poll<Result<usize, E>>,
+    ) -> Poll<Option<Result<usize, E>>> {
+        let mut state = self.lock();
+        if is_first && state.request.is_some() {
+            return Poll::Ready(None);
+        }
+        let written = write();
+        if let Poll::Ready(result) = &written {
+            // The driver gives up a message whose write fails.
+            state.is_mid_message = result.as_ref().is_ok_and(|count| *count < len);
+        }
+        written.map(Some)
+    }
+
+    pub(super) fn take(&self) -> Option<StopRequest> {
+        self.lock().request.take()
+    }
+
+    #[cfg(feature = "embedded-io-async")]
+    pub(super) fn poll_request(&self, context: &Context<'_>) -> Poll<()> {
+        let mut state = self.lock();
+        if state.request.is_some() {
+            return Poll::Ready(());
+        }
+        state.task = Some(context.waker().clone());
+        Poll::Pending
+    }
+}

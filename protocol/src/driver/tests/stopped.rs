@@ -1,0 +1,210 @@
+//! Stop handles: what is sent, once, and what the driver makes of it, in virtual time.
+
+use super::*;
+use std::io::ErrorKind;
+
+/// A motion that does not end by itself, and what Stop and FAST STOP make of it.
+fn script_endless(rig: &Rig, motion: CommandId) {
+    rig.world(|world| world.flags |= SystemFlags::MOVING);
+    rig.script(motion, vec![(1, status(motion, Status::CmdPending))]);
+    for id in [CommandId::Stop, CommandId::FastStop] {
+        rig.script(id, vec![(1, status(motion, Status::CmdAborted)), (1, status(id, Status::Success))]);
+    }
+}
+
+const KINDS: [(StopKind, CommandId); 2] =
+    [(StopKind::Stop, CommandId::Stop), (StopKind::FastStop, CommandId::FastStop)];
+
+fn request(handle: &StopHandle, kind: StopKind) -> std::io::Result<()> {
+    match kind {
+        StopKind::Stop => handle.stop(),
+        StopKind::FastStop => handle.fast_stop(),
+    }
+}
+
+#[test]
+fn handle_ends_a_motion_that_a_call_waits_for() {
+    for (kind, id) in KINDS {
+        let rig = Rig::new();
+        let mut gripper = connected(&rig);
+        script_endless(&rig, CommandId::PrePosition);
+        let handle = gripper.stop_handle().unwrap();
+        let begun = rig.world(|world| world.now);
+        rig.later(500, move || request(&handle, kind).unwrap());
+        assert_eq!(gripper.move_to(Mm(50.0), MmPerS(5.0), OnBlock::Stop), Err(Error::Stopped(kind)));
+        assert!(rig.world(|world| world.now).since(begun) < 510);
+        assert_eq!((rig.heard(id), gripper.motion()), (1, None), "the driver does not send it again");
+        assert!(!gripper.fast_stop_pending());
+        assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::Held), "it is reported once");
+        assert_eq!(gripper.counters().session.unsolicited, 0);
+    }
+}
+
+#[test]
+fn handle_of_an_idle_driver_sends_at_once_and_the_next_call_reports_it() {
+    for (kind, id) in KINDS {
+        let rig = Rig::new();
+        let mut gripper = connected(&rig);
+        let handle = gripper.stop_handle().unwrap();
+        request(&handle, kind).unwrap();
+        assert_eq!(rig.heard(id), 1);
+        assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Err(Error::Stopped(kind)));
+        assert_eq!((rig.heard(CommandId::GripPart), rig.heard(id)), (0, 1));
+        assert_eq!(gripper.counters().session.unsolicited, 0, "its confirmation was awaited");
+        assert_eq!(gripper.acknowledge(), Ok(()));
+    }
+}
+
+#[test]
+fn fast_stop_is_not_acknowledged_by_a_program_that_does_not_know_of_it() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    gripper.stop_handle().unwrap().fast_stop().unwrap();
+    assert_eq!(gripper.acknowledge(), Err(Error::Stopped(StopKind::FastStop)));
+    assert_eq!(rig.heard(CommandId::Acknowledge), 0);
+}
+
+#[test]
+fn fast_stop_outranks_a_stop() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let handle = gripper.stop_handle().unwrap();
+    handle.stop().unwrap();
+    handle.fast_stop().unwrap();
+    handle.clone().stop().unwrap();
+    assert_eq!(gripper.width(), Err(Error::Stopped(StopKind::FastStop)));
+    assert_eq!(rig.heard(CommandId::FastStop), 1);
+}
+
+#[test]
+fn own_stop_counts_for_that_of_a_handle_and_not_for_a_greater_one() {
+    for (by_handle, own, outcome) in [
+        (StopKind::Stop, StopKind::Stop, Ok(())),
+        (StopKind::Stop, StopKind::FastStop, Ok(())),
+        (StopKind::FastStop, StopKind::FastStop, Ok(())),
+        (StopKind::FastStop, StopKind::Stop, Err(Error::Stopped(StopKind::FastStop))),
+    ] {
+        let rig = Rig::new();
+        let mut gripper = connected(&rig);
+        request(&gripper.stop_handle().unwrap(), by_handle).unwrap();
+        let result = if own == StopKind::Stop { gripper.stop() } else { gripper.fast_stop() };
+        assert_eq!(result, outcome, "{by_handle} and {own}");
+        assert_eq!(gripper.width(), Ok(42.5));
+    }
+}
+
+#[test]
+fn fast_stop_that_is_not_confirmed_ends_the_call_in_time_and_is_owed() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    script_endless(&rig, CommandId::GripPart);
+    let handle = gripper.stop_handle().unwrap();
+    let silent = rig.clone();
+    let begun = rig.world(|world| world.now);
+    rig.later(50, move || {
+        silent.world(|world| world.silent = true);
+        handle.fast_stop().unwrap();
+    });
+    let result = gripper.grip(Mm(20.0), MmPerS(50.0));
+    assert_eq!(result, Err(Error::Stopped(StopKind::FastStop)));
+    assert!(gripper.fast_stop_pending());
+    assert!(rig.world(|world| world.now).since(begun) <= 51 + Config::DEFAULT.confirmation_ms());
+    rig.world(|world| world.silent = false);
+    gripper.connect().unwrap();
+    assert!(!gripper.fast_stop_pending());
+}
+
+#[test]
+fn handle_writes_nothing_into_a_message_that_is_half_sent() {
+    for room in 1..16 {
+        let rig = Rig::new();
+        let mut gripper = connected_async(&rig);
+        let handle = gripper.stop_handle().unwrap();
+        rig.world(|world| world.room = room);
+        assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
+        assert_eq!(handle.stop().unwrap_err().kind(), ErrorKind::WouldBlock);
+        assert_eq!(rig.heard(CommandId::Stop), 0);
+        rig.world(|world| world.room = usize::MAX);
+        assert_eq!(rig.run(gripper.width()), Err(Error::Stopped(StopKind::Stop)));
+        assert_eq!((rig.heard(CommandId::GripPart), rig.heard(CommandId::Stop)), (1, 1));
+        assert_eq!(rig.world(|world| world.stray()), 0);
+    }
+}
+
+#[test]
+fn motion_that_waits_for_the_line_does_not_leave_after_a_stop() {
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    let handle = gripper.stop_handle().unwrap();
+    rig.world(|world| world.room = 0);
+    {
+        let mut grip = core::pin::pin!(gripper.grip(Mm(20.0), MmPerS(50.0)));
+        let mut context = core::task::Context::from_waker(core::task::Waker::noop());
+        assert!(grip.as_mut().poll(&mut context).is_pending());
+        handle.stop().unwrap();
+        rig.world(|world| world.room = usize::MAX);
+        assert_eq!(rig.run(grip), Err(Error::Stopped(StopKind::Stop)));
+    }
+    assert_eq!((rig.heard(CommandId::GripPart), rig.heard(CommandId::Stop)), (0, 1));
+    assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::Held));
+}
+
+#[test]
+fn stop_that_the_line_does_not_take_is_sent_by_the_driver() {
+    for (kind, id) in KINDS {
+        let rig = Rig::new();
+        let mut gripper = connected(&rig);
+        let handle = gripper.stop_handle().unwrap();
+        rig.world(|world| world.direct.lock().unwrap().is_full = true);
+        assert_eq!(request(&handle, kind).unwrap_err().kind(), ErrorKind::WouldBlock);
+        assert_eq!(rig.heard(id), 0);
+        assert_eq!(gripper.width(), Err(Error::Stopped(kind)));
+        assert_eq!(rig.heard(id), 1);
+    }
+}
+
+#[test]
+fn handle_wakes_the_task_of_the_async_driver() {
+    struct Woken(core::sync::atomic::AtomicBool);
+    impl std::task::Wake for Woken {
+        fn wake(self: std::sync::Arc<Self>) {
+            self.0.store(true, core::sync::atomic::Ordering::Relaxed);
+        }
+    }
+    let rig = Rig::new();
+    let mut gripper = connected_async(&rig);
+    script_endless(&rig, CommandId::GripPart);
+    let handle = gripper.stop_handle().unwrap();
+    let woken = std::sync::Arc::new(Woken(false.into()));
+    let waker = std::sync::Arc::clone(&woken).into();
+    let mut context = core::task::Context::from_waker(&waker);
+    let mut grip = core::pin::pin!(gripper.grip(Mm(20.0), MmPerS(50.0)));
+    for _ in 0..10 {
+        assert!(grip.as_mut().poll(&mut context).is_pending());
+        rig.pass(1);
+    }
+    assert!(!woken.0.load(core::sync::atomic::Ordering::Relaxed));
+    handle.fast_stop().unwrap();
+    assert!(woken.0.load(core::sync::atomic::Ordering::Relaxed));
+    assert_eq!(rig.run(grip), Err(Error::Stopped(StopKind::FastStop)));
+}
+
+#[test]
+fn handle_of_a_driver_that_is_gone_says_so_and_sends_nothing() {
+    let rig = Rig::new();
+    let mut gripper = connected(&rig);
+    let first = gripper.stop_handle().unwrap();
+    gripper.replace_io(rig.clone());
+    let second = gripper.stop_handle().unwrap();
+    drop(gripper);
+    for handle in [first, second] {
+        assert_eq!(handle.stop().unwrap_err().kind(), ErrorKind::NotConnected);
+    }
+    assert_eq!(rig.heard(CommandId::Stop), 0);
+}
+
+#[test]
+fn handles_may_be_sent_and_shared() {
+    fn is_sync<T: Send + Sync + Clone + 'static>() {}
+    is_sync::<StopHandle>();
+}
