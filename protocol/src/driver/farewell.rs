@@ -1,8 +1,35 @@
 //! What a TCP connection that is dropped still has to say: that it ends, so that the gripper does not enter FAST STOP.
 
+use super::readiness::is_readable_within;
 use crate::command::{Command, CommandId};
 use crate::frame::{FrameEncoder, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
+use core::time::Duration;
+use std::io::{self, ErrorKind};
+use std::net::TcpStream;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+/// How long the gripper may take to close its end.
+const LINGER: Duration = Duration::from_millis(100);
+
+/// Reads what still comes until the gripper has closed its end, or the time is over: bytes that nobody reads would turn the
+/// end into a reset, which may overtake the announcement.
+pub(super) fn linger(mut socket: &TcpStream) {
+    let begun = Instant::now();
+    let mut unread = [0; 512];
+    loop {
+        let left = LINGER.saturating_sub(begun.elapsed()).as_millis() as u32;
+        if left == 0 || !is_readable_within(socket, left).unwrap_or(false) {
+            return;
+        }
+        #[expect(clippy::disallowed_methods, reason = "it is read again")]
+        match io::Read::read(&mut socket, &mut unread) {
+            Ok(1..) => {}
+            Err(error) if matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}
+            Ok(0) | Err(_) => return,
+        }
+    }
+}
 
 /// Looks at the messages that a driver and its stop handles write, and tells how the connection may end.
 #[derive(Clone, Debug, Default)]

@@ -48,7 +48,7 @@ impl Readiness {
     /// Whether a read would return at once.
     pub(super) fn may_read(&mut self, source: &impl AsPollable) -> io::Result<bool> {
         match core::mem::take(&mut self.seen) {
-            Seen::Nothing => Ok(!flags_within(source, PollFlags::IN, None, 0)?.is_empty()),
+            Seen::Nothing => is_readable_within(source, 0),
             Seen::Bytes => Ok(true),
             Seen::Silence => Ok(false),
         }
@@ -74,6 +74,11 @@ impl Readiness {
         };
         Ok(Arc::clone(self.waker.insert(waker)))
     }
+}
+
+/// Waits until bytes are there, or the end, for so many milliseconds; whether they are.
+pub(super) fn is_readable_within(source: &impl AsPollable, at_most_ms: u32) -> io::Result<bool> {
+    Ok(!flags_within(source, PollFlags::IN, None, at_most_ms)?.is_empty())
 }
 
 /// Whether a write would take something at once.

@@ -2,7 +2,7 @@
 
 use super::{PolledStream, SPURIOUS};
 use crate::driver::blocking::Transport;
-use crate::driver::farewell::Farewell;
+use crate::driver::farewell::{Farewell, linger};
 use crate::driver::readiness::duplicate;
 use crate::driver::{StopLine, Stoppable, second};
 use crate::frame::OVERHEAD;
@@ -14,13 +14,10 @@ use std::net::{Shutdown, TcpStream, ToSocketAddrs};
 /// How long a gripper may leave what is sent unread. A write that takes longer is an error.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Chunks that are read and thrown away before the connection closes.
-const MAX_UNREAD: usize = 64;
-
 /// A TCP connection to a gripper, for either protocol; port 1000 for the binary one.
 ///
-/// When it is dropped, it announces the end of the connection if nobody has (Disconnect Announcement, or `BYE`), without
-/// waiting, so that a program which drops its gripper does not leave it in FAST STOP. It announces nothing, and the
+/// When it is dropped, it announces the end of the connection if nobody has (Disconnect Announcement, or `BYE`), and waits
+/// up to 100 ms until the gripper closes its end, so that a program which drops its gripper does not leave it in FAST STOP. It announces nothing, and the
 /// gripper enters FAST STOP, if the program panics, or if FAST STOP was the last that was asked for; nor can it if the
 /// process is killed. [`with_connection`](crate::driver::blocking::GripperOver::with_connection) also waits for the
 /// gripper's confirmation.
@@ -114,12 +111,10 @@ impl Drop for Tcp {
         let mut buffer = [0; OVERHEAD];
         let Some(message) = self.farewell.due(&mut buffer) else { return };
         let mut stream = self.stream.get_ref();
-        // One attempt, without waiting. Nobody is left to be told of an error.
+        // One attempt. Nobody is left to be told of an error.
         if stream.set_nonblocking(true).is_ok() && io::Write::write(&mut stream, message).is_ok() {
             let _ = stream.shutdown(Shutdown::Write);
-            // Unread bytes would turn the end into a reset, which may overtake the message.
-            let mut unread = [0; 512];
-            (0..MAX_UNREAD).find(|_| !matches!(io::Read::read(&mut stream, &mut unread), Ok(1..)));
+            linger(stream);
         }
     }
 }

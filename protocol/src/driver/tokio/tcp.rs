@@ -1,7 +1,7 @@
 //! TCP, whose end is announced.
 
 use super::Stream;
-use crate::driver::farewell::Farewell;
+use crate::driver::farewell::{Farewell, linger};
 use crate::driver::readiness::duplicate;
 use crate::driver::{StopLine, Stoppable, host, second};
 use crate::frame::OVERHEAD;
@@ -13,13 +13,10 @@ use std::io::{self, ErrorKind};
 use tokio::io::AsyncWrite;
 use tokio::net::{TcpStream, ToSocketAddrs, lookup_host};
 
-/// Chunks that are read and thrown away before the connection closes.
-const MAX_UNREAD: usize = 64;
-
 /// A TCP connection to a gripper, for either protocol; port 1000 for the binary one.
 ///
 /// When it is dropped, also with a future, it announces the end of the connection, as
-/// [the blocking one](host::Tcp) does.
+/// [the blocking one](host::Tcp) does. A short-lived thread waits until the gripper closes its end.
 #[derive(Debug)]
 pub struct Tcp {
     stream: Stream<TcpStream>,
@@ -97,9 +94,10 @@ impl Drop for Tcp {
         // One attempt, without waiting. Nobody is left to be told of an error.
         if stream.try_write(message).is_ok() {
             let _ = Pin::new(&mut *stream).poll_shutdown(&mut Context::from_waker(Waker::noop()));
-            // Unread bytes would turn the end into a reset, which may overtake the message.
-            let mut unread = [0; 512];
-            (0..MAX_UNREAD).find(|_| !matches!(stream.try_read(&mut unread), Ok(1..)));
+            // The runtime must not wait.
+            if let Ok(second) = duplicate(stream) {
+                let _ = std::thread::Builder::new().spawn(move || linger(&second.into()));
+            }
         }
     }
 }
