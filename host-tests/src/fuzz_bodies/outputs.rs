@@ -71,8 +71,8 @@ impl Shown {
 
         let (holding, fault) = (has(Outputs::HOLDING), has(Outputs::PART_FAULT));
         assert!(!(holding && fault), "{}", what());
-        // A result shows when BUSY falls. The one from before a refused command stays beside the refusal's ERROR.
-        let is_kept = error && before.contains(Outputs::HOLDING) && !flags.contains(SystemFlags::MOVING);
+        // A result never appears while BUSY is high. The one from before a refused command stays until a motion begins.
+        let is_kept = before.contains(Outputs::HOLDING) && !flags.contains(SystemFlags::MOVING);
         assert!(!holding || !busy || is_kept, "{}", what());
         assert!(
             !holding || state == GripperState::Holding || told.grip == Some(Status::Success),
