@@ -49,16 +49,16 @@ impl PlcBus {
         "the PLC's bus, beside the wires: 0 none, 1 Modbus RTU, 2 CANopen, 3 PROFIBUS DP";
 }
 
-/// The board that a bridge runs on, as a master can read it (CANopen 1009h and 1018h, 4).
+/// The identity of the board that a bridge runs on, as a master can read it (CANopen 1009h and 1018h, 4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Board {
+pub struct BoardId {
     /// Its name.
     pub name: &'static str,
     /// The serial number; of no number is known whether another board has it too.
     pub serial: u32,
 }
 
-impl Board {
+impl BoardId {
     /// A board of which nothing is known.
     pub const UNKNOWN: Self = Self { name: "unknown", serial: 0 };
 }

@@ -82,6 +82,19 @@ pub trait OutputPort {
     fn write(&mut self, outputs: Outputs);
 }
 
+/// Inputs and outputs of different ports.
+impl<I: InputPort, O> InputPort for (I, O) {
+    fn read(&mut self) -> Inputs {
+        self.0.read()
+    }
+}
+
+impl<I, O: OutputPort> OutputPort for (I, O) {
+    fn write(&mut self, outputs: Outputs) {
+        self.1.write(outputs);
+    }
+}
+
 /// [`InputPort`] over eight pins of any HAL, for a board whose inputs share no port.
 #[derive(Debug)]
 pub struct HalInputs<P> {

@@ -33,6 +33,7 @@ mod liveness;
 mod log;
 pub mod plc;
 pub mod registers;
+pub mod run;
 mod station;
 pub mod storage;
 mod stored_settings;
@@ -42,9 +43,10 @@ pub mod usb_serial;
 pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Counters};
 pub use config::{
-    Board, BusConfig, Config, Format, GripperLine, MAX_REPLY_LEN, PlcBus, ProfibusConfig, RECIPE_COUNT,
+    BoardId, BusConfig, Config, Format, GripperLine, MAX_REPLY_LEN, PlcBus, ProfibusConfig, RECIPE_COUNT,
     RECIPES, Recipe,
 };
 pub use plc::{BusPort, NoBus};
 pub use registers::ResetCause;
-pub use station::{Lines, Station};
+pub use run::{Board, Hardware, NoClock, run};
+pub use station::Station;

@@ -5,7 +5,7 @@ use wsg_protocol::Instant;
 
 use crate::bridge::Bridge;
 use crate::can::{BusReport, CanBus, CanController, CanNode, LinkCounters, Node, NullNode};
-use crate::config::{Board, BusConfig, CanConfig, Config, GripperLine, PlcBus};
+use crate::config::{BoardId, Config, GripperLine, PlcBus};
 use crate::gripper::GripperLink;
 use crate::io::{Inputs, Outputs};
 use crate::plc::{BusPort, DpBuffers, Modbus, ModbusLine, NoBus, PlcEvent, PlcSide, Profibus, Shown, View};
@@ -16,8 +16,8 @@ use crate::stored_settings::StoredSettings;
 /// What runs on a board: the bridge, and whoever is on its lines.
 ///
 /// The gripper is on RS-232 or on CAN. The PLC is on the wires in any case, and on Modbus RTU, on PROFIBUS or on CAN (CANopen)
-/// beside them. The service port is there whatever the configuration says. A board gives the lines and calls
-/// [`turn`](Self::turn) at least once a millisecond.
+/// beside them. The service port is there whatever the configuration says. [`run`](crate::run::run) calls [`turn`](Self::turn) at least
+/// once a millisecond.
 pub struct Station<C: CanController> {
     gripper_line: GripperLine,
     plc_bus: PlcBus,
@@ -29,24 +29,6 @@ pub struct Station<C: CanController> {
     can: CanBus<C>,
     link: GripperLink,
     node: Node,
-}
-
-/// How a board starts its lines. [`Station::boot`] calls what the settings ask for, each once at the most.
-pub trait Lines<C> {
-    /// Starts the UART to the gripper.
-    fn start_gripper(&mut self);
-
-    /// Starts the service port.
-    fn start_service(&mut self);
-
-    /// Starts the PLC's bus with Modbus RTU.
-    fn start_modbus(&mut self, config: &BusConfig);
-
-    /// Starts the PLC's bus with PROFIBUS.
-    fn start_profibus(&mut self);
-
-    /// Starts the CAN controller.
-    fn start_can(&mut self, controller: &mut C, config: &CanConfig);
 }
 
 impl<C: CanController> Station<C> {
@@ -82,7 +64,7 @@ impl<C: CanController> Station<C> {
     /// Takes the configuration, what it runs on, and why the MCU was reset. Before the first turn alone.
     // Apart: what is built anew here would be on the stack through every turn of the main loop.
     #[inline(never)]
-    pub fn start(&mut self, config: &Config, board: Board, reset_cause: ResetCause) {
+    pub fn start(&mut self, config: &Config, board: BoardId, reset_cause: ResetCause) {
         self.gripper_line = config.gripper_line;
         self.plc_bus = config.plc_bus;
         self.bridge.set_reset_cause(reset_cause);
@@ -94,44 +76,11 @@ impl<C: CanController> Station<C> {
         self.node.set_board(board);
     }
 
-    /// [Loads](Self::load) the settings, [starts](Self::start) with them, and starts the lines that they choose: all that a board does
-    /// before its main loop, once clock, wires and watchdog run.
-    ///
-    /// # Errors
-    /// As [`load`](Self::load); then no line was started.
-    // Apart, as `start`, and `load_delivered` with it: neither configuration nor record is on the stack any more when it returns.
+    /// [`load`](Self::load), with the delivered settings on the stack for its time alone.
     #[inline(never)]
-    pub fn boot(
+    pub(crate) fn load_delivered(
         &mut self,
-        delivered: impl FnOnce() -> Record,
-        flash: &impl NorFlash,
-        board: Board,
-        reset_cause: ResetCause,
-        lines: &mut impl Lines<C>,
-    ) -> Result<(), WrongSetting> {
-        // By reference: taken out of the result it would be there twice.
-        let loaded = self.load_delivered(delivered, flash);
-        let config = loaded.as_ref().map_err(|wrong| *wrong)?;
-        self.start(config, board, reset_cause);
-        if config.gripper_line == GripperLine::Serial {
-            lines.start_gripper();
-        }
-        lines.start_service();
-        match config.plc_bus {
-            PlcBus::Modbus => lines.start_modbus(&config.bus),
-            PlcBus::Profibus => lines.start_profibus(),
-            PlcBus::Off | PlcBus::Canopen => {}
-        }
-        if self.uses_can() {
-            lines.start_can(self.can.controller(), &config.can);
-        }
-        Ok(())
-    }
-
-    #[inline(never)]
-    fn load_delivered(
-        &mut self,
-        delivered: impl FnOnce() -> Record,
+        delivered: fn() -> Record,
         flash: &impl NorFlash,
     ) -> Result<Config, WrongSetting> {
         self.load(&delivered(), flash)

@@ -17,7 +17,7 @@ use wsg_bridge_fw::registers::{
     COMMAND_KEY, EVENTS, EventCode, FIRST_COMMAND, FIRST_REPORT, REPORTS, Record,
 };
 use wsg_bridge_fw::storage::{Progress, Store};
-use wsg_bridge_fw::{Board, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{BoardId, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_fieldbus::CommandFlags as Cmd;
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
 use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Instant, Status};
@@ -53,7 +53,7 @@ impl Plant {
         let can = Double::default();
         let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let config = station.load(&delivered.record(), &flash).unwrap();
-        station.start(&config, Board::UNKNOWN, ResetCause::Watchdog);
+        station.start(&config, BoardId::UNKNOWN, ResetCause::Watchdog);
         let mut plant = Self {
             plc_bus: config.plc_bus,
             station,

@@ -10,7 +10,7 @@ use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, Record};
 use wsg_bridge_fw::storage::{NorFlash, Page, Progress, Store};
-use wsg_bridge_fw::{Board, Config, ResetCause, Station};
+use wsg_bridge_fw::{BoardId, Config, ResetCause, Station};
 use wsg_fieldbus::CommandFlags;
 use wsg_protocol::{CommandId, Instant};
 use wsg_sim::Time;
@@ -39,7 +39,7 @@ impl Plant {
         let can = CanBus::new(Double::default(), BusOffPolicy::DEFAULT);
         let mut station = Station::new(can, &NO_PROFIBUS);
         let config = station.load(delivered, &flash).unwrap();
-        station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
+        station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
         Self {
             station,
             gripper: SerialGripper::new(wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }),

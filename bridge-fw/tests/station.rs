@@ -8,11 +8,11 @@ use host_tests::flash_model::FlashModel;
 use host_tests::profibus_bench::sd2;
 use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig, DEFAULT_NODE, NmtState};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, NmtState};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::{Action, DpBuffers, DpResponder, UartStatus};
 use wsg_bridge_fw::registers::{FIRST_SETTING, Record};
-use wsg_bridge_fw::{Board, BusConfig, Config, GripperLine, Lines, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{BoardId, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::CommandId;
 use wsg_protocol::can::Identifiers;
 use wsg_sim::Time;
@@ -37,7 +37,7 @@ impl Bench {
         let can = Double::default();
         let buffers: &'static DpBuffers = Box::leak(Box::default());
         let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT), buffers);
-        station.start(config, Board::UNKNOWN, ResetCause::Pin);
+        station.start(config, BoardId::UNKNOWN, ResetCause::Pin);
         let serial = SerialLine::with_room(1_000);
         Self {
             station,
@@ -236,68 +236,4 @@ fn wires_are_debounced_as_the_record_says() {
             "after {debounce_ms} ms: {stopped:?}"
         );
     }
-}
-
-/// The lines that were started, in their order.
-#[derive(Default)]
-struct Started(Vec<&'static str>);
-
-impl Lines<Double> for Started {
-    fn start_gripper(&mut self) {
-        self.0.push("gripper");
-    }
-
-    fn start_service(&mut self) {
-        self.0.push("service");
-    }
-
-    fn start_modbus(&mut self, config: &BusConfig) {
-        assert_eq!(config.baud, 38_400);
-        self.0.push("Modbus");
-    }
-
-    fn start_profibus(&mut self) {
-        self.0.push("PROFIBUS");
-    }
-
-    fn start_can(&mut self, _: &mut Double, config: &CanConfig) {
-        assert_eq!(config.kbit_rate, 250);
-        self.0.push("CAN");
-    }
-}
-
-fn booted(delivered: Record, started: &mut Started) -> bool {
-    let can = CanBus::new(Double::default(), BusOffPolicy::DEFAULT);
-    let mut station = Station::new(can, Box::leak(Box::default()));
-    let flash = FlashModel::new();
-    station.boot(|| delivered, &flash, Board::UNKNOWN, ResetCause::PowerOn, started).is_ok()
-}
-
-#[test]
-fn a_start_starts_the_lines_of_the_settings_and_no_other() {
-    let cases: [(_, _, &[&str]); 8] = [
-        (GripperLine::Serial, PlcBus::Off, &["gripper", "service"]),
-        (GripperLine::Serial, PlcBus::Modbus, &["gripper", "service", "Modbus"]),
-        (GripperLine::Serial, PlcBus::Profibus, &["gripper", "service", "PROFIBUS"]),
-        (GripperLine::Serial, PlcBus::Canopen, &["gripper", "service", "CAN"]),
-        (GripperLine::Can, PlcBus::Off, &["service", "CAN"]),
-        (GripperLine::Can, PlcBus::Modbus, &["service", "Modbus", "CAN"]),
-        (GripperLine::Can, PlcBus::Profibus, &["service", "PROFIBUS", "CAN"]),
-        (GripperLine::Can, PlcBus::Canopen, &["service", "CAN"]),
-    ];
-    for (gripper_line, plc_bus, expected) in cases {
-        let mut config = Config { gripper_line, plc_bus, ..Config::DEFAULT };
-        config.bus.baud = 38_400;
-        config.can.kbit_rate = 250;
-        let mut started = Started::default();
-        assert!(booted(config.record(), &mut started));
-        assert_eq!(started.0, expected, "{gripper_line:?}, {plc_bus:?}");
-    }
-}
-
-#[test]
-fn no_line_is_started_with_settings_that_no_bridge_can_have() {
-    let mut started = Started::default();
-    assert!(!booted([u16::MAX; _], &mut started));
-    assert!(started.0.is_empty());
 }

@@ -65,7 +65,7 @@ fn lost_bytes_are_counted_by_cause() {
         buffers.on_receive(Some(byte), INTACT);
     }
     buffers.on_receive(None, INTACT);
-    assert_eq!(buffers.lost(), LostBytes { overrun: 1, framing: 1, queue_full: 2 });
+    assert_eq!(line.lost(), LostBytes { overrun: 1, framing: 1, queue_full: 2 });
     let mut read = [0; 8];
     assert_eq!(line.read(&mut read), Ok(4));
     assert_eq!(read[..4], [1, 2, 3, 4]);

@@ -13,7 +13,7 @@ use wsg_bridge_fw::can::{
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::DpBuffers;
-use wsg_bridge_fw::{Board, BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{BoardId, BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::can::{Endpoint, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
@@ -285,7 +285,7 @@ pub struct CanBench {
 }
 
 /// What a bench runs on.
-pub const BOARD: Board = Board { name: "bench", serial: 0x1234_5678 };
+pub const BOARD: BoardId = BoardId { name: "bench", serial: 0x1234_5678 };
 
 impl CanBench {
     /// A bench with all wires of the PLC low.

@@ -10,7 +10,7 @@ use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::DpBuffers;
 use wsg_bridge_fw::registers::{FIRST_SETTING, SETTINGS};
-use wsg_bridge_fw::{Board, BusPort, Config, NoBus, ResetCause, Station};
+use wsg_bridge_fw::{BoardId, BusPort, Config, NoBus, ResetCause, Station};
 use wsg_sim::Time;
 
 use crate::addresses::setting;
@@ -115,7 +115,7 @@ impl ServiceBench {
         self.station = station();
         let config =
             self.station.load(&Config::DEFAULT.record(), &self.flash).expect("these settings are right");
-        self.station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
+        self.station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
     }
 
     /// The bridge's millisecond, and the gripper's.

@@ -1,13 +1,18 @@
-//! What a board tells the drivers.
+//! What a board with an STM32 tells the drivers.
 
+use cortex_m::peripheral::SYST;
+use wsg_bridge_fw::NoClock;
+use wsg_bridge_fw::can::{CanConfig, CanController};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
-use crate::gpio::LinePin;
 use crate::uart::Uart;
-use crate::{Divider, InputWire, OutputWire, Port};
+use crate::{Divider, InputWire, LinePin, OutputWire, Port};
 
-/// A board with an STM32: its pins, clocks and UARTs. One unit type per board implements it.
-pub trait Stm32Board {
+/// A board with an STM32: its pins, clocks, UARTs and CAN. One type without values per board implements it.
+pub trait Stm32Board: Sized {
+    /// Its name.
+    const NAME: &'static str;
+
     /// The input wires, in the order of the bits of [`Inputs`].
     const INPUTS: [InputWire; Inputs::COUNT];
     /// The port of all output wires.
@@ -28,17 +33,37 @@ pub trait Stm32Board {
     type BusUart: Uart;
     /// The UART of the service port.
     type ServiceUart: Uart;
+    /// The CAN controller.
+    type Can: CanController;
 
     /// How long the driver of the bus is on before and after the bits, in the units of DEAT and DEDT.
     const DRIVER_TIME: u8;
+
+    /// Switches from the clock of reset to [`HCLK_HZ`](Self::HCLK_HZ).
+    ///
+    /// # Errors
+    /// [`NoClock`], after a bounded wait.
+    fn start_clock() -> Result<(), NoClock>;
 
     /// Selects the clock of the bus's UART, which is off, for a rate in bit/s. Returns the divider, or none for a rate that the board
     /// does not support.
     fn select_bus_clock(baud: u32) -> Option<Divider>;
 
-    /// Returns milliseconds since the start.
+    /// Starts the time.
+    fn start_time(systick: &mut SYST);
+
+    /// Returns milliseconds since [`start_time`](Self::start_time).
     fn now_ms() -> u32;
 
-    /// Returns microseconds since the start. Also for interrupt handlers.
+    /// Returns microseconds since [`start_time`](Self::start_time). Also for interrupt handlers.
     fn now_us() -> u32;
+
+    /// Starts the CAN controller.
+    fn start_can(can: &mut Self::Can, config: &CanConfig);
+
+    /// Lets the interrupts of the CAN controller run again, where their handlers mask them.
+    fn rearm_can(_can: &mut Self::Can) {}
+
+    /// Returns whether the CAN controller, which was started, has received a frame.
+    fn can_has_received() -> bool;
 }

@@ -35,22 +35,20 @@ pub static PROFIBUS: DpBuffers = DpBuffers::new();
 static IS_PROFIBUS: AtomicBool = AtomicBool::new(false);
 
 /// The bridge's end of Modbus RTU on a line; no character is sent or received before its start.
-pub type Line<B> = RtuPort<Registers<B>>;
+pub(crate) type Line<B> = RtuPort<Registers<B>>;
 
 /// Returns the end of the bus. To be called once.
-#[must_use]
-pub const fn line<B: Stm32Board>() -> Line<B> {
+pub(crate) const fn line<B: Stm32Board>() -> Line<B> {
     RtuPort::new(Registers(B::BusUart::INTERRUPT, PhantomData), &BUS)
 }
 
 /// Returns the end of the service port. To be called once.
-#[must_use]
-pub const fn service_line<B: Stm32Board>() -> Line<B> {
+pub(crate) const fn service_line<B: Stm32Board>() -> Line<B> {
     RtuPort::new(Registers(B::ServiceUart::INTERRUPT, PhantomData), &SERVICE)
 }
 
 /// What the main loop needs of the registers.
-pub struct Registers<B>(Interrupt, PhantomData<B>);
+pub(crate) struct Registers<B>(Interrupt, PhantomData<B>);
 
 impl<B: Stm32Board> RtuUart for Registers<B> {
     fn pend(&mut self) {
@@ -64,27 +62,27 @@ impl<B: Stm32Board> RtuUart for Registers<B> {
 
 /// Starts Modbus RTU on the bus. The board's clock runs, and the pins are set up. At a rate that the board does not support (settings
 /// hold none) it stays silent.
-pub fn start<B: Stm32Board>(config: &BusConfig) {
+pub(crate) fn start<B: Stm32Board>(config: &BusConfig) {
     BUS.start(config);
     if set_up_bus::<B>(config.baud, config.format) {
         uart::unmask(B::BusUart::INTERRUPT);
     }
 }
 
-/// Starts PROFIBUS on the bus instead: the handler begins with the first [`serve_profibus`].
-pub fn start_profibus<B: Stm32Board>() {
+/// Starts PROFIBUS on the bus instead: the handler begins with the first [`pend`].
+pub(crate) fn start_profibus<B: Stm32Board>() {
     IS_PROFIBUS.store(true, Ordering::Relaxed);
     dp_timer::start::<B>();
     uart::unmask(B::BusUart::INTERRUPT);
 }
 
-/// Has the handler take the results of the main loop's turn. Once a millisecond is enough: each run ends the main loop's sleep.
-pub fn serve_profibus<B: Stm32Board>() {
+/// Has the handler of the bus run.
+pub(crate) fn pend<B: Stm32Board>() {
     NVIC::pend(B::BusUart::INTERRUPT);
 }
 
 /// Starts the service port. The board's clock runs, and the pins are set up.
-pub fn start_service<B: Stm32Board>() {
+pub(crate) fn start_service<B: Stm32Board>() {
     B::ServiceUart::enable();
     SERVICE.start(&BusConfig::SERVICE);
     let divider = const { Divider::fixed(B::HCLK_HZ, BusConfig::SERVICE.baud) };

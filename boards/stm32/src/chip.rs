@@ -1,9 +1,9 @@
 //! Differences between the chips, as constants of one name.
 
 #[cfg(feature = "stm32g474re")]
-pub use stm32g474re::*;
+pub(crate) use stm32g474re::*;
 #[cfg(feature = "stm32l475vg")]
-pub use stm32l475vg::*;
+pub(crate) use stm32l475vg::*;
 
 /// STM32L475VG (RM0351).
 #[cfg(feature = "stm32l475vg")]
@@ -12,7 +12,7 @@ mod stm32l475vg {
     use stm32_metapac::usart::Lpuart;
 
     /// Clock of the core from reset until the board has switched: MSI.
-    pub const RESET_HZ: u32 = 4_000_000;
+    pub(crate) const RESET_HZ: u32 = 4_000_000;
 
     /// What DBGMCU_IDCODE holds (48.6.1).
     pub(crate) const DEVICE_ID: u16 = 0x415;
@@ -43,7 +43,7 @@ mod stm32g474re {
     use stm32_metapac::usart::vals::Presc;
 
     /// Clock of the core from reset until the board has switched: HSI16.
-    pub const RESET_HZ: u32 = 16_000_000;
+    pub(crate) const RESET_HZ: u32 = 16_000_000;
 
     /// What DBGMCU_IDCODE holds.
     pub(crate) const DEVICE_ID: u16 = 0x469;

@@ -10,7 +10,7 @@ use wsg_bridge_fw::registers::Record;
 static WSG_SETTINGS: Record = Config::DEFAULT.record();
 
 /// Reads them.
-pub fn settings() -> Record {
+pub(crate) fn settings() -> Record {
     let mut record = [0; _];
     // One by one: read as a whole they would be on the stack twice.
     for (value, delivered) in record.iter_mut().zip(&WSG_SETTINGS) {

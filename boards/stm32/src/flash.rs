@@ -35,11 +35,10 @@ const READING: u8 = 1;
 const UNREADABLE: u8 = 2;
 
 /// The two pages.
-pub struct SettingsPages(());
+pub(crate) struct SettingsPages(());
 
 /// Returns the two pages. To be called once.
-#[must_use]
-pub const fn settings_pages() -> SettingsPages {
+pub(crate) const fn settings_pages() -> SettingsPages {
     SettingsPages(())
 }
 

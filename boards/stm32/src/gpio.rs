@@ -7,81 +7,62 @@ use stm32_metapac::{GPIOA, GPIOB, GPIOC, GPIOD, RCC};
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 
 use crate::board::Stm32Board;
-use crate::{Port, output_pins, port_from_outputs};
+use crate::{LinePin, Port, Pull, output_pins, port_from_outputs};
 
 /// Values of a pin's field in MODER.
 const MODE_INPUT: u32 = 0b00;
 const MODE_OUTPUT: u32 = 0b01;
 const MODE_ALTERNATE: u32 = 0b10;
 
-/// The level that a pin is pulled to while nobody drives it; the values of its field in PUPDR.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pull {
-    /// None.
-    None = 0b00,
-    /// High. A line idles high, and recessive is high: without a transceiver the receiver hears silence, not noise.
-    Up = 0b01,
-    /// Low.
-    Down = 0b10,
-}
-
-/// A pin that a peripheral takes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LinePin {
-    /// The pin's port.
-    pub port: Port,
-    /// The pin's number in its port, 0 to 15.
-    pub pin: u8,
-    /// The peripheral's number among the pin's alternate functions (the chip's data sheet).
-    pub function: u8,
-    /// What it is pulled to.
-    pub pull: Pull,
-}
-
-/// The PLC's wires and the LED. There is one value of it, made by [`init`](Self::init).
+/// The PLC's wires. There is one value of it, made by [`init`].
 pub struct Pins<B>(PhantomData<B>);
 
 impl<B: Stm32Board> Pins<B> {
     const OUTPUT_PINS: u16 = output_pins(&B::OUTPUTS);
+}
 
-    /// Sets up all pins; outputs are low before they become outputs.
-    #[must_use]
-    pub fn init() -> Self {
-        RCC.ahb2enr().modify(|w| {
-            w.set_gpioaen(true);
-            w.set_gpioben(true);
-            w.set_gpiocen(true);
-            w.set_gpioden(true);
-        });
-        // A port takes writes two cycles after its clock is enabled; reading back takes that long.
-        let _ = RCC.ahb2enr().read();
+/// The LED. There is one value of it, made by [`init`].
+pub struct Led<B>(PhantomData<B>);
 
-        let mut pins = Self(PhantomData);
-        pins.write(Outputs::empty());
-        for pin in (0..16).filter(|pin| Self::OUTPUT_PINS & (1 << pin) != 0) {
-            set_up(B::OUTPUT_PORT, pin, MODE_OUTPUT, Pull::None);
-        }
-        let (port, pin) = B::INDICATOR;
-        set_up(port, pin, MODE_OUTPUT, Pull::None);
-        for wire in &B::INPUTS {
-            set_up(wire.port, wire.pin, MODE_INPUT, Pull::Down);
-        }
-        for LinePin { port, pin, function, pull } in B::LINES {
-            let field = 4 * (pin % 8);
-            let function = u32::from(*function) << field;
-            let register = registers(*port).afr(usize::from(*pin >= 8));
-            register.modify(|w| w.0 = (w.0 & !(0xF << field)) | function);
-            set_up(*port, *pin, MODE_ALTERNATE, *pull);
-        }
-        pins
-    }
-
-    /// Lights the LED, or not.
+impl<B: Stm32Board> Led<B> {
+    /// Lights it, or not.
     #[inline]
     pub fn indicate(&mut self, is_lit: bool) {
         let (port, pin) = B::INDICATOR;
         registers(port).bsrr().write(|w| w.0 = 1 << if is_lit { pin } else { pin + 16 });
     }
+}
+
+/// Sets up all pins; outputs are low before they become outputs.
+#[must_use]
+pub fn init<B: Stm32Board>() -> (Pins<B>, Led<B>) {
+    RCC.ahb2enr().modify(|w| {
+        w.set_gpioaen(true);
+        w.set_gpioben(true);
+        w.set_gpiocen(true);
+        w.set_gpioden(true);
+    });
+    // A port takes writes two cycles after its clock is enabled; reading back takes that long.
+    let _ = RCC.ahb2enr().read();
+
+    let mut pins = Pins::<B>(PhantomData);
+    pins.write(Outputs::empty());
+    for pin in (0..16).filter(|pin| Pins::<B>::OUTPUT_PINS & (1 << pin) != 0) {
+        set_up(B::OUTPUT_PORT, pin, MODE_OUTPUT, Pull::None);
+    }
+    let (port, pin) = B::INDICATOR;
+    set_up(port, pin, MODE_OUTPUT, Pull::None);
+    for wire in &B::INPUTS {
+        set_up(wire.port, wire.pin, MODE_INPUT, Pull::Down);
+    }
+    for LinePin { port, pin, function, pull } in B::LINES {
+        let field = 4 * (pin % 8);
+        let function = u32::from(*function) << field;
+        let register = registers(*port).afr(usize::from(*pin >= 8));
+        register.modify(|w| w.0 = (w.0 & !(0xF << field)) | function);
+        set_up(*port, *pin, MODE_ALTERNATE, *pull);
+    }
+    (pins, Led(PhantomData))
 }
 
 impl<B: Stm32Board> InputPort for Pins<B> {

@@ -1,8 +1,8 @@
 //! Drivers that STM32 boards of the bridge share: pins, the lines' UARTs, flash, watchdog, timers.
 //!
-//! A board implements [`Stm32Board`](board::Stm32Board), which holds its pins, clocks and UARTs. Its crate also holds the interrupt
-//! vectors, the memory layout and the CAN controller. The feature of the chip selects the registers, and [`chip`] holds the
-//! differences between the chips. On the host only the tables and the arithmetic are compiled.
+//! A board implements `board::Stm32Board`, which holds its pins, clocks and UARTs. Its crate also holds the interrupt
+//! vectors, the memory layout and the CAN controller. The feature of the chip selects the registers, and `chip`
+//! holds the differences between the chips. On the host only the tables and the arithmetic are compiled.
 
 #![no_std]
 #![deny(unsafe_code)]
@@ -16,7 +16,9 @@ mod wires;
 
 pub use bit_timing::{BitTiming, Segments};
 pub use divider::Divider;
-pub use wires::{InputWire, OutputWire, Port, output_pins, outputs_from_port, port_from_outputs};
+pub use wires::{
+    InputWire, LinePin, OutputWire, Port, Pull, output_pins, outputs_from_port, port_from_outputs,
+};
 
 #[cfg(target_os = "none")]
 pub mod board;
@@ -24,25 +26,27 @@ pub mod board;
 #[expect(unsafe_code, reason = "the PROFIBUS slave is initialised by its interrupt handler")]
 pub mod bus;
 #[cfg(target_os = "none")]
-pub mod chip;
+mod chip;
 #[cfg(target_os = "none")]
 #[expect(
     unsafe_code,
     reason = "the linker finds the settings by their symbol, and reads of them are volatile"
 )]
-pub mod delivered;
+mod delivered;
 #[cfg(all(target_os = "none", feature = "faults"))]
 #[expect(unsafe_code, reason = "fault handlers are unsafe to define")]
 mod faults;
 #[cfg(target_os = "none")]
 #[expect(unsafe_code, reason = "flash is read and programmed by address; NMI is an exception of its own")]
-pub mod flash;
+mod flash;
 #[cfg(target_os = "none")]
 pub mod gpio;
 #[cfg(target_os = "none")]
 pub mod gripper_line;
 #[cfg(target_os = "none")]
-pub mod reset;
+mod reset;
+#[cfg(target_os = "none")]
+mod run;
 #[cfg(target_os = "none")]
 pub mod tick;
 #[cfg(target_os = "none")]
@@ -52,9 +56,11 @@ pub mod tick;
 )]
 pub mod uart;
 #[cfg(target_os = "none")]
-pub mod unique_id;
+mod unique_id;
 #[cfg(target_os = "none")]
-pub mod watchdog;
+mod watchdog;
 
+#[cfg(target_os = "none")]
+pub use run::run;
 #[cfg(target_os = "none")]
 pub use stm32_metapac as pac;

@@ -4,7 +4,7 @@ use stm32_metapac::RCC;
 use wsg_bridge_fw::ResetCause;
 
 /// Reads the cause and clears it for the next start.
-pub fn take_cause() -> ResetCause {
+pub(crate) fn take_cause() -> ResetCause {
     let cause = RCC.csr().read();
     RCC.csr().modify(|w| w.set_rmvf(true));
     // Every reset also pulls the reset pin, and power-on is also a brown-out: the rarer cause first.

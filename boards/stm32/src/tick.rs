@@ -16,7 +16,7 @@ impl<const CYCLES_PER_MS: u32> SysTick<CYCLES_PER_MS> {
     }
 
     /// Starts counting.
-    pub fn start(&self, mut systick: SYST) {
+    pub fn start(&self, systick: &mut SYST) {
         systick.set_clock_source(SystClkSource::Core);
         systick.set_reload(Tick::<CYCLES_PER_MS>::RELOAD);
         systick.clear_current();

@@ -6,8 +6,7 @@ use crate::chip::DEVICE_ID;
 
 /// Reads the serial number. Returns 0 in an emulator without the identification: there the chip's own number (DBGMCU_IDCODE) is
 /// missing, too, and reading the identification would be a fault.
-#[must_use]
-pub fn serial_number() -> u32 {
+pub(crate) fn serial_number() -> u32 {
     if DBGMCU.idcode().read().dev_id() != DEVICE_ID {
         return 0;
     }

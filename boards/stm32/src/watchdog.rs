@@ -22,10 +22,10 @@ const KEY_START: Kr = Kr(0xCCCC);
 const MAX_READS: u32 = RESET_HZ / 400;
 
 /// The running watchdog.
-pub struct Watchdog(());
+pub(crate) struct Watchdog(());
 
 /// Starts the watchdog; nothing stops it again but a reset.
-pub fn start() -> Watchdog {
+pub(crate) fn start() -> Watchdog {
     IWDG.kr().write_value(KEY_START);
     IWDG.kr().write_value(KEY_UNLOCK);
     IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY4));
@@ -39,7 +39,7 @@ pub fn start() -> Watchdog {
 
 impl Watchdog {
     /// Starts the time anew. For the main loop alone: fed from an interrupt it would watch nothing.
-    pub fn feed(&self) {
+    pub(crate) fn feed(&self) {
         IWDG.kr().write_value(KEY_RELOAD);
     }
 }

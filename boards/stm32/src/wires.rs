@@ -1,4 +1,4 @@
-//! The PLC's wires and the pins that they end on, as tables: for drivers, harness and documents.
+//! The PLC's wires, the lines, and the pins that they end on, as tables: for drivers, harness and documents.
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
@@ -50,6 +50,30 @@ pub struct OutputWire {
     pub pin: u8,
     /// The pin's name on the board's connector.
     pub connector: &'static str,
+}
+
+/// The level that a pin is pulled to while nobody drives it; the values of its field in PUPDR.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pull {
+    /// None.
+    None = 0b00,
+    /// High. A line idles high, and recessive is high: without a transceiver the receiver hears silence, not noise.
+    Up = 0b01,
+    /// Low.
+    Down = 0b10,
+}
+
+/// A pin that a peripheral takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinePin {
+    /// The pin's port.
+    pub port: Port,
+    /// The pin's number in its port, 0 to 15.
+    pub pin: u8,
+    /// The peripheral's number among the pin's alternate functions (the chip's data sheet).
+    pub function: u8,
+    /// What it is pulled to.
+    pub pull: Pull,
 }
 
 /// Returns the pins of all wires as a mask of their port. Fails to evaluate where two wires are on one pin.

@@ -12,11 +12,12 @@ use stm32f4xx_hal::{Listen, prelude::*, rcc};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
 use wsg_bridge_fw::gripper::{Uart, UartBuffers, UartLine};
 use wsg_bridge_fw::handler::Owned;
-use wsg_bridge_fw::io::{HalInputs, HalOutputs, InputPort, OutputPort};
+use wsg_bridge_fw::io::{HalInputs, HalOutputs};
 use wsg_bridge_fw::plc::{DpBuffers, Interrupts, RtuBuffers, RtuPort, RtuUart};
+use wsg_bridge_fw::registers::Record;
 use wsg_bridge_fw::storage::NoFlash;
 use wsg_bridge_fw::tick::Tick;
-use wsg_bridge_fw::{Board, BusConfig, Config, Format, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{Board, BoardId, BusConfig, Config, Format, GripperLine, PlcBus, ResetCause, Station};
 
 /// The settings of this image: as delivered, so the PLC is on wires and on Modbus RTU.
 const CONFIG: Config = Config::DEFAULT;
@@ -64,6 +65,61 @@ fn now_us() -> u32 {
     cortex_m::interrupt::free(|_| TICK.now_us(SYST::get_current(), SCB::is_pendst_pending()))
 }
 
+/// What the library's main loop needs besides wires and lines.
+struct Hardware {
+    led: Pin<'A', 5, Output>,
+    watchdog: IndependentWatchdog,
+}
+
+/// The UARTs are set up in `main`; from their start on their handlers run.
+fn unmask(interrupt: Interrupt) {
+    // SAFETY: no critical section depends on it being masked.
+    unsafe { NVIC::unmask(interrupt) };
+}
+
+impl wsg_bridge_fw::Hardware for Hardware {
+    type Can = NoCan;
+    type Flash = NoFlash;
+
+    fn delivered() -> Record {
+        CONFIG.record()
+    }
+
+    fn start_gripper(&mut self) {
+        unmask(Interrupt::USART1);
+    }
+
+    fn start_service(&mut self) {
+        SERVICE.start(&BusConfig::SERVICE);
+        unmask(Interrupt::USART2);
+    }
+
+    fn start_modbus(&mut self, config: &BusConfig) {
+        BUS.start(config);
+        unmask(Interrupt::UART4);
+    }
+
+    fn now_ms(&mut self) -> u32 {
+        TICK.now_ms()
+    }
+
+    fn indicate(&mut self, is_lit: bool) {
+        self.led.set_state(is_lit.into());
+    }
+
+    fn feed_watchdog(&mut self) {
+        self.watchdog.feed();
+    }
+
+    fn sleep(&mut self, now_ms: u32, _: bool) {
+        cortex_m::interrupt::free(|_| {
+            if TICK.now_ms() == now_ms && !GRIPPER.has_received() {
+                cortex_m::asm::wfi();
+            }
+        });
+    }
+}
+
 #[entry]
 fn main() -> ! {
     static mut STATION: Station<NoCan> = Station::new(CanBus::new(NoCan, BusOffPolicy::DEFAULT), &PROFIBUS);
@@ -79,9 +135,9 @@ fn main() -> ! {
     let c = device.GPIOC.split(&mut rcc);
     macro_rules! inputs { ($($pin:expr),*) => { HalInputs::new([$($pin.into_pull_down_input().erase()),*]) } }
     macro_rules! outputs { ($($pin:expr),*) => { HalOutputs::new([$($pin.into_push_pull_output().erase()),*]) } }
-    let mut inputs = inputs!(c.pc0, c.pc1, c.pc2, c.pc3, c.pc4, c.pc5, c.pc6, c.pc7);
-    let mut outputs = outputs!(b.pb0, b.pb1, b.pb2, b.pb8, b.pb9, b.pb10, b.pb12);
-    let mut led = a.pa5.into_push_pull_output();
+    let inputs = inputs!(c.pc0, c.pc1, c.pc2, c.pc3, c.pc4, c.pc5, c.pc6, c.pc7);
+    let outputs = outputs!(b.pb0, b.pb1, b.pb2, b.pb8, b.pb9, b.pb10, b.pb12);
+    let led = a.pa5.into_push_pull_output();
 
     // The clock: milliseconds, and the microseconds between them.
     core.SYST.set_reload(Tick::<84_000>::RELOAD);
@@ -90,11 +146,7 @@ fn main() -> ! {
     core.SYST.enable_interrupt();
     core.SYST.enable_counter();
 
-    // The lines.
-    STATION.start(&CONFIG, Board { name: "my bridge", serial: 0 }, ResetCause::Unknown);
-    BUS.start(&CONFIG.bus);
-    SERVICE.start(&BusConfig::SERVICE);
-    // The bus as delivered: 8E1. The others: 115 200 bit/s, 8N1. The HAL divides by the rate.
+    // The UARTs. The bus as delivered: 8E1. The others: 115 200 bit/s, 8N1. The HAL divides by the rate.
     let even = SerialConfig::default().baudrate(CONFIG.bus.baud.bps()).parity_even().wordlength_9();
     let gripper = Serial::new(device.USART1, (a.pa9, a.pa10), SerialConfig::default(), &mut rcc);
     let bus = Serial::new(device.UART4, (a.pa0, a.pa1), even, &mut rcc);
@@ -107,29 +159,17 @@ fn main() -> ! {
     GRIPPER_UART.give(gripper);
     BUS_UART.give((bus, driver_enable));
     SERVICE_UART.give(service);
-    for interrupt in [Interrupt::USART1, Interrupt::UART4, Interrupt::USART2] {
-        // SAFETY: no critical section depends on these being masked.
-        unsafe { NVIC::unmask(interrupt) };
-    }
 
-    let mut gripper_line = UartLine::new(Line(Interrupt::USART1), &GRIPPER);
-    let mut bus_line = RtuPort::new(Line(Interrupt::UART4), &BUS);
-    let mut service_line = RtuPort::new(Line(Interrupt::USART2), &SERVICE);
-    loop {
-        let now_ms = TICK.now_ms();
-        let levels = inputs.read();
-        let (bus, service) = (&mut bus_line, &mut service_line);
-        outputs.write(STATION.turn(now_ms, levels, &mut gripper_line, bus, service, &mut NoFlash));
-        led.set_state(STATION.bridge().indication().is_lit(now_ms).into());
-        if STATION.bridge().may_feed_watchdog(now_ms) {
-            watchdog.feed();
-        }
-        cortex_m::interrupt::free(|_| {
-            if TICK.now_ms() == now_ms && !GRIPPER.has_received() {
-                cortex_m::asm::wfi();
-            }
-        });
-    }
+    let board = Board {
+        hardware: Hardware { led, watchdog },
+        id: BoardId { name: "my bridge", serial: 0 },
+        wires: (inputs, outputs),
+        gripper: UartLine::new(Line(Interrupt::USART1), &GRIPPER),
+        bus: &mut RtuPort::new(Line(Interrupt::UART4), &BUS),
+        service: &mut RtuPort::new(Line(Interrupt::USART2), &SERVICE),
+        flash: &mut NoFlash,
+    };
+    wsg_bridge_fw::run(board, STATION, ResetCause::Unknown)
 }
 
 /// The interrupts that a handler needs next.

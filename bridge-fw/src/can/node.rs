@@ -31,7 +31,7 @@ use wsg_protocol::Instant;
 use self::objects::Objects;
 use super::bus::MAX_RECEIVED_PER_POLL;
 use super::{BusReport, CanNode};
-use crate::config::{Board, NodeConfig, TPDOS};
+use crate::config::{BoardId, NodeConfig, TPDOS};
 use crate::plc::{PlcEvent, PlcSide, Shown, View};
 use crate::registers::Link;
 
@@ -50,18 +50,18 @@ static PROFILE: Profile<1, TPDOS> = Profile {
 pub struct Node {
     device: Device<1, TPDOS, EVENTS_MAX>,
     report: BusReport,
-    board: Board,
+    board: BoardId,
 }
 
 impl Node {
     /// A device that has not announced itself.
     #[must_use]
     pub const fn new(config: NodeConfig) -> Self {
-        Self { device: Device::new(&PROFILE, config), report: BusReport::NOTHING, board: Board::UNKNOWN }
+        Self { device: Device::new(&PROFILE, config), report: BusReport::NOTHING, board: BoardId::UNKNOWN }
     }
 
     /// Takes what a master reads of the board.
-    pub const fn set_board(&mut self, board: Board) {
+    pub const fn set_board(&mut self, board: BoardId) {
         self.board = board;
     }
 

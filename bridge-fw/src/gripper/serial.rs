@@ -199,6 +199,14 @@ impl<U: Uart, const RX: usize, const TX: usize> UartLine<U, RX, TX> {
     }
 }
 
+impl<U, const RX: usize, const TX: usize> UartLine<U, RX, TX> {
+    /// Returns what was lost so far.
+    #[must_use]
+    pub fn lost(&self) -> LostBytes {
+        self.buffers.lost()
+    }
+}
+
 impl<U: Uart, const RX: usize, const TX: usize> ErrorType for UartLine<U, RX, TX> {
     type Error = WouldBlock;
 }

@@ -22,7 +22,7 @@ use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{COMMAND_KEY, Record};
 use wsg_bridge_fw::storage::Page;
-use wsg_bridge_fw::{Board, BusConfig, Config, ResetCause, Station};
+use wsg_bridge_fw::{BoardId, BusConfig, Config, ResetCause, Station};
 use wsg_fieldbus::CommandFlags;
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{CommandId, FrameParser, Status};
@@ -220,7 +220,7 @@ impl Model {
         let delivered = config.record();
         let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let config = station.load(&delivered, &flash).expect("they go together");
-        station.start(&config, Board::UNKNOWN, ResetCause::PowerOn);
+        station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
         let mut oracle = Oracle::new(&config);
         oracle.asked.refuses = is_damaged;
         Self {

@@ -1,17 +1,20 @@
 //! The board for the shared drivers: UART4 to the gripper, LPUART1 for the PLC's bus, and USART1, the service port, which the
 //! board's ST-Link hands on over USB.
 
+use cortex_m::peripheral::SYST;
+use wsg_bridge_fw::NoClock;
+use wsg_bridge_fw::can::CanConfig;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_stm32::board::Stm32Board;
-use wsg_stm32::gpio::{LinePin, Pull};
 use wsg_stm32::pac::rcc::vals::Lpuart1sel;
 use wsg_stm32::pac::{PWR, RCC, interrupt};
 use wsg_stm32::tick::SysTick;
 use wsg_stm32::uart::{Lpuart1, Uart4, Usart1};
-use wsg_stm32::{Divider, InputWire, OutputWire, Port, gripper_line};
+use wsg_stm32::{Divider, InputWire, LinePin, OutputWire, Port, Pull, gripper_line};
 
-use super::clock::HCLK_HZ;
-use crate::{BusClock, INDICATOR, INPUTS, OUTPUT_PORT, OUTPUTS};
+use super::can1::{self, Can1};
+use super::clock::{self, HCLK_HZ};
+use crate::{BusClock, INDICATOR, INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 
 /// The functions of pins (data sheet of the STM32L475, alternate functions).
 const AF_USART1: u8 = 7;
@@ -26,6 +29,8 @@ pub static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
 pub enum Iot01a {}
 
 impl Stm32Board for Iot01a {
+    const NAME: &'static str = NAME;
+
     const INPUTS: [InputWire; Inputs::COUNT] = INPUTS;
     const OUTPUT_PORT: Port = OUTPUT_PORT;
     const OUTPUTS: [OutputWire; Outputs::COUNT] = OUTPUTS;
@@ -51,9 +56,14 @@ impl Stm32Board for Iot01a {
     type GripperUart = Uart4;
     type BusUart = Lpuart1;
     type ServiceUart = Usart1;
+    type Can = Can1;
 
     /// Clocks of LPUART1: a microsecond of HSI16, a third of a bit at 1.5 Mbit/s.
     const DRIVER_TIME: u8 = 16;
+
+    fn start_clock() -> Result<(), NoClock> {
+        clock::start()
+    }
 
     fn select_bus_clock(baud: u32) -> Option<Divider> {
         let (clock, brr) = BusClock::for_rate(baud)?;
@@ -70,12 +80,28 @@ impl Stm32Board for Iot01a {
         Some(Divider { is_halved: false, brr })
     }
 
+    fn start_time(systick: &mut SYST) {
+        TICK.start(systick);
+    }
+
     fn now_ms() -> u32 {
         TICK.now_ms()
     }
 
     fn now_us() -> u32 {
         TICK.now_us()
+    }
+
+    fn start_can(can: &mut Can1, config: &CanConfig) {
+        can.start(config);
+    }
+
+    fn rearm_can(can: &mut Can1) {
+        can.rearm();
+    }
+
+    fn can_has_received() -> bool {
+        can1::has_received()
     }
 }
 

@@ -1,5 +1,6 @@
 //! 80 MHz from the PLL (RM0351, chapter 6).
 
+use wsg_bridge_fw::NoClock;
 use wsg_stm32::pac::rcc::vals::{Pllsrc, Sw};
 use wsg_stm32::pac::{FLASH, RCC};
 
@@ -20,11 +21,8 @@ const FLASH_WAIT_STATES: u8 = 4;
 /// 4 MHz of reset this waits no less than 10 ms; HSI16 and PLL need some 10 µs.
 const MAX_LOOKS: u32 = 10_000;
 
-/// A clock did not become ready.
-pub struct NoClock;
-
 /// Switches from the 4 MHz of reset to 80 MHz.
-pub fn start() -> Result<(), NoClock> {
+pub(crate) fn start() -> Result<(), NoClock> {
     FLASH.acr().modify(|w| w.0 = (w.0 & !0b111) | u32::from(FLASH_WAIT_STATES));
     // Reading back makes the write take effect before the clock changes. The value is not looked at:
     // an emulator without these registers reads 0.

@@ -1,18 +1,21 @@
 //! The board for the shared drivers: USART1 to the gripper, USART3 for the PLC's bus, and USART2, the service port, which the board's
 //! ST-LINK hands on over USB.
 
+use cortex_m::peripheral::SYST;
 use cortex_m_rt::exception;
+use wsg_bridge_fw::NoClock;
+use wsg_bridge_fw::can::CanConfig;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_nucleo_g474re::{INDICATOR, INPUTS, OUTPUT_PORT, OUTPUTS};
+use wsg_nucleo_g474re::{INDICATOR, INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 use wsg_stm32::board::Stm32Board;
 use wsg_stm32::bus::{self, Responder};
-use wsg_stm32::gpio::{LinePin, Pull};
 use wsg_stm32::pac::interrupt;
 use wsg_stm32::tick::SysTick;
 use wsg_stm32::uart::{Usart1, Usart2, Usart3};
-use wsg_stm32::{Divider, InputWire, OutputWire, Port, gripper_line};
+use wsg_stm32::{Divider, InputWire, LinePin, OutputWire, Port, Pull, gripper_line};
 
-use crate::clock::HCLK_HZ;
+use crate::can::{self, Can};
+use crate::clock::{self, HCLK_HZ};
 
 /// The function of the USARTs on their pins, and that of FDCAN1 (data sheet DS12288, alternate functions).
 const AF_USART: u8 = 7;
@@ -25,6 +28,8 @@ pub(crate) static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
 pub(crate) enum Nucleo {}
 
 impl Stm32Board for Nucleo {
+    const NAME: &'static str = NAME;
+
     const INPUTS: [InputWire; Inputs::COUNT] = INPUTS;
     const OUTPUT_PORT: Port = OUTPUT_PORT;
     const OUTPUTS: [OutputWire; Outputs::COUNT] = OUTPUTS;
@@ -50,12 +55,21 @@ impl Stm32Board for Nucleo {
     type GripperUart = Usart1;
     type BusUart = Usart3;
     type ServiceUart = Usart2;
+    type Can = Can;
 
     /// Half a bit, in sixteenths.
     const DRIVER_TIME: u8 = 8;
 
+    fn start_clock() -> Result<(), NoClock> {
+        clock::start()
+    }
+
     fn select_bus_clock(baud: u32) -> Option<Divider> {
         Divider::for_rate(HCLK_HZ, baud)
+    }
+
+    fn start_time(systick: &mut SYST) {
+        TICK.start(systick);
     }
 
     fn now_ms() -> u32 {
@@ -64,6 +78,14 @@ impl Stm32Board for Nucleo {
 
     fn now_us() -> u32 {
         TICK.now_us()
+    }
+
+    fn start_can(can: &mut Can, config: &CanConfig) {
+        can.start(config);
+    }
+
+    fn can_has_received() -> bool {
+        can::has_received()
     }
 }
 

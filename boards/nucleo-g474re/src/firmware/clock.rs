@@ -1,5 +1,6 @@
 //! 144 MHz from the PLL and the board's crystal X3 (RM0440, RCC).
 
+use wsg_bridge_fw::NoClock;
 use wsg_stm32::pac::flash::vals::Latency;
 use wsg_stm32::pac::rcc::vals::{Hpre, Pllm, Plln, Pllr, Pllsrc, Sw};
 use wsg_stm32::pac::{FLASH, RCC};
@@ -24,9 +25,6 @@ const CYCLES_AT_HALF: u32 = HCLK_HZ / 1_000_000;
 /// Looks at a ready bit before the clock is given up. One look takes at least 4 cycles, so at the
 /// 16 MHz of reset this waits no less than 20 ms; the crystal needs some 2 ms, the PLL some 40 µs.
 const MAX_LOOKS: u32 = 80_000;
-
-/// A clock did not become ready.
-pub(crate) struct NoClock;
 
 /// Switches from the 16 MHz of reset to 144 MHz.
 pub(crate) fn start() -> Result<(), NoClock> {

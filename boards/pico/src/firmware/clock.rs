@@ -1,6 +1,7 @@
 //! 125 MHz from the crystal (RP2040, 2.15 to 2.18), and 48 MHz for USB.
 
 use rp2040_hal::pac::pll_sys::RegisterBlock as Pll;
+use wsg_bridge_fw::NoClock;
 
 use crate::registers::{peripheral, reset, reset_bit, wait_until, write};
 
@@ -50,9 +51,6 @@ const SYS_FROM_REF: u32 = 0;
 /// The auxiliary source, which is PLL_SYS where nothing else is chosen.
 const SYS_FROM_AUX: u32 = 1;
 const ENABLE: u32 = 1 << 11;
-
-/// A clock did not become ready.
-pub(crate) struct NoClock;
 
 /// Switches from the ring oscillator to 125 MHz.
 pub(crate) fn start() -> Result<(), NoClock> {

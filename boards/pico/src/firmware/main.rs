@@ -13,6 +13,7 @@
     clippy::panic
 )]
 
+mod board;
 mod bus;
 mod can;
 mod clock;
@@ -27,18 +28,16 @@ mod watchdog;
 
 use core::panic::PanicInfo;
 
-use cortex_m::peripheral::NVIC;
 use cortex_m_rt::{entry, exception};
 use rp2040_hal::pac;
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig};
-use wsg_bridge_fw::indicator::Indication;
-use wsg_bridge_fw::io::{InputPort, OutputPort, Outputs};
-use wsg_bridge_fw::{Board, BusConfig, Lines, Station};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::run::without_clock;
+use wsg_bridge_fw::{Board, BoardId, Station};
 use wsg_pico::NAME;
 
+use crate::board::Registers;
 use crate::can::Can;
 use crate::flash::SettingsSectors;
-use crate::pins::Wires;
 
 /// Makes flash readable as memory: the boot ROM runs it.
 #[unsafe(link_section = ".boot2")]
@@ -59,95 +58,21 @@ fn main() -> ! {
     // SAFETY: `main` runs once, and nothing else takes them.
     let (mut core, peripherals) = unsafe { (cortex_m::Peripherals::steal(), pac::Peripherals::steal()) };
     // Outputs first: they show "not ready" through everything that may go wrong below.
-    let mut wires = pins::init(peripherals);
+    let (wires, mut led) = pins::init(peripherals);
     if clock::start().is_err() {
-        // No crystal, no baud rate to talk to the gripper with.
-        stay_not_ready(&mut wires, clock::RESET_HZ);
+        without_clock(|is_lit| led.indicate(is_lit), || cortex_m::asm::delay(clock::RESET_HZ / 1_000));
     }
-    tick::start(core.SYST);
-    let board = Board { name: NAME, serial: FLASH.serial_number() };
-    let lines = &mut BoardLines { nvic: &mut core.NVIC };
-    if STATION.boot(settings::delivered, FLASH, board, reset_cause, lines).is_err() {
-        // With other recipes than were asked for, no gripper should be moved.
-        stay_not_ready(&mut wires, clock::SYS_HZ);
-    }
-    let mut gripper_line = uart::line();
-    let mut service_line = usb::service_line();
-    let mut modbus_line = bus::line();
-
-    let mut served_ms = 0;
-    loop {
-        let now_ms = tick::now_ms();
-        let (bus, service) = (&mut modbus_line, &mut service_line);
-        let outputs = STATION.turn(now_ms, wires.inputs.read(), &mut gripper_line, bus, service, FLASH);
-        wires.outputs.write(outputs);
-        let bus_is_silent = bus::is_silent();
-        if bus_is_silent && uart::is_silent() && !outputs.contains(Outputs::BUSY) {
-            FLASH.work();
-        }
-        wires.indicate(STATION.bridge().indication().is_lit(now_ms));
-        if STATION.uses_can() {
-            can::rearm();
-        }
-        if (STATION.uses_profibus() || !bus_is_silent) && core::mem::replace(&mut served_ms, now_ms) != now_ms
-        {
-            bus::serve();
-        }
-        if STATION.bridge().may_feed_watchdog(now_ms) {
-            watchdog.feed();
-        }
-        sleep_unless(|| {
-            tick::now_ms() != now_ms || uart::BUFFERS.has_received() || can::BUFFERS.has_received()
-        });
-    }
-}
-
-/// The lines of this board.
-struct BoardLines<'a> {
-    nvic: &'a mut NVIC,
-}
-
-impl Lines<Can> for BoardLines<'_> {
-    fn start_gripper(&mut self) {
-        uart::start();
-    }
-
-    fn start_service(&mut self) {
-        usb::start_service();
-    }
-
-    fn start_modbus(&mut self, config: &BusConfig) {
-        bus::start(config);
-    }
-
-    fn start_profibus(&mut self) {
-        bus::start_profibus();
-    }
-
-    fn start_can(&mut self, controller: &mut Can, config: &CanConfig) {
-        can::start(controller, config, self.nvic);
-    }
-}
-
-/// Outputs stay low, and the watchdog, not fed from here, starts over; until then the LED says so.
-fn stay_not_ready(wires: &mut Wires, core_hz: u32) -> ! {
-    let mut now_ms = 0u32;
-    loop {
-        wires.indicate(Indication::NotStarted.is_lit(now_ms));
-        cortex_m::asm::delay(core_hz / 1_000);
-        now_ms = now_ms.wrapping_add(1);
-    }
-}
-
-/// Sleeps until the next interrupt, unless `there_is_work`.
-fn sleep_unless(there_is_work: impl FnOnce() -> bool) {
-    // An interrupt that comes between the look and `wfi` would be slept over until the next one. With
-    // interrupts masked it stays pending instead, and a pending interrupt ends `wfi` at once.
-    cortex_m::interrupt::free(|_| {
-        if !there_is_work() {
-            cortex_m::asm::wfi();
-        }
-    });
+    tick::start(&mut core.SYST);
+    let board = Board {
+        hardware: Registers { led, watchdog, nvic: core.NVIC },
+        id: BoardId { name: NAME, serial: FLASH.serial_number() },
+        wires,
+        gripper: uart::line(),
+        bus: &mut bus::line(),
+        service: &mut usb::service_line(),
+        flash: FLASH,
+    };
+    wsg_bridge_fw::run(board, STATION, reset_cause)
 }
 
 /// A reset puts every output low and lets the bridge start from what it can know for sure.

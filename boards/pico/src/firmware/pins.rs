@@ -10,22 +10,24 @@ use rp2040_hal::gpio::{
 use rp2040_hal::pac::Peripherals;
 use wsg_bridge_fw::io::{HalInputs, HalOutputs};
 
-/// The wires from the PLC.
-pub(crate) type InputWires = HalInputs<Pin<DynPinId, FunctionSioInput, PullDown>>;
-/// The wires to the PLC.
-pub(crate) type OutputWires = HalOutputs<Pin<DynPinId, FunctionSioOutput, PullNone>>;
-/// The LED on the board.
-pub(crate) type Indicator = Pin<Gpio25, FunctionSioOutput, PullNone>;
+/// The PLC's wires.
+pub(crate) type Wires = (
+    HalInputs<Pin<DynPinId, FunctionSioInput, PullDown>>,
+    HalOutputs<Pin<DynPinId, FunctionSioOutput, PullNone>>,
+);
 
-/// All pins that the main loop drives.
-pub(crate) struct Wires {
-    pub(crate) inputs: InputWires,
-    pub(crate) outputs: OutputWires,
-    pub(crate) indicator: Indicator,
+/// The LED on the board.
+pub(crate) struct Led(Pin<Gpio25, FunctionSioOutput, PullNone>);
+
+impl Led {
+    /// Lights it, or not.
+    pub(crate) fn indicate(&mut self, is_lit: bool) {
+        let _ = self.0.set_state(is_lit.into());
+    }
 }
 
 /// Sets up all pins; outputs are low before they become outputs.
-pub(crate) fn init(peripherals: Peripherals) -> Wires {
+pub(crate) fn init(peripherals: Peripherals) -> (Wires, Led) {
     let mut resets = peripherals.RESETS;
     let sio = Sio::new(peripherals.SIO);
     let pins = Pins::new(peripherals.IO_BANK0, peripherals.PADS_BANK0, sio.gpio_bank0, &mut resets);
@@ -79,12 +81,5 @@ pub(crate) fn init(peripherals: Peripherals) -> Wires {
     let _: Pin<_, FunctionSioOutput, PullUp> =
         pins.gpio17.into_pull_type::<PullUp>().into_push_pull_output_in_state(PinState::High);
 
-    Wires { inputs: HalInputs::new(inputs), outputs: HalOutputs::new(outputs), indicator: low!(gpio25) }
-}
-
-impl Wires {
-    /// Lights the LED, or not.
-    pub(crate) fn indicate(&mut self, is_lit: bool) {
-        let _ = self.indicator.set_state(is_lit.into());
-    }
+    ((HalInputs::new(inputs), HalOutputs::new(outputs)), Led(low!(gpio25)))
 }

@@ -18,7 +18,7 @@ static TICK: Systick = Tick::new();
 const ALARM_0: u32 = 1 << 0;
 
 /// Starts counting. The watchdog runs, whose ticks the timer counts.
-pub(crate) fn start(mut systick: SYST) {
+pub(crate) fn start(systick: &mut SYST) {
     // Should it not come, the alarms do not either: the bus stays silent, and its registers say so.
     let _ = reset(reset_bit::TIMER);
     write(peripheral!(TIMER).inte(), ALARM_0);

@@ -3,7 +3,7 @@
 use bus_canopen::{Abort, DataType, Dictionary, Entry, Pdo, Source, entries, find};
 
 use crate::can::BusReport;
-use crate::config::Board;
+use crate::config::BoardId;
 use crate::plc::View;
 use crate::registers::{BusCounts, REPORTS, RegisterError, SETTINGS, SaveState, Settings, StoreCommand};
 
@@ -240,7 +240,7 @@ pub(super) const fn report(sub: u8) -> Source<Key> {
 pub(super) struct Objects<'a, 'v> {
     pub(super) view: &'a mut View<'v>,
     pub(super) report: &'a BusReport,
-    pub(super) board: Board,
+    pub(super) board: BoardId,
 }
 
 impl Dictionary for Objects<'_, '_> {

@@ -14,7 +14,7 @@ use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_protocol::CommandId;
 use wsg_protocol::frame::PREAMBLE_LEN;
 use wsg_sim::{MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
-use wsg_stm32::gpio::Pins;
+use wsg_stm32::gpio::{self, Pins};
 use wsg_stm32::gripper_line::{self, GripperLine};
 
 use crate::counting::{self, Counter, Moment};
@@ -99,7 +99,7 @@ const LAST_BYTE: &str = "edge-to-last-byte/grip";
 // Apart from the others, whose registers would be its own.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
-    let mut pins = Pins::<Iot01a>::init();
+    let (mut pins, _) = gpio::init::<Iot01a>();
     gripper_line::start::<Iot01a>();
     let mut line = Line {
         board: gripper_line::line(),

@@ -1,0 +1,87 @@
+//! The board's registers for the library's main loop.
+
+use cortex_m::peripheral::NVIC;
+use wsg_bridge_fw::can::CanConfig;
+use wsg_bridge_fw::io::Outputs;
+use wsg_bridge_fw::registers::Record;
+use wsg_bridge_fw::{BusConfig, Hardware};
+
+use crate::can::{self, Can};
+use crate::flash::SettingsSectors;
+use crate::pins::Led;
+use crate::watchdog::Watchdog;
+use crate::{bus, settings, tick, uart, usb};
+
+pub(crate) struct Registers {
+    pub(crate) led: Led,
+    pub(crate) watchdog: Watchdog,
+    pub(crate) nvic: NVIC,
+}
+
+impl Hardware for Registers {
+    type Can = Can;
+    type Flash = SettingsSectors;
+
+    fn delivered() -> Record {
+        settings::delivered()
+    }
+
+    fn start_gripper(&mut self) {
+        uart::start();
+    }
+
+    fn start_service(&mut self) {
+        usb::start_service();
+    }
+
+    fn start_modbus(&mut self, config: &BusConfig) {
+        bus::start(config);
+    }
+
+    fn start_profibus(&mut self) {
+        bus::start_profibus();
+    }
+
+    fn start_can(&mut self, controller: &mut Can, config: &CanConfig) {
+        can::start(controller, config, &mut self.nvic);
+    }
+
+    fn now_ms(&mut self) -> u32 {
+        tick::now_ms()
+    }
+
+    fn indicate(&mut self, is_lit: bool) {
+        self.led.indicate(is_lit);
+    }
+
+    fn feed_watchdog(&mut self) {
+        self.watchdog.feed();
+    }
+
+    fn sleep(&mut self, now_ms: u32, _: bool) {
+        cortex_m::interrupt::free(|_| {
+            let has_received = || uart::BUFFERS.has_received() || can::BUFFERS.has_received();
+            if tick::now_ms() == now_ms && !has_received() {
+                cortex_m::asm::wfi();
+            }
+        });
+    }
+
+    /// Programs the flash that the program runs from, while the fingers stand and nothing is being sent.
+    fn after_turn(&mut self, shown: Outputs, flash: &mut SettingsSectors) {
+        if bus::is_silent() && uart::is_silent() && !shown.contains(Outputs::BUSY) {
+            flash.work();
+        }
+    }
+
+    fn rearm_can(&mut self, _: &mut Can) {
+        can::rearm();
+    }
+
+    /// Also while Modbus sends: the handler then checks whether the last bit has been sent.
+    fn serve_bus(&mut self, is_profibus: bool) {
+        if is_profibus || !bus::is_silent() {
+            bus::serve();
+        }
+    }
+}
