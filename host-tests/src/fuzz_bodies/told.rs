@@ -93,7 +93,8 @@ impl Told {
             Heard::State(state) => self.state = Some(state),
             Heard::Status(id, status) => {
                 self.answered.push((id, status));
-                if id == CommandId::GripPart {
+                // A second answer of E_CMD_PENDING, after the result, changes nothing.
+                if id == CommandId::GripPart && status.is_final() {
                     self.grip = Some(status);
                 }
             }
