@@ -21,7 +21,7 @@ pub(crate) fn every_function() {
     functions! {
         Messages: new, poll_timeout, counters, reset;
         Identifiers: from_base, base, controller, gripper;
-        Segment: data;
+        Segment: data, spoil;
         Segmenter: new, default, push, reset, is_mid_message;
         Segments<FrameEncoder<Command<'_>>>: new, next;
         Adapter: new, is_open;

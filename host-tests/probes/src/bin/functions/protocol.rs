@@ -1,14 +1,17 @@
 //! The binary protocol, its session, and the fieldbus images with their controller.
 
 use wsg_fieldbus::{
-    Cause, CommandFlags, Controller, Diagnosis, ForceUnit, GripperFlags, InputImage, OutputImage,
+    Cause, CommandFlags, Controller, Diagnosis, ForceUnit, GripperFlags, InputImage, MaskedFlags, OutputImage,
 };
+use wsg_protocol::queue::Queue;
 use wsg_protocol::session::{Known, Session, Topic};
 use wsg_protocol::{
     AutoUpdate, Command, CommandId, DeviceTag, DeviceType, FingerData, FingerType, FirmwareVersion,
     FrameEncoder, FrameParser, GripperState, HomingDirection, Instant, LoopData, Payload, Reply, Status,
     Value, checksum,
 };
+
+use core::ops::{Deref, DerefMut};
 
 use crate::transport::Line;
 use crate::{function, functions};
@@ -76,10 +79,12 @@ fn session() {
 fn fieldbus() {
     functions! {
         Controller: new, default, handle, set_output, poll_command, refused, silence, input, is_moving;
-        Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions, has_refused_meanwhile, poll_incident, asks_fast_stop, ignores_motions;
+        Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions, has_refused_meanwhile, refuse, poll_incident, asks_fast_stop, ignores_motions;
         Diagnosis: is_due, to_bytes, device_part;
         CommandFlags: lowest;
-        Cause: is_fast_stop;
+        Cause: is_fast_stop, is_refusal;
+        MaskedFlags: see, mask, counting;
+        Queue<u8, 2>: new, deref, deref_mut;
         ForceUnit: of, per_newton;
         InputImage: from_bytes, to_bytes;
         OutputImage: from_bytes, to_bytes, width_mm, speed_mm_s, force_limit_n, parameters_differ;
