@@ -69,7 +69,7 @@ impl Oracle {
     pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>, gripper: &Gripper) {
         self.asked.leaves(id, command, gripper.force_limit());
         self.stops.leaves(self.now_ms, id, &self.told, self.patience_ms);
-        if matches!(id.kind(), Kind::Motion | Kind::Stop) {
+        if id.kind() == Kind::Motion {
             self.told.grip = None;
         }
     }

@@ -1,7 +1,7 @@
 //! What the gripper has told the bridge: the intact frames in what the bridge has read.
 
 use wsg_bridge_fw::MAX_REPLY_LEN;
-use wsg_protocol::{CommandId, Event, FrameParser, GripperState, Reply, Status, SystemFlags, Value};
+use wsg_protocol::{CommandId, Event, FrameParser, GripperState, Kind, Reply, Status, SystemFlags, Value};
 
 /// What the bridge may know of its gripper.
 pub(super) struct Told {
@@ -14,7 +14,7 @@ pub(super) struct Told {
     /// The states that were reported last, since the connection was lost.
     pub(super) flags: Option<SystemFlags>,
     pub(super) state: Option<GripperState>,
-    /// The result of a grip, since a command that moves or stops was sent.
+    /// The result of a grip, since another motion was sent and since a stop was answered. Until then the part may still be held.
     pub(super) grip: Option<Status>,
     /// In this turn, a report of FAST STOP was followed by one without it.
     pub(super) has_left_fast_stop: bool,
@@ -96,6 +96,8 @@ impl Told {
                 // A second answer of E_CMD_PENDING, after the result, changes nothing.
                 if id == CommandId::GripPart && status.is_final() {
                     self.grip = Some(status);
+                } else if id.kind() == Kind::Stop {
+                    self.grip = None;
                 }
             }
             Heard::Other => {}
