@@ -8,18 +8,17 @@
 use wsg_protocol::HomingDirection;
 use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, host};
 
-/// Takes a part of 20 mm with 40 N and puts it down. Wherever `?` leaves, the end of the connection is announced.
+/// Grips a part of 20 mm with 40 N and puts it down. However this function ends, the end of the connection is announced.
 fn take_a_part(address: &str) -> Result<Grip, Error<std::io::Error>> {
-    host::with_gripper(address, |gripper| {
-        gripper.home(HomingDirection::Default)?;
-        gripper.set_force_limit(40.0)?;
-        let grip = gripper.grip(Mm(20.0), MmPerS(100.0))?;
-        if grip == Grip::Held {
-            println!("a part of {:.2} mm, held with {:.1} N", gripper.width()?, gripper.force()?);
-            gripper.release(Mm(60.0), MmPerS(200.0))?;
-        }
-        Ok(grip)
-    })
+    let mut gripper = host::connect(address)?;
+    gripper.home(HomingDirection::Default)?;
+    gripper.set_force_limit(40.0)?;
+    let grip = gripper.grip(Mm(20.0), MmPerS(100.0))?;
+    if grip == Grip::Held {
+        println!("a part of {:.2} mm, held with {:.1} N", gripper.width()?, gripper.force()?);
+        gripper.release(Mm(60.0), MmPerS(200.0))?;
+    }
+    Ok(grip)
 }
 
 fn main() -> Result<(), Error<std::io::Error>> {

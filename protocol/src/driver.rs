@@ -2,7 +2,7 @@
 //!
 //! | module | over | feature |
 //! |---|---|---|
-//! | `blocking` | `embedded_io::{Read, ReadReady, Write}` and a [`Clock`] | `embedded-io` |
+//! | `blocking` | a `Transport` (`embedded_io::{Read, ReadReady, Write}` and a way to wait) and a [`Clock`] | `embedded-io` |
 //! | `asynch` | `embedded_io_async::{Read, Write}` and a [`Timer`] | `embedded-io-async` |
 //! | `host` | `blocking` on a computer: TCP, UDP, serial ports, the clock | `std` |
 //! | `tokio` | `asynch` on tokio: the same | `tokio` |
@@ -28,11 +28,15 @@
 //! - **Nothing leaves late.** What a dropped future (or a call that failed half way) had asked for and was not sent is
 //!   taken back; what was sent is awaited before the next request, so that no answer is taken for another's. Only Stop
 //!   and FAST STOP leave in any case.
-//! - **A proper end.** `with_connection` runs a program that may leave by `?`, and announces the end of the connection, so
-//!   that a gripper on TCP does not enter FAST STOP.
+//! - **No idle waits.** What is due is sent before anything is waited for, and the wait ends with the first byte. A query over
+//!   loopback TCP takes about 1.2 times as long as a bare socket with the same bytes.
+//! - **Stop from any thread**, by feature `std`: a `StopHandle` writes Stop or FAST STOP to the socket itself, while a call
+//!   waits or between calls, and the program learns of it by [`Error::Stopped`].
+//! - **A proper end.** A gripper that is dropped announces the end of its TCP connection, so that it does not enter FAST STOP.
+//!   `with_connection` runs a program that may leave by `?`, and also waits for the confirmation.
 //!
-//! Nothing runs by itself: a gripper is heard while one of the methods is called. A program that has nothing to ask calls
-//! `next_update` now and then, several times a second if the transport has a small buffer.
+//! Nothing runs by itself: the driver receives only while one of its methods is called. A program without a request calls
+//! `next_update` several times a second, so that the buffer of the transport does not overflow.
 
 #[cfg(feature = "embedded-io-async")]
 pub mod asynch;

@@ -1,4 +1,5 @@
-//! Speed: instructions of each board's core, counted in the emulator and held to a committed baseline; throughput on the host.
+//! Speed: instructions of each board's core, counted in the emulator and held to a committed baseline; throughput and latency on
+//! the host.
 
 use std::{collections::BTreeMap, fs, path::PathBuf, process::Command};
 
@@ -157,6 +158,82 @@ fn throughput_gates(best: &BTreeMap<String, f64>) -> [Gate; 2] {
     ]
 }
 
+/// A query of each driver beside a bare socket with the same bytes: what it is called, and its name in the program.
+const CLIENTS: [(&str, &str, &str); 3] = [
+    ("blocking driver", "blocking", "bare"),
+    ("tokio", "tokio", "bare"),
+    ("blocking driver over GCL", "gcl", "bare-gcl"),
+];
+/// How many times as long as the bare socket a query may take.
+const QUERY_LIMITS: [(&str, f64); 2] = [("median", 1.5), ("p99", 3.0)];
+/// From the call of a FAST STOP to the other end of the socket.
+const FAST_STOP_LIMITS: [(&str, &str, f64); 2] = [
+    ("`fast_stop()` of an idle driver to bytes at the peer", "fast-stop-idle-median", 100.0),
+    (
+        "`fast_stop()` of a handle, while the driver waits, to bytes at the peer",
+        "fast-stop-handle-median",
+        1_000.0,
+    ),
+];
+
+/// How long the drivers take over loopback TCP. What else the machine does only makes a run longer: of several the best
+/// counts. Figures beside busy loops are printed and have no limit: they are the scheduler's.
+pub(crate) fn latency(workspace: &Workspace) -> Result<Vec<Gate>> {
+    let mut best: Vec<Gate> = Vec::new();
+    for _ in 0..ATTEMPTS {
+        let mut cargo = workspace.cargo("run");
+        cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "latency"]);
+        let output = process::output(cargo.args(["--bin", "latency"]))?;
+        for line in output.lines() {
+            println!("  {line}");
+        }
+        let gates = latency_gates(&figures(&output)?);
+        best = if best.is_empty() {
+            gates
+        } else {
+            best.into_iter().zip(gates).map(|(a, b)| a.better(b)).collect()
+        };
+        if best.iter().all(Gate::holds) {
+            break;
+        }
+    }
+    Ok(best)
+}
+
+/// Lines of a name and a figure.
+fn figures(output: &str) -> Result<BTreeMap<&str, f64>> {
+    let figure = |line: &'_ str| -> Option<(usize, f64)> {
+        let (name, figure) = line.split_once(' ')?;
+        Some((name.len(), figure.parse().ok()?))
+    };
+    let parse = |line| figure(line).with_context(|| format!("`{line}` is no figure"));
+    output.lines().map(|line| parse(line).map(|(len, figure)| (&line[..len], figure))).collect()
+}
+
+fn latency_gates(figures: &BTreeMap<&str, f64>) -> Vec<Gate> {
+    let of = |name: &str| figures.get(name).copied().unwrap_or(f64::NAN);
+    let mut gates = Vec::new();
+    for (what, client, beside) in CLIENTS {
+        let median = of(&format!("query-{client}-median-load-0"));
+        gates.push(Gate::new(
+            format!("query over loopback TCP, {what}, median"),
+            median,
+            f64::INFINITY,
+            Unit::Microseconds,
+        ));
+        for (statistic, limit) in QUERY_LIMITS {
+            let [it, bare] = [client, beside].map(|name| of(&format!("query-{name}-{statistic}-load-0")));
+            let what = format!("the same beside a bare socket, {what}, {statistic}");
+            gates.push(Gate::new(what, it / bare, limit, Unit::TimesAsLong));
+        }
+    }
+    for (what, name, limit) in FAST_STOP_LIMITS {
+        gates.push(Gate::new(what, of(name), limit, Unit::Microseconds));
+    }
+    gates.push(Gate::new("a driver that waits for a motion", of("cpu"), 1.0, Unit::PercentOfCore));
+    gates
+}
+
 fn qemu(elf: &std::path::Path) -> Command {
     let mut qemu = Command::new("qemu-system-arm");
     qemu.args(["-M", MACHINE]);
@@ -303,6 +380,33 @@ mod tests {
         assert_eq!(holds(&[("bulk-path", 1.0), ("table-loop", 0.4)]), [true, true]);
         assert_eq!(holds(&[("bulk-path", 0.9), ("table-loop", 0.3)]), [false, true]);
         assert_eq!(holds(&[("bulk-path", 1.2), ("table-loop", 0.5)]), [true, false]);
+    }
+
+    #[test]
+    fn latency_past_its_limit_or_not_measured_fails() {
+        let failing = |output: &str| {
+            let gates = latency_gates(&figures(output).unwrap());
+            gates.into_iter().filter(|gate| !gate.holds()).map(|gate| gate.what).collect::<Vec<_>>()
+        };
+        let of = |client: &str, median, p99| {
+            format!("query-{client}-median-load-0 {median}\nquery-{client}-p99-load-0 {p99}\n")
+        };
+        let rest = "fast-stop-idle-median 99\nfast-stop-handle-median 999\ncpu 0.5\n";
+        let bare = of("bare", 10.0, 20.0) + &of("bare-gcl", 10.0, 20.0) + rest;
+
+        assert_eq!(
+            failing(&(bare.clone() + &["blocking", "tokio", "gcl"].map(|it| of(it, 15.0, 60.0)).concat())),
+            [""; 0]
+        );
+        let slow = bare + &of("blocking", 16.0, 20.0) + &of("tokio", 10.0, 61.0) + &of("gcl", 10.0, 20.0);
+        assert_eq!(
+            failing(&slow),
+            [
+                "the same beside a bare socket, blocking driver, median",
+                "the same beside a bare socket, tokio, p99"
+            ]
+        );
+        assert_eq!(failing("").len(), latency_gates(&BTreeMap::new()).len());
     }
 
     #[test]

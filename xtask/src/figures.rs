@@ -17,6 +17,7 @@ pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> 
     gates.extend(stack::painted(probes.workspace, images)?);
     gates.extend(bench::counted(probes, false)?.gates);
     gates.extend(bench::throughput(probes.workspace)?);
+    gates.extend(bench::latency(probes.workspace)?);
 
     let path = probes.workspace.root.join(DOCUMENT);
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;

@@ -19,6 +19,10 @@ pub(crate) enum Unit {
     GigabytesPerSecond,
     /// How many times as fast as something else: more is better.
     TimesAsFast,
+    /// How many times as long as something else.
+    TimesAsLong,
+    /// Percent of a processor core.
+    PercentOfCore,
 }
 
 /// A measured figure and its limit.
@@ -52,11 +56,20 @@ impl Gate {
 
     /// The limit as a table shows it.
     pub(crate) fn limit_text(&self) -> String {
+        if self.limit.is_infinite() {
+            return "none".to_owned();
+        }
         let kib = self.limit / 1024.0;
         match self.unit {
             Unit::Bytes if kib >= 1.0 && kib.fract() == 0.0 => format!("{kib:.0} KiB"),
             unit => unit.text(self.limit),
         }
+    }
+
+    /// The better one of two measurements.
+    pub(crate) fn better(self, other: Self) -> Self {
+        let is_more_better = matches!(self.unit, Unit::GigabytesPerSecond | Unit::TimesAsFast);
+        if (other.measured > self.measured) == is_more_better { other } else { self }
     }
 
     /// Whether it is within its limit.
@@ -77,6 +90,8 @@ impl Unit {
             Self::Microseconds => format!("{value:.1} µs"),
             Self::GigabytesPerSecond => format!("{value:.2} GB/s"),
             Self::TimesAsFast => format!("{value:.1} times"),
+            Self::TimesAsLong => format!("{value:.2} times"),
+            Self::PercentOfCore => format!("{value:.2} %"),
         }
     }
 }

@@ -78,7 +78,7 @@ Commands
                      stack in the emulator
   panics             firmware, protocol and buses link only if no panic can be reached
   bench              instructions on a Cortex-M4, counted in the emulator and held to a committed
-                     baseline [--update: write it anew]; throughput on this machine
+                     baseline [--update: write it anew]; throughput and latency on this machine
   fast-stop          how long the gripper takes to stop with every byte around it damaged in turn, in
                      virtual time, against the limits of docs/wiring.md; some two minutes
   explore            every order of events on the bridge, until 10^8 states were met; some ten

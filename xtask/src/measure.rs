@@ -43,6 +43,7 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             let built = Built::new()?;
             let mut gates = bench::counted(&built.probes(), update)?.gates;
             gates.extend(bench::throughput(&built.workspace)?);
+            gates.extend(bench::latency(&built.workspace)?);
             gate::check(&gates)
         }
         "figures" => {

@@ -1,5 +1,45 @@
 //! The methods of a gripper, written once for both drivers.
 
+/// The causes of an error of a request that is answered once, as documentation.
+macro_rules! request_errors {
+    () => {
+        "- [`NotConnected`](Error::NotConnected): there is no connection; nothing was sent. Call `connect`.\n\
+         - [`FastStopRunning`](Error::FastStopRunning) or [`Stopped`](Error::Stopped): a FAST STOP is not confirmed yet, or a \
+         stop handle stopped the gripper.\n\
+         - [`Refused`](Error::Refused): the gripper's status code, such as E_ACCESS_DENIED in FAST STOP.\n\
+         - [`Unanswered`](Error::Unanswered): sent, without an answer in time.\n\
+         - [`Transport`](Error::Transport) or [`Closed`](Error::Closed): the line failed, or the gripper closed it.\n\
+         - [`NotInGcl`](Error::NotInGcl): the text protocol has no such request."
+    };
+}
+pub(super) use request_errors;
+
+/// The causes of an error of a motion, up to its beginning, as documentation.
+macro_rules! begin_errors {
+    () => {
+        "- [`Invalid`](Error::Invalid): a parameter is not finite; nothing was sent.\n\
+         - [`MotionRunning`](Error::MotionRunning): another motion is not over; nothing was sent.\n\
+         - [`Refused`](Error::Refused): E_NOT_INITIALIZED before `home`; E_ACCESS_DENIED in FAST STOP, until `acknowledge`; \
+         E_RANGE_ERROR outside the gripper's limits.\n\
+         - [`NotConnected`](Error::NotConnected), [`FastStopRunning`](Error::FastStopRunning), \
+         [`Stopped`](Error::Stopped), [`Unanswered`](Error::Unanswered), [`Transport`](Error::Transport), \
+         [`Closed`](Error::Closed), [`NotInGcl`](Error::NotInGcl): as for any request."
+    };
+}
+pub(super) use begin_errors;
+
+/// The causes of an error of a whole motion, as documentation.
+macro_rules! motion_errors {
+    () => {
+        "- [`Blocked`](Error::Blocked): something was in the way of the fingers.\n\
+         - [`Aborted`](Error::Aborted): Stop, FAST STOP or another client ended it.\n\
+         - [`Stopped`](Error::Stopped): a stop handle of this driver ended it.\n\
+         - [`Failed`](Error::Failed): it ended with another status code.\n\
+         - Before it begins, those of the method `begin_` of the same name."
+    };
+}
+pub(super) use motion_errors;
+
 /// The methods; `$async` and `$await` are empty for the blocking driver, and `$FnOnce` is what it runs. What differs is
 /// `drive`, which each has for itself: it moves bytes and time until a goal is reached, or a moment.
 macro_rules! methods {
@@ -146,7 +186,9 @@ macro_rules! methods {
         /// [`with_connection`](Self::with_connection) does it in any case.
         ///
         /// # Errors
-        /// [`Error::Refused`] with E_NOT_AVAILABLE on other lines than TCP; [`Error`].
+        /// [`Error::Refused`] with E_NOT_AVAILABLE on other lines than TCP.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn announce_disconnect(&mut self) -> Result<(), Error<IO::Error>> {
             self.tell(Command::DisconnectAnnouncement) $($await)*
         }
@@ -154,7 +196,9 @@ macro_rules! methods {
         /// References the fingers at an end stop (command set, 3.2.1). Takes up to about 4 s.
         ///
         /// # Errors
-        /// [`Error`]; [`Error::Blocked`] when no end stop was found.
+        /// [`Error::Blocked`] when no end stop was found.
+        ///
+        #[doc = crate::driver::methods::motion_errors!()]
         pub $($async)? fn home(&mut self, direction: HomingDirection) -> Result<(), Error<IO::Error>> {
             let pending = self.begin_home(direction) $($await)* ?;
             self.wait(&pending) $($await)*
@@ -163,7 +207,7 @@ macro_rules! methods {
         /// As [`home`](Self::home), up to E_CMD_PENDING.
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::begin_errors!()]
         pub $($async)? fn begin_home(
             &mut self,
             direction: HomingDirection,
@@ -174,7 +218,7 @@ macro_rules! methods {
         /// Moves the fingers to an opening width (command set, 3.2.2).
         ///
         /// # Errors
-        /// [`Error`]; [`Error::Blocked`] when something was in the way.
+        #[doc = crate::driver::methods::motion_errors!()]
         pub $($async)? fn move_to(
             &mut self,
             width: Mm,
@@ -188,7 +232,7 @@ macro_rules! methods {
         /// As [`move_to`](Self::move_to), up to E_CMD_PENDING.
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::begin_errors!()]
         pub $($async)? fn begin_move_to(
             &mut self,
             width: Mm,
@@ -201,7 +245,7 @@ macro_rules! methods {
         /// Opens the fingers by an offset, or closes them by a negative one (command set, 3.2.2).
         ///
         /// # Errors
-        /// [`Error`]; [`Error::Blocked`] when something was in the way.
+        #[doc = crate::driver::methods::motion_errors!()]
         pub $($async)? fn move_by(
             &mut self,
             offset: Mm,
@@ -215,7 +259,7 @@ macro_rules! methods {
         /// As [`move_by`](Self::move_by), up to E_CMD_PENDING.
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::begin_errors!()]
         pub $($async)? fn begin_move_by(
             &mut self,
             offset: Mm,
@@ -229,7 +273,9 @@ macro_rules! methods {
         /// Grips a part of a nominal width, with the force limit that is set (command set, 3.2.6).
         ///
         /// # Errors
-        /// [`Error`]. "No part" is a result, not an error: [`Grip::NoPart`].
+        /// "No part" is a result, not an error: [`Grip::NoPart`].
+        ///
+        #[doc = crate::driver::methods::motion_errors!()]
         pub $($async)? fn grip(&mut self, width: Mm, speed: MmPerS) -> Result<Grip, Error<IO::Error>> {
             let pending = self.begin_grip(width, speed) $($await)* ?;
             self.wait(&pending) $($await)*
@@ -238,7 +284,7 @@ macro_rules! methods {
         /// As [`grip`](Self::grip), up to E_CMD_PENDING.
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::begin_errors!()]
         pub $($async)? fn begin_grip(
             &mut self,
             width: Mm,
@@ -250,7 +296,7 @@ macro_rules! methods {
         /// Opens the fingers to a width, to release a part (command set, 3.2.7).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::motion_errors!()]
         pub $($async)? fn release(&mut self, width: Mm, speed: MmPerS) -> Result<(), Error<IO::Error>> {
             let pending = self.begin_release(width, speed) $($await)* ?;
             self.wait(&pending) $($await)*
@@ -259,7 +305,7 @@ macro_rules! methods {
         /// As [`release`](Self::release), up to E_CMD_PENDING.
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::begin_errors!()]
         pub $($async)? fn begin_release(
             &mut self,
             width: Mm,
@@ -307,10 +353,12 @@ macro_rules! methods {
         }
 
         /// Stops the fingers; a motion that was begun ends with [`Error::Aborted`], and a part is held no longer
-        /// (command set, 3.2.3). It overtakes what waits, and leaves even if the call is given up.
+        /// (command set, 3.2.3). It is sent before all that waits, connected or not, even if the call is given up.
         ///
         /// # Errors
-        /// [`Error`]
+        /// - [`Unanswered`](Error::Unanswered): sent, and not confirmed in time.
+        /// - [`FastStopRunning`](Error::FastStopRunning): a FAST STOP is not confirmed yet, which stops the fingers as well.
+        /// - [`Transport`](Error::Transport) or [`Closed`](Error::Closed): the line failed, or the gripper closed it.
         pub $($async)? fn stop(&mut self) -> Result<(), Error<IO::Error>> {
             self.urge(StopKind::Stop) $($await)*
         }
@@ -329,7 +377,7 @@ macro_rules! methods {
         /// that by itself.
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn acknowledge(&mut self) -> Result<(), Error<IO::Error>> {
             self.tell(Command::ACKNOWLEDGE) $($await)*
         }
@@ -338,7 +386,9 @@ macro_rules! methods {
         /// 3.3.1).
         ///
         /// # Errors
-        /// [`Error`]; [`Error::Mismatch`] if settings are read back.
+        /// [`Error::Mismatch`] if settings are read back.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn set_acceleration(&mut self, acceleration: f32) -> Result<(), Error<IO::Error>> {
             self.tell(Command::SetAcceleration { acceleration }) $($await)*
         }
@@ -346,7 +396,7 @@ macro_rules! methods {
         /// The acceleration in mm/s² (command set, 3.3.2).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn acceleration(&mut self) -> Result<f32, Error<IO::Error>> {
             self.ask(Command::GetAcceleration, |value| match *value {
                 Value::GetAcceleration(acceleration) => Some(acceleration),
@@ -358,7 +408,9 @@ macro_rules! methods {
         /// limits (command set, 3.3.3).
         ///
         /// # Errors
-        /// [`Error`]; [`Error::Mismatch`] if settings are read back.
+        /// [`Error::Mismatch`] if settings are read back.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn set_force_limit(&mut self, force: f32) -> Result<(), Error<IO::Error>> {
             self.tell(Command::SetForceLimit { force }) $($await)*
         }
@@ -366,7 +418,7 @@ macro_rules! methods {
         /// The force limit in N, summed over both fingers (command set, 3.3.4).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn force_limit(&mut self) -> Result<f32, Error<IO::Error>> {
             self.ask(Command::GetForceLimit, |value| match *value {
                 Value::GetForceLimit(force) => Some(force),
@@ -377,7 +429,9 @@ macro_rules! methods {
         /// Sets the range that the fingers may not leave, in mm (command set, 3.3.5).
         ///
         /// # Errors
-        /// [`Error`]; [`Error::Mismatch`] if settings are read back.
+        /// [`Error::Mismatch`] if settings are read back.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn set_soft_limits(&mut self, limits: SoftLimits) -> Result<(), Error<IO::Error>> {
             self.tell(Command::SetSoftLimits { limits }) $($await)*
         }
@@ -385,7 +439,7 @@ macro_rules! methods {
         /// The range that the fingers may not leave, in mm; `None` when there is none (command set, 3.3.6).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn soft_limits(&mut self) -> Result<Option<SoftLimits>, Error<IO::Error>> {
             let limits = self.ask(Command::GetSoftLimits, |value| match *value {
                 Value::GetSoftLimits(limits) => Some(limits),
@@ -400,7 +454,7 @@ macro_rules! methods {
         /// Lets the fingers go everywhere again (command set, 3.3.7).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn clear_soft_limits(&mut self) -> Result<(), Error<IO::Error>> {
             self.tell(Command::ClearSoftLimits) $($await)*
         }
@@ -408,7 +462,7 @@ macro_rules! methods {
         /// Allows forces up to the overdrive limit, or ends that (command set, 3.3.8).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn set_overdrive(&mut self, enabled: bool) -> Result<(), Error<IO::Error>> {
             self.tell(Command::OverdriveMode { enabled }) $($await)*
         }
@@ -417,7 +471,9 @@ macro_rules! methods {
         ///
         /// # Errors
         /// [`Error::Refused`] with E_NOT_AVAILABLE when there is no sensor, which is harmless, and with E_ACCESS_DENIED
-        /// while a part is held; [`Error`].
+        /// while a part is held.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn tare(&mut self) -> Result<(), Error<IO::Error>> {
             self.tell(Command::TareForceSensor) $($await)*
         }
@@ -425,7 +481,7 @@ macro_rules! methods {
         /// The system state flags (command set, 3.4.1).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn system_state(&mut self) -> Result<SystemFlags, Error<IO::Error>> {
             self.ask(Command::GetSystemState { update: AutoUpdate::once() }, |value| match *value {
                 Value::GetSystemState(flags) => Some(flags),
@@ -436,7 +492,7 @@ macro_rules! methods {
         /// Where the gripping process stands (command set, 3.4.2).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn state(&mut self) -> Result<GripperState, Error<IO::Error>> {
             self.ask(Command::GetGripperState { update: AutoUpdate::once() }, |value| match *value {
                 Value::GetGripperState(state) => Some(state),
@@ -447,7 +503,7 @@ macro_rules! methods {
         /// Counts of grips (command set, 3.4.3); they start again at 0 with `reset`.
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn statistics(&mut self, reset: bool) -> Result<GrippingStatistics, Error<IO::Error>> {
             self.ask(Command::GetGrippingStatistics { reset }, |value| match *value {
                 Value::GetGrippingStatistics(statistics) => Some(statistics),
@@ -458,7 +514,7 @@ macro_rules! methods {
         /// The opening width in mm (command set, 3.4.4).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn width(&mut self) -> Result<f32, Error<IO::Error>> {
             self.ask(Command::GetOpeningWidth { update: AutoUpdate::once() }, |value| match *value {
                 Value::GetOpeningWidth(width) => Some(width),
@@ -469,7 +525,7 @@ macro_rules! methods {
         /// The finger speed in mm/s (command set, 3.4.5).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn speed(&mut self) -> Result<f32, Error<IO::Error>> {
             self.ask(Command::GetSpeed { update: AutoUpdate::once() }, |value| match *value {
                 Value::GetSpeed(speed) => Some(speed),
@@ -480,7 +536,7 @@ macro_rules! methods {
         /// The gripping force in N, summed over both fingers (command set, 3.4.6).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn force(&mut self) -> Result<f32, Error<IO::Error>> {
             self.ask(Command::GetForce { update: AutoUpdate::once() }, |value| match *value {
                 Value::GetForce(force) => Some(force),
@@ -491,7 +547,7 @@ macro_rules! methods {
         /// The temperature of the device (command set, 3.4.7).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn temperature(&mut self) -> Result<Temperature, Error<IO::Error>> {
             self.ask(Command::GetTemperature, |value| match *value {
                 Value::GetTemperature(temperature) => Some(temperature),
@@ -502,7 +558,7 @@ macro_rules! methods {
         /// Device type, versions and serial number (command set, 3.5.1).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn system_info(&mut self) -> Result<SystemInfo, Error<IO::Error>> {
             self.ask(Command::GetSystemInfo, |value| match *value {
                 Value::GetSystemInfo(info) => Some(info),
@@ -513,7 +569,7 @@ macro_rules! methods {
         /// The physical limits (command set, 3.5.4).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn limits(&mut self) -> Result<SystemLimits, Error<IO::Error>> {
             self.ask(Command::GetSystemLimits, |value| match *value {
                 Value::GetSystemLimits(limits) => Some(limits),
@@ -524,7 +580,9 @@ macro_rules! methods {
         /// Sets the device tag: up to 64 printable ASCII characters (command set, 3.5.2).
         ///
         /// # Errors
-        /// [`Error::Invalid`] for other texts; [`Error`].
+        /// [`Error::Invalid`] for other texts.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn set_tag(&mut self, tag: &str) -> Result<(), Error<IO::Error>> {
             let tag = DeviceTag::new(tag)?;
             self.lend(Command::SetDeviceTag { tag }, &mut |_| {}) $($await)*
@@ -533,7 +591,9 @@ macro_rules! methods {
         /// The device tag, written to the caller's buffer (command set, 3.5.3).
         ///
         /// # Errors
-        /// [`Error::Refused`] with E_NOT_AVAILABLE when none is set; [`Error`].
+        /// [`Error::Refused`] with E_NOT_AVAILABLE when none is set.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn tag<'b>(
             &mut self,
             buffer: &'b mut [u8; DeviceTag::MAX_LEN],
@@ -547,7 +607,7 @@ macro_rules! methods {
         /// What is connected at a finger's port (command set, 3.6.1 and 3.6.5).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn finger_info(&mut self, finger: Finger) -> Result<FingerInfo, Error<IO::Error>> {
             let command = match finger {
                 Finger::One => Command::GetFinger1Info,
@@ -562,7 +622,7 @@ macro_rules! methods {
         /// The state flags of a finger (command set, 3.6.2 and 3.6.6).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn finger_flags(&mut self, finger: Finger) -> Result<FingerFlags, Error<IO::Error>> {
             let command = match finger {
                 Finger::One => Command::GetFinger1Flags,
@@ -577,7 +637,7 @@ macro_rules! methods {
         /// Switches the supply of a finger; on takes about 500 ms (command set, 3.6.3 and 3.6.7).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn set_finger_power(
             &mut self,
             finger: Finger,
@@ -595,7 +655,9 @@ macro_rules! methods {
         /// A frame of more than `RX` - 2 bytes is not received: then [`Error::Unanswered`].
         ///
         /// # Errors
-        /// [`Error::TooLong`] when the buffer is too small; [`Error`].
+        /// [`Error::TooLong`] when the buffer is too small.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn finger_data<'b>(
             &mut self,
             finger: Finger,
@@ -613,7 +675,9 @@ macro_rules! methods {
         /// Sends up to 256 bytes that must come back unchanged, to test the connection (command set, 3.1.1).
         ///
         /// # Errors
-        /// [`Error::Mismatch`] when other bytes came back; [`Error`].
+        /// [`Error::Mismatch`] when other bytes came back.
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn loop_back(&mut self, data: &[u8]) -> Result<(), Error<IO::Error>> {
             let command = Command::Loop { data: LoopData::new(data)? };
             let mut is_same = false;
@@ -633,7 +697,9 @@ macro_rules! methods {
         /// [time-outs](crate::session::Timeout) of its own.
         ///
         /// # Errors
-        /// [`Error::Refused`] with E_CMD_UNKNOWN when nothing serves it; [`Error::TooLong`]; [`Error`].
+        /// [`Error::Refused`] with E_CMD_UNKNOWN when nothing serves it; [`Error::TooLong`].
+        ///
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn raw<'b>(
             &mut self,
             id: u8,
@@ -736,7 +802,7 @@ macro_rules! gcl_methods {
         /// How much before the nominal width of a grip a part may be met, in mm (PWT; GCL, 2.2.5).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn part_width_tolerance(&mut self) -> Result<f32, Error<IO::Error>> {
             self.setting(Request::Pwt(Setting::Ask)) $($await)*
         }
@@ -745,7 +811,7 @@ macro_rules! gcl_methods {
         /// (GCL, 2.2.5).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn set_part_width_tolerance(&mut self, tolerance: f32) -> Result<f32, Error<IO::Error>> {
             self.setting(Request::Pwt(Setting::Set(tolerance))) $($await)*
         }
@@ -753,7 +819,7 @@ macro_rules! gcl_methods {
         /// How far a grip may go on to build up its force, in mm (CLT; GCL, 2.2.6).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn clamping_travel(&mut self) -> Result<f32, Error<IO::Error>> {
             self.setting(Request::Clt(Setting::Ask)) $($await)*
         }
@@ -762,7 +828,7 @@ macro_rules! gcl_methods {
         /// (GCL, 2.2.6).
         ///
         /// # Errors
-        /// [`Error`]
+        #[doc = crate::driver::methods::request_errors!()]
         pub $($async)? fn set_clamping_travel(&mut self, travel: f32) -> Result<f32, Error<IO::Error>> {
             self.setting(Request::Clt(Setting::Set(travel))) $($await)*
         }

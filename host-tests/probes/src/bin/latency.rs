@@ -1,19 +1,24 @@
 //! How long a call of a driver takes over loopback TCP, beside a bare socket that exchanges the same bytes in the same run.
 //!
 //! The peer is `wsg-sim`, a server for each client. The clients take turns, some hundred queries at a time, so that other work
-//! of the machine hits all of them. Prints a line for each figure, a name and a number in microseconds.
+//! of the machine hits all of them. Prints a line for each figure, a name and a number: microseconds, or for `cpu` percent of
+//! a core.
+//!
+//! Stops are timed from the call until the bytes have arrived at the other end of the socket, in a thread that passes them on
+//! to the server.
 
 use std::hint::black_box;
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
 use std::thread;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use wsg_protocol::driver::{asynch, blocking, host, tokio as on_tokio};
-use wsg_protocol::{AutoUpdate, Command, FrameEncoder};
-use wsg_sim::Config;
+use wsg_protocol::driver::blocking::Gripper;
+use wsg_protocol::driver::{Config, Error, Mm, MmPerS, OnBlock, StopKind, host, tokio as on_tokio};
+use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, HomingDirection, session};
 use wsg_sim::server::{Lines, ServerThread};
 
 /// Queries of each client in one run, and in one turn.
@@ -24,7 +29,22 @@ const WARM_UP: usize = 500;
 /// Busy loops beside the clients, one run each.
 const LOADS: [usize; 4] = [0, 1, 2, 4];
 
+/// Stops of each kind.
+const STOPS: usize = 100;
+/// Travel while the processor time of the waiting thread is counted, in mm at 5 mm/s.
+const TRAVEL_MM: f32 = 15.0;
+
+/// A busy machine may let the server wait for longer than a gripper ever would.
+const PATIENT: Config = Config {
+    session: session::Config { reply_timeout_ms: 10_000, ..Config::DEFAULT.session },
+    ..Config::DEFAULT
+};
+
 fn main() {
+    stops();
+    if let Some(percent) = processor_time_of_a_motion() {
+        println!("cpu {percent:.3}");
+    }
     for load in LOADS {
         let is_over = Arc::new(AtomicBool::new(false));
         let busy: Vec<_> = (0..load).map(|_| thread::spawn(spin(&is_over))).collect();
@@ -63,17 +83,10 @@ fn queries() -> Vec<(&'static str, Vec<f64>)> {
 
     let query = Command::GetOpeningWidth { update: AutoUpdate::once() };
     let frame: Vec<u8> = FrameEncoder::new(query.id().code(), query).collect();
-    let mut blocking = blocking::Gripper::new(connect(binary(1)), host::StdClock::new());
-    blocking.connect().expect("the gripper answers");
-    let mut over_gcl = blocking::GclGripper::new(connect(gcl(3)), host::StdClock::new());
-    over_gcl.connect().expect("the gripper answers");
+    let mut blocking = host::connect(binary(1)).expect("the gripper answers");
+    let mut over_gcl = host::connect_gcl(gcl(3)).expect("the gripper answers");
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-    let mut asynch = runtime.block_on(async {
-        let line = on_tokio::Tcp::connect(binary(2)).await.expect("it listens");
-        let mut gripper = asynch::Gripper::new(line, on_tokio::TokioTimer::new());
-        gripper.connect().await.expect("the gripper answers");
-        gripper
-    });
+    let mut asynch = runtime.block_on(on_tokio::connect(binary(2))).expect("the gripper answers");
 
     let mut clients: [(&str, Client<'_>); 5] = [
         ("bare", bare(binary(0), frame)),
@@ -102,11 +115,99 @@ fn queries() -> Vec<(&'static str, Vec<f64>)> {
 fn serve() -> ServerThread {
     let loopback = Some(SocketAddr::from(([127, 0, 0, 1], 0)));
     let lines = Lines { tcp: loopback, gcl: loopback, ..Lines::default() };
-    ServerThread::start(Config::default(), &lines, None).expect("loopback is there")
+    ServerThread::start(wsg_sim::Config::default(), &lines, None).expect("loopback is there")
 }
 
-fn connect(address: SocketAddr) -> host::Tcp {
-    host::Tcp::connect(address).expect("it listens")
+/// Prints how long a FAST STOP takes to the other end of the socket: of the driver while it is idle, and of a handle while the
+/// driver waits for a motion.
+fn stops() {
+    let (address, arrivals) = tap(serve());
+    let line = host::Tcp::connect(address).expect("it listens");
+    let mut gripper = Gripper::<_, _>::with_config(line, host::StdClock::new(), PATIENT);
+    gripper.connect().expect("the gripper answers");
+    let handle = gripper.stop_handle().expect("a descriptor is left");
+    gripper.home(HomingDirection::Positive).expect("the way is free");
+    let (mut idle, mut by_handle) = (vec![], vec![]);
+    for _ in 0..STOPS {
+        // A motion keeps the driver waiting: nothing arrives but its refreshes.
+        let handle = handle.clone();
+        let button = thread::spawn(move || {
+            thread::park_timeout(PAUSE);
+            let called = Instant::now();
+            handle.fast_stop().expect("the line takes it");
+            called
+        });
+        let moved = gripper.move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop);
+        assert!(matches!(moved, Err(Error::Stopped(StopKind::FastStop))), "{moved:?}");
+        by_handle
+            .push(micros(button.join().expect("it does not panic"), arrivals.recv().expect("it arrives")));
+        gripper.acknowledge().expect("it is answered");
+        arrivals.try_iter().for_each(drop);
+
+        thread::park_timeout(PAUSE);
+        let called = Instant::now();
+        gripper.fast_stop().expect("it is confirmed");
+        idle.push(micros(called, arrivals.recv().expect("it arrives")));
+        gripper.acknowledge().expect("it is answered");
+        // One that is not confirmed in time, on a busy machine, is followed by others.
+        arrivals.try_iter().for_each(drop);
+    }
+    for (name, mut times) in [("idle", idle), ("handle", by_handle)] {
+        times.sort_by(f64::total_cmp);
+        for (what, percent) in [("median", 50), ("p99", 99)] {
+            println!("fast-stop-{name}-{what} {:.2}", percentile(&times, percent));
+        }
+    }
+}
+
+/// Between two stops: whatever the one before has left behind is over.
+const PAUSE: Duration = Duration::from_millis(20);
+
+fn micros(begun: Instant, ended: Instant) -> f64 {
+    ended.saturating_duration_since(begun).as_secs_f64() * 1e6
+}
+
+/// A way to the server that says when each FAST STOP has arrived.
+fn tap(server: ServerThread) -> (SocketAddr, Receiver<Instant>) {
+    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("loopback is there");
+    let address = listener.local_addr().expect("it is bound");
+    let (arrived, arrivals) = channel();
+    thread::spawn(move || {
+        let (mut near, _) = listener.accept().expect("the driver connects");
+        let mut far = TcpStream::connect(server.tcp_address().expect("it is served")).expect("it listens");
+        near.set_nodelay(true).and_then(|()| far.set_nodelay(true)).expect("they are sockets");
+        let [mut back_from, mut back_to] =
+            [&far, &near].map(|end| end.try_clone().expect("a descriptor is left"));
+        thread::spawn(move || std::io::copy(&mut back_from, &mut back_to));
+        let fast_stop: Vec<u8> = FrameEncoder::new(CommandId::FastStop.code(), Command::FastStop).collect();
+        let mut bytes = [0; 512];
+        #[expect(clippy::disallowed_methods, reason = "no signal comes")]
+        while let Ok(count @ 1..) = near.read(&mut bytes) {
+            let now = Instant::now();
+            if bytes[..count].windows(fast_stop.len()).any(|window| window == fast_stop) {
+                arrived.send(now).expect("it is waited for");
+            }
+            far.write_all(&bytes[..count]).expect("the server listens");
+        }
+    });
+    (address, arrivals)
+}
+
+/// The processor time of a thread that waits for a motion, in percent of a core; on Linux.
+fn processor_time_of_a_motion() -> Option<f64> {
+    let server = serve();
+    let mut gripper =
+        host::connect(server.tcp_address().expect("it is served")).expect("the gripper answers");
+    gripper.home(HomingDirection::Positive).expect("the way is free");
+    let (begun, before) = (Instant::now(), processor_time()?);
+    gripper.move_by(Mm(-TRAVEL_MM), MmPerS(5.0), OnBlock::Stop).expect("the way is free");
+    Some((processor_time()? - before).as_secs_f64() / begun.elapsed().as_secs_f64() * 100.0)
+}
+
+/// Of this thread.
+fn processor_time() -> Option<Duration> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    text.split(' ').next()?.parse().ok().map(Duration::from_nanos)
 }
 
 /// A socket that sends the bytes of the query and reads those of the answer, and nothing else.
