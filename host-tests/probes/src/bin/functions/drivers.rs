@@ -3,7 +3,10 @@
 use core::convert::Infallible;
 use core::hint::black_box;
 
-use wsg_protocol::driver::{Binary, Clock, Error, Gcl, Grip, MotionResult, Pending, Timer, asynch, blocking};
+use embedded_io::{Read, ReadReady, Write};
+use wsg_protocol::driver::{
+    Binary, Clock, Config, Error, Gcl, Grip, MotionResult, Pending, Timer, asynch, blocking,
+};
 use wsg_protocol::gcl::session::RequestError as GclRequestError;
 use wsg_protocol::session::RequestError;
 use wsg_protocol::{DecodeError, Instant};
@@ -83,6 +86,7 @@ macro_rules! waiting {
 fn blocking() {
     type OverBinary = blocking::GripperOver<Line, Time, Binary>;
     type OverGcl = blocking::GripperOver<Line, Time, Gcl>;
+    type Spinning = blocking::Spinning<Line>;
     without_waiting!(OverBinary, OverGcl);
     waiting!(OverBinary, OverGcl);
     functions! {
@@ -93,6 +97,8 @@ fn blocking() {
         Error<Infallible>: culprit;
         Pending<()>: id, clone;
         Grip: from_status;
+        Config: default;
+        Spinning: read, read_ready, write, flush;
     }
     type Spinning = blocking::Spinning<Line>;
     function!(<Spinning as embedded_io::Read>::read);
