@@ -176,42 +176,35 @@ const FAST_STOP_LIMITS: [(&str, &str, f64); 2] = [
     ),
 ];
 
-/// How long the drivers take over loopback TCP. What else the machine does only makes a run longer: of several the best
-/// counts. Figures beside busy loops are printed and have no limit: they are the scheduler's.
+/// Runs that count at the least: in one of them the system may have placed any client, the bare socket included, and its server
+/// on two cores, where each query takes 45 µs instead of 20.
+const LATENCY_RUNS: usize = 3;
+
+/// How long the drivers take over loopback TCP. What else the machine does only makes a figure larger: of several runs the best
+/// of each counts. Figures beside busy loops are printed and have no limit: they are the scheduler's.
 pub(crate) fn latency(workspace: &Workspace) -> Result<Vec<Gate>> {
-    let mut best: Vec<Gate> = Vec::new();
-    for _ in 0..ATTEMPTS {
+    let mut best = BTreeMap::new();
+    let mut gates = latency_gates(&best);
+    for run in 1..=ATTEMPTS {
         let mut cargo = workspace.cargo("run");
         cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "latency"]);
-        let output = process::output(cargo.args(["--bin", "latency"]))?;
-        for line in output.lines() {
+        for line in process::output(cargo.args(["--bin", "latency"]))?.lines() {
             println!("  {line}");
+            let (name, figure) = line.split_once(' ').context("a name and a figure")?;
+            let figure: f64 = figure.parse().with_context(|| format!("`{line}` is no figure"))?;
+            let known = best.entry(name.to_owned()).or_insert(figure);
+            *known = known.min(figure);
         }
-        let gates = latency_gates(&figures(&output)?);
-        best = if best.is_empty() {
-            gates
-        } else {
-            best.into_iter().zip(gates).map(|(a, b)| a.better(b)).collect()
-        };
-        if best.iter().all(Gate::holds) {
+        gates = latency_gates(&best);
+        if run >= LATENCY_RUNS && gates.iter().all(Gate::holds) {
             break;
         }
     }
-    Ok(best)
+    Ok(gates)
 }
 
-/// Lines of a name and a figure.
-fn figures(output: &str) -> Result<BTreeMap<&str, f64>> {
-    let figure = |line: &'_ str| -> Option<(usize, f64)> {
-        let (name, figure) = line.split_once(' ')?;
-        Some((name.len(), figure.parse().ok()?))
-    };
-    let parse = |line| figure(line).with_context(|| format!("`{line}` is no figure"));
-    output.lines().map(|line| parse(line).map(|(len, figure)| (&line[..len], figure))).collect()
-}
-
-fn latency_gates(figures: &BTreeMap<&str, f64>) -> Vec<Gate> {
-    let of = |name: &str| figures.get(name).copied().unwrap_or(f64::NAN);
+fn latency_gates(best: &BTreeMap<String, f64>) -> Vec<Gate> {
+    let of = |name: &str| best.get(name).copied().unwrap_or(f64::NAN);
     let mut gates = Vec::new();
     for (what, client, beside) in CLIENTS {
         let median = of(&format!("query-{client}-median-load-0"));
@@ -385,8 +378,13 @@ mod tests {
     #[test]
     fn latency_past_its_limit_or_not_measured_fails() {
         let failing = |output: &str| {
-            let gates = latency_gates(&figures(output).unwrap());
-            gates.into_iter().filter(|gate| !gate.holds()).map(|gate| gate.what).collect::<Vec<_>>()
+            let figures = output.lines().map(|line| line.split_once(' ').unwrap());
+            let best = figures.map(|(name, figure)| (name.to_owned(), figure.parse().unwrap())).collect();
+            latency_gates(&best)
+                .into_iter()
+                .filter(|gate| !gate.holds())
+                .map(|gate| gate.what)
+                .collect::<Vec<_>>()
         };
         let of = |client: &str, median, p99| {
             format!("query-{client}-median-load-0 {median}\nquery-{client}-p99-load-0 {p99}\n")

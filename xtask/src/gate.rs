@@ -66,12 +66,6 @@ impl Gate {
         }
     }
 
-    /// The better one of two measurements.
-    pub(crate) fn better(self, other: Self) -> Self {
-        let is_more_better = matches!(self.unit, Unit::GigabytesPerSecond | Unit::TimesAsFast);
-        if (other.measured > self.measured) == is_more_better { other } else { self }
-    }
-
     /// Whether it is within its limit.
     pub(crate) fn holds(&self) -> bool {
         match self.unit {
