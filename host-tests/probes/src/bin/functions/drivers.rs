@@ -93,18 +93,12 @@ fn blocking() {
         OverBinary: new, with_config;
         OverGcl: new, with_config;
         OverGcl: clamping_travel, set_clamping_travel, part_width_tolerance, set_part_width_tolerance;
-        wsg_protocol::driver::Config: default;
         Error<Infallible>: culprit;
         Pending<()>: id, clone;
         Grip: from_status;
         Config: default;
         Spinning: read, read_ready, write, flush;
     }
-    type Spinning = blocking::Spinning<Line>;
-    function!(<Spinning as embedded_io::Read>::read);
-    function!(<Spinning as embedded_io::ReadReady>::read_ready);
-    function!(<Spinning as embedded_io::Write>::write);
-    function!(<Spinning as embedded_io::Write>::flush);
     function!(OverBinary::with_connection, fn(&mut OverBinary, Program<OverBinary>) -> _);
     function!(OverGcl::with_connection, fn(&mut OverGcl, Program<OverGcl>) -> _);
     function!(<Error<Infallible> as core::error::Error>::source);
