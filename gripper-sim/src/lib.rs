@@ -19,12 +19,13 @@
 //! | `client` | a client, whatever it speaks |
 //! | `gripper` | the contract with the caller |
 //! | `server` | TCP, UDP, serial lines (feature `std`) |
+//! | `rig` | gripper, line and clock for unit tests of programs (feature `rig`) |
 //!
 //! No two of them import each other, directly or by way of others.
 //!
 //! It is a model, not a copy: the fingers stop dead on Stop, FAST STOP and contact, a part is an ideal spring, and the
 //! force is exact. What was decided where the manual is silent stands in `docs/models.md`.
-#![cfg_attr(not(feature = "std"), no_std)]
+#![cfg_attr(not(any(feature = "std", feature = "rig")), no_std)]
 #![forbid(unsafe_code)]
 
 mod axis;
@@ -43,6 +44,8 @@ mod model;
 mod motion;
 mod port;
 mod profibus;
+#[cfg(feature = "rig")]
+mod rig;
 mod script;
 #[cfg(feature = "std")]
 pub mod server;
@@ -58,11 +61,13 @@ pub use finger::{Finger, Jaw};
 pub use gripper::{DEFAULT_PORTS, State, VirtualGripper};
 pub use model::{Model, Parameters};
 pub use port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
+#[cfg(feature = "rig")]
+pub use rig::VirtualRig;
 pub use script::{MAX_REQUEST_LEN, SCRIPT_IDS, ScriptRequest, ScriptState};
 pub use time::Time;
 pub use wsg_fieldbus::SilenceReaction;
 
 /// The example in the document compiles and runs.
-#[cfg(all(doctest, feature = "std"))]
+#[cfg(all(doctest, feature = "rig", feature = "std"))]
 #[doc = include_str!("../../docs/simulator.md")]
 struct Document;

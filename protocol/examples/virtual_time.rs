@@ -1,118 +1,21 @@
 //! A program for a gripper, tested without one: driver and virtual gripper in one process, on one thread, in virtual time.
-//! A minute of travel takes milliseconds, and gives the same result each time.
+//! A minute of travel takes milliseconds, and the result is the same each time.
 //!
 //! ```text
 //! cargo run -p wsg-protocol --example virtual_time --features embedded-io
 //! ```
 
-use std::cell::RefCell;
-use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::rc::Rc;
 
-use embedded_io::{ErrorType, Read, ReadReady, Write};
-use wsg_protocol::driver::blocking::{Gripper, Transport};
-use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, OnBlock};
-use wsg_protocol::{HomingDirection, Instant};
-use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
+use wsg_protocol::HomingDirection;
+use wsg_protocol::driver::blocking::Gripper;
+use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, OnBlock};
+use wsg_sim::{Config, Part, VirtualRig};
 
-/// A virtual gripper at the other end of a line, and the time.
-#[derive(Clone)]
-struct Bench(Rc<RefCell<World>>);
+type Driver = Gripper<VirtualRig, VirtualRig>;
 
-struct World {
-    gripper: VirtualGripper<1>,
-    port: PortId,
-    now: Time,
-    received: VecDeque<u8>,
-}
-
-impl Bench {
-    fn new(config: Config) -> Self {
-        let mut gripper = VirtualGripper::with_ports(config);
-        let port = gripper.connect(PortKind::Serial).expect("a new gripper takes a client");
-        let received = VecDeque::new();
-        Self(Rc::new(RefCell::new(World { gripper, port, now: Time::ZERO, received })))
-    }
-
-    fn gripper(&self) -> Gripper<Self, Self> {
-        Gripper::new(self.clone(), self.clone())
-    }
-
-    fn time(&self) -> Time {
-        self.0.borrow().now
-    }
-
-    fn set_part(&self, part: Option<Part>) {
-        let now = self.time();
-        self.0.borrow_mut().gripper.set_part(part, now);
-    }
-}
-
-impl World {
-    fn collect(&mut self) {
-        let mut buffer = [0; MAX_FRAME_LEN];
-        while let Some(frame) = self.gripper.transmit(self.port, &mut buffer) {
-            self.received.extend(frame);
-        }
-    }
-}
-
-impl Clock for Bench {
-    fn now(&mut self) -> Instant {
-        Instant::from_millis((self.0.borrow().now.as_micros() / 1_000) as u32)
-    }
-}
-
-impl ErrorType for Bench {
-    type Error = Infallible;
-}
-
-impl ReadReady for Bench {
-    fn read_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(!self.0.borrow().received.is_empty())
-    }
-}
-
-impl Transport for Bench {
-    /// Time passes until something is there.
-    fn wait(&mut self, at_most_ms: u32) -> Result<(), Infallible> {
-        let mut world = self.0.borrow_mut();
-        for _ in 0..at_most_ms {
-            if !world.received.is_empty() {
-                break;
-            }
-            world.now = world.now.plus_millis(1);
-            let now = world.now;
-            world.gripper.advance(now);
-            world.collect();
-        }
-        Ok(())
-    }
-}
-
-impl Read for Bench {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
-        Read::read(&mut self.0.borrow_mut().received, buffer)
-    }
-}
-
-impl Write for Bench {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        let mut world = self.0.borrow_mut();
-        let (port, now) = (world.port, world.now);
-        world.gripper.receive(port, now, bytes);
-        world.collect();
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> Result<(), Infallible> {
-        Ok(())
-    }
-}
-
-/// The program: takes a part and puts it down, or says that there is none.
-fn cycle(gripper: &mut Gripper<Bench, Bench>) -> Result<Grip, Error<Infallible>> {
+/// The program: takes a part and puts it down, or reports that there is none.
+fn cycle(gripper: &mut Driver) -> Result<Grip, Error<Infallible>> {
     gripper.move_to(Mm(60.0), MmPerS(200.0), OnBlock::Stop)?;
     let grip = gripper.grip(Mm(20.0), MmPerS(100.0))?;
     if grip == Grip::Held {
@@ -122,15 +25,15 @@ fn cycle(gripper: &mut Gripper<Bench, Bench>) -> Result<Grip, Error<Infallible>>
 }
 
 fn main() -> Result<(), Error<Infallible>> {
-    let bench = Bench::new(Config { part: Part::of_width(20.0), ..Config::default() });
-    let mut gripper = bench.gripper();
+    let rig = VirtualRig::new(Config { part: Part::of_width(20.0), ..Config::default() });
+    let mut gripper = Gripper::new(rig.line(), rig.clock());
     gripper.connect()?;
     gripper.home(HomingDirection::Default)?;
     let grip = cycle(&mut gripper)?;
-    println!("{}: {grip:?}", bench.time());
-    bench.set_part(None);
+    println!("{}: {grip:?}", rig.time());
+    rig.set_part(None);
     let grip = cycle(&mut gripper)?;
-    println!("{}: {grip:?}", bench.time());
+    println!("{}: {grip:?}", rig.time());
     Ok(())
 }
 
@@ -142,12 +45,12 @@ mod tests {
     use wsg_protocol::{AutoUpdate, GripperState, SoftLimits, Status, SystemFlags};
     use wsg_sim::{Fault, Tag};
 
-    fn homed(config: Config) -> (Bench, Gripper<Bench, Bench>) {
-        let bench = Bench::new(config);
-        let mut gripper = bench.gripper();
+    fn homed(config: Config) -> (VirtualRig, Driver) {
+        let rig = VirtualRig::new(config);
+        let mut gripper = Gripper::new(rig.line(), rig.clock());
         gripper.connect().unwrap();
         gripper.home(HomingDirection::Default).unwrap();
-        (bench, gripper)
+        (rig, gripper)
     }
 
     fn with_part() -> Config {
@@ -155,10 +58,10 @@ mod tests {
     }
 
     #[test]
-    fn part_is_held_and_none_is_told_apart() {
-        let (bench, mut gripper) = homed(with_part());
+    fn held_part_and_missing_part_are_told_apart() {
+        let (rig, mut gripper) = homed(with_part());
         assert_eq!(cycle(&mut gripper), Ok(Grip::Held));
-        bench.set_part(None);
+        rig.set_part(None);
         assert_eq!(cycle(&mut gripper), Ok(Grip::NoPart));
         let statistics = gripper.statistics(true).unwrap();
         assert_eq!((statistics.total, statistics.no_part), (2, 1));
@@ -167,21 +70,21 @@ mod tests {
 
     #[test]
     fn motion_before_homing_is_refused() {
-        let bench = Bench::new(Config::default());
-        let mut gripper = bench.gripper();
+        let rig = VirtualRig::new(Config::default());
+        let mut gripper = Gripper::new(rig.line(), rig.clock());
         gripper.connect().unwrap();
         assert_eq!(gripper.grip(Mm(20.0), MmPerS(100.0)), Err(Error::Refused(Status::NotInitialized)));
     }
 
     #[test]
     fn part_in_the_way_blocks() {
-        let (_bench, mut gripper) = homed(with_part());
+        let (_rig, mut gripper) = homed(with_part());
         assert_eq!(gripper.move_to(Mm(5.0), MmPerS(100.0), OnBlock::Stop), Err(Error::Blocked));
     }
 
     #[test]
     fn stop_aborts_and_fast_stop_locks_until_it_is_acknowledged() {
-        let (_bench, mut gripper) = homed(Config::default());
+        let (_rig, mut gripper) = homed(Config::default());
         let motion = gripper.begin_move_to(Mm(5.0), MmPerS(20.0), OnBlock::Stop).unwrap();
         assert_eq!(gripper.state(), Ok(GripperState::Positioning));
         gripper.stop().unwrap();
@@ -202,7 +105,7 @@ mod tests {
 
     #[test]
     fn relative_moves_add_up() {
-        let (_bench, mut gripper) = homed(Config::default());
+        let (_rig, mut gripper) = homed(Config::default());
         gripper.move_by(Mm(-30.0), MmPerS(200.0), OnBlock::Stop).unwrap();
         gripper.move_by(Mm(10.0), MmPerS(200.0), OnBlock::Stop).unwrap();
         assert!((gripper.width().unwrap() - 90.0).abs() < 0.1);
@@ -210,7 +113,7 @@ mod tests {
 
     #[test]
     fn settings_come_back_as_they_were_set_or_clamped() {
-        let (_bench, mut gripper) = homed(Config::default());
+        let (_rig, mut gripper) = homed(Config::default());
         let limits = gripper.limits().unwrap();
         gripper.set_force_limit(40.0).unwrap();
         assert_eq!(gripper.force_limit(), Ok(40.0));
@@ -230,9 +133,9 @@ mod tests {
     }
 
     #[test]
-    fn device_tells_about_itself() {
+    fn device_reports_identity_and_settings() {
         let config = Config { tag: Tag::new("left hand").unwrap(), serial_number: 77, ..Config::default() };
-        let (_bench, mut gripper) = homed(config);
+        let (_rig, mut gripper) = homed(config);
         assert_eq!(gripper.system_info().unwrap().serial_number, 77);
         assert_eq!(gripper.tag(&mut [0; 64]), Ok("left hand"));
         gripper.set_tag("right hand").unwrap();
@@ -247,8 +150,8 @@ mod tests {
     }
 
     #[test]
-    fn updates_come_while_the_fingers_travel() {
-        let (_bench, mut gripper) = homed(Config::default());
+    fn updates_arrive_while_the_fingers_travel() {
+        let (_rig, mut gripper) = homed(Config::default());
         gripper.subscribe(Topic::Width, AutoUpdate::every(10));
         let motion = gripper.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
         let lost = gripper.counters().updates_lost;
@@ -264,10 +167,9 @@ mod tests {
     }
 
     #[test]
-    fn fault_of_the_device_shows_in_its_flags() {
-        let (bench, mut gripper) = homed(Config::default());
-        let now = bench.time();
-        bench.0.borrow_mut().gripper.set_fault(Fault::SupplyOutOfRange, true, now);
+    fn device_fault_sets_its_flag() {
+        let (rig, mut gripper) = homed(Config::default());
+        rig.set_fault(Fault::SupplyOutOfRange, true);
         assert!(gripper.system_state().unwrap().contains(SystemFlags::POWER_FAULT));
     }
 }
