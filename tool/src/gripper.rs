@@ -3,6 +3,7 @@
 mod action;
 mod address;
 mod answer;
+mod doctor;
 mod editor;
 mod line;
 mod lines;
@@ -58,6 +59,8 @@ pub(crate) struct Arguments {
 enum Task {
     #[command(flatten)]
     Action(Named),
+    /// Checks the connection, and reports what to change; never moves the fingers
+    Doctor,
     /// Shows state, width, speed and force on the full screen, until q
     Watch,
     /// Shows each message of this connection in hex and in words, until Ctrl-C
@@ -94,6 +97,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<ExitCode> {
         None => "prompt",
         Some(Task::Unknown(words)) => return Ok(lines::explain(words)),
         Some(Task::Action(named)) => &named.name,
+        Some(Task::Doctor) => "doctor",
         Some(Task::Watch) => "watch",
         Some(Task::Log { .. }) => "log",
         Some(Task::Script { .. }) => "script",
@@ -121,6 +125,9 @@ fn perform(
     };
     let recorder = recorder(address, record, task.as_ref()).map_err(Trouble::NoFile)?;
     let signals = Signals::catch()?;
+    if matches!(task, Some(Task::Doctor)) {
+        return doctor::run(address, recorder, &signals, output);
+    }
     let line = Line::open(address, recorder, signals.clone()).map_err(Trouble::NoLine)?;
     let work = Work { task, script, output, signals, title: address.to_string() };
     if address.is_gcl() {
@@ -188,7 +195,8 @@ impl Work<'_> {
 
     fn do_it<P: Dialect>(self, gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
         match self.task {
-            None | Some(Task::Unknown(_)) => prompt::run(gripper, self.output, &self.signals),
+            // `doctor` opens the line itself, and an unknown command none.
+            None | Some(Task::Unknown(_) | Task::Doctor) => prompt::run(gripper, self.output, &self.signals),
             Some(Task::Action(Named { name, action })) => {
                 let result = run::carry_out(gripper, &action, &mut |_| Ok(()));
                 match result {

@@ -6,6 +6,7 @@ use clap::{Command, Subcommand};
 
 use super::action::{Action, Named};
 use super::address::FORMS;
+use super::doctor::Check;
 use super::trouble::EXIT_STATUSES;
 use crate::document::{hold, read};
 
@@ -57,6 +58,13 @@ fn exit_statuses_are_those_of_the_help() {
     let rows: String =
         EXIT_STATUSES.iter().map(|(status, meaning)| format!("| {status} | {meaning} |\n")).collect();
     hold(DOCUMENT, "statuses", &format!("| status | meaning |\n|---|---|\n{rows}"));
+}
+
+#[test]
+fn checks_of_doctor_are_those_of_the_table() {
+    let rows: String =
+        Check::ALL.iter().map(|check| format!("| {} | {} |\n", check.name(), check.remedy())).collect();
+    hold(DOCUMENT, "checks", &format!("| check | what to change |\n|---|---|\n{rows}"));
 }
 
 #[test]

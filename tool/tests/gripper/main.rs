@@ -3,6 +3,7 @@
 
 mod bad_input;
 mod bench;
+mod doctor;
 mod ends;
 mod golden;
 // Terminals of other systems have no `setsid --ctty`.

@@ -1,0 +1,249 @@
+//! `doctor`: checks the connection to a gripper, and reports what to change.
+//!
+//! It sends queries and, at the end, the announcement that the connection ends. It never sends a motion, a stop or an
+//! acknowledgement.
+
+mod probe;
+mod report;
+
+pub(crate) use report::Check;
+
+use std::io;
+use std::time::{Duration, Instant};
+
+use wsg_protocol::driver::blocking::{GclGripper, Gripper as BinaryGripper};
+use wsg_protocol::driver::host::StdClock;
+use wsg_protocol::driver::{Error, Update};
+use wsg_protocol::session::Topic;
+use wsg_protocol::{AutoUpdate, SystemFlags};
+
+use super::address::Address;
+use super::line::Line;
+use super::output::Output;
+use super::record::Recorder;
+use super::run::{Dialect, Gripper};
+use super::signals::Signals;
+use super::trouble::Trouble;
+use probe::{Checksums, Peer, Speech};
+use report::Report;
+
+/// Queries that are timed.
+const QUERIES: usize = 100;
+/// A longer median or 99th percentile points to the network. Real grippers take about 22 ms by field reports.
+const SLOW_MEDIAN: Duration = Duration::from_millis(50);
+const SLOW_P99: Duration = Duration::from_millis(200);
+
+/// How long automatic updates are counted.
+const COUNTED: Duration = Duration::from_secs(1);
+/// Fewer updates than this share of those requested point to the network.
+const FEW_UPDATES: f64 = 0.5;
+
+/// How long the end of a motion of another client is awaited: announcing the end of this connection would stop it
+/// (command set, 3.1.2).
+const STANDSTILL: Duration = Duration::from_secs(10);
+
+/// Checks the gripper at an address; the exit status.
+pub(crate) fn run(
+    address: &Address,
+    recorder: Option<Recorder>,
+    signals: &Signals,
+    output: &Output,
+) -> Result<u8, Trouble> {
+    let mut report = Report::new(output.is_json);
+    let checked = check(address, recorder, signals, &mut report);
+    match checked {
+        // No check failed, or one that has said so.
+        Ok(()) => {}
+        Err(trouble @ (Trouble::Caught(_) | Trouble::Output(_) | Trouble::Panicked(_))) => {
+            return Err(trouble);
+        }
+        Err(trouble) => report.fail_next(&trouble)?,
+    }
+    report.finish()
+}
+
+fn check(
+    address: &Address,
+    recorder: Option<Recorder>,
+    signals: &Signals,
+    report: &mut Report,
+) -> Result<(), Trouble> {
+    let mut line = match Line::open(address, recorder, signals.clone()) {
+        Ok(line) => line,
+        Err(error) => return no_line(address, &error, report),
+    };
+    let is_tcp = matches!(address, Address::Tcp(_) | Address::Gcl(_));
+    report.ok(Check::Reachability, &format!("{address} opened"))?;
+    report.ok(
+        Check::Port,
+        if is_tcp { "accepts a connection" } else { "no connection on this kind of line" },
+    )?;
+
+    let speech = match probe::speech(&mut line, address) {
+        Ok(Peer::Answers(speech)) => speech,
+        Ok(Peer::IsSilent) => {
+            probe::leave(&mut line);
+            report.fail(Check::Protocol, "no answer to queries of the binary protocol or GCL")?;
+            report.skip(Check::Checksum)?;
+            return report.fail(Check::OtherClients, "the line is open and nothing answers: it may be taken");
+        }
+        Ok(Peer::HasClosed) => {
+            report.fail(Check::Protocol, "the peer closed the connection before it answered")?;
+            report.skip(Check::Checksum)?;
+            return report.fail(Check::OtherClients, "a peer that closes at once is busy, or no gripper");
+        }
+        Err(trouble) => {
+            probe::leave(&mut line);
+            return Err(trouble);
+        }
+    };
+    if (speech == Speech::Gcl) == address.is_gcl() {
+        report.ok(Check::Protocol, speech.name())?;
+    } else {
+        let found = format!("{}, which is not the protocol of {address}", speech.name());
+        report.fail(Check::Protocol, &found)?;
+    }
+    match speech {
+        Speech::Gcl => {
+            report.ok(Check::Checksum, "GCL has none")?;
+            examine(GclGripper::new(line, StdClock::new()), signals, report)
+        }
+        Speech::Binary => {
+            let checksums = probe::checksums(&mut line);
+            match checksums.inspect_err(|_| probe::leave(&mut line))? {
+                Checksums::Evaluated => report.ok(Check::Checksum, "evaluated")?,
+                Checksums::Ignored => {
+                    report.warn(Check::Checksum, "not evaluated: damaged commands are carried out")?;
+                }
+            }
+            examine(BinaryGripper::new(line, StdClock::new()), signals, report)
+        }
+    }
+}
+
+/// A host that refuses a connection is there.
+fn no_line(address: &Address, error: &anyhow::Error, report: &mut Report) -> Result<(), Trouble> {
+    let cause = error.downcast_ref::<io::Error>().map(io::Error::kind);
+    let root = error.root_cause();
+    if cause == Some(io::ErrorKind::ConnectionRefused) {
+        report.ok(Check::Reachability, "the host answers")?;
+        report.fail(Check::Port, &format!("{address}: {root}"))
+    } else {
+        report.fail(Check::Reachability, &format!("{address}: {root}"))
+    }
+}
+
+/// The checks of a gripper that answers. The end of the connection is announced, whatever happens.
+fn examine<P: Dialect>(
+    mut gripper: Gripper<P>,
+    signals: &Signals,
+    report: &mut Report,
+) -> Result<(), Trouble> {
+    super::guarded(&mut gripper, signals, |gripper| {
+        let flags = gripper.system_state()?;
+        if flags.contains(SystemFlags::MOVING) {
+            report
+                .warn(Check::OtherClients, "the fingers move, so another client or a script commands them")?;
+        } else {
+            report.ok(Check::OtherClients, "none keeps this one out, and the fingers stand")?;
+        }
+        report.ok(Check::Firmware, &gripper.system_info()?.to_string())?;
+        of_flags(flags, report)?;
+        time_queries(gripper, report)?;
+        count_updates(gripper, report)?;
+        let begin = Instant::now();
+        while gripper.system_state()?.contains(SystemFlags::MOVING) && begin.elapsed() < STANDSTILL {}
+        Ok(0)
+    })?;
+    Ok(())
+}
+
+fn of_flags(flags: SystemFlags, report: &mut Report) -> Result<(), Trouble> {
+    if flags.contains(SystemFlags::REFERENCED) {
+        report.ok(Check::Referenced, "yes")?;
+    } else {
+        report.warn(Check::Referenced, "no: the gripper refuses every motion except homing")?;
+    }
+    if flags.contains(SystemFlags::FAST_STOP) {
+        report.fail(Check::FastStop, "latched: the gripper refuses every motion")?;
+    } else {
+        report.ok(Check::FastStop, "not latched")?;
+    }
+    let faults = SystemFlags::TEMP_FAULT | SystemFlags::POWER_FAULT | SystemFlags::CURR_FAULT;
+    let warnings = SystemFlags::TEMP_WARNING | SystemFlags::FINGER_FAULT;
+    let shown = (flags & (faults | warnings)).to_string();
+    if flags.intersects(faults) {
+        report.fail(Check::Faults, &shown)?;
+    } else if flags.intersects(warnings) {
+        report.warn(Check::Faults, &shown)?;
+    } else {
+        report.ok(Check::Faults, "none")?;
+    }
+    if flags.contains(SystemFlags::SCRIPT_FAILURE) {
+        report.warn(Check::Script, "ended with an error")
+    } else if flags.contains(SystemFlags::SCRIPT_RUNNING) {
+        report.ok(Check::Script, "running: it may command the fingers")
+    } else {
+        report.ok(Check::Script, "none runs")
+    }
+}
+
+fn time_queries<P: Dialect>(gripper: &mut Gripper<P>, report: &mut Report) -> Result<(), Trouble> {
+    let mut times = Vec::with_capacity(QUERIES);
+    for _ in 0..QUERIES {
+        let begin = Instant::now();
+        gripper.width()?;
+        times.push(begin.elapsed());
+    }
+    times.sort_unstable();
+    let at = |percent: usize| times.get(QUERIES * percent / 100 - 1).copied().unwrap_or_default();
+    let (median, p99) = (at(50), at(99));
+    let found = format!("median {} ms, p99 {} ms of {QUERIES} queries", millis(median), millis(p99));
+    report.value("median_ms", median.as_secs_f64() * 1e3);
+    report.value("p99_ms", p99.as_secs_f64() * 1e3);
+    if median > SLOW_MEDIAN || p99 > SLOW_P99 {
+        report.warn(Check::RoundTrip, &found)
+    } else {
+        report.ok(Check::RoundTrip, &found)
+    }
+}
+
+fn millis(time: Duration) -> String {
+    format!("{:.2}", time.as_secs_f64() * 1e3)
+}
+
+fn count_updates<P: Dialect>(gripper: &mut Gripper<P>, report: &mut Report) -> Result<(), Trouble> {
+    let period_ms = AutoUpdate::MIN_PERIOD_MS;
+    // Unlike the width, the force is sent while the fingers are not referenced as well.
+    gripper.subscribe(Topic::Force, AutoUpdate::every(period_ms));
+    let counted = count_forces(gripper);
+    gripper.subscribe(Topic::Force, AutoUpdate::once());
+    // A changed subscription is sent before the next query.
+    gripper.system_state()?;
+    let rate = counted?;
+    let requested = 1e3 / f64::from(period_ms);
+    let found = format!("{rate:.0} updates/s of {requested:.0} requested");
+    report.value("updates_per_s", rate);
+    if rate < requested * FEW_UPDATES {
+        report.warn(Check::UpdateRate, &found)
+    } else {
+        report.ok(Check::UpdateRate, &found)
+    }
+}
+
+fn count_forces<P: Dialect>(gripper: &mut Gripper<P>) -> Result<f64, Error<io::Error>> {
+    // Sends the subscription.
+    gripper.system_state()?;
+    let begin = Instant::now();
+    let mut first = None;
+    let mut intervals = 0_u32;
+    while begin.elapsed() < COUNTED {
+        let left = COUNTED.saturating_sub(begin.elapsed()).as_millis() as u32;
+        match (gripper.next_update(left)?, first) {
+            (Some(Update::Force(_)), None) => first = Some(Instant::now()),
+            (Some(Update::Force(_)), Some(_)) => intervals += 1,
+            _ => {}
+        }
+    }
+    Ok(first.map_or(0.0, |first| f64::from(intervals) / first.elapsed().as_secs_f64()))
+}

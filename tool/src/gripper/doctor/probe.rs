@@ -1,0 +1,182 @@
+//! What a peer speaks, found out without a driver: a driver would only report that nothing answered.
+
+use std::time::{Duration, Instant};
+
+use embedded_io::{Read, ReadReady, Write};
+use wsg_protocol::driver::blocking::Transport;
+use wsg_protocol::gcl::{Answer, LineEvent, LineReader, Request};
+use wsg_protocol::{Command, CommandId, Event, FrameEncoder, FrameParser, Reply, Status};
+
+use crate::gripper::address::Address;
+use crate::gripper::line::Line;
+use crate::gripper::trouble::Trouble;
+
+/// How long an answer in each protocol is awaited.
+const ANSWER: Duration = Duration::from_secs(1);
+/// How long the answer to a query with a wrong checksum is awaited, which a gripper normally ignores.
+const NO_ANSWER: Duration = Duration::from_millis(300);
+
+/// The payload of a Loop with a wrong checksum. Nothing else is answered with it.
+const WRONG: &[u8] = b"wrong checksum";
+
+/// The protocol of a gripper.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Speech {
+    Binary,
+    Gcl,
+}
+
+impl Speech {
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Binary => "the binary protocol",
+            Self::Gcl => "the text protocol (GCL)",
+        }
+    }
+}
+
+/// What is at the other end of a line.
+pub(super) enum Peer {
+    Answers(Speech),
+    IsSilent,
+    HasClosed,
+}
+
+/// Whether a gripper evaluates checksums (command set, 1.4.1).
+pub(super) enum Checksums {
+    Evaluated,
+    Ignored,
+}
+
+/// What was received in time.
+enum Received<T> {
+    Answer(T),
+    Nothing,
+    End,
+}
+
+/// Asks in the protocol of the address first, then in the other one on the same connection, because a further connection
+/// may be refused, and one that ends unannounced causes a FAST STOP (command set, 1.4.2).
+pub(super) fn speech(line: &mut Line, address: &Address) -> Result<Peer, Trouble> {
+    let order = match address {
+        Address::Gcl(_) | Address::GclUdp(_) => &[Speech::Gcl, Speech::Binary][..],
+        Address::Tcp(_) | Address::Udp { .. } => &[Speech::Binary, Speech::Gcl],
+        // Only Ethernet carries GCL.
+        Address::Serial { .. } | Address::Slcan { .. } => &[Speech::Binary],
+    };
+    for speech in order {
+        let is_sent = match speech {
+            Speech::Binary => send(line, &info_query())?,
+            Speech::Gcl => send(line, &text_query())?,
+        };
+        if !is_sent {
+            return Ok(Peer::HasClosed);
+        }
+        let mut frames = FrameParser::<64>::new();
+        let mut lines = LineReader::<128>::new();
+        let answer = receive(line, ANSWER, |byte| {
+            if let Some(Event::Frame(_)) = frames.push(byte) {
+                return Some(Speech::Binary);
+            }
+            match lines.push(byte) {
+                Some(LineEvent::Line(line)) if Answer::parse(line).is_ok() => Some(Speech::Gcl),
+                _ => None,
+            }
+        })?;
+        match answer {
+            Received::Answer(speech) => return Ok(Peer::Answers(speech)),
+            Received::Nothing => {}
+            Received::End => return Ok(Peer::HasClosed),
+        }
+    }
+    Ok(Peer::IsSilent)
+}
+
+/// Sends a Loop with a wrong checksum. A gripper that evaluates checksums discards or rejects it.
+pub(super) fn checksums(line: &mut Line) -> Result<Checksums, Trouble> {
+    let mut query: Vec<u8> = FrameEncoder::new(CommandId::Loop.code(), WRONG).collect();
+    if let Some(last) = query.last_mut() {
+        *last ^= 0xFF;
+    }
+    send(line, &query)?;
+    let mut frames = FrameParser::<64>::new();
+    let answer = receive(line, NO_ANSWER, |byte| match frames.push(byte) {
+        Some(Event::Frame(frame)) if frame.id == CommandId::Loop.code() => {
+            Some(Reply::decode(&frame).is_ok_and(|reply| reply.status() == Status::Success))
+        }
+        _ => None,
+    })?;
+    Ok(if matches!(answer, Received::Answer(true)) { Checksums::Ignored } else { Checksums::Evaluated })
+}
+
+/// Announces the end to a peer that has not answered, in both protocols: it may be a gripper that reads this later. The
+/// connection closes next, so an error has no consequence.
+pub(super) fn leave(line: &mut Line) {
+    let mut text = [0; Request::MAX_LEN + 1];
+    let bye = Request::Bye.write_line_into(&mut text).unwrap_or_default();
+    let messages = [encode(Command::DisconnectAnnouncement), vec![b'\n'], text[..bye].to_vec()];
+    let _ = send(line, &messages.concat());
+}
+
+fn encode(command: Command<'_>) -> Vec<u8> {
+    FrameEncoder::new(command.id().code(), command).collect()
+}
+
+fn info_query() -> Vec<u8> {
+    encode(Command::GetSystemInfo)
+}
+
+/// The empty line ends what a text gripper has read of a frame.
+fn text_query() -> Vec<u8> {
+    let mut text = [0; Request::MAX_LEN + 1];
+    let len = Request::Devtype.write_line_into(&mut text).unwrap_or_default();
+    [b"\n", &text[..len]].concat()
+}
+
+/// Returns whether the peer still takes bytes.
+fn send(line: &mut Line, mut bytes: &[u8]) -> Result<bool, Trouble> {
+    while !bytes.is_empty() {
+        match line.write(bytes).map(|count| bytes.get(count.max(1)..)) {
+            Ok(rest) => bytes = rest.unwrap_or(&[]),
+            Err(error) => return end(error).map(|()| false),
+        }
+    }
+    Ok(true)
+}
+
+/// Reads until `take` returns a value, up to `within`.
+fn receive<T>(
+    line: &mut Line,
+    within: Duration,
+    mut take: impl FnMut(u8) -> Option<T>,
+) -> Result<Received<T>, Trouble> {
+    let begin = Instant::now();
+    let mut read = || -> Result<Received<T>, std::io::Error> {
+        let mut chunk = [0; 256];
+        loop {
+            while line.read_ready()? {
+                let count = line.read(&mut chunk)?;
+                if count == 0 {
+                    return Ok(Received::End);
+                }
+                if let Some(answer) = chunk.iter().take(count).find_map(|byte| take(*byte)) {
+                    return Ok(Received::Answer(answer));
+                }
+            }
+            let left = within.saturating_sub(begin.elapsed());
+            if left.is_zero() {
+                return Ok(Received::Nothing);
+            }
+            line.wait(left.as_millis() as u32 + 1)?;
+        }
+    };
+    read().or_else(|error| end(error).map(|()| Received::End))
+}
+
+/// A line that fails has ended; a signal ends the program.
+fn end(error: std::io::Error) -> Result<(), Trouble> {
+    match Trouble::from(wsg_protocol::driver::Error::Transport(error)) {
+        Trouble::Driver(_) => Ok(()),
+        trouble => Err(trouble),
+    }
+}

@@ -1,0 +1,213 @@
+//! The checks, and what each one found: a line for people, or one object of JSON.
+
+use std::fmt::Display;
+use std::io::{self, Write};
+
+use serde_json::{Map, Value, json};
+
+use crate::gripper::trouble::Trouble;
+
+/// A check, in the order of the report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Check {
+    Reachability,
+    Port,
+    Protocol,
+    Checksum,
+    OtherClients,
+    Firmware,
+    Referenced,
+    FastStop,
+    Faults,
+    Script,
+    RoundTrip,
+    UpdateRate,
+}
+
+impl Check {
+    pub(crate) const ALL: [Self; 12] = [
+        Self::Reachability,
+        Self::Port,
+        Self::Protocol,
+        Self::Checksum,
+        Self::OtherClients,
+        Self::Firmware,
+        Self::Referenced,
+        Self::FastStop,
+        Self::Faults,
+        Self::Script,
+        Self::RoundTrip,
+        Self::UpdateRate,
+    ];
+
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Reachability => "reachability",
+            Self::Port => "port",
+            Self::Protocol => "protocol",
+            Self::Checksum => "checksum",
+            Self::OtherClients => "other clients",
+            Self::Firmware => "firmware",
+            Self::Referenced => "referenced",
+            Self::FastStop => "FAST STOP",
+            Self::Faults => "faults",
+            Self::Script => "script",
+            Self::RoundTrip => "round trip",
+            Self::UpdateRate => "update rate",
+        }
+    }
+
+    /// What to change when the check does not pass.
+    pub(crate) const fn remedy(self) -> &'static str {
+        match self {
+            Self::Reachability => {
+                "check power, cable and address; a gripper is delivered with 192.168.1.20, and this computer needs an address in the same \
+                 subnet"
+            }
+            Self::Port => {
+                "select TCP and this port under Settings -> Command Interface, or close the client that holds the connection"
+            }
+            Self::Protocol => {
+                "select the protocol of the address under Settings -> Command Interface, or use the address of the protocol found: tcp:// or \
+                 udp:// for the binary protocol, gcl:// or gcl+udp:// for GCL"
+            }
+            Self::Checksum => "enable the evaluation of checksums under Settings -> Command Interface",
+            Self::OtherClients => {
+                "close other programs that are connected, such as WSG Commander, and stop scripts; if the computer of one was switched off, \
+                 restart the gripper"
+            }
+            Self::Firmware => "restart the gripper; its web interface shows the version",
+            Self::Referenced => {
+                "run `home` when the fingers may move, or enable homing at start-up under Settings -> Motion Configuration"
+            }
+            Self::FastStop => "remove the cause, then run `ack` when the fingers may move",
+            Self::Faults => {
+                "check supply voltage, temperature and load; `finger-flags` shows faults of the fingers"
+            }
+            Self::Script => "correct or stop the script in the web interface",
+            Self::RoundTrip | Self::UpdateRate => {
+                "connect by cable instead of Wi-Fi, and close other clients; over a serial line or CAN, use the highest bit rate"
+            }
+        }
+    }
+
+    /// The exit status when it fails: whether there is no connection, or the gripper refuses motions.
+    const fn exit_status(self) -> u8 {
+        match self {
+            Self::FastStop | Self::Faults => 4,
+            _ => 6,
+        }
+    }
+}
+
+/// How a check ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    Ok,
+    Warning,
+    Failed,
+    Skipped,
+}
+
+impl Verdict {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::Warning => "warning",
+            Self::Failed => "failed",
+            Self::Skipped => "skipped",
+        }
+    }
+}
+
+/// The checks so far. People read each as soon as it ends.
+pub(super) struct Report {
+    is_json: bool,
+    checks: Vec<Value>,
+    /// Of the check that is recorded next.
+    values: Map<String, Value>,
+    /// The exit status, by the first check that failed.
+    status: u8,
+}
+
+impl Report {
+    pub(super) fn new(is_json: bool) -> Self {
+        Self { is_json, checks: Vec::new(), values: Map::new(), status: 0 }
+    }
+
+    pub(super) fn ok(&mut self, check: Check, found: &str) -> Result<(), Trouble> {
+        self.record(check, Verdict::Ok, found)
+    }
+
+    /// Records something to correct that does not keep a program from using the gripper.
+    pub(super) fn warn(&mut self, check: Check, found: &str) -> Result<(), Trouble> {
+        self.record(check, Verdict::Warning, found)
+    }
+
+    pub(super) fn fail(&mut self, check: Check, found: &str) -> Result<(), Trouble> {
+        if self.status == 0 {
+            self.status = check.exit_status();
+        }
+        self.record(check, Verdict::Failed, found)
+    }
+
+    pub(super) fn skip(&mut self, check: Check) -> Result<(), Trouble> {
+        self.record(check, Verdict::Skipped, "needs a gripper that answers")
+    }
+
+    /// Records an error that ended the checks, with the one it kept from being done.
+    pub(super) fn fail_next(&mut self, error: &impl Display) -> Result<(), Trouble> {
+        match Check::ALL.get(self.checks.len()) {
+            Some(check) => self.fail(*check, &error.to_string()),
+            // All checks passed, and the connection failed to end.
+            None => {
+                self.status = 6;
+                writeln!(io::stderr(), "wsg: doctor: {error}")?;
+                Ok(())
+            }
+        }
+    }
+
+    /// Adds a figure to the check that is recorded next, for JSON.
+    pub(super) fn value(&mut self, name: &str, value: f64) {
+        self.values.insert(name.to_owned(), json!((value * 1e3).round() / 1e3));
+    }
+
+    fn record(&mut self, check: Check, verdict: Verdict, found: &str) -> Result<(), Trouble> {
+        let needs_remedy = matches!(verdict, Verdict::Warning | Verdict::Failed);
+        let remedy = needs_remedy.then(|| check.remedy());
+        let mut object = std::mem::take(&mut self.values);
+        object.insert("check".to_owned(), json!(check.name()));
+        object.insert("verdict".to_owned(), json!(verdict.name()));
+        object.insert("found".to_owned(), json!(found));
+        object.insert("remedy".to_owned(), json!(remedy));
+        self.checks.push(Value::Object(object));
+        if !self.is_json {
+            let mut stdout = io::stdout().lock();
+            let remedy = remedy.map(|remedy| format!("; {remedy}")).unwrap_or_default();
+            writeln!(stdout, "{:<8} {:<14} {found}{remedy}", verdict.name(), check.name())?;
+            stdout.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Skips the checks that are left, and says whether the gripper is usable; the exit status.
+    pub(super) fn finish(mut self) -> Result<u8, Trouble> {
+        for check in Check::ALL.iter().skip(self.checks.len()) {
+            self.skip(*check)?;
+        }
+        let (result, words) = match self.status {
+            0 => ("done", "the gripper is usable"),
+            4 => ("refused", "the gripper answers, but refuses motions"),
+            _ => ("no_connection", "the gripper is not usable at this address"),
+        };
+        let mut stdout = io::stdout().lock();
+        if self.is_json {
+            writeln!(stdout, "{}", json!({"command": "doctor", "result": result, "checks": self.checks}))?;
+        } else {
+            writeln!(stdout, "{words}")?;
+        }
+        stdout.flush()?;
+        Ok(self.status)
+    }
+}

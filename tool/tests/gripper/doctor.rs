@@ -1,0 +1,190 @@
+//! `doctor`: each fault of a connection is found and named, within a limited time, and the gripper stays as it was.
+
+use std::net::{TcpListener, TcpStream};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use wsg_protocol::SystemFlags;
+use wsg_sim::Config;
+
+use crate::bench::{Bench, Ended, Program, quick};
+
+/// Longer than the bounded waits together, on a busy machine.
+const LIMIT: Duration = Duration::from_secs(20);
+
+fn referenced() -> Config {
+    Config { homing_at_start: true, ..quick() }
+}
+
+/// A gripper that has homed by itself.
+fn homed(config: Config) -> Bench {
+    let mut bench = Bench::new(Config { homing_at_start: true, ..config });
+    bench.until(|flags| flags.contains(SystemFlags::REFERENCED) && !flags.contains(SystemFlags::MOVING));
+    bench
+}
+
+fn doctor(address: &str) -> Ended {
+    Program::run(&[address, "doctor"])
+}
+
+/// The verdict of a check, and the rest of its line.
+fn line_of<'a>(ended: &'a Ended, check: &str) -> (&'a str, &'a str) {
+    let lines = ended.stdout.lines().filter_map(|line| line.split_once(' '));
+    let mut lines = lines.map(|(verdict, rest)| (verdict, rest.trim_start()));
+    let found = lines.find(|(_, rest)| rest.starts_with(check));
+    let (verdict, rest) = found.unwrap_or_else(|| panic!("no line of `{check}`: {ended:?}"));
+    (verdict, rest[check.len()..].trim_start())
+}
+
+#[track_caller]
+fn assert_check(ended: &Ended, check: &str, verdict: &str, text: &str) {
+    let line = line_of(ended, check);
+    assert!(line.0 == verdict && line.1.contains(text), "{check}: {line:?}, {ended:?}");
+}
+
+#[test]
+fn healthy_gripper_passes_every_check_over_each_protocol_and_stays_as_it_is() {
+    let mut bench = homed(quick());
+    let before = bench.flags();
+    for address in [bench.tcp(), bench.gcl(), bench.serial(), bench.slcan(), bench.gcl_udp()] {
+        let ended = doctor(&address);
+        assert_eq!(ended.status, 0, "{address}: {ended:?}");
+        // A busy machine may be slow.
+        let of_load = |line: &&str| line.contains("round trip ") || line.contains("update rate ");
+        let (timed, others): (Vec<_>, Vec<_>) = ended.stdout.lines().partition(of_load);
+        assert_eq!(timed.len(), 2, "{ended:?}");
+        assert_eq!(others.iter().filter(|line| line.starts_with("ok ")).count(), 10, "{ended:?}");
+        assert!(ended.stdout.ends_with("the gripper is usable\n"), "{ended:?}");
+        assert_eq!(bench.flags() - SystemFlags::CMD_FAILURE, before, "{address}");
+    }
+}
+
+#[test]
+fn json_is_one_object_with_every_check_and_the_figures() {
+    let bench = homed(quick());
+    let ended = Program::run(&[&bench.tcp(), "doctor", "--json"]);
+    assert_eq!((ended.status, ended.stdout.lines().count()), (0, 1), "{ended:?}");
+    let report: Value = serde_json::from_str(&ended.stdout).unwrap();
+    assert_eq!((&report["command"], &report["result"]), (&"doctor".into(), &"done".into()));
+    let checks = report["checks"].as_array().unwrap();
+    assert_eq!(checks.len(), 12);
+    let of = |name: &str| checks.iter().find(|check| check["check"] == name).unwrap();
+    assert_eq!((&of("protocol")["verdict"], &of("protocol")["remedy"]), (&"ok".into(), &Value::Null));
+    let (median, p99) = (of("round trip")["median_ms"].as_f64(), of("round trip")["p99_ms"].as_f64());
+    assert!(median > Some(0.0) && p99 >= median, "{ended:?}");
+    assert!(of("update rate")["updates_per_s"].as_f64() > Some(0.0), "{ended:?}");
+}
+
+#[test]
+fn closed_port_is_named_on_a_host_that_answers() {
+    let ended = doctor("tcp://127.0.0.1:1");
+    assert_eq!(ended.status, 6, "{ended:?}");
+    assert_check(&ended, "reachability", "ok", "the host answers");
+    assert_check(&ended, "port", "failed", "Settings -> Command Interface");
+    assert_check(&ended, "update rate", "skipped", "");
+}
+
+#[test]
+fn missing_device_and_unknown_host_are_unreachable() {
+    for address in ["serial:/dev/no-such-port", "tcp://no-such-host.invalid"] {
+        let ended = doctor(address);
+        assert_eq!(ended.status, 6, "{ended:?}");
+        assert_check(&ended, "reachability", "failed", "check power, cable and address");
+    }
+}
+
+#[test]
+fn wrong_protocol_is_recognized_and_the_connection_ends_without_a_fast_stop() {
+    let mut bench = homed(quick());
+    for (address, found) in [
+        (bench.gcl().replace("gcl:", "tcp:"), "the text protocol (GCL), which is not"),
+        (bench.tcp().replace("tcp:", "gcl:"), "the binary protocol, which is not"),
+    ] {
+        let ended = doctor(&address);
+        assert_eq!(ended.status, 6, "{ended:?}");
+        assert_check(&ended, "protocol", "failed", found);
+        assert!(line_of(&ended, "update rate").1.contains("updates/s"), "{ended:?}");
+        assert!(!bench.flags().contains(SystemFlags::FAST_STOP), "{address}");
+    }
+}
+
+#[test]
+fn checksum_setting_is_found_either_way() {
+    for (config, verdict, text) in [
+        (referenced(), "ok", "evaluated"),
+        (Config { answer_bad_checksum: true, ..referenced() }, "ok", "evaluated"),
+        (Config { check_checksum: false, ..referenced() }, "warning", "not evaluated"),
+    ] {
+        let bench = homed(config);
+        let ended = doctor(&bench.tcp());
+        assert_eq!(ended.status, 0, "{ended:?}");
+        assert_check(&ended, "checksum", verdict, text);
+    }
+}
+
+#[test]
+fn gripper_that_is_not_referenced_is_usable_with_a_warning_and_is_not_homed() {
+    let mut bench = Bench::new(quick());
+    let ended = doctor(&bench.tcp());
+    assert_eq!(ended.status, 0, "{ended:?}");
+    assert_check(&ended, "referenced", "warning", "run `home`");
+    let flags = bench.flags();
+    assert!(!flags.intersects(SystemFlags::REFERENCED | SystemFlags::MOVING), "{flags}");
+}
+
+#[test]
+fn latched_fast_stop_is_reported_and_not_acknowledged() {
+    let mut bench = homed(quick());
+    assert_eq!(Program::run(&[&bench.serial(), "fast-stop"]).status, 0);
+    for address in [bench.tcp(), bench.gcl()] {
+        let ended = doctor(&address);
+        assert_eq!(ended.status, 4, "{ended:?}");
+        assert_check(&ended, "FAST STOP", "failed", "run `ack`");
+        assert!(ended.stdout.ends_with("refuses motions\n"), "{ended:?}");
+        assert!(bench.flags().contains(SystemFlags::FAST_STOP), "{address}");
+    }
+}
+
+/// A port whose connections a test handles.
+fn listen(serve: impl FnMut(TcpStream) + Send + 'static) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    thread::spawn(move || listener.incoming().map_while(Result::ok).for_each(serve));
+    format!("127.0.0.1:{port}")
+}
+
+#[test]
+fn peer_that_never_answers_is_given_up_in_time() {
+    let mut kept = Vec::new();
+    let place = listen(move |stream| kept.push(stream));
+    for scheme in ["tcp", "gcl"] {
+        let begin = Instant::now();
+        let ended = doctor(&format!("{scheme}://{place}"));
+        assert!(begin.elapsed() < LIMIT, "{:?}", begin.elapsed());
+        assert_eq!(ended.status, 6, "{ended:?}");
+        assert_check(&ended, "protocol", "failed", "no answer");
+        assert_check(&ended, "other clients", "failed", "close other programs");
+    }
+}
+
+#[test]
+fn peer_that_closes_at_once_is_reported_as_busy() {
+    let place = listen(drop);
+    let ended = doctor(&format!("tcp://{place}"));
+    assert_eq!(ended.status, 6, "{ended:?}");
+    assert_check(&ended, "protocol", "failed", "closed the connection");
+    assert_check(&ended, "other clients", "failed", "close other programs");
+}
+
+#[test]
+fn motion_of_another_client_is_reported_and_goes_on() {
+    let mut bench = homed(Config { time_scale: 1.0, ..quick() });
+    let mut mover = Program::start(&[&bench.gcl()]);
+    mover.say("move 60 30\nwidth\n");
+    bench.until_moving();
+    let ended = doctor(&bench.tcp());
+    assert_eq!(ended.status, 0, "{ended:?}");
+    assert_check(&ended, "other clients", "warning", "the fingers move");
+    assert_eq!((mover.line(), mover.line()), ("done\n".to_owned(), "width 60.00 mm\n".to_owned()));
+}
