@@ -72,29 +72,41 @@ fn check(
         Ok(line) => line,
         Err(error) => return no_line(address, &error, report),
     };
-    let is_tcp = matches!(address, Address::Tcp(_) | Address::Gcl(_));
-    report.ok(Check::Reachability, &format!("{address} opened"))?;
-    report.ok(
-        Check::Port,
-        if is_tcp { "accepts a connection" } else { "no connection on this kind of line" },
-    )?;
-
-    let speech = match probe::speech(&mut line, address) {
-        Ok(Peer::Answers(speech)) => speech,
-        Ok(Peer::IsSilent) => {
-            probe::leave(&mut line);
+    let is_datagram = matches!(address, Address::Udp { .. } | Address::GclUdp(_));
+    if !is_datagram {
+        report.ok(Check::Reachability, &format!("{address} opened"))?;
+        let is_tcp = matches!(address, Address::Tcp(_) | Address::Gcl(_));
+        report.ok(Check::Port, if is_tcp { "accepts a connection" } else { "the line has none" })?;
+    }
+    let peer = probe::speech(&mut line, address);
+    let peer = peer.inspect_err(|_| probe::leave(&mut line))?;
+    if !matches!(peer, Peer::Answers(_)) {
+        probe::leave(&mut line);
+    }
+    if is_datagram {
+        match peer {
+            Peer::Answers(_) => {
+                report.ok(Check::Reachability, "the host answers")?;
+                report.ok(Check::Port, "receives datagrams")?;
+            }
+            Peer::HasClosed => {
+                report.ok(Check::Reachability, "the host answers")?;
+                return report.fail(Check::Port, &format!("{address}: no program receives datagrams"));
+            }
+            Peer::IsSilent => return report.fail(Check::Reachability, &format!("{address}: no answer")),
+        }
+    }
+    let speech = match peer {
+        Peer::Answers(speech) => speech,
+        Peer::IsSilent => {
             report.fail(Check::Protocol, "no answer to queries of the binary protocol or GCL")?;
             report.skip(Check::Checksum)?;
             return report.fail(Check::OtherClients, "the line is open and nothing answers: it may be taken");
         }
-        Ok(Peer::HasClosed) => {
+        Peer::HasClosed => {
             report.fail(Check::Protocol, "the peer closed the connection before it answered")?;
             report.skip(Check::Checksum)?;
             return report.fail(Check::OtherClients, "a peer that closes at once is busy, or no gripper");
-        }
-        Err(trouble) => {
-            probe::leave(&mut line);
-            return Err(trouble);
         }
     };
     if (speech == Speech::Gcl) == address.is_gcl() {

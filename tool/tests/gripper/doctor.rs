@@ -1,6 +1,7 @@
 //! `doctor`: each fault of a connection is found and named, within a limited time, and the gripper stays as it was.
 
-use std::net::{TcpListener, TcpStream};
+use std::io::Write;
+use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -166,6 +167,26 @@ fn peer_that_never_answers_is_given_up_in_time() {
         assert_check(&ended, "protocol", "failed", "no answer");
         assert_check(&ended, "other clients", "failed", "close other programs");
     }
+}
+
+#[test]
+fn peer_that_sends_without_end_is_given_up_in_time() {
+    let place = listen(|mut stream| while stream.write_all(&[b'x'; 4096]).is_ok() {});
+    let begin = Instant::now();
+    let ended = doctor(&format!("tcp://{place}"));
+    assert!(begin.elapsed() < LIMIT, "{:?}", begin.elapsed());
+    assert_eq!(ended.status, 6, "{ended:?}");
+    assert_check(&ended, "protocol", "failed", "");
+}
+
+#[test]
+fn datagrams_without_an_answer_are_not_taken_for_a_connection() {
+    // Bound, so that the host does not refuse, and never read.
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let ended = doctor(&format!("gcl+udp://{}", socket.local_addr().unwrap()));
+    assert_eq!(ended.status, 6, "{ended:?}");
+    assert_check(&ended, "reachability", "failed", "no answer");
+    assert_check(&ended, "port", "skipped", "");
 }
 
 #[test]

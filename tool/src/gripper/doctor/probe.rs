@@ -109,7 +109,7 @@ pub(super) fn checksums(line: &mut Line) -> Result<Checksums, Trouble> {
     Ok(if matches!(answer, Received::Answer(true)) { Checksums::Ignored } else { Checksums::Evaluated })
 }
 
-/// Announces the end to a peer that has not answered, in both protocols: it may be a gripper that reads this later. The
+/// Announces the end in both protocols to a peer whose protocol is not known. It may be a gripper that reads this later. The
 /// connection closes next, so an error has no consequence.
 pub(super) fn leave(line: &mut Line) {
     let mut text = [0; Request::MAX_LEN + 1];
@@ -154,7 +154,8 @@ fn receive<T>(
     let mut read = || -> Result<Received<T>, std::io::Error> {
         let mut chunk = [0; 256];
         loop {
-            while line.read_ready()? {
+            let is_ready = line.read_ready()?;
+            if is_ready {
                 let count = line.read(&mut chunk)?;
                 if count == 0 {
                     return Ok(Received::End);
@@ -163,11 +164,14 @@ fn receive<T>(
                     return Ok(Received::Answer(answer));
                 }
             }
+            // Also while the peer sends without end.
             let left = within.saturating_sub(begin.elapsed());
             if left.is_zero() {
                 return Ok(Received::Nothing);
             }
-            line.wait(left.as_millis() as u32 + 1)?;
+            if !is_ready {
+                line.wait(left.as_millis() as u32 + 1)?;
+            }
         }
     };
     read().or_else(|error| end(error).map(|()| Received::End))

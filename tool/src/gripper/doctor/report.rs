@@ -65,11 +65,11 @@ impl Check {
                  subnet"
             }
             Self::Port => {
-                "select TCP and this port under Settings -> Command Interface, or close the client that holds the connection"
+                "select this interface and port under Settings -> Command Interface, or close the client that holds the connection"
             }
             Self::Protocol => {
-                "select the protocol of the address under Settings -> Command Interface, or use the address of the protocol found: tcp:// or \
-                 udp:// for the binary protocol, gcl:// or gcl+udp:// for GCL"
+                "select interface and protocol of this address under Settings -> Command Interface, or use the address of the protocol \
+                 found: tcp:// or udp:// for the binary protocol, gcl:// or gcl+udp:// for GCL"
             }
             Self::Checksum => "enable the evaluation of checksums under Settings -> Command Interface",
             Self::OtherClients => {
