@@ -226,6 +226,18 @@ impl StopKind {
     }
 }
 
+/// What a stop handle has requested.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct StopRequest {
+    kind: StopKind,
+    /// The handle has sent it, too.
+    is_sent: bool,
+}
+
+/// The longest message of a stop: `FASTSTOP()` and a line feed.
+#[cfg(feature = "std")]
+const MAX_STOP_LEN: usize = 11;
+
 impl core::fmt::Display for StopKind {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {

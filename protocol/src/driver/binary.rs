@@ -148,7 +148,7 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
     }
 
     #[cfg(feature = "std")]
-    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::stop::MAX_STOP_LEN]) -> usize {
+    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::MAX_STOP_LEN]) -> usize {
         let command = kind.command();
         FrameEncoder::new(command.id().code(), command).write_into(buffer).unwrap_or(0)
     }

@@ -1,9 +1,9 @@
 //! What both drivers share: everything but bytes and time.
 
-use super::gate::{Gate, StopRequest};
+use super::gate::Gate;
 use super::link::Protocol;
 use super::motion::{Motion, Verdict};
-use super::{Config, DriverCounters, Error, StopKind, UPDATES_LEN, Update};
+use super::{Config, DriverCounters, Error, StopKind, StopRequest, UPDATES_LEN, Update};
 use crate::command::{Command, CommandId, Kind};
 use crate::frame::Payload;
 use crate::reply::Reply;

@@ -8,18 +8,10 @@
 //! A handle stores its request before it wakes the driver, and a driver that was woken looks for a request before it waits
 //! again, so no wake-up is lost. Without a handle, and without feature `std`, there is no mutex.
 
-use super::StopKind;
+use super::StopRequest;
 #[cfg(feature = "embedded-io-async")]
 use core::task::Context;
 use core::task::Poll;
-
-/// What a handle has requested.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct StopRequest {
-    pub(super) kind: StopKind,
-    /// The handle has sent it, too.
-    pub(super) is_sent: bool,
-}
 
 /// The driver's side of the gate.
 #[derive(Debug)]

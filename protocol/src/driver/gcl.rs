@@ -252,7 +252,7 @@ impl<const RX: usize> Link for Gcl<RX> {
     }
 
     #[cfg(feature = "std")]
-    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::stop::MAX_STOP_LEN]) -> usize {
+    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::MAX_STOP_LEN]) -> usize {
         let request = match kind {
             super::StopKind::Stop => Request::Stop,
             super::StopKind::FastStop => Request::Faststop,

@@ -97,5 +97,5 @@ pub trait Link: core::fmt::Debug {
 
     /// Writes the message that stops the fingers this way to the buffer, and says how long it is.
     #[cfg(feature = "std")]
-    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::stop::MAX_STOP_LEN]) -> usize;
+    fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::MAX_STOP_LEN]) -> usize;
 }

@@ -1,8 +1,7 @@
 //! Stop and FAST STOP from any thread, by feature `std`. [`gate`](super::gate) states what holds between handle and driver.
 
-use super::StopKind;
-use super::gate::StopRequest;
 use super::link::Protocol;
+use super::{MAX_STOP_LEN, StopKind, StopRequest};
 #[cfg(feature = "embedded-io-async")]
 use core::task::Context;
 use core::task::{Poll, Waker};
@@ -11,9 +10,6 @@ use std::boxed::Box;
 use std::io::{self, ErrorKind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Instant;
-
-/// The longest message of a stop: `FASTSTOP()` and a line feed.
-pub(super) const MAX_STOP_LEN: usize = 11;
 
 /// How long a line may keep the rest of a stop of which it has taken the beginning.
 const REST_TIMEOUT: Duration = Duration::from_millis(100);
