@@ -29,11 +29,12 @@ use wsg_protocol::driver::host::StdClock;
 
 use action::Named;
 use address::Address;
+use line::LOOK_MS;
 use line::Line;
 use lines::Script;
 use output::Output;
 use record::Recorder;
-use run::{Dialect, Gripper, LOOK_MS};
+use run::{Dialect, Gripper};
 use signals::{Caught, Signals};
 use trouble::{EXIT_STATUSES, Trouble};
 

@@ -40,6 +40,10 @@ pub(super) struct Stops {
     acknowledges: bool,
     /// The fingers move, and nobody commands them; since when.
     runaway_ms: Option<u32>,
+    /// Since when the gripper reports that the fingers move.
+    moves_since_ms: Option<u32>,
+    /// It has reported that they stand, since the Stop that is not answered.
+    has_stood: bool,
     /// The gripper was connected, or was stopped when it was met first.
     is_acquainted: bool,
     /// A FAST STOP was left by a third party; the bridge may still await a later report before it knows.
@@ -54,6 +58,8 @@ impl Stops {
             stop_ms: None,
             acknowledges: false,
             runaway_ms: None,
+            moves_since_ms: None,
+            has_stood: false,
             is_acquainted: false,
             may_be_stopped: false,
         }
@@ -76,6 +82,8 @@ impl Stops {
 
     /// What was read and asked for in this turn, before anything leaves.
     pub(super) fn begin_turn(&mut self, now_ms: u32, told: &Told, asked: &Asked) {
+        self.has_stood |= told.stands();
+        self.moves_since_ms = told.moves().then(|| self.moves_since_ms.unwrap_or(now_ms));
         let was_sent = !matches!(self.fast_stop, FastStop::Answered | FastStop::Due(_));
         if was_sent && told.is_answered(CommandId::FastStop) {
             self.fast_stop = FastStop::Answered;
@@ -117,7 +125,13 @@ impl Stops {
         let is_alone = matches!(self.fast_stop, FastStop::Answered | FastStop::Unknown);
         assert!(is_alone, "{id} before the answer to a FAST STOP");
         if id == CommandId::Stop {
-            assert!(self.stop_ms.is_none() || told.stands(), "Stop again, while the fingers move");
+            // The repetition may have waited for the line since before they began to move.
+            let is_late = self.moves_since_ms.is_some_and(|since_ms| {
+                self.has_stood && patience_ms.is_none_or(|patience_ms| now_ms - since_ms <= patience_ms)
+            });
+            let is_first = self.stop_ms.is_none();
+            assert!(is_first || is_late || told.stands(), "Stop again, while the fingers move");
+            self.has_stood &= !is_first;
             self.stop_ms = Some(now_ms);
         }
     }

@@ -12,9 +12,11 @@ use wsg_protocol::driver::host::{Tcp, Udp};
 
 use super::address::Address;
 use super::record::Recorder;
-use super::run::LOOK_MS;
 use super::signals::Signals;
 use super::slcan::Slcan;
+
+/// How long a wait for the gripper lasts before keys and signals are polled.
+pub(crate) const LOOK_MS: u32 = 20;
 
 /// Serial ports: the operating system reports received bytes, except on Windows.
 #[cfg(unix)]

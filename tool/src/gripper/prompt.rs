@@ -15,9 +15,10 @@ use wsg_protocol::session::Known;
 
 use super::action::{Action, Named};
 use super::editor::{Complete, Editor, Step};
+use super::line::LOOK_MS;
 use super::lines::{self, Line, Said, Wrong};
 use super::output::Output;
-use super::run::{self, Dialect, Gripper, LOOK_MS};
+use super::run::{self, Dialect, Gripper};
 use super::signals::Signals;
 use super::trouble::Trouble;
 

@@ -11,14 +11,11 @@ use wsg_protocol::{AutoUpdate, DeviceTag, FingerFlags, FingerType, SoftLimits, S
 
 use super::action::{Action, Bytes, Switch, on_block};
 use super::answer::{Answer, CELSIUS, Datum, MM, MM_PER_S, MM_PER_S2, NEWTON, Outcome, Unit};
-use super::line::Line;
+use super::line::{LOOK_MS, Line};
 use super::trouble::Trouble;
 
 /// A gripper on any line, by either protocol.
 pub(crate) type Gripper<P> = GripperOver<Line, StdClock, P>;
-
-/// How long the gripper is heard before keys and signals are looked at.
-pub(crate) const LOOK_MS: u32 = 20;
 
 /// The longest answer to a command of a script on the gripper.
 const MAX_ANSWER: usize = 1_024;

@@ -13,8 +13,9 @@ use ratatui::text::Line;
 use ratatui::widgets::{Axis, Block, Chart, Dataset, GraphType, Paragraph, Wrap};
 use wsg_protocol::session::Known;
 
+use super::line::LOOK_MS;
 use super::prompt::state_line;
-use super::run::{self, Dialect, Gripper, LOOK_MS};
+use super::run::{self, Dialect, Gripper};
 use super::trouble::Trouble;
 
 /// At most so often a value comes.
