@@ -14,10 +14,6 @@ use crate::bench::{Bench, Ended, Program, quick};
 /// Longer than the bounded waits together, on a busy machine.
 const LIMIT: Duration = Duration::from_secs(20);
 
-fn referenced() -> Config {
-    Config { homing_at_start: true, ..quick() }
-}
-
 /// A gripper that has homed by itself.
 fn homed(config: Config) -> Bench {
     let mut bench = Bench::new(Config { homing_at_start: true, ..config });
@@ -113,9 +109,9 @@ fn wrong_protocol_is_recognized_and_the_connection_ends_without_a_fast_stop() {
 #[test]
 fn checksum_setting_is_found_either_way() {
     for (config, verdict, text) in [
-        (referenced(), "ok", "evaluated"),
-        (Config { answer_bad_checksum: true, ..referenced() }, "ok", "evaluated"),
-        (Config { check_checksum: false, ..referenced() }, "warning", "not evaluated"),
+        (quick(), "ok", "evaluated"),
+        (Config { answer_bad_checksum: true, ..quick() }, "ok", "evaluated"),
+        (Config { check_checksum: false, ..quick() }, "warning", "not evaluated"),
     ] {
         let bench = homed(config);
         let ended = doctor(&bench.tcp());
