@@ -12,7 +12,7 @@ use super::Sources;
 const DOCUMENT: &str = "xtask/mutants-accepted.txt";
 
 /// Where mutants are made.
-const FOLDERS: [&str; 3] = ["protocol/src", "buses", "bridge-fw/src"];
+const FOLDERS: [&str; 4] = ["fieldbus/src", "protocol/src", "buses", "bridge-fw/src"];
 
 /// A survivor that is accepted.
 #[derive(Debug, PartialEq)]
