@@ -15,10 +15,10 @@ const SMALL_FRAME_LIMIT: u64 = 1_100;
 
 /// The whole protocol crate without its text protocol, MODBUS server and drivers, so that it does not grow unseen. 1 100 B of it
 /// are units and meanings in texts, which a board that shows none does not link.
-const PROTOCOL_LIMIT: u64 = 33_500;
+const PROTOCOL_LIMIT: u64 = 34_500;
 
 /// The two that are not in that, for the same reason. 1 400 B of GCL are the texts of verbose mode.
-const GCL_LIMIT: u64 = 43 * 1024;
+const GCL_LIMIT: u64 = 44 * 1024;
 const MODBUS_LIMIT: u64 = 9 * 1024;
 
 /// The payload of the probe's parser, and what the parser may take beside it.
