@@ -558,6 +558,27 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
+    #[inline(never)]
+    fn take_expired(&mut self, now: Instant, expired: [Expired; 3]) {
+        for expired in expired {
+            match expired {
+                Expired::No => {}
+                // Only a caller's request can be overtaken.
+                Expired::Overtaken => self.dropped = self.request.abandon(),
+                Expired::Repeated => count(&mut self.counters.repeated),
+                Expired::GivenUp => match self.link {
+                    Link::Up => self.link = Link::Closing { farewell: false },
+                    // Another transaction may have been given up at the same moment.
+                    Link::Closing { .. } | Link::Ended => {}
+                    Link::Down { .. } | Link::Connecting { .. } => {
+                        self.link = Link::Down { retry_at: Some(now.plus(self.timing.reconnect_ms)) };
+                        self.known = D::NOTHING;
+                    }
+                },
+            }
+        }
+    }
+
     /// Repeats or gives up what was not answered in time.
     fn expire_transactions(&mut self, now: Instant) {
         if self.doubled.is_some_and(|(_, until)| now.has_reached(until)) {
@@ -581,23 +602,9 @@ impl<D: Dialect> Engine<D> {
         if stop == Expired::Repeated {
             self.stop_report = Some(StopReport::Late);
         }
-        for expired in [stop, self.request.expire(now, attempts), self.refresh.expire(now, refresh_attempts)]
-        {
-            match expired {
-                Expired::No => {}
-                // Only a caller's request can be overtaken.
-                Expired::Overtaken => self.dropped = self.request.abandon(),
-                Expired::Repeated => count(&mut self.counters.repeated),
-                Expired::GivenUp => match self.link {
-                    Link::Up => self.link = Link::Closing { farewell: false },
-                    // Another transaction may have been given up at the same moment.
-                    Link::Closing { .. } | Link::Ended => {}
-                    Link::Down { .. } | Link::Connecting { .. } => {
-                        self.link = Link::Down { retry_at: Some(now.plus(self.timing.reconnect_ms)) };
-                        self.known = D::NOTHING;
-                    }
-                },
-            }
+        let expired = [stop, self.request.expire(now, attempts), self.refresh.expire(now, refresh_attempts)];
+        if !matches!(expired, [Expired::No, Expired::No, Expired::No]) {
+            self.take_expired(now, expired);
         }
         if !self.fast_stop.is_idle() {
             self.request.hold(now);

@@ -189,10 +189,14 @@ impl<M: Message> Transaction<M> {
     /// Processes a time-out that is due at `now`. A request that may be repeated is, up to `attempts` times in all. A line that
     /// does not take the repetitions does not extend the time that they have together.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
-        let is_due = self.expires_at(attempts).is_some_and(|at| now.has_reached(at));
-        let Some(request) = self.request.as_ref().filter(|_| is_due) else {
-            return Expired::No;
-        };
+        let is_due = self.sent > 0 && self.expires_at(attempts).is_some_and(|at| now.has_reached(at));
+        if is_due { self.take_time_out(now, attempts) } else { Expired::No }
+    }
+
+    // Apart from the question whether it is due, which is asked in each turn of a main loop.
+    #[inline(never)]
+    fn take_time_out(&mut self, now: Instant, attempts: u8) -> Expired {
+        let Some(request) = &self.request else { return Expired::No };
         let is_over = now.since(self.begun) >= self.timeout_ms.saturating_mul(attempts.into());
         let is_repeatable = request.is_repeatable();
         if is_repeatable && matches!(request, Request::Orphan(_)) {
