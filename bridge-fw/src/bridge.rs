@@ -428,9 +428,9 @@ impl Bridge {
         if self.arbiter.control_source() == ControlSource::Bus {
             self.facts.bus_timeouts = self.facts.bus_timeouts.saturating_add(silent.into());
             if silent {
-                self.facts.events.happened(EventCode::BusSilent, self.settings.reaction() as u16);
+                self.facts.events.happened(EventCode::BusSilent, self.settings.bus().reaction as u16);
             }
-            self.controller.silence(self.settings.reaction(), known);
+            self.controller.silence(self.settings.bus().reaction, known);
         }
         if let Some(image) = self.arbiter.lose_bus() {
             self.controller.set_output(&image, known);

@@ -43,10 +43,6 @@ pub enum PlcBus {
 impl PlcBus {
     /// All of them, each at the place that is its number in the setting PLC_BUS.
     pub(crate) const ALL: [Self; 4] = [Self::Off, Self::Modbus, Self::Canopen, Self::Profibus];
-
-    /// What the setting says of them.
-    pub(crate) const NUMBERS: &str =
-        "the PLC's bus, beside the wires: 0 none, 1 Modbus RTU, 2 CANopen, 3 PROFIBUS DP";
 }
 
 /// The identity of the board that a bridge runs on, as a master can read it (CANopen 1009h and 1018h, 4).

@@ -3,23 +3,24 @@
 //! The tables here are the only ones: the PLC sides serve them, `docs/registers.md` and the EDS file are made from them.
 
 mod events;
-mod record;
 mod reports;
+mod rows;
 mod settings;
 mod store_commands;
-mod table;
 
 pub use events::{EVENTS, EVENTS_KEPT, EventCode, EventText};
 pub use reports::{
-    BusCounts, CanReports, FIRST_REPORT, Link, MAP_VERSION, ProfibusReports, REPORTS, Report, ResetCause,
+    BusCounts, CanReports, FIRST_REPORT, Link, MAP_VERSION, ProfibusReports, REPORTS, ResetCause,
 };
-pub use settings::{FIRST_SETTING, FIRST_START_SETTING, Record, SETTINGS, Setting, WrongSetting};
+pub use rows::{Report, Setting};
+pub use settings::{FIRST_SETTING, FIRST_START_SETTING, Record, SETTINGS, WrongSetting};
 pub use store_commands::{
     COMMAND_KEY, COMMANDS, CommandRegister, FIRST_COMMAND, SaveState, SettingsFrom, StoreCommand,
 };
 
 pub(crate) use events::Events;
 pub(crate) use reports::ReportSource;
+pub(crate) use rows::{Rows, place_in};
 pub(crate) use settings::Settings;
 pub(crate) use store_commands::StoreReports;
 

@@ -21,8 +21,8 @@ impl ProfibusConfig {
         [Baud::K9_6, Baud::K19_2, Baud::K45_45, Baud::K93_75, Baud::K187_5, Baud::K500, Baud::M1_5];
 
     /// The rate as a setting: in 100 bit/s, what is left of it cut off; 0: searched.
-    pub(crate) const fn rate_setting(self) -> u16 {
-        match self.rate {
+    pub(crate) const fn rate_setting(rate: Option<Baud>) -> u16 {
+        match rate {
             Some(rate) => setting(rate),
             None => 0,
         }

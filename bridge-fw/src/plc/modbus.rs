@@ -72,10 +72,9 @@ impl Modbus {
     }
 
     const fn with_role(role: Role, config: &BusConfig) -> Self {
-        let server = server_config(config.unit, config.character_timeout_ms, config.broadcast);
         Self {
             role,
-            server: Server::new(server, config.timing()),
+            server: Server::new(server_config(config), config.timing()),
             images: Images::new(config.swap_bytes),
             heard_at: None,
         }
@@ -105,13 +104,9 @@ impl Modbus {
     fn update(&mut self, view: &View<'_>) {
         match self.role {
             Role::Plc => {
-                let settings = &view.settings;
-                self.server.configure(server_config(
-                    settings.unit(),
-                    settings.character_timeout_ms(),
-                    settings.broadcast(),
-                ));
-                self.images.set_swap_bytes(settings.swap_bytes());
+                let config = view.settings.bus();
+                self.server.configure(server_config(&config));
+                self.images.set_swap_bytes(config.swap_bytes);
             }
             Role::Service => self.images.set_output(view.bus_image()),
         }
@@ -159,12 +154,12 @@ impl Modbus {
 }
 
 /// The server's own configuration.
-const fn server_config(unit: u8, character_timeout_ms: u16, broadcast: bool) -> rtu::Config {
-    let mode = match character_timeout_ms {
+const fn server_config(config: &BusConfig) -> rtu::Config {
+    let mode = match config.character_timeout_ms {
         0 => Mode::Strict,
         ms => Mode::Tolerant { character_timeout_us: ms as u32 * 1_000 },
     };
-    rtu::Config { unit, mode, broadcast }
+    rtu::Config { unit: config.unit, mode, broadcast: config.broadcast }
 }
 
 /// A [`Modbus`] server and its line.

@@ -121,12 +121,13 @@ impl View<'_> {
     pub fn write_settings(
         &mut self,
         first: u16,
-        values: impl Iterator<Item = u16> + Clone,
+        values: impl Iterator<Item = u16>,
     ) -> Result<(), RegisterError> {
         // What exists and what it takes is said before that it is not the time.
-        self.settings.check(first, values.clone())?;
+        let changed = self.settings.with(first, values)?;
         self.may_change_settings()?;
-        self.settings.write(first, values)
+        self.settings.take(&changed);
+        Ok(())
     }
 
     /// Takes the stored settings, or has others stored at the end of this turn. Return

@@ -1,8 +1,8 @@
 //! Counters and versions as input registers.
 
 use super::events::{EVENT_LEN, EVENTS_KEPT, Events};
-use super::table::joined;
-use super::{RegisterError, StoreReports};
+use super::rows::{Rows, assembled, count, report_rows};
+use super::{RegisterError, Report, StoreReports};
 use crate::arbiter::ControlSource;
 use crate::config::BusConfig;
 use wsg_protocol::frame;
@@ -14,214 +14,127 @@ pub const FIRST_REPORT: u16 = 100;
 /// The version of the register map: the last register or meaning that was added or changed.
 pub const MAP_VERSION: u16 = 7;
 
-/// An input register that reports on the bridge.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Report {
-    /// Its name.
-    pub name: &'static str,
-    /// What it says.
-    pub meaning: &'static str,
-    subject: Subject,
+report_rows! { ReportSource<'_> as it:
+    100 "MAP_VERSION" "version of this register map" MAP_VERSION;
+    101 "BRIDGE_VERSION" "high byte: major, low byte: minor version of the firmware"
+        const {
+            let [major, minor] = [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR")];
+            u16::from_be_bytes([number(major), number(minor)])
+        };
+    102 "BRIDGE_PATCH" "patch level of the firmware"
+        const { number(env!("CARGO_PKG_VERSION_PATCH")) }.into();
+    103 "GRIPPER_TYPE" "the gripper's type (command set, 3.5.1); 0: unknown"
+        it.session.known().info.map_or(0, |info| info.device.code().into());
+    104 "GRIPPER_FIRMWARE" "its version, four digits (command set, 3.5.1); 0: unknown"
+        it.session.known().info.map_or(0, |info| info.firmware.bits());
+    105 "SERIAL_HIGH" "its serial number, bits 31 to 16" (it.serial_number() >> 16) as u16;
+    106 "SERIAL_LOW" "its serial number, bits 15 to 0" it.serial_number() as u16;
+    107 "GRIPPER_LINK" "0: has never answered, 1: is silent, 2: answers" it.link as u16;
+    108 "COMMANDER" "who gave the last motion command: 0 nobody, 1 the wires, 2 the bus"
+        it.control_source as u16;
+    111 "LINE_DROPPED" "bytes of the gripper that belonged to no intact frame" it.line.dropped;
+    112 "LINE_CHECKSUM" "frames of the gripper with a wrong checksum" it.line.bad_checksum;
+    113 "LINE_OVERSIZE" "frames of the gripper that were too long" it.line.oversize;
+    114 "UNASKED" "replies of the gripper that nobody asked for, or late ones"
+        it.session.counters().unsolicited;
+    115 "REFUSED" "replies of the gripper that the manual forbids" it.session.counters().refused;
+    116 "REPEATED" "requests to the gripper that were sent again" it.session.counters().repeated;
+    117 "DISCONNECTS" "how often the gripper fell silent" it.session.counters().disconnects;
+    125 "BUS_TIMEOUTS" "how often the PLC that commanded was silent for too long" it.timeouts;
+    132 "RESET_CAUSE" "why the bridge started: 0 unknown, 1 power-on or brown-out, 2 reset pin, 3 watchdog, 4 fault or panic of the firmware"
+        it.reset_cause as u16;
+    133 "ERROR_CAUSE" "why ERROR is high: the code of an event; 0: it is low" it.error_cause.into();
+    134 "EVENTS" "how many events there were" it.events.count();
+    135 "FAST_STOP_CAUSE" "why the last FAST STOP was: the code of an event; 0: there was none"
+        it.events.fast_stop_register(0);
+    136 "FAST_STOP_COMMAND" "the command that it ended, by its id; 0: none"
+        it.events.fast_stop_register(1);
+    137 "FAST_STOP_VALUE" "its value, see the table of events" it.events.fast_stop_register(2);
+    138 "FAST_STOP_AGE" "how long ago it was asked for, in s" it.events.fast_stop_register(3);
+    203 "SETTINGS_FROM" "where the settings are from: 0 the image, 1 stored, 2 stored by older firmware; refused, and the image's instead: 3 newer firmware's, 4 a wrong value, 5 damaged; 6 no flash"
+        it.store.from as u16;
+    204 "SAVE_STATE" "the last SAVE or DEFAULTS: 0 none since the start, 1 runs, 2 stored, 3 failed: what was stored before still is"
+        it.store.save as u16;
+    205 "SETTINGS_CHANGED" "1: a setting was changed and not stored" it.settings_are_changed.into();
+    210 "COMMANDS_REFUSED" "commands of the PLC that the bridge refused, from wires and bus (events 30 to 34 and 39)"
+        it.events.refusals();
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Subject {
-    MapVersion,
-    BridgeVersion,
-    BridgePatch,
-    GripperType,
-    GripperFirmware,
-    SerialNumberHigh,
-    SerialNumberLow,
-    GripperLink,
-    Commander,
-    Rate,
-    Format,
-    LineDropped,
-    LineChecksum,
-    LineOversize,
-    Unsolicited,
-    Refused,
-    Repeated,
-    Disconnects,
-    BusMessages,
-    BusErrors,
-    BusExceptions,
-    ServerMessages,
-    NoResponses,
-    Busy,
-    Overruns,
-    BusTimeouts,
-    CanState,
-    CanTransmitErrors,
-    CanReceiveErrors,
-    CanBusOffs,
-    CanOverruns,
-    CanDropped,
-    ResetCause,
-    ErrorCause,
-    EventCount,
-    /// A field of the last FAST STOP.
-    FastStop(u8),
-    /// A field of one of the last events.
-    Event(u8, u8),
-    SettingsFrom,
-    SaveState,
-    SettingsChanged,
-    /// One of [`ProfibusReports`].
-    Profibus(u8),
-    CommandsRefused,
+report_rows! { BusConfig as it:
+    109 "BUS_RATE" "rate of this bus in 100 bit/s"
+        u16::try_from(it.baud / 100).unwrap_or(u16::MAX);
+    110 "BUS_FORMAT" "format of this bus: 0 8E1, 1 8N1, 2 8N2" it.format as u16;
 }
 
-/// The names and meanings of the last events' registers, by their numbers.
-macro_rules! event_reports {
+report_rows! { BusCounts as it:
+    118 "BUS_MESSAGES" "intact frames on the bus (FC 8, 0Bh)" it.messages;
+    119 "BUS_ERRORS" "broken ones (FC 8, 0Ch)" it.errors;
+    120 "BUS_EXCEPTIONS" "exceptions (FC 8, 0Dh)" it.exceptions;
+    121 "SERVER_MESSAGES" "frames for this unit, and broadcasts (FC 8, 0Eh)" it.own_messages;
+    122 "NO_RESPONSES" "those of them without a response (FC 8, 0Fh)" it.no_responses;
+    123 "SERVER_BUSY" "exceptions 06 (FC 8, 11h)" it.busy;
+    124 "BUS_OVERRUNS" "frames with a damaged or lost character (FC 8, 12h)" it.overruns;
+}
+
+report_rows! { CanReports as it:
+    126 "CAN_STATE" "CAN: 0 on the bus, 1 bus-off, 2 recovering, 3 given up; plus 128: error passive. Without CAN all of these are 0"
+        it.0[0];
+    127 "CAN_TEC" "CAN: transmit error counter" it.0[1];
+    128 "CAN_REC" "CAN: receive error counter" it.0[2];
+    129 "CAN_BUS_OFFS" "CAN: how often the controller went bus-off" it.0[3];
+    130 "CAN_OVERRUNS" "CAN: frames for which the controller had no room" it.0[4];
+    131 "CAN_DROPPED" "CAN: frames of the gripper that belonged to no intact message" it.0[5];
+}
+
+report_rows! { ProfibusReports as it:
+    206 "PROFIBUS_STATE" "PROFIBUS: 0 it is not the PLC's bus, 1 no telegram is heard, 2 a master has to send parameters, 3 its configuration, 4 data exchange"
+        it.0[0];
+    207 "PROFIBUS_LINE" "PROFIBUS: the line's rate in 100 bit/s; with state 1 one that is tried"
+        it.0[1];
+    208 "PROFIBUS_TELEGRAMS" "PROFIBUS: intact telegrams, for whatever station" it.0[2];
+    209 "PROFIBUS_DAMAGED" "PROFIBUS: what was no telegram, such as noise or one with a wrong check sum"
+        it.0[3];
+}
+
+/// The register of the last event's code.
+const FIRST_EVENT: u16 = 139;
+
+/// The rows of the last events, by their numbers.
+macro_rules! event_rows {
     ($first:literal $($number:literal)*) => {[
-        event_reports!(@ $first
+        event_rows!(@ $first
             "the last event: its code; 0: none. `EVENT2_CODE` to `EVENT16_AGE` behind these four are those before it"
             "the command concerned, by its id (command set, chapter 3); 0: none"
             "its value, see the table of events"
             "how long ago it was, in s"),
-        $(event_reports!(@ $number "" "" "" "")),*
+        $(event_rows!(@ $number "" "" "" "")),*
     ]};
     (@ $number:literal $code:literal $command:literal $value:literal $age:literal) => {[
-        report(concat!("EVENT", $number, "_CODE"), Subject::Event($number - 1, 0), $code),
-        report(concat!("EVENT", $number, "_COMMAND"), Subject::Event($number - 1, 1), $command),
-        report(concat!("EVENT", $number, "_VALUE"), Subject::Event($number - 1, 2), $value),
-        report(concat!("EVENT", $number, "_AGE"), Subject::Event($number - 1, 3), $age),
+        event_row($number, 0, concat!("EVENT", $number, "_CODE"), $code),
+        event_row($number, 1, concat!("EVENT", $number, "_COMMAND"), $command),
+        event_row($number, 2, concat!("EVENT", $number, "_VALUE"), $value),
+        event_row($number, 3, concat!("EVENT", $number, "_AGE"), $age),
     ]};
 }
 
-const EVENT_REPORTS: [[Report; EVENT_LEN]; EVENTS_KEPT] =
-    event_reports!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16);
-
-const fn report(name: &'static str, subject: Subject, meaning: &'static str) -> Report {
-    Report { name, meaning, subject }
+const fn event_row(number: u16, field: u16, name: &'static str, meaning: &'static str) -> (u16, Report) {
+    (FIRST_EVENT + (number - 1) * EVENT_LEN as u16 + field, Report { name, meaning })
 }
 
+const EVENT_ROWS: [[(u16, Report); EVENT_LEN]; EVENTS_KEPT] =
+    event_rows!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16);
+
+const PARTS: [Rows<Report>; 6] = [
+    ReportSource::REPORTS,
+    EVENT_ROWS.as_flattened(),
+    BusConfig::REPORTS,
+    BusCounts::REPORTS,
+    CanReports::REPORTS,
+    ProfibusReports::REPORTS,
+];
+
 /// The reports, from [`FIRST_REPORT`] on. Counters stop at 65 535.
-pub const REPORTS: [Report; BEFORE_EVENTS.len() + EVENTS_KEPT * EVENT_LEN + BEHIND_EVENTS.len()] =
-    joined(BEFORE_EVENTS, EVENT_REPORTS, BEHIND_EVENTS);
-
-/// What stands behind the events.
-const BEHIND_EVENTS: [Report; 8] = [
-    report(
-        "SETTINGS_FROM",
-        Subject::SettingsFrom,
-        "where the settings are from: 0 the image, 1 stored, 2 stored by older firmware; refused, and the image's instead: 3 newer firmware's, 4 a wrong value, 5 damaged; 6 no flash",
-    ),
-    report(
-        "SAVE_STATE",
-        Subject::SaveState,
-        "the last SAVE or DEFAULTS: 0 none since the start, 1 runs, 2 stored, 3 failed: what was stored before still is",
-    ),
-    report("SETTINGS_CHANGED", Subject::SettingsChanged, "1: a setting was changed and not stored"),
-    report(
-        "PROFIBUS_STATE",
-        Subject::Profibus(0),
-        "PROFIBUS: 0 it is not the PLC's bus, 1 no telegram is heard, 2 a master has to send parameters, 3 its configuration, 4 data exchange",
-    ),
-    report(
-        "PROFIBUS_LINE",
-        Subject::Profibus(1),
-        "PROFIBUS: the line's rate in 100 bit/s; with state 1 one that is tried",
-    ),
-    report("PROFIBUS_TELEGRAMS", Subject::Profibus(2), "PROFIBUS: intact telegrams, for whatever station"),
-    report(
-        "PROFIBUS_DAMAGED",
-        Subject::Profibus(3),
-        "PROFIBUS: what was no telegram, such as noise or one with a wrong check sum",
-    ),
-    report(
-        "COMMANDS_REFUSED",
-        Subject::CommandsRefused,
-        "commands of the PLC that the bridge refused, from wires and bus (events 30 to 34 and 39)",
-    ),
-];
-
-/// What stands before them.
-const BEFORE_EVENTS: [Report; 39] = [
-    report("MAP_VERSION", Subject::MapVersion, "version of this register map"),
-    report(
-        "BRIDGE_VERSION",
-        Subject::BridgeVersion,
-        "high byte: major, low byte: minor version of the firmware",
-    ),
-    report("BRIDGE_PATCH", Subject::BridgePatch, "patch level of the firmware"),
-    report("GRIPPER_TYPE", Subject::GripperType, "the gripper's type (command set, 3.5.1); 0: unknown"),
-    report(
-        "GRIPPER_FIRMWARE",
-        Subject::GripperFirmware,
-        "its version, four digits (command set, 3.5.1); 0: unknown",
-    ),
-    report("SERIAL_HIGH", Subject::SerialNumberHigh, "its serial number, bits 31 to 16"),
-    report("SERIAL_LOW", Subject::SerialNumberLow, "its serial number, bits 15 to 0"),
-    report("GRIPPER_LINK", Subject::GripperLink, "0: has never answered, 1: is silent, 2: answers"),
-    report(
-        "COMMANDER",
-        Subject::Commander,
-        "who gave the last motion command: 0 nobody, 1 the wires, 2 the bus",
-    ),
-    report("BUS_RATE", Subject::Rate, "rate of this bus in 100 bit/s"),
-    report("BUS_FORMAT", Subject::Format, "format of this bus: 0 8E1, 1 8N1, 2 8N2"),
-    report("LINE_DROPPED", Subject::LineDropped, "bytes of the gripper that belonged to no intact frame"),
-    report("LINE_CHECKSUM", Subject::LineChecksum, "frames of the gripper with a wrong checksum"),
-    report("LINE_OVERSIZE", Subject::LineOversize, "frames of the gripper that were too long"),
-    report("UNASKED", Subject::Unsolicited, "replies of the gripper that nobody asked for, or late ones"),
-    report("REFUSED", Subject::Refused, "replies of the gripper that the manual forbids"),
-    report("REPEATED", Subject::Repeated, "requests to the gripper that were sent again"),
-    report("DISCONNECTS", Subject::Disconnects, "how often the gripper fell silent"),
-    report("BUS_MESSAGES", Subject::BusMessages, "intact frames on the bus (FC 8, 0Bh)"),
-    report("BUS_ERRORS", Subject::BusErrors, "broken ones (FC 8, 0Ch)"),
-    report("BUS_EXCEPTIONS", Subject::BusExceptions, "exceptions (FC 8, 0Dh)"),
-    report("SERVER_MESSAGES", Subject::ServerMessages, "frames for this unit, and broadcasts (FC 8, 0Eh)"),
-    report("NO_RESPONSES", Subject::NoResponses, "those of them without a response (FC 8, 0Fh)"),
-    report("SERVER_BUSY", Subject::Busy, "exceptions 06 (FC 8, 11h)"),
-    report("BUS_OVERRUNS", Subject::Overruns, "frames with a damaged or lost character (FC 8, 12h)"),
-    report("BUS_TIMEOUTS", Subject::BusTimeouts, "how often the PLC that commanded was silent for too long"),
-    report(
-        "CAN_STATE",
-        Subject::CanState,
-        "CAN: 0 on the bus, 1 bus-off, 2 recovering, 3 given up; plus 128: error passive. Without CAN all of these are 0",
-    ),
-    report("CAN_TEC", Subject::CanTransmitErrors, "CAN: transmit error counter"),
-    report("CAN_REC", Subject::CanReceiveErrors, "CAN: receive error counter"),
-    report("CAN_BUS_OFFS", Subject::CanBusOffs, "CAN: how often the controller went bus-off"),
-    report("CAN_OVERRUNS", Subject::CanOverruns, "CAN: frames for which the controller had no room"),
-    report(
-        "CAN_DROPPED",
-        Subject::CanDropped,
-        "CAN: frames of the gripper that belonged to no intact message",
-    ),
-    report(
-        "RESET_CAUSE",
-        Subject::ResetCause,
-        "why the bridge started: 0 unknown, 1 power-on or brown-out, 2 reset pin, 3 watchdog, 4 fault or panic of the firmware",
-    ),
-    report("ERROR_CAUSE", Subject::ErrorCause, "why ERROR is high: the code of an event; 0: it is low"),
-    report("EVENTS", Subject::EventCount, "how many events there were"),
-    report(
-        "FAST_STOP_CAUSE",
-        Subject::FastStop(0),
-        "why the last FAST STOP was: the code of an event; 0: there was none",
-    ),
-    report("FAST_STOP_COMMAND", Subject::FastStop(1), "the command that it ended, by its id; 0: none"),
-    report("FAST_STOP_VALUE", Subject::FastStop(2), "its value, see the table of events"),
-    report("FAST_STOP_AGE", Subject::FastStop(3), "how long ago it was asked for, in s"),
-];
-
-/// The subjects alone, so that the words of the table stay out of the image.
-const SUBJECTS: [Subject; REPORTS.len()] = {
-    let mut subjects = [Subject::MapVersion; REPORTS.len()];
-    let mut at = 0;
-    while at < REPORTS.len() {
-        #[expect(clippy::indexing_slicing, reason = "the loop ends at the table's length, at compile time")]
-        {
-            subjects[at] = REPORTS[at].subject;
-        }
-        at += 1;
-    }
-    subjects
-};
+pub const REPORTS: [Report; count(&PARTS)] = assembled(FIRST_REPORT, &PARTS);
 
 /// Whether the gripper answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -320,59 +233,24 @@ impl ProfibusReports {
 impl ReportSource<'_> {
     /// The register at this address, counted from [`FIRST_REPORT`].
     pub(crate) fn register(&self, index: u16) -> Result<u16, RegisterError> {
-        let subject = *SUBJECTS.get(usize::from(index)).ok_or(RegisterError::Missing)?;
-        let gripper = self.session.known().info;
-        let serial_number = gripper.map_or(0, |info| info.serial_number);
-        let (line, session) = (self.line, self.session.counters());
-        Ok(match subject {
-            Subject::MapVersion => MAP_VERSION,
-            Subject::BridgeVersion => {
-                const {
-                    let [major, minor] = [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR")];
-                    u16::from_be_bytes([number(major), number(minor)])
-                }
-            }
-            Subject::BridgePatch => const { number(env!("CARGO_PKG_VERSION_PATCH")) }.into(),
-            Subject::GripperType => gripper.map_or(0, |info| info.device.code().into()),
-            Subject::GripperFirmware => gripper.map_or(0, |info| info.firmware.bits()),
-            Subject::SerialNumberHigh => (serial_number >> 16) as u16,
-            Subject::SerialNumberLow => serial_number as u16,
-            Subject::GripperLink => self.link as u16,
-            Subject::Commander => self.control_source as u16,
-            Subject::Rate => u16::try_from(self.config.baud / 100).unwrap_or(u16::MAX),
-            Subject::Format => self.config.format as u16,
-            Subject::LineDropped => line.dropped,
-            Subject::LineChecksum => line.bad_checksum,
-            Subject::LineOversize => line.oversize,
-            Subject::Unsolicited => session.unsolicited,
-            Subject::Refused => session.refused,
-            Subject::Repeated => session.repeated,
-            Subject::Disconnects => session.disconnects,
-            Subject::BusMessages => self.bus.messages,
-            Subject::BusErrors => self.bus.errors,
-            Subject::BusExceptions => self.bus.exceptions,
-            Subject::ServerMessages => self.bus.own_messages,
-            Subject::NoResponses => self.bus.no_responses,
-            Subject::Busy => self.bus.busy,
-            Subject::Overruns => self.bus.overruns,
-            Subject::BusTimeouts => self.timeouts,
-            Subject::CanState => self.can.0[0],
-            Subject::CanTransmitErrors => self.can.0[1],
-            Subject::CanReceiveErrors => self.can.0[2],
-            Subject::CanBusOffs => self.can.0[3],
-            Subject::CanOverruns => self.can.0[4],
-            Subject::CanDropped => self.can.0[5],
-            Subject::ResetCause => self.reset_cause as u16,
-            Subject::ErrorCause => self.error_cause.into(),
-            Subject::CommandsRefused => self.events.refusals(),
-            Subject::EventCount => self.events.count(),
-            Subject::FastStop(field) => self.events.fast_stop_register(field),
-            Subject::Event(number, field) => self.events.register(number, field),
-            Subject::SettingsFrom => self.store.from as u16,
-            Subject::SaveState => self.store.save as u16,
-            Subject::SettingsChanged => self.settings_are_changed.into(),
-            Subject::Profibus(at) => self.profibus.0.get(usize::from(at)).copied().unwrap_or_default(),
-        })
+        let register = FIRST_REPORT.checked_add(index).ok_or(RegisterError::Missing)?;
+        self.report(register)
+            .or_else(|| self.event(register))
+            .or_else(|| self.config.report(register))
+            .or_else(|| self.bus.report(register))
+            .or_else(|| self.can.report(register))
+            .or_else(|| self.profibus.report(register))
+            .ok_or(RegisterError::Missing)
+    }
+
+    fn event(&self, register: u16) -> Option<u16> {
+        let place = u8::try_from(register.checked_sub(FIRST_EVENT)?).ok()?;
+        let (number, field) = (place / EVENT_LEN as u8, place % EVENT_LEN as u8);
+        (usize::from(number) < EVENTS_KEPT).then(|| self.events.register(number, field))
+    }
+
+    fn serial_number(&self) -> u32 {
+        self.session.known().info.map_or(0, |info| info.serial_number)
     }
 }
 

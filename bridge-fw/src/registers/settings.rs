@@ -1,89 +1,101 @@
 //! The settings of a bridge as holding registers: one table, for the PLC's bus, for flash and for `--set`.
 
-use super::table::joined;
-use super::{RegisterError, StoreCommand};
+use super::rows::{Rows, assembled, count, setting_rows};
+use super::{RegisterError, Setting, StoreCommand};
 use crate::config::{
-    CanConfig, Config, NodeConfig, PlcBus, ProfibusConfig, RECIPE_COUNT, Recipe, collides_with_canopen,
+    BusConfig, CanConfig, Config, Format, GripperLine, PlcBus, ProfibusConfig, RECIPE_COUNT, Recipe,
+    collides_with_canopen,
 };
 use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::can::Identifiers;
 
-/// A holding register that holds a setting.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Setting {
-    /// Its name.
-    pub name: &'static str,
-    /// Its unit; empty for a number without one.
-    pub unit: &'static str,
-    /// The least value it takes.
-    pub least: u16,
-    /// The greatest value it takes.
-    pub most: u16,
-    /// What it is for.
-    pub meaning: &'static str,
-}
-
 /// The address of the first of [`SETTINGS`].
 pub const FIRST_SETTING: u16 = 100;
 
-/// Where each setting stands among [`SETTINGS`].
-#[derive(Clone, Copy)]
-pub(super) enum Place {
-    Unit,
-    Timeout,
-    Reaction,
-    Patience,
-    Broadcast,
-    SwapBytes,
-    Debounce,
-    MinBusy,
-    HalfFrame,
-    /// The first of the registers of the recipes, [`RECIPE_LEN`] for each.
-    Recipes,
-    BusRecipe = Self::Recipes as isize + (RECIPE_COUNT * RECIPE_LEN) as isize,
-    PlcBus,
-    GripperLine,
-    ModbusRate,
-    ModbusFormat,
-    CanRate,
-    CanId,
-    CanNode,
-    CanMaster,
-    ProfibusAddress,
-    ProfibusRate,
+setting_rows! { Config:
+    106 "DEBOUNCE" "ms" (0, 1_000) "how long a wire must keep its level; a low FAST_STOP_OK counts at once, whatever is set here"
+        debounce_ms: |it| saturate(it), |value| Some(value.into());
+    107 "MIN_BUSY" "ms" (0, 10_000) "how long the wire BUSY is high at the least; for the refusal of a command, at least 50 ms"
+        min_busy_ms: |it| saturate(it), |value| Some(value.into());
+    108 "HALF_FRAME" "ms" (1, 1_000) "after how long without a byte half a frame of the gripper is given up"
+        half_frame_ms: |it| saturate(it), |value| Some(value.into());
+    173 "BUS_RECIPE" "" (0, RECIPE_COUNT as u16)
+        "0 to 15: commands of the bus take this recipe's values; 16: WIDTH, SPEED and FORCELIMIT that it writes"
+        bus_recipe: |it| match it { Some(number) => number as u16, None => u16::MAX },
+        |value| Some(u8::try_from(value).ok().filter(|it| usize::from(*it) < RECIPE_COUNT));
+    174 "PLC_BUS" "" (0, PlcBus::ALL.len() as u16 - 1)
+        "the PLC's bus, beside the wires: 0 none, 1 Modbus RTU, 2 CANopen, 3 PROFIBUS DP"
+        plc_bus: |it| it as u16, |value| PlcBus::ALL.get(usize::from(value)).copied();
+    175 "GRIPPER_LINE" "" (0, 1) "the gripper's line: 0 RS-232, 1 CAN"
+        gripper_line: |it| it as u16,
+        |value| Some(if value == 0 { GripperLine::Serial } else { GripperLine::Can });
 }
 
-const COUNT: usize = Place::ProfibusRate as usize + 1;
+setting_rows! { BusConfig:
+    100 "UNIT" "" (1, 247) "the bridge's address on the bus, from the next request on"
+        unit: |it| it as u16, |value| Some(value as u8);
+    101 "BUS_TIMEOUT" "ms" (0, u16::MAX) "how long a PLC that commanded may be silent; 0: for ever"
+        timeout_ms: |it| it, |value| Some(value);
+    102 "BUS_REACTION" "" (0, 2) "what is done then: 0 hold, 1 stop, 2 FAST STOP; a jog ends in any case"
+        reaction: |it| it as u16, |value| Some(match value {
+            0 => SilenceReaction::Hold,
+            1 => SilenceReaction::Stop,
+            _ => SilenceReaction::FastStop,
+        });
+    103 "BUS_CHAR_TIMEOUT" "ms" (0, 1_000) "how long a pause inside a request may be; 0: T1.5, by the specification"
+        character_timeout_ms: |it| it, |value| Some(value);
+    104 "BROADCAST" "" (0, 1) "1: broadcast writes count"
+        broadcast: |it| it as u16, |value| Some(value != 0);
+    105 "SWAP_BYTES" "" (0, 1) "1: the bytes of the numbers in registers 0 to 5 change places"
+        swap_bytes: |it| it as u16, |value| Some(value != 0);
+    176 "MODBUS_RATE" "100 bit/s" (12, 2_304) "the rate of Modbus RTU"
+        baud: |it| saturate(it / 100), |value| Some(u32::from(value) * 100);
+    177 "MODBUS_FORMAT" "" (0, 2) "a character of Modbus RTU: 0 8E1, 1 8N1, 2 8N2"
+        format: |it| it as u16, |value| Some(match value {
+            0 => Format::Even1,
+            1 => Format::None1,
+            _ => Format::None2,
+        });
+}
+
+setting_rows! { CanConfig:
+    178 "CAN_RATE" "kbit/s" (125, 1_000) "the rate of CAN: 125, 250, 500 or 1000"
+        kbit_rate: |it| it, |value| matches!(value, 125 | 250 | 500 | 1_000).then_some(value);
+    179 "CAN_ID" "" (0, 0x7FE)
+        "the identifier that the gripper listens to; it sends on the next one. None of both may be one of CANopen's"
+        gripper: |it| it.base(), |value| Identifiers::from_base(value).filter(|it| !collides_with_canopen(*it));
+    180 "CAN_NODE" "" (1, 127) "the bridge's node-ID; not CAN_MASTER's"
+        node.node: |it| it as u16, |value| Some(value as u8);
+    181 "CAN_MASTER" "" (1, 127) "the node-ID of the CANopen master, whose heartbeat is watched"
+        node.master: |it| it as u16, |value| Some(value as u8);
+    together 180: |it| it.node.is_valid();
+}
+
+setting_rows! { ProfibusConfig:
+    182 "PROFIBUS_ADDRESS" "" (0, 125) "the bridge's address on PROFIBUS"
+        address: |it| it as u16, |value| Some(value as u8);
+    183 "PROFIBUS_RATE" "100 bit/s" (0, 15_000)
+        "the rate of PROFIBUS: 96, 192, 454 (45.45 kbit/s), 937 (93.75 kbit/s), 1875, 5000 or 15000; 0: that of the bus, which is searched"
+        rate: |it| ProfibusConfig::rate_setting(it), |value| ProfibusConfig::rate_of(value);
+}
 
 const RECIPE_LEN: usize = 4;
 
-/// The value of BUS_RECIPE that stands for none.
-const NO_RECIPE: u16 = RECIPE_COUNT as u16;
+/// The register of the first recipe's first value.
+const FIRST_RECIPE: u16 = 109;
 
-/// Those of [`SETTINGS`] from here on count from a start of the bridge on, and not while it runs.
-pub const FIRST_START_SETTING: usize = Place::PlcBus as usize;
-
-const fn setting(
-    name: &'static str,
-    unit: &'static str,
-    (least, most): (u16, u16),
-    meaning: &'static str,
-) -> Setting {
-    Setting { name, unit, least, most, meaning }
-}
-
-/// The names and meanings of the recipes' registers, by their numbers.
-macro_rules! recipe_settings {
+/// The rows of the recipes, by their numbers.
+macro_rules! recipe_rows {
     ($first:literal $($number:literal)*) => {[
-        recipe_settings!(@ $first
+        recipe_rows!(@ $first
             "where GRIP and MOVE go" "of every motion" "force limit of GRIP" "where RELEASE goes"),
-        $(recipe_settings!(@ $number "as for recipe 0" "" "" "")),*
+        $(recipe_rows!(@ $number "as for recipe 0" "" "" "")),*
     ]};
     (@ $number:literal $width:literal $speed:literal $force:literal $release:literal) => {[
-        setting(concat!("RECIPE", $number, "_WIDTH"), "1/100 mm", WIDTH, $width),
-        setting(concat!("RECIPE", $number, "_SPEED"), "1/100 mm/s", SPEED, $speed),
-        setting(concat!("RECIPE", $number, "_FORCE"), "1/100 N", FORCE, $force),
-        setting(concat!("RECIPE", $number, "_RELEASE"), "1/100 mm", WIDTH, $release),
+        recipe_row($number, 0, concat!("RECIPE", $number, "_WIDTH"), "1/100 mm", WIDTH, $width),
+        recipe_row($number, 1, concat!("RECIPE", $number, "_SPEED"), "1/100 mm/s", SPEED, $speed),
+        recipe_row($number, 2, concat!("RECIPE", $number, "_FORCE"), "1/100 N", FORCE, $force),
+        recipe_row($number, 3, concat!("RECIPE", $number, "_RELEASE"), "1/100 mm", WIDTH, $release),
     ]};
 }
 
@@ -91,88 +103,66 @@ const WIDTH: (u16, u16) = (0, i16::MAX as u16);
 const SPEED: (u16, u16) = (1, u16::MAX);
 const FORCE: (u16, u16) = (1, i16::MAX as u16);
 
-const RECIPE_SETTINGS: [[Setting; RECIPE_LEN]; RECIPE_COUNT] =
-    recipe_settings!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+const fn recipe_row(
+    number: u16,
+    field: u16,
+    name: &'static str,
+    unit: &'static str,
+    (least, most): (u16, u16),
+    meaning: &'static str,
+) -> (u16, Setting) {
+    (FIRST_RECIPE + number * RECIPE_LEN as u16 + field, Setting { name, unit, least, most, meaning })
+}
 
-/// What stands before the recipes.
-const BEFORE_RECIPES: [Setting; Place::Recipes as usize] = [
-    setting("UNIT", "", (1, 247), "the bridge's address on the bus, from the next request on"),
-    setting("BUS_TIMEOUT", "ms", (0, u16::MAX), "how long a PLC that commanded may be silent; 0: for ever"),
-    setting(
-        "BUS_REACTION",
-        "",
-        (0, 2),
-        "what is done then: 0 hold, 1 stop, 2 FAST STOP; a jog ends in any case",
-    ),
-    setting(
-        "BUS_CHAR_TIMEOUT",
-        "ms",
-        (0, 1_000),
-        "how long a pause inside a request may be; 0: T1.5, by the specification",
-    ),
-    setting("BROADCAST", "", (0, 1), "1: broadcast writes count"),
-    setting("SWAP_BYTES", "", (0, 1), "1: the bytes of the numbers in registers 0 to 5 change places"),
-    setting(
-        "DEBOUNCE",
-        "ms",
-        (0, 1_000),
-        "how long a wire must keep its level; a low FAST_STOP_OK counts at once, whatever is set here",
-    ),
-    setting(
-        "MIN_BUSY",
-        "ms",
-        (0, 10_000),
-        "how long the wire BUSY is high at the least; for the refusal of a command, at least 50 ms",
-    ),
-    setting(
-        "HALF_FRAME",
-        "ms",
-        (1, 1_000),
-        "after how long without a byte half a frame of the gripper is given up",
-    ),
-];
+const RECIPE_ROWS: [[(u16, Setting); RECIPE_LEN]; RECIPE_COUNT] =
+    recipe_rows!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
 
-/// What stands behind them.
-const BEHIND_RECIPES: [Setting; COUNT - Place::BusRecipe as usize] = [
-    setting(
-        "BUS_RECIPE",
-        "",
-        (0, NO_RECIPE),
-        "0 to 15: commands of the bus take this recipe's values; 16: WIDTH, SPEED and FORCELIMIT that it writes",
-    ),
-    setting("PLC_BUS", "", (0, PlcBus::ALL.len() as u16 - 1), PlcBus::NUMBERS),
-    setting("GRIPPER_LINE", "", (0, 1), "the gripper's line: 0 RS-232, 1 CAN"),
-    setting("MODBUS_RATE", "100 bit/s", (12, 2_304), "the rate of Modbus RTU"),
-    setting("MODBUS_FORMAT", "", (0, 2), "a character of Modbus RTU: 0 8E1, 1 8N1, 2 8N2"),
-    setting("CAN_RATE", "kbit/s", (125, 1_000), "the rate of CAN: 125, 250, 500 or 1000"),
-    setting(
-        "CAN_ID",
-        "",
-        (0, 0x7FE),
-        "the identifier that the gripper listens to; it sends on the next one. None of both may be one of CANopen's",
-    ),
-    setting("CAN_NODE", "", (1, 127), "the bridge's node-ID; not CAN_MASTER's"),
-    setting("CAN_MASTER", "", (1, 127), "the node-ID of the CANopen master, whose heartbeat is watched"),
-    setting("PROFIBUS_ADDRESS", "", (0, 125), "the bridge's address on PROFIBUS"),
-    setting(
-        "PROFIBUS_RATE",
-        "100 bit/s",
-        (0, 15_000),
-        "the rate of PROFIBUS: 96, 192, 454 (45.45 kbit/s), 937 (93.75 kbit/s), 1875, 5000 or 15000; 0: that of the bus, which is searched",
-    ),
+const PARTS: [Rows<Setting>; 5] = [
+    Config::SETTINGS,
+    RECIPE_ROWS.as_flattened(),
+    BusConfig::SETTINGS,
+    CanConfig::SETTINGS,
+    ProfibusConfig::SETTINGS,
 ];
 
 /// The settings, from [`FIRST_SETTING`] on.
-pub const SETTINGS: [Setting; COUNT] = joined(BEFORE_RECIPES, RECIPE_SETTINGS, BEHIND_RECIPES);
+pub const SETTINGS: [Setting; count(&PARTS)] = assembled(FIRST_SETTING, &PARTS);
 
 /// The values of all settings, in the order of [`SETTINGS`].
 pub type Record = [u16; SETTINGS.len()];
+
+/// Those of [`SETTINGS`] from here on count from a start of the bridge on, and not while it runs.
+pub const FIRST_START_SETTING: usize = place_of("PLC_BUS");
+
+/// Returns the place of a setting among [`SETTINGS`]. At compile time, where a name that none has does not compile.
+const fn place_of(name: &str) -> usize {
+    let mut place = 0;
+    #[expect(clippy::indexing_slicing, reason = "at compile time, where a wrong index does not compile")]
+    while !is_same(SETTINGS[place].name.as_bytes(), name.as_bytes()) {
+        place += 1;
+    }
+    place
+}
+
+const fn is_same(one: &[u8], other: &[u8]) -> bool {
+    match (one, other) {
+        ([], []) => true,
+        ([a, one @ ..], [b, other @ ..]) => *a == *b && is_same(one, other),
+        _ => false,
+    }
+}
 
 /// Settings of a record that no bridge can have: one of them has a value that it does not take, be it only beside another's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WrongSetting {
     /// Its place in the record.
     pub at: usize,
+}
+
+impl WrongSetting {
+    const fn of(register: u16) -> Self {
+        Self { at: register.saturating_sub(FIRST_SETTING) as usize }
+    }
 }
 
 impl core::fmt::Display for WrongSetting {
@@ -214,7 +204,7 @@ pub(crate) struct Settings {
 
 impl Settings {
     /// Where BUS_TIMEOUT stands, counted from [`FIRST_SETTING`].
-    pub(crate) const TIMEOUT: u16 = Place::Timeout as u16;
+    pub(crate) const TIMEOUT: u16 = place_of("BUS_TIMEOUT") as u16;
 
     /// What the configuration says, each value brought into its range.
     pub(crate) const fn new(config: &Config) -> Self {
@@ -228,8 +218,7 @@ impl Settings {
         if let Some(at) = values.iter().zip(&RANGES).position(is_wrong) {
             return Err(WrongSetting { at });
         }
-        let wrong = wrong_together(|place| value_of(values, place));
-        wrong.map_or(Ok(()), |place| Err(WrongSetting { at: place as usize }))
+        CanConfig::check(values).and_then(|()| ProfibusConfig::check(values)).map_err(WrongSetting::of)
     }
 
     /// All values, in the order of [`SETTINGS`].
@@ -242,43 +231,20 @@ impl Settings {
         self.values.get(usize::from(index)).copied().ok_or(RegisterError::Missing)
     }
 
-    /// Whether registers from this one on exist and take these values.
-    pub(crate) fn check(
+    /// Returns the values with these written to the registers from `first` on; fails when one does not exist or does not take its
+    /// value.
+    pub(crate) fn with(
         &self,
         first: u16,
-        values: impl Iterator<Item = u16> + Clone,
-    ) -> Result<(), RegisterError> {
-        let first = usize::from(first);
-        let mut ranges = RANGES.get(first..).unwrap_or_default().iter();
-        let mut fits = true;
-        let mut end = first;
-        for value in values.clone() {
-            let (least, most) = *ranges.next().ok_or(RegisterError::Missing)?;
-            fits &= (least..=most).contains(&value);
-            end = end.wrapping_add(1);
+        values: impl Iterator<Item = u16>,
+    ) -> Result<Record, RegisterError> {
+        let mut record = self.values;
+        let mut places = record.get_mut(usize::from(first)..).unwrap_or_default().iter_mut();
+        for value in values {
+            *places.next().ok_or(RegisterError::Missing)? = value;
         }
-        if end > FIRST_START_SETTING {
-            let after = |place: Place| {
-                let written = (place as usize).checked_sub(first).and_then(|n| values.clone().nth(n));
-                written.unwrap_or(self.value(place))
-            };
-            fits &= wrong_together(after).is_none();
-        }
-        if fits { Ok(()) } else { Err(RegisterError::Value) }
-    }
-
-    /// Writes registers from this one on; all or, when one does not exist or does not take its value, none.
-    pub(crate) fn write(
-        &mut self,
-        first: u16,
-        values: impl Iterator<Item = u16> + Clone,
-    ) -> Result<(), RegisterError> {
-        self.check(first, values.clone())?;
-        let places = self.values.get_mut(usize::from(first)..).unwrap_or_default();
-        for (place, value) in places.iter_mut().zip(values) {
-            *place = value;
-        }
-        Ok(())
+        Self::check_record(&record).map_err(|_| RegisterError::Value)?;
+        Ok(record)
     }
 
     /// Takes these values; they are not stored.
@@ -313,32 +279,20 @@ impl Settings {
         self.asked.take()
     }
 
-    pub(super) const fn value(&self, place: Place) -> u16 {
-        value_of(&self.values, place)
-    }
-
-    pub(crate) const fn swap_bytes(&self) -> bool {
-        self.value(Place::SwapBytes) != 0
-    }
-
     pub(crate) fn timeout_ms(&self) -> u32 {
-        self.value(Place::Timeout).into()
-    }
-
-    pub(crate) fn reaction(&self) -> SilenceReaction {
-        reaction_of(self.value(Place::Reaction))
+        self.values[const { place_of("BUS_TIMEOUT") }].into()
     }
 
     pub(crate) fn debounce_ms(&self) -> u32 {
-        self.value(Place::Debounce).into()
+        self.values[const { place_of("DEBOUNCE") }].into()
     }
 
     pub(crate) fn min_busy_ms(&self) -> u32 {
-        self.value(Place::MinBusy).into()
+        self.values[const { place_of("MIN_BUSY") }].into()
     }
 
     pub(crate) fn half_frame_ms(&self) -> u32 {
-        self.value(Place::HalfFrame).into()
+        self.values[const { place_of("HALF_FRAME") }].into()
     }
 
     pub(crate) fn recipe(&self, number: usize) -> Option<Recipe> {
@@ -347,64 +301,103 @@ impl Settings {
 
     /// The recipe that the bus's commands take, if they take one.
     pub(crate) fn bus_recipe(&self) -> Option<Recipe> {
-        self.recipe(self.value(Place::BusRecipe).into())
+        self.recipe(self.values[const { place_of("BUS_RECIPE") }].into())
     }
 
-    pub(crate) const fn unit(&self) -> u8 {
-        self.value(Place::Unit) as u8
-    }
-
-    pub(crate) const fn character_timeout_ms(&self) -> u16 {
-        self.value(Place::Patience)
-    }
-
-    pub(crate) const fn broadcast(&self) -> bool {
-        self.value(Place::Broadcast) != 0
+    /// What can be set about the PLC's bus.
+    pub(crate) fn bus(&self) -> BusConfig {
+        let mut bus = BusConfig::DEFAULT;
+        // Values that no bus can have are not among them.
+        let _ = bus.take(&self.values);
+        bus
     }
 }
 
-/// The value at this place of a record.
-pub(super) const fn value_of(values: &Record, place: Place) -> u16 {
-    #[expect(clippy::indexing_slicing, reason = "every place is in the table")]
-    values[place as usize]
-}
-
-/// What BUS_REACTION means.
-pub(super) const fn reaction_of(value: u16) -> SilenceReaction {
-    match value {
-        0 => SilenceReaction::Hold,
-        1 => SilenceReaction::Stop,
-        _ => SilenceReaction::FastStop,
-    }
-}
+/// The place of the recipes' first value.
+const RECIPES_AT: usize = (FIRST_RECIPE - FIRST_SETTING) as usize;
 
 /// A recipe of a record, by its number.
-pub(super) fn recipe_of(values: &Record, number: usize) -> Option<Recipe> {
-    let recipes = values.get(Place::Recipes as usize..Place::BusRecipe as usize)?;
+fn recipe_of(values: &Record, number: usize) -> Option<Recipe> {
+    let recipes = values.get(RECIPES_AT..RECIPES_AT + RECIPE_COUNT * RECIPE_LEN)?;
     recipes.as_chunks::<RECIPE_LEN>().0.get(number).copied().map(Recipe::from_registers)
 }
 
-/// The first setting whose value is in its range and yet wrong, by itself or beside others.
-fn wrong_together(value: impl Fn(Place) -> u16) -> Option<Place> {
-    if !matches!(value(Place::CanRate), 125 | 250 | 500 | 1_000) {
-        return Some(Place::CanRate);
+impl Config {
+    /// Returns the settings of this configuration as a record, each value brought into its range.
+    ///
+    /// ```
+    /// use wsg_bridge_fw::Config;
+    ///
+    /// let record = Config::DEFAULT.record();
+    /// assert_eq!(record[..3], [1, 1_000, 1], "unit 1, and a stop after a second of silence");
+    /// ```
+    #[must_use]
+    pub const fn record(&self) -> Record {
+        let mut record = [0; SETTINGS.len()];
+        self.put(&mut record);
+        self.bus.put(&mut record);
+        self.can.put(&mut record);
+        self.profibus.put(&mut record);
+        #[expect(clippy::indexing_slicing, reason = "every place is in the table")]
+        {
+            let mut at = 0;
+            while at < RECIPE_COUNT * RECIPE_LEN {
+                record[RECIPES_AT + at] = self.recipes[at / RECIPE_LEN].registers()[at % RECIPE_LEN];
+                at += 1;
+            }
+            let mut at = 0;
+            while at < RANGES.len() {
+                let (least, most) = RANGES[at];
+                record[at] = if record[at] < least { least } else { record[at] };
+                record[at] = if record[at] > most { most } else { record[at] };
+                at += 1;
+            }
+        }
+        record
     }
-    if Identifiers::from_base(value(Place::CanId)).is_none_or(collides_with_canopen) {
-        return Some(Place::CanId);
+
+    /// Returns the configuration that this record makes. What no setting is for is [`DEFAULT`](Self::DEFAULT)'s.
+    ///
+    /// # Errors
+    /// [`WrongSetting`]: the first whose value is out of its range or does not go with the others.
+    pub fn from_record(record: &Record) -> Result<Self, WrongSetting> {
+        Settings::check_record(record)?;
+        // In its place from the start on: copies of it would be on the stack.
+        let mut config = Self::DEFAULT;
+        config.take_parts(record).map_err(WrongSetting::of)?;
+        for (number, recipe) in config.recipes.iter_mut().enumerate() {
+            *recipe = recipe_of(record, number).unwrap_or(*recipe);
+        }
+        Ok(config)
     }
-    if ProfibusConfig::rate_of(value(Place::ProfibusRate)).is_none() {
-        return Some(Place::ProfibusRate);
+
+    fn take_parts(&mut self, record: &Record) -> Result<(), u16> {
+        self.take(record)?;
+        self.bus.take(record)?;
+        self.can.take(record)?;
+        self.profibus.take(record)
     }
-    let [node, master] = [Place::CanNode, Place::CanMaster].map(|place| value(place) as u8);
-    let node = NodeConfig { node, master, ..CanConfig::DEFAULT.node };
-    (!node.is_valid()).then_some(Place::CanNode)
 }
+
+const fn saturate(value: u32) -> u16 {
+    if value > u16::MAX as u32 { u16::MAX } else { value as u16 }
+}
+
+#[cfg(test)]
+mod record_tests;
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::RECIPES;
     use std::string::ToString;
+
+    impl Settings {
+        fn write(&mut self, first: u16, values: &[u16]) -> Result<(), RegisterError> {
+            self.take(&self.with(first, values.iter().copied())?);
+            Ok(())
+        }
+    }
 
     #[test]
     fn settings_begin_as_the_configuration_says() {
@@ -414,9 +407,9 @@ mod tests {
         }
         assert_eq!(settings.recipe(RECIPE_COUNT), None);
         assert_eq!(settings.bus_recipe(), None);
-        assert_eq!(settings.reaction(), SilenceReaction::Stop);
+        assert_eq!(settings.bus().reaction, SilenceReaction::Stop);
         assert_eq!((settings.debounce_ms(), settings.min_busy_ms(), settings.half_frame_ms()), (2, 50, 20));
-        assert_eq!(settings.unit(), 1);
+        assert_eq!(settings.bus().unit, 1);
         assert_eq!(settings.register(SETTINGS.len() as u16), Err(RegisterError::Missing));
     }
 
@@ -438,12 +431,12 @@ mod tests {
             // What these take depends on each other and on CANopen.
             let is_free = !matches!(setting.name, "CAN_ID" | "CAN_NODE" | "CAN_MASTER");
             for value in [setting.least, setting.most].into_iter().filter(|_| is_free) {
-                assert_eq!(settings.write(index as u16, [value].into_iter()), Ok(()));
+                settings.write(index as u16, &[value]).unwrap();
                 assert_eq!(settings.register(index as u16), Ok(value), "{}", setting.name);
                 assert!(Config::from_record(settings.record()).is_ok(), "a start takes it: {}", setting.name);
             }
             for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
-                let refused = settings.write(index as u16, [value].into_iter());
+                let refused = settings.write(index as u16, &[value]);
                 assert_eq!(refused, Err(RegisterError::Value), "{}", setting.name);
             }
         }
@@ -452,17 +445,17 @@ mod tests {
     #[test]
     fn values_that_do_not_go_together_are_refused_and_both_at_once_are_not() {
         let mut settings = Settings::new(&Config::DEFAULT);
-        for (place, value) in [
-            (Place::CanRate, 300),
-            (Place::CanId, 0x100),
-            (Place::CanNode, 0x7F),
-            (Place::CanMaster, 0x10),
-            (Place::ProfibusRate, 97),
+        for (name, value) in [
+            ("CAN_RATE", 300),
+            ("CAN_ID", 0x100),
+            ("CAN_NODE", 0x7F),
+            ("CAN_MASTER", 0x10),
+            ("PROFIBUS_RATE", 97),
         ] {
-            let refused = settings.write(place as u16, [value].into_iter());
+            let refused = settings.write(place_of(name) as u16, &[value]);
             assert_eq!(refused, Err(RegisterError::Value), "{value}");
         }
-        assert_eq!(settings.write(Place::CanNode as u16, [0x7F, 0x10].into_iter()), Ok(()));
+        assert_eq!(settings.write(place_of("CAN_NODE") as u16, &[0x7F, 0x10]), Ok(()));
         assert!(settings.are_changed());
         let record = *settings.record();
         assert_eq!(Settings::check_record(&record), Ok(()));
@@ -471,9 +464,9 @@ mod tests {
     #[test]
     fn wrong_setting_is_named_with_what_it_takes() {
         let mut record = Config::DEFAULT.record();
-        record[Place::Reaction as usize] = 3;
+        record[place_of("BUS_REACTION")] = 3;
         let wrong = Config::from_record(&record).unwrap_err();
-        assert_eq!(wrong, WrongSetting { at: Place::Reaction as usize });
+        assert_eq!(wrong, WrongSetting { at: place_of("BUS_REACTION") });
         assert!(wrong.to_string().starts_with("BUS_REACTION takes 0 to 2: "), "{wrong}");
         assert_eq!(WrongSetting { at: SETTINGS.len() }.to_string(), "there is no such setting");
     }
@@ -481,10 +474,10 @@ mod tests {
     #[test]
     fn write_with_one_wrong_value_changes_nothing() {
         let mut settings = Settings::new(&Config::DEFAULT);
-        let refused = settings.write(0, [9; 3].into_iter());
+        let refused = settings.write(0, &[9; 3]);
         assert_eq!(refused, Err(RegisterError::Value), "there is no reaction 9");
         assert_eq!(settings.register(0), Ok(1));
-        let past_the_end = settings.write(SETTINGS.len() as u16 - 1, [9; 2].into_iter());
+        let past_the_end = settings.write(SETTINGS.len() as u16 - 1, &[9; 2]);
         assert_eq!(past_the_end, Err(RegisterError::Missing));
     }
 }

@@ -4,8 +4,6 @@ use std::vec::Vec;
 use proptest::prelude::*;
 
 use super::*;
-use crate::config::{BusConfig, CanConfig, ProfibusConfig};
-use crate::registers::SETTINGS;
 
 const DEFAULT: Record = Config::DEFAULT.record();
 
