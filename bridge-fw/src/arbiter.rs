@@ -13,7 +13,7 @@
 //! 5. WIDTH, SPEED and FORCELIMIT are those of the side that gave the last motion command; while the fingers move the
 //!    other side's change nothing.
 
-use crate::config::Recipe;
+use crate::recipe::Recipe;
 use wsg_fieldbus::{CommandFlags, ForceUnit, MaskedFlags, OutputImage};
 
 /// What moves fingers.

@@ -1,16 +1,18 @@
 //! The bridge: a PLC side, the register controller, the session, and the gripper's line.
 
 use crate::arbiter::{Arbiter, ControlSource};
-use crate::config::{Config, MAX_REPLY_LEN};
+use crate::can::CanReports;
+use crate::gripper::MAX_REPLY_LEN;
 use crate::indicator::Indication;
 use crate::io::{Inputs, Outputs};
 use crate::liveness::{Liveness, Looked};
 use crate::log;
 use crate::plc::wires::{self, Wires};
-use crate::plc::{Facts, MotionEnd, PlcEvent, PlcSide, Shown, View, force_unit};
-use crate::registers::{
-    CanReports, EventCode, Events, Link, ProfibusReports, Record, ResetCause, SaveState, Settings,
-    SettingsFrom, StoreCommand, StoreReports,
+use crate::plc::{
+    Config, Facts, MotionEnd, PlcEvent, PlcSide, Record, Settings, Shown, SideReports, View, force_unit,
+};
+use crate::register::{
+    EventCode, Events, Link, ResetCause, SaveState, SettingsFrom, StoreCommand, StoreReports,
 };
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_fieldbus::{Controller, InputImage};
@@ -67,16 +69,15 @@ impl Bridge {
             received_at: Instant::from_millis(0),
             session: Session::new(config.session),
             controller: Controller::new(),
-            wires: Wires::new(config.debounce_ms, config.min_busy_ms),
+            wires: Wires::new(config.wires),
             arbiter: Arbiter::new(),
             facts: Facts {
-                bus_config: config.bus,
                 was_connected: false,
                 link_is_lost: false,
                 bus_timeouts: 0,
                 bus_is_silent: false,
                 can: CanReports::NONE,
-                profibus: ProfibusReports::NONE,
+                sides: SideReports::new(&config),
                 reset_cause: ResetCause::Unknown,
                 motion_end: MotionEnd::new(),
                 error_cause: 0,
@@ -96,7 +97,7 @@ impl Bridge {
     pub(crate) fn configure(&mut self, config: &Config, from: SettingsFrom) {
         self.settings = Settings::new(config);
         self.wires.configure(&self.settings);
-        self.facts.bus_config = config.bus;
+        self.facts.sides = SideReports::new(config);
         self.facts.store.from = from;
         self.arbiter.set_refuses(from.is_refusal());
         if from.is_refusal() {
@@ -151,6 +152,7 @@ impl Bridge {
         bus: &mut P,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
+        bus.report(&mut self.facts.sides);
         let has_heard = self.receive(now, link) | self.expire_half_frame(now);
         // Before what is known may be given up with the connection.
         self.controller.get_acquainted(self.session.known());
@@ -270,11 +272,6 @@ impl Bridge {
         self.facts.can = reports;
     }
 
-    /// Takes what is known of PROFIBUS, for the registers that report it.
-    pub fn set_profibus_reports(&mut self, reports: ProfibusReports) {
-        self.facts.profibus = reports;
-    }
-
     /// What the board's LED tells, as of the last turn.
     #[must_use]
     pub const fn indication(&self) -> Indication {
@@ -366,7 +363,7 @@ impl Bridge {
 
     /// Serves what the bus has brought. Each image reaches the controller by itself, so that no edge is lost.
     fn take_bus<P: PlcSide>(&mut self, now: Instant, bus: &mut P) {
-        for _ in 0..P::MAX_EVENTS_PER_TURN {
+        for _ in 0..bus.max_events_per_turn() {
             let Self { controller, session, parser, arbiter, facts, settings, .. } = self;
             let mut view = View { controller, session, parser, arbiter, facts, settings };
             let Some(event) = bus.receive(now, &mut view) else { break };

@@ -3,7 +3,7 @@
 //!
 //! Not here: the LED, which is the board's, and LINK_OK, which is a wire.
 
-use crate::registers::Link;
+use crate::register::Link;
 
 /// A pattern begins anew after so long.
 const PERIOD_MS: u32 = 2_000;

@@ -24,7 +24,6 @@ mod atomic;
 mod bridge;
 pub mod byte_queue;
 pub mod can;
-mod config;
 pub mod gripper;
 pub mod handler;
 pub mod indicator;
@@ -32,7 +31,8 @@ pub mod io;
 mod liveness;
 mod log;
 pub mod plc;
-pub mod registers;
+mod recipe;
+mod register;
 pub mod run;
 mod station;
 pub mod storage;
@@ -42,11 +42,22 @@ pub mod usb_serial;
 
 pub use arbiter::ControlSource;
 pub use bridge::{Bridge, Counters};
-pub use config::{
-    BoardId, BusConfig, Config, Format, GripperLine, MAX_REPLY_LEN, PlcBus, ProfibusConfig, RECIPE_COUNT,
-    RECIPES, Recipe,
-};
-pub use plc::{BusPort, NoBus};
-pub use registers::ResetCause;
+pub use gripper::{GripperLine, MAX_REPLY_LEN};
+pub use plc::{BoardId, BusConfig, BusPort, Config, Format, NoBus, PlcBus, ProfibusConfig, WiresConfig};
+pub use recipe::{RECIPE_COUNT, RECIPES, Recipe};
+pub use register::ResetCause;
 pub use run::{Board, Hardware, NoClock, run};
 pub use station::Station;
+
+/// The registers of the bridge itself: settings and reports, whatever bus carries them.
+///
+/// The tables here are the only ones: the PLC sides serve them, `docs/registers.md` and the EDS file are made from them.
+pub mod registers {
+    pub use crate::can::CanReports;
+    pub use crate::plc::{FIRST_START_SETTING, REPORTS, Record, SETTINGS, WrongSetting};
+    pub use crate::register::{
+        BusCounts, COMMAND_KEY, COMMANDS, CommandRegister, EVENTS, EVENTS_KEPT, EventCode, EventText,
+        FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, Link, MAP_VERSION, RegisterError, Report, ResetCause,
+        SaveState, Setting, SettingsFrom, StoreCommand,
+    };
+}

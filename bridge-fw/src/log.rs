@@ -9,7 +9,7 @@ use wsg_protocol::Command;
 use wsg_protocol::session::Event;
 
 use crate::gripper::UartLine;
-use crate::registers::ResetCause;
+use crate::register::ResetCause;
 
 #[cfg(feature = "defmt")]
 macro_rules! log {

@@ -2,14 +2,13 @@
 //!
 //! A board's program sets up pins, watchdog and clock, and calls [`run`] with a [`Board`].
 
-use crate::can::CanController;
-use crate::config::{BoardId, BusConfig, CanConfig, Config, GripperLine, PlcBus};
-use crate::gripper::{Uart, UartLine};
+use crate::can::{CanConfig, CanController};
+use crate::gripper::{GripperLine, Uart, UartLine};
 use crate::indicator::Indication;
 use crate::io::{InputPort, OutputPort, Outputs};
 use crate::log;
-use crate::plc::BusPort;
-use crate::registers::{Record, ResetCause};
+use crate::plc::{BoardId, BusConfig, BusPort, Config, PlcBus, Record};
+use crate::register::ResetCause;
 use crate::station::Station;
 use crate::storage::NorFlash;
 

@@ -4,12 +4,12 @@ use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::Instant;
 
 use crate::bridge::Bridge;
-use crate::can::{BusReport, CanBus, CanController, CanNode, LinkCounters, Node, NullNode};
-use crate::config::{BoardId, Config, GripperLine, PlcBus};
-use crate::gripper::GripperLink;
+use crate::can::{CanBus, CanController, LinkCounters};
+use crate::gripper::{GripperLine, GripperLink};
 use crate::io::{Inputs, Outputs};
-use crate::plc::{BusPort, DpBuffers, Modbus, ModbusLine, NoBus, PlcEvent, PlcSide, Profibus, Shown, View};
-use crate::registers::{Record, ResetCause, WrongSetting};
+use crate::plc::canopen::Node;
+use crate::plc::{BoardId, BusPort, Config, DpBuffers, Modbus, PlcBus, Record, Sides, WrongSetting};
+use crate::register::ResetCause;
 use crate::storage::NorFlash;
 use crate::stored_settings::StoredSettings;
 
@@ -20,15 +20,12 @@ use crate::stored_settings::StoredSettings;
 /// once a millisecond.
 pub struct Station<C: CanController> {
     gripper_line: GripperLine,
-    plc_bus: PlcBus,
     bridge: Bridge,
-    modbus: Modbus,
-    profibus: Profibus,
+    sides: Sides,
     service: Modbus,
     settings: StoredSettings,
     can: CanBus<C>,
     link: GripperLink,
-    node: Node,
 }
 
 impl<C: CanController> Station<C> {
@@ -38,15 +35,12 @@ impl<C: CanController> Station<C> {
         let config = Config::DEFAULT;
         Self {
             gripper_line: config.gripper_line,
-            plc_bus: config.plc_bus,
+            sides: Sides::new(&config, profibus),
             bridge: Bridge::new(config),
-            modbus: Modbus::new(&config),
-            profibus: Profibus::new(profibus),
             service: Modbus::service(),
             settings: StoredSettings::new(),
             can,
             link: GripperLink::new(config.can.gripper),
-            node: Node::new(config.can.node),
         }
     }
 
@@ -66,14 +60,10 @@ impl<C: CanController> Station<C> {
     #[inline(never)]
     pub fn start(&mut self, config: &Config, board: BoardId, reset_cause: ResetCause) {
         self.gripper_line = config.gripper_line;
-        self.plc_bus = config.plc_bus;
         self.bridge.set_reset_cause(reset_cause);
         self.bridge.configure(config, self.settings.from());
-        self.modbus = Modbus::new(config);
-        self.profibus.start(config.profibus);
+        self.sides.start(config, board);
         self.link = GripperLink::new(config.can.gripper);
-        self.node = Node::new(config.can.node);
-        self.node.set_board(board);
     }
 
     /// [`load`](Self::load), with the delivered settings on the stack for its time alone.
@@ -114,52 +104,68 @@ impl<C: CanController> Station<C> {
         modbus: &mut dyn BusPort,
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
-        let Self { bridge, can, link, node, profibus, .. } = self;
-        let mut on_port = match self.plc_bus {
-            PlcBus::Modbus => OnPort::Modbus(self.modbus.over(modbus)),
-            PlcBus::Profibus => {
-                bridge.set_profibus_reports(profibus.reports());
-                OnPort::Profibus(profibus)
-            }
-            PlcBus::Off | PlcBus::Canopen => OnPort::Nothing(NoBus),
+        self.listen(now);
+        let Self { bridge, link, sides, .. } = self;
+        let side = &mut sides.over(modbus);
+        let outputs = match self.gripper_line {
+            GripperLine::Serial => bridge.poll(now_ms, inputs, serial, side),
+            GripperLine::Can => bridge.poll(now_ms, inputs, link, side),
         };
-        match (self.gripper_line, self.plc_bus) {
-            (GripperLine::Serial, PlcBus::Off | PlcBus::Modbus | PlcBus::Profibus) => {
-                bridge.poll(now_ms, inputs, serial, &mut on_port)
+        self.talk(now);
+        outputs
+    }
+
+    /// What comes before the bridge's turn where somebody is on CAN.
+    fn listen(&mut self, now: Instant) {
+        if !self.uses_can() {
+            return;
+        }
+        let Self { bridge, can, link, sides, gripper_line, .. } = self;
+        let mut node = sides.on_can();
+        let mut link = matches!(gripper_line, GripperLine::Can).then_some(link);
+        can.listen(now, &mut link, &mut node);
+        let mut counters = LinkCounters::default();
+        if let Some(link) = link {
+            link.expire(now);
+            // Before the bridge's turn: what a bus that is lost carried must not be gone on with.
+            bridge.set_link_lost(can.is_lost());
+            if let Some(id) = link.take_withdrawn() {
+                bridge.withdrawn(id);
             }
-            (GripperLine::Serial, PlcBus::Canopen) => {
-                can.listen(now, &mut NullNode, node);
-                let report = can.report(LinkCounters::default());
-                bridge.set_can_reports(report.registers());
-                node.set_report(report);
-                let outputs = bridge.poll(now_ms, inputs, serial, node);
-                can.talk(now, &mut NullNode, node);
-                outputs
-            }
-            (GripperLine::Can, PlcBus::Off | PlcBus::Modbus | PlcBus::Profibus) => {
-                listen(now, bridge, can, link, &mut NullNode);
-                let outputs = bridge.poll(now_ms, inputs, link, &mut on_port);
-                talk(now, bridge, can, link, &mut NullNode);
-                outputs
-            }
-            (GripperLine::Can, PlcBus::Canopen) => {
-                let report = listen(now, bridge, can, link, node);
-                node.set_report(report);
-                let outputs = bridge.poll(now_ms, inputs, link, node);
-                talk(now, bridge, can, link, node);
-                outputs
+            counters = link.counters();
+        }
+        let report = can.report(counters);
+        bridge.set_can_reports(report.registers());
+        if let Some(node) = node {
+            node.set_report(report);
+        }
+    }
+
+    /// What comes behind it.
+    fn talk(&mut self, now: Instant) {
+        if !self.uses_can() {
+            return;
+        }
+        let Self { bridge, can, link, sides, gripper_line, .. } = self;
+        let mut link = matches!(gripper_line, GripperLine::Can).then_some(link);
+        if let Some(link) = &mut link {
+            // Before anything is sent: no frame of before may reach a gripper that was lost, or was told to stop since.
+            link.set_connected(bridge.is_connected());
+            if bridge.has_overtaken() {
+                link.withdraw();
             }
         }
+        can.talk(now, &mut link, &mut sides.on_can());
     }
 
     /// Whether somebody is on CAN.
     pub const fn uses_can(&self) -> bool {
-        matches!(self.gripper_line, GripperLine::Can) || matches!(self.plc_bus, PlcBus::Canopen)
+        matches!(self.gripper_line, GripperLine::Can) || self.sides.bus().is_on_can()
     }
 
     /// Whether the PLC is on PROFIBUS: then the handler of its line is to run after each turn.
     pub const fn uses_profibus(&self) -> bool {
-        matches!(self.plc_bus, PlcBus::Profibus)
+        matches!(self.sides.bus(), PlcBus::Profibus)
     }
 
     /// The bridge.
@@ -179,67 +185,6 @@ impl<C: CanController> Station<C> {
 
     /// The bridge as a device on it.
     pub const fn node(&self) -> &Node {
-        &self.node
+        self.sides.node()
     }
-}
-
-/// The bus on the serial port of the PLC. One type for both, so that the bridge's turn is not in the image for each.
-enum OnPort<'a> {
-    Nothing(NoBus),
-    Modbus(ModbusLine<'a>),
-    Profibus(&'a mut Profibus),
-}
-
-impl PlcSide for OnPort<'_> {
-    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
-        match self {
-            Self::Nothing(side) => PlcSide::receive(side, now, view),
-            Self::Modbus(side) => side.receive(now, view),
-            Self::Profibus(side) => side.receive(now, view),
-        }
-    }
-
-    fn show(&mut self, now: Instant, shown: &Shown) {
-        match self {
-            Self::Nothing(side) => side.show(now, shown),
-            Self::Modbus(side) => side.show(now, shown),
-            Self::Profibus(side) => side.show(now, shown),
-        }
-    }
-}
-
-/// What comes before the bridge's turn where the gripper is on the bus.
-fn listen<C: CanController>(
-    now: Instant,
-    bridge: &mut Bridge,
-    can: &mut CanBus<C>,
-    link: &mut GripperLink,
-    other: &mut impl CanNode<C::Frame>,
-) -> BusReport {
-    can.listen(now, link, other);
-    link.expire(now);
-    // Before the bridge's turn: what a bus that is lost carried must not be gone on with.
-    bridge.set_link_lost(can.is_lost());
-    if let Some(id) = link.take_withdrawn() {
-        bridge.withdrawn(id);
-    }
-    let report = can.report(link.counters());
-    bridge.set_can_reports(report.registers());
-    report
-}
-
-/// What comes behind it.
-fn talk<C: CanController>(
-    now: Instant,
-    bridge: &Bridge,
-    can: &mut CanBus<C>,
-    link: &mut GripperLink,
-    other: &mut impl CanNode<C::Frame>,
-) {
-    // Before anything is sent: no frame of before may reach a gripper that was lost, or was told to stop since.
-    link.set_connected(bridge.is_connected());
-    if bridge.has_overtaken() {
-        link.withdraw();
-    }
-    can.talk(now, link, other);
 }

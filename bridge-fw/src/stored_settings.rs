@@ -1,8 +1,8 @@
 //! The settings in flash: which of them count at the start, and what SAVE, RESTORE and DEFAULTS do.
 
 use crate::bridge::Bridge;
-use crate::config::Config;
-use crate::registers::{Record, SETTINGS, Settings, SettingsFrom, StoreCommand, WrongSetting};
+use crate::plc::{Config, Record, SETTINGS, WrongSetting, check_record};
+use crate::register::{SettingsFrom, StoreCommand};
 use crate::storage::{FlashError, LoadError, NorFlash, Progress, SaveError, Store};
 use wsg_protocol::Instant;
 
@@ -34,7 +34,7 @@ impl StoredSettings {
     /// # Errors
     /// [`WrongSetting`] if the image was delivered with settings that no bridge can have.
     pub(crate) fn load(&mut self, delivered: &Record, flash: &impl NorFlash) -> Result<Config, WrongSetting> {
-        Settings::check_record(delivered)?;
+        check_record(delivered)?;
         self.delivered = *delivered;
         self.from = match self.store.load(flash) {
             Ok(record) if record.version == VERSION => {

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, CanNode, Health, NullNode, Withdrawal};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, CanNode, Health, Withdrawal};
 use wsg_protocol::Instant;
 
 /// What the controller does with a frame that it is offered.
@@ -176,7 +176,7 @@ fn where_there_is_no_room_for_one_the_other_still_speaks() {
 fn eight_frames_leave_in_a_turn_at_the_most() {
     let mut bus = bus(Scripted::default());
     let mut first = Speaker::new(standard(1), 20);
-    talk(&mut bus, &mut first, &mut NullNode);
+    talk(&mut bus, &mut first, &mut None::<&mut Speaker>);
     assert_eq!(bus.controller().taken.len(), 8);
 }
 
@@ -230,7 +230,7 @@ fn a_frame_of_the_second_that_comes_back_is_not_taken_for_nobodys() {
     let mut bus = bus(Scripted::default());
     let mut second = Speaker::new(standard(1), 1);
     bus.controller().answers.extend([Takes::Instead(frame(standard(1))), Takes::Never]);
-    talk(&mut bus, &mut NullNode, &mut second);
+    talk(&mut bus, &mut None::<&mut Speaker>, &mut second);
     assert_eq!(second.losses, 1, "it is told of what was refused then");
 }
 

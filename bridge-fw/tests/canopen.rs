@@ -11,10 +11,12 @@ use host_tests::flash_model::Fault;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanNode, DEFAULT_NODE, DataType, FAULTS, Health, NmtState, Node, NodeConfig,
-    NullNode, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, collides_with_canopen, write_eds,
+    BusOffPolicy, CanBus, CanNode, DEFAULT_NODE, Health, NodeConfig, collides_with_canopen,
 };
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::canopen::{
+    DataType, FAULTS, NmtState, Node, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
+};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, SETTINGS};
 use wsg_bridge_fw::{Bridge, ControlSource};
 use wsg_fieldbus::{CommandFlags as Cmd, GripperFlags};
@@ -527,9 +529,9 @@ fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
             for _ in 0..ms {
                 now_ms += 1;
                 let now = Instant::from_millis(now_ms);
-                bus.listen(now, &mut NullNode, &mut node);
+                bus.listen(now, &mut None::<&mut Node>, &mut node);
                 bridge.poll(now_ms, wires, &mut far.line, &mut node);
-                bus.talk(now, &mut NullNode, &mut node);
+                bus.talk(now, &mut None::<&mut Node>, &mut node);
                 while double.take_winner().is_some() {}
                 far.advance(Time::from_millis(now_ms.into()));
             }

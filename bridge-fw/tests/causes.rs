@@ -11,8 +11,9 @@ use host_tests::can_bench::{Double, NO_PROFIBUS};
 use host_tests::flash_model::{Fault as FlashFault, FlashModel};
 use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::SerialGripper;
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE, REPORTS_INDEX};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE};
 use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::plc::canopen::REPORTS_INDEX;
 use wsg_bridge_fw::registers::{
     COMMAND_KEY, EVENTS, EventCode, FIRST_COMMAND, FIRST_REPORT, REPORTS, Record,
 };

@@ -237,7 +237,7 @@ fn fast_stop_leaves_at_once_in_whatever_turn_the_connection_is_given_up() {
         bench.pass(asked);
         bench.take_sent();
         bench.set(Inputs::FAST_STOP_OK, false);
-        bench.pass(wsg_bridge_fw::Config::DEFAULT.debounce_ms + 5);
+        bench.pass(wsg_bridge_fw::Config::DEFAULT.wires.debounce_ms + 5);
         assert!(bench.take_sent().contains(&CommandId::FastStop), "{asked} of {given_up} ms");
     }
 }

@@ -153,5 +153,5 @@ fn busy_shows_a_motion_without_a_way_for_50_ms() {
     while busy(&mut bench) {
         lasted_ms += 1;
     }
-    assert_eq!(lasted_ms, Config::DEFAULT.min_busy_ms);
+    assert_eq!(lasted_ms, Config::DEFAULT.wires.min_busy_ms);
 }

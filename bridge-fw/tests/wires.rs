@@ -5,7 +5,7 @@ use host_tests::serial_gripper::{BYTES_PER_MS, SerialGripper, SerialLine};
 use host_tests::wires::Wires;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus};
+use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus, WiresConfig};
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
 use wsg_protocol::{
     Command, CommandId, DeviceTag, Event, FrameEncoder, FrameParser, GripperState, HomingDirection, Kind,
@@ -236,7 +236,13 @@ fn part_that_is_lost_is_released_or_gripped_again_by_wires_alone() {
 #[test]
 fn refusal_shows_busy_for_50_ms_whatever_min_busy_is() {
     for (min_busy_ms, expected) in [(0, 50..=52), (70, 70..=72)] {
-        let mut bench = Bench::with_bridge(BridgeConfig { min_busy_ms, ..BridgeConfig::DEFAULT }, quick());
+        let mut bench = Bench::with_bridge(
+            BridgeConfig {
+                wires: WiresConfig { min_busy_ms, ..WiresConfig::DEFAULT },
+                ..BridgeConfig::DEFAULT
+            },
+            quick(),
+        );
         bench.get_homed();
         assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::PART_FAULT);
         let (busy_ms, _) = edge_at_ready(&mut bench, Inputs::MOVE);

@@ -7,12 +7,11 @@ use std::rc::Rc;
 use bus_modbus::rtu::Character;
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id};
-use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanConfig, CanController, Health, Node, NodeConfig, Withdrawal,
-};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig, CanController, Health, NodeConfig, Withdrawal};
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::DpBuffers;
+use wsg_bridge_fw::plc::canopen::Node;
 use wsg_bridge_fw::{BoardId, BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
 use wsg_protocol::can::{Endpoint, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};

@@ -4,9 +4,9 @@
 
 use host_tests::document::{hold, table};
 use host_tests::plc_names::{command_flags, gripper_flags};
-use wsg_bridge_fw::can::{
-    BusOffPolicy, DEFAULT_NODE, DataType, FAULTS, INPUT_INDEX, NodeConfig, OBJECTS, OUTPUT_INDEX,
-    REPORTS_INDEX, SETTINGS_INDEX,
+use wsg_bridge_fw::can::{BusOffPolicy, DEFAULT_NODE, NodeConfig};
+use wsg_bridge_fw::plc::canopen::{
+    DataType, FAULTS, INPUT_INDEX, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX, SETTINGS_INDEX,
 };
 use wsg_bridge_fw::registers::{REPORTS, SETTINGS};
 use wsg_protocol::can::{HALF_MESSAGE_MS, Identifiers, Segments};
@@ -117,7 +117,7 @@ fn pdo_times(number: usize) -> String {
 }
 
 fn faults() -> String {
-    let row = |fault: &wsg_bridge_fw::can::Fault| {
+    let row = |fault: &wsg_bridge_fw::plc::canopen::Fault| {
         [format!("{:04X}h", fault.code), format!("{:02X}h", fault.register | 1), fault.meaning.to_owned()]
     };
     table(["code", "error register", "fault"], FAULTS.iter().map(row))

@@ -10,7 +10,7 @@ use super::{
 
 /// Frames taken from the controller in one turn, at the most: at 1 Mbit/s a millisecond brings 9 of 8 bytes, or 21 empty
 /// ones.
-pub(super) const MAX_RECEIVED_PER_POLL: usize = 24;
+pub(crate) const MAX_RECEIVED_PER_POLL: usize = 24;
 
 /// Frames given to the controller in one turn, at the most.
 const MAX_SENT_PER_POLL: usize = 8;
@@ -50,24 +50,43 @@ pub trait CanNode<F> {
     fn taken_back(&mut self, _count: usize) {}
 }
 
-/// NullNode.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct NullNode;
-
-impl<F> CanNode<F> for NullNode {
-    fn on_frame(&mut self, _: Instant, _: &F) {}
-
-    fn poll_transmit(&mut self, _: Instant) -> Option<F> {
-        None
+/// Nobody, or somebody.
+impl<F, N: CanNode<F>> CanNode<F> for Option<&mut N> {
+    fn on_frame(&mut self, now: Instant, frame: &F) {
+        if let Some(node) = self {
+            node.on_frame(now, frame);
+        }
     }
 
-    fn sends(&self, _: Id) -> bool {
-        false
+    fn poll_transmit(&mut self, now: Instant) -> Option<F> {
+        self.as_mut()?.poll_transmit(now)
     }
 
-    fn lost(&mut self) {}
+    fn sends(&self, id: Id) -> bool {
+        self.as_ref().is_some_and(|node| node.sends(id))
+    }
 
-    fn bus_changed(&mut self, _: bool) {}
+    fn lost(&mut self) {
+        if let Some(node) = self {
+            node.lost();
+        }
+    }
+
+    fn bus_changed(&mut self, is_on: bool) {
+        if let Some(node) = self {
+            node.bus_changed(is_on);
+        }
+    }
+
+    fn takes_back(&self) -> Option<Id> {
+        self.as_ref()?.takes_back()
+    }
+
+    fn taken_back(&mut self, count: usize) {
+        if let Some(node) = self {
+            node.taken_back(count);
+        }
+    }
 }
 
 /// A controller and its bus, for up to two participants: the gripper's link first, the PLC's side second. Board-free: in each turn of the main loop

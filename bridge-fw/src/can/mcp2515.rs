@@ -15,8 +15,7 @@ use embedded_can::{ErrorKind, ExtendedId, Frame, Id, StandardId};
 use embedded_hal::spi::{Operation, SpiDevice};
 
 use self::buffers::{RawFrame, read_status};
-use super::{CanController, Health, Withdrawal};
-use crate::config::CanConfig;
+use super::{CanConfig, CanController, Health, Withdrawal};
 
 /// Instructions (12.0).
 const RESET: u8 = 0xC0;

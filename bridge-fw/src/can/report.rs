@@ -3,7 +3,7 @@
 use wsg_protocol::can;
 
 use super::{BusState, Health};
-use crate::registers::CanReports;
+use crate::register::report_rows;
 
 /// What the bus has met so far; each count stops at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -73,4 +73,33 @@ impl BusReport {
             link.frames.dropped,
         ])
     }
+}
+
+/// What is reported about CAN: state, transmit and receive errors, bus-offs, overruns, dropped frames, as registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct CanReports(pub [u16; 6]);
+
+impl CanReports {
+    /// There is no CAN.
+    pub const NONE: Self = Self([0; 6]);
+
+    /// Whether the controller is off the bus: bus-off, recovering or given up.
+    pub(crate) const fn is_off(&self) -> bool {
+        self.0[0] & 0x7F != 0
+    }
+
+    /// How often the controller went bus-off.
+    pub(crate) const fn bus_offs(&self) -> u16 {
+        self.0[3]
+    }
+}
+
+report_rows! { CanReports as it:
+    126 "CAN_STATE" "CAN: 0 on the bus, 1 bus-off, 2 recovering, 3 given up; plus 128: error passive. Without CAN all of these are 0"
+        it.0[0];
+    127 "CAN_TEC" "CAN: transmit error counter" it.0[1];
+    128 "CAN_REC" "CAN: receive error counter" it.0[2];
+    129 "CAN_BUS_OFFS" "CAN: how often the controller went bus-off" it.0[3];
+    130 "CAN_OVERRUNS" "CAN: frames for which the controller had no room" it.0[4];
+    131 "CAN_DROPPED" "CAN: frames of the gripper that belonged to no intact message" it.0[5];
 }

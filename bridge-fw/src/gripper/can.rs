@@ -7,9 +7,9 @@ use wsg_protocol::can::{Endpoint, FULL, HALF_MESSAGE_MS, Identifiers, Reassemble
 use wsg_protocol::frame::{OVERHEAD, PREAMBLE_LEN};
 use wsg_protocol::{Command, CommandId, Event, FrameEncoder, Instant, Kind, checksum};
 
+use super::MAX_REPLY_LEN;
 use super::would_block::WouldBlock;
 use crate::can::{CanNode, LinkCounters, MAX_ON_THE_WAY};
-use crate::config::MAX_REPLY_LEN;
 
 /// CAN frames of the longest reply that a bridge asks for.
 const REPLY_FRAMES: usize = (MAX_REPLY_LEN + OVERHEAD).div_ceil(FULL);

@@ -1,16 +1,19 @@
 //! Modbus RTU as a PLC side: requests in, output images out; the input image and the registers of the bridge in answers.
 //! The service port is the same without output images.
 
+mod config;
 mod port;
 mod uart;
 
+pub use config::{BusConfig, Format};
 pub use port::BusPort;
 pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 
-use super::{PlcEvent, PlcSide, Shown, View};
-use crate::config::{BusConfig, Config};
-use crate::registers::{
+use super::side::{BoardId, PlcEvent, PlcSide, Shown};
+use super::{Config, Listed, View};
+use crate::register::{
     BusCounts, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, Link, RegisterError, StoreCommand,
+    report_rows,
 };
 use bus_modbus::rtu::{self, Character, Event, Mode, Server};
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
@@ -24,6 +27,35 @@ pub const IDENTIFICATION: Identification = Identification {
     revision: concat!("V", env!("CARGO_PKG_VERSION")),
     regular: None,
 };
+
+/// What is reported of the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct ModbusReports {
+    baud: u32,
+    format: Format,
+}
+
+impl ModbusReports {
+    pub(crate) const fn new(config: &Config) -> Self {
+        Self { baud: config.bus.baud, format: config.bus.format }
+    }
+}
+
+report_rows! { ModbusReports as it:
+    109 "BUS_RATE" "rate of this bus in 100 bit/s"
+        u16::try_from(it.baud / 100).unwrap_or(u16::MAX);
+    110 "BUS_FORMAT" "format of this bus: 0 8E1, 1 8N1, 2 8N2" it.format as u16;
+}
+
+report_rows! { BusCounts as it:
+    118 "BUS_MESSAGES" "intact frames on the bus (FC 8, 0Bh)" it.messages;
+    119 "BUS_ERRORS" "broken ones (FC 8, 0Ch)" it.errors;
+    120 "BUS_EXCEPTIONS" "exceptions (FC 8, 0Dh)" it.exceptions;
+    121 "SERVER_MESSAGES" "frames for this unit, and broadcasts (FC 8, 0Eh)" it.own_messages;
+    122 "NO_RESPONSES" "those of them without a response (FC 8, 0Fh)" it.no_responses;
+    123 "SERVER_BUSY" "exceptions 06 (FC 8, 11h)" it.busy;
+    124 "BUS_OVERRUNS" "frames with a damaged or lost character (FC 8, 12h)" it.overruns;
+}
 
 /// Characters taken from a line in one go, at the most: a line that never falls silent must not keep the rest waiting. One
 /// millisecond at 230 400 bit/s brings 23.
@@ -150,6 +182,18 @@ impl Modbus {
             self.heard_at = None;
         }
         silent
+    }
+}
+
+impl Listed for Modbus {
+    type Turn<'a> = ModbusLine<'a>;
+
+    fn start(&mut self, config: &Config, _: BoardId) {
+        *self = Self::new(config);
+    }
+
+    fn over<'a>(&'a mut self, port: &'a mut dyn BusPort) -> ModbusLine<'a> {
+        self.over(port)
     }
 }
 

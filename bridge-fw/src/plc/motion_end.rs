@@ -4,7 +4,7 @@
 //! all for the last hundredth of a millimetre. A PLC that reads all of them at once took the force of the approach for that of the
 //! grip. So both are asked for when the fingers stand, and the end is shown with the answers.
 
-use super::MOTION_STATES;
+use super::side::MOTION_STATES;
 use wsg_fieldbus::{GripperFlags, InputImage};
 use wsg_protocol::session::Event;
 use wsg_protocol::{CommandId, Instant, SystemFlags};

@@ -6,8 +6,10 @@
 //! that differs from the one before waits in [`DpBuffers`] until the main loop takes it ([`Profibus`]), and passes the arbiter
 //! there as that of any other bus.
 
+mod config;
 mod responder;
 
+pub use config::ProfibusConfig;
 pub use responder::{Action, DpBuffers, DpResponder, UartStatus};
 
 use bus_profibus::{Baud, BaudSearch};
@@ -15,9 +17,31 @@ use wsg_fieldbus::OutputImage;
 use wsg_protocol::Instant;
 
 use self::responder::FromMaster;
-use super::{PlcEvent, PlcSide, Shown, View};
-use crate::config::ProfibusConfig;
-use crate::registers::ProfibusReports;
+use super::modbus::BusPort;
+use super::side::{BoardId, PlcEvent, PlcSide, Shown};
+use super::{Config, Listed, SideReports, View};
+use crate::register::report_rows;
+
+/// What is reported about PROFIBUS: state, rate of the line, intact telegrams, damaged ones, as registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct ProfibusReports([u16; 4]);
+
+impl ProfibusReports {
+    /// Those of a bridge whose PLC is not on PROFIBUS.
+    pub(crate) const fn new(_: &Config) -> Self {
+        Self([0; 4])
+    }
+}
+
+report_rows! { ProfibusReports as it:
+    206 "PROFIBUS_STATE" "PROFIBUS: 0 it is not the PLC's bus, 1 no telegram is heard, 2 a master has to send parameters, 3 its configuration, 4 data exchange"
+        it.0[0];
+    207 "PROFIBUS_LINE" "PROFIBUS: the line's rate in 100 bit/s; with state 1 one that is tried"
+        it.0[1];
+    208 "PROFIBUS_TELEGRAMS" "PROFIBUS: intact telegrams, for whatever station" it.0[2];
+    209 "PROFIBUS_DAMAGED" "PROFIBUS: what was no telegram, such as noise or one with a wrong check sum"
+        it.0[3];
+}
 
 /// The value of PROFIBUS_STATE where no telegram is heard; those behind it are the slave's states.
 const NOT_HEARD: u8 = 1;
@@ -89,8 +113,7 @@ impl Profibus {
     }
 
     /// What the bridge's registers tell of it.
-    #[must_use]
-    pub fn reports(&self) -> ProfibusReports {
+    fn reports(&self) -> ProfibusReports {
         let state = if self.search.is_found() { self.buffers.state() } else { NOT_HEARD };
         let rate = self.search.baud().map_or(0, |rate| (rate.bit_s() / 100) as u16);
         ProfibusReports([state.into(), rate, self.telegrams.total, self.damaged.total])
@@ -140,6 +163,10 @@ impl Profibus {
 }
 
 impl PlcSide for Profibus {
+    fn report(&self, reports: &mut SideReports) {
+        reports.profibus = self.reports();
+    }
+
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         if let Some(event) = self.take(now) {
             return Some(event);
@@ -158,5 +185,17 @@ impl PlcSide for Profibus {
         self.damaged.follow(self.buffers.damaged());
         let next = self.search.poll(now.as_millis(), telegrams);
         self.set_rate(next);
+    }
+}
+
+impl Listed for Profibus {
+    type Turn<'a> = &'a mut Self;
+
+    fn start(&mut self, config: &Config, _: BoardId) {
+        self.start(config.profibus);
+    }
+
+    fn over<'a>(&'a mut self, _: &'a mut dyn BusPort) -> &'a mut Self {
+        self
     }
 }

@@ -1,9 +1,10 @@
 //! Digital I/O as a PLC side: wires in, output image out; input image in, wires out.
 
-use super::{Debounce, MOTION_STATES, PlcEvent, PlcSide, Shown, View};
-use crate::config::Recipe;
+use super::side::{MOTION_STATES, PlcEvent, PlcSide, Shown};
+use super::{Debounce, Settings, View};
 use crate::io::{Inputs, Outputs};
-use crate::registers::{Link, Settings};
+use crate::recipe::Recipe;
+use crate::register::{Link, saturate, setting_rows};
 use wsg_fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Instant, Status, SystemFlags};
 
@@ -18,6 +19,28 @@ const COMMANDS: [(Inputs, CommandFlags); 5] = [
 
 /// How long BUSY answers an edge that bridge or gripper refuses, in milliseconds, whatever MIN_BUSY is: the cycle of a slow PLC.
 const REFUSAL_MS: u32 = 50;
+
+/// What can be set about the wires.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WiresConfig {
+    /// How long a wire must keep its level before it counts, in milliseconds.
+    pub debounce_ms: u32,
+    /// How long BUSY is high at least, in milliseconds: fingers that are at their goal already would show it for less than
+    /// a PLC's cycle.
+    pub min_busy_ms: u32,
+}
+
+impl WiresConfig {
+    /// Debounced for 2 ms, BUSY for at least 50 ms.
+    pub const DEFAULT: Self = Self { debounce_ms: 2, min_busy_ms: 50 };
+}
+
+setting_rows! { WiresConfig:
+    106 "DEBOUNCE" "ms" (0, 1_000) "how long a wire must keep its level; a low FAST_STOP_OK counts at once, whatever is set here"
+        debounce_ms: |it| saturate(it), |value| Some(value.into());
+    107 "MIN_BUSY" "ms" (0, 10_000) "how long the wire BUSY is high at the least; for the refusal of a command, at least 50 ms"
+        min_busy_ms: |it| saturate(it), |value| Some(value.into());
+}
 
 /// The wires between a PLC and the register images.
 #[derive(Clone, Debug, Hash)]
@@ -36,9 +59,9 @@ pub(crate) struct Wires {
 }
 
 impl Wires {
-    /// Wires that are debounced for `debounce_ms` milliseconds, and a BUSY that lasts `min_busy_ms` at least.
+    /// Wires before their first reading.
     #[must_use]
-    pub(crate) const fn new(debounce_ms: u32, min_busy_ms: u32) -> Self {
+    pub(crate) const fn new(WiresConfig { debounce_ms, min_busy_ms }: WiresConfig) -> Self {
         Self {
             debounce: Debounce::new(debounce_ms),
             levels: None,
@@ -57,8 +80,9 @@ impl Wires {
 
     /// Takes over settings, from the next reading on.
     pub(crate) fn configure(&mut self, settings: &Settings) {
-        self.debounce.set_period(settings.debounce_ms());
-        self.min_busy_ms = settings.min_busy_ms();
+        let config = settings.wires();
+        self.debounce.set_period(config.debounce_ms);
+        self.min_busy_ms = config.min_busy_ms;
     }
 
     /// Takes a reading of the wires; the output image when it has changed.
@@ -184,8 +208,6 @@ pub(crate) struct WiresRead<'a> {
 }
 
 impl PlcSide for WiresRead<'_> {
-    const MAX_EVENTS_PER_TURN: usize = 1;
-
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         let recipe = |number| view.settings.recipe(number).map(|recipe| (recipe, view.force_unit()));
         let image = self.wires.update(now, self.reading, recipe)?;
@@ -229,7 +251,7 @@ mod tests {
     }
 
     fn shown_of(inputs: Inputs, image: InputImage) -> Outputs {
-        let mut wires = Wires::new(0, 0);
+        let mut wires = Wires::new(WiresConfig { debounce_ms: 0, min_busy_ms: 0 });
         for ms in 0..10 {
             wires.update(Instant::from_millis(ms), inputs, |_| None);
         }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
-use wsg_bridge_fw::{Bridge, BusConfig, Config, ControlSource};
+use wsg_bridge_fw::{Bridge, BusConfig, Config, ControlSource, WiresConfig};
 use wsg_protocol::{CommandId, GripperState, Instant, session};
 
 use super::action::{Action, Image};
@@ -16,7 +16,7 @@ use super::search::Model;
 
 const CONFIG: Config = Config {
     // An edge takes no time, so that more orders of events lead to the same state.
-    debounce_ms: 0,
+    wires: WiresConfig { debounce_ms: 0, ..WiresConfig::DEFAULT },
     // Less than the time between two queries, so that a missing result is given up before the next one.
     session: session::Config { result_grace_ms: 60, ..Config::DEFAULT.session },
     bus: BusConfig { unit: UNIT, timeout_ms: BUS_TIMEOUT_MS as u16, ..Config::DEFAULT.bus },
@@ -292,7 +292,7 @@ impl Plant {
 
     /// Lets wires that have just changed settle.
     fn settle(&mut self, fast_stop_ok_rises: bool) -> Kept {
-        self.now_ms += if fast_stop_ok_rises { FAST_STOP_RELEASE_MS } else { CONFIG.debounce_ms };
+        self.now_ms += if fast_stop_ok_rises { FAST_STOP_RELEASE_MS } else { CONFIG.wires.debounce_ms };
         self.last_turn()?;
         self.promises.settled(self.wires, self.outputs)
     }

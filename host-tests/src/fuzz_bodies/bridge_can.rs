@@ -16,11 +16,11 @@ use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanController as _, CanNode, DEFAULT_NODE, Health, LinkCounters, NmtState, Node,
-    NullNode, SETTINGS_INDEX,
+    BusOffPolicy, CanBus, CanController as _, CanNode, DEFAULT_NODE, Health, LinkCounters,
 };
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::canopen::{NmtState, Node, SETTINGS_INDEX};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::can::{Identifiers, Reassembler, Segments};
@@ -271,7 +271,7 @@ impl Device {
             waiting: None,
             behaviour: NmtState::PreOperational,
             timeout_ms: BusConfig::DEFAULT.timeout_ms.into(),
-            debounce_ms: Config::DEFAULT.debounce_ms,
+            debounce_ms: Config::DEFAULT.wires.debounce_ms,
             heard: Vec::new(),
             request: None,
         }
@@ -666,7 +666,7 @@ impl Model {
         let now = Instant::from_millis(self.now_ms);
         let Self { bus, bridge, node, line, .. } = self;
         let line = line.as_mut().expect("the gripper is on RS-232");
-        bus.listen(now, &mut NullNode, node);
+        bus.listen(now, &mut None::<&mut Node>, node);
         let report = bus.report(LinkCounters::default());
         node.set_report(report);
         bridge.set_can_reports(report.registers());
@@ -675,7 +675,7 @@ impl Model {
         let outputs = bridge.poll(self.now_ms, self.wires, &mut tap, node);
         let messages = gripper::messages(&mut self.said_to_gripper, &sent);
         let mut said = vec![];
-        bus.talk(now, &mut NullNode, &mut Ear { node, said: &mut said });
+        bus.talk(now, &mut None::<&mut Node>, &mut Ear { node, said: &mut said });
         self.follow(&heard, &said);
         Turn { outputs, messages }
     }

@@ -28,9 +28,9 @@ impl Oracle {
     /// At power-up of a bridge that was built so.
     pub(super) fn new(config: &Config) -> Self {
         Self {
-            asked: Asked::new(config.debounce_ms),
+            asked: Asked::new(config.wires.debounce_ms),
             told: Told::new(config.half_frame_ms),
-            shown: Shown::new(config.min_busy_ms),
+            shown: Shown::new(config.wires.min_busy_ms),
             stops: Stops::new(),
             is_latched: false,
             now_ms: 0,

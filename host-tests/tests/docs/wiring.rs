@@ -4,7 +4,7 @@ use host_tests::document::{hold, table};
 use host_tests::fault_sweep::Sweep;
 use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS, Port};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Config, RECIPES, Recipe};
+use wsg_bridge_fw::{Config, RECIPES, Recipe, WiresConfig};
 
 /// Each input and what it is for.
 const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
@@ -106,7 +106,8 @@ fn recipes() -> String {
 }
 
 fn times() -> String {
-    let Config { debounce_ms, min_busy_ms, half_frame_ms, session, .. } = Config::DEFAULT;
+    let Config { wires: WiresConfig { debounce_ms, min_busy_ms }, half_frame_ms, session, .. } =
+        Config::DEFAULT;
     let ms = |value: u32| format!("{value} ms");
     let rows = [
         ("a wire must keep its level", ms(debounce_ms)),

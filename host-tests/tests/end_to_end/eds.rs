@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use host_tests::masters::{self, said};
-use wsg_bridge_fw::can::{DataType, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX, SETTINGS_INDEX};
+use wsg_bridge_fw::plc::canopen::{DataType, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX, SETTINGS_INDEX};
 use wsg_bridge_fw::registers::{REPORTS, SETTINGS};
 
 #[test]

@@ -7,10 +7,9 @@
 use bus_modbus::rtu::{Character, MAX_FRAME_LEN};
 use embedded_hal_nb::serial::{self, Error as _};
 
-use super::BusPort;
+use super::{BusConfig, BusPort};
 use crate::atomic::{AtomicBool, AtomicU32, Ordering};
 use crate::byte_queue::ByteQueue;
-use crate::config::BusConfig;
 
 /// Steps in which silence is handed on, in microseconds; 15 bits hold 262 ms of it.
 const STEP_US: u32 = 8;

@@ -8,9 +8,9 @@ use wsg_fieldbus::profibus::{ADDRESS, PROFILE, Slave};
 use wsg_fieldbus::{Diagnosis, InputImage, OutputImage};
 use wsg_protocol::SystemFlags;
 
+use super::ProfibusConfig;
 use crate::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 use crate::byte_queue::ByteQueue;
-use crate::config::ProfibusConfig;
 use crate::plc::Interrupts;
 
 /// Room for 14 images that differ, between two turns of the main loop; in a model for one.

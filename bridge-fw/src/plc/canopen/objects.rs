@@ -3,9 +3,9 @@
 use bus_canopen::{Abort, DataType, Dictionary, Entry, Pdo, Source, entries, find};
 
 use crate::can::BusReport;
-use crate::config::BoardId;
-use crate::plc::View;
-use crate::registers::{BusCounts, REPORTS, RegisterError, SETTINGS, SaveState, Settings, StoreCommand};
+use crate::plc::side::BoardId;
+use crate::plc::{REPORTS, SETTINGS, Settings, View};
+use crate::register::{BusCounts, RegisterError, SaveState, StoreCommand};
 
 /// A value that is the bridge's: one about the bus, a setting or a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

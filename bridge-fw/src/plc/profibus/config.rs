@@ -1,5 +1,6 @@
 //! What is fixed about PROFIBUS when the bridge starts: its address, and the rate of the bus.
 
+use crate::register::setting_rows;
 use bus_profibus::Baud;
 use wsg_fieldbus::profibus::ADDRESS;
 
@@ -21,7 +22,7 @@ impl ProfibusConfig {
         [Baud::K9_6, Baud::K19_2, Baud::K45_45, Baud::K93_75, Baud::K187_5, Baud::K500, Baud::M1_5];
 
     /// The rate as a setting: in 100 bit/s, what is left of it cut off; 0: searched.
-    pub(crate) const fn rate_setting(rate: Option<Baud>) -> u16 {
+    const fn rate_setting(rate: Option<Baud>) -> u16 {
         match rate {
             Some(rate) => setting(rate),
             None => 0,
@@ -29,12 +30,20 @@ impl ProfibusConfig {
     }
 
     /// The rate that this setting means; `None` if it is no rate of PROFIBUS that can be set.
-    pub(crate) fn rate_of(value: u16) -> Option<Option<Baud>> {
+    fn rate_of(value: u16) -> Option<Option<Baud>> {
         if value == 0 {
             return Some(None);
         }
         Self::RATES.into_iter().find(|rate| setting(*rate) == value).map(Some)
     }
+}
+
+setting_rows! { ProfibusConfig:
+    182 "PROFIBUS_ADDRESS" "" (0, 125) "the bridge's address on PROFIBUS"
+        address: |it| it as u16, |value| Some(value as u8);
+    183 "PROFIBUS_RATE" "100 bit/s" (0, 15_000)
+        "the rate of PROFIBUS: 96, 192, 454 (45.45 kbit/s), 937 (93.75 kbit/s), 1875, 5000 or 15000; 0: that of the bus, which is searched"
+        rate: |it| Self::rate_setting(it), |value| Self::rate_of(value);
 }
 
 const fn setting(rate: Baud) -> u16 {

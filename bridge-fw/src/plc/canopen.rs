@@ -9,7 +9,7 @@
 //! Numbers stand low byte first, as CANopen has them. State, flags and status are in one frame: a PLC sees the end of a
 //! motion, its result and the flags that belong to it together.
 //!
-//! What a master can read and write by SDO is in [`OBJECTS`], and in the tables of the settings and reports of `registers`.
+//! What a master can read and write by SDO is in [`OBJECTS`], and in the tables of the settings and reports.
 //! When the master falls silent for BUS_TIMEOUT, the bridge reacts as BUS_REACTION says.
 //!
 //! NMT, heartbeats, the SDO server and when a PDO or an emergency is due are `bus_canopen`'s.
@@ -29,11 +29,11 @@ use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::Instant;
 
 use self::objects::Objects;
-use super::bus::MAX_RECEIVED_PER_POLL;
-use super::{BusReport, CanNode};
-use crate::config::{BoardId, NodeConfig, TPDOS};
-use crate::plc::{PlcEvent, PlcSide, Shown, View};
-use crate::registers::Link;
+use super::modbus::BusPort;
+use super::side::{BoardId, PlcEvent, PlcSide, Shown};
+use super::{Config, Listed, View};
+use crate::can::{BusReport, CanNode, MAX_RECEIVED_PER_POLL, NodeConfig, TPDOS};
+use crate::register::Link;
 
 /// What can happen in one turn: each frame is one thing at the most, and then the bus may go.
 const EVENTS_MAX: usize = MAX_RECEIVED_PER_POLL + 1;
@@ -60,11 +60,6 @@ impl Node {
         Self { device: Device::new(&PROFILE, config), report: BusReport::NOTHING, board: BoardId::UNKNOWN }
     }
 
-    /// Takes what a master reads of the board.
-    pub const fn set_board(&mut self, board: BoardId) {
-        self.board = board;
-    }
-
     /// Its state.
     #[must_use]
     pub const fn state(&self) -> NmtState {
@@ -79,7 +74,9 @@ impl Node {
 
 impl PlcSide for Node {
     /// What can come in one turn, an SDO request, what comes of it, and a time-out.
-    const MAX_EVENTS_PER_TURN: usize = EVENTS_MAX + 3;
+    fn max_events_per_turn(&self) -> usize {
+        EVENTS_MAX + 3
+    }
 
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         let mut objects = Objects { view, report: &self.report, board: self.board };
@@ -107,6 +104,19 @@ impl PlcSide for Node {
         self.device.show_tpdo(1, [w0, w1, f0, f1, 0, 0, 0, 0]);
         let faults = emergency::present(image.system, shown.link == Link::Silent);
         self.device.show_faults(faults, [a, b, c, d, shown.error_cause]);
+    }
+}
+
+impl Listed for Node {
+    type Turn<'a> = &'a mut Self;
+
+    fn start(&mut self, config: &Config, board: BoardId) {
+        *self = Self::new(config.can.node);
+        self.board = board;
+    }
+
+    fn over<'a>(&'a mut self, _: &'a mut dyn BusPort) -> &'a mut Self {
+        self
     }
 }
 

@@ -2,11 +2,13 @@
 
 use wsg_protocol::can::Identifiers;
 
+use crate::register::setting_rows;
+
 /// TPDOs of the bridge.
 pub(crate) const TPDOS: usize = 2;
 
 /// The bridge as a CANopen device at power-up. What a master can change has an object
-/// ([`OBJECTS`](crate::can::OBJECTS)).
+/// by SDO.
 pub type NodeConfig = bus_canopen::Config<TPDOS>;
 
 /// Node 10h, master 7Fh, a heartbeat twice a second. State and status 2 ms apart at the least, width and force 20 ms,
@@ -34,6 +36,19 @@ pub struct CanConfig {
 impl CanConfig {
     /// 500 kbit/s, the gripper on 120h and 121h, node 10h.
     pub const DEFAULT: Self = Self { kbit_rate: 500, gripper: Identifiers::DEFAULT, node: DEFAULT_NODE };
+}
+
+setting_rows! { CanConfig:
+    178 "CAN_RATE" "kbit/s" (125, 1_000) "the rate of CAN: 125, 250, 500 or 1000"
+        kbit_rate: |it| it, |value| matches!(value, 125 | 250 | 500 | 1_000).then_some(value);
+    179 "CAN_ID" "" (0, 0x7FE)
+        "the identifier that the gripper listens to; it sends on the next one. None of both may be one of CANopen's"
+        gripper: |it| it.base(), |value| Identifiers::from_base(value).filter(|it| !collides_with_canopen(*it));
+    180 "CAN_NODE" "" (1, 127) "the bridge's node-ID; not CAN_MASTER's"
+        node.node: |it| it as u16, |value| Some(value as u8);
+    181 "CAN_MASTER" "" (1, 127) "the node-ID of the CANopen master, whose heartbeat is watched"
+        node.master: |it| it as u16, |value| Some(value as u8);
+    together 180: |it| it.node.is_valid();
 }
 
 /// Whether the gripper's identifiers are among those that CANopen uses, on this device or another.

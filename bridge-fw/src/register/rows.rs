@@ -32,12 +32,12 @@ pub(crate) type Rows<T> = &'static [(u16, T)];
 /// together, with the register to blame where it does not.
 macro_rules! setting_rows {
     ($config:ty: $(
-        $register:literal $name:literal $unit:literal ($least:expr, $most:expr) $meaning:literal
+        $register:literal $name:literal $unit:literal ($least:expr, $most:expr) $meaning:tt
         $($field:ident).+: |$is:ident| $read:expr, |$value:ident| $write:expr;
     )* $(together $culprit:literal: |$all:ident| $fits:expr;)?) => {
         impl $config {
             /// The rows of its settings.
-            pub(crate) const SETTINGS: $crate::registers::Rows<$crate::registers::Setting> = &[$(($register, $crate::registers::Setting {
+            pub(crate) const SETTINGS: $crate::register::Rows<$crate::register::Setting> = &[$(($register, $crate::register::Setting {
                 name: $name,
                 unit: $unit,
                 least: $least,
@@ -48,7 +48,7 @@ macro_rules! setting_rows {
             /// Writes its settings to a record.
             #[allow(clippy::indexing_slicing, reason = "a row outside of the record does not compile")]
             pub(crate) const fn put<const LEN: usize>(&self, record: &mut [u16; LEN]) {
-                $(record[const { $crate::registers::place_in::<LEN>($register) }] = {
+                $(record[const { $crate::register::place_in::<LEN>($register) }] = {
                     let $is = self.$($field).+;
                     $read
                 };)*
@@ -58,7 +58,7 @@ macro_rules! setting_rows {
             #[allow(clippy::indexing_slicing, reason = "a row outside of the record does not compile")]
             pub(crate) fn take<const LEN: usize>(&mut self, record: &[u16; LEN]) -> Result<(), u16> {
                 $({
-                    let $value = record[const { $crate::registers::place_in::<LEN>($register) }];
+                    let $value = record[const { $crate::register::place_in::<LEN>($register) }];
                     let Some(value) = $write else { return Err($register) };
                     self.$($field).+ = value;
                 })*
@@ -86,11 +86,11 @@ macro_rules! report_rows {
     ($source:ty as $it:ident: $($register:literal $name:literal $meaning:literal $value:expr;)*) => {
         impl $source {
             /// The rows of its reports.
-            pub(crate) const REPORTS: $crate::registers::Rows<$crate::registers::Report> =
-                &[$(($register, $crate::registers::Report { name: $name, meaning: $meaning })),*];
+            pub(crate) const REPORTS: $crate::register::Rows<$crate::register::Report> =
+                &[$(($register, $crate::register::Report { name: $name, meaning: $meaning })),*];
 
             /// Returns the report in a register, or `None` if it is not one of these.
-            pub(crate) fn report(&self, register: u16) -> Option<u16> {
+            pub(crate) fn value_of(&self, register: u16) -> Option<u16> {
                 let $it = self;
                 Some(match register {
                     $($register => $value,)*
@@ -144,4 +144,9 @@ pub(crate) const fn assembled<T: Copy, const LEN: usize>(first: u16, parts: &[Ro
         assert!(count(parts) == LEN, "a register has no row");
         table
     }
+}
+
+/// Returns a value as a register holds it, or the register's greatest.
+pub(crate) const fn saturate(value: u32) -> u16 {
+    if value > u16::MAX as u32 { u16::MAX } else { value as u16 }
 }

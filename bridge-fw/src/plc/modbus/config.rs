@@ -1,5 +1,6 @@
-//! What is fixed about the bus when the bridge starts: rate and format, and what the settings begin with.
+//! What can be set about Modbus RTU, and about the silence of every bus.
 
+use crate::register::{saturate, setting_rows};
 use bus_modbus::rtu::Timing;
 use wsg_fieldbus::SilenceReaction;
 
@@ -100,6 +101,33 @@ impl BusConfig {
     pub const fn timing(&self) -> Timing {
         Timing::of(self.baud, self.format.bits())
     }
+}
+
+setting_rows! { BusConfig:
+    100 "UNIT" "" (1, 247) "the bridge's address on the bus, from the next request on"
+        unit: |it| it as u16, |value| Some(value as u8);
+    101 "BUS_TIMEOUT" "ms" (0, u16::MAX) "how long a PLC that commanded may be silent; 0: for ever"
+        timeout_ms: |it| it, |value| Some(value);
+    102 "BUS_REACTION" "" (0, 2) "what is done then: 0 hold, 1 stop, 2 FAST STOP; a jog ends in any case"
+        reaction: |it| it as u16, |value| Some(match value {
+            0 => SilenceReaction::Hold,
+            1 => SilenceReaction::Stop,
+            _ => SilenceReaction::FastStop,
+        });
+    103 "BUS_CHAR_TIMEOUT" "ms" (0, 1_000) "how long a pause inside a request may be; 0: T1.5, by the specification"
+        character_timeout_ms: |it| it, |value| Some(value);
+    104 "BROADCAST" "" (0, 1) "1: broadcast writes count"
+        broadcast: |it| it as u16, |value| Some(value != 0);
+    105 "SWAP_BYTES" "" (0, 1) "1: the bytes of the numbers in registers 0 to 5 change places"
+        swap_bytes: |it| it as u16, |value| Some(value != 0);
+    176 "MODBUS_RATE" "100 bit/s" (12, 2_304) "the rate of Modbus RTU"
+        baud: |it| saturate(it / 100), |value| Some(u32::from(value) * 100);
+    177 "MODBUS_FORMAT" "" (0, 2) "a character of Modbus RTU: 0 8E1, 1 8N1, 2 8N2"
+        format: |it| it as u16, |value| Some(match value {
+            0 => Format::Even1,
+            1 => Format::None1,
+            _ => Format::None2,
+        });
 }
 
 #[cfg(test)]

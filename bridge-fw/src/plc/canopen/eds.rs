@@ -9,8 +9,8 @@ use super::objects::{
     COUNT, DEVICE_NAME, Key, OBJECTS, Object, REPORTS_INDEX, SETTINGS_INDEX, SOFTWARE_VERSION, report,
     setting,
 };
-use crate::config::{Config, NodeConfig};
-use crate::registers::{REPORTS, SETTINGS, Settings};
+use crate::can::NodeConfig;
+use crate::plc::{Config, REPORTS, SETTINGS};
 
 const FACTS: EdsFacts<'_> = EdsFacts {
     file_name: "wsg-bridge.eds",
@@ -29,8 +29,7 @@ const FACTS: EdsFacts<'_> = EdsFacts {
 /// # Errors
 /// Those of the writer.
 pub fn write_eds(out: &mut impl Write, config: &NodeConfig) -> fmt::Result {
-    let delivered = Settings::new(&Config::DEFAULT);
-    let delivered = |at: u16| EdsValue::Number(delivered.register(at).map_or(0, u32::from));
+    let delivered = Config::DEFAULT.record();
     let table = OBJECTS.iter().map(|object| {
         let default = match (object.index, object.source) {
             (0x1008, _) => Some(EdsValue::Text(DEVICE_NAME)),
@@ -43,10 +42,10 @@ pub fn write_eds(out: &mut impl Write, config: &NodeConfig) -> fmt::Result {
         };
         EdsEntry { default, ..EdsEntry::new(*object) }
     });
-    let settings = (1..).zip(&SETTINGS).map(|(sub, of)| EdsEntry {
+    let settings = (1..).zip(&SETTINGS).zip(delivered).map(|((sub, of), value)| EdsEntry {
         object: Object { writable: true, ..register(SETTINGS_INDEX, sub, of.name, setting(sub)) },
         limits: Some((of.least, of.most)),
-        default: Some(delivered(u16::from(sub).wrapping_sub(1))),
+        default: Some(EdsValue::Number(value.into())),
     });
     let reports = (1..)
         .zip(&REPORTS)

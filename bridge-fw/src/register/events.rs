@@ -2,6 +2,7 @@
 
 use core::hash::{Hash, Hasher};
 
+use super::{Report, Rows};
 use wsg_fieldbus::{Cause, Incident};
 use wsg_protocol::{Instant, SystemFlags};
 
@@ -108,7 +109,35 @@ const FAULTS: [(SystemFlags, EventCode); 4] = [
 pub const EVENTS_KEPT: usize = 16;
 
 /// Registers of each: code, command, value, age.
-pub(super) const EVENT_LEN: usize = 4;
+const EVENT_LEN: usize = 4;
+
+/// The register of the last event's code.
+const FIRST_EVENT: u16 = 139;
+
+/// The rows of the last events, by their numbers.
+macro_rules! event_rows {
+    ($first:literal $($number:literal)*) => {[
+        event_rows!(@ $first
+            "the last event: its code; 0: none. `EVENT2_CODE` to `EVENT16_AGE` behind these four are those before it"
+            "the command concerned, by its id (command set, chapter 3); 0: none"
+            "its value, see the table of events"
+            "how long ago it was, in s"),
+        $(event_rows!(@ $number "" "" "" "")),*
+    ]};
+    (@ $number:literal $code:literal $command:literal $value:literal $age:literal) => {[
+        event_row($number, 0, concat!("EVENT", $number, "_CODE"), $code),
+        event_row($number, 1, concat!("EVENT", $number, "_COMMAND"), $command),
+        event_row($number, 2, concat!("EVENT", $number, "_VALUE"), $value),
+        event_row($number, 3, concat!("EVENT", $number, "_AGE"), $age),
+    ]};
+}
+
+const fn event_row(number: u16, field: u16, name: &'static str, meaning: &'static str) -> (u16, Report) {
+    (FIRST_EVENT + (number - 1) * EVENT_LEN as u16 + field, Report { name, meaning })
+}
+
+const EVENT_ROWS: [[(u16, Report); EVENT_LEN]; EVENTS_KEPT] =
+    event_rows!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16);
 
 #[derive(Clone, Copy, Debug)]
 struct Entry {
@@ -143,6 +172,9 @@ pub(crate) struct Events {
 }
 
 impl Events {
+    /// The rows of the last events.
+    pub(crate) const REPORTS: Rows<Report> = EVENT_ROWS.as_flattened();
+
     pub(crate) const fn new() -> Self {
         Self {
             ring: [None; EVENTS_KEPT],
@@ -206,23 +238,30 @@ impl Events {
     }
 
     /// How many there were.
-    pub(super) const fn count(&self) -> u16 {
+    pub(crate) const fn count(&self) -> u16 {
         self.count
     }
 
     /// How many commands the bridge has refused.
-    pub(super) const fn refusals(&self) -> u16 {
+    pub(crate) const fn refusals(&self) -> u16 {
         self.refusals
     }
 
+    /// Returns the report in a register, or `None` if it is not one of these.
+    pub(crate) fn value_of(&self, register: u16) -> Option<u16> {
+        let place = u8::try_from(register.checked_sub(FIRST_EVENT)?).ok()?;
+        let (number, field) = (place / EVENT_LEN as u8, place % EVENT_LEN as u8);
+        (usize::from(number) < EVENTS_KEPT).then(|| self.register(number, field))
+    }
+
     /// A register of one of them, the last first; 0 of one that has not happened.
-    pub(super) fn register(&self, number: u8, field: u8) -> u16 {
+    fn register(&self, number: u8, field: u8) -> u16 {
         let at = usize::from(self.next.wrapping_sub(1).wrapping_sub(number)) % EVENTS_KEPT;
         field_of(self.ring.get(at).copied().flatten(), field)
     }
 
     /// A register of the last FAST STOP.
-    pub(super) fn fast_stop_register(&self, field: u8) -> u16 {
+    pub(crate) fn fast_stop_register(&self, field: u8) -> u16 {
         field_of(self.fast_stop, field)
     }
 

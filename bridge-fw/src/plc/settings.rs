@@ -1,0 +1,222 @@
+//! The settings as they are while the bridge runs, those that are stored, and what shall be done with them.
+
+use super::modbus::BusConfig;
+use super::wires::WiresConfig;
+use super::{Config, Record, check_record, place_of};
+use crate::recipe::Recipe;
+use crate::register::{RegisterError, StoreCommand};
+
+/// The values of [`SETTINGS`]: always inside their ranges, and such as go together.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Settings {
+    values: Record,
+    /// Those that count from the next start on.
+    stored: Record,
+    /// What shall be done with them at the end of the turn.
+    asked: Option<StoreCommand>,
+}
+
+impl Settings {
+    /// Where BUS_TIMEOUT stands, counted from [`FIRST_SETTING`].
+    pub(crate) const TIMEOUT: u16 = place_of("BUS_TIMEOUT") as u16;
+
+    /// What the configuration says, each value brought into its range.
+    pub(crate) const fn new(config: &Config) -> Self {
+        let values = config.record();
+        Self { values, stored: values, asked: None }
+    }
+
+    /// All values, in the order of [`SETTINGS`].
+    pub(crate) const fn record(&self) -> &Record {
+        &self.values
+    }
+
+    /// The register at this address, counted from [`FIRST_SETTING`].
+    pub(crate) fn register(&self, index: u16) -> Result<u16, RegisterError> {
+        self.values.get(usize::from(index)).copied().ok_or(RegisterError::Missing)
+    }
+
+    /// Returns the values with these written to the registers from `first` on; fails when one does not exist or does not take its
+    /// value.
+    pub(crate) fn with(
+        &self,
+        first: u16,
+        values: impl Iterator<Item = u16>,
+    ) -> Result<Record, RegisterError> {
+        let mut record = self.values;
+        let mut places = record.get_mut(usize::from(first)..).unwrap_or_default().iter_mut();
+        for value in values {
+            *places.next().ok_or(RegisterError::Missing)? = value;
+        }
+        check_record(&record).map_err(|_| RegisterError::Value)?;
+        Ok(record)
+    }
+
+    /// Takes these values; they are not stored.
+    pub(crate) const fn take(&mut self, values: &Record) {
+        self.values = *values;
+    }
+
+    /// Takes the stored values.
+    pub(crate) const fn restore(&mut self) {
+        self.values = self.stored;
+    }
+
+    /// They are stored as they are.
+    pub(crate) const fn are_stored(&mut self) {
+        self.stored = self.values;
+    }
+
+    pub(crate) fn are_changed(&self) -> bool {
+        self.values != self.stored
+    }
+
+    /// Has them stored, or the delivered ones taken and stored, at the end of the turn.
+    pub(crate) const fn ask(&mut self, command: StoreCommand) {
+        self.asked = Some(command);
+    }
+
+    pub(crate) const fn is_asked(&self) -> bool {
+        self.asked.is_some()
+    }
+
+    pub(crate) const fn take_asked(&mut self) -> Option<StoreCommand> {
+        self.asked.take()
+    }
+
+    pub(crate) fn timeout_ms(&self) -> u32 {
+        self.values[const { place_of("BUS_TIMEOUT") }].into()
+    }
+
+    /// What can be set about the wires.
+    pub(crate) fn wires(&self) -> WiresConfig {
+        let mut wires = WiresConfig::DEFAULT;
+        // Values that no bridge can have are not among them.
+        let _ = wires.take(&self.values);
+        wires
+    }
+
+    pub(crate) fn half_frame_ms(&self) -> u32 {
+        self.values[const { place_of("HALF_FRAME") }].into()
+    }
+
+    pub(crate) fn recipe(&self, number: usize) -> Option<Recipe> {
+        Recipe::of(&self.values, number)
+    }
+
+    /// The recipe that the bus's commands take, if they take one.
+    pub(crate) fn bus_recipe(&self) -> Option<Recipe> {
+        self.recipe(self.values[const { place_of("BUS_RECIPE") }].into())
+    }
+
+    /// What can be set about the PLC's bus.
+    pub(crate) fn bus(&self) -> BusConfig {
+        let mut bus = BusConfig::DEFAULT;
+        let _ = bus.take(&self.values);
+        bus
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plc::{SETTINGS, WrongSetting};
+    use crate::recipe::{RECIPE_COUNT, RECIPES};
+    use std::string::ToString;
+    use wsg_fieldbus::SilenceReaction;
+
+    impl Settings {
+        fn write(&mut self, first: u16, values: &[u16]) -> Result<(), RegisterError> {
+            self.take(&self.with(first, values.iter().copied())?);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn settings_begin_as_the_configuration_says() {
+        let settings = Settings::new(&Config::DEFAULT);
+        for (number, recipe) in RECIPES.iter().enumerate() {
+            assert_eq!(settings.recipe(number), Some(*recipe));
+        }
+        assert_eq!(settings.recipe(RECIPE_COUNT), None);
+        assert_eq!(settings.bus_recipe(), None);
+        assert_eq!(settings.bus().reaction, SilenceReaction::Stop);
+        assert_eq!(
+            (settings.wires().debounce_ms, settings.wires().min_busy_ms, settings.half_frame_ms()),
+            (2, 50, 20)
+        );
+        assert_eq!(settings.bus().unit, 1);
+        assert_eq!(settings.register(SETTINGS.len() as u16), Err(RegisterError::Missing));
+    }
+
+    #[test]
+    fn what_the_configuration_has_out_of_range_becomes_the_nearest() {
+        let config = Config {
+            wires: WiresConfig { debounce_ms: 0x1_0005, min_busy_ms: u32::MAX },
+            half_frame_ms: 0,
+            ..Config::DEFAULT
+        };
+        let settings = Settings::new(&config);
+        assert_eq!(
+            (settings.wires().debounce_ms, settings.half_frame_ms(), settings.wires().min_busy_ms),
+            (1_000, 1, 10_000)
+        );
+    }
+
+    #[test]
+    fn every_setting_takes_its_range_and_nothing_else() {
+        for (index, setting) in SETTINGS.iter().enumerate() {
+            let mut settings = Settings::new(&Config::DEFAULT);
+            // What these take depends on each other and on CANopen.
+            let is_free = !matches!(setting.name, "CAN_ID" | "CAN_NODE" | "CAN_MASTER");
+            for value in [setting.least, setting.most].into_iter().filter(|_| is_free) {
+                settings.write(index as u16, &[value]).unwrap();
+                assert_eq!(settings.register(index as u16), Ok(value), "{}", setting.name);
+                assert!(Config::from_record(settings.record()).is_ok(), "a start takes it: {}", setting.name);
+            }
+            for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
+                let refused = settings.write(index as u16, &[value]);
+                assert_eq!(refused, Err(RegisterError::Value), "{}", setting.name);
+            }
+        }
+    }
+
+    #[test]
+    fn values_that_do_not_go_together_are_refused_and_both_at_once_are_not() {
+        let mut settings = Settings::new(&Config::DEFAULT);
+        for (name, value) in [
+            ("CAN_RATE", 300),
+            ("CAN_ID", 0x100),
+            ("CAN_NODE", 0x7F),
+            ("CAN_MASTER", 0x10),
+            ("PROFIBUS_RATE", 97),
+        ] {
+            let refused = settings.write(place_of(name) as u16, &[value]);
+            assert_eq!(refused, Err(RegisterError::Value), "{value}");
+        }
+        assert_eq!(settings.write(place_of("CAN_NODE") as u16, &[0x7F, 0x10]), Ok(()));
+        assert!(settings.are_changed());
+        let record = *settings.record();
+        assert_eq!(check_record(&record), Ok(()));
+    }
+
+    #[test]
+    fn wrong_setting_is_named_with_what_it_takes() {
+        let mut record = Config::DEFAULT.record();
+        record[place_of("BUS_REACTION")] = 3;
+        let wrong = Config::from_record(&record).unwrap_err();
+        assert_eq!(wrong, WrongSetting { at: place_of("BUS_REACTION") });
+        assert!(wrong.to_string().starts_with("BUS_REACTION takes 0 to 2: "), "{wrong}");
+        assert_eq!(WrongSetting { at: SETTINGS.len() }.to_string(), "there is no such setting");
+    }
+
+    #[test]
+    fn write_with_one_wrong_value_changes_nothing() {
+        let mut settings = Settings::new(&Config::DEFAULT);
+        let refused = settings.write(0, &[9; 3]);
+        assert_eq!(refused, Err(RegisterError::Value), "there is no reaction 9");
+        assert_eq!(settings.register(0), Ok(1));
+        let past_the_end = settings.write(SETTINGS.len() as u16 - 1, &[9; 2]);
+        assert_eq!(past_the_end, Err(RegisterError::Missing));
+    }
+}
