@@ -94,8 +94,10 @@ impl Bridge {
 
     /// Takes another configuration, but for the time-outs towards the gripper, and where it is from. Before the first turn
     /// alone. Settings that are refused let nothing move until others are stored.
+    // Apart: a record of the settings is on its stack.
+    #[inline(never)]
     pub(crate) fn configure(&mut self, config: &Config, from: SettingsFrom) {
-        self.settings = Settings::new(config);
+        self.settings.start(config);
         self.wires.configure(&self.settings);
         self.facts.sides = SideReports::new(config);
         self.facts.store.from = from;

@@ -73,15 +73,15 @@ macro_rules! plc_sides {
                 $(self.$config.put(record);)*
             }
 
-            fn take_sides(&mut self, record: &Record) -> Result<(), u16> {
-                $(self.$config.take(record)?;)*
+            fn take_sides(&mut self, value_at: &impl Fn(usize) -> u16) -> Result<(), u16> {
+                $(self.$config.take(value_at)?;)*
                 Ok(())
             }
         }
 
         /// Checks what settings say of each side, all values being in their ranges.
-        fn check_sides(record: &Record) -> Result<(), u16> {
-            $(<$config_type>::check(record)?;)*
+        fn check_sides(value_at: &impl Fn(usize) -> u16) -> Result<(), u16> {
+            $(<$config_type>::check(value_at)?;)*
             Ok(())
         }
 
@@ -170,7 +170,7 @@ plc_sides! {
 /// What the list needs of a PLC side.
 pub(crate) trait Listed {
     /// The side for one turn of the bridge.
-    type Turn<'a>: PlcSide
+    type Turn<'a>
     where
         Self: 'a;
 
@@ -314,19 +314,19 @@ impl Config {
     /// [`WrongSetting`]: the first whose value is out of its range or does not go with the others.
     pub fn from_record(record: &Record) -> Result<Self, WrongSetting> {
         check_record(record)?;
-        // In its place from the start on: copies of it would be on the stack.
         let mut config = Self::DEFAULT;
         config.take_all(record).map_err(WrongSetting::of)?;
-        for (number, recipe) in config.recipes.iter_mut().enumerate() {
-            *recipe = Recipe::of(record, number).unwrap_or(*recipe);
-        }
         Ok(config)
     }
 
     fn take_all(&mut self, record: &Record) -> Result<(), u16> {
-        self.take(record)?;
-        self.wires.take(record)?;
-        self.take_sides(record)
+        let value_at = &values_of(record);
+        self.take(value_at)?;
+        self.wires.take(value_at)?;
+        for (number, recipe) in self.recipes.iter_mut().enumerate() {
+            *recipe = Recipe::of(record, number).unwrap_or(*recipe);
+        }
+        self.take_sides(value_at)
     }
 }
 
@@ -400,13 +400,18 @@ const RANGES: [(u16, u16); SETTINGS.len()] = {
     ranges
 };
 
+/// Returns the values of a record by their places.
+fn values_of(record: &Record) -> impl Fn(usize) -> u16 {
+    |place| record.get(place).copied().unwrap_or_default()
+}
+
 /// Returns whether a bridge can have these values.
 pub(crate) fn check_record(record: &Record) -> Result<(), WrongSetting> {
     let is_wrong = |(value, (least, most)): (&u16, &(u16, u16))| !(least..=most).contains(&value);
     if let Some(at) = record.iter().zip(&RANGES).position(is_wrong) {
         return Err(WrongSetting { at });
     }
-    check_sides(record).map_err(WrongSetting::of)
+    check_sides(&values_of(record)).map_err(WrongSetting::of)
 }
 
 #[cfg(test)]

@@ -52,7 +52,8 @@ impl<C: CanController> Station<C> {
     /// recipes were asked for.
     #[inline(never)]
     pub fn load(&mut self, delivered: &Record, flash: &impl NorFlash) -> Result<Config, WrongSetting> {
-        self.settings.load(delivered, flash)
+        self.settings.set_delivered(|| *delivered);
+        self.settings.load(flash)
     }
 
     /// Takes the configuration, what it runs on, and why the MCU was reset. Before the first turn alone.
@@ -63,17 +64,24 @@ impl<C: CanController> Station<C> {
         self.bridge.set_reset_cause(reset_cause);
         self.bridge.configure(config, self.settings.from());
         self.sides.start(config, board);
+        self.start_link(config);
+    }
+
+    // Apart, as above: the frames of the sides would be on the stack beside it.
+    #[inline(never)]
+    fn start_link(&mut self, config: &Config) {
         self.link = GripperLink::new(config.can.gripper);
     }
 
-    /// [`load`](Self::load), with the delivered settings on the stack for its time alone.
+    /// [`load`](Self::load), with the delivered settings not on the stack meanwhile.
     #[inline(never)]
     pub(crate) fn load_delivered(
         &mut self,
         delivered: fn() -> Record,
         flash: &impl NorFlash,
     ) -> Result<Config, WrongSetting> {
-        self.load(&delivered(), flash)
+        self.settings.set_delivered(delivered);
+        self.settings.load(flash)
     }
 
     /// One turn of the main loop: takes what the lines and wires brought, sends what is due, and returns the levels of the

@@ -29,13 +29,20 @@ impl StoredSettings {
         self.from
     }
 
+    /// Takes the settings that the image was delivered with.
+    // Apart: they are not on the stack any more when it returns.
+    #[inline(never)]
+    pub(crate) fn set_delivered(&mut self, delivered: impl FnOnce() -> Record) {
+        self.delivered = delivered();
+    }
+
     /// Returns the configuration to start with.
     ///
     /// # Errors
     /// [`WrongSetting`] if the image was delivered with settings that no bridge can have.
-    pub(crate) fn load(&mut self, delivered: &Record, flash: &impl NorFlash) -> Result<Config, WrongSetting> {
+    pub(crate) fn load(&mut self, flash: &impl NorFlash) -> Result<Config, WrongSetting> {
+        let delivered = &self.delivered;
         check_record(delivered)?;
-        self.delivered = *delivered;
         self.from = match self.store.load(flash) {
             Ok(record) if record.version == VERSION => {
                 let words = record.payload.as_chunks::<2>().0;

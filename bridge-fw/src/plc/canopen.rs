@@ -78,6 +78,8 @@ impl PlcSide for Node {
         EVENTS_MAX + 3
     }
 
+    // Apart: its frame would be on the stack of the other sides, too.
+    #[inline(never)]
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         let mut objects = Objects { view, report: &self.report, board: self.board };
         Some(match self.device.poll_event(now.as_millis(), &mut objects)? {
@@ -110,6 +112,8 @@ impl PlcSide for Node {
 impl Listed for Node {
     type Turn<'a> = &'a mut Self;
 
+    // Apart: what is built anew here would be on the stack beside that of the other sides.
+    #[inline(never)]
     fn start(&mut self, config: &Config, board: BoardId) {
         *self = Self::new(config.can.node);
         self.board = board;

@@ -2,7 +2,7 @@
 
 use super::modbus::BusConfig;
 use super::wires::WiresConfig;
-use super::{Config, Record, check_record, place_of};
+use super::{Config, RANGES, Record, check_sides, place_of, values_of};
 use crate::recipe::Recipe;
 use crate::register::{RegisterError, StoreCommand};
 
@@ -26,6 +26,13 @@ impl Settings {
         Self { values, stored: values, asked: None }
     }
 
+    /// Takes what the configuration says in place of all that it has: in its place, as a copy would be on the stack.
+    pub(crate) fn start(&mut self, config: &Config) {
+        self.values = config.record();
+        self.stored = self.values;
+        self.asked = None;
+    }
+
     /// All values, in the order of [`SETTINGS`].
     pub(crate) const fn record(&self) -> &Record {
         &self.values
@@ -36,20 +43,39 @@ impl Settings {
         self.values.get(usize::from(index)).copied().ok_or(RegisterError::Missing)
     }
 
-    /// Returns the values with these written to the registers from `first` on; fails when one does not exist or does not take its
-    /// value.
-    pub(crate) fn with(
+    /// Whether registers from this one on exist and take these values.
+    pub(crate) fn check(
         &self,
         first: u16,
-        values: impl Iterator<Item = u16>,
-    ) -> Result<Record, RegisterError> {
-        let mut record = self.values;
-        let mut places = record.get_mut(usize::from(first)..).unwrap_or_default().iter_mut();
-        for value in values {
-            *places.next().ok_or(RegisterError::Missing)? = value;
+        values: impl Iterator<Item = u16> + Clone,
+    ) -> Result<(), RegisterError> {
+        let first = usize::from(first);
+        let mut ranges = RANGES.get(first..).unwrap_or_default().iter();
+        let mut fits = true;
+        for value in values.clone() {
+            let (least, most) = *ranges.next().ok_or(RegisterError::Missing)?;
+            fits &= (least..=most).contains(&value);
         }
-        check_record(&record).map_err(|_| RegisterError::Value)?;
-        Ok(record)
+        // Not by a record: another one would be on the stack.
+        let after = |place: usize| {
+            let written = place.checked_sub(first).and_then(|n| values.clone().nth(n));
+            written.or_else(|| self.values.get(place).copied()).unwrap_or_default()
+        };
+        if fits && check_sides(&after).is_ok() { Ok(()) } else { Err(RegisterError::Value) }
+    }
+
+    /// Writes registers from this one on; all or, when one does not exist or does not take its value, none.
+    pub(crate) fn write(
+        &mut self,
+        first: u16,
+        values: impl Iterator<Item = u16> + Clone,
+    ) -> Result<(), RegisterError> {
+        self.check(first, values.clone())?;
+        let places = self.values.get_mut(usize::from(first)..).unwrap_or_default();
+        for (place, value) in places.iter_mut().zip(values) {
+            *place = value;
+        }
+        Ok(())
     }
 
     /// Takes these values; they are not stored.
@@ -92,7 +118,7 @@ impl Settings {
     pub(crate) fn wires(&self) -> WiresConfig {
         let mut wires = WiresConfig::DEFAULT;
         // Values that no bridge can have are not among them.
-        let _ = wires.take(&self.values);
+        let _ = wires.take(&values_of(&self.values));
         wires
     }
 
@@ -112,7 +138,7 @@ impl Settings {
     /// What can be set about the PLC's bus.
     pub(crate) fn bus(&self) -> BusConfig {
         let mut bus = BusConfig::DEFAULT;
-        let _ = bus.take(&self.values);
+        let _ = bus.take(&values_of(&self.values));
         bus
     }
 }
@@ -120,17 +146,10 @@ impl Settings {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plc::{SETTINGS, WrongSetting};
+    use crate::plc::{SETTINGS, WrongSetting, check_record};
     use crate::recipe::{RECIPE_COUNT, RECIPES};
     use std::string::ToString;
     use wsg_fieldbus::SilenceReaction;
-
-    impl Settings {
-        fn write(&mut self, first: u16, values: &[u16]) -> Result<(), RegisterError> {
-            self.take(&self.with(first, values.iter().copied())?);
-            Ok(())
-        }
-    }
 
     #[test]
     fn settings_begin_as_the_configuration_says() {
@@ -170,12 +189,12 @@ mod tests {
             // What these take depends on each other and on CANopen.
             let is_free = !matches!(setting.name, "CAN_ID" | "CAN_NODE" | "CAN_MASTER");
             for value in [setting.least, setting.most].into_iter().filter(|_| is_free) {
-                settings.write(index as u16, &[value]).unwrap();
+                settings.write(index as u16, [value].into_iter()).unwrap();
                 assert_eq!(settings.register(index as u16), Ok(value), "{}", setting.name);
                 assert!(Config::from_record(settings.record()).is_ok(), "a start takes it: {}", setting.name);
             }
             for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
-                let refused = settings.write(index as u16, &[value]);
+                let refused = settings.write(index as u16, [value].into_iter());
                 assert_eq!(refused, Err(RegisterError::Value), "{}", setting.name);
             }
         }
@@ -191,10 +210,10 @@ mod tests {
             ("CAN_MASTER", 0x10),
             ("PROFIBUS_RATE", 97),
         ] {
-            let refused = settings.write(place_of(name) as u16, &[value]);
+            let refused = settings.write(place_of(name) as u16, [value].into_iter());
             assert_eq!(refused, Err(RegisterError::Value), "{value}");
         }
-        assert_eq!(settings.write(place_of("CAN_NODE") as u16, &[0x7F, 0x10]), Ok(()));
+        assert_eq!(settings.write(place_of("CAN_NODE") as u16, [0x7F, 0x10].into_iter()), Ok(()));
         assert!(settings.are_changed());
         let record = *settings.record();
         assert_eq!(check_record(&record), Ok(()));
@@ -213,10 +232,10 @@ mod tests {
     #[test]
     fn write_with_one_wrong_value_changes_nothing() {
         let mut settings = Settings::new(&Config::DEFAULT);
-        let refused = settings.write(0, &[9; 3]);
+        let refused = settings.write(0, [9; 3].into_iter());
         assert_eq!(refused, Err(RegisterError::Value), "there is no reaction 9");
         assert_eq!(settings.register(0), Ok(1));
-        let past_the_end = settings.write(SETTINGS.len() as u16 - 1, &[9; 2]);
+        let past_the_end = settings.write(SETTINGS.len() as u16 - 1, [9; 2].into_iter());
         assert_eq!(past_the_end, Err(RegisterError::Missing));
     }
 }

@@ -88,24 +88,6 @@ pub struct Shown {
     pub ignores_motions: bool,
 }
 
-impl<P: PlcSide> PlcSide for &mut P {
-    fn max_events_per_turn(&self) -> usize {
-        (**self).max_events_per_turn()
-    }
-
-    fn report(&self, reports: &mut SideReports) {
-        (**self).report(reports);
-    }
-
-    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
-        (**self).receive(now, view)
-    }
-
-    fn show(&mut self, now: Instant, shown: &Shown) {
-        (**self).show(now, shown);
-    }
-}
-
 /// The identity of the board that a bridge runs on, as a master can read it (CANopen 1009h and 1018h, 4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BoardId {

@@ -123,13 +123,12 @@ impl View<'_> {
     pub fn write_settings(
         &mut self,
         first: u16,
-        values: impl Iterator<Item = u16>,
+        values: impl Iterator<Item = u16> + Clone,
     ) -> Result<(), RegisterError> {
         // What exists and what it takes is said before that it is not the time.
-        let changed = self.settings.with(first, values)?;
+        self.settings.check(first, values.clone())?;
         self.may_change_settings()?;
-        self.settings.take(&changed);
-        Ok(())
+        self.settings.write(first, values)
     }
 
     /// Takes the stored settings, or has others stored at the end of this turn. Return

@@ -54,11 +54,10 @@ macro_rules! setting_rows {
                 };)*
             }
 
-            /// Takes its settings from a record. Fails with the register whose value no bridge can have.
-            #[allow(clippy::indexing_slicing, reason = "a row outside of the record does not compile")]
-            pub(crate) fn take<const LEN: usize>(&mut self, record: &[u16; LEN]) -> Result<(), u16> {
+            /// Takes its settings from the values at their places. Fails with the register whose value no bridge can have.
+            pub(crate) fn take(&mut self, value_at: &impl Fn(usize) -> u16) -> Result<(), u16> {
                 $({
-                    let $value = record[const { $crate::register::place_in::<LEN>($register) }];
+                    let $value = value_at(($register - $crate::register::FIRST_SETTING) as usize);
                     let Some(value) = $write else { return Err($register) };
                     self.$($field).+ = value;
                 })*
@@ -72,10 +71,10 @@ macro_rules! setting_rows {
             }
 
             /// Returns whether a bridge can have these settings, which are in their ranges.
-            #[allow(dead_code, reason = "most settings take all of their ranges")]
-            pub(crate) fn check<const LEN: usize>(record: &[u16; LEN]) -> Result<(), u16> {
+            #[allow(dead_code, reason = "only those of PLC sides are checked by themselves")]
+            pub(crate) fn check(value_at: &impl Fn(usize) -> u16) -> Result<(), u16> {
                 let mut config = Self::DEFAULT;
-                config.take(record)
+                config.take(value_at)
             }
         }
     };
