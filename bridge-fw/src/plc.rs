@@ -400,6 +400,23 @@ const RANGES: [(u16, u16); SETTINGS.len()] = {
     ranges
 };
 
+impl Settings {
+    /// What can be set about the wires.
+    pub(crate) fn wires(&self) -> WiresConfig {
+        let mut wires = WiresConfig::DEFAULT;
+        // Values that no bridge can have are not among them.
+        let _ = wires.take(&values_of(self.record()));
+        wires
+    }
+
+    /// What can be set about the PLC's bus.
+    pub(crate) fn bus(&self) -> BusConfig {
+        let mut bus = BusConfig::DEFAULT;
+        let _ = bus.take(&values_of(self.record()));
+        bus
+    }
+}
+
 /// Returns the values of a record by their places.
 fn values_of(record: &Record) -> impl Fn(usize) -> u16 {
     |place| record.get(place).copied().unwrap_or_default()

@@ -4,10 +4,13 @@
 //! all for the last hundredth of a millimetre. A PLC that reads all of them at once took the force of the approach for that of the
 //! grip. So both are asked for when the fingers stand, and the end is shown with the answers.
 
-use super::side::MOTION_STATES;
 use wsg_fieldbus::{GripperFlags, InputImage};
 use wsg_protocol::session::Event;
 use wsg_protocol::{CommandId, Instant, SystemFlags};
+
+/// GSTATE while a motion command is carried out.
+pub(super) const MOTION_STATES: GripperFlags =
+    GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
 /// How long the end is kept back, in milliseconds, at the most.
 const PATIENCE_MS: u32 = 10;

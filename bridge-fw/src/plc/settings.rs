@@ -1,8 +1,6 @@
 //! The settings as they are while the bridge runs, those that are stored, and what shall be done with them.
 
-use super::modbus::BusConfig;
-use super::wires::WiresConfig;
-use super::{Config, RANGES, Record, check_sides, place_of, values_of};
+use super::{Config, RANGES, Record, check_sides, place_of};
 use crate::recipe::Recipe;
 use crate::register::{RegisterError, StoreCommand};
 
@@ -114,14 +112,6 @@ impl Settings {
         self.values[const { place_of("BUS_TIMEOUT") }].into()
     }
 
-    /// What can be set about the wires.
-    pub(crate) fn wires(&self) -> WiresConfig {
-        let mut wires = WiresConfig::DEFAULT;
-        // Values that no bridge can have are not among them.
-        let _ = wires.take(&values_of(&self.values));
-        wires
-    }
-
     pub(crate) fn half_frame_ms(&self) -> u32 {
         self.values[const { place_of("HALF_FRAME") }].into()
     }
@@ -134,19 +124,12 @@ impl Settings {
     pub(crate) fn bus_recipe(&self) -> Option<Recipe> {
         self.recipe(self.values[const { place_of("BUS_RECIPE") }].into())
     }
-
-    /// What can be set about the PLC's bus.
-    pub(crate) fn bus(&self) -> BusConfig {
-        let mut bus = BusConfig::DEFAULT;
-        let _ = bus.take(&values_of(&self.values));
-        bus
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plc::{SETTINGS, WrongSetting, check_record};
+    use crate::plc::{SETTINGS, WiresConfig, WrongSetting, check_record};
     use crate::recipe::{RECIPE_COUNT, RECIPES};
     use std::string::ToString;
     use wsg_fieldbus::SilenceReaction;

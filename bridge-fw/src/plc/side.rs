@@ -1,16 +1,10 @@
 //! The contract of a PLC side.
 
 use super::SideReports;
-use super::modbus::BusPort;
 use super::view::View;
 use crate::register::Link;
-use bus_modbus::rtu::Character;
-use wsg_fieldbus::{GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::Instant;
-
-/// GSTATE while a motion command is carried out.
-pub(super) const MOTION_STATES: GripperFlags =
-    GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
 /// One way in which a PLC commands the bridge: it turns what the PLC sends into events, and gives it what it reads.
 ///
@@ -105,18 +99,6 @@ impl BoardId {
 /// No bus beside the wires; or the line of one that a board does not have, the service port included.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoBus;
-
-impl BusPort for NoBus {
-    fn receive(&mut self) -> Option<(Character, u32)> {
-        None
-    }
-
-    fn silence_us(&mut self) -> u32 {
-        u32::MAX
-    }
-
-    fn send(&mut self, _: &[u8]) {}
-}
 
 impl PlcSide for NoBus {
     fn receive(&mut self, _: Instant, _: &mut View<'_>) -> Option<PlcEvent> {

@@ -1,6 +1,7 @@
 //! Digital I/O as a PLC side: wires in, output image out; input image in, wires out.
 
-use super::side::{MOTION_STATES, PlcEvent, PlcSide, Shown};
+use super::motion_end::MOTION_STATES;
+use super::side::{PlcEvent, PlcSide, Shown};
 use super::{Debounce, Settings, View};
 use crate::io::{Inputs, Outputs};
 use crate::recipe::Recipe;

@@ -1,5 +1,6 @@
 //! The bus's line as a board hands it over.
 
+use crate::plc::side::NoBus;
 use bus_modbus::rtu::Character;
 
 /// A half-duplex line for Modbus RTU that measures its silences.
@@ -14,4 +15,16 @@ pub trait BusPort {
 
     /// Sends a frame. Does not wait; while another is being sent, this one is dropped.
     fn send(&mut self, frame: &[u8]);
+}
+
+impl BusPort for NoBus {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        None
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        u32::MAX
+    }
+
+    fn send(&mut self, _: &[u8]) {}
 }
