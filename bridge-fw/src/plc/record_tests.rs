@@ -46,6 +46,17 @@ proptest! {
 }
 
 #[test]
+fn each_setting_is_held_to_its_range() {
+    for (at, setting) in SETTINGS.iter().enumerate() {
+        for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
+            let mut record = DEFAULT;
+            record[at] = value;
+            assert_eq!(Config::from_record(&record).err(), Some(WrongSetting { at }), "{}", setting.name);
+        }
+    }
+}
+
+#[test]
 fn can_has_four_rates() {
     for rate in [125, 250, 500, 1_000] {
         assert_eq!(Config::from_record(&with("CAN_RATE", rate)).unwrap().can.kbit_rate, rate);
