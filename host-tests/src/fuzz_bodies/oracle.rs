@@ -42,10 +42,9 @@ impl Oracle {
     pub(super) fn begin_turn(&mut self, now_ms: u32, heard: &[u8], wires: Inputs) {
         self.now_ms = now_ms;
         self.told.read(now_ms, heard);
-        // A third party has acknowledged it, or the gripper was restarted (fieldbus, 6.6).
-        let is_connected = self.shown.outputs.contains(Outputs::LINK_OK);
+        // A third party has acknowledged it, or the gripper was restarted (fieldbus, 6.6); also before the connection is up.
         let may_be_latched = self.stops.is_answered() || self.told.is_answered(CommandId::FastStop);
-        if self.told.has_left_fast_stop && is_connected && may_be_latched {
+        if self.told.has_left_fast_stop && may_be_latched {
             if !self.asked.holds_fast_stop() {
                 self.asked.stopped_ms = None;
                 self.stops.leave_fast_stop();
