@@ -5,7 +5,7 @@ use std::thread;
 use std::time::Duration;
 
 use wsg_protocol::driver::blocking::{GclGripper, Gripper};
-use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, OnBlock, StopKind};
+use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, N, OnBlock, StopKind};
 use wsg_protocol::{GripperState, HomingDirection, Status, SystemFlags};
 use wsg_sim::{Config, Fault, Part, PortKind, Time, VirtualRig};
 
@@ -74,7 +74,7 @@ fn program_that_polls_without_waiting_sees_the_motion_end() {
     while gripper.poll(&motion).unwrap().is_none() {}
     let motion = gripper.begin_move_to(Mm(60.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     while gripper.motion().is_some() {
-        assert!(gripper.width().unwrap() >= 50.0);
+        assert!(gripper.width().unwrap().0 >= 50.0);
     }
     assert_eq!(gripper.poll(&motion), Ok(Some(())));
 }
@@ -85,7 +85,7 @@ fn part_that_is_removed_while_it_is_held_is_lost() {
     assert_eq!(gripper.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
     rig.set_part(None);
     rig.pass(1_000);
-    assert_eq!(gripper.state(), Ok(GripperState::PartLost));
+    assert_eq!(gripper.gripper_state(), Ok(GripperState::PartLost));
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn cut_line_is_no_connection_until_it_is_restored() {
     assert_eq!(gripper.connect(), Err(Error::NotConnected));
     rig.restore_line();
     gripper.connect().unwrap();
-    assert_eq!(gripper.width(), Ok(110.0));
+    assert_eq!(gripper.width(), Ok(Mm(110.0)));
 }
 
 /// Command set, 1.4.2.
@@ -143,14 +143,14 @@ fn restart_closes_a_tcp_connection() {
     assert_eq!(gripper.width(), Err(Error::Closed));
     rig.restore_line();
     gripper.connect().unwrap();
-    assert_eq!(gripper.width(), Ok(0.0), "not referenced");
+    assert_eq!(gripper.width(), Ok(Mm(0.0)), "not referenced");
 }
 
 #[test]
 fn noise_before_an_answer_is_skipped_and_counted() {
     let (rig, mut gripper) = homed(Config::default());
     rig.inject(&[0x55; 20]);
-    assert_eq!(gripper.width(), Ok(110.0));
+    assert_eq!(gripper.width(), Ok(Mm(110.0)));
     assert_eq!(gripper.counters().line.dropped, 20);
 }
 
@@ -169,6 +169,6 @@ fn text_protocol_grips_as_well() {
     let mut gripper = GclGripper::new(rig.line(), rig.clock());
     gripper.connect().unwrap();
     gripper.home(HomingDirection::Default).unwrap();
-    gripper.set_force_limit(40.0).unwrap();
+    gripper.set_force_limit(N(40.0)).unwrap();
     assert_eq!(gripper.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
 }

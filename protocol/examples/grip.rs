@@ -11,7 +11,7 @@ use std::process::ExitCode;
 
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
 use wsg_protocol::driver::host::{StdClock, Tcp};
-use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, MotionResult, Pending, Protocol};
+use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, MotionResult, N, Pending, Protocol};
 use wsg_protocol::session::Topic;
 use wsg_protocol::{AutoUpdate, HomingDirection, Status};
 
@@ -58,7 +58,7 @@ fn run<C: Clock, P: Protocol>(gripper: &mut GripperOver<Tcp, C, P>) -> Result<()
     gripper.acknowledge()?;
     let homing = gripper.begin_home(HomingDirection::Default)?;
     watch(gripper, &homing)?;
-    gripper.set_force_limit(40.0)?;
+    gripper.set_force_limit(N(40.0))?;
 
     gripper.subscribe(Topic::Width, AutoUpdate::on_change(50));
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(100.0))?;

@@ -15,7 +15,7 @@ use embassy_executor::Spawner;
 use embassy_time::{Duration, Ticker};
 use embedded_io_adapters::futures_03::FromFutures;
 use wsg_protocol::driver::asynch::{GclGripper, Gripper, GripperOver};
-use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol, Timer};
+use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N, Protocol, Timer};
 use wsg_protocol::{HomingDirection, Instant};
 
 /// Embassy's clock.
@@ -57,7 +57,7 @@ async fn run<P: Protocol>(gripper: &mut GripperOver<Tcp, EmbassyTimer, P>) -> Re
     println!("{}", gripper.system_info().await?);
     gripper.acknowledge().await?;
     gripper.home(HomingDirection::Default).await?;
-    gripper.set_force_limit(40.0).await?;
+    gripper.set_force_limit(N(40.0)).await?;
 
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(100.0)).await?;
     // To give up waiting does not give up the motion.
@@ -65,7 +65,7 @@ async fn run<P: Protocol>(gripper: &mut GripperOver<Tcp, EmbassyTimer, P>) -> Re
     let result = loop {
         match embassy_time::with_timeout(patience, gripper.wait(&grip)).await {
             Ok(result) => break result?,
-            Err(_) => println!("{:.1} mm", gripper.width().await?),
+            Err(_) => println!("{:.1}", gripper.width().await?),
         }
     };
     match result {

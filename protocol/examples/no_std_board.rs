@@ -8,7 +8,7 @@
 #![no_std]
 
 use wsg_protocol::driver::{
-    self, Clock, Error, Grip, Mm, MmPerS, OnBlock,
+    self, Clock, Error, Grip, Mm, MmPerS, N, OnBlock,
     blocking::{self, Transport},
 };
 use wsg_protocol::{HomingDirection, session};
@@ -56,7 +56,7 @@ pub fn set_up<Uart: Transport, Tick: Clock>(
 ) -> Result<(), Error<Uart::Error>> {
     gripper.connect()?;
     gripper.home(HomingDirection::Default)?;
-    gripper.set_force_limit(force)
+    gripper.set_force_limit(N(force))
 }
 
 /// Takes a part, has `carry` bring it where it belongs, and puts it down.

@@ -6,16 +6,16 @@
 //! ```
 
 use wsg_protocol::HomingDirection;
-use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, host};
+use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, N, host};
 
 /// Grips a part of 20 mm with 40 N and puts it down. However this function ends, the end of the connection is announced.
 fn take_a_part(address: &str) -> Result<Grip, Error<std::io::Error>> {
     let mut gripper = host::connect(address)?;
     gripper.home(HomingDirection::Default)?;
-    gripper.set_force_limit(40.0)?;
+    gripper.set_force_limit(N(40.0))?;
     let grip = gripper.grip(Mm(20.0), MmPerS(100.0))?;
     if grip == Grip::Held {
-        println!("a part of {:.2} mm, held with {:.1} N", gripper.width()?, gripper.force()?);
+        println!("a part of {:.2}, held with {:.1}", gripper.width()?, gripper.force()?);
         gripper.release(Mm(60.0), MmPerS(200.0))?;
     }
     Ok(grip)

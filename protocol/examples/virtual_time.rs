@@ -40,7 +40,7 @@ fn main() -> Result<(), Error<Infallible>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wsg_protocol::driver::{Finger, Update};
+    use wsg_protocol::driver::{Finger, N, Update};
     use wsg_protocol::session::Topic;
     use wsg_protocol::{AutoUpdate, GripperState, SoftLimits, Status, SystemFlags};
     use wsg_sim::{Fault, Tag};
@@ -86,7 +86,7 @@ mod tests {
     fn stop_aborts_and_fast_stop_locks_until_it_is_acknowledged() {
         let (_rig, mut gripper) = homed(Config::default());
         let motion = gripper.begin_move_to(Mm(5.0), MmPerS(20.0), OnBlock::Stop).unwrap();
-        assert_eq!(gripper.state(), Ok(GripperState::Positioning));
+        assert_eq!(gripper.gripper_state(), Ok(GripperState::Positioning));
         gripper.stop().unwrap();
         assert_eq!(gripper.wait(&motion), Err(Error::Aborted));
 
@@ -100,7 +100,7 @@ mod tests {
         );
         gripper.acknowledge().unwrap();
         assert_eq!(gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop), Ok(()));
-        assert!((gripper.width().unwrap() - 50.0).abs() < 0.1);
+        assert!((gripper.width().unwrap().0 - 50.0).abs() < 0.1);
     }
 
     #[test]
@@ -108,20 +108,20 @@ mod tests {
         let (_rig, mut gripper) = homed(Config::default());
         gripper.move_by(Mm(-30.0), MmPerS(200.0), OnBlock::Stop).unwrap();
         gripper.move_by(Mm(10.0), MmPerS(200.0), OnBlock::Stop).unwrap();
-        assert!((gripper.width().unwrap() - 90.0).abs() < 0.1);
+        assert!((gripper.width().unwrap().0 - 90.0).abs() < 0.1);
     }
 
     #[test]
     fn settings_come_back_as_they_were_set_or_clamped() {
         let (_rig, mut gripper) = homed(Config::default());
         let limits = gripper.limits().unwrap();
-        gripper.set_force_limit(40.0).unwrap();
-        assert_eq!(gripper.force_limit(), Ok(40.0));
-        gripper.set_force_limit(1_000.0).unwrap();
-        assert_eq!(gripper.force_limit(), Ok(limits.nominal_force));
+        gripper.set_force_limit(N(40.0)).unwrap();
+        assert_eq!(gripper.force_limit(), Ok(N(40.0)));
+        gripper.set_force_limit(N(1_000.0)).unwrap();
+        assert_eq!(gripper.force_limit(), Ok(N(limits.nominal_force)));
         gripper.set_overdrive(true).unwrap();
-        gripper.set_force_limit(1_000.0).unwrap();
-        assert_eq!(gripper.force_limit(), Ok(limits.overdrive_force));
+        gripper.set_force_limit(N(1_000.0)).unwrap();
+        assert_eq!(gripper.force_limit(), Ok(N(limits.overdrive_force)));
         gripper.set_acceleration(1.0).unwrap();
         assert_eq!(gripper.acceleration(), Ok(limits.min_acceleration));
         assert_eq!(gripper.soft_limits(), Ok(None));

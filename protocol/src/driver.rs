@@ -77,7 +77,7 @@ pub use link::Protocol;
 pub use motion::{MotionResult, Pending};
 #[cfg(feature = "std")]
 pub use stop::{StopHandle, StopLine, Stoppable};
-pub use units::{Mm, MmPerS};
+pub use units::{Mm, MmPerS, N};
 
 use crate::command::Command;
 use crate::reply::Value;

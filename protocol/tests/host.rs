@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver, Transport};
 use wsg_protocol::driver::host::{self, StdClock, Tcp, Udp};
-use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, OnBlock, Protocol, StopKind, Stoppable};
+use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, N, OnBlock, Protocol, StopKind, Stoppable};
 use wsg_protocol::{FrameParser, HomingDirection, SystemFlags};
 use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
@@ -47,7 +47,7 @@ where
 {
     let grip = gripper.with_connection(|gripper| {
         gripper.home(HomingDirection::Default)?;
-        gripper.set_force_limit(40.0)?;
+        gripper.set_force_limit(N(40.0))?;
         gripper.grip(Mm(20.0), MmPerS(400.0))
     });
     assert_eq!(grip.unwrap(), Grip::Held);
@@ -373,7 +373,7 @@ mod on_tokio {
     {
         let program = async |gripper: &mut asynch::GripperOver<IO, TokioTimer, P>| {
             gripper.home(HomingDirection::Default).await?;
-            gripper.set_force_limit(40.0).await?;
+            gripper.set_force_limit(N(40.0)).await?;
             gripper.grip(Mm(20.0), MmPerS(400.0)).await
         };
         assert_eq!(gripper.with_connection(program).await.unwrap(), Grip::Held);

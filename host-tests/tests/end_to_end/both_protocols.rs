@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver};
 use wsg_protocol::driver::host::{StdClock, Tcp};
-use wsg_protocol::driver::{self, Error, Grip, Mm, MmPerS, OnBlock, Protocol};
+use wsg_protocol::driver::{self, Error, Grip, Mm, MmPerS, N, OnBlock, Protocol};
 use wsg_protocol::{GripperState, HomingDirection, Status, SystemFlags, session};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
@@ -47,11 +47,11 @@ struct Seen {
 fn seen<P: Protocol>(gripper: &mut Driver<P>) -> Seen {
     let statistics = gripper.statistics(false).unwrap();
     Seen {
-        state: gripper.state().unwrap(),
+        state: gripper.gripper_state().unwrap(),
         flags: gripper.system_state().unwrap(),
-        width: gripper.width().unwrap(),
-        speed: gripper.speed().unwrap(),
-        force: gripper.force().unwrap(),
+        width: gripper.width().unwrap().0,
+        speed: gripper.speed().unwrap().0,
+        force: gripper.force().unwrap().0,
         grips: [statistics.total, statistics.no_part.into(), statistics.part_lost.into()],
         serial_number: gripper.system_info().unwrap().serial_number,
         tag: gripper.tag(&mut [0; 64]).unwrap().to_owned(),
@@ -68,13 +68,13 @@ fn seen_by_both<P: Protocol, Q: Protocol>(one: &mut Driver<P>, other: &mut Drive
 
 /// What one begins the other watches, and ends.
 fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P>, watcher: &mut Driver<Q>) {
-    actor.set_force_limit(35.0).unwrap();
-    watcher.set_force_limit(35.0).unwrap();
+    actor.set_force_limit(N(35.0)).unwrap();
+    watcher.set_force_limit(N(35.0)).unwrap();
 
     // While the fingers move, for fourteen seconds if nobody stops them, the same state, and widths of one and the same way.
     actor.move_to(Mm(100.0), MmPerS(400.0), OnBlock::Stop).unwrap();
     let motion = actor.begin_move_to(Mm(30.0), MmPerS(5.0), OnBlock::Stop).unwrap();
-    assert_eq!(watcher.state().unwrap(), GripperState::Positioning);
+    assert_eq!(watcher.gripper_state().unwrap(), GripperState::Positioning);
     let mut widths = vec![];
     let begun = Instant::now();
     while widths.len() < 20 || widths.first() == widths.last() {

@@ -11,7 +11,7 @@ use super::gate::Gate;
 use super::methods::methods;
 use super::{
     Binary, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, Mm, MmPerS,
-    MotionResult, OnBlock, Pending, Protocol, StopKind, Timer, Update,
+    MotionResult, N, OnBlock, Pending, Protocol, StopKind, Timer, Update,
 };
 #[cfg(feature = "std")]
 use super::{StopHandle, Stoppable};
@@ -64,7 +64,7 @@ impl<IO: Read + Write> Transport for IO {}
 ///     let program = async |gripper: &mut Gripper<_, _>| {
 ///         let grip = gripper.begin_grip(Mm(20.0), MmPerS(100.0)).await?;
 ///         loop {
-///             println!("{:.1} mm", gripper.width().await?);
+///             println!("{:.1}", gripper.width().await?);
 ///             if let Some(result) = gripper.poll(&grip).await? {
 ///                 return Ok(result);
 ///             }

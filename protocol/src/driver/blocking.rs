@@ -10,7 +10,7 @@ use super::engine::{Awaited, Copied, Engine, Goal};
 use super::methods::methods;
 use super::{
     Binary, Clock, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, Mm, MmPerS,
-    MotionResult, OnBlock, Pending, Protocol, StopKind, Update,
+    MotionResult, N, OnBlock, Pending, Protocol, StopKind, Update,
 };
 #[cfg(feature = "std")]
 use super::{StopHandle, Stoppable};
@@ -143,13 +143,13 @@ impl<T: Read + ReadReady + Write> Transport for Spinning<T> {}
 /// ```
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::blocking::{Gripper, Transport};
-/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// fn pick<IO: Transport>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
 ///     Gripper::new(io, clock).with_connection(|gripper| {
 ///         gripper.home(HomingDirection::Default)?;
-///         gripper.set_force_limit(40.0)?;
+///         gripper.set_force_limit(N(40.0))?;
 ///         Ok(gripper.grip(Mm(20.0), MmPerS(100.0))? == Grip::Held)
 ///     })
 /// }

@@ -60,12 +60,12 @@ const SPURIOUS: Duration = Duration::from_millis(1);
 /// # let server = ServerThread::start(config, &lines, None).unwrap();
 /// # let address = server.tcp_address().unwrap();
 /// use wsg_protocol::HomingDirection;
-/// use wsg_protocol::driver::{Grip, Mm, MmPerS, host};
+/// use wsg_protocol::driver::{Grip, Mm, MmPerS, N, host};
 ///
 /// // A real one: "192.168.1.20:1000".
 /// let mut gripper = host::connect(address)?;
 /// gripper.home(HomingDirection::Default)?;
-/// gripper.set_force_limit(40.0)?;
+/// gripper.set_force_limit(N(40.0))?;
 /// assert_eq!(gripper.grip(Mm(20.0), MmPerS(200.0))?, Grip::Held);
 /// # Ok::<(), wsg_protocol::driver::Error<std::io::Error>>(())
 /// ```
@@ -108,7 +108,7 @@ pub fn connect_gcl(
 /// use wsg_protocol::driver::host;
 ///
 /// let _ = host::with_gripper(address, |gripper| {
-///     println!("{:.1} mm", gripper.width()?);
+///     println!("{:.1}", gripper.width()?);
 ///     Ok(())
 /// });
 /// ```

@@ -14,13 +14,13 @@ use crate::{frame, session};
 /// ```
 /// # #[cfg(feature = "embedded-io")] {
 /// use wsg_protocol::driver::blocking::{GripperOver, Transport};
-/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N, Protocol};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// fn pick<IO: Transport, C: Clock, P: Protocol>(
 ///     gripper: &mut GripperOver<IO, C, P>,
 /// ) -> Result<bool, Error<IO::Error>> {
-///     gripper.set_force_limit(40.0)?;
+///     gripper.set_force_limit(N(40.0))?;
 ///     Ok(gripper.grip(Mm(20.0), MmPerS(100.0))? == Grip::Held)
 /// }
 /// # }

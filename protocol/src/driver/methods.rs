@@ -404,24 +404,24 @@ macro_rules! methods {
             }) $($await)*
         }
 
-        /// Sets the greatest force of the grips and pre-positions that follow, in N, summed over both fingers; clamped to the gripper's
-        /// limits (command set, 3.3.3).
+        /// Sets the greatest force of the grips and pre-positions that follow; clamped to the gripper's limits (command set,
+        /// 3.3.3).
         ///
         /// # Errors
         /// [`Error::Mismatch`] if settings are read back.
         ///
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn set_force_limit(&mut self, force: f32) -> Result<(), Error<IO::Error>> {
-            self.tell(Command::SetForceLimit { force }) $($await)*
+        pub $($async)? fn set_force_limit(&mut self, force: N) -> Result<(), Error<IO::Error>> {
+            self.tell(Command::SetForceLimit { force: force.0 }) $($await)*
         }
 
-        /// The force limit in N, summed over both fingers (command set, 3.3.4).
+        /// The force limit (command set, 3.3.4).
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn force_limit(&mut self) -> Result<f32, Error<IO::Error>> {
+        pub $($async)? fn force_limit(&mut self) -> Result<N, Error<IO::Error>> {
             self.ask(Command::GetForceLimit, |value| match *value {
-                Value::GetForceLimit(force) => Some(force),
+                Value::GetForceLimit(force) => Some(N(force)),
                 _ => None,
             }) $($await)*
         }
@@ -493,7 +493,7 @@ macro_rules! methods {
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn state(&mut self) -> Result<GripperState, Error<IO::Error>> {
+        pub $($async)? fn gripper_state(&mut self) -> Result<GripperState, Error<IO::Error>> {
             self.ask(Command::GetGripperState { update: AutoUpdate::once() }, |value| match *value {
                 Value::GetGripperState(state) => Some(state),
                 _ => None,
@@ -511,35 +511,35 @@ macro_rules! methods {
             }) $($await)*
         }
 
-        /// The opening width in mm (command set, 3.4.4).
+        /// The opening width (command set, 3.4.4).
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn width(&mut self) -> Result<f32, Error<IO::Error>> {
+        pub $($async)? fn width(&mut self) -> Result<Mm, Error<IO::Error>> {
             self.ask(Command::GetOpeningWidth { update: AutoUpdate::once() }, |value| match *value {
-                Value::GetOpeningWidth(width) => Some(width),
+                Value::GetOpeningWidth(width) => Some(Mm(width)),
                 _ => None,
             }) $($await)*
         }
 
-        /// The finger speed in mm/s (command set, 3.4.5).
+        /// The finger speed (command set, 3.4.5).
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn speed(&mut self) -> Result<f32, Error<IO::Error>> {
+        pub $($async)? fn speed(&mut self) -> Result<MmPerS, Error<IO::Error>> {
             self.ask(Command::GetSpeed { update: AutoUpdate::once() }, |value| match *value {
-                Value::GetSpeed(speed) => Some(speed),
+                Value::GetSpeed(speed) => Some(MmPerS(speed)),
                 _ => None,
             }) $($await)*
         }
 
-        /// The gripping force in N, summed over both fingers (command set, 3.4.6).
+        /// The gripping force (command set, 3.4.6).
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn force(&mut self) -> Result<f32, Error<IO::Error>> {
+        pub $($async)? fn force(&mut self) -> Result<N, Error<IO::Error>> {
             self.ask(Command::GetForce { update: AutoUpdate::once() }, |value| match *value {
-                Value::GetForce(force) => Some(force),
+                Value::GetForce(force) => Some(N(force)),
                 _ => None,
             }) $($await)*
         }
@@ -758,7 +758,7 @@ macro_rules! methods {
         $($async)? fn begin<T>(&mut self, command: Command<'static>) -> Result<Pending<T>, Error<IO::Error>> {
             self.become_free() $($await)* ?;
             let width = if self.engine.link().wants_width(&command) {
-                Some(self.width() $($await)* ?)
+                Some(self.width() $($await)* ?.0)
             } else {
                 None
             };
@@ -799,45 +799,45 @@ pub(super) use methods;
 #[cfg(feature = "gcl")]
 macro_rules! gcl_methods {
     ([$($async:tt)?] [$($await:tt)*]) => {
-        /// How much before the nominal width of a grip a part may be met, in mm (PWT; GCL, 2.2.5).
+        /// How much before the nominal width of a grip a part may be met (PWT; GCL, 2.2.5).
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn part_width_tolerance(&mut self) -> Result<f32, Error<IO::Error>> {
+        pub $($async)? fn part_width_tolerance(&mut self) -> Result<Mm, Error<IO::Error>> {
             self.setting(Request::Pwt(Setting::Ask)) $($await)*
         }
 
-        /// Sets it for the grips that follow, in mm, until the connection ends; as the gripper has taken it over
+        /// Sets it for the grips that follow, until the connection ends; as the gripper has taken it over
         /// (GCL, 2.2.5).
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn set_part_width_tolerance(&mut self, tolerance: f32) -> Result<f32, Error<IO::Error>> {
-            self.setting(Request::Pwt(Setting::Set(tolerance))) $($await)*
+        pub $($async)? fn set_part_width_tolerance(&mut self, tolerance: Mm) -> Result<Mm, Error<IO::Error>> {
+            self.setting(Request::Pwt(Setting::Set(tolerance.0))) $($await)*
         }
 
-        /// How far a grip may go on to build up its force, in mm (CLT; GCL, 2.2.6).
+        /// How far a grip may go on to build up its force (CLT; GCL, 2.2.6).
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn clamping_travel(&mut self) -> Result<f32, Error<IO::Error>> {
+        pub $($async)? fn clamping_travel(&mut self) -> Result<Mm, Error<IO::Error>> {
             self.setting(Request::Clt(Setting::Ask)) $($await)*
         }
 
-        /// Sets it for the grips that follow, in mm, until the connection ends; as the gripper has taken it over
+        /// Sets it for the grips that follow, until the connection ends; as the gripper has taken it over
         /// (GCL, 2.2.6).
         ///
         /// # Errors
         #[doc = crate::driver::methods::request_errors!()]
-        pub $($async)? fn set_clamping_travel(&mut self, travel: f32) -> Result<f32, Error<IO::Error>> {
-            self.setting(Request::Clt(Setting::Set(travel))) $($await)*
+        pub $($async)? fn set_clamping_travel(&mut self, travel: Mm) -> Result<Mm, Error<IO::Error>> {
+            self.setting(Request::Clt(Setting::Set(travel.0))) $($await)*
         }
 
-        $($async)? fn setting(&mut self, request: Request) -> Result<f32, Error<IO::Error>> {
+        $($async)? fn setting(&mut self, request: Request) -> Result<Mm, Error<IO::Error>> {
             self.become_free() $($await)* ?;
             self.engine.link_mut().request_setting(request)?;
             self.drive(&mut Awaited::nothing(&mut |_| {}), Goal::Free, None) $($await)* ?;
-            self.engine.link().setting()
+            self.engine.link().setting().map(Mm)
         }
     };
 }

@@ -93,7 +93,7 @@ fn query_whose_answer_is_lost_is_asked_again() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.script(CommandId::GetOpeningWidth, vec![]);
-    assert_eq!(gripper.width(), Ok(42.5));
+    assert_eq!(gripper.width(), Ok(Mm(42.5)));
     assert_eq!(rig.heard(CommandId::GetOpeningWidth), 2);
 }
 
@@ -103,7 +103,7 @@ fn queries_go_on_while_a_motion_runs() {
     let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     assert_eq!(gripper.motion(), Some(CommandId::GripPart));
-    assert_eq!(gripper.width(), Ok(42.5));
+    assert_eq!(gripper.width(), Ok(Mm(42.5)));
     assert_eq!(gripper.poll(&grip), Ok(None));
     assert_eq!(gripper.home(HomingDirection::Default), Err(Error::MotionRunning));
     assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
@@ -118,7 +118,7 @@ fn result_that_came_while_something_else_was_asked_is_kept() {
     rig.script_motion(CommandId::GripPart, Status::CmdFailed);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     rig.pass(500);
-    assert_eq!(gripper.width(), Ok(42.5));
+    assert_eq!(gripper.width(), Ok(Mm(42.5)));
     assert_eq!(gripper.wait(&grip), Ok(Grip::NoPart));
     let homing = gripper.begin_home(HomingDirection::Default).unwrap();
     assert_eq!(gripper.wait(&grip), Err(Error::Superseded));
@@ -174,12 +174,12 @@ fn fast_stop_that_is_not_confirmed_is_owed_over_a_reconnect() {
 fn setting_is_read_back_and_clamping_is_no_mismatch() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    assert_eq!(gripper.set_force_limit(40.0), Ok(()));
-    assert_eq!(gripper.set_force_limit(500.0), Ok(()));
+    assert_eq!(gripper.set_force_limit(N(40.0)), Ok(()));
+    assert_eq!(gripper.set_force_limit(N(500.0)), Ok(()));
     assert_eq!(rig.heard(CommandId::GetForceLimit), 2);
     let other = frame(Reply::success(Value::GetForceLimit(8.0)));
     rig.script(CommandId::GetForceLimit, vec![(1, other)]);
-    assert_eq!(gripper.set_force_limit(40.0), Err(Error::Mismatch));
+    assert_eq!(gripper.set_force_limit(N(40.0)), Err(Error::Mismatch));
 }
 
 #[test]
@@ -268,7 +268,7 @@ fn updates_are_kept_and_subscribed_to_again_after_a_reconnect() {
     let subscription = Some(vec![0b01, 10, 0]);
     assert_eq!(rig.world(|world| world.width_update.take()), subscription, "not below 10 ms");
     rig.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
-    assert_eq!(gripper.width(), Ok(42.5), "what was asked for");
+    assert_eq!(gripper.width(), Ok(Mm(42.5)), "what was asked for");
     assert_eq!(rig.world(|world| world.width_update.take()), subscription, "to ask does not end it");
     assert_eq!(gripper.next_update(0), Ok(Some(Update::Width(41.0))), "what came meanwhile");
 

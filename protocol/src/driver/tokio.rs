@@ -38,13 +38,13 @@ use tokio::net::ToSocketAddrs;
 /// # let server = ServerThread::start(config, &lines, None).unwrap();
 /// # let address = server.tcp_address().unwrap();
 /// use wsg_protocol::HomingDirection;
-/// use wsg_protocol::driver::{Grip, Mm, MmPerS, tokio::connect};
+/// use wsg_protocol::driver::{Grip, Mm, MmPerS, N, tokio::connect};
 ///
 /// # tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(async {
 /// // A real one: "192.168.1.20:1000".
 /// let mut gripper = connect(address).await?;
 /// gripper.home(HomingDirection::Default).await?;
-/// gripper.set_force_limit(40.0).await?;
+/// gripper.set_force_limit(N(40.0)).await?;
 /// assert_eq!(gripper.grip(Mm(20.0), MmPerS(200.0)).await?, Grip::Held);
 /// # Ok::<(), wsg_protocol::driver::Error<std::io::Error>>(())
 /// # }).unwrap();

@@ -1,28 +1,49 @@
-//! Units of numbers that stand side by side in a call, so that they cannot be swapped. A lone number is an `f32`; its
-//! method's documentation has the unit.
+//! Quantities with their units, so that they cannot be swapped.
 
-/// An opening width, or a change of it, in mm.
-#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Mm(pub f32);
+/// A quantity, shown with its unit: `20.5 mm` by `{:.1}`.
+macro_rules! quantity {
+    ($(#[$meta:meta])* $name:ident $unit:literal) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub struct $name(pub f32);
 
-/// A finger speed in mm/s.
-///
-/// Width and speed cannot be swapped:
-///
-/// ```compile_fail,E0308
-/// # #[cfg(feature = "embedded-io")] {
-/// use wsg_protocol::driver::blocking::{GripperOver, Transport};
-/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol};
-///
-/// fn pick<IO: Transport, C: Clock, P: Protocol>(
-///     gripper: &mut GripperOver<IO, C, P>,
-/// ) -> Result<Grip, Error<IO::Error>> {
-///     gripper.grip(MmPerS(100.0), Mm(20.0))
-/// }
-/// # }
-/// # #[cfg(not(feature = "embedded-io"))] compile_error!("there is no driver");
-/// ```
-#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct MmPerS(pub f32);
+        impl core::fmt::Display for $name {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                core::fmt::Display::fmt(&self.0, f)?;
+                f.write_str(concat!(" ", $unit))
+            }
+        }
+    };
+}
+
+quantity! {
+    /// An opening width, or another length, in mm.
+    Mm "mm"
+}
+
+quantity! {
+    /// A finger speed in mm/s.
+    ///
+    /// Width and speed cannot be swapped:
+    ///
+    /// ```compile_fail,E0308
+    /// # #[cfg(feature = "embedded-io")] {
+    /// use wsg_protocol::driver::blocking::{GripperOver, Transport};
+    /// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, Protocol};
+    ///
+    /// fn pick<IO: Transport, C: Clock, P: Protocol>(
+    ///     gripper: &mut GripperOver<IO, C, P>,
+    /// ) -> Result<Grip, Error<IO::Error>> {
+    ///     gripper.grip(MmPerS(100.0), Mm(20.0))
+    /// }
+    /// # }
+    /// # #[cfg(not(feature = "embedded-io"))] compile_error!("there is no driver");
+    /// ```
+    MmPerS "mm/s"
+}
+
+quantity! {
+    /// A force in N, summed over both fingers.
+    N "N"
+}

@@ -1,7 +1,7 @@
 //! Futures of the async driver that are dropped, over both protocols: nothing leaves late, and no answer is taken for
 //! another's.
 
-use wsg_protocol::driver::{Grip, Mm, MmPerS, OnBlock};
+use wsg_protocol::driver::{Grip, Mm, MmPerS, N, OnBlock};
 use wsg_protocol::{GripperState, HomingDirection, SystemFlags};
 use wsg_sim::{Config, Part};
 
@@ -15,11 +15,11 @@ fn dropping_a_call_at_any_moment_mixes_up_no_answers() {
             let Asynch { bench, gripper } = &mut client;
             // A grip of some 40 ms.
             let _ = bench.run_for(polls, gripper.grip(Mm(105.0), MmPerS(400.0)));
-            assert_eq!(client.force_limit(), Ok(40.0), "{polls}");
-            let width = client.width().unwrap();
+            assert_eq!(client.force_limit(), Ok(N(40.0)), "{polls}");
+            let width = client.width().unwrap().0;
             assert!((104.0..=110.0).contains(&width), "{polls}: {width}");
             client.bench.pass(3_000);
-            let state = client.state().unwrap();
+            let state = client.gripper_state().unwrap();
             assert!(matches!(state, GripperState::Idle | GripperState::Holding), "{polls}: {state}");
             assert_eq!(client.stop(), Ok(()), "{polls}");
             assert_eq!(client.home(HomingDirection::Default), Ok(()), "{polls}");
@@ -48,9 +48,9 @@ fn motion_that_had_not_left_does_not_leave_any_more() {
         bench.world(|world| world.room = 0);
         assert!(bench.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
         bench.world(|world| world.room = usize::MAX);
-        assert_eq!(client.state(), Ok(GripperState::Idle));
+        assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
         client.bench.pass(2_000);
-        assert!(client.width().unwrap() > 109.0);
+        assert!(client.width().unwrap().0 > 109.0);
     }
     check::<Frames>();
     check::<Lines>();
@@ -67,9 +67,9 @@ fn motion_that_waited_behind_another_message_does_not_leave_any_more() {
         assert_eq!(bench.world(|world| world.room), 0);
         assert!(bench.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
         bench.world(|world| world.room = usize::MAX);
-        assert_eq!(client.state(), Ok(GripperState::Idle));
+        assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
         client.bench.pass(2_000);
-        assert!(client.width().unwrap() > 109.0);
+        assert!(client.width().unwrap().0 > 109.0);
     }
     check::<Frames>();
     check::<Lines>();
@@ -86,8 +86,8 @@ fn motion_that_waited_behind_a_stop_does_not_leave_after_it() {
         bench.world(|world| world.room = usize::MAX);
         assert!(client.system_state().unwrap().contains(SystemFlags::AXIS_STOPPED));
         client.bench.pass(2_000);
-        assert_eq!(client.state(), Ok(GripperState::Idle));
-        assert!(client.width().unwrap() > 109.0);
+        assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
+        assert!(client.width().unwrap().0 > 109.0);
     }
     check::<Frames>();
     check::<Lines>();
@@ -102,9 +102,9 @@ fn message_that_was_cut_off_is_sent_to_its_end() {
         assert!(bench.run_for(50, gripper.move_to(Mm(50.0), MmPerS(400.0), OnBlock::Stop)).is_none());
         bench.world(|world| world.room = usize::MAX);
         // What began to leave leaves: half a message would spoil the next one.
-        client.state().unwrap();
+        client.gripper_state().unwrap();
         client.bench.pass(2_000);
-        assert!((client.width().unwrap() - 50.0).abs() < 0.1);
+        assert!((client.width().unwrap().0 - 50.0).abs() < 0.1);
         assert_eq!(client.counters().session.disconnects, 0);
     }
     check::<Frames>();

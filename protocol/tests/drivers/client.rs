@@ -3,8 +3,8 @@
 use std::convert::Infallible;
 
 use wsg_protocol::driver::{
-    self, DriverCounters, Finger, Grip, Mm, MmPerS, MotionResult, OnBlock, Pending, Protocol, Update, asynch,
-    blocking,
+    self, DriverCounters, Finger, Grip, Mm, MmPerS, MotionResult, N, OnBlock, Pending, Protocol, Update,
+    asynch, blocking,
 };
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
@@ -116,7 +116,7 @@ pub(crate) trait Client: Calls + Sized {
     fn homed(config: Config) -> Self {
         let mut client = Self::connected(config);
         client.home(HomingDirection::Default).expect("the way is free");
-        client.set_force_limit(40.0).expect("it is within the limits");
+        client.set_force_limit(N(40.0)).expect("it is within the limits");
         client
     }
 }
@@ -259,15 +259,15 @@ calls! {
     fn stop() -> ();
     fn fast_stop() -> ();
     fn acknowledge() -> ();
-    fn set_force_limit(force: f32) -> ();
-    fn force_limit() -> f32;
+    fn set_force_limit(force: N) -> ();
+    fn force_limit() -> N;
     fn tare() -> ();
     fn system_state() -> SystemFlags;
-    fn state() -> GripperState;
+    fn gripper_state() -> GripperState;
     fn statistics(reset: bool) -> GrippingStatistics;
-    fn width() -> f32;
-    fn speed() -> f32;
-    fn force() -> f32;
+    fn width() -> Mm;
+    fn speed() -> MmPerS;
+    fn force() -> N;
     fn temperature() -> Temperature;
     fn system_info() -> SystemInfo;
     fn finger_info(finger: Finger) -> FingerInfo;

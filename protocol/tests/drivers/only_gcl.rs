@@ -3,7 +3,7 @@
 use std::future::poll_fn;
 use std::pin::pin;
 
-use wsg_protocol::driver::{Culprit, Finger, Grip, Mm, MmPerS, OnBlock};
+use wsg_protocol::driver::{Culprit, Finger, Grip, Mm, MmPerS, N, OnBlock};
 use wsg_protocol::{HomingDirection, SoftLimits, Status};
 use wsg_sim::{Config, Part, PortKind};
 
@@ -67,14 +67,14 @@ fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
     assert_eq!(client.force_limit(), Err(Error::NoForceLimit));
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::NoForceLimit));
     assert_eq!(sent(&bench), Vec::<String>::new());
-    client.set_force_limit(33.5).unwrap();
+    client.set_force_limit(N(33.5)).unwrap();
     assert_eq!(sent(&bench), Vec::<String>::new(), "GCL has no request for it");
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
     assert_eq!(sent(&bench), ["POS?", "GRIP(33.5,20.0,100.0)"]);
     // It stays with the driver.
     client.take_new_line();
     client.connect().unwrap();
-    assert_eq!(client.force_limit(), Ok(33.5));
+    assert_eq!(client.force_limit(), Ok(N(33.5)));
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn release_is_a_distance_from_the_width_that_was_asked_for_before() {
     let mut client = homed(20.0);
     let bench = client.bench();
     client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
-    let held = client.width().unwrap();
+    let held = client.width().unwrap().0;
     sent(&bench);
     client.release(Mm(60.0), MmPerS(150.0)).unwrap();
     assert_eq!(sent(&bench), ["POS?".to_owned(), format!("RELEASE({:?},150.0)", 60.0 - held)]);
@@ -93,7 +93,7 @@ fn release_by_nothing_and_grip_at_the_width_that_is_are_no_step_the_other_way() 
     let mut client = homed(20.0);
     let bench = client.bench();
     client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
-    let held = client.width().unwrap();
+    let held = client.width().unwrap().0;
     sent(&bench);
     let _ = client.release(Mm(held), MmPerS(100.0));
     assert_eq!(sent(&bench), ["POS?", "RELEASE(0.0,100.0)"]);
@@ -101,9 +101,9 @@ fn release_by_nothing_and_grip_at_the_width_that_is_are_no_step_the_other_way() 
     let mut client = Blocking::<Lines>::homed(Config::default());
     let bench = client.bench();
     client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop).unwrap();
-    let width = client.width().unwrap();
+    let width = client.width().unwrap().0;
     let _ = client.grip(Mm(width), MmPerS(100.0));
-    let now = client.width().unwrap();
+    let now = client.width().unwrap().0;
     sent(&bench);
     let _ = client.release(Mm(width + 10.0), MmPerS(100.0));
     assert_eq!(sent(&bench), ["POS?".to_owned(), format!("RELEASE({:?},100.0)", width + 10.0 - now)]);
@@ -136,28 +136,28 @@ fn part_outside_the_tolerance_blocks_a_grip() {
 #[test]
 fn tolerance_and_clamping_travel_are_asked_for_and_set() {
     let mut client = homed(26.0);
-    assert_eq!(client.gripper.part_width_tolerance(), Ok(5.0));
-    assert_eq!(client.gripper.set_part_width_tolerance(7.5), Ok(7.5));
-    assert_eq!(client.gripper.part_width_tolerance(), Ok(7.5));
-    assert_eq!(client.gripper.clamping_travel(), Ok(5.0));
-    assert_eq!(client.gripper.set_clamping_travel(2.0), Ok(2.0));
+    assert_eq!(client.gripper.part_width_tolerance(), Ok(Mm(5.0)));
+    assert_eq!(client.gripper.set_part_width_tolerance(Mm(7.5)), Ok(Mm(7.5)));
+    assert_eq!(client.gripper.part_width_tolerance(), Ok(Mm(7.5)));
+    assert_eq!(client.gripper.clamping_travel(), Ok(Mm(5.0)));
+    assert_eq!(client.gripper.set_clamping_travel(Mm(2.0)), Ok(Mm(2.0)));
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held), "6 mm before the nominal width");
     let refused = Err(Error::Refused(Status::RangeError));
-    assert_eq!(client.gripper.set_clamping_travel(-1.0), refused);
-    assert_eq!(client.gripper.clamping_travel(), Ok(2.0));
+    assert_eq!(client.gripper.set_clamping_travel(Mm(-1.0)), refused);
+    assert_eq!(client.gripper.clamping_travel(), Ok(Mm(2.0)));
     client.take_new_line();
     assert_eq!(client.gripper.clamping_travel(), Err(Error::NotConnected));
     client.connect().unwrap();
-    assert_eq!(client.gripper.part_width_tolerance(), Ok(5.0), "they end with the connection");
+    assert_eq!(client.gripper.part_width_tolerance(), Ok(Mm(5.0)), "they end with the connection");
     client.bench().world(|world| world.mute = true);
     assert_eq!(client.gripper.clamping_travel(), Err(Error::Unanswered));
 
     let mut client = Asynch::<Lines>::connected(Config::default());
     let Asynch { bench, gripper } = &mut client;
-    assert_eq!(bench.run(gripper.set_part_width_tolerance(1.5)), Ok(1.5));
-    assert_eq!(bench.run(gripper.part_width_tolerance()), Ok(1.5));
-    assert_eq!(bench.run(gripper.set_clamping_travel(0.5)), Ok(0.5));
-    assert_eq!(bench.run(gripper.clamping_travel()), Ok(0.5));
+    assert_eq!(bench.run(gripper.set_part_width_tolerance(Mm(1.5))), Ok(Mm(1.5)));
+    assert_eq!(bench.run(gripper.part_width_tolerance()), Ok(Mm(1.5)));
+    assert_eq!(bench.run(gripper.set_clamping_travel(Mm(0.5))), Ok(Mm(0.5)));
+    assert_eq!(bench.run(gripper.clamping_travel()), Ok(Mm(0.5)));
 }
 
 /// The outcome of a call that is answered by these bytes, once what it asks has left.
@@ -179,7 +179,7 @@ fn end_of_a_motion_behind_the_answer_to_a_setting_is_not_that_of_the_setting() {
     let mut client = Asynch::<Lines>::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     let Asynch { bench, gripper } = &mut client;
-    assert_eq!(told(bench, gripper.part_width_tolerance(), b"PWT=2.5\nERR MOVE 19\n"), Ok(2.5));
+    assert_eq!(told(bench, gripper.part_width_tolerance(), b"PWT=2.5\nERR MOVE 19\n"), Ok(Mm(2.5)));
     assert_eq!(bench.run(gripper.wait(&motion)), Err(Error::Aborted));
 }
 

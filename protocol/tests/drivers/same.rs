@@ -1,6 +1,6 @@
 //! What is the same over both protocols and in both drivers.
 
-use wsg_protocol::driver::{DriverCounters, Finger, Grip, Mm, MmPerS, OnBlock, UPDATES_LEN, Update};
+use wsg_protocol::driver::{DriverCounters, Finger, Grip, Mm, MmPerS, N, OnBlock, UPDATES_LEN, Update};
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
     AutoUpdate, CommandId, DecodeError, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
@@ -87,7 +87,7 @@ fn device_tells_about_itself<C: Client>() {
     assert_eq!((info.device, info.serial_number), (DeviceType::Wsg50, 77));
     assert_eq!(info.firmware, FirmwareVersion::new(4, 0, 0, 0));
     assert_eq!(client.tag(), Ok("left hand".into()));
-    assert_eq!(client.state(), Ok(GripperState::Idle));
+    assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
     assert_eq!(client.statistics(false).unwrap().total, 0);
     assert_eq!(client.temperature().unwrap().0, 320);
     let known = client.known();
@@ -112,44 +112,44 @@ fn gripper_that_is_silent_is_not_connected_and_time_is_bounded<C: Client>() {
 
 fn motion_before_homing_is_refused<C: Client>() {
     let mut client = C::connected(Config::default());
-    client.set_force_limit(40.0).unwrap();
+    client.set_force_limit(N(40.0)).unwrap();
     let refused = Error::Refused(Status::NotInitialized);
     assert_eq!(client.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop), Err(refused));
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(refused));
     assert_eq!(client.home(HomingDirection::Negative), Ok(()));
     assert!(client.system_state().unwrap().contains(SystemFlags::REFERENCED));
-    assert_near(client.width().unwrap(), 0.0);
+    assert_near(client.width().unwrap().0, 0.0);
 }
 
 fn fingers_go_to_the_width_that_was_asked_for<C: Client>() {
     let mut client = C::homed(Config::default());
     assert_eq!(client.move_to(Mm(42.5), MmPerS(200.0), OnBlock::Stop), Ok(()));
-    assert_near(client.width().unwrap(), 42.5);
-    assert_eq!(client.speed(), Ok(0.0));
-    assert_eq!(client.state(), Ok(GripperState::Idle));
+    assert_near(client.width().unwrap().0, 42.5);
+    assert_eq!(client.speed(), Ok(MmPerS(0.0)));
+    assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
 }
 
 fn relative_moves_add_up<C: Client>() {
     let mut client = C::homed(Config::default());
     client.move_by(Mm(-30.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     client.move_by(Mm(10.0), MmPerS(200.0), OnBlock::Stop).unwrap();
-    assert_near(client.width().unwrap(), 90.0);
+    assert_near(client.width().unwrap().0, 90.0);
 }
 
 fn part_is_held_with_the_force_limit<C: Client>() {
     let mut client = C::homed(with_part(20.0));
-    client.set_force_limit(30.0).unwrap();
-    assert_eq!(client.force_limit(), Ok(30.0));
+    client.set_force_limit(N(30.0)).unwrap();
+    assert_eq!(client.force_limit(), Ok(N(30.0)));
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
-    assert_eq!(client.state(), Ok(GripperState::Holding));
-    assert_near(client.force().unwrap(), 30.0);
-    assert_near(client.width().unwrap(), 20.0 - 0.3);
+    assert_eq!(client.gripper_state(), Ok(GripperState::Holding));
+    assert_near(client.force().unwrap().0, 30.0);
+    assert_near(client.width().unwrap().0, 20.0 - 0.3);
 }
 
 fn grip_without_a_part_finds_none<C: Client>() {
     let mut client = C::homed(Config::default());
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::NoPart));
-    assert_eq!(client.state(), Ok(GripperState::NoPart));
+    assert_eq!(client.gripper_state(), Ok(GripperState::NoPart));
     let statistics = client.statistics(false).unwrap();
     assert_eq!((statistics.total, statistics.no_part), (1, 1));
 }
@@ -157,7 +157,7 @@ fn grip_without_a_part_finds_none<C: Client>() {
 fn part_in_the_way_blocks<C: Client>() {
     let mut client = C::homed(with_part(60.0));
     assert_eq!(client.move_to(Mm(20.0), MmPerS(100.0), OnBlock::Stop), Err(Error::Blocked));
-    assert_eq!(client.state(), Ok(GripperState::Error));
+    assert_eq!(client.gripper_state(), Ok(GripperState::Error));
 }
 
 fn release_opens_to_the_width_that_was_asked_for<C: Client>() {
@@ -165,17 +165,17 @@ fn release_opens_to_the_width_that_was_asked_for<C: Client>() {
     client.move_to(Mm(40.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
     assert_eq!(client.release(Mm(55.0), MmPerS(200.0)), Ok(()));
-    assert_near(client.width().unwrap(), 55.0);
-    assert_eq!(client.state(), Ok(GripperState::Idle));
+    assert_near(client.width().unwrap().0, 55.0);
+    assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
 }
 
 fn release_after_an_outward_grip_goes_inward<C: Client>() {
     let mut client = C::homed(Config::default());
     client.move_to(Mm(30.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     assert_eq!(client.grip(Mm(60.0), MmPerS(100.0)), Ok(Grip::NoPart));
-    assert_near(client.width().unwrap(), 65.0);
+    assert_near(client.width().unwrap().0, 65.0);
     assert_eq!(client.release(Mm(45.0), MmPerS(200.0)), Ok(()));
-    assert_near(client.width().unwrap(), 45.0);
+    assert_near(client.width().unwrap().0, 45.0);
 }
 
 fn stop_aborts_a_motion_and_lets_a_part_go<C: Client>() {
@@ -183,14 +183,14 @@ fn stop_aborts_a_motion_and_lets_a_part_go<C: Client>() {
     let motion = client.begin_move_to(Mm(50.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     assert_eq!(client.stop(), Ok(()));
     assert_eq!(client.wait(&motion), Err(Error::Aborted));
-    assert!(client.width().unwrap() > 100.0);
+    assert!(client.width().unwrap().0 > 100.0);
     assert!(client.system_state().unwrap().contains(SystemFlags::AXIS_STOPPED));
 
     assert_eq!(client.grip(Mm(20.0), MmPerS(200.0)), Ok(Grip::Held));
     client.stop().unwrap();
     client.bench().pass(10);
-    assert_eq!(client.state(), Ok(GripperState::Idle));
-    assert_eq!(client.force(), Ok(0.0));
+    assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
+    assert_eq!(client.force(), Ok(N(0.0)));
 }
 
 fn fast_stop_aborts_and_locks_until_it_is_acknowledged<C: Client>() {
@@ -232,12 +232,12 @@ fn state_is_told_while_a_motion_runs<C: Client>() {
     let mut client = C::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     assert_eq!(client.motion(), Some(CommandId::PrePosition));
-    assert_eq!(client.state(), Ok(GripperState::Positioning));
+    assert_eq!(client.gripper_state(), Ok(GripperState::Positioning));
     assert!(client.system_state().unwrap().contains(SystemFlags::MOVING));
     let mut widths = vec![];
     while client.poll(&motion).unwrap().is_none() {
         client.bench().pass(5);
-        widths.push(client.width().unwrap());
+        widths.push(client.width().unwrap().0);
     }
     assert!(widths.len() > 100, "{}", widths.len());
     assert!(widths.is_sorted_by(|one, other| one >= other));
@@ -260,14 +260,14 @@ fn result_that_came_meanwhile_is_kept<C: Client>() {
     let mut client = C::homed(Config::default());
     let grip = client.begin_grip(Mm(100.0), MmPerS(200.0)).unwrap();
     client.bench().pass(5_000);
-    assert_near(client.width().unwrap(), 95.0);
+    assert_near(client.width().unwrap().0, 95.0);
     assert_eq!(client.wait(&grip), Ok(Grip::NoPart));
 }
 
 fn question_whose_answer_is_lost_is_asked_again<C: Client>() {
     let mut client = C::homed(Config::default());
     client.bench().world(|world| world.lose = 1);
-    assert_near(client.width().unwrap(), 110.0);
+    assert_near(client.width().unwrap().0, 110.0);
     assert_eq!(client.counters().session.repeated, 1);
     assert!(client.is_connected());
 }
@@ -398,7 +398,7 @@ fn garbage_is_counted_and_nothing_else<C: Client>() {
     assert!(sum(after) > sum(before), "{after:?}");
     assert_eq!(client.known().info, known.info);
     assert_eq!(client.wait(&motion), Ok(()));
-    assert_near(client.width().unwrap(), 50.0);
+    assert_near(client.width().unwrap().0, 50.0);
 }
 
 fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
@@ -410,9 +410,9 @@ fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
     assert_eq!(client.move_to(Mm(50.0), MmPerS(f32::INFINITY), OnBlock::Stop), Err(invalid));
     assert_eq!(client.move_by(Mm(f32::NAN), MmPerS(50.0), OnBlock::Stop), Err(invalid));
     assert_eq!(client.release(Mm(f32::NEG_INFINITY), MmPerS(50.0)), Err(invalid));
-    assert_eq!(client.set_force_limit(f32::NAN), Err(invalid));
+    assert_eq!(client.set_force_limit(N(f32::NAN)), Err(invalid));
     assert_eq!(bench.world(|world| world.writes.len()), 0);
-    assert_eq!(client.force_limit(), Ok(40.0));
+    assert_eq!(client.force_limit(), Ok(N(40.0)));
 }
 
 fn updates_come_while_the_fingers_travel<C: Client>() {
@@ -526,12 +526,12 @@ fn nothing_is_sent_without_a_connection<C: Client>() {
         client.next_update(50).unwrap();
     }
     assert_eq!(client.move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop), Err(Error::NotConnected));
-    assert_eq!(client.set_force_limit(20.0), Err(Error::NotConnected));
+    assert_eq!(client.set_force_limit(N(20.0)), Err(Error::NotConnected));
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::NotConnected));
     bench.world(|world| (world.mute, world.deaf) = (false, false));
     client.connect().unwrap();
     bench.pass(2_000);
-    assert_near(client.width().unwrap(), 110.0);
+    assert_near(client.width().unwrap().0, 110.0);
 }
 
 fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_bytes_again<C: Client>() {
@@ -546,7 +546,7 @@ fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_b
         client.bench().world(|world| world.room = usize::MAX);
         client.connect().unwrap();
         client.bench().pass(2_000);
-        assert_near(client.width().unwrap(), 110.0);
+        assert_near(client.width().unwrap().0, 110.0);
     }
 }
 
@@ -566,7 +566,8 @@ fn program_may_announce_its_end_itself() {
 fn line_without_an_announcement_is_left_as_it_is() {
     fn check<S: Speech>(kind: PortKind) {
         let mut client = Blocking::<S>::at(Bench::new(kind, Config::default()));
-        let outcome: Result<GripperState, Error> = client.gripper.with_connection(|gripper| gripper.state());
+        let outcome: Result<GripperState, Error> =
+            client.gripper.with_connection(|gripper| gripper.gripper_state());
         assert_eq!(outcome, Ok(GripperState::Idle));
         assert!(client.is_connected());
     }

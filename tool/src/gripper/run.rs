@@ -5,7 +5,9 @@ use std::time::{Duration, Instant};
 
 use wsg_protocol::driver::blocking::GripperOver;
 use wsg_protocol::driver::host::StdClock;
-use wsg_protocol::driver::{Binary, Error, Finger, Gcl, Grip, Mm, MmPerS, MotionResult, Pending, Protocol};
+use wsg_protocol::driver::{
+    Binary, Error, Finger, Gcl, Grip, Mm, MmPerS, MotionResult, N, Pending, Protocol,
+};
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{AutoUpdate, DeviceTag, FingerFlags, FingerType, SoftLimits, SystemFlags, SystemLimits};
 
@@ -49,15 +51,15 @@ impl Dialect for Binary {
 impl Dialect for Gcl {
     fn part_width_tolerance(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble> {
         Ok(match set {
-            Some(tolerance) => gripper.set_part_width_tolerance(tolerance)?,
-            None => gripper.part_width_tolerance()?,
+            Some(tolerance) => gripper.set_part_width_tolerance(Mm(tolerance))?.0,
+            None => gripper.part_width_tolerance()?.0,
         })
     }
 
     fn clamping_travel(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble> {
         Ok(match set {
-            Some(travel) => gripper.set_clamping_travel(travel)?,
-            None => gripper.clamping_travel()?,
+            Some(travel) => gripper.set_clamping_travel(Mm(travel))?.0,
+            None => gripper.clamping_travel()?.0,
         })
     }
 }
@@ -95,7 +97,7 @@ pub(crate) fn carry_out<P: Dialect>(
             if let Some(force) = *force {
                 set_force_limit(gripper, force)?;
             }
-            done.number("force limit", gripper.force_limit()?, NEWTON)
+            done.number("force limit", gripper.force_limit()?.0, NEWTON)
         }
         Action::Acceleration { acceleration } => {
             if let Some(acceleration) = *acceleration {
@@ -124,11 +126,11 @@ pub(crate) fn carry_out<P: Dialect>(
         }
 
         Action::Status => status(gripper)?,
-        Action::State => done.text("state", gripper.state()?),
+        Action::State => done.text("state", gripper.gripper_state()?),
         Action::Flags => done.with("flags", system_flags(gripper.system_state()?)),
-        Action::Width => done.number("width", gripper.width()?, MM),
-        Action::Speed => done.number("speed", gripper.speed()?, MM_PER_S),
-        Action::Force => done.number("force", gripper.force()?, NEWTON),
+        Action::Width => done.number("width", gripper.width()?.0, MM),
+        Action::Speed => done.number("speed", gripper.speed()?.0, MM_PER_S),
+        Action::Force => done.number("force", gripper.force()?.0, NEWTON),
         Action::Temperature => {
             done.number("temperature", f32::from(gripper.temperature()?.0) / 10.0, CELSIUS)
         }
@@ -216,7 +218,7 @@ pub(crate) fn unsubscribe<P: Protocol>(gripper: &mut Gripper<P>) {
         gripper.subscribe(topic, AutoUpdate::once());
     }
     // Changed subscriptions are sent before the next request.
-    let _ = gripper.state();
+    let _ = gripper.gripper_state();
 }
 
 fn told(result: Result<(), Error<io::Error>>) -> Result<Answer, Trouble> {
@@ -261,7 +263,7 @@ fn grip<P: Protocol>(
     Ok(match finish(gripper, &motion, live)? {
         Grip::Held => {
             let held = Answer::of(Outcome::Held);
-            held.number("width", gripper.width()?, MM).number("force", gripper.force()?, NEWTON)
+            held.number("width", gripper.width()?.0, MM).number("force", gripper.force()?.0, NEWTON)
         }
         Grip::NoPart => Answer::of(Outcome::NoPart),
     })
@@ -269,8 +271,8 @@ fn grip<P: Protocol>(
 
 /// A gripper clamps what it is set to: that is no success for one who asked for more.
 fn set_force_limit<P: Protocol>(gripper: &mut Gripper<P>, force: f32) -> Result<(), Trouble> {
-    gripper.set_force_limit(force)?;
-    let taken = gripper.force_limit()?;
+    gripper.set_force_limit(N(force))?;
+    let taken = gripper.force_limit()?.0;
     let range = gripper.known().limits.map(|limits| {
         let SystemLimits { min_force, nominal_force, overdrive_force, .. } = limits;
         format!("{min_force:.0} to {nominal_force:.0} N, with overdrive up to {overdrive_force:.0} N")
@@ -299,10 +301,10 @@ fn unclamped(what: &str, unit: Unit, [asked, taken]: [f32; 2], range: Option<Str
 
 fn status<P: Protocol>(gripper: &mut Gripper<P>) -> Result<Answer, Trouble> {
     Ok(Answer::done()
-        .text("state", gripper.state()?)
-        .number("width", gripper.width()?, MM)
-        .number("speed", gripper.speed()?, MM_PER_S)
-        .number("force", gripper.force()?, NEWTON)
+        .text("state", gripper.gripper_state()?)
+        .number("width", gripper.width()?.0, MM)
+        .number("speed", gripper.speed()?.0, MM_PER_S)
+        .number("force", gripper.force()?.0, NEWTON)
         .with("flags", system_flags(gripper.system_state()?)))
 }
 

@@ -8,7 +8,7 @@ use tokio::{sync::watch, time::timeout};
 use wsg_protocol::{
     HomingDirection,
     driver::{
-        Error, Grip, Mm, MmPerS, OnBlock, Pending,
+        Error, Grip, Mm, MmPerS, N, OnBlock, Pending,
         asynch::{Gripper, Transport},
         tokio::TokioTimer,
     },
@@ -184,7 +184,7 @@ async fn begin<IO: Transport>(
     action: Action,
 ) -> Result<Option<Motion>, Error<IO::Error>> {
     if let Action::Move { force: Some(force), .. } | Action::Grip { force: Some(force), .. } = action {
-        gripper.set_force_limit(force).await?;
+        gripper.set_force_limit(N(force)).await?;
     }
     Ok(Some(match action {
         Action::Home => Motion::Plain(gripper.begin_home(HomingDirection::Default).await?),

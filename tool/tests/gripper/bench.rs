@@ -106,7 +106,7 @@ impl Bench {
     pub(crate) fn assert_stopped(&mut self) {
         let flags = self.until(|flags| !flags.contains(SystemFlags::MOVING));
         assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
-        let width = self.observer.width().unwrap();
+        let width = self.observer.width().unwrap().0;
         // The part is in the way at 20 mm.
         assert!(width > 30.0, "they went on: {width} mm, {flags}");
     }

@@ -3,20 +3,20 @@
 use super::{GripperOver, Transport};
 use crate::driver::engine::{Awaited, Engine, Goal};
 use crate::driver::methods::gcl_methods;
-use crate::driver::{Config, Error, GCL_LINE_LEN, Gcl, Timer};
+use crate::driver::{Config, Error, GCL_LINE_LEN, Gcl, Mm, Timer};
 use crate::gcl::{Request, Setting};
 
 /// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
 ///
 /// ```
 /// use wsg_protocol::driver::asynch::{GclGripper as Gripper, Transport};
-/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, Timer};
+/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, N, Timer};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// async fn pick<IO: Transport>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
 ///     let program = async |gripper: &mut Gripper<_, _>| {
-///         gripper.set_force_limit(40.0).await?;
+///         gripper.set_force_limit(N(40.0)).await?;
 ///         Ok(gripper.grip(Mm(20.0), MmPerS(100.0)).await? == Grip::Held)
 ///     };
 ///     gripper.with_connection(program).await

@@ -3,7 +3,7 @@
 use super::{GripperOver, Transport};
 use crate::driver::engine::{Awaited, Engine, Goal};
 use crate::driver::methods::gcl_methods;
-use crate::driver::{Clock, Config, Error, GCL_LINE_LEN, Gcl};
+use crate::driver::{Clock, Config, Error, GCL_LINE_LEN, Gcl, Mm};
 use crate::gcl::{Request, Setting};
 
 /// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
@@ -11,13 +11,13 @@ use crate::gcl::{Request, Setting};
 /// ```
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::blocking::{GclGripper as Gripper, Transport};
-/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N};
 ///
 /// /// Takes a part of 20 mm; whether there was one.
 /// fn pick<IO: Transport>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
 ///     Gripper::new(io, clock).with_connection(|gripper| {
 ///         gripper.home(HomingDirection::Default)?;
-///         gripper.set_force_limit(40.0)?;
+///         gripper.set_force_limit(N(40.0))?;
 ///         Ok(gripper.grip(Mm(20.0), MmPerS(100.0))? == Grip::Held)
 ///     })
 /// }

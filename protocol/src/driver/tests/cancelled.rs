@@ -10,9 +10,9 @@ fn dropping_at_any_moment_loses_no_byte_and_no_step() {
         let mut gripper = connected_async(&rig);
         let dropped = rig.run_for(polls, gripper.grip(Mm(20.0), MmPerS(50.0))).is_none();
         assert_eq!(dropped, polls < 101, "{polls}");
-        assert_eq!(rig.run(gripper.width()), Ok(42.5), "{polls}");
-        assert_eq!(rig.run(gripper.set_force_limit(33.0)), Ok(()), "{polls}");
-        assert_eq!(rig.run(gripper.force_limit()), Ok(33.0), "{polls}");
+        assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)), "{polls}");
+        assert_eq!(rig.run(gripper.set_force_limit(N(33.0))), Ok(()), "{polls}");
+        assert_eq!(rig.run(gripper.force_limit()), Ok(N(33.0)), "{polls}");
         rig.pass(200);
         assert_eq!(rig.run(gripper.home(HomingDirection::Default)), Ok(()), "{polls}");
         let counters = gripper.counters();
@@ -29,7 +29,7 @@ fn motion_that_had_not_left_does_not_leave_any_more() {
     assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
     rig.world(|world| world.room = usize::MAX);
     assert!(gripper.motion().is_some(), "it still waits for the line");
-    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     assert_eq!(rig.heard(CommandId::GripPart), 0);
     assert_eq!(gripper.motion(), None);
     assert_eq!(rig.run(gripper.home(HomingDirection::Default)), Ok(()));
@@ -43,7 +43,7 @@ fn frame_that_was_cut_off_is_sent_to_its_end() {
         rig.world(|world| world.room = room);
         assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
         rig.world(|world| world.room = usize::MAX);
-        assert_eq!(rig.run(gripper.width()), Ok(42.5), "{room}");
+        assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)), "{room}");
         assert_eq!(rig.heard(CommandId::GripPart), 1, "{room}");
         assert_eq!(gripper.motion(), Some(CommandId::GripPart), "{room}");
         assert_eq!(rig.run(gripper.stop()), Ok(()), "{room}");
@@ -67,10 +67,10 @@ fn answer_to_a_setting_that_was_given_up_is_not_taken_for_that_of_the_next() {
     let mut gripper = connected_async(&rig);
     let id = CommandId::SetForceLimit;
     rig.script(id, vec![(50, status(id, Status::Success))]);
-    assert_eq!(rig.run_for(5, gripper.set_force_limit(40.0)), None);
+    assert_eq!(rig.run_for(5, gripper.set_force_limit(N(40.0))), None);
     rig.script(id, vec![(1, status(id, Status::CmdFormatError))]);
-    assert_eq!(rig.run(gripper.set_force_limit(60.0)), Err(Error::Refused(Status::CmdFormatError)));
-    assert_eq!(rig.run(gripper.set_force_limit(60.0)), Ok(()));
+    assert_eq!(rig.run(gripper.set_force_limit(N(60.0))), Err(Error::Refused(Status::CmdFormatError)));
+    assert_eq!(rig.run(gripper.set_force_limit(N(60.0))), Ok(()));
     assert_eq!(rig.world(|world| world.force_limit), 60.0);
 }
 
@@ -94,7 +94,7 @@ fn stop_leaves_even_when_it_was_given_up() {
     assert_eq!(rig.run_for(2, gripper.stop()), None);
     assert_eq!(rig.run_for(2, gripper.fast_stop()), None);
     rig.world(|world| world.room = usize::MAX);
-    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     assert!(!gripper.fast_stop_pending());
     let first: Vec<u8> = rig.world(|world| world.heard.iter().map(|(id, _)| *id).take(2).collect());
     assert_eq!(first, [0x22, 0x23]);
@@ -171,7 +171,7 @@ fn frame_that_an_error_of_the_transport_cut_off_is_not_sent_to_its_end() {
     assert_eq!(rig.run(gripper.width()), Err(Error::Transport(Noise)));
     assert_eq!(rig.run(gripper.width()), Err(Error::NotConnected), "the motion has no answer");
     rig.run(gripper.connect()).unwrap();
-    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     assert_eq!((rig.heard(CommandId::GripPart), rig.world(|world| world.stray())), (0, 0));
 }
 
@@ -197,6 +197,6 @@ fn frame_that_is_half_sent_when_a_motion_is_given_up_is_sent_to_its_end() {
     assert_eq!(rig.run_for(8, gripper.width()), None);
     rig.world(|world| world.room = usize::MAX);
     assert_eq!(rig.run(gripper.wait(&grip)), Err(Error::Unanswered));
-    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     assert_eq!((gripper.counters().session.disconnects, rig.world(|world| world.stray())), (0, 0));
 }

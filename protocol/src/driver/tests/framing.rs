@@ -20,11 +20,11 @@ fn unasked_frames_before_every_answer_do_not_get_it_out_of_step() {
     let mut gripper = connected(&rig);
     for force in [10.0, 20.0, 30.0] {
         rig.inject(&unsolicited());
-        assert_eq!(gripper.set_force_limit(force), Ok(()));
+        assert_eq!(gripper.set_force_limit(N(force)), Ok(()));
         rig.inject(&unsolicited());
-        assert_eq!(gripper.force_limit(), Ok(force));
+        assert_eq!(gripper.force_limit(), Ok(N(force)));
         rig.inject(&unsolicited());
-        assert_eq!(gripper.width(), Ok(42.5));
+        assert_eq!(gripper.width(), Ok(Mm(42.5)));
         let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
         rig.inject(&unsolicited());
         assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
@@ -66,7 +66,7 @@ fn two_frames_in_one_segment_are_both_taken() {
     let segment = [unsolicited(), width, unsolicited()].concat();
     assert!(segment.len() > 64, "more than one read takes");
     rig.script(CommandId::GetOpeningWidth, vec![(1, segment)]);
-    assert_eq!(gripper.width(), Ok(7.0));
+    assert_eq!(gripper.width(), Ok(Mm(7.0)));
     assert_eq!(gripper.home(HomingDirection::Default), Ok(()));
 }
 
@@ -78,7 +78,7 @@ fn frame_in_pieces_is_put_together_wherever_it_was_cut() {
     for cut in 1..width.len() {
         let (head, tail) = width.split_at(cut);
         rig.script(CommandId::GetOpeningWidth, vec![(1, head.to_vec()), (9, tail.to_vec())]);
-        assert_eq!(gripper.width(), Ok(7.0), "cut at {cut}");
+        assert_eq!(gripper.width(), Ok(Mm(7.0)), "cut at {cut}");
     }
     assert_eq!(gripper.counters().line.dropped, 0);
     assert_eq!(gripper.counters().session.repeated, 0);
@@ -105,7 +105,7 @@ fn rest_of_a_cut_frame_is_given_up_and_the_next_one_is_taken() {
     let mut gripper = connected(&rig);
     let echo = frame(Reply::success(Value::Loop(LoopData::new(&[0xAA; 100]).unwrap())));
     rig.script(CommandId::GetOpeningWidth, vec![(1, echo[..40].to_vec())]);
-    assert_eq!(gripper.width(), Ok(42.5), "asked again");
+    assert_eq!(gripper.width(), Ok(Mm(42.5)), "asked again");
     assert_eq!(gripper.counters().session.repeated, 1);
     assert_eq!(gripper.counters().line.dropped, 40);
 }
@@ -117,8 +117,8 @@ fn noise_around_frames_costs_nothing() {
     let noise = [0x00, 0xAA, 0xAA, 0x43, 0xFF, 0xAA];
     let width = frame(Reply::success(Value::GetOpeningWidth(7.0)));
     rig.script(CommandId::GetOpeningWidth, vec![(1, [&noise[..5], &width, &noise].concat())]);
-    assert_eq!(gripper.width(), Ok(7.0));
-    assert_eq!(gripper.width(), Ok(42.5));
+    assert_eq!(gripper.width(), Ok(Mm(7.0)));
+    assert_eq!(gripper.width(), Ok(Mm(42.5)));
     assert_eq!(gripper.counters().session.repeated, 0);
 }
 

@@ -89,7 +89,7 @@ fn own_stop_counts_for_that_of_a_handle_and_not_for_a_greater_one() {
         request(&gripper.stop_handle().unwrap(), by_handle).unwrap();
         let result = if own == StopKind::Stop { gripper.stop() } else { gripper.fast_stop() };
         assert_eq!(result, outcome, "{by_handle} and {own}");
-        assert_eq!(gripper.width(), Ok(42.5));
+        assert_eq!(gripper.width(), Ok(Mm(42.5)));
     }
 }
 

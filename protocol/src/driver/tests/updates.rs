@@ -18,7 +18,7 @@ fn kept_values_come_before_a_look_at_the_transport() {
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while gripper.next_update(50).unwrap().is_some() {}
     inject_three(&rig);
-    assert_eq!(gripper.width(), Ok(42.5));
+    assert_eq!(gripper.width(), Ok(Mm(42.5)));
     rig.world(|world| world.noise = true);
     let now = rig.world(|world| world.now);
     for newtons in 1..=3u8 {
@@ -35,7 +35,7 @@ fn kept_values_come_before_a_look_at_the_transport_in_the_async_driver() {
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while rig.run(gripper.next_update(50)).unwrap().is_some() {}
     inject_three(&rig);
-    assert_eq!(rig.run(gripper.width()), Ok(42.5));
+    assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     rig.world(|world| world.noise = true);
     for newtons in 1..=3u8 {
         assert_eq!(rig.run(gripper.next_update(50)), Ok(Some(Update::Force(newtons.into()))));

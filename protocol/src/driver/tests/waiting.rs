@@ -13,7 +13,7 @@ fn waits(rig: &Rig, call: impl FnOnce()) -> u32 {
 fn query_is_sent_before_the_first_wait_and_answered_by_the_end_of_it() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
-    assert_eq!(waits(&rig, || assert_eq!(gripper.width(), Ok(42.5))), 1);
+    assert_eq!(waits(&rig, || assert_eq!(gripper.width(), Ok(Mm(42.5)))), 1);
 }
 
 #[test]

@@ -12,7 +12,7 @@ fn motion_is_carried_to_its_end() {
     let mut gripper = asleep(&rig);
     assert_eq!(rig.run_woken(gripper.connect()), Ok(()));
     assert_eq!(rig.run_woken(gripper.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::Held));
-    assert_eq!(rig.run_woken(gripper.width()), Ok(42.5));
+    assert_eq!(rig.run_woken(gripper.width()), Ok(Mm(42.5)));
 }
 
 #[test]

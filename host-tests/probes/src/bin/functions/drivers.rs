@@ -71,7 +71,7 @@ macro_rules! waiting {
             $gripper: begin_home, begin_move_to, begin_move_by, begin_grip, begin_release;
             $gripper: acceleration, set_acceleration, force_limit, set_force_limit, soft_limits, set_soft_limits;
             $gripper: clear_soft_limits, set_overdrive, tare, tag, set_tag;
-            $gripper: system_state, state, statistics, width, speed, force, temperature, system_info, limits;
+            $gripper: system_state, gripper_state, statistics, width, speed, force, temperature, system_info, limits;
             $gripper: finger_info, finger_flags, set_finger_power, finger_data;
         )+ }
         $(
