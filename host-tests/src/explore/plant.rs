@@ -55,6 +55,8 @@ pub(super) struct Plant {
     with_next: Option<Answer>,
     /// The last image that the PLC wrote over the bus; none while it is silent.
     image: Option<Image>,
+    /// FASTSTOP was 1 in the last image. A bus that falls silent does not release it.
+    bus_holds_fast_stop: bool,
     promises: Promises,
     /// A log, for a reader.
     story: Option<String>,
@@ -101,6 +103,7 @@ impl Plant {
             answers: Answers::NONE,
             with_next: None,
             image: None,
+            bus_holds_fast_stop: false,
             promises: Promises::new(Instant::from_millis(0)),
             story: None,
         };
@@ -146,7 +149,7 @@ impl Plant {
 
     /// Whether the PLC asserts FAST STOP, by wire or bus.
     fn holds_fast_stop(&self) -> bool {
-        !self.wires.contains(Inputs::FAST_STOP_OK) || self.image == Some(Image::FastStop)
+        !self.wires.contains(Inputs::FAST_STOP_OK) || self.bus_holds_fast_stop
     }
 
     fn say(&mut self, what: impl FnOnce(&mut String) -> std::fmt::Result) {
@@ -218,6 +221,7 @@ impl Plant {
                 self.modbus = Modbus::new(&CONFIG);
                 self.with_next = None;
                 self.image = None;
+                self.bus_holds_fast_stop = false;
                 self.promises.reset(self.now());
                 self.power_up()
             }
@@ -330,6 +334,7 @@ impl Plant {
         let bytes = self.bytes_with_next();
         let now = self.now();
         let before = self.image.replace(image);
+        self.bus_holds_fast_stop = image == Image::FastStop;
         if before == Some(Image::JogPlus) {
             self.promises.end_jog(now, &self.gripper);
         }

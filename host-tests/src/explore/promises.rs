@@ -152,12 +152,15 @@ pub(super) struct Promises {
     jogs: bool,
     /// When a motion that still runs was to be stopped.
     stop_given: Option<Instant>,
-    /// When the gripper left a FAST STOP that the bridge did not acknowledge: by a third party, or by a restart.
+    /// When the gripper left a FAST STOP that the bridge did not acknowledge: by a third party, or by a restart. Beside
+    /// [`Lock::Open`] the bridge was told so before the end of its handshake, and may give the FAST STOP again.
     left_elsewhere: Option<Instant>,
     /// The bridge was told so while the PLC asserted FAST STOP.
     left_is_known: bool,
     /// The PLC asserts FAST STOP.
     holds_fast_stop: bool,
+    /// LINK_OK was high at the end of the last turn. Not part of the key: the outputs are.
+    is_connected: bool,
     /// When the last command rose while READY was high.
     edge: Option<Instant>,
     /// In this turn.
@@ -207,6 +210,7 @@ impl Promises {
             left_elsewhere: None,
             left_is_known: false,
             holds_fast_stop: false,
+            is_connected: false,
             edge: None,
             fast_stop_left: false,
             found_moving: false,
@@ -281,9 +285,16 @@ impl Promises {
         self.withdraw(Promise::FastStopWithdraws);
         self.acknowledgements = 0;
         self.stop_given = None;
-        self.left_elsewhere = None;
-        self.left_is_known = false;
-        let is_new = !matches!(self.lock, Lock::FastStop { .. });
+        // One that the PLC asserted already by its other way gives no edge.
+        if !self.holds_fast_stop && !(self.is_open() && self.left_elsewhere.is_some()) {
+            self.left_elsewhere = None;
+            self.left_is_known = false;
+        }
+        let is_new = match self.lock {
+            Lock::FastStop { .. } => false,
+            Lock::Open => self.left_elsewhere.is_none(),
+            _ => true,
+        };
         if is_new {
             self.lock = Lock::FastStop { untaken: Some(now) };
         }
@@ -301,7 +312,7 @@ impl Promises {
             let has_left = self.left_elsewhere.is_some() && !flags.contains(SystemFlags::FAST_STOP);
             if has_left && !self.holds_fast_stop {
                 self.lock = Lock::Open;
-                self.left_elsewhere = None;
+                self.left_elsewhere = self.left_elsewhere.filter(|_| !self.is_connected);
             }
             self.left_is_known |= has_left && self.holds_fast_stop;
             self.reported = flags;
@@ -356,12 +367,13 @@ impl Promises {
                 }
                 if command.id() == CommandId::FastStop {
                     let is_level = self.left_elsewhere.is_some() && !arrives;
+                    let was_taken = matches!(self.lock, Lock::FastStop { untaken: None });
                     self.fast_stop(now);
                     self.left_elsewhere = is_level.then_some(now);
+                    self.left_is_known = false;
                     self.fast_stop_left = true;
-                    if let Lock::FastStop { untaken: untaken @ Some(_) } = &mut self.lock {
-                        *untaken = if arrives { None } else { Some(now) };
-                    }
+                    let untaken = if arrives || was_taken { None } else { Some(now) };
+                    self.lock = Lock::FastStop { untaken };
                 }
                 Ok(())
             }
@@ -397,6 +409,7 @@ impl Promises {
     pub(super) fn end_turn(&mut self, now: Instant, outputs: Outputs, gripper: &Gripper) -> Kept {
         let shows = |output| outputs.contains(output);
         let connected = shows(Outputs::LINK_OK);
+        self.is_connected = connected;
         keep(Promise::NotReadyAndBusy, !shows(Outputs::READY | Outputs::BUSY))?;
         keep(Promise::NotHoldingAndPartFault, !shows(Outputs::HOLDING | Outputs::PART_FAULT))?;
         keep(Promise::OnlyErrorWithoutLink, connected || Outputs::ERROR.contains(outputs))?;
@@ -416,7 +429,9 @@ impl Promises {
         }
         let is_late = self.stop_given.is_some_and(|given| now.since(given) > STOP_MS);
         keep(Promise::UnheardStopBecomesFastStop, !is_late)?;
-        let is_free = self.holds_fast_stop
+        // Before the first connection the bridge cannot know: it is told by the handshake.
+        let is_free = !matches!(self.power_up, PowerUp::New { .. })
+            && self.holds_fast_stop
             && !gripper.fast_stop
             && self.left_elsewhere.is_some_and(|left| now.since(left) > SECOND_MS);
         keep(Promise::FastStopIsALevel, !is_free)?;
