@@ -4,12 +4,16 @@
 //! of the machine hits all of them. Prints a line for each figure, a name and a number: microseconds, or for `cpu` percent of
 //! a core.
 //!
+//! With UMI's Python driver, `latency PATH/wsg_binary_driver.py` measures that one in the same turns; it needs `python3`. The file
+//! is `umi/real_world/wsg_binary_driver.py` of the repository `real-stanford/universal_manipulation_interface`.
+//!
 //! Stops are timed from the call until the bytes have arrived at the other end of the socket, in a thread that passes them on
 //! to the server.
 
 use std::hint::black_box;
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::process::{Child, ChildStdin, ChildStdout, Command as Process, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
@@ -72,12 +76,74 @@ fn percentile(sorted: &[f64], percent: usize) -> f64 {
     sorted[(sorted.len() * percent / 100).min(sorted.len() - 1)]
 }
 
-/// One client: asks once.
-type Client<'a> = Box<dyn FnMut() + 'a>;
+/// One client: asks so many times, and returns how long each took, in microseconds.
+type Client<'a> = Box<dyn FnMut(usize) -> Vec<f64> + 'a>;
+
+/// A client that is timed here.
+fn timed<'a>(mut ask: impl FnMut() + 'a) -> Client<'a> {
+    Box::new(move |count| {
+        let time = |_| {
+            let begun = Instant::now();
+            ask();
+            begun.elapsed().as_secs_f64() * 1e6
+        };
+        (0..count).map(time).collect()
+    })
+}
+
+/// UMI's driver in a process of its own, which times itself.
+const UMI: &str = "\
+import importlib.util, sys, time
+path, host, port = sys.argv[1:]
+spec = importlib.util.spec_from_file_location('driver', path)
+driver = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(driver)
+wsg = driver.WSGBinaryDriver(host, int(port))
+wsg.start()
+for line in sys.stdin:
+    times = []
+    for _ in range(int(line)):
+        begun = time.perf_counter()
+        wsg.cmd_submit(0x43, bytes(3))
+        times.append((time.perf_counter() - begun) * 1e6)
+    print(*times, flush=True)
+wsg.disconnect()
+";
+
+struct Python {
+    requests: Option<ChildStdin>,
+    answers: BufReader<ChildStdout>,
+    child: Child,
+}
+
+impl Drop for Python {
+    /// It ends with its input.
+    fn drop(&mut self) {
+        self.requests = None;
+        let _ = self.child.wait();
+    }
+}
+
+fn umi(path: &str, address: SocketAddr) -> Client<'static> {
+    let mut python = Process::new("python3");
+    python.args(["-c", UMI, path, &address.ip().to_string(), &address.port().to_string()]);
+    let mut child =
+        python.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("python3 is installed");
+    let answers = BufReader::new(child.stdout.take().expect("a pipe"));
+    let mut python = Python { requests: child.stdin.take(), answers, child };
+    Box::new(move |count| {
+        writeln!(python.requests.as_mut().expect("a pipe"), "{count}").expect("the driver runs");
+        let mut line = String::new();
+        python.answers.read_line(&mut line).expect("the driver runs");
+        let times: Vec<f64> = line.split_whitespace().map(|time| time.parse().expect("a number")).collect();
+        assert_eq!(times.len(), count, "the Python driver has ended");
+        times
+    })
+}
 
 /// The times of all clients, in ascending order.
 fn queries() -> Vec<(&'static str, Vec<f64>)> {
-    let servers: Vec<ServerThread> = (0..5).map(|_| serve()).collect();
+    let servers: Vec<ServerThread> = (0..6).map(|_| serve()).collect();
     let binary = |at: usize| servers[at].tcp_address().expect("it is served");
     let gcl = |at: usize| servers[at].gcl_address().expect("it is served");
 
@@ -88,24 +154,23 @@ fn queries() -> Vec<(&'static str, Vec<f64>)> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     let mut asynch = runtime.block_on(on_tokio::connect(binary(2))).expect("the gripper answers");
 
-    let mut clients: [(&str, Client<'_>); 5] = [
+    let mut clients: Vec<(&str, Client<'_>)> = vec![
         ("bare", bare(binary(0), frame)),
-        ("blocking", Box::new(|| _ = black_box(blocking.width().expect("it is answered")))),
-        ("tokio", Box::new(|| _ = black_box(runtime.block_on(asynch.width()).expect("it is answered")))),
+        ("blocking", timed(|| _ = black_box(blocking.width().expect("it is answered")))),
+        ("tokio", timed(|| _ = black_box(runtime.block_on(asynch.width()).expect("it is answered")))),
         ("bare-gcl", bare(gcl(4), b"POS?\n".to_vec())),
-        ("gcl", Box::new(|| _ = black_box(over_gcl.width().expect("it is answered")))),
+        ("gcl", timed(|| _ = black_box(over_gcl.width().expect("it is answered")))),
     ];
-    let mut times: [Vec<f64>; 5] = Default::default();
+    if let Some(path) = std::env::args().nth(1) {
+        clients.push(("umi", umi(&path, binary(5))));
+    }
+    let mut times = vec![Vec::new(); clients.len()];
     for (_, ask) in &mut clients {
-        (0..WARM_UP).for_each(|_| ask());
+        ask(WARM_UP);
     }
     for _ in 0..QUERIES / TURN {
         for ((_, ask), times) in clients.iter_mut().zip(&mut times) {
-            times.extend((0..TURN).map(|_| {
-                let begun = Instant::now();
-                ask();
-                begun.elapsed().as_secs_f64() * 1e6
-            }));
+            times.extend(ask(TURN));
         }
     }
     times.iter_mut().for_each(|times| times.sort_by(f64::total_cmp));
@@ -215,7 +280,7 @@ fn bare(address: SocketAddr, query: Vec<u8>) -> Client<'static> {
     let mut socket = TcpStream::connect(address).expect("it listens");
     socket.set_nodelay(true).expect("it is a socket");
     let mut answer = [0; 512];
-    Box::new(move || {
+    timed(move || {
         socket.write_all(&query).expect("it takes a few bytes");
         #[expect(clippy::disallowed_methods, reason = "no signal comes, and one read is measured")]
         let len = socket.read(&mut answer).expect("it answers");
