@@ -5,6 +5,7 @@
 //! | `blocking` | a `Transport` (`embedded_io::{Read, ReadReady, Write}` and a way to wait) and a [`Clock`] | `embedded-io` |
 //! | `asynch` | `embedded_io_async::{Read, Write}` and a [`Timer`] | `embedded-io-async` |
 //! | `host` | `blocking` on a computer: TCP, UDP, serial ports, the clock | `std` |
+//! | `stream` | set-points at a fixed rate from a worker thread, and a feed of the state, over `blocking` | `std` |
 //! | `tokio` | `asynch` on tokio: the same | `tokio` |
 //!
 //! Both have the same methods, and both are thin: a [`Session`](crate::session::Session) decides what is sent and what an
@@ -63,6 +64,8 @@ mod received;
 mod second;
 #[cfg(feature = "std")]
 mod stop;
+#[cfg(feature = "std")]
+pub mod stream;
 #[cfg(feature = "tokio")]
 pub mod tokio;
 #[cfg(feature = "std")]

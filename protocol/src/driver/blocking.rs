@@ -192,6 +192,12 @@ impl<IO: Transport, C: Clock, const RX: usize, const TX: usize> GripperOver<IO, 
 impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
     methods!([] [] FnOnce);
 
+    /// The clock, for a worker that owns this driver.
+    #[cfg(feature = "std")]
+    pub(super) const fn clock(&self) -> &C {
+        &self.clock
+    }
+
     /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
     fn drive(
         &mut self,

@@ -1,0 +1,114 @@
+-- Follows set-points that `wsg_protocol::driver::stream` sends, and reports the state in each answer.
+-- Upload and message layout: docs/streaming.md.
+--
+-- A5h without payload: reports the state, and lets the next set-point begin a new stream.
+-- A5h with position in mm, speed limit in mm/s, force limit in N: goes there. Numbers are IEEE 754 single, low byte first.
+-- Answer: status, layout version, system state flags (4 bytes), position, speed, force, time in ms (4 bytes). A refusal is the
+-- status alone.
+--
+-- FAST STOP, Stop and a pause of more than WATCHDOG seconds end the stream with the fingers stopped. Each further set-point
+-- is then refused with the same status, until a message without payload.
+local socket = require "socket"
+
+local ID, VERSION = 0xA5, 1
+-- Speed in mm/s for each mm that is left.
+local GAIN = 15
+-- The fingers rest within this distance of the set-point, in mm.
+local DEAD_BAND = 0.1
+local WATCHDOG = 0.5
+-- System state flags.
+local REFERENCED, AXIS_STOPPED, FAST_STOP = 0x1, 0x40, 0x1000
+
+local started = socket.gettime()
+-- The set-point, when it was received, and whether a Stop since then would be noticed.
+local position, limit, received, is_armed
+-- The limit and the speed that were set last.
+local force, speed
+-- Why the last stream ended.
+local ended
+
+local function has(flags, flag)
+  return flags % (2 * flag) >= flag
+end
+
+local function number(payload, at)
+  return bton({ payload[at], payload[at + 1], payload[at + 2], payload[at + 3] })
+end
+
+local function word(value)
+  local bytes = {}
+  for at = 1, 4 do
+    bytes[at] = value % 256
+    value = math.floor(value / 256)
+  end
+  return bytes
+end
+
+local function finish(status)
+  position, ended = nil, status
+  mc.stop()
+end
+
+local function run(wanted)
+  if wanted ~= speed then mc.speed(wanted) end
+  speed = wanted
+end
+
+local function follow()
+  if not position then return end
+  local flags = gripper.state()
+  if has(flags, FAST_STOP) then return finish(E_ACCESS_DENIED) end
+  if not has(flags, AXIS_STOPPED) then
+    is_armed = true
+  elseif is_armed then
+    return finish(E_CMD_ABORTED)
+  end
+  if socket.gettime() - received > WATCHDOG then return finish(E_TIMEOUT) end
+  local way = position - mc.position()
+  if math.abs(way) < DEAD_BAND then
+    run(0)
+  else
+    run(math.max(-limit, math.min(limit, GAIN * way)))
+  end
+end
+
+local function accept(payload)
+  if ended then return ended end
+  if not has(gripper.state(), REFERENCED) then return E_NOT_INITIALIZED end
+  local to, at_most, push = number(payload, 1), number(payload, 5), number(payload, 9)
+  if not (to == to and at_most > 0 and push > 0) then return E_INVALID_PARAMETER end
+  if not position then is_armed = not has(gripper.state(), AXIS_STOPPED) end
+  if push ~= force then mc.force(push) end
+  -- The speed is set again, because a block may have ended the motion.
+  position, limit, force, speed, received = to, at_most, push, nil, socket.gettime()
+  follow()
+  return ended or E_SUCCESS
+end
+
+local function serve()
+  local _, payload = cmd.read()
+  local status = E_CMD_FORMAT_ERROR
+  if #payload == 0 then
+    status, ended = E_SUCCESS, nil
+  elseif #payload == 12 then
+    status = accept(payload)
+  end
+  if status ~= E_SUCCESS then return cmd.send(ID, etob(status)) end
+  cmd.send(ID, etob(status), VERSION, word(gripper.state()), ntob(mc.position()), ntob(mc.speed()),
+    ntob(mc.aforce()), word(math.floor((socket.gettime() - started) * 1000)))
+end
+
+local function turn()
+  if cmd.available() > 0 then serve() else sleep(1) end
+  follow()
+end
+
+cmd.register(ID)
+while true do
+  local ok, failure = pcall(turn)
+  if not ok then
+    pcall(mc.stop)
+    pcall(cmd.send, ID, etob(E_CMD_FAILED))
+    error(failure, 0)
+  end
+end

@@ -1,0 +1,143 @@
+//! Messages to and from scripts on the gripper: the project's own, and that of UMI.
+
+use crate::types::SystemFlags;
+
+/// The command of `wsg_stream.lua`.
+pub(super) const STREAM_ID: u8 = 0xA5;
+/// The commands of UMI's `cmd_measure.lua`: measure, and position control.
+pub(super) const UMI_MEASURE_ID: u8 = 0xB0;
+pub(super) const UMI_MOVE_ID: u8 = 0xB1;
+
+/// Room for the answer of either script behind its status.
+pub(super) const MAX_ANSWER_LEN: usize = STREAM_ANSWER_LEN;
+const STREAM_ANSWER_LEN: usize = 21;
+const UMI_ANSWER_LEN: usize = 17;
+/// The layout that `wsg_stream.lua` reports.
+const VERSION: u8 = 1;
+
+/// The gain that UMI's script is used with, in 1/s.
+const UMI_GAIN: f32 = 15.0;
+
+/// What a script is to do until the next message.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Order {
+    /// In mm.
+    pub(super) position: f32,
+    /// In mm/s.
+    pub(super) speed_limit: f32,
+    /// In N, summed over both fingers.
+    pub(super) force_limit: f32,
+}
+
+/// The state in an answer, in mm, mm/s and N.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Measured {
+    pub(super) flags: SystemFlags,
+    pub(super) position: f32,
+    pub(super) speed: f32,
+    pub(super) force: f32,
+    /// The gripper's time in ms.
+    pub(super) measured_ms: Option<u32>,
+}
+
+/// Returns the payload of a set-point for `wsg_stream.lua`.
+pub(super) fn stream_order(order: &Order) -> [u8; 12] {
+    let mut payload = [0; 12];
+    put(&mut payload, &[order.position, order.speed_limit, order.force_limit]);
+    payload
+}
+
+/// Reads what follows the status in an answer of `wsg_stream.lua`.
+pub(super) fn stream_answer(answer: &[u8]) -> Option<Measured> {
+    let (&VERSION, values) = answer.split_first()? else { return None };
+    let [flags, position, speed, force, time] = *words(values)?;
+    Some(Measured {
+        flags: SystemFlags::from_bits_retain(u32::from_le_bytes(flags)),
+        position: f32::from_le_bytes(position),
+        speed: f32::from_le_bytes(speed),
+        force: f32::from_le_bytes(force),
+        measured_ms: Some(u32::from_le_bytes(time)),
+    })
+}
+
+/// Returns the payload of B1h for UMI's script, which runs at `gain * way`. The gain keeps that within the speed limit, on
+/// the way from `here` in mm.
+pub(super) fn umi_order(order: &Order, here: f32) -> [u8; 25] {
+    let mut payload = [1; 25];
+    let gain = UMI_GAIN.min(order.speed_limit / (order.position - here).abs());
+    let [_, values @ ..] = &mut payload;
+    put(values, &[order.position, order.speed_limit, gain, 0.0, order.force_limit, order.force_limit]);
+    payload
+}
+
+/// Reads what follows the status in an answer of UMI's script. It reports the lowest byte of the flags; `known` has the
+/// others. Its time has no usable resolution.
+pub(super) fn umi_answer(answer: &[u8], known: SystemFlags) -> Option<Measured> {
+    let (&lowest, values) = answer.split_first()?;
+    let [position, speed, force, _] = words(values)?.map(f32::from_le_bytes);
+    let flags = SystemFlags::from_bits_retain(known.bits() & !0xFF | u32::from(lowest));
+    Some(Measured { flags, position, speed, force, measured_ms: None })
+}
+
+const _: () = assert!(UMI_ANSWER_LEN <= MAX_ANSWER_LEN);
+
+fn put(payload: &mut [u8], values: &[f32]) {
+    for (place, value) in payload.as_chunks_mut::<4>().0.iter_mut().zip(values) {
+        *place = value.to_le_bytes();
+    }
+}
+
+/// Returns the bytes as exactly `N` words.
+fn words<const N: usize>(bytes: &[u8]) -> Option<&[[u8; 4]; N]> {
+    let (words, rest) = bytes.as_chunks::<4>();
+    if rest.is_empty() { words.try_into().ok() } else { None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ORDER: Order = Order { position: 40.0, speed_limit: 100.0, force_limit: 20.0 };
+
+    #[test]
+    fn set_point_is_three_numbers_and_the_answer_has_time_and_all_flags() {
+        assert_eq!(stream_order(&ORDER), [0, 0, 0x20, 0x42, 0, 0, 0xC8, 0x42, 0, 0, 0xA0, 0x41]);
+        let mut answer = [0; STREAM_ANSWER_LEN];
+        answer[..5].copy_from_slice(&[VERSION, 1, 0x10, 0, 0]);
+        put(&mut answer[5..17], &[40.0, -5.0, 20.0]);
+        answer[17] = 7;
+        let measured = stream_answer(&answer).unwrap();
+        assert_eq!(measured.flags, SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        assert_eq!((measured.position, measured.speed, measured.force), (40.0, -5.0, 20.0));
+        assert_eq!(measured.measured_ms, Some(7));
+    }
+
+    #[test]
+    fn answers_of_other_scripts_are_not_taken() {
+        assert_eq!(stream_answer(&[]), None);
+        assert_eq!(stream_answer(&[VERSION; STREAM_ANSWER_LEN - 1]), None);
+        assert_eq!(stream_answer(&[VERSION + 1; STREAM_ANSWER_LEN]), None);
+        assert_eq!(umi_answer(&[0; UMI_ANSWER_LEN + 4], SystemFlags::empty()), None);
+    }
+
+    #[test]
+    fn umi_gain_keeps_the_speed_within_the_limit() {
+        let speed = |here: f32| {
+            let payload = umi_order(&ORDER, here);
+            let [position, _, gain, ..] = words::<6>(&payload[1..]).unwrap().map(f32::from_le_bytes);
+            gain * (position - here)
+        };
+        assert_eq!(speed(0.0), 100.0);
+        assert_eq!(speed(42.0), -30.0);
+        assert_eq!(speed(40.0), 0.0);
+    }
+
+    #[test]
+    fn umi_answer_takes_the_higher_flags_from_elsewhere() {
+        let mut answer = [0; UMI_ANSWER_LEN];
+        answer[0] = SystemFlags::REFERENCED.bits() as u8;
+        let measured = umi_answer(&answer, SystemFlags::FAST_STOP | SystemFlags::MOVING).unwrap();
+        assert_eq!(measured.flags, SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        assert_eq!(measured.measured_ms, None);
+    }
+}

@@ -1,0 +1,318 @@
+//! The worker: one order a period, and the state in between.
+
+use super::line::Exchanges;
+use super::pace::Pace;
+use super::script::{
+    MAX_ANSWER_LEN, Measured, Order, STREAM_ID, UMI_MEASURE_ID, UMI_MOVE_ID, stream_answer, stream_order,
+    umi_answer, umi_order,
+};
+use super::{Backend, Cause, Config, End, HISTORY_LEN, Sample, Shared, lock};
+use crate::driver::blocking::{Gripper, Transport};
+use crate::driver::{Clock, Error, Mm, MmPerS, OnBlock, Pending, StopKind, Update};
+use crate::session::Topic;
+use crate::time::Instant;
+use crate::types::{AutoUpdate, Status, SystemFlags};
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
+
+/// The travel of one Pre-position, in ms.
+const SEGMENT_MS: u32 = 100;
+/// The shortest way that is worth a Pre-position, in mm.
+const SHORTEST_WAY: f32 = 0.05;
+/// Of width, speed and force. Real grippers send up to 140 updates a second by field reports.
+const UPDATE_PERIOD_MS: u16 = 25;
+/// What [`Backend::PrePosition`] subscribes to.
+const TOPICS: [Topic; 3] = [Topic::Width, Topic::Speed, Topic::Force];
+
+/// The gripper on its way along the trajectory.
+#[derive(Debug)]
+pub(super) struct Worker<IO, C> {
+    gripper: Gripper<IO, C>,
+    clock: C,
+    shared: Arc<Mutex<Shared>>,
+    backend: Backend,
+    rate_hz: u16,
+    /// The position that was ordered last.
+    set_point: Option<f32>,
+    segment: Segment,
+}
+
+/// Where Pre-position stands.
+#[derive(Debug)]
+struct Segment {
+    pending: Option<Pending<()>>,
+    /// Where the last one ended, or is to end, in mm.
+    end: f32,
+    /// The way of the last one, in mm.
+    way: f32,
+    /// Something blocks the fingers in this direction: positive to open, 0 for none.
+    blocked: f32,
+    /// In N, as set.
+    force_limit: f32,
+}
+
+impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
+    /// Finds out the back-end and measures once.
+    pub(super) fn new(mut gripper: Gripper<IO, C>, config: Config) -> Result<Self, Error<IO::Error>> {
+        let mut clock = gripper.clock().clone();
+        let limits = gripper.limits()?;
+        let force_limit = gripper.force_limit()?;
+        let flags = gripper.system_state()?;
+        let mut exchanges = Exchanges::default();
+        let mut sent = clock.now();
+        let mut found = None;
+        for backend in [Backend::Script, Backend::UmiScript] {
+            sent = clock.now();
+            match exchange(&mut gripper, backend, None, 0.0) {
+                Ok(Some(measured)) => found = Some((backend, measured)),
+                // Nothing serves the command, or something else does.
+                Ok(None) | Err(Error::Refused(_) | Error::TooLong { .. }) => continue,
+                Err(error) => return Err(error),
+            }
+            break;
+        }
+        let (backend, measured) = match found {
+            Some(found) => found,
+            None => {
+                for topic in TOPICS {
+                    gripper.subscribe(topic, AutoUpdate::every(UPDATE_PERIOD_MS));
+                }
+                let (speed, force) = (gripper.speed()?, gripper.force()?);
+                sent = clock.now();
+                let position = gripper.width()?;
+                (Backend::PrePosition, Measured { flags, position, speed, force, measured_ms: None })
+            }
+        };
+        let received_at = clock.now();
+        exchanges.add(sent, received_at, measured.measured_ms);
+        let Measured { flags, position, speed, force, measured_ms } = measured;
+        let measured_at = exchanges.estimate().measured_at(received_at, measured_ms);
+        let latest =
+            Sample { number: 0, measured_at, received_at, position, speed, force, flags, set_point: None };
+        let mut history = VecDeque::with_capacity(HISTORY_LEN);
+        history.push_back(latest);
+        let shared = Arc::new(Mutex::new(Shared {
+            limits,
+            trajectory: None,
+            speed_limit: limits.max_speed,
+            force_limit,
+            latest,
+            history,
+            exchanges,
+            is_end_requested: false,
+            cause: None,
+            end: None,
+        }));
+        Ok(Self {
+            gripper,
+            clock,
+            shared,
+            backend,
+            rate_hz: config.rate_hz,
+            set_point: None,
+            segment: Segment { pending: None, end: position, way: 0.0, blocked: 0.0, force_limit },
+        })
+    }
+
+    pub(super) const fn shared(&self) -> &Arc<Mutex<Shared>> {
+        &self.shared
+    }
+
+    pub(super) const fn backend(&self) -> Backend {
+        self.backend
+    }
+
+    /// Follows the trajectory until something ends it, and returns the gripper.
+    pub(super) fn run(mut self) -> Gripper<IO, C> {
+        let mut pace = Pace::new(self.rate_hz, self.clock.now());
+        let cause = loop {
+            let followed = self.turn().and_then(|()| {
+                let due = pace.next(self.clock.now());
+                self.rest(due)
+            });
+            if let Err(cause) = followed {
+                break cause;
+            }
+        };
+        self.finish(cause)
+    }
+
+    /// Sends what is due.
+    fn turn(&mut self) -> Result<(), Cause> {
+        let now = self.clock.now();
+        let order = {
+            let mut shared = lock(&self.shared);
+            if shared.is_end_requested {
+                return Err(Cause::Requested);
+            }
+            shared.order(now)
+        };
+        self.set_point = order.map(|order| order.position);
+        match self.backend {
+            Backend::PrePosition => self.pre_position(now, order)?,
+            Backend::Script | Backend::UmiScript => {
+                let here = lock(&self.shared).latest.position;
+                let measured = exchange(&mut self.gripper, self.backend, order, here).map_err(cause_of)?;
+                self.record(now, measured.ok_or(Cause::Script)?);
+            }
+        }
+        self.check()
+    }
+
+    /// Takes what the gripper sends until `due`, at least what is there.
+    fn rest(&mut self, due: Instant) -> Result<(), Cause> {
+        loop {
+            let now = self.clock.now();
+            let update = self.gripper.next_update(due.since(now)).map_err(cause_of)?;
+            self.check()?;
+            match update {
+                Some(Update::Width(position)) if self.backend == Backend::PrePosition => {
+                    self.record_update(position);
+                }
+                Some(_) => {}
+                None if now.has_reached(due) => return Ok(()),
+                None => {}
+            }
+        }
+    }
+
+    /// Keeps the answer to a request of `sent`.
+    fn record(&mut self, sent: Instant, measured: Measured) {
+        let received = self.clock.now();
+        let mut shared = lock(&self.shared);
+        shared.exchanges.add(sent, received, measured.measured_ms);
+        shared.record(received, &measured, self.set_point);
+    }
+
+    /// Keeps an automatic update of the width, with the latest values of the others.
+    fn record_update(&mut self, position: f32) {
+        let received = self.clock.now();
+        let known = self.gripper.known();
+        let measured = Measured {
+            flags: known.flags.unwrap_or_default(),
+            position,
+            speed: known.speed.unwrap_or_default(),
+            force: known.force.unwrap_or_default(),
+            measured_ms: None,
+        };
+        lock(&self.shared).record(received, &measured, self.set_point);
+    }
+
+    /// Looks for what ends a stream without an answer that says so.
+    fn check(&self) -> Result<(), Cause> {
+        let reported = lock(&self.shared).latest.flags;
+        let known = self.gripper.known().flags.unwrap_or_default();
+        if known.union(reported).contains(SystemFlags::FAST_STOP) {
+            return Err(Cause::FastStop);
+        }
+        if self.backend != Backend::PrePosition && known.contains(SystemFlags::SCRIPT_FAILURE) {
+            return Err(Cause::Script);
+        }
+        Ok(())
+    }
+
+    /// Begins the next segment when the one before is over. A running one is not replaced, because the gripper refuses a
+    /// Pre-position while the fingers move (command set, 3.2.2).
+    fn pre_position(&mut self, now: Instant, order: Option<Order>) -> Result<(), Cause> {
+        if let Some(pending) = &self.segment.pending {
+            match self.gripper.poll(pending) {
+                Ok(None) => return Ok(()),
+                Ok(Some(())) => {}
+                Err(Error::Blocked) => {
+                    self.segment.blocked = self.segment.way;
+                    self.segment.end = self.gripper.width().map_err(cause_of)?;
+                }
+                Err(error) => return Err(cause_of(error)),
+            }
+            self.segment.pending = None;
+        }
+        let Some(order) = order else { return Ok(()) };
+        let to = lock(&self.shared).position_at(now.plus(SEGMENT_MS)).unwrap_or(order.position);
+        let way = to - self.segment.end;
+        if way.abs() < SHORTEST_WAY || way * self.segment.blocked > 0.0 {
+            return Ok(());
+        }
+        if order.force_limit != self.segment.force_limit {
+            match self.gripper.set_force_limit(order.force_limit) {
+                // Its own limits may be narrower.
+                Ok(()) | Err(Error::Mismatch) => self.segment.force_limit = order.force_limit,
+                Err(error) => return Err(cause_of(error)),
+            }
+        }
+        let speed = (way.abs() * 1_000.0 / SEGMENT_MS as f32).min(order.speed_limit);
+        let sent = self.clock.now();
+        let pending = self.gripper.begin_move_to(Mm(to), MmPerS(speed), OnBlock::Stop).map_err(cause_of)?;
+        lock(&self.shared).exchanges.add(sent, self.clock.now(), None);
+        self.segment =
+            Segment { pending: Some(pending), end: to, way, blocked: 0.0, force_limit: order.force_limit };
+        Ok(())
+    }
+
+    /// Stops the fingers and reports why.
+    fn finish(mut self, mut cause: Cause) -> Gripper<IO, C> {
+        {
+            let mut shared = lock(&self.shared);
+            if shared.is_end_requested && cause == Cause::Stopped(StopKind::Stop) {
+                cause = Cause::Requested;
+            }
+            shared.cause = Some(cause);
+        }
+        let is_stop_confirmed = self.gripper.stop().is_ok();
+        if is_stop_confirmed && let Some(pending) = &self.segment.pending {
+            // Its result, or the next motion would be refused.
+            let _ = self.gripper.wait(pending);
+        }
+        if self.backend == Backend::PrePosition {
+            for topic in TOPICS {
+                self.gripper.subscribe(topic, AutoUpdate::once());
+            }
+        }
+        // FAST STOP aborts a motion, too.
+        if cause == Cause::StoppedByOther
+            && self.gripper.system_state().is_ok_and(|flags| flags.contains(SystemFlags::FAST_STOP))
+        {
+            cause = Cause::FastStop;
+        }
+        let mut shared = lock(&self.shared);
+        shared.cause = Some(cause);
+        shared.end = Some(End { cause, is_stop_confirmed });
+        drop(shared);
+        self.gripper
+    }
+}
+
+/// Sends an order to the script, or only measures, and returns the state. `here` is the measured position in mm. `None` for an
+/// answer of another layout.
+fn exchange<IO: Transport, C: Clock>(
+    gripper: &mut Gripper<IO, C>,
+    backend: Backend,
+    order: Option<Order>,
+    here: f32,
+) -> Result<Option<Measured>, Error<IO::Error>> {
+    let mut buffer = [0; MAX_ANSWER_LEN];
+    if backend == Backend::Script {
+        let payload = order.map(|order| stream_order(&order));
+        let payload = payload.as_ref().map_or(&[][..], |payload| payload);
+        return gripper.raw(STREAM_ID, payload, &mut buffer).map(stream_answer);
+    }
+    let answer = match order {
+        Some(order) => gripper.raw(UMI_MOVE_ID, &umi_order(&order, here), &mut buffer)?,
+        None => gripper.raw(UMI_MEASURE_ID, &[0], &mut buffer)?,
+    };
+    Ok(umi_answer(answer, gripper.known().flags.unwrap_or_default()))
+}
+
+fn cause_of<E: embedded_io::Error>(error: Error<E>) -> Cause {
+    match error {
+        Error::Stopped(kind) => Cause::Stopped(kind),
+        Error::Refused(Status::AccessDenied) => Cause::FastStop,
+        Error::Refused(Status::CmdAborted) | Error::Aborted => Cause::StoppedByOther,
+        Error::Refused(Status::Timeout) => Cause::Watchdog,
+        Error::Refused(Status::CmdUnknown | Status::CmdFailed) | Error::TooLong { .. } => Cause::Script,
+        Error::Refused(status) | Error::Failed(status) => Cause::Refused(status),
+        Error::MotionRunning => Cause::Refused(Status::AlreadyRunning),
+        Error::Closed => Cause::Closed,
+        Error::Transport(error) => Cause::Transport(error.kind()),
+        _ => Cause::Unanswered,
+    }
+}
