@@ -1,0 +1,136 @@
+//! How evenly a stream of set-points runs at `wsg-sim`, with the script of `driver::stream` or without one.
+//!
+//! `--seconds N` (60), `--rate HZ` (100), `--grippers N` (1), `--busy N` busy loops beside them (0), `--profile real`, `--no-script`.
+//! Prints a line for each figure and gripper, a name and a number: samples, their share in percent whose period is at most 1.5
+//! periods, and the longest period and the round trip in ms. Fails when less than 99.9 % are.
+
+use std::hint::black_box;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use wsg_protocol::HomingDirection;
+use wsg_protocol::driver::host::{self, StdClock, Tcp};
+use wsg_protocol::driver::stream::{Backend, Config, SetPointStream};
+use wsg_protocol::driver::{Error, Mm};
+use wsg_sim::server::{Lines, Profile, ServerThread};
+
+/// The fingers go to and fro between these, in mm, once a second.
+const TRAVEL: [f32; 2] = [60.0, 90.0];
+/// Well before the history is full.
+const HALF_TURN_MS: u32 = 500;
+/// Of all periods, in percent.
+const LEAST_SHARE: f64 = 99.9;
+
+struct Options {
+    seconds: u64,
+    rate_hz: u16,
+    grippers: usize,
+    busy: usize,
+    profile: Profile,
+    has_script: bool,
+}
+
+fn main() -> ExitCode {
+    let Some(options) = options() else {
+        eprintln!(
+            "usage: stream [--seconds N] [--rate HZ] [--grippers N] [--busy N] [--profile real] [--no-script]"
+        );
+        return ExitCode::from(2);
+    };
+    let servers: Vec<ServerThread> = (0..options.grippers).map(|_| serve(&options)).collect();
+    let streams: Vec<_> = servers.iter().map(|server| start(server, &options)).collect();
+    let is_over = Arc::new(AtomicBool::new(false));
+    for _ in 0..options.busy {
+        let is_over = Arc::clone(&is_over);
+        thread::spawn(move || {
+            while !black_box(&is_over).load(Ordering::Relaxed) {
+                std::hint::spin_loop();
+            }
+        });
+    }
+    let mut periods = vec![Vec::new(); streams.len()];
+    for half_turn in 0..options.seconds * 2 {
+        let position = if half_turn % 2 == 0 { TRAVEL[0] } else { TRAVEL[1] };
+        for stream in &streams {
+            stream.schedule(Mm(position), stream.now().plus(HALF_TURN_MS)).expect("the stream runs");
+        }
+        thread::sleep(Duration::from_millis(HALF_TURN_MS.into()));
+        for (stream, periods) in streams.iter().zip(&mut periods) {
+            collect(stream, periods);
+        }
+    }
+    is_over.store(true, Ordering::Relaxed);
+    let mut is_even = true;
+    for (at, (stream, periods)) in streams.iter().zip(&periods).enumerate() {
+        let limit_ms = 1_500 / u32::from(options.rate_hz);
+        let even = periods.iter().filter(|(_, period_ms)| *period_ms <= limit_ms).count();
+        let share = even as f64 * 100.0 / periods.len() as f64;
+        let longest = periods.iter().map(|(_, period_ms)| *period_ms).max().unwrap_or_default();
+        println!("gripper-{at}-samples {}", periods.len());
+        println!("gripper-{at}-even-percent {share:.3}");
+        println!("gripper-{at}-longest-ms {longest}");
+        println!("gripper-{at}-round-trip-ms {:.1}", stream.line().round_trip_ms);
+        is_even &= share >= LEAST_SHARE;
+    }
+    if is_even { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn options() -> Option<Options> {
+    let mut options = Options {
+        seconds: 60,
+        rate_hz: 100,
+        grippers: 1,
+        busy: 0,
+        profile: Profile::Instant,
+        has_script: true,
+    };
+    let mut arguments = std::env::args().skip(1);
+    while let Some(name) = arguments.next() {
+        let mut value = || arguments.next();
+        match name.as_str() {
+            "--seconds" => options.seconds = value()?.parse().ok()?,
+            "--rate" => options.rate_hz = value()?.parse().ok().filter(|rate| *rate > 0)?,
+            "--grippers" => options.grippers = value()?.parse().ok()?,
+            "--busy" => options.busy = value()?.parse().ok()?,
+            "--profile" if value()? == "real" => options.profile = Profile::Real,
+            "--no-script" => options.has_script = false,
+            _ => return None,
+        }
+    }
+    Some(options)
+}
+
+fn serve(options: &Options) -> ServerThread {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../protocol/scripts/wsg_stream.lua");
+    let lines = Lines {
+        tcp: Some(SocketAddr::from(([127, 0, 0, 1], 0))),
+        script: options.has_script.then_some(script),
+        profile: options.profile,
+        ..Lines::default()
+    };
+    ServerThread::start(wsg_sim::Config::default(), &lines, None).expect("loopback is there")
+}
+
+fn start(server: &ServerThread, options: &Options) -> SetPointStream<Tcp, StdClock> {
+    let address = server.tcp_address().expect("it is served");
+    let mut gripper = host::connect(address).expect("the gripper answers");
+    gripper.home(HomingDirection::Positive).expect("the way is free");
+    // The script claims its command soon after its start.
+    while options.has_script && matches!(gripper.raw(0xA5, &[], &mut [0; 32]), Err(Error::Refused(_))) {}
+    let stream = SetPointStream::start(gripper, Config { rate_hz: options.rate_hz }).expect("it answers");
+    assert_eq!(stream.backend() == Backend::Script, options.has_script);
+    stream
+}
+
+/// Adds the new samples, each with its number and the time since the one before in ms.
+fn collect(stream: &SetPointStream<Tcp, StdClock>, periods: &mut Vec<(u32, u32)>) {
+    let last = periods.last().map_or(0, |(number, _)| *number);
+    for pair in stream.history().windows(2).filter(|pair| pair[1].number > last) {
+        periods.push((pair[1].number, pair[1].received_at.since(pair[0].received_at)));
+    }
+}
