@@ -16,14 +16,16 @@ local GAIN = 15
 -- The fingers rest within this distance of the set-point, in mm.
 local DEAD_BAND = 0.1
 local WATCHDOG = 0.5
+-- The speed is corrected at least this often, in s, also between messages.
+local PERIOD = 0.02
 -- System state flags.
 local REFERENCED, AXIS_STOPPED, FAST_STOP = 0x1, 0x40, 0x1000
 
 local started = socket.gettime()
 -- The set-point, when it was received, and whether a Stop since then would be noticed.
 local position, limit, received, is_armed
--- The limit and the speed that were set last.
-local force, speed
+-- The limit and the speed that were set last, and when.
+local force, speed, followed
 -- Why the last stream ended.
 local ended
 
@@ -54,17 +56,18 @@ local function run(wanted)
   speed = wanted
 end
 
-local function follow()
+-- Sets the speed by the state, whose calls are slow on a gripper: once for each message.
+local function follow(flags, here)
+  followed = socket.gettime()
   if not position then return end
-  local flags = gripper.state()
   if has(flags, FAST_STOP) then return finish(E_ACCESS_DENIED) end
   if not has(flags, AXIS_STOPPED) then
     is_armed = true
   elseif is_armed then
     return finish(E_CMD_ABORTED)
   end
-  if socket.gettime() - received > WATCHDOG then return finish(E_TIMEOUT) end
-  local way = position - mc.position()
+  if followed - received > WATCHDOG then return finish(E_TIMEOUT) end
+  local way = position - here
   if math.abs(way) < DEAD_BAND then
     run(0)
   else
@@ -72,35 +75,41 @@ local function follow()
   end
 end
 
-local function accept(payload)
+local function accept(payload, flags, here)
   if ended then return ended end
-  if not has(gripper.state(), REFERENCED) then return E_NOT_INITIALIZED end
+  if not has(flags, REFERENCED) then return E_NOT_INITIALIZED end
   local to, at_most, push = number(payload, 1), number(payload, 5), number(payload, 9)
   if not (to == to and at_most > 0 and push > 0) then return E_INVALID_PARAMETER end
-  if not position then is_armed = not has(gripper.state(), AXIS_STOPPED) end
+  if not position then is_armed = not has(flags, AXIS_STOPPED) end
   if push ~= force then mc.force(push) end
   -- The speed is set again, because a block may have ended the motion.
   position, limit, force, speed, received = to, at_most, push, nil, socket.gettime()
-  follow()
+  follow(flags, here)
   return ended or E_SUCCESS
 end
 
 local function serve()
   local _, payload = cmd.read()
+  local flags, here = gripper.state(), mc.position()
   local status = E_CMD_FORMAT_ERROR
   if #payload == 0 then
     status, ended = E_SUCCESS, nil
   elseif #payload == 12 then
-    status = accept(payload)
+    status = accept(payload, flags, here)
   end
   if status ~= E_SUCCESS then return cmd.send(ID, etob(status)) end
-  cmd.send(ID, etob(status), VERSION, word(gripper.state()), ntob(mc.position()), ntob(mc.speed()),
-    ntob(mc.aforce()), word(math.floor((socket.gettime() - started) * 1000)))
+  cmd.send(ID, etob(status), VERSION, word(flags), ntob(here), ntob(mc.speed()), ntob(mc.aforce()),
+    word(math.floor((socket.gettime() - started) * 1000)))
 end
 
 local function turn()
-  if cmd.available() > 0 then serve() else sleep(1) end
-  follow()
+  if cmd.available() > 0 then
+    serve()
+  elseif position and socket.gettime() - followed > PERIOD then
+    follow(gripper.state(), mc.position())
+  else
+    sleep(1)
+  end
 end
 
 cmd.register(ID)
