@@ -1,13 +1,14 @@
 -- Follows set-points that `wsg_protocol::driver::stream` sends, and reports the state in each answer.
 -- Upload and message layout: docs/streaming.md.
 --
--- A5h without payload: reports the state, and lets the next set-point begin a new stream.
+-- A5h without payload: reports the state.
+-- A5h with a byte 0: ends the stream and reports the state. The next set-point begins a new one.
 -- A5h with position in mm, speed limit in mm/s, force limit in N: goes there. Numbers are IEEE 754 single, low byte first.
 -- Answer: status, layout version, system state flags (4 bytes), position, speed, force, time in ms (4 bytes). A refusal is the
 -- status alone.
 --
 -- FAST STOP, Stop and a pause of more than WATCHDOG seconds end the stream with the fingers stopped. Each further set-point
--- is then refused with the same status, until a message without payload.
+-- is then refused with the same status, until the message with a byte 0.
 local socket = require "socket"
 
 local ID, VERSION = 0xA5, 1
@@ -54,6 +55,8 @@ end
 local function run(wanted)
   if wanted ~= speed then mc.speed(wanted) end
   speed = wanted
+  -- A motion clears AXIS_STOPPED.
+  is_armed = is_armed or wanted ~= 0
 end
 
 -- Sets the speed by the state, whose calls are slow on a gripper: once for each message.
@@ -93,7 +96,10 @@ local function serve()
   local flags, here = gripper.state(), mc.position()
   local status = E_CMD_FORMAT_ERROR
   if #payload == 0 then
-    status, ended = E_SUCCESS, nil
+    status = E_SUCCESS
+  elseif #payload == 1 and payload[1] == 0 then
+    if position then mc.stop() end
+    status, position, ended = E_SUCCESS, nil, nil
   elseif #payload == 12 then
     status = accept(payload, flags, here)
   end

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use wsg_protocol::driver::blocking::Gripper;
 use wsg_protocol::driver::host::{self, StdClock, Tcp};
 use wsg_protocol::driver::stream::{Backend, Cause, Config, End, Rejected, Sample, SetPointStream};
-use wsg_protocol::driver::{Error, Mm, MmPerS, StopKind};
-use wsg_protocol::{HomingDirection, Status, SystemFlags};
+use wsg_protocol::driver::{self, Error, Mm, MmPerS, StopKind};
+use wsg_protocol::{HomingDirection, Status, SystemFlags, session};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config as Sim, Part, VirtualRig};
 
@@ -51,9 +51,16 @@ fn until(what: &str, mut is_reached: impl FnMut() -> bool) {
     }
 }
 
-/// Homed, open, and with its script running if there is one.
+/// A busy machine may let the server wait for longer than a gripper ever would.
+const PATIENT: driver::Config = driver::Config {
+    session: session::Config { reply_timeout_ms: 2_000, ..driver::Config::DEFAULT.session },
+    ..driver::Config::DEFAULT
+};
+
+/// Homed and open.
 fn homed(address: SocketAddr) -> Gripper<Tcp, StdClock> {
-    let mut gripper = host::connect(address).unwrap();
+    let mut gripper = Gripper::<_, _>::with_config(Tcp::connect(address).unwrap(), StdClock::new(), PATIENT);
+    gripper.connect().unwrap();
     gripper.home(HomingDirection::Positive).unwrap();
     gripper
 }
@@ -286,7 +293,7 @@ fn script_stops_the_fingers_when_set_points_cease() {
     let (mut gripper, _) = start(address, &ours()).end();
     let answer = &mut [0; 32];
     let set_point: Vec<u8> = [0.0_f32, 20.0, 10.0].iter().flat_map(|value| value.to_le_bytes()).collect();
-    gripper.raw(0xA5, &[], answer).unwrap();
+    gripper.raw(0xA5, &[0], answer).unwrap();
     gripper.raw(0xA5, &set_point, answer).unwrap();
     until("the watchdog", || {
         let flags = gripper.system_state().unwrap();
@@ -297,7 +304,7 @@ fn script_stops_the_fingers_when_set_points_cease() {
     let late = gripper.raw(0xA5, &set_point, answer);
     assert!(matches!(late, Err(Error::Refused(Status::Timeout))), "{late:?}");
     assert_standing(address);
-    gripper.raw(0xA5, &[], answer).unwrap();
+    gripper.raw(0xA5, &[0], answer).unwrap();
     gripper.raw(0xA5, &set_point, answer).unwrap();
 }
 

@@ -4,6 +4,8 @@ use crate::types::SystemFlags;
 
 /// The command of `wsg_stream.lua`.
 pub(super) const STREAM_ID: u8 = 0xA5;
+/// The payload that ends a stream, if there is one, and measures.
+pub(super) const STREAM_END: [u8; 1] = [0];
 /// The commands of UMI's `cmd_measure.lua`: measure, and position control.
 pub(super) const UMI_MEASURE_ID: u8 = 0xB0;
 pub(super) const UMI_MOVE_ID: u8 = 0xB1;

@@ -3,8 +3,8 @@
 use super::line::Exchanges;
 use super::pace::Pace;
 use super::script::{
-    MAX_ANSWER_LEN, Measured, Order, STREAM_ID, UMI_MEASURE_ID, UMI_MOVE_ID, stream_answer, stream_order,
-    umi_answer, umi_order,
+    MAX_ANSWER_LEN, Measured, Order, STREAM_END, STREAM_ID, UMI_MEASURE_ID, UMI_MOVE_ID, stream_answer,
+    stream_order, umi_answer, umi_order,
 };
 use super::{Backend, Cause, Config, End, HISTORY_LEN, Sample, Shared, lock};
 use crate::driver::blocking::{Gripper, Transport};
@@ -262,9 +262,16 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             // Its result, or the next motion would be refused.
             let _ = self.gripper.wait(pending);
         }
-        if self.backend == Backend::PrePosition {
-            for topic in TOPICS {
-                self.gripper.subscribe(topic, AutoUpdate::once());
+        match self.backend {
+            Backend::Script if is_stop_confirmed => {
+                // Or the script could act on the motions that follow.
+                let _ = exchange(&mut self.gripper, self.backend, None, 0.0);
+            }
+            Backend::Script | Backend::UmiScript => {}
+            Backend::PrePosition => {
+                for topic in TOPICS {
+                    self.gripper.subscribe(topic, AutoUpdate::once());
+                }
             }
         }
         // FAST STOP aborts a motion, too.
@@ -292,7 +299,7 @@ fn exchange<IO: Transport, C: Clock>(
     let mut buffer = [0; MAX_ANSWER_LEN];
     if backend == Backend::Script {
         let payload = order.map(|order| stream_order(&order));
-        let payload = payload.as_ref().map_or(&[][..], |payload| payload);
+        let payload = payload.as_ref().map_or(&STREAM_END[..], |payload| payload);
         return gripper.raw(STREAM_ID, payload, &mut buffer).map(stream_answer);
     }
     let answer = match order {
