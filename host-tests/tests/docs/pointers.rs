@@ -32,6 +32,7 @@ const DOCUMENTS: &[&str] = &[
     "docs/tool-bridge.md",
     "docs/simulator.md",
     "docs/scripts.md",
+    "docs/streaming.md",
     "docs/decisions.md",
     "protocol/README.md",
     "fieldbus/README.md",
