@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use wsg_protocol::driver::blocking::Gripper;
 use wsg_protocol::driver::host::{self, StdClock, Tcp};
 use wsg_protocol::driver::stream::{Backend, Cause, Config, End, Rejected, Sample, SetPointStream};
-use wsg_protocol::driver::{self, Error, Mm, MmPerS, StopKind};
+use wsg_protocol::driver::{self, Error, Mm, MmPerS, N, StopKind};
 use wsg_protocol::{HomingDirection, Status, SystemFlags, session};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config as Sim, Part, VirtualRig};
@@ -131,7 +131,7 @@ fn fingers_follow_set_points_and_hold_the_last_with_and_without_a_script() {
 
         let (mut gripper, end) = stream.end();
         assert_eq!(end, ENDED_BY_CALLER);
-        assert!((gripper.width().unwrap() - 60.0).abs() < CLOSE);
+        assert!((gripper.width().unwrap().0 - 60.0).abs() < CLOSE);
         gripper.release(Mm(70.0), MmPerS(100.0)).unwrap();
     }
 }
@@ -299,7 +299,7 @@ fn script_stops_the_fingers_when_set_points_cease() {
         let flags = gripper.system_state().unwrap();
         flags.contains(SystemFlags::AXIS_STOPPED) && !flags.contains(SystemFlags::MOVING)
     });
-    assert!((90.0..109.0).contains(&gripper.width().unwrap()));
+    assert!((90.0..109.0).contains(&gripper.width().unwrap().0));
     // Neither a late set-point nor time resumes it.
     let late = gripper.raw(0xA5, &set_point, answer);
     assert!(matches!(late, Err(Error::Refused(Status::Timeout))), "{late:?}");
@@ -312,7 +312,7 @@ fn script_stops_the_fingers_when_set_points_cease() {
 fn contact_is_limited_in_force_with_a_script() {
     let (_server, address) = serve(ours(), Part::of_width(20.0));
     let stream = start(address, &ours());
-    stream.set_force_limit(20.0).unwrap();
+    stream.set_force_limit(N(20.0)).unwrap();
     stream.set_target(Mm(10.0)).unwrap();
     until("the force", || stream.latest().force > 19.9);
     samples(&stream, 20);
@@ -320,7 +320,7 @@ fn contact_is_limited_in_force_with_a_script() {
     assert!((19.9..20.1).contains(&contact.force), "{contact:?}");
     assert!(contact.flags.contains(SystemFlags::BLOCKED_MINUS) && contact.position > 15.0);
 
-    stream.set_force_limit(40.0).unwrap();
+    stream.set_force_limit(N(40.0)).unwrap();
     until("more force", || stream.latest().force > 39.9);
     assert!(stream.history().iter().all(|sample| sample.force < 40.1));
     stream.set_target(Mm(60.0)).unwrap();
@@ -332,7 +332,7 @@ fn contact_is_limited_in_force_with_a_script() {
 fn contact_turns_the_motor_off_without_a_script() {
     let (_server, address) = serve(None, Part::of_width(20.0));
     let stream = start(address, &None);
-    stream.set_force_limit(20.0).unwrap();
+    stream.set_force_limit(N(20.0)).unwrap();
     stream.set_target(Mm(10.0)).unwrap();
     until("contact", || stream.latest().flags.contains(SystemFlags::BLOCKED_MINUS));
     samples(&stream, 20);
@@ -348,7 +348,7 @@ fn script_with_the_messages_of_umi_is_recognised() {
     let example = script("../gripper-sim/examples/remote.lua");
     let (_server, address) = serve(Some(example), None);
     let stream = stream_at(address, Backend::UmiScript);
-    stream.set_force_limit(20.0).unwrap();
+    stream.set_force_limit(N(20.0)).unwrap();
     stream.set_target(Mm(60.0)).unwrap();
     reach(&stream, 60.0);
     let mut other = host::connect(address).unwrap();
@@ -384,6 +384,6 @@ fn numbers_that_mean_nothing_are_rejected() {
     assert_eq!(stream.set_target(Mm(f32::NAN)), Err(Rejected::Invalid));
     assert_eq!(stream.schedule(Mm(f32::INFINITY), stream.now()), Err(Rejected::Invalid));
     assert_eq!(stream.set_speed_limit(MmPerS(0.0)), Err(Rejected::Invalid));
-    assert_eq!(stream.set_force_limit(-1.0), Err(Rejected::Invalid));
+    assert_eq!(stream.set_force_limit(N(-1.0)), Err(Rejected::Invalid));
     assert_eq!(stream.end().1, ENDED_BY_CALLER);
 }

@@ -29,7 +29,7 @@
 //! # let address = server.tcp_address().unwrap();
 //! use wsg_protocol::HomingDirection;
 //! use wsg_protocol::driver::stream::{Cause, Config, SetPointStream};
-//! use wsg_protocol::driver::{Mm, MmPerS, host};
+//! use wsg_protocol::driver::{Mm, MmPerS, N, host};
 //!
 //! // A real one: "192.168.1.20:1000".
 //! let mut gripper = host::connect(address)?;
@@ -37,7 +37,7 @@
 //!
 //! let stream = SetPointStream::start(gripper, Config::default())?;
 //! stream.set_speed_limit(MmPerS(200.0))?;
-//! stream.set_force_limit(20.0)?;
+//! stream.set_force_limit(N(20.0))?;
 //! let now = stream.now();
 //! stream.schedule(Mm(100.0), now.plus(100))?;
 //! stream.schedule(Mm(90.0), now.plus(200))?;
@@ -59,7 +59,7 @@ pub use line::LineEstimate;
 pub use trajectory::MAX_SET_POINTS;
 
 use super::blocking::{Gripper, Transport};
-use super::{Clock, Error, Mm, MmPerS, StopHandle, StopKind, Stoppable};
+use super::{Clock, Error, Mm, MmPerS, N, StopHandle, StopKind, Stoppable};
 use crate::time::Instant;
 use crate::types::{Status, SystemFlags, SystemLimits};
 use line::Exchanges;
@@ -327,7 +327,7 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         if change(trajectory, position, speed_limit) { Ok(()) } else { Err(Rejected::Full) }
     }
 
-    /// Limits the speed from now on, in mm/s, clamped to the gripper's limits. At first it is the gripper's greatest.
+    /// Limits the speed from now on, clamped to the gripper's limits. At first it is the gripper's greatest.
     ///
     /// # Errors
     /// [`Rejected`], and nothing changes.
@@ -338,15 +338,15 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         Ok(())
     }
 
-    /// Limits the force on contact, in N, summed over both fingers; clamped to the gripper's least and nominal force. At first
+    /// Limits the force on contact; clamped to the gripper's least and nominal force. At first
     /// it is the gripper's present limit. With [`Backend::PrePosition`] it applies from the next motion on.
     ///
     /// # Errors
     /// [`Rejected`], and nothing changes.
-    pub fn set_force_limit(&self, force: f32) -> Result<(), Rejected> {
+    pub fn set_force_limit(&self, force: N) -> Result<(), Rejected> {
         let mut shared = self.open()?;
         let SystemLimits { min_force, nominal_force, .. } = shared.limits;
-        shared.force_limit = limit(force, min_force, nominal_force)?;
+        shared.force_limit = limit(force.0, min_force, nominal_force)?;
         Ok(())
     }
 

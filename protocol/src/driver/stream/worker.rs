@@ -8,7 +8,7 @@ use super::script::{
 };
 use super::{Backend, Cause, Config, End, HISTORY_LEN, Sample, Shared, lock};
 use crate::driver::blocking::{Gripper, Transport};
-use crate::driver::{Clock, Error, Mm, MmPerS, OnBlock, Pending, StopKind, Update};
+use crate::driver::{Clock, Error, Mm, MmPerS, N, OnBlock, Pending, StopKind, Update};
 use crate::session::Topic;
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status, SystemFlags};
@@ -56,7 +56,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     pub(super) fn new(mut gripper: Gripper<IO, C>, config: Config) -> Result<Self, Error<IO::Error>> {
         let mut clock = gripper.clock().clone();
         let limits = gripper.limits()?;
-        let force_limit = gripper.force_limit()?;
+        let force_limit = gripper.force_limit()?.0;
         let flags = gripper.system_state()?;
         let mut exchanges = Exchanges::default();
         let mut sent = clock.now();
@@ -77,9 +77,9 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
                 for topic in TOPICS {
                     gripper.subscribe(topic, AutoUpdate::every(UPDATE_PERIOD_MS));
                 }
-                let (speed, force) = (gripper.speed()?, gripper.force()?);
+                let (speed, force) = (gripper.speed()?.0, gripper.force()?.0);
                 sent = clock.now();
-                let position = gripper.width()?;
+                let position = gripper.width()?.0;
                 (Backend::PrePosition, Measured { flags, position, speed, force, measured_ms: None })
             }
         };
@@ -220,7 +220,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
                 Ok(Some(())) => {}
                 Err(Error::Blocked) => {
                     self.segment.blocked = self.segment.way;
-                    self.segment.end = self.gripper.width().map_err(cause_of)?;
+                    self.segment.end = self.gripper.width().map_err(cause_of)?.0;
                 }
                 Err(error) => return Err(cause_of(error)),
             }
@@ -233,7 +233,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             return Ok(());
         }
         if order.force_limit != self.segment.force_limit {
-            match self.gripper.set_force_limit(order.force_limit) {
+            match self.gripper.set_force_limit(N(order.force_limit)) {
                 // Its own limits may be narrower.
                 Ok(()) | Err(Error::Mismatch) => self.segment.force_limit = order.force_limit,
                 Err(error) => return Err(cause_of(error)),
