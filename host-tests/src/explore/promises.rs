@@ -286,7 +286,8 @@ impl Promises {
         self.acknowledgements = 0;
         self.stop_given = None;
         // One that the PLC asserted already by its other way gives no edge.
-        if !self.holds_fast_stop && !(self.is_open() && self.left_elsewhere.is_some()) {
+        let is_told_early = self.is_open() && self.left_elsewhere.is_some();
+        if !self.holds_fast_stop && !is_told_early {
             self.left_elsewhere = None;
             self.left_is_known = false;
         }
@@ -313,6 +314,8 @@ impl Promises {
             if has_left && !self.holds_fast_stop {
                 self.lock = Lock::Open;
                 self.left_elsewhere = self.left_elsewhere.filter(|_| !self.is_connected);
+                // An earlier report may have been requested before the gripper took the FAST STOP.
+                self.left_is_known = false;
             }
             self.left_is_known |= has_left && self.holds_fast_stop;
             self.reported = flags;
@@ -429,8 +432,8 @@ impl Promises {
         }
         let is_late = self.stop_given.is_some_and(|given| now.since(given) > STOP_MS);
         keep(Promise::UnheardStopBecomesFastStop, !is_late)?;
-        // Before the first connection the bridge cannot know: it is told by the handshake.
-        let is_free = !matches!(self.power_up, PowerUp::New { .. })
+        // Without a connection the bridge cannot know: it is told by the handshake.
+        let is_free = connected
             && self.holds_fast_stop
             && !gripper.fast_stop
             && self.left_elsewhere.is_some_and(|left| now.since(left) > SECOND_MS);
