@@ -49,7 +49,7 @@ pub use register::ResetCause;
 pub use run::{Board, Hardware, NoClock, run};
 pub use station::Station;
 
-/// The registers of the bridge itself: settings and reports, whatever bus carries them.
+/// The registers of the bridge itself: settings and reports, independent of the bus that carries them.
 ///
 /// The tables here are the only ones: the PLC sides serve them, `docs/registers.md` and the EDS file are made from them.
 pub mod registers {

@@ -1,4 +1,4 @@
-//! PLC sides: whatever a PLC commands the bridge by, behind one contract, each with its configuration and its registers.
+//! PLC sides: the ways in which a PLC commands the bridge. All have one contract, and each comes with its configuration and its registers.
 //!
 //! The wires are always there, with at most one bus beside them. The `arbiter` decides which of the two commands. A bus is a
 //! folder here and a row of the list in this file, from which [`PlcBus`], the register tables and the dispatch derive.
@@ -248,8 +248,8 @@ const SESSION: session::Config = session::Config {
     ..session::Config::DEFAULT
 };
 
-/// How long a gripper may take to answer a Stop, in milliseconds, before the fingers count as not stopped. A burst of FAST
-/// STOPs behind it takes 90 ms, and both together may take 250 ms.
+/// How long a gripper may take to answer a Stop, in milliseconds, before the fingers count as not stopped. The burst
+/// of FAST STOPs that follows takes 90 ms, and both together may take 250 ms.
 const STOP_ANSWER_MS: u32 = 100;
 
 setting_rows! { Config:
@@ -339,7 +339,7 @@ pub const REPORTS: [Report; count(REPORT_ROWS)] = assembled(FIRST_REPORT, REPORT
 /// The values of all settings, in the order of [`SETTINGS`].
 pub type Record = [u16; SETTINGS.len()];
 
-/// Those of [`SETTINGS`] from here on count from a start of the bridge on, and not while it runs.
+/// The [`SETTINGS`] from this place on take effect at the next start of the bridge.
 pub const FIRST_START_SETTING: usize = place_of("PLC_BUS");
 
 /// Returns the place of a setting among [`SETTINGS`]. At compile time, where a name that none has does not compile.
@@ -360,7 +360,7 @@ const fn is_same(one: &[u8], other: &[u8]) -> bool {
     }
 }
 
-/// Settings of a record that no bridge can have: one of them has a value that it does not take, be it only beside another's.
+/// A record that no bridge can use: the value of one setting is outside its range, or conflicts with another setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WrongSetting {
     /// Its place in the record.

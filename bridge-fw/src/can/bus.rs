@@ -50,7 +50,7 @@ pub trait CanNode<F> {
     fn taken_back(&mut self, _count: usize) {}
 }
 
-/// Nobody, or somebody.
+/// An optional node: `None` ignores every frame.
 impl<F, N: CanNode<F>> CanNode<F> for Option<&mut N> {
     fn on_frame(&mut self, now: Instant, frame: &F) {
         if let Some(node) = self {

@@ -27,7 +27,7 @@ use crate::register::report_rows;
 pub(crate) struct ProfibusReports([u16; 4]);
 
 impl ProfibusReports {
-    /// Those of a bridge whose PLC is not on PROFIBUS.
+    /// The reports of a bridge whose PLC does not use PROFIBUS: all 0.
     pub(crate) const fn new(_: &Config) -> Self {
         Self([0; 4])
     }

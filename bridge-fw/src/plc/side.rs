@@ -48,7 +48,7 @@ pub trait PlcSide {
     fn show(&mut self, now: Instant, shown: &Shown);
 }
 
-/// What the PLC did.
+/// What a PLC side received in one turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlcEvent {
     /// It wrote the output image, complete and at once.

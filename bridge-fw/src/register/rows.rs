@@ -27,9 +27,9 @@ pub struct Report {
 /// Rows of a table, each with its register.
 pub(crate) type Rows<T> = &'static [(u16, T)];
 
-/// Defines the settings of a configuration. A row has register, name, unit, range and meaning, then the field, its value as a
-/// register, and the field's value of a register: `None` where no bridge can have it. The default is that of the configuration. Last, what holds for all of them
-/// together, with the register to blame where it does not.
+/// Defines the settings of a configuration. A row has register, name, unit, range and meaning, then the field, the conversion to
+/// a register, and the conversion from one: `None` for a value that no bridge can use. The default is that of the configuration.
+/// An optional last line is a condition over all settings, with the register to report when it is not met.
 macro_rules! setting_rows {
     ($config:ty: $(
         $register:literal $name:literal $unit:literal ($least:expr, $most:expr) $meaning:tt
