@@ -1,8 +1,8 @@
 //! Servers around the gripper: TCP, UDP, serial lines, Modbus/TCP, and the control interface (feature `std`).
 //!
-//! One thread serves all of them on a current-thread runtime, so that the gripper needs no lock. Every frame is one
-//! write, and TCP does not delay: a client that takes what one `recv` gives for one frame is right. [`Server`] is for
-//! programs that have such a runtime, [`ServerThread`] for all others.
+//! One thread serves all of them on a current-thread runtime; a script runs in a second one. Every frame is one write,
+//! and TCP does not delay: a client that takes what one `recv` gives for one frame is right. [`Server`] is for programs
+//! that have such a runtime, [`ServerThread`] for all others.
 
 mod accept;
 mod can;
@@ -39,7 +39,7 @@ use serial::{Carried, SerialPort};
 use std::future::Future;
 use std::net::SocketAddr;
 use std::path::Path;
-use std::rc::Rc;
+use std::sync::Arc;
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::task::{JoinSet, LocalSet};
 use wsg_protocol::can::Identifiers;
@@ -63,7 +63,7 @@ use wsg_protocol::can::Identifiers;
 /// ```
 #[derive(Debug)]
 pub struct Server {
-    hub: Rc<Hub>,
+    hub: Arc<Hub>,
     tcp: Option<TcpListener>,
     udp: Option<(UdpSocket, u16)>,
     serial: Option<SerialPort>,
@@ -111,7 +111,7 @@ impl Server {
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
         // Pages watch the log, too.
         let log = log.or_else(|| control.is_some().then(Log::to_nowhere));
-        let hub = Rc::new(Hub::new(config, lines.profile, lines.seed, log));
+        let hub = Arc::new(Hub::new(config, lines.profile, lines.seed, log));
         Ok(Self {
             hub,
             tcp,
@@ -204,16 +204,18 @@ impl Server {
         let script = self.script;
         #[cfg(feature = "profinet")]
         let profinet = self.profinet;
+        // Declared first, so that it is dropped after the tasks of the lines.
+        let _powered = Powered(Arc::clone(&hub));
         let local = LocalSet::new();
         local
             .run_until(async move {
                 let mut tasks = JoinSet::new();
-                tasks.spawn_local(Rc::clone(&hub).keep_time());
+                tasks.spawn_local(Arc::clone(&hub).keep_time());
                 if let Some(listener) = tcp {
-                    tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::Tcp));
+                    tasks.spawn_local(tcp::serve(Arc::clone(&hub), listener, PortKind::Tcp));
                 }
                 if let Some((socket, remote_port)) = udp {
-                    let hub = Rc::clone(&hub);
+                    let hub = Arc::clone(&hub);
                     tasks.spawn_local(udp::serve(
                         hub,
                         socket,
@@ -223,23 +225,23 @@ impl Server {
                     ));
                 }
                 if let Some(port) = serial {
-                    tasks.spawn_local(port.serve(Rc::clone(&hub), Carried::Bytes));
+                    tasks.spawn_local(port.serve(Arc::clone(&hub), Carried::Bytes));
                 }
                 match can {
                     Some(CanPort::Interface(interface, identifiers)) => {
-                        tasks.spawn_local(interface.serve(Rc::clone(&hub), identifiers));
+                        tasks.spawn_local(interface.serve(Arc::clone(&hub), identifiers));
                     }
                     Some(CanPort::Slcan(port, carried)) => {
-                        tasks.spawn_local(port.serve(Rc::clone(&hub), carried));
+                        tasks.spawn_local(port.serve(Arc::clone(&hub), carried));
                     }
                     None => {}
                 }
                 if let Some(listener) = gcl {
-                    tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::GclTcp));
+                    tasks.spawn_local(tcp::serve(Arc::clone(&hub), listener, PortKind::GclTcp));
                 }
                 if let Some(socket) = gcl_udp {
                     tasks.spawn_local(udp::serve(
-                        Rc::clone(&hub),
+                        Arc::clone(&hub),
                         socket,
                         None,
                         PortKind::GclUdp,
@@ -247,18 +249,18 @@ impl Server {
                     ));
                 }
                 if let Some(listener) = modbus {
-                    tasks.spawn_local(tcp::serve(Rc::clone(&hub), listener, PortKind::ModbusTcp));
+                    tasks.spawn_local(tcp::serve(Arc::clone(&hub), listener, PortKind::ModbusTcp));
                 }
                 if let Some(port) = profibus {
-                    tasks.spawn_local(port.serve(Rc::clone(&hub), Carried::Profibus));
+                    tasks.spawn_local(port.serve(Arc::clone(&hub), Carried::Profibus));
                 }
                 #[cfg(feature = "profinet")]
                 if let Some(interface) = profinet {
-                    tasks.spawn_local(interface.serve(Rc::clone(&hub)));
+                    tasks.spawn_local(interface.serve(Arc::clone(&hub)));
                 }
                 #[cfg(feature = "script")]
                 if let Some(script) = script {
-                    tasks.spawn_local(script.serve(Rc::clone(&hub)));
+                    script.start(Arc::clone(&hub))?;
                 }
                 if let Some((listener, hosts)) = control {
                     tasks.spawn_local(control::serve(hub, listener, hosts));
@@ -269,6 +271,15 @@ impl Server {
                 }
             })
             .await
+    }
+}
+
+/// Switches the gripper off when the servers end, however they end.
+struct Powered(Arc<Hub>);
+
+impl Drop for Powered {
+    fn drop(&mut self) {
+        self.0.switch_off();
     }
 }
 

@@ -5,7 +5,7 @@ use crate::port::MAX_FRAME_LEN;
 use anyhow::Result;
 use embedded_can::{Frame, Id};
 use std::path::Path;
-use std::rc::Rc;
+use std::sync::Arc;
 use wsg_protocol::can::{Identifiers, Segments};
 
 /// Gives the gripper the data of a frame of the bus, if it is for it: the bytes of messages, whose ends it finds itself.
@@ -60,7 +60,7 @@ mod interface {
             Path::new(&self.name)
         }
 
-        pub(in crate::server) async fn serve(self, hub: Rc<Hub>, identifiers: Identifiers) -> Result<()> {
+        pub(in crate::server) async fn serve(self, hub: Arc<Hub>, identifiers: Identifiers) -> Result<()> {
             let Self { socket, name } = self;
             let client = hub
                 .connect(PortKind::Can, &name)
@@ -131,7 +131,7 @@ mod no_interface {
             match *self {}
         }
 
-        pub(in crate::server) async fn serve(self, _: Rc<Hub>, _: Identifiers) -> Result<()> {
+        pub(in crate::server) async fn serve(self, _: Arc<Hub>, _: Identifiers) -> Result<()> {
             match self {}
         }
     }

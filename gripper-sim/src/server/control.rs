@@ -34,6 +34,7 @@ use std::convert::Infallible;
 use std::io;
 use std::net::IpAddr;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
@@ -68,10 +69,10 @@ const FAULT_EXPECTED: &str =
 const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and what is left out is 0, and "direction":"requests", "replies" or "both""#;
 
 /// `names`: the hosts that requests may be for, beside this machine's own address and `localhost`.
-pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
+pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
     let names: Rc<[String]> = names.into();
     let watchers = Rc::new(Watchers::default());
-    spawn_local(publish(Rc::clone(&hub), Rc::clone(&watchers)));
+    spawn_local(publish(Arc::clone(&hub), Rc::clone(&watchers)));
     let mut connections = Connections::default();
     let mut acceptor = Acceptor::new(listener);
     loop {
@@ -79,7 +80,7 @@ pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, names: Vec<String
             Accepted::Client(stream, _) => {
                 let link = Link::new();
                 let site =
-                    Site { hub: Rc::clone(&hub), names: Rc::clone(&names), watchers: Rc::clone(&watchers) };
+                    Site { hub: Arc::clone(&hub), names: Rc::clone(&names), watchers: Rc::clone(&watchers) };
                 connections.open(Rc::clone(&link), async move {
                     tokio::select! {
                         // Whoever speaks something else is dropped.
@@ -111,7 +112,7 @@ async fn refuse(mut stream: TcpStream) -> io::Result<()> {
 /// What every request is about.
 #[derive(Clone, Debug)]
 struct Site {
-    hub: Rc<Hub>,
+    hub: Arc<Hub>,
     names: Rc<[String]>,
     watchers: Rc<Watchers>,
 }
@@ -125,7 +126,7 @@ async fn run_out(link: &Link) {
 }
 
 /// Tells pages how things stand, as long as any watch.
-async fn publish(hub: Rc<Hub>, watchers: Rc<Watchers>) {
+async fn publish(hub: Arc<Hub>, watchers: Rc<Watchers>) {
     loop {
         watchers.come().await;
         hub.watch_log(true);

@@ -1,4 +1,4 @@
-//! The gripper in real time, shared by the tasks of its lines.
+//! The gripper in real time, shared by the tasks of its lines and the thread of its script.
 
 use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Pace, Passage};
 use super::lines::Profile;
@@ -13,10 +13,11 @@ use crate::port::{FrameBuffer, PortCounters, PortId, PortKind, Protocol};
 use crate::script::ScriptRequest;
 use crate::time::Time;
 use anyhow::Result;
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::rc::Rc;
-use std::sync::Arc;
+#[cfg(feature = "script")]
+use std::sync::Condvar;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
 use wsg_fieldbus::{InputImage, OutputImage};
@@ -33,27 +34,34 @@ const IDLE_LIMIT: Duration = Duration::from_secs(300);
 /// How that is shared between the two figures is assumed.
 const REAL_PACE: Pace = Pace { delay_ms: 22, gap_ms: 5 };
 
-/// The gripper, its clock, and who waits for frames.
+/// The gripper, its clock, and the clients that wait for frames.
 #[derive(Debug)]
 pub(super) struct Hub {
-    gripper: RefCell<Box<VirtualGripper<MAX_CLIENTS>>>,
+    shared: Mutex<Shared>,
     started: Instant,
-    /// In the order in which they came.
-    clients: RefCell<BTreeMap<u64, Rc<Connected>>>,
-    /// Something came in, so the next wake may have changed.
+    /// Signals that the gripper's next wake may have changed.
     rescheduled: Notify,
-    log: RefCell<Option<Log>>,
     config: Config,
     profile: Profile,
     seed: u64,
-    connections: Cell<u64>,
-    line_faults: Cell<LineFaults>,
-    request_counts: Cell<LineCounts>,
-    reply_counts: Cell<LineCounts>,
-    faults: RefCell<Vec<Fault>>,
-    /// Something came in that may be for the script.
+    /// Signals that a request for the script may have arrived, or that the gripper was switched off.
     #[cfg(feature = "script")]
-    script_waits: Notify,
+    script_waits: Condvar,
+}
+
+/// What one lock protects. The servers run in one thread and hardly ever wait for it; a script runs in another.
+#[derive(Debug)]
+struct Shared {
+    gripper: Box<VirtualGripper<MAX_CLIENTS>>,
+    is_off: bool,
+    /// In order of connection.
+    clients: BTreeMap<u64, Arc<Connected>>,
+    connections: u64,
+    log: Option<Log>,
+    line_faults: LineFaults,
+    request_counts: LineCounts,
+    reply_counts: LineCounts,
+    faults: Vec<Fault>,
 }
 
 #[derive(Debug)]
@@ -64,7 +72,7 @@ struct Connected {
     /// Kind of line and peer, for the log.
     name: Arc<str>,
     frames: Notify,
-    heard_at: Cell<Instant>,
+    heard_at: Mutex<Instant>,
     /// Its place has gone to another client.
     displaced: Notify,
 }
@@ -86,28 +94,51 @@ pub(super) struct Report {
 impl Hub {
     pub(super) fn new(config: Config, profile: Profile, seed: u64, log: Option<Log>) -> Self {
         Self {
+            shared: Mutex::new(Shared {
+                gripper: Box::new(VirtualGripper::with_ports(config)),
+                is_off: false,
+                clients: BTreeMap::new(),
+                connections: 0,
+                log,
+                line_faults: LineFaults::default(),
+                request_counts: LineCounts::default(),
+                reply_counts: LineCounts::default(),
+                faults: Vec::new(),
+            }),
+            started: Instant::now(),
+            rescheduled: Notify::new(),
             config,
             profile,
-            gripper: RefCell::new(Box::new(VirtualGripper::with_ports(config))),
-            started: Instant::now(),
-            clients: RefCell::default(),
-            rescheduled: Notify::new(),
-            log: RefCell::new(log),
             seed,
-            connections: Cell::new(0),
-            line_faults: Cell::default(),
-            request_counts: Cell::default(),
-            reply_counts: Cell::default(),
-            faults: RefCell::default(),
             #[cfg(feature = "script")]
-            script_waits: Notify::new(),
+            script_waits: Condvar::new(),
         }
     }
 
+    /// Ends the script at its next call, and writes the rest of the log.
+    pub(super) fn switch_off(&self) {
+        let mut shared = self.lock();
+        shared.is_off = true;
+        let log = shared.log.take();
+        drop(shared);
+        #[cfg(feature = "script")]
+        self.script_waits.notify_all();
+        drop(log);
+    }
+
+    #[cfg(feature = "script")]
+    pub(super) fn is_off(&self) -> bool {
+        self.lock().is_off
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Shared> {
+        lock(&self.shared)
+    }
+
     /// Wakes the gripper whenever something is due.
-    pub(super) async fn keep_time(self: Rc<Self>) -> Result<()> {
+    pub(super) async fn keep_time(self: Arc<Self>) -> Result<()> {
         loop {
-            let wake = self.gripper.borrow().next_wake();
+            let wake = self.lock().gripper.next_wake();
             let due = async {
                 match wake {
                     Some(at) => self.reached(at).await,
@@ -123,7 +154,7 @@ impl Hub {
     }
 
     /// A client; `None` when there are too many, and none of them gives way.
-    pub(super) fn connect(self: &Rc<Self>, kind: PortKind, peer: &str) -> Option<Client> {
+    pub(super) fn connect(self: &Arc<Self>, kind: PortKind, peer: &str) -> Option<Client> {
         let connect = || {
             self.with_gripper(|gripper, now| {
                 gripper.advance(now);
@@ -134,37 +165,39 @@ impl Hub {
             self.displace()?;
             connect()
         })?;
-        let number = self.connections.get();
-        self.connections.set(number.wrapping_add(1));
         let name: Arc<str> = format!("{kind} {peer}").into();
-        if let Some(log) = &mut *self.log.borrow_mut() {
+        let mut shared = self.lock();
+        let number = shared.connections;
+        shared.connections = number.wrapping_add(1);
+        if let Some(log) = &mut shared.log {
             log.connect(id, kind, Arc::clone(&name), &self.config);
         }
-        let connected = Rc::new(Connected {
+        let connected = Arc::new(Connected {
             id,
             number,
             kind,
             name,
             frames: Notify::new(),
-            heard_at: Cell::new(Instant::now()),
+            heard_at: Mutex::new(Instant::now()),
             displaced: Notify::new(),
         });
-        self.clients.borrow_mut().insert(number, Rc::clone(&connected));
+        shared.clients.insert(number, Arc::clone(&connected));
+        drop(shared);
         let is_paced =
             self.profile == Profile::Real && matches!(kind.protocol(), Protocol::Binary | Protocol::Text);
         let pace = if is_paced { REAL_PACE } else { Pace::NONE };
         let line = RefCell::new(FaultyLine::new(self.seed, number).paced(pace));
         let requests = RefCell::new(RequestLine::new(kind, self.seed, number));
-        Some(Client { hub: Rc::clone(self), connected, line, requests })
+        Some(Client { hub: Arc::clone(self), connected, line, requests })
     }
 
     /// Frees the place of the Modbus/TCP client that has been idle longest. Clients of the other protocols stay: the
     /// end of their connections may be a FAST STOP.
     fn displace(&self) -> Option<()> {
-        let clients = self.clients.borrow();
-        let masters = clients.values().filter(|client| client.kind == PortKind::ModbusTcp);
-        let idle_longest = Rc::clone(masters.min_by_key(|client| client.heard_at.get())?);
-        drop(clients);
+        let shared = self.lock();
+        let masters = shared.clients.values().filter(|client| client.kind == PortKind::ModbusTcp);
+        let idle_longest = Arc::clone(masters.min_by_key(|client| *lock(&client.heard_at))?);
+        drop(shared);
         self.note_of(&idle_longest.name, format_args!("gives way to another client: idle longest"));
         self.disconnect(&idle_longest);
         idle_longest.displaced.notify_one();
@@ -173,10 +206,12 @@ impl Hub {
 
     /// Forgets a client; harmless when that has been done.
     fn disconnect(&self, client: &Connected) {
-        self.clients.borrow_mut().remove(&client.number);
-        if let Some(log) = &mut *self.log.borrow_mut() {
+        let mut shared = self.lock();
+        shared.clients.remove(&client.number);
+        if let Some(log) = &mut shared.log {
             log.disconnect(client.id);
         }
+        drop(shared);
         self.act(|gripper, now| gripper.disconnect(client.id, now));
     }
 
@@ -190,18 +225,18 @@ impl Hub {
             gripper.advance(now);
             (gripper.now(), gripper.state())
         });
-        let gripper = self.gripper.borrow();
-        let clients = self.clients.borrow();
+        let shared = self.lock();
+        let Shared { gripper, clients, faults, line_faults, request_counts, reply_counts, .. } = &*shared;
         let counters =
-            |client: &Rc<Connected>| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
+            |client: &Arc<Connected>| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
         Report {
             now,
             state,
             images: gripper.fieldbus_images(),
-            faults: self.faults.borrow().clone(),
-            line_faults: self.line_faults.get(),
-            request_counts: self.request_counts.get(),
-            reply_counts: self.reply_counts.get(),
+            faults: faults.clone(),
+            line_faults: *line_faults,
+            request_counts: *request_counts,
+            reply_counts: *reply_counts,
             clients: clients.values().filter_map(counters).collect(),
         }
     }
@@ -216,11 +251,12 @@ impl Hub {
 
     pub(super) fn set_fault(&self, fault: Fault, on: bool) {
         self.note(format_args!("fault {fault:?} {}", if on { "begins" } else { "ends" }));
-        let mut faults = self.faults.borrow_mut();
-        faults.retain(|other| *other != fault);
+        let mut shared = self.lock();
+        shared.faults.retain(|other| *other != fault);
         if on {
-            faults.push(fault);
+            shared.faults.push(fault);
         }
+        drop(shared);
         self.act(|gripper, now| gripper.set_fault(fault, on, now));
     }
 
@@ -233,20 +269,20 @@ impl Hub {
 
     /// Begins or ends to keep lines of the log for pages.
     pub(super) fn watch_log(&self, on: bool) {
-        if let Some(log) = &mut *self.log.borrow_mut() {
+        if let Some(log) = &mut self.lock().log {
             log.watch(on);
         }
     }
 
     /// The lines that pages have not been shown.
     pub(super) fn take_watched(&self) -> Watched {
-        self.log.borrow_mut().as_mut().map(Log::take_watched).unwrap_or_default()
+        self.lock().log.as_mut().map(Log::take_watched).unwrap_or_default()
     }
 
     /// What goes wrong on every line from the next frame on.
     pub(super) fn set_line_faults(&self, faults: LineFaults) {
         self.note(format_args!("line faults: {faults}"));
-        self.line_faults.set(faults);
+        self.lock().line_faults = faults;
     }
 
     /// Does something that may change when the gripper is to be woken next.
@@ -265,23 +301,45 @@ impl Hub {
         })
     }
 
-    /// The next command for the script, once there is one.
+    /// Does something that leaves the gripper's next wake as it is.
     #[cfg(feature = "script")]
-    pub(super) async fn script_request(&self) -> ScriptRequest {
+    pub(super) fn look<T>(&self, look: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>) -> T) -> T {
+        self.with_gripper(|gripper, now| {
+            gripper.advance(now);
+            look(gripper)
+        })
+    }
+
+    /// Blocks until there is a request for the script; `None` once the gripper is switched off.
+    #[cfg(feature = "script")]
+    pub(super) fn script_request(&self) -> Option<ScriptRequest> {
+        let mut shared = self.lock();
         loop {
-            if let Some(request) = self.with_gripper(|gripper, _| gripper.take_script_request()) {
-                return request;
+            if shared.is_off {
+                return None;
             }
-            self.script_waits.notified().await;
+            if let Some(request) = shared.gripper.take_script_request() {
+                return Some(request);
+            }
+            shared = self.script_waits.wait(shared).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
-    /// What the client is connected by, or, when it is gone, the first that speaks the binary protocol.
+    /// Blocks for so long, or until the gripper is switched off.
+    #[cfg(feature = "script")]
+    pub(super) fn script_sleeps(&self, duration: Duration) {
+        let is_on = |shared: &mut Shared| !shared.is_off;
+        // The guard and whether the time is over are of no use here.
+        drop(self.script_waits.wait_timeout_while(self.lock(), duration, is_on));
+    }
+
+    /// Returns the interface of the client, or, after its end, of the first client of the binary protocol.
     #[cfg(feature = "script")]
     pub(super) fn interface(&self, id: Option<PortId>) -> Option<String> {
-        let clients = self.clients.borrow();
-        let is_asked = clients.values().find(|client| Some(client.id) == id);
-        let client = is_asked.or_else(|| clients.values().find(|client| client.kind.is_binary()));
+        let shared = self.lock();
+        let mut clients = shared.clients.values();
+        let client = clients.clone().find(|client| Some(client.id) == id);
+        let client = client.or_else(|| clients.find(|client| client.kind.is_binary()));
         client.map(|client| client.kind.to_string())
     }
 
@@ -290,7 +348,7 @@ impl Hub {
     }
 
     pub(super) fn note_of(&self, line: &str, what: std::fmt::Arguments<'_>) {
-        if let Some(log) = &mut *self.log.borrow_mut() {
+        if let Some(log) = &mut self.lock().log {
             log.note(self.now(), line, what);
         }
     }
@@ -305,59 +363,67 @@ impl Hub {
 
     /// Does something with the gripper at this time, and wakes the affected clients.
     fn with_gripper<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
-        let mut gripper = self.gripper.borrow_mut();
+        let mut shared = self.lock();
+        let Shared { gripper, clients, log, .. } = &mut *shared;
+        // Under the lock, so that the gripper's time never runs backwards.
         let now = self.now();
-        let result = act(&mut gripper, now);
-        for client in self.clients.borrow().values() {
+        let result = act(gripper, now);
+        for client in clients.values() {
             if gripper.has_frame(client.id) {
                 client.frames.notify_one();
             }
         }
-        if let Some(log) = &mut *self.log.borrow_mut() {
+        if let Some(log) = log {
             log.expire(now);
         }
         result
     }
 }
 
+/// A thread that panicked while it held the lock leaves the gripper as it is to the others.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// A client of the gripper; gone when dropped.
 #[derive(Debug)]
 pub(super) struct Client {
-    hub: Rc<Hub>,
-    connected: Rc<Connected>,
+    hub: Arc<Hub>,
+    connected: Arc<Connected>,
     line: RefCell<FaultyLine>,
     requests: RefCell<RequestLine>,
 }
 
 impl Client {
     pub(super) fn receive(&self, bytes: &[u8]) {
-        self.connected.heard_at.set(Instant::now());
-        if let Some(log) = &mut *self.hub.log.borrow_mut() {
-            log.received(self.connected.id, self.hub.now(), bytes);
+        let Self { hub, requests, connected, .. } = self;
+        *lock(&connected.heard_at) = Instant::now();
+        let mut shared = hub.lock();
+        let now = hub.now();
+        let Shared { log, line_faults, request_counts, .. } = &mut *shared;
+        if let Some(log) = log {
+            log.received(connected.id, now, bytes);
         }
-        let Self { hub, requests, .. } = self;
-        let faults = hub.line_faults.get().of_requests();
+        let faults = line_faults.of_requests();
         let mut requests = requests.borrow_mut();
         if faults.are_none() && requests.is_empty() {
+            drop(shared);
             return self.hear(bytes);
         }
-        let now = hub.now();
-        let mut counts = hub.request_counts.get();
         requests.take(&faults, now, bytes, |fate| {
-            counts.count(fate);
+            request_counts.count(fate);
             if !fate.is_harmless()
-                && let Some(log) = &mut *hub.log.borrow_mut()
+                && let Some(log) = log
             {
-                log.note(now, &self.connected.name, format_args!("-> line fault: {fate}"));
+                log.note(now, &connected.name, format_args!("-> line fault: {fate}"));
             }
         });
-        hub.request_counts.set(counts);
     }
 
     /// Takes an image that a master wrote.
     #[cfg(all(feature = "profinet", target_os = "linux"))]
     pub(super) fn write_image(&self, image: &OutputImage, is_first: bool) {
-        self.connected.heard_at.set(Instant::now());
+        *lock(&self.connected.heard_at) = Instant::now();
         self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
     }
 
@@ -392,14 +458,14 @@ impl Client {
     fn hear(&self, bytes: &[u8]) {
         self.hub.act(|gripper, now| gripper.receive(self.connected.id, now, bytes));
         #[cfg(feature = "script")]
-        self.hub.script_waits.notify_one();
+        self.hub.script_waits.notify_all();
     }
 
     /// Whether nothing more can be understood of what comes from it, and all that there was for it is sent.
     pub(super) fn is_over(&self) -> bool {
-        let gripper = self.hub.gripper.borrow();
-        gripper.is_lost(self.connected.id)
-            && !gripper.has_frame(self.connected.id)
+        let shared = self.hub.lock();
+        shared.gripper.is_lost(self.connected.id)
+            && !shared.gripper.has_frame(self.connected.id)
             && self.line.borrow().next_arrival().is_none()
     }
 
@@ -410,9 +476,10 @@ impl Client {
         if *kind != PortKind::ModbusTcp {
             return std::future::pending().await;
         }
+        let heard_at = *lock(heard_at);
         tokio::select! {
             () = displaced.notified() => {}
-            () = sleep_until(heard_at.get() + IDLE_LIMIT) => {
+            () = sleep_until(heard_at + IDLE_LIMIT) => {
                 self.hub.note_of(name, format_args!("closed: idle for {} s", IDLE_LIMIT.as_secs()));
             }
         }
@@ -452,20 +519,18 @@ impl Client {
     fn next_frame(&self, buffer: &mut FrameBuffer) -> Option<usize> {
         let Self { hub, line, .. } = self;
         let mut line = line.borrow_mut();
-        let faults = hub.line_faults.get().of_replies();
         while line.has_room() {
-            let mut gripper = hub.gripper.borrow_mut();
+            let mut shared = hub.lock();
+            let Shared { gripper, log, line_faults, reply_counts, .. } = &mut *shared;
             let Some(frame) = gripper.transmit(self.connected.id, buffer) else { break };
             let now = hub.now();
-            let passage = line.pass(&faults, now, frame);
+            let passage = line.pass(&line_faults.of_replies(), now, frame);
             let fate = match passage {
                 Passage::Through => Fate::default(),
                 Passage::Held(fate) => fate,
             };
-            let mut counts = hub.reply_counts.get();
-            counts.count(&fate);
-            hub.reply_counts.set(counts);
-            if let Some(log) = &mut *hub.log.borrow_mut() {
+            reply_counts.count(&fate);
+            if let Some(log) = log {
                 log.sent(now, self.connected.id, &self.connected.name, frame);
                 if !fate.is_harmless() {
                     log.note(now, &self.connected.name, format_args!("<- line fault: {fate}"));
@@ -493,8 +558,8 @@ mod tests {
     use super::*;
     use tokio::time::advance;
 
-    fn hub() -> Rc<Hub> {
-        Rc::new(Hub::new(Config::default(), Profile::Instant, 0, None))
+    fn hub() -> Arc<Hub> {
+        Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None))
     }
 
     async fn is_dismissed(client: &Client) -> bool {

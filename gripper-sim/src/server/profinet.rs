@@ -56,7 +56,7 @@ mod interface {
     use nix::ifaddrs::getifaddrs;
     use nix::sys::socket::{AddressFamily, SockFlag, SockProtocol, SockType, bind, socket};
     use std::os::fd::AsRawFd;
-    use std::rc::Rc;
+    use std::sync::Arc;
     use std::time::SystemTime;
     use tokio::net::UnixDatagram;
     use tokio::task::yield_now;
@@ -105,7 +105,7 @@ mod interface {
             Path::new(&self.line.interface)
         }
 
-        pub(in crate::server) async fn serve(self, hub: Rc<Hub>) -> Result<()> {
+        pub(in crate::server) async fn serve(self, hub: Arc<Hub>) -> Result<()> {
             let Self { socket, mac, line } = self;
             let client = hub
                 .connect(PortKind::Profinet, &line.interface)
@@ -270,7 +270,7 @@ pub(super) use interface::Interface;
 mod no_interface {
     use super::*;
     use crate::server::hub::Hub;
-    use std::rc::Rc;
+    use std::sync::Arc;
 
     /// There are no packet sockets here.
     #[derive(Debug)]
@@ -285,7 +285,7 @@ mod no_interface {
             match *self {}
         }
 
-        pub(in crate::server) async fn serve(self, _: Rc<Hub>) -> Result<()> {
+        pub(in crate::server) async fn serve(self, _: Arc<Hub>) -> Result<()> {
             match self {}
         }
     }

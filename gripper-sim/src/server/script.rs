@@ -1,24 +1,22 @@
 //! A Lua script on the gripper: its thread, its bounds, and how it gets at the gripper.
 //!
-//! Lua runs in a thread of its own, because its calls wait. What it asks for is done by a task beside those of the lines, and so
-//! a script that is busy, or waits, keeps nobody waiting but itself.
+//! Lua runs in a thread of its own, because its calls wait. They use the gripper directly, under its lock, so a call takes
+//! no switch of threads, and a script that is busy, or waits, delays no line.
 
 mod calls;
 
 use super::hub::Hub;
-use crate::script::{ScriptRequest, ScriptState};
+use crate::script::ScriptState;
 use anyhow::{Context, Result};
 use mlua::chunk::ChunkMode;
 use mlua::{HookTriggers, Lua, LuaOptions, StdLib, VmState};
 use std::cell::Cell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 use std::time::Duration;
-use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
 /// What a script may hold, in bytes. Assumed.
 const MAX_MEMORY: usize = 16 << 20;
@@ -46,18 +44,6 @@ pub(super) struct Script {
     source: Vec<u8>,
 }
 
-/// What a script asks of the gripper. One at a time: it waits for the answer.
-pub(super) enum Call {
-    /// To be done at once.
-    Now(Box<dyn FnOnce(&Hub) + Send>),
-    /// The next command for the script, once there is one.
-    Read(SyncSender<ScriptRequest>),
-    /// An answer after so long.
-    Sleep(Duration, SyncSender<()>),
-    /// It is over: by an error, if there is one.
-    Ended(Option<String>),
-}
-
 impl Script {
     /// Reads the file.
     ///
@@ -69,35 +55,38 @@ impl Script {
         Ok(Self { path: path.to_owned(), source })
     }
 
-    /// Runs the script and does what it asks for, as long as the server runs. Its end ends nothing else.
-    pub(super) async fn serve(self, hub: Rc<Hub>) -> Result<()> {
-        let (asks, mut asked) = unbounded_channel();
-        let is_over = Over::default();
-        let seen = Arc::clone(&is_over.0);
+    /// Runs the script in a thread of its own, until its end or that of the server. Its end ends nothing else.
+    ///
+    /// # Errors
+    /// The system has no thread left.
+    pub(super) fn start(self, hub: Arc<Hub>) -> Result<()> {
         set_state(&hub, ScriptState::Running);
         let thread = thread::Builder::new().name("wsg-sim script".to_owned()).stack_size(STACK_SIZE);
-        thread.spawn(move || self.run(&asks, &seen))?;
-        answer(&hub, &mut asked).await;
-        // The gripper goes on without it.
-        std::future::pending().await
+        thread.spawn(move || self.run(&hub))?;
+        Ok(())
     }
 
-    fn run(self, asks: &UnboundedSender<Call>, is_over: &Arc<AtomicBool>) {
-        let error = self.execute(asks, is_over).err().map(|error| first_line(&error));
-        // A server that has ended needs no word of it.
-        let _ = asks.send(Call::Ended(error));
+    fn run(&self, hub: &Arc<Hub>) {
+        let executed = catch_unwind(AssertUnwindSafe(|| self.execute(hub)));
+        if hub.is_off() {
+            return;
+        }
+        match executed {
+            Ok(result) => end(hub, result.err().map(|error| first_line(&error))),
+            Err(_) => end(hub, Some("its thread panicked".to_owned())),
+        }
     }
 
-    fn execute(&self, asks: &UnboundedSender<Call>, is_over: &Arc<AtomicBool>) -> mlua::Result<()> {
+    fn execute(&self, hub: &Arc<Hub>) -> mlua::Result<()> {
         let libraries = StdLib::TABLE | StdLib::STRING | StdLib::MATH;
         let lua = Lua::new_with(libraries, LuaOptions::default())?;
         lua.set_memory_limit(MAX_MEMORY)?;
         let looks = Rc::new(Cell::new(0));
-        calls::install(&lua, asks, &looks, self.path.parent().unwrap_or(Path::new("")))?;
-        let is_over = Arc::clone(is_over);
+        calls::install(&lua, hub, &looks, self.path.parent().unwrap_or(Path::new("")))?;
+        let hub = Arc::clone(hub);
         let every = HookTriggers::new().every_nth_instruction(LOOK_EVERY);
         lua.set_global_hook(every, move |lua, _| {
-            if is_over.load(Ordering::Relaxed) {
+            if hub.is_off() {
                 // At each instruction from here on: a script that catches this one gets no further than to the next.
                 let always = HookTriggers::new().every_nth_instruction(1);
                 lua.set_global_hook(always, |_, _| Err(switched_off()))?;
@@ -115,35 +104,6 @@ impl Script {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         lua.load(&self.source).set_name(format!("@{name}")).set_mode(ChunkMode::Text).exec()
     }
-}
-
-/// Tells the script's thread when nobody answers it any more.
-#[derive(Default)]
-struct Over(Arc<AtomicBool>);
-
-impl Drop for Over {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
-
-/// Does what a script asks for, until its end.
-async fn answer(hub: &Hub, asked: &mut UnboundedReceiver<Call>) {
-    while let Some(call) = asked.recv().await {
-        // A script that does not wait for its answer has ended.
-        match call {
-            Call::Now(act) => act(hub),
-            Call::Read(answer) => {
-                let _ = answer.send(hub.script_request().await);
-            }
-            Call::Sleep(duration, answer) => {
-                tokio::time::sleep(duration).await;
-                let _ = answer.send(());
-            }
-            Call::Ended(error) => return end(hub, error),
-        }
-    }
-    end(hub, Some("its thread ended without a word".to_owned()));
 }
 
 fn end(hub: &Hub, error: Option<String>) {
@@ -185,28 +145,6 @@ fn clipped(text: &str) -> String {
     line
 }
 
-/// Has `act` done beside the gripper.
-///
-/// # Errors
-/// When the gripper was switched off.
-fn ask<T: Send + 'static>(
-    asks: &UnboundedSender<Call>,
-    act: impl FnOnce(&Hub) -> T + Send + 'static,
-) -> mlua::Result<T> {
-    ask_for(asks, |answer| {
-        Call::Now(Box::new(move |hub| {
-            let _ = answer.send(act(hub));
-        }))
-    })
-}
-
-/// Waits for the answer to a call.
-fn ask_for<T>(asks: &UnboundedSender<Call>, call: impl FnOnce(SyncSender<T>) -> Call) -> mlua::Result<T> {
-    let (answer, answered) = sync_channel(1);
-    asks.send(call(answer)).map_err(|_| switched_off())?;
-    answered.recv().map_err(|_| switched_off())
-}
-
 /// What ends a script whose gripper is gone.
 fn switched_off() -> mlua::Error {
     mlua::Error::runtime("the gripper was switched off")
@@ -215,9 +153,11 @@ fn switched_off() -> mlua::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
+    use crate::server::lines::Profile;
     use std::sync::mpsc::channel;
 
-    /// The longest that a script may go on when its gripper is gone.
+    /// The longest that a script may go on after its gripper is switched off.
     const BOUND: Duration = Duration::from_secs(60);
 
     #[test]
@@ -226,18 +166,18 @@ mod tests {
             "while true do end",
             "while true do pcall(function() while true do end end) end",
             "while true do pcall(function() while true do pcall(cmd.read) end end) end",
+            "while true do pcall(function() while true do pcall(mc.position) end end) end",
+            "while true do pcall(sleep, 1e9) end",
         ] {
             let script = Script { path: PathBuf::from("endless.lua"), source: source.into() };
-            let (asks, asked) = unbounded_channel();
-            let is_over = Arc::new(AtomicBool::new(false));
-            let seen = Arc::clone(&is_over);
+            let hub = Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None));
             let (ended, ends) = channel();
+            let seen = Arc::clone(&hub);
             thread::spawn(move || {
-                script.run(&asks, &seen);
+                script.run(&seen);
                 let _ = ended.send(());
             });
-            is_over.store(true, Ordering::Relaxed);
-            drop(asked);
+            hub.switch_off();
             assert!(ends.recv_timeout(BOUND).is_ok(), "{source}");
         }
     }

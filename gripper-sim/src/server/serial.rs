@@ -14,7 +14,7 @@ use anyhow::{Context, Result, bail};
 use serial2_tokio::SerialPort as Device;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::rc::Rc;
+use std::sync::Arc;
 use tokio::io::{AsyncRead, AsyncWrite};
 use wsg_protocol::can::Identifiers;
 
@@ -74,7 +74,7 @@ impl SerialPort {
     }
 
     /// Serves the line, which carries the frames' bytes themselves or, by SLCAN, those of CAN frames.
-    pub(super) async fn serve(self, hub: Rc<Hub>, carried: Carried) -> Result<()> {
+    pub(super) async fn serve(self, hub: Arc<Hub>, carried: Carried) -> Result<()> {
         let name = self.path.display().to_string();
         match self.line {
             Open::Device(device) => {
@@ -88,7 +88,7 @@ impl SerialPort {
             #[cfg(unix)]
             Open::Socket(socket) => loop {
                 let (stream, _) = accept::insist(|| socket.listener.accept()).await;
-                tokio::task::spawn_local(serve_client(Rc::clone(&hub), stream, name.clone(), carried));
+                tokio::task::spawn_local(serve_client(Arc::clone(&hub), stream, name.clone(), carried));
             },
         }
     }
@@ -96,7 +96,7 @@ impl SerialPort {
 
 /// A line that has no end while all is well.
 async fn serve_terminal(
-    hub: &Rc<Hub>,
+    hub: &Arc<Hub>,
     reader: impl AsyncRead + Unpin,
     writer: impl AsyncWrite + Unpin,
     name: &str,
@@ -108,7 +108,7 @@ async fn serve_terminal(
 }
 
 #[cfg(unix)]
-async fn serve_client(hub: Rc<Hub>, mut stream: tokio::net::UnixStream, name: String, carried: Carried) {
+async fn serve_client(hub: Arc<Hub>, mut stream: tokio::net::UnixStream, name: String, carried: Carried) {
     let Some(client) = hub.connect(carried.kind(), &name) else { return };
     let (reader, writer) = stream.split();
     // However it ends, the client is gone; that is all there is to say about it.

@@ -102,7 +102,7 @@ mod tests {
     use crate::server::hub::Hub;
     use crate::server::lines::Profile;
     use std::pin::Pin;
-    use std::rc::Rc;
+    use std::sync::Arc;
     use std::task::{Context, Poll};
     use tokio::io::ReadBuf;
     use wsg_protocol::{Command, FrameEncoder, Reply, Status};
@@ -159,7 +159,7 @@ mod tests {
 
     #[tokio::test]
     async fn signals_and_calls_that_move_one_byte_lose_nothing() {
-        let hub = Rc::new(Hub::new(Config::default(), Profile::Instant, 0, None));
+        let hub = Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None));
         let client = hub.connect(PortKind::Tcp, "nervous").unwrap();
         let stop = Command::Stop;
         let says = FrameEncoder::new(stop.id().code(), stop).collect();

@@ -8,7 +8,7 @@ use anyhow::Result;
 use socket2::{SockRef, TcpKeepalive};
 use std::io;
 use std::net::SocketAddr;
-use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::spawn_local;
@@ -21,12 +21,12 @@ const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(10);
 const KEEP_ALIVE_RETRIES: u32 = 3;
 
 /// `kind` says which protocol is spoken.
-pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, kind: PortKind) -> Result<()> {
+pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, kind: PortKind) -> Result<()> {
     let mut acceptor = Acceptor::new(listener);
     loop {
         match acceptor.accept().await {
             Accepted::Client(stream, peer) => {
-                spawn_local(serve_client(Rc::clone(&hub), stream, peer, kind));
+                spawn_local(serve_client(Arc::clone(&hub), stream, peer, kind));
             }
             // Closed at once.
             Accepted::Refused(_) => {}
@@ -34,7 +34,7 @@ pub(super) async fn serve(hub: Rc<Hub>, listener: TcpListener, kind: PortKind) -
     }
 }
 
-async fn serve_client(hub: Rc<Hub>, mut stream: TcpStream, peer: SocketAddr, kind: PortKind) {
+async fn serve_client(hub: Arc<Hub>, mut stream: TcpStream, peer: SocketAddr, kind: PortKind) {
     // One too many: the connection is closed at once.
     let Some(client) = hub.connect(kind, &peer.to_string()) else { return };
     // Where the system cannot do that, the end of a connection is noticed later.

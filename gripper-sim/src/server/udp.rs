@@ -6,7 +6,7 @@ use crate::port::{MAX_FRAME_LEN, PortKind};
 use anyhow::{Context, Result};
 use std::io::ErrorKind;
 use std::net::SocketAddr;
-use std::rc::Rc;
+use std::sync::Arc;
 use std::time::Instant;
 use tokio::net::UdpSocket;
 use tokio::task::yield_now;
@@ -46,7 +46,7 @@ struct Remote {
 /// Serves clients of one protocol. Answers go to `remote_port`, or with `None` to the port that sent the request. `unanswered` is
 /// the number of datagrams that are sent to a client that sends nothing; 0 is any number.
 pub(super) async fn serve(
-    hub: Rc<Hub>,
+    hub: Arc<Hub>,
     socket: UdpSocket,
     remote_port: Option<u16>,
     kind: PortKind,

@@ -1,6 +1,6 @@
 //! What a script can call (`docs/scripts.md`).
 
-use super::{Call, ask, ask_for, clipped, first_line};
+use super::{clipped, first_line, switched_off};
 use crate::finger::{Finger, Jaw};
 use crate::gripper::State;
 use crate::port::{MAX_FRAME_LEN, PortId};
@@ -13,8 +13,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::path::Path;
 use std::rc::Rc;
+use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
-use tokio::sync::mpsc::UnboundedSender;
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags};
 
@@ -47,7 +47,7 @@ const SANDBOX: &str = include_str!("sandbox.lua");
 
 /// A script's side of the gripper.
 struct Caller {
-    asks: UnboundedSender<Call>,
+    hub: Arc<Hub>,
     /// Looks at the script since it waited last.
     looks: Rc<Cell<u32>>,
     /// Who asked last, by command.
@@ -91,14 +91,9 @@ impl Printed {
 /// Gives a script everything that it can call, and takes away what could harm the machine that it runs on.
 ///
 /// `directory`: where the files are that it may `require`.
-pub(super) fn install(
-    lua: &Lua,
-    asks: &UnboundedSender<Call>,
-    looks: &Rc<Cell<u32>>,
-    directory: &Path,
-) -> Result<()> {
+pub(super) fn install(lua: &Lua, hub: &Arc<Hub>, looks: &Rc<Cell<u32>>, directory: &Path) -> Result<()> {
     let caller = Rc::new(Caller {
-        asks: asks.clone(),
+        hub: Arc::clone(hub),
         looks: Rc::clone(looks),
         clients: RefCell::default(),
         client: Cell::default(),
@@ -133,19 +128,26 @@ pub(super) fn install(
 }
 
 impl Caller {
-    fn ask<T: Send + 'static>(&self, act: impl FnOnce(&Hub) -> T + Send + 'static) -> Result<T> {
-        ask(&self.asks, act)
+    /// Does something with the gripper.
+    ///
+    /// # Errors
+    /// The gripper is switched off.
+    fn ask<T>(&self, act: impl FnOnce(&Hub) -> T) -> Result<T> {
+        if self.hub.is_off() {
+            return Err(switched_off());
+        }
+        Ok(act(&self.hub))
     }
 
-    /// Waits for an answer that may take as long as it likes.
-    fn wait<T>(&self, call: impl FnOnce(std::sync::mpsc::SyncSender<T>) -> Call) -> Result<T> {
+    /// Does something that may take as long as it likes. A script that waits needs no rest.
+    fn wait<T>(&self, wait: impl FnOnce(&Hub) -> T) -> Result<T> {
         self.looks.set(0);
-        ask_for(&self.asks, call)
+        self.ask(wait)
     }
 
     /// Writes lines to the log.
     fn log(&self, lines: Vec<String>) -> Result<()> {
-        self.ask(move |hub| {
+        self.ask(|hub| {
             for line in lines {
                 hub.note_of("script", format_args!("{line}"));
             }
@@ -192,7 +194,7 @@ impl Caller {
             if start.elapsed() > MAX_MOTION {
                 return Ok(false);
             }
-            self.wait(|answer| Call::Sleep(LOOK_AT_MOTION, answer))?;
+            self.wait(|hub| hub.script_sleeps(LOOK_AT_MOTION))?;
         }
         Ok(true)
     }
@@ -216,12 +218,7 @@ impl Caller {
     }
 
     /// Carries out a command; what refused it is in the log, once, and returned.
-    fn command(
-        &self,
-        lua: &Lua,
-        call: &str,
-        act: impl FnOnce(&Hub) -> Status + Send + 'static,
-    ) -> Result<u16> {
+    fn command(&self, lua: &Lua, call: &str, act: impl FnOnce(&Hub) -> Status) -> Result<u16> {
         let status = self.ask(act)?;
         if matches!(status, Status::Success | Status::CmdPending) {
             return Ok(Status::Success.code());
@@ -233,10 +230,7 @@ impl Caller {
 
 /// How things stand now.
 fn state(hub: &Hub) -> State {
-    hub.act(|gripper, now| {
-        gripper.advance(now);
-        gripper.state()
-    })
+    hub.look(|gripper| gripper.state())
 }
 
 fn command(hub: &Hub, command: &Command<'_>) -> Status {
@@ -294,7 +288,7 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     module
         .function("register", |_, caller, id: u32| {
             let is_claimed = match u8::try_from(id) {
-                Ok(id) => caller.ask(move |hub| hub.act(|gripper, _| gripper.claim_for_script(id)))?,
+                Ok(id) => caller.ask(|hub| hub.act(|gripper, _| gripper.claim_for_script(id)))?,
                 Err(_) => false,
             };
             if is_claimed {
@@ -306,19 +300,19 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             )))
         })?
         .function("unregister", |_, caller, id: u32| match u8::try_from(id) {
-            Ok(id) => caller.ask(move |hub| hub.act(|gripper, _| gripper.release_for_script(id))).map(drop),
+            Ok(id) => caller.ask(|hub| hub.act(|gripper, _| gripper.release_for_script(id))).map(drop),
             Err(_) => Ok(()),
         })?
         .function("available", |_, caller, ()| {
-            caller.ask(|hub| hub.act(|gripper, _| gripper.script_requests()))
+            caller.ask(|hub| hub.look(|gripper| gripper.script_requests()))
         })?
         .function("online", |_, caller, ()| caller.ask(|hub| hub.interface(None).is_some()))?
         .function("interface", |_, caller, ()| {
             let last = caller.client.get();
-            caller.ask(move |hub| hub.interface(last))
+            caller.ask(|hub| hub.interface(last))
         })?
         .function("read", |lua, caller, ()| {
-            let request = caller.wait(Call::Read)?;
+            let request = caller.wait(Hub::script_request)?.ok_or_else(switched_off)?;
             caller.clients.borrow_mut().insert(request.id, request.port);
             caller.client.set(Some(request.port));
             Ok((request.id, lua.create_sequence_from(request.payload)?))
@@ -407,9 +401,7 @@ fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             if !width.is_finite() || !speed.is_finite() {
                 return Err(wrong(format_args!("mc.move: expected a width in mm and a speed in mm/s")));
             }
-            caller.command(lua, "mc.move", move |hub| {
-                command(hub, &Command::PrePosition { flags, width, speed })
-            })
+            caller.command(lua, "mc.move", |hub| command(hub, &Command::PrePosition { flags, width, speed }))
         })?
         .function("stop", |lua, caller, ()| {
             caller.command(lua, "mc.stop", |hub| command(hub, &Command::Stop))
@@ -524,13 +516,13 @@ fn sensors(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Module::new(lua, caller, "finger")?
         .function("type", |_, caller, index: u8| {
             let jaw = jaw(index)?;
-            let (finger, _) = caller.ask(move |hub| hub.act(|gripper, _| gripper.finger(jaw)))?;
+            let (finger, _) = caller.ask(|hub| hub.look(|gripper| gripper.finger(jaw)))?;
             // An empty port shows like a generic finger.
             Ok(if finger == Finger::None { Finger::Generic.name() } else { finger.name() })
         })?
         .function("data", |_, caller, index: u8| {
             let jaw = jaw(index)?;
-            let (_, force) = caller.ask(move |hub| hub.act(|gripper, _| gripper.finger(jaw)))?;
+            let (_, force) = caller.ask(|hub| hub.look(|gripper| gripper.finger(jaw)))?;
             Ok(force)
         })?
         .function("count", |_, _, ()| Ok(2))?
@@ -603,7 +595,7 @@ fn user_flags(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
         .function("outputs", |_, caller, flags: Option<f64>| {
             if let Some(flags) = flags {
                 let flags = byte("fieldbus.outputs", flags)?;
-                caller.ask(move |hub| hub.act(|gripper, _| gripper.set_user_outputs(flags)))?;
+                caller.ask(|hub| hub.act(|gripper, _| gripper.set_user_outputs(flags)))?;
             }
             caller.ask(outputs)
         })?
@@ -612,7 +604,7 @@ fn user_flags(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             let flags = caller.ask(outputs)?;
             let Some(on) = on else { return Ok(flags & flag != 0) };
             let flags = if on { flags | flag } else { flags & !flag };
-            caller.ask(move |hub| hub.act(|gripper, _| gripper.set_user_outputs(flags)))?;
+            caller.ask(|hub| hub.act(|gripper, _| gripper.set_user_outputs(flags)))?;
             Ok(on)
         })?;
     Ok(())
@@ -620,12 +612,12 @@ fn user_flags(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
 
 /// IF.
 fn inputs(hub: &Hub) -> u8 {
-    hub.act(|gripper, _| gripper.fieldbus_images().0.user)
+    hub.look(|gripper| gripper.fieldbus_images().0.user)
 }
 
 /// OF.
 fn outputs(hub: &Hub) -> u8 {
-    hub.act(|gripper, _| gripper.fieldbus_images().1.user)
+    hub.look(|gripper| gripper.fieldbus_images().1.user)
 }
 
 /// The bit of a user flag by its number.
@@ -670,7 +662,7 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             // A time that is over already is none.
             let duration = Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0)
                 .map_err(|_| wrong(format_args!("sleep: expected a time in ms")))?;
-            caller.wait(|answer| Call::Sleep(duration, answer))
+            caller.wait(|hub| hub.script_sleeps(duration))
         })?
         .function("print", move |_, caller, values: MultiValue| {
             let texts = values.iter().map(|value| Ok(to_string.call::<LuaString>(value)?.to_string_lossy()));
