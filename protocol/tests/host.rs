@@ -467,17 +467,118 @@ mod on_unix {
 
     #[test]
     fn blocking_driver_grips_over_a_unix_socket() {
-        let path = socket_path("blocking");
-        let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
-        let stream = std::os::unix::net::UnixStream::connect(server.serial_path().unwrap()).unwrap();
+        let (_server, stream) = unix_socket("blocking");
         grips(&mut Gripper::new(host::PolledStream::new(stream), StdClock::new()));
+    }
+
+    fn unix_socket(name: &str) -> (ServerThread, std::os::unix::net::UnixStream) {
+        let server = serve(&Lines { serial: Some(SerialLine::Unix(socket_path(name))), ..Lines::default() });
+        let stream = std::os::unix::net::UnixStream::connect(server.serial_path().unwrap()).unwrap();
+        // As `host::Stream` wants it.
+        stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+        (server, stream)
+    }
+
+    /// A stream of which a signal interrupts every other call, and that carries at most three bytes a call.
+    struct Reluctant {
+        stream: std::os::unix::net::UnixStream,
+        is_interrupted: bool,
+    }
+
+    impl Reluctant {
+        fn new(stream: std::os::unix::net::UnixStream) -> Self {
+            Self { stream, is_interrupted: false }
+        }
+
+        fn interrupt(&mut self) -> io::Result<()> {
+            self.is_interrupted = !self.is_interrupted;
+            if self.is_interrupted { Err(io::ErrorKind::Interrupted.into()) } else { Ok(()) }
+        }
+    }
+
+    impl io::Read for Reluctant {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            self.interrupt()?;
+            let len = buffer.len().min(3);
+            #[expect(clippy::disallowed_methods, reason = "the transport under test takes every error")]
+            self.stream.read(&mut buffer[..len])
+        }
+    }
+
+    impl io::Write for Reluctant {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.interrupt()?;
+            #[expect(clippy::disallowed_methods, reason = "the transport under test takes every error")]
+            self.stream.write(&bytes[..bytes.len().min(3)])
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl std::os::fd::AsFd for Reluctant {
+        fn as_fd(&self) -> std::os::fd::BorrowedFd<'_> {
+            self.stream.as_fd()
+        }
+    }
+
+    #[test]
+    fn blocking_driver_grips_over_interrupted_and_short_reads_and_writes() {
+        let (_server, stream) = unix_socket("reluctant");
+        grips(&mut Gripper::new(host::PolledStream::new(Reluctant::new(stream)), StdClock::new()));
+        let (_server, stream) = unix_socket("reluctant-read");
+        grips(&mut Gripper::new(host::Stream::new(Reluctant::new(stream)), StdClock::new()));
+    }
+
+    /// Runs a program in this thread while another one interrupts it with signals.
+    fn under_signals(program: impl FnOnce()) {
+        use nix::sys::pthread::{pthread_kill, pthread_self};
+        use nix::sys::signal::Signal;
+        use std::sync::atomic::{AtomicBool, Ordering};
+
+        // Without a handler, the signal ends the process. This one makes interrupted calls return `Interrupted`.
+        let handled = std::sync::Arc::new(AtomicBool::new(false));
+        signal_hook::flag::register(Signal::SIGUSR1 as i32, std::sync::Arc::clone(&handled)).unwrap();
+        let driver = pthread_self();
+        let is_over = AtomicBool::new(false);
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                while !is_over.load(Ordering::Relaxed) {
+                    pthread_kill(driver, Signal::SIGUSR1).unwrap();
+                    thread::yield_now();
+                }
+            });
+            let ended = catch_unwind(AssertUnwindSafe(program));
+            is_over.store(true, Ordering::Relaxed);
+            if let Err(panic) = ended {
+                std::panic::resume_unwind(panic);
+            }
+        });
+        assert!(handled.load(Ordering::Relaxed));
+    }
+
+    #[test]
+    fn signals_fail_no_call_of_a_driver_over_any_transport() {
+        let (_server, address) = on_tcp();
+        let socket = UdpSocket::bind(loopback()).unwrap();
+        let remote_port = socket.local_addr().unwrap().port();
+        let udp_server =
+            serve(&Lines { udp: Some(UdpLine { address: loopback(), remote_port }), ..Lines::default() });
+        let (_unix_server, stream) = unix_socket("signals");
+        let (_other_unix_server, other_stream) = unix_socket("signals-read");
+        under_signals(|| {
+            grips(&mut Gripper::new(Tcp::connect(address).unwrap(), StdClock::new()));
+            let line = Udp::new(socket, udp_server.udp_address().unwrap()).unwrap();
+            grips(&mut Gripper::new(line, StdClock::new()));
+            grips(&mut Gripper::new(host::PolledStream::new(stream), StdClock::new()));
+            grips(&mut Gripper::new(host::Stream::new(other_stream), StdClock::new()));
+        });
     }
 
     #[test]
     fn another_thread_stops_a_motion_over_a_unix_socket() {
-        let path = socket_path("stopped");
-        let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
-        let stream = std::os::unix::net::UnixStream::connect(server.serial_path().unwrap()).unwrap();
+        let (_server, stream) = unix_socket("stopped");
         stopped_by_another_thread(&mut Gripper::new(host::PolledStream::new(stream), StdClock::new()));
     }
 
