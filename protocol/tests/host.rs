@@ -583,6 +583,16 @@ mod on_unix {
     }
 
     #[test]
+    fn another_thread_stops_a_motion_over_a_stream_with_a_second_handle() {
+        let (_server, stream) = unix_socket("second");
+        let second = stream.try_clone().unwrap();
+        stopped_by_another_thread(&mut Gripper::new(
+            host::Stream::with_second(stream, second),
+            StdClock::new(),
+        ));
+    }
+
+    #[test]
     fn async_driver_grips_over_a_stream() {
         let path = socket_path("async");
         let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });

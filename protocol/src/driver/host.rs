@@ -29,7 +29,7 @@ mod tcp;
 mod udp;
 
 pub use polled_stream::PolledStream;
-pub use stream::Stream;
+pub use stream::{NoSecond, Stream};
 pub use tcp::Tcp;
 pub use udp::Udp;
 
