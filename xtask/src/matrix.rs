@@ -121,8 +121,10 @@ fn check_with(workspace: &Workspace, toolchain: &str, extent: Extent) -> Command
     check
 }
 
+/// The crates for boards, and the one that makes a part of `wsg-protocol` while it is compiled.
 fn packages() -> impl Iterator<Item = &'static str> {
-    TARGET_CRATES.into_iter().flat_map(|(package, _)| ["-p", package])
+    let packages = TARGET_CRATES.into_iter().map(|(package, _)| package);
+    packages.chain(["wsg-protocol-macros"]).flat_map(|package| ["-p", package])
 }
 
 /// The features that the manifest declares for boards; a crate may have none.

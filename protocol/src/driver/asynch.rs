@@ -1,29 +1,11 @@
 //! The async driver, over `embedded-io-async`.
 
-#[cfg(feature = "gcl")]
-mod gcl;
-
-#[cfg(feature = "gcl")]
-pub use gcl::GclGripper;
-
-use super::engine::{Awaited, Copied, Engine, Goal};
+use super::engine::{Awaited, Engine, Goal};
 use super::gate::Gate;
-use super::methods::methods;
-use super::{
-    Binary, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, Mm, MmPerS,
-    MotionResult, N, OnBlock, Pending, Protocol, StopKind, Timer, Update,
-};
-#[cfg(feature = "std")]
-use super::{StopHandle, Stoppable};
-use crate::command::{Command, CommandId};
-use crate::frame::Frame;
-use crate::reply::{Reply, Value};
-use crate::session::{Known, Topic};
+use super::{Binary, Error, MAX_FRAME_LEN, MAX_REPLY_LEN, Protocol, Timer};
+#[cfg(feature = "gcl")]
+use super::{GCL_LINE_LEN, Gcl};
 use crate::time::Instant;
-use crate::types::{
-    AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
-    LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
-};
 use core::future::{pending, poll_fn, ready};
 use core::pin::pin;
 use core::task::Poll;
@@ -76,36 +58,31 @@ impl<IO: Read + Write> Transport for IO {}
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
     GripperOver<IO, C, Binary<RX, TX>>;
 
+/// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
+///
+/// ```
+/// use wsg_protocol::driver::asynch::{GclGripper as Gripper, Transport};
+/// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, N, Timer};
+///
+/// /// Takes a part of 20 mm; whether there was one.
+/// async fn pick<IO: Transport>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
+///     let mut gripper = Gripper::new(io, timer);
+///     let program = async |gripper: &mut Gripper<_, _>| {
+///         gripper.set_force_limit(N(40.0)).await?;
+///         Ok(gripper.grip(Mm(20.0), MmPerS(100.0)).await? == Grip::Held)
+///     };
+///     gripper.with_connection(program).await
+/// }
+/// ```
+#[cfg(feature = "gcl")]
+pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
+
 /// A gripper that is spoken to by this protocol, [`Binary`] or `Gcl`; see [`Gripper`].
 #[derive(Debug)]
 pub struct GripperOver<IO, C, P: Protocol> {
-    io: IO,
-    clock: C,
-    engine: Engine<P>,
-}
-
-impl<IO: Transport, C: Timer> GripperOver<IO, C, Binary> {
-    /// A gripper that is not connected yet, with [`Config::DEFAULT`] and room for every command.
-    #[must_use]
-    pub const fn new(io: IO, timer: C) -> Self {
-        Self::with_config(io, timer, Config::DEFAULT)
-    }
-}
-
-impl<IO: Transport, C: Timer, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>> {
-    /// As [`new`](Gripper::new), with other settings and buffers.
-    ///
-    /// ```
-    /// use wsg_protocol::driver::{Config, asynch::Gripper};
-    /// # use wsg_protocol::driver::{Timer, asynch::Transport};
-    /// # fn with<IO: Transport, C: Timer>(io: IO, timer: C) {
-    /// let gripper = Gripper::<_, _, 66, 32>::with_config(io, timer, Config::DEFAULT);
-    /// # }
-    /// ```
-    #[must_use]
-    pub const fn with_config(io: IO, timer: C, config: Config) -> Self {
-        Self { io, clock: timer, engine: Engine::new(Binary::new(config.session), config) }
-    }
+    pub(super) io: IO,
+    pub(super) clock: C,
+    pub(super) engine: Engine<P>,
 }
 
 /// Which of two futures was ready.
@@ -139,10 +116,8 @@ async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>, gate: &Gate
 }
 
 impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
-    methods!([async] [.await] AsyncFnOnce);
-
     /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
-    async fn drive(
+    pub(super) async fn drive(
         &mut self,
         awaited: &mut Awaited<'_>,
         mut goal: Goal,

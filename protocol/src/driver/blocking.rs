@@ -1,28 +1,10 @@
 //! The blocking driver, over `embedded-io`.
 
+use super::engine::{Awaited, Engine, Goal};
+use super::{Binary, Clock, Error, MAX_FRAME_LEN, MAX_REPLY_LEN, Protocol};
 #[cfg(feature = "gcl")]
-mod gcl;
-
-#[cfg(feature = "gcl")]
-pub use gcl::GclGripper;
-
-use super::engine::{Awaited, Copied, Engine, Goal};
-use super::methods::methods;
-use super::{
-    Binary, Clock, Config, DriverCounters, Error, Finger, Grip, MAX_FRAME_LEN, MAX_REPLY_LEN, Mm, MmPerS,
-    MotionResult, N, OnBlock, Pending, Protocol, StopKind, Update,
-};
-#[cfg(feature = "std")]
-use super::{StopHandle, Stoppable};
-use crate::command::{Command, CommandId};
-use crate::frame::Frame;
-use crate::reply::{Reply, Value};
-use crate::session::{Known, Topic};
+use super::{GCL_LINE_LEN, Gcl};
 use crate::time::Instant;
-use crate::types::{
-    AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
-    LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
-};
 use core::task::Poll;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 
@@ -157,41 +139,34 @@ impl<T: Read + ReadReady + Write> Transport for Spinning<T> {}
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
     GripperOver<IO, C, Binary<RX, TX>>;
 
+/// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
+///
+/// ```
+/// use wsg_protocol::HomingDirection;
+/// use wsg_protocol::driver::blocking::{GclGripper as Gripper, Transport};
+/// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N};
+///
+/// /// Takes a part of 20 mm; whether there was one.
+/// fn pick<IO: Transport>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
+///     Gripper::new(io, clock).with_connection(|gripper| {
+///         gripper.home(HomingDirection::Default)?;
+///         gripper.set_force_limit(N(40.0))?;
+///         Ok(gripper.grip(Mm(20.0), MmPerS(100.0))? == Grip::Held)
+///     })
+/// }
+/// ```
+#[cfg(feature = "gcl")]
+pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
+
 /// A gripper that is spoken to by this protocol, [`Binary`] or `Gcl`; see [`Gripper`].
 #[derive(Debug)]
 pub struct GripperOver<IO, C, P: Protocol> {
-    io: IO,
-    clock: C,
-    engine: Engine<P>,
-}
-
-impl<IO: Transport, C: Clock> GripperOver<IO, C, Binary> {
-    /// A gripper that is not connected yet, with [`Config::DEFAULT`] and room for every command.
-    #[must_use]
-    pub const fn new(io: IO, clock: C) -> Self {
-        Self::with_config(io, clock, Config::DEFAULT)
-    }
-}
-
-impl<IO: Transport, C: Clock, const RX: usize, const TX: usize> GripperOver<IO, C, Binary<RX, TX>> {
-    /// As [`new`](Gripper::new), with other settings and buffers.
-    ///
-    /// ```
-    /// use wsg_protocol::driver::{Config, blocking::Gripper};
-    /// # use wsg_protocol::driver::{Clock, blocking::Transport};
-    /// # fn with<IO: Transport, C: Clock>(io: IO, clock: C) {
-    /// let gripper = Gripper::<_, _, 66, 32>::with_config(io, clock, Config::DEFAULT);
-    /// # }
-    /// ```
-    #[must_use]
-    pub const fn with_config(io: IO, clock: C, config: Config) -> Self {
-        Self { io, clock, engine: Engine::new(Binary::new(config.session), config) }
-    }
+    pub(super) io: IO,
+    pub(super) clock: C,
+    pub(super) engine: Engine<P>,
 }
 
 impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
-    methods!([] [] FnOnce);
-
     /// The clock, for a worker that owns this driver.
     #[cfg(feature = "std")]
     pub(super) const fn clock(&self) -> &C {
@@ -199,7 +174,7 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
     }
 
     /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
-    fn drive(
+    pub(super) fn drive(
         &mut self,
         awaited: &mut Awaited<'_>,
         mut goal: Goal,

@@ -1,0 +1,77 @@
+//! What only the text protocol has: its settings.
+
+use crate::driver::engine::{Awaited, Engine, Goal};
+use crate::driver::{Config, Error, Gcl, Mm};
+use crate::gcl::{Request, Setting};
+use wsg_protocol_macros::also_blocking;
+
+#[also_blocking(asynch = blocking, Timer = Clock)]
+impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer>
+    crate::driver::asynch::GripperOver<IO, C, Gcl>
+{
+    /// A gripper that is not connected yet, with [`Config::DEFAULT`].
+    #[must_use]
+    pub const fn new(io: IO, clock: C) -> Self {
+        Self::with_config(io, clock, Config::DEFAULT)
+    }
+}
+
+#[also_blocking(asynch = blocking, Timer = Clock)]
+impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: usize>
+    crate::driver::asynch::GripperOver<IO, C, Gcl<RX>>
+{
+    /// As [`new`](crate::driver::asynch::GclGripper::new), with other settings and another buffer.
+    ///
+    /// ```
+    /// use wsg_protocol::driver::{Config, asynch::GclGripper};
+    /// # use wsg_protocol::driver::{Timer, asynch::Transport};
+    /// # fn with<IO: Transport, C: Timer>(io: IO, clock: C) {
+    /// let gripper = GclGripper::<_, _, 128>::with_config(io, clock, Config::DEFAULT);
+    /// # }
+    /// ```
+    #[must_use]
+    pub const fn with_config(io: IO, clock: C, config: Config) -> Self {
+        Self { io, clock, engine: Engine::new(Gcl::new(config.session), config) }
+    }
+
+    /// How much before the nominal width of a grip a part may be met (PWT; GCL, 2.2.5).
+    ///
+    /// # Errors
+    #[doc = request_errors!()]
+    pub async fn part_width_tolerance(&mut self) -> Result<Mm, Error<IO::Error>> {
+        self.setting(Request::Pwt(Setting::Ask)).await
+    }
+
+    /// Sets it for the grips that follow, until the connection ends; as the gripper has taken it over
+    /// (GCL, 2.2.5).
+    ///
+    /// # Errors
+    #[doc = request_errors!()]
+    pub async fn set_part_width_tolerance(&mut self, tolerance: Mm) -> Result<Mm, Error<IO::Error>> {
+        self.setting(Request::Pwt(Setting::Set(tolerance.0))).await
+    }
+
+    /// How far a grip may go on to build up its force (CLT; GCL, 2.2.6).
+    ///
+    /// # Errors
+    #[doc = request_errors!()]
+    pub async fn clamping_travel(&mut self) -> Result<Mm, Error<IO::Error>> {
+        self.setting(Request::Clt(Setting::Ask)).await
+    }
+
+    /// Sets it for the grips that follow, until the connection ends; as the gripper has taken it over
+    /// (GCL, 2.2.6).
+    ///
+    /// # Errors
+    #[doc = request_errors!()]
+    pub async fn set_clamping_travel(&mut self, travel: Mm) -> Result<Mm, Error<IO::Error>> {
+        self.setting(Request::Clt(Setting::Set(travel.0))).await
+    }
+
+    async fn setting(&mut self, request: Request) -> Result<Mm, Error<IO::Error>> {
+        self.become_free().await?;
+        self.engine.link_mut().request_setting(request)?;
+        self.drive(&mut Awaited::nothing(&mut |_| {}), Goal::Free, None).await?;
+        self.engine.link().setting().map(Mm)
+    }
+}
