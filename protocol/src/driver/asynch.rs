@@ -1,6 +1,6 @@
 //! The async driver, over `embedded-io-async`.
 
-use super::engine::{Awaited, Engine, Goal};
+use super::engine::{Awaited, CHUNK_LEN, Engine, Goal, MAX_CHUNKS};
 use super::gate::Gate;
 use super::{Binary, Error, MAX_FRAME_LEN, MAX_REPLY_LEN, Protocol, Timer};
 #[cfg(feature = "gcl")]
@@ -10,11 +10,6 @@ use core::future::{pending, poll_fn, ready};
 use core::pin::pin;
 use core::task::Poll;
 use embedded_io_async::{Read, Write};
-
-/// Bytes read at a time.
-const CHUNK_LEN: usize = 64;
-/// Chunks read before time is looked at again: a line that never falls silent must not stop the clock.
-const MAX_CHUNKS: usize = 64;
 
 /// The transport of the async driver: every type with these traits of `embedded_io_async` is one.
 #[diagnostic::on_unimplemented(
@@ -152,7 +147,7 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
             if let First::One(read) =
                 first(read, wait_until(&mut self.clock, moment, self.engine.gate())).await
             {
-                self.take(read, &chunk, awaited)?;
+                self.engine.receive(self.clock.now(), read, &chunk, awaited)?;
             }
         }
     }
@@ -162,24 +157,8 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
         for _ in 0..MAX_CHUNKS {
             let mut chunk = [0; CHUNK_LEN];
             let First::One(read) = first(self.io.read(&mut chunk), ready(())).await else { break };
-            self.take(read, &chunk, awaited)?;
+            self.engine.receive(self.clock.now(), read, &chunk, awaited)?;
         }
-        Ok(())
-    }
-
-    fn take(
-        &mut self,
-        read: Result<usize, IO::Error>,
-        chunk: &[u8],
-        awaited: &mut Awaited<'_>,
-    ) -> Result<(), Error<IO::Error>> {
-        let count = read.map_err(Error::Transport)?;
-        let now = self.clock.now();
-        if count == 0 {
-            self.engine.hang_up(now, awaited);
-            return Err(Error::Closed);
-        }
-        self.engine.receive(now, chunk.get(..count).unwrap_or(&[]), awaited);
         Ok(())
     }
 
@@ -190,41 +169,27 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
         awaited: &mut Awaited<'_>,
         until: Option<Instant>,
     ) -> Result<bool, Error<IO::Error>> {
-        let moment = self.engine.next_due(until);
-        let needs_flush = self.engine.outbox().needs_flush();
-        let gate = self.engine.gate();
-        let written = if needs_flush {
-            match first(self.io.flush(), wait_until(&mut self.clock, moment, gate)).await {
-                First::One(flushed) => {
-                    self.engine.outbox().flushed();
-                    flushed.map(|()| None)
-                }
-                First::Other(()) => return Ok(false),
-            }
-        } else {
-            let (is_first, rest) = (self.engine.is_at_begin(), self.engine.rest());
-            let mut write = pin!(self.io.write(rest));
+        let Self { io, clock, engine } = self;
+        let moment = engine.next_due(until);
+        let gate = engine.gate();
+        if engine.needs_flush() {
+            let flushed = first(io.flush(), wait_until(clock, moment, gate)).await;
+            let First::One(flushed) = flushed else { return Ok(false) };
+            engine.flushed(flushed)?;
+            return Ok(true);
+        }
+        let written = {
+            let (is_first, rest) = (engine.is_at_begin(), engine.rest());
+            let mut write = pin!(io.write(rest));
             let write =
                 poll_fn(|context| gate.poll_write(is_first, rest.len(), || write.as_mut().poll(context)));
-            match first(write, wait_until(&mut self.clock, moment, gate)).await {
-                First::One(Some(written)) => written.map(Some),
-                // A stop comes first.
-                First::One(None) => return Ok(true),
-                First::Other(()) => return Ok(false),
-            }
+            first(write, wait_until(clock, moment, gate)).await
         };
         match written {
-            Ok(None) => {}
-            Ok(Some(0)) => {
-                let now = self.clock.now();
-                self.engine.hang_up(now, awaited);
-                return Err(Error::Closed);
-            }
-            Ok(Some(count)) => self.engine.outbox().sent(count),
-            Err(error) => {
-                self.engine.outbox().clear();
-                return Err(Error::Transport(error));
-            }
+            First::One(Some(written)) => engine.written(written, || clock.now(), awaited)?,
+            // A stop comes first.
+            First::One(None) => {}
+            First::Other(()) => return Ok(false),
         }
         Ok(true)
     }

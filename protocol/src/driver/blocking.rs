@@ -1,17 +1,12 @@
 //! The blocking driver, over `embedded-io`.
 
-use super::engine::{Awaited, Engine, Goal};
+use super::engine::{Awaited, CHUNK_LEN, Engine, Goal, MAX_CHUNKS};
 use super::{Binary, Clock, Error, MAX_FRAME_LEN, MAX_REPLY_LEN, Protocol};
 #[cfg(feature = "gcl")]
 use super::{GCL_LINE_LEN, Gcl};
 use crate::time::Instant;
 use core::task::Poll;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
-
-/// Bytes read at a time.
-const CHUNK_LEN: usize = 64;
-/// Chunks read before time is looked at again: a line that never falls silent must not stop the clock.
-const MAX_CHUNKS: usize = 64;
 
 /// The transport of the blocking driver: a byte stream that can wait for bytes.
 ///
@@ -211,46 +206,28 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
             if !self.io.read_ready().map_err(Error::Transport)? {
                 break;
             }
-            let count = self.io.read(&mut chunk).map_err(Error::Transport)?;
-            if count == 0 {
-                return Err(self.closed(now, awaited));
-            }
-            self.engine.receive(now, chunk.get(..count).unwrap_or(&[]), awaited);
+            let read = self.io.read(&mut chunk);
+            self.engine.receive(now, read, &chunk, awaited)?;
         }
         Ok(())
     }
 
     /// Sends the frames that are due, each by one write unless the transport takes less.
     fn transmit(&mut self, now: Instant, awaited: &mut Awaited<'_>) -> Result<(), Error<IO::Error>> {
-        while self.engine.fetch(now, awaited) {
-            let written = if self.engine.outbox().needs_flush() {
-                self.engine.outbox().flushed();
-                self.io.flush().map(|()| None)
-            } else {
-                let Self { io, engine, .. } = self;
-                let rest = engine.rest();
-                let write = || Poll::Ready(io.write(rest));
-                match engine.gate().poll_write(engine.is_at_begin(), rest.len(), write) {
-                    Poll::Ready(Some(written)) => written.map(Some),
-                    // A stop comes first.
-                    Poll::Ready(None) | Poll::Pending => return Ok(()),
-                }
-            };
-            match written {
-                Ok(None) => {}
-                Ok(Some(0)) => return Err(self.closed(now, awaited)),
-                Ok(Some(count)) => self.engine.outbox().sent(count),
-                Err(error) => {
-                    self.engine.outbox().clear();
-                    return Err(Error::Transport(error));
-                }
+        let Self { io, engine, .. } = self;
+        while engine.fetch(now, awaited) {
+            if engine.needs_flush() {
+                engine.flushed(io.flush())?;
+                continue;
+            }
+            let rest = engine.rest();
+            let write = || Poll::Ready(io.write(rest));
+            match engine.gate().poll_write(engine.is_at_begin(), rest.len(), write) {
+                Poll::Ready(Some(written)) => engine.written(written, || now, awaited)?,
+                // A stop comes first.
+                Poll::Ready(None) | Poll::Pending => return Ok(()),
             }
         }
         Ok(())
-    }
-
-    fn closed(&mut self, now: Instant, awaited: &mut Awaited<'_>) -> Error<IO::Error> {
-        self.engine.hang_up(now, awaited);
-        Error::Closed
     }
 }

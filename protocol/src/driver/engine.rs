@@ -16,6 +16,11 @@ use heapless::Deque;
 #[cfg(feature = "embedded-io")]
 const LONGEST_WAIT_MS: u32 = 1_000;
 
+/// Bytes read at a time.
+pub(super) const CHUNK_LEN: usize = 64;
+/// Chunks read before the driver looks at the clock again, so that endless input cannot stop time.
+pub(super) const MAX_CHUNKS: usize = 64;
+
 /// What a method waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Goal {
@@ -206,11 +211,24 @@ impl<P: Protocol> Engine<P> {
         Ok(())
     }
 
-    /// Takes bytes from the line.
-    pub(super) fn receive(&mut self, now: Instant, bytes: &[u8], awaited: &mut Awaited<'_>) {
+    /// Takes the result of a read into `chunk`.
+    pub(super) fn receive<E>(
+        &mut self,
+        now: Instant,
+        read: Result<usize, E>,
+        chunk: &[u8],
+        awaited: &mut Awaited<'_>,
+    ) -> Result<(), Error<E>> {
+        let count = read.map_err(Error::Transport)?;
+        if count == 0 {
+            self.hang_up(now, awaited);
+            return Err(Error::Closed);
+        }
         self.received_at = now;
         let Self { link, motion, updates, updates_lost, .. } = self;
+        let bytes = chunk.get(..count).unwrap_or(&[]);
         link.receive(now, bytes, &mut |event| note(motion, updates, updates_lost, awaited, event));
+        Ok(())
     }
 
     /// Lets time pass.
@@ -248,8 +266,39 @@ impl<P: Protocol> Engine<P> {
         self.link.encoded().get(self.outbox.sent..self.outbox.len).unwrap_or(&[])
     }
 
-    pub(super) const fn outbox(&mut self) -> &mut Outbox {
-        &mut self.outbox
+    /// Whether the message is written and the transport is to be flushed.
+    pub(super) const fn needs_flush(&self) -> bool {
+        self.outbox.needs_flush
+    }
+
+    /// Takes the result of a write of the rest.
+    pub(super) fn written<E>(
+        &mut self,
+        written: Result<usize, E>,
+        now: impl FnOnce() -> Instant,
+        awaited: &mut Awaited<'_>,
+    ) -> Result<(), Error<E>> {
+        match written {
+            Ok(0) => {
+                self.hang_up(now(), awaited);
+                return Err(Error::Closed);
+            }
+            Ok(count) => self.outbox.sent(count),
+            Err(error) => {
+                self.outbox = Outbox::EMPTY;
+                return Err(Error::Transport(error));
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes the result of a flush.
+    pub(super) fn flushed<E>(&mut self, flushed: Result<(), E>) -> Result<(), Error<E>> {
+        self.outbox.needs_flush = false;
+        flushed.map_err(|error| {
+            self.outbox = Outbox::EMPTY;
+            Error::Transport(error)
+        })
     }
 
     /// The line is gone.
@@ -336,7 +385,7 @@ const STATUS_LEN: usize = 2;
 
 /// How far the message that was encoded last has left.
 #[derive(Debug)]
-pub(super) struct Outbox {
+struct Outbox {
     len: usize,
     sent: usize,
     /// All of it is written, and the transport may still hold it back.
@@ -346,24 +395,12 @@ pub(super) struct Outbox {
 impl Outbox {
     /// Nothing is to be sent. The rest of a message that was cut off makes no sense to a gripper; the session misses the
     /// answer.
-    pub(super) const EMPTY: Self = Self { len: 0, sent: 0, needs_flush: false };
+    const EMPTY: Self = Self { len: 0, sent: 0, needs_flush: false };
 
     /// So many bytes have left.
-    pub(super) const fn sent(&mut self, count: usize) {
+    const fn sent(&mut self, count: usize) {
         self.sent = self.sent.saturating_add(count);
         self.needs_flush = self.sent >= self.len;
-    }
-
-    pub(super) const fn needs_flush(&self) -> bool {
-        self.needs_flush
-    }
-
-    pub(super) const fn flushed(&mut self) {
-        self.needs_flush = false;
-    }
-
-    pub(super) const fn clear(&mut self) {
-        *self = Self::EMPTY;
     }
 
     const fn is_empty(&self) -> bool {
