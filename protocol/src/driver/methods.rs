@@ -11,6 +11,7 @@ use crate::command::{Command, CommandId};
 use crate::frame::Frame;
 use crate::reply::{Reply, Value};
 use crate::session::{Known, Topic};
+use crate::time::Instant;
 use crate::types::{
     AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
     LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
@@ -56,9 +57,9 @@ macro_rules! motion_errors {
 
 /// Picks the value of one kind, as a function for `ask`; in a unit if one is named.
 macro_rules! value {
-    ($kind:ident $(=> $unit:ident)?) => {
+    ($($kind:ident)|+ $(=> $unit:ident)?) => {
         |value| match *value {
-            Value::$kind(value) => Some($($unit)?(value)),
+            $(Value::$kind(value))|+ => Some($($unit)?(value)),
             _ => None,
         }
     };
@@ -178,12 +179,11 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     pub async fn next_update(&mut self, within_ms: u32) -> Result<Option<Update>, Error<IO::Error>> {
         self.engine.clear_up();
         let now = self.clock.now();
-        let nothing = &mut |_: &Reply<'_>| {};
         if !self.engine.has_update() {
             let until = now.plus(within_ms);
-            self.drive(&mut Awaited::nothing(nothing), Goal::Update, Some(until)).await?;
+            self.reach(Goal::Update, Some(until)).await?;
         } else if self.engine.link().is_urgent() {
-            self.drive(&mut Awaited::nothing(nothing), Goal::NothingUrgent, Some(now)).await?;
+            self.reach(Goal::NothingUrgent, Some(now)).await?;
         }
         Ok(self.engine.take_update())
     }
@@ -196,12 +196,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     pub async fn connect(&mut self) -> Result<(), Error<IO::Error>> {
         self.engine.clear_up();
         let until = self.clock.now().plus(self.engine.config().connect_timeout_ms);
-        let nothing = &mut |_: &Reply<'_>| {};
-        if self.drive(&mut Awaited::nothing(nothing), Goal::Connected, Some(until)).await? {
-            Ok(())
-        } else {
-            Err(Error::NotConnected)
-        }
+        if self.reach(Goal::Connected, Some(until)).await? { Ok(()) } else { Err(Error::NotConnected) }
     }
 
     /// Connects, runs a program, and announces the end of the connection however the program ends, so that it may
@@ -368,7 +363,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         if !self.engine.motion().is_of(pending) {
             return Err(Error::Superseded);
         }
-        self.drive(&mut Awaited::nothing(&mut |_| {}), Goal::MotionOver, None).await?;
+        self.reach(Goal::MotionOver, None).await?;
         self.engine.motion().result()
     }
 
@@ -385,8 +380,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
             return Err(Error::Superseded);
         }
         let now = self.clock.now();
-        let nothing = &mut |_: &Reply<'_>| {};
-        if self.drive(&mut Awaited::nothing(nothing), Goal::MotionOver, Some(now)).await? {
+        if self.reach(Goal::MotionOver, Some(now)).await? {
             self.engine.motion().result().map(Some)
         } else {
             Ok(None)
@@ -618,11 +612,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
             Finger::One => Command::GetFinger1Info,
             Finger::Two => Command::GetFinger2Info,
         };
-        self.ask(command, |value| match *value {
-            Value::GetFinger1Info(info) | Value::GetFinger2Info(info) => Some(info),
-            _ => None,
-        })
-        .await
+        self.ask(command, value!(GetFinger1Info | GetFinger2Info)).await
     }
 
     /// The state flags of a finger (command set, 3.6.2 and 3.6.6).
@@ -634,11 +624,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
             Finger::One => Command::GetFinger1Flags,
             Finger::Two => Command::GetFinger2Flags,
         };
-        self.ask(command, |value| match *value {
-            Value::GetFinger1Flags(flags) | Value::GetFinger2Flags(flags) => Some(flags),
-            _ => None,
-        })
-        .await
+        self.ask(command, value!(GetFinger1Flags | GetFinger2Flags)).await
     }
 
     /// Switches the supply of a finger; on takes about 500 ms (command set, 3.6.3 and 3.6.7).
@@ -763,7 +749,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.become_free().await?;
         let width = if self.engine.link().wants_width(&command) { Some(self.width().await?.0) } else { None };
         self.engine.request_motion(command, width)?;
-        self.drive(&mut Awaited::nothing(&mut |_| {}), Goal::MotionDecided, None).await?;
+        self.reach(Goal::MotionDecided, None).await?;
         self.engine.motion().begun()
     }
 
@@ -789,10 +775,15 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         }
     }
 
-    /// Has what an earlier call left behind come to its end, so that no answer is taken for another's.
+    /// Cancels or completes what an earlier call left behind, so that no answer is taken for another request's.
     async fn become_free(&mut self) -> Result<(), Error<IO::Error>> {
         self.engine.clear_up();
-        self.drive(&mut Awaited::nothing(&mut |_| {}), Goal::Free, None).await?;
+        self.reach(Goal::Free, None).await?;
         Ok(())
+    }
+
+    /// Drives the engine to a goal that is not an answer. Returns `false` at `until`.
+    async fn reach(&mut self, goal: Goal, until: Option<Instant>) -> Result<bool, Error<IO::Error>> {
+        self.drive(&mut Awaited::nothing(&mut |_| {}), goal, until).await
     }
 }
