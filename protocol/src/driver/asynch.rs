@@ -53,7 +53,7 @@ impl<IO: Read + Write> Transport for IO {}
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
     GripperOver<IO, C, Binary<RX, TX>>;
 
-/// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
+/// A gripper over the text protocol; [`Gcl`] lists the differences. `RX` is the longest received line in bytes, at least 76.
 ///
 /// ```
 /// use wsg_protocol::driver::asynch::{GclGripper as Gripper, Transport};
@@ -72,7 +72,7 @@ pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_F
 #[cfg(feature = "gcl")]
 pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
 
-/// A gripper that is spoken to by this protocol, [`Binary`] or `Gcl`; see [`Gripper`].
+/// A gripper over the protocol `P`, which is [`Binary`] or `Gcl`; see [`Gripper`].
 #[derive(Debug)]
 pub struct GripperOver<IO, C, P: Protocol> {
     pub(super) io: IO,
@@ -111,7 +111,7 @@ async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>, gate: &Gate
 }
 
 impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
-    /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
+    /// Moves bytes and time until the goal or the moment is reached. Returns whether it was the goal.
     pub(super) async fn drive(
         &mut self,
         awaited: &mut Awaited<'_>,
@@ -152,7 +152,7 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
         }
     }
 
-    /// Takes the bytes that are there.
+    /// Processes the bytes already received.
     async fn receive(&mut self, awaited: &mut Awaited<'_>) -> Result<(), Error<IO::Error>> {
         for _ in 0..MAX_CHUNKS {
             let mut chunk = [0; CHUNK_LEN];
@@ -162,8 +162,8 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
         Ok(())
     }
 
-    /// Sends what is left of the frame, by one write unless the transport takes less; whether it took anything before
-    /// something else is due.
+    /// Sends the rest of the frame, in one write unless the transport accepts less. Returns whether the transport accepted
+    /// anything before something else was due.
     async fn transmit(
         &mut self,
         awaited: &mut Awaited<'_>,

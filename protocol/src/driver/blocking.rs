@@ -134,7 +134,7 @@ impl<T: Read + ReadReady + Write> Transport for Spinning<T> {}
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
     GripperOver<IO, C, Binary<RX, TX>>;
 
-/// The same over the text protocol: see [`Gcl`] for what differs. `RX` is the longest line that is taken, at least 76.
+/// A gripper over the text protocol; [`Gcl`] lists the differences. `RX` is the longest received line in bytes, at least 76.
 ///
 /// ```
 /// use wsg_protocol::HomingDirection;
@@ -153,7 +153,7 @@ pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_F
 #[cfg(feature = "gcl")]
 pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, Gcl<RX>>;
 
-/// A gripper that is spoken to by this protocol, [`Binary`] or `Gcl`; see [`Gripper`].
+/// A gripper over the protocol `P`, which is [`Binary`] or `Gcl`; see [`Gripper`].
 #[derive(Debug)]
 pub struct GripperOver<IO, C, P: Protocol> {
     pub(super) io: IO,
@@ -168,7 +168,7 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
         &self.clock
     }
 
-    /// Moves bytes and time until the goal is reached, or the moment is; whether it was the goal.
+    /// Moves bytes and time until the goal or the moment is reached. Returns whether it was the goal.
     pub(super) fn drive(
         &mut self,
         awaited: &mut Awaited<'_>,
@@ -199,7 +199,7 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
         }
     }
 
-    /// Takes the bytes that are there.
+    /// Processes the bytes already received.
     fn receive(&mut self, now: Instant, awaited: &mut Awaited<'_>) -> Result<(), Error<IO::Error>> {
         let mut chunk = [0; CHUNK_LEN];
         for _ in 0..MAX_CHUNKS {

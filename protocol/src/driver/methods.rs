@@ -1,6 +1,7 @@
-//! The methods of a gripper, written once for both drivers: [`also_blocking`] makes the blocking ones from the async ones.
+//! The methods of a gripper for both drivers. They are written for the async driver, and [`also_blocking`] generates
+//! those of the blocking driver.
 //!
-//! The drivers differ in `drive`, which each has for itself: it moves bytes and time until a goal is reached, or a moment.
+//! Each driver has its own `drive`, which moves bytes and time until a goal or a moment is reached.
 
 use super::engine::{Awaited, Copied, Engine, Goal};
 use super::{
@@ -18,25 +19,25 @@ use crate::types::{
 };
 use wsg_protocol_macros::also_blocking;
 
-/// The causes of an error of a request that is answered once, as documentation.
+/// Documents the errors of a request with one answer.
 macro_rules! request_errors {
     () => {
-        "- [`NotConnected`](Error::NotConnected): there is no connection; nothing was sent. Call `connect`.\n\
-         - [`FastStopRunning`](Error::FastStopRunning) or [`Stopped`](Error::Stopped): a FAST STOP is not confirmed yet, or a \
-         stop handle stopped the gripper.\n\
-         - [`Refused`](Error::Refused): the gripper's status code, such as E_ACCESS_DENIED in FAST STOP.\n\
-         - [`Unanswered`](Error::Unanswered): sent, without an answer in time.\n\
+        "- [`NotConnected`](Error::NotConnected): there is no connection, and nothing was sent. Call `connect`.\n\
+         - [`FastStopRunning`](Error::FastStopRunning) or [`Stopped`](Error::Stopped): a FAST STOP is unconfirmed, or a stop \
+         handle stopped the gripper.\n\
+         - [`Refused`](Error::Refused): the gripper answered with an error code, such as E_ACCESS_DENIED in FAST STOP.\n\
+         - [`Unanswered`](Error::Unanswered): the request was sent and not answered in time.\n\
          - [`Transport`](Error::Transport) or [`Closed`](Error::Closed): the line failed, or the gripper closed it.\n\
          - [`NotInGcl`](Error::NotInGcl): the text protocol has no such request."
     };
 }
 
-/// The causes of an error of a motion, up to its beginning, as documentation.
+/// Documents the errors of beginning a motion.
 macro_rules! begin_errors {
     () => {
-        "- [`Invalid`](Error::Invalid): a parameter is not finite; nothing was sent.\n\
-         - [`MotionRunning`](Error::MotionRunning): another motion is not over; nothing was sent.\n\
-         - [`Refused`](Error::Refused): E_NOT_INITIALIZED before `home`; E_ACCESS_DENIED in FAST STOP, until `acknowledge`; \
+        "- [`Invalid`](Error::Invalid): a parameter is not finite, and nothing was sent.\n\
+         - [`MotionRunning`](Error::MotionRunning): another motion is running, and nothing was sent.\n\
+         - [`Refused`](Error::Refused): E_NOT_INITIALIZED before `home`, E_ACCESS_DENIED in FAST STOP until `acknowledge`, or \
          E_RANGE_ERROR outside the gripper's limits.\n\
          - [`NotConnected`](Error::NotConnected), [`FastStopRunning`](Error::FastStopRunning), \
          [`Stopped`](Error::Stopped), [`Unanswered`](Error::Unanswered), [`Transport`](Error::Transport), \
@@ -44,18 +45,18 @@ macro_rules! begin_errors {
     };
 }
 
-/// The causes of an error of a whole motion, as documentation.
+/// Documents the errors of a whole motion.
 macro_rules! motion_errors {
     () => {
-        "- [`Blocked`](Error::Blocked): something was in the way of the fingers.\n\
-         - [`Aborted`](Error::Aborted): Stop, FAST STOP or another client ended it.\n\
-         - [`Stopped`](Error::Stopped): a stop handle of this driver ended it.\n\
-         - [`Failed`](Error::Failed): it ended with another status code.\n\
-         - Before it begins, those of the method `begin_` of the same name."
+        "- [`Blocked`](Error::Blocked): an obstacle blocked the fingers.\n\
+         - [`Aborted`](Error::Aborted): Stop, FAST STOP or another client ended the motion.\n\
+         - [`Stopped`](Error::Stopped): a stop handle of this driver ended the motion.\n\
+         - [`Failed`](Error::Failed): the motion ended with another status code.\n\
+         - The errors of the corresponding `begin_` method."
     };
 }
 
-/// Picks the value of one kind, as a function for `ask`; in a unit if one is named.
+/// Returns a function for `ask` that picks the value of this kind, in this unit if one is named.
 macro_rules! value {
     ($($kind:ident)|+ $(=> $unit:ident)?) => {
         |value| match *value {
@@ -70,7 +71,7 @@ mod gcl;
 
 #[also_blocking(asynch = blocking, Timer = Clock)]
 impl<IO: super::asynch::Transport, C: super::Timer> super::asynch::GripperOver<IO, C, Binary> {
-    /// A gripper that is not connected yet, with [`Config::DEFAULT`] and room for every command.
+    /// Creates a driver with [`Config::DEFAULT`] and room for every command. It is not connected yet.
     #[must_use]
     pub const fn new(io: IO, clock: C) -> Self {
         Self::with_config(io, clock, Config::DEFAULT)
@@ -81,7 +82,7 @@ impl<IO: super::asynch::Transport, C: super::Timer> super::asynch::GripperOver<I
 impl<IO: super::asynch::Transport, C: super::Timer, const RX: usize, const TX: usize>
     super::asynch::GripperOver<IO, C, Binary<RX, TX>>
 {
-    /// As [`new`](super::asynch::Gripper::new), with other settings and buffers.
+    /// Creates a driver with other settings and buffers than [`new`](super::asynch::Gripper::new).
     ///
     /// ```
     /// use wsg_protocol::driver::{Config, asynch::Gripper};
@@ -98,47 +99,47 @@ impl<IO: super::asynch::Transport, C: super::Timer, const RX: usize, const TX: u
 
 #[also_blocking(asynch = blocking, Timer = Clock, AsyncFnOnce = FnOnce)]
 impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::GripperOver<IO, C, P> {
-    /// Whether the gripper answered when it was last heard.
+    /// Returns whether the driver had a connection to the gripper in the latest call.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.engine.link().is_connected()
     }
 
-    /// What is known of the gripper, as of the last call: its limits and states, and the latest width, speed and
-    /// force that it told, if any. Nothing without a connection.
+    /// Returns what the gripper has reported up to the latest call: its limits and states, and the latest width, speed
+    /// and force. All of it is `None` without a connection.
     #[must_use]
     pub fn known(&self) -> &Known {
         self.engine.link().known()
     }
 
-    /// The motion that is running, as far as is known; also one whose call was given up.
+    /// Returns the running motion, as far as it is known. It may belong to a cancelled call.
     #[must_use]
     pub fn motion(&self) -> Option<CommandId> {
         self.engine.link().motion()
     }
 
-    /// Whether a FAST STOP was asked for and is not confirmed yet. It is repeated in every call until it is.
+    /// Returns whether a requested FAST STOP is still unconfirmed. Every call repeats it until the gripper confirms it.
     #[must_use]
     pub fn fast_stop_pending(&self) -> bool {
         self.engine.link().fast_stop_pending()
     }
 
-    /// What could not be used so far.
+    /// Returns counts of received data that the driver could not use, and of updates that it dropped.
     #[must_use]
     pub fn counters(&self) -> DriverCounters {
         self.engine.counters()
     }
 
-    /// The transport, to be used for something else. What the driver knew is lost; over TCP,
-    /// [`announce_disconnect`](Self::announce_disconnect) before the connection closes, or the gripper enters FAST
-    /// STOP.
+    /// Returns the transport and drops the driver's state. Over TCP, call
+    /// [`announce_disconnect`](Self::announce_disconnect) before you close the connection. Otherwise the gripper enters
+    /// FAST STOP.
     #[must_use]
     pub fn into_io(self) -> IO {
         self.io
     }
 
-    /// Goes on with another transport, after the old one broke, and gives the old one back. A FAST STOP that is not
-    /// confirmed is the first thing that is sent there; everything else that was open is given up.
+    /// Continues with another transport after the old one failed, and returns the old one. An unconfirmed FAST STOP is
+    /// the first message on the new transport. All other open requests are cancelled.
     pub fn replace_io(&mut self, io: IO) -> IO {
         let now = self.clock.now();
         self.engine.hang_up(now, &mut Awaited::nothing(&mut |_| {}));
@@ -146,10 +147,10 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         core::mem::replace(&mut self.io, io)
     }
 
-    /// A handle that stops this gripper from any thread, also while a call of this driver waits.
+    /// Returns a handle that stops this gripper from any thread, even while a call of this driver waits.
     ///
     /// # Errors
-    /// The operating system has no descriptor left.
+    /// The operating system has no free descriptor.
     #[cfg(feature = "std")]
     pub fn stop_handle(&mut self) -> std::io::Result<super::StopHandle>
     where
@@ -159,23 +160,23 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         engine.stop_handle(|| io.stop_line())
     }
 
-    /// Has the gripper send a value by itself from now on, again after each reconnect;
-    /// [`AutoUpdate::once`] ends that. [`next_update`](Self::next_update) has the values, and
-    /// [`known`](Self::known) the latest of each (command set, 3.4).
+    /// Makes the gripper send a value on its own from now on, also after each reconnect (command set, 3.4).
+    /// [`AutoUpdate::once`] ends the subscription. [`next_update`](Self::next_update) returns the values, and
+    /// [`known`](Self::known) holds the latest of each.
     pub fn subscribe(&mut self, topic: Topic, update: AutoUpdate) {
         self.engine.link_mut().subscribe(topic, update);
     }
 
-    /// The next value that the gripper sent by itself, or that was asked for again in its turn; `None` when there is
-    /// none within so many milliseconds. With 0 it takes what is there, which keeps the connection alive.
+    /// Returns the next automatic or polled update, or `None` if none arrives within `within_ms` milliseconds. With 0
+    /// it processes the bytes already received and does not wait. That is enough to keep the connection alive.
     ///
-    /// Every method that hears the gripper keeps such values: the newest [`UPDATES_LEN`](super::UPDATES_LEN). This
-    /// one returns those first, without a look at the transport, and hears the gripper when there is none left. To
-    /// see all values, call it until it returns `None` whenever another method has returned;
-    /// [`updates_lost`](super::DriverCounters::updates_lost) counts those that newer ones have replaced.
+    /// Every method that receives from the gripper keeps the newest [`UPDATES_LEN`](super::UPDATES_LEN) updates. This
+    /// method returns those first, without reading from the transport, and reads only when none is left. To get every
+    /// update, call it until it returns `None` each time another method has returned.
+    /// [`updates_lost`](super::DriverCounters::updates_lost) counts the updates that newer ones have replaced.
     ///
     /// # Errors
-    /// Those of the transport.
+    /// Errors of the transport.
     pub async fn next_update(&mut self, within_ms: u32) -> Result<Option<Update>, Error<IO::Error>> {
         self.engine.clear_up();
         let now = self.clock.now();
@@ -188,31 +189,31 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         Ok(self.engine.take_update())
     }
 
-    /// Waits until the gripper answers, device and limits are known, and all subscriptions stand.
+    /// Waits until the gripper answers, its type and limits are known, and all subscriptions are active.
     ///
     /// # Errors
-    /// [`Error::NotConnected`] when that takes longer than
-    /// [`connect_timeout_ms`](super::Config::connect_timeout_ms); those of the transport.
+    /// [`Error::NotConnected`] after [`connect_timeout_ms`](super::Config::connect_timeout_ms); errors of the
+    /// transport.
     pub async fn connect(&mut self) -> Result<(), Error<IO::Error>> {
         self.engine.clear_up();
         let until = self.clock.now().plus(self.engine.config().connect_timeout_ms);
         if self.reach(Goal::Connected, Some(until)).await? { Ok(()) } else { Err(Error::NotConnected) }
     }
 
-    /// Connects, runs a program, and announces the end of the connection however the program ends, so that it may
-    /// leave by `?` at any place. An error of the program takes precedence over one of the announcement.
+    /// Connects, runs a program, and announces the end of the connection however the program ends, so that it may return
+    /// early by `?`. An error of the program takes precedence over an error of the announcement.
     ///
-    /// Over TCP the announcement ends a motion that still runs, and without it the gripper enters FAST STOP when
-    /// the connection closes, which it shall if the program crashes. Dropping the driver, or a future, announces
-    /// nothing by itself; the TCP transports of features `std` and `tokio` do, unless the program panics. Lines without
-    /// an announcement (E_NOT_AVAILABLE) are left as they are: a motion that was begun goes on.
+    /// Over TCP, the announcement ends a motion that is still running. Without it, the gripper enters FAST STOP when
+    /// the connection closes, which is intended if the program crashes. Dropping the driver or a future announces
+    /// nothing. The TCP transports of features `std` and `tokio` announce the end when they are dropped, unless the
+    /// program panics. Lines without an announcement (E_NOT_AVAILABLE) are left as they are, and a motion that has
+    /// begun continues.
     ///
-    /// Its result is that of the program, whose errors only have to be made from [`Error`]. Where the compiler asks
-    /// for their type, name it: `|gripper| -> Result<_, MyError> { ... }`.
+    /// The result is that of the program, whose error type only needs `From<Error<_>>`. Where the compiler cannot infer
+    /// that type, name it: `|gripper| -> Result<_, MyError> { ... }`.
     ///
     /// # Errors
-    /// Those of [`connect`](Self::connect), the program and
-    /// [`announce_disconnect`](Self::announce_disconnect).
+    /// Errors of [`connect`](Self::connect), of the program, and of [`announce_disconnect`](Self::announce_disconnect).
     pub async fn with_connection<T, F: From<Error<IO::Error>>>(
         &mut self,
         program: impl AsyncFnOnce(&mut Self) -> Result<T, F>,
@@ -222,7 +223,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         let announced = self.announce_disconnect().await;
         let value = result?;
         match announced {
-            // There is nothing to announce: no TCP, no connection any more, or the program has done it.
+            // Nothing to announce: not TCP, no connection, or the program has announced the end itself.
             Ok(())
             | Err(Error::Refused(Status::NotAvailable | Status::AccessDenied) | Error::NotConnected) => {
                 Ok(value)
@@ -231,22 +232,22 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         }
     }
 
-    /// Announces the end of a TCP connection, so that it causes no FAST STOP; ends a running motion (command set,
-    /// 3.1.2). Afterwards the gripper denies everything until a new connection: see [`into_io`](Self::into_io).
-    /// [`with_connection`](Self::with_connection) does it in any case.
+    /// Announces the end of a TCP connection, so that closing it causes no FAST STOP (command set, 3.1.2). It ends a
+    /// running motion, and the gripper then rejects every request until a new connection: see
+    /// [`into_io`](Self::into_io). [`with_connection`](Self::with_connection) always calls it.
     ///
     /// # Errors
-    /// [`Error::Refused`] with E_NOT_AVAILABLE on other lines than TCP.
+    /// [`Error::Refused`] with E_NOT_AVAILABLE on lines other than TCP.
     ///
     #[doc = request_errors!()]
     pub async fn announce_disconnect(&mut self) -> Result<(), Error<IO::Error>> {
         self.tell(Command::DisconnectAnnouncement).await
     }
 
-    /// References the fingers at an end stop (command set, 3.2.1). Takes up to about 4 s.
+    /// References the fingers at an end stop (command set, 3.2.1). It takes up to about 4 s.
     ///
     /// # Errors
-    /// [`Error::Blocked`] when no end stop was found.
+    /// [`Error::Blocked`] if the fingers reach no end stop.
     ///
     #[doc = motion_errors!()]
     pub async fn home(&mut self, direction: HomingDirection) -> Result<(), Error<IO::Error>> {
@@ -254,7 +255,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.wait(&pending).await
     }
 
-    /// As [`home`](Self::home), up to E_CMD_PENDING.
+    /// Begins [`home`](Self::home) and returns when the gripper reports E_CMD_PENDING.
     ///
     /// # Errors
     #[doc = begin_errors!()]
@@ -276,7 +277,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.wait(&pending).await
     }
 
-    /// As [`move_to`](Self::move_to), up to E_CMD_PENDING.
+    /// Begins [`move_to`](Self::move_to) and returns when the gripper reports E_CMD_PENDING.
     ///
     /// # Errors
     #[doc = begin_errors!()]
@@ -289,7 +290,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.begin(Command::PrePosition { flags: block.flags(), width: width.0, speed: speed.0 }).await
     }
 
-    /// Opens the fingers by an offset, or closes them by a negative one (command set, 3.2.2).
+    /// Opens the fingers by an offset, or closes them by a negative offset (command set, 3.2.2).
     ///
     /// # Errors
     #[doc = motion_errors!()]
@@ -303,7 +304,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.wait(&pending).await
     }
 
-    /// As [`move_by`](Self::move_by), up to E_CMD_PENDING.
+    /// Begins [`move_by`](Self::move_by) and returns when the gripper reports E_CMD_PENDING.
     ///
     /// # Errors
     #[doc = begin_errors!()]
@@ -317,10 +318,11 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.begin(Command::PrePosition { flags, width: offset.0, speed: speed.0 }).await
     }
 
-    /// Grips a part of a nominal width, with the force limit that is set (command set, 3.2.6).
+    /// Grips a part of nominal width `width` (command set, 3.2.6). [`set_force_limit`](Self::set_force_limit) sets the
+    /// maximum gripping force.
     ///
     /// # Errors
-    /// "No part" is a result, not an error: [`Grip::NoPart`].
+    /// A missing part is a result, not an error: [`Grip::NoPart`].
     ///
     #[doc = motion_errors!()]
     pub async fn grip(&mut self, width: Mm, speed: MmPerS) -> Result<Grip, Error<IO::Error>> {
@@ -328,7 +330,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.wait(&pending).await
     }
 
-    /// As [`grip`](Self::grip), up to E_CMD_PENDING.
+    /// Begins [`grip`](Self::grip) and returns when the gripper reports E_CMD_PENDING.
     ///
     /// # Errors
     #[doc = begin_errors!()]
@@ -336,7 +338,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.begin(Command::GripPart { width: width.0, speed: speed.0 }).await
     }
 
-    /// Opens the fingers to a width, to release a part (command set, 3.2.7).
+    /// Opens the fingers to a width to release a part (command set, 3.2.7).
     ///
     /// # Errors
     #[doc = motion_errors!()]
@@ -345,7 +347,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.wait(&pending).await
     }
 
-    /// As [`release`](Self::release), up to E_CMD_PENDING.
+    /// Begins [`release`](Self::release) and returns when the gripper reports E_CMD_PENDING.
     ///
     /// # Errors
     #[doc = begin_errors!()]
@@ -353,11 +355,11 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.begin(Command::ReleasePart { width: width.0, speed: speed.0 }).await
     }
 
-    /// Waits for the end of a motion that was begun. It can be asked again after an error of the transport.
+    /// Waits for the end of a motion. It can be called again after an error of the transport.
     ///
     /// # Errors
-    /// [`Error::Blocked`], [`Error::Aborted`], [`Error::Failed`], [`Error::Unanswered`]; [`Error::Superseded`] when
-    /// another one was begun since; those of the transport.
+    /// [`Error::Blocked`], [`Error::Aborted`], [`Error::Failed`], [`Error::Unanswered`]; [`Error::Superseded`] if
+    /// another motion has begun since; errors of the transport.
     pub async fn wait<T: MotionResult>(&mut self, pending: &Pending<T>) -> Result<T, Error<IO::Error>> {
         self.engine.clear_up();
         if !self.engine.motion().is_of(pending) {
@@ -367,10 +369,11 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.engine.motion().result()
     }
 
-    /// What a motion came to; `None` while it goes on. Takes what is there and does not wait.
+    /// Returns the result of a motion, or `None` while it runs. It processes the bytes already received and does not
+    /// wait.
     ///
     /// # Errors
-    /// As [`wait`](Self::wait).
+    /// Errors of [`wait`](Self::wait).
     pub async fn poll<T: MotionResult>(
         &mut self,
         pending: &Pending<T>,
@@ -387,29 +390,30 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         }
     }
 
-    /// Stops the fingers; a motion that was begun ends with [`Error::Aborted`], and a part is held no longer
-    /// (command set, 3.2.3). It is sent before all that waits, connected or not, even if the call is given up.
+    /// Stops the fingers (command set, 3.2.3). A running motion ends with [`Error::Aborted`], and the gripper no longer
+    /// holds a part. The driver sends Stop before all queued messages, with or without a connection, even if the call
+    /// is cancelled.
     ///
     /// # Errors
-    /// - [`Unanswered`](Error::Unanswered): sent, and not confirmed in time.
-    /// - [`FastStopRunning`](Error::FastStopRunning): a FAST STOP is not confirmed yet, which stops the fingers as well.
+    /// - [`Unanswered`](Error::Unanswered): Stop was sent and not confirmed in time.
+    /// - [`FastStopRunning`](Error::FastStopRunning): an unconfirmed FAST STOP is pending, which stops the fingers too.
     /// - [`Transport`](Error::Transport) or [`Closed`](Error::Closed): the line failed, or the gripper closed it.
     pub async fn stop(&mut self) -> Result<(), Error<IO::Error>> {
         self.urge(StopKind::Stop).await
     }
 
-    /// Stops the fingers the fastest way and locks them until [`acknowledge`](Self::acknowledge) (command set,
-    /// 3.2.4). It is sent before anything else, connected or not.
+    /// Stops the fingers as fast as possible and locks them until [`acknowledge`](Self::acknowledge) (command set,
+    /// 3.2.4). The driver sends FAST STOP before everything else, with or without a connection.
     ///
     /// # Errors
-    /// [`Error::Unanswered`]: not confirmed in time. It is repeated in every call from then on, over reconnects as
-    /// well, until it is.
+    /// [`Error::Unanswered`]: not confirmed in time. Every later call repeats FAST STOP, also after a reconnect, until
+    /// the gripper confirms it.
     pub async fn fast_stop(&mut self) -> Result<(), Error<IO::Error>> {
         self.urge(StopKind::FastStop).await
     }
 
-    /// Acknowledges a FAST STOP or a fault, which unlocks the fingers (command set, 3.2.5). The driver never does
-    /// that by itself.
+    /// Acknowledges a FAST STOP or a fault, which unlocks the fingers (command set, 3.2.5). The driver never does so on
+    /// its own.
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -417,18 +421,17 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.tell(Command::ACKNOWLEDGE).await
     }
 
-    /// Sets the acceleration of the motions that follow, in mm/s²; clamped to the gripper's limits (command set,
-    /// 3.3.1).
+    /// Sets the acceleration of subsequent motions in mm/s². The gripper clamps it to its limits (command set, 3.3.1).
     ///
     /// # Errors
-    /// [`Error::Mismatch`] if settings are read back.
+    /// [`Error::Mismatch`] if settings are read back and the value differs.
     ///
     #[doc = request_errors!()]
     pub async fn set_acceleration(&mut self, acceleration: f32) -> Result<(), Error<IO::Error>> {
         self.tell(Command::SetAcceleration { acceleration }).await
     }
 
-    /// The acceleration in mm/s² (command set, 3.3.2).
+    /// Returns the acceleration in mm/s² (command set, 3.3.2).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -436,18 +439,18 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetAcceleration, value!(GetAcceleration)).await
     }
 
-    /// Sets the greatest force of the grips and pre-positions that follow; clamped to the gripper's limits (command set,
+    /// Sets the maximum force of subsequent grips and pre-positions. The gripper clamps it to its limits (command set,
     /// 3.3.3).
     ///
     /// # Errors
-    /// [`Error::Mismatch`] if settings are read back.
+    /// [`Error::Mismatch`] if settings are read back and the value differs.
     ///
     #[doc = request_errors!()]
     pub async fn set_force_limit(&mut self, force: N) -> Result<(), Error<IO::Error>> {
         self.tell(Command::SetForceLimit { force: force.0 }).await
     }
 
-    /// The force limit (command set, 3.3.4).
+    /// Returns the force limit (command set, 3.3.4).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -455,17 +458,17 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetForceLimit, value!(GetForceLimit => N)).await
     }
 
-    /// Sets the range that the fingers may not leave, in mm (command set, 3.3.5).
+    /// Sets the range of permitted finger positions, in mm (command set, 3.3.5).
     ///
     /// # Errors
-    /// [`Error::Mismatch`] if settings are read back.
+    /// [`Error::Mismatch`] if settings are read back and the value differs.
     ///
     #[doc = request_errors!()]
     pub async fn set_soft_limits(&mut self, limits: SoftLimits) -> Result<(), Error<IO::Error>> {
         self.tell(Command::SetSoftLimits { limits }).await
     }
 
-    /// The range that the fingers may not leave, in mm; `None` when there is none (command set, 3.3.6).
+    /// Returns the range of permitted finger positions in mm, or `None` if no limits are set (command set, 3.3.6).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -477,7 +480,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         }
     }
 
-    /// Lets the fingers go everywhere again (command set, 3.3.7).
+    /// Removes the soft limits (command set, 3.3.7).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -485,7 +488,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.tell(Command::ClearSoftLimits).await
     }
 
-    /// Allows forces up to the overdrive limit, or ends that (command set, 3.3.8).
+    /// Allows or forbids forces up to the overdrive limit (command set, 3.3.8).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -496,15 +499,15 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// Zeroes the force sensor (command set, 3.3.9).
     ///
     /// # Errors
-    /// [`Error::Refused`] with E_NOT_AVAILABLE when there is no sensor, which is harmless, and with E_ACCESS_DENIED
-    /// while a part is held.
+    /// [`Error::Refused`] with E_NOT_AVAILABLE if there is no sensor, which is harmless, or with E_ACCESS_DENIED while
+    /// the gripper holds a part.
     ///
     #[doc = request_errors!()]
     pub async fn tare(&mut self) -> Result<(), Error<IO::Error>> {
         self.tell(Command::TareForceSensor).await
     }
 
-    /// The system state flags (command set, 3.4.1).
+    /// Returns the system state flags (command set, 3.4.1).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -512,7 +515,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetSystemState { update: AutoUpdate::once() }, value!(GetSystemState)).await
     }
 
-    /// Where the gripping process stands (command set, 3.4.2).
+    /// Returns the state of the gripping process (command set, 3.4.2).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -520,7 +523,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetGripperState { update: AutoUpdate::once() }, value!(GetGripperState)).await
     }
 
-    /// Counts of grips (command set, 3.4.3); they start again at 0 with `reset`.
+    /// Returns the counts of grips (command set, 3.4.3). `reset` restarts them at 0.
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -528,7 +531,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetGrippingStatistics { reset }, value!(GetGrippingStatistics)).await
     }
 
-    /// The opening width (command set, 3.4.4).
+    /// Returns the opening width (command set, 3.4.4).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -536,7 +539,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetOpeningWidth { update: AutoUpdate::once() }, value!(GetOpeningWidth => Mm)).await
     }
 
-    /// The finger speed (command set, 3.4.5).
+    /// Returns the finger speed (command set, 3.4.5).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -544,7 +547,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetSpeed { update: AutoUpdate::once() }, value!(GetSpeed => MmPerS)).await
     }
 
-    /// The gripping force (command set, 3.4.6).
+    /// Returns the gripping force (command set, 3.4.6).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -552,7 +555,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetForce { update: AutoUpdate::once() }, value!(GetForce => N)).await
     }
 
-    /// The temperature of the device (command set, 3.4.7).
+    /// Returns the temperature of the device (command set, 3.4.7).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -560,7 +563,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetTemperature, value!(GetTemperature)).await
     }
 
-    /// Device type, versions and serial number (command set, 3.5.1).
+    /// Returns the device type, versions and serial number (command set, 3.5.1).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -568,7 +571,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetSystemInfo, value!(GetSystemInfo)).await
     }
 
-    /// The physical limits (command set, 3.5.4).
+    /// Returns the physical limits (command set, 3.5.4).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -576,10 +579,10 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetSystemLimits, value!(GetSystemLimits)).await
     }
 
-    /// Sets the device tag: up to 64 printable ASCII characters (command set, 3.5.2).
+    /// Sets the device tag, up to 64 printable ASCII characters (command set, 3.5.2).
     ///
     /// # Errors
-    /// [`Error::Invalid`] for other texts.
+    /// [`Error::Invalid`] for any other text.
     ///
     #[doc = request_errors!()]
     pub async fn set_tag(&mut self, tag: &str) -> Result<(), Error<IO::Error>> {
@@ -587,10 +590,10 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.lend(Command::SetDeviceTag { tag }, &mut |_| {}).await
     }
 
-    /// The device tag, written to the caller's buffer (command set, 3.5.3).
+    /// Writes the device tag to the caller's buffer and returns it (command set, 3.5.3).
     ///
     /// # Errors
-    /// [`Error::Refused`] with E_NOT_AVAILABLE when none is set.
+    /// [`Error::Refused`] with E_NOT_AVAILABLE if no tag is set.
     ///
     #[doc = request_errors!()]
     pub async fn tag<'b>(
@@ -599,11 +602,11 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     ) -> Result<&'b str, Error<IO::Error>> {
         let mut copied = Copied::new(buffer);
         self.lend(Command::GetDeviceTag, &mut |reply| copied.take(reply)).await?;
-        // A tag is ASCII, or its reply would not have been taken.
+        // The decoder accepts ASCII tags only.
         copied.finish().map(|bytes| core::str::from_utf8(bytes).unwrap_or_default())
     }
 
-    /// What is connected at a finger's port (command set, 3.6.1 and 3.6.5).
+    /// Returns what is connected to a finger port (command set, 3.6.1 and 3.6.5).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -615,7 +618,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(command, value!(GetFinger1Info | GetFinger2Info)).await
     }
 
-    /// The state flags of a finger (command set, 3.6.2 and 3.6.6).
+    /// Returns the state flags of a finger (command set, 3.6.2 and 3.6.6).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -627,7 +630,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(command, value!(GetFinger1Flags | GetFinger2Flags)).await
     }
 
-    /// Switches the supply of a finger; on takes about 500 ms (command set, 3.6.3 and 3.6.7).
+    /// Switches the supply of a finger on, which takes about 500 ms, or off (command set, 3.6.3 and 3.6.7).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -639,13 +642,13 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         .await
     }
 
-    /// One data frame of a finger, written to the caller's buffer; its meaning is the finger's: a WSG-FMF sends one
-    /// `f32`, newton (command set, 3.6.4 and 3.6.8).
+    /// Writes one data frame of a finger to the caller's buffer and returns it (command set, 3.6.4 and 3.6.8). The
+    /// finger defines its meaning: a WSG-FMF sends one `f32` in newtons.
     ///
-    /// A frame of more than `RX` - 2 bytes is not received: then [`Error::Unanswered`].
+    /// Frames longer than `RX` - 2 bytes cannot be received and end in [`Error::Unanswered`].
     ///
     /// # Errors
-    /// [`Error::TooLong`] when the buffer is too small.
+    /// [`Error::TooLong`] if the buffer is too small.
     ///
     #[doc = request_errors!()]
     pub async fn finger_data<'b>(
@@ -662,10 +665,10 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         copied.finish()
     }
 
-    /// Sends up to 256 bytes that must come back unchanged, to test the connection (command set, 3.1.1).
+    /// Tests the connection: sends up to 256 bytes, which the gripper must return unchanged (command set, 3.1.1).
     ///
     /// # Errors
-    /// [`Error::Mismatch`] when other bytes came back.
+    /// [`Error::Mismatch`] if the gripper returns other bytes.
     ///
     #[doc = request_errors!()]
     pub async fn loop_back(&mut self, data: &[u8]) -> Result<(), Error<IO::Error>> {
@@ -678,16 +681,16 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         if is_same { Ok(()) } else { Err(Error::Mismatch) }
     }
 
-    /// Sends a command that a script on the gripper serves (ids A0h to BFh are in use), and writes what follows the
-    /// status code of its final answer to the caller's buffer. An id that the manual lists is checked as that
-    /// command.
+    /// Sends a command that a script on the gripper serves (usually ids A0h to BFh), and returns the payload of its
+    /// final answer after the status code, in the caller's buffer. An id from the manual is validated as that command.
     ///
-    /// It counts as a motion: it is never sent twice, none other may run, and silence is taken for a lost connection.
-    /// A script that takes longer than [`reply_timeout_ms`](crate::session::Config::reply_timeout_ms) needs
-    /// [time-outs](crate::session::Timeout) of its own.
+    /// The command counts as a motion: it is never sent twice, no other motion may run meanwhile, and silence is
+    /// treated as a lost connection. A script that takes longer than
+    /// [`reply_timeout_ms`](crate::session::Config::reply_timeout_ms) needs its own
+    /// [time-outs](crate::session::Timeout).
     ///
     /// # Errors
-    /// [`Error::Refused`] with E_CMD_UNKNOWN when nothing serves it; [`Error::TooLong`].
+    /// [`Error::Refused`] with E_CMD_UNKNOWN if no script serves it; [`Error::TooLong`] if the buffer is too small.
     ///
     #[doc = request_errors!()]
     pub async fn raw<'b>(
@@ -702,12 +705,12 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         copied.finish()
     }
 
-    /// A command whose success says it all.
+    /// Sends a command whose answer has no value.
     async fn tell(&mut self, command: Command<'static>) -> Result<(), Error<IO::Error>> {
         self.exchange(command, &mut |_| {}).await
     }
 
-    /// A command that is answered with a value.
+    /// Sends a command and picks the value of its answer.
     async fn ask<T: Send>(
         &mut self,
         command: Command<'static>,
@@ -719,6 +722,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         picked.ok_or(Error::Unanswered)
     }
 
+    /// Sends a command and passes its answer to `look`.
     async fn exchange(
         &mut self,
         command: Command<'static>,
@@ -731,7 +735,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         awaited.result()
     }
 
-    /// A command that borrows its payload.
+    /// Sends a command that borrows its payload, and passes its answer to `look`.
     async fn lend(
         &mut self,
         command: Command<'_>,
@@ -744,7 +748,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         awaited.result()
     }
 
-    /// A motion, up to its first answer.
+    /// Sends a motion command and waits for its first answer.
     async fn begin<T>(&mut self, command: Command<'static>) -> Result<Pending<T>, Error<IO::Error>> {
         self.become_free().await?;
         let width = if self.engine.link().wants_width(&command) { Some(self.width().await?.0) } else { None };
@@ -753,17 +757,17 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.engine.motion().begun()
     }
 
-    /// Stop or FAST STOP.
+    /// Sends Stop or FAST STOP and waits for the confirmation.
     async fn urge(&mut self, kind: StopKind) -> Result<(), Error<IO::Error>> {
         let command = kind.command();
         self.engine.clear_up();
         self.engine.link_mut().request(command, None)?;
         let look = &mut |_: &Reply<'_>| {};
         let mut awaited = Awaited::answer(command.id(), None, look);
-        // A session never gives up a FAST STOP; a caller wants to know.
+        // The session repeats a FAST STOP for ever, so the wait of the caller needs its own end.
         let until = self.clock.now().plus(self.engine.config().confirmation_ms());
         match self.drive(&mut awaited, Goal::Answered, Some(until)).await {
-            // A handle has done the same, or less.
+            // A handle requested the same kind, or a weaker one.
             Err(Error::Stopped(by_handle)) if by_handle <= kind => {
                 if self.engine.link().is_urgent() {
                     Err(Error::Unanswered)

@@ -1,4 +1,4 @@
-//! What only the text protocol has: its settings.
+//! The settings that only the text protocol has.
 
 use crate::driver::engine::{Engine, Goal};
 use crate::driver::{Config, Error, Gcl, Mm};
@@ -9,7 +9,7 @@ use wsg_protocol_macros::also_blocking;
 impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer>
     crate::driver::asynch::GripperOver<IO, C, Gcl>
 {
-    /// A gripper that is not connected yet, with [`Config::DEFAULT`].
+    /// Creates a driver with [`Config::DEFAULT`]. It is not connected yet.
     #[must_use]
     pub const fn new(io: IO, clock: C) -> Self {
         Self::with_config(io, clock, Config::DEFAULT)
@@ -20,7 +20,7 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer>
 impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: usize>
     crate::driver::asynch::GripperOver<IO, C, Gcl<RX>>
 {
-    /// As [`new`](crate::driver::asynch::GclGripper::new), with other settings and another buffer.
+    /// Creates a driver with other settings and another buffer than [`new`](crate::driver::asynch::GclGripper::new).
     ///
     /// ```
     /// use wsg_protocol::driver::{Config, asynch::GclGripper};
@@ -34,7 +34,7 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: us
         Self { io, clock, engine: Engine::new(Gcl::new(config.session), config) }
     }
 
-    /// How much before the nominal width of a grip a part may be met (PWT; GCL, 2.2.5).
+    /// Returns how far before the nominal width a grip may meet its part (PWT; GCL, 2.2.5).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -42,8 +42,8 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: us
         self.setting(Request::Pwt(Setting::Ask)).await
     }
 
-    /// Sets it for the grips that follow, until the connection ends; as the gripper has taken it over
-    /// (GCL, 2.2.5).
+    /// Sets the part width tolerance of subsequent grips until the connection ends, and returns the value that the
+    /// gripper accepted (GCL, 2.2.5).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -51,7 +51,7 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: us
         self.setting(Request::Pwt(Setting::Set(tolerance.0))).await
     }
 
-    /// How far a grip may go on to build up its force (CLT; GCL, 2.2.6).
+    /// Returns how far the fingers of a grip may travel to build up the force (CLT; GCL, 2.2.6).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -59,8 +59,8 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: us
         self.setting(Request::Clt(Setting::Ask)).await
     }
 
-    /// Sets it for the grips that follow, until the connection ends; as the gripper has taken it over
-    /// (GCL, 2.2.6).
+    /// Sets the clamping travel of subsequent grips until the connection ends, and returns the value that the gripper
+    /// accepted (GCL, 2.2.6).
     ///
     /// # Errors
     #[doc = request_errors!()]
