@@ -49,7 +49,7 @@ pub(super) struct Awaited<'p> {
     borrowed: Option<Command<'p>>,
     verdict: Option<Verdict>,
     /// Looks at the answer.
-    look: &'p mut (dyn FnMut(&Reply<'_>) + Send),
+    look: Option<&'p mut (dyn FnMut(&Reply<'_>) + Send)>,
 }
 
 impl<'p> Awaited<'p> {
@@ -58,12 +58,12 @@ impl<'p> Awaited<'p> {
         borrowed: Option<Command<'p>>,
         look: &'p mut (dyn FnMut(&Reply<'_>) + Send),
     ) -> Self {
-        Self { id: Some(id), borrowed, verdict: None, look }
+        Self { id: Some(id), borrowed, verdict: None, look: Some(look) }
     }
 
     /// For methods that wait for something else.
-    pub(super) fn nothing(look: &'p mut (dyn FnMut(&Reply<'_>) + Send)) -> Self {
-        Self { id: None, borrowed: None, verdict: None, look }
+    pub(super) const fn nothing() -> Self {
+        Self { id: None, borrowed: None, verdict: None, look: None }
     }
 
     fn note(&mut self, event: &Event<'_>) {
@@ -74,8 +74,9 @@ impl<'p> Awaited<'p> {
         self.verdict = Verdict::of(event, id);
         if self.verdict.is_some()
             && let Event::Answered(reply) = event
+            && let Some(look) = &mut self.look
         {
-            (self.look)(reply);
+            look(reply);
         }
     }
 

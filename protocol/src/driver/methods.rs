@@ -12,7 +12,6 @@ use crate::command::{Command, CommandId};
 use crate::frame::Frame;
 use crate::reply::{Reply, Value};
 use crate::session::{Known, Topic};
-use crate::time::Instant;
 use crate::types::{
     AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
     LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
@@ -142,7 +141,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// the first message on the new transport. All other open requests are cancelled.
     pub fn replace_io(&mut self, io: IO) -> IO {
         let now = self.clock.now();
-        self.engine.hang_up(now, &mut Awaited::nothing(&mut |_| {}));
+        self.engine.hang_up(now, &mut Awaited::nothing());
         self.engine.change_line();
         core::mem::replace(&mut self.io, io)
     }
@@ -182,9 +181,9 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         let now = self.clock.now();
         if !self.engine.has_update() {
             let until = now.plus(within_ms);
-            self.reach(Goal::Update, Some(until)).await?;
+            self.drive(&mut Awaited::nothing(), Goal::Update, Some(until)).await?;
         } else if self.engine.link().is_urgent() {
-            self.reach(Goal::NothingUrgent, Some(now)).await?;
+            self.drive(&mut Awaited::nothing(), Goal::NothingUrgent, Some(now)).await?;
         }
         Ok(self.engine.take_update())
     }
@@ -197,7 +196,11 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     pub async fn connect(&mut self) -> Result<(), Error<IO::Error>> {
         self.engine.clear_up();
         let until = self.clock.now().plus(self.engine.config().connect_timeout_ms);
-        if self.reach(Goal::Connected, Some(until)).await? { Ok(()) } else { Err(Error::NotConnected) }
+        if self.drive(&mut Awaited::nothing(), Goal::Connected, Some(until)).await? {
+            Ok(())
+        } else {
+            Err(Error::NotConnected)
+        }
     }
 
     /// Connects, runs a program, and announces the end of the connection however the program ends, so that it may return
@@ -365,7 +368,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         if !self.engine.motion().is_of(pending) {
             return Err(Error::Superseded);
         }
-        self.reach(Goal::MotionOver, None).await?;
+        self.drive(&mut Awaited::nothing(), Goal::MotionOver, None).await?;
         self.engine.motion().result()
     }
 
@@ -383,7 +386,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
             return Err(Error::Superseded);
         }
         let now = self.clock.now();
-        if self.reach(Goal::MotionOver, Some(now)).await? {
+        if self.drive(&mut Awaited::nothing(), Goal::MotionOver, Some(now)).await? {
             self.engine.motion().result().map(Some)
         } else {
             Ok(None)
@@ -753,7 +756,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.become_free().await?;
         let width = if self.engine.link().wants_width(&command) { Some(self.width().await?.0) } else { None };
         self.engine.request_motion(command, width)?;
-        self.reach(Goal::MotionDecided, None).await?;
+        self.drive(&mut Awaited::nothing(), Goal::MotionDecided, None).await?;
         self.engine.motion().begun()
     }
 
@@ -782,12 +785,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// Cancels or completes what an earlier call left behind, so that no answer is taken for another request's.
     async fn become_free(&mut self) -> Result<(), Error<IO::Error>> {
         self.engine.clear_up();
-        self.reach(Goal::Free, None).await?;
+        self.drive(&mut Awaited::nothing(), Goal::Free, None).await?;
         Ok(())
-    }
-
-    /// Drives the engine to a goal that is not an answer. Returns `false` at `until`.
-    async fn reach(&mut self, goal: Goal, until: Option<Instant>) -> Result<bool, Error<IO::Error>> {
-        self.drive(&mut Awaited::nothing(&mut |_| {}), goal, until).await
     }
 }

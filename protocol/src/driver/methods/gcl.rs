@@ -1,6 +1,6 @@
 //! The settings that only the text protocol has.
 
-use crate::driver::engine::{Engine, Goal};
+use crate::driver::engine::{Awaited, Engine, Goal};
 use crate::driver::{Config, Error, Gcl, Mm};
 use crate::gcl::{Request, Setting};
 use wsg_protocol_macros::also_blocking;
@@ -71,7 +71,7 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: us
     async fn setting(&mut self, request: Request) -> Result<Mm, Error<IO::Error>> {
         self.become_free().await?;
         self.engine.link_mut().request_setting(request)?;
-        self.reach(Goal::Free, None).await?;
+        self.drive(&mut Awaited::nothing(), Goal::Free, None).await?;
         self.engine.link().setting().map(Mm)
     }
 }
