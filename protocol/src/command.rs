@@ -10,8 +10,7 @@ use crate::types::{
 };
 
 /// What a command is for, which decides how a controller may treat it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Kind {
     /// About the connection itself.
     Connection,
@@ -36,8 +35,7 @@ macro_rules! define_commands {
             immediate [$($immediate:ident),*] completion [$($completion:ident),*];
     )*) => {
         /// The id of a command (command set, chapter 3).
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
         pub enum CommandId {
             $(#[doc = concat!($title, " (", $code, "), ", $section, ".")] $name,)*
             /// An id that the manual does not list: a script on the gripper may serve it (A0h to BFh are in use).
@@ -127,8 +125,7 @@ macro_rules! define_commands {
         /// let undefined = Command::decode(&Frame { id: 0x20, payload: &[3] });
         /// assert_eq!(undefined, Err(DecodeError::UndefinedValue));
         /// ```
-        #[derive(Clone, Copy, Debug, PartialEq)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
         // A tag of one byte would leave eleven behind it, which are copied by a call and byte by byte.
         #[repr(u32)]
         pub enum Command<'a> {

@@ -148,8 +148,7 @@ pub trait Timer: Clock {
 }
 
 /// What can be set about a driver.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Config {
     /// Time-outs, subscriptions and read-back.
     pub session: session::Config,
@@ -181,8 +180,7 @@ impl Default for Config {
 }
 
 /// What a grip came to (command set, 3.2.6).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Grip {
     /// A part is held with the gripping force.
     Held,
@@ -191,8 +189,7 @@ pub enum Grip {
 }
 
 /// What Pre-position Fingers does when something is in the way (command set, 3.2.2).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub enum OnBlock {
     /// The motor is turned off.
     #[default]
@@ -211,8 +208,7 @@ impl OnBlock {
 }
 
 /// How the fingers are stopped; FAST STOP is the greater one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, crate::Format)]
 pub enum StopKind {
     /// Stop: the next motion is possible at once (command set, 3.2.3).
     Stop,
@@ -251,8 +247,7 @@ impl core::fmt::Display for StopKind {
 }
 
 /// One of the two finger ports (command set, 3.6).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Finger {
     /// Finger 1.
     One,
@@ -261,8 +256,7 @@ pub enum Finger {
 }
 
 /// A value that the gripper sent by itself, or that was asked for again in its turn.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 #[non_exhaustive]
 pub enum Update {
     /// The system state flags.
@@ -291,8 +285,7 @@ impl Update {
 }
 
 /// What a driver has met that it could not use; each count stops at 65 535.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct DriverCounters {
     /// On the line, below frames.
     pub line: frame::FrameCounters,

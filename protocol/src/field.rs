@@ -6,8 +6,7 @@ use core::fmt::{Display, Formatter};
 ///
 /// The checksum alone lets about one random corruption in 14 800 through, so every payload is checked for its exact
 /// length, its enumerated values, its reserved bits and finite numbers before anything acts on it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum DecodeError {
     /// The payload is shorter than the parameters need.

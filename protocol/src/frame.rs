@@ -26,8 +26,7 @@ pub const OVERHEAD: usize = 8;
 pub const MAX_MESSAGE_LEN: usize = 1024;
 
 /// One intact frame: an id and a view of its payload.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Frame<'a> {
     /// The command id (command set, chapter 3).
     pub id: u8,

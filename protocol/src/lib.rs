@@ -84,6 +84,12 @@ mod table;
 pub mod time;
 pub mod types;
 
+/// Derives `defmt::Format` with feature `defmt`, and nothing without it.
+#[cfg(feature = "defmt")]
+use defmt::Format;
+#[cfg(not(feature = "defmt"))]
+use wsg_protocol_macros::Format;
+
 pub use command::{Command, CommandId, Kind};
 pub use field::DecodeError;
 pub use frame::{Event, Frame, FrameCounters, FrameEncoder, FrameParser, Payload};

@@ -7,8 +7,7 @@ use crate::frame::Frame;
 use crate::reply::Reply;
 
 /// Which way a frame goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub enum Direction {
     /// A request.
     ToGripper,

@@ -21,8 +21,7 @@ macro_rules! define_replies {
             immediate [$($immediate:ident),*] completion [$($completion:ident),*];
     )*) => {
         /// What a successful reply brings beside its status: one variant for each command.
-        #[derive(Clone, Copy, Debug, PartialEq)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
         pub enum Value<'a> {
             $(#[doc = concat!("Of ", $title, " (", $code, "), ", $section, ".")] $name $(($value))?,)*
             /// Of a command that the manual does not list: its parameters as they stand in the frame.
@@ -104,8 +103,7 @@ for_each_command!(define_replies);
 /// let reply = Reply::decode(&Frame { id: 0x25, payload: &[18, 0] }).unwrap();
 /// assert_eq!((reply.id(), reply.status()), (CommandId::GripPart, Status::CmdFailed));
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub struct Reply<'a> {
     id: CommandId,
     status: Status,

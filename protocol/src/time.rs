@@ -16,8 +16,7 @@ use core::time::Duration;
 /// assert!(after.has_reached(before) && !before.has_reached(after));
 /// assert_eq!(after.since(before), 5);
 /// ```
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct Instant(u32);
 
 /// Hashes as an `i32`, as nothing else in this crate does: a [`Hasher`] that compares states of different ages can tell

@@ -1,4 +1,5 @@
-//! The attribute that makes the blocking driver of `wsg-protocol` from its async driver. It is not for other crates.
+//! The attribute that makes the blocking driver of `wsg-protocol` from its async driver, and a derive that derives nothing. They
+//! are not for other crates.
 
 use proc_macro::{Group, Ident, Literal, TokenStream, TokenTree};
 
@@ -15,6 +16,12 @@ pub fn also_blocking(names: TokenStream, item: TokenStream) -> TokenStream {
     let names: Vec<String> = names.map(|name| name.to_string()).collect();
     let cfg = |text: &str| text.parse::<TokenStream>().expect("a valid attribute");
     [cfg(ASYNC), item.clone(), cfg(BLOCKING), blocking(item, &names)].into_iter().collect()
+}
+
+/// Derives nothing. It takes the place of `defmt::Format` without feature `defmt`, so that a type needs no `cfg_attr`.
+#[proc_macro_derive(Format)]
+pub fn format(_item: TokenStream) -> TokenStream {
+    TokenStream::new()
 }
 
 /// Returns the code without `async` and `.await`. `names` alternates between a name and its replacement.

@@ -15,8 +15,7 @@ use crate::time::Instant;
 pub const HALF_MESSAGE_MS: u32 = 50;
 
 /// What a reassembler has refused so far; each count stops at 65 535.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct ReassemblerCounters {
     /// CAN frames that cannot be part of a message to this side: another identifier, remote frames, no data.
     pub foreign: u16,

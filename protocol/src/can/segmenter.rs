@@ -7,8 +7,7 @@ use crate::checksum;
 use crate::frame::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
 
 /// The data of one CAN frame, 1 to 8 bytes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Segment {
     bytes: [u8; FULL],
     len: u8,

@@ -6,8 +6,7 @@ use crate::session::RequestError;
 use crate::types::Status;
 
 /// Why a request to a gripper came to nothing. `E` is the transport's own error.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum Error<E> {
     /// The caller's: there is no connection (any more), and nothing was sent. `connect` finds out when there is one.
@@ -57,8 +56,7 @@ pub enum Error<E> {
 }
 
 /// Who can do something about an [`Error`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum Culprit {
     /// The caller, who asked for something that cannot be, now or at all.

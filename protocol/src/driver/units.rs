@@ -4,8 +4,7 @@
 macro_rules! quantity {
     ($(#[$meta:meta])* $name:ident $unit:literal) => {
         $(#[$meta])*
-        #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, crate::Format)]
         pub struct $name(pub f32);
 
         impl core::fmt::Display for $name {

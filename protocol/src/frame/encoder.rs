@@ -46,8 +46,7 @@ pub struct FrameEncoder<P> {
 }
 
 /// The slice given to [`FrameEncoder::write_into`] is too short; nothing was written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct BufferTooSmall {
     /// Bytes that the frame needs.
     pub needed: usize,

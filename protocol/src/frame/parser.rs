@@ -18,8 +18,7 @@ const TAIL_LEN: usize = 2;
 const IN_BULK: bool = cfg!(not(feature = "small-table"));
 
 /// What the parser found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Event<'a> {
     /// An intact frame.
     Frame(Frame<'a>),
@@ -40,8 +39,7 @@ pub enum Event<'a> {
 }
 
 /// What a parser has refused so far; each count stops at 65 535.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct FrameCounters {
     /// Bytes that belonged to no intact frame.
     pub dropped: u16,

@@ -18,8 +18,7 @@ use core::fmt::{Formatter, Result as Written, Write};
 /// assert_eq!(Answer::parse(b"@POS=20.5"), Ok(Answer::Update(Value::Pos(20.5))));
 /// assert_eq!(Answer::failed(CommandName::Grip, Status::CmdFailed).to_string(), "ERR GRIP 18");
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum Answer<'a> {
     /// `ACK NAME`: understood; a motion begins.
     Ack(CommandName),

@@ -7,8 +7,7 @@
 pub const MAX_LINE_LEN: usize = 1024;
 
 /// What a [`LineReader`] found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum LineEvent<'a> {
     /// A line, without its end and without blanks before it. It is never empty.
     Line(&'a [u8]),
@@ -17,8 +16,7 @@ pub enum LineEvent<'a> {
 }
 
 /// What a reader has thrown away so far; each count stops at 65 535.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct LineCounters {
     /// Lines that were too long.
     pub too_long: u16,

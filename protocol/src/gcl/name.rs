@@ -14,8 +14,7 @@ macro_rules! define_names {
             answers [$($answer:ident),*] value ($($value:ty)?);
     )*) => {
         /// The name of a command (GCL, chapters 2 and 3).
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
         pub enum CommandName {
             $(#[doc = concat!("`", $text, "`, ", $section, ".")] $name,)*
         }
@@ -107,8 +106,7 @@ impl core::fmt::Display for CommandName {
 }
 
 /// The name in an answer: one of the manual, or another one that a line began with.
-#[derive(Clone, Copy, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, crate::Format)]
 pub enum Named<'a> {
     /// One of the manual.
     Command(CommandName),
@@ -117,8 +115,7 @@ pub enum Named<'a> {
 }
 
 /// A name that the manual does not list, or `?` for a line that begins with none.
-#[derive(Clone, Copy, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, crate::Format)]
 pub struct OtherName<'a>(&'a str);
 
 impl<'a> OtherName<'a> {

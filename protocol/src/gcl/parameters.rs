@@ -37,8 +37,7 @@ impl Form<'_> for HomingDirection {
 }
 
 /// The parameters of MOVE (GCL, 2.2.2).
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub struct Move {
     /// Opening width to go to, in mm.
     pub width: f32,
@@ -67,8 +66,7 @@ impl Form<'_> for Move {
 }
 
 /// The parameters of GRIP: the manual's four cases (GCL, 2.2.3).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub enum Grip {
     /// Inward until the fingers meet something, with the force and speed that the gripper is configured for. The end
     /// stop counts as a part.
@@ -134,8 +132,7 @@ impl Form<'_> for Grip {
 }
 
 /// The parameters of RELEASE (GCL, 2.2.4).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub enum Release {
     /// Opens as far and as fast as the gripper is configured for.
     #[default]
@@ -188,8 +185,7 @@ impl Form<'_> for Release {
 }
 
 /// Asks for a setting, or sets it: PWT and CLT (GCL, 2.2.5 and 2.2.6).
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum Setting {
     /// What is it?
     Ask,
@@ -220,8 +216,7 @@ impl Form<'_> for Setting {
 }
 
 /// Asks for all `LEN` elements of a vector, or for one of them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub enum Select<const LEN: u8> {
     /// All of them.
     #[default]
@@ -275,8 +270,7 @@ impl<const LEN: u8> Form<'_> for Select<LEN> {
 }
 
 /// Which force measurement finger TARE zeroes (GCL, 3.3.1).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub enum Tare {
     /// All that are connected.
     #[default]
@@ -331,8 +325,7 @@ impl Form<'_> for Tare {
 /// let by_two = Request::Autosend(Autosend::by(Topic::Pos, 10, 2.0));
 /// assert_eq!(by_two.to_string(), "AUTOSEND(\"POS\",10,2.0)");
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub struct Autosend {
     /// The value.
     pub topic: Topic,
@@ -344,8 +337,7 @@ pub struct Autosend {
 }
 
 /// Which updates are left out (GCL, 3.1.7).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub enum Filter {
     /// None is.
     #[default]

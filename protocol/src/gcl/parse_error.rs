@@ -3,8 +3,7 @@
 use crate::types::Status;
 
 /// What is wrong with a line, or with a request that is to be written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum ParseError {
     /// It does not begin with a name.

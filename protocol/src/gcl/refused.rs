@@ -3,8 +3,7 @@
 use super::{Answer, Description, Named, ParseError};
 
 /// A line that is no request, and what to call it in the answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Refused<'a> {
     /// The name at the start of the line.
     pub name: Named<'a>,

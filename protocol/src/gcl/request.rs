@@ -32,8 +32,7 @@ macro_rules! define_requests {
         /// let refused = Request::parse(b"dance(3)").unwrap_err();
         /// assert_eq!(refused.answer(false).to_string(), "ERR DANCE 14");
         /// ```
-        #[derive(Clone, Copy, Debug, PartialEq)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
         pub enum Request {
             $(
                 $(#[$doc])*

@@ -9,8 +9,7 @@ use core::fmt::{Formatter, Result as Written, Write};
 
 /// A text between quotation marks: printable ASCII characters, no quotation mark among them. The manual knows no way to
 /// write one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct Text<'a>(&'a str);
 
 impl<'a> Text<'a> {
@@ -150,8 +149,7 @@ impl<'a> Word<'a> for DeviceTag<'a> {
 }
 
 /// The text that an error carries in verbose mode (GCL, 1.3), in whatever language and character set it came.
-#[derive(Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, PartialEq, Eq, crate::Format)]
 pub struct Description<'a>(&'a [u8]);
 
 impl<'a> Description<'a> {

@@ -6,8 +6,7 @@ use super::{CommandName, ParseError};
 use core::fmt::{Result as Written, Write};
 
 /// A value that AUTOSEND has sent again and again.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Topic {
     /// Opening width in mm.
     Pos,

@@ -25,8 +25,7 @@ macro_rules! define_values {
     };
     (@rows [$(($(#[$doc:meta])* $name:ident $text:literal $section:literal $value:ty))*]) => {
         /// A value that the gripper answers with, or sends by itself.
-        #[derive(Clone, Copy, Debug, PartialEq)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
         pub enum Value<'a> {
             $(
                 $(#[$doc])*
@@ -106,8 +105,7 @@ impl core::fmt::Display for Value<'_> {
 }
 
 /// A vector, or one of its `LEN` elements.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum Selected<Whole, Element, const LEN: u8> {
     /// All of it.
     All(Whole),
@@ -155,8 +153,7 @@ impl<'a, Whole: Word<'a>, Element: Word<'a>, const LEN: u8> Form<'a> for Selecte
 }
 
 /// What a finger measures (GCL, 3.4.1). Its form is the finger's.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum FingerReading<'a> {
     /// One number: the force in N of a WSG-FMF.
     Number(f32),
@@ -165,8 +162,7 @@ pub enum FingerReading<'a> {
 }
 
 /// A vector of any depth, as it stands in the line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct Vector<'a>(&'a str);
 
 impl<'a> Vector<'a> {

@@ -4,8 +4,7 @@ use super::ParseError;
 use core::fmt::{Error, Result as Written, Write};
 
 /// Why a line was not written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum LineError {
     /// The other side would not understand it.
     Invalid(ParseError),

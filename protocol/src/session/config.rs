@@ -5,8 +5,7 @@ use crate::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use crate::types::AutoUpdate;
 
 /// Time-outs and subscriptions. All times in milliseconds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct Config {
     /// How long the first answer to a request may take.
     pub reply_timeout_ms: u32,
@@ -51,8 +50,7 @@ pub struct Config {
 /// let config = Config { timeouts: &[SCRIPT], ..Config::DEFAULT };
 /// assert_eq!(config.timeouts.len(), 1);
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct Timeout<N = CommandId> {
     /// The command.
     pub id: N,
@@ -74,8 +72,7 @@ pub struct Timeout<N = CommandId> {
 /// let bytes = 8 * FastStopPattern::DEFAULT.burst_frames;
 /// assert!(bytes >= 1_024 + 2 * 8);
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct FastStopPattern {
     /// How long the answer to the first frame may take before the first burst, in milliseconds.
     pub answer_ms: u32,

@@ -5,8 +5,7 @@ use core::hash::{Hash, Hasher};
 use crate::field::DecodeError;
 
 /// What happened, in the terms of a dialect: names, answers, values.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 #[non_exhaustive]
 pub enum EventOf<N, A, V> {
     /// The gripper answers, and all that is subscribed to is known.
@@ -28,8 +27,7 @@ pub enum EventOf<N, A, V> {
 }
 
 /// Why a request was not taken. Nothing of it will be sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum RequestError<E = DecodeError> {
     /// The caller's: there is no connection. (Only FAST STOP is taken then, and sent until it is confirmed; and Stop,
@@ -46,8 +44,7 @@ pub enum RequestError<E = DecodeError> {
 }
 
 /// What the session has seen that it could not use; each count stops at 65 535.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct SessionCounters {
     /// Answers that were not asked for, or came too late.
     pub unsolicited: u16,

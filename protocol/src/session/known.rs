@@ -16,8 +16,7 @@ const OF_MOTIONS: SystemFlags = SystemFlags::MOVING
     .union(SystemFlags::TARGET_POS_REACHED);
 
 /// What the gripper has told since the connection stands; `None` is not known.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub struct Known {
     /// Device, versions, serial number.
     pub info: Option<SystemInfo>,

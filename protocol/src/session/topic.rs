@@ -6,8 +6,7 @@ use crate::command::{Command, CommandId};
 use crate::types::{AutoUpdate, UpdateFlags};
 
 /// A value that can be subscribed to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub enum Topic {
     /// The system state flags (40h). The session always asks for them.
     SystemState,

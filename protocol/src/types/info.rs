@@ -7,8 +7,7 @@ use crate::field::{finite, fixed_field};
 macro_rules! open_byte_enum {
     ($(#[$doc:meta])* $type:ident { $($code:literal $name:ident $text:literal;)* }) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
         pub enum $type {
             $(#[doc = concat!($text, " (", $code, ").")] $name,)*
             /// A value that the manual reserves.
@@ -69,8 +68,7 @@ open_byte_enum! {
 }
 
 /// The firmware version: three numbers, and a release candidate's number or 0 (command set, 3.5.1).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, crate::Format)]
 pub struct FirmwareVersion(u16);
 
 impl FirmwareVersion {
@@ -115,8 +113,7 @@ impl core::fmt::Display for FirmwareVersion {
 }
 
 /// Device type, revision, version, serial number (command set, 3.5.1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct SystemInfo {
     /// The product.
     pub device: DeviceType,
@@ -161,8 +158,7 @@ fixed_field!(
 macro_rules! float_fields {
     ($(#[$doc:meta])* $type:ident, $len:literal { $($(#[$item_doc:meta])* $name:ident $text:literal $unit:literal;)* }) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
         pub struct $type {
             $($(#[$item_doc])* pub $name: f32,)*
         }
@@ -236,8 +232,7 @@ float_fields! {
 }
 
 /// Counts of grips (command set, 3.4.3).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct GrippingStatistics {
     /// All grips.
     pub total: u32,
@@ -273,8 +268,7 @@ fixed_field!(
 );
 
 /// A temperature in steps of 0.1 °C (command set, 3.4.7).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, crate::Format)]
 pub struct Temperature(pub i16);
 
 impl core::fmt::Display for Temperature {
@@ -286,8 +280,7 @@ impl core::fmt::Display for Temperature {
 fixed_field!(Temperature, 2, |value| value.0.to_le_bytes(), |bytes| Ok(Self(i16::from_le_bytes(bytes))));
 
 /// What is connected at a finger's sensor port (command set, 3.6.1).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct FingerInfo {
     /// The kind of finger.
     pub finger: FingerType,

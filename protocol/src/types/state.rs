@@ -6,8 +6,7 @@ use crate::field::{DecodeError, fixed_field};
 macro_rules! byte_enum {
     ($(#[$doc:meta])* $type:ident { $($(#[$item_doc:meta])* $code:literal $name:ident $text:literal;)* }) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, crate::Format)]
         pub enum $type {
             $($(#[$item_doc])* $name = $code,)*
         }
@@ -92,8 +91,7 @@ byte_enum! {
 }
 
 /// Whether a value is asked for once, or sent again and again (command set, 3.4.1).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, crate::Format)]
 pub struct AutoUpdate {
     /// What is asked for.
     pub flags: UpdateFlags,

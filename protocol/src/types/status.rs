@@ -5,8 +5,7 @@ use crate::field::fixed_field;
 macro_rules! statuses {
     ($($code:literal $name:ident $symbol:literal $meaning:literal;)*) => {
         /// The status code that opens every reply (command set, appendix A).
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
         pub enum Status {
             $(#[doc = concat!($symbol, " (", $code, "): ", $meaning, ".")] $name,)*
             /// A code that the manual does not list.

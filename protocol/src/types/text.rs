@@ -3,8 +3,7 @@
 use crate::field::{DecodeError, Field, fixed_field};
 
 /// The key that acknowledges a FAST STOP: the letters `ack` (command set, 3.2.5).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct AckKey;
 
 fixed_field!(AckKey, 3, |_key| *b"ack", |bytes| if bytes == *b"ack" {
@@ -23,8 +22,7 @@ impl core::fmt::Display for AckKey {
 macro_rules! byte_run {
     ($(#[$doc:meta])* $type:ident, $max:expr) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
         pub struct $type<'a>(&'a [u8]);
 
         impl<'a> $type<'a> {
@@ -79,8 +77,7 @@ byte_run! {
 }
 
 /// The device tag: up to 64 printable ASCII characters (command set, 3.5.2).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct DeviceTag<'a>(&'a str);
 
 impl<'a> DeviceTag<'a> {

@@ -4,8 +4,7 @@ use crate::gcl::CommandName;
 use crate::session::config::{FastStopPattern, Timing};
 
 /// Time-outs and subscriptions. All times in milliseconds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Config {
     /// How long the first answer to a request may take.
     pub reply_timeout_ms: u32,

@@ -4,8 +4,7 @@ use crate::gcl::{Selected, Value};
 use crate::types::{DeviceType, FirmwareVersion, GripperState, SystemFlags};
 
 /// What the gripper has said of itself; `None`: not yet, or not any more.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub struct Known {
     /// The product.
     pub device: Option<DeviceType>,
