@@ -54,7 +54,11 @@ mod gcl;
 #[cfg(feature = "std")]
 pub mod host;
 mod link;
+// GCL after the binary protocol, so that the documentation begins with the latter.
+#[macro_use]
 mod methods;
+#[cfg(feature = "gcl")]
+mod methods_of_gcl;
 mod motion;
 #[cfg(feature = "std")]
 mod readiness;

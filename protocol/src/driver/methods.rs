@@ -65,9 +65,6 @@ macro_rules! value {
     };
 }
 
-#[cfg(feature = "gcl")]
-mod gcl;
-
 #[also_blocking(asynch = blocking, Timer = Clock)]
 impl<IO: super::asynch::Transport, C: super::Timer> super::asynch::GripperOver<IO, C, Binary> {
     /// Creates a driver with [`Config::DEFAULT`] and room for every command. It is not connected yet.
@@ -783,7 +780,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     }
 
     /// Cancels or completes what an earlier call left behind, so that no answer is taken for another request's.
-    async fn become_free(&mut self) -> Result<(), Error<IO::Error>> {
+    pub(super) async fn become_free(&mut self) -> Result<(), Error<IO::Error>> {
         self.engine.clear_up();
         self.drive(&mut Awaited::nothing(), Goal::Free, None).await?;
         Ok(())
