@@ -1,5 +1,5 @@
 //! The methods of a gripper for both drivers. They are written for the async driver, and [`also_blocking`] generates
-//! those of the blocking driver.
+//! the methods of the blocking driver.
 //!
 //! Each driver has its own `drive`, which moves bytes and time until a goal or a moment is reached.
 
@@ -606,7 +606,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         copied.finish().map(|bytes| core::str::from_utf8(bytes).unwrap_or_default())
     }
 
-    /// Returns what is connected to a finger port (command set, 3.6.1 and 3.6.5).
+    /// Returns the kind and size of the electronics at a finger port (command set, 3.6.1 and 3.6.5).
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -779,7 +779,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         }
     }
 
-    /// Cancels or completes what an earlier call left behind, so that no answer is taken for another request's.
+    /// Cancels or completes the open requests of an earlier call, so that no answer is taken for another request's.
     pub(super) async fn become_free(&mut self) -> Result<(), Error<IO::Error>> {
         self.engine.clear_up();
         self.drive(&mut Awaited::nothing(), Goal::Free, None).await?;

@@ -25,7 +25,7 @@ const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
 const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The masters from PyPI, as they stand in the names of the tests that need them.
-const FROM_PYPI: [&str; 9] = [
+const FROM_PYPI: [&str; 10] = [
     "pymodbus",
     "minimalmodbus",
     "modbus_tk",
@@ -35,6 +35,7 @@ const FROM_PYPI: [&str; 9] = [
     "profinet_py",
     "pnio_dcp",
     "scapy",
+    "typos",
 ];
 
 /// The packages from npm the same way: a master, and the emulator of the Pico.

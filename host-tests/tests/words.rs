@@ -1,0 +1,137 @@
+//! Holds the texts to the project's English: spelling by `typos`, and a list of wordings that read like a translation.
+//!
+//! Neither replaces reading. The list applies to [`REWRITTEN`], which grows with each part that has been rewritten.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use host_tests::masters::PYTHON_VARIABLE;
+
+/// Folders and files whose text has been rewritten.
+const REWRITTEN: [&str; 2] = ["protocol/src/driver/methods.rs", "protocol/src/driver/methods_of_gcl.rs"];
+
+/// Wordings, each with what to write instead.
+const WORDINGS: [(&str, &str); 13] = [
+    ("nobody", "name who does not: no client, no program, no test"),
+    ("those of", "repeat the noun"),
+    ("tell", "software reports, returns, shows or logs"),
+    ("tells", "software reports, returns, shows or logs"),
+    ("told", "software reports, returns, shows or logs"),
+    ("what is", "use a noun or a participle: received bytes, the running motion"),
+    ("what was", "use a noun or a participle: received bytes, the running motion"),
+    ("what are", "use a noun or a participle: received bytes, the running motion"),
+    ("what were", "use a noun or a participle: received bytes, the running motion"),
+    ("behind", "time is after; a place is beyond, past, or connected to"),
+    ("asked for", "requested"),
+    ("goes on", "continues"),
+    ("anew", "again"),
+];
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+#[test]
+fn typos_finds_nothing_in_any_text() {
+    let python = std::env::var_os(PYTHON_VARIABLE);
+    let python = python.unwrap_or_else(|| panic!("{PYTHON_VARIABLE} is not set: run `cargo xtask test`"));
+    let run = Command::new(Path::new(&python).with_file_name("typos"))
+        .args(["--format", "brief"])
+        .current_dir(root())
+        .output()
+        .expect("typos stands beside the masters' Python");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stdout));
+}
+
+#[test]
+fn rewritten_texts_have_no_wording_of_the_list() {
+    let mut found = Vec::new();
+    for place in REWRITTEN {
+        for file in files(&root().join(place)) {
+            let text = fs::read_to_string(&file).unwrap();
+            let is_rust = file.extension().is_some_and(|extension| extension == "rs");
+            found.extend(wordings(&text, is_rust).map(|(line, wording, instead)| {
+                format!("{}:{line}: \"{wording}\": {instead}", file.display())
+            }));
+        }
+    }
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+#[test]
+fn planted_wordings_are_found_in_comments_and_messages_and_not_in_code() {
+    let source = "\
+        // Nobody has asked\n\
+        // for it.\n\
+        fn behind(what: u8) { error(\"half a frame is what was received\") }\n";
+    let found: Vec<_> = wordings(source, true).map(|(line, wording, _)| (line, wording)).collect();
+    assert_eq!(found, [(1, "nobody"), (1, "asked for"), (3, "what was")]);
+    let page = "The bytes behind it.\n\n```sh\ncat nobody\n```\n";
+    assert_eq!(wordings(page, false).map(|(line, ..)| line).collect::<Vec<_>>(), [1]);
+}
+
+/// Returns the file, or all files with text below the folder.
+fn files(place: &Path) -> Vec<PathBuf> {
+    let Ok(entries) = fs::read_dir(place) else { return vec![place.to_owned()] };
+    let is_text = |path: &PathBuf| {
+        path.is_dir() || path.extension().is_some_and(|extension| extension == "rs" || extension == "md")
+    };
+    entries.map(|entry| entry.unwrap().path()).filter(is_text).flat_map(|path| files(&path)).collect()
+}
+
+/// Returns each wording of the list in the text, with the number of the line in which it begins and the advice.
+fn wordings(text: &str, is_rust: bool) -> impl Iterator<Item = (usize, &'static str, &'static str)> {
+    let prose = if is_rust { prose_of_source(text) } else { prose_of_page(text) };
+    // Words with the lines that they are in; an empty word where a sentence cannot go on.
+    let mut words: Vec<(usize, String)> = Vec::new();
+    for (line, part) in prose {
+        let part = part.to_lowercase();
+        let split = part.split(|char: char| !char.is_alphanumeric() && char != '\'' && char != '_');
+        words.extend(split.filter(|word| !word.is_empty()).map(|word| (line, word.to_owned())));
+        if part.is_empty() {
+            words.push((line, String::new()));
+        }
+    }
+    (0..words.len()).flat_map(move |at| {
+        let rest: Vec<_> = words[at..].iter().take(2).cloned().collect();
+        WORDINGS.into_iter().filter_map(move |(wording, instead)| {
+            let mut pairs = wording.split(' ').zip(&rest);
+            let is_here =
+                pairs.all(|(word, (_, here))| word == here) && wording.split(' ').count() <= rest.len();
+            is_here.then(|| (rest[0].0, wording, instead))
+        })
+    })
+}
+
+/// Returns the comments and the strings of a source, by lines. An empty part ends a comment.
+fn prose_of_source(source: &str) -> Vec<(usize, String)> {
+    let mut prose = Vec::new();
+    for (index, line) in source.lines().enumerate() {
+        // Only a comment of a whole line continues the one before.
+        let (code, comment) = match line.split_once("//") {
+            Some((code, comment)) if code.trim().is_empty() => ("", comment),
+            Some((code, comment)) if !code.ends_with(':') => (code, comment),
+            _ => (line, ""),
+        };
+        if !code.trim().is_empty() {
+            prose.push((index + 1, String::new()));
+            for string in code.split('"').skip(1).step_by(2) {
+                prose.push((index + 1, string.to_owned()));
+                prose.push((index + 1, String::new()));
+            }
+        }
+        prose.push((index + 1, comment.trim_matches(['/', '!', ' ']).to_owned()));
+    }
+    prose
+}
+
+/// Returns the text of a page in Markdown outside of blocks of code, by lines.
+fn prose_of_page(page: &str) -> Vec<(usize, String)> {
+    let mut is_code = false;
+    let lines = page.lines().enumerate().map(|(index, line)| {
+        is_code ^= line.trim_start().starts_with("```");
+        (index + 1, if is_code { String::new() } else { line.to_owned() })
+    });
+    lines.collect()
+}
