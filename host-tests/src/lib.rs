@@ -104,3 +104,8 @@ pub mod terminal;
 pub mod trace;
 pub mod uninterrupted;
 pub mod wires;
+
+/// Compiles the example in the README.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+struct Readme;

@@ -95,6 +95,7 @@ Commands
   coverage           lines of protocol and buses that their tests reach; cargo-llvm-cov
   figures            measure all that docs/figures.md tells, and write it
   dist               make the folder that a PLC engineer gets; the same bytes wherever it is made
+  docs               make the book of docs/ in target/book; mdbook
   flash              write the image to a board with probe-rs and start it
                      [--board NAME] [--set NAME=VALUE] [--features X] as for build
   help               this page
@@ -186,6 +187,10 @@ fn run() -> Result<ExitCode> {
             let workspace = Workspace::from_env()?;
             let image = firmware::build(&workspace, &setup::thumb(&workspace)?, &Variant::default())?;
             demo::dist(&workspace, &image)?;
+        }
+        "docs" => {
+            no_more(arguments)?;
+            tool::book(&Workspace::from_env()?)?;
         }
         "matrix" => {
             no_more(arguments)?;
