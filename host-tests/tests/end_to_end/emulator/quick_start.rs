@@ -113,7 +113,7 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_setting
             master.send(frame);
         }
     }
-    let said = plant.paste(&after.replacen("```sh\n", &format!("```sh\n{variables}"), 1));
+    let said = plant.paste(&after.replacen("```sh\n$M", &format!("```sh\n{variables}$M"), 1));
     for answer in ["[203]: \t1", "[174]: \t2", "[133]: \t0"] {
         assert!(said.contains(answer), "{answer}: {said}");
     }
