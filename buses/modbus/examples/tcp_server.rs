@@ -1,4 +1,4 @@
-//! Sixteen holding registers over TCP, one client after the other:
+//! Serves sixteen holding registers over TCP, one client at a time:
 //! `cargo run -p bus-modbus --example tcp_server -- 127.0.0.1:1502`.
 
 use std::env;
@@ -55,13 +55,13 @@ fn main() -> io::Result<()> {
     let mut device = Registers::default();
     for stream in listener.incoming() {
         if let Err(error) = answer_all(stream?, &mut device) {
-            println!("the client is gone: {error}");
+            println!("connection lost: {error}");
         }
     }
     Ok(())
 }
 
-/// Answers every request until the client closes the connection, or sends a length that no frame has.
+/// Answers requests until the client closes the connection or sends an invalid length.
 fn answer_all(mut stream: TcpStream, device: &mut Registers) -> io::Result<()> {
     let mut reader = BufReader::new(stream.try_clone()?);
     let mut receiver = Receiver::new();

@@ -1,53 +1,53 @@
-//! What a server serves: four tables of bits and registers, and a name.
+//! Application data of a server: four tables of bits and registers, and an identification.
 
 use super::{Exception, Identification};
 
-/// The data behind a server.
+/// The application data that a server exposes.
 ///
-/// A read asks item by item; nothing changes between the items of one request. A write comes whole: it is carried out
-/// as one, or refused as one. An address that does not exist is [`Exception::IllegalDataAddress`].
+/// Reads query one item at a time; the data must not change within one request. Each write is passed in one call and
+/// must be applied completely or rejected. Return [`Exception::IllegalDataAddress`] for an address that does not exist.
 pub trait Device {
-    /// The coil at this address (FC 1).
+    /// Returns the coil at this address (FC 1).
     ///
     /// # Errors
-    /// The exception to answer with.
+    /// Returns the exception to send as the response.
     fn coil(&self, address: u16) -> Result<bool, Exception>;
 
-    /// The discrete input at this address (FC 2).
+    /// Returns the discrete input at this address (FC 2).
     ///
     /// # Errors
-    /// The exception to answer with.
+    /// Returns the exception to send as the response.
     fn discrete_input(&self, address: u16) -> Result<bool, Exception>;
 
-    /// The holding register at this address (FC 3, 22, 23).
+    /// Returns the holding register at this address (FC 3, 22, 23).
     ///
     /// # Errors
-    /// The exception to answer with.
+    /// Returns the exception to send as the response.
     fn holding_register(&self, address: u16) -> Result<u16, Exception>;
 
-    /// The input register at this address (FC 4).
+    /// Returns the input register at this address (FC 4).
     ///
     /// # Errors
-    /// The exception to answer with.
+    /// Returns the exception to send as the response.
     fn input_register(&self, address: u16) -> Result<u16, Exception>;
 
-    /// Writes coils from this address on (FC 5, 15).
+    /// Writes consecutive coils, starting at address `first` (FC 5, 15).
     ///
     /// # Errors
-    /// The exception to answer with; then nothing was written.
+    /// Returns the exception to send as the response, and leaves all coils unchanged.
     fn write_coils(&mut self, first: u16, values: Bits<'_>) -> Result<(), Exception>;
 
-    /// Writes holding registers from this address on (FC 6, 16, 22, 23).
+    /// Writes consecutive holding registers, starting at address `first` (FC 6, 16, 22, 23).
     ///
     /// # Errors
-    /// The exception to answer with; then nothing was written.
+    /// Returns the exception to send as the response, and leaves all registers unchanged.
     fn write_registers(&mut self, first: u16, values: Words<'_>) -> Result<(), Exception>;
 
-    /// What the server calls itself (FC 43/14; on a serial line also FC 17).
+    /// Returns the device identification (FC 43/14; on a serial line also FC 17).
     fn identification(&self) -> Identification;
 }
 
-/// Bits of a request: bit n is bit n mod 8 of byte n div 8.
+/// Bits of a request. Bit n is bit n mod 8 of byte n div 8.
 ///
 /// ```
 /// use bus_modbus::Bits;
@@ -63,32 +63,32 @@ pub struct Bits<'a> {
 }
 
 impl<'a> Bits<'a> {
-    /// The first `len` bits of these bytes; bits that are not there are 0.
+    /// Creates a view of the first `len` bits of `bytes`. Bits past the end of `bytes` read as 0.
     #[must_use]
     pub const fn new(bytes: &'a [u8], len: u16) -> Self {
         Self { bytes, len }
     }
 
-    /// How many there are.
+    /// Returns the number of bits.
     #[must_use]
     pub const fn len(self) -> u16 {
         self.len
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no bits.
     #[must_use]
     pub const fn is_empty(self) -> bool {
         self.len == 0
     }
 
-    /// One after the other.
+    /// Iterates over the bits in ascending order of address.
     pub fn iter(self) -> impl Iterator<Item = bool> + 'a {
         let bytes = self.bytes;
         (0..usize::from(self.len)).map(move |n| bit(bytes, n).unwrap_or(false))
     }
 }
 
-/// Registers of a request: each high byte first.
+/// Registers of a request, each with its high byte first.
 ///
 /// ```
 /// use bus_modbus::Words;
@@ -103,31 +103,31 @@ pub struct Words<'a> {
 }
 
 impl<'a> Words<'a> {
-    /// The registers in these bytes; an odd byte at the end is none.
+    /// Creates a view of the registers in `bytes`. An odd trailing byte is ignored.
     #[must_use]
     pub const fn new(bytes: &'a [u8]) -> Self {
         Self { bytes }
     }
 
-    /// How many there are.
+    /// Returns the number of registers.
     #[must_use]
     pub const fn len(self) -> usize {
         self.bytes.len() / 2
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no registers.
     #[must_use]
     pub const fn is_empty(self) -> bool {
         self.len() == 0
     }
 
-    /// One after the other.
+    /// Iterates over the registers in ascending order of address.
     pub fn iter(self) -> impl Iterator<Item = u16> + Clone + 'a {
         self.bytes.as_chunks().0.iter().map(|pair| u16::from_be_bytes(*pair))
     }
 }
 
-/// Bit n mod 8 of byte n div 8.
+/// Returns bit n mod 8 of byte n div 8, or `None` past the end of `bytes`.
 pub(super) fn bit(bytes: &[u8], n: usize) -> Option<bool> {
     Some(bytes.get(n / 8)? & (1 << (n % 8)) != 0)
 }

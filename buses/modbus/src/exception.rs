@@ -1,28 +1,28 @@
 //! Exception codes (MODBUS application protocol specification V1.1b3, chapter 7).
 
-/// Why a request was not carried out, as the second byte of an exception response says it.
+/// Reason for rejecting a request: the second byte of an exception response.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum Exception {
-    /// 01: the server does not know the function, or not in this state.
+    /// 01: the server does not support the function, or not in its present state.
     IllegalFunction = 0x01,
-    /// 02: a register or bit of the request does not exist, or one behind the last.
+    /// 02: a register or bit in the requested range does not exist.
     IllegalDataAddress = 0x02,
-    /// 03: a quantity, a byte count or a length that the request may not have, or a value that is refused.
+    /// 03: an invalid quantity, byte count or length, or a rejected value.
     IllegalDataValue = 0x03,
-    /// 04: the server failed at it.
+    /// 04: the server failed while executing the request.
     ServerDeviceFailure = 0x04,
-    /// 06: not now; the same request may succeed later.
+    /// 06: the server is busy; the same request may succeed later.
     ServerDeviceBusy = 0x06,
-    /// 0A: a gateway has no path to its target, as when the target has never answered.
+    /// 0A: a gateway has no path to its target, for example because the target has never responded.
     GatewayPathUnavailable = 0x0A,
-    /// 0B: a gateway's target does not respond, as when it has fallen silent.
+    /// 0B: a gateway's target has stopped responding.
     GatewayTargetDeviceFailedToRespond = 0x0B,
 }
 
 impl Exception {
-    /// The byte that stands for it.
+    /// Returns the exception code as sent in the response.
     ///
     /// ```
     /// use bus_modbus::Exception;

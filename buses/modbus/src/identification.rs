@@ -1,13 +1,13 @@
-//! What a server says of itself (specification, 6.21).
+//! Device identification of a server (specification, 6.21).
 
-/// The first three objects are mandatory: the basic category.
+/// Number of objects in the basic category, which are mandatory.
 const BASIC_LEN: usize = 3;
 
-/// The conformity levels: stream and individual access to the basic, or to the regular objects.
+/// Conformity levels: stream and individual access to the basic or the regular objects.
 const CONFORMITY_BASIC: u8 = 0x81;
 const CONFORMITY_REGULAR: u8 = 0x82;
 
-/// What a server says of itself. Printable ASCII; together below 240 bytes, or it takes more than one request.
+/// Device identification in printable ASCII. Keep the total below 240 bytes, or clients need several requests.
 ///
 /// ```
 /// use bus_modbus::Identification;
@@ -23,18 +23,18 @@ const CONFORMITY_REGULAR: u8 = 0x82;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identification {
-    /// Object 0.
+    /// Object 0: VendorName.
     pub vendor_name: &'static str,
-    /// Object 1.
+    /// Object 1: ProductCode.
     pub product_code: &'static str,
     /// Object 2: MajorMinorRevision.
     pub revision: &'static str,
-    /// Objects 3 to 6, which are optional: VendorUrl, ProductName, ModelName, UserApplicationName.
+    /// Objects 3 to 6 (optional): VendorUrl, ProductName, ModelName, UserApplicationName.
     pub regular: Option<[&'static str; 4]>,
 }
 
 impl Identification {
-    /// The object with this number, if there is one.
+    /// Returns the object with this number, or `None` if it does not exist.
     pub(crate) fn object(&self, id: u8) -> Option<&'static str> {
         match id {
             0 => Some(self.vendor_name),
@@ -44,7 +44,7 @@ impl Identification {
         }
     }
 
-    /// The conformity level.
+    /// Returns the conformity level for the objects present.
     pub(crate) const fn conformity(&self) -> u8 {
         if self.regular.is_some() { CONFORMITY_REGULAR } else { CONFORMITY_BASIC }
     }

@@ -1,11 +1,11 @@
-//! A MODBUS server without I/O: requests in, responses out, over tables that the application supplies.
+//! A sans-I/O MODBUS server: turns requests into responses over tables that the application supplies.
 //!
-//! By the *MODBUS application protocol specification V1.1b3*: [`serve`] turns a request PDU into a response PDU over a
-//! [`Device`], whatever carries it. [`rtu`] is the serial line by *MODBUS over serial line V1.02*, [`tcp`] the header on
-//! TCP by the *messaging implementation guide V1.0b*.
+//! Implements the *MODBUS application protocol specification V1.1b3*: [`serve`] turns a request PDU into a response PDU
+//! over a [`Device`], independent of the transport. [`rtu`] implements the serial line (*MODBUS over serial line
+//! V1.02*). [`tcp`] implements the TCP header (*messaging implementation guide V1.0b*).
 //!
-//! Served are FC 1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43/14, and on a serial line 8 and 17. Not here: a client, ASCII framing,
-//! sockets, UARTs and clocks. The caller owns bytes and time.
+//! Supports FC 1, 2, 3, 4, 5, 6, 15, 16, 22, 23 and 43/14, and FC 8 and 17 on a serial line. Does not include a client,
+//! ASCII framing, sockets, UARTs or clocks. The caller owns bytes and time.
 //!
 //! ```
 //! use bus_modbus::{Bits, Device, Exception, Identification, MAX_PDU_LEN, Words, serve};
@@ -25,7 +25,7 @@
 //!         }
 //!         Ok(())
 //!     }
-//!     // It has nothing else.
+//!     // The other tables are empty.
 //! #   fn coil(&self, _: u16) -> Result<bool, Exception> { Err(Exception::IllegalDataAddress) }
 //! #   fn discrete_input(&self, _: u16) -> Result<bool, Exception> { Err(Exception::IllegalDataAddress) }
 //! #   fn input_register(&self, _: u16) -> Result<u16, Exception> { Err(Exception::IllegalDataAddress) }
@@ -37,12 +37,12 @@
 //!
 //! let mut device = Setpoint(0);
 //! let mut response = [0; MAX_PDU_LEN];
-//! // Write Single Register: 0 = 288; then read it back.
+//! // Write Single Register: 0 = 288, then read it back.
 //! let len = serve(&[0x06, 0x00, 0x00, 0x01, 0x20], &mut device, &mut response);
 //! assert_eq!(response[..len], [0x06, 0x00, 0x00, 0x01, 0x20]);
 //! let len = serve(&[0x03, 0x00, 0x00, 0x00, 0x01], &mut device, &mut response);
 //! assert_eq!(response[..len], [0x03, 0x02, 0x01, 0x20]);
-//! // There is no holding register 4: exception 02.
+//! // Holding register 4 does not exist: exception 02.
 //! let len = serve(&[0x03, 0x00, 0x04, 0x00, 0x01], &mut device, &mut response);
 //! assert_eq!(response[..len], [0x83, 0x02]);
 //! ```
@@ -87,7 +87,7 @@ pub use pdu::{Function, MAX_PDU_LEN, serve};
 #[cfg(test)]
 mod tests;
 
-/// The README's example is compiled with the others.
+/// Compiles the README's example as a doc test.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

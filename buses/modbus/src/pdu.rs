@@ -1,48 +1,48 @@
-//! Requests and responses without addresses and checksums: the PDU (specification, chapter 4).
+//! Requests and responses without address and checksum: the PDU (specification, chapter 4).
 
 mod identification;
 
 use self::identification::MEI_TYPE;
 use super::{Bits, Device, Exception, Words};
 
-/// Bytes of the longest PDU.
+/// Maximum length of a PDU in bytes.
 pub const MAX_PDU_LEN: usize = 253;
 
-/// Function codes that are served (specification, chapter 6); FC 8 and FC 17 by the serial line alone.
+/// Supported function codes (specification, chapter 6). FC 8 and FC 17 are for serial lines only.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum Function {
-    /// 01: Read Coils.
+    /// 01: Read Coils (6.1).
     ReadCoils = 1,
-    /// 02: Read Discrete Inputs.
+    /// 02: Read Discrete Inputs (6.2).
     ReadDiscreteInputs = 2,
-    /// 03: Read Holding Registers.
+    /// 03: Read Holding Registers (6.3).
     ReadHoldingRegisters = 3,
-    /// 04: Read Input Registers.
+    /// 04: Read Input Registers (6.4).
     ReadInputRegisters = 4,
-    /// 05: Write Single Coil.
+    /// 05: Write Single Coil (6.5).
     WriteSingleCoil = 5,
-    /// 06: Write Single Register.
+    /// 06: Write Single Register (6.6).
     WriteSingleRegister = 6,
-    /// 08: Diagnostics, on a serial line only.
+    /// 08: Diagnostics (6.8), on a serial line only.
     Diagnostics = 8,
-    /// 15 (0Fh): Write Multiple Coils.
+    /// 15 (0Fh): Write Multiple Coils (6.11).
     WriteMultipleCoils = 15,
-    /// 16 (10h): Write Multiple Registers.
+    /// 16 (10h): Write Multiple Registers (6.12).
     WriteMultipleRegisters = 16,
-    /// 17 (11h): Report Server ID, on a serial line only.
+    /// 17 (11h): Report Server ID (6.13), on a serial line only.
     ReportServerId = 17,
-    /// 22 (16h): Mask Write Register.
+    /// 22 (16h): Mask Write Register (6.16).
     MaskWriteRegister = 22,
-    /// 23 (17h): Read/Write Multiple Registers.
+    /// 23 (17h): Read/Write Multiple Registers (6.17).
     ReadWriteMultipleRegisters = 23,
-    /// 43 (2Bh): Encapsulated Interface Transport; of its types, 14: Read Device Identification.
+    /// 43 (2Bh): Encapsulated Interface Transport, MEI type 14 only: Read Device Identification (6.21).
     EncapsulatedInterfaceTransport = 43,
 }
 
 impl Function {
-    /// Every one, by code.
+    /// All supported functions, in ascending order of code.
     pub const ALL: [Self; 13] = [
         Self::ReadCoils,
         Self::ReadDiscreteInputs,
@@ -59,13 +59,13 @@ impl Function {
         Self::EncapsulatedInterfaceTransport,
     ];
 
-    /// The code.
+    /// Returns the function code as sent in a request.
     #[must_use]
     pub const fn code(self) -> u8 {
         self as u8
     }
 
-    /// The function with this code.
+    /// Returns the function with this code, or `None` if it is not supported.
     ///
     /// ```
     /// use bus_modbus::Function;
@@ -78,7 +78,7 @@ impl Function {
         Self::ALL.iter().copied().find(|function| function.code() == code)
     }
 
-    /// Whether it writes and reads nothing back, so that it may be broadcast (MODBUS over serial line, 2.1).
+    /// Returns whether the function only writes, so that it may be broadcast (MODBUS over serial line, 2.1).
     #[must_use]
     pub const fn may_be_broadcast(self) -> bool {
         matches!(
@@ -92,22 +92,22 @@ impl Function {
     }
 }
 
-/// Answers a request. Returns the response's length in `response`; 0, which is no response, for a request without a
-/// function code.
+/// Serves a request PDU. Returns the length of the response PDU, which starts at `response[0]`. Returns 0, meaning no
+/// response, for a request without a function code.
 ///
-/// What is checked in which order is the specification's: function (01), then length, quantity, byte count and value
-/// (03), then addresses (02), then what the device says. A request whose length is not what its function and counts ask
-/// for is 03, "implied length is incorrect".
+/// Checks follow the order of the specification: function (01); length, quantity, byte count and value (03); addresses
+/// (02); then the device. A request whose length does not match its function and counts is answered with 03 ("implied
+/// length is incorrect").
 ///
-/// The [crate's documentation](crate) has an example.
+/// See the [crate's documentation](crate) for an example.
 pub fn serve<D: Device + ?Sized>(request: &[u8], device: &mut D, response: &mut [u8; MAX_PDU_LEN]) -> usize {
     let Some((&code, data)) = request.split_first() else { return 0 };
     let (len, _) = serve_as(Function::from_code(code), code, None, data, device, response);
     len
 }
 
-/// As [`serve`], for a caller who has looked at the code; also the exception that it answers with. A unit is what a server
-/// on a serial line has.
+/// Like [`serve`], for a caller that has already decoded the function code. Also returns the exception sent, if any.
+/// `unit` is the address of a server on a serial line.
 #[inline]
 pub(super) fn serve_as<D: Device + ?Sized>(
     function: Option<Function>,
@@ -158,7 +158,7 @@ fn answer<D: Device + ?Sized>(
     }
 }
 
-/// The first address and the quantity of a read, the quantity within its limits.
+/// Returns the first address and the quantity of a request. Rejects quantities outside 1 to `most`.
 fn block(data: &[u8], most: u16) -> Result<(u16, u16), Exception> {
     let &[a1, a0, q1, q0] = data else { return Err(Exception::IllegalDataValue) };
     let quantity = u16::from_be_bytes([q1, q0]);
@@ -168,9 +168,9 @@ fn block(data: &[u8], most: u16) -> Result<(u16, u16), Exception> {
     Ok((u16::from_be_bytes([a1, a0]), quantity))
 }
 
-/// The addresses of a block; past 65 535 there are none.
+/// Returns the addresses of a block. Rejects blocks that extend past 65 535.
 fn addresses(first: u16, quantity: u16) -> Result<impl Iterator<Item = u16>, Exception> {
-    // Not an inclusive range: that takes four times the code.
+    // A half-open range: an inclusive one takes four times the code.
     let (first, end) = (u32::from(first), u32::from(first).saturating_add(quantity.into()));
     if end > 0x1_0000 {
         return Err(Exception::IllegalDataAddress);
@@ -235,7 +235,7 @@ fn write_single_coil<D: Device + ?Sized>(
     reply.put(data)
 }
 
-/// The values of a multiple write, when quantity, byte count and length agree.
+/// Returns first address, quantity and values of a multiple write, if quantity, byte count and length agree.
 fn counted(data: &[u8], bytes_of: impl Fn(u16) -> u16, most: u16) -> Result<(u16, u16, &[u8]), Exception> {
     let (head, rest) = data.split_at_checked(4).ok_or(Exception::IllegalDataValue)?;
     let (first, quantity) = block(head, most)?;
@@ -243,7 +243,7 @@ fn counted(data: &[u8], bytes_of: impl Fn(u16) -> u16, most: u16) -> Result<(u16
     if u16::from(count) != bytes_of(quantity) || values.len() != usize::from(count) {
         return Err(Exception::IllegalDataValue);
     }
-    // So that an address past 65 535 is one that does not exist, not the first again.
+    // Rejects blocks past 65 535, whose addresses would otherwise wrap to 0.
     let _ = addresses(first, quantity)?;
     Ok((first, quantity, values))
 }
@@ -281,7 +281,7 @@ fn mask_write_register<D: Device + ?Sized>(
     reply.put(data)
 }
 
-/// The write is carried out before the read, and not at all when one of the registers to read does not exist.
+/// Writes before reading. Writes nothing if a register to read does not exist.
 fn read_write_multiple_registers<D: Device + ?Sized>(
     data: &[u8],
     device: &mut D,
@@ -297,7 +297,7 @@ fn read_write_multiple_registers<D: Device + ?Sized>(
     read_registers(head, device, false, reply)
 }
 
-/// A response as it grows. No request that passes its checks makes it longer than a PDU.
+/// A response under construction. Valid requests never make it longer than a PDU.
 struct Reply<'a> {
     bytes: &'a mut [u8; MAX_PDU_LEN],
     len: usize,
@@ -318,7 +318,7 @@ impl<'a> Reply<'a> {
         MAX_PDU_LEN.saturating_sub(self.len)
     }
 
-    // Small requests are worth more than the last microsecond of an answer.
+    // Not inlined: shorter code for small requests outweighs the last microsecond of a response.
     #[inline(never)]
     fn put(&mut self, bytes: &[u8]) -> Result<(), Exception> {
         copy(self.extend(bytes.len())?, bytes);
@@ -332,7 +332,7 @@ impl<'a> Reply<'a> {
         })
     }
 
-    /// Makes it longer by so many bytes, for the caller to fill.
+    /// Extends the response by `len` bytes and returns them for the caller to fill.
     fn extend(&mut self, len: usize) -> Result<&mut [u8], Exception> {
         let start = self.len;
         let end = start.saturating_add(len);
@@ -346,7 +346,7 @@ impl<'a> Reply<'a> {
         self.put(&quantity.to_be_bytes())
     }
 
-    /// Overwrites what was put before.
+    /// Overwrites bytes already in the response.
     fn set(&mut self, at: usize, bytes: &[u8]) {
         copy(self.bytes.get_mut(at..).unwrap_or_default(), bytes);
     }
@@ -358,7 +358,7 @@ impl<'a> Reply<'a> {
     }
 }
 
-/// As `copy_from_slice`, but without its panic.
+/// Like `copy_from_slice`, but without its panic: copies the shorter of the two lengths.
 fn copy(to: &mut [u8], from: &[u8]) {
     for (to, from) in to.iter_mut().zip(from) {
         *to = *from;

@@ -1,7 +1,7 @@
 //! RTU framing on a serial line (MODBUS over serial line specification V1.02).
 //!
-//! A frame is a unit's address, a PDU and a CRC, ended by silence. Silence is an input here, in microseconds: who
-//! measures it is the caller's business.
+//! A frame consists of a unit's address, a PDU and a CRC, and ends with silence. Silence is an input, in microseconds;
+//! the caller measures it.
 
 mod counters;
 mod receiver;
@@ -15,14 +15,14 @@ pub use timing::Timing;
 
 use super::MAX_PDU_LEN;
 
-/// Bytes of the longest frame.
+/// Maximum length of a frame in bytes.
 pub const MAX_FRAME_LEN: usize = 1 + MAX_PDU_LEN + CRC_LEN;
 
 const CRC_LEN: usize = 2;
 
 const CRC: crc::Crc<u16> = crc::Crc::<u16>::new(&crc::CRC_16_MODBUS);
 
-/// The checksum of a frame's address and PDU; it is sent low byte first.
+/// Returns the checksum of a frame's address and PDU. It is sent low byte first.
 ///
 /// ```
 /// use bus_modbus::rtu::crc;
@@ -32,7 +32,7 @@ const CRC: crc::Crc<u16> = crc::Crc::<u16>::new(&crc::CRC_16_MODBUS);
 /// ```
 #[must_use]
 pub fn crc(bytes: &[u8]) -> u16 {
-    // A table in flash, not a copy of it on the stack.
+    // A static keeps the table in flash; a constant would be copied to the stack.
     static TABLE: crc::Crc<u16> = CRC;
     TABLE.checksum(bytes)
 }

@@ -1,47 +1,47 @@
-//! Framing on TCP (*MODBUS messaging on TCP/IP implementation guide V1.0b*, chapter 3.1): the MBAP header.
+//! TCP framing with the MBAP header (*MODBUS messaging on TCP/IP implementation guide V1.0b*, chapter 3.1).
 //!
-//! A header says how long the frame is and which transaction it belongs to; there is no checksum, because TCP has one.
-//! Many requests may be under way; [`Receiver`] cuts them out of the stream one after the other, and
-//! [`Request::answer`] puts the header before each response. Sockets are the caller's business.
+//! The header carries the length of the frame and its transaction number. There is no checksum, because TCP has one.
+//! Several requests may be in flight: [`Receiver`] extracts them from the stream one by one, and [`Request::answer`]
+//! prepends the header to each response. The caller handles the sockets.
 //!
-//! - A frame of another protocol is discarded (guide, 4.4.2.2).
-//! - A length that no frame of MODBUS has leaves no way to find the next one: the connection is to be closed.
-//! - The unit identifier is returned as it came. A server that is no gateway is addressed by its IP address, so it serves
-//!   all of them, 0 and 255 as well (guide, 4.4.2.3); there is no broadcast.
+//! - Frames of another protocol are discarded (guide, 4.4.2.2).
+//! - After an invalid length the start of the next frame is unknown; the caller must close the connection.
+//! - The unit identifier is echoed. A server that is not a gateway is addressed by its IP address, so it responds to
+//!   every unit identifier, including 0 and 255 (guide, 4.4.2.3). There is no broadcast.
 
 use super::MAX_PDU_LEN;
 
-/// Bytes of the header, the unit identifier included.
+/// Length of the header in bytes, including the unit identifier.
 pub const HEADER_LEN: usize = 7;
 
-/// Bytes of the longest frame.
+/// Maximum length of a frame in bytes.
 pub const MAX_FRAME_LEN: usize = HEADER_LEN + MAX_PDU_LEN;
 
-/// What the length field counts: the unit identifier and the PDU, which has a function code at least.
+/// Valid values of the length field, which covers the unit identifier and a PDU of at least a function code.
 const LENGTHS: core::ops::RangeInclusive<u16> = 2..=(1 + MAX_PDU_LEN as u16);
 
-/// Bytes up to the end of the length field.
+/// Number of bytes up to the end of the length field.
 const LENGTH_END: usize = HEADER_LEN - 1;
 
-/// The protocol identifier of MODBUS.
+/// Protocol identifier of MODBUS.
 const MODBUS: u16 = 0;
 
 const _: () = assert!(MAX_FRAME_LEN == 260);
 
-/// A request out of the stream.
+/// A request extracted from the stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request<'a> {
-    /// Which transaction it belongs to, in the client's count.
+    /// Transaction identifier, chosen by the client and echoed in the response.
     pub transaction: u16,
-    /// The unit identifier.
+    /// Unit identifier, echoed in the response.
     pub unit: u8,
-    /// Function code and data.
+    /// Request PDU: function code and data.
     pub pdu: &'a [u8],
 }
 
 impl Request<'_> {
-    /// The frame that answers, with the PDU that `serve` leaves in its place, of the length that it returns. Empty when
-    /// that is 0 or more than there is room for.
+    /// Returns the response frame. `serve` writes the response PDU into the buffer it is passed and returns its length.
+    /// The frame is empty if that length is 0 or exceeds [`MAX_PDU_LEN`].
     ///
     /// ```
     /// use bus_modbus::tcp::{MAX_FRAME_LEN, Request};
@@ -68,34 +68,34 @@ impl Request<'_> {
         }
         let [t1, t0] = self.transaction.to_be_bytes();
         let [p1, p0] = MODBUS.to_be_bytes();
-        // It fits: it was compared above.
+        // Cannot truncate: the length was checked above.
         let [l1, l0] = (length as u16).to_be_bytes();
         *header = [t1, t0, p1, p0, l1, l0, self.unit];
         frame.get(..HEADER_LEN.saturating_add(len)).unwrap_or_default()
     }
 }
 
-/// What a stream holds.
+/// Outcome of received bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event<'a> {
-    /// A request.
+    /// A complete request to serve.
     Request(Request<'a>),
-    /// A frame of another protocol, which was discarded.
+    /// A discarded frame of another protocol.
     Foreign {
-        /// Its bytes, header included.
+        /// Length of the frame in bytes, including the header.
         len: u16,
     },
-    /// A length that no frame has: nothing more is taken from this stream.
+    /// An invalid length field. The receiver ignores the rest of the stream.
     Lost,
 }
 
-/// Finds the frames in a stream. Its reset state is all zero.
+/// Extracts frames from a stream. Its initial state is all zero.
 ///
 /// ```
 /// use bus_modbus::tcp::{Event, Receiver, Request};
 ///
 /// let mut receiver = Receiver::new();
-/// // Read Input Registers, one from 0 on; and the beginning of another frame.
+/// // Read Input Registers: one register from address 0, then the start of another frame.
 /// let stream = [0x00, 0x07, 0, 0, 0, 6, 0x01, 0x04, 0, 0, 0, 1, 0x00];
 /// let (taken, event) = receiver.push_slice(&stream);
 /// let request = Request { transaction: 7, unit: 1, pdu: &[0x04, 0, 0, 0, 1] };
@@ -105,25 +105,25 @@ pub enum Event<'a> {
 #[derive(Clone, Debug)]
 pub struct Receiver {
     frame: [u8; MAX_FRAME_LEN],
-    /// How much of the frame has come.
+    /// Number of bytes of the current frame received so far.
     len: u16,
     lost: bool,
 }
 
 impl Receiver {
-    /// A receiver at the beginning of a stream.
+    /// Creates a receiver for the start of a stream.
     #[must_use]
     pub const fn new() -> Self {
         Self { frame: [0; MAX_FRAME_LEN], len: 0, lost: false }
     }
 
-    /// Takes one byte.
+    /// Processes one byte.
     pub fn push(&mut self, byte: u8) -> Option<Event<'_>> {
         let step = self.step(byte);
         self.event(step)
     }
 
-    /// Takes bytes up to the end of the next frame: how many, and what they held.
+    /// Processes bytes up to the end of the next frame. Returns the number of bytes consumed and the event, if any.
     pub fn push_slice(&mut self, bytes: &[u8]) -> (usize, Option<Event<'_>>) {
         let mut taken = 0usize;
         let mut step = Step::Nothing;
@@ -137,7 +137,7 @@ impl Receiver {
         (taken, self.event(step))
     }
 
-    /// Whether the way to the next frame is lost: nothing more is taken.
+    /// Returns whether an invalid length was received. From then on, all bytes are ignored.
     #[must_use]
     pub const fn is_lost(&self) -> bool {
         self.lost
@@ -193,7 +193,7 @@ impl Default for Receiver {
     }
 }
 
-/// What a byte came to.
+/// Result of one received byte.
 #[derive(Clone, Copy)]
 enum Step {
     Nothing,

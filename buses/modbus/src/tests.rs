@@ -1,11 +1,11 @@
-//! Each function and each exception of the application protocol specification, byte by byte.
+//! Byte-exact tests of each function and exception of the application protocol specification.
 
 use super::*;
 use std::vec;
 use std::vec::Vec;
 
-/// Four holding registers that are 64 coils as well, six input registers that are 96 discrete inputs as well. Bit n is
-/// bit n mod 8 of byte n div 8, and a register is two bytes, the high one first.
+/// Four holding registers that overlap 64 coils, and six input registers that overlap 96 discrete inputs. Bit n is bit
+/// n mod 8 of byte n div 8. Registers are two bytes, high byte first.
 #[derive(Default)]
 pub(super) struct Tables {
     output: [u8; 8],
@@ -14,7 +14,7 @@ pub(super) struct Tables {
 }
 
 impl Tables {
-    /// The holding registers as bytes, if a request has written to them since this was last asked.
+    /// Returns the holding registers as bytes if a request has written to them since the last call.
     pub(super) fn take_written(&mut self) -> Option<[u8; 8]> {
         core::mem::take(&mut self.written).then_some(self.output)
     }
@@ -49,12 +49,12 @@ impl Tables {
     }
 }
 
-/// A device with those tables, more registers to read, writes that a test plans refusals for, and a name.
+/// A device with [`Tables`], additional readable registers, configurable write rejections and an identification.
 pub(super) struct Plant {
     pub(super) tables: Tables,
-    /// What writes of registers are refused with.
+    /// Exception for every write of registers.
     refusal: Option<Exception>,
-    /// What writes reached the device.
+    /// First address and length of each write passed to the device.
     writes: Vec<(u16, usize)>,
     regular: bool,
     name: &'static str,
@@ -82,12 +82,12 @@ impl Device for Plant {
     }
 
     fn holding_register(&self, address: u16) -> Result<u16, Exception> {
-        // The last block there may be, to see what becomes of addresses behind 65 535.
+        // The highest addresses exist, to test reads past 65 535.
         if address >= 65_500 { Ok(address) } else { Tables::word(&self.tables.output, address) }
     }
 
     fn input_register(&self, address: u16) -> Result<u16, Exception> {
-        // Registers enough for the longest answer.
+        // Enough registers for the longest response.
         if address >= 1_000 { Ok(address) } else { Tables::word(&self.tables.input, address) }
     }
 
@@ -122,7 +122,7 @@ const ILLEGAL_VALUE: u8 = 3;
 fn refused(request: &[u8], exception: u8) {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(request), [request[0] | 0x80, exception], "{request:02X?}");
-    assert_eq!(plant.tables.take_written(), None, "{request:02X?} is refused and changes nothing");
+    assert_eq!(plant.tables.take_written(), None, "{request:02X?} is rejected without a change");
 }
 
 #[test]
@@ -149,11 +149,11 @@ fn read_registers_sends_the_high_byte_first() {
     plant.ask(&[6, 0, 1, 0x04, 0xC4]);
     assert_eq!(plant.ask(&[3, 0, 0, 0, 2]), [3, 4, 0, 0, 0x04, 0xC4]);
     assert_eq!(plant.ask(&[4, 0x03, 0xE8, 0, 2]), [4, 4, 0x03, 0xE8, 0x03, 0xE9]);
-    assert_eq!(plant.ask(&[4, 0x03, 0xE8, 0, 125]).len(), 252, "the longest answer");
+    assert_eq!(plant.ask(&[4, 0x03, 0xE8, 0, 125]).len(), 252, "the longest response");
 }
 
 #[test]
-fn quantities_outside_the_specification_are_03_before_addresses_are_looked_at() {
+fn invalid_quantities_are_03_before_addresses_are_checked() {
     for (code, most) in [(1u8, 2000u16), (2, 2000), (3, 125), (4, 125)] {
         let [high, low] = (most + 1).to_be_bytes();
         refused(&[code, 0xFF, 0xFF, 0, 0], ILLEGAL_VALUE);
@@ -164,7 +164,7 @@ fn quantities_outside_the_specification_are_03_before_addresses_are_looked_at() 
 }
 
 #[test]
-fn addresses_behind_the_last_are_02_for_each_function() {
+fn addresses_past_the_last_are_02_for_each_function() {
     for request in [
         &[1, 0, 64, 0, 1][..],
         &[1, 0, 63, 0, 2],
@@ -197,7 +197,7 @@ fn addresses_do_not_wrap_at_65_535() {
 }
 
 #[test]
-fn write_single_coil_knows_on_and_off_alone() {
+fn write_single_coil_accepts_only_on_and_off() {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(&[5, 0, 13, 0xFF, 0]), [5, 0, 13, 0xFF, 0]);
     assert_eq!(plant.tables.take_written(), Some([0, 1 << 5, 0, 0, 0, 0, 0, 0]));
@@ -258,7 +258,7 @@ fn multiple_writes_whose_counts_disagree_are_03() {
 #[test]
 fn mask_write_register_combines_by_and_then_or() {
     let mut plant = Plant::new();
-    // The specification's example: 12h, And_Mask F2h, Or_Mask 25h: 17h.
+    // The specification's example: 12h with And_Mask F2h and Or_Mask 25h yields 17h.
     plant.ask(&[6, 0, 1, 0, 0x12]);
     let request = [22, 0, 1, 0, 0xF2, 0, 0x25];
     assert_eq!(plant.ask(&request), request);
@@ -273,14 +273,14 @@ fn read_write_multiple_registers_writes_first() {
 }
 
 #[test]
-fn read_write_multiple_registers_that_cannot_read_does_not_write() {
+fn read_write_multiple_registers_does_not_write_if_it_cannot_read() {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(&[23, 0, 3, 0, 2, 0, 0, 0, 1, 2, 0, 1]), [0x97, ILLEGAL_ADDRESS]);
     assert_eq!(plant.writes, []);
 }
 
 #[test]
-fn lengths_that_the_function_does_not_have_are_03() {
+fn invalid_lengths_for_the_function_are_03() {
     for code in [1u8, 2, 3, 4, 5, 6] {
         for len in (0..10).filter(|len| *len != 4) {
             let mut request = vec![code];
@@ -296,23 +296,23 @@ fn lengths_that_the_function_does_not_have_are_03() {
 }
 
 #[test]
-fn functions_that_are_not_served_are_01() {
+fn unsupported_functions_are_01() {
     let served = [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43];
     for code in (0..=255u8).filter(|code| !served.contains(code)) {
         refused(&[code, 0, 0, 0, 0], ILLEGAL_FUNCTION);
     }
     refused(&[43, 13, 0, 0], ILLEGAL_FUNCTION);
-    // Report Server ID is for serial lines only.
+    // Report Server ID exists on serial lines only.
     refused(&[17], ILLEGAL_FUNCTION);
 }
 
 #[test]
-fn request_without_a_function_code_gets_no_answer() {
+fn request_without_a_function_code_gets_no_response() {
     assert_eq!(Plant::new().ask(&[]), []);
 }
 
 #[test]
-fn refusal_of_the_device_is_the_exception() {
+fn rejection_by_the_device_is_the_exception() {
     for (exception, code) in [
         (Exception::ServerDeviceFailure, 4),
         (Exception::ServerDeviceBusy, 6),
@@ -327,8 +327,8 @@ fn refusal_of_the_device_is_the_exception() {
 }
 
 #[test]
-fn name_that_fills_an_answer_is_whole_and_a_longer_one_is_left_out() {
-    // Function, seven bytes of head and two before the name.
+fn name_that_fills_a_response_is_complete_and_a_longer_one_is_omitted() {
+    // Function code, six bytes of header and two bytes before the name.
     const LONGEST: usize = MAX_PDU_LEN - 9;
     const NAME: &str = match core::str::from_utf8(&[b'W'; LONGEST + 1]) {
         Ok(name) => name,
@@ -355,14 +355,14 @@ fn device_identification_streams_its_objects() {
     let mut plant = Plant::new();
     let basic = [&[43, 14, 1, 0x82, 0, 0, 3][..], b"\0\x01V", b"\x01\x02PC", b"\x02\x031.2"].concat();
     assert_eq!(plant.ask(&[43, 14, 1, 0]), basic);
-    assert_eq!(plant.ask(&[43, 14, 1, 200]), basic, "from an unknown object: from the first on");
+    assert_eq!(plant.ask(&[43, 14, 1, 200]), basic, "an unknown object restarts at the first");
     let tail = [&[43, 14, 2, 0x82, 0, 0, 3][..], b"\x04\x02PN", b"\x05\x01M", b"\x06\0"].concat();
     assert_eq!(plant.ask(&[43, 14, 2, 4]), tail);
     plant.regular = false;
-    assert_eq!(plant.ask(&[43, 14, 2, 0])[2..7], [2, 0x81, 0, 0, 3], "its own level");
+    assert_eq!(plant.ask(&[43, 14, 2, 0])[2..7], [2, 0x81, 0, 0, 3], "the server's own level");
 }
 
-/// Specification, 6.21: a server that is asked for more than its conformity level answers in accordance with that.
+/// Specification, 6.21: a request above the server's conformity level is answered at the server's level.
 #[test]
 fn extended_identification_is_answered_with_the_objects_that_there_are() {
     let mut plant = Plant::new();
@@ -382,7 +382,7 @@ fn extended_identification_is_answered_with_the_objects_that_there_are() {
 }
 
 #[test]
-fn device_identification_gives_a_single_object() {
+fn device_identification_returns_a_single_object() {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(&[43, 14, 4, 1]), [&[43, 14, 4, 0x82, 0, 0, 1][..], b"\x01\x02PC"].concat());
     plant.regular = false;
@@ -392,7 +392,7 @@ fn device_identification_gives_a_single_object() {
 }
 
 #[test]
-fn device_identification_that_does_not_fit_says_where_it_goes_on() {
+fn device_identification_that_does_not_fit_returns_the_next_object() {
     struct Talker(Plant);
     const LONG: &str = match core::str::from_utf8(&[b'x'; 120]) {
         Ok(text) => text,
@@ -429,8 +429,8 @@ fn device_identification_that_does_not_fit_says_where_it_goes_on() {
     assert_eq!((len, &response[3..7]), (7 + 122, &[0x81, 0, 0, 1][..]));
 }
 
-/// What the specification says of a request to a [`Plant`], from its text and not from the code above: the exception, or
-/// the length of the response (chapter 6, with the state diagram of each function).
+/// The response to a [`Plant`] request according to the specification, written independently of the code under test:
+/// the exception or the length of the response (chapter 6, state diagram of each function). Length 0 means any.
 fn by_the_specification(request: &[u8]) -> Result<usize, u8> {
     let (code, data) = (request[0], &request[1..]);
     let word = |at: usize| usize::from(data[at]) * 256 + usize::from(data[at + 1]);
@@ -502,7 +502,7 @@ fn every_function_at_every_length_is_answered_as_the_specification_says() {
     for code in 0..=255u8 {
         for len in 0..=260usize {
             let fill = |byte: u8| vec![byte; len];
-            // As a PLC would send it, from address 0 on as much as there is room for. `at` is where the address stands.
+            // A PLC's write request that fills the length, from address 0. `at` is the offset of the address.
             let write = |len: usize, at: usize, quantity: usize| {
                 let mut data = vec![0; len];
                 for (n, byte) in [(3, 4), (at + 3, quantity), (at + 4, len.saturating_sub(at + 5))] {
@@ -514,7 +514,7 @@ fn every_function_at_every_length_is_answered_as_the_specification_says() {
             };
             let words = |len: usize, at: usize| len.saturating_sub(at + 5) / 2;
             let coils = (len.saturating_sub(5) * 8).min(255);
-            // Counts that are right for a byte less.
+            // Counts that match a request one byte shorter.
             let one_too_long = |at: usize| {
                 let shorter = len.saturating_sub(1);
                 let mut data = write(shorter, at, words(shorter, at));
@@ -548,13 +548,13 @@ fn every_function_at_every_length_is_answered_as_the_specification_says() {
             }
         }
     }
-    // Each function was answered with more than exceptions, or this test would show little.
+    // Guards against a vacuous test: each supported function must have succeeded at least once.
     let served: Vec<u8> = (0..=255).filter(|code| answered[usize::from(*code)] > 0).collect();
     assert_eq!(served, [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43]);
 }
 
 #[test]
-fn values_of_a_write_are_empty_when_there_are_none() {
+fn values_of_a_write_are_empty_at_length_0() {
     assert!(Bits::new(&[0xFF], 0).is_empty());
     assert!(!Bits::new(&[0xFF], 3).is_empty());
     assert_eq!(Bits::new(&[0xFF], 3).len(), 3);

@@ -3,13 +3,13 @@
 use super::Reply;
 use crate::{Device, Exception};
 
-/// The MODBUS encapsulated interface's type for it.
+/// MEI type of Read Device Identification.
 pub(super) const MEI_TYPE: u8 = 0x0E;
 
-/// The run indicator of a server that serves.
+/// Run indicator status "ON"; a server that responds is always running.
 const RUNNING: u8 = 0xFF;
 
-/// Answers FC 17: what the specification leaves to the device is the unit as its id, then product code and revision.
+/// Answers FC 17. The device-specific part is the unit as the server ID, then product code and revision.
 pub(super) fn report<D: Device + ?Sized>(
     unit: u8,
     data: &[u8],
@@ -24,12 +24,12 @@ pub(super) fn report<D: Device + ?Sized>(
     for text in [identification.product_code, " ", identification.revision] {
         reply.put(text.as_bytes())?;
     }
-    // Behind function and count.
+    // The byte count excludes function code and itself.
     reply.set(1, &[reply.len().saturating_sub(2) as u8]);
     Ok(())
 }
 
-/// Answers a request of FC 43; `data` is what stands behind the MEI type.
+/// Answers FC 43. `data` is the request after the MEI type.
 pub(super) fn read<D: Device + ?Sized>(
     data: &[u8],
     device: &D,
@@ -38,7 +38,8 @@ pub(super) fn read<D: Device + ?Sized>(
     let &[code, object] = data else { return Err(Exception::IllegalDataValue) };
     let identification = device.identification();
     let (first, last) = match code {
-        // A level above its own is answered at its own, a stream from an object that is not there from the first on.
+        // Requests above the server's conformity level get its own level. A stream that starts at an unknown object
+        // restarts at the first one.
         1 => (if object <= 2 { object } else { 0 }, 2),
         2 | 3 => (if identification.object(object).is_some() { object } else { 0 }, u8::MAX),
         4 if identification.object(object).is_some() => (object, object),

@@ -1,21 +1,21 @@
-//! What FC 8 tells of the line (MODBUS over serial line, appendix A; application protocol, 6.8).
+//! Diagnostic counters read by FC 8 (MODBUS over serial line, appendix A; application protocol, 6.8).
 
 use super::Damage;
 use crate::Exception;
 
-/// The diagnostic counters; each stops at 65 535.
+/// Diagnostic counters. Each saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counters {
-    /// Bus Message Count: intact frames, for whatever unit.
+    /// Bus Message Count: intact frames, for any unit.
     pub bus_messages: u16,
-    /// Bus Communication Error Count: what was no intact frame.
+    /// Bus Communication Error Count: damaged frames.
     pub bus_errors: u16,
-    /// Bus Exception Error Count: exceptions, those of broadcasts included.
+    /// Bus Exception Error Count: exceptions, including exceptions to broadcasts.
     pub exceptions: u16,
     /// Server Message Count: intact frames for this unit and broadcasts.
     pub server_messages: u16,
-    /// Server No Response Count: those of them that got no response.
+    /// Server No Response Count: messages to this server that it did not respond to.
     pub no_responses: u16,
     /// Server Busy Count: exceptions 06.
     pub busy: u16,
@@ -24,7 +24,7 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// Nothing counted.
+    /// All counters at zero.
     pub const ZERO: Self = Self {
         bus_messages: 0,
         bus_errors: 0,
@@ -35,9 +35,9 @@ impl Counters {
         overruns: 0,
     };
 
-    /// The counter that this subfunction of FC 8 reads, 0Bh to 12h.
+    /// Returns the counter that this subfunction of FC 8 reads, from 0Bh to 12h.
     pub(super) fn by_subfunction(&self, sub: u16) -> u16 {
-        // Negative acknowledgements (07) are none of this server's exceptions.
+        // This server never sends a negative acknowledgement (exception 07).
         let naks = 0;
         let counters = [
             self.bus_messages,

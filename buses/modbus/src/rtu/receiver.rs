@@ -1,67 +1,67 @@
-//! From characters and silences to frames.
+//! Frame detection from characters and silences.
 
 use core::hash::{Hash, Hasher};
 
 use super::{CRC_LEN, MAX_FRAME_LEN, Timing, crc};
 use crate::Function;
 
-/// What the line brought.
+/// A character received from the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Character {
-    /// A byte.
+    /// A byte without line errors.
     Byte(u8),
-    /// A parity or framing error, or a character that was lost before this one: the frame around it is void.
+    /// A parity or framing error, or an overrun before this character. The frame that contains it is invalid.
     Damaged,
 }
 
-/// How strictly silence is judged.
+/// Rules for silence within a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Mode {
-    /// As the specification asks: more than T1.5 inside a frame voids it, T3.5 ends it.
+    /// By the specification: more than T1.5 inside a frame invalidates it, T3.5 ends it.
     Strict,
-    /// For masters that pause inside a frame, such as a PC behind a USB adapter. T1.5 is not looked at. At T3.5 a frame
-    /// with a right checksum is complete; one for this unit that is shorter than its function asks for may go on until
-    /// the line was silent for so long, in microseconds.
+    /// For masters that pause inside a frame, such as a PC with a USB adapter. Ignores T1.5. After T3.5, a frame with a
+    /// valid checksum is complete. A request for this unit that is shorter than its function requires may continue
+    /// until the character time-out.
     Tolerant {
-        /// The longest pause inside a frame for this unit.
+        /// Longest pause inside a frame for this unit, in microseconds.
         character_timeout_us: u32,
     },
 }
 
-/// Why what was received is no frame.
+/// Reason for discarding received characters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Damage {
-    /// Silence of more than T1.5 inside it.
+    /// Silence of more than T1.5 inside the frame.
     Silence,
     /// A damaged or lost character.
     Character,
-    /// Below 4 or above 256 bytes.
+    /// Fewer than 4 or more than 256 bytes.
     Length,
-    /// The checksum is wrong.
+    /// A checksum that does not match.
     Checksum,
 }
 
-/// What was received between two silences.
+/// Characters received between two silences.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Received<'a> {
-    /// A frame: the unit that it is for, and its PDU.
+    /// An intact frame, for any unit.
     Frame {
-        /// The address, 0 for a broadcast.
+        /// Address of the unit; 0 for a broadcast.
         unit: u8,
-        /// At least the function code.
+        /// Request PDU: a function code at least.
         pdu: &'a [u8],
     },
-    /// None.
+    /// Discarded characters, with the reason.
     Damaged(Damage),
 }
 
-/// Finds frames in characters and in the silences between them.
+/// Detects frames from characters and the silences between them.
 ///
-/// The caller measures silence, in microseconds from the end of one character to the end of the next, less one
-/// character's time; [`Receiver::push`] gets that before each character, [`Receiver::silence`] while none comes.
+/// The caller measures silence in microseconds, from the end of one character to the end of the next, less one
+/// character time. Pass it to [`Receiver::push`] with each character, and to [`Receiver::silence`] while none arrives.
 ///
 /// ```
 /// use bus_modbus::rtu::{Character, Mode, Received, Receiver, Timing};
@@ -78,20 +78,20 @@ pub enum Received<'a> {
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Receiver {
-    // First, and `repr(C)`: an instruction less for every character.
+    // Placed first with `repr(C)`: saves an instruction per character.
     bytes: [u8; MAX_FRAME_LEN],
     unit: u8,
     mode: Mode,
     timing: Timing,
-    /// Bytes received, also those that no longer fit; [`GIVEN`] when what was received was given, and makes room for
-    /// the next.
+    /// Number of bytes received, including bytes beyond the buffer. [`GIVEN`] if the frame was
+    /// returned and makes room for the next.
     len: usize,
     damage: Option<Damage>,
-    /// The first character of the frame after the one that was given.
+    /// First character of the frame after the one returned.
     carried: Option<Character>,
 }
 
-/// By what is held and not by what was.
+/// Hashes pending characters only, not those already returned.
 impl Hash for Receiver {
     fn hash<H: Hasher>(&self, state: &mut H) {
         let Self { bytes: _, unit, mode, timing, len, damage, carried } = self;
@@ -101,26 +101,26 @@ impl Hash for Receiver {
     }
 }
 
-/// Longer than anything that is received, so that one comparison says whether there is room.
+/// Larger than any number of received bytes, so that one comparison shows whether the buffer has room.
 const GIVEN: usize = usize::MAX;
 
 impl Receiver {
-    /// A receiver for this unit; frames for others are found as well.
+    /// Creates a receiver for this unit. It also returns frames for other units.
     #[must_use]
     pub const fn new(unit: u8, mode: Mode, timing: Timing) -> Self {
         Self { unit, mode, timing, bytes: [0; MAX_FRAME_LEN], len: 0, damage: None, carried: None }
     }
 
-    /// Changes unit and mode. What is being received is judged by the new ones.
+    /// Changes unit and mode. The new values also apply to a frame in progress.
     pub const fn configure(&mut self, unit: u8, mode: Mode) {
         self.unit = unit;
         self.mode = mode;
     }
 
-    /// Takes a character and the silence before it. Gives what the silence has ended, if it has.
+    /// Processes a character and the silence before it. Returns the frame that the silence ended, if any.
     #[inline]
     pub fn push(&mut self, character: Character, silence_us: u32) -> Option<Received<'_>> {
-        // Nearly every character is one more byte of a frame, right behind the one before.
+        // Fast path: nearly every character continues a frame without a pause.
         if silence_us <= self.timing.t1_5_us
             && let Character::Byte(byte) = character
             && let Some(place) = self.bytes.get_mut(self.len)
@@ -148,19 +148,19 @@ impl Receiver {
         None
     }
 
-    /// Takes notice that no character has come for so long. Gives what the silence has ended, if it has.
+    /// Processes a silence that is still going on. Returns the frame that it ended, if any.
     pub fn silence(&mut self, silence_us: u32) -> Option<Received<'_>> {
         self.make_room();
         if self.len > 0 && self.is_over(silence_us) { Some(self.give()) } else { None }
     }
 
-    /// Whether nothing is held, so that no silence can end it.
+    /// Returns whether no character is pending, so that silence cannot end a frame.
     #[must_use]
     pub const fn is_idle(&self) -> bool {
         matches!(self.len, 0 | GIVEN) && self.carried.is_none()
     }
 
-    /// Forgets what was received, for a caller who has changed the line.
+    /// Discards all pending characters. Call it after changing the line settings.
     pub const fn reset(&mut self) {
         self.len = 0;
         self.damage = None;
@@ -189,11 +189,11 @@ impl Receiver {
             Some(place) => *place = byte,
             None => self.damage = self.damage.or(Some(Damage::Length)),
         }
-        // Noise that never pauses.
+        // Noise without pauses must not reach `GIVEN`.
         self.len = self.len.saturating_add(1).min(GIVEN - 1);
     }
 
-    /// Whether silence has ended what is held.
+    /// Returns whether this silence ends the frame in progress.
     #[inline(always)]
     fn is_over(&self, silence_us: u32) -> bool {
         if silence_us < self.timing.t3_5_us {
@@ -207,7 +207,7 @@ impl Receiver {
         }
     }
 
-    /// Whether what is held is the undamaged begin of a request for this unit.
+    /// Returns whether the pending characters are the undamaged start of a request for this unit.
     #[inline(never)]
     fn may_go_on(&self) -> bool {
         let held = self.held();
@@ -240,13 +240,13 @@ impl Receiver {
     }
 }
 
-/// Whether the checksum at the end, low byte first, is right: with the right one behind it, and with no other, the
-/// checksum of the whole is 0.
+/// Returns whether the frame ends with its checksum, low byte first. The CRC over a frame including its checksum is 0
+/// only if the checksum is correct.
 fn is_intact(frame: &[u8]) -> bool {
     frame.len() > CRC_LEN && crc(frame) == 0
 }
 
-/// How long a request that begins like this is at the least, as far as it shows.
+/// Returns the minimum length of the request, as far as its first bytes determine it.
 fn least_len(held: &[u8]) -> usize {
     let counted = |head: usize, at: usize| {
         let count = held.get(at).copied().unwrap_or(0);

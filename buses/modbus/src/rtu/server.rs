@@ -1,4 +1,4 @@
-//! One unit on a serial line: frames in, responses out, and FC 8.
+//! A server for one unit on a serial line: frames in, responses out, including FC 8.
 
 use core::hash::{Hash, Hasher};
 
@@ -6,35 +6,35 @@ use super::counters::count;
 use super::{CRC_LEN, Character, Counters, Damage, MAX_FRAME_LEN, Mode, Received, Receiver, Timing, crc};
 use crate::{Device, Exception, Function, MAX_PDU_LEN, serve_as};
 
-/// The address of a broadcast.
+/// Broadcast address: all units execute the request, none responds.
 pub const BROADCAST: u8 = 0;
 
-/// The addresses a unit may have (MODBUS over serial line, 2.2).
+/// Valid addresses of a unit (MODBUS over serial line, 2.2).
 pub const UNITS: core::ops::RangeInclusive<u8> = 1..=247;
 
-/// What can be set about a server on a line.
+/// Configuration of a server on a serial line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
-    /// Its address, one of [`UNITS`].
+    /// Address of the unit, one of [`UNITS`].
     pub unit: u8,
-    /// How strictly silence is judged.
+    /// Rules for silence within a frame.
     pub mode: Mode,
-    /// Whether writes to all units at once count. The specification asks for it; on a line with devices of other kinds
-    /// a register that is meant for them would be written here too.
+    /// Whether broadcast writes are executed. The specification requires it. On a line with other kinds of devices, a
+    /// write to a register of theirs would also take effect here.
     pub broadcast: bool,
 }
 
-/// What became of what the line brought.
+/// Outcome of received characters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event<'a> {
-    /// A request for this unit was served: the frame to send, checksum included.
+    /// Response frame to send, including the checksum.
     Answer(&'a [u8]),
-    /// A request for this unit, or a broadcast, was served, and gets no response.
+    /// A request for this unit or a broadcast was served and has no response.
     Served,
-    /// A frame for another unit, or one that this unit does not listen to.
+    /// A frame for another unit, or one that this unit ignores.
     Passed,
-    /// No frame.
+    /// Discarded characters, with the reason.
     Damaged(Damage),
 }
 
@@ -58,7 +58,7 @@ pub enum Event<'a> {
 ///
 /// let config = Config { unit: 1, mode: Mode::Strict, broadcast: true };
 /// let mut server = Server::new(config, Timing::of(19_200, 11));
-/// // Read Holding Registers, one from 0 on.
+/// // Read Holding Registers: one register from address 0.
 /// for byte in [0x01, 0x03, 0x00, 0x00, 0x00, 0x01, 0x84, 0x0A] {
 ///     assert_eq!(server.push(Character::Byte(byte), 0, &mut device), None);
 /// }
@@ -73,7 +73,7 @@ pub struct Server {
     response: [u8; MAX_FRAME_LEN],
 }
 
-/// Neither by counts nor by the last response, which change nothing of what comes.
+/// Excludes counters and last response, which do not affect future behaviour.
 impl Hash for Server {
     fn hash<H: Hasher>(&self, state: &mut H) {
         let Self { config, receiver, line: Line { counters: _, listen_only }, response: _ } = self;
@@ -81,7 +81,7 @@ impl Hash for Server {
     }
 }
 
-/// What FC 8 reads and changes.
+/// State that FC 8 reads and changes.
 #[derive(Clone, Debug)]
 struct Line {
     counters: Counters,
@@ -89,7 +89,7 @@ struct Line {
 }
 
 impl Server {
-    /// A server that listens from now on.
+    /// Creates a server without a frame in progress.
     #[must_use]
     pub const fn new(config: Config, timing: Timing) -> Self {
         Self {
@@ -100,31 +100,31 @@ impl Server {
         }
     }
 
-    /// Changes the configuration, from the next frame on.
+    /// Changes the configuration. The new unit and mode also apply to a frame in progress.
     pub const fn configure(&mut self, config: Config) {
         self.config = config;
         self.receiver.configure(config.unit, config.mode);
     }
 
-    /// What was counted so far.
+    /// Returns the diagnostic counters since start-up or the last reset by FC 8.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         self.line.counters
     }
 
-    /// Whether FC 8 has told it to listen only.
+    /// Returns whether FC 8 has put the server into listen-only mode.
     #[must_use]
     pub const fn is_listen_only(&self) -> bool {
         self.line.listen_only
     }
 
-    /// Whether no frame has begun, so that [`silence`](Self::silence) has nothing to tell.
+    /// Returns whether no frame is in progress, so that [`silence`](Self::silence) returns nothing.
     #[must_use]
     pub const fn is_idle(&self) -> bool {
         self.receiver.is_idle()
     }
 
-    /// Takes a character and the silence before it, in microseconds: see [`Receiver`].
+    /// Processes a character and the silence before it in microseconds; see [`Receiver`].
     pub fn push<D: Device + ?Sized>(
         &mut self,
         character: Character,
@@ -136,7 +136,7 @@ impl Server {
         Some(line.handle(*config, received, device, response))
     }
 
-    /// Takes notice that no character has come for so long, in microseconds.
+    /// Processes a silence in microseconds that is still going on; see [`Receiver`].
     pub fn silence<D: Device + ?Sized>(&mut self, silence_us: u32, device: &mut D) -> Option<Event<'_>> {
         let Self { config, receiver, line, response } = self;
         let received = receiver.silence(silence_us)?;
@@ -190,7 +190,7 @@ impl Line {
         Event::Answer(seal(response, len))
     }
 
-    /// FC 8, Diagnostics; the length of its response, 0 for none, and its exception.
+    /// Serves FC 8, Diagnostics. Returns the length of the response, 0 for none, and the exception, if any.
     fn diagnose(&mut self, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> (usize, Option<Exception>) {
         match self.subfunction(pdu) {
             Ok(Diagnosed::Echo) => {
@@ -232,7 +232,7 @@ impl Line {
         let read = |counter: u16| zero.map(|()| Diagnosed::Value(counter));
         match sub {
             RESTART => match value? {
-                // There is no event log that FF00 would clear.
+                // FF00 also clears the event log, which this server does not have.
                 0x0000 | 0xFF00 => {
                     let silent = core::mem::take(&mut self.listen_only);
                     *counters = Counters::ZERO;
@@ -263,22 +263,22 @@ impl Line {
 const RETURN_QUERY_DATA: u16 = 0x00;
 const RESTART: u16 = 0x01;
 
-/// What a subfunction of FC 8 answers.
+/// Response to a subfunction of FC 8.
 #[derive(Clone, Copy)]
 enum Diagnosed {
-    /// The request itself.
+    /// Echo of the request.
     Echo,
-    /// A value in place of the request's data.
+    /// A value in place of the data field.
     Value(u16),
     Nothing,
 }
 
-/// Restart Communications Option, which alone ends listening only.
+/// Returns whether the PDU is Restart Communications Option, the only request that ends listen-only mode.
 fn is_restart(pdu: &[u8]) -> bool {
     matches!(pdu, [0x08, 0x00, 0x01, 0x00 | 0xFF, 0x00])
 }
 
-/// Puts the checksum behind a response of this length behind its unit.
+/// Appends the checksum to the unit and a response PDU of this length, and returns the frame.
 fn seal(frame: &mut [u8; MAX_FRAME_LEN], pdu_len: usize) -> &[u8] {
     let end = pdu_len.saturating_add(1);
     let sum = crc(frame.get(..end).unwrap_or_default());

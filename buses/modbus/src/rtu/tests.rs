@@ -1,4 +1,4 @@
-//! Frames and silences: what is a frame, who answers it, and what is counted.
+//! Frames and silences: frame detection, addressing and counters.
 
 use super::*;
 use crate::tests::Plant;
@@ -20,7 +20,7 @@ fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     frame
 }
 
-/// A line with a server and its device.
+/// A serial line with a server and its device.
 struct Bus {
     server: Server,
     plant: Plant,
@@ -63,7 +63,7 @@ impl Bus {
         Self::note(&mut self.answers, &mut self.others, event);
     }
 
-    /// Sends a frame, ends it, and gives its answer.
+    /// Sends a frame, then silence of T3.5, and returns the response; empty if there is none.
     fn ask(&mut self, unit: u8, pdu: &[u8]) -> Vec<u8> {
         self.send(&frame(unit, pdu));
         self.silence(TIMING.t3_5_us);
@@ -89,7 +89,7 @@ fn is_read_answer(answer: &[u8]) -> bool {
 }
 
 #[test]
-fn silences_are_those_of_the_rate_up_to_19_200_bit_s_and_fixed_above() {
+fn silences_follow_the_rate_up_to_19_200_bit_s_and_are_fixed_above() {
     for (baud, bits, t1_5_us, t3_5_us) in [
         (9_600, 10, 1_563, 3_646),
         (19_200, 11, 860, 2_006),
@@ -101,7 +101,7 @@ fn silences_are_those_of_the_rate_up_to_19_200_bit_s_and_fixed_above() {
 }
 
 #[test]
-fn request_is_answered_once_the_line_was_silent_for_3_5_characters() {
+fn request_is_answered_after_3_5_characters_of_silence() {
     for config in [STRICT, TOLERANT] {
         let mut bus = Bus::new(config);
         bus.send(&frame(UNIT, &READ));
@@ -110,7 +110,7 @@ fn request_is_answered_once_the_line_was_silent_for_3_5_characters() {
         bus.silence(TIMING.t3_5_us);
         assert!(is_read_answer(&bus.answers[0]));
         bus.silence(1_000_000);
-        assert_eq!(bus.answers.len(), 1, "and once only");
+        assert_eq!(bus.answers.len(), 1, "exactly one response");
     }
 }
 
@@ -155,7 +155,7 @@ fn tolerant_mode_waits_for_the_rest_of_a_request_for_this_unit() {
 
 #[test]
 fn tolerant_mode_waits_for_the_rest_of_every_function_known_or_not() {
-    // Device identification is the shortest that is known, MASK WRITE the longest of a fixed length.
+    // Device identification is the shortest known request, Mask Write Register the longest of a fixed length.
     for pdu in [&[0x41][..], &[43, 14, 1, 0], &READ, &[22, 0, 0, 0xFF, 0xFF, 0, 0]] {
         let answer = Bus::new(TOLERANT).ask(UNIT, pdu);
         assert!(answer.len() > 4, "{pdu:?}");
@@ -172,7 +172,7 @@ fn tolerant_mode_waits_for_the_rest_of_every_function_known_or_not() {
 }
 
 #[test]
-fn tolerant_mode_does_not_wait_behind_a_whole_request_whose_checksum_is_wrong() {
+fn tolerant_mode_does_not_wait_after_a_complete_request_with_a_wrong_checksum() {
     let requests = [
         &[0x41][..],
         &[43, 14, 1, 0],
@@ -192,7 +192,7 @@ fn tolerant_mode_does_not_wait_behind_a_whole_request_whose_checksum_is_wrong() 
 }
 
 #[test]
-fn receiver_that_is_told_another_unit_waits_for_the_rest_of_requests_for_that_one() {
+fn receiver_with_a_new_unit_waits_for_the_rest_of_requests_for_that_unit() {
     let pdu: &[u8] = &[3, 0, 0, 0, 1];
     for (unit, is_waited_for) in [(UNIT + 1, true), (UNIT, false)] {
         let mut receiver = Receiver::new(UNIT, Mode::Strict, TIMING);
@@ -205,7 +205,7 @@ fn receiver_that_is_told_another_unit_waits_for_the_rest_of_requests_for_that_on
 }
 
 #[test]
-fn character_that_is_damaged_at_the_end_of_an_allowed_silence_is_told_as_damaged() {
+fn character_damaged_after_an_allowed_silence_is_reported_as_damaged() {
     let mut receiver = Receiver::new(UNIT, Mode::Strict, TIMING);
     receiver.push(Character::Byte(UNIT), 0);
     receiver.push(Character::Damaged, TIMING.t1_5_us);
@@ -214,7 +214,7 @@ fn character_that_is_damaged_at_the_end_of_an_allowed_silence_is_told_as_damaged
 }
 
 #[test]
-fn two_bytes_are_no_frame_although_their_checksum_is_right() {
+fn two_bytes_are_no_frame_even_with_a_valid_checksum() {
     for config in [STRICT, TOLERANT] {
         let mut bus = Bus::new(config);
         bus.send(&[0xFF, 0xFF]);
@@ -224,7 +224,7 @@ fn two_bytes_are_no_frame_although_their_checksum_is_right() {
 }
 
 #[test]
-fn tolerant_mode_does_not_glue_a_broken_frame_for_another_unit_to_ours() {
+fn tolerant_mode_does_not_join_a_truncated_frame_for_another_unit_to_the_next() {
     let mut bus = Bus::new(TOLERANT);
     bus.send(&frame(UNIT + 1, &READ)[..5]);
     bus.send_after(TIMING.t3_5_us, &frame(UNIT, &READ));
@@ -234,7 +234,7 @@ fn tolerant_mode_does_not_glue_a_broken_frame_for_another_unit_to_ours() {
 }
 
 #[test]
-fn half_a_frame_is_none() {
+fn truncated_frame_is_discarded() {
     let request = frame(UNIT, &[6, 0, 0, 0, 1]);
     for config in [STRICT, TOLERANT] {
         for len in 1..request.len() {
@@ -248,7 +248,7 @@ fn half_a_frame_is_none() {
 }
 
 #[test]
-fn frame_with_any_bit_wrong_is_dropped() {
+fn frame_with_any_single_bit_error_is_discarded() {
     let request = frame(UNIT, &[16, 0, 0, 0, 2, 4, 0x01, 0x00, 0x07, 0xD0]);
     for bit in 0..request.len() * 8 {
         let mut wrong = request.clone();
@@ -262,7 +262,7 @@ fn frame_with_any_bit_wrong_is_dropped() {
 }
 
 #[test]
-fn damaged_character_voids_its_frame_and_no_other() {
+fn damaged_character_invalidates_only_its_own_frame() {
     let request = frame(UNIT, &READ);
     for at in 0..request.len() {
         let mut bus = Bus::new(TOLERANT);
@@ -278,7 +278,7 @@ fn damaged_character_voids_its_frame_and_no_other() {
 }
 
 #[test]
-fn frame_for_another_unit_between_two_of_ours_is_passed_over() {
+fn frames_for_other_units_between_requests_are_ignored() {
     let mut bus = Bus::new(STRICT);
     for unit in [UNIT, UNIT + 1, 247, UNIT] {
         bus.send_after(TIMING.t3_5_us, &frame(unit, &[6, 0, 1, 0, unit]));
@@ -289,7 +289,7 @@ fn frame_for_another_unit_between_two_of_ours_is_passed_over() {
 }
 
 #[test]
-fn frames_that_come_before_anybody_looks_are_all_served_in_order() {
+fn queued_frames_are_all_served_in_order() {
     let mut bus = Bus::new(STRICT);
     for value in 1..=4 {
         bus.send_after(TIMING.t3_5_us, &frame(UNIT, &[6, 0, 1, 0, value]));
@@ -300,7 +300,7 @@ fn frames_that_come_before_anybody_looks_are_all_served_in_order() {
 }
 
 #[test]
-fn frames_without_silence_between_them_are_none() {
+fn frames_without_silence_between_them_are_discarded() {
     for config in [STRICT, TOLERANT] {
         let mut bus = Bus::new(config);
         let request = frame(UNIT, &[6, 0, 0, 0, 1]);
@@ -312,7 +312,7 @@ fn frames_without_silence_between_them_are_none() {
 }
 
 #[test]
-fn frame_of_256_bytes_is_one_and_of_257_is_none() {
+fn frame_of_256_bytes_is_accepted_and_of_257_rejected() {
     let echo = [&[8, 0, 0][..], &[7; 250]].concat();
     let mut bus = Bus::new(STRICT);
     assert_eq!(frame(UNIT, &echo).len(), MAX_FRAME_LEN);
@@ -323,11 +323,11 @@ fn frame_of_256_bytes_is_one_and_of_257_is_none() {
     bus.send(&[UNIT]);
     bus.silence(TIMING.t3_5_us);
     assert_eq!(bus.others, ["length"; 4]);
-    assert!(is_read_answer(&bus.ask(UNIT, &READ)), "and it goes on");
+    assert!(is_read_answer(&bus.ask(UNIT, &READ)), "and the server still responds");
 }
 
 #[test]
-fn broadcast_writes_are_carried_out_and_get_no_answer() {
+fn broadcast_writes_are_executed_without_a_response() {
     let mut bus = Bus::new(STRICT);
     bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
     assert_eq!(bus.others, ["served"]);
@@ -343,7 +343,7 @@ fn broadcast_writes_are_carried_out_and_get_no_answer() {
 }
 
 #[test]
-fn server_is_idle_while_no_silence_can_end_anything() {
+fn server_is_idle_while_no_frame_is_in_progress() {
     let mut bus = Bus::new(STRICT);
     let request = frame(UNIT, &[4, 0, 0, 0, 1]);
     assert!(bus.server.is_idle());
@@ -355,7 +355,7 @@ fn server_is_idle_while_no_silence_can_end_anything() {
     assert!(bus.server.is_idle());
     assert_eq!(bus.answers.len(), 1);
 
-    // A frame that is ended by the first character of the next leaves that one to be ended.
+    // The first character of the next frame ends the previous one and remains pending.
     bus.send(&request);
     bus.send(&request);
     assert_eq!(bus.answers.len(), 2);
@@ -372,7 +372,7 @@ fn server_is_idle_while_no_silence_can_end_anything() {
 }
 
 #[test]
-fn receiver_that_is_reset_has_forgotten_what_it_held() {
+fn receiver_discards_pending_characters_on_reset() {
     let mut receiver = Receiver::new(UNIT, Mode::Strict, TIMING);
     let pdu: &[u8] = &[3, 0, 0, 0, 1];
     receiver.push(Character::Byte(UNIT), 0);
@@ -388,21 +388,21 @@ fn receiver_that_is_reset_has_forgotten_what_it_held() {
 }
 
 #[test]
-fn broadcast_is_passed_over_where_it_is_switched_off() {
+fn broadcast_is_ignored_if_disabled() {
     let mut bus = Bus::new(Config { broadcast: false, ..STRICT });
     bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
     assert!(bus.plant.tables.take_written().is_none() && bus.answers.is_empty());
 }
 
 #[test]
-fn exceptions_go_out_as_frames() {
+fn exceptions_are_sent_as_frames() {
     let mut bus = Bus::new(STRICT);
     assert_eq!(bus.ask(UNIT, &[3, 0, 9, 0, 1]), frame(UNIT, &[0x83, 2]));
     assert_eq!(bus.ask(UNIT, &[7]), frame(UNIT, &[0x87, 1]));
 }
 
 #[test]
-fn diagnostic_counters_count_what_the_specification_says() {
+fn diagnostic_counters_follow_the_specification() {
     let mut bus = Bus::new(STRICT);
     bus.ask(UNIT + 1, &READ);
     bus.ask(BROADCAST, &[6, 0, 1, 0, 7]);
@@ -410,20 +410,20 @@ fn diagnostic_counters_count_what_the_specification_says() {
     bus.ask(UNIT, &[3, 0, 9, 0, 1]);
     bus.send(&[1, 2, 3, 4, 5]);
     bus.silence(TIMING.t3_5_us);
-    // Each question is a message as well.
+    // Each read of a counter is a message as well.
     assert_eq!(bus.counter(0x0B), 5, "bus messages");
     assert_eq!(bus.counter(0x0C), 1, "communication errors");
-    assert_eq!(bus.counter(0x0D), 2, "exceptions, that of the broadcast too");
+    assert_eq!(bus.counter(0x0D), 2, "exceptions, including the broadcast's");
     assert_eq!(bus.counter(0x0E), 7, "server messages");
     assert_eq!(bus.counter(0x0F), 2, "no response");
     assert_eq!((bus.counter(0x10), bus.counter(0x11), bus.counter(0x12)), (0, 0, 0));
-    assert_eq!(bus.counter(0x02), 0, "the diagnostic register");
+    assert_eq!(bus.counter(0x02), 0, "diagnostic register");
     bus.diagnose(0x0A, 0);
     assert_eq!(bus.counter(0x0B), 1);
 }
 
 #[test]
-fn diagnostics_echo_and_refuse_as_the_specification_says() {
+fn diagnostics_echo_and_reject_according_to_the_specification() {
     let mut bus = Bus::new(STRICT);
     assert_eq!(bus.diagnose(0, 0xA537), frame(UNIT, &[8, 0, 0, 0xA5, 0x37]));
     assert_eq!(bus.diagnose(1, 0), frame(UNIT, &[8, 0, 1, 0, 0]));
@@ -440,20 +440,20 @@ fn diagnostics_echo_and_refuse_as_the_specification_says() {
 }
 
 #[test]
-fn server_that_listens_only_is_woken_by_a_restart_alone() {
+fn listen_only_mode_ends_only_with_a_restart() {
     let mut bus = Bus::new(STRICT);
     assert_eq!(bus.diagnose(4, 0), []);
     assert!(bus.server.is_listen_only());
     assert_eq!(bus.ask(UNIT, &[6, 0, 0, 0, 1]), []);
     assert_eq!(bus.diagnose(0, 0), []);
     assert!(bus.plant.tables.take_written().is_none());
-    assert_eq!(bus.diagnose(1, 0), [], "no answer to this one either");
+    assert_eq!(bus.diagnose(1, 0), [], "the restart has no response either");
     assert!(!bus.server.is_listen_only());
     assert!(is_read_answer(&bus.ask(UNIT, &READ)));
 }
 
 #[test]
-fn counters_stop_at_their_end() {
+fn counters_saturate() {
     let mut bus = Bus::new(STRICT);
     for _ in 0..=u16::MAX {
         bus.send(&[1]);
@@ -463,7 +463,7 @@ fn counters_stop_at_their_end() {
 }
 
 #[test]
-fn new_unit_counts_from_the_next_frame_on() {
+fn new_unit_applies_from_the_next_frame_on() {
     let mut bus = Bus::new(STRICT);
     bus.server.configure(Config { unit: 9, ..STRICT });
     assert_eq!(bus.ask(UNIT, &READ), []);
@@ -471,8 +471,8 @@ fn new_unit_counts_from_the_next_frame_on() {
 }
 
 #[test]
-fn longer_frames_than_the_buffer_cannot_hide_a_right_checksum() {
-    // The first 256 bytes are a frame; it goes on all the same.
+fn frame_longer_than_the_buffer_is_rejected_despite_a_valid_checksum() {
+    // The first 256 bytes are a valid frame, and one more byte follows.
     let mut long = frame(UNIT, &[&[8, 0, 0][..], &[7; 250]].concat());
     long.push(0);
     let mut bus = Bus::new(TOLERANT);
@@ -482,7 +482,7 @@ fn longer_frames_than_the_buffer_cannot_hide_a_right_checksum() {
 }
 
 #[test]
-fn every_function_at_every_length_of_frame_is_answered_whole_or_not_at_all() {
+fn every_function_at_every_length_is_answered_with_a_complete_frame_or_not_at_all() {
     let mut bus = Bus::new(STRICT);
     for code in (0..=255u8).filter(|code| *code != Function::Diagnostics.code()) {
         for len in 0..=260usize {
@@ -499,11 +499,11 @@ fn every_function_at_every_length_of_frame_is_answered_whole_or_not_at_all() {
         }
     }
     assert_eq!(bus.ask(UNIT, &[]), [], "no function code");
-    assert!(is_read_answer(&bus.ask(UNIT, &READ)), "and the line is not stuck");
+    assert!(is_read_answer(&bus.ask(UNIT, &READ)), "and the server still responds");
 }
 
 #[test]
-fn diagnostics_at_every_length_are_answered_as_the_specification_says() {
+fn diagnostics_at_every_length_follow_the_specification() {
     for len in 0..=252usize {
         for sub in 0..=0x20u16 {
             let mut pdu = vec![8];
@@ -517,7 +517,7 @@ fn diagnostics_at_every_length_are_answered_as_the_specification_says() {
             let expected: &[u8] = match sub {
                 None => &[UNIT, 0x88, 3],
                 Some(0) => &frame(UNIT, &pdu),
-                // Listen only: silence.
+                // Listen-only mode has no response.
                 Some(4) if whole => &[],
                 Some(1 | 2 | 4 | 0x0A..=0x12 | 0x14) if !whole => &[UNIT, 0x88, 3],
                 Some(1 | 0x0A | 0x14 | 2) => &frame(UNIT, &pdu),
@@ -542,7 +542,7 @@ fn server_id_is_the_unit_which_runs_and_what_it_is() {
     }
 }
 
-/// Of half of it no rest is waited for: it has none.
+/// FC 17 has no data, so a four-byte request is complete and the receiver does not wait for more.
 #[test]
 fn damaged_request_for_the_server_id_ends_with_its_silence() {
     let mut bus = Bus::new(TOLERANT);
@@ -557,7 +557,7 @@ fn hash(state: &impl Hash) -> u64 {
     hasher.finish()
 }
 
-/// Whether they all differ.
+/// Returns whether all hashes differ.
 fn differ<T: Hash>(states: &[T]) -> bool {
     let mut hashes: Vec<_> = states.iter().map(hash).collect();
     hashes.sort_unstable();
@@ -565,10 +565,9 @@ fn differ<T: Hash>(states: &[T]) -> bool {
     hashes.len() == states.len()
 }
 
-/// Two machines of equal hashes do the same from now on: what is still to come counts, what was counted or answered does
-/// not.
+/// Equal hashes imply equal future behaviour: pending characters count, counters and sent responses do not.
 #[test]
-fn receivers_differ_by_what_they_hold_and_not_by_what_they_held() {
+fn receivers_hash_pending_characters_and_not_past_ones() {
     let after = |bytes: &[u8]| {
         let mut receiver = Receiver::new(1, Mode::Strict, Timing::of(19_200, 11));
         for byte in bytes {

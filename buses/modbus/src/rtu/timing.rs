@@ -1,6 +1,6 @@
 //! Silent intervals (MODBUS over serial line V1.02, 2.5.1.1).
 
-/// How long silence between characters may and must be, in microseconds.
+/// Silent intervals T1.5 and T3.5, in microseconds.
 ///
 /// ```
 /// use bus_modbus::rtu::Timing;
@@ -13,15 +13,15 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Timing {
-    /// T1.5: longer than this between two characters of a frame breaks the frame.
+    /// T1.5: a longer silence inside a frame invalidates the frame.
     pub t1_5_us: u32,
-    /// T3.5: as long as this, or longer, ends it.
+    /// T3.5: a silence of at least this length ends the frame.
     pub t3_5_us: u32,
 }
 
 impl Timing {
-    /// The intervals at a rate in bit/s, for characters of so many bits, start, parity and stop bits included (10 for
-    /// 8N1, 11 for 8E1 and 8N2). A rate of 0 counts as 1.
+    /// Returns the intervals at a rate in bit/s. `bits_per_character` includes start, parity and stop bits: 10 for 8N1,
+    /// 11 for 8E1 and 8N2. A rate of 0 is treated as 1.
     #[must_use]
     pub const fn of(baud: u32, bits_per_character: u32) -> Self {
         if baud > 19_200 {

@@ -1,11 +1,11 @@
-//! Frames on TCP as the implementation guide draws them, and streams that are none.
+//! TCP frames as defined in the implementation guide, and invalid streams.
 
 use super::*;
 use proptest::prelude::*;
 use std::vec;
 use std::vec::Vec;
 
-/// An event that owns what it holds.
+/// An event that owns its data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Seen {
     Request(u16, u8, Vec<u8>),
@@ -42,7 +42,7 @@ fn frame(transaction: u16, protocol: u16, unit: u8, pdu: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn frames_one_behind_the_other_are_all_found_in_order() {
+fn consecutive_frames_are_all_found_in_order() {
     let longest = vec![0x2B; MAX_PDU_LEN];
     let stream =
         [frame(0x1501, 0, 0xFF, &[3, 0, 4, 0, 1]), frame(0, 0, 0, &[7]), frame(0xFFFF, 0, 1, &longest)]
@@ -74,7 +74,7 @@ fn length_that_no_frame_has_loses_the_stream_for_good() {
 }
 
 #[test]
-fn lengths_from_2_to_254_are_taken() {
+fn lengths_from_2_to_254_are_accepted() {
     for len in 1..=MAX_PDU_LEN {
         let pdu = vec![9; len];
         assert_eq!(whole(&frame(1, 0, 1, &pdu)), [Seen::Request(1, 1, pdu)]);
@@ -91,7 +91,7 @@ fn half_a_frame_is_nothing_until_the_rest_comes() {
 }
 
 #[test]
-fn answer_repeats_transaction_and_unit_and_counts_what_follows() {
+fn answer_echoes_transaction_and_unit_and_sets_the_length() {
     let request = Request { transaction: 0xABCD, unit: 17, pdu: &[1] };
     let mut place = [0xEE; MAX_FRAME_LEN];
     let longest = request.answer(&mut place, |_, response| {
@@ -107,7 +107,7 @@ fn answer_repeats_transaction_and_unit_and_counts_what_follows() {
 
 proptest! {
     #[test]
-    fn any_stream_gives_the_same_events_however_it_is_cut(
+        fn any_stream_gives_the_same_events_however_it_is_cut(
         pieces in prop::collection::vec(
             prop_oneof![
                 (any::<u16>(), 0u16..2, any::<u8>(), prop::collection::vec(any::<u8>(), 1..300))
@@ -121,7 +121,7 @@ proptest! {
         let mut receiver = Receiver::new();
         let bytewise: Vec<Seen> = stream.iter().filter_map(|byte| receiver.push(*byte).map(seen)).collect();
         prop_assert_eq!(&bytewise, &whole(&stream));
-        // By the letter, over the whole of it.
+                // Reference implementation over the complete stream.
         let (mut rest, mut expected) = (&stream[..], vec![]);
         while rest.len() >= LENGTH_END {
             let length = usize::from(rest[4]) << 8 | usize::from(rest[5]);
@@ -144,19 +144,19 @@ proptest! {
 }
 
 #[test]
-fn stream_is_lost_from_the_length_that_no_frame_has_on() {
+fn stream_is_lost_from_an_invalid_length_on() {
     let mut receiver = Receiver::new();
     assert!(!receiver.is_lost());
     receiver.push_slice(&frame(1, 0, 1, &[3, 0, 0, 0, 1]));
-    assert!(!receiver.is_lost(), "a frame is none");
+    assert!(!receiver.is_lost(), "after a valid frame");
     assert_eq!(receiver.push_slice(&[0, 2, 0, 0, 0xFF, 0xFF]).1, Some(Event::Lost));
     assert!(receiver.is_lost());
     receiver.push_slice(&frame(3, 0, 1, &[3, 0, 0, 0, 1]));
-    assert!(receiver.is_lost(), "for good");
+    assert!(receiver.is_lost(), "a frame does not resynchronize");
 }
 
 #[test]
-fn answer_of_every_length_that_a_pdu_has_is_framed_and_none_is_not() {
+fn answers_of_every_pdu_length_are_framed_except_0() {
     let request = Request { transaction: 7, unit: 1, pdu: &[0x2B] };
     for len in 0..=MAX_PDU_LEN {
         let mut buffer = [0; MAX_FRAME_LEN];
