@@ -1,5 +1,5 @@
-//! Prints the frames in a stream of SLCAN lines: `cargo run -p bus-slcan --example decode < capture.txt`, or
-//! `... < /dev/ttyACM0` for an adapter whose channel is open.
+//! Prints the frames in a stream of SLCAN lines: `cargo run -p bus-slcan --example decode < capture.txt`, or `... <
+//! /dev/ttyACM0` for an adapter with an open channel.
 
 use std::io::{self, BufRead, Write};
 

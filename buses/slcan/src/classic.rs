@@ -1,10 +1,10 @@
-//! A frame type for those who have no CAN controller whose own type they could use.
+//! A frame type for programs without a CAN controller driver.
 
 use embedded_can::{Frame, Id};
 
 use super::FULL;
 
-/// A frame of classic CAN: a data frame with up to eight bytes, or a remote frame.
+/// A classic CAN frame: a data frame with up to eight bytes, or a remote frame.
 ///
 /// ```
 /// use embedded_can::{Frame, StandardId};

@@ -1,17 +1,17 @@
-//! CAN over a serial line: the text protocol of LAWICEL's CANUSB adapter that SLCAN tools speak.
+//! CAN over a serial line: the text protocol of LAWICEL's CANUSB adapter, used by SLCAN tools.
 //!
-//! A frame is a line, `t1202ABCD` for identifier 120h with the two bytes ABh and CDh: a letter (`t` and `T` for data
-//! frames with 11 and 29 bits, `r` and `R` for remote frames), the identifier, the DLC, the data, all in hexadecimal, and
-//! CR. Both sides send frames in this form. The host also sends commands, which the adapter answers with CR or, when it
-//! refuses, BEL.
+//! Each frame is a line, such as `t1202ABCD` for identifier 120h with the two bytes ABh and CDh. It consists of a
+//! letter (`t` and `T` for data frames with 11 and 29 bits, `r` and `R` for remote frames), the identifier, the DLC and
+//! the data, all in hexadecimal, and CR. Both sides send frames in this form. The host also sends commands. The adapter
+//! responds with CR, or with BEL if it rejects the command.
 //!
-//! [`encode`] and [`Decoder`] serve both sides, over any frame type of `embedded-can`; [`Adapter`] is what an adapter owes
-//! its host. [`ClassicFrame`] is a frame type for programs that have no CAN controller whose own type they could use.
+//! [`encode`] and [`Decoder`] serve both sides, with any frame type of `embedded-can`. [`Adapter`] implements the
+//! responses of an adapter. [`ClassicFrame`] is a frame type for programs without a CAN controller driver.
 //!
-//! Not here: bit rates, which mean nothing where there is no bus, and time stamps, which are read over.
+//! Bit rates are accepted without effect, because there is no bus. Time stamps are accepted and ignored.
 //!
-//! `mini-slcan` is another codec for the adapter's side. It has ways to panic, takes no host's side, and depends on a
-//! `defmt` of before 1.0, which Cargo does not link beside a newer one.
+//! `mini-slcan` is another codec for the adapter's side. It can panic, does not support the host's side, and depends on
+//! a `defmt` version before 1.0, which Cargo does not link together with a newer one.
 //!
 //! ```
 //! use bus_slcan::{ClassicFrame, Decoder, Line, encode};
@@ -55,54 +55,54 @@ pub use classic::ClassicFrame;
 
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
 
-/// Bytes of data in the longest frame.
+/// Maximum number of data bytes in a frame.
 const FULL: usize = 8;
 
-/// Characters of the longest line, CR left out: a frame with 29 bits and eight bytes, and a time stamp.
+/// Maximum length of a line without CR: a frame with 29 bits, eight bytes and a time stamp.
 pub const MAX_LINE_LEN: usize = 1 + 8 + 1 + 2 * FULL + 4;
 
-/// Ends a line; alone, the answer to a command that was carried out.
+/// Ends a line. On its own, it is the positive response to a command.
 pub const CR: u8 = b'\r';
-/// The answer to a command that was refused.
+/// Negative response to a command or frame.
 pub const BEL: u8 = 7;
 
-/// What a line says.
+/// A decoded line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Line<F> {
-    /// A frame: from the host to be sent, from the adapter received.
+    /// A frame: to send if from the host, received if from the adapter.
     Frame(F),
-    /// A command, by its letter and the first character of its parameter: `O` opens the channel, `C` closes it, `S6` and
-    /// `s` set the bit rate, `Z1` asks for time stamps.
+    /// A command: its letter and the first character of its parameter. `O` opens the channel, `C` closes it, `S6` and
+    /// `s` set the bit rate, `Z1` enables time stamps.
     Command(u8, Option<u8>),
-    /// The answer to a frame that was taken: `z`, or `Z` where it has 29 bits.
+    /// The positive response to a frame: `z`, or `Z` for 29 bits.
     Taken(u8),
-    /// A line without characters: the answer to a command that was carried out.
+    /// An empty line: the positive response to a command.
     Done,
-    /// The answer to a command that was refused.
+    /// The negative response to a command or frame.
     Refused,
-    /// No line of this protocol: too long, or a frame that is none.
+    /// An invalid line: too long, or an invalid frame.
     Malformed,
 }
 
-/// The count of a line that is too long.
+/// Value of `count` for a line that is too long.
 const TOO_LONG: u8 = MAX_LINE_LEN as u8 + 1;
 
-/// Finds lines in a stream of bytes. After noise the next line is found, behind the next CR.
+/// Splits a stream of bytes into lines. After noise it resynchronizes at the next CR.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     held: [u8; MAX_LINE_LEN],
-    /// How many are held, or [`TOO_LONG`].
+    /// Number of held characters, or [`TOO_LONG`].
     count: u8,
 }
 
 impl Decoder {
-    /// A decoder before the first line.
+    /// Creates a decoder for the start of a line.
     #[must_use]
     pub const fn new() -> Self {
         Self { held: [0; MAX_LINE_LEN], count: 0 }
     }
 
-    /// Takes a byte; gives the line that it ends. Line feeds are read over: some hosts send them.
+    /// Processes a byte. Returns the line that it ends, if any. Line feeds, which some hosts send, are ignored.
     pub fn push<F: Frame>(&mut self, byte: u8) -> Option<Line<F>> {
         match byte {
             CR => {
@@ -171,7 +171,7 @@ fn frame<F: Frame>(text: &[u8]) -> Option<F> {
     F::new(id, bytes)
 }
 
-/// The number that up to eight hexadecimal digits show; upper and lower case are both in use.
+/// Returns the value of up to eight hexadecimal digits in upper or lower case.
 fn number(digits: &[u8]) -> Option<u32> {
     digits.iter().try_fold(0u32, |number, &digit| {
         let value = match digit {
@@ -184,9 +184,9 @@ fn number(digits: &[u8]) -> Option<u32> {
     })
 }
 
-/// A frame as a line, its CR included.
+/// Encodes a frame as a line, including CR.
 ///
-/// The [crate's documentation](crate) has an example.
+/// See the [crate's documentation](crate) for an example.
 #[must_use]
 pub fn encode<F: Frame>(frame: &F) -> Encoded {
     let mut line = Encoded { bytes: [0; MAX_LINE_LEN + 1], len: 0 };
@@ -209,7 +209,7 @@ pub fn encode<F: Frame>(frame: &F) -> Encoded {
     line
 }
 
-/// A line with its CR.
+/// An encoded line, including CR.
 #[derive(Clone, Copy, Debug)]
 pub struct Encoded {
     bytes: [u8; MAX_LINE_LEN + 1],
@@ -217,7 +217,7 @@ pub struct Encoded {
 }
 
 impl Encoded {
-    /// The characters.
+    /// Returns the characters of the line.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         self.bytes.get(..self.len.into()).unwrap_or(&[])
@@ -230,7 +230,7 @@ impl Encoded {
         }
     }
 
-    /// The lowest `digits` digits of a number.
+    /// Appends the lowest `digits` hexadecimal digits of a number.
     fn append_hex(&mut self, number: u32, digits: u32) {
         for place in (0..digits).rev() {
             let digit = (number.wrapping_shr(place.wrapping_mul(4)) & 0xF) as u8;
@@ -239,7 +239,7 @@ impl Encoded {
     }
 }
 
-/// What the adapter's side of a line owes its host: answers, and no frames while the channel is closed.
+/// The adapter's side of the protocol: responses to the host, and no frames while the channel is closed.
 ///
 /// ```
 /// use bus_slcan::{Adapter, ClassicFrame, Line};
@@ -256,19 +256,19 @@ pub struct Adapter {
 }
 
 impl Adapter {
-    /// An adapter whose channel is closed.
+    /// Creates an adapter with a closed channel.
     #[must_use]
     pub const fn new() -> Self {
         Self { is_open: false }
     }
 
-    /// Whether frames go through, either way.
+    /// Returns whether the channel is open, so that frames pass in both directions.
     #[must_use]
     pub const fn is_open(&self) -> bool {
         self.is_open
     }
 
-    /// What the host is answered to its line. A line that is itself an answer gets none.
+    /// Returns the response to a line from the host; empty if the line is itself a response.
     pub fn answer<F: Frame>(&mut self, line: &Line<F>) -> &'static [u8] {
         const BEL_ALONE: &[u8] = &[BEL];
         match line {
@@ -280,7 +280,7 @@ impl Adapter {
                     b"z\r"
                 }
             }
-            // Open; listen only is not, as what is sent would go nowhere.
+            // Listen-only mode is rejected, because frames from the host would be lost.
             Line::Command(b'O', _) => {
                 self.is_open = true;
                 b"\r"
@@ -289,9 +289,9 @@ impl Adapter {
                 self.is_open = false;
                 b"\r"
             }
-            // There is no bus that a rate could be wrong for, but there are nine rates.
+            // Any of the nine standard rates is accepted; there is no bus.
             Line::Command(b'S', Some(b'0'..=b'8')) | Line::Command(b's', Some(_)) => b"\r",
-            // No time stamps: that is carried out, and that they are wanted is refused.
+            // Time stamps are not supported, so disabling them succeeds and enabling them is rejected.
             Line::Command(b'Z', Some(b'0')) => b"\r",
             Line::Command(b'F', _) => b"F00\r",
             Line::Command(b'V', _) => b"V0101\r",
@@ -305,7 +305,7 @@ impl Adapter {
 #[cfg(test)]
 mod tests;
 
-/// The README's example is compiled with the others.
+/// Compiles the README's example as a doc test.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

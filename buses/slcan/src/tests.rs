@@ -1,4 +1,4 @@
-//! Lines as adapters and hosts send them.
+//! Lines of adapters and hosts: valid, malformed and noisy.
 
 use super::*;
 use proptest::prelude::*;
@@ -15,7 +15,7 @@ fn frame(id: impl Into<Id>, data: &[u8]) -> ClassicFrame {
 }
 
 #[test]
-fn frames_of_both_lengths_and_kinds_are_read() {
+fn frames_of_both_lengths_and_kinds_are_decoded() {
     let n = StandardId::new(0x120).unwrap();
     let extended = ExtendedId::new(0x1ABC_DEF0).unwrap();
     for (text, expected) in [
@@ -32,7 +32,7 @@ fn frames_of_both_lengths_and_kinds_are_read() {
 }
 
 #[test]
-fn frames_that_are_none_are_malformed() {
+fn invalid_frames_are_malformed() {
     for text in [
         "t8000",
         "t12",
@@ -59,7 +59,7 @@ fn frames_that_are_none_are_malformed() {
 }
 
 #[test]
-fn line_behind_noise_of_any_length_is_read() {
+fn line_after_noise_of_any_length_is_decoded() {
     for noise in 0..3 * MAX_LINE_LEN {
         let mut bytes = vec![b'#'; noise];
         bytes.extend(b"\rt1200\r");
@@ -70,7 +70,7 @@ fn line_behind_noise_of_any_length_is_read() {
 }
 
 #[test]
-fn answers_and_commands_are_told_apart() {
+fn responses_and_commands_are_distinguished() {
     let expected = [
         Line::Done,
         Line::Refused,
@@ -79,12 +79,12 @@ fn answers_and_commands_are_told_apart() {
         Line::Command(b'S', Some(b'6')),
     ];
     assert_eq!(lines(b"\r\x07z\rO\r\nS6\r"), expected);
-    // A refusal in the middle of a line ends what was there.
+    // BEL in the middle of a line discards the start of the line.
     assert_eq!(lines(b"t12\x07\r"), [Line::Refused, Line::Done]);
 }
 
 #[test]
-fn adapter_answers_its_host_and_no_answer_gets_one() {
+fn adapter_responds_to_its_host_but_not_to_responses() {
     let mut adapter = Adapter::new();
     let script: [(&[u8], &[u8]); 22] = [
         (b"t1200\r", b"\x07"),
@@ -117,7 +117,7 @@ fn adapter_answers_its_host_and_no_answer_gets_one() {
 }
 
 #[test]
-fn channel_is_open_from_its_command_to_the_one_that_closes_it() {
+fn channel_is_open_between_its_open_and_close_commands() {
     let mut adapter = Adapter::new();
     let opens = |adapter: &mut Adapter, line: &[u8]| {
         for line in lines(line) {
@@ -134,7 +134,7 @@ fn channel_is_open_from_its_command_to_the_one_that_closes_it() {
 
 proptest! {
     #[test]
-    fn every_frame_is_read_as_it_was_written(
+        fn every_frame_is_decoded_as_encoded(
         number in 0u32..=0x1FFF_FFFF,
         is_standard: bool,
         is_remote: bool,
