@@ -1,5 +1,6 @@
-//! Eight digital inputs and outputs on a bus that is played here: a master starts the module, switches outputs, reads an object
-//! and falls silent. `cargo run -p bus-canopen --example io_module` prints the frames; with `-- --eds`, the EDS file.
+//! Eight digital inputs and outputs on a simulated bus. The master starts the module, switches outputs, reads an
+//! object and then stops responding. `cargo run -p bus-canopen --example io_module` prints the frames; add `-- --eds`
+//! to print the EDS file.
 
 use bus_canopen::{
     Abort, Cause, Config, DataType, Device, Dictionary, Eds, EdsEntry, EdsFacts, Entry, Event, Fault, Object,
@@ -24,13 +25,13 @@ const FAULTS: [Fault; 2] = [
     Fault { code: 0x2300, register: 1 << 1, cause: Cause::Application },
     Fault { code: 0x8130, register: 1 << 4, cause: Cause::MasterSilent },
 ];
-/// The first of them: an output has a short circuit.
+/// Bit of the first fault: short circuit at an output.
 const SHORT_CIRCUIT: u16 = 1 << 0;
 
-/// What the module has besides its PDOs.
+/// Application values that are not in a PDO.
 #[derive(Clone, Copy, Debug)]
 enum Key {
-    /// Which outputs stay on when the master is silent.
+    /// Mask of the outputs that stay on after the master has timed out.
     HoldMask,
 }
 
@@ -132,7 +133,7 @@ impl Dictionary for Module {
     }
 }
 
-/// What the master sends, and when.
+/// Frames from the master: time in milliseconds, identifier and data.
 const SCRIPT: [(u32, u16, &[u8]); 5] = [
     (10, 0x000, &[0x01, 0x20]),
     (20, 0x77F, &[0x05]),
@@ -162,7 +163,7 @@ fn main() {
                 Event::Sdo { .. } => {}
             }
         }
-        // Each input is wired to the output of its number; the last output is shorted.
+        // Each input is wired to the output of the same number; the last output has a short circuit.
         device.show_tpdo(0, [module.outputs, 0, 0, 0, 0, 0, 0, 0]);
         device.show_faults(if module.outputs & 0x80 != 0 { SHORT_CIRCUIT } else { 0 }, [0; 5]);
         while let Some(frame) = device.poll_transmit::<ClassicFrame>(now_ms) {

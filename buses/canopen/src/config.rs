@@ -1,27 +1,27 @@
-//! Who a device is on its bus, and which identifiers CANopen uses.
+//! Configuration of a device, and the identifiers reserved by CANopen.
 
-/// What a device has at power-up. A master changes all but `node` by SDO where the object dictionary lets it; a reset of the
-/// communication brings this back.
+/// Configuration of a device at power-up. A master can change everything except `node` by SDO, as far as the object
+/// dictionary permits. A communication reset restores this configuration.
 ///
 /// `T` is the number of TPDOs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config<const T: usize> {
-    /// The node-ID, 1 to 127.
+    /// Node-ID of the device, 1 to 127.
     pub node: u8,
-    /// The node-ID of the master, whose heartbeat is watched.
+    /// Node-ID of the master whose heartbeat is monitored, 1 to 127.
     pub master: u8,
-    /// How often the device sends its heartbeat, in milliseconds; 0: never.
+    /// Period of the device's heartbeat in milliseconds; 0 disables it.
     pub heartbeat_ms: u16,
-    /// The least time between two emergencies, in 100 µs.
+    /// Inhibit time of emergencies in 100 µs.
     pub emergency_inhibit: u16,
-    /// The least time between two transmissions of each TPDO, in 100 µs.
+    /// Inhibit time of each TPDO in 100 µs.
     pub inhibit: [u16; T],
-    /// The most time between two transmissions of each TPDO, in milliseconds; 0: only on change.
+    /// Event timer of each TPDO in milliseconds; 0 sends it on change only.
     pub event_ms: [u16; T],
 }
 
 impl<const T: usize> Config<T> {
-    /// Whether both node-IDs are in range, and differ.
+    /// Returns whether both node-IDs are in range and differ.
     #[must_use]
     pub const fn is_valid(&self) -> bool {
         self.node >= 1
@@ -32,7 +32,8 @@ impl<const T: usize> Config<T> {
     }
 }
 
-/// Whether CANopen uses this 11-bit identifier, on whatever node: NMT, SYNC and EMCY, TIME; PDOs; SDOs; heartbeats; LSS.
+/// Returns whether CANopen reserves this 11-bit identifier for any node: NMT, SYNC and EMCY, TIME,
+/// PDOs, SDOs, heartbeats or LSS.
 ///
 /// ```
 /// assert!(bus_canopen::is_reserved(0x190), "TPDO1 of node 10h");

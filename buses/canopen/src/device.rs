@@ -12,70 +12,70 @@ use crate::emergency::{Emergency, Message};
 use crate::sdo::Upload;
 use crate::{Cause, Config, Dictionary, Fault, Pdo};
 
-/// The state of a device (CiA 301, 7.3.2), by its code in the heartbeat.
+/// NMT state of a device (CiA 301, 7.3.2), with its code in the heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum NmtState {
-    /// It has not announced itself yet.
+    /// The device has not sent its boot-up message yet.
     Initialising = 0,
-    /// No PDOs, no SDO.
+    /// NMT and heartbeat only: no PDOs, no SDO, no emergencies.
     Stopped = 4,
-    /// All of it.
+    /// All services, including PDOs.
     Operational = 5,
-    /// No PDOs.
+    /// All services except PDOs.
     PreOperational = 127,
 }
 
-/// An RPDO of a device.
+/// Properties of an RPDO.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rpdo {
-    /// Its length by the mapping, in bytes, 8 at the most. One of another length is not taken.
+    /// Length by the mapping in bytes, at most 8. RPDOs of another length are rejected.
     pub len: u8,
-    /// Requests to stop: bits that a later RPDO does not take back when there is no room for both (see
-    /// [`Device::poll_event`]), and that wait for no SYNC.
+    /// Bits that request a stop. A later RPDO does not clear them when the event queue is full (see
+    /// [`Device::poll_event`]), and an RPDO with one of them set does not wait for a SYNC.
     pub keep: [u8; 8],
 }
 
-/// What is fixed about a device: its PDOs and the faults that it tells.
+/// Fixed properties of a device: its PDOs and the faults that it reports.
 #[derive(Clone, Copy, Debug)]
 pub struct Profile<const R: usize, const T: usize> {
-    /// The RPDOs, on the identifiers of the predefined connection set: 200h + node, 300h + node, ...
+    /// RPDOs on the identifiers of the predefined connection set: 200h + node, 300h + node, ...
     pub rpdos: [Rpdo; R],
-    /// The lengths of the TPDOs in bytes, 8 at the most, on 180h + node, 280h + node, ...
+    /// Lengths of the TPDOs in bytes, at most 8 each, on 180h + node, 280h + node, ...
     pub tpdos: [u8; T],
-    /// The faults, up to 16. The first that is new is told first.
+    /// Faults, up to 16. New faults are reported in order of this table.
     pub faults: &'static [Fault],
 }
 
-/// What came from the bus, for the application.
+/// An event from the bus for the application.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// An RPDO.
+    /// An RPDO has taken effect.
     Rpdo {
-        /// Which, counted from 0.
+        /// Number of the RPDO, from 0.
         number: u8,
-        /// Its bytes; those behind its length are 0.
+        /// Data of the RPDO, padded with 0 to 8 bytes.
         data: [u8; 8],
     },
-    /// A master asked for something by SDO.
+    /// An SDO request was served.
     Sdo {
-        /// It wrote a value of the application.
+        /// Whether it wrote a value of the application.
         written: bool,
     },
-    /// Nobody commands over the bus any more: the master took the device out of operation, disabled an RPDO, restarted or fell
-    /// silent, or the bus is gone.
+    /// No master commands over the bus any more. The master took the device out of operation, disabled an RPDO,
+    /// restarted or timed out, or the bus was lost.
     Left {
-        /// Because the master fell silent.
+        /// Whether the cause is a time-out of the master.
         master_silent: bool,
     },
-    /// NMT: reset communication. The device itself is as it was at power-up.
+    /// NMT reset. The device has returned to its power-up state.
     Reset {
-        /// Reset node: the application too is to be as it was at power-up.
+        /// Whether it was a node reset, so that the application must return to its power-up state too.
         application: bool,
     },
 }
 
-/// What becomes of operation when the bus or the master is lost (1029h).
+/// State after loss of the bus or the master (1029h).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 enum ErrorBehaviour {
@@ -84,13 +84,16 @@ enum ErrorBehaviour {
     Stopped = 2,
 }
 
-/// A CANopen device with `R` RPDOs and `T` TPDOs, up to four each, and room for `Q` events: one for each frame between two
-/// turns, and `R` for a SYNC where a master may set RPDOs to wait for it.
+/// A CANopen device with `R` RPDOs and `T` TPDOs, at most four each, and a queue of `Q` events. Reserve one event per
+/// frame between two turns of the main loop, and another `R` for a SYNC if a master may make RPDOs synchronous.
 ///
-/// In each turn of the main loop: hand over what the bus brought ([`on_frame`](Self::on_frame)), take the events
-/// ([`poll_event`](Self::poll_event)), show what has changed ([`show_tpdo`](Self::show_tpdo),
-/// [`show_faults`](Self::show_faults)), and send what is due ([`poll_transmit`](Self::poll_transmit)). Times are
-/// milliseconds of any clock that wraps.
+/// In each turn of the main loop:
+/// 1. Pass the received frames to [`on_frame`](Self::on_frame).
+/// 2. Take the events from [`poll_event`](Self::poll_event).
+/// 3. Update data and faults by [`show_tpdo`](Self::show_tpdo) and [`show_faults`](Self::show_faults).
+/// 4. Send the frames that [`poll_transmit`](Self::poll_transmit) returns.
+///
+/// Times are milliseconds of any clock that wraps at 2^32.
 #[derive(Clone, Debug)]
 pub struct Device<const R: usize, const T: usize, const Q: usize> {
     profile: &'static Profile<R, T>,
@@ -101,27 +104,27 @@ pub struct Device<const R: usize, const T: usize, const Q: usize> {
     request: Option<[u8; 8]>,
     response: Option<[u8; 8]>,
     upload: Option<Upload>,
-    /// Index and subindex of what a client has written, while it goes on.
+    /// Index and subindex of a write in progress.
     writing: Option<(u16, u8)>,
-    /// The master whose heartbeat is watched is at work (1016h).
+    /// Whether the master's heartbeat is monitored (1016h).
     watches_heartbeat: bool,
     error_behaviour: ErrorBehaviour,
-    /// When the master was heard last; none when it was not, or too long ago.
+    /// Time of the master's last heartbeat or RPDO; `None` if none was received or it timed out.
     heard_at: Option<u32>,
-    /// By its heartbeat, which from then on counts alone.
+    /// Whether a heartbeat was received. From then on, RPDOs do not count for monitoring.
     has_heartbeat: bool,
     master_silent: bool,
-    /// When the own heartbeat was sent.
+    /// Time of the device's last heartbeat.
     beat_at: Option<u32>,
     rpdos: [pdo::Rpdo; R],
     tpdos: [Tpdo; T],
     emergency: Emergency,
-    /// The manufacturer's field of an emergency.
+    /// Manufacturer-specific field of emergencies.
     field: [u8; 5],
 }
 
 impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
-    /// A device that has not announced itself.
+    /// Creates a device that has not sent its boot-up message yet.
     #[must_use]
     pub const fn new(profile: &'static Profile<R, T>, config: Config<T>) -> Self {
         const { assert!(R <= 4 && T <= 4 && Q > 0, "the predefined connection set has four PDOs each way") }
@@ -148,13 +151,13 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
     }
 
-    /// Its state.
+    /// Returns the present NMT state.
     #[must_use]
     pub const fn state(&self) -> NmtState {
         self.state
     }
 
-    /// Takes a frame of the bus; those for others change nothing.
+    /// Processes a received frame. Ignores frames for other nodes.
     pub fn on_frame<F: Frame>(&mut self, now_ms: u32, frame: &F) {
         let Id::Standard(id) = frame.id() else { return };
         if frame.is_remote_frame() {
@@ -185,16 +188,16 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
     }
 
-    /// The next event; none when there is nothing to do. An SDO request is answered here, from the dictionary, and here the
-    /// master is found silent.
+    /// Returns the next event, or `None` if there is none. This call also serves SDO requests from the dictionary and
+    /// detects the time-out of the master.
     ///
-    /// To be called until it gives none, before more than `Q` frames have come. Where that is missed, an RPDO takes the
-    /// place of the newest event, if that is an RPDO of the same number, and only the bits of [`Rpdo::keep`] are kept of
-    /// it; every other event is lost.
+    /// Call it until it returns `None`, before more than `Q` frames have been received. If the queue is full, an RPDO
+    /// replaces the newest event, provided that this is an RPDO of the same number. Bits of [`Rpdo::keep`] that were set
+    /// in the replaced event stay set. All other events are lost.
     pub fn poll_event<D: Dictionary>(&mut self, now_ms: u32, dictionary: &mut D) -> Option<Event> {
         if let Some(event) = self.events.pop_front() {
             if let Event::Reset { .. } = event {
-                // Behind a reset nothing but another counts before the device has announced itself: that stays.
+                // Only another reset can follow before the device has sent its boot-up message, so the queue is kept.
                 let events = core::mem::take(&mut self.events);
                 *self = Self::new(self.profile, self.initial);
                 self.events = events;
@@ -216,46 +219,48 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         Some(Event::Left { master_silent: true })
     }
 
-    /// What a TPDO, counted from 0, carries from now on. It is sent when it has changed or its event timer has run out.
+    /// Sets the data of a TPDO, numbered from 0. It is sent on change or when its event timer expires.
     pub fn show_tpdo(&mut self, number: usize, data: [u8; 8]) {
         if let Some(tpdo) = self.tpdos.get_mut(number) {
             tpdo.shown = data;
         }
     }
 
-    /// The faults that the application sees now, bit n for fault n of the table, and the manufacturer's field of the
-    /// emergencies that are told from now on.
+    /// Sets the faults present in the application, bit n for fault n of the table, and the
+    /// manufacturer-specific field of subsequent emergencies.
     pub fn show_faults(&mut self, present: u16, field: [u8; 5]) {
         self.field = field;
         self.emergency.see(self.profile.faults, present, self.master_silent, self.info());
     }
 
-    /// The next frame that is due.
+    /// Returns the next frame to send, or `None` if none is due.
     pub fn poll_transmit<F: Frame>(&mut self, now_ms: u32) -> Option<F> {
         let (base, data, len) = self.due(now_ms)?;
         let id = StandardId::new(base | u16::from(self.config.node))?;
         F::new(id, data.get(..len)?)
     }
 
-    /// Whether frames with this identifier are the device's own.
+    /// Returns whether this device sends frames with this identifier.
     #[must_use]
     pub fn sends(&self, id: Id) -> bool {
         matches!(id, Id::Standard(id) if id.as_raw() & 0x7F == u16::from(self.config.node))
     }
 
-    /// Frames that it gave will not leave. What is cyclic comes again at once; a client of SDO asks again by itself.
+    /// Notifies the device that frames were not sent. It repeats TPDOs and heartbeat at once;
+    /// SDO clients repeat requests themselves.
     pub fn frames_lost(&mut self) {
         self.send_all_again();
     }
 
-    /// The bus is gone. Nobody could stop the device any more, so it leaves operation, unless its master asked for something
-    /// else (1029h); the event comes in any case.
+    /// Notifies the device that the bus is lost. Because no master could stop it any more, the device leaves operation,
+    /// unless its master has configured otherwise (1029h). If operational, it reports [`Event::Left`] in either case.
     pub fn bus_lost(&mut self) {
         self.forget_transfer();
         self.fall_back();
     }
 
-    /// The bus is there again.
+    /// Notifies the device that the bus is available again. It reports [`Cause::BusOff`]
+    /// and repeats TPDOs and heartbeat.
     pub fn bus_joined(&mut self) {
         self.forget_transfer();
         self.emergency.happened(self.profile.faults, Cause::BusOff, self.info());
@@ -266,7 +271,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         (self.request, self.response, self.upload, self.writing) = (None, None, None, None);
     }
 
-    /// What is remembered with a fault.
+    /// Returns the byte recorded with a fault: the last one of the manufacturer-specific field.
     const fn info(&self) -> u8 {
         let [.., last] = self.field;
         last
@@ -283,7 +288,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         (self.heard_at, self.has_heartbeat) = (None, false);
     }
 
-    /// NMT: what the master does with the device.
+    /// Executes an NMT command for this device.
     fn command(&mut self, specifier: u8) {
         let state = match specifier {
             0x01 => NmtState::Operational,
@@ -298,7 +303,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             _ => return,
         };
         if self.state == NmtState::Initialising {
-            // It has not announced itself again yet.
+            // The boot-up message after a reset is still pending.
             return;
         }
         if state == NmtState::Operational {
@@ -317,7 +322,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         self.state = state;
     }
 
-    /// Nobody commands over the bus any more.
+    /// Reports that the master has stopped commanding, and discards its pending data.
     fn leave(&mut self) {
         self.forget_waiting();
         if self.state == NmtState::Operational {
@@ -325,20 +330,20 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
     }
 
-    /// What waits for a SYNC was commanded by somebody who does not command any more.
+    /// Discards RPDOs that wait for a SYNC, because their master has stopped commanding.
     fn forget_waiting(&mut self) {
         for rpdo in &mut self.rpdos {
             rpdo.waiting = None;
         }
     }
 
-    /// The bus or the master is lost.
+    /// Handles loss of the bus or the master.
     fn fall_back(&mut self) {
         self.leave();
         self.end_operation();
     }
 
-    /// Waits for a master that starts the device again, as far as 1029h lets it.
+    /// Leaves operation as configured by 1029h, and waits for a master to start the device again.
     fn end_operation(&mut self) {
         if self.state == NmtState::Operational {
             self.state = match self.error_behaviour {
@@ -412,7 +417,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             return;
         }
         match data {
-            // A boot-up: a master that restarts does not know what it has commanded.
+            // Boot-up message: a restarted master does not know its previous commands.
             [0] if self.heard_at.is_some() => self.fall_back(),
             [0] => {}
             [_] => {
@@ -425,11 +430,11 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
 
     fn hear_master(&mut self, now_ms: u32) {
         self.heard_at = Some(now_ms);
-        // A device that stayed in operation is not started again.
+        // A device that stayed operational needs no new start.
         self.master_silent &= self.state != NmtState::Operational;
     }
 
-    /// The next frame that is due: its identifier without the node-ID, and its data.
+    /// Returns the next frame to send: identifier without the node-ID, data and length.
     fn due(&mut self, now_ms: u32) -> Option<(u16, [u8; 8], usize)> {
         if self.state == NmtState::Initialising {
             self.state = NmtState::PreOperational;
@@ -472,12 +477,12 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     }
 }
 
-/// An inhibit time, which is given in 100 µs.
+/// Converts an inhibit time from units of 100 µs, rounding up.
 const fn milliseconds(inhibit: u16) -> u32 {
     (inhibit as u32).div_ceil(10)
 }
 
-/// The identifier of a PDO without its node-ID.
+/// Returns the identifier of a PDO without the node-ID.
 const fn identifier(pdo: Pdo) -> u16 {
     (pdo.base_cob_id() & 0x7FF) as u16
 }

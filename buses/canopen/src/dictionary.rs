@@ -1,57 +1,59 @@
-//! What the application gives to the SDO server.
+//! Interface from the SDO server to the application.
 
 use crate::{Abort, Entry};
 
-/// The object dictionary of a device, and the values in it that are the application's.
+/// The object dictionary of a device, with access to the application's values.
 ///
-/// The device itself serves every [`Source`](crate::Source) but `Application`.
+/// The device itself serves every [`Source`](crate::Source) except `Application`.
 pub trait Dictionary {
-    /// Names a value of the application.
+    /// Identifies a value of the application.
     type Key: Copy;
 
-    /// Looks an entry up; [`find`](crate::find) does that in a table.
+    /// Looks up an entry. [`find`](crate::find) implements this for a table.
     ///
     /// # Errors
-    /// [`Abort::NoObject`], or [`Abort::NoSubindex`] where only the subindex does not exist.
+    /// Returns [`Abort::NoObject`], or [`Abort::NoSubindex`] if only the subindex does not exist.
     fn find(&self, index: u16, sub: u8) -> Result<Entry<Self::Key>, Abort>;
 
-    /// The application's value behind an entry; of a number with a sign, the bits of its two's complement.
+    /// Returns the application's value of an entry. Signed values are in two's complement.
     ///
     /// # Errors
-    /// Why it cannot be read.
+    /// Returns the abort code if the value cannot be read.
     fn read(&self, key: Self::Key) -> Result<u32, Abort>;
 
-    /// The application's text behind an entry of type [`DataType::Text`](crate::DataType::Text).
+    /// Returns the application's text of an entry of type [`DataType::Text`](crate::DataType::Text).
     ///
     /// # Errors
-    /// Why it cannot be read.
+    /// Returns the abort code if the text cannot be read; by default always [`Abort::NoData`].
     fn text(&self, _: Self::Key) -> Result<&'static str, Abort> {
         Err(Abort::NoData)
     }
 
-    /// Writes it. The value has the length of the entry's type, and the entry is writable.
+    /// Writes a value. The device has already checked its length and that the entry is writable.
     ///
     /// # Errors
-    /// Why it is refused; then nothing was written.
+    /// Returns the abort code if the value is rejected; nothing has been written then.
     fn write(&mut self, key: Self::Key, value: u32) -> Result<(), Abort>;
 
-    /// Whether what was written has ended, such as the store of parameters (1010h). `None`: it goes on, and the client is not
-    /// answered yet. Asked behind each write, and then in each [`poll_event`](crate::Device::poll_event), until it has ended or
-    /// the client asks for something else. It must end within the time that a client waits, which is often 500 ms.
+    /// Returns the outcome of the last write, for writes that take time, such as storing parameters (1010h). `None`
+    /// means that the write is in progress and defers the response to the client.
+    ///
+    /// The device calls this after each write. While it returns `None`, [`poll_event`](crate::Device::poll_event)
+    /// calls it again until the client sends another request. The write must end within the client's time-out,
+    /// which is often 500 ms.
     ///
     /// # Errors
-    /// Why it failed.
+    /// Returns the abort code if the write failed.
     fn outcome(&self, _: Self::Key) -> Option<Result<(), Abort>> {
         Some(Ok(()))
     }
 
-    /// Within which time the master must be heard again, in milliseconds; 0: it is not watched, neither by its heartbeat nor
-    /// by its RPDOs.
+    /// Returns the time-out for the master in milliseconds. 0 disables monitoring of its heartbeat and its RPDOs.
     fn consumer_time_ms(&self) -> u16;
 
-    /// Changes it (1016h, 1); never to 0.
+    /// Changes the time-out for the master (1016h, 1). Never called with 0.
     ///
     /// # Errors
-    /// Why it is refused; then nothing was changed.
+    /// Returns the abort code if the time is rejected; nothing has changed then.
     fn set_consumer_time_ms(&mut self, time_ms: u16) -> Result<(), Abort>;
 }

@@ -1,78 +1,78 @@
-//! The EDS file (CiA 306), from the table that the server uses.
+//! Generates the EDS file (CiA 306) from the table of the SDO server.
 
 use core::fmt::{self, Write};
 
 use crate::{Config, DataType, Object, Pdo, Source};
 
-/// Objects that every device has (CiA 306: mandatory); those from 2000h on are the manufacturer's.
+/// Mandatory objects of every device (CiA 306). Objects from 2000h up are manufacturer-specific.
 const MANDATORY: [u16; 3] = [0x1000, 0x1001, 0x1018];
 const MANUFACTURER: u16 = 0x2000;
 
-/// Objects with entries of one type, which CiA 301 has as arrays; those with entries of several are records.
+/// Objects that CiA 301 defines as arrays. Other objects with entries are records.
 const ARRAYS: [u16; 3] = [0x1003, 0x1016, 0x1029];
 
-/// The rates that an EDS file speaks of, in kbit/s.
+/// Bit rates with an entry in the EDS file, in kbit/s.
 const RATES: [u16; 8] = [10, 20, 50, 125, 250, 500, 800, 1000];
 
-/// What an EDS file says besides the objects. Vendor, product and revision number are those of object 1018h.
+/// Contents of an EDS file other than the objects. Vendor number, product number and revision come from object 1018h.
 #[derive(Clone, Copy, Debug)]
 pub struct EdsFacts<'a> {
-    /// The name of the file.
+    /// Name of the EDS file.
     pub file_name: &'a str,
-    /// What the device is.
+    /// Description of the device.
     pub description: &'a str,
-    /// When the file was made: `12:00AM`.
+    /// Creation time of the file, such as `12:00AM`.
     pub time: &'a str,
-    /// The day: `01-31-2026`.
+    /// Creation date of the file, such as `01-31-2026`.
     pub date: &'a str,
-    /// Who made it.
+    /// Author of the file.
     pub author: &'a str,
-    /// Who makes the device.
+    /// Name of the device's vendor.
     pub vendor: &'a str,
-    /// The name of the device.
+    /// Product name of the device.
     pub product: &'a str,
-    /// How it is ordered.
+    /// Order code of the device.
     pub order_code: &'a str,
-    /// The rates that it can be set to, in kbit/s, of 10, 20, 50, 125, 250, 500, 800 and 1000.
+    /// Supported bit rates in kbit/s, out of 10, 20, 50, 125, 250, 500, 800 and 1000.
     pub kbit_rates: &'a [u16],
 }
 
-/// An entry as the file has it: an object of the dictionary, which values a master may write, and what it holds at power-up.
+/// An object with its limits and default in the EDS file.
 #[derive(Clone, Copy, Debug)]
 pub struct EdsEntry<'a, K> {
-    /// The object.
+    /// Object of the dictionary.
     pub object: Object<K>,
-    /// The least and the greatest value, where they are known.
+    /// Minimum and maximum value, if known.
     pub limits: Option<(u16, u16)>,
-    /// Its value at power-up, where the table does not say it.
+    /// Value at power-up, if it cannot be derived from the object's source.
     pub default: Option<EdsValue<'a>>,
 }
 
 impl<K: Copy> EdsEntry<'_, K> {
-    /// An entry of which nothing else is known.
+    /// Creates an entry without limits and explicit default.
     #[must_use]
     pub const fn new(object: Object<K>) -> Self {
         Self { object, limits: None, default: None }
     }
 }
 
-/// What an entry holds.
+/// Default value of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EdsValue<'a> {
-    /// A number; of one with a sign, the bits of its two's complement.
+    /// A number. Signed values are in two's complement.
     Number(u32),
-    /// A text.
+    /// A VISIBLE_STRING value.
     Text(&'a str),
 }
 
-/// The EDS file of a device with this configuration, as text.
+/// The EDS file of a device. `Display` writes its text.
 #[derive(Clone, Copy, Debug)]
 pub struct Eds<'a, I, const T: usize> {
-    /// What it says besides the objects.
+    /// Contents other than the objects.
     pub facts: EdsFacts<'a>,
-    /// The entries, in the order of the dictionary.
+    /// Entries in ascending order of index and subindex.
     pub entries: I,
-    /// What the device has at power-up.
+    /// Configuration at power-up, for default values.
     pub config: Config<T>,
 }
 
@@ -144,7 +144,7 @@ fn device_info<'a, K: Copy>(
     writeln!(out, "LSS_Supported=0")
 }
 
-/// Every index once, in order.
+/// Returns each index once, in order. `entries` must be sorted.
 fn indices<'a, K>(
     entries: impl Iterator<Item = EdsEntry<'a, K>> + Clone,
 ) -> impl Iterator<Item = u16> + Clone {
@@ -164,7 +164,7 @@ fn list(out: &mut impl Write, name: &str, indices: impl Iterator<Item = u16> + C
     Ok(())
 }
 
-/// An entry with what it holds at power-up. `$NODEID` is replaced by whoever reads the file.
+/// Writes an entry with its default value. Readers of the file substitute `$NODEID`.
 fn write_entry<K: Copy, const T: usize>(
     out: &mut impl Write,
     entry: &EdsEntry<'_, K>,

@@ -1,60 +1,60 @@
-//! EMCY: which faults are told, by which codes (CiA 301, 7.2.7), and which there were (1003h).
+//! EMCY: fault reports and their codes (CiA 301, 7.2.7), and the fault history (1003h).
 
 use crate::clock::since;
 
-/// A fault that is told.
+/// A fault reported by an emergency message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// The emergency error code.
+    /// Emergency error code, by CiA 301.
     pub code: u16,
-    /// The bit of the error register (1001h), beside bit 0, which every fault sets.
+    /// Bit in the error register (1001h). Every fault also sets bit 0.
     pub register: u8,
-    /// Who sees it.
+    /// Source of the fault.
     pub cause: Cause,
 }
 
-/// Who sees a fault.
+/// Source of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// The application, which says so by [`Device::show_faults`](crate::Device::show_faults).
+    /// Reported by the application through [`Device::show_faults`](crate::Device::show_faults).
     Application,
-    /// The device: the heartbeat of the master, or its RPDO, did not come in time.
+    /// Detected by the device: the master's heartbeat or RPDO timed out.
     MasterSilent,
-    /// The device: the controller was bus-off, and is back. Told once, and that it is over.
+    /// Detected by the device: the controller has recovered from bus-off. Reported once, then cleared.
     BusOff,
-    /// The device: an RPDO had another length than its mapping says. Told once, and that it is over.
+    /// Detected by the device: the length of an RPDO did not match its mapping. Reported once, then cleared.
     PdoLength,
 }
 
-/// Bit 0 of the error register.
+/// Bit 0 of the error register: generic error.
 const GENERIC: u8 = 1;
 
 /// A set of faults: bit n is fault n of the table.
 pub(crate) type Set = u16;
 
-/// Faults that are remembered (1003h): a number that divides 256, because their counter wraps there.
+/// Length of the fault history (1003h). Must divide 256, because `next` wraps at 256.
 pub(crate) const HISTORY: usize = 8;
 const _: () = assert!(256 % HISTORY == 0);
 
-/// An emergency to send.
+/// An emergency message to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Message {
-    /// The emergency error code; 0 when a fault is over.
+    /// Emergency error code; 0 reports that faults have cleared.
     pub(crate) code: u16,
-    /// The error register with it.
+    /// Error register at that time.
     pub(crate) register: u8,
 }
 
-/// Which faults there are, which are to be told, and which were.
+/// Present, pending, reported and past faults.
 #[derive(Clone, Debug)]
 pub(crate) struct Emergency {
     present: Set,
-    /// To be told, even those that are over meanwhile.
+    /// Not yet reported, including faults that have cleared since.
     new: Set,
-    /// Told, and their end was not.
+    /// Reported as present, but not yet as cleared.
     told: Set,
     sent_at: Option<u32>,
-    /// The last that came, as a ring: where the next goes, and how many there are.
+    /// Ring of past faults; `next` is the next position, `count` the number of valid ones.
     past: [u32; HISTORY],
     next: u8,
     count: u8,
@@ -65,7 +65,7 @@ impl Emergency {
         Self { present: 0, new: 0, told: 0, sent_at: None, past: [0; HISTORY], next: 0, count: 0 }
     }
 
-    /// The faults that last, as they are now. `info` is remembered with those that are new.
+    /// Updates the present faults. `info` is recorded with new faults.
     pub(crate) fn see(&mut self, faults: &[Fault], application: Set, master_silent: bool, info: u8) {
         let mut present = set_of(faults, Cause::Application) & application;
         if master_silent {
@@ -75,7 +75,7 @@ impl Emergency {
         self.present = present;
     }
 
-    /// Something that is over already. Where it was not told yet, it is told once.
+    /// Records a momentary fault. It is reported once, unless a report is already pending.
     pub(crate) fn happened(&mut self, faults: &[Fault], cause: Cause, info: u8) {
         self.come(faults, set_of(faults, cause) & !self.new, info);
     }
@@ -91,29 +91,29 @@ impl Emergency {
         }
     }
 
-    /// Object 1001h.
+    /// Returns the error register, object 1001h.
     pub(crate) fn register(&self, faults: &[Fault]) -> u8 {
         register_of(faults, self.present)
     }
 
-    /// How many faults are remembered.
+    /// Returns the number of recorded faults, at most [`HISTORY`].
     pub(crate) const fn count(&self) -> u8 {
         self.count
     }
 
-    /// One of them, the last first.
+    /// Returns a recorded fault; 0 is the latest.
     pub(crate) fn past(&self, number: u8) -> Option<u32> {
         let at = usize::from(self.next.wrapping_sub(1).wrapping_sub(number)) % HISTORY;
         self.past.get(at).filter(|_| number < self.count).copied()
     }
 
-    /// Forgets them.
+    /// Clears the fault history.
     pub(crate) const fn forget_past(&mut self) {
         self.count = 0;
     }
 
-    /// The next to send, so many milliseconds after the last at the soonest: a fault, the first of the table first, or that
-    /// some are over.
+    /// Returns the next message, at the earliest `inhibit_ms` after the last one. New faults come first, in order of
+    /// the table, then the report that faults have cleared.
     pub(crate) fn next(&mut self, faults: &[Fault], now_ms: u32, inhibit_ms: u32) -> Option<Message> {
         let over = self.told & !self.present & !self.new;
         if self.new | over == 0 || self.sent_at.is_some_and(|at| since(now_ms, at) < inhibit_ms) {
@@ -132,18 +132,18 @@ impl Emergency {
     }
 }
 
-/// The error register with these faults.
+/// Returns the error register for these faults.
 fn register_of(faults: &[Fault], present: Set) -> u8 {
     let those = bits().zip(faults).filter(|(bit, _)| present & bit != 0);
     those.fold(0, |register, (_, fault)| register | fault.register | GENERIC)
 }
 
-/// The bits of a set, one after the other.
+/// Iterates over the bits of a set, from the lowest.
 fn bits() -> impl Iterator<Item = Set> {
     (0..Set::BITS).map(|n| 1u16.wrapping_shl(n))
 }
 
-/// The faults with this cause.
+/// Returns the faults with this cause.
 fn set_of(faults: &[Fault], cause: Cause) -> Set {
     bits().zip(faults).filter(|(_, fault)| fault.cause == cause).fold(0, |set, (bit, _)| set | bit)
 }

@@ -1,30 +1,31 @@
-//! A CANopen device without I/O (CiA 301): frames in, frames out, over an object dictionary that the application supplies.
+//! A sans-I/O CANopen device (CiA 301): frames in, frames out, over an object dictionary that the application supplies.
 //!
-//! | part | holds |
+//! | item | contents |
 //! |---|---|
-//! | [`Device`] | NMT, heartbeats both ways, SYNC, PDOs of the predefined connection set, the SDO server, EMCY |
-//! | [`Dictionary`] | what the application gives to the SDO server; [`Object`], [`entries`] and [`find`] for a table of it |
-//! | [`Fault`] | what emergencies tell |
-//! | [`Eds`] | the EDS file (CiA 306), from the same table |
+//! | [`Device`] | NMT, heartbeat producer and consumer, SYNC, PDOs of the predefined connection set, SDO server, EMCY |
+//! | [`Dictionary`] | interface of the SDO server to the application; [`Object`], [`entries`] and [`find`] for tables |
+//! | [`Fault`] | a fault reported by emergencies |
+//! | [`Eds`] | the EDS file (CiA 306), generated from the same table |
 //!
-//! A master is watched. Once its heartbeat was heard, the heartbeat has to go on; before that, its RPDOs. When neither comes
-//! in time, or the bus is lost, or the master restarts, the device leaves operation, says so ([`Event::Left`]), and waits for
-//! a master that starts it again.
+//! The device monitors its master. After the first heartbeat it expects further heartbeats; before that, RPDOs. If the
+//! master misses the time-out or restarts, or the bus is lost, the device leaves operation and reports [`Event::Left`].
+//! It then waits until a master starts it again.
 //!
-//! Not here: a controller, bit timing, bus-off recovery and clocks, which are the caller's; a master; what the README lists.
+//! Controller, bit timing, bus-off recovery and clocks are the caller's responsibility. The crate has no master;
+//! the README lists further limits.
 //!
 //! ```
 //! use bus_canopen::{Abort, Config, Device, Dictionary, Entry, Event, NmtState, Profile, Rpdo};
 //! use bus_slcan::ClassicFrame;
 //! use embedded_can::{Frame, StandardId};
 //!
-//! /// One RPDO of a byte, one TPDO of two, no faults.
+//! /// One RPDO of one byte, one TPDO of two bytes, no faults.
 //! static PROFILE: Profile<1, 1> =
 //!     Profile { rpdos: [Rpdo { len: 1, keep: [0; 8] }], tpdos: [2], faults: &[] };
 //! const CONFIG: Config<1> =
 //!     Config { node: 0x10, master: 0x7F, heartbeat_ms: 500, emergency_inhibit: 0, inhibit: [0], event_ms: [0] };
 //!
-//! /// A dictionary without objects. `examples/io_module.rs` has one with some.
+//! /// An empty dictionary. `examples/io_module.rs` has objects.
 //! struct Nothing;
 //!
 //! impl Dictionary for Nothing {
@@ -38,7 +39,7 @@
 //!
 //! let frame = |id, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
 //! let mut device = Device::<1, 1, 8>::new(&PROFILE, CONFIG);
-//! // It announces itself; a master starts it, and commands.
+//! // The device sends its boot-up message; a master starts it and sends a command.
 //! assert_eq!(device.poll_transmit(0), Some(frame(0x710, &[0])));
 //! device.on_frame(1, &frame(0x000, &[0x01, 0x10]));
 //! assert_eq!(device.state(), NmtState::Operational);
@@ -46,7 +47,7 @@
 //! let data = [0x55, 0, 0, 0, 0, 0, 0, 0];
 //! assert_eq!(device.poll_event(1, &mut Nothing), Some(Event::Rpdo { number: 0, data }));
 //! assert_eq!(device.poll_event(1, &mut Nothing), None);
-//! // It answers by its TPDO.
+//! // The device responds with its TPDO.
 //! device.show_tpdo(0, [0xAA, 0x01, 0, 0, 0, 0, 0, 0]);
 //! assert_eq!(device.poll_transmit(1), Some(frame(0x190, &[0xAA, 0x01])));
 //! assert_eq!(device.poll_transmit::<ClassicFrame>(1), None);
@@ -95,7 +96,7 @@ pub use sdo::Abort;
 #[cfg(test)]
 mod tests;
 
-/// The README's example is compiled with the others.
+/// Compiles the README's example as a doc test.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

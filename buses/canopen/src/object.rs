@@ -2,25 +2,25 @@
 
 use crate::Abort;
 
-/// The type of an object (CiA 301, table 44).
+/// Data type of an object (CiA 301, table 44).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DataType {
-    /// INTEGER16.
+    /// INTEGER16: signed, two bytes.
     I16,
-    /// UNSIGNED8.
+    /// UNSIGNED8: one byte.
     U8,
-    /// UNSIGNED16.
+    /// UNSIGNED16: two bytes.
     U16,
-    /// UNSIGNED32.
+    /// UNSIGNED32: four bytes.
     U32,
-    /// VISIBLE_STRING.
+    /// VISIBLE_STRING: ASCII text, read in segments.
     Text,
 }
 
 impl DataType {
-    /// Its bytes on the bus; 0 for a text, which has as many as its value.
+    /// Returns the length on the bus in bytes, or 0 for text, whose length depends on its value.
     #[must_use]
-    #[expect(clippy::len_without_is_empty, reason = "no number has no bytes")]
+    #[expect(clippy::len_without_is_empty, reason = "a number is never empty")]
     pub const fn len(self) -> u8 {
         match self {
             Self::Text => 0,
@@ -30,7 +30,7 @@ impl DataType {
         }
     }
 
-    /// Its number in the dictionary.
+    /// Returns the index of the data type in the dictionary.
     #[must_use]
     pub const fn code(self) -> u8 {
         match self {
@@ -43,24 +43,25 @@ impl DataType {
     }
 }
 
-/// COB-ID of a PDO, bit 30: no remote frames. Of an RPDO it means nothing.
+/// COB-ID of a PDO, bit 30: no remote frames. Ignored for RPDOs.
 pub(crate) const NO_REMOTE: u32 = 1 << 30;
 
-/// A PDO of the device, counted from 0.
+/// A PDO of the device, numbered from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pdo {
-    /// An RPDO.
+    /// An RPDO, which the device receives.
     Receive(u8),
-    /// A TPDO.
+    /// A TPDO, which the device sends.
     Transmit(u8),
 }
 
 impl Pdo {
-    /// The transmission type at power-up: an RPDO counts when it comes, a TPDO is sent on change and by its event timer.
+    /// Transmission type at power-up: RPDOs take effect on reception, TPDOs are sent on change
+    /// and by their event timer.
     pub(crate) const EVENT_DRIVEN: u8 = 255;
 
-    /// The COB-ID of an enabled one in the predefined connection set, without the node-ID. A TPDO cannot be asked for by a
-    /// remote frame, which bit 30 says.
+    /// Returns the COB-ID of an enabled PDO in the predefined connection set, without the node-ID. Bit 30 marks TPDOs
+    /// as unavailable to remote frames.
     pub(crate) const fn base_cob_id(self) -> u32 {
         let (first, number, flags) = match self {
             Self::Receive(number) => (0x200, number, 0),
@@ -70,96 +71,98 @@ impl Pdo {
     }
 }
 
-/// Where the value of an entry is. `K` names the values that the application has.
+/// Source of an entry's value. `K` identifies the application's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source<K> {
-    /// A number that never changes. Where the entry is writable, it takes this number again and nothing else.
+    /// A constant. A writable entry accepts only this number.
     Fixed(u32),
-    /// A number with the node-ID added: a COB-ID. Where the entry is writable, it takes the same again.
+    /// A COB-ID: a number plus the node-ID. A writable entry accepts only the present value.
     PlusNode(u32),
-    /// The error register (1001h).
+    /// Error register (1001h).
     ErrorRegister,
-    /// How many past faults there are (1003h, 0); writing 0 forgets them.
+    /// Number of past faults (1003h, 0). Writing 0 clears the history.
     ErrorCount,
-    /// A past fault, counted from 0, the last first (1003h, 1 and on): its code, and in bits 16 to 23 the last byte that its
-    /// emergency carried.
+    /// A past fault, numbered from 0 with the latest first (1003h, 1 and up). The lower 16 bits are its code, bits 16
+    /// to 23 the last byte of its emergency.
     PastError(u8),
-    /// The least time between two emergencies in 100 µs (1015h).
+    /// Inhibit time of emergencies in 100 µs (1015h).
     EmergencyInhibitTime,
-    /// What becomes of the device's state when the bus or the master is lost (1029h, 1).
+    /// State of the device after loss of the bus or the master (1029h, 1).
     ErrorBehaviour,
-    /// The master's node-ID and the time within which its heartbeat must come (1016h, 1).
+    /// Node-ID of the master and heartbeat time-out (1016h, 1).
     ConsumerHeartbeat,
-    /// The time between two heartbeats of the device (1017h).
+    /// Period of the device's heartbeat in milliseconds (1017h).
     ProducerHeartbeat,
-    /// The COB-ID of a PDO (1400h, 1800h and on, 1). Bit 31 disables it; the identifier is that of the predefined set.
+    /// COB-ID of a PDO (1400h, 1800h and up, 1). Bit 31 disables the PDO; the identifier is
+    /// fixed by the predefined set.
     CobId(Pdo),
-    /// When a PDO is taken or sent (1400h, 1800h and on, 2).
+    /// Transmission type of a PDO (1400h, 1800h and up, 2).
     TransmissionType(Pdo),
-    /// How many objects a PDO carries (1600h, 1A00h and on, 0): this number, or 0 while it is disabled.
+    /// Number of objects mapped to a PDO (1600h, 1A00h and up, 0): this number, or 0 after
+    /// a master cleared the mapping.
     Mapped(Pdo, u8),
-    /// What a PDO carries at one place (1600h, 1A00h and on, 1 and on). It takes the same again.
+    /// One mapped object of a PDO (1600h, 1A00h and up, 1 and up). Accepts only the present value.
     Mapping(u32),
-    /// The inhibit time of a TPDO, counted from 0 (1800h and on, 3). It changes only while the TPDO is disabled.
+    /// Inhibit time of a TPDO, numbered from 0 (1800h and up, 3). Can be changed only while the TPDO is disabled.
     InhibitTime(u8),
-    /// The event timer of a TPDO, counted from 0 (1800h and on, 5).
+    /// Event timer of a TPDO, numbered from 0 (1800h and up, 5).
     EventTimer(u8),
-    /// As many bytes as the entry's type has, of what an RPDO brought last. By SDO it takes the same again: only the RPDO
-    /// commands.
+    /// Data of the last RPDO in effect, as many bytes as the entry's type has. SDO writes are rejected unless they
+    /// repeat the present value, because only the RPDO commands.
     Rpdo {
-        /// Which, counted from 0.
+        /// Number of the RPDO, from 0.
         number: u8,
-        /// The first byte.
+        /// Offset of the first byte.
         at: u8,
     },
-    /// The same, of what a TPDO shows.
+    /// Present data of a TPDO, as many bytes as the entry's type has.
     Tpdo {
-        /// Which, counted from 0.
+        /// Number of the TPDO, from 0.
         number: u8,
-        /// The first byte.
+        /// Offset of the first byte.
         at: u8,
     },
-    /// A value of the application.
+    /// A value that the application supplies.
     Application(K),
 }
 
-/// An object of the dictionary, or one entry of an array or record.
+/// An object of the dictionary, or one entry of an array or a record.
 #[derive(Clone, Copy, Debug)]
 pub struct Object<K> {
-    /// Its index.
+    /// Index in the dictionary.
     pub index: u16,
-    /// Its subindex.
+    /// Subindex; 0 for an object without entries.
     pub sub: u8,
-    /// Its type.
+    /// Data type of the value.
     pub kind: DataType,
     /// Whether a master may write it by SDO.
     pub writable: bool,
-    /// Whether it can be part of a PDO.
+    /// Whether the object can be mapped to a PDO.
     pub mappable: bool,
-    /// Its name.
+    /// Parameter name in the EDS file.
     pub name: &'static str,
-    /// The name of the record that it is in; empty for an object without entries.
+    /// Name of the containing array or record; empty for an object without entries.
     pub record: &'static str,
-    /// Where its value is.
+    /// Source of the value.
     pub source: Source<K>,
 }
 
-/// What the SDO server needs to know of an object: the table without its words, which stay out of the image.
+/// The part of an object that the SDO server needs. Keeps the names out of the image.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry<K> {
-    /// Its index.
+    /// Index in the dictionary.
     pub index: u16,
-    /// Its subindex.
+    /// Subindex; 0 for an object without entries.
     pub sub: u8,
-    /// Its type.
+    /// Data type of the value.
     pub kind: DataType,
-    /// Whether a master may write it.
+    /// Whether a master may write it by SDO.
     pub writable: bool,
-    /// Where its value is.
+    /// Source of the value.
     pub source: Source<K>,
 }
 
-/// The entries of a table of objects, at compile time.
+/// Converts a table of objects to entries at compile time.
 #[must_use]
 pub const fn entries<K: Copy, const N: usize>(objects: &[Object<K>; N]) -> [Entry<K>; N] {
     let mut entries =
@@ -180,10 +183,10 @@ pub const fn entries<K: Copy, const N: usize>(objects: &[Object<K>; N]) -> [Entr
     entries
 }
 
-/// Looks an entry up in a table.
+/// Finds an entry in a table.
 ///
 /// # Errors
-/// [`Abort::NoObject`] if nothing has this index, [`Abort::NoSubindex`] if only the subindex does not exist.
+/// Returns [`Abort::NoObject`] if the index does not exist, [`Abort::NoSubindex`] if only the subindex does not exist.
 pub fn find<K: Copy>(entries: &[Entry<K>], index: u16, sub: u8) -> Result<Entry<K>, Abort> {
     let mut missing = Abort::NoObject;
     for entry in entries {

@@ -1,56 +1,56 @@
-//! SDO: read and write of objects with up to four bytes in one frame, and read of texts in segments (CiA 301, 7.2.4.3).
+//! SDO protocol: expedited transfer of up to four bytes, and segmented upload of text (CiA 301, 7.2.4.3).
 
-/// Why a transfer was aborted: the code on the bus (CiA 301, table 22).
+/// SDO abort code (CiA 301, table 22).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Abort {
     /// The toggle bit of a segment did not alternate.
     Toggle = 0x0503_0000,
-    /// Client command specifier not valid: writing in segments and block transfer are not served.
+    /// Invalid client command specifier: segmented download and block transfer are not supported.
     CommandSpecifier = 0x0504_0001,
     /// Attempt to write a read-only object.
     ReadOnly = 0x0601_0002,
     /// The object does not exist.
     NoObject = 0x0602_0000,
-    /// The object cannot be mapped to the PDO: mappings are fixed.
+    /// The object cannot be mapped to the PDO, because mappings are fixed.
     Mapping = 0x0604_0041,
-    /// The hardware failed: nothing was stored.
+    /// Access failed due to a hardware error; nothing was stored.
     Hardware = 0x0606_0000,
-    /// The length does not match.
+    /// The length does not match the object's data type.
     Length = 0x0607_0010,
     /// The subindex does not exist.
     NoSubindex = 0x0609_0011,
-    /// The value is not allowed.
+    /// The value is not allowed for this object.
     Value = 0x0609_0030,
-    /// Data cannot be stored: the signature is wrong.
+    /// Data cannot be stored, because the signature is wrong.
     Store = 0x0800_0020,
-    /// Only something else than a master's SDO changes it.
+    /// The value is under local control and cannot be changed by SDO.
     LocalControl = 0x0800_0021,
-    /// Not in the present device state.
+    /// Not possible in the present device state.
     DeviceState = 0x0800_0022,
-    /// There is nothing to be read.
+    /// There is no data to read.
     NoData = 0x0800_0024,
 }
 
-/// What a client asks for.
+/// A decoded client request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Request {
     Read,
-    /// A write of so many bytes; none said: as many as the object has.
+    /// A write of this many bytes. `None`: the client gave no size, use the length of the object.
     Write(Option<u8>, u32),
-    /// The next segment of what is read, with this toggle bit.
+    /// Request for the next segment of an upload, with this toggle bit.
     Segment(bool),
-    /// The client gave up, which has no answer.
+    /// An abort by the client, which gets no response.
     Aborted,
     Other,
 }
 
 const TOGGLE: u8 = 1 << 4;
 
-/// The bytes that fit into a segment.
+/// Maximum number of data bytes per segment.
 const SEGMENT: usize = 7;
 
-/// A text that is being read in segments.
+/// A segmented upload in progress.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Upload {
     index: u16,
@@ -60,16 +60,16 @@ pub(crate) struct Upload {
 }
 
 impl Upload {
-    /// Begins to read a text: the transfer, and the answer to the client.
+    /// Starts the upload of a text. Returns the transfer and the response.
     pub(crate) fn begin(index: u16, sub: u8, text: &'static str) -> (Self, [u8; 8]) {
         let size = u32::try_from(text.len()).unwrap_or(u32::MAX);
         (Self { index, sub, rest: text.as_bytes(), toggle: false }, response(0b0100_0001, index, sub, size))
     }
 
-    /// The next segment, and whether more follow.
+    /// Returns the next segment, and whether more follow.
     ///
     /// # Errors
-    /// The answer that aborts the transfer, when the client lost count.
+    /// Returns the abort response if the toggle bit did not alternate.
     pub(crate) fn next(&mut self, toggle: bool) -> Result<([u8; 8], bool), [u8; 8]> {
         if toggle != self.toggle {
             return Err(abort_response(self.index, self.sub, Abort::Toggle));
@@ -87,11 +87,11 @@ impl Upload {
     }
 }
 
-/// An object's address, and what is to be done with it.
+/// Decodes a request into index, subindex and command.
 pub(crate) fn parse(data: &[u8; 8]) -> (u16, u8, Request) {
     let [specifier, low, high, sub, a, b, c, d] = *data;
     let request = match specifier >> 5 {
-        // Download: expedited, or refused.
+        // Download: only expedited transfer is supported.
         1 if specifier & 0b10 != 0 => {
             let len = (specifier & 0b1 != 0).then_some(4u8.wrapping_sub(specifier >> 2 & 0b11));
             Request::Write(len, u32::from_le_bytes([a, b, c, d]))

@@ -1,4 +1,4 @@
-//! A master and a device, frame by frame, in virtual time.
+//! Master and device exchange frames in virtual time.
 
 use super::*;
 use bus_slcan::ClassicFrame;
@@ -17,7 +17,7 @@ const CONFIG: Config<2> = Config {
     inhibit: [20, 205],
     event_ms: [100, 0],
 };
-/// The greatest time without the master.
+/// Time-out for the master in milliseconds.
 const TIME_MS: u16 = 300;
 const STOP: u8 = 0x80;
 const NAME: &str = "A device with a name";
@@ -107,7 +107,7 @@ struct Application {
     word: u32,
     time_ms: u16,
     name: &'static str,
-    /// What becomes of a write to the slow object.
+    /// Outcome of a write to the slow object.
     outcome: Option<Result<(), Abort>>,
 }
 
@@ -164,19 +164,19 @@ struct Bus {
     application: Application,
     now_ms: u32,
     events: Vec<Event>,
-    /// What the device sent: when, on which identifier and what.
+    /// Frames sent by the device: time, identifier and data.
     sent: Vec<(u32, u16, Vec<u8>)>,
 }
 
 impl Bus {
     fn new() -> Self {
         let application = Application { byte: 0, word: 0, time_ms: TIME_MS, name: NAME, outcome: None };
-        // Close to where the clock wraps.
+        // Shortly before the clock wraps.
         let now_ms = u32::MAX - 50;
         Self { device: Device::new(&PROFILE, CONFIG), application, now_ms, events: vec![], sent: vec![] }
     }
 
-    /// Announced and started.
+    /// Creates a device that has booted and been started.
     fn operational() -> Self {
         let mut bus = Self::new();
         bus.turn();
@@ -219,7 +219,7 @@ impl Bus {
         self.turn();
     }
 
-    /// What was sent on this identifier since this was last asked.
+    /// Returns the frames sent on this identifier since the last call.
     fn take(&mut self, base: u16) -> Vec<Vec<u8>> {
         self.take_timed(base).into_iter().map(|(_, data)| data).collect()
     }
@@ -286,13 +286,13 @@ fn rpdo(number: u8, data: [u8; 8]) -> Event {
     Event::Rpdo { number, data }
 }
 
-/// An SDO request that wrote nothing of the application's.
+/// An SDO request that did not write an application value.
 const READ: Event = Event::Sdo { written: false };
 const LEFT: Event = Event::Left { master_silent: false };
 const SILENT: Event = Event::Left { master_silent: true };
 
 #[test]
-fn device_announces_itself_and_beats() {
+fn device_sends_boot_up_and_heartbeats() {
     let mut bus = Bus::new();
     assert_eq!(bus.device.state(), NmtState::Initialising);
     bus.turn();
@@ -302,11 +302,11 @@ fn device_announces_itself_and_beats() {
     let data: Vec<&[u8]> = beats.iter().map(|(_, data)| &data[..]).collect();
     assert_eq!(data, [&[0][..], &[127], &[127]]);
     assert!(beats.windows(2).all(|two| two[1].0.wrapping_sub(two[0].0) == 500));
-    assert!(bus.sent.is_empty(), "and nothing else: {:?}", bus.sent);
+    assert!(bus.sent.is_empty(), "no other frames: {:?}", bus.sent);
 }
 
 #[test]
-fn nmt_leads_through_the_states() {
+fn nmt_commands_change_the_state() {
     let mut bus = Bus::new();
     bus.turn();
     for (specifier, state) in [
@@ -322,11 +322,11 @@ fn nmt_leads_through_the_states() {
         bus.nmt(specifier);
         assert_eq!(bus.device.state(), state, "{specifier:02X}h");
     }
-    assert_eq!(bus.events, [LEFT, LEFT], "when operation ended, and then alone");
+    assert_eq!(bus.events, [LEFT, LEFT], "only when operation ended");
 }
 
 #[test]
-fn nmt_for_others_of_another_length_or_in_other_frames_changes_nothing() {
+fn invalid_nmt_commands_change_nothing() {
     let mut bus = Bus::new();
     bus.turn();
     for data in [&[0x01, 0x11][..], &[0x01], &[], &[0x01, 0x10, 0]] {
@@ -338,11 +338,11 @@ fn nmt_for_others_of_another_length_or_in_other_frames_changes_nothing() {
     bus.device.on_frame(bus.now_ms, &remote);
     assert_eq!(bus.device.state(), NmtState::PreOperational);
     bus.bring(0x000, &[0x01, 0]);
-    assert_eq!(bus.device.state(), NmtState::Operational, "to all nodes");
+    assert_eq!(bus.device.state(), NmtState::Operational, "command to all nodes");
 }
 
 #[test]
-fn rpdos_of_the_right_length_are_events_in_operation_alone() {
+fn rpdos_of_the_right_length_are_events_only_in_operation() {
     let mut bus = Bus::new();
     bus.turn();
     bus.bring(0x210, &[1; 8]);
@@ -361,16 +361,16 @@ fn rpdos_of_the_right_length_are_events_in_operation_alone() {
     for (id, data) in [(0x210, &[1; 7][..]), (0x310, &[1; 3])] {
         bus.bring(id, data);
         bus.turn();
-        assert_eq!(bus.events, expected, "not taken");
+        assert_eq!(bus.events, expected, "rejected");
         let told = [[0x10, 0x82, COMMUNICATION | GENERIC, 0, 0, 0, 0, 0], [0; 8]];
-        assert_eq!(bus.take(0x080), told, "but told, once, and over");
+        assert_eq!(bus.take(0x080), told, "reported once, then cleared");
         bus.turn();
         assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
     }
 }
 
 #[test]
-fn events_without_room_are_lost_but_for_what_an_rpdo_has_to_keep() {
+fn events_beyond_the_queue_are_lost_except_the_kept_bits_of_rpdos() {
     let mut bus = Bus::operational();
     for byte in [1, 2, 3, STOP | 4, 5, 6] {
         bus.bring(0x210, &[byte; 8]);
@@ -382,7 +382,7 @@ fn events_without_room_are_lost_but_for_what_an_rpdo_has_to_keep() {
 }
 
 #[test]
-fn what_an_rpdo_has_to_keep_stays_when_it_is_sent_again() {
+fn kept_bits_survive_a_repeated_rpdo() {
     let mut bus = Bus::operational();
     for byte in [1, 2, 3, STOP, STOP] {
         bus.bring(0x210, &[byte; 8]);
@@ -392,7 +392,7 @@ fn what_an_rpdo_has_to_keep_stays_when_it_is_sent_again() {
 }
 
 #[test]
-fn tpdos_are_sent_on_change_not_sooner_than_their_inhibit_time_and_by_their_event_timer() {
+fn tpdos_respect_inhibit_time_and_event_timer() {
     let mut bus = Bus::new();
     bus.turn();
     bus.device.show_tpdo(0, [1; 8]);
@@ -409,22 +409,22 @@ fn tpdos_are_sent_on_change_not_sooner_than_their_inhibit_time_and_by_their_even
         bus.device.show_tpdo(1, [byte; 8]);
         bus.pass(1);
     }
-    // The event timer of the first goes on from the last.
+    // The event timer of TPDO1 starts again with the last transmission.
     let moments = |sent: Vec<(u32, Vec<u8>)>| -> Vec<u32> {
         sent.iter().map(|(at, _)| at.wrapping_sub(start)).collect()
     };
     assert_eq!(moments(bus.take_timed(0x180)), [2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22]);
-    // 20.5 ms are 21. What was shown before had not changed.
+    // 20.5 ms are rounded up to 21. The data had not changed before.
     assert_eq!(moments(bus.take_timed(0x280)), [21]);
     bus.pass(400);
     assert_eq!(moments(bus.take_timed(0x180)), [122, 222, 322, 422]);
-    assert_eq!(moments(bus.take_timed(0x280)), [42], "the last change, and no timer");
+    assert_eq!(moments(bus.take_timed(0x280)), [42], "the last change, without event timer");
     bus.nmt(0x01);
-    assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new(), "started while it runs: nothing new");
+    assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new(), "a start in operation sends nothing");
 }
 
 #[test]
-fn every_tpdo_is_sent_again_when_frames_were_lost_and_so_is_the_heartbeat() {
+fn tpdos_and_heartbeat_are_repeated_after_lost_frames() {
     let mut bus = Bus::operational();
     bus.pass(10);
     bus.sent.clear();
@@ -435,10 +435,10 @@ fn every_tpdo_is_sent_again_when_frames_were_lost_and_so_is_the_heartbeat() {
 }
 
 #[test]
-fn master_with_a_heartbeat_is_watched_by_it_alone() {
+fn master_with_a_heartbeat_is_monitored_only_by_heartbeat() {
     let mut bus = Bus::operational();
     bus.pass(1_000);
-    assert_eq!(bus.device.state(), NmtState::Operational, "nothing was heard, nothing is missed");
+    assert_eq!(bus.device.state(), NmtState::Operational, "monitoring has not started yet");
     bus.bring(0x700 | MASTER, &[5]);
     bus.pass(u32::from(TIME_MS) - 1);
     bus.bring(0x210, &[0; 8]);
@@ -450,11 +450,11 @@ fn master_with_a_heartbeat_is_watched_by_it_alone() {
     assert_eq!(bus.events.last(), Some(&SILENT));
     assert_eq!(bus.device.state(), NmtState::PreOperational);
     bus.pass(1_000);
-    assert_eq!(bus.events.len(), 2, "told once");
+    assert_eq!(bus.events.len(), 2, "reported once");
 }
 
 #[test]
-fn master_without_a_heartbeat_is_watched_by_its_rpdos() {
+fn master_without_a_heartbeat_is_monitored_by_its_rpdos() {
     let mut bus = Bus::operational();
     for _ in 0..5 {
         bus.bring(0x310, &[0; 2]);
@@ -466,7 +466,7 @@ fn master_without_a_heartbeat_is_watched_by_its_rpdos() {
 }
 
 #[test]
-fn time_of_0_watches_nobody() {
+fn time_out_of_0_disables_monitoring() {
     let mut bus = Bus::operational();
     bus.application.time_ms = 0;
     bus.bring(0x700 | MASTER, &[5]);
@@ -475,7 +475,7 @@ fn time_of_0_watches_nobody() {
 }
 
 #[test]
-fn silent_master_is_an_emergency_until_it_starts_the_device_again() {
+fn master_time_out_is_an_emergency_until_it_starts_the_device_again() {
     let mut bus = Bus::operational();
     bus.bring(0x700 | MASTER, &[5]);
     bus.pass(TIME_MS.into());
@@ -491,18 +491,18 @@ fn master_that_restarts_commands_no_more() {
     let mut bus = Bus::operational();
     bus.bring(0x700 | MASTER, &[0]);
     bus.turn();
-    assert_eq!((&bus.events[..], bus.device.state()), (&[][..], NmtState::Operational), "nobody was heard");
+    assert_eq!((&bus.events[..], bus.device.state()), (&[][..], NmtState::Operational), "no master known");
     bus.bring(0x210, &[0; 8]);
     bus.bring(0x700 | MASTER, &[0]);
     bus.turn();
     assert_eq!(bus.events, [rpdo(0, [0; 8]), LEFT]);
     assert_eq!(bus.device.state(), NmtState::PreOperational);
     bus.pass(1_000);
-    assert_eq!(bus.events.len(), 2, "it is not watched any more");
+    assert_eq!(bus.events.len(), 2, "no longer monitored");
 }
 
 #[test]
-fn master_that_only_announced_itself_is_not_watched() {
+fn boot_up_of_the_master_does_not_start_monitoring() {
     let mut bus = Bus::operational();
     bus.bring(0x700 | MASTER, &[0]);
     bus.pass(100_000);
@@ -510,7 +510,7 @@ fn master_that_only_announced_itself_is_not_watched() {
 }
 
 #[test]
-fn heartbeat_time_of_0_sends_none() {
+fn heartbeat_time_of_0_disables_the_heartbeat() {
     let mut bus = Bus::new();
     bus.turn();
     bus.take(0x700);
@@ -521,7 +521,7 @@ fn heartbeat_time_of_0_sends_none() {
 }
 
 #[test]
-fn resets_bring_the_device_back_to_power_up_and_say_how_far_they_go() {
+fn resets_restore_power_up_state_and_report_their_extent() {
     for (specifier, application) in [(0x81, true), (0x82, false)] {
         let mut bus = Bus::operational();
         bus.device.show_tpdo(0, [1; 8]);
@@ -533,16 +533,16 @@ fn resets_bring_the_device_back_to_power_up_and_say_how_far_they_go() {
         bus.sent.clear();
         bus.nmt(specifier);
         assert_eq!(bus.events, [LEFT, Event::Reset { application }]);
-        assert_eq!(bus.take(0x700), [[0]], "it announces itself");
+        assert_eq!(bus.take(0x700), [[0]], "boot-up message");
         assert_eq!(bus.upload(0x1017, 0), Ok(vec![0xF4, 1]));
-        assert_eq!(bus.upload(0x1016, 1), Ok(vec![100, 0, 0x7F, 0]), "the application keeps its time");
+        assert_eq!(bus.upload(0x1016, 1), Ok(vec![100, 0, 0x7F, 0]), "time-out of the application is kept");
         assert_eq!(bus.upload(0x2000, 1), Ok(vec![0]));
         assert_eq!(bus.upload(0x2001, 1), Ok(vec![0; 4]));
     }
 }
 
 #[test]
-fn after_a_reset_nothing_but_another_counts_before_the_device_has_announced_itself() {
+fn only_another_reset_counts_before_the_boot_up_message() {
     let mut bus = Bus::operational();
     for specifier in [0x82, 0x01, 0x81] {
         bus.bring(0x000, &[specifier, NODE as u8]);
@@ -555,13 +555,13 @@ fn after_a_reset_nothing_but_another_counts_before_the_device_has_announced_itse
 }
 
 #[test]
-fn lost_bus_ends_operation_and_is_told_when_it_is_over() {
+fn lost_bus_ends_operation_and_is_reported_after_recovery() {
     let mut bus = Bus::operational();
     bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
     bus.device.bus_lost();
     bus.turn();
     assert_eq!((&bus.events[..], bus.device.state()), (&[LEFT][..], NmtState::PreOperational));
-    assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new(), "nobody waits for that answer");
+    assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new(), "pending response is discarded");
     bus.sent.clear();
     bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
     bus.device.bus_joined();
@@ -569,11 +569,11 @@ fn lost_bus_ends_operation_and_is_told_when_it_is_over() {
     assert_eq!(bus.sent.iter().map(|(_, id, _)| *id).collect::<Vec<_>>(), [0x090, 0x090, 0x710]);
     assert_eq!(bus.take(0x080), [[0x40, 0x81, COMMUNICATION | GENERIC, 0, 0, 0, 0, 0], [0; 8]]);
     bus.pass(100);
-    assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new(), "once");
+    assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new(), "reported once");
 }
 
 #[test]
-fn lost_bus_ends_no_operation_that_was_not_there() {
+fn lost_bus_outside_operation_is_no_event() {
     let mut bus = Bus::new();
     bus.turn();
     bus.nmt(0x02);
@@ -583,16 +583,16 @@ fn lost_bus_ends_no_operation_that_was_not_there() {
 }
 
 #[test]
-fn faults_are_told_in_the_order_of_the_table_and_so_is_their_end() {
+fn faults_are_reported_in_table_order_and_then_cleared() {
     let mut bus = Bus::operational();
-    // Of the second and the third the application knows nothing.
+    // The application does not control the faults of bits 1 to 3.
     bus.show_faults(0b11111);
     assert_eq!(bus.upload(0x1001, 0), Ok(vec![1 << 7 | 1 << 3 | GENERIC]));
     let both = 1 << 7 | 1 << 3 | GENERIC;
     let told = bus.take(0x080);
     assert_eq!(told, [[0x01, 0xFF, both, 1, 2, 3, 4, 5], [0x10, 0x42, both, 1, 2, 3, 4, 5]]);
     bus.show_faults(0b11111);
-    assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new(), "once");
+    assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new(), "reported once");
     bus.show_faults(0b10000);
     assert_eq!(bus.take(0x080), [[0, 0, 1 << 3 | GENERIC, 1, 2, 3, 4, 5]]);
     bus.show_faults(0b00001);
@@ -604,7 +604,7 @@ fn faults_are_told_in_the_order_of_the_table_and_so_is_their_end() {
 }
 
 #[test]
-fn faults_that_set_the_same_bit_of_the_register_keep_it() {
+fn register_bit_shared_by_two_faults_stays_set() {
     let mut bus = Bus::operational();
     bus.show_faults(1 << 5);
     assert_eq!(bus.take(0x080), [[0x00, 0x10, GENERIC, 1, 2, 3, 4, 5]]);
@@ -613,14 +613,14 @@ fn faults_that_set_the_same_bit_of_the_register_keep_it() {
     bus.pass(TIME_MS.into());
     bus.show_faults(0);
     bus.take(0x080);
-    // The master is silent, and the bus was off.
+    // The master has timed out, and the bus was off.
     bus.device.bus_joined();
     bus.turn();
     assert_eq!(bus.take(0x080)[0], [0x40, 0x81, COMMUNICATION | GENERIC, 1, 2, 3, 4, 5]);
 }
 
 #[test]
-fn stopped_device_tells_no_faults_before_it_is_started() {
+fn stopped_device_defers_faults_until_started() {
     let mut bus = Bus::operational();
     bus.nmt(0x02);
     bus.show_faults(1);
@@ -630,11 +630,11 @@ fn stopped_device_tells_no_faults_before_it_is_started() {
     bus.sent.clear();
     bus.nmt(0x80);
     assert_eq!(bus.take(0x080).len(), 1);
-    assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new(), "a request of that time is not served");
+    assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new(), "requests while stopped are ignored");
 }
 
 #[test]
-fn emergency_leaves_before_an_answer_and_that_before_a_tpdo_and_that_before_the_heartbeat() {
+fn frames_are_sent_in_order_of_priority() {
     let mut bus = Bus::operational();
     bus.device.frames_lost();
     bus.device.show_faults(1, [0; 5]);
@@ -647,7 +647,7 @@ fn emergency_leaves_before_an_answer_and_that_before_a_tpdo_and_that_before_the_
 }
 
 #[test]
-fn objects_are_read_from_where_they_are() {
+fn objects_are_read_from_their_sources() {
     let mut bus = Bus::operational();
     bus.bring(0x210, &[1, 2, 3, 4, 5, 6, 0xFE, 0xFF]);
     bus.device.show_tpdo(0, [1, 2, 3, 4, 5, 6, 7, 8]);
@@ -677,16 +677,16 @@ fn objects_are_read_from_where_they_are() {
 }
 
 #[test]
-fn objects_are_written_where_they_may_be() {
+fn writable_objects_accept_writes() {
     let mut bus = Bus::operational();
     bus.download(0x2002, 1, &[0xCD]).unwrap();
     bus.download(0x2002, 2, &[0x78, 0x56]).unwrap();
     assert_eq!(
         (bus.application.byte, bus.application.word),
         (0xCD, 0x5678),
-        "and no byte behind their length"
+        "without bytes past their length"
     );
-    // Without a length: as many bytes as the object has.
+    // Without a size: the length of the object applies.
     bus.download_by(0x22, 0x2002, 2, &[1, 2, 3, 4]).unwrap();
     assert_eq!(bus.application.word, 0x0201);
     assert_eq!(bus.events, [Event::Sdo { written: true }; 3]);
@@ -695,20 +695,20 @@ fn objects_are_written_where_they_may_be() {
         assert_eq!(bus.upload(index, sub), Ok(value.to_le_bytes().to_vec()), "{index:04X}h, {sub}");
     }
     assert_eq!(bus.events.len(), 3 + 2 * 4);
-    assert!(bus.events[3..].iter().all(|event| *event == READ), "those are the device's own");
+    assert!(bus.events[3..].iter().all(|event| *event == READ), "the device's own values");
     bus.pass(1);
     bus.sent.clear();
     bus.pass(200);
-    assert_eq!(bus.take(0x700).len(), 4, "a heartbeat each 50 ms");
+    assert_eq!(bus.take(0x700).len(), 4, "a heartbeat every 50 ms");
 }
 
 #[test]
-fn consumer_heartbeat_object_moves_the_master_and_its_time() {
+fn consumer_heartbeat_object_changes_master_and_time_out() {
     let mut bus = Bus::operational();
     bus.bring(0x700 | MASTER, &[5]);
     bus.download(0x1016, 1, &[100, 0, 5, 0]).unwrap();
     bus.pass(1_000);
-    assert_eq!(bus.events, [READ], "the other is not watched");
+    assert_eq!(bus.events, [READ], "the previous master is not monitored");
     bus.bring(0x705, &[5]);
     bus.pass(100);
     assert_eq!(bus.events, [READ, SILENT]);
@@ -721,10 +721,10 @@ fn consumer_heartbeat_object_moves_the_master_and_its_time() {
 }
 
 #[test]
-fn master_that_falls_silent_behind_a_change_of_its_time_is_noticed() {
+fn master_time_out_is_detected_after_a_change_of_its_time() {
     let mut bus = Bus::operational();
     bus.bring(0x700 | MASTER, &[5]);
-    // Longer ago than the new time, which begins with the request.
+    // Longer than the new time-out, which starts with the request.
     bus.pass(200);
     bus.download(0x1016, 1, &[100, 0, MASTER as u8, 0]).unwrap();
     bus.pass(99);
@@ -734,7 +734,7 @@ fn master_that_falls_silent_behind_a_change_of_its_time_is_noticed() {
 }
 
 #[test]
-fn server_says_why_it_refuses() {
+fn server_reports_abort_codes() {
     let mut bus = Bus::operational();
     assert_eq!(bus.upload(0x3000, 0), Err(0x0602_0000));
     assert_eq!(bus.upload(0x2002, 9), Err(0x0609_0011));
@@ -745,7 +745,7 @@ fn server_says_why_it_refuses() {
     assert_eq!(
         bus.download(0x2001, 1, &[0; 4]),
         Err(0x0601_0002),
-        "a table that lets one write a PDO is wrong"
+        "a TPDO cannot be written, even if the table permits it"
     );
     assert_eq!(bus.download(0x2002, 2, &[0]), Err(0x0607_0010));
     assert_eq!(bus.download(0x2002, 3, &[0; 2]), Err(0x0800_0022));
@@ -756,13 +756,13 @@ fn server_says_why_it_refuses() {
 }
 
 #[test]
-fn requests_that_are_cut_and_aborts_of_the_client_get_no_answer() {
+fn truncated_requests_and_client_aborts_get_no_response() {
     let mut bus = Bus::operational();
     bus.bring(0x610, &[0x40, 0, 0x10, 0, 0, 0, 0]);
     bus.turn();
     assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new());
     assert_eq!(bus.sdo([0x80, 0, 0x10, 0, 0, 0, 0, 0]), Vec::<Vec<u8>>::new());
-    // Of two in one turn the later is answered, and one that is cut does not take its place.
+    // The later of two requests in one turn is served; a truncated one does not replace it.
     bus.bring(0x610, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
     bus.bring(0x610, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]);
     bus.bring(0x610, &[0x40]);
@@ -795,14 +795,14 @@ fn node_ids_are_1_to_127_and_differ() {
 }
 
 #[test]
-fn types_have_the_lengths_and_numbers_of_the_standard() {
+fn data_types_have_the_standard_lengths_and_numbers() {
     let told = [DataType::I16, DataType::U8, DataType::U16, DataType::U32, DataType::Text]
         .map(|kind| (kind.len(), kind.code()));
     assert_eq!(told, [(2, 3), (1, 5), (2, 6), (4, 7), (0, 9)]);
 }
 
 #[test]
-fn eds_file_is_that_of_the_table() {
+fn eds_file_matches_the_table() {
     let facts = EdsFacts {
         file_name: "test.eds",
         description: "Test",
@@ -846,23 +846,23 @@ fn eds_file_is_that_of_the_table() {
         EdsEntry::new(Object { mappable: true, ..named(0x2002, 1, "Values", "Byte") }),
         EdsEntry { limits: Some((1, 1_000)), ..EdsEntry::new(named(0x2002, 2, "Values", "Word")) },
     ];
-    // Another than none, to be told from it.
+    // A non-zero value, to distinguish it from the default.
     let config = Config { emergency_inhibit: 7, ..CONFIG };
     let made = Eds { facts, entries: entries.into_iter(), config }.to_string();
     assert_eq!(made, include_str!("tests/test.eds"));
 }
 
-/// An RPDO is what its master made of it: the first, with 8 bytes.
+/// COB-ID of RPDO1, whose length is 8 bytes.
 const COB_ID: [u8; 4] = [0x10, 0x02, 0, 0];
 const COB_ID_DISABLED: [u8; 4] = [0x10, 0x02, 0, 0x80];
-/// The first TPDO.
+/// COB-ID of TPDO1.
 const SEND_ID: [u8; 4] = [0x90, 0x01, 0, 0x40];
 const SEND_ID_DISABLED: [u8; 4] = [0x90, 0x01, 0, 0xC0];
 const VALUE: u32 = 0x0609_0030;
 const STATE: u32 = 0x0800_0022;
 
 #[test]
-fn rpdo_can_be_disabled_and_then_nobody_commands() {
+fn disabling_an_rpdo_ends_command_by_the_master() {
     let mut bus = Bus::operational();
     bus.bring(0x210, &[1; 8]);
     bus.turn();
@@ -874,7 +874,7 @@ fn rpdo_can_be_disabled_and_then_nobody_commands() {
     bus.bring(0x310, &[3; 2]);
     bus.events.clear();
     bus.turn();
-    assert_eq!(bus.events, [rpdo(1, [3, 3, 0, 0, 0, 0, 0, 0])], "the other is as before");
+    assert_eq!(bus.events, [rpdo(1, [3, 3, 0, 0, 0, 0, 0, 0])], "RPDO2 is unchanged");
     assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
     bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
     bus.download(0x1400, 1, &COB_ID).unwrap();
@@ -886,13 +886,13 @@ fn rpdo_can_be_disabled_and_then_nobody_commands() {
 }
 
 #[test]
-fn rpdos_of_a_master_that_disabled_one_are_not_missed() {
+fn missing_rpdos_after_disabling_one_are_no_time_out() {
     let mut bus = Bus::operational();
     bus.bring(0x210, &[1; 8]);
     bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
     bus.pass(10 * u32::from(TIME_MS));
     assert!(!bus.events.contains(&SILENT));
-    // A heartbeat is.
+    // A missing heartbeat is.
     bus.bring(0x700 | MASTER, &[5]);
     bus.download(0x1401, 1, &[0x10, 0x03, 0, 0x80]).unwrap();
     bus.pass(TIME_MS.into());
@@ -900,14 +900,14 @@ fn rpdos_of_a_master_that_disabled_one_are_not_missed() {
 }
 
 #[test]
-fn rpdo_that_gets_another_transmission_type_still_commands() {
+fn changing_the_transmission_type_keeps_the_rpdo_in_command() {
     let mut bus = Bus::operational();
     bus.download(0x1400, 2, &[1]).unwrap();
     assert_eq!(bus.events, [READ]);
 }
 
 #[test]
-fn rpdo_that_is_disabled_outside_operation_leaves_nothing() {
+fn disabling_an_rpdo_outside_operation_is_no_event() {
     let mut bus = Bus::new();
     bus.turn();
     bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
@@ -915,7 +915,7 @@ fn rpdo_that_is_disabled_outside_operation_leaves_nothing() {
 }
 
 #[test]
-fn tpdo_that_is_disabled_is_not_sent() {
+fn disabled_tpdo_is_not_sent() {
     let mut bus = Bus::operational();
     bus.download(0x1800, 1, &SEND_ID_DISABLED).unwrap();
     assert_eq!(bus.upload(0x1800, 1), Ok(SEND_ID_DISABLED.to_vec()));
@@ -924,11 +924,11 @@ fn tpdo_that_is_disabled_is_not_sent() {
     bus.pass(500);
     assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new());
     bus.download(0x1800, 1, &SEND_ID).unwrap();
-    assert_eq!(bus.take(0x180), [[1; 8]], "at once, when it is there again");
+    assert_eq!(bus.take(0x180), [[1; 8]], "at once after enabling");
 }
 
 #[test]
-fn cob_ids_are_those_of_the_predefined_set() {
+fn cob_ids_must_match_the_predefined_set() {
     let mut bus = Bus::new();
     bus.turn();
     for (index, value, outcome) in [
@@ -938,7 +938,7 @@ fn cob_ids_are_those_of_the_predefined_set() {
         (0x1400, [0x10, 0x03, 0, 0], Err(VALUE)),
         (0x1400, [0x10, 0x02, 0, 0x20], Err(VALUE)),
         (0x1401, [0x10, 0x03, 0, 0x80], Ok(())),
-        // Remote frames are not served.
+        // Remote frames are not supported.
         (0x1800, [0x90, 0x01, 0, 0x00], Err(VALUE)),
         (0x1800, [0x90, 0x01, 0, 0x80], Err(VALUE)),
         (0x1800, [0x90, 0x02, 0, 0x40], Err(VALUE)),
@@ -950,7 +950,7 @@ fn cob_ids_are_those_of_the_predefined_set() {
 }
 
 #[test]
-fn mapping_takes_what_it_is_in_the_order_of_the_standard() {
+fn mapping_accepts_only_itself_in_the_order_of_the_standard() {
     let mut bus = Bus::new();
     bus.turn();
     assert_eq!(bus.download(0x1600, 0, &[0]), Err(STATE), "while the PDO is enabled");
@@ -958,7 +958,7 @@ fn mapping_takes_what_it_is_in_the_order_of_the_standard() {
     bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
     bus.download(0x1600, 0, &[0]).unwrap();
     assert_eq!(bus.upload(0x1600, 0), Ok(vec![0]));
-    assert_eq!(bus.download(0x1400, 1, &COB_ID), Err(STATE), "a PDO of nothing");
+    assert_eq!(bus.download(0x1400, 1, &COB_ID), Err(STATE), "a PDO without mapping");
     bus.download(0x1600, 1, &[0x08, 0x01, 0x00, 0x20]).unwrap();
     assert_eq!(bus.download(0x1600, 1, &[0x10, 0x01, 0x00, 0x20]), Err(0x0604_0041));
     assert_eq!(bus.download(0x1600, 0, &[1]), Err(VALUE));
@@ -976,7 +976,7 @@ fn inhibit_time_changes_only_while_the_tpdo_is_disabled() {
     assert_eq!(bus.download(0x1800, 3, &[21, 0]), Err(STATE));
     bus.download(0x1800, 1, &SEND_ID_DISABLED).unwrap();
     bus.download(0x1800, 3, &[50, 0]).unwrap();
-    assert_eq!(bus.download(0x1801, 3, &[50, 0]), Err(STATE), "the other is enabled");
+    assert_eq!(bus.download(0x1801, 3, &[50, 0]), Err(STATE), "TPDO2 is enabled");
     assert_eq!(bus.download(0x1802, 3, &[50, 0]), Err(0x0602_0000));
     bus.download(0x1800, 1, &SEND_ID).unwrap();
     bus.sent.clear();
@@ -988,7 +988,7 @@ fn inhibit_time_changes_only_while_the_tpdo_is_disabled() {
 }
 
 #[test]
-fn transmission_types_are_those_that_need_no_remote_frames() {
+fn transmission_types_exclude_remote_frames() {
     let mut bus = Bus::operational();
     for index in [0x1400, 0x1401, 0x1800, 0x1801] {
         for kind in 0..=255 {
@@ -1002,7 +1002,7 @@ fn transmission_types_are_those_that_need_no_remote_frames() {
 }
 
 #[test]
-fn synchronous_rpdo_counts_with_the_next_sync_but_a_request_to_stop_at_once() {
+fn synchronous_rpdo_takes_effect_at_sync_but_a_stop_request_immediately() {
     let mut bus = Bus::operational();
     bus.download(0x1400, 2, &[10]).unwrap();
     bus.events.clear();
@@ -1014,13 +1014,13 @@ fn synchronous_rpdo_counts_with_the_next_sync_but_a_request_to_stop_at_once() {
     bus.events.clear();
     bus.bring(0x080, &[1, 2]);
     bus.turn();
-    assert_eq!(bus.events, [], "that is no SYNC");
+    assert_eq!(bus.events, [], "not a SYNC");
     for sync in [&[][..], &[7]] {
         bus.bring(0x210, &[2; 8]);
         bus.bring(0x080, sync);
         bus.bring(0x080, sync);
         bus.turn();
-        assert_eq!(bus.events, [rpdo(0, [2; 8])], "the last, once");
+        assert_eq!(bus.events, [rpdo(0, [2; 8])], "the last one, once");
         assert_eq!(bus.upload(0x2000, 1), Ok(vec![2]));
         bus.events.clear();
     }
@@ -1028,11 +1028,11 @@ fn synchronous_rpdo_counts_with_the_next_sync_but_a_request_to_stop_at_once() {
     bus.bring(0x210, &[STOP; 8]);
     bus.bring(0x080, &[]);
     bus.turn();
-    assert_eq!(bus.events, [rpdo(0, [STOP; 8])], "and what came before it does not come behind it");
+    assert_eq!(bus.events, [rpdo(0, [STOP; 8])], "earlier data is discarded");
 }
 
 #[test]
-fn what_waits_for_a_sync_is_void_when_its_master_commands_no_more() {
+fn data_waiting_for_a_sync_is_discarded_when_its_master_stops_commanding() {
     type Act = fn(&mut Bus);
     let acts: [Act; 5] = [
         |bus| bus.nmt(0x80),
@@ -1059,7 +1059,7 @@ fn what_waits_for_a_sync_is_void_when_its_master_commands_no_more() {
 }
 
 #[test]
-fn sync_outside_operation_does_nothing() {
+fn sync_outside_operation_is_ignored() {
     let mut bus = Bus::operational();
     bus.download(0x1800, 2, &[1]).unwrap();
     bus.nmt(0x80);
@@ -1075,7 +1075,7 @@ fn sync_outside_operation_does_nothing() {
 }
 
 #[test]
-fn synchronous_tpdos_are_sent_with_every_sync_so_many_or_when_they_changed() {
+fn synchronous_tpdos_are_sent_every_nth_sync_or_on_change() {
     let mut bus = Bus::operational();
     bus.download(0x1800, 2, &[3]).unwrap();
     bus.download(0x1801, 2, &[0]).unwrap();
@@ -1086,7 +1086,7 @@ fn synchronous_tpdos_are_sent_with_every_sync_so_many_or_when_they_changed() {
             bus.device.show_tpdo(1, [n; 8]);
         }
         bus.pass(150);
-        assert_eq!((bus.take(0x180).len(), bus.take(0x280).len()), (0, 0), "not without a SYNC");
+        assert_eq!((bus.take(0x180).len(), bus.take(0x280).len()), (0, 0), "nothing without a SYNC");
         bus.bring(0x080, &[]);
         bus.turn();
         counts.push((bus.take(0x180).len(), bus.take(0x280).len()));
@@ -1096,27 +1096,27 @@ fn synchronous_tpdos_are_sent_with_every_sync_so_many_or_when_they_changed() {
 }
 
 #[test]
-fn consumer_that_is_switched_off_watches_the_rpdos_alone() {
+fn disabled_heartbeat_consumer_still_monitors_rpdos() {
     for value in [[0; 4], [100, 0, 0, 0], [0, 0, MASTER as u8, 0]] {
         let mut bus = Bus::operational();
         bus.download(0x1016, 1, &value).unwrap();
-        assert_eq!(bus.upload(0x1016, 1), Ok(vec![0; 4]), "unused");
+        assert_eq!(bus.upload(0x1016, 1), Ok(vec![0; 4]), "disabled");
         bus.bring(0x700 | MASTER, &[5]);
         bus.pass(10 * u32::from(TIME_MS));
         bus.bring(0x700 | MASTER, &[0]);
         bus.turn();
         assert_eq!(bus.events, [READ, READ], "{value:?}");
-        assert_eq!(bus.application.time_ms, TIME_MS, "the application's time is as before");
+        assert_eq!(bus.application.time_ms, TIME_MS, "time-out of the application is unchanged");
         bus.bring(0x310, &[0; 2]);
         bus.pass(TIME_MS.into());
-        assert_eq!(bus.events.last(), Some(&SILENT), "nobody commands without being watched");
+        assert_eq!(bus.events.last(), Some(&SILENT), "every commanding master is monitored");
         bus.download(0x1016, 1, &[200, 0, MASTER as u8, 0]).unwrap();
         assert_eq!(bus.upload(0x1016, 1), Ok(vec![200, 0, MASTER as u8, 0]));
     }
 }
 
 #[test]
-fn rpdos_are_enough_where_no_heartbeat_was_heard_or_none_is_watched() {
+fn rpdos_suffice_without_a_monitored_heartbeat() {
     for (heartbeat, value) in [(true, [0; 4]), (false, [100, 0, MASTER as u8, 0])] {
         let mut bus = Bus::operational();
         if heartbeat {
@@ -1135,7 +1135,7 @@ fn rpdos_are_enough_where_no_heartbeat_was_heard_or_none_is_watched() {
 }
 
 #[test]
-fn master_that_falls_silent_behind_switching_the_consumer_off_is_noticed() {
+fn master_time_out_is_detected_after_disabling_the_consumer() {
     let mut bus = Bus::operational();
     bus.bring(0x700 | MASTER, &[5]);
     bus.pass(200);
@@ -1147,14 +1147,14 @@ fn master_that_falls_silent_behind_switching_the_consumer_off_is_noticed() {
 }
 
 #[test]
-fn emergencies_keep_their_inhibit_time_and_none_is_lost_by_it() {
+fn inhibit_time_delays_emergencies_but_loses_none() {
     let mut bus = Bus::operational();
     bus.download(0x1015, 0, &[0x2C, 1]).unwrap();
     assert_eq!(bus.upload(0x1015, 0), Ok(vec![0x2C, 1]));
     let start = bus.now_ms;
     for n in 0..60 {
         bus.bring(0x210, &[0; 7]);
-        // A fault that comes and goes between two.
+        // A fault that appears and clears within one inhibit time.
         bus.show_faults(u16::from(n == 5));
         bus.pass(1);
     }
@@ -1168,14 +1168,14 @@ fn emergencies_keep_their_inhibit_time_and_none_is_lost_by_it() {
 }
 
 #[test]
-fn past_faults_are_remembered_until_a_master_forgets_them() {
+fn past_faults_are_recorded_until_a_master_clears_them() {
     let mut bus = Bus::operational();
     assert_eq!(bus.upload(0x1003, 0), Ok(vec![0]));
     assert_eq!(bus.upload(0x1003, 1), Err(0x0800_0024));
     bus.show_faults(1);
     bus.show_faults(0b10001);
     bus.show_faults(0b00001);
-    assert_eq!(bus.upload(0x1003, 0), Ok(vec![2]), "that one is over is no fault");
+    assert_eq!(bus.upload(0x1003, 0), Ok(vec![2]), "a cleared fault is no new entry");
     assert_eq!(bus.upload(0x1003, 1), Ok(vec![0x10, 0x42, 5, 0]));
     assert_eq!(bus.upload(0x1003, 2), Ok(vec![0x01, 0xFF, 5, 0]));
     for _ in 0..10 {
@@ -1192,7 +1192,7 @@ fn past_faults_are_remembered_until_a_master_forgets_them() {
 }
 
 #[test]
-fn error_behaviour_says_what_becomes_of_operation() {
+fn error_behaviour_selects_the_state_after_a_loss() {
     for (behaviour, state) in
         [(0, NmtState::PreOperational), (1, NmtState::Operational), (2, NmtState::Stopped)]
     {
@@ -1211,7 +1211,7 @@ fn error_behaviour_says_what_becomes_of_operation() {
             act(&mut bus);
             bus.turn();
             assert_eq!(bus.device.state(), state);
-            assert!(matches!(bus.events[..], [Event::Left { .. }]), "in any case: {:?}", bus.events);
+            assert!(matches!(bus.events[..], [Event::Left { .. }]), "in every state: {:?}", bus.events);
         }
     }
     let mut bus = Bus::operational();
@@ -1219,14 +1219,14 @@ fn error_behaviour_says_what_becomes_of_operation() {
 }
 
 #[test]
-fn silence_of_a_master_that_may_fall_silent_is_over_when_it_is_heard() {
+fn time_out_without_leaving_operation_clears_when_the_master_returns() {
     let mut bus = Bus::operational();
     bus.download(0x1029, 1, &[1]).unwrap();
     for data in [&[5][..], &[127]] {
         bus.bring(0x700 | MASTER, data);
         bus.pass(TIME_MS.into());
         bus.show_faults(0);
-        assert_eq!(bus.take(0x080).len(), 1, "silent");
+        assert_eq!(bus.take(0x080).len(), 1, "time-out");
         bus.bring(0x700 | MASTER, data);
         bus.show_faults(0);
         assert_eq!(bus.take(0x080), [[0, 0, 0, 1, 2, 3, 4, 5]]);
@@ -1234,7 +1234,7 @@ fn silence_of_a_master_that_may_fall_silent_is_over_when_it_is_heard() {
 }
 
 #[test]
-fn texts_are_read_in_segments() {
+fn text_is_read_in_segments() {
     let mut bus = Bus::operational();
     assert_eq!(bus.download(0x1008, 0, &[0; 4]), Err(0x0601_0002));
     for name in [NAME, "1234567", "1.2", ""] {
@@ -1252,16 +1252,16 @@ fn texts_are_read_in_segments() {
             if answer[0] & 1 != 0 {
                 break;
             }
-            assert_eq!(used, 7, "only the last is short");
+            assert_eq!(used, 7, "only the last segment is shorter");
             toggle ^= 0x10;
         }
         assert_eq!(text, name.as_bytes());
         let more = bus.sdo([0x60 | toggle ^ 0x10, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(more, [[0x80, 0, 0, 0, 1, 0, 4, 5]], "there is no more");
+        assert_eq!(more, [[0x80, 0, 0, 0, 1, 0, 4, 5]], "no further segment");
     }
 }
 
-/// An application that has no text of its own.
+/// An application that does not implement `text` and `outcome`.
 struct Textless(Application);
 
 impl Dictionary for Textless {
@@ -1289,7 +1289,7 @@ impl Dictionary for Textless {
 }
 
 #[test]
-fn application_without_texts_says_that_there_is_no_data() {
+fn missing_text_is_no_data() {
     let mut bus = Bus::operational();
     bus.bring(0x600 | NODE, &[0x40, 0x08, 0x10, 0, 0, 0, 0, 0]);
     let Bus { mut device, application, now_ms, .. } = bus;
@@ -1299,7 +1299,7 @@ fn application_without_texts_says_that_there_is_no_data() {
 }
 
 #[test]
-fn write_has_ended_where_the_application_says_nothing_else() {
+fn write_ends_immediately_by_default() {
     let mut bus = Bus::operational();
     bus.bring(0x600 | NODE, &SLOW);
     let Bus { mut device, application, now_ms, .. } = bus;
@@ -1309,31 +1309,31 @@ fn write_has_ended_where_the_application_says_nothing_else() {
 }
 
 #[test]
-fn transfer_in_segments_ends_where_the_client_loses_count_or_begins_another() {
+fn segmented_transfer_ends_on_a_wrong_toggle_bit_or_another_request() {
     let begin = [0x40, 0x08, 0x10, 0, 0, 0, 0, 0];
     let mut bus = Bus::operational();
     bus.sdo(begin);
     let toggled = bus.sdo([0x70, 0, 0, 0, 0, 0, 0, 0]);
     assert_eq!(toggled, [[0x80, 0x08, 0x10, 0, 0, 0, 0x03, 0x05]]);
     let none = [[0x80, 0, 0, 0, 1, 0, 4, 5]];
-    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "it is over");
+    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "after the abort by the server");
     bus.sdo(begin);
     assert_eq!(bus.sdo([0x80, 0x08, 0x10, 0, 0, 0, 0, 0]), Vec::<Vec<u8>>::new());
-    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "the client aborted it");
+    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "after the abort by the client");
     bus.sdo(begin);
     bus.upload(0x1000, 0).unwrap();
-    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "another took its place");
+    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "after another request");
     bus.sdo(begin);
     bus.nmt(0x02);
     bus.nmt(0x01);
-    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "the device was stopped");
+    assert_eq!(bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]), none, "after a stop");
 }
 
-/// A write to the slow object.
+/// A request that writes the slow object.
 const SLOW: [u8; 8] = [0x2B, 0x02, 0x20, 5, 1, 0, 0, 0];
 
 #[test]
-fn write_that_takes_its_time_is_answered_when_it_has_ended() {
+fn slow_write_is_answered_when_it_has_ended() {
     for (outcome, answer) in [
         (Ok(()), [0x60, 0x02, 0x20, 5, 0, 0, 0, 0]),
         (Err(Abort::Hardware), [0x80, 0x02, 0x20, 5, 0, 0, 0x06, 0x06]),
@@ -1341,7 +1341,7 @@ fn write_that_takes_its_time_is_answered_when_it_has_ended() {
         let mut bus = Bus::operational();
         assert!(bus.sdo(SLOW).is_empty());
         bus.pass(30);
-        assert!(bus.take(0x580).is_empty(), "it goes on");
+        assert!(bus.take(0x580).is_empty(), "still in progress");
         assert_eq!(bus.events, [Event::Sdo { written: true }], "once");
         bus.application.outcome = Some(outcome);
         bus.pass(1);
@@ -1352,7 +1352,7 @@ fn write_that_takes_its_time_is_answered_when_it_has_ended() {
 }
 
 #[test]
-fn client_that_does_not_wait_for_a_write_gets_the_answer_to_what_it_asks_next_alone() {
+fn new_request_replaces_a_write_in_progress() {
     let aborted = [0x80, 0x02, 0x20, 5, 0, 0, 0x04, 0x05];
     for (next, answers) in [(aborted, 0), ([0x40, 0x02, 0x20, 2, 0, 0, 0, 0], 1)] {
         let mut bus = Bus::operational();
@@ -1375,14 +1375,14 @@ fn client_that_does_not_wait_for_a_write_gets_the_answer_to_what_it_asks_next_al
 }
 
 #[test]
-fn transfer_outlives_a_start_and_no_stop() {
+fn transfer_survives_a_start_but_not_a_stop() {
     let mut bus = Bus::operational();
     bus.sdo([0x40, 0x08, 0x10, 0, 0, 0, 0, 0]);
     bus.nmt(0x80);
     bus.nmt(0x01);
     let answers = bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]);
     assert_eq!(answers[0][1..], NAME.as_bytes()[..7]);
-    // A request and the stop in one turn.
+    // A request and a stop in the same turn.
     bus.bring(0x600 | NODE, &[0x2F, 0x02, 0x20, 1, 0xCD, 0, 0, 0]);
     bus.nmt(0x02);
     bus.nmt(0x80);
@@ -1390,7 +1390,7 @@ fn transfer_outlives_a_start_and_no_stop() {
 }
 
 #[test]
-fn time_goes_forward_for_up_to_24_days() {
+fn elapsed_time_covers_24_days() {
     for then_ms in [0, u32::MAX] {
         let since = |ms: u32| clock::since(then_ms.wrapping_add(ms), then_ms);
         assert_eq!((since(0), since(0x7FFF_FFFF), since(0x8000_0000)), (0, 0x7FFF_FFFF, 0));
@@ -1398,7 +1398,7 @@ fn time_goes_forward_for_up_to_24_days() {
 }
 
 #[test]
-fn output_image_takes_the_same_again_by_sdo_and_nothing_else() {
+fn rpdo_image_accepts_only_its_present_value_by_sdo() {
     let mut bus = Bus::operational();
     bus.bring(0x210, &[1; 8]);
     bus.turn();
@@ -1406,7 +1406,7 @@ fn output_image_takes_the_same_again_by_sdo_and_nothing_else() {
     bus.download(0x2000, 1, &[1]).unwrap();
     assert_eq!(bus.download(0x2000, 1, &[2]), Err(0x0800_0021));
     bus.download(0x2000, 0, &[2]).unwrap();
-    assert_eq!(bus.download(0x2000, 0, &[3]), Err(VALUE), "a number that never changes");
+    assert_eq!(bus.download(0x2000, 0, &[3]), Err(VALUE), "a constant");
     bus.download(0x1014, 0, &[0x90, 0, 0, 0]).unwrap();
     assert_eq!(bus.download(0x1014, 0, &[0x91, 0, 0, 0]), Err(VALUE));
     assert_eq!(bus.events, [READ; 6]);
@@ -1414,7 +1414,7 @@ fn output_image_takes_the_same_again_by_sdo_and_nothing_else() {
 }
 
 #[test]
-fn other_nodes_and_broken_frames_do_not_stand_in_for_the_master() {
+fn other_nodes_and_invalid_frames_do_not_count_as_the_master() {
     let remote = ClassicFrame::new_remote(StandardId::new(0x700 | MASTER).unwrap(), 1).unwrap();
     for has_heartbeat in [true, false] {
         let mut bus = Bus::operational();

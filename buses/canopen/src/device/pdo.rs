@@ -1,16 +1,16 @@
-//! PDOs: when one is taken or sent (CiA 301, 7.2.2), and what a master sets of it.
+//! PDO state: when a PDO takes effect or is sent (CiA 301, 7.2.2), and its communication parameters.
 
 use crate::Pdo;
 use crate::clock::since;
 
-/// What a master sets of a PDO.
+/// Communication parameters of a PDO, set by the master.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Setup {
-    /// Bit 31 of the COB-ID is 0.
+    /// Whether bit 31 of the COB-ID is 0.
     pub(super) is_enabled: bool,
-    /// It carries what its mapping says, not nothing. An enabled one always does.
+    /// Whether the mapping is in place; false after a master cleared it. Always true while the PDO is enabled.
     pub(super) is_mapped: bool,
-    /// 0 to 240: with SYNC; 254 and 255: at once.
+    /// Transmission type: 0 to 240 with SYNC, 254 and 255 event-driven.
     pub(super) transmission: u8,
 }
 
@@ -18,7 +18,7 @@ impl Setup {
     const NEW: Self = Self { is_enabled: true, is_mapped: true, transmission: Pdo::EVENT_DRIVEN };
     const LAST_SYNCHRONOUS: u8 = 240;
 
-    /// Whether a PDO can have this type. Those in between are reserved, or want remote frames.
+    /// Returns whether this transmission type is supported. 241 to 253 are reserved or require remote frames.
     pub(super) const fn has(transmission: u8) -> bool {
         matches!(transmission, 0..=Self::LAST_SYNCHRONOUS | 254..=255)
     }
@@ -28,20 +28,21 @@ impl Setup {
     }
 }
 
-/// One RPDO.
+/// State of one RPDO.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rpdo {
     pub(super) setup: Setup,
-    /// What counts.
+    /// Data in effect.
     pub(super) taken: [u8; 8],
-    /// What came and waits for a SYNC.
+    /// Data received and pending until the next SYNC.
     pub(super) waiting: Option<[u8; 8]>,
 }
 
 impl Rpdo {
     pub(super) const NEW: Self = Self { setup: Setup::NEW, taken: [0; 8], waiting: None };
 
-    /// What came; the image that counts from now on, if any. One with a bit of `keep` does not wait for a SYNC.
+    /// Receives an RPDO. Returns its data if it takes effect immediately. Data with any bit of `keep` set
+    /// never waits for a SYNC.
     pub(super) fn receive(&mut self, data: [u8; 8], keep: [u8; 8]) -> Option<[u8; 8]> {
         let is_urgent = data.iter().zip(keep).any(|(byte, keep)| byte & keep != 0);
         if self.setup.waits_for_sync() && !is_urgent {
@@ -52,7 +53,7 @@ impl Rpdo {
         Some(data)
     }
 
-    /// The image that counts from this SYNC on.
+    /// Returns the data that takes effect with this SYNC, if any.
     pub(super) fn on_sync(&mut self) -> Option<[u8; 8]> {
         let data = self.waiting.take()?;
         self.taken = data;
@@ -60,17 +61,17 @@ impl Rpdo {
     }
 }
 
-/// One TPDO.
+/// State of one TPDO.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tpdo {
     pub(super) setup: Setup,
     pub(super) shown: [u8; 8],
     sent: [u8; 8],
-    /// None: it is due, as far as its type lets it.
+    /// Time of the last transmission. `None`: send at the next opportunity for the transmission type.
     sent_at: Option<u32>,
-    /// SYNCs since it was sent.
+    /// Number of SYNCs since the last transmission.
     syncs: u8,
-    /// A SYNC asked for it.
+    /// Whether the last SYNC requested a transmission.
     is_asked: bool,
 }
 
@@ -78,7 +79,7 @@ impl Tpdo {
     pub(super) const NEW: Self =
         Self { setup: Setup::NEW, shown: [0; 8], sent: [0; 8], sent_at: None, syncs: 0, is_asked: false };
 
-    /// As if it had never been sent.
+    /// Resets the transmission state, as if the TPDO had never been sent.
     pub(super) const fn send_again(&mut self) {
         (self.sent_at, self.syncs, self.is_asked) = (None, 0, false);
     }
@@ -94,7 +95,7 @@ impl Tpdo {
         };
     }
 
-    /// What is to be sent now.
+    /// Returns the data to send now, if any.
     pub(super) fn due(&mut self, now_ms: u32, inhibit_ms: u32, event_ms: u32) -> Option<[u8; 8]> {
         let is_due = if self.setup.waits_for_sync() {
             self.is_asked

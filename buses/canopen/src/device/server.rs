@@ -1,4 +1,4 @@
-//! The SDO server: what a master reads and writes of the device's objects (CiA 301, 7.2.4).
+//! SDO server: reads and writes of the device's objects (CiA 301, 7.2.4).
 
 use super::pdo::Setup;
 use super::{Device, ErrorBehaviour, Event, NmtState};
@@ -6,11 +6,11 @@ use crate::object::NO_REMOTE;
 use crate::sdo::{self, Request, Upload};
 use crate::{Abort, DataType, Dictionary, Entry, Pdo, Source};
 
-/// COB-ID of a PDO, bit 31: it is disabled.
+/// COB-ID of a PDO, bit 31: the PDO is disabled.
 const DISABLED: u32 = 1 << 31;
 
 impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
-    /// Serves an SDO request; whether it wrote a value of the application.
+    /// Serves an SDO request. Returns whether it wrote a value of the application.
     pub(super) fn answer<D: Dictionary>(
         &mut self,
         now_ms: u32,
@@ -19,7 +19,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     ) -> bool {
         let (index, sub, request) = sdo::parse(request);
         let upload = self.upload.take();
-        // Whoever asks for something else does not wait any more.
+        // A new request replaces a write in progress, whose response is dropped.
         self.writing = None;
         let outcome = match request {
             Request::Aborted => return false,
@@ -48,7 +48,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         })
     }
 
-    /// Answers a write once it has ended.
+    /// Responds to a write in progress as soon as it has ended.
     pub(super) fn confirm<D: Dictionary>(&mut self, dictionary: &D) {
         let Some((index, sub)) = self.writing else { return };
         let outcome = match dictionary.find(index, sub) {
@@ -63,7 +63,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         });
     }
 
-    /// The next segment of a text.
+    /// Sends the next segment of a text.
     fn go_on(&mut self, mut upload: Upload, toggle: bool) {
         match upload.next(toggle) {
             Ok((response, goes_on)) => {
@@ -85,7 +85,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         Ok(sdo::read_response(index, sub, entry.kind.len(), value))
     }
 
-    /// The number of an entry.
+    /// Returns the numeric value of an entry.
     fn read<D: Dictionary>(&self, entry: Entry<D::Key>, dictionary: &D) -> Result<u32, Abort> {
         let Entry { kind, source, .. } = entry;
         let config = &self.config;
@@ -127,7 +127,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         })
     }
 
-    /// The COB-ID of a PDO that is enabled.
+    /// Returns the COB-ID of a PDO while enabled.
     fn cob_id(&self, pdo: Pdo) -> u32 {
         pdo.base_cob_id() | u32::from(self.config.node)
     }
@@ -140,7 +140,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         setup.ok_or(Abort::NoObject)
     }
 
-    /// A PDO begins anew with this.
+    /// Applies new parameters and resets the PDO.
     fn set_up(&mut self, pdo: Pdo, setup: Setup) {
         match pdo {
             Pdo::Receive(number) => {
@@ -150,7 +150,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
                 if is_lost && self.state == NmtState::Operational {
                     self.push(Event::Left { master_silent: false });
                     if !self.has_heartbeat {
-                        // Its RPDOs cannot be missed where it does not command.
+                        // The master may have stopped sending RPDOs. Without a heartbeat, monitoring
+                        // pauses until the next one.
                         self.heard_at = None;
                     }
                 }
@@ -193,7 +194,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         Ok(())
     }
 
-    /// The mapping is fixed, but a master may clear it and write it anew as it is.
+    /// The mapping is fixed. A master may clear it and then write the same mapping again.
     fn write_mapped(&mut self, pdo: Pdo, count: u8, wanted: u8) -> Result<(), Abort> {
         let setup = self.setup(pdo)?;
         if wanted != 0 && wanted != count {
@@ -221,8 +222,8 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         Ok(())
     }
 
-    /// Bits 16 to 23 are the master's node-ID, the lower ones the time in milliseconds. Where one of them is 0, its heartbeat
-    /// is not watched; the RPDOs are, within the application's time.
+    /// Writes 1016h, 1: bits 16 to 23 are the master's node-ID, the lower 16 bits the time-out in milliseconds. If
+    /// either is 0, the heartbeat is not monitored, but RPDOs still are, with the application's time-out.
     fn write_consumer<D: Dictionary>(
         &mut self,
         now_ms: u32,
@@ -239,7 +240,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             dictionary.set_consumer_time_ms(time_ms)?;
         }
         if !watches || master == self.config.master {
-            // It may fall silent with this request, so it goes on to be watched; its new time begins now.
+            // Monitoring continues in case this is the master's last frame; the new time-out starts now.
             self.heard_at = self.heard_at.map(|_| now_ms);
             self.has_heartbeat &= watches;
         } else {
@@ -250,7 +251,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         Ok(())
     }
 
-    /// Whether it was a value of the application.
+    /// Writes an entry. Returns whether it is a value of the application.
     fn write<D: Dictionary>(
         &mut self,
         now_ms: u32,
@@ -267,7 +268,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         if len.is_some_and(|len| len != entry.kind.len()) {
             return Err(Abort::Length);
         }
-        // What a client puts into the bytes that the object does not have means nothing.
+        // Ignores data bytes past the object's length.
         let value = number_at(&value.to_le_bytes(), 0, entry.kind.len());
         let number = value as u16;
         match entry.source {
@@ -304,7 +305,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     }
 }
 
-/// The number in these bytes, low byte first.
+/// Returns the number in `len` bytes from `at`, low byte first.
 fn number_at(bytes: &[u8], at: u8, len: u8) -> u32 {
     let mut number = [0; 4];
     let taken = bytes.iter().skip(at.into()).take(len.into());
