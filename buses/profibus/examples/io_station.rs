@@ -1,6 +1,6 @@
-//! Eight digital inputs and outputs on a bus that is played here: a master polls the station, sends parameters and the
-//! configuration, exchanges data, reads a diagnosis and falls silent. `cargo run -p bus-profibus --example io_station` prints
-//! the telegrams; with `-- --gsd`, the GSD file.
+//! Eight digital inputs and outputs on a simulated bus. The master polls the station, sends parameters and
+//! configuration, exchanges data, reads a diagnosis and then stops sending. `cargo run -p bus-profibus --example
+//! io_station` prints the telegrams; add `-- --gsd` to print the GSD file.
 
 use bus_profibus::{
     Address, Baud, Character, Event, Gsd, GsdFacts, Profile, SYNC_BITS, Slave, identifiers_fit,
@@ -16,7 +16,7 @@ static PROFILE: Profile = Profile {
 };
 const _: () = assert!(identifiers_fit(PROFILE.config, 1, 1));
 
-/// Two bytes of diagnosis: the header, and a flag.
+/// A station with two bytes of diagnosis: header and flags.
 type Station = Slave<1, 1, 2>;
 const SHORT_CIRCUIT: u8 = 1 << 0;
 
@@ -36,14 +36,14 @@ const FACTS: GsdFacts<'_> = GsdFacts {
     diagnosis_bits: &[(0, "short circuit of an output")],
 };
 
-/// What the master sends, and when: the bodies of its telegrams, from the destination to the data.
+/// Telegrams from the master: time in milliseconds, and the body from the destination to the data.
 const SCRIPT: [(u32, &[u8]); 7] = [
-    // FDL_Status; Slave_Diag; Set_Prm with a watchdog of 100 ms; Chk_Cfg.
+    // FDL_Status, Slave_Diag, Set_Prm with a watchdog of 100 ms, Chk_Cfg.
     (10, &[0x07, 0x02, 0x49]),
     (11, &[0x87, 0x82, 0x6D, 60, 62]),
     (12, &[0x87, 0x82, 0x5D, 61, 62, 0x88, 1, 10, 11, 0x12, 0x34, 0]),
     (13, &[0x87, 0x82, 0x7D, 62, 62, 0x20, 0x10]),
-    // Data_Exchange twice: the last output is shorted. Slave_Diag, because the answer says so.
+    // Data_Exchange twice; the last output has a short circuit. Slave_Diag, requested by the answer.
     (14, &[0x07, 0x02, 0x5D, 0x0F]),
     (15, &[0x07, 0x02, 0x7D, 0x80]),
     (16, &[0x87, 0x82, 0x5D, 60, 62]),
@@ -56,7 +56,7 @@ fn main() {
     }
     let mut station = Station::new(&PROFILE, Address::new(7));
     for now_ms in 0..200 {
-        let mut told = station.poll(now_ms);
+        let mut event = station.poll(now_ms);
         for (_, body) in SCRIPT.iter().filter(|(at, _)| *at == now_ms) {
             let telegram = telegram(body);
             print(now_ms, "master ", &telegram);
@@ -65,16 +65,16 @@ fn main() {
                 let Some(outcome) = station.push(Character::Byte(byte), silence_bits, now_ms) else {
                     continue;
                 };
-                told = outcome.event;
-                // A line waits for `not_before_bits` here.
+                event = outcome.event;
+                // A real line waits for `not_before_bits` here.
                 if let Some(answer) = outcome.answer {
                     print(now_ms, "station", answer.bytes);
                 }
             }
         }
-        match told {
+        match event {
             Some(Event::Outputs) => {
-                // Each input is wired to the output of its number.
+                // Each input is wired to the output of the same number.
                 let outputs = *station.outputs();
                 station.show_inputs(&outputs);
                 let [outputs] = outputs;
@@ -92,7 +92,7 @@ fn main() {
     }
 }
 
-/// Delimiters and check sum around a body.
+/// Adds delimiters and check sum to a body.
 fn telegram(body: &[u8]) -> Vec<u8> {
     let sum = body.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte));
     let len = body.len() as u8;

@@ -1,6 +1,6 @@
-//! Rates, and the search for the one that a bus has.
+//! Baud rates, and their automatic detection.
 
-/// The rates of PROFIBUS DP.
+/// Baud rates of PROFIBUS DP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u32)]
 pub enum Baud {
@@ -27,7 +27,7 @@ pub enum Baud {
 }
 
 impl Baud {
-    /// All of them, the slowest first.
+    /// All baud rates in ascending order.
     pub const ALL: [Self; 10] = [
         Self::K9_6,
         Self::K19_2,
@@ -41,14 +41,14 @@ impl Baud {
         Self::M12,
     ];
 
-    /// In bit/s.
+    /// Returns the rate in bit/s.
     #[must_use]
     pub const fn bit_s(self) -> u32 {
         self as u32
     }
 
-    /// Max T_SDR, the latest that an answer may begin after the request, in bit times; the value that DP's slot times are
-    /// made for.
+    /// Returns Max T_SDR, the latest start of an answer after the end of its request, in bit times. DP slot times
+    /// are based on this value.
     #[must_use]
     pub const fn max_tsdr_bits(self) -> u16 {
         match self {
@@ -61,8 +61,8 @@ impl Baud {
         }
     }
 
-    /// How long the search listens at this rate, in milliseconds. A master polls the addresses that are not there at least
-    /// once in 100 rounds of its token, and an idle round takes below 100 bit times.
+    /// Returns how long the search listens at this rate, in milliseconds. A master polls missing addresses at least
+    /// once in 100 token rotations, and an idle rotation takes less than 100 bit times.
     const fn dwell_ms(self) -> u32 {
         const ROUNDS_BITS: u32 = 10_000;
         const LEAST_MS: u32 = 100;
@@ -71,25 +71,25 @@ impl Baud {
     }
 }
 
-/// How long a bus may be silent, or damaged, until its rate is searched again, in milliseconds.
+/// Time without an intact telegram until the search starts again, in milliseconds.
 pub const BAUD_LOST_MS: u32 = 5_000;
 
-/// Finds the rate of a bus by listening.
+/// Detects the baud rate of a bus by listening.
 ///
-/// At each rate it waits for an intact telegram that has a check sum. With one, that is the rate, until there is none for
-/// [`BAUD_LOST_MS`].
+/// The search waits at each rate for an intact telegram with a check sum. It keeps the rate of the first one, until
+/// none has been received for [`BAUD_LOST_MS`].
 ///
 /// ```
 /// use bus_profibus::{Baud, BaudSearch};
 ///
-/// // What the port can.
+/// // Baud rates that the port supports.
 /// static RATES: [Baud; 2] = [Baud::K500, Baud::M1_5];
 /// let mut search = BaudSearch::new(&RATES, 0);
 /// assert_eq!((search.baud(), search.is_found()), (Some(Baud::K500), false));
-/// // Nothing intact at 500 kbit/s, so the port is set to 1.5 Mbit/s.
+/// // Nothing intact at 500 kbit/s: set the port to 1.5 Mbit/s.
 /// assert_eq!(search.poll(119, 0), None);
 /// assert_eq!(search.poll(120, 0), Some(Baud::M1_5));
-/// // `Slave::counters().telegrams` counts: this is it.
+/// // `Slave::counters().telegrams` has increased: the rate is found.
 /// assert_eq!(search.poll(121, 1), None);
 /// assert!(search.is_found());
 /// ```
@@ -98,32 +98,32 @@ pub struct BaudSearch {
     rates: &'static [Baud],
     at: usize,
     found: bool,
-    /// When the last telegram came, or the listening began.
+    /// Time of the last telegram, or of the last change of rate.
     since_ms: u32,
     telegrams: u32,
 }
 
 impl BaudSearch {
-    /// A search that begins with the first of these rates.
+    /// Creates a search that starts with the first of these rates.
     #[must_use]
     pub const fn new(rates: &'static [Baud], now_ms: u32) -> Self {
         Self { rates, at: 0, found: false, since_ms: now_ms, telegrams: 0 }
     }
 
-    /// The rate that the port is to have; `None` if there are none.
+    /// Returns the rate to set the port to, or `None` if there are no rates.
     #[must_use]
     pub fn baud(&self) -> Option<Baud> {
         self.rates.get(self.at).copied()
     }
 
-    /// Whether telegrams come at that rate.
+    /// Returns whether telegrams have been received at this rate.
     #[must_use]
     pub const fn is_found(&self) -> bool {
         self.found
     }
 
-    /// Takes notice of the time and of how many intact telegrams there were
-    /// ([`Counters::telegrams`](crate::Counters::telegrams)). Returns the rate to set the port to, when it changes.
+    /// Updates the search with the time and the number of intact telegrams
+    /// ([`Counters::telegrams`](crate::Counters::telegrams)). Returns the new rate for the port when it changes.
     pub fn poll(&mut self, now_ms: u32, telegrams: u32) -> Option<Baud> {
         let baud = self.baud()?;
         if core::mem::replace(&mut self.telegrams, telegrams) != telegrams {

@@ -1,4 +1,4 @@
-//! The DP state machine (EN 50170-2, part 8; IEC 61158-6-3): who the master is, what it may, outputs, inputs, diagnosis.
+//! DP state machine (EN 50170-2, part 8; IEC 61158-6-3): lock by a master, outputs, inputs, diagnosis.
 
 mod parameters;
 
@@ -17,41 +17,41 @@ const GET_CFG: u8 = 59;
 const SLAVE_DIAG: u8 = 60;
 const SET_PRM: u8 = 61;
 const CHK_CFG: u8 = 62;
-/// That of a master towards all of them.
+/// Service access point of a master for all of these services.
 const MASTER: u8 = 62;
 
-/// Station_status_1.
+/// Bits of Station_status_1.
 const STATION_NOT_READY: u8 = 1 << 1;
 const CFG_FAULT: u8 = 1 << 2;
 const EXT_DIAG: u8 = 1 << 3;
 const NOT_SUPPORTED: u8 = 1 << 4;
 const PRM_FAULT: u8 = 1 << 6;
-/// Station_status_2.
+/// Bits of Station_status_2.
 const PRM_REQ: u8 = 1;
 const ALWAYS: u8 = 1 << 2;
 const WD_ON: u8 = 1 << 3;
 const FREEZE_MODE: u8 = 1 << 4;
 const SYNC_MODE: u8 = 1 << 5;
-/// Station_status_3.
+/// Bits of Station_status_3.
 const EXT_DIAG_OVERFLOW: u8 = 1 << 7;
-/// Diag.Master_Add as long as there is none.
+/// Diag.Master_Add without a master.
 const NO_MASTER: u8 = 0xFF;
 
-/// Control_Command of Global_Control. Where both bits of a pair are set, the one that ends the mode counts.
+/// Control_Command of Global_Control. If both bits of a pair are set, the mode ends.
 const CLEAR_DATA: u8 = 1 << 1;
 const UNFREEZE: u8 = 1 << 2;
 const FREEZE: u8 = 1 << 3;
 const UNSYNC: u8 = 1 << 4;
 const SYNC: u8 = 1 << 5;
 
-/// What a request is answered with.
+/// Response to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Response {
-    /// A short acknowledgement.
+    /// Short acknowledgement (SC).
     Acknowledge,
-    /// No service activated.
+    /// No service activated (RS).
     NoService,
-    /// The inputs, or with none of them whether there is a diagnosis.
+    /// The inputs; without inputs, only whether a diagnosis is pending.
     Exchange {
         high_priority: bool,
     },
@@ -61,14 +61,14 @@ pub(crate) enum Response {
     Diagnosis([u8; STANDARD_DIAGNOSIS_LEN]),
 }
 
-/// The master that has sent parameters.
+/// The master that has locked the slave.
 #[derive(Clone, Copy, Debug)]
 struct Master {
     address: u8,
     parameters: Parameters,
-    /// When its last request came.
+    /// Time of its last request, in milliseconds.
     heard_ms: u32,
-    /// Whether it has sent the right configuration too.
+    /// Whether it has also sent the correct configuration.
     configured: bool,
 }
 
@@ -78,10 +78,10 @@ pub(crate) struct Dp<const O: usize, const I: usize, const D: usize> {
     address: Address,
     master: Option<Master>,
     min_tsdr_bits: u8,
-    /// Of Station_status_1: what was wrong with the last parameters or the last configuration.
+    /// Fault bits of Station_status_1 from the last parameters or configuration.
     faults: u8,
     outputs: [u8; O],
-    /// What Data_Exchange brought last; with Sync not yet the outputs.
+    /// Data of the last Data_Exchange; in Sync mode not yet the outputs.
     received: [u8; O],
     is_synchronised: bool,
     inputs: [u8; I],
@@ -146,7 +146,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         self.profile.config
     }
 
-    /// Those that the master reads: as they are, or frozen.
+    /// Returns the inputs for the master, frozen if in Freeze mode.
     pub(crate) fn inputs(&self) -> &[u8; I] {
         self.frozen.as_ref().unwrap_or(&self.inputs)
     }
@@ -155,7 +155,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         self.inputs = *inputs;
     }
 
-    /// The device's own part of the diagnosis.
+    /// Returns the device-specific part of the diagnosis.
     pub(crate) fn diagnosis(&self) -> &[u8] {
         self.diagnosis.get(..self.diagnosis_len).unwrap_or_default()
     }
@@ -173,19 +173,19 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         self.diagnosis_announced = true;
     }
 
-    /// How long the master may still be silent until that is longer than its watchdog allows.
+    /// Returns the time until the watchdog expires without a request, in milliseconds.
     pub(crate) fn time_left_ms(&self, now_ms: u32) -> Option<u32> {
         let Master { heard_ms, parameters, .. } = self.master?;
         let silence_ms = now_ms.wrapping_sub(heard_ms);
         Some(parameters.watchdog_ms?.saturating_add(1).saturating_sub(silence_ms))
     }
 
-    /// Whether the master was silent for longer than its watchdog allows.
+    /// Returns whether the master's watchdog has expired.
     pub(crate) fn is_expired(&self, now_ms: u32) -> bool {
         self.time_left_ms(now_ms) == Some(0)
     }
 
-    /// A request for this station came. If it is its master's, the watchdog begins anew.
+    /// Restarts the watchdog if `source` is the slave's master. Call it for each request to this station.
     pub(crate) fn hear(&mut self, source: u8, now_ms: u32) {
         if let Some(master) = self.master_if(source) {
             master.heard_ms = now_ms;
@@ -196,7 +196,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         self.master.as_mut().filter(|master| master.address == address)
     }
 
-    /// The slave is nobody's. Outputs are 0 until the next data exchange.
+    /// Releases the slave from its master. Outputs are 0 until the next data exchange.
     pub(crate) fn leave(&mut self, cause: Cause) -> Option<Event> {
         let was_exchanging = self.state() == State::DataExch;
         self.master = None;
@@ -207,7 +207,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         was_exchanging.then_some(Event::Left(cause))
     }
 
-    /// A request that wants data: by its service access points, its source and its data.
+    /// Serves a request that requires data in response, identified by its service access points.
     pub(crate) fn serve(
         &mut self,
         points: (Option<u8>, Option<u8>),
@@ -250,7 +250,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         (Response::Exchange { high_priority: self.diagnosis_announced }, event)
     }
 
-    /// What was received becomes the outputs, unless it waits for a Sync.
+    /// Applies received outputs, unless they wait for a Sync.
     const fn take_received(&mut self) -> Option<Event> {
         if self.is_synchronised {
             return None;
@@ -292,7 +292,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
                 event
             }
         };
-        // Whatever was wrong, the diagnosis tells.
+        // The request is always acknowledged; the diagnosis reports errors.
         (Response::Acknowledge, event)
     }
 
@@ -304,8 +304,8 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
 
     fn chk_cfg(&mut self, source: u8, data: &[u8]) -> (Response, Option<Event>) {
         if self.master.is_none() {
-            // Its parameters were wrong, or their time is over. Masters go on to read the diagnosis, which says so; after a
-            // refusal public ones begin anew without.
+            // The parameters were rejected, or the watchdog has expired. After an acknowledgement, masters read the
+            // diagnosis, which reports it. After a rejection, publicly available masters restart without reading it.
             return (Response::Acknowledge, None);
         }
         let is_right = data == self.profile.config;
@@ -329,7 +329,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         (Response::Acknowledge, Some(Event::Address(self.address)))
     }
 
-    /// A request that wants no answer. Global_Control is the only one that there is.
+    /// Executes a request without an answer. Global_Control is the only one supported.
     pub(crate) fn control(
         &mut self,
         points: (Option<u8>, Option<u8>),
@@ -359,14 +359,14 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
         cleared.or(released)
     }
 
-    /// Outputs that waited are taken; from now on they wait, or do not.
+    /// Applies waiting outputs. Then starts or ends Sync mode.
     const fn release(&mut self, synchronised: bool) -> Option<Event> {
         let waited = core::mem::replace(&mut self.is_synchronised, synchronised);
         self.outputs = self.received;
         if waited { Some(Event::Outputs) } else { None }
     }
 
-    /// The first six bytes of the diagnosis.
+    /// Returns the standard six bytes of the diagnosis.
     fn standard_diagnosis(&self) -> [u8; STANDARD_DIAGNOSIS_LEN] {
         let status_1 = status(&[
             (self.faults, true),
@@ -387,7 +387,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
     }
 }
 
-/// The bits that are set, together.
+/// Combines the bits that are set.
 fn status(bits: &[(u8, bool)]) -> u8 {
     bits.iter().filter(|(_, is_set)| *is_set).map(|(bit, _)| *bit).fold(0, BitOr::bitor)
 }

@@ -1,42 +1,42 @@
-//! The GSD file (the device data base file of EN 50170-2, revision 1 of its language), from what the slave uses.
+//! Generates the GSD file (device data base file of EN 50170-2, revision 1 of the language) from the slave's profile.
 
 use core::fmt;
 
 use crate::{Baud, Profile};
 
-/// What a GSD file says besides the profile.
+/// Contents of a GSD file that are not part of the profile.
 #[derive(Clone, Copy, Debug)]
 pub struct GsdFacts<'a> {
-    /// Who makes the device, up to 32 characters.
+    /// Vendor of the device, up to 32 characters.
     pub vendor: &'a str,
-    /// The name of the device, up to 24 characters.
+    /// Model name of the device, up to 24 characters.
     pub model: &'a str,
-    /// The revision of the device.
+    /// Revision of the device.
     pub revision: &'a str,
-    /// Of the hardware.
+    /// Release of the hardware.
     pub hardware_release: &'a str,
-    /// Of the software.
+    /// Release of the software.
     pub software_release: &'a str,
-    /// Slave_Family: where configuration tools list the device, such as 1 for drives and 3 for inputs and outputs.
+    /// Slave_Family: device category in configuration tools, such as 1 for drives and 3 for inputs and outputs.
     pub family: u8,
-    /// The rates that the port can.
+    /// Baud rates that the port supports.
     pub rates: &'a [Baud],
-    /// Whether the rate is found by [`BaudSearch`](crate::BaudSearch).
+    /// Whether [`BaudSearch`](crate::BaudSearch) detects the baud rate.
     pub auto_baud: bool,
-    /// Min_Slave_Intervall, the least time between two exchanges, in 100 µs.
+    /// Min_Slave_Intervall, the minimum time between two exchanges, in 100 µs.
     pub min_slave_interval: u16,
-    /// What the one module is called: all that the configuration identifiers describe.
+    /// Name of the only module, which comprises all configuration identifiers.
     pub module: &'a str,
-    /// Max_Diag_Data_Len: the longest diagnosis, its first six bytes included.
+    /// Max_Diag_Data_Len: maximum length of the diagnosis, including the standard six bytes.
     pub max_diagnosis_len: u8,
-    /// The names of the bitmaps beside the file, up to 8 characters without `.bmp`, which show the device in normal operation, with a
-    /// diagnosis and in special operating modes: 70 x 40 pixels, 16 colours.
+    /// Names of the bitmap files next to the GSD file, up to 8 characters without `.bmp`. They show the device in
+    /// normal operation, with a diagnosis and in special operating modes: 70 x 40 pixels, 16 colours.
     pub bitmaps: Option<[&'a str; 3]>,
-    /// What bits of the device's own part of the diagnosis mean; 0 is the lowest bit after its header.
+    /// Meaning of bits in the device-specific diagnosis; 0 is the lowest bit after its header.
     pub diagnosis_bits: &'a [(u16, &'a str)],
 }
 
-/// The GSD file of a slave, as text.
+/// The GSD file of a slave. `Display` writes its text.
 ///
 /// ```
 /// use bus_profibus::{Baud, Gsd, GsdFacts, Profile};
@@ -73,9 +73,9 @@ pub struct GsdFacts<'a> {
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Gsd<'a> {
-    /// What it says besides the profile.
+    /// Contents that are not part of the profile.
     pub facts: GsdFacts<'a>,
-    /// The slave.
+    /// Profile of the slave.
     pub profile: &'a Profile,
 }
 
@@ -128,7 +128,7 @@ impl fmt::Display for Gsd<'_> {
     }
 }
 
-/// What a rate is called in keywords.
+/// Returns the name of a baud rate in GSD keywords.
 const fn name(baud: Baud) -> &'static str {
     match baud {
         Baud::K9_6 => "9.6",
@@ -144,7 +144,7 @@ const fn name(baud: Baud) -> &'static str {
     }
 }
 
-/// Lines as configuration tools of Windows want them.
+/// Writes lines with CRLF, as configuration tools on Windows require.
 struct Lines<'a, 'b>(&'a mut fmt::Formatter<'b>);
 
 impl Lines<'_, '_> {

@@ -1,22 +1,22 @@
-//! A PROFIBUS DP-V0 slave without I/O: characters and silences in, answers out, over outputs, inputs and a diagnosis of the
-//! application.
+//! A sans-I/O PROFIBUS DP-V0 slave: characters and silences in, answers out, over the
+//! application's outputs, inputs and diagnosis.
 //!
-//! By EN 50170-2 (now IEC 61158, type 3, and IEC 61784, CPF 3/1): the data link layer (FDL) of a passive station, and the
-//! services of DP-V0.
+//! Implements EN 50170-2 (now IEC 61158, type 3, and IEC 61784, CPF 3/1): the data link layer (FDL) of a passive
+//! station, and the services of DP-V0.
 //!
-//! | part | holds |
+//! | item | contents |
 //! |---|---|
 //! | [`Slave`] | telegrams, frame count bit, services, the states Wait_Prm, Wait_Cfg and Data_Exch, the watchdog |
-//! | [`Profile`] | what is fixed about a device: ident number, configuration, modes |
-//! | [`BaudSearch`] | the search for the rate of the bus |
-//! | [`Gsd`] | the GSD file, from the same profile |
+//! | [`Profile`] | fixed properties of a device: ident number, configuration, modes |
+//! | [`BaudSearch`] | automatic detection of the bus's baud rate |
+//! | [`Gsd`] | the GSD file, generated from the same profile |
 //!
-//! Not here: a UART, its direction, timers and clocks, which are the caller's; a master; DP-V1.
+//! UART, driver direction, timers and clocks are the caller's responsibility. Masters and DP-V1 are not supported.
 //!
 //! ```
 //! use bus_profibus::{Address, Answer, Cause, Character, Event, Outcome, Profile, Slave, State};
 //!
-//! /// A byte out, a byte in.
+//! /// One byte of outputs, one byte of inputs.
 //! static PROFILE: Profile = Profile {
 //!     ident: 0x1234,
 //!     config: &[0x20, 0x10],
@@ -28,7 +28,7 @@
 //!
 //! type Device = Slave<1, 1, 0>;
 //!
-//! /// Sends a telegram at a time in milliseconds, after 33 bit times of silence; gives what came of it.
+//! /// Sends a telegram at a time in milliseconds, after 33 bit times of silence. Returns event and answer.
 //! fn send(slave: &mut Device, now_ms: u32, telegram: &[u8]) -> (Option<Event>, Vec<u8>) {
 //!     let mut result = (None, Vec::new());
 //!     for (at, byte) in telegram.iter().enumerate() {
@@ -43,18 +43,18 @@
 //! const SC: u8 = 0xE5;
 //! let mut slave = Device::new(&PROFILE, Address::new(7));
 //! slave.show_inputs(&[0xAA]);
-//! // Master 2 sends parameters (with a watchdog of 100 ms), and the configuration.
+//! // Master 2 sends parameters (with a watchdog of 100 ms), then the configuration.
 //! let set_prm = [0x68, 12, 12, 0x68, 0x87, 0x82, 0x6C, 61, 62, 0x88, 1, 10, 11, 0x12, 0x34, 0, 0xD4, 0x16];
 //! assert_eq!(send(&mut slave, 0, &set_prm), (None, vec![SC]));
 //! let chk_cfg = [0x68, 7, 7, 0x68, 0x87, 0x82, 0x5C, 62, 62, 0x20, 0x10, 0x11, 0x16];
 //! assert_eq!(send(&mut slave, 1, &chk_cfg), (None, vec![SC]));
 //! assert_eq!(slave.state(), State::DataExch);
-//! // Outputs in, inputs out.
+//! // Exchange outputs and inputs.
 //! let data_exchange = [0x68, 4, 4, 0x68, 0x07, 0x02, 0x7D, 0x55, 0xDB, 0x16];
 //! let inputs = vec![0x68, 4, 4, 0x68, 0x02, 0x07, 0x08, 0xAA, 0xBB, 0x16];
 //! assert_eq!(send(&mut slave, 2, &data_exchange), (Some(Event::Outputs), inputs));
 //! assert_eq!(slave.outputs(), &[0x55]);
-//! // Then the master falls silent.
+//! // The master stops sending, and the watchdog expires.
 //! assert_eq!(slave.poll(102), None);
 //! assert_eq!(slave.poll(103), Some(Event::Left(Cause::Watchdog)));
 //! assert_eq!(slave.outputs(), &[0]);
@@ -99,7 +99,7 @@ pub use receiver::{Character, Counters, SYNC_BITS};
 pub use slave::{Answer, MIN_TSDR_BITS, Outcome, Slave};
 pub use state::{Cause, Event, State};
 
-/// The README's example is compiled with the others.
+/// Compiles the README's example as a doc test.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

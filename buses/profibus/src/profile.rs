@@ -1,60 +1,60 @@
-//! What is fixed about a slave, and its address.
+//! Fixed properties of a slave, and its address.
 
-/// The most bytes of outputs, of inputs, and of a whole diagnosis (DP-V0).
+/// Maximum length in bytes of the outputs, the inputs, and the whole diagnosis (DP-V0).
 pub const MAX_DATA_LEN: usize = 244;
 
-/// Bytes of a diagnosis before the device's own part.
+/// Length in bytes of the standard part of a diagnosis.
 pub const STANDARD_DIAGNOSIS_LEN: usize = 6;
 
-/// The address of a slave that was not given one yet.
+/// Address of a slave before one has been assigned.
 pub const DEFAULT_ADDRESS: u8 = 126;
 
-/// The greatest address that a slave may be given.
+/// Highest address that can be assigned to a slave.
 pub(crate) const MAX_ADDRESS: u8 = 125;
 
-/// What is fixed about a slave; its GSD file says the same.
+/// Fixed properties of a slave, also written to its GSD file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
-    /// Ident_Number, which the master's parameters have to name.
+    /// Ident_Number, which must match the master's parameters.
     pub ident: u16,
-    /// The configuration identifiers, which Chk_Cfg has to bring as they are: see [`identifiers_fit`].
+    /// Configuration identifiers, which Chk_Cfg must match exactly; see [`identifiers_fit`].
     pub config: &'static [u8],
-    /// Sync_Mode_supp. While a master has outputs synchronised, those that it sends wait for its next Sync: also one that
-    /// stops something.
+    /// Sync_Mode_supp. In Sync mode, received outputs wait for the master's next Sync command,
+    /// including outputs that stop something.
     pub sync: bool,
-    /// Freeze_Mode_supp.
+    /// Freeze_Mode_supp: a master can freeze the inputs.
     pub freeze: bool,
-    /// Fail_Safe: Data_Exchange without data clears the outputs. A master in the operating mode Clear sends such.
+    /// Fail_Safe: Data_Exchange without data clears the outputs. Masters send it in the operating mode Clear.
     pub fail_safe: bool,
-    /// Set_Slave_Add_supp: a master may change the address as long as it has not sent parameters.
+    /// Set_Slave_Add_supp: a master can change the address before it sends parameters.
     pub set_address: bool,
 }
 
-/// Where a slave is found.
+/// Address of a slave on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Address {
-    /// The address, 0 to 125, or [`DEFAULT_ADDRESS`].
+    /// Station address, 0 to 125, or [`DEFAULT_ADDRESS`].
     pub station: u8,
-    /// No_Add_Chg: no master may change it any more.
+    /// No_Add_Chg: masters can no longer change the address.
     pub locked: bool,
 }
 
 impl Address {
-    /// An address that a master may change, if the slave lets it.
+    /// Creates an address that masters can change if [`Profile::set_address`] permits it.
     #[must_use]
     pub const fn new(station: u8) -> Self {
         Self { station, locked: false }
     }
 }
 
-/// Whether identifiers in the general format describe so many bytes of outputs and of inputs, for a `const` assertion beside
-/// a [`Profile`]. Identifiers in the special format are not understood: `false`.
+/// Returns whether identifiers in the general format describe this number of output and input bytes. Intended for a
+/// `const` assertion next to a [`Profile`]. Returns `false` for identifiers in the special format.
 ///
 /// ```
-/// // 8 bytes out, 12 bytes in, each consistent as a whole.
+/// // 8 bytes out and 12 bytes in, each consistent as a whole.
 /// const CONFIG: [u8; 2] = [0xA7, 0x9B];
 /// const _: () = assert!(bus_profibus::identifiers_fit(&CONFIG, 8, 12));
-/// // 4 words, in and out.
+/// // 4 words in and out.
 /// assert!(bus_profibus::identifiers_fit(&[0x73], 8, 8));
 /// ```
 #[must_use]

@@ -1,45 +1,45 @@
-//! From characters and silences to telegrams.
+//! Telegram detection from characters and silences.
 
 use crate::telegram::{
     LE, MAX_TELEGRAM_LEN, SC, SD1, SD1_LEN, SD2, SD2_HEAD_LEN, SD3, SD3_LEN, SD4, SD4_LEN, TAIL_LEN, Telegram,
 };
 
-/// T_SYN, the silence in front of every request, in bit times: what came before it is over.
+/// T_SYN, the silence before every request, in bit times. It ends any previous telegram.
 pub const SYNC_BITS: u32 = 33;
 
-/// What the line brought.
+/// A character received from the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Character {
-    /// A byte.
+    /// A byte without line errors.
     Byte(u8),
-    /// A parity or framing error, or a character that was lost before this one: the telegram around it is void.
+    /// A parity or framing error, or an overrun before this character. The telegram that contains it is invalid.
     Damaged,
 }
 
-/// What the receiver has found so far. Each wraps.
+/// Statistics of the receiver. Each counter wraps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Intact telegrams with start delimiter 1, 2 or 3, for whatever station.
+    /// Intact telegrams with start delimiter 1, 2 or 3, for any station.
     pub telegrams: u32,
-    /// What was none: a damaged character, a wrong delimiter, length or check sum, or a telegram that was cut short. Counted
-    /// once for everything up to the next silence.
+    /// Damaged characters, wrong delimiters, lengths or check sums, and truncated telegrams. Counted once for
+    /// everything up to the next silence.
     pub damaged: u32,
 }
 
-/// Finds telegrams. One ends with the character that completes it; after anything else, the next begins after a silence of
-/// [`SYNC_BITS`].
+/// Detects telegrams. A telegram ends with its last character. After anything else, the next one starts
+/// after a silence of [`SYNC_BITS`].
 #[derive(Clone, Debug)]
 pub(crate) struct Receiver {
     bytes: [u8; MAX_TELEGRAM_LEN],
     len: usize,
-    /// Waits for silence.
+    /// Ignores characters until the next silence.
     void: bool,
     counters: Counters,
 }
 
 impl Receiver {
     pub(crate) const fn new() -> Self {
-        // What comes first may be the end of something.
+        // The first characters may be the end of a telegram.
         let counters = Counters { telegrams: 0, damaged: 0 };
         Self { bytes: [0; MAX_TELEGRAM_LEN], len: 0, void: true, counters }
     }
@@ -48,8 +48,8 @@ impl Receiver {
         self.counters
     }
 
-    /// Takes a character and the silence before it, in bit times. Returns the telegram that it completes. Token telegrams
-    /// and short acknowledgements are over without a word.
+    /// Processes a character and the silence before it, in bit times. Returns the telegram that it completes. Discards
+    /// token telegrams and short acknowledgements.
     pub(crate) fn push(&mut self, character: Character, silence_bits: u32) -> Option<Telegram<'_>> {
         if silence_bits >= SYNC_BITS {
             if self.len > 0 {
@@ -75,7 +75,8 @@ impl Receiver {
         None
     }
 
-    /// How long what is held will be, as far as it shows; `None` if no telegram begins like this.
+    /// Returns the length of the telegram, as far as its first bytes determine it; `None` if
+    /// no telegram starts with them.
     fn expected_len(&self) -> Option<usize> {
         match self.bytes.get(..self.len)? {
             [SC, ..] => Some(1),

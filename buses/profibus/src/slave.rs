@@ -1,4 +1,4 @@
-//! The slave on its line: telegrams in, answers out.
+//! A slave on a serial line: telegrams in, answers out.
 
 use crate::dp::{Dp, Response};
 use crate::receiver::{Character, Counters, Receiver};
@@ -8,31 +8,31 @@ use crate::telegram::{
 };
 use crate::{Address, Cause, Event, MAX_DATA_LEN, Profile, STANDARD_DIAGNOSIS_LEN, State};
 
-/// The least min T_SDR: no answer begins earlier after its request, in bit times.
+/// Minimum of min T_SDR: the earliest start of an answer after the end of its request, in bit times.
 pub const MIN_TSDR_BITS: u32 = 11;
 
-/// A telegram to send.
+/// An answer telegram to send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Answer<'a> {
-    /// Its characters, which follow each other without a pause.
+    /// Characters of the telegram, to be sent without a pause.
     pub bytes: &'a [u8],
-    /// How long the line has to be silent before the first of them, in bit times from the end of the request: min T_SDR. The
-    /// master waits until [`Baud::max_tsdr_bits`](crate::Baud::max_tsdr_bits), at the least.
+    /// Min T_SDR: required silence from the end of the request to the first character, in bit times. The
+    /// master waits at least [`Baud::max_tsdr_bits`](crate::Baud::max_tsdr_bits).
     pub not_before_bits: u32,
 }
 
-/// What a character, or the time, has led to.
+/// Result of a received telegram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outcome<'a> {
-    /// For the application.
+    /// Event for the application, if any.
     pub event: Option<Event>,
-    /// For the line.
+    /// Answer to send, if any.
     pub answer: Option<Answer<'a>>,
 }
 
-/// A request that may be repeated: who sent it, its frame count bit, and which service it asks for. The last is more than the
-/// standard compares; so a master that gave up a request, and goes on with the same bit, is not answered with another
-/// service's data.
+/// A request that may be repeated, identified by sender, frame count bit and service. The standard does not
+/// compare the service. This does, so that a master that abandons a request and continues with the same bit
+/// never receives another service's data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cycle {
     source: u8,
@@ -40,7 +40,7 @@ struct Cycle {
     points: (Option<u8>, Option<u8>),
 }
 
-/// A DP slave with `O` bytes of outputs, `I` bytes of inputs, and up to `D` bytes of diagnosis of its own.
+/// A DP slave with `O` bytes of outputs, `I` bytes of inputs, and up to `D` bytes of device-specific diagnosis.
 ///
 /// See the [crate](crate) for an example.
 #[derive(Clone, Debug)]
@@ -52,23 +52,23 @@ pub struct Slave<const O: usize, const I: usize, const D: usize> {
 #[derive(Clone, Debug)]
 struct Station<const O: usize, const I: usize, const D: usize> {
     dp: Dp<O, I, D>,
-    /// What `answer` answers.
+    /// Request that `answer` belongs to.
     cycle: Option<Cycle>,
-    /// The last answer to a request that may be repeated.
+    /// Last answer to a request that may be repeated.
     answer: [u8; MAX_TELEGRAM_LEN],
     answer_len: usize,
-    /// Any other answer.
+    /// Last answer to a request that is never repeated.
     status: [u8; SD1_LEN],
 }
 
 impl<const O: usize, const I: usize, const D: usize> Slave<O, I, D> {
-    /// A slave that waits for a master. Outputs and inputs of more than 244 bytes, or a diagnosis of more than 238, do not
-    /// compile.
+    /// Creates a slave that waits for a master. More than 244 bytes of outputs or inputs, or more than 238 bytes
+    /// of diagnosis, do not compile.
     #[must_use]
     pub const fn new(profile: &'static Profile, address: Address) -> Self {
         const {
-            assert!(O <= MAX_DATA_LEN && I <= MAX_DATA_LEN, "outputs and inputs: 244 bytes at the most");
-            assert!(D <= MAX_DATA_LEN - STANDARD_DIAGNOSIS_LEN, "diagnosis: 238 bytes at the most");
+            assert!(O <= MAX_DATA_LEN && I <= MAX_DATA_LEN, "outputs and inputs: at most 244 bytes each");
+            assert!(D <= MAX_DATA_LEN - STANDARD_DIAGNOSIS_LEN, "diagnosis: at most 238 bytes");
         }
         Self {
             receiver: Receiver::new(),
@@ -82,81 +82,82 @@ impl<const O: usize, const I: usize, const D: usize> Slave<O, I, D> {
         }
     }
 
-    /// Takes a character, the silence before it, and the time.
+    /// Processes a character, the silence before it, and the time.
     ///
-    /// `silence_bits` is the time from the end of the character before to the start of this one, in bit times. Where silences
-    /// cannot be measured, as on a pseudo terminal, 0 inside a burst of bytes and [`SYNC_BITS`](crate::SYNC_BITS) before its
-    /// first will do.
+    /// `silence_bits` is the time from the end of the previous character to the start of this one, in bit times. If
+    /// silences cannot be measured, for example on a pseudo-terminal, pass [`SYNC_BITS`](crate::SYNC_BITS) for the
+    /// first byte of a burst and 0 for the others.
     pub fn push(&mut self, character: Character, silence_bits: u32, now_ms: u32) -> Option<Outcome<'_>> {
         let Self { receiver, station } = self;
         let telegram = receiver.push(character, silence_bits)?;
-        // What has shown that the time is over is not answered. A master sends it again.
+        // A telegram that arrives after the watchdog has expired is not answered; the master repeats it.
         if station.dp.is_expired(now_ms) {
             return station.expire().map(|event| Outcome { event: Some(event), answer: None });
         }
         station.handle(&telegram, now_ms)
     }
 
-    /// Takes notice of the time: whether the master's watchdog has expired. To be called at least as often as the application
-    /// wants to know it exactly, such as every millisecond.
+    /// Checks the master's watchdog. The interval between calls limits the accuracy; call
+    /// it every millisecond, for example.
     pub fn poll(&mut self, now_ms: u32) -> Option<Event> {
         if self.station.dp.is_expired(now_ms) { self.station.expire() } else { None }
     }
 
-    /// In how many milliseconds [`poll`](Self::poll) has something to do, unless a request of the master comes before; `None`
-    /// without a watchdog.
+    /// Returns the time in milliseconds after which [`poll`](Self::poll) must be called, unless the master sends a
+    /// request before; `None` without a watchdog.
     #[must_use]
     pub fn poll_timeout(&self, now_ms: u32) -> Option<u32> {
         self.station.dp.time_left_ms(now_ms)
     }
 
-    /// How far a master has come with it.
+    /// Returns the state of the slave towards its master.
     #[must_use]
     pub fn state(&self) -> State {
         self.station.dp.state()
     }
 
-    /// The address of its master.
+    /// Returns the address of its master, if any.
     #[must_use]
     pub fn master(&self) -> Option<u8> {
         self.station.dp.master()
     }
 
-    /// Where it is found from now on, for an address that is known only after the slave was made.
+    /// Changes the address, for applications that know it only after [`new`](Self::new).
     pub const fn set_address(&mut self, address: Address) {
         self.station.dp.set_address(address);
     }
 
-    /// Where it is found now.
+    /// Returns the present address.
     #[must_use]
     pub const fn address(&self) -> Address {
         self.station.dp.address()
     }
 
-    /// What the receiver has found so far.
+    /// Returns the statistics of the receiver.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         self.receiver.counters()
     }
 
-    /// What the master wants; 0 until it has sent the first, after Clear, and without data exchange.
+    /// Returns the outputs from the master. They are 0 before the first Data_Exchange, after
+    /// Clear, and outside data exchange.
     #[must_use]
     pub const fn outputs(&self) -> &[u8; O] {
         self.station.dp.outputs()
     }
 
-    /// The inputs from now on.
+    /// Sets the inputs for the master.
     pub const fn show_inputs(&mut self, inputs: &[u8; I]) {
         self.station.dp.show_inputs(inputs);
     }
 
-    /// The device's own part of the diagnosis from now on: blocks, each with its header. Of more than `D` bytes the rest is
-    /// left out, and Diag.Ext_Diag_Overflow says so. `is_fault` sets Diag.Ext_Diag; without it, the part is a status.
+    /// Sets the device-specific part of the diagnosis: blocks, each with its header. Bytes past `D` are dropped and
+    /// reported by Diag.Ext_Diag_Overflow. `is_fault` sets Diag.Ext_Diag; without it, the part is a status.
     pub fn show_diagnosis(&mut self, bytes: &[u8], is_fault: bool) {
         self.station.dp.show_diagnosis(bytes, is_fault);
     }
 
-    /// Has the master read the diagnosis: answers have high priority until it does.
+    /// Requests the master to read the diagnosis, by high-priority answers until it does.
     pub const fn announce_diagnosis(&mut self) {
         self.station.dp.announce_diagnosis();
     }
@@ -164,7 +165,7 @@ impl<const O: usize, const I: usize, const D: usize> Slave<O, I, D> {
 
 impl<const O: usize, const I: usize, const D: usize> Station<O, I, D> {
     fn expire(&mut self) -> Option<Event> {
-        // An answer that was right in data exchange must not be repeated.
+        // A stored answer from data exchange must not be repeated.
         self.cycle = None;
         self.dp.leave(Cause::Watchdog)
     }
@@ -217,11 +218,11 @@ impl<const O: usize, const I: usize, const D: usize> Station<O, I, D> {
         MIN_TSDR_BITS.max(self.dp.min_tsdr_bits().into())
     }
 
-    /// Writes the answer to a request; returns its length.
+    /// Writes the answer to a request. Returns its length.
     fn write(&mut self, response: Response, request: &Telegram<'_>) -> usize {
         let Self { dp, answer, .. } = self;
         let (master, station) = (request.source, request.destination);
-        // Back to where the request came from.
+        // Swapped: the answer goes back to the source of the request.
         let points = request.ssap.zip(request.dsap).map(|(ssap, dsap)| [ssap, dsap]);
         let standard;
         let (function_code, points, data): (_, _, [&[u8]; 2]) = match response {

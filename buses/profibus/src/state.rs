@@ -1,42 +1,43 @@
-//! How far a master has come with a slave, and what the application is told.
+//! State of a slave towards its master, and events for the application.
 
 use crate::Address;
 
-/// How far a master has come with a slave.
+/// State of a slave towards its master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// It waits for parameters, of whatever master.
+    /// Waits for parameters from any master.
     WaitPrm,
-    /// It is a master's, and waits for its configuration.
+    /// Locked by a master, and waits for its configuration.
     WaitCfg,
-    /// Outputs and inputs are exchanged.
+    /// Exchanges outputs and inputs with its master.
     DataExch,
 }
 
-/// What came from the master, for the application.
+/// An event from the master for the application.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// [`Slave::outputs`](crate::Slave::outputs) are what the master wants, changed or not.
+    /// The master has set [`Slave::outputs`](crate::Slave::outputs), possibly to the same values.
     Outputs,
-    /// The master has cleared the outputs: they are 0. It does so again and again as long as it is in the operating mode Clear.
+    /// The master has set all outputs to 0. It repeats this cyclically in the operating mode Clear.
     Cleared,
-    /// There is no data exchange any more, and the outputs are 0. Outputs that come later are those of a new one.
+    /// Data exchange has ended, and all outputs are 0. Later outputs belong to a new data exchange.
     Left(Cause),
-    /// A master has changed the address: it is to be kept, and given to [`Slave::new`](crate::Slave::new) after the next start.
+    /// A master has changed the address. Store it, and pass it to
+    /// [`Slave::new`](crate::Slave::new) after the next start.
     Address(Address),
 }
 
-/// Why data exchange has ended.
+/// Reason for the end of data exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// The master was silent for longer than the watchdog that it has asked for.
+    /// The master's watchdog time has expired without a request from it.
     Watchdog,
-    /// The master has sent parameters again, right ones or wrong ones.
+    /// The master has sent parameters again, valid or not.
     Parameters,
-    /// The master has sent another configuration.
+    /// The master has sent a configuration that does not match.
     Configuration,
-    /// The master has sent outputs of another length.
+    /// The master has sent outputs of a wrong length.
     OutputLength,
-    /// The master has released the slave.
+    /// The master has unlocked the slave.
     Unlocked,
 }

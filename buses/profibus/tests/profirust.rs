@@ -1,5 +1,5 @@
-//! The master of `profirust` and the slave on a bus in virtual time. The bus panics when two send at once, and when an answer
-//! begins earlier than 11 bit times after its request.
+//! Tests the slave against the master of `profirust` on a bus in virtual time. The bus panics if both send at once, or
+//! if an answer starts earlier than 11 bit times after its request.
 
 use bus_profibus::{
     Address, Baud, BaudSearch, Cause, Character, Event, MIN_TSDR_BITS, Profile, Slave, State, identifiers_fit,
@@ -28,21 +28,21 @@ static PROFILE: Profile = Profile {
 
 type Station = Slave<OUTPUTS, INPUTS, 10>;
 
-/// The slave with its line: a UART that knows the time.
+/// The slave with a UART that measures silences.
 struct Device {
     slave: Station,
     phy: SimulatorPhy,
     rate: Baudrate,
-    /// When the last character ended.
+    /// End of the last character.
     heard: Instant,
-    /// An answer, and when it may begin.
+    /// A pending answer with its earliest start.
     pending: Option<(Instant, Vec<u8>)>,
-    /// What the application was told, outputs apart: they are counted.
+    /// Events for the application except outputs, which are counted.
     events: Vec<Event>,
-    outputs_told: u32,
+    output_events: u32,
     received: u32,
     answers: u32,
-    /// Every so many characters, one is damaged; so many answers, one is lost. 0: none.
+    /// Damages every n-th character, and loses every n-th answer; 0 disables it.
     damage_every: u32,
     lose_every: u32,
 }
@@ -51,7 +51,7 @@ impl Device {
     fn poll(&mut self, now: Instant) {
         let now_ms = u32::try_from(now.total_millis()).unwrap();
         if let Some(event) = self.slave.poll(now_ms) {
-            self.tell(event);
+            self.on_event(event);
         }
         if self.phy.poll_transmission(now) {
             return;
@@ -80,24 +80,24 @@ impl Device {
         let Some(outcome) = self.slave.push(character, silence_bits, now_ms) else { return };
         if let Some(answer) = outcome.answer {
             assert!(answer.not_before_bits >= MIN_TSDR_BITS);
-            // Times are in whole microseconds, and the bus rounds down.
+            // Times are whole microseconds, and the bus rounds down.
             let wait = self.rate.bits_to_time(answer.not_before_bits) + Duration::from_micros(1u64);
             self.pending = Some((now + wait, answer.bytes.to_vec()));
         }
         if let Some(event) = outcome.event {
-            self.tell(event);
+            self.on_event(event);
         }
     }
 
-    /// The application: each input shows the output of its number, the rest how many outputs there were.
-    fn tell(&mut self, event: Event) {
+    /// The application: returns the outputs as inputs, followed by the number of output events.
+    fn on_event(&mut self, event: Event) {
         match event {
-            Event::Outputs => self.outputs_told += 1,
+            Event::Outputs => self.output_events += 1,
             event => self.events.push(event),
         }
         let mut inputs = [0; INPUTS];
         inputs[..OUTPUTS].copy_from_slice(self.slave.outputs());
-        inputs[OUTPUTS..].copy_from_slice(&self.outputs_told.to_be_bytes());
+        inputs[OUTPUTS..].copy_from_slice(&self.output_events.to_be_bytes());
         self.slave.show_inputs(&inputs);
     }
 }
@@ -108,7 +108,7 @@ struct Bus {
     fdl: FdlActiveStation,
     master: DpMaster<'static>,
     station: PeripheralHandle,
-    /// What the master was told of the station, exchanges apart: they are counted.
+    /// Events of the master about the station except exchanges, which are counted.
     events: Vec<PeripheralEvent>,
     exchanges: u32,
     now: Instant,
@@ -116,7 +116,7 @@ struct Bus {
     master_is_on: bool,
 }
 
-/// What the master thinks that the station is.
+/// The master's configuration of the station.
 fn options() -> PeripheralOptions<'static> {
     PeripheralOptions {
         ident_number: IDENT,
@@ -149,13 +149,13 @@ impl Bus {
             heard: Instant::ZERO,
             pending: None,
             events: vec![],
-            outputs_told: 0,
+            output_events: 0,
             received: 0,
             answers: 0,
             damage_every: 0,
             lose_every: 0,
         };
-        // Two bit times, and no less than the clock can.
+        // Two bit times, but at least the resolution of the clock.
         let step = rate.bits_to_time(2).max(Duration::from_micros(1u64));
         Self {
             device,
@@ -193,7 +193,7 @@ impl Bus {
         }
     }
 
-    /// Turns until something holds; it has to within a time.
+    /// Runs until the condition holds. Panics if it does not within `within_ms`.
     fn run_until(&mut self, within_ms: u64, mut holds: impl FnMut(&mut Self) -> bool) {
         let end = self.now + Duration::from_millis(within_ms);
         while !holds(self) {
@@ -206,7 +206,7 @@ impl Bus {
         self.master.get_mut(self.station)
     }
 
-    /// Until the master has exchanged so often; gives outputs that change, and holds what the master reads to them.
+    /// Runs until the master has completed `count` exchanges. Sends changing outputs, and checks the inputs that the master reads.
     fn exchange(&mut self, count: u32, within_ms: u64) {
         let (mut seen, end) = (self.exchanges, self.exchanges + count);
         let mut sent = [0; OUTPUTS];
@@ -214,11 +214,11 @@ impl Bus {
             let exchanges = bus.exchanges;
             if exchanges != seen {
                 seen = exchanges;
-                let told = bus.device.outputs_told;
+                let output_events = bus.device.output_events;
                 let (inputs, outputs) = bus.station().pi_both();
-                // The inputs are those from before the exchange, so they are of the outputs before.
-                assert_eq!(inputs[OUTPUTS..], (told - 1).to_be_bytes());
-                if told > 1 && sent != [0; OUTPUTS] {
+                // Inputs date from before the exchange, so they match the previous outputs.
+                assert_eq!(inputs[OUTPUTS..], (output_events - 1).to_be_bytes());
+                if output_events > 1 && sent != [0; OUTPUTS] {
                     assert_eq!(inputs[..OUTPUTS], sent);
                 }
                 sent.copy_from_slice(outputs);
@@ -232,17 +232,17 @@ impl Bus {
 }
 
 #[test]
-fn ten_thousand_exchanges_each_taken_once() {
+fn ten_thousand_exchanges_are_each_applied_once() {
     let mut bus = Bus::new(Baudrate::B500000, options());
     bus.exchange(10_000, 60_000);
-    assert_eq!(bus.device.outputs_told, bus.exchanges);
+    assert_eq!(bus.device.output_events, bus.exchanges);
     assert_eq!(bus.device.slave.counters().damaged, 0);
     assert_eq!(bus.device.slave.master(), Some(2));
     assert!(bus.device.events.is_empty());
 }
 
 #[test]
-fn exchanges_at_every_rate_that_a_serial_port_has() {
+fn exchanges_succeed_at_every_serial_port_rate() {
     for rate in [
         Baudrate::B9600,
         Baudrate::B19200,
@@ -253,28 +253,28 @@ fn exchanges_at_every_rate_that_a_serial_port_has() {
     ] {
         let mut bus = Bus::new(rate, options());
         bus.exchange(50, 20_000);
-        assert_eq!(bus.device.outputs_told, bus.exchanges, "{rate:?}");
+        assert_eq!(bus.device.output_events, bus.exchanges, "{rate:?}");
     }
 }
 
 #[test]
-fn outputs_are_taken_once_however_many_answers_are_lost() {
+fn outputs_are_applied_once_despite_lost_answers() {
     let mut bus = Bus::new(Baudrate::B500000, options());
     bus.device.lose_every = 7;
     bus.exchange(2_000, 60_000);
     assert!(bus.device.answers > 2_300, "{} answers", bus.device.answers);
-    assert_eq!(bus.device.outputs_told, bus.exchanges);
+    assert_eq!(bus.device.output_events, bus.exchanges);
     assert!(bus.device.events.is_empty());
 }
 
 #[test]
-fn damaged_characters_cost_requests_and_nothing_else() {
+fn damaged_characters_cause_retries_only() {
     let mut bus = Bus::new(Baudrate::B500000, options());
-    // A prime: the damage wanders through the telegrams.
+    // A prime number, so that the damage moves through the telegrams.
     bus.device.damage_every = 101;
     bus.exchange(2_000, 60_000);
     assert!(bus.device.slave.counters().damaged > 200);
-    assert_eq!(bus.device.outputs_told, bus.exchanges);
+    assert_eq!(bus.device.output_events, bus.exchanges);
     assert!(bus.device.events.is_empty());
 }
 
@@ -293,11 +293,11 @@ fn announced_diagnosis_is_read_and_exchange_goes_on() {
     let reads = |bus: &Bus| bus.events.iter().filter(|it| **it == PeripheralEvent::Diagnostics).count();
     assert_eq!(reads(&bus), 1);
     bus.exchange(100, 5_000);
-    assert_eq!(reads(&bus), 1, "once");
+    assert_eq!(reads(&bus), 1, "read once");
 }
 
 #[test]
-fn silent_master_is_noticed_after_its_watchdog_and_comes_back() {
+fn watchdog_expires_after_the_master_stops_and_exchange_resumes_later() {
     let mut bus = Bus::new(Baudrate::B500000, options());
     bus.exchange(20, 5_000);
     bus.master_is_on = false;
@@ -313,7 +313,7 @@ fn silent_master_is_noticed_after_its_watchdog_and_comes_back() {
 }
 
 #[test]
-fn slave_that_was_switched_off_is_taken_again() {
+fn power_cycled_slave_is_parameterized_again() {
     let mut bus = Bus::new(Baudrate::B500000, options());
     bus.exchange(21, 5_000);
     bus.device.slave = Station::new(&PROFILE, Address::new(STATION));
@@ -324,7 +324,7 @@ fn slave_that_was_switched_off_is_taken_again() {
 }
 
 #[test]
-fn wrong_ident_number_and_wrong_configuration_are_told_to_the_master() {
+fn wrong_ident_number_and_configuration_are_reported_to_the_master() {
     let wrong_ident = PeripheralOptions { ident_number: 0x4321, ..options() };
     let wrong_config = PeripheralOptions { config: Some(&[0xA7, 0x9A]), ..options() };
     for (options, expected) in
@@ -337,9 +337,9 @@ fn wrong_ident_number_and_wrong_configuration_are_told_to_the_master() {
     }
 }
 
-/// A port at another rate than the bus hears characters that are none.
+/// A port at another rate than the bus receives only damaged characters.
 #[test]
-fn search_finds_the_rate_of_a_bus_on_which_the_master_alone_talks() {
+fn search_finds_the_rate_of_a_bus_with_only_a_master() {
     static RATES: [Baud; 3] = [Baud::K187_5, Baud::K500, Baud::M1_5];
     let mut bus = Bus::new(Baudrate::B500000, options());
     bus.device.damage_every = 1;

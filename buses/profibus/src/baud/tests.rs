@@ -1,4 +1,4 @@
-//! The search for a rate, in virtual time.
+//! Baud rate detection in virtual time.
 
 use super::*;
 use std::vec;
@@ -6,13 +6,13 @@ use std::vec::Vec;
 
 static PORT: [Baud; 3] = [Baud::K9_6, Baud::K500, Baud::M1_5];
 
-/// Polls every millisecond up to a time; gives the changes, and when they were.
+/// Polls every millisecond. Returns each change of rate with its time.
 fn run(search: &mut BaudSearch, times_ms: core::ops::Range<u32>, telegrams: u32) -> Vec<(u32, Baud)> {
     times_ms.filter_map(|now_ms| Some((now_ms, search.poll(now_ms, telegrams)?))).collect()
 }
 
 #[test]
-fn every_rate_is_listened_at_for_as_long_as_an_idle_master_takes_to_poll_its_gap() {
+fn search_listens_as_long_as_an_idle_master_takes_to_poll_its_gap() {
     let mut search = BaudSearch::new(&PORT, 0);
     assert_eq!(search.baud(), Some(Baud::K9_6));
     // 10 000 bit times and 100 ms: 1142, 120 and 107 ms.
@@ -22,21 +22,21 @@ fn every_rate_is_listened_at_for_as_long_as_an_idle_master_takes_to_poll_its_gap
 }
 
 #[test]
-fn telegram_ends_the_search_until_there_is_none_for_five_seconds() {
+fn telegram_ends_the_search_until_five_seconds_without_one() {
     let mut search = BaudSearch::new(&PORT, 0);
     assert_eq!(run(&mut search, 0..1_200, 0), [(1_142, Baud::K500)]);
     assert_eq!(search.poll(1_200, 1), None);
     assert!(search.is_found());
     assert_eq!(run(&mut search, 1_200..4_000, 1), []);
-    // One more, and the time begins anew.
+    // Another telegram restarts the time.
     assert_eq!(search.poll(4_000, 2), None);
     assert_eq!(run(&mut search, 4_000..9_001, 2), [(9_000, Baud::M1_5)]);
     assert_eq!((search.is_found(), search.baud()), (false, Some(Baud::M1_5)));
-    assert_eq!(run(&mut search, 9_001..9_108, 2), [(9_107, Baud::K9_6)], "and on");
+    assert_eq!(run(&mut search, 9_001..9_108, 2), [(9_107, Baud::K9_6)], "the search goes on");
 }
 
 #[test]
-fn clock_may_wrap_and_counts_may_too() {
+fn clock_and_telegram_counter_may_wrap() {
     let start = u32::MAX - 50;
     let mut search = BaudSearch::new(&[Baud::M12, Baud::M6], start);
     assert_eq!(search.poll(start.wrapping_add(100), 0), None);
@@ -56,7 +56,7 @@ fn port_with_one_rate_or_none_never_changes_it() {
 }
 
 #[test]
-fn rates_and_their_latest_answers_are_those_of_the_standard() {
+fn rates_and_max_tsdr_follow_the_standard() {
     let rates: Vec<_> = Baud::ALL.iter().map(|baud| (baud.bit_s(), baud.max_tsdr_bits())).collect();
     let expected = [
         (9_600, 60),

@@ -1,8 +1,8 @@
-//! What Set_Prm brings.
+//! Evaluation of Set_Prm.
 
 use crate::Profile;
 
-/// Station_status, the first byte.
+/// Bits of Station_status, the first byte.
 const UNLOCK: u8 = 1 << 6;
 const LOCK_AND_UNLOCK: u8 = 0xC0;
 const SYNC: u8 = 1 << 5;
@@ -10,35 +10,35 @@ const FREEZE: u8 = 1 << 4;
 const WATCHDOG: u8 = 1 << 3;
 const RESERVED: u8 = 0b111;
 
-/// Of DPV1_Status_1, which masters for DP-V1 send to all slaves: what the profile says already.
+/// Bit of DPV1_Status_1, which DP-V1 masters send to every slave. It repeats a property of the profile.
 const DPV1_FAIL_SAFE: u8 = 1 << 6;
 
-/// The unit of WD_Fact_1 times WD_Fact_2.
+/// Unit of WD_Fact_1 times WD_Fact_2.
 const WATCHDOG_UNIT_MS: u32 = 10;
 
-/// What a master asks for.
+/// Parameters from a master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Parameters {
     pub(super) sync: bool,
     pub(super) freeze: bool,
     pub(super) watchdog_ms: Option<u32>,
-    /// Min T_SDR in bit times; 0 leaves it as it is.
+    /// Min T_SDR in bit times; 0 leaves it unchanged.
     pub(super) min_tsdr_bits: u8,
     pub(super) group: u8,
 }
 
-/// What a Set_Prm means.
+/// Meaning of a Set_Prm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SetPrm {
-    /// The slave is this master's from now on.
+    /// Locks the slave for this master.
     Lock(Parameters),
-    /// It is nobody's.
+    /// Releases the slave.
     Unlock,
-    /// Nothing but min T_SDR changes.
+    /// Changes only min T_SDR.
     MinTsdr(u8),
-    /// Diag.Prm_Fault.
+    /// Rejected with Diag.Prm_Fault.
     Fault,
-    /// Diag.Not_Supported.
+    /// Rejected with Diag.Not_Supported.
     NotSupported,
 }
 
@@ -71,7 +71,7 @@ impl SetPrm {
     }
 }
 
-/// Whether user parameters are none, or the three bytes of DP-V1 without a wish that DP-V0 does not know.
+/// Returns whether the user parameters are empty, or the three DP-V1 bytes without any request beyond DP-V0.
 fn asks_for_nothing(user: &[u8], profile: &Profile) -> bool {
     let known = if profile.fail_safe { DPV1_FAIL_SAFE } else { 0 };
     match user {

@@ -1,4 +1,4 @@
-//! The file, line by line.
+//! Compares the GSD file line by line.
 
 use super::*;
 use std::string::ToString;
@@ -98,7 +98,7 @@ fn file_without_bitmaps_names_none() {
 }
 
 #[test]
-fn rates_that_the_port_does_not_have_are_named_as_such() {
+fn unsupported_rates_are_listed_as_such() {
     let facts = GsdFacts { rates: &[Baud::K45_45], ..FACTS };
     let text = Gsd { facts, profile: &PROFILE }.to_string();
     for baud in Baud::ALL {

@@ -1,4 +1,4 @@
-//! What is a telegram, and what is not.
+//! Detection of valid, damaged and truncated telegrams.
 
 use super::*;
 use crate::telegram::Function;
@@ -9,7 +9,7 @@ use std::vec::Vec;
 /// Destination, source, service access points, data.
 type Content = (u8, u8, Option<u8>, Option<u8>, Vec<u8>);
 
-/// What became of a line's characters.
+/// Telegrams and damage found in a sequence of characters.
 #[derive(Debug, Default, PartialEq)]
 struct Found {
     telegrams: Vec<Content>,
@@ -25,7 +25,7 @@ fn push(receiver: &mut Receiver, found: &mut Found, character: Character, silenc
     found.damaged = receiver.counters().damaged;
 }
 
-/// Telegrams, each after 33 bit times of silence.
+/// Receives telegrams, each after 33 bit times of silence.
 fn find(telegrams: &[&[u8]]) -> Found {
     let (mut receiver, mut found) = (Receiver::new(), Found::default());
     for telegram in telegrams {
@@ -55,7 +55,7 @@ fn telegrams_with_each_start_delimiter_are_found() {
 }
 
 #[test]
-fn telegram_may_follow_an_intact_one_at_once() {
+fn telegram_may_follow_an_intact_one_without_silence() {
     let line = [&STATUS[..], &TOKEN, &[SC], &DIAG].concat();
     assert_eq!(find(&[&line]).telegrams.len(), 2);
 }
@@ -74,7 +74,7 @@ fn longest_and_shortest_telegrams_of_variable_length_are_found() {
 }
 
 #[test]
-fn any_wrong_byte_makes_it_none_and_the_next_after_silence_is_found() {
+fn any_wrong_bit_invalidates_a_telegram_but_not_the_next_one() {
     for telegram in [&STATUS[..], &DIAG, &EIGHT] {
         for at in 0..telegram.len() {
             for bit in 0..8 {
@@ -89,7 +89,7 @@ fn any_wrong_byte_makes_it_none_and_the_next_after_silence_is_found() {
 }
 
 #[test]
-fn damaged_or_lost_character_voids_everything_up_to_the_next_silence() {
+fn damaged_character_invalidates_everything_up_to_the_next_silence() {
     let (mut receiver, mut found) = (Receiver::new(), Found::default());
     let bytes = |telegram: &[u8]| telegram.iter().map(|byte| Character::Byte(*byte)).collect::<Vec<_>>();
     push(&mut receiver, &mut found, Character::Damaged, SYNC_BITS);
@@ -111,7 +111,7 @@ fn damaged_or_lost_character_voids_everything_up_to_the_next_silence() {
 }
 
 #[test]
-fn silence_inside_a_telegram_ends_it_and_a_shorter_pause_does_not() {
+fn silence_inside_a_telegram_ends_it_but_a_shorter_pause_does_not() {
     for at in 1..STATUS.len() {
         for (silence_bits, expected) in [(SYNC_BITS - 1, 1), (SYNC_BITS, 0), (u32::MAX, 0)] {
             let (mut receiver, mut found) = (Receiver::new(), Found::default());
@@ -126,7 +126,7 @@ fn silence_inside_a_telegram_ends_it_and_a_shorter_pause_does_not() {
             assert_eq!(found.telegrams.len(), expected, "{silence_bits} before {at}");
         }
     }
-    assert_eq!(find(&[&STATUS[..3], &STATUS]).damaged, 1, "cut short");
+    assert_eq!(find(&[&STATUS[..3], &STATUS]).damaged, 1, "truncated");
 }
 
 #[test]
@@ -139,18 +139,22 @@ fn nothing_is_found_before_the_first_silence() {
 }
 
 #[test]
-fn lengths_that_no_telegram_has_are_none() {
+fn invalid_lengths_are_damage() {
     for header in [[0x68, 3, 3, 0x68], [0x68, 250, 250, 0x68], [0x68, 5, 6, 0x68], [0x68, 5, 5, 0x16]] {
         assert_eq!(find(&[&header, &STATUS]).damaged, 1, "{header:02X?}");
         assert_eq!(find(&[&header, &STATUS]).telegrams.len(), 1);
     }
-    // It says that there is a service access point, and has no data.
+    // The address flags a service access point, but there is no data.
     assert_eq!(find(&[&[0x10, 0x87, 2, 0x49, 0xD2, 0x16]]), Found { telegrams: vec![], damaged: 1 });
-    assert_eq!(find(&[&[0x68, 4, 4, 0x68, 0x87, 0x82, 0x6D, 60, 0xB2, 0x16]]).damaged, 1, "one of two");
+    assert_eq!(
+        find(&[&[0x68, 4, 4, 0x68, 0x87, 0x82, 0x6D, 60, 0xB2, 0x16]]).damaged,
+        1,
+        "one of two points"
+    );
 }
 
 #[test]
-fn requests_are_told_from_answers_by_their_function_code() {
+fn function_code_distinguishes_requests_from_answers() {
     let function = |code: u8| {
         let bytes = crate::telegram::sd1(7, 2, code);
         let telegram = Telegram::parse(&bytes).unwrap();
@@ -180,7 +184,7 @@ fn requests_are_told_from_answers_by_their_function_code() {
 }
 
 proptest! {
-    /// Whatever came before, and however it was paused: a telegram after 33 bit times of silence is found.
+        /// A telegram after 33 bit times of silence is found, regardless of preceding noise and pauses.
     #[test]
     fn telegram_after_noise_is_found(
         noise in prop::collection::vec((prop::option::weighted(0.9, any::<u8>()), 0..40u32), 0..300),

@@ -1,4 +1,4 @@
-//! A master and a slave, telegram by telegram, in virtual time.
+//! Master and slave exchange telegrams in virtual time.
 
 use super::*;
 use std::vec;
@@ -8,7 +8,7 @@ const STATION: u8 = 7;
 const MASTER: u8 = 2;
 const OTHER: u8 = 3;
 const IDENT: u16 = 0x1234;
-/// Eight bytes out, so that Data_Exchange may come as SD3; two in.
+/// Eight bytes out, so that Data_Exchange can use SD3, and two bytes in.
 const CONFIG: [u8; 2] = [0xA7, 0x11];
 const _: () = assert!(crate::identifiers_fit(&CONFIG, 8, 2));
 
@@ -23,7 +23,7 @@ const OUT: [u8; 8] = [1, 2, 3, 4, 5, 6, 7, 8];
 const NEXT: [u8; 8] = [9; 8];
 const ZERO: [u8; 8] = [0; 8];
 
-/// Function codes of requests: SRD of high priority, its first, and with a frame count bit.
+/// Function codes of requests: the first SRD of high priority, then with frame count bit 0 and 1.
 const FIRST: u8 = 0x6D;
 const FCB_0: u8 = 0x5D;
 const FCB_1: u8 = 0x7D;
@@ -61,7 +61,7 @@ fn service(source: u8, function_code: u8, point: u8, data: &[u8]) -> Vec<u8> {
     sd2(&[&[STATION | 0x80, source | 0x80, function_code, point, 62], data].concat())
 }
 
-/// The answer with data to a service.
+/// Returns the answer with data to a service.
 fn data_of(master: u8, point: u8, data: &[u8]) -> Vec<u8> {
     sd2(&[&[master | 0x80, STATION | 0x80, 0x08, 62, point], data].concat())
 }
@@ -76,7 +76,7 @@ fn no_service(master: u8) -> Vec<u8> {
     sd1([master, STATION, 0x03])
 }
 
-/// Set_Prm: lock, a watchdog of 100 ms, min T_SDR 11, groups 1 and 2.
+/// Set_Prm: lock, watchdog of 100 ms, min T_SDR 11, groups 1 and 2.
 const PARAMETERS: [u8; 7] = [0x88, 1, 10, 11, 0x12, 0x34, 0x03];
 
 type Device = Slave<8, 2, 4>;
@@ -93,14 +93,14 @@ fn send<'a, const O: usize, const I: usize, const D: usize>(
         assert_eq!(
             slave.push(Character::Byte(*byte), silence_bits, now_ms),
             None,
-            "only the last byte counts"
+            "only the last byte completes the telegram"
         );
     }
     let silence_bits = if front.is_empty() { 33 } else { 0 };
     slave.push(Character::Byte(*last), silence_bits, now_ms).map_or((None, None), |it| (it.answer, it.event))
 }
 
-/// The answer to a telegram.
+/// Returns the answer to a telegram.
 fn answer_of<const O: usize, const I: usize, const D: usize>(
     slave: &mut Slave<O, I, D>,
     telegram: &[u8],
@@ -108,7 +108,7 @@ fn answer_of<const O: usize, const I: usize, const D: usize>(
     send(slave, telegram, 0).0.unwrap().bytes.to_vec()
 }
 
-/// A line with a slave, and a master that counts its frames.
+/// A bus with a slave, and a master that toggles its frame count bit.
 struct Bus {
     slave: Device,
     now_ms: u32,
@@ -123,7 +123,7 @@ impl Bus {
         Self { slave, now_ms: 1_000, fcb: true, not_before_bits: 0 }
     }
 
-    /// One in data exchange.
+    /// Creates a slave in data exchange.
     fn exchanging(profile: &'static Profile) -> Self {
         let mut bus = Self::new(profile);
         bus.start(&PARAMETERS);
@@ -137,7 +137,7 @@ impl Bus {
         assert_eq!(self.slave.state(), State::DataExch);
     }
 
-    /// Sends a telegram; gives its answer, and what the application was told.
+    /// Sends a telegram. Returns its answer and the event.
     fn send(&mut self, telegram: &[u8]) -> (Vec<u8>, Option<Event>) {
         let (answer, event) = send(&mut self.slave, telegram, self.now_ms);
         let Some(answer) = answer else { return (vec![], event) };
@@ -145,13 +145,13 @@ impl Bus {
         (answer.bytes.to_vec(), event)
     }
 
-    /// The function code of a new request.
+    /// Returns the function code of a new request.
     fn next(&mut self) -> u8 {
         self.fcb = !self.fcb;
         if self.fcb { FCB_1 } else { FCB_0 }
     }
 
-    /// A new request of the master.
+    /// Sends a new request of the master.
     fn ask(&mut self, point: u8, data: &[u8]) -> (Vec<u8>, Option<Event>) {
         let function_code = self.next();
         self.send(&service(MASTER, function_code, point, data))
@@ -162,7 +162,7 @@ impl Bus {
         self.send(&sd3(MASTER, function_code, outputs))
     }
 
-    /// The first three bytes of the diagnosis and the master, as another master reads them.
+    /// Returns the first three bytes of the diagnosis and the master's address, as read by another master.
     fn status(&mut self) -> [u8; 4] {
         let (answer, event) = self.send(&service(OTHER, FIRST, SLAVE_DIAG, &[]));
         assert_eq!(event, None);
@@ -177,7 +177,7 @@ impl Bus {
     fn control_from(&mut self, source: u8, command: u8, groups: u8) -> Option<Event> {
         let telegram = sd2(&[0xFF, source | 0x80, SDN, GLOBAL_CONTROL, 62, command, groups]);
         let (answer, event) = self.send(&telegram);
-        assert_eq!(answer, [], "nothing answers a broadcast");
+        assert_eq!(answer, [], "broadcasts have no answer");
         event
     }
 
@@ -187,10 +187,10 @@ impl Bus {
 }
 
 #[test]
-fn master_takes_a_slave_from_power_up_to_data_exchange() {
+fn master_brings_a_slave_from_power_up_to_data_exchange() {
     let mut bus = Bus::new(&PROFILE);
     assert_eq!((bus.slave.state(), bus.slave.master()), (State::WaitPrm, None));
-    assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF], "not ready, wants parameters");
+    assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF], "not ready, parameters required");
 
     let first = bus.send(&service(MASTER, FIRST, SLAVE_DIAG, &[]));
     assert_eq!(first, (data_of(MASTER, SLAVE_DIAG, &[0x02, 0x05, 0, 0xFF, 0x12, 0x34]), None));
@@ -205,7 +205,7 @@ fn master_takes_a_slave_from_power_up_to_data_exchange() {
 }
 
 #[test]
-fn data_exchange_of_eight_bytes_comes_as_sd3_or_as_sd2() {
+fn data_exchange_of_eight_bytes_is_accepted_as_sd3_and_as_sd2() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next();
     assert_eq!(bus.send(&sd3(MASTER, function_code, OUT)).1, Some(Event::Outputs));
@@ -216,14 +216,14 @@ fn data_exchange_of_eight_bytes_comes_as_sd3_or_as_sd2() {
 }
 
 #[test]
-fn low_priority_is_served_as_high_is() {
+fn low_priority_is_served_like_high_priority() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next() - 1;
     assert_eq!(bus.send(&sd3(MASTER, function_code, OUT)).1, Some(Event::Outputs));
 }
 
 #[test]
-fn outputs_are_those_of_the_master_and_only_in_data_exchange() {
+fn outputs_are_accepted_only_from_the_master_in_data_exchange() {
     let mut bus = Bus::new(&PROFILE);
     assert_eq!(bus.exchange(OUT), (no_service(MASTER), None), "no parameters");
     bus.ask(SET_PRM, &PARAMETERS);
@@ -245,12 +245,12 @@ fn outputs_of_another_length_end_data_exchange() {
         assert!(bus.is_out(ZERO));
         assert_eq!(bus.status(), [0x06, 0x05, 0, 0xFF], "{len}: wrong configuration");
         bus.start(&PARAMETERS);
-        assert_eq!(bus.status(), [0x00, 0x0C, 0, MASTER], "and over");
+        assert_eq!(bus.status(), [0x00, 0x0C, 0, MASTER], "fault cleared");
     }
 }
 
 #[test]
-fn second_master_is_refused_and_may_read() {
+fn second_master_is_rejected_but_may_read() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.exchange(OUT);
     for (point, data) in
@@ -288,7 +288,7 @@ fn inputs_and_outputs_are_read_in_data_exchange_only_and_the_configuration_alway
 }
 
 #[test]
-fn services_that_are_none_are_refused() {
+fn unsupported_services_are_rejected() {
     let mut bus = Bus::exchanging(&PROFILE);
     for point in [0, 51, 54, GLOBAL_CONTROL, 63, 0x40 | SLAVE_DIAG] {
         assert_eq!(bus.ask(point, &[]), (no_service(MASTER), None), "{point}");
@@ -305,7 +305,7 @@ fn services_that_are_none_are_refused() {
 }
 
 #[test]
-fn nothing_is_answered_that_is_not_for_this_station() {
+fn telegrams_for_other_stations_are_not_answered() {
     let mut bus = Bus::exchanging(&PROFILE);
     let other = STATION + 1;
     for telegram in [
@@ -314,9 +314,9 @@ fn nothing_is_answered_that_is_not_for_this_station() {
         sd2(&[other | 0x80, MASTER | 0x80, FIRST, SLAVE_DIAG, 62]),
         sd2(&[0xFF, MASTER | 0x80, FIRST, SLAVE_DIAG, 62]),
         sd2(&[other | 0x80, MASTER | 0x80, SDN, GLOBAL_CONTROL, 62, 0x02, 0]),
-        // Of no station.
+        // From an invalid source.
         sd1([STATION, 127, FDL_STATUS]),
-        // Answers, and what wants none.
+        // Answers, and telegrams that require none.
         sd1([STATION, MASTER, 0x09]),
         sd1([STATION, MASTER, 0x00]),
         sd1([STATION, MASTER, 0x47]),
@@ -329,7 +329,7 @@ fn nothing_is_answered_that_is_not_for_this_station() {
 }
 
 #[test]
-fn slave_is_found_at_the_address_that_it_was_given_last() {
+fn slave_responds_at_the_address_set_last() {
     let mut slave = Device::new(&PROFILE, ADDRESS);
     let other = Address::new(STATION + 1);
     slave.set_address(other);
@@ -340,7 +340,7 @@ fn slave_is_found_at_the_address_that_it_was_given_last() {
 }
 
 #[test]
-fn repeated_request_gets_its_answer_again_and_does_nothing() {
+fn repeated_request_gets_the_same_answer_without_effect() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next();
     let telegram = sd3(MASTER, function_code, OUT);
@@ -349,7 +349,7 @@ fn repeated_request_gets_its_answer_again_and_does_nothing() {
     bus.slave.show_inputs(&[0, 0]);
     for _ in 0..3 {
         assert_eq!(bus.send(&telegram), (answer.clone(), None));
-        // Outputs that are newer are not taken from what says that it is a repetition.
+        // Newer outputs in a repetition are ignored.
         assert_eq!(bus.send(&sd3(MASTER, function_code, NEXT)), (answer.clone(), None));
     }
     assert!(bus.is_out(OUT));
@@ -358,7 +358,7 @@ fn repeated_request_gets_its_answer_again_and_does_nothing() {
 }
 
 #[test]
-fn stored_answer_outlives_fdl_status_tokens_broadcasts_and_requests_to_others() {
+fn stored_answer_survives_fdl_status_tokens_broadcasts_and_requests_to_others() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next();
     let telegram = sd3(MASTER, function_code, OUT);
@@ -378,25 +378,25 @@ fn another_master_another_service_or_a_first_request_is_no_repetition() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next();
     assert_eq!(bus.send(&sd3(MASTER, function_code, OUT)).1, Some(Event::Outputs));
-    // The master has given up, and asks something else with the same bit.
+    // The master abandons the request and sends another one with the same bit.
     let diag = bus.send(&service(MASTER, function_code, SLAVE_DIAG, &[])).0;
     assert_eq!(diag[8], SLAVE_DIAG);
     assert_eq!(bus.send(&service(MASTER, function_code, SLAVE_DIAG, &[])).0, diag);
     let other = bus.send(&service(OTHER, function_code, SLAVE_DIAG, &[])).0;
     assert_eq!(other[4..6], [OTHER | 0x80, STATION | 0x80]);
-    // First requests say so, and are served each time.
+    // First requests are marked as such and served each time.
     for _ in 0..2 {
         assert_eq!(bus.send(&sd3(MASTER, FIRST, NEXT)).1, Some(Event::Outputs));
     }
-    assert_eq!(bus.send(&sd3(MASTER, FCB_1, OUT)).1, None, "a repetition of the first");
-    assert_eq!(bus.send(&sd3(MASTER, FCB_0, OUT)).1, Some(Event::Outputs), "and the next");
-    // A request that does not take part in the counting.
+    assert_eq!(bus.send(&sd3(MASTER, FCB_1, OUT)).1, None, "a repetition of the first request");
+    assert_eq!(bus.send(&sd3(MASTER, FCB_0, OUT)).1, Some(Event::Outputs), "the next request");
+    // A request without a valid frame count bit.
     assert_eq!(bus.send(&sd3(MASTER, 0x4D, NEXT)).1, Some(Event::Outputs));
     assert_eq!(bus.send(&sd3(MASTER, FCB_0, OUT)).1, Some(Event::Outputs));
 }
 
 #[test]
-fn repetition_after_the_watchdog_is_not_answered_as_if_nothing_had_happened() {
+fn repetition_after_the_watchdog_has_expired_is_rejected() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next();
     bus.send(&sd3(MASTER, function_code, OUT));
@@ -406,7 +406,7 @@ fn repetition_after_the_watchdog_is_not_answered_as_if_nothing_had_happened() {
 }
 
 #[test]
-fn watchdog_expires_past_its_time_and_not_at_it() {
+fn watchdog_expires_after_its_time_and_not_at_it() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.exchange(OUT);
     let start_ms = bus.now_ms;
@@ -417,7 +417,7 @@ fn watchdog_expires_past_its_time_and_not_at_it() {
     assert_eq!(bus.slave.poll(start_ms + 101), Some(Event::Left(Cause::Watchdog)));
     assert!(bus.is_out(ZERO));
     assert_eq!((bus.slave.state(), bus.slave.master()), (State::WaitPrm, None));
-    assert_eq!(bus.slave.poll(start_ms + 10_000), None, "once");
+    assert_eq!(bus.slave.poll(start_ms + 10_000), None, "reported once");
     assert_eq!(bus.slave.poll_timeout(start_ms + 10_000), None);
     assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF]);
 }
@@ -433,14 +433,14 @@ fn watchdog_is_wd_fact_1_times_wd_fact_2_times_10_ms() {
     }
     let mut bus = Bus::new(&PROFILE);
     bus.start(&[0x80, 1, 1, 11, 0x12, 0x34, 0]);
-    assert_eq!(bus.status(), [0x00, 0x04, 0, MASTER], "off");
+    assert_eq!(bus.status(), [0x00, 0x04, 0, MASTER], "watchdog off");
     assert_eq!(bus.slave.poll(bus.now_ms + 0x7FFF_FFFF), None);
     assert_eq!(bus.slave.state(), State::DataExch);
 }
 
 #[test]
-fn any_request_of_the_master_restarts_the_watchdog_and_nothing_else_does() {
-    // The last is a repetition.
+fn only_requests_of_the_master_restart_the_watchdog() {
+    // The last one is a repetition.
     let restarts = [
         sd3(MASTER, FCB_0, OUT),
         service(MASTER, FCB_0, SLAVE_DIAG, &[]),
@@ -464,28 +464,28 @@ fn any_request_of_the_master_restarts_the_watchdog_and_nothing_else_does() {
 }
 
 #[test]
-fn telegram_that_shows_that_the_time_is_over_is_not_answered() {
+fn telegram_after_the_watchdog_time_is_not_answered() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.exchange(OUT);
     bus.now_ms += 101;
     assert_eq!(bus.exchange(NEXT), (vec![], Some(Event::Left(Cause::Watchdog))));
     assert!(bus.is_out(ZERO));
-    assert_eq!(bus.exchange(NEXT), (no_service(MASTER), None), "the next is");
+    assert_eq!(bus.exchange(NEXT), (no_service(MASTER), None), "the next telegram is answered");
 }
 
 #[test]
-fn watchdog_ends_the_wait_for_a_configuration_too() {
+fn watchdog_also_ends_the_wait_for_a_configuration() {
     let mut bus = Bus::new(&PROFILE);
     bus.ask(SET_PRM, &PARAMETERS);
     bus.now_ms += 101;
-    assert_eq!(bus.ask(CHK_CFG, &CONFIG), (vec![], None), "nothing was exchanged that could end");
+    assert_eq!(bus.ask(CHK_CFG, &CONFIG), (vec![], None), "no data exchange to leave");
     assert_eq!(bus.slave.state(), State::WaitPrm);
     assert_eq!(bus.ask(CHK_CFG, &CONFIG), (SC.to_vec(), None));
-    assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF], "and wants parameters");
+    assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF], "parameters required");
 }
 
 #[test]
-fn wrong_parameters_are_acknowledged_refused_and_told() {
+fn wrong_parameters_are_acknowledged_rejected_and_reported() {
     let prm_fault = [0x42, 0x05, 0, 0xFF];
     let not_supported = [0x12, 0x05, 0, 0xFF];
     for (what, parameters, expected) in [
@@ -514,15 +514,15 @@ fn wrong_parameters_are_acknowledged_refused_and_told() {
         bus.exchange(OUT);
         let told = Some(Event::Left(Cause::Parameters));
         assert_eq!(bus.ask(SET_PRM, parameters), (SC.to_vec(), told), "{what}");
-        assert_eq!(bus.status(), expected, "{what}, out of data exchange");
+        assert_eq!(bus.status(), expected, "{what}, from data exchange");
         assert!(bus.is_out(ZERO));
         bus.start(&PARAMETERS);
-        assert_eq!(bus.status(), [0x00, 0x0C, 0, MASTER], "and over");
+        assert_eq!(bus.status(), [0x00, 0x0C, 0, MASTER], "fault cleared");
     }
 }
 
 #[test]
-fn parameters_of_masters_for_dp_v1_are_taken_if_they_ask_for_nothing() {
+fn parameters_of_dp_v1_masters_are_accepted_without_dp_v1_requests() {
     let parameters = |status_1| [&PARAMETERS[..], &[status_1, 0, 0]].concat();
     Bus::new(&PLAIN).start(&parameters(0));
     Bus::new(&PROFILE).start(&parameters(0));
@@ -530,7 +530,7 @@ fn parameters_of_masters_for_dp_v1_are_taken_if_they_ask_for_nothing() {
 }
 
 #[test]
-fn parameters_again_end_data_exchange_and_begin_anew() {
+fn repeated_parameters_end_data_exchange_and_start_again() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.exchange(OUT);
     assert_eq!(bus.ask(SET_PRM, &PARAMETERS), (SC.to_vec(), Some(Event::Left(Cause::Parameters))));
@@ -558,7 +558,7 @@ fn unlock_releases_the_slave_for_another_master() {
 }
 
 #[test]
-fn min_tsdr_is_what_the_parameters_say_and_never_below_11() {
+fn min_tsdr_follows_the_parameters_but_is_at_least_11() {
     for (asked, expected) in [(0, 11), (1, 11), (11, 11), (12, 12), (255, 255)] {
         let mut bus = Bus::new(&PROFILE);
         bus.ask(SET_PRM, &[0x88, 1, 10, asked, 0x12, 0x34, 0]);
@@ -569,13 +569,13 @@ fn min_tsdr_is_what_the_parameters_say_and_never_below_11() {
 }
 
 #[test]
-fn set_prm_without_lock_changes_nothing_but_min_tsdr() {
+fn set_prm_without_lock_changes_only_min_tsdr() {
     let mut bus = Bus::new(&PROFILE);
-    // Whatever the ident number.
+    // The ident number does not matter.
     assert_eq!(bus.ask(SET_PRM, &[0, 1, 1, 40, 0, 0, 0]), (SC.to_vec(), None));
     assert_eq!((bus.not_before_bits, bus.slave.state()), (40, State::WaitPrm));
     bus.start(&[0x88, 1, 10, 0, 0x12, 0x34, 0]);
-    assert_eq!(bus.not_before_bits, 40, "0 leaves it");
+    assert_eq!(bus.not_before_bits, 40, "0 leaves it unchanged");
     bus.exchange(OUT);
     assert_eq!(bus.ask(SET_PRM, &[0, 0, 0, 50, 0, 0, 0]), (SC.to_vec(), None));
     assert_eq!((bus.not_before_bits, bus.slave.state()), (50, State::DataExch));
@@ -583,17 +583,17 @@ fn set_prm_without_lock_changes_nothing_but_min_tsdr() {
 }
 
 #[test]
-fn configuration_has_to_be_the_devices() {
+fn configuration_must_match_the_device() {
     for config in [&[][..], &CONFIG[..1], &[0x11, 0xA7], &[0xA7, 0x11, 0x00], &[0xA7, 0x10]] {
         let mut bus = Bus::new(&PROFILE);
         assert_eq!(bus.ask(CHK_CFG, config), (SC.to_vec(), None), "before parameters");
-        assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF], "it counts for nothing");
+        assert_eq!(bus.status(), [0x02, 0x05, 0, 0xFF], "without effect");
         bus.ask(SET_PRM, &PARAMETERS);
         assert_eq!(bus.ask(CHK_CFG, config), (SC.to_vec(), None), "{config:02X?}");
         assert_eq!(bus.status(), [0x06, 0x05, 0, 0xFF], "{config:02X?}");
         bus.start(&PARAMETERS);
         bus.exchange(OUT);
-        assert_eq!(bus.ask(CHK_CFG, &CONFIG), (SC.to_vec(), None), "again");
+        assert_eq!(bus.ask(CHK_CFG, &CONFIG), (SC.to_vec(), None), "repeated");
         assert_eq!(bus.slave.state(), State::DataExch);
         assert!(bus.is_out(OUT));
         let told = Some(Event::Left(Cause::Configuration));
@@ -609,15 +609,15 @@ fn clear_sets_the_outputs_to_0_until_the_next_data_exchange() {
     bus.exchange(OUT);
     assert_eq!(bus.control(0x02, 0), Some(Event::Cleared));
     assert!(bus.is_out(ZERO));
-    assert_eq!(bus.control(0x02, 0), Some(Event::Cleared), "each time");
+    assert_eq!(bus.control(0x02, 0), Some(Event::Cleared), "reported each time");
     assert_eq!(bus.exchange(OUT), (inputs_answer(0x08, INPUTS), Some(Event::Outputs)));
     assert!(bus.is_out(OUT));
-    assert_eq!(bus.control(0x00, 0), None, "the operating mode Operate");
+    assert_eq!(bus.control(0x00, 0), None, "operating mode Operate");
     assert!(bus.is_out(OUT));
 }
 
 #[test]
-fn data_exchange_without_data_clears_a_fail_safe_slave_and_ends_data_exchange_of_another() {
+fn data_exchange_without_data_clears_the_outputs_only_with_fail_safe() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.exchange(OUT);
     let function_code = bus.next();
@@ -634,7 +634,7 @@ fn data_exchange_without_data_clears_a_fail_safe_slave_and_ends_data_exchange_of
 }
 
 #[test]
-fn global_control_concerns_all_or_the_groups_that_it_names() {
+fn global_control_applies_to_all_or_to_the_selected_groups() {
     let mut bus = Bus::exchanging(&PROFILE);
     for (groups, expected) in [(0x00, true), (0x01, true), (0x02, true), (0xFC, false), (0xFF, true)] {
         bus.exchange(OUT);
@@ -645,7 +645,7 @@ fn global_control_concerns_all_or_the_groups_that_it_names() {
 }
 
 #[test]
-fn global_control_counts_in_data_exchange_alone_to_all_or_to_this_station() {
+fn global_control_is_accepted_only_in_data_exchange_and_for_this_station() {
     let mut bus = Bus::new(&PROFILE);
     assert_eq!(bus.control(0x02, 0), None);
     bus.ask(SET_PRM, &PARAMETERS);
@@ -674,25 +674,25 @@ fn outputs_wait_for_the_next_sync_until_unsync() {
     let mut bus = Bus::new(&PROFILE);
     bus.start(&BOTH_MODES);
     bus.exchange(OUT);
-    assert_eq!(bus.control(0x20, 0), None, "they are the outputs already");
+    assert_eq!(bus.control(0x20, 0), None, "no outputs are waiting");
     assert_eq!(bus.status()[1], 0x2C, "Sync_Mode");
     assert_eq!(bus.exchange(NEXT), (inputs_answer(0x08, INPUTS), None));
     assert!(bus.is_out(OUT));
-    assert_eq!(bus.ask(RD_OUTP, &[]).0, data_of(MASTER, RD_OUTP, &OUT), "those that are out");
+    assert_eq!(bus.ask(RD_OUTP, &[]).0, data_of(MASTER, RD_OUTP, &OUT), "outputs in effect");
     assert_eq!(bus.control(0x20, 0), Some(Event::Outputs));
     assert!(bus.is_out(NEXT));
     bus.exchange(OUT);
     assert!(bus.is_out(NEXT));
-    assert_eq!(bus.control(0x30, 0), Some(Event::Outputs), "Unsync wins");
+    assert_eq!(bus.control(0x30, 0), Some(Event::Outputs), "Unsync takes precedence");
     assert!(bus.is_out(OUT));
     assert_eq!(bus.status()[1], 0x0C);
     assert_eq!(bus.exchange(NEXT).1, Some(Event::Outputs));
-    assert_eq!(bus.control(0x10, 0), None, "nothing waits");
+    assert_eq!(bus.control(0x10, 0), None, "no outputs are waiting");
     assert!(bus.is_out(NEXT));
 }
 
 #[test]
-fn clear_counts_with_sync_as_well_and_takes_what_waits() {
+fn clear_takes_effect_in_sync_mode_and_discards_waiting_outputs() {
     let mut bus = Bus::new(&PROFILE);
     bus.start(&BOTH_MODES);
     bus.exchange(OUT);
@@ -700,7 +700,7 @@ fn clear_counts_with_sync_as_well_and_takes_what_waits() {
     bus.exchange(NEXT);
     assert_eq!(bus.control(0x22, 0), Some(Event::Cleared));
     assert!(bus.is_out(ZERO));
-    assert_eq!(bus.status()[1], 0x2C, "and Sync stays");
+    assert_eq!(bus.status()[1], 0x2C, "Sync mode stays on");
     assert_eq!(bus.control(0x20, 0), Some(Event::Outputs));
     assert!(bus.is_out(ZERO));
 }
@@ -718,12 +718,12 @@ fn inputs_are_frozen_until_the_next_freeze_or_unfreeze() {
     bus.slave.show_inputs(&[2, 2]);
     assert_eq!(bus.exchange(OUT).0, inputs_answer(0x08, [1, 1]));
     bus.control(0x0C, 0);
-    assert_eq!(bus.exchange(OUT).0, inputs_answer(0x08, [2, 2]), "Unfreeze wins");
+    assert_eq!(bus.exchange(OUT).0, inputs_answer(0x08, [2, 2]), "Unfreeze takes precedence");
     assert_eq!(bus.status()[1], 0x0C);
 }
 
 #[test]
-fn sync_and_freeze_count_if_the_parameters_have_asked_for_them() {
+fn sync_and_freeze_require_their_parameters() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.control(0x28, 0);
     assert_eq!(bus.status()[1], 0x0C);
@@ -743,7 +743,7 @@ fn modes_end_with_data_exchange() {
     bus.ask(SET_PRM, &BOTH_MODES);
     bus.ask(CHK_CFG, &CONFIG);
     assert_eq!(bus.status()[1], 0x0C);
-    assert!(bus.is_out(ZERO), "what waited is gone");
+    assert!(bus.is_out(ZERO), "waiting outputs are discarded");
     assert_eq!(bus.exchange(OUT), (inputs_answer(0x08, [1, 1]), Some(Event::Outputs)));
     assert!(bus.is_out(OUT));
 }
@@ -752,11 +752,11 @@ fn modes_end_with_data_exchange() {
 fn announced_diagnosis_has_high_priority_until_the_master_has_read_it() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.slave.show_diagnosis(&[4, 0x10, 0, 0], true);
-    assert_eq!(bus.exchange(OUT).0, inputs_answer(0x08, INPUTS), "not announced");
+    assert_eq!(bus.exchange(OUT).0, inputs_answer(0x08, INPUTS), "not announced yet");
     bus.slave.announce_diagnosis();
     for _ in 0..2 {
         assert_eq!(bus.exchange(OUT).0, inputs_answer(0x0A, INPUTS));
-        assert_eq!(bus.status()[0], 0x08, "another master's reading does not count");
+        assert_eq!(bus.status()[0], 0x08, "a read by another master does not count");
     }
     let expected = [0x08, 0x0C, 0, MASTER, 0x12, 0x34, 4, 0x10, 0, 0];
     assert_eq!(bus.ask(SLAVE_DIAG, &[]).0, data_of(MASTER, SLAVE_DIAG, &expected));
@@ -767,7 +767,7 @@ fn announced_diagnosis_has_high_priority_until_the_master_has_read_it() {
 }
 
 #[test]
-fn diagnosis_without_a_part_of_its_own_has_six_bytes_and_a_longer_one_says_that_it_is_cut() {
+fn diagnosis_has_at_least_six_bytes_and_reports_truncation() {
     let mut bus = Bus::exchanging(&PROFILE);
     assert_eq!(bus.ask(SLAVE_DIAG, &[]).0.len(), 4 + 5 + 6 + 2);
     bus.slave.show_diagnosis(&[1, 2, 3, 4, 5], true);
@@ -778,14 +778,14 @@ fn diagnosis_without_a_part_of_its_own_has_six_bytes_and_a_longer_one_says_that_
 }
 
 #[test]
-fn address_is_changed_by_a_master_as_long_as_there_is_none_and_answers_from_there() {
+fn master_can_change_the_address_before_it_sends_parameters() {
     let mut bus = Bus::new(&PROFILE);
     let told = Some(Event::Address(Address { station: 9, locked: false }));
     assert_eq!(bus.ask(SET_SLAVE_ADDRESS, &[9, 0x12, 0x34, 0]), (SC.to_vec(), told));
     assert_eq!(bus.slave.address(), Address::new(9));
     assert_eq!(bus.send(&sd1([STATION, MASTER, FDL_STATUS])).0, []);
     assert_eq!(bus.send(&sd1([9, MASTER, FDL_STATUS])).0, sd1([MASTER, 9, 0]));
-    // Back, with bytes that the device is to keep, and for good.
+    // Back to the first address, with extra bytes for the device to store, and locked.
     let back =
         [&[0x89, 0x82, bus.next(), SET_SLAVE_ADDRESS, 62][..], &[STATION, 0x12, 0x34, 1, 5, 6]].concat();
     let told = Some(Event::Address(Address { station: STATION, locked: true }));
@@ -794,23 +794,27 @@ fn address_is_changed_by_a_master_as_long_as_there_is_none_and_answers_from_ther
 }
 
 #[test]
-fn address_is_not_changed_by_what_is_wrong_or_without_the_switch() {
+fn invalid_address_changes_are_rejected() {
     for data in [&[9, 0x12, 0x35, 0][..], &[9, 0x13, 0x34, 0], &[126, 0x12, 0x34, 0], &[9, 0x12, 0x34], &[]] {
         let mut bus = Bus::new(&PROFILE);
         assert_eq!(bus.ask(SET_SLAVE_ADDRESS, data), (no_service(MASTER), None), "{data:02X?}");
         assert_eq!(bus.slave.address(), ADDRESS);
     }
     let right = [125, 0x12, 0x34, 0];
-    assert_eq!(Bus::new(&PLAIN).ask(SET_SLAVE_ADDRESS, &right), (no_service(MASTER), None), "no switch");
+    assert_eq!(Bus::new(&PLAIN).ask(SET_SLAVE_ADDRESS, &right), (no_service(MASTER), None), "not supported");
     assert_eq!(
         Bus::exchanging(&PROFILE).ask(SET_SLAVE_ADDRESS, &right),
         (no_service(MASTER), None),
-        "a master"
+        "locked by a master"
     );
     assert_eq!(Bus::new(&PROFILE).ask(SET_SLAVE_ADDRESS, &right).0, SC);
     let mut locked = Bus::new(&PROFILE);
     locked.slave = Device::new(&PROFILE, Address { station: STATION, locked: true });
-    assert_eq!(locked.ask(SET_SLAVE_ADDRESS, &right), (no_service(MASTER), None), "locked from the start");
+    assert_eq!(
+        locked.ask(SET_SLAVE_ADDRESS, &right),
+        (no_service(MASTER), None),
+        "address locked from the start"
+    );
 }
 
 #[test]
@@ -849,7 +853,7 @@ fn longest_outputs_inputs_and_diagnosis_fit_into_a_telegram() {
 fn identifiers_are_added_up_over_all_modules() {
     use crate::identifiers_fit;
     assert!(identifiers_fit(&[], 0, 0));
-    // 16 bytes out; 2 words in; 1 byte both ways.
+    // 16 bytes out; 2 words in; 1 byte in and out.
     assert!(identifiers_fit(&[0x2F, 0x51, 0x30], 17, 5));
     assert!(!identifiers_fit(&[0x2F, 0x51, 0x30], 16, 5));
     assert!(!identifiers_fit(&[0x2F, 0x51, 0x30], 17, 4));
