@@ -1,5 +1,5 @@
-//! Alarms over RTA (IEC 61158-6-10, 4.7): one is under way at a time at each priority. Whether it arrived is told twice, by the
-//! transport's acknowledgement and by the alarm's own.
+//! Alarms over RTA (IEC 61158-6-10, 4.7), one at a time per priority. Each is confirmed twice: by the transport's
+//! acknowledgement and by the alarm's own.
 
 use crate::connect::{AlarmCr, next_block};
 use crate::cursor::{Reader, Writer};
@@ -7,18 +7,18 @@ use crate::frame::{self, ETHERTYPE_PROFINET, MacAddress};
 use crate::profile::{Fault, Module, Priority, Profile};
 use crate::rpc::PnioStatus;
 
-/// Frame identifiers.
+/// Frame identifiers of alarms, by priority.
 pub(crate) const HIGH: u16 = 0xFC01;
 pub(crate) const LOW: u16 = 0xFE01;
 
-/// PDU types, version 1.
+/// PDU types of version 1.
 mod pdu {
     pub(super) const DATA: u8 = 0x11;
     pub(super) const ACK: u8 = 0x13;
     pub(super) const ERR: u8 = 0x14;
 }
 
-/// AddFlags: a window of one, and the acknowledgement is wanted at once.
+/// AddFlags: window of one, immediate acknowledgement requested.
 const WINDOW: u8 = 0x01;
 const ACK_AT_ONCE: u8 = 0x10;
 
@@ -26,20 +26,20 @@ const ACK_AT_ONCE: u8 = 0x10;
 const DIAGNOSIS: u16 = 0x0001;
 const DIAGNOSIS_GONE: u16 = 0x000C;
 
-/// UserStructureIdentifier of channel diagnosis, and the channel that stands for the whole submodule.
+/// UserStructureIdentifier of channel diagnosis, and the channel number of the whole submodule.
 pub(crate) const CHANNEL_DIAGNOSIS: u16 = 0x8000;
 pub(crate) const WHOLE_SUBMODULE: u16 = 0x8000;
 
-/// ChannelProperties: the diagnosis appears, or it is gone.
+/// ChannelProperties: the diagnosis appears or disappears.
 pub(crate) const APPEARS: u16 = 1 << 11;
 const IS_GONE: u16 = 2 << 11;
 
-/// AlarmSpecifier: channel diagnosis; there is one on this submodule; there is one in this connection.
+/// AlarmSpecifier: channel diagnosis; diagnosis present on this submodule; diagnosis present in this connection.
 const SPECIFIER_CHANNEL: u16 = 1 << 11;
 const SPECIFIER_SUBMODULE: u16 = 1 << 13;
 const SPECIFIER_AR: u16 = 1 << 15;
 
-/// What an alarm says: which fault, whether it begins, and whether there is any.
+/// Contents of an alarm: the fault, whether it appears, and whether any fault is present.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Alarm {
     pub(crate) fault: u8,
@@ -51,22 +51,22 @@ pub(crate) struct Alarm {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Idle,
-    /// To be sent, again and again, until it is acknowledged.
+    /// Repeated until the transport acknowledges it.
     Sending {
         alarm: Alarm,
         due: u64,
         tries: u8,
     },
-    /// The frame arrived; what became of the alarm is not known.
+    /// Acknowledged by the transport, but not yet by the alarm's own acknowledgement.
     Sent(Alarm),
 }
 
-/// What a frame led to.
+/// Result of a received frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Heard {
-    /// The controller has taken note.
+    /// The controller has acknowledged the alarm.
     Acknowledged(Alarm),
-    /// The controller ends the connection.
+    /// The controller has aborted the connection.
     Aborted,
 }
 
@@ -75,20 +75,20 @@ pub(crate) enum Heard {
 pub(crate) struct Alarms {
     priority: Priority,
     state: State,
-    /// The numbers of the last frames of data: that arrived, and that came.
+    /// Sequence numbers of the last data frames: sent and acknowledged, and received.
     arrived: u16,
     received: u16,
     ack_due: bool,
-    /// Counts alarms, modulo 2048.
+    /// Number of the next alarm, modulo 2048.
     number: u16,
 }
 
-/// Both ends of the connection.
+/// Addresses and references of both ends of the connection.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ends {
     pub(crate) mac: MacAddress,
     pub(crate) peer: MacAddress,
-    /// What the device calls its end.
+    /// The device's reference for its end.
     pub(crate) reference: u16,
     pub(crate) cr: AlarmCr,
 }
@@ -102,14 +102,14 @@ impl Alarms {
         self.state == State::Idle
     }
 
-    /// Begins to send an alarm.
+    /// Starts to send an alarm.
     pub(crate) fn send(&mut self, now: u64, fault: u8, appears: bool, is_any: bool, cr: &AlarmCr) {
         let alarm = Alarm { fault, appears, is_any, number: self.number };
         self.number = self.number.wrapping_add(1) & 0x07FF;
         self.state = State::Sending { alarm, due: now, tries: cr.retries.saturating_add(1) };
     }
 
-    /// Takes a frame behind its frame identifier.
+    /// Processes a frame after its frame identifier.
     pub(crate) fn receive(&mut self, payload: &[u8], ends: &Ends) -> Option<Heard> {
         let mut reader = Reader::new(payload);
         let destination = reader.u16()?;
@@ -148,7 +148,7 @@ impl Alarms {
         body.skip(10)?;
         let specifier = body.u16()?;
         match self.state {
-            // A status that is none of success is an answer, too: telling the alarm again would change nothing.
+            // A negative status is an answer, too: repeating the alarm would change nothing.
             State::Sent(alarm) if kind == self.ack_block() && specifier & 0x07FF == alarm.number => {
                 self.state = State::Idle;
                 Some(Heard::Acknowledged(alarm))
@@ -164,7 +164,7 @@ impl Alarms {
         }
     }
 
-    /// Whether an alarm was sent as often as it may be, and there was no answer.
+    /// Returns whether all retries of an alarm have timed out.
     pub(crate) fn has_failed(&self, now: u64) -> bool {
         matches!(self.state, State::Sending { due, tries: 0, .. } if due <= now)
     }
@@ -177,7 +177,7 @@ impl Alarms {
         }
     }
 
-    /// Writes the frame that is due; returns its length.
+    /// Writes the frame that is due. Returns its length.
     pub(crate) fn transmit(
         &mut self,
         now: u64,
@@ -201,7 +201,7 @@ impl Alarms {
     }
 }
 
-/// The number behind this one; the first are FFFEh and FFFFh.
+/// Returns the next sequence number. The first are FFFEh and FFFFh.
 const fn following(number: u16) -> u16 {
     match number {
         0xFFFE => 0xFFFF,
@@ -209,7 +209,7 @@ const fn following(number: u16) -> u16 {
     }
 }
 
-/// Writes the frame that ends a connection; returns its length.
+/// Writes the frame that aborts a connection. Returns its length.
 pub(crate) fn abort(buffer: &mut [u8], ends: &Ends, reason: u8) -> Option<usize> {
     frame(buffer, ends, Priority::Low, pdu::ERR, (0xFFFE, 0xFFFE), |writer| {
         writer.u32(PnioStatus::abort(reason).0);

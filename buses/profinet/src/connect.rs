@@ -1,4 +1,4 @@
-//! Connect (IEC 61158-6-10, 5.2.4 ff.): what a controller asks for, checked against what the device is.
+//! Connect (IEC 61158-6-10, 5.2.4 ff.): checks the controller's request against the device.
 
 use core::ops::Range;
 
@@ -16,7 +16,7 @@ mod block {
     pub(super) const EXPECTED: u16 = 0x0104;
 }
 
-/// What errors call the blocks, by their order in the specification.
+/// Numbers of the blocks in error codes, in the order of the specification.
 mod blamed {
     pub(super) const AR: u8 = 1;
     pub(super) const IOCR: u8 = 2;
@@ -27,27 +27,27 @@ mod blamed {
 const AR_TYPE_CONTROLLER: u16 = 1;
 const AR_TYPE_SUPERVISOR: u16 = 6;
 
-/// ARProperties: only records, no data.
+/// ARProperties: access to records only, no cyclic data.
 const DEVICE_ACCESS: u32 = 1 << 8;
-/// ARProperties: companions and the advanced start, which the GSDML file does not offer.
+/// ARProperties: companion AR and advanced start-up, which the GSDML file does not offer.
 const UNSUPPORTED: u32 = 3 << 9 | 1 << 30;
 
-/// The longest wait for data of a controller, in µs.
+/// Maximum hold time of a controller, in µs.
 const MAX_HOLD_US: u64 = 1_920_000;
 
-/// The longest name of a station.
+/// Maximum length of a station name.
 const MAX_NAME_LEN: u16 = 240;
 
-/// VLAN tags of cyclic data and of alarms (IEC 61158-6-10, 5.2.4): priority 6 or 5, no VLAN. The bit between the two is
-/// reserved and not checked.
+/// VLAN tags of cyclic data and of alarms (IEC 61158-6-10, 5.2.4): priority 6 or 5, no VLAN. The reserved bit
+/// in between is not checked.
 const PRIORITY_6: u16 = 0xC000;
 const PRIORITY_5: u16 = 0xA000;
 const RESERVED_OF_TAG: u16 = 0x1000;
 
-/// The shortest and the longest cyclic data, in bytes.
+/// Valid length of the cyclic data in bytes.
 const DATA_LEN: core::ops::RangeInclusive<u16> = 40..=1_440;
 
-/// With whom, and under which name.
+/// Application relation: identity and address of the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Relation {
     pub(crate) kind: u16,
@@ -55,9 +55,9 @@ pub(crate) struct Relation {
     pub(crate) session_key: u16,
     pub(crate) mac: MacAddress,
     pub(crate) object: [u8; 16],
-    /// Where it asked from.
+    /// Source address of the request.
     pub(crate) host: Endpoint,
-    /// How long it may take from one call to the next, in µs.
+    /// Time-out between two calls, in µs.
     pub(crate) activity_us: u64,
 }
 
@@ -72,7 +72,7 @@ pub(crate) struct Expected {
     output_len: u16,
 }
 
-/// How an expected submodule compares with the real one.
+/// Result of comparing an expected submodule with the real one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Match {
     Proper,
@@ -101,7 +101,7 @@ impl Expected {
 /// All submodules that the controller expects.
 pub(crate) type Configuration = [Option<Expected>; MAX_SUBMODULES];
 
-/// Where a submodule of the device is in a frame: its data with the provider status behind it, its consumer status.
+/// Offsets of a submodule in a frame: its data, followed by the provider status, and its consumer status.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Place {
     pub(crate) data: Option<u16>,
@@ -114,11 +114,11 @@ pub(crate) struct Iocr {
     pub(crate) reference: u16,
     pub(crate) frame_id: u16,
     pub(crate) data_len: u16,
-    /// In 31.25 µs.
+    /// Cycle time in 31.25 µs.
     pub(crate) cycle: u16,
     pub(crate) hold_us: u64,
     pub(crate) tag: u16,
-    /// By the device's submodules.
+    /// Offsets, in the order of the device's submodules.
     pub(crate) places: [Place; MAX_SUBMODULES],
 }
 
@@ -129,21 +129,21 @@ impl Iocr {
     }
 }
 
-/// The connection for alarms.
+/// Parameters of the alarm connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct AlarmCr {
-    /// All alarms are low.
+    /// Whether all alarms have low priority.
     pub(crate) is_low_only: bool,
     pub(crate) timeout_us: u64,
     pub(crate) retries: u8,
-    /// What the controller calls its end.
+    /// The controller's reference for its end.
     pub(crate) reference: u16,
     pub(crate) tag_high: u16,
     pub(crate) tag_low: u16,
 }
 
-/// A request that can be granted.
-#[expect(clippy::large_enum_variant, reason = "it is taken apart at once")]
+/// A valid request.
+#[expect(clippy::large_enum_variant, reason = "short-lived: the caller destructures it immediately")]
 #[derive(Clone, Debug)]
 pub(crate) enum Request {
     Access(Relation),
@@ -151,7 +151,7 @@ pub(crate) enum Request {
 }
 
 impl Request {
-    /// Reads the blocks of a request from this host, or says what is wrong with them.
+    /// Parses the blocks of a request from this host. Returns the error status if they are invalid.
     pub(crate) fn parse(
         blocks: &[u8],
         host: Endpoint,
@@ -198,7 +198,7 @@ impl Request {
         if count == 0 {
             return Err(PnioStatus::connect(blamed::EXPECTED, 4));
         }
-        // A proper submodule's data must be somewhere.
+        // Each matching submodule with data needs a place in a frame.
         for (at, slotted) in profile.submodules().enumerate() {
             let is_expected = expected.iter().flatten().any(|expected| {
                 (expected.slot, expected.subslot) == (slotted.module.slot, slotted.submodule.subslot)
@@ -217,7 +217,7 @@ impl Request {
     }
 }
 
-/// Gives each block of a request with its body, behind the version.
+/// Passes type and body of each block of a request to `take`. Bodies exclude the version.
 pub(crate) fn each_block(
     blocks: &[u8],
     mut take: impl FnMut(u16, &[u8]) -> Result<(), PnioStatus>,
@@ -230,7 +230,7 @@ pub(crate) fn each_block(
     Ok(())
 }
 
-/// The next block: its type, and its body behind the version.
+/// Returns type and body of the next block. The body excludes the version.
 pub(crate) fn next_block<'a>(reader: &mut Reader<'a>) -> Option<(u16, &'a [u8])> {
     let kind = reader.u16()?;
     let len = reader.u16()?;
@@ -276,7 +276,7 @@ fn parse_ar(body: &[u8], host: Endpoint) -> Result<Relation, PnioStatus> {
     if !epm::is_object(&object) {
         return Err(wrong(8));
     }
-    // Active, and nothing that the device has not.
+    // Only the active start is supported, and no property that the device does not offer.
     if properties & 7 != 1 || properties & UNSUPPORTED != 0 {
         return Err(wrong(9));
     }
@@ -332,12 +332,12 @@ fn parse_expected(body: &[u8], expected: &mut Configuration, count: &mut usize) 
     Ok(())
 }
 
-/// Frame identifiers of real time class 1, and of class 2, which class 1 may use.
+/// Returns whether the frame identifier is of real time class 1, or of class 2, which class 1 may use.
 const fn is_frame_id(id: u16) -> bool {
     matches!(id, 0x8000..=0xBBFF | 0xC000..=0xFBFF)
 }
 
-/// "You choose."
+/// Leaves the choice of the frame identifier to the device.
 const ANY_FRAME_ID: u16 = 0xFFFF;
 
 fn parse_iocr(
@@ -357,8 +357,8 @@ fn parse_iocr(
     let send_clock = reader.u16().ok_or(short)?;
     let reduction = reader.u16().ok_or(short)?;
     let phase = reader.u16().ok_or(short)?;
-    // Sequence and offset: the device chooses the moment within a phase in class 1. The hold factor below replaces the
-    // watchdog factor.
+    // Sequence and offset are ignored: in class 1 the device chooses the moment within a phase. The hold factor
+    // below replaces the watchdog factor.
     reader.skip(8).ok_or(short)?;
     let hold_factor = reader.u16().ok_or(short)?;
     let tag = reader.u16().ok_or(short)?;
@@ -390,7 +390,7 @@ fn parse_iocr(
     if !(1..=512).contains(&reduction) || cycle < profile.min_interval || cycle > 16_384 {
         return Err(wrong(11));
     }
-    // A phase is one of the send clocks of a cycle, counted from 1.
+    // The phase is one of the send clocks of a cycle, counted from 1.
     if !(1..=reduction).contains(&phase) {
         return Err(wrong(12));
     }
@@ -420,7 +420,7 @@ fn parse_iocr(
     Ok((is_input, iocr))
 }
 
-/// The parts of a frame that objects have taken. Two that share a byte would let data pass for a status.
+/// Parts of a frame already assigned to objects. If two shared a byte, data could be mistaken for a status.
 #[derive(Default)]
 struct Parts {
     taken: [Range<u32>; 2 * MAX_SUBMODULES],
@@ -428,7 +428,7 @@ struct Parts {
 }
 
 impl Parts {
-    /// Notes a part; `None` if another object has some of it.
+    /// Adds a part. Returns `None` if it overlaps another one.
     fn add(&mut self, part: Range<u32>) -> Option<()> {
         let is_free = |other: &Range<u32>| part.end <= other.start || other.end <= part.start;
         if !self.taken.iter().take(self.count).all(is_free) {
@@ -440,8 +440,9 @@ impl Parts {
     }
 }
 
-/// An object of a frame: data with its status of inputs or outputs (`data`), or the status of a consumer. `blame`: the parameters
-/// that its slot and its offset are. Returns the part of the frame that it is in.
+/// Parses an object of a frame. `data` selects inputs (`true`) or outputs (`false`) with provider status; `None` is a
+/// consumer status. `blame` holds the error parameters for an invalid slot and an invalid offset. Returns the part of
+/// the frame that the object occupies.
 fn parse_object(
     reader: &mut Reader<'_>,
     iocr: &mut Iocr,
@@ -462,14 +463,14 @@ fn parse_object(
         Some(false) => found.output_len,
         None => 0,
     };
-    // A status follows.
+    // One byte of status follows the data.
     let start = u32::from(offset);
     let part = start..start.saturating_add(len.into()).saturating_add(1);
     if part.end > iocr.data_len.into() {
         return Err(wrong(blame.1));
     }
     if found.compare(profile) != Match::Proper {
-        // Of what is not there, the frame says nothing: zeros are no data, and a bad status.
+        // A submodule that does not match has no place: its bytes stay 0, which is also a bad status.
         return Ok(part);
     }
     let at = profile
@@ -502,7 +503,7 @@ fn parse_alarm_cr(body: &[u8]) -> Result<AlarmCr, PnioStatus> {
     if ethertype != ETHERTYPE_PROFINET {
         return Err(wrong(5));
     }
-    // By frames, not over UDP.
+    // Alarms over UDP are not supported.
     if properties & 2 != 0 {
         return Err(wrong(6));
     }

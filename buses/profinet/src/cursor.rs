@@ -1,13 +1,13 @@
-//! Fields of frames, read and written in their order; nothing outside of a buffer is reached.
+//! Reads and writes consecutive fields of frames, never outside a buffer.
 
-/// The order of bytes in a number: RPC lets each side choose its own, all else has the high byte first.
+/// Byte order of a number. In RPC each side chooses its own; everything else is big-endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Order {
     BigEndian,
     LittleEndian,
 }
 
-/// Reads fields from the front of a slice. `None`: there are not so many bytes.
+/// Reads fields from the front of a slice. All methods return `None` if too few bytes are left.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Reader<'a>(&'a [u8]);
 
@@ -16,7 +16,7 @@ impl<'a> Reader<'a> {
         Self(bytes)
     }
 
-    /// What is not read yet.
+    /// Returns the bytes not read yet.
     pub(crate) const fn rest(&self) -> &'a [u8] {
         self.0
     }
@@ -58,14 +58,14 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Copies bytes to a place in a buffer, and gives the place behind them; `None`: there is no room.
+/// Copies bytes into a buffer at `at`. Returns the offset after them, or `None` if they do not fit.
 pub(crate) fn copy(buffer: &mut [u8], at: usize, bytes: &[u8]) -> Option<usize> {
     let (place, _) = buffer.get_mut(at..)?.split_at_mut_checked(bytes.len())?;
     place.copy_from_slice(bytes);
     Some(at.saturating_add(bytes.len()))
 }
 
-/// Writes fields one after the other. What has no room is left out, and [`finish`](Self::finish) tells.
+/// Writes consecutive fields. Fields that do not fit are dropped, and [`finish`](Self::finish) returns `None`.
 #[derive(Debug)]
 pub(crate) struct Writer<'a> {
     buffer: &'a mut [u8],
@@ -82,7 +82,7 @@ impl<'a> Writer<'a> {
         self.len
     }
 
-    /// How many bytes were written; `None` if the buffer was too short.
+    /// Returns the number of bytes written, or `None` if the buffer was too short.
     pub(crate) fn finish(self) -> Option<usize> {
         (!self.is_short).then_some(self.len)
     }
@@ -100,7 +100,7 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// Zeros up to a multiple of `unit` bytes, counted from `from`.
+    /// Writes zeros up to a multiple of `unit` bytes, counted from offset `from`.
     pub(crate) fn align(&mut self, from: usize, unit: usize) {
         while !self.is_short && !self.len.saturating_sub(from).is_multiple_of(unit) {
             self.u8(0);
@@ -127,17 +127,17 @@ impl<'a> Writer<'a> {
         self.u32(if order == Order::BigEndian { value } else { value.swap_bytes() });
     }
 
-    /// Writes a number to a place that was written before.
+    /// Overwrites a number written before.
     pub(crate) fn put_u16(&mut self, at: usize, value: u16) {
         self.put(at, &value.to_be_bytes());
     }
 
     pub(crate) fn put(&mut self, at: usize, bytes: &[u8]) {
-        // What has no room was not written before.
+        // Bytes that did not fit cannot be overwritten.
         let _ = self.buffer.get_mut(..self.len).and_then(|written| copy(written, at, bytes));
     }
 
-    /// A block of the application layer, with its length over what `body` writes: type, length, version 1.`minor`.
+    /// Writes a block of the application layer: type, length of the rest, version 1.`minor`, and the output of `body`.
     pub(crate) fn block(&mut self, kind: u16, minor: u8, body: impl FnOnce(&mut Self)) {
         self.u16(kind);
         let length_at = self.len;
@@ -148,7 +148,7 @@ impl<'a> Writer<'a> {
         self.put_u16(length_at, length as u16);
     }
 
-    /// Text in a field of `len` bytes, filled up with blanks.
+    /// Writes text into a field of `len` bytes, padded with blanks.
     pub(crate) fn text(&mut self, text: &[u8], len: usize) {
         let text = text.get(..len).unwrap_or(text);
         self.bytes(text);

@@ -1,14 +1,14 @@
-//! Cyclic frames of real time class 1: data of submodules, each with the status of its provider, and the status of consumers.
+//! Cyclic frames of real time class 1: data of submodules with provider status, and consumer statuses.
 
 use crate::connect::Iocr;
 use crate::cursor::{Reader, Writer, copy};
 use crate::frame::{self, ETHERTYPE_PROFINET, MacAddress};
 use crate::profile::Profile;
 
-/// A status: good.
+/// Provider or consumer status: good.
 const GOOD: u8 = 0x80;
 
-/// DataStatus.
+/// Bits of DataStatus.
 mod data_status {
     /// Primary, valid, normal operation.
     pub(super) const PRIMARY: u8 = 0x01;
@@ -17,20 +17,20 @@ mod data_status {
     pub(super) const NO_PROBLEM: u8 = 0x20;
 }
 
-/// How far ahead a cycle counter may be to be newer; further it is an old frame.
+/// Maximum advance of a newer cycle counter. Beyond it, a frame is old.
 const NEWER: u16 = 61_440;
 
-/// What a frame of outputs is.
+/// State of received outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Received {
-    /// All outputs, good.
+    /// All outputs are good.
     Good,
-    /// The controller is there, and has no outputs: it has stopped, is the backup of another, or says that they are bad.
+    /// The controller is present without good outputs: stopped, a backup controller, or bad status.
     Bad,
 }
 
-/// Reads a frame behind its identifier; the outputs are written where they belong if all of them are good. `None`: it is none of
-/// this connection, an old one, or not valid, and does not count as heard.
+/// Reads a frame after its identifier. Writes the outputs if all of them are good. Returns `None` for a frame that is
+/// invalid, old or not of this connection; such a frame does not restart the hold time.
 pub(crate) fn receive(
     payload: &[u8],
     iocr: &Iocr,
@@ -43,7 +43,7 @@ pub(crate) fn receive(
     let counter = reader.u16()?;
     let status = reader.u8()?;
     let transfer = reader.u8()?;
-    // No filler: with 40 bytes of data and more the shortest frame is full.
+    // Frames need no padding: 40 bytes of data fill the minimum length.
     if status & data_status::VALID == 0 || transfer != 0 || !reader.rest().is_empty() {
         return None;
     }
@@ -65,13 +65,13 @@ pub(crate) fn receive(
     };
     let has_all = places().map(|(_, data, _)| data.len()).sum::<usize>() == outputs.len();
     let are_good = places().all(|(_, _, provider)| provider & GOOD != 0);
-    // A backup controller has nothing to say: there is no redundancy here.
+    // Outputs of a backup controller do not count; redundancy is not supported.
     let commands = data_status::PRIMARY | data_status::RUN;
     if status & commands != commands || !are_good || !has_all {
         return Some(Received::Bad);
     }
     for (at, data, _) in places() {
-        // All of them fit: they are as many as there are outputs.
+        // Cannot fail: the total length was checked above.
         let _ = copy(outputs, at, data);
     }
     Some(Received::Good)
@@ -81,20 +81,20 @@ fn data_at(payload: &[u8], at: usize) -> u8 {
     payload.get(at).copied().unwrap_or(0)
 }
 
-/// What a frame of inputs is made of.
+/// Contents of a frame of inputs.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Inputs<'a> {
     pub(crate) mac: MacAddress,
     pub(crate) peer: MacAddress,
     pub(crate) data: &'a [u8],
-    /// The device has its parameters.
+    /// Whether parameters have ended, so that the inputs are good.
     pub(crate) is_ready: bool,
-    /// It has a fault to tell of.
+    /// Whether the device has a fault.
     pub(crate) has_problem: bool,
     pub(crate) counter: u16,
 }
 
-/// Writes a frame of inputs; returns its length.
+/// Writes a frame of inputs. Returns its length.
 pub(crate) fn transmit(
     buffer: &mut [u8],
     iocr: &Iocr,

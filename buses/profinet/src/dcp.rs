@@ -1,12 +1,12 @@
-//! DCP (IEC 61158-6-10, 4.3): how a device is found, named and addressed. Answers are kept as what they are about, and made of
-//! what is true when they leave.
+//! DCP (IEC 61158-6-10, 4.3): discovery, naming and addressing of a device. Answers are queued without their contents,
+//! which are filled in when they are sent.
 
 use crate::cursor::{Reader, Writer};
 use crate::frame::{self, ETHERTYPE_PROFINET, Frame, MacAddress};
 use crate::profile::Profile;
 use crate::station::{IpParameters, StationName};
 
-/// Where requests of Identify go.
+/// Destination of Identify requests.
 pub(crate) const IDENTIFY_MULTICAST: MacAddress = MacAddress([0x01, 0x0E, 0xCF, 0, 0, 0]);
 
 pub(crate) const GET_SET: u16 = 0xFEFD;
@@ -44,7 +44,7 @@ mod option {
     pub(super) const ALL: (u8, u8) = (0xFF, 0xFF);
 }
 
-/// What a device tells of when it is asked for all, and that it can be asked for.
+/// Options in the answer to a request for all options; each can also be requested on its own.
 const TOLD: [(u8, u8); 7] = [
     option::NAME,
     option::IP,
@@ -55,7 +55,7 @@ const TOLD: [(u8, u8); 7] = [
     option::INSTANCE,
 ];
 
-/// All that the device knows, for DeviceOptions.
+/// All supported options, for DeviceOptions.
 const OPTIONS: [(u8, u8); 13] = [
     option::MAC,
     option::IP,
@@ -72,7 +72,7 @@ const OPTIONS: [(u8, u8); 13] = [
     option::RESET,
 ];
 
-/// BlockError.
+/// Values of BlockError.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 enum Fault {
@@ -84,27 +84,27 @@ enum Fault {
     NotNow = 6,
 }
 
-/// How many blocks a request may have; of more, the rest is not answered.
+/// Maximum number of blocks in a request. Further blocks are not answered.
 const MAX_BLOCKS: usize = 16;
 
-/// How many answers wait at a time. Identify answers wait longest: up to 64 s, if the controller asks for it.
+/// Maximum number of pending answers. Identify answers wait longest: up to 64 s, as the controller requests.
 const MAX_ANSWERS: usize = 4;
 
-/// The unit of the delay before an answer to Identify.
+/// Unit of the response delay of Identify.
 const DELAY_UNIT_US: u64 = 10_000;
 
 const MAX_DELAY_FACTOR: u16 = 0x1900;
 
-/// What becomes as it was delivered.
+/// Extent of a reset to factory settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reset {
-    /// Name and IP parameters.
+    /// Resets name and IP parameters.
     Communication,
-    /// I&M as well.
+    /// Resets I&M data as well.
     All,
 }
 
-/// What somebody asked the device to do.
+/// Actions requested by a Set request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Wishes {
     pub(crate) name: Option<(StationName, bool)>,
@@ -113,7 +113,7 @@ pub(crate) struct Wishes {
     pub(crate) reset: Option<Reset>,
 }
 
-/// What an answer is made of, besides what is true when it leaves.
+/// A pending answer, without the data that is filled in when it is sent.
 #[derive(Clone, Copy, Debug)]
 struct Answer {
     to: MacAddress,
@@ -125,9 +125,9 @@ struct Answer {
 #[derive(Clone, Copy, Debug)]
 enum Kind {
     Identify,
-    /// Options that were asked for.
+    /// Requested options.
     Get([(u8, u8); MAX_BLOCKS], usize),
-    /// Options that were to be set, and what came of it.
+    /// Options to set, with their results.
     Set([((u8, u8), Fault); MAX_BLOCKS], usize),
 }
 
@@ -135,11 +135,11 @@ enum Kind {
 #[derive(Clone, Debug)]
 pub(crate) struct Dcp {
     answers: [Option<Answer>; MAX_ANSWERS],
-    /// Requests that found no place for their answers.
+    /// Number of requests without a free place for their answer.
     pub(crate) lost: u32,
 }
 
-/// What an answer is about.
+/// Data for the contents of answers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct About<'a> {
     pub(crate) profile: &'static Profile,
@@ -153,7 +153,8 @@ impl Dcp {
         Self { answers: [None; MAX_ANSWERS], lost: 0 }
     }
 
-    /// Takes a DCP frame behind its frame identifier. `is_busy`: a controller uses name and address, so they stay.
+    /// Processes a DCP frame after its frame identifier. If `is_busy`, a controller uses name and address, so
+    /// that they cannot be changed.
     pub(crate) fn receive(
         &mut self,
         now: u64,
@@ -174,7 +175,7 @@ impl Dcp {
             return None;
         }
         match (frame_id, service) {
-            // Tools ask one station, too.
+            // Tools may send Identify to a single station, too.
             (IDENTIFY, service::IDENTIFY) if [IDENTIFY_MULTICAST, about.mac].contains(&frame.destination) => {
                 if matches_all(blocks, about)? {
                     let factor = delay_factor.clamp(1, MAX_DELAY_FACTOR);
@@ -225,7 +226,7 @@ impl Dcp {
         self.answers.iter().flatten().map(|answer| answer.due).min()
     }
 
-    /// Writes the answer that is due; returns the length of its frame.
+    /// Writes an answer that is due. Returns the length of its frame.
     pub(crate) fn transmit(&mut self, now: u64, buffer: &mut [u8], about: &About<'_>) -> Option<usize> {
         let is_due = |place: &&mut Option<Answer>| place.is_some_and(|answer| answer.due <= now);
         let Answer { to, xid, kind, .. } = self.answers.iter_mut().find(is_due)?.take()?;
@@ -243,13 +244,13 @@ impl Dcp {
         let length_at = writer.len();
         writer.u16(0);
         match kind {
-            Kind::Identify => TOLD.iter().for_each(|what| tell(&mut writer, *what, about)),
+            Kind::Identify => TOLD.iter().for_each(|what| write_option(&mut writer, *what, about)),
             Kind::Get(asked, count) => {
                 for what in asked.iter().take(count) {
                     match what {
-                        &option::ALL => TOLD.iter().for_each(|what| tell(&mut writer, *what, about)),
+                        &option::ALL => TOLD.iter().for_each(|what| write_option(&mut writer, *what, about)),
                         what if TOLD.contains(what) || *what == option::MAC => {
-                            tell(&mut writer, *what, about);
+                            write_option(&mut writer, *what, about);
                         }
                         what => result(&mut writer, *what, unknown(*what)),
                     }
@@ -267,19 +268,19 @@ impl Dcp {
     }
 }
 
-/// The next block: option and suboption, and its data.
+/// Returns the next block: option and suboption, and its data.
 fn block<'a>(reader: &mut Reader<'a>) -> Option<((u8, u8), &'a [u8])> {
     let what = (reader.u8()?, reader.u8()?);
     let len = reader.u16()?;
     let data = reader.bytes(len.into())?;
     if len % 2 == 1 {
-        // The last one's filler may be missing.
+        // The padding of the last block may be missing.
         let _ = reader.u8();
     }
     Some((what, data))
 }
 
-/// Whether all that a request filters by is true of this device; `None` if it cannot be read.
+/// Returns whether all filters of a request match this device; `None` if it is invalid.
 fn matches_all(blocks: &[u8], about: &About<'_>) -> Option<bool> {
     let mut reader = Reader::new(blocks);
     let mut matches = true;
@@ -288,7 +289,7 @@ fn matches_all(blocks: &[u8], about: &About<'_>) -> Option<bool> {
         matches &= match what {
             option::ALL => true,
             option::NAME => data == about.name.as_bytes(),
-            // The name by a neighbour's port: without topology there is none.
+            // An alias names a port of a neighbour, which this device does not know.
             option::ALIAS => false,
             what => {
                 let mut place = [0; 256];
@@ -306,7 +307,7 @@ fn unknown((option, _): (u8, u8)) -> Fault {
     if matches!(option, 1 | 2 | 5) { Fault::Suboption } else { Fault::Option }
 }
 
-/// Notes what a block asks for, if it can be done.
+/// Records the action that a block requests, if it is possible.
 fn wish(wishes: &mut Wishes, what: (u8, u8), data: &[u8], about: &About<'_>, is_busy: bool) -> Fault {
     let Some((qualifier, data)) = data.split_first_chunk::<2>() else { return Fault::NotSet };
     let qualifier = u16::from_be_bytes(*qualifier);
@@ -332,7 +333,7 @@ fn wish(wishes: &mut Wishes, what: (u8, u8), data: &[u8], about: &About<'_>, is_
             }
             wishes.ip = Some((ip, is_permanent));
         }
-        // They frame what is set.
+        // Start and stop only frame the other blocks.
         option::START | option::STOP => {}
         option::SIGNAL => match data {
             [1, 0] => wishes.signal = true,
@@ -350,18 +351,18 @@ fn wish(wishes: &mut Wishes, what: (u8, u8), data: &[u8], about: &About<'_>, is_
     Fault::None
 }
 
-/// Writes what came of a block.
+/// Writes the result of a block.
 fn result(writer: &mut Writer<'_>, (option, suboption): (u8, u8), fault: Fault) {
     let (control, response) = option::RESPONSE;
     writer.bytes(&[control, response, 0, 3, option, suboption, fault as u8, 0]);
 }
 
 /// Writes a block with its BlockInfo.
-fn tell(writer: &mut Writer<'_>, what: (u8, u8), about: &About<'_>) {
+fn write_option(writer: &mut Writer<'_>, what: (u8, u8), about: &About<'_>) {
     writer.bytes(&[what.0, what.1]);
     let length_at = writer.len();
     writer.u16(0);
-    // BlockInfo: whether there is an address.
+    // BlockInfo of IP: whether an address is set.
     writer.u16(if what == option::IP { about.ip.is_set().into() } else { 0 });
     value(writer, what, about);
     let length = writer.len().saturating_sub(length_at).saturating_sub(2);
@@ -369,7 +370,7 @@ fn tell(writer: &mut Writer<'_>, what: (u8, u8), about: &About<'_>) {
     writer.align(length_at, 2);
 }
 
-/// Writes the value of an option; nothing of one that is not known.
+/// Writes the value of an option; nothing for an unknown one.
 fn value(writer: &mut Writer<'_>, what: (u8, u8), about: &About<'_>) {
     let About { profile, mac, name, ip } = about;
     match what {
@@ -385,7 +386,7 @@ fn value(writer: &mut Writer<'_>, what: (u8, u8), about: &About<'_>) {
             writer.u16(profile.vendor_id);
             writer.u16(profile.device_id);
         }
-        // An IO device.
+        // Role: IO device.
         option::ROLE => writer.bytes(&[1, 0]),
         option::OPTIONS => {
             OPTIONS.iter().for_each(|(option, suboption)| writer.bytes(&[*option, *suboption]))
@@ -395,5 +396,5 @@ fn value(writer: &mut Writer<'_>, what: (u8, u8), about: &About<'_>) {
     }
 }
 
-/// The number of this device among those at one address: there is one.
+/// Instance number of the device; there is only one per address.
 pub(crate) const INSTANCE: u16 = 1;

@@ -1,4 +1,4 @@
-//! The device: who it is, its connections, and what leaves when.
+//! The device: its state, its connections, and the schedule of its frames.
 
 use crate::alarm::{self, Alarms, Ends, Heard};
 use crate::connect::{AlarmCr, Configuration, Iocr, Relation, Request};
@@ -17,10 +17,10 @@ use crate::rpc::{access, kind, operation, server, status};
 use crate::state::{Cause, Event, State};
 use crate::station::{IpParameters, StationName, Stored};
 
-/// The longest datagram that leaves.
+/// Maximum length of a sent datagram in bytes.
 const MAX_DATAGRAM_LEN: usize = 1_472;
 
-/// How long the controller has to confirm that the device is ready, and how often it is asked.
+/// Interval and number of the calls that request the controller's confirmation that the device is ready.
 const CALL_INTERVAL_US: u64 = 2_000_000;
 const CALL_TRIES: u8 = 5;
 
@@ -31,14 +31,14 @@ mod block {
     pub(super) const END_OF_PARAMETERS: u16 = 0x0110;
     pub(super) const READY: u16 = 0x0112;
     pub(super) const RELEASE: u16 = 0x0114;
-    /// What the answer adds.
+    /// Flag of a block in an answer.
     pub(super) const ANSWER: u16 = 0x8000;
     pub(super) const AR: u16 = 0x8101;
     pub(super) const IOCR: u16 = 0x8102;
     pub(super) const ALARM_CR: u16 = 0x8103;
 }
 
-/// What Control blocks ask for.
+/// Commands of Control and Release blocks.
 mod command {
     pub(super) const END_OF_PARAMETERS: u16 = 1;
     pub(super) const READY: u16 = 2;
@@ -46,32 +46,32 @@ mod command {
     pub(super) const DONE: u16 = 8;
 }
 
-/// The index of many writes at once.
+/// Index of a record with multiple writes.
 const MULTIPLE_WRITE: u16 = 0xE040;
 
-/// What blames a block of Control or Release: it is counted from the first of all blocks.
+/// Error locations: the Control or Release block, counted over all block types.
 const CONTROL_BLOCK: u8 = 22;
 const RELEASE_BLOCK: u8 = 40;
-/// The place of ControlCommand in it.
+/// Error location: ControlCommand in such a block.
 const COMMAND_PARAMETER: u8 = 8;
 
-/// Something to send.
+/// Data to send, in the caller's buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transmit {
     /// An Ethernet frame of this length.
     Frame(usize),
-    /// A UDP datagram of this length from port [`RPC_PORT`], to an endpoint.
+    /// A UDP datagram of this length, from port [`RPC_PORT`] to this endpoint.
     Datagram(usize, Endpoint),
 }
 
-/// How far the connection to the controller is.
+/// Progress of the connection to the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// Parameters are awaited until then.
+    /// Waits for parameters, at most until `until`.
     Parameters {
         until: u64,
     },
-    /// The controller is called at `due`.
+    /// Waits for the confirmation of the controller; the next call is due at `due`.
     Ready {
         due: u64,
         tries: u8,
@@ -90,20 +90,20 @@ struct Connection {
     ends: Ends,
     low: Alarms,
     high: Alarms,
-    /// Faults that the controller was told of.
+    /// Faults last reported to the controller as present.
     told: u32,
-    /// When the next inputs leave.
+    /// Time of the next inputs.
     next_inputs: u64,
-    /// When outputs came last, or when the wait for them began.
+    /// Time of the last valid outputs, or of the controller's confirmation.
     heard: u64,
     last_counter: Option<u16>,
-    /// Whether the outputs are good.
+    /// Whether the last outputs were good.
     has_outputs: bool,
-    /// Of the call that the device is ready.
+    /// Sequence number of the device's call to the controller.
     sequence: u32,
 }
 
-/// The last response, for a caller that did not get it.
+/// The last RPC response, kept for repeated requests.
 #[derive(Clone, Debug)]
 struct Response {
     to: Endpoint,
@@ -114,28 +114,30 @@ struct Response {
     is_due: bool,
 }
 
-/// What could not be done.
+/// Counters of requests that the device could not serve.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// DCP requests that found no place for their answers.
+    /// DCP requests without a free place for their answer.
     pub dcp_lost: u32,
-    /// RPC datagrams that were no requests that can be served: damaged, in fragments, of other interfaces.
+    /// RPC datagrams that were rejected: damaged, fragmented, or for an unknown interface, object or operation.
     pub rpc_refused: u32,
 }
 
-/// An IO device with `OUT` bytes of outputs and `IN` bytes of inputs; its profile [fits](Profile::fits) these.
+/// An IO device with `OUT` bytes of outputs and `IN` bytes of inputs, which its profile must [fit](Profile::fits).
 ///
-/// Sans-IO: the caller moves frames and datagrams, and says what time it is, in microseconds that never run backwards.
-/// - [`receive`](Self::receive) takes Ethernet frames, those of IP excepted; [`receive_datagram`](Self::receive_datagram) takes
-///   the UDP datagrams to port [`RPC_PORT`].
-/// - [`poll_transmit`](Self::poll_transmit) gives what is to be sent, one at a call: call it until there is nothing.
-/// - [`poll`](Self::poll) ends waits that are over: call it until nothing happens.
-/// - [`poll_timeout`](Self::poll_timeout) says when to call the two by itself.
+/// Sans-I/O: the caller transfers frames and datagrams, and passes the time in microseconds,
+/// which must never run backwards.
+/// - Pass Ethernet frames except IP to [`receive`](Self::receive), and UDP datagrams
+///   to port [`RPC_PORT`] to [`receive_datagram`](Self::receive_datagram).
+/// - Call [`poll_transmit`](Self::poll_transmit) until it returns `None`. Each call returns one
+///   frame or datagram to send.
+/// - Call [`poll`](Self::poll) until it returns `None`. It handles time-outs.
+/// - [`poll_timeout`](Self::poll_timeout) returns when to call the two again.
 #[derive(Clone, Debug)]
 pub struct Device<const OUT: usize, const IN: usize> {
     profile: &'static Profile,
     mac: MacAddress,
-    /// A number of this start, of which there is no other.
+    /// Number that differs between starts of the device.
     session: u32,
     name: StationName,
     ip: IpParameters,
@@ -145,24 +147,23 @@ pub struct Device<const OUT: usize, const IN: usize> {
     faults: u32,
     dcp: Dcp,
     connection: Option<Connection>,
-    /// The read-only one, and when its host called last.
+    /// The read-only connection, and the time of its last call.
     reader: Option<(Relation, u64)>,
-    /// Counts connections.
+    /// Number of connections so far.
     connections: u16,
     response: Response,
     farewell: Option<(Ends, u8)>,
     next_lldp: u64,
-    /// A reset that ended a connection has also changed what is stored: that is told next.
+    /// Whether [`Event::Stored`] is pending, because a reset has reported [`Event::Left`] first.
     is_stored_due: bool,
     rpc_refused: u32,
 }
 
 impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
-    /// A device that was switched on just now. `session` is a number that differs from start to start, so that a controller tells
-    /// one from the other.
+    /// Creates a device after power-up. `session` must differ between starts, so that controllers can distinguish them.
     #[must_use]
     pub const fn new(profile: &'static Profile, mac: MacAddress, stored: Stored, session: u32) -> Self {
-        let nobody = Endpoint { address: [0; 4], port: 0 };
+        let unset = Endpoint { address: [0; 4], port: 0 };
         Self {
             profile,
             mac,
@@ -178,7 +179,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             reader: None,
             connections: 0,
             response: Response {
-                to: nobody,
+                to: unset,
                 activity: [0; 16],
                 sequence: 0,
                 bytes: [0; MAX_DATAGRAM_LEN],
@@ -192,42 +193,42 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
     }
 
-    /// The name by which a controller finds it.
+    /// Returns the present name of the station.
     #[must_use]
     pub const fn name(&self) -> &StationName {
         &self.name
     }
 
-    /// The IP parameters that count now.
+    /// Returns the present IP parameters.
     #[must_use]
     pub const fn ip(&self) -> &IpParameters {
         &self.ip
     }
 
-    /// What has to outlast a power cycle: what was set for good.
+    /// Returns the persistent data, to be saved by the caller.
     #[must_use]
     pub const fn stored(&self) -> &Stored {
         &self.stored
     }
 
-    /// The outputs; zeros as long as there are none.
+    /// Returns the outputs; zeros without good outputs from a controller.
     #[must_use]
     pub const fn outputs(&self) -> &[u8; OUT] {
         &self.outputs
     }
 
-    /// What the next frame of inputs says.
+    /// Sets the inputs for subsequent frames.
     pub const fn show_inputs(&mut self, inputs: &[u8; IN]) {
         self.inputs = *inputs;
     }
 
-    /// The faults that there are, by the places of [`Profile::faults`]. The controller gets an alarm for each that comes or goes;
-    /// one that is gone before its alarm could leave is not told.
+    /// Sets the present faults, bit n for entry n of [`Profile::faults`]. The controller gets an alarm when a fault
+    /// appears or disappears. A fault that disappears before its alarm could be sent is not reported.
     pub const fn show_faults(&mut self, faults: u32) {
         self.faults = faults;
     }
 
-    /// How far a controller has come.
+    /// Returns the state of the connection to a controller.
     #[must_use]
     pub fn state(&self) -> State {
         match self.connection.as_ref().map(|connection| connection.phase) {
@@ -238,13 +239,13 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
     }
 
-    /// What could not be done so far.
+    /// Returns the counters since the start.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         Counters { dcp_lost: self.dcp.lost, rpc_refused: self.rpc_refused }
     }
 
-    /// Takes an Ethernet frame, without its checksum. What is not PROFINET's is ignored.
+    /// Processes an Ethernet frame without its checksum. Ignores other frames than PROFINET's.
     pub fn receive(&mut self, now: u64, frame: &[u8]) -> Option<Event> {
         let frame = Frame::parse(frame).filter(|frame| frame.ethertype == ETHERTYPE_PROFINET)?;
         let mut reader = Reader::new(frame.payload);
@@ -257,7 +258,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
     }
 
-    /// Takes a UDP datagram that came to port [`RPC_PORT`].
+    /// Processes a UDP datagram to port [`RPC_PORT`].
     pub fn receive_datagram(&mut self, now: u64, from: Endpoint, datagram: &[u8]) -> Option<Event> {
         let (header, body) = match Header::parse(datagram)? {
             Ok(request) => request,
@@ -283,7 +284,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
     }
 
-    /// Ends a wait that is over at `now`, and says what came of it.
+    /// Handles time-outs and starts alarms at time `now`. Returns the next event, if any.
     pub fn poll(&mut self, now: u64) -> Option<Event> {
         if core::mem::take(&mut self.is_stored_due) {
             return Some(Event::Stored);
@@ -304,18 +305,18 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             Phase::Ready { due, tries: 0 } if now >= due => self.leave(Cause::NotConfirmed),
             Phase::Data if now >= connection.silent_at() => self.leave(Cause::Silence),
             _ => {
-                connection.tell(now, self.faults, self.profile);
+                connection.report_faults(now, self.faults, self.profile);
                 None
             }
         }
     }
 
-    /// Writes the next frame or datagram that is due at `now`.
+    /// Writes the next frame or datagram that is due at time `now`.
     pub fn poll_transmit(&mut self, now: u64, buffer: &mut [u8; MAX_FRAME_LEN]) -> Option<Transmit> {
         if let Some((ends, reason)) = self.farewell.take() {
             return alarm::abort(buffer, &ends, reason).map(Transmit::Frame);
         }
-        // Cyclic data first: it is awaited.
+        // Cyclic data first, because it has a deadline.
         if let Some(len) = self.transmit_inputs(now, buffer) {
             return Some(Transmit::Frame(len));
         }
@@ -348,7 +349,8 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         None
     }
 
-    /// When [`poll`](Self::poll) and [`poll_transmit`](Self::poll_transmit) have something to do by themselves, after `now`.
+    /// Returns the time at which [`poll`](Self::poll) and [`poll_transmit`](Self::poll_transmit) must be
+    /// called again without a reception.
     #[must_use]
     pub fn poll_timeout(&self, now: u64) -> u64 {
         if self.is_stored_due || self.farewell.is_some() || self.response.is_due {
@@ -397,7 +399,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             left = self.leave(Cause::Reset);
         }
         let is_changed = self.stored != before || self.name != name || self.ip != ip;
-        // The end of outputs is told at once: whatever comes next must not take its place.
+        // Reports the end of outputs immediately; a later event must not replace it.
         if left.is_some() {
             self.is_stored_due |= is_changed;
             return left;
@@ -436,7 +438,8 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         if connection.phase != Phase::Data {
             return None;
         }
-        // A caller that was late to poll: its watchdog has expired all the same, and no frame brings it back.
+        // If the caller polls late, the hold time has expired all the same. A late frame
+        // must not revive the connection.
         if now >= connection.silent_at() {
             return self.leave(Cause::Silence);
         }
@@ -459,10 +462,10 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         let Self { connection, profile, inputs, mac, faults, .. } = self;
         let connection = connection.as_mut().filter(|connection| connection.next_inputs <= now)?;
         let cycle_us = connection.input.cycle_us().max(1);
-        // The counter is the time in 31.25 µs, at the cycle that this frame is for.
+        // The cycle counter is the scheduled time of this frame in 31.25 µs.
         let cycles = connection.next_inputs.checked_div(cycle_us).unwrap_or(0);
         let counter = cycles.wrapping_mul(connection.input.cycle.into()) as u16;
-        // Cycles that were missed as a whole stay so.
+        // Skips cycles that were missed completely.
         let missed = now.saturating_sub(connection.next_inputs).checked_div(cycle_us).unwrap_or(0);
         connection.next_inputs =
             connection.next_inputs.saturating_add(cycle_us.saturating_mul(missed.saturating_add(1)));
@@ -487,13 +490,13 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         Some(Event::Left(cause))
     }
 
-    /// Whether this is what was answered last.
+    /// Returns whether this request was the last one answered.
     fn is_repeated(&self, from: Endpoint, header: &Header) -> bool {
         let Response { to, activity, sequence, len, .. } = &self.response;
         *len > 0 && (*to, *activity, *sequence) == (from, header.activity, header.sequence)
     }
 
-    /// Notes an answer to a caller.
+    /// Queues an answer.
     fn answer(&mut self, to: Endpoint, header: &Header, body: impl FnOnce(&mut Writer<'_>)) {
         let Response { bytes, .. } = &mut self.response;
         let mut writer = Writer::new(bytes);
@@ -510,7 +513,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         self.answer(to, &Header { kind, ..*header }, |writer| writer.u32_in(header.order, status));
     }
 
-    /// Answers a request.
+    /// Serves a request. Repeats the last answer for a repeated request.
     fn serve(&mut self, now: u64, from: Endpoint, header: &Header, body: &[u8]) -> Option<Event> {
         if self.is_repeated(from, header) {
             self.response.is_due = true;
@@ -525,7 +528,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             self.refuse(from, &header, kind::REJECT, status::NO_SUCH_INTERFACE);
             return None;
         }
-        // A controller that has another device in mind gets no connection. All other calls name the connection.
+        // Rejects a controller that addresses another device. All other calls identify the connection.
         if header.operation == operation::CONNECT && header.object != epm::object(self.profile) {
             self.refuse(from, &header, kind::REJECT, status::NO_SUCH_OBJECT);
             return None;
@@ -566,7 +569,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
     }
 
-    /// Answers a call with a status, and blocks.
+    /// Answers a call with a status and blocks.
     fn respond(&mut self, call: &Call, status: PnioStatus, body: impl FnOnce(&mut Writer<'_>)) {
         let Call { from, header, max_len, .. } = *call;
         self.answer(from, &header, |writer| rpc::response(writer, header.order, max_len, status, body));
@@ -581,7 +584,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             }
         };
         let (Request::Access(relation) | Request::Io { relation, .. }) = request;
-        // The same once more: the controller has lost it.
+        // A repeated Connect means that the controller has lost the connection.
         let is_again = |other: &Relation| other.uuid == relation.uuid;
         let mut event = None;
         if self.connection.as_ref().is_some_and(|connection| is_again(&connection.relation)) {
@@ -627,7 +630,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         event
     }
 
-    /// Reads a block of Control or Release; `Some`: it is of the connection to the controller.
+    /// Parses a block of Control or Release of a known connection. Also returns whether that is the controller's.
     fn control_block(&self, blocks: &[u8], kind: u16) -> Option<(ControlBlock, bool)> {
         let block = ControlBlock::parse(blocks).filter(|block| block.kind == kind)?;
         let is_it =
@@ -677,7 +680,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         None
     }
 
-    /// Takes the controller's answer that the device is ready.
+    /// Processes the controller's confirmation that the device is ready.
     fn confirm(&mut self, now: u64, from: Endpoint, header: &Header, body: &[u8]) -> Option<Event> {
         let activity = activity(self.session, self.mac);
         let connection = self.connection.as_mut()?;
@@ -733,7 +736,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         } else {
             Err(access::DENIED)
         };
-        // A record is given whole or not at all.
+        // A record that does not fit is not returned at all.
         let result = result.and_then(|()| writer.finish().ok_or(access::WRITE_LENGTH));
         let status = result.map_or_else(PnioStatus::read, |_| PnioStatus::OK);
         let len = result.unwrap_or(0);
@@ -770,7 +773,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             let mut rest = Reader::new(data);
             while let Some((part, data)) = Record::parse_with_data(&mut rest) {
                 let is_last = !answers.add(part, one(&part, data));
-                // Each begins at a multiple of four.
+                // Parts start at multiples of four bytes.
                 let filler = data.len().wrapping_neg() & 3;
                 if is_last || rest.skip(filler).is_none() {
                     break;
@@ -793,12 +796,12 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
     }
 }
 
-/// A request, and what its answer needs.
+/// A request with the data for its answer.
 #[derive(Clone, Copy, Debug)]
 struct Call {
     now: u64,
     from: Endpoint,
-    /// Of the answer.
+    /// Header of the answer.
     header: Header,
     max_len: usize,
 }
@@ -830,20 +833,20 @@ impl Connection {
         }
     }
 
-    /// When the controller has been silent for its hold time, if no outputs come before.
+    /// Returns when the controller's hold time expires without further outputs.
     const fn silent_at(&self) -> u64 {
         self.heard.saturating_add(self.output.hold_us)
     }
 
-    /// The controller goes on with its start.
+    /// Restarts the time-out for parameters.
     fn go_on(&mut self, now: u64) {
         if let Phase::Parameters { until } = &mut self.phase {
             *until = now.saturating_add(self.relation.activity_us);
         }
     }
 
-    /// Begins alarms for faults that the controller was not told of.
-    fn tell(&mut self, now: u64, faults: u32, profile: &Profile) {
+    /// Starts alarms for unreported changes of faults, one at a time per priority.
+    fn report_faults(&mut self, now: u64, faults: u32, profile: &Profile) {
         if self.phase != Phase::Data {
             return;
         }
@@ -852,9 +855,9 @@ impl Connection {
             let is_of = |fault: &crate::Fault| {
                 priority == if cr.is_low_only { Priority::Low } else { fault.priority }
             };
-            let untold = |bit: u32| (faults ^ self.told).checked_shr(bit).unwrap_or(0) & 1 == 1;
+            let is_unreported = |bit: u32| (faults ^ self.told).checked_shr(bit).unwrap_or(0) & 1 == 1;
             let mut places = (0_u8..32).zip(profile.faults);
-            let found = places.find(|(bit, fault)| untold((*bit).into()) && is_of(fault));
+            let found = places.find(|(bit, fault)| is_unreported((*bit).into()) && is_of(fault));
             if let Some((bit, _)) = found.filter(|_| alarms.is_idle()) {
                 let appears = faults.checked_shr(bit.into()).unwrap_or(0) & 1 == 1;
                 alarms.send(now, bit, appears, faults != 0, &cr);
@@ -862,7 +865,7 @@ impl Connection {
         }
     }
 
-    /// Writes the call that says the device is ready, if it is due.
+    /// Writes the call that reports the device as ready, if it is due.
     fn call(&mut self, now: u64, buffer: &mut [u8], session: u32, mac: MacAddress) -> Option<usize> {
         let Phase::Ready { due, tries } = &mut self.phase else { return None };
         if *due > now || *tries == 0 {
@@ -889,7 +892,7 @@ impl Connection {
         };
         let mut writer = Writer::new(buffer);
         header.write(&mut writer, |writer| {
-            // How long the answer may be.
+            // Maximum length of the answer.
             writer.u32(ControlBlock::LEN as u32);
             rpc::counted(writer, header.order, ControlBlock::LEN, |writer| block.write(writer));
         });
@@ -897,14 +900,14 @@ impl Connection {
     }
 }
 
-/// The activity under which the device calls: of this device, of this start.
+/// Returns the activity UUID of the device's calls, unique to the device and its start.
 const fn activity(session: u32, mac: MacAddress) -> [u8; 16] {
     let [s0, s1, s2, s3] = session.to_be_bytes();
     let [a, b, c, d, e, f] = mac.0;
     [s0, s1, s2, s3, 0, 0, 0x10, 0, 0x80, 0, a, b, c, d, e, f]
 }
 
-/// The longest record: what an answer has room for.
+/// Maximum length of a record that fits into an answer.
 const MAX_RECORD_LEN: usize = 1_308;
 const _: () = assert!(rpc::HEADER_LEN + 20 + Record::ANSWER_LEN + MAX_RECORD_LEN == MAX_DATAGRAM_LEN);
 
@@ -914,7 +917,7 @@ fn ar_answer(writer: &mut Writer<'_>, relation: &Relation, mac: MacAddress) {
         writer.bytes(&relation.uuid);
         writer.u16(relation.session_key);
         writer.bytes(&mac.0);
-        // UDP for real time, which there is not.
+        // UDP port for real time over UDP, which is not supported.
         writer.u16(0x8892);
     });
 }
@@ -955,13 +958,13 @@ impl ControlBlock {
         });
     }
 
-    /// Says that it is done.
+    /// Writes the answer that the command is done.
     fn answer(&self, writer: &mut Writer<'_>) {
         Self { kind: self.kind | block::ANSWER, command: command::DONE, ..*self }.write(writer);
     }
 }
 
-/// The header of a record that is read or written.
+/// Header of a record to read or write.
 #[derive(Clone, Copy, Debug)]
 struct Record {
     sequence: u16,
@@ -971,7 +974,7 @@ struct Record {
 }
 
 impl Record {
-    /// The header of an answer, and of a request.
+    /// Length of the header in requests and answers.
     const ANSWER_LEN: usize = 64;
 
     fn parse(reader: &mut Reader<'_>, kind: u16) -> Option<Self> {
@@ -994,13 +997,13 @@ impl Record {
         })
     }
 
-    /// The next write, with its data.
+    /// Parses the next write with its data.
     fn parse_with_data<'a>(reader: &mut Reader<'a>) -> Option<(Self, &'a [u8])> {
         let record = Self::parse(reader, block::WRITE)?;
         Some((record, reader.bytes(record.len)?))
     }
 
-    /// Writes the header of an answer. That to a read has no status of its own: zeros.
+    /// Writes the header of an answer. An answer to a read has no status of its own; pass OK.
     fn answer(&self, writer: &mut Writer<'_>, kind: u16, len: usize, status: PnioStatus) {
         writer.block(kind | block::ANSWER, 0, |writer| {
             writer.u16(self.sequence);
@@ -1024,7 +1027,7 @@ impl Record {
     }
 }
 
-/// What came of the parts of a multiple write.
+/// Results of the parts of a multiple write.
 #[derive(Default)]
 struct Answers {
     places: [Option<(Record, Result<(), u8>)>; 16],
@@ -1032,7 +1035,7 @@ struct Answers {
 }
 
 impl Answers {
-    /// Notes an answer; whether there is room for another.
+    /// Adds a result. Returns whether there is room for another one.
     fn add(&mut self, record: Record, result: Result<(), u8>) -> bool {
         if let Some(place) = self.places.get_mut(self.count) {
             *place = Some((record, result));

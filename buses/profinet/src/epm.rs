@@ -1,22 +1,22 @@
-//! The endpoint mapper: which interface is served at which port. There is one, that of the device.
+//! Endpoint mapper: lists the only interface, that of the device, and its port.
 
 use crate::cursor::{Order, Reader, Writer};
 use crate::dcp::INSTANCE;
 use crate::profile::Profile;
 use crate::rpc::{DEVICE_INTERFACE, RPC_PORT};
 
-/// The operations: the list of endpoints, entry by entry, and its end.
+/// Operations: look up the next endpoint, and release the handle of a look-up.
 pub(crate) const LOOKUP: u16 = 2;
 pub(crate) const FREE_HANDLE: u16 = 4;
 
-/// There is no further entry.
+/// Status: no further entry.
 const NOT_REGISTERED: u32 = 0x16C9_A0D6;
 
-/// Data representation NDR, as a floor of a tower has it.
+/// UUID of the transfer syntax NDR, as in a floor of a tower.
 const NDR: [u8; 16] =
     [0x8A, 0x88, 0x5D, 0x04, 0x1C, 0xEB, 0x11, 0xC9, 0x9F, 0xE8, 0x08, 0, 0x2B, 0x10, 0x48, 0x60];
 
-/// Protocols of floors.
+/// Protocol identifiers of floors.
 mod floor {
     pub(super) const UUID: u8 = 0x0D;
     pub(super) const RPC: u8 = 0x0A;
@@ -26,7 +26,7 @@ mod floor {
 
 const ANNOTATION_LEN: usize = 64;
 
-/// The first bytes of every PROFINET object UUID (IEC 61158-6-10, ObjectUUID): of devices and of controllers.
+/// Common prefix of all PROFINET object UUIDs (IEC 61158-6-10, ObjectUUID), of devices and of controllers.
 const OBJECT_PREFIX: [u8; 10] = [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71];
 
 /// Returns the object UUID of a device: instance, device number and vendor number after the common prefix.
@@ -38,12 +38,12 @@ pub(crate) fn object(profile: &Profile) -> [u8; 16] {
     [o0, o1, o2, o3, o4, o5, o6, o7, o8, o9, i0, i1, d0, d1, v0, v1]
 }
 
-/// Returns whether a UUID is that of a PROFINET object, of any vendor.
+/// Returns whether a UUID identifies a PROFINET object of any vendor.
 pub(crate) fn is_object(uuid: &[u8; 16]) -> bool {
     uuid.starts_with(&OBJECT_PREFIX)
 }
 
-/// Writes the answer to a lookup; `None` if the request cannot be read.
+/// Writes the answer to a look-up. Returns `None` if the request is invalid.
 pub(crate) fn lookup(
     body: &[u8],
     order: Order,
@@ -64,7 +64,7 @@ pub(crate) fn lookup(
     let max_entries = reader.u32_in(order)?;
     let is_first = handle == [0; 20];
     let count = u32::from(is_first && max_entries > 0);
-    // A handle says only that the entry was given.
+    // A non-zero handle marks that the entry has been returned.
     writer.u32(0);
     writer.bytes(&if count == 1 { object(profile) } else { [0; 16] });
     writer.u32_in(order, count);
@@ -73,7 +73,7 @@ pub(crate) fn lookup(
     writer.u32_in(order, count);
     if count == 1 {
         writer.bytes(&uuid(object(profile), order));
-        // The tower follows.
+        // Referent of the tower, which follows.
         writer.u32_in(order, 1);
         writer.u32_in(order, 0);
         writer.u32_in(order, ANNOTATION_LEN as u32);
@@ -92,7 +92,7 @@ pub(crate) fn lookup(
     Some(())
 }
 
-/// What the device is, for people: type, order number, revisions.
+/// Writes a readable description: type, order number, revisions.
 fn annotation(writer: &mut Writer<'_>, profile: &Profile) {
     let start = writer.len();
     writer.text(profile.station_type.as_bytes(), 25);
@@ -108,7 +108,7 @@ fn annotation(writer: &mut Writer<'_>, profile: &Profile) {
     writer.fill(0, ANNOTATION_LEN.saturating_sub(written));
 }
 
-/// A number, right-aligned in blanks.
+/// Writes a decimal number, right-aligned with blanks.
 fn decimal(writer: &mut Writer<'_>, mut number: u16, width: usize) {
     let mut digits = [b' '; 5];
     for digit in digits.iter_mut().rev().take(width) {
@@ -121,7 +121,7 @@ fn decimal(writer: &mut Writer<'_>, mut number: u16, width: usize) {
     writer.bytes(digits.get(digits.len().saturating_sub(width)..).unwrap_or(&[]));
 }
 
-/// The way to the interface, floor by floor; numbers of floors have their low byte first.
+/// Writes the protocol tower of the interface. Numbers in floors are little-endian.
 fn tower(writer: &mut Writer<'_>, address: [u8; 4]) {
     let number = |value: u16| value.to_le_bytes();
     writer.bytes(&number(5));

@@ -1,35 +1,35 @@
-//! Ethernet: addresses, headers, and what a frame carries.
+//! Ethernet addresses, headers and payloads.
 
 use core::fmt;
 
 use crate::cursor::{Reader, Writer};
 
-/// The longest Ethernet frame that is sent, without its checksum.
+/// Maximum length of a sent Ethernet frame in bytes, without its checksum.
 pub const MAX_FRAME_LEN: usize = 1_514;
 
-/// The shortest one.
+/// Minimum length of an Ethernet frame in bytes, without its checksum.
 pub(crate) const MIN_FRAME_LEN: usize = 60;
 
-/// PROFINET: DCP, cyclic data and alarms.
+/// Ethertype of PROFINET: DCP, cyclic data and alarms.
 pub(crate) const ETHERTYPE_PROFINET: u16 = 0x8892;
-/// LLDP.
+/// Ethertype of LLDP.
 pub(crate) const ETHERTYPE_LLDP: u16 = 0x88CC;
-/// IEEE 802.1Q.
+/// Ethertype of a VLAN tag, IEEE 802.1Q.
 const ETHERTYPE_VLAN: u16 = 0x8100;
 
-/// An Ethernet address.
+/// An Ethernet MAC address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct MacAddress(pub [u8; 6]);
 
 impl fmt::Display for MacAddress {
-    /// As in `02:00:5e:00:00:01`.
+    /// Formats the address with colons, such as `02:00:5e:00:00:01`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [a, b, c, d, e, last] = self.0;
         write!(f, "{a:02x}:{b:02x}:{c:02x}:{d:02x}:{e:02x}:{last:02x}")
     }
 }
 
-/// A frame, as far as it concerns its receiver.
+/// A received frame without VLAN tag and checksum.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame<'a> {
     pub(crate) destination: MacAddress,
@@ -39,7 +39,7 @@ pub(crate) struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Reads a frame, with a VLAN tag or without.
+    /// Parses a frame, with or without a VLAN tag.
     pub(crate) fn parse(bytes: &'a [u8]) -> Option<Self> {
         let mut reader = Reader::new(bytes);
         let destination = MacAddress(reader.array()?);
@@ -53,7 +53,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Writes the header of a frame; `tag` is the tag control information of a VLAN tag.
+/// Writes the header of a frame. `tag` is the tag control information of a VLAN tag.
 pub(crate) fn header(
     writer: &mut Writer<'_>,
     destination: MacAddress,
@@ -70,7 +70,7 @@ pub(crate) fn header(
     writer.u16(ethertype);
 }
 
-/// Fills a frame up to the shortest length, and gives its length.
+/// Pads a frame to the minimum length. Returns its length.
 pub(crate) fn finish(mut writer: Writer<'_>) -> Option<usize> {
     writer.fill(0, MIN_FRAME_LEN.saturating_sub(writer.len()));
     writer.finish()
@@ -82,7 +82,7 @@ mod tests {
     use std::string::ToString;
 
     #[test]
-    fn address_is_shown_as_people_write_it() {
+    fn address_is_formatted_with_colons() {
         assert_eq!(MacAddress([0x02, 0, 0x5E, 0xAB, 0, 0x01]).to_string(), "02:00:5e:ab:00:01");
     }
 }

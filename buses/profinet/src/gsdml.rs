@@ -1,4 +1,4 @@
-//! The GSDML file (GSDML V2.3x, ISO 15745-4), from what the device uses.
+//! Generates the GSDML file (GSDML V2.3x, ISO 15745-4) from the device's profile.
 
 use core::fmt::{self, Write as _};
 
@@ -6,22 +6,22 @@ use crate::lldp::MAU_TYPE;
 use crate::profile::{Module, Profile, Submodule};
 use crate::records::{INTERFACE_SUBSLOT, PORT_SUBSLOT};
 
-/// What a GSDML file says besides the profile.
+/// Contents of a GSDML file that are not part of the profile.
 #[derive(Clone, Copy, Debug)]
 pub struct GsdmlFacts<'a> {
-    /// Who makes the device.
+    /// Vendor name of the device.
     pub vendor: &'a str,
-    /// What the family of devices is called.
+    /// Name of the product family.
     pub family: &'a str,
-    /// Where configuration tools list it: I/O, Drives, ...
+    /// Category in configuration tools: I/O, Drives, ...
     pub main_family: &'a str,
-    /// What it is, in a sentence.
+    /// Description of the device in one sentence.
     pub info: &'a str,
-    /// The name of the bitmap beside the file that shows the device, without `.bmp`: 70 x 40 pixels.
+    /// Name of the bitmap file next to the GSDML file that shows the device, without `.bmp`: 70 x 40 pixels.
     pub bitmap: Option<&'a str>,
 }
 
-/// The GSDML file of a device, as text.
+/// The GSDML file of a device. `Display` writes its text.
 ///
 /// ```
 /// use bus_profinet::{Gsdml, GsdmlFacts, Module, Profile, Submodule};
@@ -49,28 +49,29 @@ pub struct GsdmlFacts<'a> {
 /// assert!(text.contains(r#"DNS_CompatibleName="example""#));
 /// ```
 ///
-/// No schema of GSDML is public. The text follows the specification and public reports of what TIA Portal's checker demands;
-/// no engineering tool has read it yet. The name of the file starts with `GSDML-` and [`Gsdml::SCHEMA_VERSION`].
+/// There is no public GSDML schema. The text follows the specification and public reports on the
+/// checks of TIA Portal, but has not been tested with an engineering tool yet. The file name must
+/// start with `GSDML-` and [`Gsdml::SCHEMA_VERSION`].
 #[derive(Clone, Copy, Debug)]
 pub struct Gsdml<'a> {
-    /// What it says besides the profile.
+    /// Contents that are not part of the profile.
     pub facts: GsdmlFacts<'a>,
-    /// The device.
+    /// Profile of the device.
     pub profile: &'a Profile,
 }
 
 impl Gsdml<'_> {
-    /// The version of the schema, which the name of the file has to repeat.
+    /// Schema version, which the file name must repeat.
     pub const SCHEMA_VERSION: &'static str = "V2.31";
 }
 
-/// The version of PROFINET that the device conforms to. From V2.31 on, TIA Portal's checker demands CertificationInfo,
+/// PROFINET version that the device conforms to. From V2.31 on, TIA Portal's checker requires CertificationInfo,
 /// LLDP_NoD_Supported, PTP_BoundarySupported and DCP_BoundarySupported, none of which this device has.
 const PNIO_VERSION: &str = "V2.3";
 
 /// Reduction ratios of real time class 1.
 const RATIOS: [u16; 10] = [1, 2, 4, 8, 16, 32, 64, 128, 256, 512];
-/// The clock that they divide, in 31.25 µs.
+/// Send clock that they divide, in 31.25 µs.
 const SEND_CLOCK: u16 = 32;
 
 impl fmt::Display for Gsdml<'_> {
@@ -121,7 +122,7 @@ impl fmt::Display for Gsdml<'_> {
     }
 }
 
-/// A text as the value of an attribute.
+/// Text escaped for an attribute value.
 struct Escaped<'a>(&'a str);
 
 impl fmt::Display for Escaped<'_> {
@@ -136,7 +137,7 @@ impl fmt::Display for Escaped<'_> {
     }
 }
 
-/// Lines of XML.
+/// Writes indented lines of XML.
 struct File<'a, 'b>(&'a mut fmt::Formatter<'b>);
 
 impl File<'_, '_> {
@@ -167,7 +168,7 @@ impl File<'_, '_> {
         self.line(1, format_args!("</ProfileHeader>"))
     }
 
-    /// The device access point: slot 0, with its interface and its port.
+    /// Writes the device access point: slot 0, with its interface and its port.
     fn access_point(
         &mut self,
         facts: &GsdmlFacts<'_>,
@@ -251,7 +252,7 @@ impl File<'_, '_> {
         self.line(depth, format_args!("</ModuleInfo>"))
     }
 
-    /// The submodules of a module, but for interface and port, which are no virtual ones.
+    /// Writes the virtual submodules of a module: all except interface and port.
     fn submodules(&mut self, module: &Module) -> fmt::Result {
         let slot = module.slot;
         self.line(5, format_args!("<VirtualSubmoduleList>"))?;
@@ -285,7 +286,7 @@ impl File<'_, '_> {
         self.line(5, format_args!("</VirtualSubmoduleList>"))
     }
 
-    /// The interface, or the port.
+    /// Writes the interface or the port submodule.
     fn system_defined(&mut self, submodule: &Submodule, min_interval: u16) -> fmt::Result {
         let Submodule { subslot, ident, .. } = submodule;
         match *subslot {

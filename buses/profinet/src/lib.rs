@@ -1,21 +1,22 @@
-//! A PROFINET IO device without I/O: Ethernet frames and UDP datagrams in, frames and datagrams out, over outputs, inputs and
-//! faults of the application.
+//! A sans-I/O PROFINET IO device: Ethernet frames and UDP datagrams in, frames and datagrams out, over the
+//! application's outputs, inputs and faults.
 //!
-//! By IEC 61158-5-10 and -6-10, conformance class A, real time class 1.
+//! Implements IEC 61158-5-10 and -6-10, conformance class A, real time class 1.
 //!
-//! | part | holds |
+//! | item | contents |
 //! |---|---|
 //! | [`Device`] | DCP, the connection to a controller (CM over RPC), cyclic data, alarms, records, LLDP |
-//! | [`Profile`] | what is fixed about a device: numbers, modules, faults |
-//! | [`Gsdml`] | the GSDML file, from the same profile |
-//! | [`Stored`] | what has to outlast a power cycle: name, IP parameters, I&M 1 to 3 |
+//! | [`Profile`] | fixed properties of a device: numbers, modules, faults |
+//! | [`Gsdml`] | the GSDML file, generated from the same profile |
+//! | [`Stored`] | persistent data: name, IP parameters, I&M 1 to 3 |
 //!
-//! Not here: an Ethernet driver, ARP, IP and UDP, and a clock, which are the caller's; a controller; real time classes 2 (with a switch) and 3.
+//! Ethernet driver, ARP, IP, UDP and clock are the caller's responsibility. Controllers and real time classes 2 (with a
+//! switch) and 3 are not supported.
 //!
 //! ```
 //! use bus_profinet::{Device, MAX_FRAME_LEN, MacAddress, Module, Profile, Stored, Submodule, Transmit};
 //!
-//! /// A byte out, a byte in.
+//! /// One byte of outputs, one byte of inputs.
 //! static PROFILE: Profile = Profile {
 //!     vendor_id: 0x1234,
 //!     device_id: 0x0001,
@@ -49,7 +50,7 @@
 //!
 //! let mac = MacAddress([0x02, 0, 0, 0, 0, 0x10]);
 //! let mut device = Device::<1, 1>::new(&PROFILE, mac, Stored::NONE, 0);
-//! // Somebody asks who is there (DCP Identify, all), without a delay.
+//! // A controller searches for devices (DCP Identify, all) without a response delay.
 //! let request = [
 //!     0x01, 0x0E, 0xCF, 0, 0, 0, 0x02, 0, 0, 0, 0, 0x01, 0x88, 0x92, // multicast, from a controller, PROFINET
 //!     0xFE, 0xFE, 5, 0, 0, 0, 0, 1, 0, 1, 0, 4, 0xFF, 0xFF, 0, 0,
@@ -59,7 +60,7 @@
 //! let Some(Transmit::Frame(len)) = device.poll_transmit(0, &mut buffer) else { panic!() };
 //! assert_eq!(buffer[14..18], [0xFE, 0xFF, 5, 1]);
 //! assert!(buffer[..len].windows(7).any(|text| text == b"example"));
-//! // LLDP leaves behind it, and then nothing for 5 s.
+//! // LLDP follows, then nothing for 5 s.
 //! assert!(matches!(device.poll_transmit(0, &mut buffer), Some(Transmit::Frame(_))));
 //! assert_eq!(device.poll_transmit(0, &mut buffer), None);
 //! assert_eq!(device.poll_timeout(0), 5_000_000);
@@ -112,7 +113,7 @@ pub use rpc::{Endpoint, RPC_PORT};
 pub use state::{Cause, Event, State};
 pub use station::{IpParameters, Maintenance, StationName, Stored};
 
-/// The README's example is compiled with the others.
+/// Compiles the README's example as a doc test.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -1,4 +1,4 @@
-//! LLDP: the device tells its neighbour who it is, so that engineering tools can draw the network.
+//! LLDP: announces the device to its neighbour, so that engineering tools can draw the topology.
 
 use crate::cursor::Writer;
 use crate::frame::{self, ETHERTYPE_LLDP, MacAddress};
@@ -6,18 +6,18 @@ use crate::station::{IpParameters, StationName};
 
 const MULTICAST: MacAddress = MacAddress([0x01, 0x80, 0xC2, 0, 0, 0x0E]);
 
-/// How often it is told.
+/// Interval between announcements.
 pub(crate) const INTERVAL_US: u64 = 5_000_000;
-/// How long it counts, in s.
+/// Validity of an announcement in seconds.
 const TIME_TO_LIVE: u16 = 20;
 
-/// What the one port is called.
+/// Identifier of the only port.
 pub(crate) const PORT_ID: &[u8] = b"port-001";
 
 /// 100BASE-TX in full duplex.
 pub(crate) const MAU_TYPE: u16 = 16;
 
-/// Types of fields.
+/// TLV types.
 mod field {
     pub(super) const CHASSIS: u16 = 1;
     pub(super) const PORT: u16 = 2;
@@ -28,11 +28,11 @@ mod field {
 
 const SUBTYPE_MAC: u8 = 4;
 const SUBTYPE_LOCAL: u8 = 7;
-/// PROFIBUS & PROFINET International, and IEEE 802.3.
+/// OUIs of PROFIBUS & PROFINET International and of IEEE 802.3.
 const PNO: [u8; 3] = [0, 0x0E, 0xCF];
 const IEEE_802_3: [u8; 3] = [0, 0x12, 0x0F];
 
-/// Writes the frame; returns its length.
+/// Writes an announcement. Returns its length.
 pub(crate) fn transmit(
     buffer: &mut [u8],
     mac: MacAddress,
@@ -48,13 +48,13 @@ pub(crate) fn transmit(
     }
     tlv(&mut writer, field::PORT, &[&[SUBTYPE_LOCAL], PORT_ID]);
     tlv(&mut writer, field::TTL, &[&TIME_TO_LIVE.to_be_bytes()]);
-    // Port status: neither class 2 nor class 3; the address of the interface.
+    // Port status: neither class 2 nor class 3. Then the MAC address of the interface.
     tlv(&mut writer, field::ORGANISATION, &[&PNO, &[2, 0, 0, 0, 0]]);
     tlv(&mut writer, field::ORGANISATION, &[&PNO, &[5], &mac.0]);
-    // Autonegotiation is supported and on; which it can do is not told.
+    // Autonegotiation is supported and enabled; its capabilities are not listed.
     tlv(&mut writer, field::ORGANISATION, &[&IEEE_802_3, &[1, 3, 0, 0], &MAU_TYPE.to_be_bytes()]);
     if ip.is_set() {
-        // An IPv4 address of interface 1, by ifIndex, without an object identifier.
+        // IPv4 address of interface 1 by ifIndex, without an object identifier.
         tlv(&mut writer, field::MANAGEMENT, &[&[5, 1], &ip.address, &[2, 0, 0, 0, 1, 0]]);
     }
     writer.u16(0);

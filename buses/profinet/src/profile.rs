@@ -1,80 +1,80 @@
-//! What is fixed about a device.
+//! Fixed properties of a device.
 
-/// What is fixed about a device: what it is, what is in its slots, and which faults it may tell of.
+/// Fixed properties of a device: identity, slots and reportable faults.
 #[derive(Debug)]
 pub struct Profile {
-    /// The number of the vendor, from PROFIBUS & PROFINET International.
+    /// Vendor number, assigned by PROFIBUS & PROFINET International.
     pub vendor_id: u16,
-    /// The number of the device among those of its vendor.
+    /// Device number, assigned by the vendor.
     pub device_id: u16,
-    /// What the vendor calls the device, up to 25 characters.
+    /// Device name by the vendor, up to 25 characters.
     pub station_type: &'static str,
-    /// What it is ordered by, up to 20 characters.
+    /// Order number, up to 20 characters.
     pub order_id: &'static str,
-    /// Its serial number, up to 16 characters.
+    /// Serial number, up to 16 characters.
     pub serial_number: &'static str,
-    /// The revision of the hardware.
+    /// Revision of the hardware.
     pub hardware_revision: u16,
-    /// The revision of the software: functional enhancement, bug fix, internal change. It is a released one (`V`).
+    /// Revision of the software: functional enhancement, bug fix, internal change. Reported as released (`V`).
     pub software_revision: [u8; 3],
-    /// The shortest cycle, in 31.25 µs; a power of two from 32 (1 ms).
+    /// Minimum cycle time in 31.25 µs; a power of two from 32 (1 ms).
     pub min_interval: u16,
-    /// What is in the slots. Slot 0 is the device access point, with its interface (8000h) and its port (8001h).
+    /// Contents of the slots. Slot 0 is the device access point, with its interface (8000h) and its port (8001h).
     pub modules: &'static [Module],
-    /// The faults that the device may tell of: bit n of what it shows is entry n. Up to 32.
+    /// Reportable faults, up to 32. Bit n of [`show_faults`](crate::Device::show_faults) is entry n.
     pub faults: &'static [Fault],
 }
 
-/// What is in a slot for good.
+/// A module, permanently present in its slot.
 #[derive(Debug)]
 pub struct Module {
-    /// The number of the slot.
+    /// Number of the slot.
     pub slot: u16,
-    /// The ident number of the module.
+    /// Ident number of the module.
     pub ident: u32,
-    /// What it is called in configuration tools.
+    /// Name in configuration tools.
     pub name: &'static str,
-    /// What it consists of.
+    /// Submodules of the module.
     pub submodules: &'static [Submodule],
 }
 
-/// What carries data.
+/// A submodule, which carries data.
 #[derive(Debug)]
 pub struct Submodule {
-    /// The number of the subslot.
+    /// Number of the subslot.
     pub subslot: u16,
-    /// The ident number of the submodule.
+    /// Ident number of the submodule.
     pub ident: u32,
-    /// Bytes from the device to the controller.
+    /// Number of bytes from the device to the controller.
     pub input_len: u16,
-    /// Bytes from the controller to the device.
+    /// Number of bytes from the controller to the device.
     pub output_len: u16,
 }
 
-/// A fault that a device may tell of: channel diagnosis of the whole device access point.
+/// A reportable fault: channel diagnosis of the whole device access point.
 #[derive(Debug)]
 pub struct Fault {
-    /// ChannelErrorType; 0100h to 7FFFh are the vendor's.
+    /// ChannelErrorType; 0100h to 7FFFh are vendor-specific.
     pub error_type: u16,
-    /// What it is called in configuration tools.
+    /// Name in configuration tools.
     pub name: &'static str,
-    /// Which alarm tells of it.
+    /// Priority of the alarm that reports it.
     pub priority: Priority,
 }
 
-/// The priority of an alarm.
+/// Priority of an alarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Priority {
-    /// As is usual for diagnosis.
+    /// Low priority, usual for diagnosis.
     Low,
-    /// Before all of low priority.
+    /// High priority, sent before all low-priority alarms.
     High,
 }
 
-/// How many submodules a device may have, and how many a controller may expect.
+/// Maximum number of submodules of a device, and of those that a controller may expect.
 pub const MAX_SUBMODULES: usize = 16;
 
-/// A submodule with its place: its module, and where its data is in those of the device.
+/// A submodule with its module and its offsets in the device's inputs and outputs.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Slotted {
     pub(crate) module: &'static Module,
@@ -84,8 +84,8 @@ pub(crate) struct Slotted {
 }
 
 impl Submodule {
-    /// Returns how many bytes it takes of a frame of inputs and of a frame of outputs: its data, each with the status of the
-    /// provider, and the status of the consumer of data in the other direction. A submodule without data counts as inputs.
+    /// Returns the number of bytes it occupies in a frame of inputs and in a frame of outputs: its data with provider
+    /// status, and the consumer status of data in the other direction. A submodule without data counts as inputs.
     pub(crate) const fn frame_lens(&self) -> (u16, u16) {
         let Self { input_len, output_len, .. } = *self;
         let has_outputs = output_len > 0;
@@ -98,7 +98,7 @@ impl Submodule {
 }
 
 impl Profile {
-    /// Every submodule, in the order of the tables.
+    /// Iterates over all submodules in the order of the tables.
     pub(crate) fn submodules(&self) -> impl Iterator<Item = Slotted> + use<> {
         let mut places = (0_usize, 0_usize);
         let pairs = self
@@ -123,7 +123,7 @@ impl Profile {
         self.module(slot)?.submodules.iter().find(|submodule| submodule.subslot == subslot)
     }
 
-    /// Whether it is one that a device can have with so many bytes of data; for a `const` assertion.
+    /// Returns whether the profile is valid for this number of data bytes. Intended for a `const` assertion.
     #[must_use]
     pub const fn fits(&self, output_len: usize, input_len: usize) -> bool {
         let (mut inputs, mut outputs, mut count, mut module) = (0, 0, 0_usize, 0);

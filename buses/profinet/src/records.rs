@@ -1,4 +1,4 @@
-//! Records: what can be read of a device beside its cyclic data, and the few that can be written.
+//! Records: acyclic reads, and the few supported writes.
 
 use crate::alarm::{APPEARS, CHANNEL_DIAGNOSIS, WHOLE_SUBMODULE};
 use crate::connect::{Configuration, Match};
@@ -9,7 +9,7 @@ use crate::profile::Profile;
 use crate::rpc::access;
 use crate::station::{IpParameters, Maintenance, StationName};
 
-/// What records are made of.
+/// Data for the contents of records.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct View<'a> {
     pub(crate) profile: &'static Profile,
@@ -17,13 +17,13 @@ pub(crate) struct View<'a> {
     pub(crate) name: &'a StationName,
     pub(crate) ip: &'a IpParameters,
     pub(crate) maintenance: &'a Maintenance,
-    /// Faults that there are, by their bits.
+    /// Present faults, bit n for fault n.
     pub(crate) faults: u32,
-    /// What the controller expects; `None` outside of its connection.
+    /// Configuration that the controller expects; `None` outside its connection.
     pub(crate) expected: Option<&'a Configuration>,
 }
 
-/// Which record of which part of the device.
+/// Address of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Address {
     pub(crate) api: u32,
@@ -32,7 +32,7 @@ pub(crate) struct Address {
     pub(crate) index: u16,
 }
 
-/// What an index reaches.
+/// Part of the device that an index covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Scope {
     Submodule,
@@ -75,10 +75,10 @@ mod block {
 pub(crate) const INTERFACE_SUBSLOT: u16 = 0x8000;
 pub(crate) const PORT_SUBSLOT: u16 = 0x8001;
 
-/// I&M 1 to 3 are there besides 0.
+/// Bit mask of the supported records I&M 1 to 3; I&M 0 is mandatory.
 const IM_SUPPORTED: u16 = 0x000E;
 
-/// Writes a record; `Err`: why there is none.
+/// Writes a record. Returns the error reason if it is not available.
 pub(crate) fn read(view: &View<'_>, what: Address, writer: &mut Writer<'_>) -> Result<(), u8> {
     let Address { api, slot, subslot, index } = what;
     let scope = match index {
@@ -114,7 +114,7 @@ pub(crate) fn read(view: &View<'_>, what: Address, writer: &mut Writer<'_>) -> R
             let access_point = |slot, subslot| slot == 0 && subslot == 1;
             writer.block(block::FILTER_DEVICE, 0, |writer| identification(writer, all(), access_point));
         }
-        // Expected and real identification: of a submodule, of a module, of a connection, of an API.
+        // Expected and real identification, by submodule, module, connection and API.
         0x8000 | 0xC000 | 0xE000 => match view.expected {
             Some(expected) => writer.block(block::EXPECTED, 1, |writer| {
                 let expected = || {
@@ -128,7 +128,7 @@ pub(crate) fn read(view: &View<'_>, what: Address, writer: &mut Writer<'_>) -> R
         0x8001 | 0xC001 | 0xE001 | 0xF000 => {
             writer.block(block::REAL, 1, |writer| identification(writer, real(profile), is_here));
         }
-        // Diagnosis: of channels, all, and all with what needs maintenance.
+        // Diagnosis: of channels, all, and all including maintenance.
         0x800A..=0x800C | 0xC00A..=0xC00C | 0xE00A..=0xE00C | 0xF00A..=0xF00C | index::DEVICE_DIAGNOSIS => {
             if is_here(0, 1) {
                 diagnosis(writer, view);
@@ -163,7 +163,7 @@ pub(crate) fn read(view: &View<'_>, what: Address, writer: &mut Writer<'_>) -> R
     Ok(())
 }
 
-/// What a write changes.
+/// Executes a write to a record. Returns the error reason if it is rejected.
 pub(crate) fn write(
     profile: &Profile,
     what: Address,
@@ -183,7 +183,7 @@ pub(crate) fn write(
     };
     let header = (reader.u16(), reader.u16(), reader.u16());
     let len = reader.rest().len();
-    // The version counts to the block, type and length do not.
+    // The length of a block includes the version, but not type and length.
     if header != (Some(kind), u16::try_from(len.saturating_add(2)).ok(), Some(0x0100)) {
         return Err(access::WRITE_LENGTH);
     }
@@ -216,7 +216,7 @@ fn im0(writer: &mut Writer<'_>, profile: &Profile) {
         writer.u16(profile.hardware_revision);
         writer.u8(b'V');
         writer.bytes(&profile.software_revision);
-        // Revision counter, profile: none.
+        // No revision counter, no profile.
         writer.u16(0);
         writer.u16(0);
         writer.u16(0);
@@ -226,7 +226,7 @@ fn im0(writer: &mut Writer<'_>, profile: &Profile) {
     });
 }
 
-/// Slot, module, subslot, submodule of all that there is.
+/// Iterates over the real configuration: slot, module, subslot, submodule.
 fn real(profile: &Profile) -> impl Iterator<Item = (u16, u32, u16, u32)> + Clone + use<> {
     let modules = profile.modules;
     modules.iter().flat_map(|module| {
@@ -235,7 +235,7 @@ fn real(profile: &Profile) -> impl Iterator<Item = (u16, u32, u16, u32)> + Clone
     })
 }
 
-/// Writes one API with slots and their subslots, of those that are asked for.
+/// Writes one API with the requested slots and subslots.
 fn identification(
     writer: &mut Writer<'_>,
     all: impl Iterator<Item = (u16, u32, u16, u32)>,
@@ -265,12 +265,12 @@ fn identification(
     writer.put_u16(slots_at, slots);
 }
 
-/// Whether anything is other than it is expected.
+/// Returns whether any expected submodule does not match.
 pub(crate) fn differs(expected: &Configuration, profile: &Profile) -> bool {
     expected.iter().flatten().any(|expected| expected.compare(profile) != Match::Proper)
 }
 
-/// Writes what is other than it is expected.
+/// Writes all expected submodules that do not match.
 pub(crate) fn module_diff(writer: &mut Writer<'_>, expected: &Configuration, profile: &Profile) {
     let differing =
         || expected.iter().flatten().filter(|expected| expected.compare(profile) != Match::Proper);
@@ -291,7 +291,7 @@ pub(crate) fn module_diff(writer: &mut Writer<'_>, expected: &Configuration, pro
                 modules = modules.saturating_add(1);
                 writer.u16(expected.slot);
                 writer.u32(profile.module(expected.slot).map_or(0, |module| module.ident));
-                // No module, a wrong one, the proper one with wrong submodules.
+                // No module, wrong module, or proper module with wrong submodules.
                 writer.u16(match how {
                     Match::NoModule => 0,
                     Match::WrongModule => 1,
@@ -307,7 +307,7 @@ pub(crate) fn module_diff(writer: &mut Writer<'_>, expected: &Configuration, pro
                 writer.u16(expected.subslot);
                 let real = profile.submodule(expected.slot, expected.subslot);
                 writer.u32(real.map_or(0, |submodule| submodule.ident));
-                // Bits: a coded state; the identification is wrong (2), or there is none (3).
+                // Coded state: wrong identification (2) or no submodule (3).
                 writer.u16(0x8000 | if how == Match::WrongSubmodule { 2 } else { 3 } << 11);
             }
         }
@@ -315,7 +315,7 @@ pub(crate) fn module_diff(writer: &mut Writer<'_>, expected: &Configuration, pro
     });
 }
 
-/// Writes the faults that there are, as channel diagnosis of the device access point.
+/// Writes the present faults as channel diagnosis of the device access point.
 fn diagnosis(writer: &mut Writer<'_>, view: &View<'_>) {
     if view.faults == 0 {
         return;
@@ -360,15 +360,15 @@ fn port(writer: &mut Writer<'_>) {
         writer.u16(PORT_SUBSLOT);
         writer.u8(PORT_ID.len() as u8);
         writer.bytes(PORT_ID);
-        // Neighbours are not looked for.
+        // Neighbours are not detected.
         writer.u8(0);
         writer.align(start, 4);
         writer.u16(MAU_TYPE);
         writer.align(start, 4);
-        // No boundaries.
+        // No domain boundaries.
         writer.u32(0);
         writer.u32(0);
-        // Up, and forwarding; copper.
+        // Link up and forwarding; then medium: copper.
         writer.u16(1);
         writer.align(start, 4);
         writer.u32(1);

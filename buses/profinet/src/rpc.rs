@@ -1,11 +1,11 @@
-//! DCE RPC without connections (version 4): the header of its datagrams, and what stands ahead of the blocks.
+//! Connectionless DCE RPC (version 4): datagram header, and arguments before the blocks.
 
 use crate::cursor::{Order, Reader, Writer};
 
-/// The UDP port of every PROFINET station: its endpoint mapper, and the context manager of this one.
+/// UDP port of every PROFINET station for the endpoint mapper; here also for the context manager.
 pub const RPC_PORT: u16 = 0x8894;
 
-/// A header.
+/// Length of a datagram header in bytes.
 pub(crate) const HEADER_LEN: usize = 80;
 
 /// Datagram types.
@@ -20,13 +20,13 @@ pub(crate) mod kind {
 
 /// Status codes of Reject and Fault.
 pub(crate) mod status {
-    /// `nca_s_op_rng_error`: there is no such operation.
+    /// `nca_s_op_rng_error`: the operation does not exist.
     pub(crate) const NO_SUCH_OPERATION: u32 = 0x1C01_0002;
-    /// `nca_s_unk_if`: there is no such interface.
+    /// `nca_s_unk_if`: the interface does not exist.
     pub(crate) const NO_SUCH_INTERFACE: u32 = 0x1C01_0003;
-    /// `nca_s_proto_error`: this is no request.
+    /// `nca_s_proto_error`: the datagram is not a valid request.
     pub(crate) const PROTOCOL: u32 = 0x1C01_000B;
-    /// `nca_s_unsupported_type`: no object here has this UUID.
+    /// `nca_s_unsupported_type`: no object has this UUID.
     pub(crate) const NO_SUCH_OBJECT: u32 = 0x1C01_0017;
 }
 
@@ -40,31 +40,31 @@ pub(crate) mod operation {
     pub(crate) const READ_IMPLICIT: u16 = 5;
 }
 
-/// The context manager of a device.
+/// Interface UUID of a device's context manager.
 pub(crate) const DEVICE_INTERFACE: [u8; 16] =
     [0xDE, 0xA0, 0, 0x01, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 0xA0, 0x24, 0x42, 0xDF, 0x7D];
-/// The context manager of a controller.
+/// Interface UUID of a controller's context manager.
 pub(crate) const CONTROLLER_INTERFACE: [u8; 16] =
     [0xDE, 0xA0, 0, 0x02, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 0xA0, 0x24, 0x42, 0xDF, 0x7D];
-/// The endpoint mapper.
+/// Interface UUID of the endpoint mapper.
 pub(crate) const EPM_INTERFACE: [u8; 16] =
     [0xE1, 0xAF, 0x83, 0x08, 0x5D, 0x1F, 0x11, 0xC9, 0x91, 0xA4, 0x08, 0, 0x2B, 0x14, 0xA0, 0xFA];
 
-/// More than one fragment.
+/// Flag: the call has more than one fragment.
 const FLAG_FRAGMENT: u8 = 0x04;
-/// No acknowledgement of fragments; idempotent.
+/// Flags: no acknowledgement of fragments; idempotent.
 const FLAGS: u8 = 0x28;
 
-/// A UDP address.
+/// A UDP endpoint over IPv4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Endpoint {
-    /// The IP address.
+    /// IPv4 address, in order of transmission.
     pub address: [u8; 4],
-    /// The port.
+    /// UDP port number.
     pub port: u16,
 }
 
-/// A header. UUIDs are as in text, the high byte of each field first.
+/// A datagram header. UUIDs are in text order, the high byte of each field first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Header {
     pub(crate) kind: u8,
@@ -78,11 +78,11 @@ pub(crate) struct Header {
     pub(crate) operation: u16,
 }
 
-/// A datagram: its header, and its body. `Err` is one that is not understood, and the status to say so.
+/// A parsed datagram: header and body. `Err` holds the header and the status to reject it with.
 pub(crate) type Parsed<'a> = Result<(Header, &'a [u8]), (Header, u32)>;
 
 impl Header {
-    /// Reads a datagram of this version.
+    /// Parses a datagram. Returns `None` if it is truncated or of another version.
     pub(crate) fn parse(datagram: &[u8]) -> Option<Parsed<'_>> {
         let mut reader = Reader::new(datagram);
         let version_number = reader.u8()?;
@@ -115,7 +115,7 @@ impl Header {
         })
     }
 
-    /// Writes the header, and what `body` writes, in the order of bytes that it gets.
+    /// Writes the header, then the output of `body`, which must use the same byte order.
     pub(crate) fn write(&self, writer: &mut Writer<'_>, body: impl FnOnce(&mut Writer<'_>)) {
         let Self { order, .. } = *self;
         let representation = if order == Order::LittleEndian { 0x10 } else { 0 };
@@ -127,12 +127,12 @@ impl Header {
         writer.u32_in(order, self.version);
         writer.u32_in(order, self.sequence);
         writer.u16_in(order, self.operation);
-        // No hints.
+        // No interface hint and no activity hint.
         writer.u16(0xFFFF);
         writer.u16(0xFFFF);
         let length_at = writer.len();
         writer.u16(0);
-        // The first fragment, which is the only one; no authentication.
+        // Fragment number 0, the only one; no authentication.
         writer.u16(0);
         writer.u16(0);
         let start = writer.len();
@@ -143,7 +143,7 @@ impl Header {
     }
 }
 
-/// A UUID, turned between what is on the wire and what is in text.
+/// Converts a UUID between wire order and text order.
 pub(crate) fn swapped(uuid: [u8; 16], order: Order) -> [u8; 16] {
     let [a, b, c, d, e, f, g, h, rest @ ..] = uuid;
     let [i, j, k, l, m, n, o, p] = rest;
@@ -153,7 +153,7 @@ pub(crate) fn swapped(uuid: [u8; 16], order: Order) -> [u8; 16] {
     }
 }
 
-/// What a request to a context manager says ahead of its blocks: how long an answer may be, and the blocks.
+/// Parses the arguments of a request to a context manager: maximum length of the answer, and the blocks.
 pub(crate) fn arguments(body: &[u8], order: Order) -> Option<(usize, &[u8])> {
     let mut reader = Reader::new(body);
     let max_len = reader.u32_in(order)?;
@@ -165,7 +165,7 @@ pub(crate) fn arguments(body: &[u8], order: Order) -> Option<(usize, &[u8])> {
     (offset == 0 && count == len && len <= max_count).then_some((usize::try_from(max_len).ok()?, blocks))
 }
 
-/// PNIOStatus: whether an operation worked, and else what of it did not.
+/// PNIOStatus: 0 for success, otherwise the error of an operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct PnioStatus(pub(crate) u32);
 
@@ -176,12 +176,12 @@ impl PnioStatus {
         Self(u32::from_be_bytes([code, decode, code1, code2]))
     }
 
-    /// Of Connect: the block, and its parameter, counted from 0.
+    /// Error of Connect: number of the block, and of its parameter from 0.
     pub(crate) const fn connect(block: u8, parameter: u8) -> Self {
         Self::of(0xDB, 0x81, block, parameter)
     }
 
-    /// Of Connect, by the context manager's server.
+    /// Error of Connect, reported by the context manager's server.
     pub(crate) const fn connect_server(reason: u8) -> Self {
         Self::of(0xDB, 0x81, 0x40, reason)
     }
@@ -202,13 +202,13 @@ impl PnioStatus {
         Self::of(0xDF, 0x80, reason, 0)
     }
 
-    /// RTA-ERR: why a connection ends.
+    /// RTA-ERR: reason for the end of a connection.
     pub(crate) const fn abort(reason: u8) -> Self {
         Self::of(0xCF, 0x81, 0xFD, reason)
     }
 }
 
-/// Reasons by the context manager's server.
+/// Error reasons of the context manager's server.
 pub(crate) mod server {
     pub(crate) const ARGUMENTS: u8 = 0;
     pub(crate) const UNKNOWN_BLOCK: u8 = 1;
@@ -219,7 +219,7 @@ pub(crate) mod server {
     pub(crate) const STATE_CONFLICT: u8 = 6;
 }
 
-/// Reasons of Read and Write.
+/// Error reasons of Read and Write.
 pub(crate) mod access {
     pub(crate) const NOT_THERE: u8 = 0xA9;
     pub(crate) const INVALID_INDEX: u8 = 0xB0;
@@ -228,7 +228,7 @@ pub(crate) mod access {
     pub(crate) const DENIED: u8 = 0xB6;
 }
 
-/// Writes the body of a response: status, and blocks.
+/// Writes the body of a response: status, then blocks.
 pub(crate) fn response(
     writer: &mut Writer<'_>,
     order: Order,
@@ -240,7 +240,7 @@ pub(crate) fn response(
     counted(writer, order, max_len, body);
 }
 
-/// Writes an array of bytes as NDR has it: its length, how long it may be, no offset, its length.
+/// Writes an array of bytes in NDR: length, maximum length, offset 0, length, then the output of `body`.
 pub(crate) fn counted(
     writer: &mut Writer<'_>,
     order: Order,

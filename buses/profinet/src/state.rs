@@ -1,45 +1,45 @@
-//! What a device tells its application.
+//! State of a device towards its controller, and events for the application.
 
-/// Something happened that concerns the application.
+/// An event for the application.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// A controller has connected, and it has confirmed that the device is ready: outputs may come.
+    /// A controller has connected and confirmed that the device is ready. Outputs follow.
     Connected,
-    /// Outputs came, as they are now.
+    /// Outputs were received, possibly with the same values.
     Outputs,
-    /// The controller has stopped, or says that its outputs are bad: they are zeros now.
+    /// The controller has stopped or marked its outputs as bad. The outputs are now 0.
     Cleared,
-    /// The connection to the controller has ended: outputs are zeros.
+    /// The connection to the controller has ended. The outputs are now 0.
     Left(Cause),
-    /// Name, address or I&M were set: keep [`stored`](crate::Device::stored), and give the IP stack the address.
+    /// Name, IP address or I&M data were set. Save [`stored`](crate::Device::stored), and update the IP stack.
     Stored,
-    /// Somebody looks for the device: blink for 3 s.
+    /// A tool searches for this device. Flash an LED for 3 s.
     Signal,
 }
 
-/// Why a connection has ended.
+/// Reason for the end of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// The controller has released it.
+    /// The controller has released the connection.
     Released,
-    /// The controller has aborted it, or has begun another one under the same name.
+    /// The controller has aborted the connection, or started another one with the same UUID.
     Aborted,
-    /// No outputs came for as long as the controller had asked for, or it has not gone on with its start.
+    /// No valid outputs within the controller's hold time, or the start-up has timed out.
     Silence,
-    /// The controller did not answer that the device is ready.
+    /// The controller did not confirm that the device is ready.
     NotConfirmed,
-    /// The controller did not take an alarm.
+    /// The controller did not acknowledge an alarm.
     AlarmFailed,
-    /// Somebody has reset the device.
+    /// The device was reset by DCP.
     Reset,
 }
 
 impl Cause {
-    /// What the controller is told (RTA-ERR), if it is told.
+    /// Returns the RTA-ERR code to send to the controller, if any.
     pub(crate) const fn reason(self) -> Option<u8> {
         match self {
             Self::Released | Self::Aborted => None,
-            // The consumer's hold time; the answer to a call; the answer to an alarm; a reset.
+            // Consumer hold time, call without answer, alarm without answer, reset.
             Self::Silence => Some(5),
             Self::NotConfirmed => Some(14),
             Self::AlarmFailed => Some(8),
@@ -48,15 +48,15 @@ impl Cause {
     }
 }
 
-/// How far a controller has come.
+/// State of the connection to a controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// There is none.
+    /// No controller is connected.
     Unconnected,
-    /// It has connected, and writes parameters.
+    /// A controller has connected and writes parameters.
     Parameters,
-    /// It has ended that, and is told that the device is ready.
+    /// Parameters have ended, and the device reports that it is ready.
     Ready,
-    /// It has confirmed that: data exchange.
+    /// The controller has confirmed; cyclic data is exchanged.
     Data,
 }

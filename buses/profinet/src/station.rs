@@ -1,8 +1,8 @@
-//! What makes a device this one in its network: name, IP parameters, and what somebody wrote about it (I&M 1 to 3).
+//! Individual data of a device in its network: name, IP parameters, and I&M 1 to 3.
 
 use core::fmt;
 
-/// The name of a station: labels of `a` to `z`, `0` to `9` and `-`, with dots between them. Empty: it has none yet.
+/// Name of a station: labels of `a` to `z`, `0` to `9` and `-`, separated by dots. Empty if not assigned.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct StationName {
     bytes: [u8; Self::MAX_LEN],
@@ -10,14 +10,14 @@ pub struct StationName {
 }
 
 impl StationName {
-    /// The longest name, in bytes.
+    /// Maximum length of a name in bytes.
     pub const MAX_LEN: usize = 240;
 
-    /// No name, as a device is delivered.
+    /// No name, the factory setting.
     pub const NONE: Self = Self { bytes: [0; Self::MAX_LEN], len: 0 };
 
-    /// The name, if it is one by the rules of PROFINET: up to 240 characters, labels of 1 to 63, none of which begins or ends
-    /// with a hyphen; no IP address, and nothing that begins as the name of a port (`port-001`).
+    /// Creates a name, or returns `None` if PROFINET does not permit it. A name has up to 240 characters in labels of 1
+    /// to 63, none of which starts or ends with a hyphen. IP addresses and names of ports (`port-001`) are invalid.
     ///
     /// ```
     /// use bus_profinet::StationName;
@@ -32,7 +32,7 @@ impl StationName {
         Self::from_bytes(name.as_bytes())
     }
 
-    /// The same from the wire.
+    /// Creates a name from received bytes, with the same rules as [`new`](Self::new).
     #[must_use]
     pub fn from_bytes(name: &[u8]) -> Option<Self> {
         let mut bytes = [0; Self::MAX_LEN];
@@ -42,7 +42,7 @@ impl StationName {
         is_name.then_some(Self { bytes, len: name.len() as u8 })
     }
 
-    /// The name as text.
+    /// Returns the name as text.
     #[must_use]
     pub fn as_str(&self) -> &str {
         core::str::from_utf8(self.as_bytes()).unwrap_or("")
@@ -52,7 +52,7 @@ impl StationName {
         self.bytes.get(..usize::from(self.len)).unwrap_or(&[])
     }
 
-    /// Whether there is none.
+    /// Returns whether no name is assigned.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.len == 0
@@ -78,7 +78,7 @@ fn is_address(name: &[u8]) -> bool {
     dots == 3 && name.iter().all(|byte| *byte == b'.' || byte.is_ascii_digit())
 }
 
-/// `port-xyz` and `port-xyz-abcde`.
+/// Returns whether the name has the form `port-xyz` or `port-xyz-abcde`.
 fn is_port(name: &[u8]) -> bool {
     let are_digits = |text: &[u8]| text.iter().all(u8::is_ascii_digit);
     match name.strip_prefix(b"port-") {
@@ -88,34 +88,34 @@ fn is_port(name: &[u8]) -> bool {
     }
 }
 
-/// The IP parameters; all zero: there are none.
+/// IP parameters; all zero if not assigned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IpParameters {
-    /// The address.
+    /// IPv4 address of the station.
     pub address: [u8; 4],
-    /// The mask of its subnet.
+    /// Mask of its subnet.
     pub mask: [u8; 4],
-    /// The router; the station's own address or zeros: there is none.
+    /// Router; the station's own address or zeros if there is none.
     pub gateway: [u8; 4],
 }
 
 impl IpParameters {
-    /// No parameters, as a device is delivered.
+    /// No parameters, the factory setting.
     pub const NONE: Self = Self { address: [0; 4], mask: [0; 4], gateway: [0; 4] };
 
-    /// Whether there is an address.
+    /// Returns whether parameters are assigned.
     #[must_use]
     pub fn is_set(&self) -> bool {
         *self != Self::NONE
     }
 
-    /// How many bits of the address name the subnet.
+    /// Returns the prefix length of the subnet in bits.
     #[must_use]
     pub const fn prefix_len(&self) -> u8 {
         u32::from_be_bytes(self.mask).leading_ones() as u8
     }
 
-    /// Whether a station can have them: none at all, or the address of one station with a mask without gaps.
+    /// Returns whether the parameters are valid: all zero, or a host address with a contiguous mask.
     #[must_use]
     pub fn are_valid(&self) -> bool {
         let mask = u32::from_be_bytes(self.mask);
@@ -128,38 +128,38 @@ impl IpParameters {
     }
 }
 
-/// What a person wrote about the device: I&M 1 to 3, blanks as delivered.
+/// I&M 1 to 3, written by users; blanks by default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Maintenance {
-    /// What it is there for (I&M 1).
+    /// Function of the device in the plant (I&M 1).
     pub function: [u8; 32],
-    /// Where it is (I&M 1).
+    /// Location of the device in the plant (I&M 1).
     pub location: [u8; 22],
-    /// When it was installed (I&M 2), as `YYYY-MM-DD HH:MM`.
+    /// Installation date (I&M 2), as `YYYY-MM-DD HH:MM`.
     pub date: [u8; 16],
-    /// Anything (I&M 3).
+    /// Free text (I&M 3).
     pub descriptor: [u8; 54],
 }
 
 impl Maintenance {
-    /// As delivered.
+    /// Blanks, the factory setting.
     pub const NONE: Self =
         Self { function: [b' '; 32], location: [b' '; 22], date: [b' '; 16], descriptor: [b' '; 54] };
 }
 
-/// What has to outlast a power cycle.
+/// Persistent data of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stored {
-    /// The name.
+    /// Name of the station.
     pub name: StationName,
-    /// The IP parameters.
+    /// IP parameters of the station.
     pub ip: IpParameters,
     /// I&M 1 to 3.
     pub maintenance: Maintenance,
 }
 
 impl Stored {
-    /// As delivered.
+    /// The factory setting: no name, no IP parameters, blank I&M data.
     pub const NONE: Self =
         Self { name: StationName::NONE, ip: IpParameters::NONE, maintenance: Maintenance::NONE };
 }
@@ -170,7 +170,7 @@ mod tests {
     use std::string::String;
 
     #[test]
-    fn names_are_as_long_as_labels_and_the_field_allow() {
+    fn names_have_limits_per_label_and_in_total() {
         let label = "a".repeat(63);
         let longest = [label.as_str(), &label, &label, &"a".repeat(48)].join(".");
         assert_eq!(longest.len(), StationName::MAX_LEN);
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_and_ports_are_no_names() {
+    fn addresses_and_ports_are_invalid_names() {
         for wrong in ["192.168.0.1", "1.2.3.4", "port-001", "port-999", "port-001-00000", "port-123-45678"] {
             assert_eq!(StationName::new(wrong), None, "{wrong}");
         }
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_are_those_of_one_station_with_a_mask_without_gaps() {
+    fn addresses_must_be_of_one_host_with_a_contiguous_mask() {
         let ip = |address, mask| IpParameters { address, mask, gateway: [0; 4] };
         for (address, mask, is_valid) in [
             ([192, 168, 0, 5], [255, 255, 255, 0], true),

@@ -1,4 +1,4 @@
-//! What the device does, as a controller sees it.
+//! Behaviour of the device, as seen by a controller.
 
 pub(crate) mod controller;
 
@@ -19,14 +19,14 @@ fn dcp_frame(to: MacAddress, id: u16, service: [u8; 2], delay: u16, blocks: &[u8
     [head.concat(), delay.to_be_bytes().to_vec(), len.to_be_bytes().to_vec(), blocks.to_vec()].concat()
 }
 
-/// A block: option, suboption, data.
+/// Returns a block: option, suboption, data.
 fn dcp_block(what: [u8; 2], data: &[u8]) -> Vec<u8> {
     let mut bytes = [&what[..], &(data.len() as u16).to_be_bytes(), data].concat();
     bytes.resize(bytes.len().next_multiple_of(2), 0);
     bytes
 }
 
-/// What is set, permanently or not.
+/// Sets an option, permanently or not. Returns the event and the block error.
 fn set(bench: &mut Bench, is_permanent: bool, what: [u8; 2], data: &[u8]) -> (Option<Event>, u8) {
     let block = dcp_block(what, &[&[0, is_permanent.into()], data].concat());
     let event = bench.device.receive(bench.now, &dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &block));
@@ -43,16 +43,16 @@ fn identify(bench: &mut Bench, delay: u16, blocks: &[u8]) {
 }
 
 #[test]
-fn identify_that_is_for_this_station_alone_is_answered() {
+fn identify_for_this_station_only_is_answered() {
     let mut bench = Bench::new();
     let request = dcp_frame(DEVICE, 0xFEFE, [5, 0], 1, &dcp_block([0xFF, 0xFF], &[]));
     assert_eq!(bench.device.receive(bench.now, &request), None);
     assert_eq!(bench.sent().len(), 1);
 }
 
-/// The whole answer to a controller that asks who is there.
+/// Compares the complete answer to an Identify request for all options.
 #[test]
-fn identify_is_answered_with_all_that_a_controller_wants_to_know() {
+fn identify_is_answered_with_all_options_for_a_controller() {
     let mut bench = Bench::new();
 
     identify(&mut bench, 1, &dcp_block([0xFF, 0xFF], &[]));
@@ -76,7 +76,7 @@ fn identify_is_answered_with_all_that_a_controller_wants_to_know() {
 }
 
 #[test]
-fn identify_is_answered_by_the_device_that_all_filters_fit() {
+fn identify_is_answered_if_all_filters_match() {
     let name = |name: &str| dcp_block([2, 2], name.as_bytes());
     let id = |vendor: u8| dcp_block([2, 3], &[vendor, 0x34, 0x56, 0x78]);
     for (blocks, is_answered) in [
@@ -92,7 +92,7 @@ fn identify_is_answered_by_the_device_that_all_filters_fit() {
         (dcp_block([1, 2], &[192, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0]), true),
         (dcp_block([9, 9], &[1]), false),
         (dcp_block([9, 9], &[]), false),
-        // Cut short.
+        // A truncated block.
         (vec![2, 2, 0, 9, b'e'], false),
     ] {
         let mut bench = Bench::new();
@@ -102,9 +102,9 @@ fn identify_is_answered_by_the_device_that_all_filters_fit() {
 }
 
 #[test]
-fn answer_to_identify_is_late_by_the_address_and_what_the_controller_asks() {
+fn answer_to_identify_is_delayed_by_address_and_delay_factor() {
     let mut bench = Bench::new();
-    // 0010h modulo 7: 2 units of 10 ms.
+    // 0010h modulo 7 is 2: two units of 10 ms.
     identify(&mut bench, 7, &dcp_block([0xFF, 0xFF], &[]));
     let due = bench.now + 20_000;
     assert_eq!(bench.device.poll_timeout(bench.now), due);
@@ -115,7 +115,7 @@ fn answer_to_identify_is_late_by_the_address_and_what_the_controller_asks() {
 }
 
 #[test]
-fn answers_that_wait_are_bounded_and_the_lost_ones_are_counted() {
+fn pending_answers_are_limited_and_lost_ones_are_counted() {
     let mut bench = Bench::new();
     for _ in 0..6 {
         identify(&mut bench, 0x1900, &dcp_block([0xFF, 0xFF], &[]));
@@ -127,7 +127,7 @@ fn answers_that_wait_are_bounded_and_the_lost_ones_are_counted() {
 }
 
 #[test]
-fn name_and_address_that_are_set_count_at_once_and_stay_if_they_are_permanent() {
+fn name_and_address_take_effect_at_once_and_persist_if_permanent() {
     let mut bench = Bench::new();
     let ip = [10, 0, 0, 7, 255, 0, 0, 0, 10, 0, 0, 1];
 
@@ -139,7 +139,7 @@ fn name_and_address_that_are_set_count_at_once_and_stay_if_they_are_permanent() 
     assert_eq!((bench.device.name(), bench.device.ip()), (&stored.name, &stored.ip));
     assert_eq!((stored.ip.gateway, stored.ip.prefix_len()), ([10, 0, 0, 1], 8));
 
-    // For now alone: after the next start there is none.
+    // Temporary: none after the next start.
     assert_eq!(set(&mut bench, false, [2, 2], b"other"), (Some(Event::Stored), 0));
     assert_eq!(set(&mut bench, false, [1, 2], &[0; 12]), (Some(Event::Stored), 0));
     assert_eq!((bench.device.name().as_str(), bench.device.stored().name), ("other", StationName::NONE));
@@ -147,15 +147,15 @@ fn name_and_address_that_are_set_count_at_once_and_stay_if_they_are_permanent() 
 }
 
 #[test]
-fn each_change_of_what_counts_or_of_what_is_stored_is_told_and_the_same_again_is_not() {
+fn each_change_of_present_or_stored_data_is_reported_and_repetitions_are_not() {
     let mut bench = Bench::new();
     let (first, second) = ([10, 0, 0, 7, 255, 0, 0, 0, 0, 0, 0, 0], [10, 0, 0, 8, 255, 0, 0, 0, 0, 0, 0, 0]);
     for (is_permanent, what, data, is_told) in [
         (false, [2, 2], &b"one"[..], true),
-        // What counts, and nothing is stored.
+        // Changes the present name; nothing is stored.
         (false, [2, 2], b"two", true),
         (false, [2, 2], b"two", false),
-        // What is stored, and it counts already.
+        // Stores the present name.
         (true, [2, 2], b"two", true),
         (true, [2, 2], b"two", false),
         (false, [1, 2], &first, true),
@@ -170,7 +170,7 @@ fn each_change_of_what_counts_or_of_what_is_stored_is_told_and_the_same_again_is
 }
 
 #[test]
-fn what_cannot_be_set_is_refused_and_changes_nothing() {
+fn invalid_settings_are_rejected_without_a_change() {
     let mut bench = Bench::new();
     let before = *bench.device.stored();
     for (what, data, fault) in [
@@ -205,7 +205,7 @@ fn name_and_address_stay_while_a_controller_uses_them() {
 }
 
 #[test]
-fn reset_ends_the_connection_and_leaves_nothing_stored() {
+fn reset_ends_the_connection_and_clears_stored_data() {
     for (what, qualifier, fault) in [
         ([5, 5], 0, 0),
         ([5, 6], 4, 0),
@@ -231,7 +231,7 @@ fn reset_ends_the_connection_and_leaves_nothing_stored() {
 }
 
 #[test]
-fn reset_of_communication_leaves_what_a_person_wrote_about_the_device() {
+fn reset_of_communication_keeps_the_maintenance_data() {
     for (what, qualifier, leaves_it) in
         [([5, 6], 4, true), ([5, 6], 8, false), ([5, 6], 16, false), ([5, 5], 0, false)]
     {
@@ -247,9 +247,9 @@ fn reset_of_communication_leaves_what_a_person_wrote_about_the_device() {
     }
 }
 
-/// The application hears of the end of outputs whatever the next frames bring before it polls.
+/// The application learns about the end of outputs even if more frames arrive before it polls.
 #[test]
-fn reset_is_told_ahead_of_a_name_that_is_set_at_once_behind_it() {
+fn reset_is_reported_before_a_name_set_directly_after_it() {
     let mut bench = Bench::in_data();
     bench.outputs([1, 2, 3]);
     let reset = dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &dcp_block([5, 6], &[0, 4]));
@@ -261,7 +261,7 @@ fn reset_is_told_ahead_of_a_name_that_is_set_at_once_behind_it() {
 }
 
 #[test]
-fn get_gives_what_it_is_asked_for_and_says_what_there_is_not() {
+fn get_returns_requested_options_and_errors_for_unknown_ones() {
     let mut bench = Bench::new();
     let request = dcp_frame(DEVICE, 0xFEFD, [3, 0], 0, &[2, 2, 1, 1, 9, 9, 2, 6, 2]);
     assert_eq!(bench.device.receive(bench.now, &request), None);
@@ -279,7 +279,7 @@ fn get_gives_what_it_is_asked_for_and_says_what_there_is_not() {
 }
 
 #[test]
-fn dcp_for_another_station_or_another_kind_is_not_answered() {
+fn dcp_for_another_station_or_of_another_type_is_not_answered() {
     let all = dcp_block([0xFF, 0xFF], &[]);
     let name = dcp_block([2, 2], b"\0\x01other");
     for (to, id, service, blocks) in [
@@ -302,7 +302,7 @@ fn dcp_for_another_station_or_another_kind_is_not_answered() {
 // --- LLDP
 
 #[test]
-fn lldp_tells_name_port_and_address_every_5_s() {
+fn lldp_announces_name_port_and_address_every_5_s() {
     let mut bench = Bench::new();
     assert_eq!(bench.device.poll_timeout(bench.now), 6_000_000);
     bench.now = 6_000_000;
@@ -326,7 +326,7 @@ fn lldp_tells_name_port_and_address_every_5_s() {
 }
 
 #[test]
-fn lldp_of_a_device_without_name_and_address_has_its_ethernet_address() {
+fn lldp_without_name_and_address_uses_the_mac_address() {
     let mut device = Device::<3, 2>::new(&PROFILE, DEVICE, Stored::NONE, 1);
     let mut buffer = [0; MAX_FRAME_LEN];
     assert_eq!(device.poll_transmit(0, &mut buffer), Some(Transmit::Frame(73)));
@@ -336,7 +336,7 @@ fn lldp_of_a_device_without_name_and_address_has_its_ethernet_address() {
 // --- Connect
 
 #[test]
-fn controller_connects_writes_no_parameters_and_exchanges_data() {
+fn controller_connects_without_parameters_and_exchanges_data() {
     let mut bench = Bench::new();
     let answer = bench.call(0, &Wanted::default().blocks());
     assert_eq!((answer.event, answer.kind, answer.status), (None, 2, 0));
@@ -357,22 +357,22 @@ fn controller_connects_writes_no_parameters_and_exchanges_data() {
     let calls = bench.calls();
     let [call] = &calls[..] else { panic!("{calls:?}") };
     assert_eq!((call[0], call[1], &call[68..70]), (4, 0, &[0, 4][..]));
-    assert_eq!(call[8..24], PLC_OBJECT, "the object that the controller said");
+    assert_eq!(call[8..24], PLC_OBJECT, "object UUID of the controller");
     assert_eq!(call[24..28], [0xDE, 0xA0, 0, 2]);
-    // An activity of this device, of this start: an answer to a call of another one is none.
+    // The activity identifies the device and its start, so that answers to other calls do not match.
     assert_eq!(call[40..56], [0, 0, 0xB0, 7, 0, 0, 0x10, 0, 0x80, 0, 0x02, 0, 0, 0, 0, 0x10]);
     assert_eq!(call[100..], control(0x0112, AR, 2));
-    // Nothing counts before the controller has confirmed.
+    // Outputs do not count before the controller's confirmation.
     assert_eq!(bench.outputs([1, 2, 3]), None);
     assert_eq!(bench.confirm(call), Some(Event::Connected));
     assert_eq!(bench.device.state(), State::Data);
-    assert_eq!(bench.confirm(call), None, "once");
+    assert_eq!(bench.confirm(call), None, "only once");
     assert_eq!(bench.outputs([1, 2, 3]), Some(Event::Outputs));
     assert_eq!(bench.device.outputs(), &[1, 2, 3]);
 }
 
 #[test]
-fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
+fn errors_in_a_connect_are_located_and_nothing_is_connected() {
     let default = Wanted::default;
     let unknown = block(0x0199, &[]);
     let again = default().blocks()[..61].to_vec();
@@ -423,18 +423,18 @@ fn what_is_wrong_with_a_connect_is_named_and_nothing_is_connected() {
         let answer = bench.call(0, &wanted.blocks());
         assert_eq!(answer.status, u32::from_be_bytes([0xDB, 0x81, code1, code2]), "{wanted:?}");
         assert_eq!((answer.blocks, bench.device.state()), (vec![], State::Unconnected));
-        // And no frame of inputs.
+        // And no inputs are sent.
         bench.now += CYCLE_US;
         assert_eq!(bench.sent().len(), 0);
     }
 }
 
-/// IEC 61158-6-10, RPCObjectUUID: instance, device and vendor number name one device.
+/// IEC 61158-6-10, RPCObjectUUID: instance, device and vendor number identify a device.
 #[test]
 fn connect_for_the_object_of_another_device_is_rejected() {
     let blocks = Wanted::default().blocks();
     for is_low_first in [true, false] {
-        // Of the vendor, of the device and of the instance.
+        // A byte of the vendor, device and instance number.
         for at in [22, 20, 19] {
             let mut bench = Bench::new();
             let mut request = datagram(is_low_first, 0, 1, 0, &arguments(is_low_first, &blocks));
@@ -451,7 +451,7 @@ fn connect_for_the_object_of_another_device_is_rejected() {
 }
 
 #[test]
-fn cycles_hold_times_and_addresses_at_their_limits_are_taken() {
+fn cycles_hold_times_and_addresses_at_their_limits_are_accepted() {
     let default = Wanted::default;
     for wanted in [
         Wanted { send_clock: 32, reduction: 1, ..default() },
@@ -471,22 +471,22 @@ fn cycles_hold_times_and_addresses_at_their_limits_are_taken() {
 }
 
 #[test]
-fn data_that_has_no_place_in_its_frame_is_missed() {
+fn data_without_a_place_in_its_frame_is_an_error() {
     for placed in [[false, true, true], [true, false, true], [true, true, false]] {
         let mut bench = Bench::new();
         let answer = bench.call(0, &Wanted { placed, ..Wanted::default() }.blocks());
         assert_eq!((answer.status, bench.device.state()), (0xDB81_0215, State::Unconnected), "{placed:?}");
     }
-    // That of a module that is not there is not looked for.
+    // The data of a missing module needs no place.
     let wanted = Wanted { placed: [true, true, false], modules: [0x20, 0x99], ..Wanted::default() };
     assert_eq!(Bench::new().call(0, &wanted.blocks()).status, 0);
 }
 
-/// Else a byte of data could say of itself that it is good.
+/// Otherwise data could be mistaken for its own status.
 #[test]
-fn parts_of_a_frame_that_share_a_byte_are_refused() {
+fn overlapping_parts_of_a_frame_are_rejected() {
     let blocks = Wanted::default().blocks();
-    // The offsets of slot 2's outputs (2 bytes and a status), and of the consumer statuses behind them, in the second frame.
+    // Offsets in the second frame: outputs of slot 2 (2 bytes and a status), and the consumer statuses after them.
     let frame = blocks.windows(2).rposition(|pair| pair == [0x01, 0x02]).unwrap();
     let second = frame + 4 + usize::from(u16::from_be_bytes([blocks[frame + 2], blocks[frame + 3]]));
     let (consumers, outputs) = (second - 4 * 6, second - 4 * 6 - 2 - 2);
@@ -511,17 +511,17 @@ fn parts_of_a_frame_that_share_a_byte_are_refused() {
     }
 }
 
-/// As many as submodules can have, data and the status of a consumer each.
+/// The limit covers data and a consumer status for the maximum number of submodules.
 #[test]
-fn frame_has_32_parts_at_the_most() {
-    // Of a module that is not there, a status may come again and again.
+fn frame_has_at_most_32_parts() {
+    // The status of a missing module may be repeated.
     let wanted = |statuses| Wanted { modules: [0x20, 0x99], statuses, ..Wanted::default() };
     assert_eq!(Bench::new().call(0, &wanted(26).blocks()).status, 0);
     assert_eq!(Bench::new().call(0, &wanted(27).blocks()).status, 0xDB81_021C);
 }
 
 #[test]
-fn missing_blocks_are_named() {
+fn missing_blocks_are_reported() {
     let blocks = Wanted::default().blocks();
     let mut cut = vec![];
     let mut rest = &blocks[..];
@@ -535,14 +535,14 @@ fn missing_blocks_are_named() {
         some.remove(missing);
         assert_eq!(Bench::new().call(0, &some.concat()).status, status, "{missing}");
     }
-    // A place in a frame without a submodule.
+    // A place in a frame for a submodule that is not expected.
     cut.remove(5);
     assert_eq!(Bench::new().call(0, &cut.concat()).status, 0xDB81_0216);
     assert_eq!(Bench::new().call(0, &[]).status, 0xDB81_0100);
 }
 
 #[test]
-fn connect_that_is_cut_anywhere_is_refused() {
+fn truncated_connect_is_rejected() {
     let blocks = Wanted::default().blocks();
     for len in 0..blocks.len() {
         let mut bench = Bench::new();
@@ -552,7 +552,7 @@ fn connect_that_is_cut_anywhere_is_refused() {
 }
 
 #[test]
-fn frame_identifiers_of_both_ranges_are_taken_and_chosen_if_the_controller_leaves_them_open() {
+fn frame_identifiers_of_both_ranges_are_accepted_and_chosen_if_left_open() {
     for (class, asked, given) in [
         (1, 0x8000, 0x8000),
         (1, 0xBBFF, 0xBBFF),
@@ -573,10 +573,10 @@ fn frame_identifiers_of_both_ranges_are_taken_and_chosen_if_the_controller_leave
 }
 
 #[test]
-fn other_modules_than_there_are_show_as_differences() {
+fn mismatching_modules_are_reported_as_differences() {
     let default = Wanted::default;
     for (wanted, expected) in [
-        // A wrong module, and its submodules with it.
+        // A wrong module, including its submodules.
         (
             Wanted { modules: [0x99, 0x30], ..default() },
             &[0, 1, 0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0x20, 0, 1, 0, 0][..],
@@ -586,7 +586,7 @@ fn other_modules_than_there_are_show_as_differences() {
             Wanted { submodules: [0x21, 0x99], ..default() },
             &[0, 1, 0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0x30, 0, 2, 0, 1, 0, 1, 0, 0, 0, 0x31, 0x90, 0],
         ),
-        // A module that there is no slot for, with a submodule.
+        // A module without a slot, with a submodule.
         (
             Wanted {
                 more: block(
@@ -604,7 +604,7 @@ fn other_modules_than_there_are_show_as_differences() {
                 0, 0, 0, 0, 0, 0, 0, 0,
             ],
         ),
-        // One with data of another length.
+        // Data of another length.
         (
             Wanted { output_len: 1, ..default() },
             &[0, 1, 0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0x30, 0, 2, 0, 1, 0, 1, 0, 0, 0, 0x31, 0x90, 0],
@@ -614,7 +614,7 @@ fn other_modules_than_there_are_show_as_differences() {
         let answer = bench.call(0, &wanted.blocks());
         let blocks = blocks_of(&answer.blocks);
         assert_eq!(blocks.last(), Some(&(0x8104, expected.to_vec())), "{wanted:?}");
-        // Its outputs are not all there, so none count.
+        // Without a place for all outputs, none of them count.
         bench.call(4, &control(0x0110, AR, 1));
         let calls = bench.calls();
         assert_eq!(bench.confirm(&calls[0]), Some(Event::Connected));
@@ -624,12 +624,12 @@ fn other_modules_than_there_are_show_as_differences() {
 }
 
 #[test]
-fn second_controller_is_refused_and_the_first_goes_on() {
+fn second_controller_is_rejected_and_the_first_continues() {
     let mut bench = Bench::in_data();
     let second = Wanted { uuid: [0xB6; 16], mac: OTHER, ..Wanted::default() };
     assert_eq!(bench.call(0, &second.blocks()).status, 0xDB81_4004);
     assert_eq!(bench.outputs([1, 2, 3]), Some(Event::Outputs));
-    // Nor can it release, end parameters or write outputs.
+    // It cannot release, end parameters or send outputs either.
     assert_eq!(bench.call(1, &control(0x0114, [0xB6; 16], 4)).status, 0xDC81_4005);
     assert_eq!(bench.call(4, &control(0x0110, [0xB6; 16], 1)).status, 0xDD81_4005);
     let mut frame = outputs_frame([9; 3], 0x7000, [0x80; 2], 0x35);
@@ -639,18 +639,18 @@ fn second_controller_is_refused_and_the_first_goes_on() {
 }
 
 #[test]
-fn controller_that_connects_again_under_its_name_begins_anew() {
+fn reconnecting_controller_starts_again() {
     let mut bench = Bench::in_data();
     bench.outputs([1, 2, 3]);
     let answer = bench.call(0, &Wanted::default().blocks());
     assert_eq!((answer.event, answer.status), (Some(Event::Left(Cause::Aborted)), 0));
     assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Parameters));
-    // Its alarms have another end.
+    // The alarm connection has a new reference.
     assert_eq!(blocks_of(&answer.blocks)[3].1, [0, 1, 0, 2, 0, 200]);
 }
 
 #[test]
-fn repeated_call_gets_the_same_answer_and_is_done_once() {
+fn repeated_call_is_executed_once_and_gets_the_same_answer() {
     let mut bench = Bench::new();
     let request = datagram(false, 0, 5, 0, &arguments(false, &Wanted::default().blocks()));
     assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
@@ -660,7 +660,7 @@ fn repeated_call_gets_the_same_answer_and_is_done_once() {
     assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
     let second: Vec<_> = bench.transmitted().into_iter().filter(is_answer).collect();
     assert_eq!((first.len(), &second), (1, &first));
-    // High bytes first, as it was asked.
+    // Big-endian, like the request.
     assert_eq!(first[0].1[68..74], [0, 0, 0xFF, 0xFF, 0xFF, 0xFF]);
     assert_eq!(first[0].1[64..68], [0, 0, 0, 5]);
     assert_eq!(first[0].1[56..60], [0, 0, 0xB0, 7], "this start of the device");
@@ -668,19 +668,19 @@ fn repeated_call_gets_the_same_answer_and_is_done_once() {
 }
 
 #[test]
-fn first_call_is_served_whatever_its_numbers_are() {
-    let nobody = Endpoint { address: [0; 4], port: 0 };
+fn first_call_is_served_for_any_endpoint_and_activity() {
+    let unset = Endpoint { address: [0; 4], port: 0 };
     let mut request = datagram(true, 0, 0, 5, &arguments(true, &record(9, [0; 16], 0, 1, 0xAFF0, 64)));
     request[40..56].fill(0);
     let mut bench = Bench::new();
-    bench.device.receive_datagram(bench.now, nobody, &request);
+    bench.device.receive_datagram(bench.now, unset, &request);
     let sent = bench.transmitted();
     let answer = Answer::of(None, &sent[0].1);
     assert_eq!((answer.kind, answer.status, answer.blocks.len()), (2, 0, 64 + 60));
 }
 
 #[test]
-fn identification_is_read_without_a_connection_and_nothing_else_of_one() {
+fn only_identification_can_be_read_without_a_connection() {
     let mut bench = Bench::new();
     let answer = bench.call(5, &record(9, [0; 16], 0, 1, 0xAFF0, 64));
     assert_eq!((answer.status, answer.blocks.len()), (0, 64 + 60));
@@ -689,7 +689,7 @@ fn identification_is_read_without_a_connection_and_nothing_else_of_one() {
 }
 
 #[test]
-fn datagrams_that_are_no_calls_are_refused_or_ignored() {
+fn invalid_calls_are_rejected_or_ignored() {
     let blocks = arguments(true, &Wanted::default().blocks());
     let good = datagram(true, 0, 1, 0, &blocks);
     let change = |at: usize, value: u8| {
@@ -698,7 +698,7 @@ fn datagrams_that_are_no_calls_are_refused_or_ignored() {
         changed
     };
     let cases = [
-        // A fragment, an authenticated one, another interface, another operation, arguments that are none.
+        // A fragment, authentication, another interface, another operation, invalid arguments.
         (change(2, 0x24), Some((6, 0x1C01_000B))),
         (change(76, 1), Some((6, 0x1C01_000B))),
         (change(78, 1), Some((6, 0x1C01_000B))),
@@ -707,7 +707,7 @@ fn datagrams_that_are_no_calls_are_refused_or_ignored() {
         (change(68, 9), Some((6, 0x1C01_0002))),
         (change(92, 1), Some((3, 0x1C01_000B))),
         (change(84, 1), Some((3, 0x1C01_000B))),
-        // Another version, an answer, an acknowledgement, half a header.
+        // Another version, an answer, an acknowledgement, a truncated header.
         (change(0, 5), None),
         (change(1, 2), None),
         (change(1, 7), None),
@@ -728,7 +728,7 @@ fn datagrams_that_are_no_calls_are_refused_or_ignored() {
 }
 
 #[test]
-fn ping_of_a_call_that_was_answered_gets_its_answer_again_and_another_one_that_there_is_none() {
+fn ping_repeats_the_answer_to_a_known_call_and_reports_an_unknown_one() {
     let mut bench = Bench::new();
     let request = datagram(true, 0, 9, 5, &arguments(true, &record(9, [0; 16], 0, 1, 0xAFF0, 64)));
     bench.device.receive_datagram(bench.now, HOST, &request);
@@ -741,23 +741,23 @@ fn ping_of_a_call_that_was_answered_gets_its_answer_again_and_another_one_that_t
 }
 
 #[test]
-fn parameters_that_do_not_end_end_the_connection() {
+fn unfinished_parameters_time_out() {
     let mut bench = Bench::new();
     bench.call(0, &Wanted::default().blocks());
     bench.now += 900_000;
-    // A write or a read begins the wait anew.
+    // A write or a read restarts the time-out.
     bench.call(2, &record(9, AR, 0, 1, 0xAFF0, 64));
     bench.now += 999_999;
     assert_eq!(bench.poll(), None);
     bench.now += 1;
     assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)));
     let frames = bench.acyclic();
-    assert_eq!(frames[0][18..20], [0xFE, 0x01], "the controller is told");
+    assert_eq!(frames[0][18..20], [0xFE, 0x01], "sent to the controller");
     assert_eq!(frames[0][32..36], [0xCF, 0x81, 0xFD, 5]);
 }
 
 #[test]
-fn controller_that_does_not_confirm_is_asked_five_times() {
+fn missing_confirmation_is_requested_five_times() {
     let mut bench = Bench::new();
     bench.call(0, &Wanted::default().blocks());
     bench.call(4, &control(0x0110, AR, 1));
@@ -794,7 +794,7 @@ fn only_the_controllers_own_confirmation_counts() {
     other[40] ^= 1;
     assert_eq!(bench.confirm(&other), None, "another activity");
     assert_eq!(bench.confirm(&call), Some(Event::Connected));
-    // Before the call has left, there is nothing to confirm.
+    // There is nothing to confirm before the call has been sent.
     let mut bench = Bench::new();
     bench.call(0, &Wanted::default().blocks());
     assert_eq!(bench.confirm(&call), None);
@@ -808,7 +808,7 @@ fn only_the_controllers_own_confirmation_counts() {
 }
 
 #[test]
-fn end_of_parameters_counts_once_and_with_its_command_alone() {
+fn end_of_parameters_is_accepted_once_and_only_with_its_command() {
     let mut bench = Bench::new();
     bench.call(0, &Wanted::default().blocks());
     assert_eq!(bench.call(4, &control(0x0110, AR, 2)).status, 0xDD81_1608);
@@ -819,7 +819,7 @@ fn end_of_parameters_counts_once_and_with_its_command_alone() {
 }
 
 #[test]
-fn release_ends_the_connection_and_says_so() {
+fn release_ends_the_connection_and_is_reported() {
     let mut bench = Bench::in_data();
     bench.outputs([1, 2, 3]);
     assert_eq!(bench.call(1, &control(0x0114, AR, 1)).status, 0xDC81_2808);
@@ -828,7 +828,7 @@ fn release_ends_the_connection_and_says_so() {
     assert_eq!(answer.blocks, control(0x8114, AR, 8));
     assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
     bench.now += 100_000;
-    assert_eq!(bench.sent().len(), 0, "neither inputs nor an error");
+    assert_eq!(bench.sent().len(), 0, "neither inputs nor RTA-ERR");
     assert_eq!(bench.call(1, &control(0x0114, AR, 4)).status, 0xDC81_4005);
 }
 
@@ -840,7 +840,7 @@ fn input_frames(bench: &mut Bench) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn inputs_leave_each_cycle_with_statuses_and_a_counter_of_31_us() {
+fn inputs_are_sent_each_cycle_with_statuses_and_a_counter_of_31_us() {
     let mut bench = Bench::in_data();
     bench.device.show_inputs(&[0xAA, 0xBB]);
     let start = bench.device.poll_timeout(bench.now);
@@ -848,7 +848,7 @@ fn inputs_leave_each_cycle_with_statuses_and_a_counter_of_31_us() {
     let frames = input_frames(&mut bench);
     let [frame] = &frames[..] else { panic!("{frames:?}") };
     assert_eq!(frame[..20], [&PLC.0[..], &DEVICE.0, &[0x81, 0, 0xC0, 0, 0x88, 0x92, 0xC0, 1]].concat());
-    // Status of the three parts of slot 0; data and status of slot 1; statuses of the consumers.
+    // Statuses of the three submodules of slot 0, data and status of slot 1, consumer statuses.
     assert_eq!(frame[20..28], [0x80, 0x80, 0x80, 0xAA, 0xBB, 0x80, 0x80, 0x80]);
     assert_eq!(frame[28..60], [0; 32]);
     assert_eq!(frame[62..], [0x35, 0]);
@@ -863,7 +863,7 @@ fn inputs_leave_each_cycle_with_statuses_and_a_counter_of_31_us() {
         assert_eq!(counter(&frames[0]), first.wrapping_add(128 * cycle));
         bench.outputs([0; 3]);
     }
-    // Late by two and a half: one frame, and the counter tells of the two that were missed.
+    // Late by two and a half cycles: one frame is sent, and the counter skips the missed cycles.
     bench.now += CYCLE_US * 7 / 2;
     let frames = input_frames(&mut bench);
     assert_eq!((frames.len(), counter(&frames[0])), (1, first.wrapping_add(128 * 21)));
@@ -874,7 +874,7 @@ fn inputs_leave_each_cycle_with_statuses_and_a_counter_of_31_us() {
 }
 
 #[test]
-fn inputs_are_bad_until_parameters_have_ended_and_a_fault_shows_in_the_data_status() {
+fn inputs_are_bad_until_parameters_end_and_faults_show_in_the_data_status() {
     let mut bench = Bench::new();
     bench.call(0, &Wanted::default().blocks());
     bench.now += CYCLE_US;
@@ -888,17 +888,17 @@ fn inputs_are_bad_until_parameters_have_ended_and_a_fault_shows_in_the_data_stat
 }
 
 #[test]
-fn outputs_count_only_when_all_that_is_said_about_them_is_good() {
+fn outputs_count_only_with_good_statuses() {
     for (statuses, status, expected) in [
         ([0x80, 0x80], 0x35, Some(Event::Outputs)),
-        // Another problem of the controller's: no matter.
+        // A problem of the controller does not matter.
         ([0x80, 0x80], 0x15, Some(Event::Outputs)),
         ([0x00, 0x80], 0x35, Some(Event::Cleared)),
         ([0x80, 0x60], 0x35, Some(Event::Cleared)),
-        // It has stopped; it is the backup of another one.
+        // Stopped; a backup controller.
         ([0x80, 0x80], 0x25, Some(Event::Cleared)),
         ([0x80, 0x80], 0x34, Some(Event::Cleared)),
-        // Not valid: as if it had not come.
+        // Not valid: ignored.
         ([0x80, 0x80], 0x31, None),
     ] {
         let mut bench = Bench::in_data();
@@ -911,7 +911,7 @@ fn outputs_count_only_when_all_that_is_said_about_them_is_good() {
             None => [1, 2, 3],
         };
         assert_eq!(bench.device.outputs(), &outputs);
-        // Told once.
+        // Reported once.
         let again = outputs_frame([4, 5, 6], 0x4080, statuses, status);
         let expected = expected.filter(|event| *event == Event::Outputs);
         assert_eq!(bench.device.receive(bench.now, &again), expected);
@@ -919,15 +919,15 @@ fn outputs_count_only_when_all_that_is_said_about_them_is_good() {
 }
 
 #[test]
-fn old_and_repeated_frames_and_such_of_others_are_not_taken() {
+fn old_repeated_and_foreign_frames_are_ignored() {
     let mut bench = Bench::in_data();
     let mut take = |frame: &[u8]| bench.device.receive(bench.now, frame);
     let at = |counter| outputs_frame([1, 2, 3], counter, [0x80; 2], 0x35);
     assert_eq!(take(&at(0x1000)), Some(Event::Outputs));
-    assert_eq!(take(&at(0x1000)), None, "the same");
-    assert_eq!(take(&at(0x0F80)), None, "an older one");
+    assert_eq!(take(&at(0x1000)), None, "repeated");
+    assert_eq!(take(&at(0x0F80)), None, "older");
     assert_eq!(take(&at(0x1000_u16.wrapping_sub(4_095))), None);
-    assert_eq!(take(&at(0x1000_u16.wrapping_add(61_440))), Some(Event::Outputs), "as far ahead as may be");
+    assert_eq!(take(&at(0x1000_u16.wrapping_add(61_440))), Some(Event::Outputs), "maximum advance");
     let next = at(0x1000_u16.wrapping_add(61_441));
     for (place, value) in [(0, 0x12), (6, 0x12), (19, 2), (17, 0x93)] {
         let mut other = next.clone();
@@ -939,31 +939,31 @@ fn old_and_repeated_frames_and_such_of_others_are_not_taken() {
     }
     let mut marked = next.clone();
     *marked.last_mut().unwrap() = 1;
-    assert_eq!(take(&marked), None, "a bad transfer");
-    assert_eq!(take(&[&next[..], &[0]].concat()), None, "longer than agreed");
+    assert_eq!(take(&marked), None, "transfer status not 0");
+    assert_eq!(take(&[&next[..], &[0]].concat()), None, "too long");
     assert_eq!(take(&next), Some(Event::Outputs));
 }
 
 #[test]
-fn silent_controller_is_left_when_its_time_is_over_and_is_told() {
+fn silent_controller_times_out_after_its_hold_time() {
     let mut bench = Bench::in_data();
     bench.outputs([1, 2, 3]);
     bench.now += HOLD_US - 1;
     assert_eq!((bench.poll(), bench.device.outputs()), (None, &[1, 2, 3]));
     bench.now += 1;
     assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)));
-    assert_eq!(bench.device.poll_timeout(bench.now), bench.now, "the controller is to be told");
+    assert_eq!(bench.device.poll_timeout(bench.now), bench.now, "RTA-ERR is due");
     assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
     assert_eq!(
         bench.acyclic()[0][18..34],
         [0xFE, 1, 0, 3, 0, 1, 0x14, 1, 0xFF, 0xFE, 0xFF, 0xFE, 0, 4, 0xCF, 0x81]
     );
-    // It may come back.
+    // The controller can connect again.
     assert_eq!(bench.call(0, &Wanted::default().blocks()).status, 0);
 }
 
 #[test]
-fn frames_that_do_not_count_keep_no_controller_alive() {
+fn ignored_frames_do_not_restart_the_hold_time() {
     for (counter, status) in [(0x1000, 0x35), (0x0F80, 0x35), (0x1080, 0x31)] {
         let mut bench = Bench::in_data();
         let good = outputs_frame([1, 2, 3], 0x1000, [0x80; 2], 0x35);
@@ -977,9 +977,9 @@ fn frames_that_do_not_count_keep_no_controller_alive() {
     }
 }
 
-/// As after a pause of the caller's in which frames have piled up.
+/// Frames may queue up while the caller is busy.
 #[test]
-fn outputs_behind_the_hold_time_do_not_count_though_nobody_polled() {
+fn outputs_after_the_hold_time_do_not_count_even_without_a_poll() {
     let mut bench = Bench::in_data();
     bench.outputs([1, 2, 3]);
     bench.now += HOLD_US - 1;
@@ -991,7 +991,7 @@ fn outputs_behind_the_hold_time_do_not_count_though_nobody_polled() {
 
 // --- Alarms
 
-/// A frame of the controller about alarms: type, numbers, data.
+/// Returns an RTA frame of the controller: type, sequence numbers, data.
 fn rta(is_high: bool, kind: u8, number: u16, acknowledged: u16, data: &[u8]) -> Vec<u8> {
     let id: u16 = if is_high { 0xFC01 } else { 0xFE01 };
     [
@@ -1010,13 +1010,13 @@ fn rta(is_high: bool, kind: u8, number: u16, acknowledged: u16, data: &[u8]) -> 
     .concat()
 }
 
-/// The controller's own acknowledgement of an alarm of this kind and number.
+/// Returns the controller's acknowledgement of an alarm of this type and number.
 fn alarm_ack(is_high: bool, kind: u8, number: u16) -> Vec<u8> {
     let body = [&[0, kind, 0, 0, 0, 0, 0, 0, 0, 1][..], &number.to_be_bytes(), &[0; 4]].concat();
     block(if is_high { 0x8001 } else { 0x8002 }, &body)
 }
 
-/// The frames about alarms that leave: behind the header of Ethernet, with the frame identifier.
+/// Returns the RTA frames sent now, from the frame identifier on.
 fn alarms(bench: &mut Bench) -> Vec<Vec<u8>> {
     let mut all = bench.acyclic();
     all.retain(|frame| frame[12..14] == [0x81, 0] && matches!(frame[18..20], [0xFE | 0xFC, 1]));
@@ -1024,43 +1024,43 @@ fn alarms(bench: &mut Bench) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn fault_is_told_acknowledged_twice_and_told_when_it_is_gone() {
+fn fault_is_reported_acknowledged_twice_and_cleared() {
     let mut bench = Bench::in_data();
     bench.device.show_faults(0b001);
     assert_eq!(bench.poll(), None);
     let sent = alarms(&mut bench);
     let expected = [
-        // Ends, data, window and acknowledgement at once, numbers, length.
+        // References, data, window and immediate acknowledgement, sequence numbers, length.
         &[0xFE, 1, 0, 3, 0, 1, 0x11, 0x11, 0xFF, 0xFF, 0xFF, 0xFE, 0, 34][..],
-        // Diagnosis of slot 0, subslot 1, of channels; for all of the submodule, it appears.
+        // Channel diagnosis of slot 0, subslot 1, for the whole submodule: appears.
         &[0, 2, 0, 30, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0x10, 0, 0, 0, 0x11, 0xA8, 0],
         &[0x80, 0, 0x80, 0, 0x08, 0, 0x01, 0x00],
     ]
     .concat();
     assert_eq!(sent, [expected]);
 
-    // The transport's acknowledgement ends the repetition, the alarm's own is acknowledged in turn.
+    // The transport's acknowledgement stops the retries. The alarm's own acknowledgement is acknowledged in turn.
     let now = bench.now;
     assert_eq!(bench.device.receive(now, &rta(false, 0x13, 0xFFFE, 0xFFFF, &[])), None);
     assert_eq!(bench.device.receive(now, &rta(false, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(false, 1, 0))), None);
     assert_eq!(alarms(&mut bench)[0][..14], [0xFE, 1, 0, 3, 0, 1, 0x13, 1, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0]);
-    assert_eq!((bench.poll(), alarms(&mut bench)), (None, vec![]), "once");
+    assert_eq!((bench.poll(), alarms(&mut bench)), (None, vec![]), "reported once");
 
     bench.device.show_faults(0);
     bench.poll();
     let sent = alarms(&mut bench);
-    // The next number; gone, with the next number of alarms, and there is none left.
+    // The next sequence number; disappears, with the next alarm number, and no fault left.
     assert_eq!(sent[0][8..12], [0, 0, 0xFF, 0xFF]);
     assert_eq!(sent[0][20..22], [0, 0x0C]);
     assert_eq!(sent[0][38..], [0x08, 1, 0x80, 0, 0x80, 0, 0x10, 0, 0x01, 0x00]);
 }
 
 #[test]
-fn each_fault_is_told_once_and_so_is_its_end() {
+fn each_fault_is_reported_once_when_it_appears_and_disappears() {
     let mut bench = Bench::in_data();
     let (mut sequence, mut number, mut ours) = (0xFFFF_u16, 0, 0xFFFF_u16);
     let following = |number: u16| number.wrapping_add(1) & 0x7FFF;
-    // What is shown, and what is told of it: the fault, and whether it appears.
+    // Present faults, and the expected alarm: fault, and whether it appears.
     for (faults, told) in [
         (0b001, Some((0x0100, true))),
         (0b101, Some((0x0102, true))),
@@ -1077,9 +1077,9 @@ fn each_fault_is_told_once_and_so_is_its_end() {
         let sent = alarms(&mut bench);
         let found = sent.first().map(|alarm| {
             let word = |at: usize| u16::from_be_bytes([alarm[at], alarm[at + 1]]);
-            assert_eq!(word(8), ours, "the transport's number");
-            assert_eq!(word(38) & 0x07FF, number, "the alarm's number");
-            // There is one on the submodule, and in the connection.
+            assert_eq!(word(8), ours, "sequence number of the transport");
+            assert_eq!(word(38) & 0x07FF, number, "number of the alarm");
+            // Whether the submodule and the connection have any diagnosis.
             assert_eq!(word(38) & 0xA000, if faults == 0 { 0 } else { 0xA000 });
             (word(46), word(20) == 1)
         });
@@ -1095,7 +1095,7 @@ fn each_fault_is_told_once_and_so_is_its_end() {
 }
 
 #[test]
-fn alarm_is_due_at_once_and_again_after_its_timeout() {
+fn alarm_is_due_at_once_and_again_after_its_time_out() {
     let mut bench =
         Bench::in_data_as(&Wanted { send_clock: 128, reduction: 128, hold: 3, ..Wanted::default() });
     bench.sent();
@@ -1107,17 +1107,17 @@ fn alarm_is_due_at_once_and_again_after_its_timeout() {
 }
 
 #[test]
-fn only_the_acknowledgement_of_the_alarm_that_was_told_ends_it() {
+fn only_the_acknowledgement_of_the_reported_alarm_ends_it() {
     let mut bench = Bench::in_data();
     bench.device.show_faults(1);
     bench.poll();
     assert_eq!(alarms(&mut bench).len(), 1);
     let mut sequence = 0xFFFF_u16;
-    // Of the other priority, of another alarm, and none: the frame is acknowledged, the alarm is not over.
+    // Of the other priority, of another alarm, or none: the frame is acknowledged, but the alarm stays pending.
     for ack in [alarm_ack(true, 1, 0), alarm_ack(false, 1, 1), block(0x8002, &[0; 4]), vec![]] {
         bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &ack));
         assert_eq!(alarms(&mut bench)[0][6], 0x13);
-        // The same frame again is acknowledged again, and one out of turn is not.
+        // A repeated frame is acknowledged again, one out of sequence is not.
         bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &ack));
         assert_eq!(alarms(&mut bench).len(), 1);
         let ahead = rta(false, 0x11, sequence.wrapping_add(2) & 0x7FFF, 0xFFFF, &alarm_ack(false, 1, 0));
@@ -1125,16 +1125,16 @@ fn only_the_acknowledgement_of_the_alarm_that_was_told_ends_it() {
         assert_eq!(alarms(&mut bench).len(), 0);
         bench.device.show_faults(0);
         bench.poll();
-        assert_eq!(alarms(&mut bench).len(), 0, "that the fault is gone waits");
+        assert_eq!(alarms(&mut bench).len(), 0, "the alarm for the cleared fault waits");
         sequence = sequence.wrapping_add(1) & 0x7FFF;
     }
     bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &alarm_ack(false, 1, 0)));
     bench.poll();
-    assert_eq!(alarms(&mut bench).len(), 2, "the acknowledgement, and that the fault is gone");
+    assert_eq!(alarms(&mut bench).len(), 2, "the acknowledgement, and the alarm for the cleared fault");
 }
 
 #[test]
-fn alarm_of_high_priority_does_not_wait_for_one_of_low_priority() {
+fn high_priority_alarm_does_not_wait_for_a_low_priority_one() {
     let mut bench = Bench::in_data();
     bench.device.show_faults(0b101);
     bench.poll();
@@ -1146,7 +1146,7 @@ fn alarm_of_high_priority_does_not_wait_for_one_of_low_priority() {
     let now = bench.now;
     bench.device.receive(now, &rta(true, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(true, 1, 0)));
     assert_eq!(alarms(&mut bench)[0][6], 0x13);
-    // That of low priority, and the next one behind it.
+    // The low-priority acknowledgement, and the next low-priority alarm.
     bench.device.receive(now, &rta(false, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(false, 1, 0)));
     bench.poll();
     let sent = alarms(&mut bench);
@@ -1154,7 +1154,7 @@ fn alarm_of_high_priority_does_not_wait_for_one_of_low_priority() {
 }
 
 #[test]
-fn all_alarms_are_low_if_the_controller_wants_that() {
+fn all_alarms_are_low_if_the_controller_requests_it() {
     let mut bench = Bench::in_data_as(&Wanted { alarm_properties: 1, ..Wanted::default() });
     bench.device.show_faults(0b010);
     bench.poll();
@@ -1162,13 +1162,13 @@ fn all_alarms_are_low_if_the_controller_wants_that() {
 }
 
 #[test]
-fn alarm_that_is_not_taken_is_repeated_and_ends_the_connection() {
+fn unacknowledged_alarm_is_repeated_and_ends_the_connection() {
     let mut bench = Bench::in_data();
     bench.device.show_faults(1);
     let start = bench.now;
     let mut sent = 0;
     let event = loop {
-        // The controller has outputs all the while.
+        // The controller keeps sending outputs.
         bench.outputs([0; 3]);
         if let Some(event) = bench.poll() {
             break event;
@@ -1177,13 +1177,13 @@ fn alarm_that_is_not_taken_is_repeated_and_ends_the_connection() {
         bench.now += 4_000;
         assert!(bench.now < start + 10_000_000);
     };
-    // Three repetitions, each after 100 ms.
+    // Three retries, at intervals of 100 ms.
     assert_eq!((event, sent, bench.now - start), (Event::Left(Cause::AlarmFailed), 4, 400_000));
     assert_eq!(bench.acyclic()[0][35], 8);
 }
 
 #[test]
-fn frames_about_alarms_of_others_and_wrong_numbers_change_nothing() {
+fn foreign_rta_frames_and_wrong_numbers_change_nothing() {
     let mut bench = Bench::in_data();
     bench.device.show_faults(1);
     bench.poll();
@@ -1201,17 +1201,17 @@ fn frames_about_alarms_of_others_and_wrong_numbers_change_nothing() {
         bench.now += 4_000;
         bench.outputs([0; 3]);
     }
-    assert_eq!(alarms(&mut bench).len(), 1, "still repeated");
+    assert_eq!(alarms(&mut bench).len(), 1, "still retried");
 }
 
 #[test]
-fn controller_that_aborts_has_left() {
+fn abort_by_the_controller_ends_the_connection() {
     let mut bench = Bench::in_data();
     bench.outputs([1, 2, 3]);
     let abort = rta(false, 0x14, 0xFFFE, 0xFFFE, &[0xCF, 0x81, 0xFD, 0x0F]);
     assert_eq!(bench.device.receive(bench.now, &abort), Some(Event::Left(Cause::Aborted)));
     assert_eq!(bench.device.outputs(), &[0; 3]);
-    assert_eq!(bench.acyclic(), Vec::<Vec<u8>>::new(), "which is not answered");
+    assert_eq!(bench.acyclic(), Vec::<Vec<u8>>::new(), "no answer to an abort");
 }
 
 // --- Records
@@ -1225,7 +1225,7 @@ fn read(bench: &mut Bench, uuid: [u8; 16], slot: u16, subslot: u16, index: u16) 
 }
 
 #[test]
-fn identification_and_maintenance_are_read() {
+fn identification_and_maintenance_data_are_read() {
     let mut bench = Bench::in_data();
     let im0 = read(&mut bench, AR, 0, 1, 0xAFF0).unwrap();
     let expected = [
@@ -1241,7 +1241,7 @@ fn identification_and_maintenance_are_read() {
 }
 
 #[test]
-fn maintenance_is_written_by_the_controller_alone_and_stays() {
+fn only_the_controller_writes_maintenance_data_and_it_is_stored() {
     let mut bench = Bench::in_data();
     let write = |bench: &mut Bench, uuid, index, data: &[u8]| {
         let request = [&record(8, uuid, 0, 1, index, data.len() as u32)[..], data].concat();
@@ -1272,7 +1272,7 @@ fn maintenance_is_written_by_the_controller_alone_and_stays() {
         let status = u32::from_be_bytes([0xDF, 0x80, reason, 0]);
         assert_eq!(write(&mut bench, uuid, index, data), (None, status), "{index:X}");
     }
-    // Of another API, of a submodule that is not there.
+    // Another API, and submodules that do not exist.
     let date_of = |header: Vec<u8>| [header, date.clone()].concat();
     let mut other = record(8, AR, 0, 1, 0xAFF2, date.len() as u32);
     other[27] = 1;
@@ -1283,13 +1283,13 @@ fn maintenance_is_written_by_the_controller_alone_and_stays() {
     ] {
         assert_eq!(bench.call(3, &date_of(header)).status, 0xDF80_B200);
     }
-    // Data that is shorter than it says it is.
+    // Data shorter than its stated length.
     assert_eq!(bench.call(3, &record(8, AR, 0, 1, 0xAFF2, 9)).status, 0xDF80_B100);
     assert_eq!(*bench.device.stored(), before);
 }
 
 #[test]
-fn many_writes_at_once_are_answered_one_by_one() {
+fn multiple_writes_are_answered_one_by_one() {
     let mut bench = Bench::in_data();
     let part = |index, data: &[u8]| {
         let mut bytes = [&record(8, AR, 0, 1, index, data.len() as u32)[..], data].concat();
@@ -1308,12 +1308,12 @@ fn many_writes_at_once_are_answered_one_by_one() {
     let statuses: Vec<&[u8]> = answer.blocks.chunks(64).map(|answer| &answer[44..48]).collect();
     assert_eq!(statuses, [&[0; 4][..], &[0; 4], &[0xDF, 0x80, 0xB0, 0], &[0; 4]]);
     assert_eq!(bench.device.stored().maintenance.descriptor, [b'z'; 54]);
-    // What there is no answer for is not done.
+    // Writes without room for an answer are not executed.
     let parts: Vec<u8> = (b'a'..=b'q').flat_map(|letter| part(0xAFF3, &block(0x23, &[letter; 54]))).collect();
     let request = [record(8, AR, 0, 0, 0xE040, parts.len() as u32), parts].concat();
     let answer = bench.call(3, &request);
     assert_eq!((answer.status, answer.blocks.len()), (0, 64 * 17));
-    assert_eq!(bench.device.stored().maintenance.descriptor, [b'p'; 54], "the 16th");
+    assert_eq!(bench.device.stored().maintenance.descriptor, [b'p'; 54], "the 16th write");
 }
 
 #[test]
@@ -1360,7 +1360,7 @@ fn faults_are_read_as_diagnosis() {
     for index in [0x800A, 0x800B, 0x800C, 0xC00A, 0xE00C, 0xF00B, 0xF80C] {
         assert_eq!(read(&mut bench, AR, 0, 1, index).unwrap(), expected, "{index:X}");
     }
-    assert_eq!(read(&mut bench, AR, 1, 1, 0x800A).unwrap(), [], "of another one");
+    assert_eq!(read(&mut bench, AR, 1, 1, 0x800A).unwrap(), [], "another slot");
 }
 
 #[test]
@@ -1386,7 +1386,7 @@ fn interface_and_port_are_read() {
 }
 
 #[test]
-fn records_that_are_not_there_are_refused_by_their_reason() {
+fn unavailable_records_are_rejected_with_a_reason() {
     let mut bench = Bench::in_data();
     for (uuid, slot, subslot, index, reason) in [
         (AR, 0, 1, 0x1234, 0xB0),
@@ -1400,7 +1400,7 @@ fn records_that_are_not_there_are_refused_by_their_reason() {
         let status = u32::from_be_bytes([0xDE, 0x80, reason, 0]);
         assert_eq!(read(&mut bench, uuid, slot, subslot, index), Err(status), "{index:X}");
     }
-    // Longer than it may be.
+    // Too long for the request.
     assert_eq!(bench.call(2, &record(9, AR, 0, 1, 0xAFF0, 59)).status, 0xDE80_B100);
     assert_eq!(bench.call(2, &record(9, AR, 0, 1, 0xAFF0, 60)).status, 0);
     assert_eq!(bench.call(2, &[]).status, 0xDE80_B100);
@@ -1418,7 +1418,7 @@ fn reader_connects_beside_the_controller_and_changes_nothing() {
     let write = [record(8, READER, 0, 1, 0xAFF2, 22), block(0x22, &[b'x'; 16])].concat();
     assert_eq!(bench.call(3, &write).status, 0xDF80_B600);
     assert_eq!(bench.call(4, &control(0x0110, READER, 1)).status, 0xDD81_4005);
-    // One of them.
+    // Only one reader can connect.
     assert_eq!(bench.call(0, &Wanted::access([0xEF; 16]).blocks()).status, 0xDB81_4004);
     let answer = bench.call(1, &control(0x0114, READER, 4));
     assert_eq!((answer.event, answer.status), (None, 0));
@@ -1427,7 +1427,7 @@ fn reader_connects_beside_the_controller_and_changes_nothing() {
 }
 
 #[test]
-fn reader_that_is_silent_loses_its_place() {
+fn idle_reader_loses_its_connection() {
     let mut bench = Bench::new();
     bench.call(0, &Wanted::access([0xEE; 16]).blocks());
     bench.now += 900_000;
@@ -1444,7 +1444,7 @@ fn reader_that_is_silent_loses_its_place() {
 // --- Endpoint mapper
 
 #[test]
-fn endpoint_mapper_tells_of_one_interface_and_then_of_none() {
+fn endpoint_mapper_lists_one_interface_and_then_none() {
     for is_low_first in [true, false] {
         let mut bench = Bench::new();
         let order = |value: u32| if is_low_first { value.to_le_bytes() } else { value.to_be_bytes() };
@@ -1479,16 +1479,20 @@ fn endpoint_mapper_tells_of_one_interface_and_then_of_none() {
             [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 1, 0x56, 0x78, 0x12, 0x34]
         };
         assert_eq!(first[36..52], object);
-        assert_eq!(first[128..136], [order(75), order(75)].concat(), "how long the floors are");
+        assert_eq!(first[128..136], [order(75), order(75)].concat(), "length of the tower");
         assert_eq!(
             floors[5..21],
             [1, 0, 0xA0, 0xDE, 0x97, 0x6C, 0xD1, 0x11, 0x82, 0x71, 0, 0xA0, 0x24, 0x42, 0xDF, 0x7D]
         );
         let none = lookup((&[0; 20], 0));
-        assert_eq!((&none[20..24], &none[36..]), (&order(0)[..], &order(0x16C9_A0D6)[..]), "room for none");
+        assert_eq!(
+            (&none[20..24], &none[36..]),
+            (&order(0)[..], &order(0x16C9_A0D6)[..]),
+            "no room for entries"
+        );
         let end = lookup((&first[..20], 1));
         assert_eq!((&end[20..24], &end[36..]), (&order(0)[..], &order(0x16C9_A0D6)[..]));
-        // The handle may be given back.
+        // The handle can be released.
         let mut request = datagram(is_low_first, 0, 9, 4, &[0; 20]);
         request[24..40].copy_from_slice(&epm);
         bench.device.receive_datagram(bench.now, HOST, &request);

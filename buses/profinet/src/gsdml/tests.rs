@@ -1,11 +1,11 @@
-//! The whole file of a small device, as a person can read it: `example.xml`.
+//! Compares the complete file of a small device with `example.xml`.
 
 use super::*;
 use crate::device::tests::controller::PROFILE;
 use std::string::ToString;
 
 #[test]
-fn file_says_all_of_a_profile() {
+fn file_covers_the_whole_profile() {
     let facts = GsdmlFacts {
         vendor: "Example & <\"Co.\">",
         family: "EX",
@@ -13,7 +13,7 @@ fn file_says_all_of_a_profile() {
         info: "A few bytes",
         bitmap: Some("GSDML-1234-5678-EX"),
     };
-    // 2 ms: 1 ms is not offered.
+    // 2 ms, so that 1 ms is not offered.
     let profile = Profile { min_interval: 64, ..PROFILE };
     let text = Gsdml { facts, profile: &profile }.to_string();
     assert_eq!(text, include_str!("example.xml"));

@@ -2,7 +2,7 @@ use super::*;
 
 const DATA: Submodule = Submodule { subslot: 1, ident: 1, input_len: 3, output_len: 2 };
 
-/// One that fits 2 bytes of outputs and 3 of inputs, at all its limits.
+/// A valid profile for 2 bytes of outputs and 3 of inputs, at all its limits.
 const LARGEST: Profile = Profile {
     vendor_id: 1,
     device_id: 1,
@@ -22,7 +22,7 @@ const EMPTY: Submodule = Submodule { subslot: 1, ident: 1, input_len: 0, output_
 const FAULT: Fault = Fault { error_type: 0x0100, name: "", priority: Priority::Low };
 
 #[test]
-fn profile_at_its_limits_fits_its_data_and_no_other() {
+fn profile_at_its_limits_fits_only_its_own_data() {
     assert!(LARGEST.fits(2, 3));
     for (outputs, inputs) in [(1, 3), (3, 3), (2, 2), (2, 4), (3, 2), (0, 0)] {
         assert!(!LARGEST.fits(outputs, inputs), "{outputs} {inputs}");

@@ -1,4 +1,4 @@
-//! A controller that writes what the specification says, without the writers of the crate.
+//! A controller that follows the specification, without using the crate's own writers.
 
 use crate::{
     Device, Endpoint, Event, Fault, MacAddress, Module, Priority, Profile, Stored, Submodule, Transmit,
@@ -12,17 +12,17 @@ pub(super) const PLC: MacAddress = MacAddress([0x02, 0, 0, 0, 0, 0x01]);
 pub(super) const OTHER: MacAddress = MacAddress([0x02, 0, 0, 0, 0, 0x02]);
 pub(super) const HOST: Endpoint = Endpoint { address: [192, 168, 0, 1], port: 50_000 };
 pub(super) const AR: [u8; 16] = [0xA5; 16];
-/// The object UUIDs of the device (instance 1, device 5678h, vendor 1234h) and of a controller.
+/// Object UUIDs of the device (instance 1, device 5678h, vendor 1234h) and of a controller.
 pub(super) const DEVICE_OBJECT: [u8; 16] =
     [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 1, 0x56, 0x78, 0x12, 0x34];
 pub(super) const PLC_OBJECT: [u8; 16] =
     [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 1, 0x01, 0x0D, 0x00, 0x2A];
 pub(super) const SESSION_KEY: u16 = 7;
-/// What the controller calls its end of the alarms.
+/// The controller's reference for its end of the alarm connection.
 pub(super) const PLC_REFERENCE: u16 = 3;
-/// 32 x 4 x 31.25 µs.
+/// Cycle time: 32 x 4 x 31.25 µs.
 pub(super) const CYCLE_US: u64 = 4_000;
-/// Three cycles.
+/// Hold time: three cycles.
 pub(super) const HOLD_US: u64 = 12_000;
 pub(super) const INPUT_ID: u16 = 0xC001;
 pub(super) const OUTPUT_ID: u16 = 0x8001;
@@ -67,12 +67,12 @@ pub(crate) static PROFILE: Profile = Profile {
     ],
 };
 
-/// What the tests change of a connect.
+/// Parameters of a Connect request that tests vary.
 #[derive(Clone, Debug)]
 pub(super) struct Wanted {
     pub(super) uuid: [u8; 16],
     pub(super) mac: MacAddress,
-    /// The controller's own object.
+    /// Object UUID of the controller.
     pub(super) object: [u8; 16],
     pub(super) name: &'static [u8],
     pub(super) ar_type: u16,
@@ -85,18 +85,18 @@ pub(super) struct Wanted {
     pub(super) reduction: u16,
     pub(super) phase: u16,
     pub(super) hold: u16,
-    /// The tag of cyclic data, and those of alarms of high and of low priority.
+    /// VLAN tags of cyclic data, of high-priority alarms and of low-priority alarms.
     pub(super) tags: [u16; 3],
     pub(super) modules: [u32; 2],
     pub(super) submodules: [u32; 2],
     pub(super) output_len: u16,
-    /// Whether there is a place for the inputs of slot 1, for its outputs, and for those of slot 2.
+    /// Whether the frames have a place for the inputs of slot 1, the outputs of slot 1, and the outputs of slot 2.
     pub(super) placed: [bool; 3],
     pub(super) alarm_properties: u32,
     pub(super) retries: u16,
-    /// How many further statuses of slot 2 are in the frame of outputs.
+    /// Number of additional statuses of slot 2 in the frame of outputs.
     pub(super) statuses: u16,
-    /// Blocks at the end.
+    /// Additional blocks at the end.
     pub(super) more: Vec<u8>,
 }
 
@@ -140,7 +140,7 @@ fn numbers(values: &[u16]) -> Vec<u8> {
 }
 
 impl Wanted {
-    /// For records alone.
+    /// Creates a request for access to records only.
     pub(super) fn access(uuid: [u8; 16]) -> Self {
         Self { uuid, ar_type: 6, properties: 0x111, ..Self::default() }
     }
@@ -153,7 +153,7 @@ impl Wanted {
             &self.mac.0,
             &self.object,
             &self.properties.to_be_bytes(),
-            // 1 s; no real time over UDP; its name.
+            // Time-out of 1 s, UDP port, name.
             &numbers(&[10, 0x8892, self.name.len() as u16]),
             self.name,
         ]
@@ -162,7 +162,7 @@ impl Wanted {
         if self.ar_type == 6 {
             return [ar, self.more.clone()].concat();
         }
-        // Data of slot 1 first, then of slot 2, then what has none; statuses of consumers behind.
+        // Data of slot 1 first, then of slot 2, then submodules without data; consumer statuses at the end.
         let objects = |objects: &[([u16; 3], bool)]| {
             let placed = objects.iter().filter(|(_, is_placed)| *is_placed);
             placed.flat_map(|(object, _)| *object).collect::<Vec<u16>>()
@@ -240,13 +240,13 @@ impl Wanted {
     }
 }
 
-/// A control or release block.
+/// Returns a Control or Release block.
 pub(super) fn control(kind: u16, uuid: [u8; 16], command: u16) -> Vec<u8> {
     let body = [&[0, 0][..], &uuid, &numbers(&[SESSION_KEY, 0, command, 0])];
     block(kind, &body.concat())
 }
 
-/// The header of a record that is read (9) or written (8).
+/// Returns the header of a record to read (9) or write (8).
 pub(super) fn record(kind: u16, uuid: [u8; 16], slot: u16, subslot: u16, index: u16, len: u32) -> Vec<u8> {
     let body = [
         &numbers(&[1])[..],
@@ -264,7 +264,7 @@ pub(super) const DEVICE_INTERFACE: [u8; 16] =
 const LOW_FIRST: [u8; 16] =
     [1, 0, 0xA0, 0xDE, 0x97, 0x6C, 0xD1, 0x11, 0x82, 0x71, 0, 0xA0, 0x24, 0x42, 0xDF, 0x7D];
 
-/// A datagram, low bytes first or high ones.
+/// Returns a datagram in little-endian or big-endian order.
 pub(super) fn datagram(is_low_first: bool, kind: u8, sequence: u32, operation: u16, body: &[u8]) -> Vec<u8> {
     let long = |value: u32| if is_low_first { value.to_le_bytes() } else { value.to_be_bytes() };
     let short = |value: u16| if is_low_first { value.to_le_bytes() } else { value.to_be_bytes() };
@@ -292,7 +292,7 @@ pub(super) fn datagram(is_low_first: bool, kind: u8, sequence: u32, operation: u
     .concat()
 }
 
-/// The arguments of a call: how long an answer may be, and the blocks as an array.
+/// Returns the arguments of a call: maximum length of the answer, and the blocks as an array.
 pub(super) fn arguments(is_low_first: bool, blocks: &[u8]) -> Vec<u8> {
     let len = blocks.len() as u32;
     let values = [4_096, len, 4_096, 0, len];
@@ -300,13 +300,13 @@ pub(super) fn arguments(is_low_first: bool, blocks: &[u8]) -> Vec<u8> {
     [values.iter().flat_map(|value| order(*value)).collect(), blocks.to_vec()].concat()
 }
 
-/// The device, and who talks to it.
+/// The device and its peers.
 pub(super) struct Bench {
     pub(super) device: Device<3, 2>,
     pub(super) now: u64,
     pub(super) sequence: u32,
     counter: u16,
-    /// What left with the answer to a call.
+    /// Frames and datagrams sent together with the answer to a call.
     kept: Vec<(Option<Endpoint>, Vec<u8>)>,
 }
 
@@ -326,12 +326,12 @@ impl Bench {
             counter: 0,
             kept: vec![],
         };
-        // LLDP, which leaves at the start.
+        // Discards the LLDP announcement sent at the start.
         assert_eq!(bench.sent().len(), 1);
         bench
     }
 
-    /// A device that exchanges data.
+    /// Creates a device in data exchange.
     pub(super) fn in_data() -> Self {
         Self::in_data_as(&Wanted::default())
     }
@@ -346,7 +346,7 @@ impl Bench {
         bench
     }
 
-    /// All that leaves now, and what left with the answer to a call.
+    /// Returns everything the device sends now or has sent with the answer to a call.
     pub(super) fn transmitted(&mut self) -> Vec<(Option<Endpoint>, Vec<u8>)> {
         let mut buffer = [0; MAX_FRAME_LEN];
         let mut all = std::mem::take(&mut self.kept);
@@ -355,24 +355,24 @@ impl Bench {
                 Transmit::Frame(len) => (None, buffer[..len].to_vec()),
                 Transmit::Datagram(len, to) => (Some(to), buffer[..len].to_vec()),
             });
-            assert!(all.len() < 100, "no end");
+            assert!(all.len() < 100, "endless transmission");
         }
         all
     }
 
-    /// The frames that leave now; datagrams are lost.
+    /// Returns the frames sent now. Datagrams are discarded.
     pub(super) fn sent(&mut self) -> Vec<Vec<u8>> {
         self.transmitted().into_iter().filter(|(to, _)| to.is_none()).map(|(_, frame)| frame).collect()
     }
 
-    /// The frames that leave now, cyclic ones of the connection excepted.
+    /// Returns the frames sent now, except cyclic ones of the connection.
     pub(super) fn acyclic(&mut self) -> Vec<Vec<u8>> {
         let is_cyclic =
             |frame: &Vec<u8>| frame[12..14] == [0x81, 0] && frame[18..20] == INPUT_ID.to_be_bytes();
         self.sent().into_iter().filter(|frame| !is_cyclic(frame)).collect()
     }
 
-    /// The calls of the device that leave now.
+    /// Returns the device's calls sent now.
     pub(super) fn calls(&mut self) -> Vec<Vec<u8>> {
         let calls = self
             .transmitted()
@@ -381,7 +381,7 @@ impl Bench {
         calls.map(|(_, call)| call).collect()
     }
 
-    /// Calls an operation, and gives the answer, what came of it included.
+    /// Calls an operation. Returns the answer with the event.
     pub(super) fn call(&mut self, operation: u16, blocks: &[u8]) -> Answer {
         self.sequence += 1;
         let request = datagram(true, 0, self.sequence, operation, &arguments(true, blocks));
@@ -393,7 +393,7 @@ impl Bench {
         Answer::of(event, answer)
     }
 
-    /// Answers a call of the device.
+    /// Confirms a call of the device.
     pub(super) fn confirm(&mut self, call: &[u8]) -> Option<Event> {
         self.confirm_as(call, AR, 8, 0)
     }
@@ -416,20 +416,20 @@ impl Bench {
         self.device.receive_datagram(self.now, HOST, &answer)
     }
 
-    /// The next frame of outputs.
+    /// Sends the next frame of outputs.
     pub(super) fn outputs(&mut self, outputs: [u8; 3]) -> Option<Event> {
         self.counter = self.counter.wrapping_add(128);
         let frame = outputs_frame(outputs, self.counter, [0x80; 2], 0x35);
         self.device.receive(self.now, &frame)
     }
 
-    /// The first event that is due now.
+    /// Returns the first event due now.
     pub(super) fn poll(&mut self) -> Option<Event> {
         self.device.poll(self.now)
     }
 }
 
-/// A frame of outputs, with these statuses of their providers, and this data status.
+/// Returns a frame of outputs with these provider statuses and this data status.
 pub(super) fn outputs_frame(outputs: [u8; 3], counter: u16, [first, second]: [u8; 2], status: u8) -> Vec<u8> {
     let [a, b, c] = outputs;
     let mut frame =
@@ -464,7 +464,7 @@ impl Answer {
     }
 }
 
-/// The blocks of an answer: their types, and their bodies behind the version.
+/// Returns the blocks of an answer: types, and bodies without the version.
 pub(super) fn blocks_of(mut bytes: &[u8]) -> Vec<(u16, Vec<u8>)> {
     let mut all = vec![];
     while !bytes.is_empty() {
