@@ -1,9 +1,10 @@
 //! The CAN controller of the STM32L4, bxCAN, as ST's RM0351 describes it in chapter 46: what the core sees in its
 //! registers, and what it does on a bus.
 //!
-//! The bus is [`can_bus`](crate::can_bus)'s; it says when a frame begins, ends, or fails. Loop back, silent mode and time
-//! triggered communication are refused. What the manual forbids a driver and the hardware ignores, this ignores too, and
-//! keeps in [`Bxcan::violations`].
+//! The bus is [`can_bus`](crate::can_bus)'s; it says when a frame begins, ends, or fails. The model refuses every option that
+//! the board's driver does not use: test modes, wake-up, single transmission, automatic bus-off recovery, FIFO 1, list filters
+//! and filters of 16 bits. What the manual forbids a driver and the hardware ignores, this ignores too, and keeps in
+//! [`Bxcan::violations`].
 
 mod faults;
 mod fifo;
@@ -25,48 +26,34 @@ const MCR: u32 = 0x00;
 const MSR: u32 = 0x04;
 const TSR: u32 = 0x08;
 const RF0R: u32 = 0x0C;
-const RF1R: u32 = 0x10;
 const IER: u32 = 0x14;
 const ESR: u32 = 0x18;
 const BTR: u32 = 0x1C;
 const MAILBOX: u32 = 0x180;
 const FIFO_0: u32 = 0x1B0;
-const FIFO_1: u32 = 0x1C0;
+const FIFO_0_END: u32 = 0x1C0;
 const FILTERS: u32 = 0x200;
 
 /// How many bytes its registers take.
 pub const LEN: u32 = 0x400;
 
-/// Bits of MCR (46.9.2).
+/// Bits of MCR (46.9.2) that are modelled.
 const INRQ: u32 = 1 << 0;
 const SLEEP: u32 = 1 << 1;
-const TXFP: u32 = 1 << 2;
-const RFLM: u32 = 1 << 3;
-const NART: u32 = 1 << 4;
-const AWUM: u32 = 1 << 5;
-const ABOM: u32 = 1 << 6;
-const TTCM: u32 = 1 << 7;
-const RESET: u32 = 1 << 15;
 const DBF: u32 = 1 << 16;
-const MCR_BITS: u32 = INRQ | SLEEP | TXFP | RFLM | NART | AWUM | ABOM | TTCM | DBF;
+const MCR_BITS: u32 = INRQ | SLEEP | DBF;
 
 /// Bits of MSR.
 const INAK: u32 = 1 << 0;
 const SLAK: u32 = 1 << 1;
-const ERRI: u32 = 1 << 2;
-const WKUI: u32 = 1 << 3;
-const SLAKI: u32 = 1 << 4;
 const TXM: u32 = 1 << 8;
 const RXM: u32 = 1 << 9;
 /// The line is recessive, now and at the last sample point.
 const RX_AND_SAMP: u32 = 0b11 << 10;
 
-/// Bits of IER.
+/// Bits of IER that are modelled: for an empty mailbox, and for a message in FIFO 0.
 const TMEIE: u32 = 1 << 0;
-const ERRIE: u32 = 1 << 15;
-const WKUIE: u32 = 1 << 16;
-const SLKIE: u32 = 1 << 17;
-const IER_BITS: u32 = 0x0003_8F7F;
+const FMPIE0: u32 = 1 << 1;
 
 /// Bits of BTR: all of the timing, and the two test modes.
 const TIMING: u32 = 0x037F_03FF;
@@ -75,8 +62,8 @@ const TEST_MODES: u32 = 0b11 << 30;
 /// Recessive bits in a row that a controller waits for before it takes part (46.4.2).
 const BITS_TO_SYNCHRONISE: u32 = 11;
 
-/// Interrupt lines, by their numbers at the core (RM0351, table 58).
-pub const LINES: [u8; 4] = [19, 20, 21, 22];
+/// Interrupt lines of transmission and of FIFO 0, by their numbers at the core (RM0351, table 58).
+pub const LINES: [u8; 2] = [19, 20];
 
 /// Which mode it is in (46.4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,8 +96,6 @@ pub struct BitTiming {
 pub struct Bxcan {
     clock_hz: u32,
     mcr: u32,
-    /// ERRI, WKUI and SLAKI.
-    flags: u32,
     ier: u32,
     btr: u32,
     mode: Mode,
@@ -119,7 +104,7 @@ pub struct Bxcan {
     /// A frame is on the bus, of this or another.
     activity: Option<Activity>,
     mailboxes: Mailboxes,
-    fifos: [Fifo; 2],
+    fifo: Fifo,
     filters: Filters,
     faults: Faults,
     accepted: Vec<WireFrame>,
@@ -139,14 +124,13 @@ impl Bxcan {
         Self {
             clock_hz,
             mcr: DBF | SLEEP,
-            flags: 0,
             ier: 0,
             btr: 0x0123_0000,
             mode: Mode::Sleep,
             recessive: 0,
             activity: None,
-            mailboxes: Mailboxes::new(),
-            fifos: [Fifo::new(), Fifo::new()],
+            mailboxes: Mailboxes::default(),
+            fifo: Fifo::new(),
             filters: Filters::new(),
             faults: Faults::new(),
             accepted: Vec::new(),
@@ -188,17 +172,15 @@ impl Bxcan {
         Ok(match offset {
             MCR => self.mcr,
             MSR => self.msr(),
-            TSR => self.mailboxes.tsr(self.by_request()),
-            RF0R => self.fifos[0].rfr(),
-            RF1R => self.fifos[1].rfr(),
+            TSR => self.mailboxes.tsr(),
+            RF0R => self.fifo.rfr(),
             IER => self.ier,
             ESR => self.faults.esr(),
             BTR => self.btr,
             MAILBOX..FIFO_0 => self.mailboxes.load(offset - MAILBOX),
-            FIFO_0..FIFO_1 => self.fifos[0].load(offset - FIFO_0),
-            FIFO_1..0x1D0 => self.fifos[1].load(offset - FIFO_1),
+            FIFO_0..FIFO_0_END => self.fifo.load(offset - FIFO_0),
             FILTERS.. => self.filters.load(offset - FILTERS)?,
-            _ => bail!("bxCAN has no register at {offset:#05X}"),
+            _ => bail!("no register of bxCAN is modelled at {offset:#05X}"),
         })
     }
 
@@ -209,13 +191,12 @@ impl Bxcan {
     pub fn store(&mut self, offset: u32, value: u32) -> Result<()> {
         match offset {
             MCR => self.store_mcr(value)?,
-            // 46.9.2: each is cleared by a 1.
-            MSR => self.flags &= !value,
             TSR => self.mailboxes.store_tsr(value),
-            RF0R => self.fifos[0].store_rfr(value),
-            RF1R => self.fifos[1].store_rfr(value),
-            IER => self.ier = value & IER_BITS,
-            ESR => self.faults.store_esr(value),
+            RF0R => self.fifo.store_rfr(value),
+            IER => {
+                ensure!(value & !(TMEIE | FMPIE0) == 0, "IER {value:#X}: such interrupts are not modelled");
+                self.ier = value;
+            }
             BTR => self.store_btr(value)?,
             MAILBOX..FIFO_0 => {
                 if !self.mailboxes.store(offset - MAILBOX, value)? {
@@ -224,41 +205,28 @@ impl Bxcan {
                     ));
                 }
             }
-            FIFO_0..0x1D0 => self.forbidden(format!("46.9.3: a FIFO was written to, at {offset:#05X}")),
+            FIFO_0..FIFO_0_END => self.forbidden(format!("46.9.3: a FIFO was written to, at {offset:#05X}")),
             FILTERS.. => {
                 if !self.filters.store(offset - FILTERS, value)? {
                     self.forbidden(format!("46.7.4: a filter that is in use was changed, at {offset:#05X}"));
                 }
             }
-            _ => bail!("bxCAN has no register at {offset:#05X}"),
+            _ => bail!("no register of bxCAN is modelled for stores at {offset:#05X}"),
         }
         Ok(())
     }
 
-    /// The lines to the core, in the order of [`LINES`]: transmit, FIFO 0, FIFO 1, status change and errors (46.8).
+    /// The lines to the core, in the order of [`LINES`] (46.8).
     #[must_use]
-    pub fn interrupts(&self) -> [bool; 4] {
-        let fifo = |number: usize| {
-            // FMPIE, FFIE and FOVIE of FIFO 0 are bits 1 to 3, those of FIFO 1 bits 4 to 6.
-            let enabled = self.ier >> (1 + 3 * number) & 0b111;
-            enabled & self.fifos[number].events() != 0
-        };
-        let status = [(ERRIE, ERRI), (WKUIE, WKUI), (SLKIE, SLAKI)];
+    pub fn interrupts(&self) -> [bool; 2] {
         [
             self.ier & TMEIE != 0 && self.mailboxes.any_request_completed(),
-            fifo(0),
-            fifo(1),
-            status.iter().any(|(enable, flag)| self.ier & enable != 0 && self.flags & flag != 0),
+            self.ier & FMPIE0 != 0 && self.fifo.has_message(),
         ]
     }
 
     fn forbidden(&mut self, what: String) {
         self.violations.push(what);
-    }
-
-    /// Whether messages go in the order in which they were asked for, not by their identifiers (46.7.1).
-    fn by_request(&self) -> bool {
-        self.mcr & TXFP != 0
     }
 
     fn msr(&self) -> u32 {
@@ -273,19 +241,12 @@ impl Bxcan {
             Some(Activity::Receiving) => RXM,
             None => 0,
         };
-        mode | self.flags | activity | RX_AND_SAMP
+        mode | activity | RX_AND_SAMP
     }
 
     fn store_mcr(&mut self, value: u32) -> Result<()> {
-        if value & RESET != 0 {
-            // 46.9.2: as after reset; the filters stay.
-            let filters = self.filters.clone();
-            let violations = std::mem::take(&mut self.violations);
-            *self = Self { filters, violations, ..Self::new(self.clock_hz) };
-            return Ok(());
-        }
-        ensure!(value & TTCM == 0, "time triggered communication is not modelled");
-        self.mcr = value & MCR_BITS;
+        ensure!(value & !MCR_BITS == 0, "MCR {value:#X}: such modes are not modelled");
+        self.mcr = value;
         self.change_mode();
         Ok(())
     }
@@ -318,21 +279,12 @@ impl Bxcan {
     }
 
     fn enter(&mut self, mode: Mode) {
-        match mode {
-            Mode::Sleep => {
-                if self.ier & SLKIE != 0 {
-                    self.flags |= SLAKI;
-                }
+        if let Mode::Synchronising { from } = mode {
+            self.recessive = 0;
+            if from == INAK {
+                // 46.7.6: set and cleared, INRQ starts the way out of bus-off.
+                self.faults.begin_recovery();
             }
-            Mode::Initialisation => self.flags &= !SLAKI,
-            Mode::Synchronising { from } => {
-                self.recessive = 0;
-                if from == INAK {
-                    // 46.7.6: set and cleared, INRQ starts the way out of bus-off.
-                    self.faults.begin_recovery();
-                }
-            }
-            Mode::Normal => self.flags &= !SLAKI,
         }
         self.mode = mode;
     }
@@ -356,7 +308,7 @@ impl BusController for Bxcan {
     }
 
     fn next_transmission(&self) -> Option<Transmission> {
-        if self.takes_part() { self.mailboxes.next(self.by_request()) } else { None }
+        if self.takes_part() { self.mailboxes.next() } else { None }
     }
 
     fn begin_transmission(&mut self, mailbox: usize) {
@@ -367,19 +319,10 @@ impl BusController for Bxcan {
     fn begin_reception(&mut self, lost: Option<usize>) {
         self.recessive = 0;
         if let Some(mailbox) = lost {
-            let is_once = self.mcr & NART != 0;
-            self.mailboxes.lose(mailbox, is_once);
+            self.mailboxes.lose(mailbox);
         }
         if self.takes_part() {
             self.activity = Some(Activity::Receiving);
-        }
-        if self.mode == Mode::Sleep {
-            self.flags |= WKUI;
-            // 46.4.3: with AWUM the hardware clears SLEEP.
-            if self.mcr & AWUM != 0 {
-                self.mcr &= !SLEEP;
-                self.change_mode();
-            }
         }
     }
 
@@ -390,19 +333,16 @@ impl BusController for Bxcan {
     }
 
     fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
-        let is_once = self.mcr & NART != 0;
-        self.mailboxes.fail(mailbox, is_once);
-        if self.faults.transmit_error(why, self.ier, self.mcr & ABOM != 0) {
-            self.flags |= ERRI;
-        }
+        self.mailboxes.fail(mailbox);
+        self.faults.transmit_error(why);
         self.end_activity();
     }
 
     fn end_reception(&mut self, frame: &WireFrame) {
         if self.activity == Some(Activity::Receiving) {
             self.faults.received();
-            if let Some((fifo, index)) = self.filters.pass(frame) {
-                self.fifos[fifo].put(frame, index, self.mcr & RFLM != 0);
+            if let Some(filter) = self.filters.pass(frame) {
+                self.fifo.put(frame, filter);
                 self.accepted.push(*frame);
             }
         }
@@ -410,8 +350,8 @@ impl BusController for Bxcan {
     }
 
     fn fail_reception(&mut self, why: ErrorCode) {
-        if self.activity == Some(Activity::Receiving) && self.faults.receive_error(why, self.ier) {
-            self.flags |= ERRI;
+        if self.activity == Some(Activity::Receiving) {
+            self.faults.receive_error(why);
         }
         self.end_activity();
     }

@@ -2,13 +2,11 @@
 
 use crate::can_controller::ErrorCode;
 
-/// Bits of ESR (46.9.2), and those of IER at the same places but eight to the left.
+/// Bits of ESR (46.9.2).
 const EWGF: u32 = 1 << 0;
 const EPVF: u32 = 1 << 1;
 const BOFF: u32 = 1 << 2;
 const LEC_AT: u32 = 4;
-const ENABLES_AT: u32 = 8;
-const LECIE: u32 = 1 << 11;
 
 /// From where on the counters warn, and beyond where they make it error passive or bus-off.
 const WARNING: u16 = 96;
@@ -50,11 +48,6 @@ impl Faults {
         self.status() | self.last << LEC_AT | counters
     }
 
-    /// LEC alone can be written; with 7 a driver sees whether the hardware changes it.
-    pub(super) fn store_esr(&mut self, value: u32) {
-        self.last = value >> LEC_AT & 0b111;
-    }
-
     fn status(&self) -> u32 {
         let warns = self.transmit >= WARNING || self.receive >= WARNING;
         [(EWGF, warns), (EPVF, self.is_passive()), (BOFF, self.is_off)]
@@ -73,33 +66,18 @@ impl Faults {
         self.last = 0;
     }
 
-    /// Whether ERRI is set by it.
-    pub(super) fn transmit_error(&mut self, why: ErrorCode, ier: u32, recovers_by_itself: bool) -> bool {
-        // ISO 11898-1: one that is error passive does not count that nobody acknowledges.
-        let counts = why != ErrorCode::Acknowledgement || self.transmit <= LAST_ACTIVE;
-        self.changed(why, ier, |this| {
-            if counts {
-                this.transmit += 8;
-            }
-            if this.transmit > LAST_ON {
-                this.is_off = true;
-                this.to_recover = recovers_by_itself.then_some(RECOVERY);
-            }
-        })
-    }
-
-    /// Whether ERRI is set by it.
-    pub(super) fn receive_error(&mut self, why: ErrorCode, ier: u32) -> bool {
-        self.changed(why, ier, |this| this.receive = (this.receive + 1).min(LAST_ON))
-    }
-
-    /// ERRI is set by a new bit of ESR whose interrupt is enabled (46.9.2).
-    fn changed(&mut self, why: ErrorCode, ier: u32, change: impl FnOnce(&mut Self)) -> bool {
-        let before = self.status();
-        change(self);
+    pub(super) fn transmit_error(&mut self, why: ErrorCode) {
         self.last = why as u32;
-        let new = self.status() & !before;
-        ier >> ENABLES_AT & new != 0 || ier & LECIE != 0
+        // ISO 11898-1: one that is error passive does not count that nobody acknowledges.
+        if why != ErrorCode::Acknowledgement || self.transmit <= LAST_ACTIVE {
+            self.transmit += 8;
+        }
+        self.is_off |= self.transmit > LAST_ON;
+    }
+
+    pub(super) fn receive_error(&mut self, why: ErrorCode) {
+        self.last = why as u32;
+        self.receive = (self.receive + 1).min(LAST_ON);
     }
 
     /// Initialisation was entered and left (46.7.6).

@@ -51,18 +51,14 @@ impl Fifo {
         self.output[(offset / 4) as usize]
     }
 
-    /// Message pending, full, overrun, from the lowest bit on.
-    pub(super) fn events(&self) -> u32 {
-        u32::from(!self.messages.is_empty()) | u32::from(self.is_full) << 1 | u32::from(self.is_overrun) << 2
+    pub(super) fn has_message(&self) -> bool {
+        !self.messages.is_empty()
     }
 
-    /// A message that passed a filter. There is no room for a fourth: the third gives way, unless the FIFO is locked.
-    pub(super) fn put(&mut self, frame: &WireFrame, filter: u8, is_locked: bool) {
+    /// A message that passed a filter. There is no room for a fourth: the third gives way.
+    pub(super) fn put(&mut self, frame: &WireFrame, filter: u8) {
         if self.messages.len() == DEPTH {
             self.is_overrun = true;
-            if is_locked {
-                return;
-            }
             self.messages.pop_back();
         }
         self.messages.push_back(message(frame, filter));

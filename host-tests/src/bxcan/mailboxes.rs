@@ -29,8 +29,7 @@ const TGT: u32 = 1 << 8;
 struct Mailbox {
     /// TIxR without TXRQ, TDTxR, TDLxR, TDHxR.
     registers: [u32; 4],
-    /// When it was asked for, if it is pending.
-    pending: Option<u64>,
+    is_pending: bool,
     is_sending: bool,
     is_to_abort: bool,
     /// RQCP, TXOK, ALST and TERR.
@@ -57,48 +56,36 @@ impl Mailbox {
 
     fn empty(&mut self, status: u32) {
         self.status = RQCP | status;
-        self.pending = None;
-        (self.is_sending, self.is_to_abort) = (false, false);
+        (self.is_pending, self.is_sending, self.is_to_abort) = (false, false, false);
     }
 }
 
-#[derive(Clone, Debug)]
-pub(super) struct Mailboxes {
-    boxes: [Mailbox; MAILBOXES],
-    requests: u64,
-}
+#[derive(Clone, Debug, Default)]
+pub(super) struct Mailboxes([Mailbox; MAILBOXES]);
 
 impl Mailboxes {
-    pub(super) fn new() -> Self {
-        Self { boxes: Default::default(), requests: 0 }
-    }
-
-    /// The pending ones, the first to leave first.
-    fn order(&self, by_request: bool) -> Vec<usize> {
-        let mut pending: Vec<_> = (0..MAILBOXES).filter(|&n| self.boxes[n].pending.is_some()).collect();
-        pending.sort_by_key(|&n| {
-            let mailbox = &self.boxes[n];
-            // Of equal identifiers the lower mailbox leaves first, which is the order they are in.
-            if by_request { mailbox.pending.unwrap_or(0) } else { mailbox.frame().arbitration().into() }
-        });
+    /// The pending ones, the first to leave first: the lowest identifier, and of equal ones the lower mailbox.
+    fn order(&self) -> Vec<usize> {
+        let mut pending: Vec<_> = (0..MAILBOXES).filter(|&n| self.0[n].is_pending).collect();
+        pending.sort_by_key(|&n| self.0[n].frame().arbitration());
         pending
     }
 
-    pub(super) fn next(&self, by_request: bool) -> Option<Transmission> {
-        let mailbox = *self.order(by_request).first()?;
-        Some(Transmission { mailbox, frame: self.boxes[mailbox].frame() })
+    pub(super) fn next(&self) -> Option<Transmission> {
+        let mailbox = *self.order().first()?;
+        Some(Transmission { mailbox, frame: self.0[mailbox].frame() })
     }
 
-    pub(super) fn tsr(&self, by_request: bool) -> u32 {
-        let order = self.order(by_request);
+    pub(super) fn tsr(&self) -> u32 {
+        let order = self.order();
         let mut tsr = 0;
-        for (n, mailbox) in self.boxes.iter().enumerate() {
+        for (n, mailbox) in self.0.iter().enumerate() {
             let abort = if mailbox.is_to_abort { ABRQ } else { 0 };
             tsr |= (mailbox.status | abort) << (8 * n);
-            tsr |= u32::from(mailbox.pending.is_none()) << (TME_AT as usize + n);
+            tsr |= u32::from(!mailbox.is_pending) << (TME_AT as usize + n);
         }
         // The next free one, or the last to leave.
-        let free = (0..MAILBOXES).find(|&n| self.boxes[n].pending.is_none());
+        let free = (0..MAILBOXES).find(|&n| !self.0[n].is_pending);
         let last = order.last().copied();
         tsr |= (free.or(last).unwrap_or(0) as u32) << CODE_AT;
         if let (Some(last), 2..) = (last, order.len()) {
@@ -108,12 +95,12 @@ impl Mailboxes {
     }
 
     pub(super) fn store_tsr(&mut self, value: u32) {
-        for (n, mailbox) in self.boxes.iter_mut().enumerate() {
+        for (n, mailbox) in self.0.iter_mut().enumerate() {
             let value = value >> (8 * n);
             // Clearing RQCP clears the others.
             let cleared = if value & RQCP != 0 { RQCP | TXOK | ALST | TERR } else { value };
             mailbox.status &= !cleared;
-            if value & ABRQ != 0 && mailbox.pending.is_some() {
+            if value & ABRQ != 0 && mailbox.is_pending {
                 // 46.7.1: what is being sent goes on to its end.
                 if mailbox.is_sending { mailbox.is_to_abort = true } else { mailbox.empty(0) }
             }
@@ -121,21 +108,21 @@ impl Mailboxes {
     }
 
     pub(super) fn any_request_completed(&self) -> bool {
-        self.boxes.iter().any(|mailbox| mailbox.status & RQCP != 0)
+        self.0.iter().any(|mailbox| mailbox.status & RQCP != 0)
     }
 
     pub(super) fn load(&self, offset: u32) -> u32 {
         let (mailbox, register) = place(offset);
-        let mailbox = &self.boxes[mailbox];
-        let request = if register == 0 && mailbox.pending.is_some() { TXRQ } else { 0 };
+        let mailbox = &self.0[mailbox];
+        let request = if register == 0 && mailbox.is_pending { TXRQ } else { 0 };
         mailbox.registers[register] | request
     }
 
     /// Whether it was taken: a mailbox that is not empty takes nothing.
     pub(super) fn store(&mut self, offset: u32, value: u32) -> Result<bool> {
         let (mailbox, register) = place(offset);
-        let mailbox = &mut self.boxes[mailbox];
-        if mailbox.pending.is_some() {
+        let mailbox = &mut self.0[mailbox];
+        if mailbox.is_pending {
             return Ok(false);
         }
         ensure!(register != 1 || value & TGT == 0, "time triggered communication is not modelled");
@@ -143,35 +130,34 @@ impl Mailboxes {
         if register == 0 {
             mailbox.registers[0] &= !TXRQ;
             if value & TXRQ != 0 {
-                mailbox.pending = Some(self.requests);
+                mailbox.is_pending = true;
                 mailbox.status = 0;
-                self.requests += 1;
             }
         }
         Ok(true)
     }
 
     pub(super) fn begin(&mut self, mailbox: usize) {
-        self.boxes[mailbox].is_sending = true;
+        self.0[mailbox].is_sending = true;
     }
 
     pub(super) fn complete(&mut self, mailbox: usize) {
-        self.boxes[mailbox].empty(TXOK);
+        self.0[mailbox].empty(TXOK);
     }
 
-    pub(super) fn lose(&mut self, mailbox: usize, is_once: bool) {
-        self.again(mailbox, ALST, is_once);
+    pub(super) fn lose(&mut self, mailbox: usize) {
+        self.again(mailbox, ALST);
     }
 
-    pub(super) fn fail(&mut self, mailbox: usize, is_once: bool) {
-        self.again(mailbox, TERR, is_once);
+    pub(super) fn fail(&mut self, mailbox: usize) {
+        self.again(mailbox, TERR);
     }
 
-    /// It is tried again by the hardware, unless that was forbidden or it is to be aborted (46.7.1, 46.7.2).
-    fn again(&mut self, mailbox: usize, why: u32, is_once: bool) {
-        let mailbox = &mut self.boxes[mailbox];
+    /// It is tried again by the hardware, unless it is to be aborted (46.7.1).
+    fn again(&mut self, mailbox: usize, why: u32) {
+        let mailbox = &mut self.0[mailbox];
         mailbox.is_sending = false;
-        if is_once || mailbox.is_to_abort {
+        if mailbox.is_to_abort {
             mailbox.empty(why);
         } else {
             mailbox.status = mailbox.status & !(ALST | TERR) | why;
