@@ -1,7 +1,7 @@
 //! The CAN controller MCP2515, as Microchip's DS20001801 describes it: what a host sees over SPI, and what it does on a bus.
 //!
-//! The bus is [`can_bus`](crate::can_bus)'s; it says when a frame begins, ends, or fails. Sleep, loopback and listen-only mode and
-//! the pins TXnRTS and RXnBF are refused. What the data sheet forbids a driver and the chip ignores, this ignores too, and keeps
+//! The bus is [`can_bus`](crate::can_bus)'s; it says when a frame begins, ends, or fails. The model refuses sleep, loopback,
+//! listen-only and one-shot mode, RX STATUS, and the pins TXnRTS and RXnBF. What the data sheet forbids a driver and the chip ignores, this ignores too, and keeps
 //! in [`Mcp2515::violations`].
 
 mod buffers;
@@ -80,7 +80,6 @@ enum Instruction {
         mask: Option<u8>,
     },
     ReadStatus,
-    RxStatus,
     /// Nothing follows.
     Ended,
 }
@@ -239,10 +238,6 @@ impl Mcp2515 {
                 out = self.read_status();
                 instruction
             }
-            Instruction::RxStatus => {
-                out = self.rx_status();
-                instruction
-            }
             Instruction::Ended => instruction,
         };
         self.instruction = Some(next);
@@ -259,7 +254,6 @@ impl Mcp2515 {
             0b0000_0010 => Instruction::Address(Access::Write),
             0b0000_0101 => Instruction::Address(Access::Modify),
             0b1010_0000 => Instruction::ReadStatus,
-            0b1011_0000 => Instruction::RxStatus,
             // Figure 12-3: from the identifier or the data on.
             0b1001_0000 | 0b1001_0010 | 0b1001_0100 | 0b1001_0110 => {
                 let (buffer, is_data) = (code >> 2 & 1, code >> 1 & 1);
@@ -289,13 +283,6 @@ impl Mcp2515 {
             let is_sent = self.flags >> (2 + n) & 1;
             status | u8::from(self.transmit[n].is_pending()) << (2 + 2 * n) | is_sent << (3 + 2 * n)
         })
-    }
-
-    /// Figure 12-9: of both buffers, the first is told of.
-    fn rx_status(&self) -> u8 {
-        let full = self.flags & 0b11;
-        let told = usize::from(full == 0b10);
-        full << 6 | if full == 0 { 0 } else { self.receive[told].kind(told) }
     }
 
     fn load(&self, address: u8) -> u8 {
@@ -358,9 +345,8 @@ impl Mcp2515 {
             }
         }
         ensure!(
-            matches!(value >> 5, 0 | 4),
-            "mode {} is not modelled: but for Normal and Configuration mode none is",
-            value >> 5
+            matches!(value >> 5, 0 | 4) && value & OSM == 0,
+            "CANCTRL {value:#04X}: only Normal and Configuration mode are modelled"
         );
         self.change_mode();
         Ok(())
@@ -460,8 +446,7 @@ impl BusController for Mcp2515 {
     fn begin_reception(&mut self, lost: Option<usize>) {
         self.recessive = 0;
         if let Some(buffer) = lost {
-            let is_once = self.canctrl & OSM != 0;
-            self.transmit[buffer].lose(is_once);
+            self.transmit[buffer].lose();
         }
         self.is_receiving = self.takes_part();
     }
@@ -476,9 +461,7 @@ impl BusController for Mcp2515 {
     }
 
     fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
-        let is_once = self.canctrl & OSM != 0;
-        let is_aborted = self.canctrl & ABAT != 0;
-        self.transmit[mailbox].fail(is_once, is_aborted);
+        self.transmit[mailbox].fail(self.canctrl & ABAT != 0);
         self.flags |= MERRF;
         let before = self.faults.flags();
         self.faults.transmit_error(why);

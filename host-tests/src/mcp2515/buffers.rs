@@ -106,22 +106,22 @@ impl TransmitBuffer {
         self.is_to_abort = false;
     }
 
-    pub(super) fn lose(&mut self, is_once: bool) {
-        self.again(MLOA, is_once, is_once);
+    pub(super) fn lose(&mut self) {
+        self.again(MLOA, false);
     }
 
-    pub(super) fn fail(&mut self, is_once: bool, is_aborted: bool) {
-        self.again(TXERR, is_once || is_aborted, is_once || is_aborted);
+    pub(super) fn fail(&mut self, all_are_aborted: bool) {
+        self.again(TXERR, all_are_aborted);
     }
 
-    /// It is tried again, unless that was forbidden or it is to be aborted (3.4, 3.5, 3.6).
-    fn again(&mut self, why: u8, is_over: bool, tells: bool) {
+    /// It is tried again, unless it is to be aborted, which ABTF shows of ABAT (3.4, 3.6).
+    fn again(&mut self, why: u8, all_are_aborted: bool) {
         self.control |= why;
-        if is_over || self.is_to_abort {
+        if all_are_aborted || self.is_to_abort {
             self.complete();
-            if tells {
-                self.control |= ABTF;
-            }
+        }
+        if all_are_aborted {
+            self.control |= ABTF;
         }
     }
 }
@@ -181,13 +181,5 @@ impl ReceiveBuffer {
         self.message[4] = remote | frame.dlc;
         self.message[5..].copy_from_slice(&frame.data);
         (self.filter, self.is_remote) = (filter, frame.is_remote);
-    }
-
-    /// RX STATUS: what kind of message it is, and its filter (figure 12-9).
-    pub(super) fn kind(&self, buffer: usize) -> u8 {
-        let is_extended = self.message[1] & IDE != 0;
-        let has_rolled_over = buffer == 1 && self.filter < 2;
-        let filter = if has_rolled_over { 0b110 | self.filter } else { self.filter };
-        u8::from(is_extended) << 4 | u8::from(self.is_remote) << 3 | filter
     }
 }
