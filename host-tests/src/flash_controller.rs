@@ -2,7 +2,7 @@
 //!
 //! RM0351's own text was not at hand. Registers and bits are those of ST's register header for the STM32L475; the rules are
 //! those of RM0440, whose STM32G4 has the same interface under the same section numbers, as long as it has two banks.
-//! Fast programming, mass erase and option bytes are refused.
+//! Fast programming, mass erase, option bytes and interrupts are refused.
 //!
 //! What the manual forbids a driver is kept in [`FlashController::violations`], also where the hardware would only be slow.
 //! Where the manual leaves it open whether a second load of an unreadable double word raises a second NMI (3.3.2: the current
@@ -46,8 +46,7 @@ const ACR_RESET: u32 = 0x0000_0600;
 /// What unlocks CR (3.3.5).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// Bits of SR (3.7.5) beside those of [`ErrorFlag`].
-const EOP: u32 = 1 << 0;
+/// A bit of SR (3.7.5) beside those of [`ErrorFlag`].
 const BSY: u32 = 1 << 16;
 
 /// Bits of CR (3.7.6).
@@ -56,21 +55,15 @@ const PER: u32 = 1 << 1;
 const PNB: u32 = 0xFF << 3;
 const BKER: u32 = 1 << 11;
 const STRT: u32 = 1 << 16;
-const EOPIE: u32 = 1 << 24;
-const ERRIE: u32 = 1 << 25;
 const OPTLOCK: u32 = 1 << 30;
 const LOCK: u32 = 1 << 31;
-const CR_BITS: u32 = PG | PER | PNB | BKER | STRT | EOPIE | ERRIE | OPTLOCK | LOCK;
+const CR_BITS: u32 = PG | PER | PNB | BKER | STRT | OPTLOCK | LOCK;
 
 /// Bits of ECCR (3.7.7): where, in which bank, and what was found.
 const ADDR_ECC: u32 = 0x0007_FFFF;
 const BK_ECC: u32 = 1 << 19;
-const ECCIE: u32 = 1 << 24;
 const ECCC: u32 = 1 << 30;
 const ECCD: u32 = 1 << 31;
-
-/// The interrupt line of the interface, by its number at the core (RM0351, table 58).
-const LINE: u8 = 4;
 
 /// Typical times (data sheet of the STM32L475, table 61).
 const PROGRAM_TIME: Duration = Duration::from_micros(82);
@@ -82,7 +75,7 @@ const CACHED: usize = 32;
 /// A way in which an operation fails; its value is the bit of SR (3.7.5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorFlag {
-    /// OPERR: beside another one, with the interrupt for errors enabled.
+    /// OPERR: beside another one, with the interrupt for errors enabled, so only as a [`Fault`] here.
     Operation = 1 << 1,
     /// PROGERR: the double word was not erased.
     Programming = 1 << 3,
@@ -332,12 +325,8 @@ impl State {
         self.violations.push(what.into());
     }
 
-    /// 3.3.7: OPERR is set with the interrupt enabled only.
     fn fail(&mut self, flag: ErrorFlag) {
         self.sr |= flag as u32;
-        if self.cr & ERRIE != 0 {
-            self.sr |= ErrorFlag::Operation as u32;
-        }
     }
 
     /// 3.3.6, 3.3.7: after an error that was not cleared nothing begins.
@@ -356,7 +345,7 @@ impl State {
             // 3.7.5: each is cleared by a 1.
             SR => self.sr &= !value,
             CR => self.store_cr(value)?,
-            ECCR => self.eccr = self.eccr & !(value & (ECCC | ECCD) | ECCIE) | value & ECCIE,
+            ECCR => self.eccr &= !(value & (ECCC | ECCD)),
             _ => bail!("the register of FLASH at {offset:#04X} is not modelled"),
         }
         Ok(())
@@ -406,7 +395,7 @@ impl State {
         }
         ensure!(
             value & !CR_BITS == 0,
-            "{value:#010X}: fast programming, mass erase and option bytes are not modelled"
+            "{value:#010X}: fast programming, mass erase, option bytes and interrupts are not modelled"
         );
         let selection = PER | PNB | BKER;
         if value & STRT != 0 && (self.cr ^ value) & selection != 0 {
@@ -517,9 +506,6 @@ impl State {
         if self.pages.apply(operation).is_err() {
             return self.fail(ErrorFlag::Programming);
         }
-        if self.cr & EOPIE != 0 {
-            self.sr |= EOP;
-        }
         // 3.3.7: what is programmed is changed in the cache too, what is erased is not.
         match operation {
             Operation::Program(page, index, value) => {
@@ -530,13 +516,6 @@ impl State {
                 self.is_cache_stale |= self.cached.iter().any(|(of, _)| of / PAGE_LEN == page as usize);
             }
         }
-    }
-
-    /// Whether the interface's interrupt is raised.
-    fn interrupts(&self) -> bool {
-        let enabled = [(EOPIE, EOP), (ERRIE, ErrorFlag::Operation as u32)];
-        enabled.iter().any(|(enable, flag)| self.cr & enable != 0 && self.sr & flag != 0)
-            || self.eccr & (ECCIE | ECCC) == ECCIE | ECCC
     }
 
     /// What is loaded, and whether NMI is raised.
@@ -578,7 +557,7 @@ impl State {
         let is_unreadable = self.fault == Some(Fault::UnreadableProgram);
         if is_unreadable {
             self.fault = None;
-            self.eccr = self.eccr & ECCIE | ECCD;
+            self.eccr = ECCD;
         }
         is_unreadable
     }
@@ -587,7 +566,7 @@ impl State {
     fn tell(&mut self, flag: u32, address: u32) -> bool {
         let is_told = self.eccr & (ECCC | ECCD) == 0;
         if is_told {
-            self.eccr = self.eccr & ECCIE | flag | BK_ECC | address & !0b111 & ADDR_ECC;
+            self.eccr = flag | BK_ECC | address & !0b111 & ADDR_ECC;
         }
         is_told
     }
@@ -635,10 +614,6 @@ impl RegisterModel for Registers {
         if let Ok(mut state) = self.0.state() {
             state.advance(time);
         }
-    }
-
-    fn interrupts(&self) -> Vec<(u8, bool)> {
-        self.0.state().map_or(vec![], |state| vec![(LINE, state.interrupts())])
     }
 
     fn reset(&mut self) {

@@ -1,3 +1,6 @@
+//! Protects the strictness of the model: what the flash interface refuses or punishes, which the driver avoids, so that no image
+//! in the emulator would notice a model without it.
+
 use super::*;
 
 /// A machine that counts what the model asks of it.
@@ -50,10 +53,6 @@ fn pass(flash: &FlashController, time: Duration) {
     Registers(flash.powered()).advance(time);
 }
 
-fn interrupts(flash: &FlashController) -> Vec<(u8, bool)> {
-    Registers(flash.powered()).interrupts()
-}
-
 fn unlock(flash: &FlashController) {
     KEYS.into_iter().for_each(|key| store(flash, KEYR, key));
 }
@@ -79,36 +78,6 @@ fn erase(flash: &FlashController, page_number: u32) {
 }
 
 #[test]
-fn a_double_word_is_programmed_after_82_us_and_reads_so_from_then_on() {
-    let flash = ready();
-    program(&flash, FIRST + 16, 0x0123_4567_89AB_CDEF);
-    pass(&flash, Duration::from_micros(81));
-    assert_eq!(load(&flash, SR), BSY);
-    pass(&flash, Duration::from_micros(1));
-    assert_eq!(load(&flash, SR), 0, "EOP is told with its interrupt enabled only");
-    assert_eq!((peek(&flash, FIRST + 16), peek(&flash, FIRST + 20)), ((0x89AB_CDEF, 0), (0x0123_4567, 0)));
-    assert_eq!(peek(&flash, FIRST + 24), (u32::MAX, 0));
-    assert!(flash.violations().is_empty());
-}
-
-#[test]
-fn a_page_is_erased_after_22_ms_and_the_other_is_not() {
-    for (number, erased, kept) in [(510, FIRST, SECOND), (511, SECOND, FIRST)] {
-        let flash = ready();
-        for page in Page::ALL {
-            flash.set(page, 255, Some(7));
-        }
-        erase(&flash, number);
-        pass(&flash, Duration::from_micros(21_999));
-        assert_eq!((load(&flash, SR), load(&flash, CR) & STRT), (BSY, STRT));
-        pass(&flash, Duration::from_micros(1));
-        assert_eq!((load(&flash, SR), load(&flash, CR) & STRT), (0, 0));
-        assert_eq!((peek(&flash, erased + 2040).0, peek(&flash, kept + 2040).0), (u32::MAX, 7));
-        assert_eq!((flash.erases(), flash.violations()), (1, vec![]));
-    }
-}
-
-#[test]
 fn it_is_locked_until_both_keys_come_in_their_order() {
     let flash = FlashController::new();
     assert_eq!(load(&flash, CR), OPTLOCK | LOCK);
@@ -120,31 +89,6 @@ fn it_is_locked_until_both_keys_come_in_their_order() {
     assert_ne!(load(&flash, CR) & LOCK, 0);
     unlock(&flash);
     assert_eq!(load(&flash, CR) & LOCK, 0);
-}
-
-#[test]
-fn it_is_at_rest_when_locked_with_the_caches_on_and_no_bit_left() {
-    let flash = FlashController::new();
-    assert!(flash.is_at_rest());
-    unlock(&flash);
-    assert!(!flash.is_at_rest());
-    store(&flash, CR, PG | LOCK);
-    assert!(flash.is_at_rest());
-    assert!(flash.violations()[0].contains("left set"));
-    store(&flash, ACR, ICEN);
-    assert!(!flash.is_at_rest());
-}
-
-#[test]
-fn a_program_that_cannot_be_read_raises_nmi_once_at_the_next_look() {
-    let flash = FlashController::new();
-    flash.set_fault(Some(Fault::UnreadableProgram));
-    let mut core = Core::default();
-    let mut registers = Registers(flash.powered());
-    for _ in 0..2 {
-        assert_eq!(registers.load_through(FLASH + ECCR, Width::Word, &mut core).unwrap(), ECCD, "bank 1");
-    }
-    assert_eq!(core.nmis, 1);
 }
 
 #[test]
@@ -218,22 +162,6 @@ fn nothing_begins_while_an_error_flag_is_set() {
 }
 
 #[test]
-fn ends_and_errors_are_told_by_an_interrupt_where_that_is_enabled() {
-    let flash = ready();
-    store(&flash, CR, PG | EOPIE | ERRIE);
-    poke(&flash, FIRST, Width::Word, 1);
-    poke(&flash, FIRST + 4, Width::Word, 2);
-    assert_eq!(interrupts(&flash), [(4, false)]);
-    pass(&flash, PROGRAM_TIME);
-    assert_eq!((load(&flash, SR), interrupts(&flash)), (EOP, vec![(4, true)]));
-    store(&flash, SR, EOP);
-    assert_eq!(interrupts(&flash), [(4, false)]);
-    poke(&flash, FIRST, Width::Byte, 1);
-    let told = ErrorFlag::Size as u32 | ErrorFlag::Operation as u32;
-    assert_eq!((load(&flash, SR), interrupts(&flash)), (told, vec![(4, true)]));
-}
-
-#[test]
 fn a_forbidden_erase_is_kept_and_does_nothing() {
     // Without BKER, and the pages beside.
     for number in [254, 255, 509, 0] {
@@ -301,18 +229,6 @@ fn an_unreadable_double_word_raises_nmi_once_until_its_flag_is_cleared() {
 }
 
 #[test]
-fn a_corrected_bit_is_told_and_hides_an_unreadable_double_word() {
-    let flash = ready();
-    flash.set(Page::First, 0, Some(9));
-    flash.set_correctable(Page::First, 0);
-    flash.set(Page::First, 1, None);
-    assert_eq!(peek(&flash, FIRST), (9, 0));
-    assert_eq!(load(&flash, ECCR), ECCC | BK_ECC | 0x7_F000);
-    assert_eq!(peek(&flash, FIRST + 8).1, 0);
-    assert_eq!(flash.violations().len(), 1);
-}
-
-#[test]
 fn a_power_cut_leaves_the_flash_busy_and_the_pages_torn_for_the_next_power_on() {
     for (tear, left) in
         [(Tear::NotBegun, Some(u64::MAX)), (Tear::Complete, Some(5)), (Tear::Unreadable, None)]
@@ -335,24 +251,4 @@ fn a_power_cut_leaves_the_flash_busy_and_the_pages_torn_for_the_next_power_on() 
         assert_eq!((load(&flash, SR), load(&flash, CR), flash.is_off()), (0, OPTLOCK | LOCK, false));
         assert_eq!((flash.double_word(Page::First, 0), flash.double_word(Page::First, 1)), (Some(4), left));
     }
-}
-
-#[test]
-fn faults_are_those_of_worn_protected_and_locked_flash() {
-    for flag in ErrorFlag::ALL {
-        let flash = ready();
-        flash.set_fault(Some(Fault::Reports(flag)));
-        program(&flash, FIRST, 5);
-        pass(&flash, PROGRAM_TIME);
-        assert_eq!((load(&flash, SR), flash.double_word(Page::First, 0)), (flag as u32, Some(u64::MAX)));
-    }
-    let flash = ready();
-    flash.set_fault(Some(Fault::Stuck));
-    erase(&flash, 510);
-    pass(&flash, Duration::from_secs(10));
-    assert_eq!(load(&flash, SR), BSY);
-    let flash = FlashController::new();
-    flash.set_fault(Some(Fault::LockedUp));
-    unlock(&flash);
-    assert_ne!(load(&flash, CR) & LOCK, 0);
 }
