@@ -79,27 +79,3 @@ impl fmt::Debug for Machine {
         f.debug_struct("Machine").field("micros", &self.micros).finish_non_exhaustive()
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use std::sync::mpsc;
-
-    use super::*;
-
-    #[test]
-    fn followers_see_the_time_that_is_told_until_they_have_enough() {
-        let clock = Clock::of_machine();
-        let (seen, times) = mpsc::channel();
-        let (its, mut left) = (clock.clone(), 2);
-        clock.follow(move || {
-            left -= 1;
-            seen.send(its.now()).unwrap();
-            left > 0
-        });
-        for micros in [5, 7, 9] {
-            clock.tell(micros);
-        }
-        assert_eq!(times.iter().collect::<Vec<_>>(), [5, 7].map(Duration::from_micros));
-        assert_eq!(clock.now(), Duration::from_micros(9));
-    }
-}

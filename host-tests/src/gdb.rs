@@ -229,6 +229,3 @@ fn from_hex(digits: &str) -> Result<Vec<u8>> {
         pairs.map(|pair| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok()).collect();
     bytes.with_context(|| format!("QEMU's gdb stub answers `{digits}`, no bytes"))
 }
-
-#[cfg(test)]
-mod tests;

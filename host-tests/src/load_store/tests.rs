@@ -1,3 +1,5 @@
+//! Protects the encodings that a compiler does not emit today and may emit tomorrow, and the refusal of all others.
+
 use super::*;
 
 /// R0 to R15; R2 is an index, R10 another.
