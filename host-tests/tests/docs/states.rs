@@ -1,8 +1,10 @@
-//! docs/states.md: what each state, flag and status code means to somebody with a PLC, and what to do about it.
+//! docs/states.md: what each state, flag and status code means to somebody with a PLC.
+//!
+//! What to do about it is written in the document; the tests require words for each.
 
 use std::fs;
 
-use host_tests::document::{hold, read, root, table};
+use host_tests::document::{hold, part, read, root, table};
 use host_tests::plc_names::{gripper_flags, register_bit, statuses, system_flags};
 use wsg_protocol::{CommandId, Status};
 
@@ -19,107 +21,21 @@ const SENT: [(&str, &[CommandId]); 7] = [
     ("FASTSTOP", &[CommandId::FastStop]),
 ];
 
-/// What a PLC does in a state.
-fn in_state(name: &str) -> &'static str {
-    match name {
-        "IDLE" => "give the next command; with FAST_STOP in SYSSTATE acknowledge first",
-        "GRIPPING" | "RELEASING" | "POSITIONING" => "wait; leave WIDTH, SPEED and FORCELIMIT as they are",
-        "NO_PART" => {
-            "a result, not an error: RELEASE, then try again or report the missing part; MOVE is refused"
-        }
-        "PART_LOST" => {
-            "stop the machine's motion, RELEASE, look for the part; a higher FORCELIMIT may help; MOVE is refused"
-        }
-        "HOLDING" => "go on with the part; RELEASE is the way to open, MOVE is refused",
-        "ERROR" => {
-            "look at the status code, remove the reason, then a rising edge of STOP/ACK; MOVE is refused before"
-        }
-        name => panic!("nothing is said about {name}"),
-    }
+/// The last cells of the row of this name in a part of the document. These words stand there alone.
+fn words<const N: usize>(part_name: &str, name: &str) -> Option<[String; N]> {
+    let text = part(DOCUMENT, part_name);
+    let mut rows =
+        text.lines().map(|row| row.trim_matches('|').split('|').map(str::trim).collect::<Vec<_>>());
+    let row = rows.find(|cells| cells.contains(&name))?;
+    let (_, cells) = row.split_at_checked(row.len().checked_sub(N)?)?;
+    assert!(cells.last().is_some_and(|remedy| !remedy.is_empty()), "nothing is said about {name}");
+    Some(std::array::from_fn(|n| cells[n].to_owned()))
 }
 
-/// What a PLC does about a flag of SYSSTATE.
-fn about_flag(name: &str) -> &'static str {
-    match name {
-        "REFERENCED" => "if it is 0: HOMING; before that every other motion ends in status 3",
-        "MOVING" => "while it is 1 leave WIDTH, SPEED and FORCELIMIT as they are: a change is a FAST STOP",
-        "BLOCKED_MINUS" | "BLOCKED_PLUS" => {
-            "nothing while a part is held; otherwise look what is in the way of the fingers"
-        }
-        "SOFT_LIMIT_MINUS" | "SOFT_LIMIT_PLUS" => {
-            "move away from it; the limits are set in the gripper's web interface"
-        }
-        "AXIS_STOPPED" => "nothing: the next motion clears it",
-        "TARGET_POS_REACHED" => "do not wait for it; wait for GSTATE and the status",
-        "OVERDRIVE_MODE" | "FORCECNTL_MODE" => "nothing; it is set in the gripper",
-        "FAST_STOP" => {
-            "remove the reason, set FASTSTOP to 0 and `FAST_STOP_OK` high, then a rising edge of STOP/ACK"
-        }
-        "TEMP_WARNING" => "fewer or slower motions, less force, better cooling",
-        "TEMP_FAULT" => "let the gripper cool down, then a rising edge of STOP/ACK",
-        "POWER_FAULT" => "measure the gripper's supply at its plug, while it moves",
-        "CURR_FAULT" => {
-            "let the motor cool down; look for a jam; less SPEED and FORCELIMIT; then a rising edge of STOP/ACK"
-        }
-        "FINGER_FAULT" => "look at plug and cable of the fingers; the gripper's web interface says which one",
-        "CMD_FAILURE" => "look at the status code",
-        "SCRIPT_RUNNING" => "nothing; a script runs on the gripper",
-        "SCRIPT_FAILURE" => "look at the script in the gripper's web interface; the bridge uses none",
-        name => panic!("nothing is said about {name}"),
-    }
-}
-
-/// When the bridge shows a status by itself, and what a PLC does about a status; `None` for one that the bridge's commands do
-/// not give.
-fn about_status(status: Status) -> Option<(&'static str, &'static str)> {
-    Some(match status {
-        Status::Success => ("", "nothing"),
-        Status::CmdPending => ("from the edge on", "wait; the result replaces it"),
-        Status::NotInitialized => ("", "HOMING first; look why REFERENCED was lost (supply, restart)"),
-        Status::AlreadyRunning => {
-            ("the edge came while the fingers moved", "wait for the end of the motion, then a new edge")
-        }
-        Status::Timeout => (
-            "the gripper did not answer, or the motion took too long: its outcome is not known",
-            "look at GSTATE and at the fingers; STOP/ACK, then begin the step again",
-        ),
-        Status::AccessDenied => (
-            "FAST STOP is not acknowledged; or a fault locks the gripper; or MOVE while a part is held; or STOP/ACK before the gripper confirmed the FAST STOP",
-            "look at SYSSTATE; acknowledge by a new edge of STOP/ACK; RELEASE instead of MOVE",
-        ),
-        Status::CmdFailed => {
-            ("", "after GRIP: no part, GSTATE says NO_PART; otherwise STOP/ACK, then begin the step again")
-        }
-        Status::CmdAborted => (
-            "STOP/ACK or FASTSTOP withdrew the command; or the bridge was restarted while the fingers moved",
-            "nothing if you stopped it; otherwise see `RESET_CAUSE` and who stopped it (`COMMANDER`)",
-        ),
-        Status::InconsistentData => (
-            "the stored settings cannot be used, and nothing moves: `SETTINGS_FROM` says why",
-            "set the bridge up again and `SAVE`, or `DEFAULTS`",
-        ),
-        Status::IoError => (
-            "no connection to the gripper",
-            "supply, cable and interface setting of the gripper; `GRIPPER_LINK` and `LINE_CHECKSUM` tell more",
-        ),
-        Status::NotAvailable => ("", "the soft limits were cleared while a jog ran into them: give it again"),
-        Status::RangeError => (
-            "",
-            "JOG: the fingers are at the soft limit in its direction, or beyond it; others: WIDTH is outside the stroke or the soft limits of this gripper",
-        ),
-        Status::AxisBlocked => ("", "look what is in the way of the fingers; STOP/ACK, then HOMING"),
-        Status::InvalidParameter => {
-            ("the command could not be built from the registers", "check WIDTH, SPEED and FORCELIMIT")
-        }
-        Status::InsufficientResources => {
-            ("too many commands at once", "a new edge after the end of the last command")
-        }
-        Status::CmdFormatError | Status::NoParamExpected => (
-            "",
-            "gripper and bridge do not understand each other: check the gripper's firmware (4.0.0 is what the bridge was written for)",
-        ),
-        _ => return None,
-    })
+fn remedy(part_name: &str, name: &str) -> String {
+    let [remedy] = words(part_name, name)
+        .unwrap_or_else(|| panic!("{DOCUMENT} has no row for {name}: add one that ends in what to do"));
+    remedy
 }
 
 /// The command flags after which the manual lets the gripper answer with this status.
@@ -151,7 +67,7 @@ fn states_in_the_document_are_those_of_the_code() {
             flag.bit.to_string(),
             format!("{:02X}h", 1 << flag.bit),
             format!("{mask:04X}h"),
-            in_state(&flag.name).to_owned(),
+            remedy("gstate", &flag.name),
             flag.name,
             flag.meaning,
         ]
@@ -165,7 +81,7 @@ fn system_flags_in_the_document_are_those_of_the_code() {
     let rows = system_flags().into_iter().map(|flag| {
         // Behind GSTATE and OF.
         let (register, mask) = register_bit(16 + flag.bit);
-        let remedy = about_flag(&flag.name).to_owned();
+        let remedy = remedy("sysstate", &flag.name);
         [
             format!("D{}", flag.bit),
             flag.name,
@@ -181,28 +97,21 @@ fn system_flags_in_the_document_are_those_of_the_code() {
 
 #[test]
 fn status_codes_for_the_plc_are_those_of_the_code() {
-    let (known, others): (Vec<_>, Vec<_>) =
-        statuses().into_iter().partition(|(status, _)| about_status(*status).is_some());
     let code = |status: Status| format!("{} ({:02X}h)", status.code(), status.code());
-    let rows = known.into_iter().map(|(status, meaning)| {
-        let (own, remedy) = about_status(status).unwrap();
-        [
-            code(status),
-            status.symbol().to_owned(),
-            meaning,
-            shown_after(status),
-            own.to_owned(),
-            remedy.to_owned(),
-        ]
-    });
+    let (mut rows, mut others) = (Vec::new(), Vec::new());
+    for (status, meaning) in statuses() {
+        let (row, shown_after) = ([code(status), status.symbol().to_owned(), meaning], shown_after(status));
+        let Some([own, remedy]) = words("status", status.symbol()) else {
+            assert_eq!(shown_after, "", "{status} needs words of its own");
+            others.push(row);
+            continue;
+        };
+        let [code, symbol, meaning] = row;
+        rows.push([code, symbol, meaning, shown_after, own, remedy]);
+    }
     let head = ["code", "name", "meaning", "shown after", "the bridge by itself", "what to do"];
     hold(DOCUMENT, "status", &table(head, rows));
-    for (status, _) in &others {
-        assert_eq!(shown_after(*status), "", "{status} needs words of its own");
-    }
-    let rows =
-        others.into_iter().map(|(status, meaning)| [code(status), status.symbol().to_owned(), meaning]);
-    hold(DOCUMENT, "other-status", &table(["code", "name", "meaning"], rows));
+    hold(DOCUMENT, "other-status", &table(["code", "name", "meaning"], others));
 }
 
 /// A number in brackets behind the `E_NAME` of a document is the number of that status.
