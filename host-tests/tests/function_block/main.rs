@@ -145,9 +145,6 @@ impl Plc {
     }
 }
 
-/// A scenario by its name.
-type Scenario = (&'static str, fn() -> Plc);
-
 /// Whatever the bus's cycle: as fast as the PLC's, and as slow as BusTime allows.
 const EXCHANGES: [i64; 2] = [1, 5];
 
@@ -177,11 +174,9 @@ fn grip_cycle(exchange_every: i64) -> Plc {
     plc
 }
 
-#[test]
-fn homing_grip_and_release() {
-    for exchange_every in EXCHANGES {
-        grip_cycle(exchange_every);
-    }
+fn grip_cycles() -> Plc {
+    let [_, slow] = EXCHANGES.map(grip_cycle);
+    slow
 }
 
 fn no_part() -> Plc {
@@ -203,11 +198,6 @@ fn no_part() -> Plc {
     plc
 }
 
-#[test]
-fn missing_part_is_a_result() {
-    no_part();
-}
-
 fn part_lost() -> Plc {
     let mut plc = Plc::homed(Some(20.0), 1);
     plc.press("Grip");
@@ -221,11 +211,6 @@ fn part_lost() -> Plc {
     plc.until("Done");
     assert!(!plc.is("PartLost"));
     plc
-}
-
-#[test]
-fn lost_part_shows_and_is_released() {
-    part_lost();
 }
 
 fn fault_and_acknowledge() -> Plc {
@@ -248,11 +233,6 @@ fn fault_and_acknowledge() -> Plc {
     plc
 }
 
-#[test]
-fn fault_is_an_error_until_it_is_gone_and_acknowledged() {
-    fault_and_acknowledge();
-}
-
 fn not_referenced() -> Plc {
     let mut plc = Plc::new(None, 5);
     plc.until("Error");
@@ -270,11 +250,6 @@ fn not_referenced() -> Plc {
     plc.press("Home");
     plc.until("Done");
     plc
-}
-
-#[test]
-fn command_before_homing_is_an_error_with_its_status() {
-    not_referenced();
 }
 
 fn fast_stop() -> Plc {
@@ -314,11 +289,6 @@ fn fast_stop() -> Plc {
     plc
 }
 
-#[test]
-fn fast_stop_comes_first_and_waits_to_be_acknowledged() {
-    fast_stop();
-}
-
 fn stop() -> Plc {
     let mut plc = Plc::homed(Some(20.0), 5);
     plc.press("Grip");
@@ -342,11 +312,6 @@ fn stop() -> Plc {
     plc
 }
 
-#[test]
-fn stop_lets_go_of_the_part() {
-    stop();
-}
-
 fn parameters_change() -> Plc {
     let mut plc = Plc::homed(None, 1);
     plc.press("Grip");
@@ -357,11 +322,6 @@ fn parameters_change() -> Plc {
     plc.until("Done");
     assert!(!plc.bench.take_sent().contains(&CommandId::FastStop));
     plc
-}
-
-#[test]
-fn parameters_stay_while_the_fingers_move() {
-    parameters_change();
 }
 
 fn bus_is_cut() -> Plc {
@@ -379,11 +339,6 @@ fn bus_is_cut() -> Plc {
     plc.press("StopAck");
     plc.until("Ready");
     plc
-}
-
-#[test]
-fn cut_bus_ends_the_command_in_an_error() {
-    bus_is_cut();
 }
 
 fn wrong_place() -> Plc {
@@ -424,11 +379,6 @@ fn buttons_that_stay() -> Plc {
     plc
 }
 
-#[test]
-fn button_that_stays_pressed_gives_one_command() {
-    buttons_that_stay();
-}
-
 fn refused_meanwhile() -> Plc {
     let mut plc = Plc::homed(None, 1);
     plc.press("Release");
@@ -440,16 +390,6 @@ fn refused_meanwhile() -> Plc {
     assert!((plc.width() - 40.0).abs() < 0.5 && !plc.is("Error"));
     assert_eq!(plc.bench.take_motions(), [CommandId::ReleasePart]);
     plc
-}
-
-#[test]
-fn motion_that_somebody_else_stopped_is_an_error() {
-    wrong_place();
-}
-
-#[test]
-fn motion_goes_on_to_its_end_while_other_commands_are_refused() {
-    refused_meanwhile();
 }
 
 /// The function block alone, with the objects of CANopen at its inputs and outputs.
@@ -514,21 +454,39 @@ fn grip_cycle_over_canopen() {
     assert_eq!(bench.take_motions(), motions);
 }
 
-/// What is tested, in words.
-const SCENARIOS: [Scenario; 12] = [
-    ("homing, grip and release, again and again", || grip_cycle(1)),
-    ("no part; a grip that is over at once", no_part),
-    ("a part is lost while it is held", part_lost),
-    ("a fault that stays, goes, and is acknowledged", fault_and_acknowledge),
-    ("a command before homing; a command while there is an error", not_referenced),
-    ("FAST STOP during a motion, StopAck meanwhile", fast_stop),
-    ("StopAck while a part is held, twice in a row", stop),
-    ("a parameter changes during a motion", parameters_change),
-    ("the bus is cut during a motion", bus_is_cut),
-    ("a wire stops the motion of the function block", wrong_place),
-    ("a button stays pressed", buttons_that_stay),
-    ("a wire's command is refused during the motion", refused_meanwhile),
-];
+/// Makes a test of each scenario, and the list of all with their words in the document.
+macro_rules! scenarios {
+    ($($test:ident: $scenario:expr, $words:literal;)*) => {
+        $(
+            #[test]
+            fn $test() {
+                $scenario();
+            }
+        )*
+
+        const SCENARIOS: &[(&str, fn() -> Plc)] = &[$(($words, $scenario)),*];
+    };
+}
+
+scenarios! {
+    homing_grip_and_release: grip_cycles, "homing, grip and release, again and again";
+    missing_part_is_a_result: no_part, "no part; a grip that is over at once";
+    lost_part_shows_and_is_released: part_lost, "a part is lost while it is held";
+    fault_is_an_error_until_it_is_gone_and_acknowledged: fault_and_acknowledge,
+        "a fault that stays, goes, and is acknowledged";
+    command_before_homing_is_an_error_with_its_status: not_referenced,
+        "a command before homing; a command while there is an error";
+    fast_stop_comes_first_and_waits_to_be_acknowledged: fast_stop,
+        "FAST STOP during a motion, StopAck meanwhile";
+    stop_lets_go_of_the_part: stop, "StopAck while a part is held, twice in a row";
+    parameters_stay_while_the_fingers_move: parameters_change, "a parameter changes during a motion";
+    cut_bus_ends_the_command_in_an_error: bus_is_cut, "the bus is cut during a motion";
+    motion_that_somebody_else_stopped_is_an_error: wrong_place,
+        "a wire stops the motion of the function block";
+    button_that_stays_pressed_gives_one_command: buttons_that_stay, "a button stays pressed";
+    motion_goes_on_to_its_end_while_other_commands_are_refused: refused_meanwhile,
+        "a wire's command is refused during the motion";
+}
 
 #[test]
 fn every_line_of_the_function_block_is_run_by_the_scenarios() {
