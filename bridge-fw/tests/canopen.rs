@@ -3,10 +3,10 @@
 use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
+use document::hold_file;
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::addresses;
 use host_tests::can_bench::{BOARD, CanBench, Double};
-use host_tests::document::hold_file;
 use host_tests::flash_model::Fault;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use host_tests::wires::Wires;

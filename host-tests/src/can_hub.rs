@@ -15,7 +15,6 @@ use crate::can_bus::Station;
 use crate::can_controller::BusController;
 use crate::can_wire::WireFrame;
 use crate::clock::Clock;
-use crate::uninterrupted;
 
 /// The lines of those on the bus. They serve until their other ends are gone.
 #[derive(Debug)]

@@ -10,8 +10,6 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::uninterrupted;
-
 /// R0 to R15 and xPSR.
 const CORE_REGISTERS: usize = 17;
 

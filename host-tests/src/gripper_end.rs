@@ -14,7 +14,6 @@ use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time,
 use crate::clock::Clock;
 use crate::faulty_link::FaultyWay;
 use crate::trace::{Entry, Trace};
-use crate::uninterrupted;
 
 /// The longest time between two looks at the clock: what a part or a fault sets off shows at most this late.
 const LOOK_AROUND: Duration = Duration::from_millis(5);

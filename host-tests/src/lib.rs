@@ -12,7 +12,6 @@
 //! | [`can_wire`] | a frame as it is on the wire of a CAN bus |
 //! | [`clock`] | the time that those beside an emulated board go by |
 //! | [`device_files`] | the names of the device files for PLCs, and of their bitmaps |
-//! | [`document`] | the documents as files, and the writer of what is generated in them |
 //! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
 //! | [`chance`] | numbers that look random, the same ones for the same seed |
 //! | [`mod@explore`] | every order of events, on the bridge as it is flashed |
@@ -40,7 +39,6 @@
 //! | [`service_bench`] | the bridge library and a virtual gripper, with the service port at the end of a stream |
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
-//! | [`uninterrupted`] | reads and writes that a signal cannot fail |
 //! | [`wires`] | what a PLC does with the wires of a bench |
 //!
 //! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
@@ -59,7 +57,6 @@ pub mod can_wire;
 pub mod chance;
 pub mod clock;
 pub mod device_files;
-pub mod document;
 #[cfg(unix)]
 pub mod emulator;
 pub mod example;
@@ -102,7 +99,6 @@ pub mod service_bench;
 #[cfg(unix)]
 pub mod terminal;
 pub mod trace;
-pub mod uninterrupted;
 pub mod wires;
 
 /// Compiles the example in the README.

@@ -11,7 +11,6 @@ use anyhow::{Context, Result, bail, ensure};
 use bus_modbus::rtu::crc;
 
 use crate::clock::Clock;
-use crate::uninterrupted;
 
 /// How long an answer may take, in the board's time.
 const PATIENCE: Duration = Duration::from_millis(1_000);

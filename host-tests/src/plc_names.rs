@@ -5,7 +5,7 @@
 use wsg_fieldbus::{CommandFlags, GripperFlags};
 use wsg_protocol::{Status, SystemFlags};
 
-use crate::document::read;
+use document::read;
 
 /// A flag: its bit, its name and its meaning.
 #[derive(Clone, Debug, PartialEq, Eq)]

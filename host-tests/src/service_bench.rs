@@ -18,7 +18,6 @@ use crate::can_bench::Double;
 use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialGripper;
-use crate::uninterrupted;
 
 /// Turns within which the bridge answers on the PLC's bus.
 const TURNS_TO_ANSWER: usize = 20;

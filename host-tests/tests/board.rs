@@ -9,7 +9,6 @@ use std::process::Command;
 use std::time::Duration;
 
 use host_tests::emulator::{Emulator, Extras};
-use host_tests::uninterrupted;
 use wsg_b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 

@@ -2,7 +2,7 @@
 //!
 //! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs` writes the generated parts anew.
 
-use host_tests::document::{hold, table};
+use document::{hold, table};
 use host_tests::plc_names::{command_flags, gripper_flags};
 use wsg_bridge_fw::can::{BusOffPolicy, DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::plc::canopen::{

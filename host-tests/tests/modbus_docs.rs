@@ -3,7 +3,7 @@
 //! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test modbus_docs` writes the generated parts anew.
 
 use bus_modbus::Function;
-use host_tests::document::{hold, table};
+use document::{hold, table};
 use host_tests::modbus_bench::Bench;
 use host_tests::plc_names::{command_flags, gripper_flags, register_bit, system_flags};
 use wsg_bridge_fw::Config;

@@ -2,10 +2,6 @@
 
 mod bridge;
 mod decode;
-#[cfg(test)]
-#[path = "../../host-tests/src/document.rs"]
-#[allow(dead_code, unreachable_pub, reason = "it is a public module there")]
-mod document;
 mod gripper;
 #[cfg(feature = "telemetry")]
 mod telemetry;

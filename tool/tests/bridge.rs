@@ -16,8 +16,8 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use bus_modbus::rtu::Character;
+use document::hold_file;
 use host_tests::addresses::{place, setting};
-use host_tests::document::hold_file;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
 use host_tests::flash_model::Fault;

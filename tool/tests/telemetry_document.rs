@@ -1,10 +1,6 @@
 //! docs/telemetry.md has the settings and metrics as the program's tables have them.
 #![cfg(feature = "telemetry")]
 
-#[path = "../../host-tests/src/document.rs"]
-#[allow(dead_code, unreachable_pub, reason = "it is a public module there")]
-mod document;
-
 use std::process::Command;
 
 #[test]

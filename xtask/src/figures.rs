@@ -4,7 +4,7 @@ use std::fs;
 
 use anyhow::{Context, Result};
 
-use crate::{bench, document, fast_stop, firmware::Image, gate::Gate, panics, probe::Probes, size, stack};
+use crate::{bench, fast_stop, firmware::Image, gate::Gate, panics, probe::Probes, size, stack};
 
 const DOCUMENT: &str = "docs/figures.md";
 

@@ -7,9 +7,6 @@ mod board;
 mod coverage;
 mod demo;
 mod dependencies;
-#[path = "../../host-tests/src/document.rs"]
-#[allow(dead_code, unreachable_pub, reason = "it is a public module there")]
-mod document;
 mod explore;
 mod fast_stop;
 mod figures;

@@ -2,7 +2,6 @@
 
 use crate::figures::{Durations, Verdict};
 use crate::sim::{Setup, Sim, ask, frame};
-use crate::uninterrupted;
 use anyhow::{Result, anyhow};
 use std::io::{ErrorKind, Write};
 use std::net::{TcpStream, UdpSocket};

@@ -14,9 +14,6 @@ mod figures;
 mod flood;
 mod noise;
 mod sim;
-#[path = "../../../host-tests/src/uninterrupted.rs"]
-#[allow(dead_code, unreachable_pub, reason = "it is a public module there")]
-mod uninterrupted;
 mod updates;
 
 use anyhow::{Context, Result, bail};

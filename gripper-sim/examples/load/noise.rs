@@ -1,7 +1,6 @@
 //! Random bytes on every port, with checksums evaluated and without: it must not fail, and must still answer.
 
 use crate::sim::{PATIENCE, Random, Setup, Sim, frame};
-use crate::uninterrupted;
 use anyhow::{Context, Result, anyhow, ensure};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};

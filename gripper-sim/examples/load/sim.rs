@@ -1,6 +1,5 @@
 //! The gripper in a process of its own, and clients of it.
 
-use crate::uninterrupted;
 use anyhow::{Context, Result, ensure};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};

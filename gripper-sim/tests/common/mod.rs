@@ -1,10 +1,6 @@
 //! A client with a virtual clock, so that a test reads as a script.
 #![allow(dead_code, reason = "every test file uses a part of it")]
 
-#[path = "../../../host-tests/src/uninterrupted.rs"]
-#[allow(unreachable_pub, reason = "it is a public module there")]
-pub(crate) mod uninterrupted;
-
 #[cfg(feature = "std")]
 pub(crate) mod program;
 

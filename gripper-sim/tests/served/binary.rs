@@ -1,6 +1,6 @@
 //! The servers over real sockets and terminals, and the binary. Every wait is bounded by a time-out of the socket.
 
-use crate::common::{grip, parse, uninterrupted};
+use crate::common::{grip, parse};
 use std::io::{self, Read, Write};
 use std::net::{TcpStream, UdpSocket};
 use std::path::PathBuf;

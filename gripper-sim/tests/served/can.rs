@@ -1,8 +1,8 @@
 //! The gripper on a CAN bus: a controller over SLCAN, as adapters are opened; SocketCAN as far as it can be tested without
 //! an interface. Every wait is bounded.
 
+use crate::common::grip;
 use crate::common::program::Program;
-use crate::common::{grip, uninterrupted};
 use bus_slcan::{ClassicFrame, Decoder, Line, encode};
 use embedded_can::{Frame, Id, StandardId};
 use rustix::fs::{Mode, OFlags};

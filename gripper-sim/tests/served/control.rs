@@ -1,7 +1,7 @@
 //! The control interface and the faults that it lets loose on the lines. Every wait is bounded by a time-out of the
 //! socket.
 
-use crate::common::{go_to, grip, parse, uninterrupted};
+use crate::common::{go_to, grip, parse};
 use crate::modbus::Master;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};

@@ -1,7 +1,6 @@
 //! The text protocol over real sockets, and the binary. Every wait is bounded by a time-out of the socket.
 
 use crate::common::program::Program;
-use crate::common::uninterrupted;
 use std::io::Write;
 use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};

@@ -3,7 +3,6 @@
 mod browser;
 
 use crate::common::program::Program;
-use crate::common::uninterrupted;
 use browser::Tab;
 use serde_json::{Value, json};
 use std::io::{Read, Write};

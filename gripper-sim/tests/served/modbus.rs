@@ -2,8 +2,8 @@
 //!
 //! What is expected is what the MODBUS application protocol specification and the messaging implementation guide say.
 
+use crate::common::parse;
 use crate::common::program::Program;
-use crate::common::{parse, uninterrupted};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};

@@ -1,6 +1,5 @@
 //! The gripper as a PROFIBUS slave on a pseudo terminal, with the master of `profirust`. Every wait is bounded.
 
-use crate::common::uninterrupted;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
 use profirust::phy::ProfibusPhy;

@@ -2,7 +2,6 @@
 
 use crate::common::parse;
 use crate::common::program::Program;
-use crate::common::uninterrupted;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};

@@ -2,8 +2,8 @@
 //! these, and `wsg-sim` says so.
 
 use super::binary::{BOUND, Client, HOMING, QUICK, READABLE, connect, frame, scratch, serve};
+use crate::common::parse;
 use crate::common::program::Program;
-use crate::common::{parse, uninterrupted};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;

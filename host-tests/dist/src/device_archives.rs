@@ -3,8 +3,8 @@
 use std::fs;
 
 use anyhow::{Context, Result};
+use document::root;
 use host_tests::device_files::{GSD, GSD_BITMAPS, GSDML, GSDML_BITMAP, VENDOR};
-use host_tests::document::root;
 
 use crate::archive::zip;
 use crate::bitmap::{Lamp, gripper};

@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::{Context, Result, ensure};
-use host_tests::document::root;
+use document::root;
 use serde_json::Value;
 
 /// The crate that the image is built from, how, and for what.

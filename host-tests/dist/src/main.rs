@@ -16,8 +16,8 @@ use std::{
 };
 
 use anyhow::{Context, Result, ensure};
+use document::root;
 use host_tests::device_files::GSD;
-use host_tests::document::root;
 use lexopt::{Arg, Parser};
 use sha2::{Digest, Sha256};
 

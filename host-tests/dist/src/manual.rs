@@ -7,7 +7,7 @@
 use std::{collections::BTreeMap, fmt::Write as _, fs};
 
 use anyhow::{Context, Result, bail, ensure};
-use host_tests::document::{anchor_of, root};
+use document::{anchor_of, root};
 use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
 
 /// The documents, in the order in which they are read.

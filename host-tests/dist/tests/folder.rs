@@ -6,7 +6,7 @@ use std::{
     process::Command,
 };
 
-use host_tests::document::root;
+use document::root;
 
 const IMAGE: &str = "WSG_FIRMWARE_ELF";
 

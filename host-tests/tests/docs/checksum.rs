@@ -3,7 +3,7 @@
 //! An error is what a disturbance adds to a frame (exclusive or). The checksum is linear, so whether an error passes
 //! depends on the error and the frame's length alone.
 
-use host_tests::document::{hold, table};
+use document::{hold, table};
 use wsg_protocol::checksum::push;
 use wsg_protocol::frame::{OVERHEAD, PREAMBLE_LEN};
 use wsg_protocol::{

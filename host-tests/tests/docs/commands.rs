@@ -1,6 +1,6 @@
 //! The tables of commands and status codes in docs/protocol.md.
 
-use host_tests::document::{hold, read, table};
+use document::{hold, read, table};
 use wsg_protocol::{Command, CommandId, Frame, Reply, Status};
 
 const DOCUMENT: &str = "docs/protocol.md";

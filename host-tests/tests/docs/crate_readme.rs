@@ -1,6 +1,6 @@
 //! protocol/README.md: its examples are those that are compiled and run, its tables are those of Cargo.toml.
 
-use host_tests::document::read;
+use document::read;
 
 const DOCUMENT: &str = "protocol/README.md";
 

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use host_tests::document::{read, root};
+use document::{read, root};
 
 const DOCUMENT: &str = "docs/decisions.md";
 

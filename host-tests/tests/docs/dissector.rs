@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use host_tests::document::hold;
+use document::hold;
 use wsg_protocol::gcl::CommandName;
 use wsg_protocol::{
     DeviceType, FingerFlags, FingerType, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags,

@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use host_tests::document::{part, read, root};
+use document::{part, read, root};
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, SectionFlags, elf};
 

@@ -1,6 +1,6 @@
 //! The patterns of the LED in docs/commissioning.md.
 
-use host_tests::document::{hold, table};
+use document::{hold, table};
 use wsg_bridge_fw::indicator::INDICATIONS;
 
 #[test]

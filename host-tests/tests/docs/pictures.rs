@@ -1,6 +1,6 @@
 //! The pictures of the documents are drawn by hand. Each names what the code and the tables name.
 
-use host_tests::document::read;
+use document::read;
 use wsg_b_l475e_iot01a::{INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 use wsg_fieldbus::GripperFlags;
 

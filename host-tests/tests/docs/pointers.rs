@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use host_tests::document::{anchor_of, read, root};
+use document::{anchor_of, read, root};
 
 /// The documents outside of `docs/`, whose pages the contents list.
 const DOCUMENTS: [&str; 12] = [
@@ -89,7 +89,7 @@ fn commands_of_xtask_are_those_that_its_help_lists() {
 
 #[test]
 fn environment_variables_are_known_to_the_code() {
-    let code = ["xtask/src/main.rs", "xtask/src/firmware.rs", "host-tests/src/document.rs"].map(read);
+    let code = ["xtask/src/main.rs", "xtask/src/firmware.rs", "host-tests/document/src/lib.rs"].map(read);
     for document in documents() {
         let text = read(&document);
         // After an underscore, it is part of another name. With a single letter, it is a bitmap of a GSD file.

@@ -1,9 +1,9 @@
 //! The names, addresses and values of registers in docs/quick-start.md are those of the tables, and its frames lead to a grip.
 
 use bus_slcan::ClassicFrame;
+use document::{can_frames, read};
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::CanBench;
-use host_tests::document::{can_frames, read};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;

@@ -4,7 +4,7 @@
 
 use std::fs;
 
-use host_tests::document::{hold, part, read, root, table};
+use document::{hold, part, read, root, table};
 use host_tests::plc_names::{gripper_flags, register_bit, statuses, system_flags};
 use wsg_protocol::{CommandId, Status};
 

@@ -1,6 +1,6 @@
 //! The excerpt of the demonstration's trace in docs/demo.md: its bytes mean what it says they mean.
 
-use host_tests::document::read;
+use document::read;
 use host_tests::trace::Entry;
 
 /// Where an entry begins in a line of the trace, behind the time.

@@ -1,6 +1,6 @@
 //! The wiring, recipes and times in docs/wiring.md.
 
-use host_tests::document::{hold, table};
+use document::{hold, table};
 use host_tests::fault_sweep::Sweep;
 use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS, Port};
 use wsg_bridge_fw::io::{Inputs, Outputs};

@@ -2,7 +2,6 @@
 //! the servers of the virtual gripper as it would to a real one, with the bytes that it would send. Every wait is bounded
 //! by a time-out of the socket.
 
-use host_tests::uninterrupted;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};

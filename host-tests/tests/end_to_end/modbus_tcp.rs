@@ -5,7 +5,7 @@
 //! The tests with `mbpoll`, `pymodbus`, `modbus_tk` and `jsmodbus` in their names need those programs; `cargo xtask test` runs them
 //! where it finds or can install them, and says NOT CHECKED otherwise.
 
-use host_tests::document::read;
+use document::read;
 use host_tests::example;
 use host_tests::masters::{mbpoll, node, paste, python, said};
 use std::net::SocketAddr;

@@ -1,6 +1,6 @@
 //! The virtual gripper on PROFIBUS, with a master that others wrote; and what that reads out of the GSD file.
 
-use host_tests::document::root;
+use document::root;
 use host_tests::masters::{self, said};
 use wsg_fieldbus::Diagnosis;
 use wsg_fieldbus::profibus::PROFILE;

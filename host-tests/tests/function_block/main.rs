@@ -6,9 +6,9 @@ mod structured_text;
 use std::collections::BTreeSet;
 
 use bus_slcan::ClassicFrame;
+use document::{hold, read, table};
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::CanBench;
-use host_tests::document::{hold, read, table};
 use host_tests::modbus_bench::{Bench, quick};
 use host_tests::wires::Wires;
 use structured_text::{Instance, Unit, Value};

@@ -2,7 +2,7 @@
 
 use crate::grammar::Grammar;
 use crate::strategies::{answer, mutated, numbers, request, texts};
-use host_tests::document::{hold, read};
+use document::{hold, read};
 use proptest::prelude::*;
 use std::sync::LazyLock;
 use wsg_protocol::gcl::{Answer, CommandName, ParseError, Request};

@@ -1,8 +1,8 @@
 //! The GSDML file, and the tables of docs/profinet.md.
 
 use bus_profinet::{Gsdml, GsdmlFacts, Priority};
+use document::{hold, hold_file, read, table};
 use host_tests::device_files::{GSDML, GSDML_BITMAP, VENDOR};
-use host_tests::document::{hold, hold_file, read, table};
 use roxmltree::{Document, Node};
 use wsg_fieldbus::profinet::PROFILE;
 use wsg_fieldbus::{InputImage, OutputImage};

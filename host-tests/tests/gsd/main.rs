@@ -5,8 +5,8 @@
 mod gsdml;
 
 use bus_profibus::{Baud, Gsd, GsdFacts};
+use document::{hold_file, read, root};
 use host_tests::device_files::{GSD_BITMAPS, VENDOR};
-use host_tests::document::{hold_file, read, root};
 use wsg_fieldbus::profibus::PROFILE;
 use wsg_fieldbus::{Diagnosis, InputImage, OutputImage};
 

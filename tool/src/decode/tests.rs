@@ -1,7 +1,7 @@
 //! Whole recordings. What they give is in `golden/`; `WSG_UPDATE_DOCS=1` writes it anew.
 
 use clap::Parser;
-use host_tests::document::hold_file;
+use document::hold_file;
 use proptest::prelude::*;
 use wsg_protocol::{Command, FrameEncoder};
 

@@ -8,7 +8,7 @@ use super::action::{Action, Named};
 use super::address::FORMS;
 use super::doctor::Check;
 use super::trouble::EXIT_STATUSES;
-use crate::document::{hold, read};
+use document::{hold, read};
 
 const DOCUMENT: &str = "docs/tool.md";
 

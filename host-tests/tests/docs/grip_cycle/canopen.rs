@@ -1,9 +1,9 @@
 //! The cycle over CANopen.
 
 use bus_slcan::ClassicFrame;
+use document::{hold, table};
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_bench::CanBench;
-use host_tests::document::{hold, table};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;

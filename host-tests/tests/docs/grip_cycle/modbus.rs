@@ -1,6 +1,6 @@
 //! The cycle over Modbus RTU.
 
-use host_tests::document::{hold, table};
+use document::{hold, table};
 use host_tests::modbus_bench::{Bench, UNIT};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::Inputs;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use host_tests::document::{hold, table};
+use document::{hold, table};
 use host_tests::modbus_bench::{Bench, FASTSTOP, GRIP, HOMING, JOG_PLUS, MOVE, RELEASE, STOP_ACK, quick};
 use wsg_fieldbus::InputImage;
 use wsg_protocol::SystemFlags;

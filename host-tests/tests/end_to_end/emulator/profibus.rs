@@ -14,7 +14,6 @@ use host_tests::masters::{self, said};
 use host_tests::rig::motions;
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
-use host_tests::uninterrupted;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
 use profirust::phy::ProfibusPhy;

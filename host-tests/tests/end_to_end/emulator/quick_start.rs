@@ -3,9 +3,9 @@
 
 use std::time::Instant;
 
+use document::{can_frames, read};
 use host_tests::can_bus::{CanBus, Station};
 use host_tests::can_wire::WireFrame;
-use host_tests::document::{can_frames, read};
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
 use host_tests::gripper_end::GripperEnd;

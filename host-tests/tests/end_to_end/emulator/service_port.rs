@@ -1,7 +1,7 @@
 //! The service port of the flashed image, with a master that others wrote: whatever bus the PLC is on.
 
+use document::read;
 use host_tests::can_bus::CanBus;
-use host_tests::document::read;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};

@@ -5,7 +5,7 @@
 
 use std::time::{Duration, Instant};
 
-use host_tests::document::read;
+use document::read;
 use host_tests::emulator::Emulator;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};

@@ -16,7 +16,6 @@ use std::time::{Duration, Instant};
 /// One `read`: it may give less than there is room for. 0 is the end.
 ///
 /// ```
-/// use host_tests::uninterrupted;
 /// use std::io::{self, ErrorKind, Read};
 ///
 /// /// Interrupted before each byte, which come one by one.

@@ -19,10 +19,10 @@ static WRITING: Mutex<()> = Mutex::new(());
 /// Returns the folder of the workspace.
 ///
 /// # Panics
-/// If this package has no folder around it.
+/// If this package is not two folders below it.
 #[must_use]
 pub fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace").to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("the workspace").to_owned()
 }
 
 /// Reads a file of the workspace, by its path from the root.
