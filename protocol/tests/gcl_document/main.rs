@@ -1,5 +1,10 @@
 //! docs/gcl.md, executed: its grammar, its table, its conversations, the tests that it names.
 
+mod grammar;
+#[path = "../gcl/strategies.rs"]
+#[allow(dead_code, reason = "every test file uses a part of it")]
+mod strategies;
+
 use crate::grammar::Grammar;
 use crate::strategies::{answer, mutated, numbers, request, texts};
 use document::{hold, read};
@@ -16,7 +21,7 @@ static GRAMMAR: LazyLock<Grammar> = LazyLock::new(|| {
 });
 
 /// The blocks of code in this language.
-pub(crate) fn blocks(language: &str) -> Vec<String> {
+fn blocks(language: &str) -> Vec<String> {
     let text = read(DOCUMENT);
     let blocks = text.split("```").skip(1).step_by(2);
     let ours = blocks.filter_map(|block| block.strip_prefix(language)?.strip_prefix('\n'));
@@ -103,7 +108,7 @@ fn tests_that_the_document_names_exist() {
     let sources = [
         "protocol/tests/drivers/only_gcl.rs",
         "protocol/tests/drivers/same.rs",
-        "host-tests/tests/gcl/by_hand.rs",
+        "host-tests/tests/gcl_by_hand.rs",
         "protocol/tests/gcl/manual.rs",
         "protocol/tests/gcl/hostile.rs",
         "protocol/tests/gcl/round_trip.rs",

@@ -11,8 +11,6 @@ use std::time::Duration;
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
 
-use crate::document::blocks;
-
 /// The longest that anything may take here.
 const BOUND: Duration = Duration::from_secs(60);
 
@@ -38,7 +36,10 @@ fn lines_of(from: impl Read + Send + 'static) -> Receiver<String> {
 
 /// Types what the document types, and holds what comes to what it shows.
 fn converse(mut keyboard: impl Write, screen: &Receiver<String>, line_end: &str) {
-    let [conversation] = &blocks("nc")[..] else { panic!("the document has one conversation by hand") };
+    let text = document::read("docs/gcl.md");
+    let blocks: Vec<&str> =
+        text.split("```nc\n").skip(1).filter_map(|rest| rest.split("```").next()).collect();
+    let [conversation] = blocks[..] else { panic!("the document has one conversation by hand") };
     let mut count = 0;
     for line in conversation.lines() {
         count += 1;
