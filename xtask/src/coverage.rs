@@ -15,8 +15,10 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let mut coverage = tool::plain(workspace, &["cargo", "llvm-cov", "--locked", "--lib", "--tests"]);
     coverage
         .env("CARGO_LLVM_COV_SETUP", "yes")
-        .args(["--ignore-filename-regex", r"tests\.rs|/tests/|gripper-sim"]);
+        .args(["--ignore-filename-regex", r"tests\.rs|/tests/|gripper-sim|host-tests|boards/"]);
     coverage.args(TARGET_CRATES.into_iter().flat_map(|(package, _)| ["-p", package]));
+    // The tests of the bridge in virtual time.
+    coverage.args(["-p", "host-tests"]);
     coverage.env("CARGO_LLVM_COV_TARGET_DIR", workspace.target_dir.join("coverage"));
     process::run(&mut coverage)
 }

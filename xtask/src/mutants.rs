@@ -115,9 +115,17 @@ const PARTS: [Part; 11] = [
         name: "bridge-fw",
         package: "wsg-bridge-fw",
         folder: "bridge-fw/",
-        // Only `cargo xtask loom` compiles the models.
-        options: &["--exclude", "**/model.rs"],
-        tests: &["--tests"],
+        // Only `cargo xtask loom` compiles the models. The tests in virtual time are those of the harness.
+        options: &["--exclude", "**/model.rs", "--test-package", "wsg-bridge-fw,host-tests"],
+        tests: &[
+            "--lib",
+            "--test=bridge",
+            "--test=can_bus",
+            "--test=gripper_link",
+            "--test=register_table",
+            "--test=rtu_port",
+            "--test=uart_*",
+        ],
     },
 ];
 
