@@ -1,4 +1,4 @@
-//! `wsg bridge`: the service tool of the bridge, over its service port (docs/tool-bridge.md). It moves nothing.
+//! `wsg bridge`: the service tool of the bridge, over its service port (docs/tool-bridge.md). It never moves the fingers.
 
 mod change;
 mod client;
@@ -25,10 +25,10 @@ use wsg_protocol::SystemFlags;
 use self::client::Client;
 use self::state::State;
 
-/// Looks at a bridge and sets it up, over its service port (the USB cable of the ST-Link). It moves nothing.
+/// Monitors and configures a bridge over its service port (the USB cable of the ST-Link); never moves the fingers
 #[derive(Args, Debug)]
 pub(crate) struct Arguments {
-    /// The serial port: /dev/ttyACM0, COM3
+    /// Serial port, such as /dev/ttyACM0 or COM3
     port: String,
     #[command(subcommand)]
     command: Command,
@@ -36,81 +36,82 @@ pub(crate) struct Arguments {
 
 #[derive(Subcommand, Debug)]
 enum Command {
-    /// How bridge and gripper are, and the settings; or registers by name, with what they mean
+    /// Shows the status of bridge and gripper and the settings, or registers by name with their meaning
     Show {
-        /// Settings or reports, as RECIPE0_WIDTH or LINE_CHECKSUM
+        /// Settings or reports to show, such as RECIPE0_WIDTH or LINE_CHECKSUM
         names: Vec<String>,
-        /// Reports, too
+        /// Show reports as well
         #[arg(long)]
         all: bool,
-        /// Everything as JSON, values as the registers have them
+        /// Print everything as JSON, with raw register values
         #[arg(long, conflicts_with = "names")]
         json: bool,
     },
-    /// Changes settings; they last only with `save`
+    /// Changes settings until power-off; `save` or --save makes the changes permanent
     Set {
-        /// NAME VALUE, again and again: the register's number, a number with unit as 20.00mm, or a choice as CANopen
+        /// One or more pairs of NAME and VALUE. A value is a raw register value, a number with a unit such as 20.00mm, or
+        /// a choice such as CANopen
         #[arg(required = true, num_args = 2.., value_names = ["NAME", "VALUE"])]
         changes: Vec<String>,
-        /// Stores the settings as well
+        /// Store the settings as well
         #[arg(long)]
         save: bool,
     },
-    /// The recipes as a table
+    /// Shows the recipes as a table
     Recipes,
-    /// Stores the settings: they count after the next power-up, too
+    /// Stores the settings, so that they remain after power-off
     Save,
-    /// Takes the stored settings again
+    /// Reverts to the stored settings
     Restore,
-    /// Takes the settings that the image was delivered with, and stores them
+    /// Resets all settings to the image's defaults and stores them
     Defaults {
-        /// Without asking
+        /// Reset without asking for confirmation
         #[arg(long, short)]
         yes: bool,
     },
-    /// What happened, why, and what to do
+    /// Shows recent events with cause and remedy
     Events {
-        /// As JSON
+        /// Print the events as JSON
         #[arg(long)]
         json: bool,
     },
-    /// How bridge and gripper are, again and again, until q or Ctrl-C
+    /// Shows status and events continuously, until q or Ctrl-C
     Watch {
-        /// How often, in ms
+        /// Refresh interval in ms
         #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u64).range(50..=60_000))]
         every: u64,
-        /// Ends after so many times
+        /// Exit after this number of refreshes
         #[arg(long, value_name = "COUNT")]
         times: Option<u64>,
     },
     /// Writes all settings to a file; `-` is standard output
     Export {
-        /// A file that is written anew, by convention NAME.toml
+        /// File to write, by convention NAME.toml; an existing file is overwritten
         file: PathBuf,
     },
-    /// Makes the settings of a file the bridge's: all of them, or none
+    /// Applies the settings in a file: all of them or none
     Import {
-        /// A file as `export` writes it, or a part of one
+        /// File written by `export`, or a part of one
         file: PathBuf,
-        /// Says what would change, and writes nothing
+        /// Show what would change without writing
         #[arg(long)]
         dry_run: bool,
-        /// Stores the settings as well
+        /// Store the settings as well
         #[arg(long, conflicts_with = "dry_run")]
         save: bool,
     },
-    /// Writes an image to the board
+    /// Writes a firmware image to the board
     Flash(flash::Arguments),
 }
 
-/// Says that changed settings are not stored.
-const NOT_STORED: &str = "in force until the next power-off; `save` makes it last";
+/// Reminder after a change that was not stored.
+const NOT_STORED: &str = "in effect until power-off; run `save` to keep the changes";
 
 pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
     let mut output = io::stdout().lock();
     let port = &arguments.port;
     match carry_out(port, &arguments.command, &mut output) {
-        // Whoever reads has seen enough.
+        // The reader closed the pipe, for example `head`.
         Err(error)
             if error.downcast_ref::<io::Error>().is_some_and(|it| it.kind() == io::ErrorKind::BrokenPipe) => {
         }
@@ -123,10 +124,10 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
     if let Command::Flash(arguments) = command {
         return write_image(port, arguments, output);
     }
-    // Before the bridge is asked for anything: a file that cannot be read is no matter of its port.
+    // Read the file before opening the port, so that an unreadable file never accesses the bridge.
     let file_text = match command {
         Command::Import { file, .. } => {
-            Some(fs::read_to_string(file).with_context(|| format!("{} cannot be read", file.display()))?)
+            Some(fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?)
         }
         _ => None,
     };
@@ -148,13 +149,13 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
             let old = client.settings()?;
             let mut new = old;
             for change in changes.chunks(2) {
-                let [name, value] = change else { bail!("{} has no value", change.concat()) };
+                let [name, value] = change else { bail!("missing value for {}", change.concat()) };
                 let (place, setting) = names::setting(name)?;
                 if let Some(slot) = new.get_mut(place) {
                     *slot = names::value(setting, value)?;
                 }
             }
-            Config::from_record(&new).context("beside the other settings it does not fit")?;
+            Config::from_record(&new).context("invalid configuration")?;
             change(&mut client, &old, &new, *save, output)?;
         }
         Command::Recipes => write!(output, "{}", read(&mut client)?.recipes())?,
@@ -168,7 +169,7 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
             told_changes(&old, &client.settings()?, output)?;
         }
         Command::Defaults { yes } => {
-            confirm("Take the settings that the image was delivered with, and store them", *yes)?;
+            confirm("Reset all settings to the image's defaults and store them", *yes)?;
             let old = client.settings()?;
             client.command(StoreCommand::Defaults)?;
             told_changes(&old, &client.settings()?, output)?;
@@ -188,7 +189,7 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
             if file.as_os_str() == "-" {
                 write!(output, "{text}")?;
             } else {
-                fs::write(file, text).with_context(|| format!("{} cannot be written", file.display()))?;
+                fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))?;
             }
         }
         Command::Import { file, dry_run, save } => {
@@ -210,7 +211,7 @@ fn read(client: &mut Client) -> Result<State> {
     Ok(State { settings: client.settings()?, reports: client.reports()?, image: client.image()? })
 }
 
-/// Says each change, writes them, and stores them if that was asked for.
+/// Prints the changes, writes them, and stores them if `save` is set.
 fn change(
     client: &mut Client,
     old: &Record,
@@ -231,49 +232,49 @@ fn change(
 
 fn told_changes(old: &Record, new: &Record, output: &mut impl Write) -> Result<()> {
     let described = change::described(old, new);
-    write!(output, "{}", if described.is_empty() { "nothing changes\n" } else { &described })?;
+    write!(output, "{}", if described.is_empty() { "no changes\n" } else { &described })?;
     Ok(output.flush()?)
 }
 
-/// Asks, where somebody is there to answer.
+/// Asks for confirmation on the terminal, unless `yes` is set.
 fn confirm(question: &str, yes: bool) -> Result<()> {
     if yes {
         return Ok(());
     }
     if !io::stdin().is_terminal() {
-        bail!("this is asked for on a terminal; --yes does it without");
+        bail!("confirmation requires a terminal; pass --yes to skip it");
     }
     eprint!("{question}? [y/N] ");
     let mut answer = String::new();
-    io::stdin().read_line(&mut answer).context("no answer can be read")?;
+    io::stdin().read_line(&mut answer).context("cannot read the answer")?;
     if !matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes") {
-        bail!("nothing was done");
+        bail!("cancelled; nothing was changed");
     }
     Ok(())
 }
 
-/// Flashes an image, unless the fingers are known to travel.
+/// Flashes an image, unless the fingers are known to be moving.
 fn write_image(port: &str, arguments: &flash::Arguments, output: &mut impl Write) -> Result<()> {
     let plan = flash::Plan::new(arguments)?;
     let image = Client::open(port).and_then(|mut client| Ok(client.image()?));
     let moving = GripperFlags::GRIPPING | GripperFlags::RELEASING | GripperFlags::POSITIONING;
     match image {
         Ok(Some(image)) if image.state.intersects(moving) || image.system.contains(SystemFlags::MOVING) => {
-            bail!("the fingers move: nothing is flashed before they stand");
+            bail!("the fingers are moving; flash again when they are at rest");
         }
         Ok(Some(image)) if image.state.contains(GripperFlags::HOLDING) => {
-            eprintln!("wsg: a part is held; while the bridge starts anew its PLC does not see it");
+            eprintln!("wsg: warning: a part is held; the PLC cannot monitor it while the bridge restarts");
         }
         Ok(_) => {}
-        Err(error) => eprintln!("wsg: whether the fingers move is unknown: {error:#}"),
+        Err(error) => eprintln!("wsg: warning: cannot determine whether the fingers are moving: {error:#}"),
     }
     confirm(&plan.question, arguments.yes)?;
     plan.run()?;
-    writeln!(output, "written; the board starts with it")?;
+    writeln!(output, "written; the board restarts with the new image")?;
     Ok(())
 }
 
-/// Shows the state again and again: on a terminal in place, else one below the other.
+/// Shows the state periodically: in place on a terminal, otherwise one after the other.
 fn watch(client: &mut Client, every: Duration, times: Option<u64>, output: &mut impl Write) -> Result<()> {
     let on_terminal = io::stdout().is_terminal() && io::stdin().is_terminal();
     let _raw = on_terminal.then(RawMode::begin).transpose()?;
@@ -288,8 +289,8 @@ fn watch(client: &mut Client, every: Duration, times: Option<u64>, output: &mut 
             let shown: String = lines
                 .map(|line| format!("{}\x1b[K\r\n", line.chars().take(columns.into()).collect::<String>()))
                 .collect();
-            // From the upper left corner on; what was below is cleared.
-            write!(output, "\x1b[H{shown}\x1b[Jq ends it")?;
+            // Overwrite from the upper left corner and clear the rest.
+            write!(output, "\x1b[H{shown}\x1b[Jq: quit")?;
         } else {
             writeln!(output, "{text}")?;
         }
@@ -305,7 +306,7 @@ fn watch(client: &mut Client, every: Duration, times: Option<u64>, output: &mut 
     Ok(())
 }
 
-/// Waits; whether somebody presses q, Esc or Ctrl-C meanwhile.
+/// Waits for this time, or until q, Esc or Ctrl-C is pressed. Returns whether one was.
 fn is_quit_within(time: Duration) -> Result<bool> {
     let end = std::time::Instant::now() + time;
     while event::poll(end.saturating_duration_since(std::time::Instant::now()))? {
@@ -320,12 +321,12 @@ fn is_quit_within(time: Duration) -> Result<bool> {
     Ok(false)
 }
 
-/// A terminal whose keys come at once, on a screen of its own. It is as it was when this is dropped.
+/// Puts the terminal in raw mode on the alternate screen. Dropping it restores the terminal.
 struct RawMode;
 
 impl RawMode {
     fn begin() -> Result<Self> {
-        terminal::enable_raw_mode().context("the terminal cannot be used")?;
+        terminal::enable_raw_mode().context("cannot switch the terminal to raw mode")?;
         print!("\x1b[?1049h\x1b[?25l\x1b[2J");
         Ok(Self)
     }
@@ -333,7 +334,7 @@ impl RawMode {
 
 impl Drop for RawMode {
     fn drop(&mut self) {
-        // It is left in any case.
+        // An error cannot be reported from here.
         let _ = terminal::disable_raw_mode();
         print!("\x1b[?25h\x1b[?1049l");
         let _ = io::stdout().flush();

@@ -1,4 +1,4 @@
-//! `wsg decode`: a recording as annotated frames.
+//! `wsg decode`: prints a recording as annotated frames.
 
 mod candump;
 mod capture;
@@ -20,64 +20,64 @@ use wsg_protocol::can::Identifiers;
 
 use self::entry::{Entry, EntryKind};
 
-/// How many lines at the top are looked at to tell what a file is.
+/// Number of leading lines examined to detect the format of a file.
 const LINES_LOOKED_AT: usize = 50;
-/// How many lines that are not understood are named.
+/// Maximum number of skipped lines listed by number.
 const NAMED: usize = 5;
 
-/// Shows what a recording of a gripper's line says: every frame with its place, its bytes, its meaning and its checksum, and why bytes
-/// were dropped.
+/// Decodes a recording of a gripper's line: shows position, bytes, meaning and checksum of every frame, and why other bytes were
+/// dropped
 #[derive(Args, Debug)]
 pub(crate) struct Arguments {
-    /// The recording; standard input without it, or with `-`
+    /// Recording to decode; standard input if omitted or `-`
     file: Option<PathBuf>,
-    /// What the recording is, where it is not to be found out
+    /// Format of the recording
     #[arg(long, value_enum, default_value_t)]
     format: Format,
-    /// What is spoken, where it is not to be found out
+    /// Protocol in the recording
     #[arg(long, value_enum, default_value_t)]
     protocol: Protocol,
-    /// Which way the bytes of a dump went, where one direction was recorded
+    /// Direction of the bytes, if the recording holds only one
     #[arg(long, value_enum, default_value_t)]
     direction: Way,
-    /// Of a capture: the gripper's TCP or UDP port, where it is not 1000 or 1500
+    /// For captures: TCP or UDP port of the gripper, if not 1000 or 1500
     #[arg(long, value_name = "PORT")]
     port: Option<u16>,
-    /// Of a candump log: the identifier that the gripper listens to, as 0x120; it sends on the next one
+    /// For candump logs: identifier that the gripper receives on, such as 0x120; it sends on the next one
     #[arg(long, value_name = "ID", value_parser = can_id)]
     can_id: Option<Identifiers>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// By what is in it
+    /// Detect by the contents
     #[default]
     Auto,
-    /// Hexadecimal digits: xxd, hexdump -C, od -A x -t x1, or nothing but digits
+    /// Hex dump: xxd, hexdump -C, od -A x -t x1, or plain hex digits
     Hex,
-    /// The log of wsg-sim or of wsg gripper
+    /// Log of wsg-sim or wsg gripper
     Sim,
-    /// The log of candump
+    /// Log of candump, from candump -l or a terminal
     Candump,
-    /// pcap or pcapng
+    /// Ethernet or IP capture (pcap or pcapng)
     Capture,
-    /// Bytes as they were on the line, or text of GCL
+    /// Raw bytes of the line, or GCL text
     Raw,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum Protocol {
-    /// By what is in it
+    /// Detect by the contents
     #[default]
     Auto,
-    /// The binary protocol
+    /// Binary protocol
     Binary,
-    /// GCL, the text protocol
+    /// Text protocol (GCL)
     Gcl,
 }
 
 impl Protocol {
-    /// Whether it is GCL, where that is said.
+    /// Returns whether GCL was selected, or `None` for automatic detection.
     const fn gcl(self) -> Option<bool> {
         match self {
             Self::Auto => None,
@@ -89,12 +89,12 @@ impl Protocol {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum Way {
-    /// As each frame tells
+    /// Detect for each frame
     #[default]
     Auto,
-    /// To the gripper
+    /// All bytes were sent to the gripper
     To,
-    /// From the gripper
+    /// All bytes were sent by the gripper
     From,
 }
 
@@ -112,16 +112,18 @@ fn can_id(text: &str) -> Result<Identifiers, String> {
     let digits = text.strip_prefix("0x").or_else(|| text.strip_suffix('h'));
     let number = digits.map_or_else(|| text.parse(), |digits| u16::from_str_radix(digits, 16));
     let pair = number.ok().and_then(Identifiers::from_base);
-    pair.ok_or_else(|| format!("{text} is no identifier of 11 bits below 0x7FF, such as 0x120 or 288"))
+    pair.ok_or_else(|| {
+        format!("`{text}` is not a CAN identifier; expected 11 bits below 0x7FF, such as 0x120 or 288")
+    })
 }
 
-/// Shows the recording. It fails where there is no frame and no line of GCL in it.
+/// Prints the recording. Returns a failure status if it holds no intact frame and no GCL line.
 pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
     let bytes = match arguments.file.as_deref().filter(|file| file.as_os_str() != "-") {
-        Some(file) => fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?,
+        Some(file) => fs::read(file).with_context(|| format!("cannot read {}", file.display()))?,
         None => {
             let mut bytes = Vec::new();
-            io::stdin().lock().read_to_end(&mut bytes).context("standard input cannot be read")?;
+            io::stdin().lock().read_to_end(&mut bytes).context("cannot read standard input")?;
             bytes
         }
     };
@@ -130,21 +132,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
     }
     let entries = decode(bytes, arguments)?;
     let mut output = io::BufWriter::new(io::stdout().lock());
-    let told = entries
+    let written = entries
         .iter()
         .try_for_each(|entry| writeln!(output, "{entry}"))
         .and_then(|()| writeln!(output, "{}", summary(&entries)))
         .and_then(|()| output.flush());
-    match told {
-        // Whoever reads has seen enough.
+    match written {
+        // The reader closed the pipe, for example `head`.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
-        told => told.context("standard output cannot be written")?,
+        written => written.context("cannot write standard output")?,
     }
     let is_understood = |entry: &Entry| matches!(entry.kind, EntryKind::Frame | EntryKind::Line);
     Ok(if entries.iter().any(is_understood) { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Everything in the recording.
+/// Decodes the whole recording.
 fn decode(bytes: Vec<u8>, arguments: &Arguments) -> Result<Vec<Entry>> {
     let gcl = arguments.protocol.gcl();
     let direction = arguments.direction.direction();
@@ -157,33 +159,33 @@ fn decode(bytes: Vec<u8>, arguments: &Arguments) -> Result<Vec<Entry>> {
         Format::Capture => {
             drop(text);
             if !capture::is_capture(&bytes) {
-                bail!("this is no capture: it begins neither as pcap nor as pcapng");
+                bail!("not a capture file; expected pcap or pcapng");
             }
             capture::decode(bytes, arguments.port, gcl)?
         }
         Format::Candump => {
             let (frames, strange) = lines(&text, candump::parse_line);
             let mut entries = candump::decode(&frames, arguments.can_id);
-            entries.extend(not_understood(&strange, "candump's"));
+            entries.extend(skipped(&strange, "candump"));
             entries
         }
         Format::Sim => {
             let (lines, strange) = lines(&text, sim_log::parse_line);
             let mut entries = of_sim_log(&lines);
-            entries.extend(not_understood(&strange, "frames"));
+            entries.extend(skipped(&strange, "log"));
             entries
         }
         Format::Hex => {
             let dump = hex_dump::parse(&text);
             let mut entries = of_stream(&dump.bytes, dump.offset, gcl, direction);
-            entries.extend(not_understood(&dump.strange, "a dump's"));
+            entries.extend(skipped(&dump.strange, "hex dump"));
             entries
         }
         Format::Raw | Format::Auto => of_stream(&bytes, 0, gcl, direction),
     })
 }
 
-/// What a file is.
+/// Detects the format of a file by its contents.
 fn format_of(bytes: &[u8]) -> Format {
     if capture::is_capture(bytes) {
         return Format::Capture;
@@ -201,7 +203,7 @@ fn format_of(bytes: &[u8]) -> Format {
     }
 }
 
-/// What lines say, and the numbers of those that say nothing.
+/// Parses all lines that are not blank. Returns the results, and the numbers of the lines that failed.
 fn lines<'a, T>(text: &'a str, parse: impl Fn(&'a str) -> Option<T>) -> (Vec<T>, Vec<usize>) {
     let mut parsed = Vec::new();
     let mut strange = Vec::new();
@@ -214,11 +216,13 @@ fn lines<'a, T>(text: &'a str, parse: impl Fn(&'a str) -> Option<T>) -> (Vec<T>,
     (parsed, strange)
 }
 
-fn not_understood(lines: &[usize], whose: &str) -> Option<Entry> {
+/// Lists skipped lines by number, or returns `None` if there are none.
+fn skipped(lines: &[usize], format: &str) -> Option<Entry> {
     let named: Vec<String> = lines.iter().take(NAMED).map(usize::to_string).collect();
     let more = lines.len().saturating_sub(NAMED);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    let words = || format!("lines left out that are not {whose}: {}{more}", named.join(", "));
+    let noun = if lines.len() == 1 { "line" } else { "lines" };
+    let words = || format!("skipped {noun} {}{more}: not in {format} format", named.join(", "));
     (!lines.is_empty()).then(|| Entry::note(String::new(), words()))
 }
 
@@ -245,7 +249,7 @@ fn of_sim_log(lines: &[sim_log::Line<'_>]) -> Vec<Entry> {
                 entries.push(Entry { place: place(), direction, kind: EntryKind::Line, words, bytes });
             }
             sim_log::Content::Told(told) => {
-                let words = format!("the log tells: {told}");
+                let words = format!("log: {told}");
                 let (place, kind) = (place(), EntryKind::Dropped);
                 entries.push(Entry { place, direction, kind, words, bytes: Vec::new() });
             }
@@ -255,13 +259,13 @@ fn of_sim_log(lines: &[sim_log::Line<'_>]) -> Vec<Entry> {
     if of_buses > 0 {
         entries.push(Entry::note(
             String::new(),
-            format!("{} of Modbus/TCP or PROFIBUS left out", entry::count(of_buses, "line")),
+            format!("skipped {} of Modbus/TCP or PROFIBUS", entry::count(of_buses, "line")),
         ));
     }
     entries
 }
 
-/// The last line: how much of what there was.
+/// Formats the last line, which counts frames, GCL lines and dropped bytes.
 fn summary(entries: &[Entry]) -> String {
     let of = |kind| entries.iter().filter(move |entry| entry.kind == kind);
     let dropped: usize = of(EntryKind::Dropped).map(|entry| entry.bytes.len()).sum();

@@ -1,4 +1,4 @@
-//! `wsg gripper`: commands a gripper by name, watches it, and shows what goes over its line.
+//! `wsg gripper`: commands a gripper by name, monitors it, and logs the messages on its line.
 
 mod action;
 mod address;
@@ -38,20 +38,20 @@ use run::{Dialect, Gripper};
 use signals::{Caught, Signals};
 use trouble::{EXIT_STATUSES, Trouble};
 
-/// Commands a gripper, or watches it.
+/// Commands or monitors a gripper; opens a prompt if no command is given
 #[derive(Args)]
-#[command(after_help = after_help(), subcommand_help_heading = "Commands (with their section of the command set manual)")]
+#[command(after_help = after_help(), subcommand_help_heading = "Commands (with the section of the command set manual)")]
 pub(crate) struct Arguments {
-    /// Where the gripper is, such as tcp://192.168.1.20; the forms are below
+    /// Address of the gripper, such as tcp://192.168.1.20; see Addresses below
     #[arg(value_parser = address)]
     address: Address,
-    /// Answers as JSON, one object a line
+    /// Print results as JSON, one object per line
     #[arg(long, global = true)]
     json: bool,
-    /// Write each message to this file, in hex and in words; `-` is standard error
+    /// Log each message to this file, in hex and decoded; `-` is standard error
     #[arg(long, global = true, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// What to do; without it there is a prompt
+    /// Command to run; opens a prompt if omitted
     #[command(subcommand)]
     task: Option<Task>,
 }
@@ -60,22 +60,22 @@ pub(crate) struct Arguments {
 enum Task {
     #[command(flatten)]
     Action(Named),
-    /// Checks the connection, and reports what to change; never moves the fingers
+    /// Checks the connection and reports what to change; never moves the fingers
     Doctor,
-    /// Shows state, width, speed and force on the full screen, until q
+    /// Plots state, width, speed and force on the full screen; press q to quit
     Watch,
-    /// Shows each message of this connection in hex and in words, until Ctrl-C
+    /// Prints each message of this connection in hex and decoded, until Ctrl-C
     Log {
-        /// Also to this file
+        /// Write the log to this file as well
         #[arg(long, value_name = "FILE")]
         file: Option<PathBuf>,
     },
-    /// Carries out a file, one command a line, up to the first that fails; `-` is standard input
+    /// Runs the commands in a file, one per line; stops at the first failure
     Script {
-        /// Blank lines and what is behind a # are left out
+        /// Script to run; `-` is standard input. Blank lines and comments (#) are ignored
         file: PathBuf,
     },
-    /// None of them
+    /// A word that is none of the commands above
     #[command(external_subcommand)]
     Unknown(Vec<String>),
 }
@@ -90,7 +90,7 @@ fn after_help() -> String {
     format!("Addresses:\n  {}\n\nExit status:{statuses}", address::FORMS.replace('\n', "\n  "))
 }
 
-/// Does what the command line asks for.
+/// Runs the command given on the command line, and returns its exit status.
 pub(crate) fn run(arguments: Arguments) -> Result<ExitCode> {
     let Arguments { address, json, record, task } = arguments;
     let output = Output { is_json: json };
@@ -119,7 +119,7 @@ fn perform(
     output: &Output,
     task: Option<Task>,
 ) -> Result<u8, Trouble> {
-    // All of a script is read before anything is sent.
+    // Read the whole script before sending, so that a mistake in it never leaves it half executed.
     let script = match &task {
         Some(Task::Script { file }) => Some(Script::read(file)?),
         _ => None,
@@ -138,7 +138,7 @@ fn perform(
     }
 }
 
-/// The log that was asked for.
+/// Creates the recorder for `--record` and `log`, or `None` if neither was given.
 fn recorder(address: &Address, record: Option<&Path>, task: Option<&Task>) -> Result<Option<Recorder>> {
     let mut sinks: Vec<Box<dyn Write>> = Vec::new();
     let mut files = record.into_iter().collect::<Vec<_>>();
@@ -151,14 +151,15 @@ fn recorder(address: &Address, record: Option<&Path>, task: Option<&Task>) -> Re
             sinks.push(Box::new(io::stderr()));
         } else {
             let file = File::create(path);
-            sinks.push(Box::new(file.with_context(|| format!("{} cannot be written", path.display()))?));
+            sinks.push(Box::new(file.with_context(|| format!("cannot write {}", path.display()))?));
         }
     }
     Ok((!sinks.is_empty()).then(|| Recorder::new(address.to_string(), address.is_gcl(), sinks)))
 }
 
-/// Connects, runs a program, and leaves the gripper so that no FAST STOP stays behind that was not asked for: whatever happens,
-/// fingers that were set in motion are stopped, and the end of the connection is announced.
+/// Connects, runs a program, and closes the connection without causing a FAST STOP.
+///
+/// Even if the program fails or panics, its motions are stopped and the end of the connection is announced.
 fn guarded<P: Dialect>(
     gripper: &mut Gripper<P>,
     signals: &Signals,
@@ -166,12 +167,12 @@ fn guarded<P: Dialect>(
 ) -> Result<u8, Trouble> {
     gripper.with_connection(|gripper| {
         let ended = catch_unwind(AssertUnwindSafe(|| program(gripper)));
-        // A second Ctrl-C does not keep the fingers from being stopped. Each wait from here on has its bound.
+        // A second Ctrl-C must not prevent the stop. Every wait from here on has a time-out.
         signals.heed(false);
         let stopped = if gripper.motion().is_some() { gripper.stop() } else { Ok(()) };
         let ended = ended.unwrap_or_else(|panic| Err(Trouble::Panicked(panic)));
         match (stopped, ended) {
-            // A line that is gone has told so already.
+            // The program has already reported the lost line.
             (Err(_), Err(trouble @ Trouble::Driver(_))) => Err(trouble),
             (Err(error), _) => Err(Trouble::NotStopped(error)),
             (Ok(()), ended) => ended,
@@ -179,7 +180,7 @@ fn guarded<P: Dialect>(
     })
 }
 
-/// What is to be done with a gripper.
+/// A task and what it needs to run on a gripper.
 struct Work<'a> {
     task: Option<Task>,
     script: Option<Script>,
@@ -196,7 +197,7 @@ impl Work<'_> {
 
     fn do_it<P: Dialect>(self, gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
         match self.task {
-            // `doctor` opens the line itself, and an unknown command none.
+            // `doctor` and an unknown command never get here.
             None | Some(Task::Unknown(_) | Task::Doctor) => prompt::run(gripper, self.output, &self.signals),
             Some(Task::Action(Named { name, action })) => {
                 let result = run::carry_out(gripper, &action, &mut |_| Ok(()));
@@ -215,16 +216,16 @@ impl Work<'_> {
     }
 }
 
-/// At most so often a value comes for the log.
+/// Shortest interval between two values in the log, in ms.
 const LOG_PERIOD_MS: u16 = 100;
 
-/// Hears the gripper until Ctrl-C; the line writes the log.
+/// Receives until Ctrl-C. The line itself writes the log.
 fn log<P: Dialect>(gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
     run::subscribe(gripper, LOG_PERIOD_MS);
     loop {
         match gripper.next_update(LOOK_MS).map_err(Trouble::from) {
             Ok(_) => {}
-            // As it is meant to end.
+            // Ctrl-C is the normal end of `log`.
             Err(Trouble::Caught(Caught::INTERRUPT)) => return Ok(0),
             Err(trouble) => return Err(trouble),
         }
@@ -254,7 +255,7 @@ mod tests {
         let ended = guarded(&mut gripper, &signals, |gripper| {
             gripper.home(HomingDirection::Positive)?;
             let _ = gripper.begin_move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop)?;
-            resume_unwind(Box::new("a panic that is meant"));
+            resume_unwind(Box::new("an intended panic"));
         });
         assert!(matches!(ended, Err(Trouble::Panicked(_))));
         drop(gripper);

@@ -1,4 +1,4 @@
-//! `wsg`: the commander for WSG grippers, the service tool of the bridge, and telemetry for many of them.
+//! `wsg`: commands grippers, sets up bridges, decodes recordings, and publishes telemetry over MQTT.
 
 mod bridge;
 mod decode;
@@ -12,7 +12,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
 
-/// Commands and watches WSG grippers and the bridges in front of them.
+/// Commands and monitors WSG grippers and their fieldbus bridges.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
@@ -27,14 +27,14 @@ enum Command {
     Gripper(gripper::Arguments),
     #[cfg(feature = "telemetry")]
     Telemetry(telemetry::Arguments),
-    /// Writes what a shell needs to complete the commands of `wsg`
+    /// Prints a shell completion script for `wsg`
     Completions {
-        /// The shell
+        /// Shell to generate the script for
         shell: Shell,
     },
 }
 
-/// What cannot be done is told in one line; clap ends with 2 where the command line itself is wrong.
+/// Reports an error in one line and exits with 1. clap exits with 2 on an invalid command line.
 fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Bridge(arguments) => bridge::run(&arguments),
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn command_line_is_one_that_clap_takes() {
+    fn command_line_definition_is_valid() {
         Arguments::command().debug_assert();
     }
 }

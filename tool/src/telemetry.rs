@@ -1,9 +1,9 @@
-//! `wsg telemetry`: any number of grippers and bridges to an MQTT broker, by Sparkplug B. It only reads,
-//! unless a gripper allows commands.
+//! `wsg telemetry`: publishes any number of grippers and bridges to an MQTT broker with Sparkplug B. Read-only, unless a gripper
+//! allows commands.
 //!
-//! A task for each device reads it and reports what changed; one task has the broker, and turns reports into messages:
-//! `gripper` and `bridge` -> `node` and its `store` -> `broker`. Commands go back: `broker` -> `node`, which takes or refuses them by
-//! `command` -> `commander` in the gripper's task. All run in one thread.
+//! One task per device reads it and reports changes. One task serves the broker and turns reports into messages: `gripper` and
+//! `bridge` -> `node` with its `store` -> `broker`. Commands take the reverse path: `broker` -> `node`, which checks them with
+//! `command` -> `commander` in the gripper's task. All tasks run in one thread.
 
 mod bridge;
 mod broker;
@@ -37,24 +37,25 @@ use node::Node;
 use report::{Reporter, now_ms};
 use sequence::Sequence;
 
-/// Reports that wait for the task with the broker; readers wait when there are more.
+/// Capacity of the report queue to the broker task. Readers wait while it is full.
 const REPORTS: usize = 4_096;
 
-/// Sends what grippers and bridges tell to an MQTT broker, by Sparkplug B. It only reads, unless a gripper allows commands. docs/telemetry.md has the settings.
+/// Publishes grippers and bridges to an MQTT broker with Sparkplug B; read-only unless a gripper allows commands. For the settings
+/// see docs/telemetry.md
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// The settings, a TOML file.
+    /// Settings file in TOML format; see docs/telemetry.md
     #[arg(required_unless_present = "reference")]
     config: Option<PathBuf>,
-    /// Checks the settings and ends.
+    /// Check the settings and exit
     #[arg(long)]
     check: bool,
-    /// Prints all settings and metrics, as tables in Markdown.
+    /// Print all settings and metrics as Markdown tables
     #[arg(long)]
     reference: bool,
 }
 
-/// Runs until a signal ends it: Ctrl-C or SIGTERM.
+/// Runs until interrupted by a signal: Ctrl-C, SIGTERM or SIGHUP.
 pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
     let Some(path) = arguments.config.as_ref().filter(|_| !arguments.reference) else {
         print!("{}", reference::text());
@@ -103,7 +104,7 @@ async fn send(telemetry: Telemetry, broker: broker::Broker, sequence: &mut Seque
         };
     }
     drop(sender);
-    // The broker is told NDEATH, and each gripper that its connection ends, at the same time.
+    // NDEATH to the broker and the disconnect announcements to the grippers are sent concurrently.
     let end = async {
         let outcome = signalled().await;
         stop.send_replace(true);
@@ -115,7 +116,7 @@ async fn send(telemetry: Telemetry, broker: broker::Broker, sequence: &mut Seque
 }
 
 impl Source {
-    /// What is told of it.
+    /// Returns the metrics of this kind of device.
     const fn table(&self) -> &'static [Metric] {
         match self {
             Self::Gripper(_) => GRIPPER,
@@ -124,7 +125,7 @@ impl Source {
     }
 }
 
-/// Is ready when the program is asked to end.
+/// Completes when a signal asks the program to exit.
 #[cfg(unix)]
 async fn signalled() -> Result<()> {
     use tokio::signal::unix::{SignalKind, signal};
@@ -139,7 +140,7 @@ async fn signalled() -> Result<()> {
     Ok(())
 }
 
-/// Is ready when the program is asked to end.
+/// Completes when a signal asks the program to exit.
 #[cfg(not(unix))]
 async fn signalled() -> Result<()> {
     tokio::signal::ctrl_c().await?;

@@ -1,5 +1,5 @@
-//! `wsg bridge` as a program: with the bridge's library behind a pseudo terminal, and with the flashed image in the emulator. What
-//! people read is in `golden/`; `WSG_UPDATE_DOCS=1` writes it anew.
+//! Runs `wsg bridge` against the bridge's library on a pseudo terminal, and against the flashed image in the emulator. The expected
+//! output is in `golden/`; `WSG_UPDATE_DOCS=1` rewrites it.
 #![cfg(unix)]
 
 #[path = "common/program.rs"]
@@ -30,22 +30,22 @@ use program::{said, wsg, wsg_with};
 use wsg_bridge_fw::BusPort;
 use wsg_bridge_fw::registers::MAP_VERSION;
 
-/// The service port's end of the line, and what is wrong with it.
+/// The bridge's end of the service port, with injected faults.
 struct Line {
     line: ServiceLine,
     faults: Arc<Faults>,
-    /// FC 16 was answered, or would have been.
+    /// A response to FC 16 was sent or suppressed.
     has_written: bool,
 }
 
-/// What is wrong with the line and with other masters.
+/// Injected faults.
 #[derive(Default)]
 struct Faults {
-    /// Nothing is answered.
+    /// Suppresses every response.
     is_silent: AtomicBool,
-    /// The next answer to FC 16 is lost.
+    /// Suppresses the next response to FC 16.
     loses_answer: AtomicBool,
-    /// Behind the next FC 16 the PLC's bus writes RECIPE0_SPEED.
+    /// Lets the PLC write RECIPE0_SPEED after the next FC 16.
     meddles: AtomicBool,
 }
 
@@ -70,7 +70,7 @@ impl BusPort for Line {
 
 type Act = Box<dyn FnOnce(&mut ServiceBench) + Send>;
 
-/// A bridge that is served from a thread; a millisecond of its time is at most one of the wall clock's.
+/// A bridge that runs in a thread. Its time never runs slower than the wall clock.
 struct Served {
     terminal: Terminal,
     faults: Arc<Faults>,
@@ -80,7 +80,7 @@ struct Served {
 }
 
 impl Served {
-    /// One whose fingers travel for long.
+    /// Starts a bridge whose fingers take long to home.
     fn new() -> Self {
         Self::with(2.0)
     }
@@ -108,22 +108,22 @@ impl Served {
             }
         });
         let served = Self { terminal: Terminal::to(far).unwrap(), faults, acts, plant: Some(plant), end };
-        // The gripper answers.
+        // Wait for the gripper.
         served.wait(|plant| plant.station.bridge().is_connected());
         served
     }
 
-    /// Does something between two turns.
+    /// Runs a closure on the bridge between two turns.
     fn act<T: Send + 'static>(&self, act: impl FnOnce(&mut ServiceBench) -> T + Send + 'static) -> T {
         let (done, doing) = mpsc::channel();
-        self.acts.send(Box::new(move |plant| done.send(act(plant)).expect("it is waited for"))).unwrap();
-        doing.recv_timeout(BOUND).expect("the plant runs")
+        self.acts.send(Box::new(move |plant| done.send(act(plant)).expect("the caller waits"))).unwrap();
+        doing.recv_timeout(BOUND).expect("the plant is running")
     }
 
     fn wait(&self, is_so: impl Fn(&mut ServiceBench) -> bool + Send + Clone + 'static) {
         let end = Instant::now() + BOUND;
         while !self.act(is_so.clone()) {
-            assert!(Instant::now() < end, "it does not become so");
+            assert!(Instant::now() < end, "the condition was not met");
         }
     }
 
@@ -131,7 +131,7 @@ impl Served {
         self.act(ServiceBench::settings)
     }
 
-    /// `wsg bridge PORT ...`
+    /// Runs `wsg bridge PORT ...` and returns exit status and output.
     fn bridge(&self, arguments: &[&str]) -> (Option<i32>, String) {
         let output = wsg(&[&["bridge", &self.terminal.path], arguments].concat(), b"");
         (output.status.code(), said(&output))
@@ -166,7 +166,7 @@ impl Drop for Served {
 
 const BOUND: Duration = Duration::from_secs(60);
 
-/// The line of a file of settings that says for which register map it is.
+/// The line of a settings file that states the register map version.
 fn of_map(version: u16) -> String {
     format!("map_version = {version}\n")
 }
@@ -175,13 +175,13 @@ fn temporary(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
 }
 
-/// Compares with the file of this name.
+/// Compares the output with the golden file of this name.
 fn hold(name: &str, shown: &str) {
     hold_file(&format!("tool/tests/golden/{name}"), shown);
 }
 
 #[test]
-fn bridge_and_gripper_are_shown_in_words() {
+fn show_describes_bridge_and_gripper() {
     let served = Served::new();
     hold("show.txt", &served.done(&["show"]));
     hold("show_names.txt", &served.done(&["show", "recipe0_width", "PLC_BUS", "GRIPPER_LINK", "UNIT"]));
@@ -193,7 +193,7 @@ fn bridge_and_gripper_are_shown_in_words() {
     );
     served.refused(
         &["show", "RECIPE0_WITH"],
-        "there is no setting or report RECIPE0_WITH; is it RECIPE0_WIDTH?",
+        "unknown setting or report `RECIPE0_WITH`; did you mean RECIPE0_WIDTH?",
     );
     let json: serde_json::Value = serde_json::from_str(&served.done(&["show", "--json"])).unwrap();
     assert_eq!(json["settings"]["RECIPE0_WIDTH"], 2000);
@@ -202,27 +202,26 @@ fn bridge_and_gripper_are_shown_in_words() {
 }
 
 #[test]
-fn width_is_shown_of_fingers_that_are_referenced() {
+fn width_is_shown_once_the_fingers_are_referenced() {
     let served = Served::with(300.0);
     served.act(ServiceBench::begin_to_move);
-    // IDLE, and a width that was told.
+    // IDLE, and the width has been reported.
     served.wait(|plant| {
         let image = plant.ask(&[1, 4, 0, 0, 0, 4]);
         image[3] == 1 && image[9..11] != [0, 0]
     });
     let shown = served.done(&["show"]);
     assert!(
-        shown.contains(
-            "\nfingers    IDLE, 110.00 mm, 0.00 N; the last command: E_SUCCESS\nsystem     REFERENCED"
-        ),
+        shown
+            .contains("\nfingers    IDLE, 110.00 mm, 0.00 N; last command: E_SUCCESS\nsystem     REFERENCED"),
         "{shown}"
     );
 }
 
 #[test]
-fn events_are_told_in_words_with_what_to_do() {
+fn events_are_described_with_their_remedies() {
     let served = Served::new();
-    // A motion without a homing, and FASTSTOP.
+    // A motion without prior homing, then FASTSTOP.
     served.act(|plant| {
         plant.write(0, &[0, 0, 0, 0]);
         plant.write(0, &[0x0100, 50_00, 50_00, 40_00]);
@@ -232,7 +231,7 @@ fn events_are_told_in_words_with_what_to_do() {
     served.wait(|plant| plant.ask(&[1, 4, 0, 133, 0, 1])[3..5] == [0, 11]);
 
     let events = served.done(&["events"]);
-    // Ages are the wall clock's.
+    // Ages depend on the wall clock.
     let ageless: String = events
         .lines()
         .map(|line| {
@@ -248,7 +247,7 @@ fn events_are_told_in_words_with_what_to_do() {
 }
 
 #[test]
-fn settings_are_changed_stored_taken_back_and_delivered() {
+fn settings_are_changed_stored_restored_and_reset() {
     let served = Served::new();
     let delivered = served.settings();
     let said = served.done(&["set", "RECIPE0_WIDTH", "15mm", "plc_bus", "CANopen", "BUS_TIMEOUT", "0"]);
@@ -258,7 +257,7 @@ fn settings_are_changed_stored_taken_back_and_delivered() {
         expected[place(name)] = value;
     }
     assert_eq!(served.settings(), expected);
-    assert_eq!(served.done(&["set", "PLC_BUS", "2"]), "nothing changes\n");
+    assert_eq!(served.done(&["set", "PLC_BUS", "2"]), "no changes\n");
 
     assert!(served.done(&["restore"]).contains("PLC_BUS: CANopen becomes Modbus RTU (2 -> 1)"));
     assert_eq!(served.settings(), delivered);
@@ -266,9 +265,9 @@ fn settings_are_changed_stored_taken_back_and_delivered() {
     assert_eq!(served.done(&["save"]), "stored\n");
     served.act(ServiceBench::start);
     assert_eq!(served.settings()[place("RECIPE0_WIDTH")], 16_00);
-    assert!(served.done(&["show"]).contains("settings   from: stored; all of them are stored"));
+    assert!(served.done(&["show"]).contains("settings   source: stored; no unsaved changes"));
 
-    served.refused(&["defaults"], "this is asked for on a terminal; --yes does it without");
+    served.refused(&["defaults"], "confirmation requires a terminal; pass --yes to skip it");
     assert!(
         served.done(&["defaults", "--yes"]).ends_with("16.00 mm becomes 20.00 mm (1600 -> 2000)\nstored\n")
     );
@@ -280,7 +279,7 @@ fn settings_are_changed_stored_taken_back_and_delivered() {
     assert_eq!(code, Some(1));
     assert!(
         said.ends_with(
-            "wsg: the settings were not stored: `events` says why; what was stored before still is\n"
+            "wsg: the settings were not stored; run `events` for the cause. The stored settings are unchanged\n"
         ),
         "{said}"
     );
@@ -288,22 +287,22 @@ fn settings_are_changed_stored_taken_back_and_delivered() {
 }
 
 #[test]
-fn values_that_do_not_fit_are_refused_in_one_line_before_anything_is_written() {
+fn invalid_values_are_rejected_in_one_line_before_anything_is_written() {
     let served = Served::new();
-    served.refused(&["set", "COLOUR", "3"], "there is no setting COLOUR");
-    served.refused(&["set", "RECIPE0_WIDTH", "1500", "UNIT", "248"], "248 does not fit: UNIT takes 1 to 247");
-    served.refused(&["set", "UNIT", "5", "CAN_NODE"], "CAN_NODE has no value");
+    served.refused(&["set", "COLOUR", "3"], "unknown setting `COLOUR`");
     served.refused(
-        &["set", "CAN_NODE", "127"],
-        "beside the other settings it does not fit: CAN_NODE takes 1 to 127",
+        &["set", "RECIPE0_WIDTH", "1500", "UNIT", "248"],
+        "248 is out of range: UNIT takes 1 to 247",
     );
+    served.refused(&["set", "UNIT", "5", "CAN_NODE"], "missing value for CAN_NODE");
+    served.refused(&["set", "CAN_NODE", "127"], "invalid configuration: CAN_NODE takes 1 to 127");
     served.done(&["set", "CAN_NODE", "127", "CAN_MASTER", "16"]);
     served.act(ServiceBench::begin_to_move);
-    served.refused(&["set", "RECIPE0_WIDTH", "1500"], "nothing was changed: the fingers move");
+    served.refused(&["set", "RECIPE0_WIDTH", "1500"], "nothing was changed: the fingers are moving");
 }
 
 #[test]
-fn file_of_settings_is_imported_as_a_whole_or_not_at_all() {
+fn settings_file_is_imported_as_a_whole_or_not_at_all() {
     let served = Served::new();
     let file = temporary("settings.toml");
     let path = file.to_str().unwrap();
@@ -311,17 +310,17 @@ fn file_of_settings_is_imported_as_a_whole_or_not_at_all() {
     let exported = fs::read_to_string(&file).unwrap();
     hold("export.toml", &exported);
     assert_eq!(served.done(&["export", "-"]), exported);
-    assert_eq!(served.done(&["import", path]), "nothing changes\n");
+    assert_eq!(served.done(&["import", path]), "no changes\n");
 
     let changed = exported
         .replace("RECIPE0_WIDTH = 2000", "RECIPE0_WIDTH = \"15 mm\"")
         .replace("RECIPE15_SPEED = 5000", "RECIPE15_SPEED = 4000");
     fs::write(&file, &changed).unwrap();
     let before = served.settings();
-    let told = served.done(&["import", "--dry-run", path]);
+    let described = served.done(&["import", "--dry-run", path]);
     assert_eq!(served.settings(), before);
     let said = served.done(&["import", "--save", path]);
-    assert_eq!(said, told + "stored\n");
+    assert_eq!(said, described + "stored\n");
     served.act(ServiceBench::start);
     assert_eq!(
         (served.settings()[place("RECIPE0_WIDTH")], served.settings()[place("RECIPE15_SPEED")]),
@@ -330,21 +329,24 @@ fn file_of_settings_is_imported_as_a_whole_or_not_at_all() {
 
     fs::write(&file, changed.replace("UNIT = 1 ", "UNIT = 300 ").replace("\"15 mm\"", "1800")).unwrap();
     let line = 1 + changed.lines().position(|line| line.starts_with("UNIT")).unwrap();
-    served.refused(&["import", path], &format!("{path}: line {line}: 300 does not fit: UNIT takes 1 to 247"));
+    served.refused(
+        &["import", path],
+        &format!("{path}: line {line}: 300 is out of range: UNIT takes 1 to 247"),
+    );
     fs::write(&file, changed.replace(&of_map(MAP_VERSION), &of_map(MAP_VERSION + 1))).unwrap();
     let other = MAP_VERSION + 1;
     served.refused(
         &["import", path],
-        &format!("{path}: line 3: the file is for version {other} of the register map"),
+        &format!("{path}: line 3: the file is for register map version {other}, "),
     );
     fs::write(&file, changed.replace("\"15 mm\"", "1800")).unwrap();
     served.act(ServiceBench::begin_to_move);
-    served.refused(&["import", path], "nothing was changed: the fingers move");
-    served.refused(&["import", "no/such/file"], "no/such/file cannot be read: ");
+    served.refused(&["import", path], "nothing was changed: the fingers are moving");
+    served.refused(&["import", "no/such/file"], "cannot read no/such/file: ");
 }
 
 #[test]
-fn write_whose_answer_is_lost_is_read_back_and_one_that_others_disturb_is_taken_back() {
+fn write_with_a_lost_response_is_read_back_and_a_disturbed_write_is_reverted() {
     let served = Served::new();
     served.faults.loses_answer.store(true, Ordering::SeqCst);
     let said = served.done(&["set", "RECIPE0_WIDTH", "15mm"]);
@@ -352,12 +354,12 @@ fn write_whose_answer_is_lost_is_read_back_and_one_that_others_disturb_is_taken_
     assert_eq!(served.settings()[place("RECIPE0_WIDTH")], 15_00);
 
     served.faults.meddles.store(true, Ordering::SeqCst);
-    let refused = "the settings read otherwise than they were written, and the old ones are back";
+    let refused = "the settings read back differ from those written, and the previous ones were restored";
     served.refused(&["set", "RECIPE0_WIDTH", "16mm", "RECIPE0_SPEED", "40mm/s"], refused);
 }
 
 #[test]
-fn port_that_is_none_and_bridges_that_are_none_are_named_in_one_line() {
+fn missing_port_and_foreign_device_are_reported_in_one_line() {
     let one_line = |arguments: &[&str]| {
         let output = wsg(arguments, b"");
         assert_eq!(output.status.code(), Some(1), "{}", said(&output));
@@ -366,18 +368,18 @@ fn port_that_is_none_and_bridges_that_are_none_are_named_in_one_line() {
         said
     };
     let said = one_line(&["bridge", "/dev/no-such-port", "show"]);
-    assert!(said.starts_with("wsg: there is no port /dev/no-such-port; this computer has "), "{said}");
+    assert!(said.starts_with("wsg: port /dev/no-such-port not found; available ports: "), "{said}");
     let file = temporary("no_port");
     fs::write(&file, "").unwrap();
     let said = one_line(&["bridge", file.to_str().unwrap(), "show"]);
-    assert!(said.contains("cannot be opened as a serial port: "), "{said}");
+    assert!(said.contains(" as a serial port: "), "{said}");
 
     let served = Served::new();
     served.faults.is_silent.store(true, Ordering::SeqCst);
     let said = one_line(&["bridge", &served.terminal.path, "show"]);
-    assert!(said.starts_with("wsg: nothing answers at ") && said.contains("is the board powered"), "{said}");
+    assert!(said.starts_with("wsg: no response at ") && said.contains("the board is powered"), "{said}");
 
-    // A bridge of another day.
+    // A bridge with another register map.
     let (mut near, far) = UnixStream::pair().unwrap();
     let terminal = Terminal::to(far).unwrap();
     let other = thread::spawn(move || {
@@ -389,7 +391,7 @@ fn port_that_is_none_and_bridges_that_are_none_are_named_in_one_line() {
     });
     let said = one_line(&["bridge", &terminal.path, "show"]);
     let versions = format!(
-        "has version {} of the register map, and this wsg knows version {MAP_VERSION}: ",
+        "has register map version {}, but this wsg supports version {MAP_VERSION}; ",
         MAP_VERSION + 1
     );
     assert!(said.contains(&versions), "{said}");
@@ -411,9 +413,9 @@ fn watch_on_a_terminal_ends_with_q_and_with_ctrl_c() {
             .spawn()
             .unwrap();
         let mut shown = Vec::new();
-        while !String::from_utf8_lossy(&shown).contains("q ends it") {
+        while !String::from_utf8_lossy(&shown).contains("q: quit") {
             let mut byte = [0];
-            screen.read_exact(&mut byte).expect("it is shown");
+            screen.read_exact(&mut byte).expect("the screen is shown");
             shown.extend(byte);
         }
         assert!(String::from_utf8_lossy(&shown).contains("gripper    answers: WSG 50"));
@@ -423,7 +425,7 @@ fn watch_on_a_terminal_ends_with_q_and_with_ctrl_c() {
 }
 
 #[test]
-fn image_is_written_by_what_takes_it_and_not_while_the_fingers_move() {
+fn image_is_written_by_the_matching_method_and_not_while_the_fingers_move() {
     let served = Served::new();
     let folder = temporary("flash");
     let _ = fs::remove_dir_all(&folder);
@@ -451,7 +453,7 @@ fn image_is_written_by_what_takes_it_and_not_while_the_fingers_move() {
     let (code, said) = flash(&[elf]);
     assert_eq!(
         (code, said.as_str(), noted().as_str()),
-        (Some(1), "wsg: this is asked for on a terminal; --yes does it without\n", "")
+        (Some(1), "wsg: confirmation requires a terminal; pass --yes to skip it\n", "")
     );
     let (code, said) = flash(&[elf, "--yes"]);
     assert_eq!(code, Some(0), "{said}");
@@ -470,21 +472,21 @@ fn image_is_written_by_what_takes_it_and_not_while_the_fingers_move() {
     assert_eq!(code, Some(1), "{said}");
     fs::write(bin, b"GRIP(20)").unwrap();
     let (_, said) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
-    assert!(said.contains("is no image: it does not begin with a vector table of the board"), "{said}");
+    assert!(said.contains("is not a valid image: no vector table for this board at the start"), "{said}");
     served.act(ServiceBench::begin_to_move);
     let (code, said) = flash(&[elf, "--yes"]);
     assert_eq!(
         (code, said.as_str()),
-        (Some(1), "wsg: the fingers move: nothing is flashed before they stand\n")
+        (Some(1), "wsg: the fingers are moving; flash again when they are at rest\n")
     );
     assert_eq!(noted(), "");
 }
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn flashed_image_is_set_up_over_its_service_port_and_keeps_it_over_a_power_cycle() {
+fn flashed_image_is_configured_over_its_service_port_and_keeps_its_settings_over_a_power_cycle() {
     let elf = PathBuf::from(
-        std::env::var_os("WSG_FIRMWARE_ELF").expect("it names the image: run `cargo xtask test`"),
+        std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF is not set; run `cargo xtask test`"),
     );
     let flash = FlashController::new();
     let trace = Trace::new(vec![]);

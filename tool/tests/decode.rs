@@ -1,4 +1,4 @@
-//! `wsg decode` as a program, on what `wsg-sim` logs.
+//! Runs `wsg decode` on logs of the simulator and on invalid input.
 
 #[path = "common/program.rs"]
 mod program;
@@ -14,10 +14,10 @@ use wsg_protocol::{Command as Request, FrameEncoder, HomingDirection};
 use wsg_sim::Config;
 use wsg_sim::server::{Lines, Log, ServerThread};
 
-/// The longest that anything may take here.
+/// Time-out for reading from the simulator.
 const BOUND: Duration = Duration::from_secs(60);
 
-/// A log that a test reads.
+/// A log sink that a test can read.
 #[derive(Clone, Default)]
 struct Written(Arc<Mutex<Vec<u8>>>);
 
@@ -33,7 +33,7 @@ impl Write for Written {
 }
 
 fn connect(address: Option<SocketAddr>) -> TcpStream {
-    let stream = TcpStream::connect(address.expect("it was asked for")).unwrap();
+    let stream = TcpStream::connect(address.expect("the server has this line")).unwrap();
     stream.set_read_timeout(Some(BOUND)).unwrap();
     stream
 }
@@ -48,7 +48,7 @@ fn log_of_a_session_with_the_simulator_is_decoded_frame_by_frame() {
     let mut stream = connect(server.tcp_address());
     let mut damaged: Vec<u8> = FrameEncoder::new(0x22, Request::Stop).collect();
     damaged[7] ^= 1;
-    // It is not answered.
+    // A frame with a wrong checksum is not answered.
     stream.write_all(&damaged).unwrap();
     let mut ask = |request: Request<'_>, answers: usize| {
         let frame: Vec<u8> = FrameEncoder::new(request.id().code(), request).collect();
@@ -74,7 +74,7 @@ fn log_of_a_session_with_the_simulator_is_decoded_frame_by_frame() {
     let text = said(&output);
     assert!(output.status.success(), "{text}");
     let frames = [
-        "!!  the log tells: wrong checksum: 22h Stop with 0 bytes of payload",
+        "!!  log: wrong checksum: 22h Stop with 0 bytes of payload",
         "->  24h Acknowledge FAST STOP",
         "<-  24h Acknowledge FAST STOP E_SUCCESS",
         "->  20h Homing positive direction",
@@ -84,8 +84,8 @@ fn log_of_a_session_with_the_simulator_is_decoded_frame_by_frame() {
         "<-  53h Get System Limits E_SUCCESS stroke 110.0 mm",
         "->  07h Disconnect Announcement",
         "<-  07h Disconnect Announcement E_SUCCESS",
-        "->  POS asks for a value (GCL, 2.3.1)",
-        "<-  POS is told, in mm",
+        "->  POS queries a value (GCL, 2.3.1)",
+        "<-  POS value, in mm",
         "->  not understood: unknown name",
         "<-  DANCE refused or failed: E_CMD_UNKNOWN (14)",
     ];
@@ -101,21 +101,21 @@ fn log_of_a_session_with_the_simulator_is_decoded_frame_by_frame() {
 }
 
 #[test]
-fn what_holds_no_frame_fails_and_says_what_there_was() {
+fn input_without_a_frame_fails_with_an_explanation() {
     let output = wsg(&["decode", "-"], &[0x00, 0xFF, 0x01]);
     assert_eq!(output.status.code(), Some(1));
     assert!(said(&output).contains("dropped 3 bytes: no preamble"), "{}", said(&output));
     let empty = wsg(&["decode"], b"");
     assert_eq!((empty.status.code(), said(&empty).as_str()), (Some(1), "wsg: the recording is empty\n"));
     let missing = wsg(&["decode", "no/such/file"], b"");
-    assert!(said(&missing).starts_with("wsg: no/such/file cannot be read: "), "{}", said(&missing));
+    assert!(said(&missing).starts_with("wsg: cannot read no/such/file: "), "{}", said(&missing));
     let wrong = wsg(&["decode", "--can-id", "0x7FF"], b"");
     assert_eq!(wrong.status.code(), Some(2));
-    assert!(said(&wrong).contains("0x7FF is no identifier of 11 bits below 0x7FF"), "{}", said(&wrong));
+    assert!(said(&wrong).contains("`0x7FF` is not a CAN identifier"), "{}", said(&wrong));
 }
 
 #[test]
-fn reader_that_has_seen_enough_is_no_error() {
+fn closed_output_pipe_is_not_an_error() {
     let stop: Vec<u8> = FrameEncoder::new(0x22, Request::Stop).collect();
     let mut child = Command::new(env!("CARGO_BIN_EXE_wsg"))
         .arg("decode")
@@ -123,9 +123,9 @@ fn reader_that_has_seen_enough_is_no_error() {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .expect("it starts");
+        .expect("the program starts");
     drop(child.stdout.take());
-    child.stdin.take().expect("it is piped").write_all(&stop.repeat(10_000)).unwrap();
-    let output = child.wait_with_output().expect("it ends");
+    child.stdin.take().expect("standard input is piped").write_all(&stop.repeat(10_000)).unwrap();
+    let output = child.wait_with_output().expect("the program exits");
     assert_eq!((output.status.code(), said(&output).as_str()), (Some(0), ""));
 }

@@ -1,10 +1,10 @@
-//! docs/telemetry.md has the settings and metrics as the program's tables have them.
+//! Checks the generated reference of settings and metrics in docs/telemetry.md.
 #![cfg(feature = "telemetry")]
 
 use std::process::Command;
 
 #[test]
-fn document_has_the_settings_and_metrics_of_the_program() {
+fn document_matches_the_reference_of_the_program() {
     let output = Command::new(env!("CARGO_BIN_EXE_wsg")).args(["telemetry", "--reference"]).output().unwrap();
     assert!(output.status.success(), "{output:?}");
     document::hold("docs/telemetry.md", "reference", &String::from_utf8(output.stdout).unwrap());

@@ -1,4 +1,4 @@
-//! `wireshark/wsg.lua` in `tshark`: captures that the tests write, and what the dissector says of them.
+//! Runs the dissector `wireshark/wsg.lua` in `tshark` on generated captures and checks its output.
 
 #[path = "common/capture.rs"]
 mod capture;
@@ -10,14 +10,14 @@ use capture::{CLIENT, Capture, Connection, GRIPPER};
 use wsg_protocol::{Command, CommandId, Direction, Frame, FrameEncoder, HomingDirection, Meaning};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
-/// What `tshark` shows of these fields, a line for each packet that has the first of them; fields are separated by `|`, values of
-/// one by `;`.
+/// Runs `tshark` and returns these fields, one line for each packet that has the first of them. `|` separates fields, `;` the
+/// values of a field.
 fn tshark(name: &str, capture: Capture, options: &[&str], fields: &[&str]) -> Vec<String> {
     let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}.pcap"));
     std::fs::write(&file, capture.into_file()).unwrap();
     let script = format!("lua_script:{}/wireshark/wsg.lua", env!("CARGO_MANIFEST_DIR"));
     let mut tshark = Program::new("tshark");
-    // No settings and no plugins of whoever runs this.
+    // Ignore the settings and plugins of the current user.
     tshark.env("HOME", env!("CARGO_TARGET_TMPDIR")).env_remove("XDG_CONFIG_HOME").env("LC_ALL", "C.UTF-8");
     tshark.args(["-X", &script, "-n", "-r"]).arg(&file).args(["-Y", fields[0]]).args(options);
     tshark.args(["-T", "fields", "-E", "separator=|", "-E", "aggregator=;", "-E", "occurrence=a"]);
@@ -40,7 +40,7 @@ fn request(command: Command<'_>) -> Vec<u8> {
     FrameEncoder::new(command.id().code(), command).collect()
 }
 
-/// Payloads of every kind of request and reply, right ones and such as the manual forbids.
+/// Payloads of every kind of request and reply, both valid and invalid.
 fn payloads() -> Vec<Vec<u8>> {
     let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
     let mut payloads = vec![
@@ -80,7 +80,7 @@ fn payloads() -> Vec<Vec<u8>> {
 
 #[test]
 #[ignore = "needs tshark: run `cargo xtask test`"]
-fn tshark_words_every_request_and_reply_as_the_crate_does() {
+fn tshark_describes_every_request_and_reply_as_the_crate_does() {
     let mut capture = Capture::new();
     let mut expected = Vec::new();
     let mut add = |direction, id: u8, payload: &[u8]| {
@@ -111,7 +111,7 @@ fn tshark_words_every_request_and_reply_as_the_crate_does() {
     }
 }
 
-/// A session: requests, and what the virtual gripper answers to each.
+/// Runs a session with the virtual gripper: requests, each with its replies.
 fn session() -> Vec<(Vec<u8>, Vec<Vec<u8>>)> {
     let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
     let mut gripper: VirtualGripper = VirtualGripper::new(config);
@@ -155,7 +155,7 @@ fn meaning(direction: Direction, frame: &[u8]) -> String {
     Meaning { direction, frame }.to_string()
 }
 
-/// The session over TCP to this port, in segments of at most so many bytes, and its words.
+/// Captures the session over TCP to this port, in segments of at most `most` bytes. Also returns its description.
 fn on_tcp(port: u16, most: usize) -> (Capture, Vec<String>) {
     let mut capture = Capture::new();
     let mut connection = Connection::open(&mut capture, port);
@@ -176,8 +176,8 @@ fn flat(shown: &[String]) -> Vec<String> {
 
 #[test]
 #[ignore = "needs tshark: run `cargo xtask test`"]
-fn tshark_puts_frames_together_that_come_in_segments() {
-    // Preamble, head and checksum are all cut somewhere.
+fn tshark_reassembles_frames_from_segments() {
+    // Segments of 3 bytes split preamble, header and checksum.
     let (capture, words) = on_tcp(1_000, 3);
     let shown = tshark("segments", capture, &[], &["wsg.meaning", "wsg.checksum.right"]);
     let (meanings, right): (Vec<_>, Vec<_>) = shown.iter().filter_map(|line| line.rsplit_once('|')).unzip();
@@ -188,7 +188,7 @@ fn tshark_puts_frames_together_that_come_in_segments() {
 
 #[test]
 #[ignore = "needs tshark: run `cargo xtask test`"]
-fn tshark_finds_a_gripper_at_another_port_by_itself_and_by_its_setting() {
+fn tshark_finds_a_gripper_at_another_port_by_heuristic_and_by_setting() {
     let (capture, words) = on_tcp(39_123, 1_400);
     assert_eq!(flat(&tshark("heuristic", capture, &[], &["wsg.meaning"])), words);
     let (capture, words) = on_tcp(39_123, 3);
@@ -198,7 +198,7 @@ fn tshark_finds_a_gripper_at_another_port_by_itself_and_by_its_setting() {
 
 #[test]
 #[ignore = "needs tshark: run `cargo xtask test`"]
-fn tshark_marks_wrong_checksums_noise_and_half_frames_and_finds_what_they_hide() {
+fn tshark_marks_wrong_checksums_noise_and_truncated_frames_and_finds_frames_inside() {
     let mut damaged = encoded(0x25, &[26, 0]);
     damaged[8] ^= 1;
     let stop = encoded(0x22, &[0, 0]);
@@ -215,12 +215,12 @@ fn tshark_marks_wrong_checksums_noise_and_half_frames_and_finds_what_they_hide()
 
     let shown: Vec<_> = shown.iter().map(|line| line.split_once('|').map_or("", |(_, rest)| rest)).collect();
     let expected = [
-        "[wrong checksum] 25h Grip Part E_CMD_PENDING||Wrong checksum, right were 6D 48",
+        "[wrong checksum] 25h Grip Part E_CMD_PENDING||Wrong checksum, expected 6D 48",
         "22h Stop E_SUCCESS|010203|No preamble",
-        "|aaaaaa2202000000a7|A frame without its end",
-        "[wrong checksum] 25h Grip Part: payload too long;22h Stop E_SUCCESS|ZEROS|Wrong checksum, right were 86 B3;A payload that the manual forbids;No preamble",
+        "|aaaaaa2202000000a7|Truncated frame",
+        "[wrong checksum] 25h Grip Part: payload too long;22h Stop E_SUCCESS|ZEROS|Wrong checksum, expected 86 B3;Payload not permitted by the manual;No preamble",
         "22h Stop E_SUCCESS|aaaaaa25ffff|No preamble",
-        "|aaaa|A frame without its end",
+        "|aaaa|Truncated frame",
         "|07|No preamble",
     ];
     assert_eq!(shown, expected.map(|line| line.replace("ZEROS", &"00".repeat(30))));

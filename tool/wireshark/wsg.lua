@@ -1,9 +1,9 @@
--- Wireshark dissector of what Weiss Robotics WSG grippers speak over TCP and UDP: the binary command protocol and GCL.
+-- Wireshark dissector for Weiss Robotics WSG grippers over TCP and UDP: the binary command protocol and GCL.
 --
--- Put it into the folder of personal Lua plugins (Help, About Wireshark, Folders), or: wireshark -X lua_script:wsg.lua
+-- Copy it to the folder of personal Lua plugins (Help, About Wireshark, Folders), or run: wireshark -X lua_script:wsg.lua
 -- Filters: wsg.id, wsg.status, wsg.checksum.right == 0, wsg.opening_width > 20, wsg.meaning contains "Grip"; gcl.line
 --
--- Written for Wireshark 4, with Lua 5.2 to 5.4. The tables are made from those of the crate wsg-protocol by a test:
+-- Requires Wireshark 4, with Lua 5.2 to 5.4. A test generates the tables from those of the crate wsg-protocol:
 -- WSG_UPDATE_DOCS=1 cargo test -p host-tests --test docs
 
 --[[ <!-- generated: tables -->
@@ -212,13 +212,13 @@ end
 local field = {
   request = ProtoField.bool("wsg.request", "To the gripper"),
   id = ProtoField.uint8("wsg.id", "Command", base.HEX, id_names),
-  size = ProtoField.uint16("wsg.size", "Bytes of payload", base.DEC),
+  size = ProtoField.uint16("wsg.size", "Payload length", base.DEC),
   status = ProtoField.uint16("wsg.status", "Status", base.DEC, status_names),
   payload = ProtoField.bytes("wsg.payload", "Payload"),
   checksum = ProtoField.uint16("wsg.checksum", "Checksum", base.HEX),
-  checksum_right = ProtoField.bool("wsg.checksum.right", "Checksum right"),
+  checksum_right = ProtoField.bool("wsg.checksum.right", "Checksum correct"),
   meaning = ProtoField.string("wsg.meaning", "Meaning"),
-  dropped = ProtoField.bytes("wsg.dropped", "Bytes of no frame"),
+  dropped = ProtoField.bytes("wsg.dropped", "Dropped bytes"),
 }
 local value_fields = {}
 for _, command in pairs(COMMANDS) do
@@ -242,13 +242,13 @@ binary.fields = fields
 local problem = {
   checksum = ProtoExpert.new("wsg.checksum.bad", "Wrong checksum", expert.group.CHECKSUM, expert.severity.ERROR),
   dropped = ProtoExpert.new("wsg.dropped.noise", "No preamble", expert.group.MALFORMED, expert.severity.WARN),
-  too_long = ProtoExpert.new("wsg.too_long", "Longer than any message", expert.group.MALFORMED, expert.severity.WARN),
-  incomplete = ProtoExpert.new("wsg.incomplete", "A frame without its end", expert.group.MALFORMED, expert.severity.ERROR),
-  refused = ProtoExpert.new("wsg.refused", "A payload that the manual forbids", expert.group.PROTOCOL, expert.severity.WARN),
+  too_long = ProtoExpert.new("wsg.too_long", "Payload size exceeds the maximum", expert.group.MALFORMED, expert.severity.WARN),
+  incomplete = ProtoExpert.new("wsg.incomplete", "Truncated frame", expert.group.MALFORMED, expert.severity.ERROR),
+  refused = ProtoExpert.new("wsg.refused", "Payload not permitted by the manual", expert.group.PROTOCOL, expert.severity.WARN),
 }
 binary.experts = { problem.checksum, problem.dropped, problem.too_long, problem.incomplete, problem.refused }
 
--- What a payload is read with: a range of bytes, and how far it was taken.
+-- Creates a reader for a payload: a range of bytes and the current position.
 local function reader(range)
   return { range = range, at = 0, len = range and range:len() or 0 }
 end
@@ -306,7 +306,7 @@ local function flags(len, names)
   end
 end
 
--- Some floats one behind the other, each with words before and behind it.
+-- Returns a parser for consecutive floats, each with a prefix and a suffix.
 local function floats(...)
   local words = { ... }
   return function(input)
@@ -326,7 +326,7 @@ local function floats(...)
   end
 end
 
--- How each type is taken from a payload: its bytes, its words and, where it is a number or a switch, its value. Or why not.
+-- Parsers of the types. Each returns the bytes, the text and, for numbers and switches, the value; or nil and the reason.
 local TYPES = {
   f32 = function(input)
     local part, why = take(input, 4)
@@ -486,7 +486,7 @@ local TYPES = {
   end,
 }
 
--- Takes the values of a request or reply. Returns their words, or nil and why not.
+-- Parses the values of a request or reply. Returns their text, or nil and the reason.
 local function take_values(values, input, tree)
   local words = ""
   for _, value in ipairs(values) do
@@ -518,7 +518,7 @@ local function take_values(values, input, tree)
   return words
 end
 
--- The words of a frame, as the crate wsg-protocol has them; and whether its payload is refused.
+-- Describes a frame like the crate wsg-protocol. Also returns whether its payload is invalid.
 local function describe(id, payload, is_request, tree)
   local command = COMMANDS[id]
   local input = reader(payload)
@@ -549,7 +549,7 @@ local function describe(id, payload, is_request, tree)
   if words then
     return title .. words, false
   end
-  -- A script answers as it likes.
+  -- Scripts may answer in any format.
   if is_script then
     return string.format("%s %d bytes", title, input.len), false
   end
@@ -564,7 +564,7 @@ local function is_preamble(tvb, at)
   return tvb(at, 1):uint() == PREAMBLE and tvb(at + 1, 1):uint() == PREAMBLE and tvb(at + 2, 1):uint() == PREAMBLE
 end
 
--- Whether an intact frame begins here.
+-- Returns whether an intact frame begins at this position.
 local function is_intact(tvb, at)
   local left = tvb:len() - at
   if left < OVERHEAD or not is_preamble(tvb, at) then
@@ -577,7 +577,7 @@ local function is_intact(tvb, at)
   return checksum(tvb(at, HEAD + size)) == tvb(at + HEAD + size, 2):le_uint()
 end
 
--- A whole frame; its words. What a frame with a wrong checksum would say is told apart.
+-- Adds a whole frame to the tree and returns its text, which is marked if the checksum is wrong.
 local function add_frame(tvb, at, size, is_request, tree)
   local range = tvb(at, OVERHEAD + size)
   local sum = range(HEAD + size, 2)
@@ -593,7 +593,7 @@ local function add_frame(tvb, at, size, is_request, tree)
   local is_right = sum:le_uint() == right
   item:add(field.checksum_right, sum, is_right):set_generated()
   if not is_right then
-    item:add_proto_expert_info(problem.checksum, string.format("Wrong checksum, right were %02X %02X", right % 256, math.floor(right / 256)))
+    item:add_proto_expert_info(problem.checksum, string.format("Wrong checksum, expected %02X %02X", right % 256, math.floor(right / 256)))
     words = "[wrong checksum] " .. words
   end
   if is_refused then
@@ -647,7 +647,7 @@ local function dissect_binary(tvb, pinfo, tree, is_request)
       wait(DESEGMENT_ONE_MORE_SEGMENT)
       break
     elseif not is_beginning or not size or size > LONGEST then
-      -- One byte further: what a false preamble holds is looked through.
+      -- Advance by one byte only, because a frame may begin inside a false preamble.
       dropped_from = dropped_from or at
       at = at + 1
       if at == len then
@@ -659,7 +659,7 @@ local function dissect_binary(tvb, pinfo, tree, is_request)
         wait(OVERHEAD + size - left)
         break
       end
-      -- Nothing more comes: a datagram ends here.
+      -- A datagram ends here, so the frame is truncated.
       dropped_from = at
       at = at + 1
       while at < len and not is_intact(tvb, at) do
@@ -672,7 +672,7 @@ local function dissect_binary(tvb, pinfo, tree, is_request)
       local words = add_frame(tvb, at, size, is_request, tree)
       said[#said + 1] = words
       if words:sub(1, 1) == "[" then
-        -- A frame inside a false one counts.
+        -- Continue at an intact frame inside the false one, if any.
         for inside = at + 1, stop - 1 do
           if is_intact(tvb, inside) then
             stop = inside
@@ -686,7 +686,7 @@ local function dissect_binary(tvb, pinfo, tree, is_request)
   return table.concat(said, "; ")
 end
 
--- GCL: lines of text.
+-- GCL, the text protocol.
 local gcl_field = {
   request = ProtoField.bool("gcl.request", "To the gripper"),
   line = ProtoField.string("gcl.line", "Line"),
@@ -696,7 +696,7 @@ local gcl_field = {
 }
 gcl.fields = { gcl_field.request, gcl_field.line, gcl_field.name, gcl_field.kind, gcl_field.status }
 local gcl_unknown =
-  ProtoExpert.new("gcl.unknown", "A name that the manual does not list", expert.group.PROTOCOL, expert.severity.WARN)
+  ProtoExpert.new("gcl.unknown", "Name not listed in the manual", expert.group.PROTOCOL, expert.severity.WARN)
 gcl.experts = { gcl_unknown }
 
 local function add_line(range, text, is_request, tree)
@@ -772,7 +772,7 @@ function binary.dissector(tvb, pinfo, tree)
   return tvb:len()
 end
 
--- On another port: from the first intact frame on.
+-- Heuristic for other ports: accepts a conversation from its first intact frame.
 local function heuristic(tvb, pinfo, tree)
   if not is_intact(tvb, 0) then
     return false
@@ -784,8 +784,8 @@ end
 binary:register_heuristic("tcp", heuristic)
 binary:register_heuristic("udp", heuristic)
 
-binary.prefs.tcp_port = Pref.uint("TCP port", ports.tcp, "The gripper's TCP port, for the binary protocol and for GCL")
-binary.prefs.udp_port = Pref.uint("UDP port", ports.udp, "The UDP port that the gripper listens on")
+binary.prefs.tcp_port = Pref.uint("TCP port", ports.tcp, "TCP port of the gripper, for both protocols")
+binary.prefs.udp_port = Pref.uint("UDP port", ports.udp, "UDP port of the gripper, for both protocols")
 
 local function register()
   DissectorTable.get("tcp.port"):add(ports.tcp, binary)

@@ -1,4 +1,4 @@
-//! Changes of settings: named before they are written, written by one request, read back, and taken back where that fails.
+//! Changes of settings: described first, written in one request, read back, and reverted on a mismatch.
 
 use anyhow::{Result, bail};
 use wsg_bridge_fw::Config;
@@ -7,25 +7,28 @@ use wsg_bridge_fw::registers::{FIRST_START_SETTING, Record, SETTINGS};
 use super::client::{Client, Failure};
 use super::names::words;
 
-/// The places of a record that differ.
+/// Returns the indices at which two records differ.
 pub(crate) fn differing(old: &Record, new: &Record) -> Vec<usize> {
     (0..old.len()).filter(|at| old.get(*at) != new.get(*at)).collect()
 }
 
-/// A line for each change: `RECIPE0_WIDTH: 20.00 mm becomes 15.00 mm (register 2000 -> 1500)`.
+/// Describes each change in a line: `RECIPE0_WIDTH: 20.00 mm becomes 15.00 mm (2000 -> 1500)`.
 pub(crate) fn described(old: &Record, new: &Record) -> String {
     let line = |at: usize| {
         let (setting, old, new) = (SETTINGS.get(at)?, *old.get(at)?, *new.get(at)?);
         let of = |value| words(setting.unit, setting.meaning, value).unwrap_or_else(|| value.to_string());
-        let from_a_start = if at >= FIRST_START_SETTING { ", from the next start on" } else { "" };
+        let from_a_start = if at >= FIRST_START_SETTING { ", after the next restart" } else { "" };
         Some(format!("{}: {} becomes {} ({old} -> {new}){from_a_start}\n", setting.name, of(old), of(new)))
     };
     differing(old, new).into_iter().filter_map(line).collect()
 }
 
-/// Writes the changes: all of them are there afterwards, or an error says what is.
+/// Writes the changes and reads them back.
+///
+/// # Errors
+/// The changes were not applied. The message states whether the previous settings are in effect.
 pub(crate) fn write(client: &mut Client, old: &Record, new: &Record) -> Result<()> {
-    // What the bridge would refuse, it is not asked for.
+    // Reject here what the bridge would refuse.
     Config::from_record(new)?;
     let places = differing(old, new);
     let (Some(first), Some(last)) = (places.first(), places.last()) else { return Ok(()) };
@@ -36,7 +39,7 @@ pub(crate) fn write(client: &mut Client, old: &Record, new: &Record) -> Result<(
     }
     let now = match client.settings() {
         Ok(now) => now,
-        Err(failure) => bail!("it is unknown whether the settings were changed: {failure}; look with `show`"),
+        Err(failure) => bail!("the settings may or may not have changed: {failure}; check with `show`"),
     };
     if part(&now) == part(new) {
         return Ok(());
@@ -44,18 +47,19 @@ pub(crate) fn write(client: &mut Client, old: &Record, new: &Record) -> Result<(
     if part(&now) == part(old) {
         match outcome {
             Err(failure) => bail!("nothing was changed: {failure}"),
-            Ok(()) => bail!("nothing was changed, though the bridge accepted it"),
+            Ok(()) => bail!("nothing was changed, although the bridge accepted the request"),
         }
     }
-    // By one request the bridge writes all or nothing: somebody else has written, too.
+    // The bridge executes a request as a whole or not at all, so another client must have written as well.
     let is_restored = client.write(*first, &part(old)).is_ok()
         && client.settings().is_ok_and(|now| part(&now) == part(old));
     if is_restored {
         bail!(
-            "the settings read otherwise than they were written, and the old ones are back: does another program write them?"
+            "the settings read back differ from those written, and the previous ones were restored; check for other programs that \
+             write settings"
         );
     }
     bail!(
-        "the settings read otherwise than they were written, and the old ones could not be written back: look with `show`"
+        "the settings read back differ from those written, and the previous ones could not be restored; check with `show`"
     )
 }

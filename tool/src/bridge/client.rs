@@ -1,4 +1,4 @@
-//! The bridge over its service port: Modbus RTU, unit 1, 115 200 bit/s, 8N1 (docs/service-port.md).
+//! Client for the service port of the bridge: Modbus RTU, unit 1, 115 200 bit/s, 8N1 (docs/service-port.md).
 
 use std::fmt;
 use std::future::Future;
@@ -22,25 +22,25 @@ use wsg_fieldbus::InputImage;
 
 use super::names::report;
 
-/// How long an answer may take: the bridge answers within milliseconds, a busy computer does not.
+/// Response time-out. The bridge responds within milliseconds, but a busy computer may be slow.
 const PATIENCE: Duration = Duration::from_millis(1_500);
-/// How often a question is asked.
+/// Number of attempts for a read request.
 const TRIES: u32 = 3;
 
-/// How long the gripper may take to tell width and force for the first time.
+/// Delay until the gripper has reported width and force for the first time.
 const FIRST_VALUES: Duration = Duration::from_millis(200);
 
-/// Registers of the input image.
+/// Number of registers of the input image.
 const IMAGE_REGISTERS: u16 = (InputImage::LEN / 2) as u16;
 
-// Each is read by one request.
+// Each table fits into one read request.
 const _: () = assert!(SETTINGS.len() <= 123 && REPORTS.len() <= 125);
 
-/// A bridge.
+/// A connection to a bridge.
 pub(crate) struct Client {
     port: String,
     runtime: Runtime,
-    /// `None` once the line is gone.
+    /// The open port, or `None` after a failure.
     context: Option<Context>,
     image_was_read: bool,
 }
@@ -48,11 +48,11 @@ pub(crate) struct Client {
 /// Why a request was not carried out.
 #[derive(Debug)]
 pub(crate) enum Failure {
-    /// The bridge refuses it.
+    /// The bridge rejected the request.
     Refused(ExceptionCode),
-    /// There is no answer, or a damaged one.
+    /// No response, or a corrupted one.
     NoAnswer,
-    /// The port does not work any more.
+    /// The serial port failed.
     Port(io::Error),
 }
 
@@ -60,12 +60,12 @@ impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Refused(ExceptionCode::ServerDeviceBusy) => {
-                f.write_str("the fingers move, or settings are being stored: try again when they stand")
+                f.write_str("the fingers are moving or settings are being stored; try again later")
             }
-            Self::Refused(ExceptionCode::IllegalDataValue) => f.write_str("the bridge refuses the value"),
-            Self::Refused(exception) => write!(f, "the bridge refuses: {exception}"),
-            Self::NoAnswer => f.write_str("the bridge does not answer any more"),
-            Self::Port(error) => write!(f, "the port does not work any more: {error}"),
+            Self::Refused(ExceptionCode::IllegalDataValue) => f.write_str("the bridge rejected the value"),
+            Self::Refused(exception) => write!(f, "the bridge rejected the request: {exception}"),
+            Self::NoAnswer => f.write_str("the bridge no longer responds"),
+            Self::Port(error) => write!(f, "the port failed: {error}"),
         }
     }
 }
@@ -73,37 +73,38 @@ impl fmt::Display for Failure {
 impl std::error::Error for Failure {}
 
 impl Client {
-    /// Opens the port, and sees that a bridge with this register map answers.
+    /// Opens the port and checks that a bridge with the supported register map responds.
     pub(crate) fn open(port: &str) -> Result<Self> {
-        let runtime = Builder::new_current_thread().enable_all().build().context("cannot start")?;
+        let runtime =
+            Builder::new_current_thread().enable_all().build().context("cannot start the I/O runtime")?;
         let context = Some(connect(&runtime, port)?);
         let mut client = Self { port: port.to_owned(), runtime, context, image_was_read: false };
         let version = match client.read_reports(1) {
             Ok(reports) => reports.first().copied().unwrap_or_default(),
             Err(Failure::NoAnswer) => bail!(
-                "nothing answers at {port}: is it the service port of the bridge (the USB cable of the ST-Link), is the board \
-                 powered, and does no other program use the port?"
+                "no response at {port}; check that it is the bridge's service port (the USB cable of the ST-Link), that the board is \
+                 powered, and that no other program uses the port"
             ),
-            Err(Failure::Refused(exception)) => bail!("what answers at {port} is no bridge: {exception}"),
+            Err(Failure::Refused(exception)) => bail!("the device at {port} is not a bridge: {exception}"),
             Err(failure) => return Err(failure.into()),
         };
         if version != MAP_VERSION {
             bail!(
-                "the bridge at {port} has version {version} of the register map, and this wsg knows version {MAP_VERSION}: \
-                 use the wsg of the bridge's release, or flash the image of this one"
+                "the bridge at {port} has register map version {version}, but this wsg supports version {MAP_VERSION}; \
+                 use the wsg of the bridge's release, or flash the image of this release"
             );
         }
         Ok(client)
     }
 
-    /// All settings.
+    /// Reads all settings, in the order of `SETTINGS`.
     pub(crate) fn settings(&mut self) -> Result<Record, Failure> {
         let count = SETTINGS.len() as u16;
         let values = self.read(&Request::ReadHoldingRegisters(FIRST_SETTING, count), count)?;
         Record::try_from(values).map_err(|_| Failure::NoAnswer)
     }
 
-    /// All reports.
+    /// Reads all reports, in the order of `REPORTS`.
     pub(crate) fn reports(&mut self) -> Result<Vec<u16>, Failure> {
         self.read_reports(REPORTS.len() as u16)
     }
@@ -112,7 +113,7 @@ impl Client {
         self.read(&Request::ReadInputRegisters(FIRST_REPORT, count), count)
     }
 
-    /// The version of the firmware.
+    /// Reads the firmware version, such as `0.1.0`.
     pub(crate) fn firmware(&mut self) -> Result<String, Failure> {
         let reports = self.reports()?;
         let of = |name: &str| reports.get(report(name)).copied().unwrap_or_default();
@@ -120,10 +121,10 @@ impl Client {
         Ok(format!("{major}.{minor}.{}", of("BRIDGE_PATCH")))
     }
 
-    /// What the PLC reads; `None` while there is no gripper that answers.
+    /// Reads the input image, as a PLC does. Returns `None` while no gripper responds.
     pub(crate) fn image(&mut self) -> Result<Option<InputImage>, Failure> {
         if !self.image_was_read {
-            // The bridge asks the gripper for width and force from the first request for them on.
+            // The bridge starts polling width and force at the first request for them.
             self.read_image()?;
             self.image_was_read = true;
             thread::sleep(FIRST_VALUES);
@@ -142,14 +143,15 @@ impl Client {
         Ok(bytes.try_into().ok().map(InputImage::from_bytes))
     }
 
-    /// Writes settings from this place of a record on: all of them, or none. Not a second time by itself: what came of it is to be
-    /// read.
+    /// Writes consecutive settings, starting at an index of the record: all of them or none.
+    ///
+    /// Never retries. After an error, read the settings to find out whether they were written.
     pub(crate) fn write(&mut self, place: usize, values: &[u16]) -> Result<(), Failure> {
         let first = FIRST_SETTING + place as u16;
         self.ask_once(async |context| context.write_multiple_registers(first, values).await)
     }
 
-    /// Has settings stored, taken back or delivered ones taken, and waits until that is done.
+    /// Stores the settings, reverts to the stored ones or resets to the defaults, and waits for completion.
     pub(crate) fn command(&mut self, command: StoreCommand) -> Result<()> {
         let place = COMMANDS.iter().position(|it| it.command == command).unwrap_or_default();
         let register = FIRST_COMMAND + place as u16;
@@ -157,21 +159,25 @@ impl Client {
         if command == StoreCommand::Restore {
             return Ok(());
         }
-        // A save takes some 50 ms.
+        // A save takes about 50 ms.
         for _ in 0..200 {
             match self.reports()?.get(report("SAVE_STATE")) {
                 Some(1) => {}
                 Some(2) => return Ok(()),
                 _ => {
-                    bail!("the settings were not stored: `events` says why; what was stored before still is")
+                    bail!(
+                        "the settings were not stored; run `events` for the cause. The stored settings are unchanged"
+                    )
                 }
             }
         }
-        bail!("the bridge does not finish storing the settings");
+        bail!("time-out: the bridge is still storing the settings");
     }
 
-    /// So many registers. Not by the crate's own methods: those take an answer of another length, such as a late one to another
-    /// request, for a bug of this program, and panic.
+    /// Reads `count` registers with one request.
+    ///
+    /// Does not use the read methods of `tokio_modbus`, which panic on a response of unexpected length, such as a late response
+    /// to an earlier request.
     fn read(&mut self, request: &Request<'static>, count: u16) -> Result<Vec<u16>, Failure> {
         self.ask(async |context| match context.call(request.clone()).await? {
             Ok(Response::ReadHoldingRegisters(registers) | Response::ReadInputRegisters(registers))
@@ -184,7 +190,7 @@ impl Client {
         })
     }
 
-    /// Asks again where no answer comes.
+    /// Sends a request and retries if there is no response.
     fn ask<T>(
         &mut self,
         mut request: impl AsyncFnMut(&mut Context) -> Result<Result<T, ExceptionCode>, Error>,
@@ -203,7 +209,7 @@ impl Client {
         mut request: impl AsyncFnMut(&mut Context) -> Result<Result<T, ExceptionCode>, Error>,
     ) -> Result<T, Failure> {
         if self.context.is_none() {
-            // Anew: what comes late must not be taken for the answer to something else.
+            // Reopen the port, so that a late response is not mistaken for the next one.
             let opened = connect(&self.runtime, &self.port);
             self.context = Some(opened.map_err(|error| Failure::Port(io::Error::other(error)))?);
         }
@@ -224,7 +230,7 @@ async fn within<T>(answer: impl Future<Output = T>) -> Option<T> {
     timeout(PATIENCE, answer).await.ok()
 }
 
-/// Whether it is the port that failed, and not an answer that was damaged.
+/// Returns whether the port failed, as opposed to a corrupted response.
 fn is_of_the_port(error: &io::Error) -> bool {
     !matches!(error.kind(), ErrorKind::InvalidData | ErrorKind::InvalidInput | ErrorKind::TimedOut)
 }
@@ -233,12 +239,12 @@ fn connect(runtime: &Runtime, port: &str) -> Result<Context> {
     let _inside = runtime.enter();
     let opened = SerialPort::open(port, BusConfig::SERVICE.baud);
     let opened = opened.map_err(|error| anyhow::anyhow!(not_opened(port, &error)))?;
-    // What came before is an answer to somebody else.
+    // Discard bytes received earlier: they respond to another program.
     let _ = opened.discard_input_buffer();
     Ok(rtu::attach_slave(opened, Slave(BusConfig::SERVICE.unit)))
 }
 
-/// Why a port cannot be opened, and what to do.
+/// Describes why a port cannot be opened, and what to do.
 fn not_opened(port: &str, error: &io::Error) -> String {
     match error.kind() {
         ErrorKind::NotFound => {
@@ -246,14 +252,14 @@ fn not_opened(port: &str, error: &io::Error) -> String {
             let others: Vec<String> = others.iter().map(|port| port.display().to_string()).collect();
             let others = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
             format!(
-                "there is no port {port}; this computer has {others}. Is the cable in the USB connector of the ST-Link?"
+                "port {port} not found; available ports: {others}. Check that the cable is in the USB connector of the ST-Link"
             )
         }
         ErrorKind::PermissionDenied => format!(
-            "{port} may not be opened: on Linux add yourself to the group dialout (sudo usermod -a -G dialout $USER), and log in \
-             again; on Windows end the program that uses it"
+            "no permission to open {port}: on Linux, add yourself to the group dialout (sudo usermod -a -G dialout $USER) and log in \
+             again; on Windows, close the program that uses it"
         ),
-        ErrorKind::ResourceBusy => format!("{port} is used by another program"),
-        _ => format!("{port} cannot be opened as a serial port: {error}"),
+        ErrorKind::ResourceBusy => format!("{port} is in use by another program"),
+        _ => format!("cannot open {port} as a serial port: {error}"),
     }
 }

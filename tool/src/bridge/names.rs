@@ -1,36 +1,36 @@
-//! The bridge's registers by their names, and their values as people write and read them. Names, ranges, units and choices are
-//! those of the firmware's tables; choices are read from the words of a register's meaning.
+//! Register names and values in human-readable form. Names, ranges and units come from the firmware's tables; choices are parsed
+//! from the text of a register's meaning.
 
 use anyhow::{Context, Result, bail};
 use wsg_bridge_fw::registers::{REPORTS, SETTINGS, Setting};
 
-/// The place of a setting in a record, and the setting.
+/// Finds a setting by name, in upper or lower case. Returns its index in a record as well.
 pub(crate) fn setting(name: &str) -> Result<(usize, &'static Setting)> {
     let found = SETTINGS.iter().enumerate().find(|(_, setting)| setting.name.eq_ignore_ascii_case(name));
     found.with_context(|| unknown(name, "setting", &mut SETTINGS.iter().map(|setting| setting.name)))
 }
 
-/// The place of a setting of the table.
+/// Returns the index of a setting, which must exist.
 pub(crate) fn place(name: &str) -> usize {
     SETTINGS.iter().position(|setting| setting.name == name).unwrap_or_default()
 }
 
-/// The place of a report of the table.
+/// Returns the index of a report, which must exist.
 pub(crate) fn report(name: &str) -> usize {
     REPORTS.iter().position(|report| report.name == name).unwrap_or_default()
 }
 
-/// What is said of a name that there is not.
+/// Formats the error for an unknown name, with a suggestion if a similar name exists.
 pub(crate) fn unknown(name: &str, what: &str, names: &mut dyn Iterator<Item = &'static str>) -> String {
     let upper = name.to_ascii_uppercase();
     let nearest = names.map(|it| (strsim::damerau_levenshtein(&upper, it), it)).min();
     match nearest.filter(|(distance, _)| *distance <= 3) {
-        Some((_, nearest)) => format!("there is no {what} {name}; is it {nearest}?"),
-        None => format!("there is no {what} {name}; `show` lists all"),
+        Some((_, nearest)) => format!("unknown {what} `{name}`; did you mean {nearest}?"),
+        None => format!("unknown {what} `{name}`; run `show --json` for all names"),
     }
 }
 
-/// What a register's step is: so many, or the so-many-th part, of a unit.
+/// The step of a register: a multiple or a fraction of a unit, such as `100 bit/s` or `1/100 mm`.
 struct Scale {
     multiply: u32,
     divide: u32,
@@ -52,14 +52,14 @@ impl Scale {
         if divide == 1 {
             format!("{} {unit}", u32::from(value) * multiply)
         } else {
-            // Hundredths have two digits behind the point.
+            // Hundredths have two decimals.
             let digits = divide.ilog10() as usize;
             format!("{:.digits$} {unit}", f64::from(value) * f64::from(multiply) / f64::from(divide))
         }
     }
 }
 
-/// A value in words: the choice that it is, or the number with its unit; `None` where it is a mere number.
+/// Formats a value as the name of a choice or as a number with its unit. Returns `None` if it has neither.
 pub(crate) fn words(unit: &'static str, meaning: &'static str, value: u16) -> Option<String> {
     let choice = choices(meaning).into_iter().find(|(number, _)| *number == value);
     match choice {
@@ -69,8 +69,7 @@ pub(crate) fn words(unit: &'static str, meaning: &'static str, value: u16) -> Op
     }
 }
 
-/// The value of a setting that somebody wrote: the register's number (decimal, or hexadecimal behind `0x`), a number with the
-/// unit, or a choice.
+/// Parses a value: the register's number (decimal, or hexadecimal with `0x`), a number with its unit, or a choice.
 pub(crate) fn value(setting: &Setting, text: &str) -> Result<u16> {
     let text = text.trim();
     let Setting { name, unit, least, most, meaning } = setting;
@@ -83,18 +82,19 @@ pub(crate) fn value(setting: &Setting, text: &str) -> Result<u16> {
     let number = digits.map_or_else(|| text.parse::<u32>(), |digits| u32::from_str_radix(digits, 16));
     if let Ok(number) = number {
         let value = u16::try_from(number).ok().filter(|value| (least..=most).contains(&value));
-        return value.with_context(|| format!("{text} does not fit: {}", takes()));
+        return value.with_context(|| format!("{text} is out of range: {}", takes()));
     }
     let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     let (number, of) = text.split_at(end);
     let scale = Scale::of(unit);
     let of = of.trim();
-    let number: f64 = number.parse().ok().with_context(|| format!("{text} is no value: {}", takes()))?;
+    let number: f64 =
+        number.parse().ok().with_context(|| format!("`{text}` is not a valid value: {}", takes()))?;
     if unit.is_empty() {
-        bail!("{text} is no value: {}", takes());
+        bail!("`{text}` is not a valid value: {}", takes());
     } else if of != scale.unit {
         bail!(
-            "{text} is no value: the unit of {name} is {}, as {}",
+            "`{text}` is not a valid value: the unit of {name} is {}, for example {}",
             scale.unit,
             scale.text(*least.max(&100).min(most))
         );
@@ -102,17 +102,17 @@ pub(crate) fn value(setting: &Setting, text: &str) -> Result<u16> {
     let steps = number * f64::from(scale.divide) / f64::from(scale.multiply);
     let value = steps.round();
     if (steps - value).abs() > 1e-6 {
-        bail!("{text} does not fit: {name} is in steps of {unit}");
+        bail!("{text} is not a multiple of the step of {name}, which is {unit}");
     }
     if !(f64::from(*least)..=f64::from(*most)).contains(&value) {
-        bail!("{text} does not fit: {name} takes {} to {}", scale.text(*least), scale.text(*most));
+        bail!("{text} is out of range: {name} takes {} to {}", scale.text(*least), scale.text(*most));
     }
     Ok(value as u16)
 }
 
-/// The choices in the words of a register's meaning: numbers with words behind them, as `0 hold, 1 stop` or `0: for ever`.
+/// Parses the choices in a register's meaning: numbers followed by text, such as `0 hold, 1 stop` or `0: for ever`.
 pub(crate) fn choices(meaning: &'static str) -> Vec<(u16, &'static str)> {
-    // Number, and where its words begin and end.
+    // Number, and start and end of its text.
     let mut found: Vec<(u16, usize, usize)> = Vec::new();
     let mut may_go_on = false;
     let mut start = 0;
@@ -145,7 +145,7 @@ pub(crate) fn choices(meaning: &'static str) -> Vec<(u16, &'static str)> {
     found.into_iter().filter_map(|(number, start, end)| Some((number, meaning.get(start..end)?))).collect()
 }
 
-/// `0 hold` or `0: for ever`.
+/// Parses one choice: `0 hold` or `0: for ever`.
 fn choice(part: &str) -> Option<(u16, &str)> {
     let end = part.find(|c: char| !c.is_ascii_digit())?;
     let (number, rest) = part.split_at(end);
@@ -159,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn choices_are_those_that_the_tables_name() {
+    fn choices_match_the_tables() {
         let of = |name: &str| choices(setting(name).unwrap().1.meaning);
         assert_eq!(of("BUS_REACTION"), [(0, "hold"), (1, "stop"), (2, "FAST STOP")]);
         assert_eq!(of("PLC_BUS"), [(0, "none"), (1, "Modbus RTU"), (2, "CANopen"), (3, "PROFIBUS DP")]);
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_numbers_of_the_register_numbers_with_a_unit_or_choices() {
+    fn values_are_register_numbers_numbers_with_a_unit_or_choices() {
         let of =
             |name: &str, text: &str| value(setting(name).unwrap().1, text).map_err(|error| error.to_string());
         assert_eq!(of("RECIPE0_WIDTH", "2005"), Ok(20_05));
@@ -187,28 +187,40 @@ mod tests {
         assert_eq!(of("PLC_BUS", "canopen"), Ok(2));
         assert_eq!(of("BUS_TIMEOUT", "for ever"), Ok(0));
         for (name, text, error) in [
-            ("RECIPE0_WIDTH", "20.05", "20.05 is no value: the unit of RECIPE0_WIDTH is mm, as 1.00 mm"),
-            ("RECIPE0_WIDTH", "20.051mm", "20.051mm does not fit: RECIPE0_WIDTH is in steps of 1/100 mm"),
-            ("RECIPE0_WIDTH", "400mm", "400mm does not fit: RECIPE0_WIDTH takes 0.00 mm to 327.67 mm"),
-            ("RECIPE0_SPEED", "0", "0 does not fit: RECIPE0_SPEED takes 1 to 65535: of every motion"),
+            (
+                "RECIPE0_WIDTH",
+                "20.05",
+                "`20.05` is not a valid value: the unit of RECIPE0_WIDTH is mm, for example 1.00 mm",
+            ),
+            (
+                "RECIPE0_WIDTH",
+                "20.051mm",
+                "20.051mm is not a multiple of the step of RECIPE0_WIDTH, which is 1/100 mm",
+            ),
+            ("RECIPE0_WIDTH", "400mm", "400mm is out of range: RECIPE0_WIDTH takes 0.00 mm to 327.67 mm"),
+            ("RECIPE0_SPEED", "0", "0 is out of range: RECIPE0_SPEED takes 1 to 65535: of every motion"),
             (
                 "UNIT",
                 "70000",
-                "70000 does not fit: UNIT takes 1 to 247: the bridge's address on the bus, from the next request on",
+                "70000 is out of range: UNIT takes 1 to 247: the bridge's address on the bus, from the next request on",
             ),
             (
                 "GRIPPER_LINE",
                 "USB",
-                "USB is no value: GRIPPER_LINE takes 0 to 1: the gripper's line: 0 RS-232, 1 CAN",
+                "`USB` is not a valid value: GRIPPER_LINE takes 0 to 1: the gripper's line: 0 RS-232, 1 CAN",
             ),
-            ("MODBUS_RATE", "19250 bit/s", "19250 bit/s does not fit: MODBUS_RATE is in steps of 100 bit/s"),
+            (
+                "MODBUS_RATE",
+                "19250 bit/s",
+                "19250 bit/s is not a multiple of the step of MODBUS_RATE, which is 100 bit/s",
+            ),
         ] {
             assert_eq!(of(name, text), Err(error.to_owned()));
         }
     }
 
     #[test]
-    fn every_value_of_a_unit_is_read_as_it_is_written() {
+    fn formatted_values_with_units_parse_to_the_same_number() {
         for setting in &SETTINGS {
             for value_of in [setting.least, setting.least.max(20), setting.most] {
                 let Some(words) = words(setting.unit, setting.meaning, value_of) else { continue };
@@ -218,14 +230,14 @@ mod tests {
     }
 
     #[test]
-    fn name_that_is_nearly_one_is_guessed() {
+    fn similar_name_is_suggested() {
         assert_eq!(
             setting("recipe0_widht").unwrap_err().to_string(),
-            "there is no setting recipe0_widht; is it RECIPE0_WIDTH?"
+            "unknown setting `recipe0_widht`; did you mean RECIPE0_WIDTH?"
         );
         assert_eq!(
             setting("COLOUR").unwrap_err().to_string(),
-            "there is no setting COLOUR; `show` lists all"
+            "unknown setting `COLOUR`; run `show --json` for all names"
         );
     }
 }

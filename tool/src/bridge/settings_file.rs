@@ -1,4 +1,4 @@
-//! Settings as a file: TOML, with a comment for each.
+//! Settings files: TOML with a comment for each setting.
 
 use std::fmt::Write as _;
 use std::ops::Range;
@@ -10,11 +10,11 @@ use wsg_bridge_fw::registers::{MAP_VERSION, Record, SETTINGS};
 
 use super::names;
 
-/// The file of these settings, of a bridge with this firmware.
+/// Formats the settings as a file. `firmware` is the version of the bridge's firmware.
 pub(crate) fn exported(settings: &Record, firmware: &str) -> String {
     let mut text = format!(
-        "# Settings of a WSG bridge, written by `wsg bridge PORT export`. docs/registers.md has them all.\n\
-         # A value is the register's number, or text with its unit, as \"20.00 mm\". What is left out stays as it is.\n\
+        "# Settings of a WSG bridge, written by `wsg bridge PORT export`. docs/registers.md describes them.\n\
+         # A value is the register's number, or text with a unit, such as \"20.00 mm\". Omitted settings keep their value.\n\
          map_version = {MAP_VERSION}\nfirmware = \"{firmware}\"\n\n[settings]\n"
     );
     for (setting, value) in SETTINGS.iter().zip(settings) {
@@ -23,7 +23,7 @@ pub(crate) fn exported(settings: &Record, firmware: &str) -> String {
             .unwrap_or_default();
         let meaning =
             if setting.meaning.is_empty() { String::new() } else { format!(": {}", setting.meaning) };
-        // Writing to a string does not fail.
+        // Writing to a string never fails.
         let _ = writeln!(
             text,
             "{} = {value}  # {is}{} to {}{meaning}",
@@ -33,10 +33,10 @@ pub(crate) fn exported(settings: &Record, firmware: &str) -> String {
     text
 }
 
-/// The settings with the changes that a file makes.
+/// Applies the settings in a file to a record.
 ///
 /// # Errors
-/// The line in which something does not fit, and why.
+/// The file is invalid. The message states the line and the reason.
 pub(crate) fn imported(text: &str, settings: &Record) -> Result<Record> {
     let line = |span: Range<usize>| 1 + text.get(..span.start).unwrap_or("").matches('\n').count();
     let document = DeTable::parse(text).map_err(|error| {
@@ -44,7 +44,7 @@ pub(crate) fn imported(text: &str, settings: &Record) -> Result<Record> {
         anyhow::anyhow!("{at}{}", error.message())
     })?;
     let mut new = *settings;
-    // Where each setting is that the file has.
+    // The line of each setting in the file.
     let mut lines = [None; SETTINGS.len()];
     let mut version = None;
     for (key, value) in document.get_ref() {
@@ -54,7 +54,7 @@ pub(crate) fn imported(text: &str, settings: &Record) -> Result<Record> {
                 version = Some(number.as_str().to_owned());
                 if number.as_str() != MAP_VERSION.to_string() {
                     bail!(
-                        "line {at}: the file is for version {} of the register map, and this wsg knows version {MAP_VERSION}",
+                        "line {at}: the file is for register map version {}, but this wsg supports version {MAP_VERSION}",
                         number.as_str()
                     );
                 }
@@ -67,7 +67,7 @@ pub(crate) fn imported(text: &str, settings: &Record) -> Result<Record> {
                         let words = match value.get_ref() {
                             DeValue::Integer(number) => number_of(number.as_str(), number.radix())?,
                             DeValue::String(words) => words.to_string(),
-                            _ => bail!("{} takes a number, or text with a unit", setting.name),
+                            _ => bail!("{} expects a number, or text with a unit", setting.name),
                         };
                         Ok((place, names::value(setting, &words)?))
                     });
@@ -79,23 +79,23 @@ pub(crate) fn imported(text: &str, settings: &Record) -> Result<Record> {
                 }
             }
             (name @ ("map_version" | "firmware" | "settings"), _) => {
-                bail!("line {at}: {name} is something else in such a file")
+                bail!("line {at}: {name} has the wrong type")
             }
-            (name, _) => bail!("line {at}: {name} is unknown; settings stand below [settings]"),
+            (name, _) => bail!("line {at}: unknown key `{name}`; settings belong below [settings]"),
         }
     }
     if version.is_none() {
-        bail!("the file has no map_version: it was not written by `wsg bridge PORT export`, or not whole");
+        bail!("missing map_version: the file was not written by `wsg bridge PORT export`, or is incomplete");
     }
     Config::from_record(&new).map_err(|wrong| {
         let at = lines.get(wrong.at).copied().flatten();
         let at = at.map(|line| format!("line {line}: ")).unwrap_or_default();
-        anyhow::anyhow!("{at}beside the other settings it does not fit: {wrong}")
+        anyhow::anyhow!("{at}invalid configuration: {wrong}")
     })?;
     Ok(new)
 }
 
-/// An integer of TOML as decimal digits.
+/// Converts a TOML integer to decimal digits.
 fn number_of(digits: &str, radix: u32) -> Result<String> {
     let number = i64::from_str_radix(&digits.replace('_', ""), radix).context("the number is too large")?;
     Ok(number.to_string())
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn exported_settings_are_imported_as_they_were() {
+    fn exported_settings_are_imported_unchanged() {
         let mut other = record();
         other[place("RECIPE3_WIDTH")] = 12_34;
         other[place("CAN_NODE")] = 5;
@@ -134,36 +134,29 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused_with_its_line() {
+    fn invalid_file_is_rejected_with_its_line() {
         let with = |lines: &str| of_this_map(&format!("[settings]\nUNIT = 5\n{lines}\n"));
         let other = MAP_VERSION + 1;
-        let of_other = format!(
-            "line 1: the file is for version {other} of the register map, and this wsg knows version"
-        );
+        let of_other =
+            format!("line 1: the file is for register map version {other}, but this wsg supports version");
         for (text, error) in [
-            (with("COLOUR = 3"), "line 4: there is no setting COLOUR; `show` lists all"),
-            (with("RECIPE0_WITH = 3"), "line 4: there is no setting RECIPE0_WITH; is it RECIPE0_WIDTH?"),
+            (with("COLOUR = 3"), "line 4: unknown setting `COLOUR`; run `show --json` for all names"),
+            (with("RECIPE0_WITH = 3"), "line 4: unknown setting `RECIPE0_WITH`; did you mean RECIPE0_WIDTH?"),
             (with("UNIT = 6"), "line 4: duplicate key"),
-            (with("BUS_REACTION = 3"), "line 4: 3 does not fit: BUS_REACTION takes 0 to 2: "),
-            (with("BUS_REACTION = -1"), "line 4: -1 is no value: "),
-            (with("BUS_REACTION = 1.5"), "line 4: BUS_REACTION takes a number, or text with a unit"),
+            (with("BUS_REACTION = 3"), "line 4: 3 is out of range: BUS_REACTION takes 0 to 2: "),
+            (with("BUS_REACTION = -1"), "line 4: `-1` is not a valid value: "),
+            (with("BUS_REACTION = 1.5"), "line 4: BUS_REACTION expects a number, or text with a unit"),
             (
                 with("BUS_TIMEOUT = \"1 s\""),
-                "line 4: 1 s is no value: the unit of BUS_TIMEOUT is ms, as 100 ms",
+                "line 4: `1 s` is not a valid value: the unit of BUS_TIMEOUT is ms, for example 100 ms",
             ),
-            (
-                with("\nCAN_NODE = 127"),
-                "line 5: beside the other settings it does not fit: CAN_NODE takes 1 to 127: ",
-            ),
-            (
-                with("CAN_RATE = 126"),
-                "line 4: beside the other settings it does not fit: CAN_RATE takes 125 to 1000: ",
-            ),
-            (with("[more]"), "line 4: more is unknown; settings stand below [settings]"),
+            (with("\nCAN_NODE = 127"), "line 5: invalid configuration: CAN_NODE takes 1 to 127: "),
+            (with("CAN_RATE = 126"), "line 4: invalid configuration: CAN_RATE takes 125 to 1000: "),
+            (with("[more]"), "line 4: unknown key `more`; settings belong below [settings]"),
             (format!("map_version = {other}\n"), of_other.as_str()),
-            ("[settings]\nUNIT = 5\n".to_owned(), "the file has no map_version"),
+            ("[settings]\nUNIT = 5\n".to_owned(), "missing map_version"),
             ("map_version = \n".to_owned(), "line 1: "),
-            ("settings = 3\n".to_owned(), "line 1: settings is something else in such a file"),
+            ("settings = 3\n".to_owned(), "line 1: settings has the wrong type"),
         ] {
             let said = format!("{:#}", imported(&text, &record()).expect_err(&text));
             assert!(said.starts_with(error), "{text}{said}");
@@ -171,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn both_of_two_values_that_go_together_may_change() {
+    fn two_interdependent_settings_can_change_together() {
         let text = of_this_map("[settings]\nCAN_NODE = 127\nCAN_MASTER = 16\n");
         assert!(imported(&text, &record()).is_ok());
     }

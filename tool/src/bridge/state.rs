@@ -1,4 +1,4 @@
-//! What the bridge tells of itself, as people and as programs read it.
+//! Status, registers and events of a bridge, as text and as JSON.
 
 use std::fmt::Write as _;
 
@@ -12,17 +12,17 @@ use wsg_protocol::{CommandId, DeviceType, FirmwareVersion, Status, SystemFlags};
 
 use super::names::{self, place, report, words};
 
-/// Registers of an event: code, command, value, age.
+/// Number of registers per event: code, command, value, age.
 const EVENT_LEN: usize = 4;
-/// Registers of a recipe: width, speed, force, release width.
+/// Number of registers per recipe: width, speed, force, release width.
 const RECIPE_LEN: usize = 4;
 
-/// What was read of a bridge.
+/// A snapshot of a bridge's registers.
 pub(crate) struct State {
     pub(crate) settings: Record,
-    /// In the order of the table.
+    /// Report values, in the order of `REPORTS`.
     pub(crate) reports: Vec<u16>,
-    /// `None`: no gripper answers.
+    /// Input image, or `None` if no gripper responds.
     pub(crate) image: Option<InputImage>,
 }
 
@@ -31,29 +31,30 @@ impl State {
         self.reports.get(report(name)).copied().unwrap_or_default()
     }
 
-    /// A report in words: its choice, or its number.
+    /// Formats a report as the name of its choice, or as a number.
     fn report_words(&self, name: &str) -> String {
         let value = self.report(name);
         let meaning = REPORTS.get(report(name)).map_or("", |report| report.meaning);
         words("", meaning, value).unwrap_or_else(|| value.to_string())
     }
 
-    /// Who the bridge and its gripper are, and how they are: a line for each.
+    /// Formats identity and status of bridge and gripper, one line per topic.
     pub(crate) fn summary(&self) -> String {
         let [major, minor] = self.report("BRIDGE_VERSION").to_be_bytes();
         let mut text = String::new();
         let version = format!("{major}.{minor}.{}", self.report("BRIDGE_PATCH"));
-        // Writing to a string does not fail.
+        // Writing to a string never fails.
         let _ = writeln!(text, "bridge     firmware {version}, register map {}", self.report("MAP_VERSION"));
         let stored = match self.report("SETTINGS_CHANGED") {
-            0 => "all of them are stored",
-            _ => "changed since and not stored",
+            0 => "no unsaved changes",
+            _ => "unsaved changes",
         };
-        let _ = writeln!(text, "settings   from: {}; {stored}", self.report_words("SETTINGS_FROM"));
+        let _ = writeln!(text, "settings   source: {}; {stored}", self.report_words("SETTINGS_FROM"));
         let _ = writeln!(text, "gripper    {}", self.gripper());
         if let Some(image) = &self.image {
             let _ = writeln!(text, "fingers    {}", self.fingers(image));
-            let flags = if image.system.is_empty() { "no flag".to_owned() } else { image.system.to_string() };
+            let flags =
+                if image.system.is_empty() { "no flags".to_owned() } else { image.system.to_string() };
             let _ = writeln!(text, "system     {flags}");
         }
         let _ = writeln!(text, "error      {}", self.error());
@@ -78,12 +79,12 @@ impl State {
         let device = DeviceType::from_code(self.report("GRIPPER_TYPE").to_le_bytes()[0]);
         let force = f32::from(image.force) / ForceUnit::of(device).per_newton();
         let states: Vec<&str> = image.state.iter_names().map(|(name, _)| name).collect();
-        // A gripper that was not referenced does not know its width.
+        // The width is unknown until the gripper is referenced.
         let width = match image.system.contains(SystemFlags::REFERENCED) {
             true => format!("{:.2} mm", f32::from(image.width) / 100.0),
             false => "width unknown".to_owned(),
         };
-        format!("{}, {width}, {force:.2} N; the last command: {}", states.join(" "), image.status)
+        format!("{}, {width}, {force:.2} N; last command: {}", states.join(" "), image.status)
     }
 
     fn error(&self) -> String {
@@ -93,7 +94,7 @@ impl State {
         }
     }
 
-    /// The settings but the recipes, and with `all` the reports.
+    /// Formats all settings except the recipes, and the reports if `all` is set.
     pub(crate) fn registers(&self, all: bool) -> String {
         let recipes = recipe_places();
         let settings = (0..SETTINGS.len()).filter(|at| !recipes.contains(at));
@@ -114,10 +115,10 @@ impl State {
         Some(line(report.name, *value, words("", report.meaning, *value)))
     }
 
-    /// One setting or report, with what it means.
+    /// Formats one setting or report with its meaning.
     ///
     /// # Errors
-    /// There is none of this name.
+    /// There is no setting or report with this name.
     pub(crate) fn named(&self, name: &str) -> anyhow::Result<String> {
         let is = |it: &str| it.eq_ignore_ascii_case(name);
         if let Some((at, it)) = SETTINGS.iter().enumerate().find(|(_, it)| is(it.name)) {
@@ -139,7 +140,7 @@ impl State {
         anyhow::bail!(names::unknown(name, "setting or report", &mut all));
     }
 
-    /// Everything by names.
+    /// Returns settings, reports and input image as JSON, by name.
     pub(crate) fn json(&self) -> Value {
         let settings =
             SETTINGS.iter().zip(&self.settings).map(|(it, value)| (it.name.to_owned(), json!(value)));
@@ -161,7 +162,7 @@ impl State {
         })
     }
 
-    /// All recipes, as a table.
+    /// Formats all recipes as a table.
     pub(crate) fn recipes(&self) -> String {
         let mut text = "recipe       width        speed       force      release\n".to_owned();
         for number in 0..RECIPE_COUNT {
@@ -178,10 +179,10 @@ impl State {
             number if number < RECIPE_COUNT => format!("the bus uses recipe {number}"),
             _ => "the bus sends its own values".to_owned(),
         };
-        text + &bus + " (BUS_RECIPE); wires choose among the first four\n"
+        text + &bus + " (BUS_RECIPE); the wires select one of the first four\n"
     }
 
-    /// The event whose code this report is; its other registers stand behind it.
+    /// Reads an event. `code` names its first register; the others follow it.
     fn event(&self, code: &str) -> Option<Event> {
         let first = report(code);
         let [code, command, value, age_s] = *self.reports.get(first..first + EVENT_LEN)? else { return None };
@@ -192,24 +193,24 @@ impl State {
         (1..=EVENTS_KEPT).filter_map(|number| self.event(&format!("EVENT{number}_CODE")))
     }
 
-    /// The events that are kept, the last first, and the last FAST STOP.
+    /// Formats the state of ERROR, the last FAST STOP, and the recorded events, most recent first.
     pub(crate) fn events_words(&self) -> String {
         let mut text = format!("ERROR is {}\n", if self.report("ERROR_CAUSE") == 0 { "low" } else { "high" });
         if self.report("ERROR_CAUSE") != 0 {
-            let _ = writeln!(text, "  because of {}", self.error());
+            let _ = writeln!(text, "  cause: {}", self.error());
         }
         match self.event("FAST_STOP_CAUSE") {
             Some(event) => {
-                let _ = write!(text, "the last FAST STOP\n{}", event.words());
+                let _ = write!(text, "last FAST STOP:\n{}", event.words());
             }
-            None => text.push_str("no FAST STOP since the start\n"),
+            None => text.push_str("no FAST STOP since start-up\n"),
         }
-        let _ = writeln!(text, "{} events since the start, the last of them:", self.report("EVENTS"));
+        let _ = writeln!(text, "{} events since start-up, most recent first:", self.report("EVENTS"));
         text.extend(self.events().map(|event| event.words()));
         text
     }
 
-    /// The same for programs.
+    /// Returns the same as JSON.
     pub(crate) fn events_json(&self) -> Value {
         json!({
             "error": event_text(self.report("ERROR_CAUSE")).map(|it| it.name),
@@ -224,7 +225,7 @@ fn line(name: &str, value: u16, words: Option<String>) -> String {
     format!("{name:<18} {value:>5}  {}", words.unwrap_or_default()).trim_end().to_owned() + "\n"
 }
 
-/// Where the recipes are in a record.
+/// Returns the indices of the recipes in a record.
 fn recipe_places() -> std::ops::Range<usize> {
     place("RECIPE0_WIDTH")..place("RECIPE0_WIDTH") + RECIPE_COUNT * RECIPE_LEN
 }
@@ -233,15 +234,15 @@ fn event_text(code: u16) -> Option<&'static EventText> {
     EVENTS.iter().find(|event| event.code as u16 == code)
 }
 
-/// `REFUSED: the gripper refused the command; do: see the status codes`
+/// Formats an event code: `REFUSED: the gripper refused the command; remedy: see the status codes`.
 fn event_words(code: u16) -> String {
     match event_text(code) {
-        Some(EventText { name, meaning, remedy, .. }) => format!("{name}: {meaning}; do: {remedy}"),
-        None => format!("event {code}, which this wsg does not know"),
+        Some(EventText { name, meaning, remedy, .. }) => format!("{name}: {meaning}; remedy: {remedy}"),
+        None => format!("event {code}, unknown to this version of wsg"),
     }
 }
 
-/// Something that happened.
+/// An entry of the bridge's event log.
 struct Event {
     code: u16,
     command: u16,
@@ -259,10 +260,10 @@ impl Event {
         let command = u8::try_from(self.command).ok().filter(|id| *id != 0).map(CommandId::from_code);
         let command = command.map(|id| format!(" [{id}]")).unwrap_or_default();
         let value = if value.is_empty() { String::new() } else { format!(" ({})", self.value_words(value)) };
-        format!("  {age:>10}  {name}{command}: {meaning}{value}\n{:14}do: {remedy}\n", "")
+        format!("  {age:>10}  {name}{command}: {meaning}{value}\n{:14}remedy: {remedy}\n", "")
     }
 
-    /// What the value is, by the words of the table: a status, another register, or a number.
+    /// Formats the event's value. `what` is its description in the event table: a status, a register, or a number.
     fn value_words(&self, what: &'static str) -> String {
         if what == "its status" {
             let status = Status::from_code(self.value);

@@ -1,4 +1,4 @@
-//! Logs of `candump`: those of `candump -l`, and what it shows on a terminal. The mapping is `docs/can.md`'s.
+//! `candump` logs: the format of `candump -l` and the terminal output. For the mapping to CAN frames see `docs/can.md`.
 
 use embedded_can::{Frame as CanFrame, Id, StandardId};
 use wsg_protocol::can::{FULL, HALF_MESSAGE_MS, Identifiers, MAX_FRAMES, Reassembler};
@@ -7,16 +7,16 @@ use wsg_protocol::{Direction, Event, FrameEncoder, Instant};
 
 use super::entry::{Entry, EntryKind, count, of_binary};
 
-/// A classic CAN frame of the log.
+/// A classic CAN frame from the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Logged {
-    /// As the log has it: time and bus.
+    /// Time and bus, as written in the log.
     place: String,
-    /// In microseconds; 0 where the log has none.
+    /// Time in microseconds; 0 if the log has none.
     time_us: u64,
     id: u32,
     is_extended: bool,
-    /// `None`: a remote frame.
+    /// Data bytes, or `None` for a remote frame.
     data: Option<Vec<u8>>,
 }
 
@@ -38,7 +38,7 @@ impl CanFrame for Logged {
     }
 
     fn id(&self) -> Id {
-        // An extended one is not looked at: that it is another one is all that counts.
+        // The value of an extended identifier is irrelevant: no gripper uses one.
         let standard = StandardId::new(self.id as u16).filter(|_| !self.is_extended);
         standard.map_or(Id::Extended(embedded_can::ExtendedId::ZERO), Id::Standard)
     }
@@ -63,7 +63,7 @@ pub(crate) fn parse_line(line: &str) -> Option<Logged> {
     let place = if time.is_empty() { bus.to_owned() } else { format!("{time} {bus}") };
     let rest = rest.trim();
     let (id, data) = match rest.split_once('#') {
-        // `120#AAAAAA2200000E76`, a direction behind it; `120#R` is a remote frame, `120##...` CAN FD.
+        // `120#AAAAAA2200000E76`, optionally followed by a direction. `120#R` is a remote frame, `120##...` CAN FD.
         Some((id, data)) => {
             let data = data.split_whitespace().next().unwrap_or("");
             (id, if data.starts_with('R') { None } else { Some(pairs(data)?) })
@@ -90,12 +90,12 @@ pub(crate) fn parse_line(line: &str) -> Option<Logged> {
     fits.then_some(Logged { place, time_us, id, is_extended, data })
 }
 
-/// Seconds with six digits behind the point; nothing is 0.
+/// Parses a time with six decimals to microseconds. Empty text is 0.
 fn micros(time: &str) -> Option<u64> {
     if time.is_empty() {
         return Some(0);
     }
-    // `candump -t A` has a date before it.
+    // `candump -t A` writes the date before the time.
     let time = time.rsplit(' ').next().unwrap_or(time);
     let (seconds, fraction) = time.split_once('.')?;
     let fraction: u64 = fraction.get(..6).filter(|rest| rest.len() == fraction.len())?.parse().ok()?;
@@ -114,7 +114,7 @@ fn pairs(digits: &str) -> Option<Vec<u8>> {
     is_pairs.then(|| digits.as_bytes().chunks(2).map(pair).collect()).flatten()
 }
 
-/// The pair whose identifiers carry beginnings of messages: both, or one of them, where only one side was heard.
+/// Detects the gripper's identifiers: the pair of which at least one carries message beginnings. Prefers the default pair.
 fn identifiers(frames: &[Logged]) -> Option<Identifiers> {
     let begins = |id: u32| {
         frames.iter().any(|frame| {
@@ -130,10 +130,10 @@ fn identifiers(frames: &[Logged]) -> Option<Identifiers> {
     bases.next().and_then(|base| Identifiers::from_base(u16::try_from(base).ok()?))
 }
 
-/// The messages among the frames of a bus. `asked`: the identifiers of the gripper; else they are looked for.
+/// Decodes the messages among the CAN frames of a bus. The gripper's identifiers are detected if `asked` is `None`.
 pub(crate) fn decode(frames: &[Logged], asked: Option<Identifiers>) -> Vec<Entry> {
     let Some(pair) = asked.or_else(|| identifiers(frames)) else {
-        let words = format!("none of the {} CAN frames begins a message", frames.len());
+        let words = format!("none of the {} CAN frames starts a message", frames.len());
         return vec![Entry::note(String::new(), words)];
     };
     let (to, from) = (pair.gripper().receive, pair.gripper().transmit);
@@ -159,18 +159,18 @@ pub(crate) fn decode(frames: &[Logged], asked: Option<Identifiers>) -> Vec<Entry
     if foreign > 0 {
         entries.push(Entry::note(
             String::new(),
-            format!("{} left out, with other identifiers", count(foreign, "CAN frame")),
+            format!("skipped {} with other identifiers", count(foreign, "CAN frame")),
         ));
     }
     entries
 }
 
-/// One direction.
+/// The frames of one direction.
 struct Line {
     id: StandardId,
     direction: Direction,
     reassembler: Reassembler<MAX_FRAMES>,
-    /// Frames of which nothing was told yet, with their places in the log.
+    /// Frames not reported yet, with their positions in the log.
     held: Vec<(usize, Logged)>,
 }
 
@@ -181,20 +181,22 @@ impl Line {
 
     fn receive(&mut self, at: usize, frame: &Logged, found: &mut Vec<(usize, Entry)>) {
         let now = Instant::from_millis((frame.time_us / 1_000) as u32);
-        self.tell(found, |reassembler, deliver| reassembler.handle_timeout(now, deliver));
+        self.step(found, |reassembler, deliver| reassembler.handle_timeout(now, deliver));
         self.held.push((at, frame.clone()));
-        self.tell(found, |reassembler, deliver| reassembler.receive(now, frame, deliver));
+        self.step(found, |reassembler, deliver| reassembler.receive(now, frame, deliver));
     }
 
-    /// Gives up what waits for more.
+    /// Drops an incomplete message at the end of the log.
     fn end(&mut self, found: &mut Vec<(usize, Entry)>) {
         if let Some(at) = self.reassembler.poll_timeout() {
-            self.tell(found, |reassembler, deliver| reassembler.handle_timeout(at, deliver));
+            self.step(found, |reassembler, deliver| reassembler.handle_timeout(at, deliver));
         }
     }
 
-    /// Tells what comes of a step of the reassembler: it passes over frames in their order, and counts why.
-    fn tell(
+    /// Runs a step of the reassembler and reports its messages and dropped frames.
+    ///
+    /// The reassembler consumes frames in order. The counter that it increments gives the reason for dropping them.
+    fn step(
         &mut self,
         found: &mut Vec<(usize, Entry)>,
         step: impl FnOnce(&mut Reassembler<MAX_FRAMES>, &mut dyn FnMut(Event<'_>)),
@@ -211,18 +213,18 @@ impl Line {
         let reasons = [
             (
                 grew(|it| it.miscut),
-                "it is cut otherwise than its size asks for: a CAN frame was lost or doubled",
+                "the CAN frames do not match the message size: one was lost or duplicated",
             ),
             (grew(|it| it.bad_checksum), "wrong checksum"),
-            (grew(|it| it.oversize), "more announced than a message has"),
-            (grew(|it| it.expired), "the rest of the message did not come in time"),
+            (grew(|it| it.oversize), "the payload size exceeds the maximum"),
+            (grew(|it| it.expired), "the rest of the message was not received in time"),
         ];
         let reason =
-            reasons.iter().find(|(grew, _)| *grew).map_or("no beginning of a message", |(_, why)| why);
+            reasons.iter().find(|(grew, _)| *grew).map_or("not the start of a message", |(_, why)| why);
         let mut dropped = usize::from(after.dropped.saturating_sub(before.dropped));
         for message in messages {
             let frames = message.len().div_ceil(FULL);
-            // What it was passed over to get there was dropped.
+            // Frames before the start of the message were dropped.
             let begins = |held: &[(usize, Logged)]| {
                 let bytes = held.iter().flat_map(|(_, frame)| frame.data().iter());
                 held.len() >= frames && bytes.take(message.len()).eq(&message)
@@ -239,7 +241,7 @@ impl Line {
             self.drop_frames(dropped, reason, found);
         } else {
             self.drop_frames(self.held.len(), reason, found);
-            // Its counts stop at their maximum.
+            // Start afresh, because its counters saturate.
             self.reassembler = Reassembler::new(self.id, HALF_MESSAGE_MS);
         }
     }
@@ -263,7 +265,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_of_every_form_give_the_same_frame() {
+    fn every_line_format_is_parsed_to_the_same_frame() {
         let stop = [0xAA, 0xAA, 0xAA, 0x22, 0x00, 0x00, 0x0E, 0x76];
         for (line, place, time_us) in [
             (

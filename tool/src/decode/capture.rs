@@ -1,4 +1,4 @@
-//! Captures, pcap and pcapng: what grippers were told and said over TCP and UDP.
+//! Captures (pcap and pcapng): conversations with grippers over TCP and UDP.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
@@ -15,12 +15,12 @@ use wsg_protocol::gcl::{Answer, Request};
 use super::entry::{self, Entry};
 use super::tcp::Stream;
 
-/// The gripper's ports as delivered: TCP, UDP, and the UDP port that it answers to.
+/// The gripper's factory ports: TCP, UDP, and the UDP port to which it sends answers.
 const TCP_PORT: u16 = 1000;
 const UDP_PORT: u16 = 1500;
 const UDP_REMOTE_PORT: u16 = 1501;
 
-/// How a capture begins: pcapng, and pcap in either order of bytes, with microseconds and with nanoseconds.
+/// Magic numbers: pcapng, and pcap in either byte order with microsecond or nanosecond time stamps.
 const BEGINNINGS: [[u8; 4]; 5] = [
     [0x0A, 0x0D, 0x0D, 0x0A],
     [0xD4, 0xC3, 0xB2, 0xA1],
@@ -29,49 +29,49 @@ const BEGINNINGS: [[u8; 4]; 5] = [
     [0xA1, 0xB2, 0x3C, 0x4D],
 ];
 
-/// Whether a file is a capture.
+/// Returns whether a file is a pcap or pcapng capture.
 pub(crate) fn is_capture(bytes: &[u8]) -> bool {
     BEGINNINGS.iter().any(|beginning| bytes.starts_with(beginning))
 }
 
-/// A packet as it was captured.
+/// A captured packet with its link type and time.
 struct Packet {
     link: Linktype,
-    /// In seconds, where the capture has times.
+    /// Time stamp in seconds, if the capture has one.
     time: Option<f64>,
     bytes: Vec<u8>,
 }
 
-/// How the bytes of two ends belong together.
+/// The transport protocol of a conversation.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Transport {
     Tcp,
     Udp,
 }
 
-/// Two ends: the lower one first.
+/// The two endpoints of a conversation, the lower address first.
 type Ends = (Transport, SocketAddr, SocketAddr);
 
-/// What was said between two ends.
+/// The data exchanged between two endpoints.
 #[derive(Default)]
 struct Conversation {
-    /// Of the lower end, and of the other.
+    /// Streams sent by the lower endpoint and by the upper one.
     streams: [Stream; 2],
-    /// Datagrams: packet, whether the lower end sent it, bytes.
+    /// Datagrams: packet, whether the lower endpoint sent it, bytes.
     datagrams: Vec<(usize, bool, Vec<u8>)>,
-    /// Whether the lower end opened the connection.
+    /// Whether the lower endpoint opened the connection, if known.
     opened_by_lower: Option<bool>,
     has_data: [bool; 2],
 }
 
-/// What was found, by packets.
+/// The entries found, with their packets.
 #[derive(Default)]
 struct Found {
     entries: Vec<(usize, Entry)>,
     times: Vec<Option<f64>>,
 }
 
-/// The entries of a capture. `port`: the gripper's, where it is none of those that are delivered; then no other is looked at.
+/// Decodes a capture. With `port`, only conversations on that gripper port are decoded.
 pub(crate) fn decode(file: Vec<u8>, port: Option<u16>, gcl: Option<bool>) -> Result<Vec<Entry>> {
     let (packets, end) = packets(file)?;
     let mut found = Found { entries: Vec::new(), times: packets.iter().map(|packet| packet.time).collect() };
@@ -86,21 +86,21 @@ pub(crate) fn decode(file: Vec<u8>, port: Option<u16>, gcl: Option<bool>) -> Res
     closed.extend(open);
     let mut left_out = BTreeSet::new();
     for (ends, conversation) in closed {
-        found.tell(ends, conversation, port, gcl, &mut left_out);
+        found.add(ends, conversation, port, gcl, &mut left_out);
     }
     found.entries.sort_by_key(|(packet, _)| *packet);
     let mut entries: Vec<Entry> = found.entries.into_iter().map(|(_, entry)| entry).collect();
     let mut note = |words: String| entries.push(Entry::note(String::new(), words));
     if other_packets > 0 {
         note(format!(
-            "{} left out: neither TCP nor UDP over IP, fragments, or cut off before their payload",
+            "skipped {}: not TCP or UDP over IP, fragmented, or truncated before the payload",
             entry::count(other_packets, "packet")
         ));
     }
     if !left_out.is_empty() {
         let ports: Vec<String> = left_out.iter().map(u16::to_string).collect();
         note(format!(
-            "conversations without a gripper left out, with port {}; --port takes one as a gripper's",
+            "skipped conversations without a gripper, on port {}; pass --port to select one",
             ports.join(", ")
         ));
     }
@@ -110,28 +110,28 @@ pub(crate) fn decode(file: Vec<u8>, port: Option<u16>, gcl: Option<bool>) -> Res
     Ok(entries)
 }
 
-/// The packets, and what is wrong with the end of the file.
+/// Reads the packets. Also returns a remark if the file ends abnormally.
 fn packets(file: Vec<u8>) -> Result<(Vec<Packet>, Option<String>)> {
-    // All of it at once: then nothing but the end of the file is incomplete.
+    // Buffer the whole file, so that only its end can be incomplete.
     let capacity = file.len() + 1;
     let is_ng = file.starts_with(&BEGINNINGS[0]);
     let mut reader: Box<dyn PcapReaderIterator> = if is_ng {
         Box::new(
             PcapNGReader::new(capacity, Cursor::new(file))
                 .ok()
-                .context("the capture's first block is damaged")?,
+                .context("the first block of the capture is corrupted")?,
         )
     } else {
         Box::new(
             LegacyPcapReader::new(capacity, Cursor::new(file))
                 .ok()
-                .context("the capture's header is damaged")?,
+                .context("the header of the capture is corrupted")?,
         )
     };
     let mut packets = Vec::new();
     let mut link = Linktype::NULL;
     let mut fraction = 1e-6;
-    // Of pcapng: link, offset and resolution of each interface of the section.
+    // For pcapng: link type, time offset and resolution of each interface in the section.
     let mut interfaces: Vec<(Linktype, i64, Option<u64>)> = Vec::new();
     let mut is_at_end = false;
     loop {
@@ -173,12 +173,12 @@ fn packets(file: Vec<u8>) -> Result<(Vec<Packet>, Option<String>)> {
             Err(PcapError::Incomplete(_)) if !is_at_end => {
                 is_at_end = true;
                 if reader.refill().is_err() {
-                    bail!("the capture cannot be read");
+                    bail!("cannot read the capture");
                 }
                 continue;
             }
             Err(_) => {
-                let words = format!("the capture is cut off or damaged behind packet {}", packets.len());
+                let words = format!("the capture is truncated or corrupted after packet {}", packets.len());
                 return Ok((packets, Some(words)));
             }
         };
@@ -186,7 +186,7 @@ fn packets(file: Vec<u8>) -> Result<(Vec<Packet>, Option<String>)> {
     }
 }
 
-/// Takes a packet; whether it is one of TCP or UDP.
+/// Adds a packet to its conversation. Returns false if it is neither TCP nor UDP.
 fn take(
     packet: &Packet,
     at: usize,
@@ -214,7 +214,7 @@ fn take(
     match &sliced.transport {
         Some(TransportSlice::Tcp(tcp)) => {
             let side = usize::from(!is_from_lower);
-            // A connection with the ends of an earlier one.
+            // A new connection between the endpoints of an earlier one.
             let is_new = tcp.syn() && !tcp.ack();
             if is_new && open.get(&ends).is_some_and(|it| it.has_data != [false; 2]) {
                 closed.extend(open.remove_entry(&ends));
@@ -243,15 +243,15 @@ fn take(
     true
 }
 
-/// The headers of a packet, as far as they go.
+/// Parses the headers of a packet, as far as they were captured.
 fn sliced(packet: &Packet) -> Option<LaxSlicedPacket<'_>> {
     let bytes = packet.bytes.as_slice();
     match packet.link {
         Linktype::ETHERNET => LaxSlicedPacket::from_ethernet(bytes).ok(),
-        // Linux's cooked capture, both versions: a header that ends, or begins, with an ether type.
+        // Linux cooked capture v1 and v2: the header ends or begins with an EtherType.
         Linktype(113) => of_ether_type(bytes.get(14..16)?, bytes.get(16..)?),
         Linktype(276) => of_ether_type(bytes.get(..2)?, bytes.get(20..)?),
-        // Loopback: an address family before the packet.
+        // Loopback: an address family precedes the packet.
         Linktype::NULL | Linktype(108) => LaxSlicedPacket::from_ip(bytes.get(4..)?).ok(),
         Linktype(12 | 14 | 101 | 228 | 229) => LaxSlicedPacket::from_ip(bytes).ok(),
         _ => None,
@@ -264,7 +264,7 @@ fn of_ether_type<'a>(ether_type: &[u8], rest: &'a [u8]) -> Option<LaxSlicedPacke
 }
 
 impl Found {
-    /// When a packet came, from the first on.
+    /// Formats a packet's number, and its time relative to the first packet if known.
     fn time(&self, packet: usize) -> String {
         let first = self.times.iter().flatten().next();
         match (self.times.get(packet).copied().flatten(), first) {
@@ -273,7 +273,7 @@ impl Found {
         }
     }
 
-    fn tell(
+    fn add(
         &mut self,
         (transport, lower, upper): Ends,
         conversation: Conversation,
@@ -295,20 +295,20 @@ impl Found {
             && lower.port() == UDP_REMOTE_PORT
             && !is_gripper(lower);
         let is_of_a_gripper = is_gripper(lower) || is_gripper(upper);
-        let is_said = || {
+        let has_gripper_data = || {
             let datagrams = datagrams.iter().map(|(.., bytes)| bytes.as_slice());
             let streams = stretches.iter().flatten().map(|stretch| stretch.bytes.as_slice());
-            streams.chain(datagrams).any(is_spoken)
+            streams.chain(datagrams).any(is_gripper_data)
         };
         let has_data = !datagrams.is_empty() || stretches.iter().any(|it| !it.is_empty());
         if !has_data {
             return;
         }
-        if !(is_of_a_gripper || port.is_none() && is_said()) {
+        if !(is_of_a_gripper || port.is_none() && has_gripper_data()) {
             left_out.insert(lower.port().min(upper.port()));
             return;
         }
-        // Whoever opens a connection is no gripper; without that and a port that says it, the lower port is the gripper's.
+        // A gripper never opens a connection. If neither port nor SYN identifies it, assume the lower port.
         let gripper_is_upper = match (is_gripper(lower), is_gripper(upper), opened_by_lower) {
             (true, false, _) => false,
             (false, true, _) => true,
@@ -330,13 +330,13 @@ impl Found {
         }
         let mut last_packet = 0;
         for (stretches, is_from_lower) in stretches.iter().zip([true, false]) {
-            // Told once for all of a direction: a piece may hold no more than a part of a line.
+            // Detect the protocol per direction, because a piece may hold only part of a line.
             let is_gcl = gcl.unwrap_or_else(|| stretches.iter().all(|stretch| entry::is_gcl(&stretch.bytes)));
             for stretch in stretches {
                 if stretch.missing_before > 0 {
                     let packet = stretch.packet_of(0);
                     let words = format!(
-                        "{} of the stream not in the capture",
+                        "{} of the stream missing from the capture",
                         entry::count(stretch.missing_before as usize, "byte")
                     );
                     let place = format!("{} {}", self.time(packet), way(is_from_lower));
@@ -356,7 +356,7 @@ impl Found {
         }
         if repeated > 0 {
             let words = format!(
-                "{} left out, sent again: {lower} and {upper}",
+                "skipped {} retransmitted between {lower} and {upper}",
                 entry::count(repeated, "TCP segment")
             );
             self.entries.push((last_packet, Entry::note(String::new(), words)));
@@ -375,8 +375,8 @@ fn decoded(
     decode(bytes, Some(direction), place)
 }
 
-/// Whether bytes hold a preamble, or begin with a line of GCL.
-fn is_spoken(bytes: &[u8]) -> bool {
+/// Returns whether bytes contain a preamble or begin with a GCL line.
+fn is_gripper_data(bytes: &[u8]) -> bool {
     let line = bytes.split(|byte| matches!(byte, b'\r' | b'\n')).find(|line| !line.trim_ascii().is_empty());
     let is_line = |line: &[u8]| Request::parse(line).is_ok() || Answer::parse(line).is_ok();
     bytes.windows(PREAMBLE_LEN).any(|window| window == [PREAMBLE_BYTE; PREAMBLE_LEN])

@@ -1,4 +1,4 @@
-//! What is told of a recording: an entry for each frame, each line of GCL and each run of bytes that is neither.
+//! Entries of the output: one for each frame, each GCL line and each run of other bytes.
 
 use std::fmt::{self, Display, Formatter};
 
@@ -7,22 +7,22 @@ use wsg_protocol::{Command, Direction, Frame, Kind as CommandKind, Meaning, Repl
 
 use super::scan::{self, Kind, MAX_PAYLOAD_LEN};
 
-/// Bytes in a line.
+/// Number of bytes per line of output.
 const BYTES_A_LINE: usize = 16;
-/// Where the lines below the first of an entry begin.
+/// Indentation of the lines after the first of an entry.
 const INDENT: &str = "              ";
 
-/// Part of a recording, in words and in bytes.
+/// A part of a recording: its bytes and their description.
 #[derive(Debug)]
 pub(crate) struct Entry {
-    /// Where it is.
+    /// Position in the recording, in the form of its format: offset, time or packet.
     pub(crate) place: String,
-    /// Its direction, as far as it is known.
+    /// The direction, if known.
     pub(crate) direction: Option<Direction>,
     pub(crate) kind: EntryKind,
-    /// What it says, or why it was dropped.
+    /// The meaning of the bytes, or why they were dropped.
     pub(crate) words: String,
-    /// Its bytes.
+    /// The bytes, in the order of the recording.
     pub(crate) bytes: Vec<u8>,
 }
 
@@ -30,13 +30,13 @@ pub(crate) struct Entry {
 pub(crate) enum EntryKind {
     /// An intact frame.
     Frame,
-    /// A frame that has no right checksum.
+    /// A complete frame with a wrong checksum.
     BadChecksum,
     /// A line of GCL.
     Line,
     /// Bytes that belong to no frame or line.
     Dropped,
-    /// No bytes of the recording.
+    /// A remark without bytes.
     Note,
 }
 
@@ -66,17 +66,17 @@ impl Display for Entry {
                 write!(f, "{}{byte:02X}", if at == 0 { "" } else { " " })?;
             }
         }
-        if *kind == EntryKind::Frame { f.write_str("  checksum right") } else { Ok(()) }
+        if *kind == EntryKind::Frame { f.write_str("  checksum ok") } else { Ok(()) }
     }
 }
 
-/// Whether a recording is in GCL or in the binary protocol, by its bytes: frames have preambles, and GCL is text.
+/// Returns whether a recording is in GCL, which is text. Frames of the binary protocol have a preamble, which is not.
 pub(crate) fn is_gcl(bytes: &[u8]) -> bool {
     let is_text = |byte: &u8| matches!(byte, b' '..=b'~' | b'\t' | b'\r' | b'\n');
     bytes.iter().any(u8::is_ascii_alphabetic) && bytes.iter().all(is_text)
 }
 
-/// The entries of a recording in the binary protocol, each with where it begins and ends. `place` gives words to that.
+/// Decodes a recording in the binary protocol. `place` formats the position of a byte range.
 pub(crate) fn of_binary(
     bytes: &[u8],
     direction: Option<Direction>,
@@ -101,7 +101,7 @@ fn of_run(place: String, bytes: &[u8], kind: Kind, direction: Option<Direction>)
             let came = bytes.last_chunk().unwrap_or(&[0; 2]);
             let (direction, words) = meaning(bytes, direction);
             let words = format!(
-                "wrong checksum {:02X} {:02X}, right were {low:02X} {high:02X}; with that: {words}",
+                "wrong checksum {:02X} {:02X}, expected {low:02X} {high:02X}; decoded: {words}",
                 came[0], came[1]
             );
             (EntryKind::BadChecksum, direction, words)
@@ -110,28 +110,25 @@ fn of_run(place: String, bytes: &[u8], kind: Kind, direction: Option<Direction>)
             EntryKind::Dropped,
             direction,
             format!(
-                "dropped {dropped}: a preamble, but {size} bytes of payload announced; a message has at most {MAX_PAYLOAD_LEN}"
+                "dropped {dropped}: preamble with a payload size of {size} bytes; the maximum is {MAX_PAYLOAD_LEN}"
             ),
         ),
         Kind::Incomplete(missing) => (
             EntryKind::Dropped,
             direction,
-            format!(
-                "dropped {dropped}: the beginning of a frame without its end, {} or more",
-                count(missing, "byte")
-            ),
+            format!("dropped {dropped}: truncated frame, at least {} missing", count(missing, "byte")),
         ),
         Kind::Noise => (EntryKind::Dropped, direction, format!("dropped {dropped}: no preamble")),
     };
     Entry { place, direction, kind, words, bytes: bytes.to_vec() }
 }
 
-/// `1 byte`, `2 bytes`.
+/// Formats a count with its noun: `1 byte`, `2 bytes`.
 pub(crate) fn count(count: usize, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
-/// The words of a whole frame with preamble and checksum, and its direction where that follows from it.
+/// Describes a whole frame with preamble and checksum. Also returns its direction if given or evident from the frame.
 fn meaning(bytes: &[u8], direction: Option<Direction>) -> (Option<Direction>, String) {
     let [_, _, _, id, _, _, payload @ .., _, _] = bytes else { return (direction, String::new()) };
     let frame = Frame { id: *id, payload };
@@ -153,7 +150,7 @@ fn meaning(bytes: &[u8], direction: Option<Direction>) -> (Option<Direction>, St
     }
 }
 
-/// The entries of a recording in GCL: one for each line that is not blank.
+/// Decodes a recording in GCL: one entry for each line that is not blank.
 pub(crate) fn of_gcl(
     bytes: &[u8],
     direction: Option<Direction>,
@@ -174,7 +171,7 @@ pub(crate) fn of_gcl(
     entries
 }
 
-/// What a line of GCL says, and its direction where that follows from it.
+/// Describes a GCL line. Also returns its direction if given or evident from the line.
 pub(crate) fn gcl_meaning(line: &[u8], direction: Option<Direction>) -> (Option<Direction>, String) {
     let request =
         Request::parse(line).map(|request| request_words(&request)).map_err(|refused| refused.mistake);
@@ -194,11 +191,11 @@ fn request_words(request: &Request) -> String {
     let name = request.name();
     let what = match request.kind() {
         CommandKind::Connection => "ends the connection",
-        CommandKind::Motion => "asks for a motion",
-        CommandKind::Stop => "stops",
+        CommandKind::Motion => "requests a motion",
+        CommandKind::Stop => "stops the fingers",
         CommandKind::Acknowledge => "acknowledges a FAST STOP",
-        CommandKind::Setting => "sets",
-        CommandKind::Query => "asks for a value",
+        CommandKind::Setting => "sets a value",
+        CommandKind::Query => "queries a value",
     };
     format!("{name} {what} (GCL, {})", name.section())
 }
@@ -206,16 +203,16 @@ fn request_words(request: &Request) -> String {
 fn answer_words(answer: &Answer<'_>) -> String {
     let name = answer.name();
     match answer {
-        Answer::Ack(ack) if ack.is_finished() => format!("{name} understood: the motion begins"),
+        Answer::Ack(ack) if ack.is_finished() => format!("{name} accepted: the motion begins"),
         Answer::Ack(_) => format!("{name} done"),
         Answer::Fin(_) => format!("{name} finished"),
         Answer::Err { status, .. } => format!("{name} refused or failed: {} ({})", status, status.code()),
-        Answer::Value(value) => format!("{name} is told{}", unit(value.name())),
-        Answer::Update(value) => format!("{name} is told by itself{}", unit(value.name())),
+        Answer::Value(value) => format!("{name} value{}", unit(value.name())),
+        Answer::Update(value) => format!("{name} automatic update{}", unit(value.name())),
     }
 }
 
-/// The unit of a value, as words behind it.
+/// Returns the unit of a value, as a suffix.
 const fn unit(name: CommandName) -> &'static str {
     match name {
         CommandName::Pos | CommandName::Pwt | CommandName::Clt => ", in mm",

@@ -1,26 +1,26 @@
-//! Dumps in hexadecimal digits: of `xxd`, `hexdump -C`, `od -A x -t x1`, and digits by themselves.
+//! Hex dumps: `xxd`, `hexdump -C`, `od -A x -t x1`, and plain hex digits.
 
-/// The most bytes that a `*` may stand for.
+/// Maximum number of bytes that a `*` may stand for.
 const MAX_REPEATED: u64 = 1 << 24;
 
-/// The bytes of a dump.
+/// A parsed dump.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Dump {
-    /// The offset of the first byte.
+    /// Offset of the first byte, as stated in the dump.
     pub(crate) offset: u64,
     pub(crate) bytes: Vec<u8>,
-    /// Lines that are none of a dump, counted from 1.
+    /// Numbers of lines that could not be parsed, counted from 1.
     pub(crate) strange: Vec<usize>,
 }
 
-/// A line: its offset if it has one, and its bytes.
+/// A line of a dump.
 #[derive(Debug, PartialEq, Eq)]
 struct Line {
     offset: Option<u64>,
     bytes: Vec<u8>,
 }
 
-/// Whether this is a line of a dump.
+/// Returns whether this is a line of a dump with at least one byte.
 pub(crate) fn is_line(line: &str) -> bool {
     parse_line(line.trim(), false).is_some_and(|line| !line.bytes.is_empty())
 }
@@ -63,7 +63,7 @@ pub(crate) fn parse(text: &str) -> Dump {
     dump
 }
 
-/// `has_offsets`: lines before it have some, so that a number alone is where the dump ends.
+/// Parses a line. `has_offsets`: earlier lines have offsets, so a lone number is the end offset.
 fn parse_line(line: &str, has_offsets: bool) -> Option<Line> {
     // `00000000: aaaa aa22 0000 0e76  ..."...v`
     if let Some((offset, rest)) = line.split_once(':')
@@ -95,7 +95,7 @@ fn offset_of(digits: &str) -> Option<u64> {
     is_offset.then(|| u64::from_str_radix(digits, 16).ok()).flatten()
 }
 
-/// `AA AA`, `aaaa`, `0xAA, 0xAA`, `AAh`.
+/// Parses bytes in any of the forms `AA AA`, `aaaa`, `0xAA, 0xAA` and `AAh`.
 fn bytes_of(digits: &str) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
     for word in
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_dump_gives_its_bytes() {
+    fn every_dump_format_is_parsed() {
         assert_dump("00000000: aaaa aa22 0000 0e76                      ...\"...v\n", 0, &STOP);
         assert_dump(
             "00000010  aa aa aa 22 00 00 0e 76                           |...\"...v|\n00000018\n",
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn asterisk_repeats_the_line_before_it() {
+    fn asterisk_repeats_the_previous_line() {
         let text = "00000000  01 02 |..|\n*\n00000006  03 |.|\n00000007\n";
         assert_dump(text, 0, &[1, 2, 1, 2, 1, 2, 3]);
         let endless = parse("00000000  01 |.|\n*\nffffffffffffff  03 |.|\n");
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_line_of_a_dump_is_named() {
+    fn lines_outside_a_dump_are_listed() {
         let dump = parse("AA AA\n# a comment\nGRIP(20)\n22\n");
         assert_eq!(dump, Dump { offset: 0, bytes: vec![0xAA, 0xAA, 0x22], strange: vec![3] });
         assert!(!is_line("GRIP(20)") && !is_line("AAA") && !is_line(""));

@@ -1,47 +1,47 @@
-//! Frames in a recording, with what stands between them: where each begins, and why a byte belongs to none.
+//! Divides a recording into frames and other bytes, with their positions and the reason why bytes belong to no frame.
 //!
-//! It finds the frames that [`FrameParser`](wsg_protocol::FrameParser) finds, which tells no places: try a frame at the first byte;
-//! when it proves false go on one byte further.
+//! It finds the same frames as [`FrameParser`](wsg_protocol::FrameParser), which does not report positions: it tries to parse a
+//! frame at each byte, and advances by one byte if that fails.
 
 use std::ops::Range;
 
 use wsg_protocol::checksum;
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
 
-/// Preamble, id, size.
+/// Length in bytes of preamble, id and size.
 const HEAD_LEN: usize = 6;
-/// Bytes of the checksum.
+/// Length of the checksum in bytes.
 const CHECKSUM_LEN: usize = 2;
-/// The longest payload of a message.
+/// Maximum payload length of a message in bytes.
 pub(crate) const MAX_PAYLOAD_LEN: usize = MAX_MESSAGE_LEN - OVERHEAD;
 
-/// A run of bytes.
+/// A run of bytes of one kind.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Run {
-    /// Which bytes of the recording.
+    /// Position in the recording.
     pub(crate) range: Range<usize>,
     pub(crate) kind: Kind,
 }
 
-/// What a run of bytes is.
+/// The kind of a run of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     /// An intact frame.
     Frame,
-    /// A whole frame whose checksum should be this one.
+    /// A whole frame with a wrong checksum, and the expected one.
     BadChecksum([u8; CHECKSUM_LEN]),
-    /// A preamble, behind which a frame announces so many bytes of payload.
+    /// A preamble followed by a payload size above the maximum.
     TooLong(u16),
-    /// A frame of which so many bytes do not come.
+    /// A truncated frame, and the least number of missing bytes.
     Incomplete(usize),
-    /// There is no preamble.
+    /// Bytes without a preamble.
     Noise,
 }
 
-/// The runs of a recording: together they are all of it.
+/// Divides a recording into runs, which cover all of its bytes.
 pub(crate) fn scan(bytes: &[u8]) -> Vec<Run> {
     let mut runs = Vec::new();
-    // What is no frame, up to here: from where, and what false frames there are in it.
+    // Start of the bytes dropped so far, and the false frames among them.
     let mut dropped_from = 0;
     let mut false_frames: Vec<Run> = Vec::new();
     let mut at = 0;
@@ -54,7 +54,7 @@ pub(crate) fn scan(bytes: &[u8]) -> Vec<Run> {
                 dropped_from = at;
                 continue;
             }
-            // One inside another false one says nothing more.
+            // A false frame inside another one adds no information.
             Some((kind, len)) if false_frames.last().is_none_or(|last| last.range.end <= at) => {
                 false_frames.push(Run { range: at..at + len, kind });
             }
@@ -66,7 +66,7 @@ pub(crate) fn scan(bytes: &[u8]) -> Vec<Run> {
     runs
 }
 
-/// What a recording begins with, and how long that is; `None` where it is no preamble.
+/// Classifies the bytes at the start and returns their length, or `None` if they are not a preamble.
 fn judge(bytes: &[u8]) -> Option<(Kind, usize)> {
     let [PREAMBLE_BYTE, PREAMBLE_BYTE, PREAMBLE_BYTE, rest @ ..] = bytes else { return None };
     let [_, low, high, ..] = rest else {
@@ -85,7 +85,7 @@ fn judge(bytes: &[u8]) -> Option<(Kind, usize)> {
     Some((kind, len))
 }
 
-/// The dropped bytes up to here as runs.
+/// Adds the bytes dropped up to `end` as runs.
 fn drop_up_to(end: usize, from: usize, false_frames: &mut Vec<Run>, runs: &mut Vec<Run>) {
     let mut at = from;
     for Run { range, kind } in false_frames.drain(..) {
@@ -100,7 +100,7 @@ fn drop_up_to(end: usize, from: usize, false_frames: &mut Vec<Run>, runs: &mut V
     }
 }
 
-/// What announces too much is one run with what is dropped behind it.
+/// Adds a dropped run. Noise after an oversized frame is merged into the run of that frame.
 fn push_dropped(run: Run, runs: &mut Vec<Run>) {
     if matches!(run.kind, Kind::Noise | Kind::TooLong(_))
         && let Some(last) = runs.last_mut()

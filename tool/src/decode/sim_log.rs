@@ -2,29 +2,29 @@
 
 use wsg_protocol::Direction;
 
-/// A line of the log that has an arrow.
+/// A log line with a message, marked by an arrow.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Line<'a> {
-    /// When, and on which line: `12.345678 s tcp 127.0.0.1:40000`.
+    /// Time and line: `12.345678 s tcp 127.0.0.1:40000`.
     pub(crate) place: &'a str,
     pub(crate) direction: Direction,
     pub(crate) content: Content<'a>,
 }
 
-/// What stands behind the arrow.
+/// The text after the arrow.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Content<'a> {
     /// Bytes of a frame.
     Frame(Vec<u8>),
     /// A line of GCL.
     Text(Vec<u8>),
-    /// What the log says of a message that it does not show as it was.
+    /// A remark on data that the log does not show in full.
     Told(&'a str),
     /// Bytes of Modbus/TCP or PROFIBUS.
     OfABus,
 }
 
-/// How what a log tells of damage begins and ends.
+/// Beginning and end of the log's remarks on damaged or foreign data.
 const TOLD: [(&str, &str); 5] = [
     ("wrong checksum: ", " bytes of payload"),
     ("too long: ", " bytes of payload"),
@@ -44,7 +44,7 @@ pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     let (place, rest) = (line.get(..at)?, line.get(at + arrow.len()..)?);
     let words = || rest.split(' ').map_while(|word| byte_of(word).map(|byte| (word, byte)));
     let content = if rest.starts_with("AA AA AA ") {
-        // A checksum that the log does not know is `?? ??`: the frame is told as its log tells it.
+        // `?? ??` stands for an unknown checksum, so the frame cannot be checked and is passed on as text.
         let bytes: Vec<u8> = words().map(|(_, byte)| byte).collect();
         if rest.contains(" ?? ?? ") { Content::Told(rest) } else { Content::Frame(bytes) }
     } else if words().nth(1).is_some() {
@@ -57,7 +57,7 @@ pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     Some(Line { place, direction, content })
 }
 
-/// The bytes that a log shows in the form of `escape_ascii`.
+/// Reverses `escape_ascii`, with which the log writes GCL lines.
 fn unescaped(text: &str) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut rest = text.as_bytes();
@@ -80,7 +80,7 @@ fn unescaped(text: &str) -> Vec<u8> {
     bytes
 }
 
-/// Two digits.
+/// Parses two hex digits.
 fn byte_of(word: &str) -> Option<u8> {
     let is_byte = word.len() == 2 && word.bytes().all(|digit| digit.is_ascii_hexdigit());
     is_byte.then(|| u8::from_str_radix(word, 16).ok()).flatten()
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_of_the_log_are_taken_apart() {
+    fn log_lines_are_parsed() {
         let stop =
             parse_line("12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 0E 76 22h Stop\n").unwrap();
         assert_eq!(stop.place, "12.345678 s tcp 127.0.0.1:40000");

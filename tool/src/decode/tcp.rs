@@ -1,53 +1,53 @@
-//! One direction of a TCP connection: bytes in the order in which they were sent, whatever order the capture has.
+//! TCP stream reassembly: restores the order in which one side of a connection sent its bytes.
 
 use std::collections::BTreeMap;
 
-/// The most that is held behind a gap. A receiver's window is smaller, so what is missing does not come any more.
+/// Maximum number of bytes held after a gap. A receive window is smaller, so the missing bytes will not follow any more.
 const MAX_HELD: usize = 1 << 20;
 
-/// A run of bytes without a gap.
+/// A contiguous run of bytes.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Stretch {
     /// Offset of the first byte in the stream.
     pub(crate) offset: u64,
     pub(crate) bytes: Vec<u8>,
-    /// From which byte on they came with which packet.
+    /// Index of the first byte of each packet, and the packet.
     pub(crate) packets: Vec<(usize, usize)>,
-    /// Bytes of the stream before it that the capture does not have.
+    /// Number of bytes before this run that are missing from the capture.
     pub(crate) missing_before: u64,
 }
 
 impl Stretch {
-    /// The packet that a byte came with.
+    /// Returns the packet that carried a byte.
     pub(crate) fn packet_of(&self, at: usize) -> usize {
-        let behind = self.packets.partition_point(|(start, _)| *start <= at);
-        self.packets.get(behind.saturating_sub(1)).map_or(0, |(_, packet)| *packet)
+        let after = self.packets.partition_point(|(start, _)| *start <= at);
+        self.packets.get(after.saturating_sub(1)).map_or(0, |(_, packet)| *packet)
     }
 }
 
-/// A direction that is being put together.
+/// Reassembles one direction of a connection.
 #[derive(Debug, Default)]
 pub(crate) struct Stream {
-    /// The sequence number that is wanted next, counted on over the wrap; `None` before the first packet.
+    /// The next expected sequence number, extended beyond 32 bits; `None` before the first packet.
     next: Option<i64>,
-    /// That of the first byte.
+    /// Sequence number of the first byte.
     first: i64,
-    /// Segments that came before those in front of them: packet and bytes, by their sequence numbers.
+    /// Out-of-order segments by sequence number: packet and bytes.
     held: BTreeMap<i64, (usize, Vec<u8>)>,
     held_len: usize,
     stretches: Vec<Stretch>,
-    /// Segments that brought nothing new.
+    /// Number of segments without new bytes, such as retransmissions.
     pub(crate) repeated: usize,
 }
 
 impl Stream {
-    /// A segment with SYN: its first byte has the next number.
+    /// Processes a SYN segment. Its payload starts at the next sequence number.
     pub(crate) fn start(&mut self, sequence: u32) {
         let first = self.place(sequence.wrapping_add(1));
         self.begin(first);
     }
 
-    /// A segment with payload.
+    /// Processes a segment with payload.
     pub(crate) fn receive(&mut self, packet: usize, sequence: u32, payload: &[u8]) {
         let start = self.place(sequence);
         self.begin(start);
@@ -69,7 +69,7 @@ impl Stream {
         }
     }
 
-    /// All of it, and whatever waits behind gaps.
+    /// Returns all bytes, including those held after gaps.
     pub(crate) fn finish(mut self) -> Vec<Stretch> {
         while !self.held.is_empty() {
             self.skip_gap();
@@ -77,7 +77,7 @@ impl Stream {
         self.stretches
     }
 
-    /// The number without its wrap: nearest to the one that is wanted.
+    /// Extends a sequence number beyond 32 bits, to the value nearest to the expected one.
     fn place(&self, sequence: u32) -> i64 {
         let next = self.next.unwrap_or(i64::from(sequence));
         next.saturating_add(i64::from(sequence.wrapping_sub(next as u32) as i32))
@@ -90,7 +90,7 @@ impl Stream {
         }
     }
 
-    /// Goes on with what is held first, though bytes before it are missing.
+    /// Gives up the missing bytes and continues with the first held segment.
     fn skip_gap(&mut self) {
         let (Some(next), Some(start)) = (self.next, self.held.keys().next().copied()) else { return };
         if start > next {
@@ -101,7 +101,7 @@ impl Stream {
         self.take_held();
     }
 
-    /// Takes what is held as far as there is no gap.
+    /// Appends held segments up to the next gap.
     fn take_held(&mut self) {
         while let (Some(next), Some(entry)) = (self.next, self.held.first_entry()) {
             let start = *entry.key();
@@ -110,7 +110,7 @@ impl Stream {
             }
             let (packet, bytes) = entry.remove();
             self.held_len -= bytes.len();
-            // Its beginning may have come with another one.
+            // Another segment may already have supplied its beginning.
             let Some(new) = usize::try_from(next - start).ok().and_then(|known| bytes.get(known..)) else {
                 continue;
             };
@@ -139,20 +139,20 @@ mod tests {
     }
 
     #[test]
-    fn gap_is_told_once_nothing_can_fill_it_and_the_stream_goes_on() {
+    fn gap_is_reported_once_nothing_can_fill_it_and_the_stream_continues() {
         let mut stream = Stream::default();
         stream.start(u32::MAX - 3);
         stream.receive(1, u32::MAX - 2, b"ab");
-        // Two bytes are missing, over the wrap of the numbers.
+        // Two bytes are missing at the wraparound of the sequence numbers.
         stream.receive(2, 1, b"ef");
-        assert_eq!(bytes(&stream.stretches), [(0, 0, &b"ab"[..])], "they may still come");
+        assert_eq!(bytes(&stream.stretches), [(0, 0, &b"ab"[..])], "the missing bytes may still follow");
         let stretches = stream.finish();
         assert_eq!(bytes(&stretches), [(0, 0, &b"ab"[..]), (2, 4, &b"ef"[..])]);
         assert_eq!((stretches[0].packet_of(1), stretches[1].packet_of(0)), (1, 2));
     }
 
     #[test]
-    fn no_more_is_held_behind_a_gap_than_a_receiver_has_room_for() {
+    fn bytes_held_after_a_gap_are_limited_to_a_receive_window() {
         let mut stream = Stream::default();
         stream.start(0);
         let payload = vec![7; MAX_HELD / 2];
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn capture_that_begins_late_begins_with_its_first_segment() {
+    fn capture_that_starts_late_starts_with_its_first_segment() {
         let mut stream = Stream::default();
         stream.receive(1, 1_000, b"abc");
         stream.receive(2, 999, b"x");
@@ -174,7 +174,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn segments_in_any_order_doubled_and_overlapping_give_the_stream(
+        fn reordered_duplicated_and_overlapping_segments_restore_the_stream(
             first in any::<u32>(),
             cuts in prop::collection::vec((0..200usize, 1..40usize), 1..60),
             order in any::<prop::sample::Index>(),

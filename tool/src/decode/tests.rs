@@ -1,4 +1,4 @@
-//! Whole recordings. What they give is in `golden/`; `WSG_UPDATE_DOCS=1` writes it anew.
+//! Whole recordings, compared with the files in `golden/`. `WSG_UPDATE_DOCS=1` rewrites them.
 
 use clap::Parser;
 use document::hold_file;
@@ -23,7 +23,7 @@ fn shown(bytes: &[u8], options: &[&str]) -> String {
     entries.iter().map(|entry| format!("{entry}\n")).collect::<String>() + &summary(&entries) + "\n"
 }
 
-/// Compares with the file of this name.
+/// Compares the output with the golden file of this name.
 fn hold(name: &str, shown: &str) {
     hold_file(&format!("tool/src/decode/golden/{name}"), shown);
 }
@@ -38,7 +38,7 @@ fn reply(id: u8, payload: &[u8]) -> Vec<u8> {
 
 const GRIP: Command<'static> = Command::GripPart { width: 20.0, speed: 50.0 };
 
-/// A session with noise: a request, its answers, what a line does to a frame, and half a frame at the end.
+/// A session with noise: a request, its answers, a corrupted frame, and a truncated frame at the end.
 fn session() -> Vec<u8> {
     let mut damaged = reply(0x43, &[0, 0, 0, 0, 0xA0, 0x41]);
     damaged[10] ^= 0x10;
@@ -66,7 +66,7 @@ fn session_in_one_stream() {
 }
 
 #[test]
-fn direction_that_is_said_settles_what_a_frame_is() {
+fn given_direction_resolves_an_ambiguous_frame() {
     let loop_back = reply(0x06, &[0, 0, b'a']);
     let by_itself = shown(&loop_back, &[]);
     assert!(by_itself.contains("--  06h Loop 3 bytes, or 06h Loop E_SUCCESS 1 byte"), "{by_itself}");
@@ -75,7 +75,7 @@ fn direction_that_is_said_settles_what_a_frame_is() {
 }
 
 #[test]
-fn commands_of_scripts_are_named_and_their_answers_need_no_form() {
+fn script_commands_are_named_and_their_answers_may_have_any_form() {
     let frames = [reply(0xA0, &[1, 2]), reply(0xBF, &[]), reply(0x9F, &[])].concat();
     let to = shown(&frames, &["--direction", "to"]);
     for words in [
@@ -99,7 +99,7 @@ fn text_of_gcl() {
 }
 
 #[test]
-fn half_a_message_on_can_and_a_doubled_frame_cost_what_they_belong_to() {
+fn truncated_message_and_duplicated_frame_on_can_affect_only_their_own_messages() {
     let log = "(1.000000) can0 120#AAAAAA2508000000\n\
                (1.001000) can0 121#AAAAAA2502000000\n\
                (1.001100) can0 121#2287\n\
@@ -115,7 +115,7 @@ fn half_a_message_on_can_and_a_doubled_frame_cost_what_they_belong_to() {
     let elsewhere = shown(log.replace(" 12", " 34").as_bytes(), &[]);
     assert_eq!(elsewhere, at_delivered.replace("120h", "340h").replace("121h", "341h"));
     let none = shown(log.as_bytes(), &["--can-id", "0x200"]);
-    assert!(none.contains("9 CAN frames left out, with other identifiers"), "{none}");
+    assert!(none.contains("skipped 9 CAN frames with other identifiers"), "{none}");
 }
 
 #[test]
@@ -129,7 +129,7 @@ fn log_of_the_simulator() {
     hold("sim_log.txt", &shown(log.as_bytes(), &[]));
 }
 
-/// A connection with a frame in two segments, segments out of order, sent again, and lost to the capture; datagrams; others.
+/// A capture of a TCP connection with split, reordered, retransmitted and missing segments, of datagrams and of other packets.
 fn capture() -> Vec<u8> {
     let grip = request(GRIP);
     let pending = reply(0x25, &[26, 0]);
@@ -144,7 +144,7 @@ fn capture() -> Vec<u8> {
     tcp(true, 1_005, 5_000, &grip[5..]);
     tcp(false, 5_010, 1_016, &width);
     tcp(false, 5_000, 1_016, &pending);
-    // 14 bytes of the gripper are missing.
+    // 14 bytes from the gripper are missing.
     tcp(false, 5_038, 1_016, &width);
     tcp(true, 1_016, 5_052, &request(Command::Stop));
     capture.udp((CLIENT, 50_000), (GRIPPER, 1_500), &request(Command::Stop));
@@ -155,13 +155,13 @@ fn capture() -> Vec<u8> {
 }
 
 #[test]
-fn tcp_in_order_without_what_was_sent_again_and_udp() {
+fn tcp_is_shown_in_order_without_retransmissions_and_udp_by_datagram() {
     hold("capture.txt", &shown(&capture(), &[]));
     let by_port = shown(&capture(), &["--port", "53"]);
-    assert!(by_port.contains("left out, with port 1000, 1500"), "{by_port}");
+    assert!(by_port.contains("without a gripper, on port 1000, 1500"), "{by_port}");
 }
 
-/// The packets of a file that [`Capture`] made: seconds, microseconds, bytes.
+/// Splits a file made by [`Capture`] into packets: seconds, microseconds, bytes.
 fn packets(file: &[u8]) -> Vec<(u32, u32, Vec<u8>)> {
     let mut rest = &file[24..];
     let mut packets = Vec::new();
@@ -175,7 +175,7 @@ fn packets(file: &[u8]) -> Vec<(u32, u32, Vec<u8>)> {
 }
 
 #[test]
-fn pcapng_and_pcap_of_either_order_and_resolution_give_the_same() {
+fn pcapng_and_pcap_of_either_byte_order_and_resolution_are_equivalent() {
     let expected = shown(&capture(), &[]);
     let packets = packets(&capture());
     let padded = |bytes: &[u8]| [bytes, &vec![0; bytes.len().next_multiple_of(4) - bytes.len()]].concat();
@@ -185,7 +185,7 @@ fn pcapng_and_pcap_of_either_order_and_resolution_give_the_same() {
     };
     let mut ng =
         block(0x0A0D_0D0A, &[0x4D, 0x3C, 0x2B, 0x1A, 1, 0, 0, 0, 255, 255, 255, 255, 255, 255, 255, 255]);
-    // Ethernet, times in nanoseconds.
+    // Ethernet, with nanosecond time stamps.
     ng.extend(block(1, &[1, 0, 0, 0, 0, 0, 4, 0, 9, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0, 0]));
     let mut nanoseconds =
         vec![0xA1, 0xB2, 0x3C, 0x4D, 0, 2, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0, 0, 1];
@@ -203,9 +203,9 @@ fn pcapng_and_pcap_of_either_order_and_resolution_give_the_same() {
 }
 
 #[test]
-fn every_link_that_carries_ip_gives_the_same() {
+fn every_link_type_that_carries_ip_is_equivalent() {
     let expected = shown(&capture(), &[]);
-    // What stands before a packet of IP instead of Ethernet's addresses and type.
+    // The link-layer header that replaces the Ethernet header.
     let links: [(u32, &[u8]); 5] = [
         (0, &[2, 0, 0, 0]),
         (101, &[]),
@@ -227,22 +227,22 @@ fn every_link_that_carries_ip_gives_the_same() {
 }
 
 #[test]
-fn capture_that_is_cut_off_is_shown_as_far_as_it_goes() {
+fn truncated_capture_is_shown_up_to_its_end() {
     let whole = capture();
     for len in 0..whole.len() {
         let Ok(entries) = decode(whole[..len].to_vec(), &arguments()) else { continue };
         let last = entries.last().map_or(String::new(), |entry| entry.words.clone());
-        let is_said = last.contains("cut off or damaged behind packet");
-        let is_between_packets = !is_said && len > 24;
-        assert!(is_said || is_between_packets || len <= 24, "{len}: {last}");
+        let is_reported = last.contains("truncated or corrupted after packet");
+        let is_between_packets = !is_reported && len > 24;
+        assert!(is_reported || is_between_packets || len <= 24, "{len}: {last}");
     }
 }
 
 #[test]
-fn file_that_is_no_capture_is_no_capture() {
+fn file_in_another_format_is_rejected_as_a_capture() {
     let line = Line::try_parse_from(["wsg", "--format", "capture"]).unwrap();
     let error = decode(session(), &line.arguments).unwrap_err();
-    assert_eq!(error.to_string(), "this is no capture: it begins neither as pcap nor as pcapng");
+    assert_eq!(error.to_string(), "not a capture file; expected pcap or pcapng");
 }
 
 fn arguments() -> Arguments {
@@ -251,7 +251,7 @@ fn arguments() -> Arguments {
 
 proptest! {
     #[test]
-    fn garbage_is_shown_and_no_more(bytes in prop::collection::vec(any::<u8>(), 1..600)) {
+    fn garbage_never_panics(bytes in prop::collection::vec(any::<u8>(), 1..600)) {
         for format in ["auto", "hex", "sim", "candump", "raw"] {
             shown(&bytes, &["--format", format]);
         }
@@ -259,7 +259,7 @@ proptest! {
     }
 
     #[test]
-    fn damaged_capture_is_shown_and_no_more(
+    fn damaged_capture_never_panics(
         damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..20),
         is_ng in any::<bool>(),
     ) {
@@ -271,12 +271,12 @@ proptest! {
         if is_ng {
             bytes[..4].copy_from_slice(&[0x0A, 0x0D, 0x0D, 0x0A]);
         }
-        // An error is an answer, too.
+        // An error is acceptable as well.
         let _ = decode(bytes, &arguments());
     }
 
     #[test]
-    fn text_of_any_kind_is_shown_and_no_more(text in "([0-9A-Fa-fxR#\\[\\]():. <>s*|-]|can0 120#| -> AA AA AA |\n){1,200}") {
+    fn arbitrary_text_never_panics(text in "([0-9A-Fa-fxR#\\[\\]():. <>s*|-]|can0 120#| -> AA AA AA |\n){1,200}") {
         for format in ["auto", "hex", "sim", "candump"] {
             shown(text.as_bytes(), &["--format", format]);
         }

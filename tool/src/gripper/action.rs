@@ -1,15 +1,15 @@
-//! The commands by name: the one table that help, completion, prompt, scripts and the document derive from.
+//! The command table, from which help, completion, prompt, scripts and docs/tool.md are derived.
 
 use clap::{ArgMatches, Command, FromArgMatches, Subcommand, ValueEnum};
 use wsg_protocol::driver::{Finger, OnBlock};
 use wsg_protocol::{CommandId, HomingDirection};
 
-/// A command to the gripper.
+/// A gripper command with its parameters.
 #[derive(Clone, Debug, Subcommand)]
 pub(crate) enum Action {
     /// References the fingers at an end stop
     Home {
-        /// Which end stop
+        /// End stop to reference at
         #[arg(value_enum, default_value_t = End::Default)]
         end: End,
     },
@@ -18,22 +18,22 @@ pub(crate) enum Action {
         /// Opening width in mm
         #[arg(value_parser = mm)]
         width: f32,
-        /// Speed in mm/s
+        /// Finger speed in mm/s
         #[arg(value_parser = mm_per_s)]
         speed: f32,
-        /// Clamp what is in the way with half of the nominal force, rather than turn off the motor
+        /// Clamp on an obstacle with half the nominal force instead of switching off the motor
         #[arg(long)]
         clamp: bool,
     },
-    /// Opens the fingers by an offset, or closes them by a negative one
+    /// Moves the fingers by an offset: positive opens, negative closes
     MoveBy {
-        /// Offset in mm
+        /// Change of the opening width in mm
         #[arg(value_parser = mm, allow_negative_numbers = true)]
         offset: f32,
-        /// Speed in mm/s
+        /// Finger speed in mm/s
         #[arg(value_parser = mm_per_s)]
         speed: f32,
-        /// Clamp what is in the way with half of the nominal force, rather than turn off the motor
+        /// Clamp on an obstacle with half the nominal force instead of switching off the motor
         #[arg(long)]
         clamp: bool,
     },
@@ -45,7 +45,7 @@ pub(crate) enum Action {
         /// Gripping speed in mm/s
         #[arg(value_parser = mm_per_s)]
         speed: f32,
-        /// Force limit in N, summed over both fingers, set before; it stays
+        /// Force limit in N, summed over both fingers; set before the grip and kept afterwards
         #[arg(long, value_parser = newton)]
         force: Option<f32>,
     },
@@ -58,131 +58,135 @@ pub(crate) enum Action {
         #[arg(value_parser = mm_per_s)]
         speed: f32,
     },
-    /// Stops the fingers; a part is held no longer
+    /// Stops the fingers and stops holding a part
     Stop,
-    /// Stops the fingers the fastest way and locks them until `ack`
+    /// Stops the fingers as fast as possible and locks them until `ack`
     FastStop,
-    /// Acknowledges a FAST STOP or a fault, which unlocks the fingers
+    /// Acknowledges a FAST STOP or a fault and unlocks the fingers
     Ack,
 
-    /// The force limit, or sets it
+    /// Reads or sets the force limit
     ForceLimit {
         /// Force limit in N, summed over both fingers
         #[arg(value_parser = newton)]
         force: Option<f32>,
     },
-    /// The acceleration, or sets it
+    /// Reads or sets the acceleration
     Acceleration {
-        /// Acceleration in mm/s²
+        /// Acceleration of the fingers in mm/s²
         #[arg(value_parser = mm_per_s2)]
         acceleration: Option<f32>,
     },
-    /// The range that the fingers may not leave, or sets it
+    /// Reads, sets or clears the soft limits, which restrict the travel of the fingers
     SoftLimits {
-        /// Least opening width in mm
+        /// Smallest opening width in mm
         #[arg(value_parser = mm, requires = "to", conflicts_with = "clear")]
         from: Option<f32>,
-        /// Greatest opening width in mm
+        /// Largest opening width in mm
         #[arg(value_parser = mm)]
         to: Option<f32>,
-        /// Let the fingers go everywhere again
+        /// Remove the soft limits
         #[arg(long)]
         clear: bool,
     },
-    /// Allows forces up to the overdrive limit, or ends that
+    /// Enables or disables overdrive, which allows forces up to the overdrive limit
     Overdrive {
         #[arg(value_enum)]
         switch: Switch,
     },
     /// Zeroes the force sensor
     Tare,
-    /// Part width tolerance, or sets it for this connection; over GCL only (GCL, 2.2.5)
+    /// Reads the part width tolerance or sets it for this connection; GCL only (GCL, 2.2.5)
     PartWidthTolerance {
-        /// How much before the nominal width a part may be met, in mm
+        /// How far before the nominal width the fingers may meet the part, in mm
         #[arg(value_parser = mm)]
         tolerance: Option<f32>,
     },
-    /// Clamping travel, or sets it for this connection; over GCL only (GCL, 2.2.6)
+    /// Reads the clamping travel or sets it for this connection; GCL only (GCL, 2.2.6)
     ClampingTravel {
-        /// How far a grip may go on to build up its force, in mm
+        /// How much further the fingers may travel to build up the gripping force, in mm
         #[arg(value_parser = mm)]
         travel: Option<f32>,
     },
 
-    /// State, width, speed, force and flags together
+    /// Reads state, width, speed, force and flags together
     Status,
-    /// Where the gripping process stands
+    /// Reads the gripping state
     State,
-    /// The system state flags
+    /// Reads the system state flags
     Flags,
-    /// The opening width
+    /// Reads the opening width
     Width,
-    /// The finger speed
+    /// Reads the finger speed
     Speed,
-    /// The gripping force
+    /// Reads the gripping force
     Force,
-    /// The temperature of the device
+    /// Reads the device temperature
     Temperature,
-    /// Counts of grips
+    /// Reads the grip counters
     Statistics {
-        /// Begin to count again at 0
+        /// Reset the counters to 0 after reading
         #[arg(long)]
         reset: bool,
     },
 
-    /// Device type, versions and serial number
+    /// Reads device type, versions and serial number
     Info,
-    /// The physical limits
+    /// Reads the physical limits
     Limits,
-    /// The device tag, or sets it
+    /// Reads or sets the device tag
     Tag {
-        /// Up to 64 printable ASCII characters
+        /// New tag: up to 64 printable ASCII characters
         text: Option<String>,
     },
 
-    /// What is connected at a finger's port
+    /// Reads what is connected to a finger's port
     FingerInfo {
+        /// Finger: 1 or 2
         #[arg(value_parser = finger)]
         finger: Finger,
     },
-    /// The state flags of a finger
+    /// Reads the state flags of a finger
     FingerFlags {
+        /// Finger: 1 or 2
         #[arg(value_parser = finger)]
         finger: Finger,
     },
-    /// Switches the supply of a finger
+    /// Switches a finger's power supply
     FingerPower {
+        /// Finger: 1 or 2
         #[arg(value_parser = finger)]
         finger: Finger,
         #[arg(value_enum)]
         switch: Switch,
     },
-    /// One data frame of a finger
+    /// Reads one data frame from a finger
     FingerData {
+        /// Finger: 1 or 2
         #[arg(value_parser = finger)]
         finger: Finger,
     },
 
-    /// Sends bytes that must come back unchanged
+    /// Sends bytes that the gripper must echo unchanged
     Loop {
         /// Bytes in hex, such as `01 02` or 0102
         #[arg(value_parser = hex, required = true)]
         bytes: Vec<Bytes>,
     },
-    /// Sends any command, as those of scripts on the gripper
+    /// Sends any command, such as one defined by a script on the gripper
     Raw {
-        /// Its id in hex, such as B0
+        /// Command ID in hex, such as B0
         #[arg(value_parser = id)]
         id: u8,
-        /// Its payload in hex
+        /// Payload in hex, such as `01 02` or 0102
         #[arg(value_parser = hex)]
         payload: Vec<Bytes>,
     },
-    /// Announces the end of the connection, which each end of `wsg` does
+    /// Announces the end of the connection, as `wsg` does whenever it exits
     Disconnect,
-    /// Does nothing for so long
+    /// Waits for a number of seconds
     Pause {
-        /// Seconds
+        /// Time to wait in seconds, up to 86400
         #[arg(value_parser = seconds)]
         seconds: f32,
     },
@@ -221,7 +225,7 @@ const OF_THE_MANUAL: &[(&str, &[CommandId])] = &[
     ("disconnect", &[CommandId::DisconnectAnnouncement]),
 ];
 
-/// A command with the name that it was asked for by.
+/// A command, with the name under which it was requested.
 #[derive(Clone, Debug)]
 pub(crate) struct Named {
     pub(crate) name: String,
@@ -241,7 +245,7 @@ impl FromArgMatches for Named {
 }
 
 impl Subcommand for Named {
-    /// Each command's help also tells where the manual has it.
+    /// Appends the manual's section to the help of each command.
     fn augment_subcommands(command: Command) -> Command {
         let command = Action::augment_subcommands(command);
         OF_THE_MANUAL.iter().fold(command, |command, (name, ids)| {
@@ -262,17 +266,17 @@ impl Subcommand for Named {
     }
 }
 
-/// `3.3.3, 3.3.4`
+/// Lists the manual's sections of these commands: `3.3.3, 3.3.4`.
 fn sections(ids: &[CommandId]) -> String {
     let mut sections: Vec<&str> = ids.iter().map(|id| id.section()).collect();
     sections.sort_unstable();
     sections.join(", ")
 }
 
-/// Which end stop homing goes to.
+/// The end stop at which homing references the fingers.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum End {
-    /// As the gripper is configured
+    /// As configured in the gripper
     Default,
     /// Outward: the fingers open
     Positive,
@@ -296,16 +300,16 @@ pub(crate) enum Switch {
     Off,
 }
 
-/// What Pre-position does when something is in the way.
+/// Returns what Pre-position does when an obstacle blocks the fingers.
 pub(crate) const fn on_block(clamp: bool) -> OnBlock {
     if clamp { OnBlock::Clamp } else { OnBlock::Stop }
 }
 
-/// A number with or without its unit.
+/// Parses a number, with or without its unit.
 fn quantity(text: &str, unit: &str) -> Result<f32, String> {
     let digits = text.strip_suffix(unit).unwrap_or(text).trim_end();
     let number = digits.parse::<f32>().ok().filter(|number| number.is_finite());
-    number.ok_or_else(|| format!("expected a number, in {unit}"))
+    number.ok_or_else(|| format!("expected a number in {unit}"))
 }
 
 fn mm(text: &str) -> Result<f32, String> {
@@ -333,21 +337,21 @@ fn finger(text: &str) -> Result<Finger, String> {
     match text {
         "1" => Ok(Finger::One),
         "2" => Ok(Finger::Two),
-        _ => Err("there are the fingers 1 and 2".to_owned()),
+        _ => Err("expected finger 1 or 2".to_owned()),
     }
 }
 
 fn id(text: &str) -> Result<u8, String> {
     let digits = text.trim_start_matches("0x").trim_end_matches('h');
-    u8::from_str_radix(digits, 16).map_err(|_| "expected two digits in hex, such as B0".to_owned())
+    u8::from_str_radix(digits, 16).map_err(|_| "expected one or two hex digits, such as B0".to_owned())
 }
 
-/// Bytes of one word in hex.
+/// The bytes of one hex word.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Bytes(Vec<u8>);
 
 impl Bytes {
-    /// Those of all words.
+    /// Concatenates the bytes of all words.
     pub(crate) fn joined(words: &[Self]) -> Vec<u8> {
         words.iter().flat_map(|word| word.0.iter().copied()).collect()
     }
@@ -360,7 +364,7 @@ fn hex(text: &str) -> Result<Bytes, String> {
     };
     let bytes: Option<Vec<u8>> = text.as_bytes().chunks(2).map(byte).collect();
     let bytes = bytes.filter(|bytes| !bytes.is_empty());
-    bytes.map(Bytes).ok_or_else(|| "expected pairs of digits in hex, such as 0A FF".to_owned())
+    bytes.map(Bytes).ok_or_else(|| "expected pairs of hex digits, such as 0A FF".to_owned())
 }
 
 #[cfg(test)]

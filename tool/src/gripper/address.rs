@@ -1,4 +1,4 @@
-//! Where a gripper is, as a user writes it.
+//! Addresses of grippers, as written on the command line.
 
 use std::fmt::{self, Display, Formatter};
 use std::str::FromStr;
@@ -6,23 +6,23 @@ use std::str::FromStr;
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::driver::host::Udp;
 
-/// The port of TCP, for either protocol.
+/// Default TCP port of both protocols.
 const TCP_PORT: u16 = 1000;
-/// Bits a second of a serial line.
+/// Default rate of a serial line in bit/s.
 const RATE: u32 = 115_200;
-/// Of a CAN bus.
+/// Default rate of a CAN bus in kbit/s.
 const KBIT: u16 = 500;
 
-/// The forms that there are, for help and errors.
+/// The address forms, for help and error messages.
 pub(crate) const FORMS: &str = "\
-tcp://HOST[:1000]                         the binary protocol over TCP
-udp://HOST[:1500][?answer=1501]           over UDP; the gripper answers to port 1501
+tcp://HOST[:1000]                         binary protocol over TCP
+udp://HOST[:1500][?answer=1501]           over UDP; the gripper replies to port 1501
 serial:DEVICE[?rate=115200]               over RS-232
-slcan:DEVICE[?kbit=500&id=120]            over CAN, by an adapter that speaks SLCAN; id in hex
-gcl://HOST[:1000]                         the text protocol (GCL) over TCP
-gcl+udp://HOST[:1500]                     the text protocol over UDP";
+slcan:DEVICE[?kbit=500&id=120]            over CAN through an SLCAN adapter; id in hex
+gcl://HOST[:1000]                         text protocol (GCL) over TCP
+gcl+udp://HOST[:1500]                     text protocol (GCL) over UDP";
 
-/// Where a gripper is.
+/// An address of a gripper: line, location and protocol.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Address {
     Tcp(String),
@@ -34,7 +34,7 @@ pub(crate) enum Address {
 }
 
 impl Address {
-    /// Whether GCL is spoken there.
+    /// Returns whether the address selects the text protocol (GCL).
     pub(crate) const fn is_gcl(&self) -> bool {
         matches!(self, Self::Gcl(_) | Self::GclUdp(_))
     }
@@ -44,7 +44,7 @@ impl FromStr for Address {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let unknown = || format!("no such address; there are:\n{FORMS}");
+        let unknown = || format!("not a gripper address; expected one of:\n{FORMS}");
         let (scheme, rest) = text.split_once(':').ok_or_else(unknown)?;
         let (place, query) = rest.split_once('?').map_or((rest, None), |(place, query)| (place, Some(query)));
         let mut query = Query::new(query)?;
@@ -52,7 +52,7 @@ impl FromStr for Address {
         let device = || {
             let device = place.strip_prefix("//").unwrap_or(place);
             if device.is_empty() {
-                Err("the device is missing, such as /dev/ttyUSB0")
+                Err("missing device; expected a serial port such as /dev/ttyUSB0")
             } else {
                 Ok(device.to_owned())
             }
@@ -61,7 +61,12 @@ impl FromStr for Address {
             "tcp" => Self::Tcp(host(TCP_PORT)?),
             "udp" => Self::Udp {
                 gripper: host(Udp::GRIPPER_PORT)?,
-                answer_port: query.take("answer", Udp::ANSWER_PORT, |text| text.parse().ok(), "a port")?,
+                answer_port: query.take(
+                    "answer",
+                    Udp::ANSWER_PORT,
+                    |text| text.parse().ok(),
+                    "a port number",
+                )?,
             },
             "serial" => Self::Serial {
                 device: device()?,
@@ -69,7 +74,7 @@ impl FromStr for Address {
                     "rate",
                     RATE,
                     |text| text.parse().ok().filter(|rate| *rate > 0),
-                    "bits a second",
+                    "a rate in bit/s",
                 )?,
             },
             "slcan" => Self::Slcan {
@@ -107,12 +112,12 @@ impl Display for Address {
 fn with_port(host: &str, port: u16) -> Result<String, String> {
     let host = host.trim_end_matches('/');
     if host.is_empty() {
-        return Err("the host is missing, such as 192.168.1.20".to_owned());
+        return Err("missing host; expected a name or address such as 192.168.1.20".to_owned());
     }
-    // An IPv6 address has colons of its own, and brackets when a port follows.
+    // An IPv6 address contains colons, and needs brackets if a port follows.
     let has_port = match host.rsplit_once(':') {
         Some((before, port)) if !before.contains(':') || before.ends_with(']') => {
-            port.parse::<u16>().map_err(|_| format!("{port} is no port"))?;
+            port.parse::<u16>().map_err(|_| format!("invalid port `{port}`; expected 0 to 65535"))?;
             true
         }
         _ => false,
@@ -134,7 +139,7 @@ fn identifiers(text: &str) -> Option<Identifiers> {
     Identifiers::from_base(u16::from_str_radix(text, 16).ok()?)
 }
 
-/// What follows the `?`: `key=value` pairs.
+/// The `key=value` pairs after the `?`.
 struct Query<'a> {
     pairs: Vec<(&'a str, &'a str)>,
 }
@@ -142,8 +147,9 @@ struct Query<'a> {
 impl<'a> Query<'a> {
     fn new(query: Option<&'a str>) -> Result<Self, String> {
         let pairs = query.into_iter().flat_map(|query| query.split('&'));
-        let pairs = pairs
-            .map(|pair| pair.split_once('=').ok_or_else(|| format!("`{pair}` is not of the form key=value")));
+        let pairs = pairs.map(|pair| {
+            pair.split_once('=').ok_or_else(|| format!("invalid parameter `{pair}`; expected key=value"))
+        });
         Ok(Self { pairs: pairs.collect::<Result<_, _>>()? })
     }
 
@@ -161,9 +167,7 @@ impl<'a> Query<'a> {
 
     fn end(self) -> Result<(), String> {
         match self.pairs.first() {
-            Some((key, _)) => {
-                Err(format!("`{key}` is nothing that this kind of address has, or is there twice"))
-            }
+            Some((key, _)) => Err(format!("unknown or repeated parameter `{key}`")),
             None => Ok(()),
         }
     }
@@ -174,7 +178,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_form_is_read_and_its_defaults_filled_in() {
+    fn every_form_is_parsed_with_its_defaults() {
         for (text, whole) in [
             ("tcp://192.168.1.20", "tcp://192.168.1.20:1000"),
             ("tcp://gripper.local:1001/", "tcp://gripper.local:1001"),
@@ -200,22 +204,22 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_address_is_refused_with_what_was_expected() {
+    fn invalid_address_is_rejected_with_the_expected_form() {
         for (text, expected) in [
             ("192.168.1.20", "tcp://HOST"),
             ("http://h", "tcp://HOST"),
-            ("tcp://", "host is missing"),
-            ("tcp://h:port", "port is no port"),
-            ("tcp://h?rate=1", "`rate` is nothing"),
-            ("serial:", "device is missing"),
-            ("serial:/dev/x?rate=fast", "bits a second"),
+            ("tcp://", "missing host"),
+            ("tcp://h:port", "invalid port `port`"),
+            ("tcp://h?rate=1", "parameter `rate`"),
+            ("serial:", "missing device"),
+            ("serial:/dev/x?rate=fast", "a rate in bit/s"),
             ("serial:/dev/x?57600", "key=value"),
             ("slcan:/dev/x?kbit=400", "10, 20, 50"),
             ("slcan:/dev/x?id=7FF", "up to 7FE"),
-            ("slcan:/dev/x?id=60&id=62", "twice"),
+            ("slcan:/dev/x?id=60&id=62", "repeated parameter `id`"),
         ] {
-            let refused = text.parse::<Address>().unwrap_err();
-            assert!(refused.contains(expected), "{text}: {refused}");
+            let error = text.parse::<Address>().unwrap_err();
+            assert!(error.contains(expected), "{text}: {error}");
         }
     }
 }

@@ -1,17 +1,17 @@
-//! What a command came to, in words and in JSON.
+//! Results of successful commands, as text and as JSON.
 
 use std::fmt::{self, Display, Formatter};
 
 use serde_json::{Map, Value, json};
 
-/// What a command came to.
+/// The result of a command that was executed.
 #[derive(Debug)]
 pub(crate) struct Answer {
     pub(crate) outcome: Outcome,
     values: Vec<(&'static str, Datum)>,
 }
 
-/// How a command that was carried out may end.
+/// How an executed command ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Outcome {
     Done,
@@ -19,7 +19,7 @@ pub(crate) enum Outcome {
     NoPart,
 }
 
-/// A value.
+/// A value in a result.
 #[derive(Debug)]
 pub(crate) enum Datum {
     Number(f32, Unit),
@@ -29,7 +29,7 @@ pub(crate) enum Datum {
     Nothing,
 }
 
-/// A unit: as people write it, in the name of a JSON value, and how many digits are shown.
+/// A unit: its text, its suffix in the name of a JSON value, and the number of decimals shown.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Unit {
     text: &'static str,
@@ -44,7 +44,7 @@ pub(crate) const NEWTON: Unit = Unit { text: "N", suffix: "_n", digits: 1 };
 pub(crate) const CELSIUS: Unit = Unit { text: "°C", suffix: "_celsius", digits: 1 };
 
 impl Answer {
-    /// It was carried out.
+    /// Returns a result without values.
     pub(crate) const fn done() -> Self {
         Self::of(Outcome::Done)
     }
@@ -53,7 +53,7 @@ impl Answer {
         Self { outcome, values: Vec::new() }
     }
 
-    /// With one more value; its name has blanks between words.
+    /// Appends a value. Words of its name are separated by spaces.
     pub(crate) fn with(mut self, name: &'static str, datum: Datum) -> Self {
         self.values.push((name, datum));
         self
@@ -67,7 +67,7 @@ impl Answer {
         self.with(name, Datum::Text(text.to_string()))
     }
 
-    /// As an object of JSON.
+    /// Returns the result as a JSON object. Values carry the unit in their name.
     pub(crate) fn to_json(&self, command: &str) -> Value {
         let mut object = Map::new();
         object.insert("command".to_owned(), json!(command));
@@ -81,7 +81,7 @@ impl Answer {
 }
 
 impl Outcome {
-    /// In JSON.
+    /// The value of `result` in JSON.
     const fn name(self) -> &'static str {
         match self {
             Self::Done => "done",
@@ -94,7 +94,7 @@ impl Outcome {
 impl Datum {
     fn to_json(&self) -> (&'static str, Value) {
         match self {
-            // By its shortest form: 20.1 rather than 20.100000381469727.
+            // The shortest form: 20.1 instead of 20.100000381469727.
             Self::Number(number, unit) => {
                 (unit.suffix, json!(number.to_string().parse::<f64>().unwrap_or_default()))
             }
@@ -110,7 +110,7 @@ impl Display for Datum {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match self {
             Self::Number(number, Unit { text, digits, .. }) => {
-                // A zero has no sign for people.
+                // Avoid "-0.0".
                 let number = if *number == 0.0 { 0.0 } else { *number };
                 write!(f, "{number:.digits$} {text}")
             }
@@ -124,7 +124,7 @@ impl Display for Datum {
 }
 
 impl Display for Answer {
-    /// A line for each value, or what it came to with the values behind it.
+    /// Writes one line per value, or the outcome of a grip followed by its values.
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let words = |(name, datum): &(&str, Datum)| format!("{name} {datum}");
         let values: Vec<String> = self.values.iter().map(words).collect();

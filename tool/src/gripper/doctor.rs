@@ -1,7 +1,6 @@
-//! `doctor`: checks the connection to a gripper, and reports what to change.
+//! `doctor`: checks the connection to a gripper and reports what to change.
 //!
-//! It sends queries and, at the end, the announcement that the connection ends. It never sends a motion, a stop or an
-//! acknowledgement.
+//! It sends queries and announces the end of the connection. It never sends a motion, a stop or an acknowledgement.
 
 mod probe;
 mod report;
@@ -27,22 +26,22 @@ use super::trouble::Trouble;
 use probe::{Checksums, Peer, Speech};
 use report::Report;
 
-/// Queries that are timed.
+/// Number of queries for the round-trip statistics.
 const QUERIES: usize = 100;
-/// A longer median or 99th percentile points to the network. Real grippers take about 22 ms by field reports.
+/// Round-trip times above which the network is suspected: median and 99th percentile. Field reports put real grippers at
+/// about 22 ms.
 const SLOW_MEDIAN: Duration = Duration::from_millis(50);
 const SLOW_P99: Duration = Duration::from_millis(200);
 
-/// How long automatic updates are counted.
+/// How long automatic updates are counted to measure their rate.
 const COUNTED: Duration = Duration::from_secs(1);
-/// Fewer updates than this share of those requested point to the network.
+/// The network is suspected if fewer than this share of the requested updates arrive.
 const FEW_UPDATES: f64 = 0.5;
 
-/// How long the end of a motion of another client is awaited: announcing the end of this connection would stop it
-/// (command set, 3.1.2).
+/// Longest wait for another client's motion to end. The disconnect announcement would stop it (command set, 3.1.2).
 const STANDSTILL: Duration = Duration::from_secs(10);
 
-/// Checks the gripper at an address; the exit status.
+/// Checks the gripper at an address and returns the exit status.
 pub(crate) fn run(
     address: &Address,
     recorder: Option<Recorder>,
@@ -52,7 +51,7 @@ pub(crate) fn run(
     let mut report = Report::new(output.is_json);
     let checked = check(address, recorder, signals, &mut report);
     match checked {
-        // No check failed, or one that has said so.
+        // Any failed check has already been recorded.
         Ok(()) => {}
         Err(trouble @ (Trouble::Caught(_) | Trouble::Output(_) | Trouble::Panicked(_))) => {
             return Err(trouble);
@@ -76,7 +75,8 @@ fn check(
     if !is_datagram {
         report.ok(Check::Reachability, &format!("{address} opened"))?;
         let is_tcp = matches!(address, Address::Tcp(_) | Address::Gcl(_));
-        report.ok(Check::Port, if is_tcp { "accepts a connection" } else { "the line has none" })?;
+        report
+            .ok(Check::Port, if is_tcp { "accepts a connection" } else { "not applicable to this line" })?;
     }
     let peer = probe::speech(&mut line, address);
     let peer = peer.inspect_err(|_| probe::leave(&mut line))?;
@@ -86,11 +86,11 @@ fn check(
     if is_datagram {
         match peer {
             Peer::Answers(_) => {
-                report.ok(Check::Reachability, "the host answers")?;
+                report.ok(Check::Reachability, "the host responds")?;
                 report.ok(Check::Port, "receives datagrams")?;
             }
             Peer::HasClosed => {
-                report.ok(Check::Reachability, "the host answers")?;
+                report.ok(Check::Reachability, "the host responds")?;
                 return report.fail(Check::Port, &format!("{address}: no program receives datagrams"));
             }
             Peer::IsSilent => return report.fail(Check::Reachability, &format!("{address}: no answer")),
@@ -101,12 +101,13 @@ fn check(
         Peer::IsSilent => {
             report.fail(Check::Protocol, "no answer to queries of the binary protocol or GCL")?;
             report.skip(Check::Checksum)?;
-            return report.fail(Check::OtherClients, "the line is open and nothing answers: it may be taken");
+            return report
+                .fail(Check::OtherClients, "the line is open but silent: another client may hold it");
         }
         Peer::HasClosed => {
-            report.fail(Check::Protocol, "the peer closed the connection before it answered")?;
+            report.fail(Check::Protocol, "the peer closed the connection without answering")?;
             report.skip(Check::Checksum)?;
-            return report.fail(Check::OtherClients, "a peer that closes at once is busy, or no gripper");
+            return report.fail(Check::OtherClients, "the peer closed at once: it is busy or not a gripper");
         }
     };
     if (speech == Speech::Gcl) == address.is_gcl() {
@@ -117,7 +118,7 @@ fn check(
     }
     match speech {
         Speech::Gcl => {
-            report.ok(Check::Checksum, "GCL has none")?;
+            report.ok(Check::Checksum, "not used by GCL")?;
             examine(GclGripper::new(line, StdClock::new()), signals, report)
         }
         Speech::Binary => {
@@ -125,7 +126,7 @@ fn check(
             match checksums.inspect_err(|_| probe::leave(&mut line))? {
                 Checksums::Evaluated => report.ok(Check::Checksum, "evaluated")?,
                 Checksums::Ignored => {
-                    report.warn(Check::Checksum, "not evaluated: damaged commands are carried out")?;
+                    report.warn(Check::Checksum, "not evaluated: the gripper executes corrupted commands")?;
                 }
             }
             examine(BinaryGripper::new(line, StdClock::new()), signals, report)
@@ -133,19 +134,19 @@ fn check(
     }
 }
 
-/// A host that refuses a connection is there.
+/// Reports a line that cannot be opened. A refused connection proves that the host is reachable.
 fn no_line(address: &Address, error: &anyhow::Error, report: &mut Report) -> Result<(), Trouble> {
     let cause = error.downcast_ref::<io::Error>().map(io::Error::kind);
     let root = error.root_cause();
     if cause == Some(io::ErrorKind::ConnectionRefused) {
-        report.ok(Check::Reachability, "the host answers")?;
+        report.ok(Check::Reachability, "the host responds")?;
         report.fail(Check::Port, &format!("{address}: {root}"))
     } else {
         report.fail(Check::Reachability, &format!("{address}: {root}"))
     }
 }
 
-/// The checks of a gripper that answers. The end of the connection is announced, whatever happens.
+/// Runs the checks that need a responding gripper, and always announces the end of the connection.
 fn examine<P: Dialect>(
     mut gripper: Gripper<P>,
     signals: &Signals,
@@ -154,10 +155,12 @@ fn examine<P: Dialect>(
     super::guarded(&mut gripper, signals, |gripper| {
         let flags = gripper.system_state()?;
         if flags.contains(SystemFlags::MOVING) {
-            report
-                .warn(Check::OtherClients, "the fingers move, so another client or a script commands them")?;
+            report.warn(
+                Check::OtherClients,
+                "the fingers are moving: another client or a script commands them",
+            )?;
         } else {
-            report.ok(Check::OtherClients, "none keeps this one out, and the fingers stand")?;
+            report.ok(Check::OtherClients, "none blocks this connection; the fingers are at rest")?;
         }
         report.ok(Check::Firmware, &gripper.system_info()?.to_string())?;
         of_flags(flags, report)?;
@@ -194,9 +197,9 @@ fn of_flags(flags: SystemFlags, report: &mut Report) -> Result<(), Trouble> {
     if flags.contains(SystemFlags::SCRIPT_FAILURE) {
         report.warn(Check::Script, "ended with an error")
     } else if flags.contains(SystemFlags::SCRIPT_RUNNING) {
-        report.ok(Check::Script, "running: it may command the fingers")
+        report.ok(Check::Script, "running: it may move the fingers")
     } else {
-        report.ok(Check::Script, "none runs")
+        report.ok(Check::Script, "not running")
     }
 }
 
@@ -226,11 +229,11 @@ fn millis(time: Duration) -> String {
 
 fn count_updates<P: Dialect>(gripper: &mut Gripper<P>, report: &mut Report) -> Result<(), Trouble> {
     let period_ms = AutoUpdate::MIN_PERIOD_MS;
-    // Unlike the width, the force is sent while the fingers are not referenced as well.
+    // Unlike the width, the force is also sent while the fingers are not referenced.
     gripper.subscribe(Topic::Force, AutoUpdate::every(period_ms));
     let counted = count_forces(gripper);
     gripper.subscribe(Topic::Force, AutoUpdate::once());
-    // A changed subscription is sent before the next query.
+    // This query also sends the changed subscription.
     gripper.system_state()?;
     let rate = counted?;
     let requested = 1e3 / f64::from(period_ms);
@@ -244,7 +247,7 @@ fn count_updates<P: Dialect>(gripper: &mut Gripper<P>, report: &mut Report) -> R
 }
 
 fn count_forces<P: Dialect>(gripper: &mut Gripper<P>) -> Result<f64, Error<io::Error>> {
-    // Sends the subscription.
+    // This query also sends the subscription.
     gripper.system_state()?;
     let begin = Instant::now();
     let mut first = None;

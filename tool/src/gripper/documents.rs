@@ -1,4 +1,4 @@
-//! docs/tool.md has the commands, addresses and exit statuses that there are.
+//! Checks the generated parts of docs/tool.md: commands, addresses, exit statuses, `doctor` checks and a session.
 
 use std::fmt::Write as _;
 
@@ -12,7 +12,7 @@ use document::{hold, read};
 
 const DOCUMENT: &str = "docs/tool.md";
 
-/// `grip WIDTH SPEED [--force FORCE]`
+/// Formats a command's usage: `grip WIDTH SPEED [--force FORCE]`.
 fn usage(command: &Command) -> String {
     let mut usage = command.get_name().to_owned();
     for argument in command.get_positionals() {
@@ -36,12 +36,13 @@ fn usage(command: &Command) -> String {
 }
 
 #[test]
-fn commands_are_those_of_the_table() {
+fn commands_match_the_command_table() {
     let commands = Named::augment_subcommands(Command::new("gripper"));
     let mut table = "| command | what it does (section of the command set manual) |\n|---|---|\n".to_owned();
-    // In the order of the help.
+    // Same order as in the help.
     for command in Action::augment_subcommands(Command::new("gripper")).get_subcommands() {
-        let command = commands.find_subcommand(command.get_name()).expect("it is the same table");
+        let command =
+            commands.find_subcommand(command.get_name()).expect("both tables have the same commands");
         let about = command.get_about().map(ToString::to_string).unwrap_or_default();
         let _ = writeln!(table, "| `{}` | {about} |", usage(command));
     }
@@ -49,30 +50,30 @@ fn commands_are_those_of_the_table() {
 }
 
 #[test]
-fn addresses_are_those_of_the_help() {
+fn addresses_match_the_help() {
     hold(DOCUMENT, "addresses", &format!("```text\n{FORMS}\n```"));
 }
 
 #[test]
-fn exit_statuses_are_those_of_the_help() {
+fn exit_statuses_match_the_help() {
     let rows: String =
         EXIT_STATUSES.iter().map(|(status, meaning)| format!("| {status} | {meaning} |\n")).collect();
     hold(DOCUMENT, "statuses", &format!("| status | meaning |\n|---|---|\n{rows}"));
 }
 
 #[test]
-fn checks_of_doctor_are_those_of_the_table() {
+fn doctor_checks_match_the_table() {
     let rows: String =
         Check::ALL.iter().map(|check| format!("| {} | {} |\n", check.name(), check.remedy())).collect();
     hold(DOCUMENT, "checks", &format!("| check | what to change |\n|---|---|\n{rows}"));
 }
 
 #[test]
-fn session_is_one_that_a_test_has_run() {
+fn session_matches_the_golden_transcript() {
     let golden = read("tool/tests/gripper/golden/words.txt");
     let mut session = "```text\n".to_owned();
     for run in golden.split("> ").skip(1) {
-        let (command, answer) = run.split_once('\n').expect("a command has an answer");
+        let (command, answer) = run.split_once('\n').expect("every command has an answer");
         if ["move 50 100", "home", "grip 20 100 --force 40", "flags", "release 60 200", "grip 50 200"]
             .contains(&command)
         {

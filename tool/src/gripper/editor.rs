@@ -1,56 +1,56 @@
-//! A line that is typed: editing, history, completion. It knows no terminal: keys in, what to show out.
+//! Line editor with history and completion, independent of the terminal: takes keys, returns the text to show.
 //!
-//! rustyline and reedline own the terminal while they read a line: the gripper would have to be heard, and its state shown, from
-//! another thread, which has to be told to give the terminal back.
+//! rustyline and reedline own the terminal while they read a line. Receiving from the gripper and showing its state would need
+//! a second thread that shares the terminal with them.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-/// Lines that are kept.
+/// Maximum number of lines in the history.
 const MAX_HISTORY: usize = 500;
 
-/// What can be at a place in a line: the choices that begin as the word there does.
+/// A source of completions.
 pub(crate) trait Complete {
-    /// The words that may stand behind these.
+    /// Returns the words that may follow these.
     fn choices(&self, words: &[&str]) -> Vec<String>;
 }
 
-/// A line that is being typed, and those before it.
+/// The line being edited, and the history.
 #[derive(Debug, Default)]
 pub(crate) struct Editor {
     text: Vec<char>,
     cursor: usize,
     history: Vec<String>,
-    /// Which line of the history is shown; as many as there are: none.
+    /// Index of the history line shown; the length of the history if none is.
     shown: usize,
 }
 
-/// What a key led to.
+/// The effect of a key.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Step {
-    /// The line goes on.
+    /// The line may have changed and is not finished.
     Typing,
-    /// It may go on in these ways.
+    /// The completions to list.
     Choices(Vec<String>),
-    /// It is finished.
+    /// The finished line (Enter).
     Line(String),
-    /// It was thrown away.
+    /// The line was discarded (Ctrl-C).
     Discarded,
-    /// There will be none.
+    /// The user ended the input (Ctrl-D).
     End,
 }
 
 impl Editor {
-    /// What was typed.
+    /// Returns the current text.
     pub(crate) fn text(&self) -> String {
         self.text.iter().collect()
     }
 
-    /// How many characters are before the cursor.
+    /// Returns the number of characters before the cursor.
     pub(crate) const fn cursor(&self) -> usize {
         self.cursor
     }
 
-    /// Takes a key.
+    /// Processes a key event.
     pub(crate) fn key(&mut self, key: KeyEvent, complete: &impl Complete) -> Step {
         if key.kind == KeyEventKind::Release {
             return Step::Typing;
@@ -118,7 +118,7 @@ impl Editor {
         Step::Line(line)
     }
 
-    /// Writes what is the same in all choices, and tells them if there are several.
+    /// Inserts the common prefix of all completions, or lists them if there is nothing to insert.
     fn complete(&mut self, complete: &impl Complete) -> Step {
         let before: String = self.text.iter().take(self.cursor).collect();
         let mut words: Vec<&str> = before.split_whitespace().collect();
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_come_back_from_the_history() {
+    fn up_and_down_recall_the_history() {
         let mut editor = Editor::default();
         for line in ["home", "width", "width", " "] {
             typed(&mut editor, line);

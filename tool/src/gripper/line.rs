@@ -1,4 +1,4 @@
-//! The line to a gripper: any transport, with a log of what goes over it, and an ear for Ctrl-C.
+//! The line to a gripper: any transport, with a message log and a check for signals.
 
 use std::io;
 use std::time::Duration;
@@ -26,7 +26,7 @@ use wsg_protocol::driver::host::Stream as SerialStream;
 
 /// How long a read of a serial port waits where the operating system does not report received bytes.
 const READ_TIMEOUT: Duration = Duration::from_millis(1);
-/// How long a serial port may take nothing.
+/// Time-out for writing to a serial port.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Any transport of the driver.
@@ -42,7 +42,7 @@ pub(crate) struct Line {
 }
 
 impl Line {
-    /// Opens it.
+    /// Opens the line to an address.
     pub(crate) fn open(address: &Address, recorder: Option<Recorder>, signals: Signals) -> Result<Self> {
         let wire: io::Result<Box<dyn Wire>> = match address {
             Address::Tcp(host) | Address::Gcl(host) => boxed(Tcp::connect(host.as_str())),
@@ -62,14 +62,14 @@ impl Line {
         let Some(recorder) = &mut self.recorder else { return Ok(()) };
         let recorded = recorder.record(direction, bytes);
         if recorded.is_err() {
-            // The gripper is to be stopped all the same, which needs this line.
+            // The line is still needed to stop the gripper, so continue without a log.
             self.recorder = None;
         }
         recorded
     }
 }
 
-/// Adapters are USB devices, to which it means nothing, or take what they are set to by default.
+/// Rate of the serial port of an SLCAN adapter in bit/s. USB adapters ignore it; others use it as their default.
 const SLCAN_RATE: u32 = 115_200;
 
 fn boxed(wire: io::Result<impl Wire + 'static>) -> io::Result<Box<dyn Wire>> {
@@ -80,7 +80,7 @@ fn open_port(device: &str, rate: u32) -> io::Result<SerialPort> {
     let mut port = SerialPort::open(device, rate)?;
     port.set_read_timeout(READ_TIMEOUT)?;
     port.set_write_timeout(WRITE_TIMEOUT)?;
-    // What came before this program began answers nothing of it.
+    // Discard bytes received earlier: they answer no request of this program.
     port.discard_input_buffer()?;
     Ok(port)
 }
@@ -98,7 +98,7 @@ impl ReadReady for Line {
 
 impl Transport for Line {
     fn wait(&mut self, at_most_ms: u32) -> io::Result<()> {
-        // A signal that arrives just before the wait does not end it.
+        // A signal just before the wait does not interrupt it, so limit its length.
         self.wire.wait(at_most_ms.min(LOOK_MS))?;
         self.signals.check()
     }

@@ -1,4 +1,4 @@
-//! Commands as lines of text: of the prompt, of a script, of a program that writes to standard input.
+//! Commands as lines of text, from the prompt, a script or standard input.
 
 use std::fs;
 use std::io::{self, Read};
@@ -13,7 +13,7 @@ use super::output::Output;
 use super::run::{self, Dialect, Gripper};
 use super::trouble::Trouble;
 
-/// What a line may say.
+/// A command line of the prompt or a script.
 #[derive(Debug, Parser)]
 #[command(no_binary_name = true, disable_version_flag = true, name = "")]
 pub(crate) struct Line {
@@ -25,25 +25,26 @@ pub(crate) struct Line {
 pub(crate) enum Said {
     #[command(flatten)]
     Action(Named),
-    /// Ends the connection
+    /// Announces the end of the connection and exits
     Quit,
 }
 
-/// Why a line is none.
+/// Why a line holds no command.
 pub(crate) enum Wrong {
-    /// Help was asked for: it is this.
+    /// The requested help text.
     Help(String),
-    /// In one line.
+    /// The error message, in one line.
     Mistake(String),
 }
 
-/// Reads a line; nothing if it is blank or a comment.
+/// Parses a line. Returns `None` for a blank line or a comment.
 pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
     let line = line.trim();
     if line.is_empty() || line.starts_with('#') {
         return Ok(None);
     }
-    let words = shlex::split(line).ok_or_else(|| Wrong::Mistake("a quotation mark is missing".to_owned()))?;
+    let words =
+        shlex::split(line).ok_or_else(|| Wrong::Mistake("missing closing quotation mark".to_owned()))?;
     match Line::try_parse_from(words) {
         Ok(Line { said }) => Ok(Some(said)),
         Err(error) if !error.use_stderr() => Err(Wrong::Help(error.to_string())),
@@ -51,7 +52,7 @@ pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
     }
 }
 
-/// Tells why words are no command, as clap does; the exit status.
+/// Prints clap's explanation of an invalid command and exits with clap's status.
 pub(crate) fn explain(words: &[String]) -> ExitCode {
     match Line::try_parse_from(words) {
         Ok(_) => ExitCode::SUCCESS,
@@ -59,21 +60,24 @@ pub(crate) fn explain(words: &[String]) -> ExitCode {
     }
 }
 
-/// What clap says in a paragraph, without its usage.
+/// Joins clap's error message into one line and removes the usage.
 fn in_one_line(text: &str) -> String {
     let lines = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
     let lines = lines.map(str::trim).filter(|line| !line.is_empty());
     lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").to_owned()
 }
 
-/// A script: its name, and its lines with their numbers.
+/// A script: its file name, and its commands with their line numbers.
 pub(crate) struct Script {
     file: String,
     lines: Vec<(usize, Said)>,
 }
 
 impl Script {
-    /// Reads a file, all of it before anything is sent; `-` is standard input.
+    /// Reads and checks a whole script; `-` is standard input.
+    ///
+    /// # Errors
+    /// The file cannot be read, or has invalid lines, all of which are listed.
     pub(crate) fn read(path: &Path) -> Result<Self, Trouble> {
         let file = path.display().to_string();
         let text = if file == "-" {
@@ -89,13 +93,15 @@ impl Script {
             match parse(line) {
                 Ok(said) => lines.extend(said.map(|said| (number, said))),
                 Err(Wrong::Mistake(mistake)) => mistakes.push(format!("{file}:{number}: {mistake}")),
-                Err(Wrong::Help(_)) => mistakes.push(format!("{file}:{number}: nobody reads help here")),
+                Err(Wrong::Help(_)) => {
+                    mistakes.push(format!("{file}:{number}: `--help` is not allowed in a script"))
+                }
             }
         }
         if mistakes.is_empty() { Ok(Self { file, lines }) } else { Err(Trouble::Usage(mistakes.join("\n"))) }
     }
 
-    /// Carries it out, up to the first line that comes to nothing; the exit status.
+    /// Runs the commands up to the first that fails, and returns the exit status. A grip without a part counts as failed.
     pub(crate) fn run<P: Dialect>(&self, gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Trouble> {
         for (number, said) in &self.lines {
             let Said::Action(Named { name, action }) = said else { break };

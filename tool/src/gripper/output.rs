@@ -1,4 +1,4 @@
-//! What is told of commands: words for people, or an object of JSON a line.
+//! Results of commands, as text or as one JSON object per line.
 
 use std::io::{self, Write};
 
@@ -7,13 +7,14 @@ use serde_json::{Value, json};
 use super::answer::Answer;
 use super::trouble::Trouble;
 
-/// Where answers go. Words about what went wrong go to standard error, JSON to standard output alone.
+/// The output format. Error text goes to standard error; JSON always goes to standard output.
 pub(crate) struct Output {
     pub(crate) is_json: bool,
 }
 
 impl Output {
-    /// Tells what a command came to; its exit status. `line` is that of a script, and `place` what a person finds it by.
+    /// Prints the result of a command and returns its exit status. `line` is the line number and
+    /// file name of a script.
     pub(crate) fn tell(
         &self,
         command: &str,

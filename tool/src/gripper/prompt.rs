@@ -1,4 +1,4 @@
-//! The prompt: a line with the gripper's state, and one below it that is typed.
+//! The prompt: a line with the gripper's state, and the input line below it.
 
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::sync::mpsc::{self, TryRecvError};
@@ -22,11 +22,11 @@ use super::run::{self, Dialect, Gripper};
 use super::signals::Signals;
 use super::trouble::Trouble;
 
-/// At most so often a state line changes.
+/// Shortest interval between two updates of a value, in ms.
 const STATE_PERIOD_MS: u16 = 100;
 const PROMPT: &str = "> ";
 
-/// Takes lines until there are no more; the exit status of the last one. Typed ones, if standard input is a terminal.
+/// Runs commands until the input ends, and returns the exit status of the last one. Input is interactive on a terminal.
 pub(crate) fn run<P: Dialect>(
     gripper: &mut Gripper<P>,
     output: &Output,
@@ -59,7 +59,7 @@ fn typed<P: Dialect>(gripper: &mut Gripper<P>, output: &Output, signals: &Signal
         let mut result = run::carry_out(gripper, &named.action, &mut live);
         erase_state()?;
         if matches!(result, Err(Trouble::Caught(_))) && signals.forget_interrupt() {
-            // Ctrl-C: the fingers stop, and the prompt comes back.
+            // Ctrl-C stops the fingers and returns to the prompt.
             signals.heed(false);
             let stopped = if run::is_motion(&named.action) { gripper.stop() } else { Ok(()) };
             signals.heed(true);
@@ -82,10 +82,11 @@ fn typed<P: Dialect>(gripper: &mut Gripper<P>, output: &Output, signals: &Signal
     Ok(status)
 }
 
-/// Lines from a program, or a file: each is carried out and answered before the next, whatever the last one came to.
+/// Runs commands from a pipe or file. Each is answered before the next one is executed, and errors do not end the input.
 fn piped<P: Dialect>(gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Trouble> {
     let (sender, receiver) = mpsc::channel();
-    // Meanwhile the gripper is heard. It ends with the process: nothing interrupts a read.
+    // A thread of its own, so that the gripper is polled meanwhile. It runs until the process ends, because nothing
+    // interrupts a blocked read.
     thread::spawn(move || {
         for line in io::stdin().lock().lines() {
             if sender.send(line).is_err() {
@@ -130,13 +131,13 @@ fn piped<P: Dialect>(gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Tr
     }
 }
 
-/// One line in words: state, width, speed, force, flags.
+/// Formats state, width, speed, force and flags as one line.
 pub(crate) fn state_line(known: &Known, is_connected: bool) -> String {
     if !is_connected {
         return "no connection".to_owned();
     }
     let number = |value: Option<f32>, digits: usize, unit: &str| match value {
-        // A zero has no sign for people.
+        // Avoid "-0.0".
         Some(value) => format!("{:.digits$} {unit}", if value == 0.0 { 0.0 } else { value }),
         None => format!("? {unit}"),
     };
@@ -150,7 +151,7 @@ pub(crate) fn state_line(known: &Known, is_connected: bool) -> String {
     )
 }
 
-/// Shows the state in the line below the last output, in the place of what was shown there.
+/// Overwrites the current line with the state. `shown` is the text shown there now.
 fn show_state(known: &Known, shown: &mut String) -> io::Result<()> {
     let state = fitting(&state_line(known, true));
     if state != *shown {
@@ -164,7 +165,7 @@ fn erase_state() -> io::Result<()> {
     execute!(io::stdout(), MoveToColumn(0), Clear(ClearType::CurrentLine))
 }
 
-/// As much as has room in one line of the terminal.
+/// Truncates text to one line of the terminal.
 fn fitting(text: &str) -> String {
     text.chars().take(columns() - 1).collect()
 }
@@ -173,7 +174,7 @@ fn columns() -> usize {
     terminal::size().map_or(80, |(columns, _)| usize::from(columns)).max(20)
 }
 
-/// While it is there, keys come one by one; the terminal is as it was when it is gone.
+/// Puts the terminal in raw mode, so that each key is delivered at once. Dropping it restores the terminal.
 struct RawMode;
 
 impl RawMode {
@@ -185,12 +186,12 @@ impl RawMode {
 
 impl Drop for RawMode {
     fn drop(&mut self) {
-        // Nobody is left to be told of an error.
+        // An error cannot be reported from here.
         let _ = terminal::disable_raw_mode();
     }
 }
 
-/// Reads a line while the gripper is heard and its state is shown; `None` when there will be none.
+/// Reads a line while polling the gripper and showing its state. Returns `None` at the end of the input.
 fn read_line<P: Dialect>(
     gripper: &mut Gripper<P>,
     editor: &mut Editor,
@@ -226,7 +227,7 @@ fn read_line<P: Dialect>(
     }
 }
 
-/// The two lines as they are on the screen: state, and what is typed.
+/// The two lines on the screen: the state, and the input with its cursor column.
 #[derive(Default)]
 struct View {
     shown: Option<(String, String, usize)>,
@@ -234,7 +235,7 @@ struct View {
 
 impl View {
     fn draw(&mut self, out: &mut impl Write, editor: &Editor, state: &str) -> io::Result<()> {
-        // The part of a long line in which the cursor is.
+        // Show the part of a long line that contains the cursor.
         let room = columns() - PROMPT.len() - 1;
         let from = editor.cursor().saturating_sub(room);
         let text: String = editor.text().chars().skip(from).take(room).collect();
@@ -260,7 +261,7 @@ impl View {
     }
 }
 
-/// The commands that there are, as clap has them.
+/// Completions from clap's command definition.
 struct Words(Command);
 
 impl Complete for Words {
@@ -291,7 +292,7 @@ mod tests {
     use wsg_protocol::{GripperState, SystemFlags};
 
     #[test]
-    fn choices_are_those_of_the_table() {
+    fn completions_match_the_command_table() {
         let words = Words(Line::command());
         let names = words.choices(&[]);
         for name in ["grip", "fast-stop", "help", "quit"] {
@@ -305,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn state_line_tells_what_is_known() {
+    fn state_line_shows_known_values() {
         let known = Known {
             state: Some(GripperState::Holding),
             width: Some(20.0),

@@ -1,4 +1,4 @@
-//! The log of a line: each message in hex and in words, in the form of the simulator's log, which `wsg decode` reads.
+//! The message log: each message in hex and decoded. It has the format of the simulator's log, which `wsg decode` reads.
 
 use std::fmt::{self, Display, Formatter, Write as _};
 use std::io::{self, Write};
@@ -8,7 +8,7 @@ use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use wsg_protocol::gcl::{LineEvent, LineReader};
 use wsg_protocol::{CommandId, Direction, Event, FrameEncoder, FrameParser, Meaning};
 
-/// Writes a line for each message:
+/// Writes one line per message:
 ///
 /// ```text
 /// 12.345678 s tcp://127.0.0.1:1000 -> AA AA AA 22 00 00 D3 5A  22h Stop
@@ -21,7 +21,7 @@ pub(crate) struct Recorder {
     from_gripper: Finder,
 }
 
-/// What finds messages in what goes one way.
+/// Finds the messages in the bytes of one direction.
 enum Finder {
     Frames(Box<FrameParser<{ MAX_MESSAGE_LEN - OVERHEAD }>>),
     Lines(Box<LineReader<MAX_MESSAGE_LEN>>),
@@ -36,7 +36,7 @@ impl Finder {
         }
     }
 
-    /// The messages that these bytes complete, in words.
+    /// Returns the text of each message that these bytes complete.
     fn find(&mut self, direction: Direction, bytes: &[u8]) -> Vec<String> {
         let mut found = Vec::new();
         let mut rest = bytes;
@@ -69,7 +69,7 @@ impl Finder {
 }
 
 impl Recorder {
-    /// A log of the line with this name.
+    /// Creates a log for the line with this name.
     pub(crate) fn new(name: String, is_gcl: bool, sinks: Vec<Box<dyn Write>>) -> Self {
         Self {
             sinks,
@@ -80,7 +80,7 @@ impl Recorder {
         }
     }
 
-    /// Takes note of bytes that went over the line.
+    /// Logs the messages in bytes that were sent or received.
     pub(crate) fn record(&mut self, direction: Direction, bytes: &[u8]) -> io::Result<()> {
         let finder = match direction {
             Direction::ToGripper => &mut self.to_gripper,
@@ -89,7 +89,7 @@ impl Recorder {
         let time = self.start.elapsed().as_secs_f64();
         let mut text = String::new();
         for words in finder.find(direction, bytes) {
-            // Writing to a string does not fail.
+            // Writing to a string never fails.
             let _ = writeln!(text, "{time:.6} s {} {direction} {words}", self.name);
         }
         for sink in &mut self.sinks {
@@ -100,13 +100,13 @@ impl Recorder {
     }
 }
 
-/// A log cannot be written.
+/// The log could not be written.
 #[derive(Debug)]
 pub(crate) struct Unlogged(pub(crate) io::ErrorKind);
 
 impl Display for Unlogged {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        write!(f, "the log cannot be written: {}", self.0)
+        write!(f, "cannot write the log: {}", self.0)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Carries commands out, over either protocol.
+//! Executes commands over either protocol.
 
 use std::io;
 use std::time::{Duration, Instant};
@@ -16,26 +16,26 @@ use super::answer::{Answer, CELSIUS, Datum, MM, MM_PER_S, MM_PER_S2, NEWTON, Out
 use super::line::{LOOK_MS, Line};
 use super::trouble::Trouble;
 
-/// A gripper on any line, by either protocol.
+/// A gripper on any line, with either protocol.
 pub(crate) type Gripper<P> = GripperOver<Line, StdClock, P>;
 
-/// The longest answer to a command of a script on the gripper.
+/// Maximum length in bytes of an answer to `raw` or `finger-data`.
 const MAX_ANSWER: usize = 1_024;
 
-/// Shows what is known, while a motion is waited for.
+/// Shows the known state while a motion is in progress.
 pub(crate) type Live<'a> = &'a mut dyn FnMut(&Known) -> io::Result<()>;
 
-/// What only one of the protocols has.
+/// Commands that only one of the protocols supports.
 pub(crate) trait Dialect: Protocol + Sized {
-    /// The part width tolerance, which is set before if it is given.
+    /// Sets the part width tolerance in mm if one is given, and returns the value in effect.
     fn part_width_tolerance(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble>;
 
-    /// The clamping travel, which is set before if it is given.
+    /// Sets the clamping travel in mm if one is given, and returns the value in effect.
     fn clamping_travel(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble>;
 }
 
 fn only_in_gcl<T>() -> Result<T, Trouble> {
-    Err(Trouble::Usage("the binary protocol cannot say this; over GCL: gcl://HOST".to_owned()))
+    Err(Trouble::Usage("not supported by the binary protocol; use GCL (gcl://HOST)".to_owned()))
 }
 
 impl Dialect for Binary {
@@ -64,7 +64,7 @@ impl Dialect for Gcl {
     }
 }
 
-/// Carries a command out; a motion to its end.
+/// Executes a command. Motions are awaited to their end.
 pub(crate) fn carry_out<P: Dialect>(
     gripper: &mut Gripper<P>,
     action: &Action,
@@ -177,7 +177,7 @@ pub(crate) fn carry_out<P: Dialect>(
             done.with("answer", hex(answer))
         }
         Action::Disconnect => told(match gripper.announce_disconnect() {
-            // Lines without an announcement need none.
+            // Not available on lines that need no announcement.
             Err(Error::Refused(wsg_protocol::Status::NotAvailable)) => Ok(()),
             told => told,
         })?,
@@ -192,7 +192,7 @@ pub(crate) fn carry_out<P: Dialect>(
     })
 }
 
-/// Whether a command moves the fingers, so that they are stopped when it is given up.
+/// Returns whether a command may move the fingers, which must then be stopped if it is interrupted.
 pub(crate) const fn is_motion(action: &Action) -> bool {
     matches!(
         action,
@@ -205,19 +205,20 @@ pub(crate) const fn is_motion(action: &Action) -> bool {
     )
 }
 
-/// Has the gripper tell width, speed and force by itself, as it tells its states.
+/// Subscribes to width, speed and force, in addition to the state.
 pub(crate) fn subscribe<P: Protocol>(gripper: &mut Gripper<P>, period_ms: u16) {
     for topic in [Topic::Width, Topic::Speed, Topic::Force] {
         gripper.subscribe(topic, AutoUpdate::on_change(period_ms));
     }
 }
 
-/// Ends that, as far as the gripper still answers: a line that has no end would carry on.
+/// Cancels these subscriptions, because they outlive this program on lines without a connection, such as RS-232 or CAN. Ignores
+/// a gripper that no longer answers.
 pub(crate) fn unsubscribe<P: Protocol>(gripper: &mut Gripper<P>) {
     for topic in [Topic::Width, Topic::Speed, Topic::Force] {
         gripper.subscribe(topic, AutoUpdate::once());
     }
-    // Changed subscriptions are sent before the next request.
+    // This request also sends the changed subscriptions.
     let _ = gripper.gripper_state();
 }
 
@@ -269,13 +270,13 @@ fn grip<P: Protocol>(
     })
 }
 
-/// A gripper clamps what it is set to: that is no success for one who asked for more.
+/// Sets the force limit in N, and fails if the gripper clamps it.
 fn set_force_limit<P: Protocol>(gripper: &mut Gripper<P>, force: f32) -> Result<(), Trouble> {
     gripper.set_force_limit(N(force))?;
     let taken = gripper.force_limit()?.0;
     let range = gripper.known().limits.map(|limits| {
         let SystemLimits { min_force, nominal_force, overdrive_force, .. } = limits;
-        format!("{min_force:.0} to {nominal_force:.0} N, with overdrive up to {overdrive_force:.0} N")
+        format!("{min_force:.0} to {nominal_force:.0} N, or up to {overdrive_force:.0} N with overdrive")
     });
     unclamped("force limit", NEWTON, [force, taken], range)
 }
@@ -295,8 +296,8 @@ fn unclamped(what: &str, unit: Unit, [asked, taken]: [f32; 2], range: Option<Str
         return Ok(());
     }
     let [asked, taken] = [asked, taken].map(|number| Datum::Number(number, unit));
-    let range = range.map(|range| format!("; it takes {range}")).unwrap_or_default();
-    Err(Trouble::Clamped(format!("{what} {asked}: the gripper took {taken}{range}")))
+    let range = range.map(|range| format!("; permitted: {range}")).unwrap_or_default();
+    Err(Trouble::Clamped(format!("{what} {asked} is out of range: the gripper set {taken}{range}")))
 }
 
 fn status<P: Protocol>(gripper: &mut Gripper<P>) -> Result<Answer, Trouble> {

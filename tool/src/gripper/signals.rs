@@ -1,4 +1,4 @@
-//! Ctrl-C and the other ways to be ended: noted, and found at the next look at the line.
+//! Ctrl-C and other termination signals: recorded by a handler, checked at the next access to the line.
 
 use std::fmt::{self, Display, Formatter};
 use std::io;
@@ -7,25 +7,25 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
-/// Signals that end the program, or the motion that it waits for.
+/// Signals that end the program or the motion in progress.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Signals {
-    /// The number of the last one; 0: none.
+    /// The last signal caught, or 0.
     caught: Arc<AtomicUsize>,
-    /// Whether a caught one counts. While the fingers are being stopped none does.
+    /// Whether a caught signal is reported. Cleared while the fingers are being stopped.
     heeded: Arc<AtomicBool>,
 }
 
-/// A signal came; its number.
+/// The number of a caught signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Caught(pub(crate) u8);
 
 impl Caught {
-    /// Ctrl-C.
+    /// SIGINT, sent by Ctrl-C.
     pub(crate) const INTERRUPT: Self = Self(SIGINT.unsigned_abs() as u8);
 }
 
-/// What ends a program, of what the system has.
+/// The termination signals that the operating system supports.
 #[cfg(unix)]
 const SIGNALS: [i32; 4] = [SIGINT, SIGTERM, signal_hook::consts::SIGHUP, signal_hook::consts::SIGQUIT];
 #[cfg(not(unix))]
@@ -40,7 +40,7 @@ impl Display for Caught {
 impl std::error::Error for Caught {}
 
 impl Signals {
-    /// Catches them from now on.
+    /// Installs the signal handlers.
     pub(crate) fn catch() -> io::Result<Self> {
         let caught = Arc::new(AtomicUsize::new(0));
         for signal in SIGNALS {
@@ -49,18 +49,18 @@ impl Signals {
         Ok(Self { caught, heeded: Arc::new(AtomicBool::new(true)) })
     }
 
-    /// Whether a caught one counts from now on.
+    /// Sets whether [`check`](Self::check) reports caught signals.
     pub(crate) fn heed(&self, on: bool) {
         self.heeded.store(on, Ordering::Relaxed);
     }
 
-    /// Forgets a Ctrl-C, which has had its effect; whether that is what was caught.
+    /// Clears a handled Ctrl-C. Returns whether the caught signal was one.
     pub(crate) fn forget_interrupt(&self) -> bool {
         let interrupt = SIGINT.unsigned_abs() as usize;
         self.caught.compare_exchange(interrupt, 0, Ordering::Relaxed, Ordering::Relaxed).is_ok()
     }
 
-    /// An error if one was caught and counts.
+    /// Returns an error if a signal was caught and signals are heeded.
     pub(crate) fn check(&self) -> io::Result<()> {
         match self.caught.load(Ordering::Relaxed) {
             0 => Ok(()),

@@ -1,4 +1,4 @@
-//! A gripper on a CAN bus, behind an adapter that speaks SLCAN.
+//! Transport to a gripper on a CAN bus through an SLCAN adapter.
 
 use std::collections::VecDeque;
 use std::io::{self, Read, Write};
@@ -8,10 +8,10 @@ use wsg_protocol::can::{Endpoint, HALF_MESSAGE_MS, Identifiers, MAX_FRAMES, Reas
 use wsg_protocol::driver::{Clock, host::StdClock};
 use wsg_protocol::{Event, FrameEncoder};
 
-/// Bytes read at a time.
+/// Maximum number of bytes per read.
 const CHUNK_LEN: usize = 512;
 
-/// The digit of the command `S` for so many kbit/s, if there is one.
+/// Returns the digit of the SLCAN command `S` for a rate in kbit/s, or `None` for an unsupported rate.
 pub(crate) fn rate_of(kbit: u16) -> Option<char> {
     const RATES: [(u16, char); 9] = [
         (10, '0'),
@@ -27,7 +27,7 @@ pub(crate) fn rate_of(kbit: u16) -> Option<char> {
     RATES.iter().find(|(rate, _)| *rate == kbit).map(|(_, digit)| *digit)
 }
 
-/// The messages of a gripper, carried by frames that an adapter carries.
+/// A byte stream of gripper messages, carried in CAN frames over SLCAN.
 pub(crate) struct Slcan<S: Read + Write> {
     port: S,
     endpoint: Endpoint,
@@ -39,9 +39,10 @@ pub(crate) struct Slcan<S: Read + Write> {
 }
 
 impl<S: Read + Write> Slcan<S> {
-    /// Opens the adapter's channel. What the adapter was doing before ends.
+    /// Closes any channel that is open on the adapter, sets the rate and opens the channel.
     pub(crate) fn open(mut port: S, kbit: u16, identifiers: Identifiers) -> io::Result<Self> {
-        let rate = rate_of(kbit).ok_or_else(|| io::Error::other(format!("SLCAN has no {kbit} kbit/s")))?;
+        let rate =
+            rate_of(kbit).ok_or_else(|| io::Error::other(format!("SLCAN does not support {kbit} kbit/s")))?;
         write!(port, "\rC\rS{rate}\rO\r")?;
         let endpoint = identifiers.controller();
         Ok(Self {
@@ -57,7 +58,7 @@ impl<S: Read + Write> Slcan<S> {
 }
 
 impl<S: Read + Write> Read for Slcan<S> {
-    #[expect(clippy::disallowed_methods, reason = "the caller takes a signal for silence")]
+    #[expect(clippy::disallowed_methods, reason = "the caller treats an interrupted read as no data")]
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.received.is_empty() {
             let mut chunk = [0; CHUNK_LEN];
@@ -67,7 +68,7 @@ impl<S: Read + Write> Read for Slcan<S> {
             }
             let Self { decoder, reassembler, clock, received, .. } = self;
             for &byte in chunk.iter().take(count) {
-                // What the adapter answers to commands is read over: without a channel there is no gripper.
+                // Replies of the adapter are skipped: if it failed to open the channel, the gripper does not answer.
                 if let Some(Line::Frame(frame)) = decoder.push::<ClassicFrame>(byte) {
                     reassembler.receive(clock.now(), &frame, |event| {
                         if let Event::Frame(frame) = event {
@@ -100,7 +101,7 @@ impl<S: Read + Write> Write for Slcan<S> {
 
 impl<S: Read + Write> Drop for Slcan<S> {
     fn drop(&mut self) {
-        // Nobody is left to be told of an error.
+        // An error cannot be reported from here.
         let _ = self.port.write_all(b"C\r");
     }
 }

@@ -1,4 +1,4 @@
-//! Why a command came to nothing: in words, in JSON, and as an exit status.
+//! Errors of commands, as text, as JSON and as an exit status.
 
 use std::any::Any;
 use std::fmt::{self, Display, Formatter};
@@ -12,40 +12,40 @@ use super::answer::Outcome;
 use super::record::Unlogged;
 use super::signals::Caught;
 
-/// Why a command came to nothing.
+/// An error of a command.
 pub(crate) enum Trouble {
-    /// The driver's.
+    /// The driver reported an error.
     Driver(Error<io::Error>),
-    /// The line cannot be opened.
+    /// The line could not be opened.
     NoLine(anyhow::Error),
-    /// A file cannot be written.
+    /// A file could not be written.
     NoFile(anyhow::Error),
-    /// The protocol cannot say it, or a line of a script is none.
+    /// The protocol does not support the command, or a script has invalid lines.
     Usage(String),
-    /// A script goes no further without one.
+    /// A grip in a script found no part, which ends the script.
     NoPart,
-    /// The gripper took another value; which it takes.
+    /// The gripper clamped a value. The message states the permitted range.
     Clamped(String),
-    /// What cannot be written or read here.
+    /// Standard input, standard output or a file failed.
     Output(io::Error),
-    /// A signal.
+    /// A signal was caught.
     Caught(Caught),
-    /// The fingers were to be stopped, and it is not known that they were.
+    /// The fingers may still be moving: the stop at the end failed.
     NotStopped(Error<io::Error>),
-    /// This program's.
+    /// The program panicked.
     Panicked(Box<dyn Any + Send>),
 }
 
-/// Statuses that the program exits with, for the help and the document.
+/// The exit statuses, for the help and docs/tool.md.
 pub(crate) const EXIT_STATUSES: &[(u8, &str)] = &[
-    (0, "done; a part is held"),
-    (1, "anything else, such as a file that cannot be read"),
-    (2, "wrong use"),
-    (3, "no part"),
-    (4, "refused by the gripper, with its status in words"),
-    (5, "the motion began and failed: blocked, aborted"),
-    (6, "no connection, or no answer in time"),
-    (130, "ended by Ctrl-C, after the fingers were stopped; 143 by SIGTERM, 129 by SIGHUP"),
+    (0, "success; after a grip: a part is held"),
+    (1, "any other error, such as an unreadable file"),
+    (2, "invalid command line, script line or parameter"),
+    (3, "no part gripped"),
+    (4, "refused by the gripper; the message explains its status"),
+    (5, "the motion started but failed: blocked or aborted"),
+    (6, "no connection, or time-out"),
+    (130, "interrupted by Ctrl-C, after stopping the fingers; 143 for SIGTERM, 129 for SIGHUP"),
 ];
 
 impl Outcome {
@@ -76,7 +76,7 @@ impl Trouble {
         }
     }
 
-    /// Whether nothing else can be done on this connection.
+    /// Returns whether the connection or the program cannot continue after this error.
     pub(crate) const fn is_final(&self) -> bool {
         match self {
             Self::Driver(error) => matches!(error, Error::Transport(_) | Error::Closed),
@@ -90,7 +90,7 @@ impl Trouble {
         }
     }
 
-    /// Whether nobody reads what is written here any more.
+    /// Returns whether the reader of the output has closed its pipe.
     pub(crate) fn is_broken_pipe(&self) -> bool {
         matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::BrokenPipe)
     }
@@ -106,7 +106,7 @@ impl Trouble {
         })
     }
 
-    /// The gripper's status behind it.
+    /// Returns the gripper's status code that caused the error.
     const fn status(&self) -> Option<Status> {
         match self {
             Self::Driver(Error::Refused(status) | Error::Failed(status)) => Some(*status),
@@ -116,7 +116,7 @@ impl Trouble {
         }
     }
 
-    /// In JSON.
+    /// The value of `result` in JSON.
     const fn name(&self) -> &'static str {
         match self.exit_status() {
             2 => "wrong_use",
@@ -133,7 +133,7 @@ impl Trouble {
 impl From<Error<io::Error>> for Trouble {
     fn from(error: Error<io::Error>) -> Self {
         let Error::Transport(error) = error else { return Self::Driver(error) };
-        // Not all that comes from the line is the transport's.
+        // The line also passes on signals and log errors as transport errors.
         let inner = error.get_ref();
         if let Some(signal) = inner.and_then(|inner| inner.downcast_ref::<Caught>()) {
             Self::Caught(*signal)
@@ -157,38 +157,38 @@ impl From<io::Error> for Trouble {
 impl Display for Trouble {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match self {
-            // Only 62h and 72h are refused so (3.6.3): a grip without a part begins, and fails.
+            // Only 62h and 72h are refused with this status (3.6.3). A grip without a part starts, then fails.
             Self::Driver(Error::Refused(status @ Status::CmdFailed)) => write!(
                 f,
-                "refused: {status}; the gripper switches the supply of generic fingers only (`finger-info`), and a finger with \
-                 POWER_FAULT is short-circuited (`finger-flags`)"
+                "refused: {status}; only generic fingers have a switchable supply (check `finger-info`), and POWER_FAULT indicates a \
+                 short circuit (check `finger-flags`)"
             ),
             Self::Driver(Error::Refused(status)) => {
                 write!(f, "refused: {status}, {}", status.meaning())?;
                 match status {
-                    Status::NotInitialized => f.write_str("; `home` first"),
-                    Status::AccessDenied => f.write_str("; when the fingers may move: `ack`"),
+                    Status::NotInitialized => f.write_str("; run `home` first"),
+                    Status::AccessDenied => f.write_str("; run `ack` when it is safe to move the fingers"),
                     _ => Ok(()),
                 }
             }
             Self::Driver(Error::Failed(status)) => {
                 write!(f, "the motion failed: {status}, {}", status.meaning())
             }
-            Self::Driver(Error::Mismatch) => f.write_str("the gripper took another value than this one"),
+            Self::Driver(Error::Mismatch) => f.write_str("the gripper applied a different value"),
             Self::Driver(Error::NoForceLimit) => {
-                f.write_str("over GCL each grip states its force: `--force`")
+                f.write_str("no force limit is set, and GCL needs one for each grip; pass `--force`")
             }
             Self::Driver(Error::NotConnected) => f.write_str("the gripper does not answer"),
-            Self::Driver(Error::Closed) => f.write_str("the gripper has closed the connection"),
+            Self::Driver(Error::Closed) => f.write_str("the gripper closed the connection"),
             Self::Driver(error) => error.fmt(f),
             Self::NoFile(error) => write!(f, "{error:#}"),
             Self::NoLine(error) => write!(f, "no connection: {error:#}"),
             Self::Usage(message) | Self::Clamped(message) => f.write_str(message),
-            Self::NotStopped(error) => write!(f, "whether the fingers were stopped is not known: {error}"),
+            Self::NotStopped(error) => write!(f, "the fingers may still be moving: the stop failed: {error}"),
             Self::NoPart => f.write_str("no part"),
             Self::Output(error) => error.fmt(f),
-            Self::Caught(Caught(_)) => f.write_str("ended by a signal"),
-            Self::Panicked(_) => f.write_str("a fault of this program"),
+            Self::Caught(Caught(_)) => f.write_str("interrupted by a signal"),
+            Self::Panicked(_) => f.write_str("internal error (panic)"),
         }
     }
 }

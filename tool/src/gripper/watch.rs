@@ -1,4 +1,4 @@
-//! The full screen: state, flags, and width, speed and force over time.
+//! `watch`: state and flags, and plots of width, speed and force, on the full screen.
 
 use std::collections::VecDeque;
 use std::io::{self, IsTerminal};
@@ -18,14 +18,14 @@ use super::prompt::state_line;
 use super::run::{self, Dialect, Gripper};
 use super::trouble::Trouble;
 
-/// At most so often a value comes.
+/// Shortest interval between two updates of a value, in ms.
 const UPDATE_MS: u16 = 50;
-/// So often the screen is drawn anew.
+/// Interval between two redraws of the screen.
 const DRAW_PERIOD: Duration = Duration::from_millis(100);
-/// So much of the past is shown, in seconds.
+/// Time span of the plots in seconds.
 const SHOWN_S: f64 = 30.0;
 
-/// What is shown.
+/// The data to show.
 struct View {
     title: String,
     known: Known,
@@ -33,7 +33,7 @@ struct View {
     samples: VecDeque<Sample>,
 }
 
-/// What was known at a time, in seconds.
+/// The values known at a time `at` in seconds.
 struct Sample {
     at: f64,
     width: Option<f32>,
@@ -55,17 +55,17 @@ impl View {
         (self.known, self.is_connected) = (known, is_connected);
     }
 
-    /// Points of a value: seconds from now, and the value.
+    /// Returns the points of a value: time relative to now in seconds, and the value.
     fn points(&self, value: impl Fn(&Sample) -> Option<f32>) -> Vec<(f64, f64)> {
         let now = self.samples.back().map_or(0.0, |sample| sample.at);
         self.samples.iter().filter_map(|sample| Some((sample.at - now, value(sample)?.into()))).collect()
     }
 }
 
-/// Shows the gripper until `q`, Esc or Ctrl-C.
+/// Shows the gripper until `q`, Esc or Ctrl-C is pressed.
 pub(crate) fn run<P: Dialect>(gripper: &mut Gripper<P>, title: String) -> Result<u8, Trouble> {
     if !io::stdout().is_terminal() {
-        return Err(Trouble::Usage("the full screen needs a terminal; `log` needs none".to_owned()));
+        return Err(Trouble::Usage("`watch` requires a terminal; use `log` instead".to_owned()));
     }
     run::subscribe(gripper, UPDATE_MS);
     let mut terminal = ratatui::try_init()?;
@@ -87,17 +87,17 @@ pub(crate) fn run<P: Dialect>(gripper: &mut Gripper<P>, title: String) -> Result
     }
 }
 
-/// Gives the terminal back, also when something goes wrong.
+/// Restores the terminal when dropped, even after an error.
 struct Restore;
 
 impl Drop for Restore {
     fn drop(&mut self) {
-        // Nobody is left to be told of an error.
+        // An error cannot be reported from here.
         let _ = ratatui::try_restore();
     }
 }
 
-/// Whether a key says so.
+/// Returns whether a pressed key ends the program.
 fn is_over() -> io::Result<bool> {
     while event::poll(Duration::ZERO)? {
         if let Event::Key(key) = event::read()?
@@ -122,7 +122,7 @@ fn draw(frame: &mut Frame<'_>, view: &View) {
         Constraint::Fill(1),
     ]);
     let [title, state, width, speed, force] = rows.areas(frame.area());
-    let keys = "  q ends";
+    let keys = "  q: quit";
     frame.render_widget(Line::from(vec![view.title.as_str().bold(), keys.dim()]), title);
     let words = Paragraph::new(state_line(&view.known, view.is_connected)).wrap(Wrap { trim: true });
     frame.render_widget(words, state);
@@ -135,7 +135,7 @@ fn draw(frame: &mut Frame<'_>, view: &View) {
     plot(frame, force, "force, N", Color::Magenta, nominal, &view.points(|sample| sample.force));
 }
 
-/// A value over time; its axis is what the gripper can do, or what there was where that is not known.
+/// Plots a value over time. The axis covers the gripper's range if known, and at least all values.
 fn plot(
     frame: &mut Frame<'_>,
     area: Rect,
@@ -196,7 +196,7 @@ mod tests {
         }
         let screen = screen(&view);
         for text in [
-            "tcp://192.168.1.20:1000  q ends",
+            "tcp://192.168.1.20:1000  q: quit",
             "GRIPPING  10.50 mm  -50.0 mm/s",
             "REFERENCED | MOVING",
             "width, mm",
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn past_beyond_the_plot_is_forgotten() {
+    fn samples_older_than_the_plot_are_discarded() {
         let mut view = View::new(String::new());
         (0..1_000).for_each(|tick| view.note(f64::from(tick), Known::NOTHING, true));
         assert_eq!(view.samples.len(), 31);

@@ -1,5 +1,4 @@
-//! Reads a bridge over its service port, which moves nothing (docs/service-port.md): the gripper behind it, and the bridge
-//! itself.
+//! Reads a bridge and its gripper over the service port, which cannot move the fingers (docs/service-port.md).
 
 use std::time::Duration;
 
@@ -25,21 +24,21 @@ use super::{
     values::Values,
 };
 
-/// The service port's rate in bit/s, and its unit.
+/// Rate of the service port in bit/s, and its Modbus unit.
 const RATE: u32 = 115_200;
 const UNIT: Slave = Slave(1);
-/// Registers of the input image.
+/// Number of registers of the input image.
 const IMAGE_REGISTERS: u16 = (InputImage::LEN / 2) as u16;
-/// How many reports are read: those before the events.
+/// Number of report registers read, up to and including the event counter.
 const REPORT_REGISTERS: u16 = place("EVENTS") as u16 + 1;
-/// How long an answer may take: the bridge answers within milliseconds, a busy computer does not.
+/// Response time-out. The bridge responds within milliseconds, but a busy computer may be slow.
 const PATIENCE: Duration = Duration::from_millis(1_500);
-/// How long after a bridge was lost or not found it is looked for again.
+/// Delay before reconnecting to a bridge.
 const RETRY: Duration = Duration::from_secs(1);
-/// How often the reports are read.
+/// Interval between two readings of the reports.
 const REPORTS_EVERY: Duration = Duration::from_secs(1);
 
-/// The place of a report, when this is compiled.
+/// Returns the index of a report at compile time.
 const fn place(name: &str) -> usize {
     let mut at = 0;
     while at < REPORTS.len() {
@@ -48,7 +47,7 @@ const fn place(name: &str) -> usize {
         }
         at += 1;
     }
-    panic!("there is no report of this name")
+    panic!("unknown report name")
 }
 
 const fn is_same(one: &str, other: &str) -> bool {
@@ -60,16 +59,16 @@ const fn is_same(one: &str, other: &str) -> bool {
     at == one.len() && at == other.len()
 }
 
-/// Where the flags and what is made of them are.
+/// The rows derived from the system state flags.
 const FLAGS: [OfBridge; 5] =
     [OfBridge::Flags, OfBridge::Referenced, OfBridge::Moving, OfBridge::FastStop, OfBridge::Fault];
 
-/// Reads the bridge until `stop` says so.
+/// Reads the bridge until `stop` is set, and reconnects after errors.
 pub(super) async fn read(port: String, data: Data, reporter: Reporter, mut stop: watch::Receiver<bool>) {
     let mut teller = Teller::default();
     loop {
         tokio::select! {
-            // May be given up at any place: the port moves nothing, and is closed with the future.
+            // Can be cancelled anywhere: the port never moves the fingers, and dropping the future closes it.
             end = serve(&port, &data, &reporter, &mut teller) => {
                 if let Err(error) = end {
                     teller.tell(format!("{} ({port}): {error:#}", reporter.name));
@@ -86,18 +85,18 @@ pub(super) async fn read(port: String, data: Data, reporter: Reporter, mut stop:
 
 async fn serve(port: &str, data: &Data, reporter: &Reporter, teller: &mut Teller) -> Result<()> {
     let line = SerialPort::open(port, RATE)?;
-    // What is there is an answer to somebody before.
+    // Discard bytes received earlier: they respond to another program.
     line.discard_input_buffer()?;
     let mut bridge = rtu::attach_slave(line, UNIT);
-    let mut reports = reports(&mut bridge).await.context("no bridge answers")?;
+    let mut reports = reports(&mut bridge).await.context("no bridge responds")?;
     let version = reports.first().copied().unwrap_or_default();
     if version != MAP_VERSION {
-        bail!("the bridge has version {version} of the register map: expected {MAP_VERSION}");
+        bail!("the bridge has register map version {version}; expected {MAP_VERSION}");
     }
     let mut values = Values::new(BRIDGE);
     values.take_reports(&reports);
     values.take_image(image(&mut bridge).await?, &reports, data);
-    teller.tell(format!("{}: found", reporter.name));
+    teller.tell(format!("{}: connected", reporter.name));
     reporter.tell(What::Found { values: values.all(), ranges: vec![None; BRIDGE.len()] }).await;
     let end = async {
         let mut looks = interval(Duration::from_millis(data.period_ms.into()));
@@ -121,13 +120,13 @@ async fn serve(port: &str, data: &Data, reporter: &Reporter, teller: &mut Teller
     end
 }
 
-/// The reports.
+/// Reads the report registers.
 async fn reports(bridge: &mut Context) -> Result<Vec<u16>> {
     let reports = read_registers(bridge, FIRST_REPORT, REPORT_REGISTERS).await?;
-    reports.map_err(|exception| anyhow!("it refuses to report: {exception}"))
+    reports.map_err(|exception| anyhow!("the bridge rejected the request for reports: {exception}"))
 }
 
-/// What the PLC reads; `None` while no gripper answers.
+/// Reads the input image, as a PLC does. Returns `None` while no gripper responds.
 async fn image(bridge: &mut Context) -> Result<Option<InputImage>> {
     match read_registers(bridge, 0, IMAGE_REGISTERS).await? {
         Ok(registers) => {
@@ -135,23 +134,25 @@ async fn image(bridge: &mut Context) -> Result<Option<InputImage>> {
             Ok(bytes.try_into().ok().map(InputImage::from_bytes))
         }
         Err(ExceptionCode::GatewayPathUnavailable | ExceptionCode::GatewayTargetDevice) => Ok(None),
-        Err(exception) => bail!("it refuses the input image: {exception}"),
+        Err(exception) => bail!("the bridge rejected the request for the input image: {exception}"),
     }
 }
 
-/// So many input registers, or the bridge's exception. Not by the client's own method: that takes an answer of another
-/// length, such as a late one to another request, for a bug of this program.
+/// Reads `count` input registers, or returns the bridge's exception.
+///
+/// Does not use the read method of `tokio_modbus`, which panics on a response of unexpected length, such as a late response to an
+/// earlier request.
 async fn read_registers(
     bridge: &mut Context,
     first: u16,
     count: u16,
 ) -> Result<Result<Vec<u16>, ExceptionCode>> {
     let answered = timeout(PATIENCE, bridge.call(Request::ReadInputRegisters(first, count))).await;
-    match answered.map_err(|_| anyhow!("no answer within {} ms", PATIENCE.as_millis()))?? {
+    match answered.map_err(|_| anyhow!("no response within {} ms", PATIENCE.as_millis()))?? {
         Ok(Response::ReadInputRegisters(registers)) if registers.len() == usize::from(count) => {
             Ok(Ok(registers))
         }
-        Ok(_) => bail!("an answer came that is none to what was asked"),
+        Ok(_) => bail!("unexpected response"),
         Err(exception) => Ok(Err(exception)),
     }
 }

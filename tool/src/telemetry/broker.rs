@@ -1,4 +1,4 @@
-//! The connection to the broker: MQTT 3.1.1 over TCP or TLS, made again whenever it is lost.
+//! The connection to the broker: MQTT 3.1.1 over TCP or TLS, with automatic reconnection.
 
 use std::{fs, future::pending, io, path::Path, pin::pin, sync::Arc, time::Duration};
 
@@ -31,25 +31,25 @@ use super::{
     sequence::Sequence,
 };
 
-/// How long a step of connecting may take.
+/// Time-out for each step of connecting.
 const STEP: Duration = Duration::from_secs(5);
-/// How long the last words may take.
+/// Time-out for NDEATH and DISCONNECT on exit.
 const FAREWELL: Duration = Duration::from_secs(1);
-/// How often the broker is asked whether it has all so far, and it is looked whether something is due that no report tells of.
+/// Interval at which PINGREQs are sent to confirm data, and messages that no report triggers are checked for.
 const LOOK: Duration = Duration::from_millis(250);
-/// Bytes that are put together for one write; further messages wait in the store.
+/// Maximum number of bytes per write. Further messages wait in the store.
 const WRITE_LEN: usize = 32 * 1024;
-/// Bytes read at a time.
+/// Maximum number of bytes per read.
 const READ_LEN: usize = 4 * 1024;
-/// The longest packet that is taken from the broker.
+/// Maximum length of a packet from the broker in bytes.
 const MAX_PACKET_LEN: u32 = 64 * 1024;
-/// Reports that are taken at a time.
+/// Maximum number of reports received at a time.
 const REPORTS: usize = 256;
 
 trait Stream: AsyncRead + AsyncWrite + Unpin {}
 impl<S: AsyncRead + AsyncWrite + Unpin> Stream for S {}
 
-/// How the broker is reached.
+/// Address, credentials and timing of the broker connection.
 pub(super) struct Broker {
     host: String,
     tls: Option<(TlsConnector, ServerName<'static>)>,
@@ -61,16 +61,16 @@ pub(super) struct Broker {
 }
 
 impl Broker {
-    /// Reads the certificates.
+    /// Creates the broker and reads its certificates.
     ///
     /// # Errors
-    /// A file that cannot be read or has none.
+    /// A certificate file cannot be read or contains no certificate.
     pub(super) fn new(config: &config::Broker) -> Result<Self> {
         let tls = match &config.tls_name {
             None => None,
             Some(name) => {
                 let server = ServerName::try_from(name.clone())
-                    .map_err(|_| anyhow!("broker.address: {name:?} is no name or address of a host"))?;
+                    .map_err(|_| anyhow!("broker.address: {name:?} is not a valid host name or address"))?;
                 Some((tls_of(config)?, server))
             }
         };
@@ -85,7 +85,7 @@ impl Broker {
         })
     }
 
-    /// Brings the node's messages to the broker until `stop` says that it is to end. What fails is told, and tried again.
+    /// Sends the node's messages to the broker until `stop` is set. Reports errors and reconnects.
     pub(super) async fn run(
         &self,
         node: &mut Node,
@@ -113,7 +113,7 @@ impl Broker {
                     node.connected(number);
                     let end = link.serve(node, &mut inbox, &mut stop, self.keep_alive).await;
                     let Some(end) = end else {
-                        // A broker that does not listen any more must not keep the program from ending.
+                        // A broker that no longer responds must not block the exit.
                         let _ = timeout(FAREWELL, link.farewell(&identity.death(number, now_ms()))).await;
                         return;
                     };
@@ -134,9 +134,9 @@ impl Broker {
         }
     }
 
-    /// Connects; the will is set, and commands are subscribed to. Also returns the number of the connection.
+    /// Connects, sets the will and subscribes to commands. Also returns the `bdSeq` of the connection.
     async fn connect(&self, identity: &Identity, sequence: &mut Sequence) -> Result<(Link, u8)> {
-        let slow = |_| anyhow!("no answer within {} s", STEP.as_secs());
+        let slow = |_| anyhow!("no response within {} s", STEP.as_secs());
         let stream = timeout(STEP, self.open()).await.map_err(slow)??;
         let number = sequence.advance()?;
         let mut link = Link::new(stream);
@@ -156,7 +156,7 @@ impl Broker {
     }
 }
 
-/// What TLS needs to know.
+/// Builds the TLS configuration.
 fn tls_of(config: &config::Broker) -> Result<TlsConnector> {
     let mut roots = RootCertStore::empty();
     match &config.ca_file {
@@ -169,7 +169,7 @@ fn tls_of(config: &config::Broker) -> Result<TlsConnector> {
         }
         None => {
             roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
-            ensure!(!roots.is_empty(), "the system trusts no certificates: broker.ca_file names some");
+            ensure!(!roots.is_empty(), "no trusted certificates on this system; set broker.ca_file");
         }
     }
     let provider = Arc::new(crypto::ring::default_provider());
@@ -193,21 +193,21 @@ fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
     let text = fs::read(path)?;
     let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
     let found = found.map_err(|error| anyhow!("{error}"))?;
-    ensure!(!found.is_empty(), "there is no certificate (PEM) in it");
+    ensure!(!found.is_empty(), "no certificate (PEM) found");
     Ok(found)
 }
 
-/// Reports on their way to the node.
+/// Queue of reports for the node.
 struct Inbox {
     reports: mpsc::Receiver<Report>,
     taken: Vec<Report>,
 }
 
 impl Inbox {
-    /// Is ready when there are some. May be given up: none is lost.
+    /// Waits for reports. Cancel safe.
     async fn wait(&mut self) {
         if self.taken.is_empty() && self.reports.recv_many(&mut self.taken, REPORTS).await == 0 {
-            // All readers have ended, which they do when the program does.
+            // All readers have ended, so the program is about to exit.
             pending::<()>().await;
         }
     }
@@ -217,23 +217,23 @@ impl Inbox {
     }
 }
 
-/// A connection.
+/// A connection to the broker.
 struct Link {
     reader: ReadHalf<Box<dyn Stream>>,
     writer: WriteHalf<Box<dyn Stream>>,
     mqtt: Connection<role::Client>,
-    /// What is to be written, from `written` on.
+    /// Output buffer; bytes from `written` on are still to be sent.
     out: Vec<u8>,
     written: usize,
     needs_flush: bool,
-    /// The PINGREQ that has no answer yet: when it was sent, and what the store had given before.
+    /// The pending PINGREQ: when it was sent, and the store position before it.
     ping: Option<(Instant, u64)>,
     last_ping: Instant,
-    /// Of commands.
+    /// Reports refused commands.
     refusals: Teller,
 }
 
-/// What came from the broker.
+/// A packet from the broker.
 enum Received {
     Connack(ConnectReturnCode),
     Suback(bool),
@@ -262,7 +262,7 @@ impl Link {
         }
     }
 
-    /// CONNECT with the will, and the subscription to commands.
+    /// Sends CONNECT with the will, and subscribes to commands.
     async fn introduce(&mut self, broker: &Broker, identity: &Identity, number: u8) -> Result<()> {
         let death = identity.death(number, now_ms());
         let keep_alive = u16::try_from(broker.keep_alive.as_secs()).unwrap_or(u16::MAX);
@@ -305,7 +305,7 @@ impl Link {
         }
     }
 
-    /// Serves until the connection ends, and returns why; `None`: the program is to end.
+    /// Serves the connection until it fails, and returns the error. Returns `None` if the program is to exit.
     async fn serve(
         &mut self,
         node: &mut Node,
@@ -320,14 +320,14 @@ impl Link {
                 self.fill(node)?;
                 tokio::select! {
                     count = self.reader.read(&mut chunk) => {
-                        let count = count.context("the connection broke")?;
+                        let count = count.context("connection lost")?;
                         ensure!(count > 0, "the broker closed the connection");
                         for received in self.receive(chunk.get(..count).unwrap_or(&[]))? {
                             self.take(received, node);
                         }
                     }
                     progress = write(&mut self.writer, self.out.get(self.written..).unwrap_or(&[]), self.needs_flush) => {
-                        self.progress(progress.context("the connection broke")?);
+                        self.progress(progress.context("connection lost")?);
                     }
                     () = inbox.wait() => inbox.give(node),
                     _ = looks.tick() => self.ping(node, keep_alive)?,
@@ -342,7 +342,7 @@ impl Link {
         }
     }
 
-    /// Puts as many messages into the next write as fit.
+    /// Fills the output buffer with messages.
     fn fill(&mut self, node: &mut Node) -> Result<()> {
         if self.written == self.out.len() {
             self.out.clear();
@@ -367,11 +367,15 @@ impl Link {
         self.send(packet)
     }
 
-    /// Asks whether the broker has all so far, if it is not asked already; also to show that this end is alive.
+    /// Sends a PINGREQ to confirm data or to keep the connection alive, unless one is pending.
     fn ping(&mut self, node: &Node, keep_alive: Duration) -> Result<()> {
         match self.ping {
             Some((sent, _)) => {
-                ensure!(sent.elapsed() < keep_alive, "the broker is silent for {} s", keep_alive.as_secs());
+                ensure!(
+                    sent.elapsed() < keep_alive,
+                    "no response from the broker for {} s",
+                    keep_alive.as_secs()
+                );
                 Ok(())
             }
             None if node.is_unconfirmed() || self.last_ping.elapsed() > keep_alive / 2 => {
@@ -392,15 +396,15 @@ impl Link {
             }
             Received::Command { topic, payload, is_retained } => {
                 match node.command(&topic, &payload, is_retained, now_ms()) {
-                    Ok(what) => eprintln!("wsg: a host asked on {topic}: {what}"),
-                    Err(why) => self.refusals.tell(format!("a command on {topic} was refused: {why}")),
+                    Ok(what) => eprintln!("wsg: command on {topic}: {what}"),
+                    Err(why) => self.refusals.tell(format!("command on {topic} refused: {why}")),
                 }
             }
             Received::Connack(_) | Received::Suback(_) => {}
         }
     }
 
-    /// The last words: NDEATH, which the will says otherwise, and DISCONNECT.
+    /// Sends NDEATH, because an orderly DISCONNECT suppresses the will, then DISCONNECT.
     async fn farewell(&mut self, death: &Message) -> Result<()> {
         self.publish(death)?;
         self.send(v3_1_1::Disconnect::new())?;
@@ -414,14 +418,14 @@ impl Link {
         self.handle(events).map(drop)
     }
 
-    /// Writes all that is to be written, and waits for the next packet.
+    /// Flushes the output and waits for the next packet.
     async fn expect(&mut self) -> Result<Received> {
         self.write_all().await?;
         let mut chunk = vec![0; READ_LEN];
         loop {
-            let count = self.reader.read(&mut chunk).await.context("the connection broke")?;
+            let count = self.reader.read(&mut chunk).await.context("connection lost")?;
             ensure!(count > 0, "the broker closed the connection");
-            // Nothing can be lost with the rest: a broker answers one packet by one.
+            // Discarding the rest loses nothing: the broker answers each packet with one packet.
             if let Some(first) = self.receive(chunk.get(..count).unwrap_or(&[]))?.into_iter().next() {
                 return Ok(first);
             }
@@ -432,7 +436,7 @@ impl Link {
         while self.written < self.out.len() || self.needs_flush {
             let rest = self.out.get(self.written..).unwrap_or(&[]);
             let progress = write(&mut self.writer, rest, self.needs_flush).await;
-            self.progress(progress.context("the connection broke")?);
+            self.progress(progress.context("connection lost")?);
         }
         Ok(())
     }
@@ -457,7 +461,7 @@ impl Link {
         Ok(received)
     }
 
-    /// Does what the protocol asks for. Its timers are not used: a PINGREQ leaves more often than they would have it.
+    /// Processes the events of the protocol library. Its timers are unused, because PINGREQs are sent more often anyway.
     fn handle(&mut self, events: Vec<Event>) -> Result<Vec<Received>> {
         let mut received = Vec::new();
         for event in events {
@@ -478,7 +482,7 @@ impl Link {
                     _ => None,
                 }),
                 Event::NotifyError(error) => bail!("MQTT: {error}"),
-                Event::RequestClose => bail!("MQTT: the broker broke the protocol"),
+                Event::RequestClose => bail!("MQTT: protocol violation by the broker"),
                 Event::NotifyPacketIdReleased(_)
                 | Event::RequestTimerReset { .. }
                 | Event::RequestTimerCancel(_) => {}
@@ -488,8 +492,8 @@ impl Link {
     }
 }
 
-/// Writes some bytes, or flushes when there are none; `None`: it was flushed. May be given up. Waits when there is nothing
-/// to do.
+/// Writes some bytes and returns their number, or flushes if there are none and returns `None`. Waits if there is nothing to do.
+/// Cancel safe.
 async fn write(
     writer: &mut WriteHalf<Box<dyn Stream>>,
     bytes: &[u8],
@@ -505,17 +509,19 @@ async fn write(
 }
 
 fn invalid(error: impl std::fmt::Debug) -> Error {
-    anyhow!("MQTT cannot say this: {error:?}")
+    anyhow!("cannot be encoded in MQTT: {error:?}")
 }
 
-/// Why a broker refuses a connection, in words (MQTT 3.1.1, 3.2.2.3).
+/// Describes why a broker refuses a connection (MQTT 3.1.1, 3.2.2.3).
 const fn reason(code: ConnectReturnCode) -> &'static str {
     match code {
         ConnectReturnCode::Accepted => "accepted",
-        ConnectReturnCode::UnacceptableProtocolVersion => "it does not speak MQTT 3.1.1",
-        ConnectReturnCode::IdentifierRejected => "it does not take this client_id",
-        ConnectReturnCode::ServerUnavailable => "it is not available",
+        ConnectReturnCode::UnacceptableProtocolVersion => "it does not support MQTT 3.1.1",
+        ConnectReturnCode::IdentifierRejected => "client_id rejected",
+        ConnectReturnCode::ServerUnavailable => "server unavailable",
         ConnectReturnCode::BadUserNameOrPassword => "wrong user or password",
-        ConnectReturnCode::NotAuthorized => "not authorized: wrong user or password, or no right to connect",
+        ConnectReturnCode::NotAuthorized => {
+            "not authorized: wrong user or password, or no permission to connect"
+        }
     }
 }

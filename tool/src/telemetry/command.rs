@@ -1,7 +1,7 @@
-//! Commands of hosts to a gripper (DCMD): which are taken, and why others are not. Without I/O.
+//! Validation of host commands to a gripper (DCMD), without I/O.
 //!
-//! No command moves fingers twice, late or unasked. So a command says when it was given, must be new, and must be the only thing
-//! that its message says; and what is taken counts for the connection to the gripper that there is, not for the next one.
+//! No command may move the fingers twice or late. A command must therefore carry a new timestamp and be the only content of its
+//! message. It is valid only for the current connection to the gripper.
 
 use tokio::sync::mpsc;
 
@@ -10,10 +10,10 @@ use super::{
     payload::{self, MetricValue, Payload},
 };
 
-/// Orders of a kind that wait for a gripper.
+/// Capacity of each order queue of a gripper.
 const QUEUE_LEN: usize = 4;
 
-/// The metrics that are commands.
+/// The metrics that are commands, of which a message carries exactly one.
 const ACTIONS: [OfCommand; 7] = [
     OfCommand::Home,
     OfCommand::Move,
@@ -23,10 +23,10 @@ const ACTIONS: [OfCommand; 7] = [
     OfCommand::FastStop,
     OfCommand::Acknowledge,
 ];
-/// Those that are parameters.
+/// The metrics that are parameters of a command.
 const PARAMETERS: [OfCommand; 3] = [OfCommand::Width, OfCommand::Speed, OfCommand::Force];
 
-/// A command with its parameters: mm, mm/s, N.
+/// A command with its parameters in mm, mm/s and N.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Action {
     Home,
@@ -39,7 +39,7 @@ pub(super) enum Action {
 }
 
 impl Action {
-    /// Its row in the table.
+    /// Returns the row of the command in the table.
     pub(super) const fn of(&self) -> OfCommand {
         match self {
             Self::Home => OfCommand::Home,
@@ -52,14 +52,14 @@ impl Action {
         }
     }
 
-    /// Whether it overtakes everything else.
+    /// Returns whether the command takes precedence over queued commands.
     pub(super) const fn is_urgent(&self) -> bool {
         matches!(self, Self::Stop | Self::FastStop)
     }
 }
 
 impl OfCommand {
-    /// Whether the fingers move by it.
+    /// Returns whether the command moves the fingers.
     pub(super) const fn is_motion(self) -> bool {
         matches!(self, Self::Home | Self::Move | Self::Grip | Self::Release)
     }
@@ -68,32 +68,32 @@ impl OfCommand {
         COMMANDS.get(usize::from(self)).map_or("", |metric: &Metric| metric.name)
     }
 
-    /// As results have it: "Fast Stop".
+    /// Returns the name used in results, such as "Fast Stop".
     pub(super) fn title(self) -> &'static str {
         self.name().trim_start_matches("Command/")
     }
 }
 
-/// A command that was taken.
+/// An accepted command, with the limits on its execution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Order {
     pub(super) action: Action,
-    /// When the host gave it, in ms since 1970 (UTC).
+    /// Timestamp of the command in ms since 1970 (UTC).
     pub(super) at: u64,
-    /// Until when it may begin.
+    /// Latest time to start it, in ms since 1970 (UTC).
     pub(super) expires_at: u64,
-    /// How often the gripper had been found when it was taken.
+    /// Number of times the gripper had been found when the command was accepted.
     pub(super) life: u64,
 }
 
-/// Where the orders of a gripper go in.
+/// Sending side of the order queue of a gripper.
 #[derive(Debug)]
 pub(super) struct Orders {
     urgent: mpsc::Sender<Order>,
     others: mpsc::Sender<Order>,
 }
 
-/// Where they come out. What is urgent is taken first.
+/// Receiving side of the order queue. Urgent orders are taken first.
 #[derive(Debug)]
 pub(super) struct Queue {
     pub(super) urgent: mpsc::Receiver<Order>,
@@ -107,7 +107,7 @@ pub(super) fn queue() -> (Orders, Queue) {
 }
 
 impl Orders {
-    /// Whether there was room for it.
+    /// Queues an order. Returns false if the queue is full.
     pub(super) fn push(&self, order: Order) -> bool {
         let queue = if order.action.is_urgent() { &self.urgent } else { &self.others };
         queue.try_send(order).is_ok()
@@ -115,7 +115,7 @@ impl Orders {
 }
 
 impl Queue {
-    /// The next order. May be given up: none is lost.
+    /// Waits for the next order. Cancel safe.
     pub(super) async fn next(&mut self) -> Option<Order> {
         tokio::select! {
             biased;
@@ -125,29 +125,29 @@ impl Queue {
     }
 }
 
-/// What is known of the gripper when a command comes.
+/// State of the gripper when a command is received.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Situation<'a> {
-    /// In ms since 1970 (UTC).
+    /// Current time in ms since 1970 (UTC).
     pub(super) now: u64,
-    /// How far the time of a command may be from `now`, in ms.
+    /// Maximum deviation of a command's timestamp from `now`, in ms.
     pub(super) age_ms: u64,
-    /// The latest time of the commands so far.
+    /// Latest timestamp of all commands so far.
     pub(super) last_at: u64,
     pub(super) is_online: bool,
-    /// Whether a motion that was taken is not over.
+    /// Whether an accepted motion is still running.
     pub(super) is_moving: bool,
-    /// By the places of the table.
+    /// Permitted ranges, by row of the table.
     pub(super) ranges: &'a [Option<(f32, f32)>],
-    /// Of the first row of the table.
+    /// Alias of the first row of the table.
     pub(super) first_alias: u64,
 }
 
 impl Situation<'_> {
-    /// The time of a command, if it is new and of now.
+    /// Returns the timestamp of a command.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The timestamp is missing, deviates too much from the current time, or is not new.
     pub(super) fn time_of(&self, payload: &Payload) -> Result<u64, String> {
         let Self { now, age_ms, last_at, .. } = *self;
         let at = payload.timestamp.ok_or_else(|| "it has no timestamp".to_owned())?;
@@ -159,16 +159,16 @@ impl Situation<'_> {
         }
         if at <= last_at {
             return Err(
-                "its timestamp is not later than that of the command before, or of the start".to_owned()
+                "its timestamp is not later than the previous command or the program start".to_owned()
             );
         }
         Ok(at)
     }
 
-    /// The command of a payload whose time is right.
+    /// Returns the command in a payload whose timestamp is valid.
     ///
     /// # Errors
-    /// Why it is none, or cannot be taken now.
+    /// The payload is not a valid command, or the command cannot be accepted now.
     pub(super) fn decide(&self, payload: &Payload) -> Result<Action, String> {
         let mut command = None;
         let mut parameters = [None; PARAMETERS.len()];
@@ -179,11 +179,11 @@ impl Situation<'_> {
             }
             let type_of_row = COMMANDS.get(usize::from(row)).map(Metric::datatype);
             if metric.datatype.is_some() && metric.datatype != type_of_row {
-                return Err(format!("{} has another type than in the birth", row.name()));
+                return Err(format!("the type of {} differs from the birth", row.name()));
             }
             if let Some((_, slot)) = PARAMETERS.iter().zip(&mut parameters).find(|(of, _)| **of == row) {
                 if slot.replace(self.number_of(row, metric)?).is_some() {
-                    return Err(format!("{} is there twice", row.name()));
+                    return Err(format!("{} appears twice", row.name()));
                 }
                 continue;
             }
@@ -191,21 +191,21 @@ impl Situation<'_> {
                 return Err(format!("{} is not true", row.name()));
             }
             if command.replace(row).is_some() {
-                return Err("it has more than one command".to_owned());
+                return Err("it contains more than one command".to_owned());
             }
         }
-        let command = command.ok_or_else(|| "it has no command".to_owned())?;
+        let command = command.ok_or_else(|| "it contains no command".to_owned())?;
         let action = action_of(command, parameters)?;
         if !self.is_online {
-            return Err("the gripper does not answer".to_owned());
+            return Err("the gripper does not respond".to_owned());
         }
         if self.is_moving && command.is_motion() {
-            return Err("the motion before is not over".to_owned());
+            return Err("the previous motion is not over".to_owned());
         }
         Ok(action)
     }
 
-    /// Which row of the table, by name or alias, is meant.
+    /// Finds the row of a metric by name or alias.
     fn row_of(&self, metric: &payload::Metric) -> Result<OfCommand, String> {
         let is_it = |row: &OfCommand| {
             let alias = self.first_alias + usize::from(*row) as u64;
@@ -218,9 +218,9 @@ impl Situation<'_> {
             }
         };
         ACTIONS.into_iter().chain(PARAMETERS).find(is_it).ok_or_else(|| match (&metric.name, metric.alias) {
-            (Some(name), _) => format!("{name:?} is no command of a gripper, and no parameter of one"),
+            (Some(name), _) => format!("{name:?} is not a gripper command or parameter"),
             (None, Some(alias)) => {
-                format!("the alias {alias} is no command of this gripper, and no parameter of one")
+                format!("alias {alias} is not a command or parameter of this gripper")
             }
             (None, None) => "a metric has neither name nor alias".to_owned(),
         })
@@ -228,13 +228,13 @@ impl Situation<'_> {
 
     fn number_of(&self, row: OfCommand, metric: &payload::Metric) -> Result<f32, String> {
         let Some(MetricValue::Float(number)) = metric.value else {
-            return Err(format!("{} is no Float", row.name()));
+            return Err(format!("{} is not a Float", row.name()));
         };
         match self.ranges.get(usize::from(row)).copied().flatten() {
             // NaN is in no range.
             Some((low, high)) if (low..=high).contains(&number) => Ok(number),
-            Some((low, high)) => Err(format!("{} = {number} is not in {low} to {high}", row.name())),
-            None => Err(format!("the range of {} is not known", row.name())),
+            Some((low, high)) => Err(format!("{} = {number} is outside {low} to {high}", row.name())),
+            None => Err(format!("the range of {} is unknown", row.name())),
         }
     }
 }
@@ -249,8 +249,10 @@ fn action_of(command: OfCommand, parameters: [Option<f32>; 3]) -> Result<Action,
         (OfCommand::Move, [Some(width), Some(speed), force]) => Action::Move { width, speed, force },
         (OfCommand::Grip, [Some(width), Some(speed), force]) => Action::Grip { width, speed, force },
         (OfCommand::Release, [Some(width), Some(speed), None]) => Action::Release { width, speed },
-        (OfCommand::Move | OfCommand::Grip, _) => return Err(format!("{title} needs a width and a speed")),
-        (OfCommand::Release, _) => return Err(format!("{title} needs a width and a speed, and no force")),
+        (OfCommand::Move | OfCommand::Grip, _) => {
+            return Err(format!("{title} requires a width and a speed"));
+        }
+        (OfCommand::Release, _) => return Err(format!("{title} requires a width and a speed, and no force")),
         _ => return Err(format!("{title} takes no parameters")),
     };
     Ok(action)

@@ -1,6 +1,6 @@
-//! Carries out the commands of hosts that were taken, beside the reading of values.
+//! Executes accepted host commands while values are read.
 //!
-//! Each order has one outcome, whatever becomes of it, and is sent once.
+//! Each order is sent at most once and has exactly one outcome.
 
 use std::{fmt::Display, time::Duration};
 
@@ -20,7 +20,7 @@ use super::{
     report::{Reporter, What, now_ms, stopped},
 };
 
-/// How often it is looked whether a motion is over, in ms.
+/// Polling interval for the end of a motion, in ms.
 pub(super) const LOOK_MS: u32 = 20;
 
 #[derive(Debug)]
@@ -28,13 +28,13 @@ pub(super) struct Commander {
     queue: Queue,
     reporter: Reporter,
     running: Option<Running>,
-    /// The time of the latest Stop or Fast Stop: what was asked for before is not done any more.
+    /// Timestamp of the latest Stop or Fast Stop. Earlier orders are dropped.
     stopped_at: u64,
-    /// How often the gripper has been found.
+    /// Number of times the gripper was found.
     life: u64,
 }
 
-/// A motion that has begun.
+/// A motion in progress.
 #[derive(Clone, Copy, Debug)]
 struct Running {
     of: OfCommand,
@@ -52,15 +52,15 @@ impl Commander {
         Self { queue, reporter, running: None, stopped_at: 0, life: 0 }
     }
 
-    /// The gripper was found for the time with this number.
+    /// Notes that the gripper was found. `life` is the number of times so far.
     pub(super) const fn found(&mut self, life: u64) {
         self.life = life;
     }
 
-    /// The gripper was lost.
+    /// Notes that the gripper was lost, and reports the outcome of a motion in progress.
     pub(super) async fn lost(&mut self) {
         if let Some(Running { of, .. }) = self.running.take() {
-            self.tell(of, "the connection to the gripper was lost; what became of it is not known").await;
+            self.tell(of, "the connection to the gripper was lost; outcome unknown").await;
         }
     }
 
@@ -68,12 +68,12 @@ impl Commander {
         self.running.is_some()
     }
 
-    /// The next order. May be given up: none is lost.
+    /// Waits for the next order. Cancel safe.
     pub(super) async fn next(&mut self) -> Option<Order> {
         self.queue.next().await
     }
 
-    /// Carries out an order, a motion up to its begin. An error of the line, the gripper's next call has, too.
+    /// Executes an order. A motion is only started. A line error is also returned by the next call to the gripper.
     pub(super) async fn carry_out<IO: Transport>(
         &mut self,
         gripper: &mut Gripper<IO, TokioTimer>,
@@ -84,7 +84,7 @@ impl Commander {
     {
         let of = order.action.of();
         if order.life != self.life {
-            self.tell(of, "dropped: the connection to the gripper was lost meanwhile").await;
+            self.tell(of, "dropped: the connection to the gripper was lost in the meantime").await;
             return;
         }
         if order.action.is_urgent() {
@@ -92,15 +92,15 @@ impl Commander {
             return;
         }
         if order.at <= self.stopped_at {
-            self.tell(of, "dropped: a stop was asked for since").await;
+            self.tell(of, "dropped: superseded by a later stop").await;
             return;
         }
         let left = Duration::from_millis(order.expires_at.saturating_sub(now_ms()));
         if left.is_zero() {
-            self.tell(of, "dropped: it waited for too long").await;
+            self.tell(of, "dropped: it expired while waiting").await;
             return;
         }
-        // The driver's calls may be given up: what has not left by then does not leave any more.
+        // The driver's calls are cancel safe: a request not sent by then is never sent.
         let begun = tokio::select! {
             biased;
             () = stopped(stop) => return,
@@ -109,19 +109,19 @@ impl Commander {
         };
         match begun {
             Err(Some(urgent)) => {
-                self.tell(of, &format!("dropped or ended by {}", urgent.action.of().title())).await;
+                self.tell(of, &format!("dropped or stopped by {}", urgent.action.of().title())).await;
                 self.urge(gripper, urgent).await;
             }
-            // The program ends.
+            // The program is about to exit.
             Err(None) => {}
             Ok(Ok(Ok(Some(pending)))) => self.running = Some(Running { of, pending }),
             Ok(Ok(Ok(None))) => self.tell(of, "done").await,
             Ok(Ok(Err(error))) => self.tell(of, &reason(&error)).await,
-            Ok(Err(_)) => self.tell(of, "no answer in time; what became of it is not known").await,
+            Ok(Err(_)) => self.tell(of, "no response in time; outcome unknown").await,
         }
     }
 
-    /// Stops the fingers; FAST STOP waits for no Stop.
+    /// Stops the fingers. A Fast Stop supersedes a pending Stop.
     async fn urge<IO: Transport>(&mut self, gripper: &mut Gripper<IO, TokioTimer>, mut order: Order)
     where
         IO::Error: Display,
@@ -136,18 +136,18 @@ impl Commander {
                 biased;
                 stopped = gripper.stop() => break stopped,
                 Some(next) = self.queue.urgent.recv() => {
-                    self.tell(of, &format!("overtaken by {}", next.action.of().title())).await;
+                    self.tell(of, &format!("superseded by {}", next.action.of().title())).await;
                     order = next;
                 }
             }
         };
-        // The motion that it ended is told first.
+        // Report the outcome of the stopped motion first.
         self.look(gripper).await;
         let text = stopped.map_or_else(|error| reason(&error), |()| "done".to_owned());
         self.tell(order.action.of(), &text).await;
     }
 
-    /// Tells what the motion that runs came to, if it is over.
+    /// Reports the outcome of the motion in progress, if it has ended.
     pub(super) async fn look<IO: Transport>(&mut self, gripper: &mut Gripper<IO, TokioTimer>)
     where
         IO::Error: Display,
@@ -163,7 +163,7 @@ impl Commander {
             }),
         };
         let text = match ended {
-            // Of a line that is gone, `lost` tells.
+            // `lost` reports the outcome after a line error.
             Ok(None) | Err(Error::Closed | Error::Transport(_)) => return,
             Ok(Some(text)) => text.to_owned(),
             Err(error) => reason(&error),
@@ -178,7 +178,7 @@ impl Commander {
     }
 }
 
-/// Begins a motion; `None`: it was no motion, and is done.
+/// Starts a motion. Returns `None` for a command that is already complete.
 async fn begin<IO: Transport>(
     gripper: &mut Gripper<IO, TokioTimer>,
     action: Action,
@@ -201,17 +201,17 @@ async fn begin<IO: Transport>(
             gripper.acknowledge().await?;
             return Ok(None);
         }
-        // They are urged.
+        // Handled by `urge`.
         Action::Stop | Action::FastStop => return Ok(None),
     }))
 }
 
-/// Why nothing came of it, in the gripper's words.
+/// Describes an error, including the gripper's status.
 fn reason<E: Display>(error: &Error<E>) -> String {
     match error {
         Error::Refused(status) => format!("refused, {status}: {}", status.meaning()),
         Error::Failed(status) => format!("failed, {status}: {}", status.meaning()),
-        Error::Closed | Error::Transport(_) => format!("{error}; what became of it is not known"),
+        Error::Closed | Error::Transport(_) => format!("{error}; outcome unknown"),
         error => error.to_string(),
     }
 }

@@ -1,4 +1,4 @@
-//! The file that says what is read, and where it goes. Every error is one line that names the line of the file.
+//! The settings file: devices to read and broker to publish to. Every error is one line and names the line in the file.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -12,7 +12,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::settings::{Place, REPEATED, SETTINGS, Setting, unknown};
 
-/// What is to be done, checked as far as it can be without a broker.
+/// The settings, checked as far as possible without a broker.
 #[derive(Debug)]
 pub(super) struct Telemetry {
     pub(super) broker: Broker,
@@ -20,7 +20,7 @@ pub(super) struct Telemetry {
     pub(super) node: String,
     pub(super) state_file: PathBuf,
     pub(super) store: usize,
-    /// How far the time in a command may be from this computer's, in ms.
+    /// Maximum deviation of a command's timestamp from this computer's clock, in ms.
     pub(super) command_age_ms: u64,
     pub(super) data: Data,
     pub(super) devices: Vec<Device>,
@@ -28,9 +28,9 @@ pub(super) struct Telemetry {
 
 #[derive(Debug)]
 pub(super) struct Broker {
-    /// With its port.
+    /// Host name or address, and port.
     pub(super) host: String,
-    /// What its certificate must be for; `None`: no TLS.
+    /// Host name that its certificate must match, or `None` without TLS.
     pub(super) tls_name: Option<String>,
     pub(super) user: Option<String>,
     pub(super) password: Option<Secret>,
@@ -41,16 +41,16 @@ pub(super) struct Broker {
     pub(super) reconnect: Duration,
 }
 
-/// What no log may show.
+/// A password, which is never printed.
 pub(super) struct Secret(pub(super) String);
 
 impl fmt::Debug for Secret {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("(a secret)")
+        f.write_str("(hidden)")
     }
 }
 
-/// How often and from which change on values are told.
+/// Sampling period and deadbands of the values.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Data {
     pub(super) period_ms: u16,
@@ -69,18 +69,18 @@ pub(super) struct Device {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Source {
     Gripper(Address),
-    /// The serial port of a bridge's service port.
+    /// Serial port that is connected to the bridge's service port.
     Bridge(String),
 }
 
-/// Where a gripper is.
+/// An address of a gripper.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Address {
-    /// Host and port.
+    /// Host and port of the gripper.
     Tcp(String),
-    /// Host and port, and the port that the gripper answers to.
+    /// Host and port of the gripper, and the local port to which it replies.
     Udp { host: String, local_port: u16 },
-    /// A device.
+    /// Serial port, such as `/dev/ttyUSB0`.
     Serial(String),
 }
 
@@ -94,7 +94,7 @@ impl fmt::Display for Address {
     }
 }
 
-/// A section as the file has it, all names and values checked.
+/// A section of the file, with names and values checked.
 struct Section {
     name: &'static str,
     place: Place,
@@ -108,7 +108,7 @@ impl Section {
         given.or_else(default).unwrap_or_default()
     }
 
-    /// A text that need not be there.
+    /// Returns an optional text, or `None` if it is empty.
     fn optional(&self, name: &str) -> Option<String> {
         Some(self.text(name)).filter(|text| !text.is_empty()).map(str::to_owned)
     }
@@ -127,17 +127,17 @@ impl Section {
 }
 
 impl Telemetry {
-    /// Reads the file.
+    /// Reads and checks the file.
     ///
     /// # Errors
-    /// The first thing in it that is wrong.
+    /// The file cannot be read or is invalid. Reports the first mistake.
     pub(super) fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let text = fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
         Self::parse(&name, &text)
     }
 
-    /// The same of a text; `name` is for errors.
+    /// Parses the text of a file. `name` is used in error messages.
     pub(super) fn parse(name: &str, text: &str) -> Result<Self> {
         let sections = sections(name, text)?;
         let one = |wanted: &'static str| sections.iter().find(|section| section.name == wanted);
@@ -146,8 +146,8 @@ impl Telemetry {
             place: Place { file: name.to_owned(), line: 1 },
             values: BTreeMap::new(),
         };
-        let broker = one("broker").with_context(|| format!("{name}: there is no [broker]"))?;
-        let node = one("node").with_context(|| format!("{name}: there is no [node]"))?;
+        let broker = one("broker").with_context(|| format!("{name}: missing section [broker]"))?;
+        let node = one("node").with_context(|| format!("{name}: missing section [node]"))?;
         let no_data = empty("data");
         let data = one("data").unwrap_or(&no_data);
         let mut devices: Vec<Device> = Vec::new();
@@ -163,8 +163,8 @@ impl Telemetry {
             }
             devices.push(device);
         }
-        ensure!(!devices.is_empty(), "{name}: there is no [[gripper]] and no [[bridge]]");
-        ensure!(devices.len() < usize::from(u16::MAX), "{name}: too many devices, at most 65534");
+        ensure!(!devices.is_empty(), "{name}: no [[gripper]] or [[bridge]] section");
+        ensure!(devices.len() < usize::from(u16::MAX), "{name}: too many devices; the maximum is 65534");
         let (group, node_name) = (node.text("group").to_owned(), node.text("name").to_owned());
         Ok(Self {
             broker: broker_of(broker, &group, &node_name)?,
@@ -184,7 +184,7 @@ impl Telemetry {
     }
 }
 
-/// The sections of a file, all names and values checked against the table.
+/// Parses the sections of a file and checks names and values against the table.
 fn sections(file: &str, text: &str) -> Result<Vec<Section>> {
     let place_of = |at: usize| Place {
         file: file.to_owned(),
@@ -200,7 +200,7 @@ fn sections(file: &str, text: &str) -> Result<Vec<Section>> {
         let key: &str = key.get_ref();
         let Some(name) = SETTINGS.iter().map(|setting| setting.section).find(|name| *name == key) else {
             bail!(
-                "{place}: there is no section {key:?}: expected [broker], [node], [data], [[gripper]] or [[bridge]]"
+                "{place}: unknown section {key:?}; expected [broker], [node], [data], [[gripper]] or [[bridge]]"
             );
         };
         let is_repeated = REPEATED.contains(&name);
@@ -244,7 +244,7 @@ fn section_of(
             DeValue::Float(number) => number.as_str().to_owned(),
             DeValue::Boolean(on) => on.to_string(),
             DeValue::Datetime(_) | DeValue::Array(_) | DeValue::Table(_) => {
-                bail!("{place}: {name}.{key} is a date, list or table: expected a text or a number")
+                bail!("{place}: {name}.{key} is a date, list or table; expected text or a number")
             }
         };
         setting.check(&text, &place)?;
@@ -274,18 +274,18 @@ fn broker_of(section: &Section, group: &str, node: &str) -> Result<Broker> {
         .ok_or_else(|| section.wrong("address", "expected a host and a port after ://"))?;
     for name in ["ca_file", "certificate_file", "key_file"] {
         if !is_tls && !section.text(name).is_empty() {
-            return Err(section.wrong(name, "certificates are for mqtts:// alone"));
+            return Err(section.wrong(name, "certificates require mqtts://"));
         }
     }
     let certificate = match (section.optional("certificate_file"), section.optional("key_file")) {
         (Some(certificate), Some(key)) => Some((certificate.into(), key.into())),
         (None, None) => None,
-        (Some(_), None) => return Err(section.wrong("certificate_file", "it needs a key_file")),
-        (None, Some(_)) => return Err(section.wrong("key_file", "it needs a certificate_file")),
+        (Some(_), None) => return Err(section.wrong("certificate_file", "requires key_file")),
+        (None, Some(_)) => return Err(section.wrong("key_file", "requires certificate_file")),
     };
     let password = password_of(section)?;
     if password.is_some() && section.text("user").is_empty() {
-        bail!("{}: a password needs a user", section.place("user"));
+        bail!("{}: a password requires a user", section.place("user"));
     }
     let seconds: f32 = section.number("reconnect_s");
     let client_id = section.optional("client_id").unwrap_or_else(|| format!("wsg-{group}-{node}"));
@@ -305,19 +305,20 @@ fn broker_of(section: &Section, group: &str, node: &str) -> Result<Broker> {
 fn password_of(section: &Section) -> Result<Option<Secret>> {
     let password = match (section.optional("password_file"), section.optional("password_env")) {
         (None, None) => return Ok(None),
-        (Some(_), Some(_)) => return Err(section.wrong("password_env", "there is a password_file already")),
+        (Some(_), Some(_)) => return Err(section.wrong("password_env", "conflicts with password_file")),
         (Some(file), None) => fs::read_to_string(&file)
             .map_err(|error| section.wrong("password_file", error))?
             .lines()
             .next()
             .unwrap_or_default()
             .to_owned(),
-        (None, Some(variable)) => env::var(&variable)
-            .map_err(|_| section.wrong("password_env", "the environment has no such variable"))?,
+        (None, Some(variable)) => {
+            env::var(&variable).map_err(|_| section.wrong("password_env", "environment variable not set"))?
+        }
     };
     if password.is_empty() {
         let name = if section.text("password_file").is_empty() { "password_env" } else { "password_file" };
-        return Err(section.wrong(name, "it is empty"));
+        return Err(section.wrong(name, "the password is empty"));
     }
     Ok(Some(Secret(password)))
 }
@@ -346,7 +347,7 @@ fn address_of(text: &str) -> Option<Address> {
     (!device.is_empty()).then(|| Address::Serial(device.to_owned()))
 }
 
-/// A host, and the same with its port; an IPv6 address stands in brackets.
+/// Splits an address into the host and the host with port. An IPv6 address must be in brackets.
 fn host_and_port(text: &str, default: u16) -> Option<(String, String)> {
     let text = text.trim_end_matches('/');
     let (host, port) = match text.rsplit_once(':') {

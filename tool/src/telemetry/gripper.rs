@@ -1,4 +1,4 @@
-//! Reads a gripper: finds it, has it send its values by itself, and tells what changed.
+//! Reads a gripper: connects, subscribes to its values, and reports changes.
 
 use std::{future::pending, time::Duration};
 
@@ -24,18 +24,18 @@ use super::{
     values::Values,
 };
 
-/// How long after a gripper was lost or not found it is looked for again.
+/// Delay before reconnecting to a gripper.
 const RETRY: Duration = Duration::from_secs(1);
-/// How long a gripper may be silent between two looks at it, in ms.
+/// Longest wait for an update before the state is checked, in ms.
 const LOOK_MS: u32 = 1_000;
-/// How long the announcement of the disconnect may take.
+/// Time-out for the disconnect announcement.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// Where the flags and what is made of them are.
+/// The rows derived from the system state flags.
 const FLAGS: [OfGripper; 5] =
     [OfGripper::Flags, OfGripper::Referenced, OfGripper::Moving, OfGripper::FastStop, OfGripper::Fault];
 
-/// Reads the gripper, and carries out the orders if there may be any, until `stop` says so, then announces the disconnect, so that it enters no FAST STOP.
+/// Reads the gripper and executes orders, if allowed, until `stop` is set. Then announces the disconnect to avoid a FAST STOP.
 pub(super) async fn read(
     address: Address,
     data: Data,
@@ -80,12 +80,12 @@ struct Reader {
     values: Values,
     commander: Option<Commander>,
     connections: u64,
-    /// Bad frames on lines before this one.
+    /// Number of bad frames on earlier lines.
     bad_before: u64,
 }
 
 impl Reader {
-    /// Reads over this line until it breaks or the program is to end; returns why.
+    /// Reads over this line until it fails or the program is to exit. Returns the reason.
     async fn serve<IO: Transport>(
         &mut self,
         line: IO,
@@ -101,18 +101,18 @@ impl Reader {
             speed: true,
             force: true,
             update_period_ms: period_ms,
-            // The gripper sends values by itself. One request each second is enough to notice a restart.
+            // Values are sent automatically, so one request per second suffices to detect a restart.
             refresh_ms: LOOK_MS * session::Topic::ALL.len() as u32,
             ..session::Config::DEFAULT
         };
         let config = Config { session, ..Config::DEFAULT };
         let mut gripper = Gripper::<_, _>::with_config(line, TokioTimer::new(), config);
-        // What the fingers do is told at once.
+        // Changes of state are reported immediately.
         for topic in [Topic::SystemState, Topic::GripperState] {
             gripper.subscribe(topic, AutoUpdate::on_change(AutoUpdate::MIN_PERIOD_MS));
         }
         let end = loop {
-            // One that is not there on a serial line or on UDP may be switched on later.
+            // On a serial line or UDP, a gripper that does not respond may be switched on later.
             let connected = tokio::select! {
                 connected = gripper.connect() => connected,
                 () = stopped(stop) => break None,
@@ -120,13 +120,13 @@ impl Reader {
             match connected {
                 Ok(()) => {}
                 Err(Error::NotConnected) => {
-                    teller.tell(format!("{}: no answer", self.reporter.name));
+                    teller.tell(format!("{}: no response", self.reporter.name));
                     continue;
                 }
                 Err(error) => break Some(error),
             }
             self.connections += 1;
-            teller.tell(format!("{}: found", self.reporter.name));
+            teller.tell(format!("{}: connected", self.reporter.name));
             let found = self.found(gripper.known());
             self.reporter.tell(found).await;
             let end = self.watch(&mut gripper, stop).await;
@@ -135,17 +135,19 @@ impl Reader {
             }
             self.reporter.tell(What::Lost).await;
             match end {
-                Some(Error::NotConnected) => teller.tell(format!("{}: answers no more", self.reporter.name)),
+                Some(Error::NotConnected) => {
+                    teller.tell(format!("{}: no longer responds", self.reporter.name))
+                }
                 end => break end,
             }
         };
         self.bad_before += bad_frames(&gripper.counters());
-        // However it ends: where there is still a connection, its end is no reason for a FAST STOP.
+        // Announce the end even after an error, so that closing a live connection causes no FAST STOP.
         let _ = tokio::time::timeout(FAREWELL, gripper.announce_disconnect()).await;
         end.map_or_else(|| "ended".to_owned(), |error| error.to_string())
     }
 
-    /// Tells what changes until the gripper is lost; returns why, or `None` if the program is to end.
+    /// Reports changes until the gripper is lost. Returns the error, or `None` if the program is to exit.
     async fn watch<IO: Transport>(
         &mut self,
         gripper: &mut Gripper<IO, TokioTimer>,
@@ -216,7 +218,7 @@ impl Reader {
             if let Some(limits) = &known.limits {
                 accepted[usize::from(OfCommand::Width)] = Some((0.0, limits.stroke));
                 accepted[usize::from(OfCommand::Speed)] = Some((limits.min_speed, limits.max_speed));
-                // Not what overdrive allows: it is not on.
+                // The nominal force is the limit, because overdrive is off.
                 accepted[usize::from(OfCommand::Force)] = Some((limits.min_force, limits.nominal_force));
             }
             ranges.extend(accepted);
@@ -225,13 +227,13 @@ impl Reader {
     }
 }
 
-/// What there is to do.
+/// The next event to handle.
 enum Next<E> {
     Order(Order),
     Update(Result<Option<Update>, Error<E>>),
 }
 
-/// The next order. May be given up. Waits where there are none.
+/// Waits for the next order; never completes without a commander. Cancel safe.
 async fn next_order(commander: &mut Option<Commander>) -> Order {
     let next = match commander {
         Some(commander) => commander.next().await,
@@ -248,7 +250,7 @@ fn bad_frames(counters: &driver::DriverCounters) -> u64 {
 }
 
 impl Values {
-    /// What is known of a gripper that was found.
+    /// Returns the known values of a gripper that was found.
     fn of(known: &Known) -> Self {
         let mut values = Self::new(GRIPPER);
         for (of, number) in [
@@ -270,10 +272,10 @@ impl Values {
         values
     }
 
-    /// Takes a value; whether it is to be told at once.
+    /// Sets an updated value. Returns whether to report it immediately.
     fn take(&mut self, update: Update, data: &Data) -> bool {
         match update {
-            // It is no width then, though the gripper answers one.
+            // The reported width is meaningless until the fingers are referenced.
             Update::Width(_) if self.get(OfGripper::Referenced) != Some(&Value::Boolean(true)) => {}
             Update::Width(width) => self.measured(OfGripper::Width, width, data.width_deadband),
             Update::Speed(speed) => self.measured(OfGripper::Speed, speed, data.speed_deadband),

@@ -1,4 +1,4 @@
-//! The lines to grippers. UDP is here because one socket serves all grippers: they answer to one fixed port.
+//! Lines to grippers. UDP has its own implementation: grippers reply to a fixed port, so one socket serves all of them.
 
 use std::{
     cell::RefCell,
@@ -24,13 +24,13 @@ use super::config::Address;
 
 /// The rate of the gripper's serial line in bit/s.
 const RATE: u32 = 115_200;
-/// How long a TCP connection may take.
+/// Time-out for opening a TCP connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// How long the other end of a TCP connection may be gone before the system gives it up.
+/// Time without a response after which the operating system closes a TCP connection.
 const SILENCE: Duration = Duration::from_secs(20);
-/// Datagrams that wait for a gripper's driver; a gripper sends no more than some ten at a time.
+/// Capacity of a gripper's datagram queue. A gripper sends about ten at a time at most.
 const DATAGRAMS: usize = 64;
-/// The longest datagram there is.
+/// Maximum length of a datagram in bytes.
 const DATAGRAM_LEN: usize = 65_535;
 
 /// A line to a gripper.
@@ -42,7 +42,7 @@ pub(super) enum Line {
 }
 
 impl Line {
-    /// Opens it; the sockets for UDP are shared.
+    /// Opens a line. UDP sockets are shared.
     pub(super) async fn open(address: &Address, sockets: &Sockets) -> io::Result<Self> {
         match address {
             Address::Tcp(host) => {
@@ -54,7 +54,7 @@ impl Line {
                 let mut found = lookup_host(host.as_str()).await?;
                 let peer = found
                     .find(SocketAddr::is_ipv4)
-                    .ok_or_else(|| io::Error::new(ErrorKind::NotFound, "it has no IPv4 address"))?;
+                    .ok_or_else(|| io::Error::new(ErrorKind::NotFound, "the host has no IPv4 address"))?;
                 sockets.join(*local_port, peer).await.map(Self::Udp)
             }
             Address::Serial(device) => SerialPort::open(device, RATE).map(Stream::new).map(Self::Serial),
@@ -62,8 +62,9 @@ impl Line {
     }
 }
 
-/// Has the system notice a gripper that lost its power or its network. The driver alone must not decide that: it would
-/// close the connection to one that is only late, and that is a FAST STOP.
+/// Enables TCP keep-alive to detect a gripper that lost power or network.
+///
+/// The driver's time-out must not close the connection: the gripper may only be slow, and closing would cause a FAST STOP.
 fn notice_silence(stream: &TcpStream) -> io::Result<()> {
     let socket = SockRef::from(stream);
     let keep_alive = TcpKeepalive::new().with_time(SILENCE / 2).with_interval(SILENCE / 8);
@@ -105,7 +106,7 @@ impl Write for Line {
     }
 }
 
-/// A gripper that is spoken to over a shared socket: it answers to one fixed port, whoever asked.
+/// A gripper on a shared socket, because grippers reply to one fixed port.
 #[derive(Debug)]
 pub(super) struct UdpLine {
     socket: Rc<Shared>,
@@ -133,14 +134,14 @@ impl Drop for UdpLine {
     }
 }
 
-/// A socket, and the grippers that are spoken to over it.
+/// A shared socket and its grippers.
 #[derive(Debug)]
 struct Shared {
     socket: UdpSocket,
     members: RefCell<BTreeMap<SocketAddr, mpsc::Sender<Vec<u8>>>>,
 }
 
-/// The sockets for UDP, by their ports; each lives as long as a gripper uses it.
+/// The shared UDP sockets by port. Each exists while a gripper uses it.
 #[derive(Debug, Default)]
 pub(super) struct Sockets {
     by_port: RefCell<BTreeMap<u16, Weak<Shared>>>,
@@ -167,9 +168,9 @@ impl Sockets {
     }
 }
 
-/// Hands datagrams to the gripper that they are from, until there is none left.
+/// Forwards datagrams to the line of their sender until no gripper is left.
 async fn distribute(shared: Weak<Shared>) {
-    /// How often it is looked whether somebody still listens.
+    /// Interval at which to check whether the socket is still in use.
     const LOOK: Duration = Duration::from_secs(1);
     let mut datagram = vec![0; DATAGRAM_LEN];
     while let Some(shared) = shared.upgrade() {
@@ -179,10 +180,10 @@ async fn distribute(shared: Weak<Shared>) {
         let members = shared.members.borrow();
         let of_host = |(address, _): &(&SocketAddr, &mpsc::Sender<Vec<u8>>)| address.ip() == from.ip();
         let mut of_this_host = members.iter().filter(of_host);
-        // The port that a gripper answers from is not documented.
+        // The source port of replies is undocumented, so accept any port if the host has a single gripper.
         let only = of_this_host.next().filter(|_| of_this_host.next().is_none()).map(|(_, sender)| sender);
         if let Some(sender) = members.get(&from).or(only) {
-            // One whose driver does not keep up loses datagrams, as on any network.
+            // Datagrams are lost if the driver does not keep up, as on any network.
             let _ = sender.try_send(datagram.get(..len).unwrap_or(&[]).to_vec());
         }
     }

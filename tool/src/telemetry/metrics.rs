@@ -1,9 +1,8 @@
-//! What is told of a gripper, of a bridge and of this edge node: one table each, from which births, data and the document
-//! derive.
+//! Metric tables of grippers, bridges and the edge node, from which births, data and docs/telemetry.md are derived.
 
 use super::payload::{DataType, MetricValue};
 
-/// A value of a device or of the node. `None` in its place is null: not known.
+/// A value of a metric. `Option::None` stands for null: unknown.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Value {
     Float(f32),
@@ -12,12 +11,12 @@ pub(super) enum Value {
     Text(String),
 }
 
-/// A row of a table.
+/// A metric in a table.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Metric {
     pub(super) name: &'static str,
     pub(super) datatype: DataType,
-    /// Empty: none.
+    /// Unit, or empty.
     pub(super) unit: &'static str,
     pub(super) meaning: &'static str,
 }
@@ -27,15 +26,17 @@ const fn metric(name: &'static str, datatype: DataType, unit: &'static str, mean
 }
 
 impl Metric {
-    /// The type as the payload has it. Data has it, too, though Sparkplug would rather not: decoders that keep no births,
-    /// such as Eclipse Tahu's for JavaScript, read null without it.
+    /// Returns the type code for the payload.
+    ///
+    /// Data messages include it although Sparkplug advises against it. Decoders that do not store births, such as Eclipse Tahu's for
+    /// JavaScript, read null without it.
     pub(super) fn datatype(&self) -> u32 {
         self.datatype as u32
     }
 }
 
 impl Value {
-    /// As the payload has it.
+    /// Converts the value for the payload.
     pub(super) fn encode(&self) -> MetricValue {
         match self {
             Self::Float(number) => MetricValue::Float(*number),
@@ -46,10 +47,10 @@ impl Value {
     }
 }
 
-/// Names the rows of a table by constants, so that no index is written by hand.
+/// Defines a table and an enum of its rows, so that no index is written by hand.
 macro_rules! table {
     ($(#[$doc:meta])* $table:ident, $index:ident { $($row:ident: $name:literal $datatype:ident $unit:literal $meaning:literal;)* }) => {
-        /// The places in the table of the same name.
+        /// The rows of the table.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub(super) enum $index { $($row),* }
 
@@ -65,75 +66,75 @@ macro_rules! table {
 }
 
 table! {
-    /// What is told of a gripper.
+    /// Metrics of a gripper.
     GRIPPER, OfGripper {
         Width: "Width" Float "mm" "opening width; null while the fingers are not referenced";
         Speed: "Speed" Float "mm/s" "finger speed";
         Force: "Force" Float "N" "gripping force, summed over both fingers";
-        State: "State" String "" "gripper state in words, as the command set has them: IDLE, GRIPPING, NO PART, PART LOST, HOLDING, RELEASING, POSITIONING, ERROR";
+        State: "State" String "" "gripper state, as named in the command set: IDLE, GRIPPING, NO PART, PART LOST, HOLDING, RELEASING, POSITIONING, ERROR";
         Flags: "Flags" UInt64 "" "system state flags (command set, appendix B)";
         Referenced: "Referenced" Boolean "" "the fingers are referenced";
-        Moving: "Moving" Boolean "" "the fingers move";
+        Moving: "Moving" Boolean "" "the fingers are moving";
         FastStop: "Fast Stop" Boolean "" "FAST STOP is latched: motion is refused until it is acknowledged";
-        Fault: "Fault" Boolean "" "a fault of temperature, supply, motor or finger";
-        Device: "Properties/Device" String "" "the model";
-        Serial: "Properties/Serial Number" UInt64 "" "the serial number";
-        Firmware: "Properties/Firmware" String "" "version of the gripper's firmware";
-        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum or length, since the program started";
-        Connections: "Diagnostics/Connections" UInt64 "" "how often the gripper was found, since the program started";
+        Fault: "Fault" Boolean "" "a temperature, supply, motor or finger fault";
+        Device: "Properties/Device" String "" "device type";
+        Serial: "Properties/Serial Number" UInt64 "" "serial number";
+        Firmware: "Properties/Firmware" String "" "firmware version of the gripper";
+        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum or length since the program started";
+        Connections: "Diagnostics/Connections" UInt64 "" "number of times the gripper was found since the program started";
     }
 }
 
 table! {
-    /// How a gripper is commanded that allows it: behind its other rows.
+    /// Additional metrics of a gripper that allows commands; they follow its other rows.
     COMMANDS, OfCommand {
         Home: "Command/Home" Boolean "" "true: references the fingers; no parameters";
-        Move: "Command/Move" Boolean "" "true: moves the fingers to `Command/Width` by `Command/Speed`; they stop where something is in the way";
-        Grip: "Command/Grip" Boolean "" "true: grips a part of `Command/Width` by `Command/Speed`";
-        Release: "Command/Release" Boolean "" "true: opens the fingers to `Command/Width` by `Command/Speed`, to release a part";
-        Stop: "Command/Stop" Boolean "" "true: stops the fingers; a part is held no longer";
+        Move: "Command/Move" Boolean "" "true: moves the fingers to `Command/Width` at `Command/Speed`; they stop at an obstacle";
+        Grip: "Command/Grip" Boolean "" "true: grips a part of width `Command/Width` at `Command/Speed`";
+        Release: "Command/Release" Boolean "" "true: opens the fingers to `Command/Width` at `Command/Speed` to release a part";
+        Stop: "Command/Stop" Boolean "" "true: stops the fingers and stops holding a part";
         FastStop: "Command/Fast Stop" Boolean "" "true: FAST STOP, which locks the fingers until it is acknowledged";
-        Acknowledge: "Command/Acknowledge" Boolean "" "true: acknowledges FAST STOP or a fault";
+        Acknowledge: "Command/Acknowledge" Boolean "" "true: acknowledges a FAST STOP or a fault";
         Width: "Command/Width" Float "mm" "parameter: opening width";
         Speed: "Command/Speed" Float "mm/s" "parameter: finger speed";
-        Force: "Command/Force" Float "N" "parameter of `Command/Grip` and `Command/Move` that may be left out: the force limit from now on; left out: it stays as it is";
-        Result: "Command/Result" String "" "what the last command came to; null: there was none";
+        Force: "Command/Force" Float "N" "optional parameter of `Command/Grip` and `Command/Move`: new force limit; unchanged if omitted";
+        Result: "Command/Result" String "" "result of the last command; null: none so far";
     }
 }
 
 table! {
-    /// What is told of a bridge and the gripper behind it.
+    /// Metrics of a bridge and its gripper.
     BRIDGE, OfBridge {
-        Width: "Width" Float "mm" "opening width; null while the fingers are not referenced. This and all down to `Status` is null while no gripper answers";
+        Width: "Width" Float "mm" "opening width; null while the fingers are not referenced. This metric and all others up to `Status` are null while no gripper responds";
         Force: "Force" Float "N" "gripping force, summed over both fingers";
-        State: "State" String "" "gripper state in words, as for a gripper";
+        State: "State" String "" "gripper state, as for a gripper";
         Flags: "Flags" UInt64 "" "SYSSTATE: system state flags (command set, appendix B)";
         Referenced: "Referenced" Boolean "" "the fingers are referenced";
-        Moving: "Moving" Boolean "" "the fingers move";
+        Moving: "Moving" Boolean "" "the fingers are moving";
         FastStop: "Fast Stop" Boolean "" "FAST STOP is latched";
-        Fault: "Fault" Boolean "" "a fault of temperature, supply, motor or finger";
+        Fault: "Fault" Boolean "" "a temperature, supply, motor or finger fault";
         Status: "Status" String "" "status code of the last command";
-        Link: "Gripper Link" String "" "whether a gripper answers the bridge: never answered, silent, answers";
-        Cause: "Error Cause" String "" "why ERROR is high, the name of an event (registers.md); empty: it is low";
+        Link: "Gripper Link" String "" "link to the gripper: never answered, silent, answers";
+        Cause: "Error Cause" String "" "cause of ERROR, the name of an event (registers.md); empty while ERROR is low";
         Events: "Events" UInt64 "" "events since the bridge started";
-        Device: "Properties/Device" String "" "the gripper's model";
-        Serial: "Properties/Serial Number" UInt64 "" "the gripper's serial number; 0: not known";
-        Bridge: "Properties/Bridge Firmware" String "" "version of the bridge's firmware";
-        Disconnects: "Diagnostics/Disconnects" UInt64 "" "how often the gripper fell silent since the bridge started";
-        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames of the gripper with a wrong checksum since then";
-        Repeated: "Diagnostics/Repeated" UInt64 "" "requests to the gripper that were sent again since then";
-        Timeouts: "Diagnostics/Bus Timeouts" UInt64 "" "how often the PLC that commanded was silent for too long since then";
+        Device: "Properties/Device" String "" "device type of the gripper";
+        Serial: "Properties/Serial Number" UInt64 "" "serial number of the gripper; 0: unknown";
+        Bridge: "Properties/Bridge Firmware" String "" "firmware version of the bridge";
+        Disconnects: "Diagnostics/Disconnects" UInt64 "" "number of times the gripper stopped responding since the bridge started";
+        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum since the bridge started";
+        Repeated: "Diagnostics/Repeated" UInt64 "" "repeated requests to the gripper since the bridge started";
+        Timeouts: "Diagnostics/Bus Timeouts" UInt64 "" "time-outs of the commanding PLC since the bridge started";
     }
 }
 
 table! {
-    /// What is told of this edge node, beside `bdSeq` and `Node Control/Rebirth`.
+    /// Metrics of the edge node, besides `bdSeq` and `Node Control/Rebirth`.
     NODE, OfNode {
-        Online: "Devices/Online" UInt64 "" "devices that answer";
-        Waiting: "Store/Waiting" UInt64 "" "samples that wait for the broker";
-        Dropped: "Store/Dropped" UInt64 "" "samples that were dropped because the store was full, since the program started";
-        Late: "Store/Late" UInt64 "" "samples that were sent as historical, since the program started";
-        Connections: "Broker/Connections" UInt64 "" "connections to the broker, since the program started";
-        Refused: "Commands/Refused" UInt64 "" "commands from the broker that were refused, since the program started";
+        Online: "Devices/Online" UInt64 "" "devices that respond";
+        Waiting: "Store/Waiting" UInt64 "" "samples waiting for the broker";
+        Dropped: "Store/Dropped" UInt64 "" "samples dropped because the store was full, since the program started";
+        Late: "Store/Late" UInt64 "" "samples sent as historical since the program started";
+        Connections: "Broker/Connections" UInt64 "" "connections to the broker since the program started";
+        Refused: "Commands/Refused" UInt64 "" "commands refused since the program started";
     }
 }

@@ -1,7 +1,7 @@
-//! The edge node of Sparkplug B (chapter 5), without I/O: takes what is told of devices, and gives the messages that are due.
+//! The Sparkplug B edge node (chapter 5), without I/O: takes reports of devices and returns the messages to send.
 //!
-//! A connection begins with [`Node::connected`], after which [`Node::poll_transmit`] gives NBIRTH, the births of the
-//! devices, what was stored, and data as it comes. A sample that is older than its device's birth is sent as historical.
+//! A connection begins with [`Node::connected`]. After that, [`Node::poll_transmit`] returns NBIRTH, the births of the devices,
+//! stored samples, and new data. A sample older than its device's birth is sent as historical.
 
 use std::{collections::VecDeque, rc::Rc};
 
@@ -15,11 +15,12 @@ use super::{
     store::{Entry, Store},
 };
 
-/// Aliases of a device: this many times its number, counted from 1, plus the place in its table. The node's are below.
+/// Number of aliases per device. An alias is this times the device number, counted from 1, plus the index in its table. Lower
+/// aliases belong to the node.
 const ALIASES: u64 = 64;
 const _: () = assert!(GRIPPER.len() + COMMANDS.len() < ALIASES as usize && NODE.len() < ALIASES as usize);
 
-/// How often the node's own values are sent at the most, in ms.
+/// Shortest interval between two messages with the node's own values, in ms.
 const NODE_PERIOD_MS: u64 = 1_000;
 
 const BD_SEQ: &str = "bdSeq";
@@ -32,7 +33,7 @@ pub(super) struct Message {
     pub(super) payload: Vec<u8>,
 }
 
-/// Who the edge node is.
+/// Group and name of the edge node.
 #[derive(Clone, Debug)]
 pub(super) struct Identity {
     group: String,
@@ -51,31 +52,31 @@ pub(super) struct Node {
 #[derive(Debug)]
 struct Device {
     table: &'static [Metric],
-    /// Of one that may be commanded; its rows are behind those of the table.
+    /// Command state of a device that accepts commands. Its command metrics follow those of the table.
     commanding: Option<Commanding>,
-    /// Where its commands come.
+    /// Topic of its commands (DCMD).
     command: Rc<str>,
     birth: Rc<str>,
     data: Rc<str>,
     death: Rc<str>,
     is_online: bool,
-    /// The latest of each; empty until it was found for the first time.
+    /// Latest value of each metric; empty until the device is first found.
     values: Vec<Option<Value>>,
     ranges: Vec<Option<(f32, f32)>>,
-    /// When its birth was sent over this connection, if it was, and no death since.
+    /// Time of its birth on this connection in ms, unless a death has followed.
     born_at: Option<u64>,
 }
 
-/// What is to be known of a device to command it.
+/// The command state of a device.
 #[derive(Debug)]
 struct Commanding {
     orders: Orders,
     age_ms: u64,
-    /// The latest time of its commands, taken or not: what was refused once is refused also when it comes again.
+    /// Latest timestamp of any command, accepted or refused, so that a repeated command is always refused.
     last_at: u64,
-    /// Whether a motion was taken whose outcome is not known.
+    /// Whether an accepted motion has no outcome yet.
     is_moving: bool,
-    /// How often it was found.
+    /// Number of times the device was found.
     life: u64,
 }
 
@@ -85,21 +86,21 @@ impl Device {
         self.table.iter().chain(commands)
     }
 
-    /// The place of a row of [`COMMANDS`].
+    /// Returns the index of a row of [`COMMANDS`] in the metrics of the device.
     fn place_of(&self, row: OfCommand) -> usize {
         self.table.len() + usize::from(row)
     }
 }
 
-/// What there is while there is a connection.
+/// State of a connection to the broker.
 #[derive(Debug)]
 struct Session {
     bd_seq: u8,
     seq: u8,
     births: VecDeque<Birth>,
-    /// Up to which entry the store holds what was there before the connection.
+    /// End of the store entries that precede the connection.
     history_end: u64,
-    /// Devices that were born only so that their history can be sent.
+    /// Offline devices whose birth is sent only for their history.
     ghosts: Vec<u16>,
     own_sent_at: u64,
 }
@@ -116,7 +117,7 @@ struct Own {
     late: u64,
     connections: u64,
     refused: u64,
-    /// As they were sent last.
+    /// The values last sent.
     sent: Vec<Option<Value>>,
 }
 
@@ -126,12 +127,12 @@ impl Identity {
         format!("spBv1.0/{group}/{kind}/{name}")
     }
 
-    /// The topics that a host commands on.
+    /// Returns the topics on which hosts send commands.
     pub(super) fn command_topics(&self) -> [String; 2] {
         [self.topic("NCMD"), format!("{}/#", self.topic("DCMD"))]
     }
 
-    /// NDEATH of the connection with this number: the will, and the last message before an intended end.
+    /// Builds the NDEATH of a connection. It serves as the will, and as the last message of an orderly exit.
     pub(super) fn death(&self, bd_seq: u8, now: u64) -> Message {
         let payload = Payload { timestamp: Some(now), metrics: vec![bd_seq_metric(bd_seq, None)], seq: None };
         Message { topic: self.topic("NDEATH").into(), payload: payload.encode_to_vec() }
@@ -139,7 +140,7 @@ impl Identity {
 }
 
 impl Node {
-    /// An edge node with these devices, each with its table, and a store of so many samples.
+    /// Creates an edge node with these devices and a store for `capacity` samples.
     pub(super) fn new(
         group: &str,
         name: &str,
@@ -164,8 +165,8 @@ impl Node {
         Self { identity, devices, store: Store::new(capacity), session: None, own: Own::default() }
     }
 
-    /// Lets hosts command a device. Commands from before `now` are refused, so that none is taken again that was taken before
-    /// the program was started.
+    /// Lets hosts command a device. Commands with a timestamp up to `now` are refused, so that a restart of the program never
+    /// repeats one.
     pub(super) fn allow_commands(&mut self, device: u16, orders: Orders, age_ms: u64, now: u64) {
         if let Some(device) = self.devices.get_mut(usize::from(device)) {
             let commanding = Commanding { orders, age_ms, last_at: now, is_moving: false, life: 0 };
@@ -173,12 +174,12 @@ impl Node {
         }
     }
 
-    /// Who this is.
+    /// Returns group and name of the node.
     pub(super) const fn identity(&self) -> &Identity {
         &self.identity
     }
 
-    /// Takes what is told of a device.
+    /// Processes a report of a device.
     pub(super) fn take(&mut self, report: Report) {
         let Report { device: number, at, what } = report;
         let Some(device) = self.devices.get_mut(usize::from(number)) else { return };
@@ -222,7 +223,7 @@ impl Node {
         }
     }
 
-    /// The broker has accepted the connection with this number.
+    /// Starts a session: the broker has accepted the connection with this `bdSeq`.
     pub(super) fn connected(&mut self, bd_seq: u8) {
         self.own.connections += 1;
         let mut with_history: Vec<u16> = self.store.devices().collect();
@@ -237,13 +238,13 @@ impl Node {
         self.rebirth();
     }
 
-    /// The connection is gone.
+    /// Ends the session: the connection was lost.
     pub(super) fn disconnected(&mut self) {
         self.session = None;
         self.store.rewind();
     }
 
-    /// Sends all births again, as after a connection.
+    /// Schedules all births, as after a new connection.
     fn rebirth(&mut self) {
         let Self { devices, session: Some(session), .. } = self else { return };
         session.births.clear();
@@ -256,7 +257,7 @@ impl Node {
         }
     }
 
-    /// The next message that is due; `None` when there is none, or no connection.
+    /// Returns the next message to send, or `None` if there is none or no connection.
     pub(super) fn poll_transmit(&mut self, now: u64) -> Option<Message> {
         let session = self.session.as_mut()?;
         if let Some(birth) = session.births.pop_front() {
@@ -274,7 +275,7 @@ impl Node {
         self.next_stored(now).or_else(|| self.own_data(now))
     }
 
-    /// The message of the next entry of the store that has one.
+    /// Returns the message for the next store entry.
     fn next_stored(&mut self, now: u64) -> Option<Message> {
         loop {
             match self.store.send()? {
@@ -356,7 +357,7 @@ impl Node {
         self.message(topic, Vec::new(), now)
     }
 
-    /// NDATA with those of the node's own values that changed, if it is time.
+    /// Returns NDATA with the changed values of the node, if one is due.
     fn own_data(&mut self, now: u64) -> Option<Message> {
         let session = self.session.as_mut()?;
         if now.abs_diff(session.own_sent_at) < NODE_PERIOD_MS {
@@ -408,10 +409,10 @@ impl Node {
         Message { topic, payload: payload.encode_to_vec() }
     }
 
-    /// Takes a command of a host: the rebirth of the node, or one to a device that allows it. Returns what was asked for.
+    /// Processes a command of a host: a rebirth of the node, or a command to a device that allows it. Returns its name.
     ///
     /// # Errors
-    /// Why the command is refused.
+    /// The command is refused. The message states why.
     pub(super) fn command(
         &mut self,
         topic: &str,
@@ -420,9 +421,9 @@ impl Node {
         now: u64,
     ) -> Result<String, String> {
         let outcome = match Payload::decode(payload) {
-            Err(_) => Err("it is no payload of Sparkplug B".to_owned()),
+            Err(_) => Err("it is not a Sparkplug B payload".to_owned()),
             Ok(payload) if self.identity.topic("NCMD") == topic => {
-                rebirth_request(&payload).map(|()| "all births again".to_owned())
+                rebirth_request(&payload).map(|()| "rebirth".to_owned())
             }
             Ok(payload) => self.device_command(topic, &payload, is_retained, now),
         };
@@ -448,10 +449,10 @@ impl Node {
         now: u64,
     ) -> Result<String, String> {
         let of = (0_u16..).zip(&mut self.devices).find(|(_, device)| *device.command == *topic);
-        let Some((number, device)) = of else { return Err("there is no such device".to_owned()) };
+        let Some((number, device)) = of else { return Err("unknown device".to_owned()) };
         let (first, is_online) = (device.table.len(), device.is_online);
         let Some(commanding) = &mut device.commanding else {
-            return Err("this device takes no commands: telemetry only reads it".to_owned());
+            return Err("this device accepts no commands: allow_commands is not set".to_owned());
         };
         let situation = Situation {
             now,
@@ -465,22 +466,22 @@ impl Node {
         let at = situation.time_of(payload)?;
         commanding.last_at = at;
         if is_retained {
-            return Err("it is retained: the broker has kept it, and nobody gives it now".to_owned());
+            return Err("it is retained: the broker stored it, so it may be outdated".to_owned());
         }
         let action = situation.decide(payload)?;
         let expires_at = at.min(now) + commanding.age_ms;
         if !commanding.orders.push(Order { action, at, expires_at, life: commanding.life }) {
-            return Err("too many commands wait".to_owned());
+            return Err("too many commands are waiting".to_owned());
         }
         commanding.is_moving |= action.of().is_motion();
         Ok(action.of().title().to_owned())
     }
 
-    /// Tells hosts what a command to a device came to, also if it is the same as before.
+    /// Publishes the result of a command to a device, even if it equals the previous one.
     fn tell_result(&mut self, number: u16, text: String, at: u64) {
         let Some(device) = self.devices.get_mut(usize::from(number)) else { return };
         let place = device.place_of(OfCommand::Result);
-        // There is no such place where commands are not allowed, and before it was found for the first time.
+        // The slot does not exist if commands are not allowed, or before the device is first found.
         let Some(slot) = device.values.get_mut(place).filter(|_| device.commanding.is_some()) else { return };
         let value = Some(Value::Text(text));
         slot.clone_from(&value);
@@ -491,17 +492,17 @@ impl Node {
         }
     }
 
-    /// What [`confirm`](Self::confirm) takes when the broker has all that was given so far.
+    /// Returns the position to pass to [`confirm`](Self::confirm) once the broker has received all messages so far.
     pub(super) fn mark(&self) -> u64 {
         self.store.mark()
     }
 
-    /// Whether the broker has not confirmed all that was given.
+    /// Returns whether some messages are still unconfirmed.
     pub(super) const fn is_unconfirmed(&self) -> bool {
         self.store.is_unconfirmed()
     }
 
-    /// The broker has all that was given when [`mark`](Self::mark) said this.
+    /// Confirms the messages before a position returned by [`mark`](Self::mark).
     pub(super) fn confirm(&mut self, mark: u64) {
         self.store.confirm(mark);
     }
@@ -512,10 +513,10 @@ fn rebirth_request(payload: &Payload) -> Result<(), String> {
         metric.name.as_deref() == Some(REBIRTH) && metric.value == Some(MetricValue::Boolean(true))
     };
     match payload.metrics.iter().find(|metric| !is_rebirth(metric)) {
-        None if payload.metrics.is_empty() => Err("it has no metric".to_owned()),
+        None if payload.metrics.is_empty() => Err("it contains no metric".to_owned()),
         None => Ok(()),
         Some(other) => Err(format!(
-            "only \"{REBIRTH}\" = true is taken, not {:?}",
+            "only \"{REBIRTH}\" = true is accepted, not {:?}",
             other.name.as_deref().unwrap_or("a metric without a name")
         )),
     }

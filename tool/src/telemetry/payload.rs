@@ -1,32 +1,32 @@
-//! The payload of Sparkplug B 3.0 (chapter 6), as Protocol Buffers: the part of `sparkplug_b.proto` that an edge node
-//! sends and understands. What else a host sends is skipped when it is decoded.
+//! The Sparkplug B 3.0 payload (chapter 6) in Protocol Buffers: the part of `sparkplug_b.proto` that an edge node needs. Other
+//! fields are skipped on decoding.
 
 use prost::{Message, Oneof};
 
-/// A message's content.
+/// The payload of a message.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct Payload {
-    /// When it was sent, in ms since 1970 (UTC).
+    /// Time of sending in ms since 1970 (UTC).
     #[prost(uint64, optional, tag = "1")]
     pub(super) timestamp: Option<u64>,
     #[prost(message, repeated, tag = "2")]
     pub(super) metrics: Vec<Metric>,
-    /// 0 to 255 and around; NDEATH has none.
+    /// Sequence number, 0 to 255 with wraparound. NDEATH has none.
     #[prost(uint64, optional, tag = "3")]
     pub(super) seq: Option<u64>,
 }
 
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct Metric {
-    /// In births, and where there is no alias.
+    /// Present in births, and if there is no alias.
     #[prost(string, optional, tag = "1")]
     pub(super) name: Option<String>,
     #[prost(uint64, optional, tag = "2")]
     pub(super) alias: Option<u64>,
-    /// When it was measured, in ms since 1970 (UTC).
+    /// Time of measurement in ms since 1970 (UTC).
     #[prost(uint64, optional, tag = "3")]
     pub(super) timestamp: Option<u64>,
-    /// A [`DataType`]; in births.
+    /// A [`DataType`]. Required in births.
     #[prost(uint32, optional, tag = "4")]
     pub(super) datatype: Option<u32>,
     #[prost(bool, optional, tag = "5")]
@@ -51,7 +51,7 @@ pub(super) enum MetricValue {
     String(String),
 }
 
-/// Names and values, in the same order.
+/// Names and values of properties, in the same order.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct PropertySet {
     #[prost(string, repeated, tag = "1")]
@@ -62,7 +62,7 @@ pub(super) struct PropertySet {
 
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct PropertyValue {
-    /// A [`DataType`].
+    /// The type of the value, a [`DataType`].
     #[prost(uint32, optional, tag = "1")]
     pub(super) datatype: Option<u32>,
     #[prost(oneof = "PropertyContent", tags = "5, 8")]
@@ -77,8 +77,7 @@ pub(super) enum PropertyContent {
     String(String),
 }
 
-/// What a value is (Sparkplug, 6.4.16). Numbers of 32 bits without a sign are left out: implementations do not agree on the
-/// field that they are in.
+/// Data types of metrics (Sparkplug, 6.4.16). UInt32 is omitted, because implementations disagree on the field that holds it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum DataType {
     Int64 = 4,
@@ -89,7 +88,7 @@ pub(super) enum DataType {
 }
 
 impl PropertySet {
-    /// A unit, and the range of values where it is known, under the names that hosts look for.
+    /// Creates properties for a unit and, if known, a range of values, with the conventional names.
     pub(super) fn of_unit(unit: &str, range: Option<(f32, f32)>) -> Self {
         let mut set = Self::default();
         set.add("engUnit", DataType::String, PropertyContent::String(unit.to_owned()));

@@ -1,4 +1,4 @@
-//! Settings and metrics as the document has them, from their tables.
+//! The reference in docs/telemetry.md, generated from the tables of settings and metrics.
 
 use std::fmt::Write;
 
@@ -7,16 +7,16 @@ use super::{
     settings::{Kind, REPEATED, SETTINGS},
 };
 
-/// All tables, in Markdown.
+/// Returns all tables in Markdown.
 pub(super) fn text() -> String {
     let mut text = String::new();
-    // Writing to a text cannot fail.
+    // Writing to a string never fails.
     let _ = write(&mut text);
     text
 }
 
 fn write(text: &mut String) -> std::fmt::Result {
-    writeln!(text, "### Settings\n\n| setting | default | what it is |\n|---|---|---|")?;
+    writeln!(text, "### Settings\n\n| setting | default | meaning |\n|---|---|---|")?;
     for setting in SETTINGS {
         let section = if REPEATED.contains(&setting.section) {
             format!("[[{}]]", setting.section)
@@ -24,7 +24,7 @@ fn write(text: &mut String) -> std::fmt::Result {
             format!("[{}]", setting.section)
         };
         let default = match setting.default {
-            None => "must be given".to_owned(),
+            None => "required".to_owned(),
             Some("") => "none".to_owned(),
             Some(default) => format!("`{default}`"),
         };
@@ -40,10 +40,10 @@ fn write(text: &mut String) -> std::fmt::Result {
     for (title, table) in [
         ("Metrics of the edge node", NODE),
         ("Metrics of a gripper", GRIPPER),
-        ("Further metrics of a gripper with `allow_commands`", COMMANDS),
+        ("Additional metrics of a gripper with `allow_commands`", COMMANDS),
         ("Metrics of a bridge", BRIDGE),
     ] {
-        writeln!(text, "\n### {title}\n\n| metric | type | unit | what it is |\n|---|---|---|---|")?;
+        writeln!(text, "\n### {title}\n\n| metric | type | unit | meaning |\n|---|---|---|---|")?;
         for Metric { name, datatype, unit, meaning } in table {
             writeln!(text, "| `{name}` | {datatype:?} | {unit} | {meaning} |")?;
         }

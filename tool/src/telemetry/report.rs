@@ -1,4 +1,4 @@
-//! What the tasks have in common: reports of devices to the task with the broker, what is said on standard error, and the end.
+//! Shared by all tasks: reports to the broker task, messages on standard error, and the stop signal.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -6,29 +6,29 @@ use tokio::sync::{mpsc, watch};
 
 use super::metrics::{OfCommand, Value};
 
-/// What is told about a device by whoever reads it.
+/// A report from a device's reader.
 #[derive(Debug)]
 pub(super) struct Report {
-    /// Its place in the configuration.
+    /// Index of the device in the settings.
     pub(super) device: u16,
-    /// In ms since 1970 (UTC).
+    /// Time in ms since 1970 (UTC).
     pub(super) at: u64,
     pub(super) what: What,
 }
 
 #[derive(Debug)]
 pub(super) enum What {
-    /// It was found: a value for each row of its table, and the range of those that have one.
+    /// The device was found. Holds a value for each row of its table, and the known ranges.
     Found { values: Vec<Option<Value>>, ranges: Vec<Option<(f32, f32)>> },
-    /// Values that changed, by their places in its table.
+    /// Changed values, by their index in its table.
     Changed(Vec<(u8, Option<Value>)>),
-    /// What a command came to.
+    /// The outcome of a command.
     Outcome { of: OfCommand, text: String },
-    /// It answers no more.
+    /// The device no longer responds.
     Lost,
 }
 
-/// A device of the configuration, and where its reports go.
+/// Sends the reports of one device.
 #[derive(Clone, Debug)]
 pub(super) struct Reporter {
     pub(super) device: u16,
@@ -37,20 +37,20 @@ pub(super) struct Reporter {
 }
 
 impl Reporter {
-    /// Waits while the receiver is behind.
+    /// Sends a report. Waits while the queue is full.
     pub(super) async fn tell(&self, what: What) {
-        // Without a receiver the program ends.
+        // Without a receiver, the program is about to exit.
         let _ = self.reports.send(Report { device: self.device, at: now_ms(), what }).await;
     }
 }
 
-/// This moment in ms since 1970 (UTC).
+/// Returns the current time in ms since 1970 (UTC).
 pub(super) fn now_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// Says what a device does once, until it is something else.
+/// Prints messages to standard error, omitting consecutive repetitions.
 #[derive(Debug, Default)]
 pub(super) struct Teller {
     last: String,
@@ -65,8 +65,8 @@ impl Teller {
     }
 }
 
-/// Is ready when the program is to end.
+/// Completes when the program is to exit.
 pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
-    // Nobody is left to say so: then it ends, too.
+    // An error means that the sender is gone, which ends the program as well.
     let _ = stop.wait_for(|stop| *stop).await;
 }

@@ -1,4 +1,4 @@
-//! bdSeq: the number that ties a death to its birth, one further at each connection, also after a restart (Sparkplug, 6.4.5).
+//! bdSeq: the number that links NDEATH to NBIRTH. It increases with each connection, across restarts (Sparkplug, 6.4.5).
 
 use std::{
     fs::{self, File},
@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::{Context, Result};
 
-/// What stands before the number in the file.
+/// Text before the number in the file.
 const KEY: &str = "bdSeq = ";
 
 #[derive(Debug)]
@@ -18,16 +18,16 @@ pub(super) struct Sequence {
 }
 
 impl Sequence {
-    /// Reads the file; there need be none. One that cannot be understood is told, and counting starts at 0.
+    /// Reads the state file. Starts at 0 if the file is missing, or invalid, which is reported.
     ///
     /// # Errors
-    /// The file cannot be read or written; that it is not there yet is no error.
+    /// An existing file cannot be read, or the file cannot be written.
     pub(super) fn open(path: &Path) -> Result<Self> {
         let next = match fs::read_to_string(path) {
             Ok(text) => last_of(&text).map_or_else(
                 || {
                     eprintln!(
-                        "wsg: {} is no state file (\"{KEY}0\" to 255): bdSeq starts at 0",
+                        "wsg: {} is not a valid state file (expected \"{KEY}0\" to 255); bdSeq starts at 0",
                         path.display()
                     );
                     0
@@ -36,7 +36,7 @@ impl Sequence {
             ),
             Err(error) if error.kind() == ErrorKind::NotFound => 0,
             Err(error) if error.kind() == ErrorKind::InvalidData => {
-                eprintln!("wsg: {} is no state file (no text): bdSeq starts at 0", path.display());
+                eprintln!("wsg: {} is not a valid state file (not text); bdSeq starts at 0", path.display());
                 0
             }
             Err(error) => {
@@ -44,7 +44,7 @@ impl Sequence {
             }
         };
         let sequence = Self { path: path.to_owned(), next };
-        // Better now than when the broker is there.
+        // Detect a file that cannot be written at start-up rather than on connection.
         let draft = sequence.draft();
         File::create(&draft)
             .and_then(|_| fs::remove_file(&draft))
@@ -52,8 +52,7 @@ impl Sequence {
         Ok(sequence)
     }
 
-    /// The number for a connection that is about to be made, stored before it is used. A crash leaves the old file or the
-    /// new one.
+    /// Returns the number for a new connection. The number is stored before it is used, by replacing the file atomically.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -71,7 +70,7 @@ impl Sequence {
         Ok(number)
     }
 
-    /// The new file before it takes the old one's place.
+    /// Returns the path of the new file before it replaces the old one.
     fn draft(&self) -> PathBuf {
         let mut draft = self.path.clone().into_os_string();
         draft.push(".new");
@@ -79,7 +78,7 @@ impl Sequence {
     }
 }
 
-/// The number in the file.
+/// Parses the number in the file.
 fn last_of(text: &str) -> Option<u8> {
     text.trim_end().strip_prefix(KEY)?.parse().ok()
 }
@@ -93,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_goes_on_after_a_restart_and_wraps_at_255() {
+    fn number_continues_after_a_restart_and_wraps_at_255() {
         let path = path_of("goes-on");
         fs::write(&path, "bdSeq = 254\n").unwrap();
 
@@ -107,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_not_there_or_not_understood_starts_at_0() {
+    fn missing_or_invalid_file_starts_at_0() {
         let path = path_of("starts");
         assert_eq!(Sequence::open(&path).unwrap().next, 0);
         for content in [&b""[..], b"bdSeq = 256\n", b"7", b"\xFF\xFE"] {
@@ -118,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_cannot_be_written_is_told_at_the_start() {
+    fn unwritable_file_is_reported_at_start_up() {
         let error = format!("{:#}", Sequence::open(&path_of("none").join("state")).unwrap_err());
         assert!(error.contains("cannot write the state file") && !error.contains('\n'), "{error}");
     }

@@ -1,21 +1,21 @@
-//! Samples on their way to the broker: a queue with a bound that keeps what was sent until the broker has confirmed it.
+//! Bounded queue of samples for the broker. Sent samples are kept until the broker has confirmed them.
 //!
-//! Sparkplug sends data without an acknowledgement (QoS 0). The store learns by a PINGRESP that the broker has taken
-//! everything that was sent before the PINGREQ: MQTT keeps the order of a connection. What was not confirmed when a
-//! connection broke is sent again over the next one, so a sample may arrive twice, and none is lost.
+//! Sparkplug sends data without acknowledgement (QoS 0). MQTT preserves the order within a connection, so a PINGRESP confirms
+//! everything sent before its PINGREQ. Unconfirmed samples are sent again after a reconnect. A sample may therefore arrive twice,
+//! but none is lost.
 
 use std::collections::VecDeque;
 
 use super::metrics::Value;
 
-/// What waits.
+/// An entry of the queue.
 #[derive(Debug)]
 pub(super) enum Entry {
-    /// Values of a device that changed, by their places in its table.
+    /// Changed values of a device, by their index in its table.
     Sample { device: u16, at: u64, values: Vec<(u8, Option<Value>)> },
-    /// A device was found while there was a connection.
+    /// A device was found while the broker was connected.
     Found { device: u16 },
-    /// A device was lost while there was a connection.
+    /// A device was lost while the broker was connected.
     Lost { device: u16 },
 }
 
@@ -28,24 +28,24 @@ impl Entry {
 #[derive(Debug)]
 pub(super) struct Store {
     entries: VecDeque<Entry>,
-    /// How many entries from the first on were sent and are not confirmed.
+    /// Number of entries at the front that were sent but not confirmed.
     sent: usize,
-    /// How many have gone since the start: the number of the first entry.
+    /// Number of entries removed so far, which is the position of the first entry.
     gone: u64,
     samples: usize,
     capacity: usize,
     dropped: u64,
-    /// How many were dropped after they were sent and before they were confirmed.
+    /// Number of samples dropped after sending and before confirmation.
     at_risk: u64,
 }
 
 impl Store {
-    /// A store for this many samples.
+    /// Creates a store for `capacity` samples.
     pub(super) const fn new(capacity: usize) -> Self {
         Self { entries: VecDeque::new(), sent: 0, gone: 0, samples: 0, capacity, dropped: 0, at_risk: 0 }
     }
 
-    /// Takes an entry; the oldest sample gives way to one too many.
+    /// Adds an entry. Drops the oldest sample if the store is full.
     pub(super) fn push(&mut self, entry: Entry) {
         if entry.is_sample() {
             if self.samples >= self.capacity {
@@ -69,24 +69,24 @@ impl Store {
         }
     }
 
-    /// The next entry to send; it is kept until it is confirmed.
+    /// Returns the next entry to send. It is kept until confirmed.
     pub(super) fn send(&mut self) -> Option<&Entry> {
         let entry = self.entries.get(self.sent)?;
         self.sent += 1;
         Some(entry)
     }
 
-    /// The number of the next entry to send: what [`confirm`](Self::confirm) takes when the broker has all before it.
+    /// Returns the position of the next entry to send, to pass to [`confirm`](Self::confirm) once all earlier ones have arrived.
     pub(super) fn mark(&self) -> u64 {
         self.gone + self.sent as u64
     }
 
-    /// Whether something was sent that is not confirmed.
+    /// Returns whether sent entries are still unconfirmed.
     pub(super) const fn is_unconfirmed(&self) -> bool {
         self.sent > 0
     }
 
-    /// Forgets what the broker has.
+    /// Removes the entries before a position, which the broker has received.
     pub(super) fn confirm(&mut self, mark: u64) {
         if self.gone <= mark {
             self.at_risk = 0;
@@ -99,8 +99,8 @@ impl Store {
         }
     }
 
-    /// The connection is gone: what was not confirmed will be sent again, and what a device did meanwhile is told by its
-    /// next birth.
+    /// Prepares for a new connection: unconfirmed samples will be sent again. `Found` and `Lost` entries are removed, because the
+    /// births on the next connection replace them.
     pub(super) fn rewind(&mut self) {
         self.sent = 0;
         self.dropped += std::mem::take(&mut self.at_risk);
@@ -109,7 +109,7 @@ impl Store {
         self.gone += (before - self.entries.len()) as u64;
     }
 
-    /// The devices that samples are of.
+    /// Returns the device of each stored sample.
     pub(super) fn devices(&self) -> impl Iterator<Item = u16> {
         self.entries.iter().filter_map(|entry| match entry {
             Entry::Sample { device, .. } => Some(*device),
@@ -117,12 +117,12 @@ impl Store {
         })
     }
 
-    /// How many entries are to be sent.
+    /// Returns the number of entries still to be sent.
     pub(super) fn waiting(&self) -> usize {
         self.entries.len() - self.sent
     }
 
-    /// How many samples were dropped so far.
+    /// Returns the number of samples dropped so far.
     pub(super) const fn dropped(&self) -> u64 {
         self.dropped
     }
@@ -142,7 +142,7 @@ mod tests {
         store
     }
 
-    /// The moments of all samples that are sent from now on; 0 for another entry.
+    /// Sends all entries and returns their times; 0 for entries without one.
     fn sent_by(store: &mut Store) -> Vec<u64> {
         std::iter::from_fn(|| match store.send()? {
             Entry::Sample { at, .. } => Some(*at),
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_beyond_the_bound_push_the_oldest_out_and_are_counted() {
+    fn oldest_samples_beyond_the_capacity_are_dropped_and_counted() {
         let mut store = store_of(3, 1..=5);
         assert_eq!((sent_by(&mut store), store.dropped()), (vec![3, 4, 5], 2));
     }
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn lives_of_devices_take_no_room_and_end_with_the_connection() {
+    fn found_and_lost_entries_take_no_capacity_and_end_with_the_connection() {
         let mut store = store_of(2, []);
         store.push(Entry::Lost { device: 0 });
         store.push(sample(1));

@@ -1,4 +1,4 @@
-//! The values of a device: as they are, and which of them were not told yet.
+//! The values of a device, and which of them have changed since the last report.
 
 use tokio::time::Instant;
 use wsg_protocol::SystemFlags;
@@ -8,24 +8,24 @@ use super::{
     report::What,
 };
 
-/// What keeps the fingers from doing their work, FAST STOP aside.
+/// The faults that `Fault` summarizes. FAST STOP has a metric of its own.
 const FAULTS: SystemFlags = SystemFlags::TEMP_FAULT
     .union(SystemFlags::POWER_FAULT)
     .union(SystemFlags::CURR_FAULT)
     .union(SystemFlags::FINGER_FAULT);
 
-/// By the places of a table.
+/// Values, by their index in a metric table.
 #[derive(Debug)]
 pub(super) struct Values {
     latest: Vec<Option<Value>>,
-    /// As they were told last.
+    /// The values last reported.
     told: Vec<Option<Value>>,
     is_changed: bool,
     told_at: Instant,
 }
 
 impl Values {
-    /// Nothing is known.
+    /// Creates values that are all unknown.
     pub(super) fn new(table: &[Metric]) -> Self {
         let nothing = vec![None; table.len()];
         Self { latest: nothing.clone(), told: nothing, is_changed: false, told_at: Instant::now() }
@@ -44,7 +44,7 @@ impl Values {
         }
     }
 
-    /// Takes a measured value; one that is nearer to the one that was told than the deadband is taken for that.
+    /// Sets a measured value. Within the deadband around the last reported value, that value is kept.
     pub(super) fn measured(&mut self, of: impl Into<usize>, number: f32, deadband: f32) {
         let place = of.into();
         let value = match self.told.get(place) {
@@ -54,7 +54,7 @@ impl Values {
         self.set(place, Some(Value::Float(value)));
     }
 
-    /// Takes the system state flags: the word, whether the fingers are referenced, whether they move, FAST STOP, and faults.
+    /// Sets the values derived from the system state flags: the flags word, referenced, moving, FAST STOP, fault.
     pub(super) fn set_flags<I: Into<usize>>(&mut self, places: [I; 5], flags: SystemFlags) {
         let values = [
             Value::Unsigned(flags.bits().into()),
@@ -68,18 +68,18 @@ impl Values {
         }
     }
 
-    /// Whether something may be to be told.
+    /// Returns whether a value may have changed since the last report.
     pub(super) const fn is_changed(&self) -> bool {
         self.is_changed
     }
 
-    /// In how many ms what changed is to be told; `None` when nothing has.
+    /// Returns the time in ms until changes are due to be reported, or `None` if there are none.
     pub(super) fn due_in(&self, period_ms: u16) -> Option<u32> {
         let since = u32::try_from(self.told_at.elapsed().as_millis()).unwrap_or(u32::MAX);
         self.is_changed.then(|| u32::from(period_ms).saturating_sub(since))
     }
 
-    /// The values that changed since they were told.
+    /// Returns the values that have changed since the last report, and marks them as reported.
     pub(super) fn changed(&mut self) -> Option<What> {
         let mut changed = Vec::new();
         for (place, (told, latest)) in (0_u8..).zip(self.told.iter().zip(&self.latest)) {
@@ -91,7 +91,7 @@ impl Values {
         (!changed.is_empty()).then_some(What::Changed(changed))
     }
 
-    /// All values, which count as told.
+    /// Returns all values and marks them as reported.
     pub(super) fn all(&mut self) -> Vec<Option<Value>> {
         self.told.clone_from(&self.latest);
         self.is_changed = false;
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn measured_values_are_told_when_they_left_the_deadband_around_the_one_that_was_told() {
+    fn measured_values_are_reported_when_they_leave_the_deadband() {
         let mut values = Values::new(GRIPPER);
         values.measured(OfGripper::Width, 10.0, 0.5);
         assert_eq!(changed(&mut values), [(0, Some(Value::Float(10.0)))]);
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn value_that_left_and_came_back_before_it_was_told_is_not_told() {
+    fn value_that_returns_before_the_next_report_is_not_reported() {
         let mut values = Values::new(GRIPPER);
         values.measured(OfGripper::Width, 10.0, 0.5);
         changed(&mut values);
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn change_is_due_a_period_after_the_last_one_was_told() {
+    async fn change_is_due_one_period_after_the_last_report() {
         let mut values = Values::new(GRIPPER);
         assert_eq!(values.due_in(100), None);
         values.set(OfGripper::State, Some(Value::Text("IDLE".to_owned())));

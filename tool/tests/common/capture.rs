@@ -1,12 +1,12 @@
-//! Captures that tests write: packets on Ethernet, a millisecond apart.
-#![allow(dead_code, reason = "every test uses a part of it")]
+//! Builder for capture files: Ethernet packets, 1 ms apart.
+#![allow(dead_code, reason = "each test uses only a part")]
 
 use etherparse::PacketBuilder;
 
 pub(crate) const CLIENT: [u8; 4] = [192, 168, 1, 5];
 pub(crate) const GRIPPER: [u8; 4] = [192, 168, 1, 20];
 
-/// A capture in the making: pcap with microseconds, low byte first.
+/// A little-endian pcap file with microsecond time stamps, under construction.
 pub(crate) struct Capture {
     file: Vec<u8>,
     now_us: u32,
@@ -40,11 +40,11 @@ impl Capture {
     }
 }
 
-/// A TCP connection of a client to a gripper. Sequence numbers begin with 1000 and 5000.
+/// A TCP connection from a client to a gripper, with initial sequence numbers 1000 and 5000.
 pub(crate) struct Connection {
-    /// The gripper's port.
+    /// TCP port of the gripper.
     pub(crate) port: u16,
-    /// What each side has sent: the client, the gripper.
+    /// Next sequence numbers of the client and of the gripper.
     pub(crate) next: [u32; 2],
 }
 
@@ -56,7 +56,7 @@ impl Connection {
         connection
     }
 
-    /// Bytes in segments of at most this length, acknowledging all that the other side sent.
+    /// Sends bytes in segments of at most `most` bytes, which acknowledge everything received from the other side.
     pub(crate) fn send(&mut self, capture: &mut Capture, to_gripper: bool, bytes: &[u8], most: usize) {
         let (own, other) = if to_gripper { (0, 1) } else { (1, 0) };
         for payload in bytes.chunks(most) {
@@ -65,7 +65,7 @@ impl Connection {
         }
     }
 
-    /// A segment with these numbers.
+    /// Writes one segment with the given sequence and acknowledgement numbers.
     pub(crate) fn segment(
         &self,
         capture: &mut Capture,

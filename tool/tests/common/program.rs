@@ -1,10 +1,10 @@
-//! `wsg` as a program.
-#![allow(dead_code, reason = "every test uses a part of it")]
+//! Runs the `wsg` binary.
+#![allow(dead_code, reason = "each test uses only a part")]
 
 use std::io::Write;
 use std::process::{Command, Output, Stdio};
 
-/// Runs it with this on its standard input.
+/// Runs `wsg` with input on standard input and additional environment variables.
 pub(crate) fn wsg_with(arguments: &[&str], input: &[u8], environment: &[(&str, &str)]) -> Output {
     let mut child = Command::new(env!("CARGO_BIN_EXE_wsg"))
         .args(arguments)
@@ -13,17 +13,17 @@ pub(crate) fn wsg_with(arguments: &[&str], input: &[u8], environment: &[(&str, &
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()
-        .expect("it starts");
-    // It may end without reading.
-    let _ = child.stdin.take().expect("it is piped").write_all(input);
-    child.wait_with_output().expect("it ends")
+        .expect("the program starts");
+    // Ignored: the program may exit without reading its input.
+    let _ = child.stdin.take().expect("standard input is piped").write_all(input);
+    child.wait_with_output().expect("the program exits")
 }
 
 pub(crate) fn wsg(arguments: &[&str], input: &[u8]) -> Output {
     wsg_with(arguments, input, &[])
 }
 
-/// What it said, on either output.
+/// Returns standard output followed by standard error.
 pub(crate) fn said(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }

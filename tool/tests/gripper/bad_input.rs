@@ -1,10 +1,10 @@
-//! What a user may write wrong: said in words that tell what was expected, before anything is sent.
+//! Invalid input is rejected with a message that states what was expected, before anything is sent.
 
 use crate::bench::{Bench, Program, Scratch, quick};
 use wsg_sim::{Config, Finger};
 
-/// Nobody is there: what gets as far as to connect ends with 6.
-const NOBODY: &str = "tcp://127.0.0.1:1";
+/// An address with no listener: a program that gets as far as connecting exits with 6.
+const CLOSED_PORT: &str = "tcp://127.0.0.1:1";
 
 fn assert_refused(arguments: &[&str], status: i32, expected: &str) {
     let ended = Program::run(arguments);
@@ -14,22 +14,22 @@ fn assert_refused(arguments: &[&str], status: i32, expected: &str) {
 }
 
 #[test]
-fn wrong_command_line_is_told_with_what_was_expected() {
+fn invalid_command_line_is_rejected_with_what_was_expected() {
     for (arguments, expected) in [
         (&["192.168.1.20", "info"][..], "tcp://HOST"),
-        (&["serial:/dev/ttyS9?rate=fast", "info"], "bits a second"),
-        (&[NOBODY, "dance"], "unrecognized subcommand 'dance'"),
-        (&[NOBODY, "gripp", "20"], "'grip'"),
-        (&[NOBODY, "grip", "20"], "<SPEED>"),
-        (&[NOBODY, "grip", "20", "fast"], "expected a number, in mm/s"),
-        (&[NOBODY, "grip", "nan", "50"], "expected a number, in mm"),
-        (&[NOBODY, "grip", "20", "50", "--force"], "--force"),
-        (&[NOBODY, "soft-limits", "10"], "<TO>"),
-        (&[NOBODY, "finger-info", "3"], "fingers 1 and 2"),
-        (&[NOBODY, "overdrive", "maybe"], "on, off"),
-        (&[NOBODY, "raw", "1B0"], "two digits in hex"),
-        (&[NOBODY, "loop", "0x1"], "pairs of digits in hex"),
-        (&[NOBODY, "pause", "-1"], "unexpected argument"),
+        (&["serial:/dev/ttyS9?rate=fast", "info"], "a rate in bit/s"),
+        (&[CLOSED_PORT, "dance"], "unrecognized subcommand 'dance'"),
+        (&[CLOSED_PORT, "gripp", "20"], "'grip'"),
+        (&[CLOSED_PORT, "grip", "20"], "<SPEED>"),
+        (&[CLOSED_PORT, "grip", "20", "fast"], "expected a number in mm/s"),
+        (&[CLOSED_PORT, "grip", "nan", "50"], "expected a number in mm"),
+        (&[CLOSED_PORT, "grip", "20", "50", "--force"], "--force"),
+        (&[CLOSED_PORT, "soft-limits", "10"], "<TO>"),
+        (&[CLOSED_PORT, "finger-info", "3"], "finger 1 or 2"),
+        (&[CLOSED_PORT, "overdrive", "maybe"], "on, off"),
+        (&[CLOSED_PORT, "raw", "1B0"], "two hex digits"),
+        (&[CLOSED_PORT, "loop", "0x1"], "pairs of hex digits"),
+        (&[CLOSED_PORT, "pause", "-1"], "unexpected argument"),
     ] {
         assert_refused(arguments, 2, expected);
     }
@@ -37,26 +37,26 @@ fn wrong_command_line_is_told_with_what_was_expected() {
 
 #[test]
 fn line_that_cannot_be_opened_is_no_connection() {
-    assert_refused(&[NOBODY, "info"], 6, "no connection: tcp://127.0.0.1:1: ");
+    assert_refused(&[CLOSED_PORT, "info"], 6, "no connection: tcp://127.0.0.1:1: ");
     assert_refused(&["serial:/dev/no-such-port", "info"], 6, "serial:/dev/no-such-port: No such file");
 }
 
 #[test]
-fn mistakes_of_a_script_are_told_with_their_lines_before_anything_is_sent() {
+fn errors_in_a_script_are_reported_with_their_lines_before_anything_is_sent() {
     let script = Scratch::new("mistakes.wsg", "home # first\n# a comment\n\ngrip 20\ntag 'x\nmove 1 2 3\n");
-    let ended = Program::run(&[NOBODY, "script", script.path()]);
+    let ended = Program::run(&[CLOSED_PORT, "script", script.path()]);
     assert_eq!(ended.status, 2, "{ended:?}");
     for (line, expected) in [(4, "<SPEED>"), (5, "quotation mark"), (6, "unexpected argument '3'")] {
         let place = format!("{}:{line}: ", script.path());
-        let told = ended.stderr.lines().find(|told| told.contains(&place)).unwrap_or_default();
-        assert!(told.contains(expected), "line {line}: {}", ended.stderr);
+        let reported = ended.stderr.lines().find(|reported| reported.contains(&place)).unwrap_or_default();
+        assert!(reported.contains(expected), "line {line}: {}", ended.stderr);
     }
 }
 
 #[test]
 fn files_that_cannot_be_read_or_written_are_named() {
-    assert_refused(&[NOBODY, "script", "/no/such/file"], 1, "/no/such/file: No such file");
-    assert_refused(&[NOBODY, "info", "--record", "/no/such/file"], 1, "/no/such/file cannot be written");
+    assert_refused(&[CLOSED_PORT, "script", "/no/such/file"], 1, "/no/such/file: No such file");
+    assert_refused(&[CLOSED_PORT, "info", "--record", "/no/such/file"], 1, "cannot write /no/such/file");
 }
 
 #[test]
@@ -73,14 +73,14 @@ fn script_ends_at_the_first_line_that_fails_and_names_it() {
     );
     assert_eq!(ended.status, 4, "{ended:?}");
     let lines: Vec<serde_json::Value> =
-        ended.stdout.lines().map(|line| serde_json::from_str(line).expect("it is JSON")).collect();
+        ended.stdout.lines().map(|line| serde_json::from_str(line).expect("each line is JSON")).collect();
     assert_eq!(lines.len(), 2, "{lines:?}");
     assert_eq!((&lines[1]["line"], &lines[1]["status"]), (&3.into(), &"E_RANGE_ERROR".into()));
 }
 
-/// Command set, 3.6.3.
+/// Command set manual, 3.6.3: the supply of this finger cannot be switched.
 #[test]
-fn supply_that_is_not_switched_names_where_to_look() {
+fn refused_finger_power_names_the_commands_that_explain_it() {
     let bench = Bench::new(Config { fingers: [Finger::Fmf, Finger::None], ..quick() });
     let ended = Program::run(&[&bench.tcp(), "finger-power", "1", "off"]);
     assert_eq!(ended.status, 4, "{ended:?}");
@@ -92,7 +92,7 @@ fn supply_that_is_not_switched_names_where_to_look() {
 }
 
 #[test]
-fn wrong_line_of_standard_input_is_told_and_the_next_one_is_carried_out() {
+fn invalid_line_of_standard_input_is_reported_and_the_next_one_is_executed() {
     let bench = Bench::new(quick());
     let ended = Program::run_with_lines(&[&bench.tcp()], "dance\n'\nhelp grip\nstate\n");
     assert!(ended.stdout.ends_with("state IDLE\n") && ended.stdout.contains("--force"), "{ended:?}");

@@ -1,4 +1,4 @@
-//! A virtual gripper on every line, who looks at it without a part in it, and the program.
+//! Test fixtures: a virtual gripper on every line, an independent observer, and the program under test.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -17,26 +17,26 @@ use wsg_protocol::driver::host::{StdClock, Udp};
 use wsg_sim::server::{CanBus, CanLine, Lines, SerialLine, ServerThread, UdpLine};
 use wsg_sim::{Config, Part};
 
-/// No test waits longer for what must happen.
+/// Time-out for every wait in a test.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 fn loopback() -> SocketAddr {
     "127.0.0.1:0".parse().unwrap()
 }
 
-/// A gripper with a part of 20 mm before it, on every line.
+/// A virtual gripper with a 20 mm part in its way, reachable over every line.
 pub(crate) struct Bench {
     server: ServerThread,
-    /// Over UDP, where the end of a connection is not announced: an announcement would end motions.
+    /// A second client over UDP, which needs no disconnect announcement. An announcement would stop motions.
     observer: Gripper<Udp, StdClock>,
 }
 
-/// Whose fingers travel as fast as real ones, and are soon homed.
+/// Returns a configuration with real finger speeds and fast homing.
 pub(crate) fn real() -> Config {
     Config { part: Part::of_width(20.0), homing_speed: Some(400.0), ..Config::default() }
 }
 
-/// Whose motions take no time to speak of.
+/// Returns a configuration whose motions take almost no time.
 pub(crate) fn quick() -> Config {
     Config { time_scale: 50.0, ..real() }
 }
@@ -55,7 +55,7 @@ impl Bench {
             ..Lines::default()
         };
         let server =
-            ServerThread::start(config, &lines, None).expect("loopback and pseudo terminals are there");
+            ServerThread::start(config, &lines, None).expect("loopback and pseudo terminals are available");
         let udp = Udp::new(socket, server.udp_address().unwrap()).unwrap();
         let mut observer = Gripper::new(udp, StdClock::new());
         observer.connect().expect("the gripper answers");
@@ -86,7 +86,7 @@ impl Bench {
         self.observer.system_state().expect("the gripper answers")
     }
 
-    /// Waits until the flags are as told; which they are.
+    /// Polls the flags until they meet a condition, and returns them.
     pub(crate) fn until(&mut self, is_so: impl Fn(SystemFlags) -> bool) -> SystemFlags {
         let begin = Instant::now();
         loop {
@@ -102,17 +102,17 @@ impl Bench {
         self.until(|flags| flags.contains(SystemFlags::MOVING));
     }
 
-    /// That the fingers were stopped before they had arrived, and may move again.
+    /// Asserts that the fingers were stopped in mid-travel and are not locked by a FAST STOP.
     pub(crate) fn assert_stopped(&mut self) {
         let flags = self.until(|flags| !flags.contains(SystemFlags::MOVING));
         assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
         let width = self.observer.width().unwrap().0;
-        // The part is in the way at 20 mm.
-        assert!(width > 30.0, "they went on: {width} mm, {flags}");
+        // The part would block the fingers at 20 mm.
+        assert!(width > 30.0, "the fingers were not stopped: {width} mm, {flags}");
     }
 }
 
-/// What a program came to.
+/// Exit status and output of a program.
 #[derive(Debug)]
 pub(crate) struct Ended {
     pub(crate) status: i32,
@@ -120,7 +120,7 @@ pub(crate) struct Ended {
     pub(crate) stderr: String,
 }
 
-/// `wsg gripper` that runs. It ends with its test, however that ends.
+/// A running `wsg gripper`. It is killed when dropped.
 pub(crate) struct Program {
     child: Child,
     stdin: Option<ChildStdin>,
@@ -128,7 +128,7 @@ pub(crate) struct Program {
     stderr: Option<Receiver<String>>,
 }
 
-/// Lines as they come; to the end, `None` is waited for.
+/// Reads lines in a thread and sends them, each with its line feed, until the stream ends.
 fn lines_of(stream: impl Read + Send + 'static) -> Receiver<String> {
     let (sender, receiver) = mpsc::channel();
     thread::spawn(move || {
@@ -149,19 +149,19 @@ impl Program {
     pub(crate) fn start_with(arguments: &[&str], prepare: impl FnOnce(&mut Command) -> &mut Command) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_wsg"));
         command.arg("gripper").args(arguments).stdin(Stdio::piped());
-        let mut child = prepare(&mut command).spawn().expect("it starts");
+        let mut child = prepare(&mut command).spawn().expect("the program starts");
         let stdin = child.stdin.take();
         let stdout = child.stdout.take().map(lines_of);
         let stderr = child.stderr.take().map(lines_of);
         Self { child, stdin, stdout, stderr }
     }
 
-    /// Runs it to its end.
+    /// Runs the program until it exits.
     pub(crate) fn run(arguments: &[&str]) -> Ended {
         Self::start(arguments).end()
     }
 
-    /// The same with these lines on standard input.
+    /// Runs the program until it exits, with these lines on standard input.
     pub(crate) fn run_with_lines(arguments: &[&str], lines: &str) -> Ended {
         let mut program = Self::start(arguments);
         program.say(lines);
@@ -169,33 +169,33 @@ impl Program {
     }
 
     pub(crate) fn say(&mut self, lines: &str) {
-        let stdin = self.stdin.as_mut().expect("it is open");
-        stdin.write_all(lines.as_bytes()).expect("it reads");
+        let stdin = self.stdin.as_mut().expect("standard input is open");
+        stdin.write_all(lines.as_bytes()).expect("the program reads its input");
         stdin.flush().unwrap();
     }
 
-    /// The next line on standard output.
+    /// Returns the next line of standard output.
     pub(crate) fn line(&mut self) -> String {
-        let stdout = self.stdout.as_ref().expect("it is read");
-        stdout.recv_timeout(PATIENCE).expect("it says more")
+        let stdout = self.stdout.as_ref().expect("standard output is read");
+        stdout.recv_timeout(PATIENCE).expect("the program prints another line")
     }
 
-    /// The next line on standard error.
+    /// Returns the next line of standard error.
     pub(crate) fn error_line(&mut self) -> String {
-        let stderr = self.stderr.as_ref().expect("it is read");
-        stderr.recv_timeout(PATIENCE).expect("it says more")
+        let stderr = self.stderr.as_ref().expect("standard error is read");
+        stderr.recv_timeout(PATIENCE).expect("the program prints another line")
     }
 
-    /// Reads no more of standard error, which is then a broken pipe. The next line ends the thread that reads.
+    /// Stops reading standard error, which breaks the pipe. The reading thread ends at the next line.
     pub(crate) fn close_stderr(&mut self) {
         self.stderr = None;
     }
 
     pub(crate) fn signal(&self, signal: Signal) {
-        kill_process(Pid::from_child(&self.child), signal).expect("it runs");
+        kill_process(Pid::from_child(&self.child), signal).expect("the program is running");
     }
 
-    /// What it comes to, with nothing more on standard input.
+    /// Closes standard input and waits for the program to exit.
     pub(crate) fn end(mut self) -> Ended {
         self.stdin = None;
         let rest = |lines: Option<Receiver<String>>| {
@@ -203,25 +203,25 @@ impl Program {
             let mut text = String::new();
             while let Some(line) = lines.as_ref().and_then(|lines| lines.recv_timeout(PATIENCE).ok()) {
                 text += &line;
-                assert!(begin.elapsed() < PATIENCE, "it goes on: {text}");
+                assert!(begin.elapsed() < PATIENCE, "the program is still writing: {text}");
             }
             text
         };
         let (stdout, stderr) = (rest(self.stdout.take()), rest(self.stderr.take()));
-        let status = self.child.wait().expect("it has closed its output");
-        Ended { status: status.code().expect("it ends by itself"), stdout, stderr }
+        let status = self.child.wait().expect("the program has closed its output");
+        Ended { status: status.code().expect("the program was not killed"), stdout, stderr }
     }
 }
 
 impl Drop for Program {
     fn drop(&mut self) {
-        // An error means that it has ended already, which is what is wanted.
+        // An error means that the program has already exited.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// A file that is gone with its test.
+/// A temporary file, deleted when dropped.
 pub(crate) struct Scratch(PathBuf);
 
 impl Scratch {
@@ -229,12 +229,12 @@ impl Scratch {
         let path = std::env::temp_dir().join(format!("wsg-tool-{}-{name}", std::process::id()));
         File::create(&path)
             .and_then(|mut file| file.write_all(text.as_bytes()))
-            .expect("a file can be written");
+            .expect("the temporary folder is writable");
         Self(path)
     }
 
     pub(crate) fn path(&self) -> &str {
-        self.0.to_str().expect("a plain name")
+        self.0.to_str().expect("the path is UTF-8")
     }
 }
 

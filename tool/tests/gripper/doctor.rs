@@ -1,4 +1,4 @@
-//! `doctor`: each fault of a connection is found and named, within a limited time, and the gripper stays as it was.
+//! `doctor` identifies each connection fault within a bounded time and leaves the gripper unchanged.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream, UdpSocket};
@@ -11,10 +11,10 @@ use wsg_sim::Config;
 
 use crate::bench::{Bench, Ended, Program, quick};
 
-/// Longer than the bounded waits together, on a busy machine.
+/// Exceeds the sum of all time-outs, even on a busy machine.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// A gripper that has homed by itself.
+/// Starts a gripper that homes at start-up, and waits until it is referenced.
 fn homed(config: Config) -> Bench {
     let mut bench = Bench::new(Config { homing_at_start: true, ..config });
     bench.until(|flags| flags.contains(SystemFlags::REFERENCED) && !flags.contains(SystemFlags::MOVING));
@@ -25,7 +25,7 @@ fn doctor(address: &str) -> Ended {
     Program::run(&[address, "doctor"])
 }
 
-/// The verdict of a check, and the rest of its line.
+/// Returns the verdict of a check and the rest of its line.
 fn line_of<'a>(ended: &'a Ended, check: &str) -> (&'a str, &'a str) {
     let lines = ended.stdout.lines().filter_map(|line| line.split_once(' '));
     let mut lines = lines.map(|(verdict, rest)| (verdict, rest.trim_start()));
@@ -41,13 +41,13 @@ fn assert_check(ended: &Ended, check: &str, verdict: &str, text: &str) {
 }
 
 #[test]
-fn healthy_gripper_passes_every_check_over_each_protocol_and_stays_as_it_is() {
+fn healthy_gripper_passes_every_check_over_each_line_and_is_unchanged() {
     let mut bench = homed(quick());
     let before = bench.flags();
     for address in [bench.tcp(), bench.gcl(), bench.serial(), bench.slcan(), bench.gcl_udp()] {
         let ended = doctor(&address);
         assert_eq!(ended.status, 0, "{address}: {ended:?}");
-        // A busy machine may be slow.
+        // On a busy machine these two may end with a warning.
         let of_load = |line: &&str| line.contains("round trip ") || line.contains("update rate ");
         let (timed, others): (Vec<_>, Vec<_>) = ended.stdout.lines().partition(of_load);
         assert_eq!(timed.len(), 2, "{ended:?}");
@@ -74,10 +74,10 @@ fn json_is_one_object_with_every_check_and_the_figures() {
 }
 
 #[test]
-fn closed_port_is_named_on_a_host_that_answers() {
+fn closed_port_is_reported_on_a_reachable_host() {
     let ended = doctor("tcp://127.0.0.1:1");
     assert_eq!(ended.status, 6, "{ended:?}");
-    assert_check(&ended, "reachability", "ok", "the host answers");
+    assert_check(&ended, "reachability", "ok", "the host responds");
     assert_check(&ended, "port", "failed", "Settings -> Command Interface");
     assert_check(&ended, "update rate", "skipped", "");
 }
@@ -121,7 +121,7 @@ fn checksum_setting_is_found_either_way() {
 }
 
 #[test]
-fn gripper_that_is_not_referenced_is_usable_with_a_warning_and_is_not_homed() {
+fn unreferenced_gripper_is_usable_with_a_warning_and_is_not_homed() {
     let mut bench = Bench::new(quick());
     let ended = doctor(&bench.tcp());
     assert_eq!(ended.status, 0, "{ended:?}");
@@ -143,7 +143,7 @@ fn latched_fast_stop_is_reported_and_not_acknowledged() {
     }
 }
 
-/// A port whose connections a test handles.
+/// Listens on a free port and passes each connection to `serve`. Returns the address.
 fn listen(serve: impl FnMut(TcpStream) + Send + 'static) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
@@ -152,7 +152,7 @@ fn listen(serve: impl FnMut(TcpStream) + Send + 'static) -> String {
 }
 
 #[test]
-fn peer_that_never_answers_is_given_up_in_time() {
+fn silent_peer_is_abandoned_in_time() {
     let mut kept = Vec::new();
     let place = listen(move |stream| kept.push(stream));
     for scheme in ["tcp", "gcl"] {
@@ -161,12 +161,12 @@ fn peer_that_never_answers_is_given_up_in_time() {
         assert!(begin.elapsed() < LIMIT, "{:?}", begin.elapsed());
         assert_eq!(ended.status, 6, "{ended:?}");
         assert_check(&ended, "protocol", "failed", "no answer");
-        assert_check(&ended, "other clients", "failed", "close other programs");
+        assert_check(&ended, "other clients", "failed", "close other connected programs");
     }
 }
 
 #[test]
-fn peer_that_sends_without_end_is_given_up_in_time() {
+fn peer_that_never_stops_sending_is_abandoned_in_time() {
     let place = listen(|mut stream| while stream.write_all(&[b'x'; 4096]).is_ok() {});
     let begin = Instant::now();
     let ended = doctor(&format!("tcp://{place}"));
@@ -176,8 +176,8 @@ fn peer_that_sends_without_end_is_given_up_in_time() {
 }
 
 #[test]
-fn datagrams_without_an_answer_are_not_taken_for_a_connection() {
-    // Bound, so that the host does not refuse, and never read.
+fn unanswered_datagrams_are_not_mistaken_for_a_connection() {
+    // A bound socket that never answers, so that the host does not reject the datagrams.
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let ended = doctor(&format!("gcl+udp://{}", socket.local_addr().unwrap()));
     assert_eq!(ended.status, 6, "{ended:?}");
@@ -191,17 +191,17 @@ fn peer_that_closes_at_once_is_reported_as_busy() {
     let ended = doctor(&format!("tcp://{place}"));
     assert_eq!(ended.status, 6, "{ended:?}");
     assert_check(&ended, "protocol", "failed", "closed the connection");
-    assert_check(&ended, "other clients", "failed", "close other programs");
+    assert_check(&ended, "other clients", "failed", "close other connected programs");
 }
 
 #[test]
-fn motion_of_another_client_is_reported_and_goes_on() {
+fn motion_of_another_client_is_reported_and_continues() {
     let mut bench = homed(Config { time_scale: 1.0, ..quick() });
     let mut mover = Program::start(&[&bench.gcl()]);
     mover.say("move 60 30\nwidth\n");
     bench.until_moving();
     let ended = doctor(&bench.tcp());
     assert_eq!(ended.status, 0, "{ended:?}");
-    assert_check(&ended, "other clients", "warning", "the fingers move");
+    assert_check(&ended, "other clients", "warning", "the fingers are moving");
     assert_eq!((mover.line(), mover.line()), ("done\n".to_owned(), "width 60.00 mm\n".to_owned()));
 }

@@ -1,4 +1,4 @@
-//! However it ends: the fingers stop, and no FAST STOP stays behind.
+//! However the program ends, the fingers stop and no FAST STOP remains.
 
 use std::fs::File;
 use std::process::{Command, Stdio};
@@ -8,7 +8,7 @@ use wsg_protocol::SystemFlags;
 
 use crate::bench::{Bench, Program, real};
 
-/// Twenty seconds of travel.
+/// A motion that takes about 20 s.
 const SLOW: &str = "home\nmove 5 5\n";
 
 #[test]
@@ -28,7 +28,7 @@ fn signals_in_mid_travel_stop_the_fingers_and_leave_no_fast_stop() {
 }
 
 #[test]
-fn lines_without_an_announcement_are_stopped_too() {
+fn signal_stops_the_fingers_on_lines_without_an_announcement() {
     let mut bench = Bench::new(real());
     for address in [bench.serial(), bench.gcl()] {
         assert_eq!(Program::run(&[&address, "home"]).status, 0);
@@ -43,14 +43,14 @@ fn lines_without_an_announcement_are_stopped_too() {
 }
 
 #[test]
-fn end_of_standard_input_ends_the_connection_as_it_should() {
+fn end_of_standard_input_closes_the_connection_cleanly() {
     let mut bench = Bench::new(real());
     let ended = Program::run_with_lines(&[&bench.tcp()], "home\ngrip 20 400\n");
     assert_eq!(ended.status, 0, "{ended:?}");
     let flags = bench.flags();
     assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
     let held = Program::run(&[&bench.tcp(), "state"]);
-    assert_eq!(held.stdout, "state HOLDING\n", "a part that is held stays so");
+    assert_eq!(held.stdout, "state HOLDING\n", "the part is still held");
 }
 
 #[test]
@@ -67,9 +67,9 @@ fn broken_pipe_in_mid_travel_stops_the_fingers() {
 }
 
 #[test]
-fn output_that_has_no_room_is_an_error_and_leaves_no_fast_stop() {
+fn full_output_device_is_an_error_and_leaves_no_fast_stop() {
     let mut bench = Bench::new(real());
-    let full = File::create("/dev/full").expect("Linux has it");
+    let full = File::create("/dev/full").expect("Linux has /dev/full");
     let address = bench.tcp();
     let program =
         Program::start_with(&[&address, "status"], |command| command.stdout(full).stderr(Stdio::piped()));
@@ -81,7 +81,7 @@ fn output_that_has_no_room_is_an_error_and_leaves_no_fast_stop() {
 }
 
 #[test]
-fn fast_stop_that_is_asked_for_stays_until_it_is_acknowledged() {
+fn requested_fast_stop_stays_latched_until_acknowledged() {
     let mut bench = Bench::new(real());
     assert_eq!(Program::run(&[&bench.tcp(), "fast-stop"]).status, 0);
     assert!(bench.flags().contains(SystemFlags::FAST_STOP));

@@ -1,11 +1,11 @@
-//! What people and programs read, command by command, as files show it. `WSG_UPDATE_DOCS=1` writes them anew.
+//! Golden transcripts of every command as text and JSON. `WSG_UPDATE_DOCS=1` rewrites them.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::bench::{Bench, Program, quick};
 
-/// What is asked in turn.
+/// The commands of the transcript.
 const COMMANDS: &str = "\
 move 50 100
 home
@@ -58,10 +58,10 @@ grip 20
 disconnect
 ";
 
-/// Asked behind each command: where its answer begins, that of the command ends.
+/// Sent after each command. The start of its answer marks the end of the command's answer.
 const END: &str = "temperature";
 
-/// The answers over one connection, each below its command. `!` is standard error.
+/// Runs the commands over one connection and returns each with its answer. `!` marks standard error.
 fn transcript(address: &str, options: &[&str]) -> String {
     let mut text = String::new();
     let mut program = Program::start(&[&[address], options].concat());
@@ -85,26 +85,26 @@ fn transcript(address: &str, options: &[&str]) -> String {
 fn assert_golden(name: &str, text: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/gripper/golden").join(name);
     if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
-        std::fs::write(&path, text).expect("it can be written");
+        std::fs::write(&path, text).expect("the golden file is writable");
     }
     let golden = std::fs::read_to_string(&path).unwrap_or_default();
-    for (number, (told, expected)) in (1..).zip(text.lines().zip(golden.lines())) {
-        assert_eq!(told, expected, "{name}:{number}");
+    for (number, (actual, expected)) in (1..).zip(text.lines().zip(golden.lines())) {
+        assert_eq!(actual, expected, "{name}:{number}");
     }
     assert_eq!(text.lines().count(), golden.lines().count(), "{name}");
 }
 
 #[test]
-fn people_read_words_with_units() {
+fn text_output_matches_the_golden_transcript() {
     assert_golden("words.txt", &transcript(&Bench::new(quick()).tcp(), &[]));
 }
 
 #[test]
-fn programs_read_json() {
+fn json_output_matches_the_golden_transcript() {
     assert_golden("json.txt", &transcript(&Bench::new(quick()).tcp(), &["--json"]));
 }
 
 #[test]
-fn gcl_says_what_it_can_say() {
+fn gcl_output_matches_the_golden_transcript() {
     assert_golden("gcl.txt", &transcript(&Bench::new(quick()).gcl(), &[]));
 }

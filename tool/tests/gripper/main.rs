@@ -1,4 +1,4 @@
-//! `wsg gripper` as a program, with the virtual gripper at the other end of each kind of line.
+//! Runs `wsg gripper` against the virtual gripper over each kind of line.
 #![cfg(unix)]
 
 mod bad_input;
@@ -6,7 +6,7 @@ mod bench;
 mod doctor;
 mod ends;
 mod golden;
-// Terminals of other systems have no `setsid --ctty`.
+// Requires `setsid --ctty`, which only Linux has.
 #[cfg(target_os = "linux")]
 mod terminal;
 mod transports;

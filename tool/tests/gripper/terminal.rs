@@ -1,4 +1,4 @@
-//! `wsg gripper` at a terminal: what is typed, what is shown, and Ctrl-C.
+//! `wsg gripper` on a terminal: prompt, full screen and Ctrl-C.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -14,12 +14,12 @@ use wsg_protocol::SystemFlags;
 
 use crate::bench::{Bench, PATIENCE, real};
 
-/// A program with a terminal of its own. It ends with its test, however that ends.
+/// A program on a pseudo terminal of its own. It is killed when dropped.
 struct Terminal {
     child: Child,
     keys: Option<File>,
     shown: Option<Receiver<Vec<u8>>>,
-    /// What was shown since it was looked for last.
+    /// Output that `until` has not consumed yet.
     text: String,
 }
 
@@ -32,7 +32,7 @@ impl Terminal {
         tcsetwinsize(&master, size).unwrap();
         let path = ptsname(&master, Vec::new()).unwrap();
         let side = || File::options().read(true).write(true).open(path.to_str().unwrap()).unwrap();
-        // Ctrl-C is a signal to those whose terminal it is.
+        // Ctrl-C sends a signal only to processes whose controlling terminal this is.
         let mut command = Command::new("setsid");
         command.args(["--ctty", "--wait", env!("CARGO_BIN_EXE_wsg"), "gripper"]).args(arguments);
         let child =
@@ -44,7 +44,7 @@ impl Terminal {
         thread::spawn(move || {
             let mut chunk = [0; 1024];
             loop {
-                // Closed with the sender: reads that wait would keep the terminal open.
+                // Poll, and stop once the receiver is gone. A blocking read would keep the terminal open.
                 let mut fds = [PollFd::new(&screen, PollFlags::IN)];
                 let polled = poll(&mut fds, Some(&Timespec { tv_sec: 0, tv_nsec: 50_000_000 }));
                 match polled {
@@ -52,7 +52,7 @@ impl Terminal {
                     Ok(1..) => {}
                     _ => return,
                 }
-                // It ends with an error when nobody has the terminal any more.
+                // Reading fails once no process has the terminal open.
                 match uninterrupted_read(&mut screen, &mut chunk) {
                     Ok(count @ 1..) if sender.send(chunk[..count].to_vec()).is_ok() => {}
                     _ => return,
@@ -62,7 +62,7 @@ impl Terminal {
         Self { child, keys: Some(keys), shown: Some(shown), text: String::new() }
     }
 
-    /// A prompt at which the gripper was homed.
+    /// Starts a prompt and homes the gripper.
     fn homed(bench: &Bench) -> Self {
         let mut terminal = Self::start(&[&bench.tcp()]);
         terminal.until("> ");
@@ -71,19 +71,19 @@ impl Terminal {
         terminal
     }
 
-    /// The terminal is gone.
+    /// Closes the terminal and waits for the program to exit.
     fn hang_up(mut self) {
         (self.keys, self.shown) = (None, None);
-        let status = self.child.wait().expect("it ends by itself");
+        let status = self.child.wait().expect("the program exits");
         assert!(!status.success(), "{status}");
     }
 
     fn press(&mut self, keys: &str) {
-        let file = self.keys.as_mut().expect("it has a terminal");
-        file.write_all(keys.as_bytes()).expect("somebody reads");
+        let file = self.keys.as_mut().expect("the terminal is open");
+        file.write_all(keys.as_bytes()).expect("the program reads the terminal");
     }
 
-    /// Waits until this is shown; what was shown up to there.
+    /// Waits until a text is shown, and returns the output up to its end.
     fn until(&mut self, text: &str) -> String {
         let begin = Instant::now();
         loop {
@@ -92,28 +92,28 @@ impl Terminal {
                 return std::mem::replace(&mut self.text, rest);
             }
             assert!(begin.elapsed() < PATIENCE, "{text:?} is not shown");
-            match self.shown.as_ref().expect("it has a terminal").recv_timeout(PATIENCE) {
+            match self.shown.as_ref().expect("the terminal is open").recv_timeout(PATIENCE) {
                 Ok(bytes) => self.text += &String::from_utf8_lossy(&bytes),
                 Err(_) => panic!("{text:?} is not shown: {}", self.text),
             }
         }
     }
 
-    /// How it ends by itself.
+    /// Waits for the program to exit and returns its status.
     fn end(mut self) -> ExitStatus {
-        // Until the program has closed its side.
+        // Read until the program has closed its side.
         let begin = Instant::now();
-        while let Ok(bytes) = self.shown.as_ref().expect("it has a terminal").recv_timeout(PATIENCE) {
+        while let Ok(bytes) = self.shown.as_ref().expect("the terminal is open").recv_timeout(PATIENCE) {
             self.text += &String::from_utf8_lossy(&bytes);
-            assert!(begin.elapsed() < PATIENCE, "it goes on: {}", self.text);
+            assert!(begin.elapsed() < PATIENCE, "the program is still writing: {}", self.text);
         }
-        self.child.wait().expect("it has closed its terminal")
+        self.child.wait().expect("the program has closed its terminal")
     }
 }
 
 impl Drop for Terminal {
     fn drop(&mut self) {
-        // An error means that it has ended already, which is what is wanted.
+        // An error means that the program has already exited.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -121,7 +121,7 @@ impl Drop for Terminal {
 
 fn uninterrupted_read(file: &mut File, buffer: &mut [u8]) -> std::io::Result<usize> {
     loop {
-        #[expect(clippy::disallowed_methods, reason = "the call is made again")]
+        #[expect(clippy::disallowed_methods, reason = "retried after an interruption")]
         match file.read(buffer) {
             Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
             result => return result,
@@ -164,7 +164,7 @@ fn prompt_completes_shows_the_state_and_remembers() {
 }
 
 #[test]
-fn control_c_in_mid_travel_stops_the_fingers_and_the_prompt_comes_back() {
+fn control_c_in_mid_travel_stops_the_fingers_and_returns_to_the_prompt() {
     let mut bench = Bench::new(real());
     let mut terminal = Terminal::homed(&bench);
     terminal.press(&format!("move 5 5{ENTER}"));
@@ -194,12 +194,12 @@ fn control_c_in_mid_travel_of_one_command_stops_it_and_ends() {
 }
 
 #[test]
-fn terminal_that_is_closed_in_mid_travel_stops_the_fingers() {
+fn closing_the_terminal_in_mid_travel_stops_the_fingers() {
     let mut bench = Bench::new(real());
     let mut terminal = Terminal::homed(&bench);
     terminal.press(&format!("move 5 5{ENTER}"));
     bench.until_moving();
-    // SIGHUP, and nothing can be written any more.
+    // The program receives SIGHUP, and every further write fails.
     terminal.hang_up();
     bench.assert_stopped();
 }

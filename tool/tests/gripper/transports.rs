@@ -1,4 +1,4 @@
-//! The same commands over every kind of line.
+//! Runs the same commands over every kind of line.
 
 use crate::bench::{Bench, Program, quick};
 use wsg_protocol::SystemFlags;

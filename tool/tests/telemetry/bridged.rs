@@ -1,4 +1,4 @@
-//! A bridge, read over its service port: the bridge's library behind a pseudo terminal, in the wall clock's time.
+//! Reads a bridge over its service port. The bridge's library runs on a pseudo terminal in real time.
 
 use std::{
     sync::{
@@ -18,7 +18,7 @@ use crate::{
     rig::{Broker, Folder, Host, Telemetry, metric},
 };
 
-/// What fails.
+/// Simulated failures.
 #[derive(Default)]
 struct Faults {
     /// The gripper has no power.
@@ -63,7 +63,7 @@ fn serve(mut line: ServiceLine, faults: &Faults) {
             line.clear();
         } else if faults.gripper.load(Ordering::SeqCst) {
             bench.turn_alone(&mut line);
-            // What the bridge sends goes nowhere.
+            // Discard what the bridge sends.
             bench.gripper.line.take_sent();
         } else {
             bench.turn(&mut line);
@@ -72,7 +72,7 @@ fn serve(mut line: ServiceLine, faults: &Faults) {
 }
 
 #[test]
-fn bridge_and_the_gripper_behind_it_are_told_by_mosquitto_and_sparkplug_payload() {
+fn bridge_and_its_gripper_are_reported_by_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -93,7 +93,7 @@ fn bridge_and_the_gripper_behind_it_are_told_by_mosquitto_and_sparkplug_payload(
     is("State", "IDLE".into());
     is("Referenced", false.into());
 
-    // The gripper loses its power, and comes back.
+    // The gripper loses power and restarts.
     host.clear();
     bridge.faults.gripper.store(true, Ordering::SeqCst);
     is("Gripper Link", "silent".into());
@@ -101,11 +101,11 @@ fn bridge_and_the_gripper_behind_it_are_told_by_mosquitto_and_sparkplug_payload(
     bridge.faults.gripper.store(false, Ordering::SeqCst);
     is("State", "IDLE".into());
 
-    // So does the bridge.
+    // The bridge loses power and restarts.
     host.clear();
     bridge.faults.bridge.store(true, Ordering::SeqCst);
     host.wait_for("DDEATH", "press");
-    telemetry.wait_until_it_says("no answer within 1500 ms");
+    telemetry.wait_until_it_says("no response within 1500 ms");
     bridge.faults.bridge.store(false, Ordering::SeqCst);
     host.wait_for("DBIRTH", "press");
     telemetry.end();

@@ -1,4 +1,4 @@
-//! Commands of hosts by DCMD: what is carried out, and that nothing else reaches the gripper.
+//! Host commands by DCMD: valid ones are executed, and nothing else reaches the gripper.
 
 use std::{
     io::Write,
@@ -35,7 +35,7 @@ impl Write for Heard {
 }
 
 impl Heard {
-    /// The requests that move fingers, stop them, unlock them or set a force, in order.
+    /// Returns the IDs of requests that move, stop or unlock the fingers or set the force limit, in order.
     fn commands(&self) -> Vec<String> {
         let text = String::from_utf8(self.0.lock().unwrap().clone()).unwrap();
         let requests =
@@ -44,14 +44,14 @@ impl Heard {
         commands.filter(|id| id.starts_with('2') || id == "32").collect()
     }
 
-    /// Asserts that these have come, the last of which was answered; the log is written a little later.
+    /// Waits for the log, which is written with a delay, and asserts that exactly these requests were received.
     fn expect(&self, expected: &[&str]) {
         wait_for("the log", || (self.commands().len() >= expected.len()).then_some(()));
         assert_eq!(self.commands(), expected);
     }
 }
 
-/// A gripper with a part of 20 mm, and its log.
+/// Starts a gripper with a part of 20 mm. Also returns its log.
 fn gripper(time_scale: f32) -> (ServerThread, SocketAddr, Heard) {
     let heard = Heard::default();
     let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
@@ -102,7 +102,7 @@ impl Commander<'_> {
         payload
     }
 
-    /// Waits for a result, and forgets the messages so far.
+    /// Waits for a result, then discards the messages so far.
     fn wait_for_result(&self, result: &str) {
         self.host.wait(result, |messages| {
             let told = latest(messages, &self.birth, "Command/Result");
@@ -112,7 +112,7 @@ impl Commander<'_> {
     }
 }
 
-/// One device that takes commands, and who gives them.
+/// Starts telemetry with one device that accepts commands, and a host that sends them.
 fn commanded<'a>(
     folder: &Folder,
     broker: &'a Broker,
@@ -133,7 +133,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
     let folder = Folder::new();
     let ((_server, address, heard), (closed, closed_address, untouched)) = (gripper(20.0), gripper(20.0));
     let broker = Broker::start(&folder);
-    // What the broker has kept, of a time that is right.
+    // A retained command with a valid timestamp.
     let kept = payload(now_ms() + 30_000, &[command("Home")]);
     broker.publish("spBv1.0/plant/DCMD/cell/left", &kept, &["-r"]);
     let host = Host::watch(&broker);
@@ -156,7 +156,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
     telemetry.wait_until_it_says("it is retained");
     let mut commander = Commander { broker: &broker, host: &host, birth, last_at: now_ms() + 30_000 };
 
-    // Not referenced.
+    // The gripper is not referenced yet.
     commander.order(&[command("Grip"), number("Width", 20.0), number("Speed", 100.0)]);
     commander.wait_for_result("Grip: refused, E_NOT_INITIALIZED");
     let home = commander.order(&[command("Home")]);
@@ -169,7 +169,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
     let done = ["25", "20", "32", "25", "26"];
     heard.expect(&done);
 
-    // None of these reaches the gripper.
+    // None of these commands reaches the gripper.
     commander.send(&home);
     commander.wait_for_result("not later");
     commander.send(&payload(now_ms() - 61_000, &[command("Home")]));
@@ -179,14 +179,14 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
     commander.order(&[command("Home"), command("Acknowledge")]);
     commander.wait_for_result("more than one command");
     commander.order(&[command("Move"), number("Width", 200.0), number("Speed", 100.0)]);
-    commander.wait_for_result("Command/Width = 200 is not in 0 to 110");
+    commander.wait_for_result("Command/Width = 200 is outside 0 to 110");
     commander.order(&[command("Move"), number("Width", 30.0)]);
-    commander.wait_for_result("needs a width and a speed");
+    commander.wait_for_result("requires a width and a speed");
     let to_the_other = payload(now_ms(), &[command("Home")]);
     broker.publish("spBv1.0/plant/DCMD/cell/right", &to_the_other, &[]);
-    telemetry.wait_until_it_says("DCMD/cell/right was refused: this device takes no commands");
+    telemetry.wait_until_it_says("DCMD/cell/right refused: this device accepts no commands");
 
-    // What comes behind them does, so they would have come.
+    // Later commands do, so the refused ones would have arrived by now.
     commander.order(&[command("Fast Stop")]);
     commander.wait_for_result("Fast Stop: done");
     commander.order(&[command("Home")]);
@@ -200,7 +200,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
 }
 
 #[test]
-fn stop_ends_a_motion_and_values_are_told_meanwhile_by_mosquitto_and_sparkplug_payload() {
+fn stop_ends_a_motion_during_which_values_are_reported_by_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -212,19 +212,19 @@ fn stop_ends_a_motion_and_values_are_told_meanwhile_by_mosquitto_and_sparkplug_p
     commander.order(&[command("Home")]);
     commander.wait_for_result("Home: done");
 
-    // By the slowest speed it takes as long as a busy machine may need.
+    // At the lowest speed the motion lasts long enough for a busy machine.
     commander.order(&[command("Move"), number("Width", 30.0), number("Speed", 5.0)]);
     let width = metric(&commander.birth, "Width")["alias"].clone();
     host.wait("widths during the motion", |messages| told(messages, &width).len() >= 5);
     commander.order(&[command("Home")]);
-    commander.wait_for_result("the motion before is not over");
+    commander.wait_for_result("the previous motion is not over");
     commander.order(&[command("Stop")]);
     host.wait("both results", |messages| {
         let text = serde_json::to_string(messages).unwrap();
         text.contains("Move: the motion was aborted") && text.contains("Stop: done")
     });
 
-    // It takes motions again.
+    // Motions are accepted again.
     commander.order(&[command("Home")]);
     commander.wait_for_result("Home: done");
     heard.expect(&["20", "21", "22", "20"]);
@@ -232,12 +232,12 @@ fn stop_ends_a_motion_and_values_are_told_meanwhile_by_mosquitto_and_sparkplug_p
 }
 
 #[test]
-fn gripper_that_goes_during_a_motion_is_not_commanded_again_by_mosquitto_and_sparkplug_payload() {
+fn gripper_lost_during_a_motion_is_not_commanded_again_by_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
     let folder = Folder::new();
-    // So slow that it is away before the motion is over.
+    // So slow that the gripper is gone before the motion ends.
     let (server, address, heard) = gripper(0.05);
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
@@ -246,7 +246,7 @@ fn gripper_that_goes_during_a_motion_is_not_commanded_again_by_mosquitto_and_spa
     wait_for("the motion", || (heard.commands() == ["20"]).then_some(()));
 
     server.stop().unwrap();
-    commander.wait_for_result("not known");
+    commander.wait_for_result("known");
     let lines = Lines { tcp: Some(address), ..Lines::default() };
     let again = Heard::default();
     let _server = wait_for("the address", || {
@@ -255,8 +255,8 @@ fn gripper_that_goes_during_a_motion_is_not_commanded_again_by_mosquitto_and_spa
     let birth = host.wait_for("DBIRTH", "left");
 
     let result = metric(&birth, "Command/Result")["value"].as_str().unwrap().to_owned();
-    assert!(result.starts_with("Home: ") && result.ends_with("not known"), "{result}");
-    // Only this does.
+    assert!(result.starts_with("Home: ") && result.ends_with("known"), "{result}");
+    // Only this command reaches the restarted gripper.
     commander.order(&[command("Stop")]);
     commander.wait_for_result("Stop: done");
     again.expect(&["22"]);

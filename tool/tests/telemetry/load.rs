@@ -1,4 +1,4 @@
-//! A plant's worth of grippers on one thread: what it costs, and whether anything is lost.
+//! Load test: 500 grippers on one thread, with CPU and memory use and lost messages.
 
 use std::{
     env, fs,
@@ -30,10 +30,10 @@ use crate::rig::{Broker, Folder, Running, Telemetry, wait_for};
 
 const GRIPPERS: usize = 500;
 const SECONDS: u64 = 60;
-/// Threads with virtual grippers: they take more than what is measured.
+/// Number of threads for the virtual grippers, which need more CPU time than the program under test.
 const THREADS: usize = 4;
 
-/// Virtual grippers that travel all the time, in threads of their own.
+/// Virtual grippers that move continuously, in separate threads.
 struct Plant {
     addresses: Vec<SocketAddr>,
     _ends: Vec<oneshot::Sender<()>>,
@@ -41,7 +41,7 @@ struct Plant {
 
 impl Plant {
     fn start() -> Self {
-        // Three ends of connections and a listener for each are here.
+        // Each gripper needs a listener and three sockets in this process.
         let limit = getrlimit(Resource::Nofile);
         setrlimit(Resource::Nofile, Rlimit { current: limit.maximum, ..limit }).unwrap();
         let (opened, opening) = std::sync::mpsc::channel();
@@ -71,7 +71,7 @@ fn serve_some(opened: std::sync::mpsc::Sender<SocketAddr>, ended: oneshot::Recei
     });
 }
 
-/// Keeps the fingers of a gripper moving slowly, so that each update has another width.
+/// Keeps the fingers of a gripper moving slowly, so that each update has a new width.
 async fn travel(address: SocketAddr) {
     let mut stream = TcpStream::connect(address).await.unwrap();
     let mut parser = FrameParser::<64>::new();
@@ -93,13 +93,13 @@ async fn travel(address: SocketAddr) {
     }
 }
 
-/// What a host sees.
+/// Message counts at a host.
 #[derive(Clone, Copy, Debug, Default)]
 struct Seen {
     births: u64,
     data: u64,
     historical_or_odd: u64,
-    /// Messages that did not have the number behind the one before.
+    /// Number of gaps in the sequence numbers.
     gaps: u64,
     last: Option<u8>,
 }
@@ -121,7 +121,7 @@ impl Seen {
     }
 }
 
-/// The sequence number, which is a payload's last field (3, a varint).
+/// Parses the sequence number, the last field of a payload (field 3, a varint).
 fn sequence_of(hex: &str) -> Option<u8> {
     let byte = |from_end: usize| {
         let at = hex.len().checked_sub(2 * from_end)?;
@@ -134,19 +134,19 @@ fn sequence_of(hex: &str) -> Option<u8> {
     }
 }
 
-/// CPU time of a process so far, and its memory in KiB.
+/// Returns the CPU time of a process and its peak memory in KiB.
 fn cost(id: u32) -> (Duration, u64) {
     let stat = fs::read_to_string(format!("/proc/{id}/stat")).unwrap();
     let fields: Vec<&str> = stat.rsplit_once(')').unwrap().1.split_whitespace().collect();
-    // utime and stime in ticks of 10 ms (proc(5)); the first field here is its third.
+    // utime and stime in ticks of 10 ms (proc(5)). The first field here is its third.
     let ticks: u64 = [11, 12].iter().map(|at| fields[*at].parse::<u64>().unwrap()).sum();
     let status = fs::read_to_string(format!("/proc/{id}/status")).unwrap();
     let memory = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
     (Duration::from_millis(10 * ticks), memory.trim().trim_end_matches(" kB").parse().unwrap())
 }
 
-/// `WSG_LOAD=1 cargo test --release -p wsg-tool --test telemetry five_hundred -- --nocapture` prints the figures, as
-/// `cargo xtask ci` does. Not beside other tests: the virtual grippers take more than a core.
+/// Prints the figures with `WSG_LOAD=1 cargo test --release -p wsg-tool --test telemetry five_hundred -- --nocapture`, as
+/// `cargo xtask ci` does. Do not run it in parallel with other tests: the virtual grippers need more than a core.
 #[test]
 fn five_hundred_grippers_at_10_hz_take_less_than_a_core_and_lose_nothing_on_mosquitto() {
     if env::var_os("WSG_LOAD").is_none() {
@@ -191,18 +191,18 @@ fn five_hundred_grippers_at_10_hz_take_less_than_a_core_and_lose_nothing_on_mosq
     let rate = (after.data - before.data) as f64 / elapsed.as_secs_f64();
     let load = (cpu - cpu_before).as_secs_f64() / elapsed.as_secs_f64();
     println!(
-        "{GRIPPERS} grippers for {:.1} s: {rate:.0} messages/s ({:.2}/s each), {:.1} % of a core, {:.1} MiB, {} gaps; virtual grippers were silent {} times",
+        "{GRIPPERS} grippers for {:.1} s: {rate:.0} messages/s ({:.2}/s each), {:.1} % of a core, {:.1} MiB, {} gaps; virtual grippers stopped responding {} times",
         elapsed.as_secs_f64(),
         rate / GRIPPERS as f64,
         100.0 * load,
         memory as f64 / 1024.0,
         after.gaps,
-        telemetry.said().matches("answers no more").count()
+        telemetry.said().matches("no longer responds").count()
     );
     assert_eq!((after.gaps, after.historical_or_odd), (0, 0));
     assert!(load < 1.0, "{load}");
     assert!(memory < 128 * 1024, "{memory} KiB");
-    // A busy machine gives the virtual grippers less time.
+    // The limit allows for virtual grippers that are slow on a busy machine.
     assert!(rate > 5.0 * GRIPPERS as f64, "{rate}");
     telemetry.end();
 }

@@ -1,4 +1,4 @@
-//! `wsg telemetry` between virtual grippers and mosquitto; what arrives is decoded by Eclipse Tahu's own library.
+//! Runs `wsg telemetry` between virtual grippers and mosquitto. Eclipse Tahu's library decodes the messages.
 
 #![cfg(all(unix, feature = "telemetry"))]
 
@@ -18,12 +18,12 @@ use wsg_sim::{
 
 const HOME: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
-/// Slow enough that each state is seen: with these grippers' time 10 mm take 100 ms.
+/// A motion slow enough that each state is reported: 10 mm take 100 ms in these grippers' time.
 fn move_to(width: f32) -> Command<'static> {
     Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed: 5.0 }
 }
 
-/// The latest value that was told of a metric, in births and data.
+/// Returns the latest value of a metric in births and data.
 fn latest<'a>(messages: &'a [Value], birth: &Value, name: &str) -> Option<&'a Value> {
     let alias = &metric(birth, name)["alias"];
     let metrics = messages.iter().filter_map(|message| message["metrics"].as_array()).flatten();
@@ -60,7 +60,7 @@ fn births_data_and_deaths_reach_a_host_by_mosquitto_and_sparkplug_payload() {
     aliases.dedup();
     assert_eq!((aliases.len(), count), (count, birth["metrics"].as_array().unwrap().len() + 6));
 
-    // Data: what changes, by its alias alone.
+    // Data: changed metrics, identified by alias only.
     let mut controller = gripper.controller();
     assert_eq!(
         (controller.command(HOME), controller.command(move_to(40.0))),
@@ -82,7 +82,7 @@ fn births_data_and_deaths_reach_a_host_by_mosquitto_and_sparkplug_payload() {
             .any(|message| latest(&[(*message).clone()], &birth, "State") == Some(&json!("POSITIONING")))
     );
 
-    // The gripper goes and comes back.
+    // The gripper is switched off and on again.
     drop(controller);
     gripper.switch_off();
     host.wait_for("DDEATH", "left");
@@ -91,12 +91,12 @@ fn births_data_and_deaths_reach_a_host_by_mosquitto_and_sparkplug_payload() {
     let again = host.wait_for("DBIRTH", "left");
     assert_eq!(metric(&again, "Diagnostics/Connections")["value"], 2);
 
-    // The end: told to the host and to the gripper.
+    // Exit: announced to the host and to the gripper.
     telemetry.end();
     let death = host.wait_for("NDEATH", "");
     assert_eq!(metric(&death, "bdSeq")["value"], 0);
     assert!(death.get("seq").is_none_or(Value::is_null), "{death}");
-    let messages = host.wait("the end", |_| true);
+    let messages = host.wait("the last messages", |_| true);
     let flags = gripper.controller().ask(
         Command::GetSystemState { update: wsg_protocol::AutoUpdate::once() },
         |reply: &Reply<'_>| match reply.value() {
@@ -106,12 +106,12 @@ fn births_data_and_deaths_reach_a_host_by_mosquitto_and_sparkplug_payload() {
     );
     assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags:?}");
 
-    // Every message but deaths of the node, in order.
+    // All messages except NDEATH carry consecutive sequence numbers.
     let numbers = messages.iter().filter_map(|message| message["seq"].as_u64()).collect::<Vec<_>>();
     assert!(numbers.windows(2).all(|pair| pair[1] == (pair[0] + 1) % 256), "{numbers:?}");
 }
 
-/// What a host was told of a metric by data.
+/// A value of a metric that a host received as data.
 #[derive(Clone, Debug)]
 struct Told {
     at: u64,
@@ -119,7 +119,7 @@ struct Told {
     is_historical: bool,
 }
 
-/// Everything that a host was told of a metric by data, in order.
+/// Returns all values of a metric that a host received as data, in order.
 fn told(messages: &[Value], alias: &Value) -> Vec<Told> {
     let metrics = messages.iter().filter_map(|message| message["metrics"].as_array()).flatten();
     let of_it = metrics.filter(|metric| metric["alias"] == *alias && metric.get("name").is_none());
@@ -131,10 +131,10 @@ fn told(messages: &[Value], alias: &Value) -> Vec<Told> {
     told.collect()
 }
 
-/// What a gripper says of its state while it moves to and fro; each change is told.
+/// The states of a gripper during one move. Each change is reported.
 const TO_AND_FRO: [&str; 2] = ["POSITIONING", "IDLE"];
 
-/// The states of so many moves.
+/// Returns the states during a number of moves.
 fn states(moves: usize) -> Vec<&'static str> {
     TO_AND_FRO.iter().copied().cycle().take(2 * moves).collect()
 }
@@ -165,7 +165,7 @@ fn outage_of_mosquitto_loses_nothing_within_the_store_by_sparkplug_payload() {
     assert!(told(&before, &state).iter().all(|told| !told.is_historical), "{before:?}");
     let last_before = told(&before, &state).iter().map(|told| told.at).max().unwrap();
 
-    // The broker is killed, moves go on, and a host is there before telemetry is.
+    // Kill the broker, keep moving, and let a host connect before telemetry.
     way.close();
     broker.kill();
     move_to_and_fro(&gripper, 6);
@@ -175,12 +175,12 @@ fn outage_of_mosquitto_loses_nothing_within_the_store_by_sparkplug_payload() {
 
     let birth = host.wait_for("NBIRTH", "");
     assert!(metric(&birth, "bdSeq")["value"].as_u64() > Some(0), "{birth}");
-    // What was on its way when the broker was killed may come again.
+    // Samples in flight when the broker was killed may be sent twice.
     let new = |messages: &[Value]| {
         let told = told(messages, &state).into_iter();
         told.filter(|told| told.at > last_before).collect::<Vec<_>>()
     };
-    let after = host.wait("what was stored", |messages| new(messages).len() >= 12);
+    let after = host.wait("stored samples", |messages| new(messages).len() >= 12);
     let stored = new(&after);
     assert!(stored.iter().all(|told| told.is_historical), "{stored:?}");
     let texts: Vec<&str> = stored.iter().map(|told| told.value.as_str().unwrap()).collect();
@@ -204,7 +204,7 @@ fn outage_of_mosquitto_beyond_the_store_is_counted_by_sparkplug_payload() {
     let broker = Broker::start(&folder);
     let devices = format!("store = 4\n{}", gripper.section("left"));
     let telemetry = Telemetry::at(&folder, way.port, &devices);
-    telemetry.wait_until_it_says("left: found");
+    telemetry.wait_until_it_says("left: connected");
     move_to_and_fro(&gripper, 6);
 
     let host = Host::watch(&broker);
@@ -214,9 +214,9 @@ fn outage_of_mosquitto_beyond_the_store_is_counted_by_sparkplug_payload() {
     let [waiting, dropped] =
         ["Store/Waiting", "Store/Dropped"].map(|name| metric(&birth, name)["value"].as_u64().unwrap());
     assert_eq!(waiting, 4);
-    // Each of the twelve changes of state was a sample at least.
+    // Each of the twelve state changes produced at least one sample.
     assert!(dropped >= 8, "{dropped}");
-    let data = host.wait("what was stored", |messages| {
+    let data = host.wait("stored samples", |messages| {
         messages.iter().filter(|message| is_of(message, "DDATA", "left")).count() == 4
     });
     let times: Vec<u64> = data
@@ -228,7 +228,7 @@ fn outage_of_mosquitto_beyond_the_store_is_counted_by_sparkplug_payload() {
 }
 
 #[test]
-fn killed_program_is_told_by_its_will_and_counts_on_by_mosquitto_and_sparkplug_payload() {
+fn killed_program_is_reported_by_its_will_and_bd_seq_continues_by_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -239,7 +239,7 @@ fn killed_program_is_told_by_its_will_and_counts_on_by_mosquitto_and_sparkplug_p
         let telemetry = Telemetry::at(&folder, broker.port, &gripper.section("left"));
         let birth = host.wait_for("NBIRTH", "");
         assert_eq!(metric(&birth, "bdSeq")["value"], number);
-        // SIGKILL.
+        // Dropping sends SIGKILL.
         drop(telemetry);
         let death = host.wait_for("NDEATH", "");
         assert_eq!(metric(&death, "bdSeq")["value"], number);
@@ -248,7 +248,7 @@ fn killed_program_is_told_by_its_will_and_counts_on_by_mosquitto_and_sparkplug_p
 }
 
 #[test]
-fn rebirth_is_the_only_command_that_is_taken_by_mosquitto_and_sparkplug_payload() {
+fn rebirth_is_the_only_accepted_command_by_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -271,11 +271,11 @@ fn rebirth_is_the_only_command_that_is_taken_by_mosquitto_and_sparkplug_payload(
 
     broker.publish("spBv1.0/plant/NCMD/cell", &command("Node Control/Reboot"), &[]);
     telemetry
-        .wait_until_it_says("only \"Node Control/Rebirth\" = true is taken, not \"Node Control/Reboot\"");
+        .wait_until_it_says("only \"Node Control/Rebirth\" = true is accepted, not \"Node Control/Reboot\"");
     broker.publish("spBv1.0/plant/DCMD/cell/left", &command("Home"), &[]);
-    telemetry.wait_until_it_says("telemetry only reads");
+    telemetry.wait_until_it_says("allow_commands is not set");
     broker.publish("spBv1.0/plant/NCMD/cell", b"\xFF\xFF", &[]);
-    telemetry.wait_until_it_says("no payload of Sparkplug B");
+    telemetry.wait_until_it_says("not a Sparkplug B payload");
     let refused = metric(&node, "Commands/Refused")["alias"].clone();
     host.wait("the count", |messages| told(messages, &refused).iter().any(|told| told.value == 3));
 }
@@ -318,7 +318,7 @@ fn udp_and_serial_grippers_are_read_by_mosquitto_and_sparkplug_payload() {
 }
 
 #[test]
-fn tls_takes_the_brokers_certificate_of_the_given_ca_alone_by_mosquitto_and_sparkplug_payload() {
+fn tls_accepts_only_a_certificate_signed_by_the_given_ca_by_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -357,7 +357,7 @@ fn tls_takes_the_brokers_certificate_of_the_given_ca_alone_by_mosquitto_and_spar
 }
 
 #[test]
-fn wrong_password_is_told_in_one_line_and_the_right_one_is_taken_by_mosquitto_and_sparkplug_payload() {
+fn wrong_password_is_reported_in_one_line_and_the_right_one_is_accepted_by_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }

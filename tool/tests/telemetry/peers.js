@@ -1,5 +1,4 @@
-// Sparkplug B by Eclipse Tahu's own library: decodes lines of "TOPIC HEX" to lines of JSON, or with an argument encodes that
-// JSON to hex.
+// Sparkplug B with Eclipse Tahu's library: decodes lines of "TOPIC HEX" to lines of JSON, or encodes a JSON argument to hex.
 const { decodePayload, encodePayload } = require("sparkplug-payload").get("spBv1.0");
 const { createInterface } = require("readline");
 

@@ -1,4 +1,4 @@
-//! What the tests share: a broker, a host that decodes with another implementation than ours, grippers, and the program.
+//! Test fixtures: broker, host with an independent Sparkplug decoder, grippers, and the program under test.
 
 use std::{
     env,
@@ -24,15 +24,15 @@ use wsg_sim::{
     server::{Lines, ServerThread},
 };
 
-/// How long anything may take on a busy machine.
+/// Time-out for every wait, even on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Whether tests that take long run: `cargo xtask ci` says so.
+/// Returns whether to run slow tests, as `cargo xtask ci` does.
 pub(crate) fn is_whole() -> bool {
     env::var_os("WSG_WHOLE").is_some()
 }
 
-/// A folder of its own that goes with the test.
+/// A temporary folder, deleted when dropped.
 pub(crate) struct Folder(PathBuf);
 
 impl Folder {
@@ -61,7 +61,7 @@ impl Drop for Folder {
     }
 }
 
-/// A program that ends with the test.
+/// A program that is killed when dropped.
 pub(crate) struct Running(pub(crate) Child);
 
 impl Drop for Running {
@@ -71,24 +71,24 @@ impl Drop for Running {
     }
 }
 
-/// A port that is free now.
+/// Returns a TCP port that is currently free.
 pub(crate) fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-/// Waits for something, and panics when it does not come.
+/// Polls `look` until it returns a value. Panics after the time-out.
 pub(crate) fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {
         if let Some(found) = look() {
             return found;
         }
-        assert!(start.elapsed() < PATIENCE, "{what} did not come");
+        assert!(start.elapsed() < PATIENCE, "time-out waiting for {what}");
         thread::park_timeout(Duration::from_millis(5));
     }
 }
 
-/// mosquitto.
+/// A mosquitto broker.
 pub(crate) struct Broker {
     pub(crate) port: u16,
     settings: PathBuf,
@@ -96,7 +96,7 @@ pub(crate) struct Broker {
 }
 
 impl Broker {
-    /// A broker that takes everybody.
+    /// Starts a broker that accepts anonymous clients.
     pub(crate) fn start(folder: &Folder) -> Self {
         Self::with_settings(folder, "allow_anonymous true\n")
     }
@@ -117,12 +117,12 @@ impl Broker {
         wait_for("the broker", || TcpStream::connect(("127.0.0.1", self.port)).ok());
     }
 
-    /// As a power cut does.
+    /// Kills the broker, as a power cut would.
     pub(crate) fn kill(&mut self) {
         self.running = None;
     }
 
-    /// Publishes these bytes.
+    /// Publishes a payload with QoS 1 and additional arguments of `mosquitto_pub`.
     pub(crate) fn publish(&self, topic: &str, payload: &[u8], arguments: &[&str]) {
         let mut client = Process::new("mosquitto_pub");
         client.args(["-p", &self.port.to_string(), "-q", "1", "-t", topic, "-s"]).args(arguments);
@@ -134,14 +134,14 @@ impl Broker {
 
 fn node(argument: Option<&str>) -> Process {
     let packages =
-        env::var_os("WSG_MODBUS_NODE").expect("`cargo xtask test` says where Node.js finds its packages");
+        env::var_os("WSG_MODBUS_NODE").expect("WSG_MODBUS_NODE is not set; run `cargo xtask test`");
     let mut node = Process::new("node");
     node.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/telemetry/peers.js"));
     node.args(argument).env("NODE_PATH", packages);
     node
 }
 
-/// A payload of Sparkplug B by another implementation than ours.
+/// Encodes a Sparkplug B payload with an independent implementation.
 pub(crate) fn encoded(payload: &Value) -> Vec<u8> {
     let output = node(Some(&payload.to_string())).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -150,20 +150,20 @@ pub(crate) fn encoded(payload: &Value) -> Vec<u8> {
     (0..hex.len()).step_by(2).map(byte).collect()
 }
 
-/// A host: everything that the broker hands out, decoded.
+/// A host that records and decodes all messages of the broker.
 pub(crate) struct Host {
     _clients: [Running; 2],
     messages: Arc<(Mutex<Vec<Value>>, Condvar)>,
 }
 
 impl Host {
-    /// Subscribes; what comes from now on is seen.
+    /// Subscribes to all topics and records messages from now on.
     pub(crate) fn watch(broker: &Broker) -> Self {
         Self::watch_with(broker, &[])
     }
 
     pub(crate) fn watch_with(broker: &Broker, arguments: &[&str]) -> Self {
-        // What is retained comes when all topics are subscribed to.
+        // The retained message is received once all topics are subscribed to.
         broker.publish("ready", b"yes", &[&["-r"], arguments].concat());
         let mut client = Process::new("mosquitto_sub");
         client.args(["-p", &broker.port.to_string(), "-F", "%t %x", "-t", "spBv1.0/#", "-t", "ready"]);
@@ -178,7 +178,7 @@ impl Host {
         host
     }
 
-    /// Waits until the messages so far are as they shall be, and returns them.
+    /// Waits until the messages so far meet a condition, and returns them.
     pub(crate) fn wait(&self, what: &str, mut is_there: impl FnMut(&[Value]) -> bool) -> Vec<Value> {
         let (messages, changed) = &*self.messages;
         let found = messages.lock().unwrap();
@@ -188,18 +188,18 @@ impl Host {
             let _ = writeln!(text, "{message}");
             text
         });
-        assert!(!waited.timed_out(), "{what} did not come, but\n{text}");
+        assert!(!waited.timed_out(), "time-out waiting for {what}; received:\n{text}");
         found
     }
 
-    /// Waits for a message of this kind, and returns the latest.
+    /// Waits for a message of a kind and device, and returns the latest one.
     pub(crate) fn wait_for(&self, kind: &str, device: &str) -> Value {
         let is_it = |message: &Value| is_of(message, kind, device);
         let messages = self.wait(&format!("{kind} {device}"), |messages| messages.iter().any(is_it));
         messages.into_iter().rfind(is_it).unwrap()
     }
 
-    /// Forgets the messages so far.
+    /// Discards the messages so far.
     pub(crate) fn clear(&self) {
         self.messages.0.lock().unwrap().clear();
     }
@@ -215,27 +215,27 @@ fn collect(lines: ChildStdout, messages: Arc<(Mutex<Vec<Value>>, Condvar)>) {
     });
 }
 
-/// Whether a message is of this kind and device; no device: the node's.
+/// Returns whether a message is of a kind and device, or of the node if `device` is empty.
 pub(crate) fn is_of(message: &Value, kind: &str, device: &str) -> bool {
     let topic = format!("spBv1.0/plant/{kind}/cell");
     let wanted = if device.is_empty() { topic } else { format!("{topic}/{device}") };
     message["topic"] == wanted
 }
 
-/// A metric of a birth by its name.
+/// Returns a metric of a birth by name.
 pub(crate) fn metric<'a>(birth: &'a Value, name: &str) -> &'a Value {
     let metrics = birth["metrics"].as_array().unwrap();
     metrics.iter().find(|metric| metric["name"] == name).unwrap_or_else(|| panic!("{name} in {birth}"))
 }
 
-/// `wsg telemetry` with these settings, and what it says.
+/// A running `wsg telemetry` with its standard error.
 pub(crate) struct Telemetry {
     running: Running,
     said: Arc<Mutex<String>>,
 }
 
 impl Telemetry {
-    /// Starts it; `broker` and `devices` are sections of its settings.
+    /// Starts the program. `broker` and `devices` are sections of its settings.
     pub(crate) fn start(folder: &Folder, broker: &str, devices: &str) -> Self {
         let state = folder.path("state");
         let settings = format!(
@@ -269,7 +269,7 @@ impl Telemetry {
         Self { running: Running(wsg), said }
     }
 
-    /// Waits until it has said this.
+    /// Waits until standard error contains a text.
     pub(crate) fn wait_until_it_says(&self, text: &str) {
         wait_for(text, || self.said().contains(text).then_some(()));
     }
@@ -282,16 +282,16 @@ impl Telemetry {
         self.said.lock().unwrap().clone()
     }
 
-    /// Asks it to end, and waits until it has.
+    /// Sends SIGTERM and waits for the program to exit.
     pub(crate) fn end(mut self) {
         let id = self.running.0.id().to_string();
         assert!(Process::new("kill").args(["-TERM", &id]).status().unwrap().success());
-        let status = wait_for("its end", || self.running.0.try_wait().unwrap());
+        let status = wait_for("the program to exit", || self.running.0.try_wait().unwrap());
         assert!(status.success(), "{status}: {}", self.said());
     }
 }
 
-/// A virtual gripper on TCP, quick, and referenced.
+/// A fast virtual gripper on TCP.
 pub(crate) struct Gripper {
     server: Option<ServerThread>,
     pub(crate) address: SocketAddr,
@@ -314,7 +314,7 @@ impl Gripper {
         self.server.take().unwrap().stop().unwrap();
     }
 
-    /// The section of the settings.
+    /// Returns the settings section of this gripper.
     pub(crate) fn section(&self, name: &str) -> String {
         format!("[[gripper]]\nname = {name:?}\naddress = \"tcp://{}\"\n", self.address)
     }
@@ -326,14 +326,14 @@ impl Gripper {
     }
 }
 
-/// Who commands the gripper.
+/// A client that commands the gripper directly.
 pub(crate) struct Controller {
     stream: TcpStream,
     parser: FrameParser<64>,
 }
 
 impl Controller {
-    /// Sends a command and returns its result.
+    /// Sends a command and returns its final status.
     pub(crate) fn command(&mut self, command: Command<'_>) -> Status {
         self.ask(command, |reply| (reply.status() != Status::CmdPending).then(|| reply.status()))
     }
@@ -363,14 +363,14 @@ impl Drop for Controller {
     }
 }
 
-/// A way to a broker that a test opens and closes, so that a host can be there first.
+/// A TCP proxy to a broker that a test opens and closes, so that a host can connect first.
 pub(crate) struct Way {
     pub(crate) port: u16,
     open: Arc<Mutex<Option<u16>>>,
 }
 
 impl Way {
-    /// It is closed at first: who connects is disconnected.
+    /// Creates a closed proxy, which drops incoming connections.
     pub(crate) fn new() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();

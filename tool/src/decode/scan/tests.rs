@@ -12,13 +12,13 @@ fn kinds(bytes: &[u8]) -> Vec<(usize, Kind)> {
 }
 
 #[test]
-fn noise_frames_and_damage_are_told_apart_where_they_are() {
+fn noise_frames_and_damage_are_distinguished_with_their_positions() {
     let stop = frame(0x22, &[]);
     let mut damaged = frame(0x25, &[0, 0, 0xA0, 0x41, 0, 0, 0x48, 0x42]);
     let sum = [damaged[14], damaged[15]];
     damaged[14] ^= 1;
     let recording = [&[1, 2, 0xAA][..], &stop, &damaged, &stop[..7]].concat();
-    // The third byte could begin a preamble, too: of a frame with id AAh and 34 bytes of payload.
+    // The third byte could also start a preamble, of a frame with id AAh and 34 bytes of payload.
     let expected = [
         (2, Kind::Noise),
         (1, Kind::Incomplete(10)),
@@ -43,7 +43,7 @@ fn endless_preamble_is_one_run() {
     assert_eq!(kinds(&[0xAA; 500]), [(500, Kind::TooLong(0xAAAA))]);
 }
 
-/// Frames, damaged ones, pieces of them, noise.
+/// Generates recordings of intact, damaged and truncated frames and noise.
 fn recording() -> impl Strategy<Value = Vec<u8>> {
     let payload = prop::collection::vec(prop_oneof![Just(0xAA), any::<u8>()], 0..24);
     let whole = (any::<u8>(), payload).prop_map(|(id, payload)| frame(id, &payload));
@@ -64,7 +64,7 @@ fn recording() -> impl Strategy<Value = Vec<u8>> {
 
 proptest! {
     #[test]
-    fn it_finds_the_frames_that_the_parser_finds_and_every_byte_once(bytes in recording()) {
+    fn scan_finds_the_frames_of_the_parser_and_every_byte_once(bytes in recording()) {
         let mut parser = FrameParser::<MAX_PAYLOAD_LEN>::new();
         let mut parsed = Vec::new();
         let mut take = |event: Option<Event<'_>>| {

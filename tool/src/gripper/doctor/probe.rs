@@ -1,4 +1,4 @@
-//! What a peer speaks, found out without a driver: a driver would only report that nothing answered.
+//! Protocol and checksum detection without a driver, which would report only that the peer does not answer.
 
 use std::time::{Duration, Instant};
 
@@ -11,15 +11,15 @@ use crate::gripper::address::Address;
 use crate::gripper::line::Line;
 use crate::gripper::trouble::Trouble;
 
-/// How long an answer in each protocol is awaited.
+/// Time-out for an answer in each protocol.
 const ANSWER: Duration = Duration::from_secs(1);
-/// How long the answer to a query with a wrong checksum is awaited, which a gripper normally ignores.
+/// Time-out for the answer to a query with a wrong checksum, which a gripper normally ignores.
 const NO_ANSWER: Duration = Duration::from_millis(300);
 
-/// The payload of a Loop with a wrong checksum. Nothing else is answered with it.
+/// The payload of the Loop with a wrong checksum. It identifies the answer.
 const WRONG: &[u8] = b"wrong checksum";
 
-/// The protocol of a gripper.
+/// The protocol that a peer uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Speech {
     Binary,
@@ -35,7 +35,7 @@ impl Speech {
     }
 }
 
-/// What is at the other end of a line.
+/// How the peer reacts to queries.
 pub(super) enum Peer {
     Answers(Speech),
     IsSilent,
@@ -48,15 +48,17 @@ pub(super) enum Checksums {
     Ignored,
 }
 
-/// What was received in time.
+/// The outcome of a bounded wait for an answer.
 enum Received<T> {
     Answer(T),
     Nothing,
     End,
 }
 
-/// Asks in the protocol of the address first, then in the other one on the same connection, because a further connection
-/// may be refused, and one that ends unannounced causes a FAST STOP (command set, 1.4.2).
+/// Detects the protocol. Queries in the protocol of the address first, then in the other one.
+///
+/// Both queries use the same connection, because the gripper may refuse a second one, and closing a connection without an
+/// announcement causes a FAST STOP (command set, 1.4.2).
 pub(super) fn speech(line: &mut Line, address: &Address) -> Result<Peer, Trouble> {
     let order = match address {
         Address::Gcl(_) | Address::GclUdp(_) => &[Speech::Gcl, Speech::Binary][..],
@@ -92,7 +94,7 @@ pub(super) fn speech(line: &mut Line, address: &Address) -> Result<Peer, Trouble
     Ok(Peer::IsSilent)
 }
 
-/// Sends a Loop with a wrong checksum. A gripper that evaluates checksums discards or rejects it.
+/// Sends a Loop with a wrong checksum, which a gripper that evaluates checksums discards or rejects.
 pub(super) fn checksums(line: &mut Line) -> Result<Checksums, Trouble> {
     let mut query: Vec<u8> = FrameEncoder::new(CommandId::Loop.code(), WRONG).collect();
     if let Some(last) = query.last_mut() {
@@ -109,8 +111,9 @@ pub(super) fn checksums(line: &mut Line) -> Result<Checksums, Trouble> {
     Ok(if matches!(answer, Received::Answer(true)) { Checksums::Ignored } else { Checksums::Evaluated })
 }
 
-/// Announces the end in both protocols to a peer whose protocol is not known. It may be a gripper that reads this later. The
-/// connection closes next, so an error has no consequence.
+/// Announces the end of the connection in both protocols, for a peer whose protocol is unknown.
+///
+/// The peer may be a gripper that reads this later. The connection closes next, so errors are ignored.
 pub(super) fn leave(line: &mut Line) {
     let mut text = [0; Request::MAX_LEN + 1];
     let bye = Request::Bye.write_line_into(&mut text).unwrap_or_default();
@@ -126,14 +129,14 @@ fn info_query() -> Vec<u8> {
     encode(Command::GetSystemInfo)
 }
 
-/// The empty line ends what a text gripper has read of a frame.
+/// Builds a GCL query. The leading empty line terminates any binary bytes that a GCL gripper has read as text.
 fn text_query() -> Vec<u8> {
     let mut text = [0; Request::MAX_LEN + 1];
     let len = Request::Devtype.write_line_into(&mut text).unwrap_or_default();
     [b"\n", &text[..len]].concat()
 }
 
-/// Returns whether the peer still takes bytes.
+/// Sends bytes. Returns whether the peer still accepts them.
 fn send(line: &mut Line, mut bytes: &[u8]) -> Result<bool, Trouble> {
     while !bytes.is_empty() {
         match line.write(bytes).map(|count| bytes.get(count.max(1)..)) {
@@ -144,7 +147,7 @@ fn send(line: &mut Line, mut bytes: &[u8]) -> Result<bool, Trouble> {
     Ok(true)
 }
 
-/// Reads until `take` returns a value, up to `within`.
+/// Passes received bytes to `take` until it returns a value or the time `within` has elapsed.
 fn receive<T>(
     line: &mut Line,
     within: Duration,
@@ -164,7 +167,7 @@ fn receive<T>(
                     return Ok(Received::Answer(answer));
                 }
             }
-            // Also while the peer sends without end.
+            // Also reached when the peer never stops sending.
             let left = within.saturating_sub(begin.elapsed());
             if left.is_zero() {
                 return Ok(Received::Nothing);
@@ -177,7 +180,7 @@ fn receive<T>(
     read().or_else(|error| end(error).map(|()| Received::End))
 }
 
-/// A line that fails has ended; a signal ends the program.
+/// Treats a transport error as the end of the line, and passes on a signal, which ends the program.
 fn end(error: std::io::Error) -> Result<(), Trouble> {
     match Trouble::from(wsg_protocol::driver::Error::Transport(error)) {
         Trouble::Driver(_) => Ok(()),

@@ -1,4 +1,4 @@
-//! The checks, and what each one found: a line for people, or one object of JSON.
+//! The checks and their findings: one line of text each, or one JSON object for all.
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 
 use crate::gripper::trouble::Trouble;
 
-/// A check, in the order of the report.
+/// The checks, in the order of the report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Check {
     Reachability,
@@ -57,33 +57,31 @@ impl Check {
         }
     }
 
-    /// What to change when the check does not pass.
+    /// Returns what to change when the check does not pass.
     pub(crate) const fn remedy(self) -> &'static str {
         match self {
             Self::Reachability => {
-                "check power, cable and address; a gripper is delivered with 192.168.1.20, and this computer needs an address in the same \
+                "check power, cable and address; the factory address is 192.168.1.20, and this computer needs an address in the same \
                  subnet"
             }
             Self::Port => {
                 "select this interface and port under Settings -> Command Interface, or close the client that holds the connection"
             }
             Self::Protocol => {
-                "select interface and protocol of this address under Settings -> Command Interface, or use the address of the protocol \
-                 found: tcp:// or udp:// for the binary protocol, gcl:// or gcl+udp:// for GCL"
+                "select the interface and protocol of this address under Settings -> Command Interface, or use an address for the \
+                 detected protocol: tcp:// or udp:// for the binary protocol, gcl:// or gcl+udp:// for GCL"
             }
-            Self::Checksum => "enable the evaluation of checksums under Settings -> Command Interface",
+            Self::Checksum => "enable checksum evaluation under Settings -> Command Interface",
             Self::OtherClients => {
-                "close other programs that are connected, such as WSG Commander, and stop scripts; if the computer of one was switched off, \
-                 restart the gripper"
+                "close other connected programs, such as WSG Commander, and stop scripts; if a connected computer was switched off, restart \
+                 the gripper"
             }
             Self::Firmware => "restart the gripper; its web interface shows the version",
             Self::Referenced => {
-                "run `home` when the fingers may move, or enable homing at start-up under Settings -> Motion Configuration"
+                "run `home` when it is safe to move the fingers, or enable homing at start-up under Settings -> Motion Configuration"
             }
-            Self::FastStop => "remove the cause, then run `ack` when the fingers may move",
-            Self::Faults => {
-                "check supply voltage, temperature and load; `finger-flags` shows faults of the fingers"
-            }
+            Self::FastStop => "remove the cause, then run `ack` when it is safe to move the fingers",
+            Self::Faults => "check supply voltage, temperature and load; `finger-flags` shows finger faults",
             Self::Script => "correct or stop the script in the web interface",
             Self::RoundTrip | Self::UpdateRate => {
                 "connect by cable instead of Wi-Fi, and close other clients; over a serial line or CAN, use the highest bit rate"
@@ -91,7 +89,7 @@ impl Check {
         }
     }
 
-    /// The exit status when it fails: whether there is no connection, or the gripper refuses motions.
+    /// Returns the exit status of a failed check: 4 if the gripper refuses motions, 6 if it cannot be used.
     const fn exit_status(self) -> u8 {
         match self {
             Self::FastStop | Self::Faults => 4,
@@ -100,7 +98,7 @@ impl Check {
     }
 }
 
-/// How a check ended.
+/// The outcome of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     Ok,
@@ -120,13 +118,13 @@ impl Verdict {
     }
 }
 
-/// The checks so far. People read each as soon as it ends.
+/// The results so far. Text is printed after each check, JSON at the end.
 pub(super) struct Report {
     is_json: bool,
     checks: Vec<Value>,
-    /// Of the check that is recorded next.
+    /// Figures for the check that is recorded next.
     values: Map<String, Value>,
-    /// The exit status, by the first check that failed.
+    /// The exit status, set by the first failed check.
     status: u8,
 }
 
@@ -139,7 +137,7 @@ impl Report {
         self.record(check, Verdict::Ok, found)
     }
 
-    /// Records something to correct that does not keep a program from using the gripper.
+    /// Records a finding that should be corrected but does not prevent use of the gripper.
     pub(super) fn warn(&mut self, check: Check, found: &str) -> Result<(), Trouble> {
         self.record(check, Verdict::Warning, found)
     }
@@ -152,14 +150,14 @@ impl Report {
     }
 
     pub(super) fn skip(&mut self, check: Check) -> Result<(), Trouble> {
-        self.record(check, Verdict::Skipped, "needs a gripper that answers")
+        self.record(check, Verdict::Skipped, "an earlier check failed")
     }
 
-    /// Records an error that ended the checks, with the one it kept from being done.
+    /// Records the error that ended the checks as the failure of the next check.
     pub(super) fn fail_next(&mut self, error: &impl Display) -> Result<(), Trouble> {
         match Check::ALL.get(self.checks.len()) {
             Some(check) => self.fail(*check, &error.to_string()),
-            // All checks passed, and the connection failed to end.
+            // All checks have run; the error occurred while closing the connection.
             None => {
                 self.status = 6;
                 writeln!(io::stderr(), "wsg: doctor: {error}")?;
@@ -168,7 +166,7 @@ impl Report {
         }
     }
 
-    /// Adds a figure to the check that is recorded next, for JSON.
+    /// Adds a figure to the JSON of the check that is recorded next, rounded to three decimals.
     pub(super) fn value(&mut self, name: &str, value: f64) {
         self.values.insert(name.to_owned(), json!((value * 1e3).round() / 1e3));
     }
@@ -191,14 +189,14 @@ impl Report {
         Ok(())
     }
 
-    /// Skips the checks that are left, and says whether the gripper is usable; the exit status.
+    /// Marks the remaining checks as skipped, prints the conclusion, and returns the exit status.
     pub(super) fn finish(mut self) -> Result<u8, Trouble> {
         for check in Check::ALL.iter().skip(self.checks.len()) {
             self.skip(*check)?;
         }
         let (result, words) = match self.status {
             0 => ("done", "the gripper is usable"),
-            4 => ("refused", "the gripper answers, but refuses motions"),
+            4 => ("refused", "the gripper responds but refuses motions"),
             _ => ("no_connection", "the gripper is not usable at this address"),
         };
         let mut stdout = io::stdout().lock();

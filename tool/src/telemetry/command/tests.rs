@@ -45,7 +45,7 @@ fn refusal(metrics: Vec<payload::Metric>) -> String {
 }
 
 #[test]
-fn each_command_is_taken_with_the_parameters_that_it_needs() {
+fn each_command_is_accepted_with_its_parameters() {
     let both = || [number("Command/Width", 20.0), number("Command/Speed", 100.0)];
     let with = |name: &str, rest: &[payload::Metric]| of([&[command(name)], rest].concat());
     let force = &number("Command/Force", 30.0);
@@ -67,33 +67,36 @@ fn each_command_is_taken_with_the_parameters_that_it_needs() {
         let moving = Situation { is_moving: true, ..SITUATION }.decide(&payload);
         assert_eq!(moving.is_err(), is_motion, "{expected:?} during a motion");
         let offline = Situation { is_online: false, ..SITUATION }.decide(&payload).unwrap_err();
-        assert!(offline.contains("does not answer"), "{offline}");
+        assert!(offline.contains("does not respond"), "{offline}");
     }
 }
 
 #[test]
-fn metrics_are_known_by_the_alias_of_the_birth() {
+fn metrics_are_identified_by_the_alias_of_the_birth() {
     let by_alias = |alias| payload::Metric { name: None, alias: Some(alias), ..command("") };
     assert_eq!(SITUATION.decide(&of(vec![by_alias(78)])), Ok(Action::Home));
     assert_eq!(SITUATION.decide(&of(vec![by_alias(83)])), Ok(Action::FastStop));
     for alias in [77, 88, 89, 0, 14] {
-        assert!(refusal(vec![by_alias(alias)]).contains("no command of this gripper"), "{alias}");
+        assert!(
+            refusal(vec![by_alias(alias)]).contains("not a command or parameter of this gripper"),
+            "{alias}"
+        );
     }
     let contradiction = payload::Metric { alias: Some(79), ..command("Command/Home") };
-    assert!(refusal(vec![contradiction]).contains("is no command"));
+    assert!(refusal(vec![contradiction]).contains("is not a gripper command"));
 }
 
 #[test]
-fn whatever_is_not_exactly_one_command_with_its_parameters_is_refused() {
+fn anything_but_one_command_with_its_parameters_is_refused() {
     let speed = || number("Command/Speed", 100.0);
     let width = |mm| number("Command/Width", mm);
     let typed = |datatype, metric| payload::Metric { datatype: Some(datatype), ..metric };
     for (metrics, expected) in [
         (vec![], "no command"),
         (vec![width(20.0), speed()], "no command"),
-        (vec![command("Home")], "\"Home\" is no command"),
-        (vec![command("Command/Home"), command("Width")], "\"Width\" is no command"),
-        (vec![command("Command/Result")], "is no command"),
+        (vec![command("Home")], "\"Home\" is not a gripper command"),
+        (vec![command("Command/Home"), command("Width")], "\"Width\" is not a gripper command"),
+        (vec![command("Command/Result")], "is not a gripper command"),
         (vec![payload::Metric { name: None, ..command("") }], "neither name nor alias"),
         (vec![command("Command/Home"), command("Command/Stop")], "more than one command"),
         (vec![command("Command/Home"), command("Command/Home")], "more than one command"),
@@ -105,29 +108,29 @@ fn whatever_is_not_exactly_one_command_with_its_parameters_is_refused() {
             vec![payload::Metric { is_historical: Some(true), ..command("Command/Home") }],
             "null or historical",
         ),
-        (vec![typed(9, command("Command/Home"))], "another type"),
-        (vec![command("Command/Grip"), typed(10, width(20.0)), speed()], "another type"),
+        (vec![typed(9, command("Command/Home"))], "differs from the birth"),
+        (vec![command("Command/Grip"), typed(10, width(20.0)), speed()], "differs from the birth"),
         (vec![command("Command/Home"), width(20.0)], "Home takes no parameters"),
         (vec![command("Command/Stop"), speed()], "Stop takes no parameters"),
-        (vec![command("Command/Move"), width(20.0)], "Move needs a width and a speed"),
-        (vec![command("Command/Grip"), speed()], "Grip needs a width and a speed"),
+        (vec![command("Command/Move"), width(20.0)], "Move requires a width and a speed"),
+        (vec![command("Command/Grip"), speed()], "Grip requires a width and a speed"),
         (
             vec![command("Command/Release"), width(20.0), speed(), number("Command/Force", 30.0)],
-            "Release needs a width and a speed, and no force",
+            "Release requires a width and a speed, and no force",
         ),
-        (vec![command("Command/Grip"), width(20.0), width(20.0), speed()], "Command/Width is there twice"),
+        (vec![command("Command/Grip"), width(20.0), width(20.0), speed()], "Command/Width appears twice"),
         (
             vec![command("Command/Grip"), metric("Command/Width", MetricValue::Long(20)), speed()],
-            "Command/Width is no Float",
+            "Command/Width is not a Float",
         ),
-        (vec![command("Command/Move"), width(110.1), speed()], "Command/Width = 110.1 is not in 0 to 110"),
-        (vec![command("Command/Move"), width(-0.1), speed()], "is not in 0 to 110"),
-        (vec![command("Command/Move"), width(f32::NAN), speed()], "Command/Width = NaN is not in"),
-        (vec![command("Command/Move"), width(f32::INFINITY), speed()], "is not in 0 to 110"),
-        (vec![command("Command/Move"), width(20.0), number("Command/Speed", 4.9)], "is not in 5 to 420"),
+        (vec![command("Command/Move"), width(110.1), speed()], "Command/Width = 110.1 is outside 0 to 110"),
+        (vec![command("Command/Move"), width(-0.1), speed()], "is outside 0 to 110"),
+        (vec![command("Command/Move"), width(f32::NAN), speed()], "Command/Width = NaN is outside"),
+        (vec![command("Command/Move"), width(f32::INFINITY), speed()], "is outside 0 to 110"),
+        (vec![command("Command/Move"), width(20.0), number("Command/Speed", 4.9)], "is outside 5 to 420"),
         (
             vec![command("Command/Grip"), width(20.0), speed(), number("Command/Force", 50.1)],
-            "Command/Force = 50.1 is not in 5 to 50",
+            "Command/Force = 50.1 is outside 5 to 50",
         ),
     ] {
         let why = refusal(metrics);
@@ -135,11 +138,11 @@ fn whatever_is_not_exactly_one_command_with_its_parameters_is_refused() {
     }
     let unknown = Situation { ranges: &[], ..SITUATION };
     let why = unknown.decide(&of(vec![command("Command/Move"), width(20.0), speed()])).unwrap_err();
-    assert_eq!(why, "the range of Command/Width is not known");
+    assert_eq!(why, "the range of Command/Width is unknown");
 }
 
 #[test]
-fn time_of_a_command_is_of_now_and_later_than_that_of_the_one_before() {
+fn timestamp_of_a_command_must_be_current_and_later_than_the_previous_one() {
     let situation = Situation { last_at: 0, ..SITUATION };
     let at = |situation: Situation<'_>, at| {
         situation.time_of(&Payload { timestamp: at, metrics: Vec::new(), seq: None })

@@ -10,7 +10,7 @@ use crate::telemetry::{
     report::Report,
 };
 
-/// A commander of a gripper that was found once, with what it tells.
+/// A commander for a gripper that was found once, with access to its orders, reports and line.
 struct Rig {
     commander: Commander,
     gripper: Gripper<Stream<DuplexStream>, TokioTimer>,
@@ -36,7 +36,7 @@ impl Rig {
         self.commander.carry_out(&mut self.gripper, order, &mut stop).await;
     }
 
-    /// What was told of outcomes since.
+    /// Returns the outcomes reported since the last call.
     fn told(&mut self) -> Vec<String> {
         let reports = std::iter::from_fn(|| self.reports.try_recv().ok());
         let text = reports.map(|report| match report.what {
@@ -52,7 +52,7 @@ fn order(action: Action, at: u64) -> Order {
 }
 
 #[tokio::test(start_paused = true)]
-async fn orders_of_a_connection_that_is_lost_or_that_waited_for_too_long_are_dropped_and_told() {
+async fn expired_orders_and_orders_of_a_lost_connection_are_dropped_and_reported() {
     let mut rig = Rig::new();
 
     rig.carry_out(Order { life: 0, ..order(Action::Home, 5) }).await;
@@ -60,15 +60,15 @@ async fn orders_of_a_connection_that_is_lost_or_that_waited_for_too_long_are_dro
     rig.carry_out(Order { expires_at: 1, ..order(Action::Home, 7) }).await;
 
     let told = rig.told();
-    assert_eq!(told[0], "Home: dropped: the connection to the gripper was lost meanwhile");
-    assert_eq!(told[1], "Fast Stop: dropped: the connection to the gripper was lost meanwhile");
-    assert_eq!(told[2], "Home: dropped: it waited for too long");
+    assert_eq!(told[0], "Home: dropped: the connection to the gripper was lost in the meantime");
+    assert_eq!(told[1], "Fast Stop: dropped: the connection to the gripper was lost in the meantime");
+    assert_eq!(told[2], "Home: dropped: it expired while waiting");
     drop(rig.gripper);
-    assert_eq!(rig.line.read(&mut [0; 64]).await.unwrap(), 0, "bytes for the gripper");
+    assert_eq!(rig.line.read(&mut [0; 64]).await.unwrap(), 0, "no bytes were sent to the gripper");
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_was_asked_for_before_a_stop_is_dropped_behind_it() {
+async fn orders_given_before_a_stop_are_dropped_after_it() {
     let mut rig = Rig::new();
     for (number, action) in [Action::Home, Action::Acknowledge, Action::FastStop].into_iter().enumerate() {
         assert!(rig.orders.push(order(action, 10 + number as u64)));
@@ -81,21 +81,21 @@ async fn what_was_asked_for_before_a_stop_is_dropped_behind_it() {
 
     let told = rig.told();
     assert!(told[0].starts_with("Fast Stop: "), "{told:?}");
-    assert_eq!(told[1], "Home: dropped: a stop was asked for since");
-    assert_eq!(told[2], "Acknowledge: dropped: a stop was asked for since");
+    assert_eq!(told[1], "Home: dropped: superseded by a later stop");
+    assert_eq!(told[2], "Acknowledge: dropped: superseded by a later stop");
     rig.carry_out(order(Action::Home, 13)).await;
     assert!(!rig.told()[0].contains("dropped"));
 }
 
 #[tokio::test(start_paused = true)]
-async fn stop_that_comes_before_a_motion_has_begun_is_sent_and_the_motion_is_not() {
+async fn stop_received_before_a_motion_starts_is_sent_instead_of_the_motion() {
     let mut rig = Rig::new();
     assert!(rig.orders.push(order(Action::FastStop, 11)));
 
     rig.carry_out(order(Action::Home, 10)).await;
 
     let told = rig.told();
-    assert_eq!(told[0], "Home: dropped or ended by Fast Stop");
+    assert_eq!(told[0], "Home: dropped or stopped by Fast Stop");
     assert!(told[1].starts_with("Fast Stop: "), "{told:?}");
     drop(rig.gripper);
     let mut sent = Vec::new();

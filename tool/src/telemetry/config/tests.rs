@@ -9,7 +9,7 @@ fn parsed(text: &str) -> Result<Telemetry> {
 }
 
 #[test]
-fn file_with_the_least_that_is_needed_has_the_defaults_of_the_table() {
+fn minimal_file_has_the_defaults_of_the_table() {
     let telemetry = parsed(&[BROKER, NODE, GRIPPER].concat()).unwrap();
 
     assert_eq!(
@@ -24,7 +24,7 @@ fn file_with_the_least_that_is_needed_has_the_defaults_of_the_table() {
 }
 
 #[test]
-fn commands_are_allowed_to_the_gripper_that_says_so_alone() {
+fn commands_are_allowed_only_for_the_gripper_that_enables_them() {
     let telemetry = parsed(
         &[BROKER, NODE, GRIPPER, "allow_commands = true\n", &GRIPPER.replace("left", "right")].concat(),
     );
@@ -33,7 +33,7 @@ fn commands_are_allowed_to_the_gripper_that_says_so_alone() {
 }
 
 #[test]
-fn every_default_is_a_value_that_the_setting_takes() {
+fn every_default_is_a_valid_value() {
     let place = Place { file: "the table".to_owned(), line: 1 };
     for setting in SETTINGS {
         if let Some(default) = setting.default {
@@ -43,7 +43,7 @@ fn every_default_is_a_value_that_the_setting_takes() {
 }
 
 #[test]
-fn addresses_have_the_ports_of_their_kind() {
+fn addresses_have_the_default_port_of_their_kind() {
     for (text, expected) in [
         ("tcp://left", Some(Address::Tcp("left:1000".to_owned()))),
         ("tcp://[fe80::1]:7", Some(Address::Tcp("[fe80::1]:7".to_owned()))),
@@ -63,25 +63,25 @@ fn addresses_have_the_ports_of_their_kind() {
 }
 
 #[test]
-fn whatever_is_wrong_is_told_in_one_line_with_its_place_and_what_is_expected() {
+fn every_mistake_is_reported_in_one_line_with_its_place_and_what_was_expected() {
     let in_broker = |line: &str| [BROKER, line, "\n", NODE, GRIPPER].concat();
     for (text, place, expected) in [
-        (String::new(), "cell.toml", "no [broker]"),
-        (BROKER.to_owned(), "cell.toml", "no [node]"),
+        (String::new(), "cell.toml", "missing section [broker]"),
+        (BROKER.to_owned(), "cell.toml", "missing section [node]"),
         ([BROKER, NODE].concat(), "cell.toml", "no [[gripper]]"),
         ("[broker\n".to_owned(), "cell.toml, line 1", "unclosed table"),
         (in_broker("x = "), "cell.toml, line 3", "value"),
         (in_broker("adress = \"x\""), "cell.toml, line 3", "expected one of address, user"),
         (in_broker("keep_alive_s = 0"), "cell.toml, line 3", "a whole number from 1 to 600"),
-        (in_broker("keep_alive_s = [1]"), "cell.toml, line 3", "expected a text or a number"),
+        (in_broker("keep_alive_s = [1]"), "cell.toml, line 3", "expected text or a number"),
         (in_broker("reconnect_s = \"soon\""), "cell.toml, line 3", "a number from 0.1 to 600"),
-        (in_broker("ca_file = \"ca.pem\""), "cell.toml, line 3", "for mqtts:// alone"),
+        (in_broker("ca_file = \"ca.pem\""), "cell.toml, line 3", "require mqtts://"),
         (in_broker("password_file = \"/none\"\nuser = \"a\""), "cell.toml, line 3", "No such file"),
-        (in_broker("password_env = \"WSG_NONE\"\nuser = \"a\""), "cell.toml, line 3", "no such variable"),
+        (in_broker("password_env = \"WSG_NONE\"\nuser = \"a\""), "cell.toml, line 3", "variable not set"),
         (
             in_broker("password_file = \"a\"\npassword_env = \"b\""),
             "cell.toml, line 4",
-            "password_file already",
+            "conflicts with password_file",
         ),
         (
             in_broker("[brokers]"),
@@ -130,7 +130,7 @@ fn whatever_is_wrong_is_told_in_one_line_with_its_place_and_what_is_expected() {
 }
 
 #[test]
-fn password_is_the_first_line_of_its_file_and_no_log_shows_it() {
+fn password_is_the_first_line_of_its_file_and_is_never_logged() {
     let path = env::temp_dir().join(format!("wsg-password-{}", std::process::id()));
     fs::write(&path, "secret word\nignored\n").unwrap();
     let text = [BROKER, &format!("user = \"cell\"\npassword_file = {path:?}\n"), NODE, GRIPPER].concat();
@@ -142,5 +142,5 @@ fn password_is_the_first_line_of_its_file_and_no_log_shows_it() {
 
     assert_eq!(telemetry.broker.password.as_ref().unwrap().0, "secret word");
     assert!(!format!("{telemetry:?}").contains("secret word"));
-    assert!(empty.contains("it is empty"), "{empty}");
+    assert!(empty.contains("the password is empty"), "{empty}");
 }

@@ -19,7 +19,7 @@ const fn lost(device: u16, at: u64) -> Report {
     Report { device, at, what: What::Lost }
 }
 
-/// All messages that are due, as "KIND DEVICE" and, for data, its moment, and whether it is historical.
+/// Sends all due messages. Returns each as "KIND DEVICE", for data with its time and `historical` if set.
 fn sent(node: &mut Node, now: u64) -> Vec<String> {
     std::iter::from_fn(|| node.poll_transmit(now)).map(|message| text_of(&message)).collect()
 }
@@ -41,7 +41,7 @@ fn sequence_of(message: &Message) -> Option<u64> {
 }
 
 #[test]
-fn births_come_first_then_what_was_stored_as_historical_then_what_is_new() {
+fn births_are_sent_first_then_stored_samples_as_historical_then_new_data() {
     let mut node = node_of(10);
     node.take(found(0, 1));
     node.take(changed(0, 2));
@@ -58,7 +58,7 @@ fn births_come_first_then_what_was_stored_as_historical_then_what_is_new() {
 }
 
 #[test]
-fn device_that_went_during_an_outage_is_born_for_its_history_and_dies_behind_it() {
+fn device_lost_during_an_outage_is_born_for_its_history_and_dies_after_it() {
     let mut node = node_of(10);
     node.take(found(0, 1));
     node.take(changed(0, 2));
@@ -72,7 +72,7 @@ fn device_that_went_during_an_outage_is_born_for_its_history_and_dies_behind_it(
 }
 
 #[test]
-fn device_that_comes_back_while_its_history_is_sent_stays() {
+fn device_that_returns_while_its_history_is_sent_stays_alive() {
     let mut node = node_of(10);
     node.take(found(0, 1));
     node.take(changed(0, 2));
@@ -85,7 +85,7 @@ fn device_that_comes_back_while_its_history_is_sent_stays() {
 }
 
 #[test]
-fn what_was_not_confirmed_is_sent_again_over_the_next_connection() {
+fn unconfirmed_samples_are_sent_again_over_the_next_connection() {
     let mut node = node_of(10);
     node.take(found(0, 1));
     node.connected(0);
@@ -106,7 +106,7 @@ fn what_was_not_confirmed_is_sent_again_over_the_next_connection() {
 }
 
 #[test]
-fn sequence_numbers_run_from_0_to_255_and_around_and_begin_again_with_a_rebirth() {
+fn sequence_numbers_wrap_at_255_and_restart_with_a_rebirth() {
     let mut node = node_of(1_000);
     node.take(found(0, 1));
     node.connected(0);
@@ -133,7 +133,7 @@ fn sequence_numbers_run_from_0_to_255_and_around_and_begin_again_with_a_rebirth(
 }
 
 #[test]
-fn node_tells_what_changed_of_itself_once_a_second_at_the_most() {
+fn changed_node_values_are_sent_at_most_once_per_second() {
     let mut node = node_of(1);
     node.connected(0);
     assert_eq!(sent(&mut node, 1_000), ["NBIRTH "]);
@@ -144,7 +144,7 @@ fn node_tells_what_changed_of_itself_once_a_second_at_the_most() {
 }
 
 #[test]
-fn death_has_the_number_of_its_connection_and_no_sequence_number() {
+fn death_carries_the_number_of_its_connection_and_no_sequence_number() {
     let death = node_of(1).identity().death(200, 5);
     let payload = Payload::decode(death.payload.as_slice()).unwrap();
     assert_eq!((&*death.topic, payload.seq), ("spBv1.0/plant/NDEATH/cell", None));
@@ -164,7 +164,7 @@ fn commands_other_than_a_rebirth_are_refused_and_counted() {
     assert_eq!(node.own.refused, 3);
 }
 
-/// A node whose device "left" may be commanded since 1000, and where its orders come out.
+/// A node whose device "left" accepts commands later than 1000, and the queue of its orders.
 fn commanded() -> (Node, crate::telemetry::command::Queue) {
     let mut node = node_of(100);
     let (orders, queue) = crate::telemetry::command::queue();
@@ -176,7 +176,7 @@ fn commanded() -> (Node, crate::telemetry::command::Queue) {
 
 fn found_commanded(node: &mut Node, at: u64) {
     let Report { device, at, what } = found(0, at);
-    let What::Found { mut values, mut ranges } = what else { panic!("it is found") };
+    let What::Found { mut values, mut ranges } = what else { panic!("`found` returned another report") };
     values.extend(vec![None; COMMANDS.len()]);
     ranges.extend(vec![Some((0.0, 100.0)); COMMANDS.len()]);
     node.take(Report { device, at, what: What::Found { values, ranges } });
@@ -198,7 +198,7 @@ fn dcmd(
     node.command("spBv1.0/plant/DCMD/cell/left", &payload.encode_to_vec(), is_retained, now)
 }
 
-/// All results that were sent to hosts.
+/// Returns all results that were sent to hosts.
 fn results(node: &mut Node, now: u64) -> Vec<String> {
     let messages = std::iter::from_fn(|| node.poll_transmit(now));
     let mut results = Vec::new();
@@ -213,7 +213,7 @@ fn results(node: &mut Node, now: u64) -> Vec<String> {
 }
 
 #[test]
-fn command_is_taken_once_and_refused_when_it_comes_again() {
+fn command_is_accepted_once_and_refused_when_repeated() {
     let (mut node, mut queue) = commanded();
     assert_eq!(dcmd(&mut node, Some(1_001), &["Command/Home"], false, 1_500), Ok("Home".to_owned()));
     let order = queue.others.try_recv().unwrap();
@@ -233,7 +233,7 @@ fn command_is_taken_once_and_refused_when_it_comes_again() {
 }
 
 #[test]
-fn what_was_refused_once_is_refused_when_it_comes_again() {
+fn refused_command_is_refused_when_repeated() {
     let (mut node, mut queue) = commanded();
     dcmd(&mut node, Some(1_001), &["Command/Home"], false, 1_001).unwrap();
     queue.others.try_recv().unwrap();
@@ -252,7 +252,7 @@ fn what_was_refused_once_is_refused_when_it_comes_again() {
 }
 
 #[test]
-fn stops_are_taken_during_a_motion_and_apart_from_other_orders() {
+fn stops_are_accepted_during_a_motion_and_queued_separately() {
     let (mut node, mut queue) = commanded();
     dcmd(&mut node, Some(1_001), &["Command/Home"], false, 1_001).unwrap();
     dcmd(&mut node, Some(1_002), &["Command/Fast Stop"], false, 1_002).unwrap();
@@ -264,13 +264,13 @@ fn stops_are_taken_during_a_motion_and_apart_from_other_orders() {
 }
 
 #[test]
-fn commands_that_are_refused_reach_no_queue_and_are_told_and_counted() {
+fn refused_commands_are_not_queued_but_reported_and_counted() {
     let (mut node, mut queue) = commanded();
     let home: &[&str] = &["Command/Home"];
     let cases = [
         (None, home, false, 1_500, "no timestamp"),
-        // From before the start of the program.
-        (Some(1_000), home, false, 1_500, "or of the start"),
+        // A timestamp from before the program start.
+        (Some(1_000), home, false, 1_500, "or the program start"),
         (Some(1_001), home, false, 3_002, "older than 2000 ms"),
         (Some(5_001), home, false, 3_000, "ahead"),
         (Some(3_001), home, true, 3_002, "retained"),
@@ -288,10 +288,10 @@ fn commands_that_are_refused_reach_no_queue_and_are_told_and_counted() {
     queue.others.try_recv().unwrap_err();
     assert_eq!((node.own.refused, results(&mut node, 4_000).len()), (7, 7));
 
-    // The gripper is away: there is no data of it, and its next birth tells.
+    // While the gripper is offline no data is sent; its next birth carries the result.
     node.take(lost(0, 4_001));
     let why = dcmd(&mut node, Some(4_020), home, false, 4_020).unwrap_err();
-    assert!(why.contains("does not answer"), "{why}");
+    assert!(why.contains("does not respond"), "{why}");
     assert_eq!(results(&mut node, 4_021), [""; 0]);
     found_commanded(&mut node, 4_030);
     let result = &node.devices[0].values[TABLE.len() + 10];
@@ -301,7 +301,7 @@ fn commands_that_are_refused_reach_no_queue_and_are_told_and_counted() {
 }
 
 #[test]
-fn device_that_does_not_allow_commands_takes_none() {
+fn device_that_does_not_allow_commands_accepts_none() {
     let (mut node, _queue) = commanded();
     node.take(found(1, 1));
     sent(&mut node, 1_100);
