@@ -1,5 +1,4 @@
-//! Speed: instructions of each board's core, counted in the emulator and held to a committed baseline; throughput and latency on
-//! the host.
+//! Benchmarks: instruction counts per core in the emulator, compared with a committed baseline; throughput and latency on the host.
 
 use std::{collections::BTreeMap, fs, path::PathBuf, process::Command};
 
@@ -16,12 +15,13 @@ use crate::{
 
 const BASELINE: &str = "host-tests/probes/baseline.txt";
 
-/// How much more than the baseline is taken, in percent.
+/// Permitted increase over the baseline in percent.
 const TOLERANCE: u64 = 2;
 
-/// Instructions for a byte of a frame: byte by byte at the level that is flashed, in bulk at opt-level 3; and for a request of a
-/// bus and its answer, of PROFIBUS from the request's last character to the answer's first. Of each, what it is called, in what,
-/// which count it is, and its limits, in the order of the cores.
+/// Instruction limits: name, unit, count, and one limit per core.
+///
+/// Per frame byte: byte by byte at the released opt-level, and in bulk at opt-level 3. Per bus request with its response, for
+/// PROFIBUS from the last character of the request to the first of the response.
 const LIMITS: [(&str, Unit, &str, [f64; 2]); 4] = [
     (
         "instructions per byte, byte by byte at 64 B of payload, as flashed",
@@ -49,28 +49,26 @@ const LIMITS: [(&str, Unit, &str, [f64; 2]); 4] = [
     ),
 ];
 
-/// From the turn of the main loop in which an edge counts to the first byte, in the firmware as it is flashed: for each
-/// wire.
+/// From the main-loop turn in which an edge is accepted to the first byte sent, in the released firmware, for each wire.
 const EDGES: &str = "Os/edge-to-first-byte/";
 const EDGE_LIMIT_US: f64 = 50.0;
-/// The same for a GRIP whose force limit is known, and the bytes of its frame; with their time on the line.
+/// The same up to the last byte of a GRIP with known force limit, including the transmission time.
 const GRIP: &str = "Os/edge-to-last-byte/grip";
 const GRIP_LIMIT_US: f64 = 1_600.0;
 const BYTE_US: f64 = 10.0 / 0.1152;
 const CORE_MHZ: f64 = 80.0;
-/// The emulator counts instructions, not cycles. Assumed, not measured: two cycles for each, since a turn of the main loop
-/// is longer than the flash cache, and a line that it lacks costs four wait states. Entry into and return from three
-/// exceptions are 72 more.
+/// Assumed cycles per instruction, because the emulator counts instructions only. A turn of the main loop exceeds the flash cache,
+/// and a cache miss costs four wait states. Entry to and return from three exceptions add 72 cycles. Not measured.
 const CYCLES_PER_INSTRUCTION: f64 = 2.0;
 const EXCEPTION_CYCLES: f64 = 72.0;
 
 const THROUGHPUT_LIMIT: f64 = 1.0;
-/// Beside a plain loop over the table, in the same run.
+/// Minimum speed relative to a plain table loop in the same run.
 const SPEED_UP_LIMIT: f64 = 2.5;
-/// How often throughput is measured on a machine that is too busy to reach the limits.
+/// Maximum number of measurements on a machine that is too busy to reach the limits.
 const ATTEMPTS: usize = 5;
 
-/// A count: instructions, and for how many bytes or turns.
+/// A number of instructions, and the number of bytes or turns that it covers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Count {
     instructions: u64,
@@ -79,25 +77,26 @@ struct Count {
 
 type Counts = BTreeMap<String, Count>;
 
-/// What was counted.
+/// The result of counting.
 pub(crate) struct Counted {
     pub(crate) gates: Vec<Gate>,
-    /// Why the counts were not held to the baseline, if they were not.
+    /// Why the counts were not compared with the baseline, if so.
     pub(crate) not_compared: Option<String>,
 }
 
-/// Counts in the emulator, and holds the counts to the baseline (or writes it anew).
+/// Counts instructions in the emulator, and compares them with the baseline or updates it.
 pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Counted> {
     let mut counts = Counts::new();
     for (board, profile) in cores().flat_map(|board| Profile::ALL.map(|profile| (board, profile))) {
-        // On the drivers of the default board. Its core takes programs for the other's, and as many instructions for them.
+        // Edges use the drivers of the default board. Its core also runs programs for the other cores, with the same number of
+        // instructions.
         let features = if board == <&Board>::default() { "edges" } else { "bench" };
         let elf = probes.build(board.triple, "bench", features, profile)?;
         let mut qemu = qemu(&elf);
         let first = process::output(&mut qemu)?;
         ensure!(
             first == process::output(&mut qemu)?,
-            "two runs give other counts; this emulator does not count"
+            "two runs differ; this emulator does not count instructions reliably"
         );
         let level = profile.opt_level().replace("opt-level ", "O");
         let named = |name| count_name(board, &format!("{level}/{name}"));
@@ -110,19 +109,20 @@ pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Counted> {
     Ok(Counted { not_compared: hold(probes, &counts, update)?, gates: gates(&counts)? })
 }
 
-/// The first board of each core, which others with that core are like.
+/// Returns the first board of each core, which represents the others with that core.
 fn cores() -> impl Iterator<Item = &'static Board> {
     let is_first = |(n, board): &(usize, &Board)| !BOARDS[..*n].iter().any(|it| it.triple == board.triple);
     BOARDS.iter().enumerate().filter(is_first).map(|(_, board)| board)
 }
 
-/// The name of a count of this board: of the default board by itself.
+/// Returns the name of a count of this board. The default board has no prefix.
 fn count_name(board: &Board, name: &str) -> String {
     if board == <&Board>::default() { name.to_owned() } else { format!("{}/{name}", board.name) }
 }
 
-/// Throughput in bulk on this machine, and how many times that of the plain loop it is, which hangs on the machine less. What
-/// else the machine does only makes a run slower: of several the best counts.
+/// Measures bulk throughput on this machine, absolute and relative to a plain loop, which depends less on the machine.
+///
+/// Uses the best of several runs, because other load only slows a run down.
 pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
     let mut best = BTreeMap::new();
     let mut gates = throughput_gates(&best);
@@ -131,8 +131,8 @@ pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
         cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "throughput"]);
         for line in process::output(cargo.args(["--bin", "throughput"]))?.lines() {
             println!("  {line} GB/s");
-            let (name, figure) = line.split_once(' ').context("a name and a figure")?;
-            let figure: f64 = figure.parse().with_context(|| format!("`{line}` is no figure"))?;
+            let (name, figure) = line.split_once(' ').context("expected a name and a figure")?;
+            let figure: f64 = figure.parse().with_context(|| format!("`{line}` is not a figure"))?;
             let known = best.entry(name.to_owned()).or_insert(figure);
             *known = known.max(figure);
         }
@@ -158,15 +158,15 @@ fn throughput_gates(best: &BTreeMap<String, f64>) -> [Gate; 2] {
     ]
 }
 
-/// A query of each driver beside a bare socket with the same bytes: what it is called, and its name in the program.
+/// Clients whose query is compared with a bare socket: description, name in the program, and name of the bare socket.
 const CLIENTS: [(&str, &str, &str); 3] = [
     ("blocking driver", "blocking", "bare"),
     ("tokio", "tokio", "bare"),
     ("blocking driver over GCL", "gcl", "bare-gcl"),
 ];
-/// How many times as long as the bare socket a query may take.
+/// Maximum duration of a query relative to the bare socket.
 const QUERY_LIMITS: [(&str, f64); 2] = [("median", 1.5), ("p99", 3.0)];
-/// From the call of a FAST STOP to the other end of the socket.
+/// Maximum time in µs from the call of FAST STOP to the other end of the socket.
 const FAST_STOP_LIMITS: [(&str, &str, f64); 2] = [
     ("`fast_stop()` of an idle driver to bytes at the peer", "fast-stop-idle-median", 100.0),
     (
@@ -176,12 +176,14 @@ const FAST_STOP_LIMITS: [(&str, &str, f64); 2] = [
     ),
 ];
 
-/// Runs that count at the least: in one of them the system may have placed any client, the bare socket included, and its server
-/// on two cores, where each query takes 45 µs instead of 20.
+/// Minimum number of runs. In a single run, the system may place a client and its server on two cores, where a query takes 45 µs
+/// instead of 20.
 const LATENCY_RUNS: usize = 3;
 
-/// How long the drivers take over loopback TCP. What else the machine does only makes a figure larger: of several runs the best
-/// of each counts. Figures beside busy loops are printed and have no limit: they are the scheduler's.
+/// Measures the latency of the drivers over loopback TCP.
+///
+/// Uses the best of several runs, because other load only increases a figure. Figures under load are printed without a limit,
+/// because they depend on the scheduler.
 pub(crate) fn latency(workspace: &Workspace) -> Result<Vec<Gate>> {
     let mut best = BTreeMap::new();
     let mut gates = latency_gates(&best);
@@ -190,8 +192,8 @@ pub(crate) fn latency(workspace: &Workspace) -> Result<Vec<Gate>> {
         cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "latency"]);
         for line in process::output(cargo.args(["--bin", "latency"]))?.lines() {
             println!("  {line}");
-            let (name, figure) = line.split_once(' ').context("a name and a figure")?;
-            let figure: f64 = figure.parse().with_context(|| format!("`{line}` is no figure"))?;
+            let (name, figure) = line.split_once(' ').context("expected a name and a figure")?;
+            let figure: f64 = figure.parse().with_context(|| format!("`{line}` is not a figure"))?;
             let known = best.entry(name.to_owned()).or_insert(figure);
             *known = known.min(figure);
         }
@@ -240,7 +242,7 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
         let found = counts.iter().filter(|(counted, _)| counted.starts_with(name)).map(|(_, count)| *count);
         found
             .max_by_key(|count| count.instructions)
-            .with_context(|| format!("the bench has not counted {name}"))
+            .with_context(|| format!("the benchmark did not count {name}"))
     };
     let us =
         |count: Count| (count.instructions as f64 * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES) / CORE_MHZ;
@@ -260,28 +262,29 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
     Ok(gates)
 }
 
-/// Compares with the baseline, if it was counted with this compiler; else says why not.
+/// Compares the counts with the baseline. Returns the reason if it was created with another compiler.
 fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<Option<String>> {
     let path: PathBuf = probes.workspace.root.join(BASELINE);
     let compiler = compiler(probes)?;
     if update {
         fs::write(&path, baseline_text(&compiler, counts))
             .with_context(|| format!("cannot write {BASELINE}"))?;
-        println!("  {BASELINE} is written");
+        println!("  {BASELINE} updated");
         return Ok(None);
     }
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {BASELINE}"))?;
     let counted_with = text.lines().next().unwrap_or_default().trim_start_matches("# ");
     if counted_with != compiler {
-        let why = format!("NOT COMPARED with {BASELINE}: it is of {counted_with}, this is {compiler}");
-        println!("  {why}; the limits hold");
+        let why =
+            format!("NOT COMPARED with {BASELINE}: it was created with {counted_with}, this is {compiler}");
+        println!("  {why}; the limits still apply");
         return Ok(Some(why));
     }
     let worse = worse_than(&parse(&text)?, counts);
     if !worse.is_empty() {
         bail!("slower than {BASELINE} by more than {TOLERANCE} %: {}", worse.join(", "));
     }
-    println!("  within {TOLERANCE} % of {BASELINE} (`cargo xtask bench --update` writes it anew)");
+    println!("  within {TOLERANCE} % of {BASELINE} (update it with `cargo xtask bench --update`)");
     Ok(None)
 }
 
@@ -290,7 +293,10 @@ fn compiler(probes: &Probes<'_>) -> Result<String> {
         ThumbToolchain::Active => probes.workspace.rustc(),
         ThumbToolchain::Debian { .. } => Command::new("/usr/bin/rustc"),
     };
-    Ok(process::answer(rustc.arg("--version")).context("rustc does not tell its version")?.trim().to_owned())
+    Ok(process::answer(rustc.arg("--version"))
+        .context("rustc does not report its version")?
+        .trim()
+        .to_owned())
 }
 
 fn baseline_text(compiler: &str, counts: &Counts) -> String {
@@ -301,7 +307,7 @@ fn baseline_text(compiler: &str, counts: &Counts) -> String {
     text
 }
 
-/// Lines of a name, a count and what it is of.
+/// Parses lines of a name, a number of instructions and what they cover.
 fn parse(text: &str) -> Result<Counts> {
     let mut counts = Counts::new();
     for line in text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty()) {
@@ -310,13 +316,13 @@ fn parse(text: &str) -> Result<Counts> {
             [name, instructions, of] => instructions.parse().ok().zip(of.parse().ok()).map(|it| (name, it)),
             _ => None,
         };
-        let (name, (instructions, of)) = count.with_context(|| format!("`{line}` is no count"))?;
+        let (name, (instructions, of)) = count.with_context(|| format!("`{line}` is not a count"))?;
         counts.insert(name.to_owned(), Count { instructions, of });
     }
     Ok(counts)
 }
 
-/// What takes more instructions than the baseline allows, or is not in it.
+/// Returns the counts that exceed the baseline or are missing from it.
 fn worse_than(baseline: &Counts, counts: &Counts) -> Vec<String> {
     let is_worse = |(name, count): &(&String, &Count)| match baseline.get(*name) {
         Some(before) => count.instructions * 100 > before.instructions * (100 + TOLERANCE),
@@ -324,7 +330,7 @@ fn worse_than(baseline: &Counts, counts: &Counts) -> Vec<String> {
     };
     let told = |(name, count): (&String, &Count)| match baseline.get(name) {
         Some(before) => format!("{name} {} instead of {}", count.instructions, before.instructions),
-        None => format!("{name} is not in it"),
+        None => format!("{name} is missing from it"),
     };
     counts.iter().filter(is_worse).map(told).collect()
 }
@@ -336,7 +342,7 @@ mod tests {
     const BASELINE: &str = "# rustc 1.95.0\nO3/bulk-path/64 700 72\nOs/edge-to-first-byte/move 1000 1\n";
 
     #[test]
-    fn two_percent_more_than_the_baseline_is_taken_and_no_more() {
+    fn two_percent_more_than_the_baseline_is_accepted_and_no_more() {
         let baseline = parse(BASELINE).unwrap();
         let with = |instructions| {
             let mut counts = baseline.clone();
@@ -350,9 +356,9 @@ mod tests {
     }
 
     #[test]
-    fn a_count_that_the_baseline_lacks_is_named() {
+    fn a_count_missing_from_the_baseline_is_reported() {
         let counts = parse("new 1 1").unwrap();
-        assert_eq!(worse_than(&Counts::new(), &counts), ["new is not in it"]);
+        assert_eq!(worse_than(&Counts::new(), &counts), ["new is missing from it"]);
     }
 
     #[test]

@@ -1,27 +1,27 @@
-//! The boards that there are, as data.
+//! The table of supported boards.
 
 use anyhow::{Context, Result};
 
-/// A board that the firmware runs on.
+/// A board supported by the firmware.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Board {
-    /// The binary's name, and the image's.
+    /// Name of the board, its binary and its image.
     pub(crate) name: &'static str,
-    /// The board's crate.
+    /// Package of the board's crate.
     pub(crate) package: &'static str,
-    /// The target of its core.
+    /// Target triple of its core.
     pub(crate) triple: &'static str,
-    /// The microcontroller's name for probe-rs.
+    /// Microcontroller, as named by probe-rs.
     pub(crate) chip: &'static str,
-    /// What the names of its tests' environment variables end in. A board that no emulator has was never run.
+    /// Suffix of the environment variables for its tests, or `None` if the board is not emulated.
     pub(crate) emulated: Option<&'static str>,
-    /// Whether its boot ROM takes an image as UF2, which is then made beside the ELF file.
+    /// Whether its boot ROM accepts UF2 files. If so, one is built in addition to the ELF file.
     pub(crate) takes_uf2: bool,
-    /// What the image may take of flash.
+    /// Flash limit of the image in bytes.
     pub(crate) flash_limit: u64,
 }
 
-/// All of them, the default board first.
+/// All boards, the default board first.
 pub(crate) static BOARDS: [Board; 3] = [
     Board {
         name: "b-l475e-iot01a",
@@ -30,7 +30,7 @@ pub(crate) static BOARDS: [Board; 3] = [
         chip: "STM32L475VG",
         emulated: Some(""),
         takes_uf2: false,
-        // 64 KiB before settings stayed and the service port came; 4 KB of it are the start values of the static RAM.
+        // 64 KiB before persistent settings and the service port were added. 4 KB hold the initial values of the static RAM.
         flash_limit: 80 * 1024,
     },
     Board {
@@ -40,7 +40,7 @@ pub(crate) static BOARDS: [Board; 3] = [
         chip: "RP2040",
         emulated: Some("_PICO"),
         takes_uf2: true,
-        // Of 2 MiB. A Cortex-M0+ takes more instructions for the same, and there is a USB device in it.
+        // Of 2 MiB. A Cortex-M0+ needs more instructions, and the image contains a USB device.
         flash_limit: 96 * 1024,
     },
     Board {
@@ -54,20 +54,20 @@ pub(crate) static BOARDS: [Board; 3] = [
     },
 ];
 
-/// QEMU's name for the default board. QEMU is asked for it, never for its version: distributions backport.
+/// QEMU's name for the default board. Set-up checks for this machine and not for QEMU's version, because distributions backport.
 pub(crate) const MACHINE: &str = "b-l475e-iot01a";
 
 impl Board {
-    /// The name of a figure of this board: of the default board by itself.
+    /// Returns the name of a figure of this board. The default board has no suffix.
     pub(crate) fn figure(&self, what: &str) -> String {
         if self == <&Self>::default() { what.to_owned() } else { format!("{what}, {}", self.name) }
     }
 
-    /// The board of this name.
+    /// Finds a board by name.
     pub(crate) fn named(name: &str) -> Result<&'static Self> {
         BOARDS.iter().find(|board| board.name == name).with_context(|| {
             let names = BOARDS.each_ref().map(|board| board.name);
-            format!("there is no board {name}; there are {}", names.join(", "))
+            format!("unknown board {name}; expected one of {}", names.join(", "))
         })
     }
 }
@@ -87,6 +87,6 @@ mod tests {
         assert_eq!(<&Board>::default().name, MACHINE);
         assert_eq!(Board::named("pico").unwrap().triple, "thumbv6m-none-eabi");
         let unknown = Board::named("arduino").unwrap_err().to_string();
-        assert_eq!(unknown, "there is no board arduino; there are b-l475e-iot01a, pico, nucleo-g474re");
+        assert_eq!(unknown, "unknown board arduino; expected one of b-l475e-iot01a, pico, nucleo-g474re");
     }
 }

@@ -1,4 +1,4 @@
-//! Which lines of the crates for boards their tests reach: cargo-llvm-cov.
+//! Line coverage of the library crates by their tests, with cargo-llvm-cov.
 
 use anyhow::Result;
 
@@ -8,10 +8,10 @@ use crate::{
     workspace::{TARGET_CRATES, Workspace},
 };
 
-/// Prints the coverage of each file, and of all together: that of the tests, without the examples in the docs.
+/// Prints the coverage per file and in total, by the tests without doc examples.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     CARGO_LLVM_COV.require(workspace, "the coverage of protocol and buses")?;
-    // It installs LLVM's tools by rustup where they are missing, and asks no one under this variable.
+    // CARGO_LLVM_COV_SETUP lets it install missing LLVM tools with rustup without asking.
     let mut coverage = tool::plain(workspace, &["cargo", "llvm-cov", "--locked", "--lib", "--tests"]);
     coverage
         .env("CARGO_LLVM_COV_SETUP", "yes")

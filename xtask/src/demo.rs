@@ -1,4 +1,4 @@
-//! The image for people: in the emulator between a PLC and a virtual gripper, and in the folder that a PLC engineer gets.
+//! The demonstration of the image in the emulator, and the delivery folder for PLC engineers.
 
 use std::{ffi::OsString, process::ExitStatus};
 
@@ -6,7 +6,7 @@ use anyhow::Result;
 
 use crate::{firmware::Image, process, setup, workspace::Workspace};
 
-/// Runs the demonstration on `image` with its own `arguments`, and hands back how it ended.
+/// Runs the demonstration of an image with its own `arguments`, and returns its exit status.
 pub(crate) fn run(workspace: &Workspace, image: &Image, arguments: &[OsString]) -> Result<ExitStatus> {
     let mut cargo = workspace.cargo_in_current_dir("run");
     cargo.args(["-q", "-p", "host-tests", "--bin", "demo", "--", "--elf"]).arg(&image.path).args(arguments);
@@ -14,7 +14,7 @@ pub(crate) fn run(workspace: &Workspace, image: &Image, arguments: &[OsString]) 
     process::run_for_status(&mut cargo)
 }
 
-/// Makes the folder that a PLC engineer gets, with `image` in it.
+/// Builds the delivery folder with `image`.
 pub(crate) fn dist(workspace: &Workspace, image: &Image) -> Result<()> {
     let mut cargo = workspace.cargo("run");
     cargo.args(["-q", "-p", "dist", "--", "--elf"]).arg(&image.path);

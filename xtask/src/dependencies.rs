@@ -1,4 +1,4 @@
-//! Licences, bans and sources of what the workspace depends on: deny.toml, by cargo-deny. Its advisories need a network.
+//! Checks licences, bans and sources of the dependencies with cargo-deny. Advisories are not checked, because they need a network.
 
 use anyhow::Result;
 
@@ -8,7 +8,7 @@ use crate::{
     workspace::Workspace,
 };
 
-/// Holds the dependencies to deny.toml.
+/// Checks the dependencies against deny.toml.
 pub(crate) fn check(workspace: &Workspace) -> Result<()> {
     CARGO_DENY.require(workspace, "licences, bans and sources of the dependencies")?;
     let words = ["cargo", "deny", "--locked", "check", "licenses", "bans", "sources"];

@@ -1,4 +1,4 @@
-//! docs/figures.md: every figure with its limit, written by what measured it.
+//! Measures all figures and writes docs/figures.md.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use crate::{bench, fast_stop, firmware::Image, gate::Gate, panics, probe::Probes
 
 const DOCUMENT: &str = "docs/figures.md";
 
-/// Measures everything that `docs/figures.md` tells, and writes it; gives the gates.
+/// Measures all figures, writes them to `docs/figures.md`, and returns the gates.
 pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> {
     panics::check(probes)?;
     let mut gates = size::of_images(images)?;
@@ -24,7 +24,7 @@ pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> 
     let text = with_part(&text, "figures", &table(&gates))?;
     let text = with_part(&text, "fast-stop", &fast_stop::run(probes.workspace)?)?;
     fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
-    println!("{DOCUMENT} is written");
+    println!("{DOCUMENT} updated");
     Ok(gates)
 }
 
@@ -37,7 +37,7 @@ fn table(gates: &[Gate]) -> String {
     )
 }
 
-/// The text of docs/figures.md with this in its generated part of this name.
+/// Replaces a generated part in the text of docs/figures.md.
 fn with_part(text: &str, name: &str, part: &str) -> Result<String> {
     document::with_part(text, name, part).with_context(|| format!("{DOCUMENT} has no part `{name}`"))
 }

@@ -1,5 +1,4 @@
-//! The firmware image: one function builds it, so that what is tested, measured and flashed is byte for byte
-//! the same.
+//! The firmware image. A single function builds it, so that the same bytes are tested, measured and flashed.
 
 use std::{
     fs,
@@ -17,15 +16,18 @@ use crate::{
     workspace::Workspace,
 };
 
-/// The package of the bridge without a board.
+/// Package of the board-independent bridge library.
 pub(crate) const BRIDGE: &str = "wsg-bridge-fw";
 
-/// The environment variable that tells the emulator tests which image to boot.
+/// Environment variable that names the image for the emulator tests.
 pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 
 const PROFILE: &str = "firmware";
 
-/// What settings can choose, as delivered first, and the variable that tells the emulator tests which image has it so: who is on CAN, each at another rate, no bus, and PROFIBUS at the slowest, because the emulator makes pauses.
+/// Images for the emulator tests: environment variable and settings, the defaults first.
+///
+/// The others put gripper, PLC or both on CAN at different rates, disable the bus, or select the lowest PROFIBUS rate, because the
+/// emulator pauses at times.
 pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 6] = [
     (IMAGE_VARIABLE, &[]),
     ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1), ("CAN_RATE", 1000)]),
@@ -35,27 +37,27 @@ pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 6] = [
     ("WSG_FIRMWARE_ELF_PROFIBUS", &[("PLC_BUS", 3), ("PROFIBUS_RATE", 96)]),
 ];
 
-/// What an image is made of besides the board's own; nothing in the one that is flashed as delivered.
+/// A variant of the image. The default has no additional features or settings.
 #[derive(Default)]
 pub(crate) struct Variant {
-    /// Which board's.
+    /// The board to build for.
     pub(crate) board: &'static Board,
-    /// Features beside the board's.
+    /// Features in addition to the board's.
     pub(crate) features: Vec<String>,
-    /// Settings that differ from those as delivered.
+    /// Settings that differ from the defaults.
     pub(crate) settings: Vec<Change>,
 }
 
 /// The feature of a board's crate that makes it a program.
 const FIRMWARE: &str = "firmware";
 
-/// A built image.
+/// A built firmware image and its hash.
 pub(crate) struct Image {
-    /// Of which board.
+    /// The board that the image is for.
     pub(crate) board: &'static Board,
-    /// The ELF file, apart from cargo's own output, which the next build replaces.
+    /// Copy of the ELF file, because the next build overwrites cargo's output.
     pub(crate) path: PathBuf,
-    /// SHA-256 of the file, in hex.
+    /// SHA-256 of the ELF file in hex.
     pub(crate) sha256: String,
 }
 
@@ -75,12 +77,12 @@ pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, variant: 
     keep(board, &elf, &kept)
 }
 
-/// Builds the images of all boards as they are delivered, the default board's first.
+/// Builds the default images of all boards, the default board's first.
 pub(crate) fn build_all(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<Vec<Image>> {
     BOARDS.iter().map(|board| build(workspace, toolchain, &Variant { board, ..Variant::default() })).collect()
 }
 
-/// Cargo's arguments that choose the firmware's binary and profile.
+/// Returns cargo's arguments that select the firmware's binary, features and profile.
 pub(crate) fn selection(board: &Board, features: &[String]) -> Vec<String> {
     selection_for(board, features, PROFILE)
 }
@@ -93,7 +95,7 @@ pub(crate) fn selection_for(board: &Board, features: &[String], profile: &str) -
         .to_vec()
 }
 
-/// Another image has another name: it must not take the place of the one that is tested.
+/// Returns the file name of a variant, which must not overwrite the tested image.
 fn file_name(Variant { board, features, settings }: &Variant) -> String {
     let mut name = board.name.to_owned();
     for part in features.iter().cloned().chain(settings.iter().map(Change::to_string)) {
@@ -106,7 +108,7 @@ fn file_name(Variant { board, features, settings }: &Variant) -> String {
 fn keep(board: &'static Board, bytes: &[u8], kept: &Path) -> Result<Image> {
     let write = || {
         fs::create_dir_all(kept.parent().unwrap_or(Path::new(".")))?;
-        // Renamed into place: an emulator or a probe that reads the old image now must not see half of each.
+        // Replace the file atomically, because an emulator or a probe may be reading the old image.
         let fresh = kept.with_extension(format!("fresh.{}", std::process::id()));
         fs::write(&fresh, bytes)?;
         fs::rename(&fresh, kept)
@@ -121,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_image_has_a_name_of_its_own() {
+    fn each_variant_has_a_distinct_file_name() {
         assert_eq!(file_name(&Variant::default()), "b-l475e-iot01a.elf");
         let features = vec!["defmt".into(), "heapless/defmt".into()];
         let settings = vec![Change::new("UNIT", 5).unwrap()];

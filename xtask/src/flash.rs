@@ -6,10 +6,10 @@ use anyhow::{Result, bail};
 
 use crate::{firmware::Image, process};
 
-/// Says how to get probe-rs where it is missing; asked before the build, which takes longer.
+/// Fails with installation instructions if probe-rs is missing. Called before the build, which takes longer.
 pub(crate) fn require_probe_rs() -> Result<()> {
     if process::answer(probe_rs().arg("--version")).is_none() {
-        bail!("probe-rs is missing; install it with: cargo install probe-rs-tools --locked");
+        bail!("probe-rs not found; install it with: cargo install probe-rs-tools --locked");
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! The fuzz targets of host-tests/fuzz, one after the other; and their bodies over generated inputs, without cargo-fuzz.
+//! Runs the fuzz targets in host-tests/fuzz, or their bodies on generated inputs without cargo-fuzz.
 
 use std::{fs, path::Path};
 
@@ -10,23 +10,23 @@ use crate::{
     workspace::Workspace,
 };
 
-/// How long each target runs when nothing else is said.
+/// Default run time per target in seconds.
 pub(crate) const SECONDS: u32 = 60;
 
-/// How much is fuzzed.
+/// How much to fuzz.
 pub(crate) enum Extent {
-    /// Each target for so many seconds.
+    /// Run time per target in seconds.
     Seconds(u32),
-    /// Each body over so many generated inputs.
+    /// Number of generated inputs per body.
     Inputs(u32),
 }
 
 const FOLDER: &str = "host-tests/fuzz";
 
-/// No input may take longer: a body is bounded, so this is a hang.
+/// Time-out per input in seconds. Bodies are bounded, so a longer run is a hang.
 const HANG_SECONDS: u32 = 10;
 
-/// Fuzzes as much as is asked for.
+/// Fuzzes to the given extent.
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     match extent {
         Extent::Seconds(seconds) => run_targets(workspace, *seconds),
@@ -34,23 +34,24 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     }
 }
 
-/// Runs each body over so many generated inputs, on stable Rust. Nothing watches what they reach, but without a sanitizer
-/// they are some hundred times as many in the same time.
+/// Runs each body on `count` generated inputs, on stable Rust. There is no coverage feedback, but without a sanitizer about a
+/// hundred times as many inputs run in the same time.
 fn run_inputs(workspace: &Workspace, count: u32) -> Result<()> {
     let mut inputs = workspace.cargo("run");
-    // The profile of the mutants: optimised, with all checks.
+    // The `mutants` profile is optimised and keeps all checks.
     inputs.args(["--quiet", "--profile", "mutants", "-p", "host-tests", "--example", "inputs", "--"]);
-    process::run(inputs.arg(count.to_string())).context("the input stands behind what the body says")
+    process::run(inputs.arg(count.to_string()))
+        .context("a body failed; its input is printed after the message above")
 }
 
-/// Runs each target for so long, from its committed seeds and from what earlier runs have found.
+/// Runs each target for `seconds`, starting from its committed seeds and the corpus of earlier runs.
 fn run_targets(workspace: &Workspace, seconds: u32) -> Result<()> {
     let targets = targets(&workspace.root.join(FOLDER).join("fuzz_targets"))?;
     let what_for = format!("the fuzz targets {}", targets.join(", "));
     NIGHTLY.require(workspace, &what_for)?;
     CARGO_FUZZ.require(workspace, &what_for)?;
     let work = workspace.target_dir.join("fuzz");
-    // cargo-fuzz does not know `--locked`: this fails in its place.
+    // cargo-fuzz has no `--locked`, so check the lock file beforehand.
     let manifest = format!("{FOLDER}/Cargo.toml");
     process::run(&mut tool::nightly_cargo(
         workspace,
@@ -59,7 +60,7 @@ fn run_targets(workspace: &Workspace, seconds: u32) -> Result<()> {
     for target in &targets {
         let (corpus, artifacts) = (work.join("corpus").join(target), work.join("artifacts").join(target));
         for folder in [&corpus, &artifacts] {
-            fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+            fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         }
         let mut fuzz = tool::nightly_cargo(workspace, &["fuzz", "run", "--fuzz-dir", FOLDER, "--target-dir"]);
         fuzz.arg(work.join("build")).arg(target).arg(&corpus).arg(format!("{FOLDER}/seeds/{target}"));
@@ -77,7 +78,7 @@ fn run_targets(workspace: &Workspace, seconds: u32) -> Result<()> {
     Ok(())
 }
 
-/// The names of the targets.
+/// Returns the sorted names of the fuzz targets.
 fn targets(folder: &Path) -> Result<Vec<String>> {
     let entries = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     let mut names = Vec::new();

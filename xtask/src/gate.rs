@@ -4,57 +4,57 @@ use std::fmt;
 
 use anyhow::{Result, bail};
 
-/// What a figure counts.
+/// The unit of a figure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Unit {
-    /// Bytes.
+    /// Bytes of memory.
     Bytes,
-    /// Instructions for a byte on the line.
+    /// Instructions per byte on the line.
     InstructionsPerByte,
-    /// Instructions.
+    /// Number of instructions.
     Instructions,
-    /// Microseconds.
+    /// Time in microseconds.
     Microseconds,
-    /// 10⁹ bytes a second: more is better.
+    /// 10⁹ bytes per second; more is better.
     GigabytesPerSecond,
-    /// How many times as fast as something else: more is better.
+    /// Speed relative to a reference; more is better.
     TimesAsFast,
-    /// How many times as long as something else.
+    /// Duration relative to a reference.
     TimesAsLong,
-    /// Percent of a processor core.
+    /// Share of a processor core in percent.
     PercentOfCore,
 }
 
 /// A measured figure and its limit.
 #[derive(Clone, Debug)]
 pub(crate) struct Gate {
-    /// What was measured.
+    /// Name of the figure.
     pub(crate) what: String,
-    /// The figure.
+    /// Measured value, in the unit below.
     pub(crate) measured: f64,
-    /// How far it may go, or how far it must where more is better.
+    /// Maximum, or minimum for units where more is better.
     pub(crate) limit: f64,
-    /// Of both figures.
+    /// Unit of both values.
     pub(crate) unit: Unit,
 }
 
 impl Gate {
-    /// A figure in bytes.
+    /// Creates a gate in bytes.
     pub(crate) fn bytes(what: impl Into<String>, measured: u64, limit: u64) -> Self {
         Self::new(what, measured as f64, limit as f64, Unit::Bytes)
     }
 
-    /// A figure in any unit.
+    /// Creates a gate in any unit.
     pub(crate) fn new(what: impl Into<String>, measured: f64, limit: f64, unit: Unit) -> Self {
         Self { what: what.into(), measured, limit, unit }
     }
 
-    /// The figure as a table shows it.
+    /// Formats the measured value for a table.
     pub(crate) fn measured_text(&self) -> String {
         self.unit.text(self.measured)
     }
 
-    /// The limit as a table shows it.
+    /// Formats the limit for a table.
     pub(crate) fn limit_text(&self) -> String {
         if self.limit.is_infinite() {
             return "none".to_owned();
@@ -66,7 +66,7 @@ impl Gate {
         }
     }
 
-    /// Whether it is within its limit.
+    /// Returns whether the measured value is within its limit.
     pub(crate) fn holds(&self) -> bool {
         match self.unit {
             Unit::GigabytesPerSecond | Unit::TimesAsFast => self.measured >= self.limit,
@@ -97,7 +97,7 @@ impl fmt::Display for Gate {
     }
 }
 
-/// Prints each gate; fails where one is past its limit.
+/// Prints each gate. Fails if one exceeds its limit.
 pub(crate) fn check(gates: &[Gate]) -> Result<()> {
     for gate in gates {
         println!("{gate}");

@@ -1,6 +1,6 @@
-//! `cargo xtask`: set-up, build, demo, test, figures and flash of this workspace.
+//! `cargo xtask`: set-up, build, demo, test, measurement and flashing for this workspace.
 //!
-//! What a command needs is set up first; each program that is run for it is printed before.
+//! Each command first installs its prerequisites. Every program that it runs is printed beforehand.
 
 mod bench;
 mod board;
@@ -51,71 +51,70 @@ const HELP: &str = "\
 cargo xtask <command>
 
 Commands
-  setup              install what build, demo and test need: the thumb target's Rust, QEMU, and
-                     the masters of the tests (mbpoll, packages of Python, and of Node.js if it is there)
-  build              build the firmware image, print its path and SHA-256
-                     [--board NAME]: b-l475e-iot01a; pico, which has a UF2 file beside it; or
-                     nucleo-g474re, which no emulator has, so that nobody has ever run its image;
-                     [--set NAME=VALUE]: a setting that it is delivered with (docs/registers.md);
-                     [--features X]: more features. The image then has a name of its own
-  demo [ARGS]        boot the image in an emulator between a PLC and a virtual gripper;
-                     [--board NAME] first, one that an emulator has; ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
-  test [FILTER]      every check of the workspace, the emulator tests included;
-                     with FILTER only the tests whose names match it; --strict before it: fails where
-                     something could not be checked or compared, which is else only said
-  matrix             the protocol crate with every combination of its features on three targets,
-                     the workspace on the oldest Rust, and the package for crates.io
-  ci                 deny, test --strict with all of what test does in part, then platforms, a short
-                     soak, fast-stop, explore, loom and Miri: before a release
-  platforms          wsg-sim.exe under Wine, and what `cargo test` builds compiled for Windows and macOS
-  deny               licences, bans and sources of all dependencies against deny.toml; cargo-deny
-  size               flash and static RAM of each board's image, and of the protocol beside an empty
-                     program, against their limits
-  stack              the firmware's worst-case stack, by a walk over its calls and by a painted
-                     stack in the emulator
-  panics             firmware, protocol and buses link only if no panic can be reached
-  bench              instructions on a Cortex-M4, counted in the emulator and held to a committed
-                     baseline [--update: write it anew]; throughput and latency on this machine
-  fast-stop          how long the gripper takes to stop with every byte around it damaged in turn, in
-                     virtual time, against the limits of docs/wiring.md; some two minutes
-  explore            every order of events on the bridge, until 10^8 states were met; some ten
+  setup              install the prerequisites of build, demo and test: Rust for the thumb targets, QEMU, and
+                     the third-party masters for the tests (mbpoll, Python and Node.js packages)
+  build              build the firmware image; print its path and SHA-256
+                     [--board NAME]: b-l475e-iot01a (default), pico (also builds a UF2 file), or
+                     nucleo-g474re (not emulated; its image has never been executed);
+                     [--set NAME=VALUE]: change a default setting (docs/registers.md);
+                     [--features X]: enable additional features. Such an image gets a separate name
+  demo [ARGS]        run the image in an emulator between a PLC and a virtual gripper;
+                     [--board NAME] comes first and must be emulated; ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
+  test [FILTER]      run all checks of the workspace, including the emulator tests;
+                     with FILTER, only the tests whose names match; with --strict before FILTER,
+                     checks that had to be skipped are failures instead of being listed
+  matrix             check the protocol crate with every combination of features on three targets, the
+                     workspace on the oldest supported Rust, and the packages for crates.io
+  ci                 release checks: deny, test --strict with the long tests in full, platforms, a
+                     short soak, fast-stop, explore, loom and Miri
+  platforms          run wsg-sim.exe under Wine; compile everything that `cargo test` builds for Windows and macOS
+  deny               check licences, bans and sources of all dependencies against deny.toml (cargo-deny)
+  size               check flash and static RAM of each board's image, and of the protocol relative to
+                     an empty program, against their limits
+  stack              determine the firmware's worst-case stack by walking its calls and by painting
+                     the stack in the emulator
+  panics             prove by linking that firmware, protocol and buses cannot reach a panic
+  bench              count instructions in the emulator and compare them with a committed baseline
+                     [--update: rewrite it]; measure throughput and latency on this machine
+  fast-stop          measure the stopping time with every byte around the request corrupted in turn, in
+                     virtual time, against the limits in docs/wiring.md; about two minutes
+  explore            explore every order of events on the bridge up to 10^8 states; about ten
                      minutes on two cores [--states N]
-  fuzz               the fuzz targets [--seconds N each, 60 if not given]; nightly Rust, cargo-fuzz.
-                     --inputs N: their bodies over so many generated inputs each, on stable Rust
-  soak               10 000 commands in the emulator on a line where one byte in 10 000 goes wrong;
-                     a quarter of an hour [--commands N] [--seed N]
-  mutants [FILE...]  changes of protocol, buses and the bridge's library, or of these files of them, that no
-                     test notices; takes hours for all [--jobs N: at a time, 1] [--shard K/N: every N-th,
-                     a sample] [--again: but those that the run before has caught]; cargo-mutants
-  loom               what interrupt handlers and the main loop share, under every order of events
-  miri               the bridge's host tests under Miri; nightly Rust
-  coverage           lines of protocol and buses that their tests reach; cargo-llvm-cov
-  figures            measure all that docs/figures.md tells, and write it
-  dist               make the folder that a PLC engineer gets; the same bytes wherever it is made
-  docs               make the book of docs/ in target/book; mdbook
+  fuzz               run the fuzz targets [--seconds N per target, default 60]; needs nightly Rust and cargo-fuzz.
+                     --inputs N: run their bodies on N generated inputs each, on stable Rust
+  soak               send 10 000 commands in the emulator while one byte in 10 000 is corrupted; about
+                     15 minutes [--commands N] [--seed N]
+  mutants [FILE...]  find changes of protocol, buses and bridge library, or of the given files, that no
+                     test detects; takes hours in full [--jobs N: run N in parallel, default 1] [--shard K/N: test
+                     every N-th only] [--again: skip those caught by the previous run]; cargo-mutants
+  loom               check data shared by interrupt handlers and the main loop under every order of events
+  miri               run the bridge's host tests under Miri; needs nightly Rust
+  coverage           report the lines of protocol and buses that their tests cover (cargo-llvm-cov)
+  figures            measure all figures of docs/figures.md and update the file
+  dist               build the delivery folder for PLC engineers (reproducible)
+  docs               build the documents as a book in target/book (mdbook)
   flash              write the image to a board with probe-rs and start it
                      [--board NAME] [--set NAME=VALUE] [--features X] as for build
-  help               this page
+  help               print this page
 
 Environment
-  WSG_NO_INSTALL=1   install nothing: where something is missing, print the commands and stop
-  WSG_NO_RUSTUP=1    as if rustup's server were out of reach: rustup is not called, a thumb
-                     target that it installed is not used, and Debian's Rust packages build
-                     for the target instead
-  CI                 where it is set, cargo notes nothing for the next build (CARGO_INCREMENTAL=0)
+  WSG_NO_INSTALL=1   install nothing: if something is missing, print the commands and stop
+  WSG_NO_RUSTUP=1    work as if rustup's server were unreachable: do not call rustup, ignore thumb
+                     targets that it installed, and build for them with Debian's Rust packages
+  CI                 if set, disables incremental compilation (CARGO_INCREMENTAL=0)
   WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
   WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH,
   WSG_FIRMWARE_ELF_NO_BUS, WSG_FIRMWARE_ELF_PROFIBUS
-                     the same for images whose settings put them on these; each with _PICO behind it for the Pico
-  WSG_WHOLE=1        set by ci: tests that take long are run in full
-  WSG_LOAD=1         set by ci: the test with 500 grippers runs
-  WSG_SIM_EXE        set by platforms for its tests: the program for Windows
+                     the same for images with other bus settings; with the suffix _PICO for the Pico
+  WSG_WHOLE=1        set by ci: run long tests in full
+  WSG_LOAD=1         set by ci: run the load test with 500 grippers
+  WSG_SIM_EXE        set by platforms for its tests: the simulator's Windows executable
   WSG_MODBUS_PYTHON, WSG_MODBUS_NODE
-                     set by test for those with masters: the Python, and the folder, that have them
-  CARGO_TARGET_DIR   where builds go (default: target); images are in its folder firmware
+                     set by test for tests with third-party masters: their Python, and their Node.js packages
+  CARGO_TARGET_DIR   build folder (default: target); images are in its subfolder firmware
 
-Set-up runs nothing on a machine that has everything. As root it installs what is missing without
-asking, on Debian bookworm from its backports, whose source it adds if it is not there
+Set-up does nothing if all prerequisites are present. As root, it installs missing packages without
+asking, on Debian bookworm from backports. If necessary, it adds the backports to the apt sources
 (/etc/apt/sources.list.d/wsg-bookworm-backports.sources).
 ";
 
@@ -123,7 +122,7 @@ fn main() -> ExitCode {
     match run() {
         Ok(code) => code,
         Err(error) => {
-            // Not `{:?}`: a person reads this, and a backtrace of xtask would not help.
+            // Not `{:?}`, because a backtrace of xtask would not help the user.
             eprintln!("error: {error:#}");
             ExitCode::FAILURE
         }
@@ -144,8 +143,8 @@ fn run() -> Result<ExitCode> {
             let workspace = Workspace::from_env()?;
             setup::thumb_and_qemu(&workspace)?;
             match &setup::masters(&workspace).missing[..] {
-                [] => println!("setup: everything is there"),
-                missing => println!("setup: test will not check what needs {}", missing.join(", ")),
+                [] => println!("setup: all prerequisites are present"),
+                missing => println!("setup: test will skip checks that need {}", missing.join(", ")),
             }
         }
         "build" => {
@@ -162,7 +161,7 @@ fn run() -> Result<ExitCode> {
                 && option == "--board"
             {
                 board = Board::named(&name.to_string_lossy())?;
-                ensure!(board.emulated.is_some(), "no emulator has the board {}", board.name);
+                ensure!(board.emulated.is_some(), "the board {} is not emulated", board.name);
                 arguments.drain(..2);
             }
             let toolchain = setup::thumb_and_qemu(&workspace)?;
@@ -210,11 +209,14 @@ fn run() -> Result<ExitCode> {
 fn print_image(image: &firmware::Image) {
     println!("{}\nsha256 {}", image.path.display(), image.sha256);
     if image.board.emulated.is_none() {
-        println!("nobody has ever run an image for {}: no emulator has that board", image.board.name);
+        println!(
+            "warning: the image for {} has never been executed, because the board is not emulated",
+            image.board.name
+        );
     }
 }
 
-/// `--board NAME`; `--features X` and `--set NAME=VALUE`, each as often as wanted.
+/// Parses `--board NAME`, and any number of `--features X` and `--set NAME=VALUE`.
 fn variant(mut arguments: Parser) -> Result<Variant> {
     let mut variant = Variant::default();
     while let Some(argument) = arguments.next()? {
@@ -245,7 +247,7 @@ fn rest(mut arguments: Parser) -> Result<Vec<OsString>> {
     Ok(arguments.raw_args()?.collect())
 }
 
-/// A program that a signal ended has no code of its own.
+/// Returns the exit code of a program, or a failure if a signal ended it.
 fn exit_code(status: ExitStatus) -> ExitCode {
     match status.code() {
         Some(code) => ExitCode::from(u8::try_from(code).unwrap_or(1)),

@@ -1,5 +1,5 @@
-//! The crates for other people's boards where they will be used: every combination of their features on targets with and
-//! without atomics, on the oldest Rust that they declare, and as the packages that would be published.
+//! Builds the library crates as users will: every combination of features on targets with and without atomics, with the oldest
+//! supported Rust, and as published packages.
 
 use std::{fs, process::Command};
 
@@ -11,32 +11,33 @@ use crate::{
     workspace::{TARGET_CRATES, Workspace},
 };
 
-/// Without atomics that compare and swap; the board's; without any atomics.
+/// A target without compare-and-swap, the default board's target, and one without any atomics.
 const TARGETS: [&str; 3] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf", "riscv32i-unknown-none-elf"];
 
-/// Features for computers, which no board has.
+/// Host-only features.
 const HOST_FEATURES: [&str; 2] = ["std", "tokio"];
 
-/// The example for a board: a library that needs a core and nothing else.
+/// The `no_std` example for boards.
 const BOARD_EXAMPLE: [&str; 6] =
     ["-p", "wsg-protocol", "--example", "no_std_board", "--features", "embedded-io"];
 
-/// How many of the combinations.
+/// Which combinations to build.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Extent {
-    /// Every combination, and the whole workspace on the oldest Rust: minutes.
+    /// All combinations, and the whole workspace on the oldest Rust. Takes minutes.
     Whole,
-    /// No feature and all together, each alone and the example on the first target; the crates alone on the oldest Rust.
+    /// No features and all features on every target. Each feature alone and the example on the first target. Only the library
+    /// crates on the oldest Rust.
     Quick,
 }
 
-/// What was built, and what could not be.
+/// Number of successful builds, and a list of skipped ones.
 pub(crate) struct Outcome {
     pub(crate) passed: usize,
     pub(crate) not_checked: Vec<String>,
 }
 
-/// The whole matrix; what could not be had is named, and makes this fail at the end.
+/// Builds the whole matrix. Fails at the end if any build was skipped.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let Outcome { passed, not_checked } = build(workspace, Extent::Whole)?;
     if !not_checked.is_empty() {
@@ -46,14 +47,14 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     Ok(())
 }
 
-/// Builds what `extent` says; fails at the first build that does.
+/// Builds the selected combinations. Fails at the first failed build.
 pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
     let mut outcome = Outcome { passed: 0, not_checked: Vec::new() };
 
     let (targets, missing): (Vec<&str>, Vec<&str>) = TARGETS.into_iter().partition(|target| {
         setup::has_target(workspace, target) || setup::rustup(workspace, &["target", "add", target])
     });
-    let not_checked = |target| format!("the crates on {target} (rustup could not bring the target)");
+    let not_checked = |target| format!("the crates on {target} (rustup could not install the target)");
     outcome.not_checked.extend(missing.into_iter().map(not_checked));
     for (package, folder) in TARGET_CRATES {
         let features = features(&workspace.root.join(folder).join("Cargo.toml"))?;
@@ -65,13 +66,13 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
             }
             let mut check = workspace.cargo("check");
             check.args(["--quiet", "-p", package, "--no-default-features", "--features", &combination]);
-            // In one call, which checks for several at a time.
+            // One call for all targets, which run in parallel.
             process::run(check.args(targets.iter().flat_map(|target| ["--target", target])))?;
             outcome.passed += targets.len();
         }
     }
     if extent == Extent::Whole {
-        // Not linked: the flags of this workspace would be added to its own.
+        // Checked but not linked, because this workspace's flags would be added to its own.
         let mut template = workspace.cargo("check");
         template.args([
             "--quiet",
@@ -99,11 +100,11 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
         process::run(&mut check_with(workspace, &oldest, extent))?;
         outcome.passed += 1;
     } else {
-        outcome.not_checked.push(format!("Rust {oldest} (rustup could not bring it)"));
+        outcome.not_checked.push(format!("Rust {oldest} (rustup could not install it)"));
     }
 
     let mut package = workspace.cargo("package");
-    // In one call: a package is then verified against the others as they are here, not as a registry has them.
+    // One call for all packages, so that each is verified against the local versions of the others.
     process::run(package.args(["--quiet", "--allow-dirty"]).args(packages()))?;
     outcome.passed += 1;
     Ok(outcome)
@@ -111,7 +112,7 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
 
 fn check_with(workspace: &Workspace, toolchain: &str, extent: Extent) -> Command {
     let mut check = Command::new("rustup");
-    // Apart from the active tool chain's, so that neither makes the other build again.
+    // A separate build folder, so that the tool chains do not invalidate each other's builds.
     check.current_dir(&workspace.root).env("CARGO_TARGET_DIR", workspace.target_dir.join("oldest-rust"));
     check.args(["run", toolchain, "cargo", "check", "--locked", "--quiet"]);
     match extent {
@@ -127,7 +128,7 @@ fn packages() -> impl Iterator<Item = &'static str> {
     packages.chain(["wsg-protocol-macros"]).flat_map(|package| ["-p", package])
 }
 
-/// The features that the manifest declares for boards; a crate may have none.
+/// Reads the features for boards from a manifest. A crate may have none.
 pub(crate) fn features(manifest: &std::path::Path) -> Result<Vec<String>> {
     let text = fs::read_to_string(manifest).with_context(|| format!("cannot read {}", manifest.display()))?;
     let features: Vec<String> = text
@@ -142,8 +143,8 @@ pub(crate) fn features(manifest: &std::path::Path) -> Result<Vec<String>> {
     Ok(features)
 }
 
-/// Combinations, comma-separated, the empty one first, and whether each is for every target: quick, a feature alone is for the
-/// first target only.
+/// Returns comma-separated combinations, the empty one first, and whether to build each on every target. With [`Extent::Quick`],
+/// single features are built on the first target only.
 fn combinations(features: &[String], extent: Extent) -> Vec<(String, bool)> {
     let all = (1usize << features.len()) - 1;
     (0..=all)

@@ -1,4 +1,4 @@
-//! The commands that measure or prove: figures with their limits, and what takes long.
+//! The commands for measurements, proofs and long-running checks.
 
 use anyhow::{Context, Result, bail, ensure};
 use lexopt::{Arg, Parser, ValueExt};
@@ -16,7 +16,7 @@ use crate::{
     workspace::Workspace,
 };
 
-/// Runs the command of this name.
+/// Runs a command by name.
 pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
     match command {
         "size" => {
@@ -99,17 +99,17 @@ pub(crate) fn run(command: &str, arguments: Parser) -> Result<()> {
             no_more(arguments)?;
             coverage::run(&Workspace::from_env()?)
         }
-        unknown => bail!("no command `{unknown}`; `cargo xtask help` lists them"),
+        unknown => bail!("unknown command `{unknown}`; see `cargo xtask help`"),
     }
 }
 
-/// 500 virtual grippers that `wsg telemetry` reads, with nothing else beside them.
+/// Runs the load test of `wsg telemetry` with 500 virtual grippers, separately from all other tests.
 fn telemetry(workspace: &Workspace) -> Result<()> {
     let test = ["--release", "-p", "wsg-tool", "--test", "telemetry", "five_hundred", "--", "--nocapture"];
     process::run(workspace.cargo("test").args(test).env("WSG_LOAD", "1"))
 }
 
-/// What is measured.
+/// The subject of a measurement: the default image and the tool chain.
 struct Built {
     workspace: Workspace,
     toolchain: ThumbToolchain,
@@ -124,7 +124,7 @@ impl Built {
         Ok(Self { workspace, toolchain, image })
     }
 
-    /// Those of all boards.
+    /// Builds the images of all boards.
     fn images(&self) -> Result<Vec<Image>> {
         firmware::build_all(&self.workspace, &self.toolchain)
     }
@@ -134,7 +134,7 @@ impl Built {
     }
 }
 
-/// Files, `--again`, `--shard K/N` and `--jobs N`.
+/// Parses files, `--again`, `--shard K/N` and `--jobs N`.
 fn mutants_extent(mut arguments: Parser) -> Result<mutants::Extent> {
     let mut extent = mutants::Extent::default();
     while let Some(argument) = arguments.next()? {
@@ -149,7 +149,7 @@ fn mutants_extent(mut arguments: Parser) -> Result<mutants::Extent> {
     Ok(extent)
 }
 
-/// `--seconds N` or `--inputs N`.
+/// Parses `--seconds N` or `--inputs N`.
 fn fuzz_extent(mut arguments: Parser) -> Result<fuzz::Extent> {
     let mut extent = None;
     while let Some(argument) = arguments.next()? {
@@ -158,12 +158,12 @@ fn fuzz_extent(mut arguments: Parser) -> Result<fuzz::Extent> {
             Arg::Long("inputs") => fuzz::Extent::Inputs(arguments.value()?.parse()?),
             other => return Err(other.unexpected()).context("see `cargo xtask help`"),
         };
-        ensure!(extent.replace(given).is_none(), "one of --seconds and --inputs, and once");
+        ensure!(extent.replace(given).is_none(), "expected either --seconds or --inputs, once");
     }
     Ok(extent.unwrap_or(fuzz::Extent::Seconds(fuzz::SECONDS)))
 }
 
-/// Whether the only argument that may be there, is.
+/// Returns whether the only permitted option is given.
 fn flag(mut arguments: Parser, name: &str) -> Result<bool> {
     match arguments.next()? {
         None => Ok(false),

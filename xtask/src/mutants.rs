@@ -1,4 +1,4 @@
-//! Mutants of the protocol crate, of the buses and of the bridge's library: which changes of the code no test notices.
+//! Mutation testing of the protocol crate, the buses and the bridge library: finds changes that no test detects.
 
 mod accepted;
 
@@ -17,7 +17,7 @@ use crate::{
 };
 use accepted::Accepted;
 
-/// Where no mutant may survive that is not accepted.
+/// Paths in which every surviving mutant must be accepted.
 const ALL_CAUGHT_IN: [&str; 7] = [
     "protocol/src/checksum.rs",
     "protocol/src/frame",
@@ -28,25 +28,26 @@ const ALL_CAUGHT_IN: [&str; 7] = [
     "bridge-fw/src/",
 ];
 
-/// How many must be caught of all, in percent.
+/// Minimum share of caught and accepted mutants in percent.
 const CAUGHT_PERCENT: usize = 95;
 
-/// Mutants that are made in one run of cargo-mutants, and what notices them.
+/// One run of cargo-mutants: the mutants and the tests to run on them.
 struct Part {
     name: &'static str,
     package: &'static str,
-    /// The folder whose files it takes.
+    /// Folder of the files to mutate.
     folder: &'static str,
-    /// Options to cargo-mutants: which mutants of them, and how they are built.
+    /// Options for cargo-mutants that select the mutants and their features.
     options: &'static [&'static str],
-    /// Arguments to `cargo test`. The examples in documents notice nothing more, and linking them takes the time again.
+    /// Arguments for `cargo test`. Doc examples detect no further mutants and would double the time.
     tests: &'static [&'static str],
 }
 
-/// The reader of decimal fractions is apart: its tests take as long as all others and notice nothing elsewhere.
+/// The parser of decimal fractions. It has a separate part, because its tests take as long as all others and detect nothing
+/// elsewhere.
 const DECIMAL: &str = "^protocol/src/gcl/decimal";
 
-/// What has all its tests in the crate itself, and needs no other to be built and linked each time.
+/// The session. Its tests are all in the crate itself, so no other crate needs to be linked.
 const SESSION: &str = "^protocol/src/session";
 
 const PARTS: [Part; 11] = [
@@ -62,7 +63,7 @@ const PARTS: [Part; 11] = [
         package: "wsg-protocol",
         folder: "protocol/",
         options: &["--re", SESSION],
-        // Those of GCL's session as well: both run on one engine.
+        // Includes the tests of the GCL session, which uses the same engine.
         tests: &["--lib", "--test=hashes", "--", "--skip", "gcl::decimal"],
     },
     Part {
@@ -72,7 +73,7 @@ const PARTS: [Part; 11] = [
         options: &["--re", DECIMAL],
         tests: &["--lib", "--test=gcl"],
     },
-    // What is only there with the feature is noticed only with it; what either run notices is noticed.
+    // Code specific to the feature. A mutant caught in either run counts as caught.
     Part {
         name: "small-table",
         package: "wsg-protocol",
@@ -110,12 +111,12 @@ const PARTS: [Part; 11] = [
         options: &[],
         tests: &["--lib"],
     },
-    // A board's registers are tested by the image in the emulator.
+    // The board crates are tested only by their images in the emulator.
     Part {
         name: "bridge-fw",
         package: "wsg-bridge-fw",
         folder: "bridge-fw/",
-        // Only `cargo xtask loom` compiles the models. The tests in virtual time are those of the harness.
+        // Only `cargo xtask loom` compiles the models. The harness has the tests in virtual time.
         options: &["--exclude", "**/model.rs", "--test-package", "wsg-bridge-fw,host-tests"],
         tests: &[
             "--lib",
@@ -129,8 +130,7 @@ const PARTS: [Part; 11] = [
     },
 ];
 
-/// The tests as they are in `cargo xtask test`, with as many cases; but the same in each run, and a case that fails is
-/// neither made smaller nor kept for the next mutant.
+/// Runs the tests with as many cases as `cargo xtask test`, but with a fixed seed. Failing cases are neither shrunk nor persisted.
 const ENVIRONMENT: [(&str, &str); 4] = [
     ("PROPTEST_RNG_SEED", "1"),
     ("PROPTEST_MAX_SHRINK_ITERS", "0"),
@@ -138,33 +138,33 @@ const ENVIRONMENT: [(&str, &str); 4] = [
     ("CARGO_INCREMENTAL", "1"),
 ];
 
-/// Files by path below the root, as they were when the mutants were made of them.
+/// Source files by path relative to the root, as of the start of the run.
 type Sources = BTreeMap<String, String>;
 
-/// What became of the mutants, each a line of cargo-mutants.
+/// Results of the mutants, each identified by a line of cargo-mutants.
 #[derive(Debug, Default, PartialEq)]
 struct Outcome {
     caught: BTreeSet<String>,
     survived: BTreeSet<String>,
 }
 
-/// Which mutants to make.
+/// Which mutants to test.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct Extent {
-    /// Files, or patterns of files; none for all.
+    /// Files or file patterns; empty for all.
     pub(crate) files: Vec<String>,
-    /// `K/N`: every N-th, from the K-th on: a sample of them all.
+    /// `K/N`: a sample of every N-th mutant, starting with the K-th.
     pub(crate) shard: Option<String>,
-    /// Not those that the run before has caught.
+    /// Skips mutants caught by the previous run.
     pub(crate) again: bool,
-    /// How many at a time; one if not given.
+    /// Number of parallel jobs; 1 if not given.
     pub(crate) jobs: Option<usize>,
 }
 
-/// Makes the mutants, and holds the survivors to the accepted ones.
+/// Tests the mutants and compares the survivors with the accepted ones.
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     let accepted = Accepted::read(&workspace.root)?;
-    // Before it takes hours in which somebody edits.
+    // Read the sources first, because they may be edited during a run of several hours.
     let sources = accepted::sources(&workspace.root)?;
     accepted.hold_to(&sources)?;
     CARGO_MUTANTS.require(workspace, "the mutants of protocol, buses and bridge")?;
@@ -179,15 +179,15 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     judge(&outcome, &accepted, &sources, is_whole)
 }
 
-/// One run of cargo-mutants.
+/// Runs cargo-mutants for one part.
 fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) -> Result<Outcome> {
     let output = workspace.target_dir.join("mutants").join(part.name);
-    fs::create_dir_all(&output).with_context(|| format!("cannot make {}", output.display()))?;
+    fs::create_dir_all(&output).with_context(|| format!("cannot create {}", output.display()))?;
     let mut mutants = tool::plain(workspace, &["cargo", "mutants", "-p", part.package, "--no-shuffle"]);
     mutants.args(["--profile", "mutants", "--cargo-arg=--locked"]).envs(ENVIRONMENT);
     mutants.arg("--output").arg(&output).args(["--colors", "never"]);
     mutants.args(["--jobs", &extent.jobs.unwrap_or(1).to_string()]);
-    // Many times what the tests take unchanged: a busy machine must not be taken for a mutant that hangs.
+    // A generous time-out, so that a busy machine is not mistaken for a hanging mutant.
     mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
     if let Some(shard) = &extent.shard {
@@ -196,10 +196,10 @@ fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) 
     if extent.again {
         mutants.arg("--iterate");
     }
-    // What the tests are made of is no part of the crate.
+    // Exclude test code.
     mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(part.options);
     let status = process::run_for_status(mutants.arg("--").args(part.tests))?;
-    // 2: mutants survived; 3: some ran out of time, which counts as noticed.
+    // 2: mutants survived. 3: some timed out, which counts as caught.
     ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants itself failed ({status})");
     outcome(&output.join("mutants.out"))
 }
@@ -212,7 +212,7 @@ fn outcome(folder: &Path) -> Result<Outcome> {
     Ok(Outcome { caught, survived: lines(&folder.join("missed.txt"))?.into_iter().collect() })
 }
 
-/// The lines of a file; none if it is not there, as when no mutant was made.
+/// Returns the lines of a file, or none if it is missing because there were no mutants.
 fn lines(path: &Path) -> Result<Vec<String>> {
     if !path.exists() {
         return Ok(Vec::new());
@@ -222,7 +222,7 @@ fn lines(path: &Path) -> Result<Vec<String>> {
 }
 
 impl Outcome {
-    /// With another run: what either has caught is caught.
+    /// Merges another run. A mutant caught in either run counts as caught.
     fn join(&mut self, other: Self) {
         self.caught.extend(other.caught);
         self.survived.extend(other.survived);
@@ -243,18 +243,18 @@ fn judge(outcome: &Outcome, accepted: &Accepted, sources: &Sources, is_whole: bo
     }
     let caught = outcome.caught.len();
     let made = caught + outcome.survived.len();
-    ensure!(made > 0, "no mutant was made: are these files of protocol, buses or bridge-fw?");
+    ensure!(made > 0, "no mutants; check that the files belong to protocol, buses or bridge-fw");
     let settled = made - open.len();
     println!("mutants: {caught} of {made} caught, {} accepted, {} survived", settled - caught, open.len());
     if is_whole {
         for entry in accepted.unused(&outcome.survived, sources) {
-            println!("  STALE: {entry} has not survived, so it need not be accepted");
+            println!("  STALE: {entry} no longer survives; remove it from the accepted mutants");
         }
     }
     let must = |mutant: &&&String| ALL_CAUGHT_IN.iter().any(|place| mutant.starts_with(place));
     let count = open.iter().filter(must).count();
     if let Some(first) = open.iter().find(must) {
-        bail!("{count} survive where none may, the first: {first}");
+        bail!("{count} mutants survive where none may; the first is {first}");
     }
     if is_whole && settled * 100 < made * CAUGHT_PERCENT {
         bail!("less than {CAUGHT_PERCENT} % of the mutants are caught");

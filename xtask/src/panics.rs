@@ -1,4 +1,4 @@
-//! No panic can be reached: firmware, protocol and buses link with a panic handler that calls what nobody defines.
+//! Proof that no panic can be reached: firmware, protocol and buses link with a panic handler that calls an undefined function.
 
 use std::process::{Command, Stdio};
 
@@ -12,29 +12,29 @@ use crate::{
     setup::TRIPLE,
 };
 
-/// What the panic handler calls.
+/// Name of the undefined function that the panic handler calls.
 const UNDEFINED: &str = "a_panic_can_be_reached";
 
-/// The program that holds every public function of the crates for boards.
+/// The program that contains every public function of the library crates.
 const FUNCTIONS: &str = "functions";
 const FEATURES: &str = "every-function,on-target";
 
-/// Whether a panic can be reached in a program.
+/// The result of linking a program.
 #[derive(Debug, PartialEq)]
 enum Outcome {
-    /// It links.
+    /// The program links.
     PanicFree,
-    /// It does not, for the one reason.
+    /// Linking fails only because of the undefined function.
     Panics,
 }
 
-/// Checks firmware and crates at both opt-levels, and the check itself on a program that panics.
+/// Checks firmware and crates at both opt-levels. A program that panics verifies the check itself.
 pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
     let functions = public_functions::of_crates(probes.workspace)?;
     let missing = public_functions::missing(&functions, &public_functions::of_probe(probes.workspace)?);
     ensure!(
         missing.is_empty(),
-        "public functions that host-tests/probes/src/bin/functions does not name, so nobody knows whether they can panic: {}",
+        "public functions missing from host-tests/probes/src/bin/functions, so their panics are not checked: {}",
         missing.join(", ")
     );
     for profile in Profile::ALL {
@@ -42,7 +42,7 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
         let control = outcome(&mut probes.cargo(TRIPLE, "panics", "on-target", profile))?;
         ensure!(
             control == Outcome::Panics,
-            "the program that panics links at {level}: this check checks nothing"
+            "the control program with a panic links at {level}: the check is ineffective"
         );
         let what = "protocol and buses, every public function";
         hold(what, level, &mut probes.cargo(TRIPLE, FUNCTIONS, FEATURES, profile))?;
@@ -51,9 +51,9 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
         }
     }
     println!(
-        "panic paths: 0 in the firmware of each board and in {} public functions of protocol and buses, at opt-level s and 3 (not \
-         proved: text for persons, Display and Debug, which is core::fmt's; Hash, which only the host uses; and the async driver's futures: one that is \
-         polled after its end panics, by the language's rule)",
+        "panic paths: 0 in the firmware of each board and in {} public functions of protocol and buses, at opt-level s and 3 \
+         (excluded: Display and Debug, which use core::fmt; Hash, which is used only on the host; and the futures of the async driver, which panic by \
+         definition if polled after completion)",
         functions.values().sum::<usize>()
     );
     Ok(())
@@ -72,7 +72,7 @@ fn firmware_build(probes: &Probes<'_>, board: &Board, profile: Profile) -> Comma
     cargo
 }
 
-/// Builds, and tells a panic path from every other failure.
+/// Builds a program. Distinguishes a panic path from every other failure.
 fn outcome(build: &mut Command) -> Result<Outcome> {
     eprintln!("+ {}", process::shell_line(build));
     let output = build.stdin(Stdio::null()).output().context("cannot run cargo")?;
@@ -83,7 +83,7 @@ fn outcome(build: &mut Command) -> Result<Outcome> {
     if said.contains(UNDEFINED) && said.contains("undefined symbol") {
         return Ok(Outcome::Panics);
     }
-    bail!("the build fails for another reason than a panic:\n{said}");
+    bail!("the build failed for a reason other than a panic:\n{said}");
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! The virtual gripper where its users are: on Windows, as Wine runs it; and all that `cargo test` builds, checked for Windows and
-//! macOS. Nothing for macOS is linked or run: there is neither an SDK nor a machine.
+//! Runs the virtual gripper for Windows under Wine, and checks everything that `cargo test` builds for Windows and macOS. Nothing is
+//! linked or run for macOS, because there is neither an SDK nor a machine.
 
 use std::{
     fs,
@@ -14,14 +14,14 @@ use crate::{
     workspace::Workspace,
 };
 
-/// The tests that need Wine, by the beginning of their names: `test` leaves them out.
+/// Name prefix of the tests that need Wine. `test` skips them.
 pub(crate) const TESTS: &str = "wine::";
 
 const WINDOWS: &str = "x86_64-pc-windows-gnu";
 const TARGETS: [&str; 3] = [WINDOWS, "x86_64-apple-darwin", "aarch64-apple-darwin"];
 const C_COMPILER: &str = "x86_64-w64-mingw32-gcc";
 
-/// What runs programs for Windows, and what makes them.
+/// Wine, and the C compiler for Windows.
 const FROM_DEBIAN: [Program; 2] =
     [("Wine", "wine", "wine"), ("C compiler for Windows", C_COMPILER, "gcc-mingw-w64-x86-64-win32")];
 
@@ -29,19 +29,19 @@ const FROM_DEBIAN: [Program; 2] =
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     for target in TARGETS {
         if !setup::has_target(workspace, target) && !setup::rustup(workspace, &["target", "add", target]) {
-            bail!("NOT CHECKED: {target}. rustup could not bring it");
+            bail!("NOT CHECKED: {target}. rustup could not install it");
         }
     }
     if let Some(missing) = setup::lacking(&FROM_DEBIAN).first() {
-        bail!("NOT CHECKED: wsg-sim on Windows. There is no {missing}");
+        bail!("NOT CHECKED: wsg-sim on Windows. {missing} is missing");
     }
     if !CLIPPY.provide(workspace) {
-        bail!("NOT CHECKED: Windows and macOS. There is no clippy");
+        bail!("NOT CHECKED: Windows and macOS. clippy is missing");
     }
     for target in TARGETS {
         let mut clippy = workspace.cargo("clippy");
         if target != WINDOWS {
-            // Without an SDK the C of Lua cannot be compiled, and is not: this compiler is content with anything.
+            // Without an SDK, Lua's C code cannot be compiled. `true` as the compiler skips it.
             let target = target.replace('-', "_");
             clippy.env(format!("CC_{target}"), "true").env(format!("AR_{target}"), "true");
         }
@@ -64,14 +64,14 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     fs::create_dir_all(&prefix)?;
     let with_wine = |command: &mut Command| {
         command.env("WINEPREFIX", &prefix).env("WINEDEBUG", "-all");
-        // No dialogue that offers to install Mono.
+        // Suppress the dialogue that offers to install Mono.
         command.env("WINEDLLOVERRIDES", "mscoree=").env("WSG_SIM_EXE", &exe).env_remove("DISPLAY");
         process::run(command)
     };
-    // The server of all these programs is there before them, since several that start it at once may fail; it ends by `-k`, or a
-    // minute after the last of them. At its end it lists all that it holds.
+    // Start the Wine server first, because programs that start it simultaneously may fail. It exits on `-k`, or a minute after the
+    // last program, and then lists all objects that it holds.
     let end = || with_wine(Command::new("wineserver").arg("-k"));
-    // One that an interrupted run has left.
+    // Stop a server left by an interrupted run.
     let _ = end();
     let mut server = Command::new("wineserver");
     with_wine(server.arg("-p60").stdout(Stdio::null()).stderr(Stdio::null()))?;

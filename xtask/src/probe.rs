@@ -1,4 +1,4 @@
-//! The programs of host-tests/probes, which are measured beside an empty one or run in the emulator.
+//! The programs in host-tests/probes, which are measured relative to an empty one or run in the emulator.
 
 use std::{fs, path::PathBuf, process::Command};
 
@@ -13,20 +13,20 @@ use crate::{
 
 const PACKAGE: &str = "wsg-probes";
 
-/// How a program is optimised.
+/// The optimisation level of a program.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Profile {
-    /// As the firmware is: opt-level s.
+    /// opt-level s, as used for the firmware.
     Size,
-    /// opt-level 3.
+    /// opt-level 3, optimised for speed.
     Speed,
 }
 
 impl Profile {
-    /// Both.
+    /// Both profiles, for checks at each optimisation level.
     pub(crate) const ALL: [Self; 2] = [Self::Size, Self::Speed];
 
-    /// Cargo's name for it.
+    /// Returns the name of the cargo profile.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Size => "firmware",
@@ -34,7 +34,7 @@ impl Profile {
         }
     }
 
-    /// For a person.
+    /// Returns the optimisation level as text for messages.
     pub(crate) fn opt_level(self) -> &'static str {
         match self {
             Self::Size => "opt-level s",
@@ -45,21 +45,21 @@ impl Profile {
 
 /// Builds probes for thumb targets.
 pub(crate) struct Probes<'a> {
-    /// Where they are.
+    /// The workspace that contains the probes.
     pub(crate) workspace: &'a Workspace,
-    /// What builds them.
+    /// The tool chain that builds the probes.
     pub(crate) toolchain: &'a ThumbToolchain,
 }
 
 impl Probes<'_> {
-    /// Cargo's `build` of this program for a target.
+    /// Returns the `cargo build` command of a program for a target.
     pub(crate) fn cargo(&self, triple: &str, name: &str, features: &str, profile: Profile) -> Command {
         let mut cargo = self.toolchain.cargo(self.workspace, "build", triple);
         cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name()]);
         cargo
     }
 
-    /// Builds this program, and gives its path. The next one of its name takes its place.
+    /// Builds a program and returns its path. The next build of the same program overwrites it.
     pub(crate) fn build(
         &self,
         triple: &str,
@@ -71,7 +71,7 @@ impl Probes<'_> {
         Ok(self.toolchain.output_dir(self.workspace, triple, profile.name()).join(name))
     }
 
-    /// What this program takes, at opt-level s.
+    /// Returns the flash and RAM footprint of a program at opt-level s.
     pub(crate) fn footprint(&self, name: &str, features: &str) -> Result<Footprint> {
         let path = self.build(TRIPLE, name, features, Profile::Size)?;
         let what_failed = || format!("cannot read the sections of {}", path.display());

@@ -1,4 +1,4 @@
-//! Running other programs: what is run is printed first, and a failure is one line.
+//! Running other programs. Each command is printed first, and a failure is reported in one line.
 
 use std::{
     ffi::OsStr,
@@ -17,13 +17,13 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// Prints the command, runs it, and hands back how it ended.
+/// Prints the command, runs it, and returns its exit status.
 pub(crate) fn run_for_status(command: &mut Command) -> Result<ExitStatus> {
     eprintln!("+ {}", shell_line(command));
     command.status().with_context(|| format!("cannot run `{}`", gist(command)))
 }
 
-/// Prints the command, runs it, and gives what it put on its standard output; fails unless it succeeds.
+/// Prints the command, runs it, and returns its standard output. Fails unless it succeeds.
 pub(crate) fn output(command: &mut Command) -> Result<String> {
     eprintln!("+ {}", shell_line(command));
     let output = command.stdin(Stdio::null()).stderr(Stdio::inherit()).output();
@@ -35,20 +35,19 @@ pub(crate) fn output(command: &mut Command) -> Result<String> {
     Ok(said)
 }
 
-/// What a question to a program (never printed) put on its standard output; `None` where the program
-/// is missing or refuses.
+/// Runs a command without printing it, and returns its standard output. Returns `None` if the program is missing or fails.
 pub(crate) fn answer(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Whether there is such a program, one that knows `--version` or at least ends on it.
+/// Returns whether a program exists. It must exit when called with `--version`.
 pub(crate) fn exists(program: &str) -> bool {
     let mut version = Command::new(program);
     version.arg("--version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok()
 }
 
-/// The command as a person would type it, with the environment variables that it sets.
+/// Formats the command as shell input, with the environment variables that it sets.
 pub(crate) fn shell_line(command: &Command) -> String {
     let mut words = Vec::new();
     for (name, value) in command.get_envs() {
@@ -61,7 +60,7 @@ pub(crate) fn shell_line(command: &Command) -> String {
     words.join(" ")
 }
 
-/// Enough to recognise the command by, which is printed in full above: what comes before its first option.
+/// Abbreviates a command, which has already been printed in full, to the words before its first option.
 fn gist(command: &Command) -> String {
     let program = Path::new(command.get_program()).file_name().unwrap_or(command.get_program());
     let mut words = vec![program.to_string_lossy().into_owned()];
@@ -75,7 +74,7 @@ fn gist(command: &Command) -> String {
     words.join(" ")
 }
 
-/// One shell word: in single quotes where the shell would read more into it than the text.
+/// Formats a shell word, in single quotes if necessary.
 pub(crate) fn quoted(word: impl AsRef<OsStr>) -> String {
     let word = word.as_ref().to_string_lossy();
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);

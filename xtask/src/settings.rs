@@ -1,4 +1,4 @@
-//! Settings of an image: `--set NAME=VALUE` changes them in the ELF file, so that nobody builds another image.
+//! Settings of an image. `--set NAME=VALUE` changes them in the ELF file without recompiling.
 
 use std::fmt;
 
@@ -9,37 +9,38 @@ use wsg_bridge_fw::{
     registers::{Record, SETTINGS},
 };
 
-/// The image's record of settings, as its board calls it.
+/// Symbol of the settings record in the image.
 const SYMBOL: &str = "WSG_SETTINGS";
 
-/// A setting that differs from what the image is delivered with.
+/// A setting that differs from the image's default.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Change {
     name: &'static str,
-    /// Its place in the record.
+    /// Index in the record.
     at: usize,
     value: u16,
 }
 
 impl Change {
-    /// The setting of this name.
+    /// Creates a change of the setting with this name.
     pub(crate) fn new(name: &str, value: u16) -> Result<Self> {
         let found = SETTINGS.iter().enumerate().find(|(_, setting)| setting.name == name);
         let (at, setting) = found.with_context(|| {
             let names: Vec<_> = SETTINGS.iter().map(|setting| setting.name).collect();
-            format!("there is no setting {name}; there are {}", names.join(", "))
+            format!("unknown setting {name}; expected one of {}", names.join(", "))
         })?;
         Ok(Self { name: setting.name, at, value })
     }
 
-    /// `NAME=VALUE`; the value decimal, or hexadecimal behind `0x`.
+    /// Parses `NAME=VALUE`. The value is decimal, or hexadecimal with `0x`.
     pub(crate) fn parse(text: &str) -> Result<Self> {
-        let (name, value) = text.split_once('=').with_context(|| format!("{text} is not NAME=VALUE"))?;
+        let (name, value) =
+            text.split_once('=').with_context(|| format!("invalid argument {text}; expected NAME=VALUE"))?;
         let parsed = match value.strip_prefix("0x") {
             Some(digits) => u16::from_str_radix(digits, 16),
             None => value.parse(),
         };
-        Self::new(name, parsed.map_err(|_| anyhow!("{name}={value}: a value is a number from 0 to 65535"))?)
+        Self::new(name, parsed.map_err(|_| anyhow!("{name}={value}: expected a number from 0 to 65535"))?)
     }
 }
 
@@ -55,7 +56,8 @@ pub(crate) fn apply(elf: &mut [u8], changes: &[Change]) -> Result<()> {
         return Ok(());
     }
     let offset = offset_of_record(elf)?;
-    let bytes = elf.get_mut(offset..offset + 2 * SETTINGS.len()).context("the record of settings is cut")?;
+    let bytes =
+        elf.get_mut(offset..offset + 2 * SETTINGS.len()).context("the settings record is truncated")?;
     let words = bytes.as_chunks_mut::<2>().0;
     let mut record = [0; SETTINGS.len()];
     for (value, word) in record.iter_mut().zip(words.iter()) {
@@ -67,7 +69,7 @@ pub(crate) fn apply(elf: &mut [u8], changes: &[Change]) -> Result<()> {
     Ok(())
 }
 
-/// Whether these settings go together with those as delivered: asked before the build, which takes longer.
+/// Checks that these settings and the defaults form a valid configuration. Called before the build, which takes longer.
 pub(crate) fn check(changes: &[Change]) -> Result<()> {
     changed(Config::DEFAULT.record(), changes).map(drop)
 }
@@ -78,21 +80,22 @@ fn changed(mut record: Record, changes: &[Change]) -> Result<Record> {
     }
     match Config::from_record(&record) {
         Ok(_) => Ok(record),
-        Err(wrong) => bail!("the value {} is wrong: {wrong}", record[wrong.at]),
+        Err(wrong) => bail!("invalid value {}: {wrong}", record[wrong.at]),
     }
 }
 
-/// Where the record begins in the file.
+/// Returns the offset of the record in the file.
 fn offset_of_record(elf: &[u8]) -> Result<usize> {
     let file = ElfFile32::<object::Endianness>::parse(elf)?;
     let symbol = file
         .symbol_by_name(SYMBOL)
-        .with_context(|| format!("the image has no settings: there is no symbol {SYMBOL}"))?;
+        .with_context(|| format!("the image has no settings: missing symbol {SYMBOL}"))?;
     let len = 2 * SETTINGS.len() as u64;
     if symbol.size() != len {
-        bail!("the image has {} bytes of settings, and this tool knows {len}", symbol.size());
+        bail!("the image has {} bytes of settings; expected {len}", symbol.size());
     }
-    let section = file.section_by_index(symbol.section_index().context("the settings are in no section")?)?;
+    let section =
+        file.section_by_index(symbol.section_index().context("the settings belong to no section")?)?;
     let (start, _) = section.file_range().context("the settings are not in the file")?;
     Ok(usize::try_from(start + (symbol.address() - section.address()))?)
 }
@@ -108,23 +111,22 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_in_a_line() {
+    fn mistakes_are_reported_in_one_line() {
         for (text, said) in [
-            ("CAN_RATE", "CAN_RATE is not NAME=VALUE"),
-            ("CAN_RATE=fast", "CAN_RATE=fast: a value is a number from 0 to 65535"),
-            ("CAN_RATE=70000", "CAN_RATE=70000: a value is a number from 0 to 65535"),
+            ("CAN_RATE", "invalid argument CAN_RATE; expected NAME=VALUE"),
+            ("CAN_RATE=fast", "CAN_RATE=fast: expected a number from 0 to 65535"),
+            ("CAN_RATE=70000", "CAN_RATE=70000: expected a number from 0 to 65535"),
         ] {
             assert_eq!(Change::parse(text).unwrap_err().to_string(), said);
         }
         let unknown = Change::parse("BAUD=9600").unwrap_err().to_string();
-        assert!(unknown.starts_with("there is no setting BAUD; there are UNIT, "), "{unknown}");
+        assert!(unknown.starts_with("unknown setting BAUD; expected one of UNIT, "), "{unknown}");
     }
 
     #[test]
     fn a_value_out_of_its_range_is_refused_with_the_range() {
         let refused = |text| check(&[Change::parse(text).unwrap()]).unwrap_err().to_string();
-        let said =
-            "the value 300 is wrong: CAN_RATE takes 125 to 1000: the rate of CAN: 125, 250, 500 or 1000";
+        let said = "invalid value 300: CAN_RATE takes 125 to 1000: the rate of CAN: 125, 250, 500 or 1000";
         assert_eq!(refused("CAN_RATE=300"), said);
         assert!(refused("UNIT=0").contains("UNIT takes 1 to 247"));
         assert!(check(&[Change::parse("CAN_RATE=250").unwrap()]).is_ok());

@@ -1,4 +1,4 @@
-//! Size gates: what image and protocol take of flash and RAM, against the limits of DESIGN.md section 7.
+//! Size gates: flash and RAM of the images and the protocol, compared with their limits.
 
 use std::fs;
 
@@ -9,23 +9,23 @@ use crate::{firmware::Image, gate::Gate, probe::Probes};
 
 const STATIC_RAM_LIMIT: u64 = 12 * 1024;
 
-/// Parser and encoder, with the table of 512 bytes and with that of 32.
+/// Flash limits of parser and encoder in bytes, with the 512-byte table and with the 32-byte table.
 const FRAME_LIMIT: u64 = 1_900;
 const SMALL_FRAME_LIMIT: u64 = 1_100;
 
-/// The whole protocol crate without its text protocol, MODBUS server and drivers, so that it does not grow unseen. 1 100 B of it
-/// are units and meanings in texts, which a board that shows none does not link.
+/// Flash limit of the protocol crate without GCL, MODBUS server and drivers, so that growth is noticed. It includes 1 100 B of units
+/// and descriptions, which a board that shows no text does not link.
 const PROTOCOL_LIMIT: u64 = 34_500;
 
-/// The two that are not in that, for the same reason. 1 400 B of GCL are the texts of verbose mode.
+/// Flash limits of GCL and the MODBUS server. 1 400 B of GCL are verbose-mode texts.
 const GCL_LIMIT: u64 = 44 * 1024;
 const MODBUS_LIMIT: u64 = 9 * 1024;
 
-/// The payload of the probe's parser, and what the parser may take beside it.
+/// Payload length of the probe's parser, and the RAM limit beyond it, in bytes.
 const PARSER_PAYLOAD: u64 = 64;
 const PARSER_OVERHEAD_LIMIT: u64 = 16;
 
-/// The gates of the boards' images.
+/// Returns the gates of the boards' images.
 pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
     images.iter().map(of_image).collect::<Result<Vec<_>>>().map(|gates| gates.concat())
 }
@@ -44,7 +44,7 @@ fn of_image(image: &Image) -> Result<Vec<Gate>> {
     ])
 }
 
-/// The gates of the protocol crate: programs beside an empty one.
+/// Returns the gates of the protocol crate, from the sizes of programs minus that of an empty one.
 pub(crate) fn of_protocol(probes: &Probes<'_>) -> Result<Vec<Gate>> {
     let empty = probes.footprint("empty", "on-target")?;
     let frame = probes.footprint("frame", "on-target")?.over(empty);
@@ -55,8 +55,8 @@ pub(crate) fn of_protocol(probes: &Probes<'_>) -> Result<Vec<Gate>> {
     let driver = probes.footprint("functions", "drivers,on-target")?.over(empty);
     let small_empty = probes.footprint("empty", "on-target,small-table")?;
     let small_frame = probes.footprint("frame", "on-target,small-table")?.over(small_empty);
-    println!("  the drivers, every method of both protocols, with all they need: {} B", driver.flash);
-    println!("  text for persons (Display of commands and replies, core::fmt): {} B", text.flash);
+    println!("  drivers, every method of both protocols, with dependencies: {} B", driver.flash);
+    println!("  human-readable text (Display of commands and replies, core::fmt): {} B", text.flash);
     Ok(vec![
         Gate::bytes("parser and encoder, flash with table", frame.flash, FRAME_LIMIT),
         Gate::bytes("parser and encoder, flash with `small-table`", small_frame.flash, SMALL_FRAME_LIMIT),

@@ -1,4 +1,4 @@
-//! The image in the emulator on a line where bytes go wrong, for many commands: a test of host-tests, run for longer.
+//! Soak test: a longer run of the host-tests test that sends commands to the image in the emulator on a faulty line.
 
 use anyhow::{Context, Result};
 use lexopt::{Arg, Parser, ValueExt};
@@ -9,7 +9,7 @@ use crate::{
     workspace::Workspace,
 };
 
-/// How long a run is.
+/// The length and seed of a run.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Extent {
     commands: u64,
@@ -17,10 +17,10 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// What `ci` runs: a minute and a half.
+    /// The extent for `ci`, about 90 s.
     pub(crate) const CI: Self = Self { commands: 700, seed: 1 };
 
-    /// `--commands N` and `--seed N`.
+    /// Parses `--commands N` and `--seed N`.
     pub(crate) fn from(mut arguments: Parser) -> Result<Self> {
         let mut extent = Self { commands: 10_000, seed: 1 };
         while let Some(argument) = arguments.next()? {
@@ -34,7 +34,7 @@ impl Extent {
     }
 }
 
-/// Runs the test; its last line says what became of the commands.
+/// Runs the test. Its last line summarizes the results of the commands.
 pub(crate) fn run(workspace: &Workspace, image: &Image, extent: &Extent) -> Result<()> {
     let mut cargo = workspace.cargo("test");
     cargo.args(["-q", "-p", "host-tests", "--test", "end_to_end", "soak_on_a_faulty_line"]);
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ten_thousand_commands_are_given_if_nothing_else_is_said() {
+    fn ten_thousand_commands_are_the_default() {
         let of = |arguments: &[&str]| Extent::from(Parser::from_args(arguments));
 
         assert_eq!(of(&[]).unwrap(), Extent { commands: 10_000, seed: 1 });

@@ -1,7 +1,7 @@
-//! The firmware's worst-case stack: by a walk over all calls in the image, and by a painted stack in the emulator.
+//! Worst-case stack of the firmware, by walking all calls in the image and by painting the stack in the emulator.
 //!
-//! The walk sees every path and takes each as possible; the emulator sees what really happens in a bad case. The truth
-//! lies between the two.
+//! The walk assumes that every path is possible, so it gives an upper bound. The emulator observes a demanding run, so it gives a
+//! lower bound.
 
 use std::{fs, process::Command};
 
@@ -19,11 +19,11 @@ use crate::{
 
 const LIMIT: u64 = 3 * 1024;
 
-/// What an exception puts on the stack by itself: 8 registers and a word to align; and 18 of the floating point unit, if there is one.
+/// Stack used by exception entry in bytes: 8 registers and an alignment word, plus 18 words with a floating-point unit.
 const EXCEPTION_FRAME: u64 = 4 * (8 + 1);
 const FLOAT_FRAME: u64 = 4 * 18;
 
-/// Walks the calls of each board's firmware.
+/// Walks the calls in each board's firmware.
 pub(crate) fn walked(
     workspace: &Workspace,
     toolchain: &ThumbToolchain,
@@ -36,21 +36,21 @@ fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Res
     let elf = build_with_sizes(workspace, toolchain, image.board)?;
     let what_failed = || format!("cannot walk the calls of {}", image.path.display());
     let program = Program::of(&elf).with_context(what_failed)?;
-    // The option gives symbols other hashes, so functions lie in another order, and some bytes more or less apart.
+    // The option changes symbol hashes, and thereby the order of functions and the padding between them.
     let tested = Program::of(&fs::read(&image.path)?).with_context(what_failed)?;
     ensure!(
         program.code_len.abs_diff(tested.code_len) * 100 <= tested.code_len
             && program.function_count() == tested.function_count(),
-        "the image with stack sizes holds other code ({} B) than the image ({} B)",
+        "the image with stack sizes has different code ({} B) than the image ({} B)",
         program.code_len,
         tested.code_len
     );
     let deepest = program.deepest().with_context(what_failed)?;
     for function in &deepest.by_prologue {
-        println!("  no stack size from the compiler, taken from its code: {function}");
+        println!("  no stack size from the compiler, derived from the code: {function}");
     }
     for function in &deepest.indirect {
-        println!("  indirect call, taken for one of any function whose address is taken: {function}");
+        println!("  indirect call, assumed to reach any function whose address is taken: {function}");
     }
     let own = EXCEPTION_FRAME + if image.board.triple.ends_with("hf") { FLOAT_FRAME } else { 0 };
     println!("  program: {} B", deepest.program.bytes);
@@ -58,18 +58,18 @@ fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Res
         println!("    {step}");
     }
     for handler in &deepest.handlers {
-        println!("  exception: {} B and {own} B by itself: {}", handler.bytes, handler.path.join(" > "));
+        println!("  exception: {} B plus {own} B for entry: {}", handler.bytes, handler.path.join(" > "));
     }
     let exceptions: u64 = deepest.handlers.iter().map(|handler| handler.bytes + own).sum();
-    println!("  counted as if every exception interrupted the one before at its deepest");
+    println!("  assuming that every exception interrupts the previous one at its deepest point");
     let what = image.board.figure("worst-case stack, walked");
     Ok(Gate::bytes(what, deepest.program.bytes + exceptions, LIMIT))
 }
 
-/// The deepest that the stack of each image was seen: an example of host-tests boots it on painted memory, puts it
-/// through the worst that it knows, and looks how far the paint is gone.
+/// Measures the observed stack depth of each image. An example of host-tests boots it on painted memory, runs a demanding load, and
+/// checks how much paint is left.
 pub(crate) fn painted(workspace: &Workspace, images: &[Image]) -> Result<Vec<Gate>> {
-    // As a part of the workspace: with the features that the tests have, nothing is built twice.
+    // Build with `--workspace`, because the tests use the same features and nothing is then built twice.
     process::run(workspace.cargo("build").args(["-q", "--workspace", "--example", "painted_stack"]))?;
     let emulated = images.iter().filter(|image| image.board.emulated.is_some());
     emulated.map(|image| paint(workspace, image)).collect()
@@ -80,22 +80,22 @@ fn paint(workspace: &Workspace, image: &Image) -> Result<Gate> {
     setup::tell_emulator(workspace, image.board, &mut program)?;
     let said = process::output(program.arg(&image.path))?;
     let bytes = said.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
-    let bytes = bytes.context("the program painted-stack told no figure")?;
+    let bytes = bytes.context("painted_stack printed no figure")?;
     Ok(Gate::bytes(image.board.figure("worst-case stack, painted in the emulator"), bytes, LIMIT))
 }
 
-/// The image once more, with a section of stack sizes that takes no memory.
+/// Builds the image with an additional section of stack sizes, which occupies no memory on the target.
 fn build_with_sizes(workspace: &Workspace, toolchain: &ThumbToolchain, board: &Board) -> Result<Vec<u8>> {
     let mut cargo = toolchain.cargo(workspace, "build", board.triple);
     cargo.args(firmware::selection(board, &[]));
     cargo.args(["--config", &format!("target.{}.rustflags=[\"-Zemit-stack-sizes\"]", board.triple)]);
-    // Apart from the image that is tested. The option is not stable, the section that it writes is LLVM's.
+    // A separate build folder keeps the tested image. The option is unstable; the section that it writes is defined by LLVM.
     let target_dir = workspace.target_dir.join("stack");
     cargo.env("CARGO_TARGET_DIR", &target_dir).env("RUSTC_BOOTSTRAP", "1");
     process::run(&mut cargo)?;
     let output_dir = toolchain.output_dir(workspace, board.triple, "firmware");
     let below = output_dir.strip_prefix(&workspace.target_dir).unwrap_or(&output_dir);
-    // Debian's tool chain has a folder of its own below the target folder, which the variable replaces.
+    // CARGO_TARGET_DIR also replaces the subfolder of Debian's tool chain.
     let below = below.strip_prefix("debian").unwrap_or(below);
     let path = target_dir.join(below).join(board.name);
     fs::read(&path).with_context(|| format!("cannot read {}", path.display()))

@@ -1,4 +1,4 @@
-//! Every check of the workspace, in order, each announced; the first that fails ends it.
+//! Runs all checks of the workspace in order, up to the first failure.
 
 use std::{ffi::OsString, num::NonZero, process::Command, thread, time::Instant};
 
@@ -21,8 +21,7 @@ use crate::{
 
 const TESTS: &str = "tests, emulator included";
 
-/// Runs all checks; with `filter` only the tests that it names. What could not be checked or compared is told at the end, and
-/// fails a strict run.
+/// Runs all checks, or with `filter` only the matching tests. Skipped checks are listed at the end, and fail a strict run.
 pub(crate) fn run(
     workspace: &Workspace,
     toolchain: &ThumbToolchain,
@@ -50,7 +49,7 @@ pub(crate) fn run(
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
-        println!("test: only the tests that match {filter:?} run; without arguments every check runs");
+        println!("test: running only tests that match {filter:?}; omit the filter to run all checks");
         record.check(TESTS, || checks.tests(filter))
     };
     println!("{}", record.summary(outcome.is_err()));
@@ -60,7 +59,7 @@ pub(crate) fn run(
 struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain,
-    /// Those of all boards and settings, by the variables that name them.
+    /// Images of all emulated boards and settings, by the environment variable for the tests.
     chosen: Vec<(String, Image)>,
     masters: &'a Masters,
     extent: Extent,
@@ -112,7 +111,7 @@ impl Checks<'_> {
             gate::check(&[size::of_images(&images)?, size::of_protocol(&probes)?].concat())
         })?;
         record.check("stack, walked", || gate::check(&stack::walked(workspace, toolchain, &images)?))?;
-        // The default board's comes first, and QEMU is there.
+        // Without rp2040js, only the default board's image, which is the first, can be emulated.
         let emulated = if self.masters.missing.contains(&"rp2040js") { &images[..1] } else { &images };
         record.check("stack, painted", || gate::check(&stack::painted(workspace, emulated)?))?;
         let mut not_compared = None;
@@ -123,7 +122,7 @@ impl Checks<'_> {
         })?;
         not_compared.iter().for_each(|why| record.not_checked(&format!("instructions, {why}")));
         record.check("host throughput", || {
-            // How many bytes a second it is depends on the machine.
+            // Check only the ratio: the absolute throughput depends on the machine.
             let [_, beside_a_loop] = bench::throughput(workspace)?;
             gate::check(&[beside_a_loop])
         })?;
@@ -143,16 +142,16 @@ impl Checks<'_> {
         clippy
     }
 
-    /// The examples in the docs are a check of their own: `--include-ignored` would run those marked `ignore`.
+    /// Runs the tests. Doc examples are a separate check, because `--include-ignored` would run those marked `ignore`.
     fn tests(&self, filter: &[OsString]) -> Result<()> {
         let targets = ["--workspace", "--lib", "--bins", "--tests"];
-        // Tests run the examples. `cargo test --examples` would link each once more, and most have no tests: of those that have,
-        // the manifest says `test = true`.
+        // Tests execute the examples. `cargo test --examples` would link each a second time, and most contain no tests. Those that
+        // do have `test = true` in the manifest.
         process::run(self.workspace.cargo("build").args(targets).arg("--examples"))?;
         let mut tests = self.workspace.cargo("test");
         tests.env(PYTHON_VARIABLE, &self.masters.python).env(NODE_VARIABLE, &self.masters.node);
         tests.args(targets).args(["--", "--include-ignored"]);
-        // Those with an emulator wait more than they compute: with two threads a core it stands idle for half of the time.
+        // Emulator tests mostly wait. With two threads per core, the machine would be idle half of the time.
         let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(4);
         tests.env("RUST_TEST_THREADS", threads.to_string());
         if self.extent == Extent::Whole {
@@ -168,7 +167,7 @@ impl Checks<'_> {
     }
 }
 
-/// What ran, and what could not.
+/// The checks that passed and those that were skipped.
 #[derive(Default)]
 struct Record {
     passed: Vec<&'static str>,
@@ -193,7 +192,7 @@ impl Record {
     fn summary(&self, failed: bool) -> String {
         let mut text = format!("test: {} passed ({})", self.passed.len(), self.passed.join("; "));
         if failed {
-            text.push_str(", then one FAILED; what comes after it did not run");
+            text.push_str(", then one FAILED; the remaining checks did not run");
         }
         if !self.not_checked.is_empty() {
             text.push_str(&format!(
@@ -205,11 +204,11 @@ impl Record {
         text
     }
 
-    /// Fails a strict run in which something was not checked.
+    /// Fails a strict run if any check was skipped.
     fn verdict(&self, is_strict: bool) -> Result<()> {
         ensure!(
             !is_strict || self.not_checked.is_empty(),
-            "every check that ran has passed, but --strict allows no NOT CHECKED"
+            "all checks that ran have passed, but --strict does not allow skipped checks (NOT CHECKED)"
         );
         Ok(())
     }
@@ -231,7 +230,7 @@ mod tests {
         entries.into_iter().any(|entry| has_tests(&entry.unwrap().path()))
     }
 
-    /// `cargo test --tests` passes over the others without a word.
+    /// `cargo test --tests` silently ignores examples without `test = true`.
     #[test]
     fn examples_with_tests_say_so_in_their_manifest() {
         let mut cargo = Command::new(env!("CARGO"));
@@ -262,13 +261,13 @@ mod tests {
         record.check("size", || Ok(())).unwrap();
         let failed = record.check("docs", || bail!("x")).is_err();
 
-        let expected = "test: 1 passed (size), then one FAILED; what comes after it did not run; \
+        let expected = "test: 1 passed (size), then one FAILED; the remaining checks did not run; \
                         1 NOT CHECKED (format (no rustfmt))";
         assert_eq!(record.summary(failed), expected);
     }
 
     #[test]
-    fn what_was_not_checked_fails_a_strict_run_alone() {
+    fn a_skipped_check_fails_only_a_strict_run() {
         let mut record = Record::default();
         assert!(record.verdict(true).is_ok());
 

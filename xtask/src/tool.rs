@@ -1,5 +1,4 @@
-//! Tools that only some checks need, and nightly Rust with them: found, installed where that is allowed, else named with
-//! what was therefore not checked.
+//! Tools for individual checks, including nightly Rust: finds them, installs them if permitted, or reports what was not checked.
 
 use std::process::Command;
 
@@ -7,38 +6,38 @@ use anyhow::{Context, Result, bail};
 
 use crate::{process, setup, workspace::Workspace};
 
-/// A tool and how to get it. What answers for it, and what installs it, are arguments to rustup or to cargo.
+/// A tool and how to install it.
 pub(crate) struct Tool {
-    /// For a person.
+    /// Name for messages.
     pub(crate) name: &'static str,
-    /// Succeeds where the tool is there.
+    /// Command that succeeds if the tool is installed.
     pub(crate) probe: &'static [&'static str],
-    /// Gets it.
+    /// Command that installs the tool.
     pub(crate) install: &'static [&'static str],
 }
 
-/// cargo-fuzz.
+/// cargo-fuzz, for the fuzz targets.
 pub(crate) const CARGO_FUZZ: Tool = Tool {
     name: "cargo-fuzz",
     probe: &["cargo", "fuzz", "--version"],
     install: &["cargo", "install", "cargo-fuzz", "--locked"],
 };
 
-/// cargo-mutants.
+/// cargo-mutants, for mutation testing.
 pub(crate) const CARGO_MUTANTS: Tool = Tool {
     name: "cargo-mutants",
     probe: &["cargo", "mutants", "--version"],
     install: &["cargo", "install", "cargo-mutants", "--locked"],
 };
 
-/// cargo-deny.
+/// cargo-deny, for checks of the dependencies.
 pub(crate) const CARGO_DENY: Tool = Tool {
     name: "cargo-deny",
     probe: &["cargo", "deny", "--version"],
     install: &["cargo", "install", "cargo-deny", "--locked"],
 };
 
-/// cargo-llvm-cov.
+/// cargo-llvm-cov, for line coverage.
 pub(crate) const CARGO_LLVM_COV: Tool = Tool {
     name: "cargo-llvm-cov",
     probe: &["cargo", "llvm-cov", "--version"],
@@ -58,14 +57,14 @@ pub(crate) fn book(workspace: &Workspace) -> Result<()> {
     process::run(plain(workspace, &["mdbook", "build"]).current_dir(&workspace.root))
 }
 
-/// The nightly tool chain.
+/// The nightly tool chain, for Miri and cargo-fuzz.
 pub(crate) const NIGHTLY: Tool = Tool {
     name: "nightly Rust",
     probe: &["rustup", "run", "nightly", "rustc", "--version"],
     install: &["rustup", "toolchain", "install", "nightly", "--profile", "minimal"],
 };
 
-/// Miri, and the sources of the library that it runs.
+/// Miri, with the sources of the standard library.
 pub(crate) const MIRI: Tool = Tool {
     name: "Miri",
     probe: &["rustup", "run", "nightly", "cargo", "miri", "--version"],
@@ -73,7 +72,7 @@ pub(crate) const MIRI: Tool = Tool {
 };
 
 impl Tool {
-    /// Makes the tool available, or says what cannot be checked without it.
+    /// Installs the tool if necessary. Fails with a note of what was not checked.
     pub(crate) fn require(&self, workspace: &Workspace, what_for: &str) -> Result<()> {
         if self.is_there(workspace) {
             return Ok(());
@@ -81,12 +80,12 @@ impl Tool {
         let line = self.install.join(" ");
         if setup::installing_is_forbidden() {
             bail!(
-                "NOT CHECKED: {what_for}. {} is missing, and WSG_NO_INSTALL=1 forbids installing it: {line}",
+                "NOT CHECKED: {what_for}. {} is missing, and WSG_NO_INSTALL=1 forbids installation; run `{line}`",
                 self.name
             );
         }
         process::run(&mut plain(workspace, self.install)).with_context(|| {
-            format!("NOT CHECKED: {what_for}. {} cannot be installed by `{line}`", self.name)
+            format!("NOT CHECKED: {what_for}. {} cannot be installed with `{line}`", self.name)
         })?;
         if !self.is_there(workspace) {
             bail!("NOT CHECKED: {what_for}. {} is still missing after `{line}`", self.name);
@@ -99,14 +98,14 @@ impl Tool {
     }
 }
 
-/// `cargo` of the nightly tool chain, in the root of the workspace.
+/// Returns `cargo` of the nightly tool chain, run in the workspace root.
 pub(crate) fn nightly_cargo(workspace: &Workspace, arguments: &[&str]) -> Command {
     let mut command = plain(workspace, &["rustup", "run", "nightly", "cargo"]);
     command.args(arguments);
     command
 }
 
-/// A command without what the outer cargo has put into the environment, which would lead rustup to the outer tool chain.
+/// Returns a command without the outer cargo's environment variables, which would make rustup use the outer tool chain.
 pub(crate) fn plain(workspace: &Workspace, words: &[&str]) -> Command {
     let (program, arguments) = words.split_first().unwrap_or((&"true", &[]));
     let mut command = Command::new(program);
@@ -122,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tool_that_cannot_be_had_says_what_was_not_checked() {
+    fn a_tool_that_cannot_be_installed_reports_what_was_not_checked() {
         let tool = Tool { name: "nothing", probe: &["/bin/false"], install: &["/bin/false"] };
 
         let error = format!("{:#}", tool.require(&Workspace::for_tests(), "the moon").unwrap_err());

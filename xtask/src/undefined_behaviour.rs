@@ -1,4 +1,4 @@
-//! Miri over the host tests of the crates that the firmware's static queues and the board-free bridge are in.
+//! Runs Miri on the host tests of the bridge library, which contains the firmware's static queues.
 
 use anyhow::Result;
 
@@ -16,7 +16,7 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let mut miri =
         tool::nightly_cargo(workspace, &["miri", "test", "--locked", "-p", firmware::BRIDGE, "--lib"]);
     miri.env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
-    // Property tests write what failed to files, which Miri keeps them from; their cases are few here, for time.
+    // Property tests write failures to files, which Miri's isolation prevents. Few cases, to save time.
     miri.env("MIRIFLAGS", "-Zmiri-disable-isolation").env("PROPTEST_CASES", "4");
     process::run(&mut miri)?;
     println!(

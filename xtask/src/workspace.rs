@@ -1,4 +1,4 @@
-//! Where this workspace is, where it builds to, and the cargo that was called.
+//! The workspace: its folder, its build folder, and the calling cargo.
 
 use std::{
     env,
@@ -9,8 +9,8 @@ use std::{
 
 use anyhow::{Context, Result};
 
-/// The crates for other people's boards, by package and folder: built for each target, free of panics, published as packages.
-/// A crate stands behind those that it depends on.
+/// The library crates for boards, by package and folder: built for each target, panic-free, published as packages. Each crate
+/// follows its dependencies.
 pub(crate) const TARGET_CRATES: [(&str, &str); 7] = [
     ("bus-modbus", "buses/modbus"),
     ("bus-slcan", "buses/slcan"),
@@ -21,65 +21,65 @@ pub(crate) const TARGET_CRATES: [(&str, &str); 7] = [
     ("wsg-fieldbus", "fieldbus"),
 ];
 
-/// The workspace that `cargo xtask` was called in.
+/// The workspace in which `cargo xtask` was called.
 pub(crate) struct Workspace {
-    /// The folder of the workspace's `Cargo.toml`.
+    /// Folder of the workspace's `Cargo.toml`.
     pub(crate) root: PathBuf,
-    /// Where builds go: `CARGO_TARGET_DIR`, else `target` in the root.
+    /// Build folder: `CARGO_TARGET_DIR`, or `target` in the root.
     pub(crate) target_dir: PathBuf,
     cargo: OsString,
 }
 
 impl Workspace {
-    /// Reads the environment that `cargo run` gives to this program.
+    /// Reads the environment set by `cargo run`.
     pub(crate) fn from_env() -> Result<Self> {
-        let started_by_cargo = "start this program as `cargo xtask`";
+        let started_by_cargo = "run this program as `cargo xtask`";
         let manifest_dir = env::var_os("CARGO_MANIFEST_DIR").context(started_by_cargo)?;
         let root = Path::new(&manifest_dir).parent().context(started_by_cargo)?.to_owned();
         let target_dir = match env::var_os("CARGO_TARGET_DIR") {
-            Some(dir) => std::path::absolute(dir).context("CARGO_TARGET_DIR names no folder")?,
+            Some(dir) => std::path::absolute(dir).context("CARGO_TARGET_DIR is not a valid path")?,
             None => root.join("target"),
         };
         let cargo = env::var_os("CARGO").context(started_by_cargo)?;
         Ok(Self { root, target_dir, cargo })
     }
 
-    /// A workspace that nothing is built in.
+    /// Creates a workspace for tests that build nothing.
     #[cfg(test)]
     pub(crate) fn for_tests() -> Self {
         Self { root: env::temp_dir(), target_dir: env::temp_dir(), cargo: "cargo".into() }
     }
 
-    /// `cargo <subcommand>` of the cargo that was called (the same tool chain), run in the root.
+    /// Returns `cargo <subcommand>` with the calling tool chain, run in the workspace root.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
         let mut command = self.cargo_in_current_dir(subcommand);
         command.current_dir(&self.root);
         command
     }
 
-    /// The same, run where the user is: for a program whose arguments may name files.
+    /// The same, run in the current folder, for programs whose arguments may be file names.
     pub(crate) fn cargo_in_current_dir(&self, subcommand: &str) -> Command {
         let mut command = Command::new(&self.cargo);
         command.env("CARGO_TARGET_DIR", &self.target_dir).arg(subcommand);
-        // What is built is what Cargo.lock says, or nothing. The formatter builds nothing and does not know the option.
+        // Never build with versions other than those in Cargo.lock. The formatter does not support this option.
         if subcommand != "fmt" {
             command.arg("--locked");
         }
-        // What a machine builds once needs no notes for the next time, which take it a tenth of the time.
+        // Incremental compilation does not pay off for a single build; it costs a tenth of the time.
         if env::var_os("CI").is_some() {
             command.env("CARGO_INCREMENTAL", "0");
         }
         command
     }
 
-    /// Whether the cargo that was called is the one at `path`.
+    /// Returns whether the calling cargo is the one at `path`.
     pub(crate) fn cargo_is(&self, path: &str) -> bool {
         Path::new(&self.cargo) == Path::new(path)
     }
 
-    /// The compiler of the cargo that was called.
+    /// Returns the compiler of the calling cargo.
     pub(crate) fn rustc(&self) -> Command {
-        // Beside cargo lies the tool chain's own; on PATH it may be another's.
+        // Prefer the rustc next to cargo: the one on PATH may belong to another tool chain.
         let beside_cargo = Path::new(&self.cargo).with_file_name("rustc");
         let rustc = match env::var_os("RUSTC") {
             Some(rustc) => rustc,
@@ -91,7 +91,7 @@ impl Workspace {
         command
     }
 
-    /// Where cargo keeps the sources of dependencies.
+    /// Returns the folder in which cargo keeps the sources of dependencies.
     pub(crate) fn cargo_home(&self) -> Option<PathBuf> {
         env::var_os("CARGO_HOME").map(PathBuf::from).or_else(|| Some(env::home_dir()?.join(".cargo")))
     }

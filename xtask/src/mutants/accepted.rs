@@ -1,7 +1,7 @@
-//! xtask/mutants-accepted.txt: survivors that are accepted, each with its line and the reason.
+//! Accepted surviving mutants, listed with line and reason in xtask/mutants-accepted.txt.
 //!
-//! A mutant is the accepted one if file, name and the text of its line are the same. The line's number is for the reader: the
-//! line may have moved since. A mutant of the same name in a line that nobody looked at is not accepted with it.
+//! A mutant is accepted if file, name and text of the line match. The line number is informative, because lines may move. A mutant
+//! with the same name in another line is not accepted.
 
 use std::{collections::BTreeSet, fs, path::Path};
 
@@ -11,23 +11,23 @@ use super::Sources;
 
 const DOCUMENT: &str = "xtask/mutants-accepted.txt";
 
-/// Where mutants are made.
+/// Folders of the mutated sources.
 const FOLDERS: [&str; 4] = ["fieldbus/src", "protocol/src", "buses", "bridge-fw/src"];
 
-/// A survivor that is accepted.
+/// An accepted surviving mutant.
 #[derive(Debug, PartialEq)]
 struct Entry {
-    /// `FILE:LINE: NAME`.
+    /// Title in the form `FILE:LINE: NAME`.
     title: String,
     file: String,
     line: usize,
     name: String,
     reason: String,
-    /// The text of the line that is changed.
+    /// Text of the mutated line.
     text: String,
 }
 
-/// The survivors that are accepted.
+/// The accepted surviving mutants.
 #[derive(Debug, Default)]
 pub(super) struct Accepted(Vec<Entry>);
 
@@ -38,7 +38,7 @@ impl Accepted {
         )
     }
 
-    /// Entries of two lines: `FILE:LINE: NAME -- REASON`, and indented the text of the line.
+    /// Parses entries of two lines: `FILE:LINE: NAME -- REASON`, and the text of the line, indented.
     fn parse(text: &str) -> Result<Self> {
         let mut entries = Vec::new();
         let mut lines = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
@@ -54,13 +54,16 @@ impl Accepted {
                 line: line.parse().with_context(what_failed)?,
                 name: name.to_owned(),
                 reason: reason.to_owned(),
-                text: text.with_context(|| format!("{DOCUMENT}: no source below {head}"))?.trim().to_owned(),
+                text: text
+                    .with_context(|| format!("{DOCUMENT}: missing source line below {head}"))?
+                    .trim()
+                    .to_owned(),
             });
         }
         Ok(Self(entries))
     }
 
-    /// Fails where the line of an entry is not in its file any more; says so where it has moved.
+    /// Fails if the line of an entry is no longer in its file. Reports lines that have moved.
     pub(super) fn hold_to(&self, sources: &Sources) -> Result<()> {
         let mut stale = Vec::new();
         for entry in &self.0 {
@@ -75,17 +78,17 @@ impl Accepted {
             }
         }
         if !stale.is_empty() {
-            bail!("{DOCUMENT}: these lines are not in their files any more: {}", stale.join("; "));
+            bail!("{DOCUMENT}: these lines are no longer in their files: {}", stale.join("; "));
         }
         Ok(())
     }
 
-    /// Why this mutant is accepted, if it is.
+    /// Returns the reason why a mutant is accepted, if it is.
     pub(super) fn reason(&self, mutant: &str, sources: &Sources) -> Option<&str> {
         self.0.iter().find(|entry| entry.is(mutant, sources)).map(|entry| entry.reason.as_str())
     }
 
-    /// Entries that none of these is.
+    /// Returns the entries that match none of the survivors.
     pub(super) fn unused(&self, survived: &BTreeSet<String>, sources: &Sources) -> Vec<&str> {
         let is_unused = |entry: &&Entry| !survived.iter().any(|mutant| entry.is(mutant, sources));
         self.0.iter().filter(is_unused).map(|entry| entry.title.as_str()).collect()
@@ -93,7 +96,7 @@ impl Accepted {
 }
 
 impl Entry {
-    /// Whether the entry is of this mutant, `FILE:LINE:COLUMN: NAME`.
+    /// Returns whether the entry matches a mutant, given as `FILE:LINE:COLUMN: NAME`.
     fn is(&self, mutant: &str, sources: &Sources) -> bool {
         let mut parts = mutant.splitn(4, ':');
         let mut next = || parts.next().unwrap_or_default();
@@ -104,7 +107,7 @@ impl Entry {
     }
 }
 
-/// All files that mutants are made of.
+/// Reads all mutated source files.
 pub(super) fn sources(root: &Path) -> Result<Sources> {
     let mut sources = Sources::new();
     let mut folders = FOLDERS.map(str::to_owned).to_vec();
@@ -161,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn an_entry_that_no_survivor_is_of_is_unused() {
+    fn an_entry_without_a_survivor_is_unused() {
         let accepted = Accepted::parse(ACCEPTED).unwrap();
         let survived = BTreeSet::from(["protocol/src/x.rs:1:3: replace | with ^ in f".to_owned()]);
 
@@ -176,7 +179,7 @@ mod tests {
         assert!(Accepted::parse("protocol/src/x.rs:1: replace + with - -- why\n").is_err());
     }
 
-    /// Here, and not hours later in a run of the mutants.
+    /// Detects stale entries here rather than hours later in a run of the mutants.
     #[test]
     fn accepted_lines_are_in_their_files() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();

@@ -1,4 +1,4 @@
-//! Debian's packages: which sources this machine has, and the steps that install what is missing.
+//! Debian packages: finds the apt sources of this machine, and installs missing packages.
 
 use std::{fs, path::PathBuf, process::Command};
 
@@ -6,27 +6,27 @@ use anyhow::{Context, Result};
 
 use crate::process;
 
-/// What every mirror of Debian is signed with.
+/// Keyring that signs all Debian mirrors.
 const KEYRING: &str = "/usr/share/keyrings/debian-archive-keyring.gpg";
 
-/// Packages that are missing and the release they must come from.
+/// Missing packages and the release to install them from.
 pub(crate) struct Packages {
-    /// Package names.
+    /// Names of the packages.
     pub(crate) names: Vec<&'static str>,
-    /// `apt-get install -t`; `None` for the release that the machine runs.
+    /// Release for `apt-get install -t`, or `None` for the machine's own release.
     pub(crate) release: Option<String>,
-    /// A source to add first, where the machine does not have that release among its sources.
+    /// Apt source to add first, if the machine does not have that release.
     pub(crate) source: Option<SourceFile>,
 }
 
 impl Packages {
-    /// A package of the release that the machine runs.
+    /// Returns a package from the machine's own release.
     pub(super) fn of(name: &'static str) -> Self {
         Self { names: vec![name], release: None, source: None }
     }
 }
 
-/// A file of our own under `/etc/apt/sources.list.d`.
+/// An additional file in `/etc/apt/sources.list.d`.
 #[derive(Debug, PartialEq)]
 pub(crate) struct SourceFile {
     path: PathBuf,
@@ -46,24 +46,24 @@ impl SourceFile {
     }
 }
 
-/// Installs all `wanted`, printing each command first.
+/// Installs the packages, printing each command first.
 pub(crate) fn install(wanted: &[Packages]) -> Result<()> {
     let added: Vec<&SourceFile> = wanted.iter().filter_map(|packages| packages.source.as_ref()).collect();
     for source in &added {
         source.write()?;
     }
     if let Err(error) = process::run(&mut update()) {
-        // A source that does not work would break every later `apt-get update` on this machine.
+        // Remove the new source, because a broken one would fail every later `apt-get update` on this machine.
         for source in &added {
             fs::remove_file(&source.path)
-                .with_context(|| format!("cannot take back {}", source.path.display()))?;
+                .with_context(|| format!("cannot remove {}", source.path.display()))?;
         }
-        return Err(error.context("apt cannot read its sources; repair them and start again"));
+        return Err(error.context("apt cannot read its sources; repair them and run the command again"));
     }
     wanted.iter().try_for_each(|packages| process::run(&mut packages.install_command()))
 }
 
-/// The commands that [`install`] would run, for a person to type.
+/// Returns the commands that [`install`] would run, for the user to type.
 pub(crate) fn shell_lines(wanted: &[Packages]) -> Vec<String> {
     let sources = wanted.iter().filter_map(|packages| packages.source.as_ref()).map(SourceFile::shell_line);
     let installs = wanted.iter().map(|packages| process::shell_line(&packages.install_command()));
@@ -89,21 +89,21 @@ fn update() -> Command {
     command
 }
 
-/// The source file to add so that `suite` is among this machine's sources; `None` where it is already.
+/// Returns the source file to add for `suite`, or `None` if the machine already has it.
 ///
-/// The mirror is the one that `base_suite` comes from, so a machine behind a mirror of its own keeps to it.
+/// Uses the mirror of `base_suite`, so that a machine with a local mirror keeps using it.
 pub(crate) fn source_for(base_suite: &str, suite: &str) -> Result<Option<SourceFile>> {
     let mut sources = Command::new("apt-get");
-    // Without the lists that `apt-get update` brings: a fresh machine has none.
+    // Works without package lists, which a fresh machine does not have.
     sources.args(["indextargets", "--no-release-info", "--format", "$(RELEASE) $(REPO_URI)"]);
     sources.args(["Created-By: Packages", "Component: main"]);
-    let listed = process::answer(&mut sources).context("`apt-get indextargets` names no sources")?;
+    let listed = process::answer(&mut sources).context("`apt-get indextargets` lists no sources")?;
     source_beside(&listed, base_suite, suite)
 }
 
-/// The same, of sources that apt lists as a suite and a mirror a line.
+/// The same for a list of apt sources, with a suite and a mirror per line.
 fn source_beside(listed: &str, base_suite: &str, suite: &str) -> Result<Option<SourceFile>> {
-    // A CD is no mirror: it cannot have the backports.
+    // A CD does not contain the backports.
     let mut sources =
         listed.lines().filter_map(|line| line.split_once(' ')).filter(|(_, uri)| !uri.starts_with("cdrom:"));
     if sources.clone().any(|(its, _)| its == suite) {
@@ -112,7 +112,7 @@ fn source_beside(listed: &str, base_suite: &str, suite: &str) -> Result<Option<S
     let (_, uri) = sources.find(|(its, _)| *its == base_suite).with_context(|| {
         format!(
             "no apt source serves {base_suite} main, so the mirror for {suite} is unknown; \
-             add {suite} to the apt sources by hand"
+             add {suite} to the apt sources manually"
         )
     })?;
     let lines = vec![
@@ -168,6 +168,6 @@ mod tests {
     #[test]
     fn without_a_mirror_the_user_is_told_what_to_add() {
         let error = source_beside("", "bookworm", "bookworm-backports").unwrap_err().to_string();
-        assert!(error.contains("add bookworm-backports to the apt sources by hand"), "{error}");
+        assert!(error.contains("add bookworm-backports to the apt sources manually"), "{error}");
     }
 }

@@ -1,4 +1,4 @@
-//! The formatter and the linter: parts of a tool chain that a machine may lack, and that only `test` asks for.
+//! Formatter and linter: optional components of the tool chain, used only by `test`.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{process, workspace::Workspace};
 
-/// A part of the tool chain that rustup's minimal profile and Debian's `cargo-web` leave out.
+/// A component that is not part of rustup's minimal profile and Debian's `cargo-web`.
 pub(crate) struct Component {
     subcommand: &'static str,
     rustup_name: &'static str,
@@ -17,7 +17,7 @@ pub(crate) struct Component {
     debian_program: &'static str,
 }
 
-/// The formatter.
+/// The formatter, `cargo fmt`.
 pub(crate) const RUSTFMT: Component = Component {
     subcommand: "fmt",
     rustup_name: "rustfmt",
@@ -25,7 +25,7 @@ pub(crate) const RUSTFMT: Component = Component {
     debian_program: "/usr/bin/cargo-fmt",
 };
 
-/// The linter.
+/// The linter, `cargo clippy`.
 pub(crate) const CLIPPY: Component = Component {
     subcommand: "clippy",
     rustup_name: "clippy",
@@ -34,7 +34,7 @@ pub(crate) const CLIPPY: Component = Component {
 };
 
 impl Component {
-    /// Makes the component available to the cargo that was called; says whether it is.
+    /// Installs the component for the calling cargo if necessary. Returns whether it is available.
     pub(crate) fn provide(&self, workspace: &Workspace) -> bool {
         self.is_available(workspace) || {
             self.add(workspace);
@@ -42,7 +42,7 @@ impl Component {
         }
     }
 
-    /// [`Self::provide`] for the cargo that builds for the thumb target.
+    /// Like [`Self::provide`], for the cargo that builds for the thumb targets.
     pub(crate) fn provide_for_thumb(&self, workspace: &Workspace, toolchain: &ThumbToolchain) -> bool {
         match toolchain {
             ThumbToolchain::Active => self.provide(workspace),

@@ -1,6 +1,5 @@
-//! Other people's programs that tests run beside ours: some from Debian, some from PyPI in a virtual environment of their
-//! own, and some from npm below the target folder, where there is Node.js. Only `test` asks for them. What cannot be had is no
-//! failure: `test` leaves its tests out, and says so.
+//! Third-party programs for the tests: Debian packages, PyPI packages in a virtual environment, and npm packages in the target
+//! folder if Node.js is present. Only `test` needs them. If one cannot be installed, `test` skips its tests and reports that.
 
 use std::{
     fs,
@@ -16,15 +15,15 @@ use super::{
 };
 use crate::{board::Board, process, workspace::Workspace};
 
-/// The environment variables that tell the tests where the masters' Python is, and the packages from npm.
+/// Environment variables for the tests: the Python with the masters, and the folder of the npm packages.
 pub(crate) const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
 pub(crate) const NODE_VARIABLE: &str = "WSG_MODBUS_NODE";
 
-/// What says which packages there are, and in which versions; the environment that has them keeps a copy.
+/// Files that list the packages and versions. Each environment keeps a copy to detect changes.
 const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
 const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
-/// The masters from PyPI, as they stand in the names of the tests that need them.
+/// The PyPI packages, as named in the tests that need them.
 const FROM_PYPI: [&str; 10] = [
     "pymodbus",
     "minimalmodbus",
@@ -38,13 +37,13 @@ const FROM_PYPI: [&str; 10] = [
     "typos",
 ];
 
-/// The packages from npm the same way: a master, and the emulator of the Pico.
+/// The npm packages, as named in the tests that need them.
 const FROM_NPM: [&str; 3] = ["jsmodbus", "rp2040js", "sparkplug_payload"];
 
-/// A program of Debian's: what it is called where it is missing, its name, its package.
+/// A Debian program: its name in tests and messages, its executable, and its package.
 pub(crate) type Program = (&'static str, &'static str, &'static str);
 
-/// Debian's programs, called as in the names of the tests that need them.
+/// The Debian programs, as named in the tests that need them.
 const FROM_DEBIAN: [Program; 7] = [
     (NAMESPACES, "ip", "iproute2"),
     ("mbpoll", "mbpoll", "mbpoll"),
@@ -55,20 +54,20 @@ const FROM_DEBIAN: [Program; 7] = [
     ("mosquitto", "mosquitto_sub", "mosquitto-clients"),
 ];
 
-/// As tests have it in their names that have networks of their own, which not every root may make.
+/// Name part of tests that create network namespaces, which even root may not be allowed to do.
 const NAMESPACES: &str = "in_namespaces";
 
-/// The masters on this machine, as far as they are not missing.
+/// The masters available on this machine.
 pub(crate) struct Masters {
-    /// The Python that has them.
+    /// Python interpreter with the masters.
     pub(crate) python: PathBuf,
-    /// The folder that Node.js finds them in.
+    /// Folder of the npm packages.
     pub(crate) node: PathBuf,
-    /// What is not there, as it stands in the names of the tests that need it: `mbpoll`, `modbus_tk`.
+    /// Missing programs, as named in the tests that need them, such as `mbpoll` or `modbus_tk`.
     pub(crate) missing: Vec<&'static str>,
 }
 
-/// Finds the masters, and installs what is missing where that may be.
+/// Finds the masters, and installs missing ones if permitted.
 pub(crate) fn provide(workspace: &Workspace) -> Masters {
     let lists = workspace.root.join("host-tests");
     let environment = workspace.target_dir.join("modbus-masters");
@@ -97,7 +96,7 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     Masters { python, node: node.unwrap_or_default(), missing }
 }
 
-/// The folder that Node.js finds the packages from npm in, which are installed where that may be.
+/// Returns the folder of the npm packages, which are installed if permitted. Returns `None` if they are unavailable.
 pub(crate) fn node(workspace: &Workspace) -> Option<PathBuf> {
     let (lists, packages) =
         (workspace.root.join("host-tests"), workspace.target_dir.join("modbus-masters-node"));
@@ -113,16 +112,16 @@ pub(crate) fn node(workspace: &Workspace) -> Option<PathBuf> {
     has_node().then_some(node)
 }
 
-/// Tells a program that runs an emulator of this board where that is.
+/// Sets the environment of a program that runs the emulator of this board.
 pub(crate) fn tell_emulator(workspace: &Workspace, board: &Board, program: &mut Command) -> Result<()> {
     if board.name == "pico" {
-        let node = node(workspace).context("there is no Node.js with npm, for the emulator of the Pico")?;
+        let node = node(workspace).context("the emulator of the Pico needs Node.js with npm")?;
         program.env(NODE_VARIABLE, node);
     }
     Ok(())
 }
 
-/// Installs those programs that are not there, where that may be; what those are called that still are not.
+/// Installs missing programs if permitted. Returns the names of those that are still missing.
 pub(crate) fn lacking(programs: &[Program]) -> Vec<&'static str> {
     let lacking = || programs.iter().filter(|(_, program, _)| !process::exists(program));
     let names: Vec<_> = lacking().map(|(_, _, package)| *package).collect();
@@ -132,15 +131,18 @@ pub(crate) fn lacking(programs: &[Program]) -> Vec<&'static str> {
     lacking().map(|(name, ..)| *name).collect()
 }
 
-/// Makes the environment and puts the packages into it.
+/// Creates the virtual environment and installs the packages.
 fn fill(environment: &Path, lists: &Path) -> Result<()> {
     let make = |python: &str| {
-        // What is left of one that was not finished, or whose Python is gone, must not be built upon.
+        // `--clear` removes an incomplete environment, or one whose Python no longer exists.
         process::run(Command::new(python).args(["-m", "venv", "--clear"]).arg(environment))
     };
     if make("python3").is_err() {
-        // Debian keeps `venv` in a package of its own.
-        anyhow::ensure!(obstacle_to_installing().is_none(), "there is no python3 that makes an environment");
+        // Debian has a separate package for `venv`.
+        anyhow::ensure!(
+            obstacle_to_installing().is_none(),
+            "python3 cannot create a virtual environment; install python3-venv"
+        );
         apt::install(&[Packages::of("python3-venv")])?;
         make("/usr/bin/python3")?;
     }
@@ -151,7 +153,7 @@ fn fill(environment: &Path, lists: &Path) -> Result<()> {
     copy(environment, lists, &REQUIREMENTS)
 }
 
-/// The same for the packages from npm: those of the lock file, without their install scripts.
+/// Installs the npm packages in the lock file, without running their install scripts.
 fn fill_node(packages: &Path, lists: &Path) -> Result<()> {
     copy(packages, lists, &NODE_PACKAGES)?;
     let mut npm = Command::new("npm");
@@ -166,7 +168,7 @@ fn copy(environment: &Path, lists: &Path, names: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Whether the environment was made of these lists as they are now.
+/// Returns whether the environment was created from the current lists.
 fn is_of(environment: &Path, lists: &Path, names: &[&str]) -> bool {
     let read = |folder: &Path, name| fs::read(folder.join(name)).ok();
     names.iter().all(|name| read(environment, name).is_some_and(|copy| read(lists, name) == Some(copy)))

@@ -1,6 +1,6 @@
-//! What the other commands need on this machine: found out, installed where it may be, else named exactly.
+//! Prerequisites of the other commands: finds them, installs missing ones if permitted, or prints the commands to install them.
 //!
-//! A machine that has everything is left alone: then set-up only asks the programs that are there.
+//! If everything is present, set-up changes nothing and only queries the programs.
 
 mod apt;
 mod component;
@@ -20,12 +20,12 @@ pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, has_target, r
 
 use crate::{board::MACHINE, process, workspace::Workspace};
 
-/// What the thumb target's builds need.
+/// Provides a tool chain for the thumb targets.
 pub(crate) fn thumb(workspace: &Workspace) -> Result<ThumbToolchain> {
     run(workspace, false)
 }
 
-/// What [`thumb`] gives, and the emulator.
+/// Provides the tool chain like [`thumb`], and QEMU.
 pub(crate) fn thumb_and_qemu(workspace: &Workspace) -> Result<ThumbToolchain> {
     run(workspace, true)
 }
@@ -54,14 +54,14 @@ fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
     }
     if with_qemu && !qemu::has_machine() {
         bail!(
-            "the qemu-system-arm that was installed lacks the machine {}; put one that has it (QEMU 10 does) on PATH",
+            "the installed qemu-system-arm lacks the machine {}; put a newer one, such as QEMU 10, on PATH",
             MACHINE
         );
     }
     match toolchain.or_else(|| rust_target::find(workspace)) {
         Some(toolchain) => Ok(toolchain),
         None => bail!(
-            "the Rust packages that were installed cannot build for {}: Rust {} or newer is needed; where rustup reaches its server, type: {}",
+            "the installed Rust packages cannot build for {}, which requires Rust {} or newer; if rustup can reach its server, run: {}",
             rust_target::TRIPLES.join(" and "),
             rust_target::MINIMUM_RUST,
             rust_target::RUSTUP_LINE
@@ -70,46 +70,46 @@ fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
 }
 
 fn how_to_install(wanted: &[apt::Packages], rustup_would_do: bool) -> String {
-    let mut text = String::from("Type as root, then start again:");
+    let mut text = String::from("Run as root, then try again:");
     for line in apt::shell_lines(wanted) {
         text.push_str("\n  ");
         text.push_str(&line);
     }
     if rustup_would_do && rust_target::rustup_may_be_called() {
         text.push_str(&format!(
-            "\nWhere rustup reaches its server this does instead of the Rust packages:\n  {}",
+            "\nIf rustup can reach its server, run this instead of installing the Rust packages:\n  {}",
             rust_target::RUSTUP_LINE
         ));
     }
     text
 }
 
-/// Tells of a failure without which the rest goes on.
+/// Reports a failure that does not prevent the remaining steps.
 fn report(outcome: Result<()>) {
     if let Err(error) = outcome {
-        eprintln!("{error:#}: going on without");
+        eprintln!("{error:#}; continuing without it");
     }
 }
 
-/// Why packages may not be installed here; `None` where they may.
+/// Returns why packages cannot be installed, or `None` if they can.
 fn obstacle_to_installing() -> Option<&'static str> {
     if installing_is_forbidden() {
-        Some("WSG_NO_INSTALL=1 forbids installing")
+        Some("WSG_NO_INSTALL=1 forbids installation")
     } else if process::answer(Command::new("apt-get").arg("--version")).is_none() {
-        Some("this system has no apt-get to install it with (the commands below are Debian's)")
+        Some("this system has no apt-get (the commands below are for Debian)")
     } else if process::answer(Command::new("id").arg("-u")).is_none_or(|id| id.trim() != "0") {
-        Some("only root may install")
+        Some("installation requires root")
     } else {
         None
     }
 }
 
-/// Whether `WSG_NO_INSTALL` says so.
+/// Returns whether `WSG_NO_INSTALL` forbids installation.
 pub(crate) fn installing_is_forbidden() -> bool {
     is_set("WSG_NO_INSTALL")
 }
 
-/// `0` and the empty string count as not set, so that a switch can be turned off in one place.
+/// Returns whether an environment switch is set. `0` and the empty string count as not set.
 fn is_set(switch: &str) -> bool {
     std::env::var(switch).is_ok_and(|value| !value.is_empty() && value != "0")
 }

@@ -1,4 +1,4 @@
-//! The emulator that runs the firmware image: QEMU with the machine of the default board.
+//! QEMU, with the machine of the default board.
 
 use std::{fs, process::Command};
 
@@ -7,13 +7,13 @@ use anyhow::Result;
 use super::apt::{self, Packages};
 use crate::{board::MACHINE, process};
 
-/// Whether the `qemu-system-arm` on the path has the machine.
+/// Returns whether the `qemu-system-arm` on PATH supports the machine.
 pub(crate) fn has_machine() -> bool {
     process::answer(Command::new("qemu-system-arm").args(["-machine", "help"]))
         .is_some_and(|help| lists(&help, MACHINE))
 }
 
-/// What to install: from the backports on Debian bookworm, whose own QEMU lacks the machine.
+/// Returns the packages to install. Debian bookworm needs its backports, because its own QEMU lacks the machine.
 pub(crate) fn packages() -> Result<Packages> {
     let names = vec!["qemu-system-arm"];
     if !is_bookworm(&fs::read_to_string("/etc/os-release").unwrap_or_default()) {
@@ -34,7 +34,7 @@ fn is_bookworm(os_release: &str) -> bool {
     value("ID").trim_matches('"') == "debian" && value("VERSION_CODENAME").trim_matches('"') == "bookworm"
 }
 
-/// `-machine help` prints a heading and then a line for each machine: its name and what it is.
+/// Searches the output of `-machine help`, which lists each machine in a line, by name and description.
 fn lists(help: &str, machine: &str) -> bool {
     help.lines().any(|line| line.split_whitespace().next() == Some(machine))
 }

@@ -1,5 +1,5 @@
-//! The targets of the boards: by the active tool chain where it has them, else by Debian's Rust packages,
-//! which build `core` from source.
+//! The targets of the boards, built by the active tool chain if it has them, otherwise by Debian's Rust packages, which build `core`
+//! from source.
 
 use std::{
     fs,
@@ -10,16 +10,16 @@ use std::{
 use super::{apt::Packages, is_set};
 use crate::{process, workspace::Workspace};
 
-/// The target of the default board's Cortex-M4F, on which the probes are measured.
+/// Target of the default board (Cortex-M4F), on which the probes are measured.
 pub(crate) const TRIPLE: &str = "thumbv7em-none-eabihf";
 
-/// Those of all boards.
+/// The targets of all boards.
 pub(crate) const TRIPLES: [&str; 2] = [TRIPLE, "thumbv6m-none-eabi"];
 
-/// What adds the targets where rustup reaches its server.
+/// Command that adds the targets if rustup can reach its server.
 pub(crate) const RUSTUP_LINE: &str = "rustup target add thumbv7em-none-eabihf thumbv6m-none-eabi";
 
-/// The oldest Rust that builds this workspace.
+/// Oldest supported Rust version.
 pub(crate) const MINIMUM_RUST: &str = env!("CARGO_PKG_RUST_VERSION");
 
 pub(super) const DEBIAN_CARGO: &str = "/usr/bin/cargo";
@@ -27,19 +27,19 @@ const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
 pub(super) const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
 const DEBIAN_LINKER: &str = "/usr/bin/ld.lld";
 
-/// What builds for the thumb target.
+/// A tool chain for the thumb targets.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum ThumbToolchain {
-    /// The tool chain of the cargo that was called.
+    /// The tool chain of the calling cargo.
     Active,
     /// Debian's `cargo-web`, `rustc-web` and `rust-web-src`.
     Debian {
-        /// The linker, by its whole path.
+        /// Full path of the linker.
         linker: PathBuf,
     },
 }
 
-/// The tool chain that can build for the target as things are; nothing is installed.
+/// Finds an installed tool chain for the targets.
 pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
     if TRIPLES.iter().all(|triple| has_target(workspace, triple)) {
         return Some(ThumbToolchain::Active);
@@ -50,12 +50,12 @@ pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
     linker(workspace).map(|linker| ThumbToolchain::Debian { linker })
 }
 
-/// Lets rustup add the targets; says whether it did.
+/// Adds the targets with rustup. Returns whether that succeeded.
 pub(crate) fn add_by_rustup(workspace: &Workspace) -> bool {
     rustup(workspace, &[&["target", "add"][..], &TRIPLES].concat())
 }
 
-/// Whether the tool chain of the cargo that was called has `target`'s `core`, and may use it.
+/// Returns whether the tool chain of the calling cargo has `core` for `target` and may use it.
 pub(crate) fn has_target(workspace: &Workspace, target: &str) -> bool {
     if is_set("WSG_NO_RUSTUP") {
         return false;
@@ -64,29 +64,29 @@ pub(crate) fn has_target(workspace: &Workspace, target: &str) -> bool {
     answer.is_some_and(|dir| holds_core(Path::new(dir.trim())))
 }
 
-/// Lets rustup do what `arguments` say, where it may be called; says whether it did.
+/// Runs rustup if permitted. Returns whether that succeeded.
 pub(crate) fn rustup(workspace: &Workspace, arguments: &[&str]) -> bool {
     if super::installing_is_forbidden() || !rustup_may_be_called() {
         return false;
     }
     let mut rustup = Command::new("rustup");
-    // Its own account of a failed download is enough; a backtrace after it hides what is done next.
+    // Its own message on a failed download is sufficient. A backtrace would hide the next steps.
     rustup.current_dir(&workspace.root).env_remove("RUST_BACKTRACE").args(arguments);
     match process::run(&mut rustup) {
         Ok(()) => true,
         Err(error) => {
-            eprintln!("{error:#}: going on without");
+            eprintln!("{error:#}; continuing without it");
             false
         }
     }
 }
 
-/// Whether there is a rustup and `WSG_NO_RUSTUP` does not forbid it.
+/// Returns whether rustup exists and `WSG_NO_RUSTUP` does not forbid it.
 pub(crate) fn rustup_may_be_called() -> bool {
     !is_set("WSG_NO_RUSTUP") && process::answer(Command::new("rustup").arg("--version")).is_some()
 }
 
-/// Debian's packages that build `core` from source and link.
+/// Returns the Debian packages that build `core` from source and link.
 pub(crate) fn packages(workspace: &Workspace) -> Packages {
     let mut names = vec!["cargo-web", "rustc-web", "rust-web-src"];
     if linker(workspace).is_none() {
@@ -96,22 +96,22 @@ pub(crate) fn packages(workspace: &Workspace) -> Packages {
 }
 
 impl ThumbToolchain {
-    /// `cargo <subcommand>` for one of [`TRIPLES`], with every option that the tool chain needs.
+    /// Returns `cargo <subcommand>` for one of [`TRIPLES`], with all options that the tool chain needs.
     pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str, triple: &str) -> Command {
         let mut command = match self {
             Self::Active => workspace.cargo(subcommand),
             Self::Debian { linker } => debian_cargo(workspace, subcommand, triple, linker),
         };
         command.args(["--target", triple, "--config", &remap_config(workspace, triple)]);
-        // Flags from the environment would displace the linker script's of .cargo/config.toml, and make this
-        // image another than everybody's.
+        // Flags from the environment would replace those in .cargo/config.toml, such as the linker script, and the image would not
+        // be reproducible.
         for name in ["RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", &variable(triple, "RUSTFLAGS")] {
             command.env_remove(name);
         }
         command
     }
 
-    /// The folder that holds what was built with `profile`.
+    /// Returns the output folder of builds with `profile`.
     pub(crate) fn output_dir(&self, workspace: &Workspace, triple: &str, profile: &str) -> PathBuf {
         let target_dir = match self {
             Self::Active => workspace.target_dir.clone(),
@@ -121,33 +121,33 @@ impl ThumbToolchain {
     }
 }
 
-/// Cargo's environment variable for this setting of a target.
+/// Returns cargo's environment variable for a setting of a target.
 fn variable(triple: &str, setting: &str) -> String {
     format!("CARGO_TARGET_{}_{setting}", triple.replace('-', "_").to_uppercase())
 }
 
 fn debian_cargo(workspace: &Workspace, subcommand: &str, triple: &str, linker: &Path) -> Command {
-    // cargo would look for `cargo-clippy` in its home first, where rustup's shim is.
+    // Called directly, because cargo would first find rustup's shim for `cargo-clippy` in its home folder.
     let program = if subcommand == "clippy" { DEBIAN_CLIPPY } else { DEBIAN_CARGO };
     let mut command = Command::new(program);
     command.current_dir(&workspace.root).args([subcommand, "--locked", "-Z", "build-std=core"]);
     command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
     command.env(variable(triple, "LINKER"), linker);
     command.env("CARGO_TARGET_DIR", debian_target_dir(workspace));
-    // The outer cargo's: they would lead Debian's programs to rustup's tool chain and its libraries.
+    // Remove the outer cargo's variables, which would lead Debian's programs to rustup's tool chain and libraries.
     command.env_remove("RUSTUP_TOOLCHAIN").env_remove("LD_LIBRARY_PATH").env_remove("RUSTDOC");
     command
 }
 
-/// Apart from the active tool chain's, so that neither waits for the other's lock nor cleans its work away.
+/// Returns a separate build folder, so that the tool chains neither block nor overwrite each other.
 fn debian_target_dir(workspace: &Workspace) -> PathBuf {
     workspace.target_dir.join("debian")
 }
 
-/// Takes the places of this checkout, its target folder and cargo's home out of the debug information, so that
-/// the same sources give the same image everywhere. `--config` adds to the flags of .cargo/config.toml.
+/// Removes the paths of the checkout, the target folder and cargo's home from the debug information, so that the image is
+/// reproducible. `--config` adds to the flags in .cargo/config.toml.
 fn remap_config(workspace: &Workspace, triple: &str) -> String {
-    // rustc takes the last that fits: the target folder may lie within the checkout.
+    // rustc uses the last match, and the target folder may lie within the checkout.
     let mut places = vec![(workspace.root.clone(), "."), (workspace.target_dir.clone(), "target")];
     places.extend(workspace.cargo_home().map(|home| (home, "cargo")));
     let flags: Vec<String> = places
@@ -161,7 +161,7 @@ fn toml_string(text: &str) -> String {
     format!("\"{}\"", text.replace('\\', r"\\").replace('"', "\\\""))
 }
 
-/// rustc names the folder whether or not the target is installed.
+/// Returns whether the folder contains `core`. rustc prints its path even if the target is not installed.
 fn holds_core(libdir: &Path) -> bool {
     fs::read_dir(libdir).into_iter().flatten().flatten().any(|entry| {
         let name = entry.file_name();
@@ -175,7 +175,7 @@ fn debian_can_build_core() -> bool {
         return false;
     }
     let ask = |question: [&str; 1]| {
-        // The outer cargo's library path would give Debian's rustc the libraries of rustup's.
+        // The outer cargo's library path would make Debian's rustc load rustup's libraries.
         process::answer(Command::new(DEBIAN_RUSTC).env_remove("LD_LIBRARY_PATH").args(question))
     };
     let new_enough = ask(["--version"]).is_some_and(|version| is_new_enough(&version, MINIMUM_RUST));
@@ -184,14 +184,14 @@ fn debian_can_build_core() -> bool {
         && ask(["--print=sysroot"]).is_some_and(|sysroot| Path::new(sysroot.trim()).join(core).exists())
 }
 
-/// `rust-lld` beside the active tool chain's libraries, else Debian's `lld`.
+/// Finds `rust-lld` in the active tool chain, or Debian's `lld`.
 fn linker(workspace: &Workspace) -> Option<PathBuf> {
     let libdir = process::answer(workspace.rustc().args(["--print", "target-libdir"]));
     let rust_lld = libdir.and_then(|dir| Some(Path::new(dir.trim()).parent()?.join("bin/rust-lld")));
     rust_lld.into_iter().chain([PathBuf::from(DEBIAN_LINKER)]).find(|linker| linker.exists())
 }
 
-/// Compares `rustc --version` with a `rust-version`, by major and minor number.
+/// Compares the output of `rustc --version` with a `rust-version`, by major and minor number.
 fn is_new_enough(rustc_version: &str, minimum: &str) -> bool {
     let numbers = |version: &str| {
         let mut parts = version.split('.').map(|part| part.parse::<u32>().ok());
