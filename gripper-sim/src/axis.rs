@@ -1,12 +1,12 @@
-//! The mechanics: two fingers on one axis, a trapezoidal speed profile, end stops, and a part that gives way like a
-//! spring. Knows no commands and no states.
+//! The mechanics: two fingers on one axis, a trapezoidal speed profile, end stops, and a part that yields like a
+//! spring. Independent of commands and states.
 //!
-//! Widths are opening widths in mm, from 0 (closed) to the stroke; speeds are their change in mm/s, negative while the
-//! fingers close; forces are in N, summed over both fingers.
+//! Widths are opening widths in mm, from 0 (closed) to the stroke. Speeds are their rate of change in mm/s, negative
+//! while the fingers close. Forces are in N, summed over both fingers.
 
-/// A distance in mm that counts as none.
+/// Tolerance in mm below which a distance counts as zero.
 const NOTHING: f64 = 1e-9;
-/// Seconds in which the drive builds up its force against something that does not give way. Assumed.
+/// Seconds in which the drive builds up its force against a rigid obstacle. Assumed.
 const BUILD_UP_S: f64 = 0.05;
 
 /// A moving direction of the fingers.
@@ -19,7 +19,7 @@ pub enum Direction {
 }
 
 impl Direction {
-    /// The direction of a change in width.
+    /// Returns the direction of a change in width.
     pub(crate) fn of(change: f64) -> Self {
         if change > 0.0 { Self::Plus } else { Self::Minus }
     }
@@ -32,7 +32,7 @@ impl Direction {
     }
 }
 
-/// A part between the fingers: its width, and how stiff it is.
+/// A part between the fingers, with its width and stiffness.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
     width: f32,
@@ -40,53 +40,53 @@ pub struct Part {
 }
 
 impl Part {
-    /// Stiffness in N/mm when none is given.
+    /// Default stiffness in N/mm.
     pub const DEFAULT_STIFFNESS: f32 = 100.0;
 
-    /// A part of this width in mm and this stiffness in N/mm; `None` unless both are finite and above 0.
+    /// Returns a part of this width in mm and this stiffness in N/mm; `None` unless both are finite and above 0.
     #[must_use]
     pub fn new(width: f32, stiffness: f32) -> Option<Self> {
         let sensible = |value: f32| value.is_finite() && value > 0.0;
         (sensible(width) && sensible(stiffness)).then_some(Self { width, stiffness })
     }
 
-    /// A part of this width in mm and the [default stiffness](Self::DEFAULT_STIFFNESS).
+    /// Returns a part of this width in mm and the [default stiffness](Self::DEFAULT_STIFFNESS).
     #[must_use]
     pub fn of_width(width: f32) -> Option<Self> {
         Self::new(width, Self::DEFAULT_STIFFNESS)
     }
 
-    /// Width in mm.
+    /// Returns the width in mm, not squeezed.
     #[must_use]
     pub const fn width(&self) -> f32 {
         self.width
     }
 
-    /// Stiffness in N/mm.
+    /// Returns the stiffness in N/mm.
     #[must_use]
     pub const fn stiffness(&self) -> f32 {
         self.stiffness
     }
 
-    /// The width in mm to which `force` squeezes it.
+    /// Returns the width in mm to which `force` in N squeezes the part.
     fn squeezed(&self, force: f64) -> f64 {
         f64::from(self.width) - force / f64::from(self.stiffness)
     }
 }
 
-/// An order to the drive: where to, how, and how hard it may push.
+/// A command to the drive: target, speed profile and force limits.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Travel {
     pub(crate) target: f64,
     pub(crate) speed: f64,
     pub(crate) acceleration: f64,
-    /// The force limit in N.
+    /// Force limit in N against a rigid obstacle.
     pub(crate) force: f64,
-    /// The force limit in N against a part.
+    /// Force limit in N against a part.
     pub(crate) squeeze: f64,
 }
 
-/// What stands in the way.
+/// The kind of obstacle in the way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Obstacle {
     EndStop,
@@ -94,34 +94,34 @@ pub(crate) enum Obstacle {
     Jam,
 }
 
-/// The fingers push against something and get no further.
+/// A block: the fingers push against an obstacle and make no progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Block {
     pub(crate) direction: Direction,
     pub(crate) obstacle: Obstacle,
 }
 
-/// The axis with what is between its fingers.
+/// The axis with the part between its fingers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Axis {
     stroke: f64,
-    /// Speed at which a squeezed part pushes idle fingers back.
+    /// Speed in mm/s at which a squeezed part pushes idle fingers open.
     spring_back_speed: f64,
     width: f64,
     speed: f64,
-    /// `None`: the motor is off.
+    /// The active travel; `None` while the motor is off.
     drive: Option<Travel>,
     part: Option<Part>,
-    /// Whether the part is between the fingers: one that is wider than the opening waits outside.
+    /// Whether the part is between the fingers. A part wider than the opening waits outside.
     seated: bool,
     jammed: bool,
     block: Option<Block>,
-    /// Force in N against an end stop or a jam, which rises to the force limit.
+    /// Force in N against an end stop or a jam, rising to the force limit.
     push: f64,
 }
 
 impl Axis {
-    /// An axis at half of its stroke, its motor off.
+    /// Returns an axis at half of its stroke with its motor off.
     pub(crate) fn new(stroke: f64, spring_back_speed: f64, part: Option<Part>) -> Self {
         let mut axis = Self {
             stroke,
@@ -159,7 +159,7 @@ impl Axis {
         self.block
     }
 
-    /// The force on the fingers in N: none while the motor is off, which lets them yield to a squeezed part.
+    /// Returns the force on the fingers in N: 0 while the motor is off, when the fingers yield to a squeezed part.
     pub(crate) fn force(&self) -> f64 {
         match (self.drive, self.block) {
             (None, _) => 0.0,
@@ -168,7 +168,7 @@ impl Axis {
         }
     }
 
-    /// Begins to travel, from rest. A block in the same direction stays known unless this force overcomes it.
+    /// Starts a travel from rest. A block in the same direction stays known unless the new force overcomes it.
     pub(crate) fn start(&mut self, travel: Travel) {
         self.push = self.force().min(travel.force);
         self.drive = Some(travel);
@@ -178,59 +178,59 @@ impl Axis {
         self.block = self.block.filter(|block| stands && block.direction == direction);
     }
 
-    /// Goes on at this speed, which the fingers had before they were started anew in the same direction.
+    /// Sets the initial speed of a travel restarted in the same direction.
     pub(crate) const fn keep_speed(&mut self, speed: f64) {
         self.speed = speed;
     }
 
-    /// Changes the target under way.
+    /// Changes the target of the active travel.
     pub(crate) fn retarget(&mut self, target: f64) {
         if let Some(travel) = &mut self.drive {
             travel.target = target;
         }
     }
 
-    /// Ends all motion and force; what blocked the axis stays known.
+    /// Ends all motion and force but keeps the block known.
     pub(crate) const fn switch_off(&mut self) {
         self.drive = None;
         self.speed = 0.0;
     }
 
-    /// Ends all motion and force.
+    /// Ends all motion and force, and forgets the block.
     pub(crate) const fn halt(&mut self) {
         self.switch_off();
         self.block = None;
     }
 
-    /// Ends all motion and force at exactly `width`, which lies between the last position and this one.
+    /// Ends all motion and force exactly at `width`, which lies between the previous position and the current one.
     pub(crate) fn halt_at(&mut self, width: f64) {
         self.halt();
         self.width = width.clamp(0.0, self.stroke);
     }
 
-    /// Whether the drive is at its target.
+    /// Returns whether the drive is at its target.
     pub(crate) fn has_arrived(&self) -> bool {
         self.drive.is_some_and(|travel| (travel.target - self.width).abs() <= NOTHING)
     }
 
-    /// Whether the drive moves the fingers.
+    /// Returns whether the drive moves the fingers.
     pub(crate) fn is_moving(&self) -> bool {
         self.drive.is_some() && self.block.is_none() && !self.has_arrived()
     }
 
-    /// Whether the drive is still building up its force against what blocks it.
+    /// Returns whether the drive is still building up its force against an obstacle.
     pub(crate) fn builds_up(&self) -> bool {
         let is_rigid = self.block.is_some_and(|block| block.obstacle != Obstacle::Part);
         is_rigid && self.drive.is_some_and(|travel| self.push < travel.force)
     }
 
-    /// Whether a step changes anything.
+    /// Returns whether a step changes anything.
     pub(crate) fn is_active(&self) -> bool {
         self.is_moving() || self.builds_up() || self.room().unwrap_or(-self.penetration()) < -NOTHING
     }
 
-    /// Puts a part between the fingers or takes it away. A part that is wider than the opening goes in when the fingers
-    /// have opened far enough.
+    /// Places a part between the fingers, or removes it. A part wider than the opening enters once the fingers have
+    /// opened far enough.
     pub(crate) fn set_part(&mut self, part: Option<Part>) {
         self.part = part;
         self.seated = false;
@@ -243,7 +243,7 @@ impl Axis {
         self.forget_block_that_is_gone();
     }
 
-    /// Lets `seconds` pass, at most a few milliseconds.
+    /// Advances the mechanics by `seconds`, at most a few milliseconds.
     pub(crate) fn step(&mut self, seconds: f64) {
         match self.drive {
             Some(travel) => self.travel(travel, seconds),
@@ -284,7 +284,7 @@ impl Axis {
         }
     }
 
-    /// Something blocks the fingers. What does not give way meets the force that they have at this moment.
+    /// Records a block. The force on a rigid obstacle starts from the present force.
     fn meet(&mut self, block: Block, travel: &Travel) {
         if self.block.is_none_or(|before| before.obstacle != block.obstacle) {
             self.push = self.force().min(travel.force);
@@ -293,12 +293,12 @@ impl Axis {
         self.speed = 0.0;
     }
 
-    /// The part pushes the fingers open, by `distance` at most.
+    /// Lets the part push the fingers open, by `distance` at most.
     fn spring_back(&mut self, distance: f64, seconds: f64) {
         self.width += distance.min(self.spring_back_speed * seconds);
     }
 
-    /// The furthest width in this direction that the drive reaches with its force, and what ends it there.
+    /// Returns the furthest width in this direction that the drive reaches with its force, and the obstacle there.
     fn limit(&self, direction: Direction, travel: &Travel) -> (f64, Obstacle) {
         if self.jammed {
             return (self.width, Obstacle::Jam);
@@ -312,14 +312,14 @@ impl Axis {
         }
     }
 
-    /// How far the drive gets from here, in mm; negative when it was pushed in deeper than its force allows.
+    /// Returns the remaining travel in mm; negative when the fingers are deeper in the part than the force allows.
     fn room(&self) -> Option<f64> {
         let travel = self.drive?;
         let direction = Direction::of(travel.target - self.width);
         Some((self.limit(direction, &travel).0 - self.width) * direction.sign())
     }
 
-    /// How deep the fingers are in the part, in mm.
+    /// Returns how deep the fingers are in the part, in mm.
     pub(crate) fn penetration(&self) -> f64 {
         match self.part {
             Some(part) if self.seated => (f64::from(part.width) - self.width).max(0.0),
@@ -339,7 +339,7 @@ impl Axis {
             Obstacle::EndStop => true,
             Obstacle::Jam => self.jammed,
             Obstacle::Part => match self.room() {
-                // A jammed axis has no room either way.
+                // A jammed axis has no room in either direction.
                 Some(room) => room <= NOTHING && self.penetration() > 0.0,
                 None => self.seated && self.part.is_some_and(|part| f64::from(part.width) >= self.width),
             },
@@ -350,8 +350,8 @@ impl Axis {
     }
 }
 
-/// How far the fingers get in `seconds` with `distance` to go, and their speed then: accelerate, hold, or brake so that
-/// they come to rest at the target.
+/// Returns how far the fingers get in `seconds` with `distance` to go, and their speed then. They accelerate, hold
+/// their speed, or brake to come to rest at the target.
 fn profile(distance: f64, speed: f64, travel: &Travel, seconds: f64) -> (f64, f64) {
     let can_stop =
         |speed: f64, advance: f64| speed * speed <= 2.0 * travel.acceleration * (distance - advance);
@@ -362,7 +362,7 @@ fn profile(distance: f64, speed: f64, travel: &Travel, seconds: f64) -> (f64, f6
             return (advance, next);
         }
     }
-    // The braking that ends exactly at the target: v² / 2d, no root needed.
+    // Braking that ends exactly at the target: v² / 2d, without a square root.
     let next = speed - speed * speed / (2.0 * distance) * seconds;
     if next <= 0.0 || speed <= 0.0 {
         return (distance, 0.0);
@@ -387,7 +387,7 @@ mod tests {
         while axis.is_active() {
             axis.step(STEP);
             steps += 1;
-            assert!(steps < 100_000, "the axis never comes to rest: {axis:?}");
+            assert!(steps < 100_000, "the axis did not come to rest: {axis:?}");
         }
         steps
     }
@@ -396,14 +396,14 @@ mod tests {
     fn travel_takes_as_long_as_a_trapezoid() {
         let mut axis = axis(None);
         axis.start(TRAVEL);
-        // 45 mm at 100 mm/s, and 100 ms each for speeding up and braking, which lose 50 ms each.
+        // 45 mm at 100 mm/s, plus 50 ms each for acceleration and braking, which take 100 ms each.
         let steps = run(&mut axis);
         assert!((549..=553).contains(&steps), "{steps} ms");
         assert_eq!(axis.width(), 10.0);
     }
 
     #[test]
-    fn speed_and_acceleration_stay_within_what_was_set() {
+    fn speed_and_acceleration_stay_within_their_limits() {
         let mut axis = axis(None);
         axis.start(TRAVEL);
         let mut before = 0.0;
@@ -433,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn fingers_go_on_when_the_part_is_taken_away() {
+    fn fingers_continue_when_the_part_is_removed() {
         let mut axis = axis(Part::of_width(20.0));
         axis.start(TRAVEL);
         run(&mut axis);
@@ -478,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn jammed_axis_stays_where_it_is_and_goes_on_afterwards() {
+    fn jammed_axis_stays_and_continues_when_freed() {
         let mut axis = axis(None);
         axis.set_jammed(true);
         axis.start(TRAVEL);

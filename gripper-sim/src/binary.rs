@@ -1,5 +1,4 @@
-//! A client that speaks the binary protocol: its frames in and out, and its subscriptions. The commands themselves are in
-//! `device`.
+//! A client of the binary protocol: its frames and its subscriptions. The commands are in `device`.
 
 use crate::config::Config;
 use crate::deframer::Deframer;
@@ -10,32 +9,32 @@ use crate::updates::{Readings, Silence, Subscriptions};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{AutoUpdate, Command, CommandId, Event, Frame, FrameEncoder, Payload, Reply, Status};
 
-/// Bytes of frames that wait for a client to read them.
+/// Capacity of the output queue in bytes.
 const QUEUE_LEN: usize = 2_048;
-/// Updates leave this much room for answers.
+/// Space in the queue that updates leave free for answers.
 const RESERVED_FOR_REPLIES: usize = 512;
-/// Where the size stands in a frame.
+/// Offset of the size field in a frame.
 const SIZE_AT: usize = 4;
 
 const _: () = assert!(QUEUE_LEN >= RESERVED_FOR_REPLIES + MAX_FRAME_LEN);
 
-/// A client.
+/// A client: its frame decoder and its line.
 #[derive(Clone, Debug)]
 pub(crate) struct Client {
     deframer: Deframer,
     line: Line,
 }
 
-/// All of a client but what finds its frames.
+/// The state of a client apart from its frame decoder.
 #[derive(Clone, Debug)]
 struct Line {
     id: PortId,
     kind: PortKind,
     subscriptions: Subscriptions,
     silence: Silence,
-    /// Whether the client has announced its disconnection.
+    /// Whether the client has sent a Disconnect Announcement.
     announced: bool,
-    /// Whether a frame with a wrong checksum is answered.
+    /// Whether frames with a wrong checksum are answered.
     answer_bad_checksum: bool,
     queue: FrameQueue,
     updates_lost: u32,
@@ -64,7 +63,7 @@ impl Client {
         self.line.id
     }
 
-    /// Whether it is an error that the client is gone.
+    /// Returns whether the end of the connection is an error.
     pub(crate) const fn is_missed(&self) -> bool {
         self.line.kind.is_connection() && !self.line.announced
     }
@@ -77,7 +76,7 @@ impl Client {
         }
     }
 
-    /// Takes bytes up to the first event, or some of them, and handles the event; returns how many bytes it took and
+    /// Takes bytes up to the first event, or some of them, and handles the event. Returns the number of bytes taken and
     /// whether there was an event.
     pub(crate) fn receive(&mut self, device: &mut Device, now: Time, bytes: &[u8]) -> (usize, bool) {
         self.line.silence.end(now);
@@ -85,18 +84,18 @@ impl Client {
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
 
-    /// Notes that no more bytes follow for now.
+    /// Starts the time-out of an incomplete frame: no more bytes are available at present.
     pub(crate) fn pause(&mut self, now: Time) {
         self.deframer.pause(now);
     }
 
-    /// Ends its subscriptions: somebody else is at the other end of the line.
+    /// Ends all subscriptions, because another sender uses the line now.
     pub(crate) fn end_updates(&mut self) {
         self.line.subscriptions.clear();
     }
 
-    /// Ends the wait for the rest of a frame if its time is over, and handles an event in what it held; returns whether
-    /// there was one. Call until there is none. Subscriptions of a client that is silent for too long end, too.
+    /// Handles one event in an incomplete frame whose time-out has expired, and returns whether there was one. Call
+    /// until there is none. Also ends the subscriptions of a client that has been silent for too long.
     pub(crate) fn expire(&mut self, device: &mut Device, now: Time) -> bool {
         if self.line.silence.is_too_long(now) {
             self.line.subscriptions.clear();
@@ -156,13 +155,13 @@ impl Line {
         }
     }
 
-    /// Carries out the request in a frame and answers it.
+    /// Executes the request in a frame and answers it.
     fn answer(&mut self, device: &mut Device, now: Time, frame: &Frame<'_>) {
         let id = CommandId::from_code(frame.id);
         if self.announced {
             return self.refuse(device, id, Status::AccessDenied);
         }
-        // FLAGS and a period.
+        // Room for FLAGS and a period.
         let mut place = [0; 3];
         let payload: &[u8] = match (used_flags(id), place.get_mut(..frame.payload.len())) {
             (Some(used), Some(copy)) => {
@@ -170,7 +169,7 @@ impl Line {
                 copy.iter_mut().take(1).for_each(|flags| *flags &= used);
                 copy
             }
-            // A FAST STOP is obeyed whatever comes with it.
+            // A FAST STOP is executed regardless of its payload.
             _ if id == CommandId::FastStop => &[],
             _ => frame.payload,
         };
@@ -223,8 +222,8 @@ impl Line {
     }
 }
 
-/// The bits of FLAGS, the first byte, that are used, in commands whose unused bits are no error. The manual lists a wrong
-/// length as the only error of these. It does so of Pre-position (21h), too, but nothing moves on a frame that is damaged.
+/// Returns the used bits of FLAGS, the first byte, for commands that ignore the unused bits: the manual lists a wrong
+/// length as their only error. The same applies to Pre-position (21h), but a damaged frame must not start a motion.
 const fn used_flags(id: CommandId) -> Option<u8> {
     match id {
         CommandId::OverdriveMode | CommandId::GetGrippingStatistics => Some(0b01),
@@ -248,7 +247,7 @@ const fn update_of(command: &Command<'_>) -> Option<AutoUpdate> {
     }
 }
 
-/// Frames in a ring of bytes. A frame tells its own length.
+/// Frames in a ring buffer. Each frame contains its own length.
 #[derive(Clone, Debug)]
 struct FrameQueue {
     bytes: [u8; QUEUE_LEN],
@@ -261,7 +260,7 @@ impl FrameQueue {
         Self { bytes: [0; QUEUE_LEN], first: 0, len: 0 }
     }
 
-    /// Appends a frame unless the queue would hold more than `limit` bytes; whether it did.
+    /// Appends a frame unless the queue would exceed `limit` bytes. Returns whether it did.
     fn push<P: Payload>(&mut self, frame: FrameEncoder<P>, limit: usize) -> bool {
         if self.len + frame.frame_len() > limit {
             return false;
@@ -273,7 +272,7 @@ impl FrameQueue {
         true
     }
 
-    /// Takes the oldest frame; its length.
+    /// Copies the oldest frame to `buffer`, removes it and returns its length.
     fn pop(&mut self, buffer: &mut FrameBuffer) -> Option<usize> {
         if self.len == 0 {
             return None;

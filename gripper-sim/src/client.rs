@@ -1,4 +1,4 @@
-//! A client of any kind, as the gripper sees it: bytes in, frames out, and what is due for it.
+//! A client of any kind: its received bytes, its queued frames, and its due times.
 
 use crate::config::Config;
 use crate::device::Device;
@@ -9,19 +9,19 @@ use crate::updates::Readings;
 use crate::{binary, gcl, modbus, profibus};
 use wsg_fieldbus::SilenceReaction;
 
-/// A client, by what it speaks.
+/// A client, by protocol.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "the core allocates nothing, and neither is small")]
 pub(crate) enum Client {
-    /// The binary protocol.
+    /// A client of the binary protocol.
     Binary(binary::Client),
-    /// The text protocol.
+    /// A client of the text protocol (GCL).
     Text(gcl::Client),
-    /// Modbus/TCP.
+    /// A master on Modbus/TCP.
     Modbus(modbus::Client),
-    /// PROFIBUS DP.
+    /// A master on a PROFIBUS DP line.
     Profibus(profibus::Client),
-    /// A bus that brings whole images.
+    /// A bus that transfers complete images.
     Images(PortId),
 }
 
@@ -46,27 +46,27 @@ impl Client {
         }
     }
 
-    /// Whether it is an error that the client is gone.
+    /// Returns whether the end of the connection is an error.
     pub(crate) const fn is_missed(&self) -> bool {
         match self {
             Self::Binary(client) => client.is_missed(),
             Self::Text(client) => client.is_missed(),
-            // Masters that connect for each request are common; a bus has a watchdog.
+            // Many masters connect anew for each request; a bus has a watchdog.
             Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => false,
         }
     }
 
-    /// What becomes of a motion that it has begun by the register interface when it is gone.
+    /// Returns the reaction to the client's end for a motion that it started by the register interface.
     pub(crate) const fn reaction_to_its_end(&self, config: &Config) -> SilenceReaction {
         match self {
-            // Masters that connect for each request are common.
+            // Many masters connect anew for each request.
             Self::Binary(_) | Self::Text(_) | Self::Modbus(_) => SilenceReaction::Hold,
-            // The watchdog of the bus went with its line.
+            // The watchdog of the bus ends with its line.
             Self::Profibus(_) | Self::Images(_) => config.bus_reaction,
         }
     }
 
-    /// Whether nothing more can be understood of what the client sends.
+    /// Returns whether the client's byte stream has lost synchronization for good.
     pub(crate) const fn is_lost(&self) -> bool {
         match self {
             Self::Binary(_) | Self::Text(_) | Self::Profibus(_) | Self::Images(_) => false,
@@ -84,8 +84,8 @@ impl Client {
         }
     }
 
-    /// Takes bytes up to the first request, or some of them, and carries the request out; returns how many bytes it took
-    /// and whether anything happened.
+    /// Takes bytes up to the first request, or some of them, and executes the request. Returns the number of bytes
+    /// taken and whether anything happened.
     pub(crate) fn receive(
         &mut self,
         device: &mut Device,
@@ -102,7 +102,8 @@ impl Client {
         }
     }
 
-    /// Notes that no more bytes follow for now, and carries out what a datagram ends; returns whether anything happened.
+    /// Marks the end of the available bytes and executes a request that the end of a datagram completes. Returns
+    /// whether anything happened.
     pub(crate) fn pause(&mut self, device: &mut Device, now: Time) -> bool {
         match self {
             Self::Binary(client) => {
@@ -114,8 +115,8 @@ impl Client {
         }
     }
 
-    /// Ends the wait for the rest of a frame, or for a master, if its time is over; returns whether anything happened. Call until nothing
-    /// does.
+    /// Processes an expired time-out of an incomplete frame or of a master, and returns whether anything happened. Call
+    /// until it returns `false`.
     pub(crate) fn expire(&mut self, device: &mut Device, fieldbus: &mut Fieldbus, now: Time) -> bool {
         match self {
             Self::Binary(client) => client.expire(device, now),
@@ -128,7 +129,7 @@ impl Client {
         }
     }
 
-    /// Ends what it has subscribed to.
+    /// Ends all subscriptions of the client.
     pub(crate) fn end_updates(&mut self) {
         match self {
             Self::Binary(client) => client.end_updates(),
@@ -155,7 +156,7 @@ impl Client {
         }
     }
 
-    /// Sends an answer of a script; its commands are those of the binary protocol.
+    /// Sends an answer of a script; script commands belong to the binary protocol.
     pub(crate) fn answer_script(&mut self, id: u8, payload: &[u8]) {
         if let Self::Binary(client) = self {
             client.answer_script(id, payload);
@@ -181,7 +182,7 @@ impl Client {
         }
     }
 
-    /// The next frame, or line, whole.
+    /// Returns the next complete frame or line.
     pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
         match self {
             Self::Binary(client) => client.next_frame(buffer),

@@ -1,4 +1,4 @@
-//! What is settled before the gripper is switched on: the model, and what the real one has on its web interface.
+//! Settings made before power-up: the model, and the settings of the real gripper's web interface.
 
 use crate::axis::{Direction, Part};
 use crate::finger::Finger;
@@ -6,8 +6,8 @@ use crate::model::Model;
 use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::{DecodeError, DeviceTag, SoftLimits};
 
-/// The settings of a [`VirtualGripper`](crate::VirtualGripper). The default is a WSG 50-110 as it leaves the factory,
-/// with no part between the fingers.
+/// The settings of a [`VirtualGripper`](crate::VirtualGripper). The default is a WSG 50-110 with factory settings and
+/// no part between the fingers.
 ///
 /// ```
 /// use wsg_sim::{Config, Part};
@@ -17,70 +17,70 @@ use wsg_protocol::{DecodeError, DeviceTag, SoftLimits};
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
-    /// The model.
+    /// The model to simulate.
     pub model: Model,
-    /// The serial number that Get System Information answers.
+    /// The serial number that Get System Information returns.
     pub serial_number: u32,
-    /// The device tag; empty: none is set.
+    /// The device tag; empty if none is set.
     pub tag: Tag,
-    /// Which way Homing goes when the request leaves it open.
+    /// The direction of Homing if the request does not specify one.
     pub homing_default: Direction,
-    /// Whether the gripper homes by itself after switching on (fieldbus, 6.4).
+    /// Whether the gripper homes automatically after power-up (fieldbus, 6.4).
     pub homing_at_start: bool,
-    /// The soft limits after switching on (command set, 3.3.5); those with minus above plus are ignored.
+    /// The soft limits after power-up (command set, 3.3.5). Limits with minus above plus are ignored.
     pub soft_limits: Option<SoftLimits>,
-    /// What lies between the fingers at the start.
+    /// The part between the fingers at power-up.
     pub part: Option<Part>,
-    /// How many times as fast as the real ones the fingers travel, [`MIN_TIME_SCALE`](Self::MIN_TIME_SCALE) to
-    /// [`MAX_TIME_SCALE`](Self::MAX_TIME_SCALE); a value outside is clamped. Travel only: periods and time-outs stay.
+    /// The speed of the fingers relative to the real gripper, [`MIN_TIME_SCALE`](Self::MIN_TIME_SCALE) to
+    /// [`MAX_TIME_SCALE`](Self::MAX_TIME_SCALE); values outside are clamped. It affects travel only, not periods or time-outs.
     pub time_scale: f32,
-    /// Whether frames with a wrong checksum are refused (command set, 1.4.1).
+    /// Whether frames with a wrong checksum are rejected (command set, 1.4.1).
     pub check_checksum: bool,
-    /// Whether a frame with a wrong checksum is answered with E_CHECKSUM_ERROR; otherwise there is silence. The manual
-    /// does not say which.
+    /// Whether a frame with a wrong checksum is answered with E_CHECKSUM_ERROR instead of being ignored. The manual does
+    /// not specify which.
     pub answer_bad_checksum: bool,
-    /// Whether a TCP connection that ends unannounced causes a FAST STOP (command set, 1.4.2).
+    /// Whether the unannounced end of a TCP connection causes a FAST STOP (command set, 1.4.2).
     pub disconnect_error: bool,
-    /// What is mounted on the two base jaws.
+    /// The fingers mounted on the two base jaws.
     pub fingers: [Finger; 2],
-    /// How far beyond the nominal width a grip may go to build up its force, in mm (command set, 3.2.6). With the stroke or
-    /// more any part is the right one, wherever it is met: clients grip at 0 mm then, and hold it.
+    /// How far beyond the nominal width a grip may move to build up its force, in mm (command set, 3.2.6). With the
+    /// stroke or more, a part is accepted wherever it is met; clients then grip at 0 mm and hold any part.
     pub clamping_travel: f32,
-    /// How much before the nominal width a part may be met, in mm; one met earlier is the wrong part.
+    /// How far before the nominal width a part may be met, in mm. A part met earlier is the wrong part.
     pub part_width_tolerance: f32,
-    /// The force limit after switching on in N, summed over both fingers; `None`: the model's. Kept within its limits.
+    /// The force limit after power-up in N, summed over both fingers, clamped to the model's limits; `None`: the model's default.
     pub force_limit: Option<f32>,
-    /// The acceleration after switching on in mm/s²; `None`: the model's. Kept within its limits.
+    /// The acceleration after power-up in mm/s², clamped to the model's limits; `None`: the model's default.
     pub acceleration: Option<f32>,
-    /// Speed of homing in mm/s; `None`: the model's. Kept within its limits.
+    /// Speed of homing in mm/s, clamped to the model's limits; `None`: the model's default.
     pub homing_speed: Option<f32>,
-    /// Speed in mm/s of MOVE and GRIP of the text protocol when the request leaves it open (GCL, 2.2.2 and 2.2.3).
+    /// Default speed in mm/s of MOVE and GRIP of the text protocol (GCL, 2.2.2 and 2.2.3).
     pub speed: f32,
-    /// Distance in mm of RELEASE of the text protocol when the request leaves it open (GCL, 2.2.4).
+    /// Default distance in mm of RELEASE of the text protocol (GCL, 2.2.4).
     pub release_distance: f32,
-    /// Speed in mm/s of RELEASE of the text protocol when the request leaves it open; `None`: the greatest.
+    /// Default speed in mm/s of RELEASE of the text protocol; `None`: the maximum.
     pub release_speed: Option<f32>,
-    /// Whether the two bytes of each number in the Modbus registers change places, for a PLC that takes "low byte first"
-    /// (fieldbus, 4) by the letter; flags stay.
+    /// Whether to swap the two bytes of each number in the Modbus registers, for PLCs that take "low byte first"
+    /// (fieldbus, 4) literally. Flags are not swapped.
     pub modbus_swap_bytes: bool,
-    /// How long a Modbus master that has written may be silent, in milliseconds; 0: for ever. A PROFIBUS master brings a
-    /// watchdog of its own.
+    /// Time-out in milliseconds of a Modbus master that has written; 0 disables it. A PROFIBUS master configures its
+    /// own watchdog.
     pub bus_timeout_ms: u16,
-    /// What is done then, and when the master of PROFIBUS or PROFINET has stopped or is silent; a jog ends in any case.
+    /// The reaction to that time-out, and to a PROFIBUS or PROFINET master that stops or is silent. A jog ends in any case.
     pub bus_reaction: SilenceReaction,
-    /// The address on PROFIBUS, 0 to 125 (fieldbus, 2.2).
+    /// The PROFIBUS address, 0 to 125 (fieldbus, 2.2).
     pub profibus_address: u8,
-    /// After how many seconds without a byte from its client the automatic updates on a line end whose client may go
-    /// unnoticed: UDP, serial lines and CAN. 0: never, as far as the manual says.
+    /// Seconds without a byte from the client after which automatic updates end on lines without a connection: UDP,
+    /// serial lines and CAN. 0: never, as far as the manual says.
     pub updates_idle_s: u16,
-    /// After how many milliseconds without a further byte half a frame is dropped.
+    /// Milliseconds without a further byte after which an incomplete frame is discarded.
     pub frame_timeout_ms: u16,
 }
 
 impl Config {
-    /// The least `time_scale`.
+    /// Smallest permitted `time_scale`.
     pub const MIN_TIME_SCALE: f32 = 0.01;
-    /// The greatest `time_scale`.
+    /// Largest permitted `time_scale`.
     pub const MAX_TIME_SCALE: f32 = 1_000.0;
 }
 
@@ -117,7 +117,7 @@ impl Default for Config {
     }
 }
 
-/// A device tag that is kept: up to 64 printable ASCII characters (command set, 3.5.2).
+/// A stored device tag of up to 64 printable ASCII characters (command set, 3.5.2).
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Tag {
     bytes: [u8; DeviceTag::MAX_LEN],
@@ -125,18 +125,18 @@ pub struct Tag {
 }
 
 impl Tag {
-    /// No tag.
+    /// The empty tag: none is set.
     pub const EMPTY: Self = Self { bytes: [0; DeviceTag::MAX_LEN], len: 0 };
 
-    /// This text as a tag.
+    /// Converts a text to a tag.
     ///
     /// # Errors
-    /// Those of [`DeviceTag::new`].
+    /// The errors of [`DeviceTag::new`].
     pub fn new(text: &str) -> Result<Self, DecodeError> {
         DeviceTag::new(text).map(Self::from)
     }
 
-    /// The text.
+    /// Returns the tag as a string.
     #[must_use]
     pub fn as_str(&self) -> &str {
         let bytes = self.bytes.get(..usize::from(self.len)).unwrap_or(&[]);

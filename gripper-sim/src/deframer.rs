@@ -1,8 +1,8 @@
-//! From the bytes of one client to frames: the protocol's parser, with the time that half a frame is waited for; over CAN the
-//! protocol's reassembler.
+//! Decodes frames from the bytes of one client: the protocol's parser with a time-out for incomplete frames, or the
+//! protocol's reassembler over CAN.
 //!
-//! Where checksums are not evaluated their two bytes must be there all the same (command set, 1.4.1). A client that leaves
-//! them out loses the first two bytes of its next frame to them, as at the real gripper.
+//! Frames carry two checksum bytes even where checksums are not evaluated (command set, 1.4.1). As with the real
+//! gripper, a client that omits them loses the first two bytes of its next frame.
 
 use crate::config::Config;
 use crate::port::PortKind;
@@ -13,25 +13,25 @@ use wsg_protocol::can::{FULL, MAX_FRAMES, Reassembler};
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use wsg_protocol::{Event, Frame, FrameCounters, FrameParser, Instant};
 
-/// The most payload in a frame that is taken.
+/// Longest payload of an accepted frame.
 const MAX_PAYLOAD: usize = MAX_MESSAGE_LEN - OVERHEAD;
 
-/// Finds the frames in what one client sends.
+/// Finds the frames in the bytes of one client.
 #[derive(Clone, Debug)]
 pub(crate) struct Deframer {
     finder: Finder,
     is_datagram: bool,
     timeout_ms: u16,
-    /// When what is held of a frame is given up.
+    /// When the incomplete frame is discarded.
     due: Option<Time>,
 }
 
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "the core allocates nothing, and neither is small")]
 enum Finder {
-    /// A stream, or datagrams.
+    /// For a stream or datagrams.
     Bytes(FrameParser<MAX_PAYLOAD>),
-    /// The data of CAN frames, each by itself.
+    /// For the data of CAN frames, each on its own.
     Can(Reassembler<MAX_FRAMES>, Found),
 }
 
@@ -39,7 +39,7 @@ impl Deframer {
     pub(crate) const fn new(kind: PortKind, config: &Config) -> Self {
         let timeout_ms = config.frame_timeout_ms;
         let finder = match kind {
-            // The reassembler knows no messages whose checksum is wrong: without checking their cut says nothing.
+            // The reassembler rejects messages with a wrong checksum. Without checksums it cannot verify frame boundaries.
             PortKind::Can if config.check_checksum => {
                 Finder::Can(Reassembler::new(ID, timeout_ms as u32), Found::NOTHING)
             }
@@ -63,8 +63,9 @@ impl Deframer {
         }
     }
 
-    /// Takes bytes up to the first event, or some of them; how many: none where the event is about bytes that came before.
-    /// When none are left and there is no event, all is told: call [`pause`](Self::pause) then.
+    /// Takes bytes up to the first event, or some of them, and returns how many. The number is 0 if the event belongs
+    /// to earlier bytes. When no bytes are left and there is no event, all events have been returned; call
+    /// [`pause`](Self::pause) then.
     pub(crate) fn push_slice(&mut self, now: Time, bytes: &[u8]) -> (usize, Option<Event<'_>>) {
         match &mut self.finder {
             Finder::Bytes(parser) => parser.push_slice(bytes),
@@ -80,7 +81,7 @@ impl Deframer {
         }
     }
 
-    /// No more bytes for now. When those so far were a datagram, none of its frames goes on in the next one.
+    /// Marks the end of the available bytes. A frame never continues in the next datagram.
     pub(crate) fn pause(&mut self, now: Time) {
         let is_mid_frame = match &self.finder {
             Finder::Bytes(parser) => parser.is_mid_frame(),
@@ -90,12 +91,12 @@ impl Deframer {
         self.due = is_mid_frame.then(|| now.plus_millis(wait_ms.into()));
     }
 
-    /// When [`expire`](Self::expire) is to be called next.
+    /// Returns when to call [`expire`](Self::expire).
     pub(crate) const fn due(&self) -> Option<Time> {
         self.due
     }
 
-    /// Gives up the frame whose rest has not come by `now`, and scans what it held again. Call until it gives `None`.
+    /// Discards a frame that is incomplete at its time-out and rescans its bytes. Call until it returns `None`.
     pub(crate) fn expire(&mut self, now: Time) -> Option<Event<'_>> {
         if self.due.is_none_or(|due| due > now) {
             return None;
@@ -116,20 +117,20 @@ impl Deframer {
     }
 }
 
-/// The reassembler's clock, which may wrap.
+/// Returns the reassembler's clock, which may wrap.
 const fn instant(now: Time) -> Instant {
     Instant::from_millis((now.as_micros() / 1_000) as u32)
 }
 
-/// The identifier of all CAN frames here: which are for this gripper is seen to before.
+/// The identifier of all CAN frames here; the caller has already filtered them.
 const ID: StandardId = StandardId::ZERO;
 
-/// Events that one CAN frame has led to, to be taken one at a time: several where a frame before it was lost.
+/// Events of one CAN frame, taken one at a time. There are several if an earlier CAN frame was lost.
 #[derive(Clone, Debug)]
 struct Found {
-    /// A kind, an id and a size each, and the payload of a frame: shorter than the CAN frames that it was made of.
+    /// Kind, id and size of each event, and the payload of a frame. They are shorter than the CAN frames they came from.
     events: heapless::Vec<u8, MAX_MESSAGE_LEN>,
-    /// From where on they have not been taken.
+    /// Index of the first event that has not been taken.
     next: usize,
 }
 
@@ -153,7 +154,7 @@ impl Found {
             Event::Oversize { id, size } => (Self::OVERSIZE, id, size, &[][..]),
         };
         let [low, high] = size.to_le_bytes();
-        // There is room: each is made of at least one CAN frame of eight bytes, and they all were held at a time.
+        // There is room: each event came from at least one CAN frame of eight bytes, and all of those were held at once.
         let _ = self.events.extend_from_slice(&[kind, id, low, high]);
         let _ = self.events.extend_from_slice(payload);
     }
@@ -187,14 +188,14 @@ mod tests {
         deframer(PortKind::Serial, false)
     }
 
-    /// A frame, and how many bytes of its checksum are left.
+    /// Returns a frame with the first `checksum` bytes of its checksum.
     fn frame(id: u8, payload: &[u8], checksum: usize) -> heapless::Vec<u8, 64> {
         let mut frame: heapless::Vec<u8, 64> = FrameEncoder::new(id, payload).collect();
         frame.truncate(frame.len() - 2 + checksum);
         frame
     }
 
-    /// The ids of the frames found in these bytes.
+    /// Returns the ids of the frames found in these bytes.
     fn take(deframer: &mut Deframer, bytes: &[u8]) -> heapless::Vec<u8, 16> {
         let mut ids = heapless::Vec::new();
         let mut rest = bytes;
@@ -224,7 +225,8 @@ mod tests {
     fn checksum_that_is_left_out_is_taken_from_the_next_frame() {
         let mut deframer = unchecked();
         let segment = [frame(0x24, b"ack", 0), frame(0x40, &[0, 0, 0], 0), frame(0x22, &[], 2)].concat();
-        // Two bytes of the second one's preamble are the first one's checksum, so it is none; the third one is whole.
+        // The first frame takes two preamble bytes of the second as its checksum, which invalidates the second. The
+        // third is intact.
         assert_eq!(take(&mut deframer, &segment), [0x24, 0x22]);
         deframer.pause(Time::ZERO);
         assert_eq!(deframer.due(), None);
@@ -253,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_with_any_checksum_are_taken_when_nobody_checks() {
+    fn frames_with_any_checksum_are_accepted_without_checking() {
         let mut deframer = unchecked();
         let mut zero = frame(0x22, &[], 0);
         zero.extend_from_slice(&[0, 0]).unwrap();
@@ -273,7 +275,7 @@ mod tests {
         assert!(ids_at(&mut deframer, Time::from_millis(TIMEOUT_MS.into())).is_empty());
     }
 
-    /// What a CAN frame that is lost leaves behind: a beginning that waits for its rest, and whole messages.
+    /// Returns the bytes received around a lost CAN frame: the start of a message without its rest, and complete messages.
     fn held_back() -> (heapless::Vec<u8, 64>, [heapless::Vec<u8, 64>; 2]) {
         let mut beginning = frame(0x06, &[7; 40], 2);
         beginning.truncate(FULL);
@@ -287,7 +289,7 @@ mod tests {
         for bytes in [&beginning, &stop] {
             assert!(take(&mut deframer, bytes).is_empty());
         }
-        // Its second CAN frame is a short one, which the message that was begun cannot have there.
+        // The second CAN frame is short, which the message in progress cannot have at that position.
         assert_eq!(take(&mut deframer, &state), [0x22, 0x40]);
     }
 
@@ -313,7 +315,7 @@ mod tests {
             let (one, other) = message.split_at(cut);
             let ids = [take(&mut deframer, one), take(&mut deframer, other)].concat();
             assert_eq!(ids.is_empty(), cut != FULL, "{cut}");
-            // A whole one behind it is found in any case.
+            // A complete message after it is always found.
             take(&mut deframer, &frame(0x22, &[], 2));
             deframer.pause(Time::ZERO);
             ids_at(&mut deframer, Time::from_millis(TIMEOUT_MS.into()));

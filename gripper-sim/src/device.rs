@@ -1,6 +1,6 @@
 //! The gripper without its clients: motions, sensor fingers, temperature and faults as one device.
 //!
-//! How motions start and end is in [`motion`](crate::motion), what the commands do in [`commands`].
+//! [`motion`](crate::motion) implements the start and end of motions; [`commands`] implements the commands.
 
 mod commands;
 
@@ -18,9 +18,9 @@ use wsg_protocol::{
     CommandId, GripperState, GrippingStatistics, Kind, Status, SystemFlags, SystemLimits, Temperature,
 };
 
-/// Time from switching a finger's supply on to its being ready (command set, 3.6.3).
+/// Start-up time of a finger after its supply is switched on, in ms (command set, 3.6.3).
 const FINGER_START_UP_MS: u64 = 500;
-/// How many fingers may be starting up at a time.
+/// How many fingers may start up at the same time.
 const MAX_STARTING_FINGERS: usize = 8;
 
 /// The gripper without its clients.
@@ -30,13 +30,13 @@ pub(crate) struct Device {
     motion: MotionControl,
     fingers: [FingerPort; 2],
     starting_fingers: heapless::Deque<(Time, PortId, CommandId), MAX_STARTING_FINGERS>,
-    /// The data frame of a finger that is being answered with.
+    /// Storage for the data frame of the finger being queried.
     finger_data: [u8; 4],
     thermal: Thermal,
     supply_fault: bool,
     motor_fault: bool,
     command_failure: bool,
-    /// The last command was a Stop or FAST STOP: a motion that it ended has not failed.
+    /// Whether the last command was a Stop or FAST STOP. A motion that it ended has not failed.
     was_stopped: bool,
     tag: Tag,
     script: Script,
@@ -60,7 +60,7 @@ impl Device {
         }
     }
 
-    /// What was settled before switching on. The tag may have changed since: see [`tag`](Self::tag).
+    /// Returns the settings made before power-up. The tag may have changed since; see [`tag`](Self::tag).
     pub(crate) const fn config(&self) -> &Config {
         &self.config
     }
@@ -77,27 +77,27 @@ impl Device {
         self.motion.state()
     }
 
-    /// The opening width as it really is, in mm.
+    /// Returns the real opening width, in mm.
     pub(crate) const fn real_width(&self) -> f64 {
         self.motion.real_width()
     }
 
-    /// What Get Opening Width answers, in mm: 0 while the fingers are not referenced (command set, 3.4.4).
+    /// Returns the answer to Get Opening Width, in mm: 0 while the fingers are not referenced (command set, 3.4.4).
     pub(crate) fn reported_width(&self) -> f32 {
         if self.motion.is_referenced() { self.motion.width() as f32 } else { 0.0 }
     }
 
-    /// The change of the opening width in mm/s.
+    /// Returns the change of the opening width in mm/s.
     pub(crate) const fn speed(&self) -> f64 {
         self.motion.speed()
     }
 
-    /// The force on the fingers as it really is, in N, summed over both.
+    /// Returns the real force on the fingers, in N, summed over both.
     pub(crate) fn real_force(&self) -> f64 {
         self.motion.force()
     }
 
-    /// What Get Force answers, in N: as the force sensors see it, if there are any.
+    /// Returns the answer to Get Force, in N, measured by the force sensors if there are any.
     pub(crate) fn reported_force(&self) -> f32 {
         let per_jaw = self.force_per_jaw();
         let seen = |finger: &FingerPort| {
@@ -106,12 +106,12 @@ impl Device {
         self.fingers.iter().map(seen).sum::<f64>() as f32
     }
 
-    /// The force limit that is set, in N, summed over both fingers.
+    /// Returns the force limit in N, summed over both fingers.
     pub(crate) const fn force_limit(&self) -> f32 {
         self.motion.settings().force_limit()
     }
 
-    /// The force in N that comes nearest to `force` among those that may be set now.
+    /// Returns the permitted force in N that is closest to `force`.
     pub(crate) const fn possible_force(&self, force: f32) -> f32 {
         self.motion.settings().possible_force(force)
     }
@@ -140,14 +140,14 @@ impl Device {
         }
     }
 
-    /// The finger on this side, and the force on it in N as it measures it.
+    /// Returns the kind of finger on this jaw and the force in N that it measures.
     pub(crate) fn finger_reading(&self, jaw: Jaw) -> (Finger, Option<f32>) {
         let finger = self.finger(jaw);
         let force = finger.measures_force().then(|| finger.measured(self.force_per_jaw()) as f32);
         (finger.kind(), force)
     }
 
-    /// The system state flags (command set, appendix B).
+    /// Returns the system state flags (command set, appendix B).
     pub(crate) fn flags(&self) -> SystemFlags {
         let mut flags = self.motion.flags();
         for (flag, is_set) in [
@@ -166,7 +166,7 @@ impl Device {
         flags
     }
 
-    /// The values that updates carry.
+    /// Returns the values that updates carry.
     pub(crate) fn readings(&self) -> Readings {
         Readings {
             flags: self.flags(),
@@ -179,7 +179,7 @@ impl Device {
         }
     }
 
-    /// Keeps SF_CMD_FAILURE: a query that succeeds does not hide what went wrong before it.
+    /// Updates SF_CMD_FAILURE. A successful query does not clear an earlier failure.
     pub(crate) fn note_result(&mut self, kind: Kind, status: Status) {
         let failed = !matches!(status, Status::Success | Status::CmdPending);
         if failed || kind != Kind::Query {
@@ -190,17 +190,17 @@ impl Device {
         }
     }
 
-    /// GRIP of the text protocol.
+    /// Executes GRIP of the text protocol.
     pub(crate) fn grip_by(&mut self, request: Request, order: GripOrder) -> Status {
         self.motion.start_grip_by(request, order)
     }
 
-    /// RELEASE of the text protocol.
+    /// Executes RELEASE of the text protocol.
     pub(crate) fn release_by(&mut self, request: Request, distance: f32, speed: f32) -> Status {
         self.motion.start_release_by(request, distance, speed)
     }
 
-    /// Velocity mode of scripts.
+    /// Starts velocity mode of scripts.
     pub(crate) fn run_at(&mut self, request: Request, speed: f32) -> Status {
         self.motion.run_at(request, speed)
     }
@@ -214,12 +214,12 @@ impl Device {
         self.motion.abort();
     }
 
-    /// FAST STOP, or what a fault causes: a motion that it ends is answered with E_CMD_ABORTED.
+    /// Executes FAST STOP, or the same on a fault. A motion that it ends is answered with E_CMD_ABORTED.
     pub(crate) fn fast_stop(&mut self) {
         self.motion.fast_stop(Status::CmdAborted);
     }
 
-    /// The part comes or goes.
+    /// Places or removes the part.
     pub(crate) fn set_part(&mut self, part: Option<Part>) {
         self.motion.set_part(part);
     }
@@ -236,7 +236,7 @@ impl Device {
         self.stop_on_lasting_fault();
     }
 
-    /// When something happens by itself, and whether a caller must be awake for it.
+    /// Returns the time of the next event, and whether it requires the caller to be awake.
     pub(crate) fn next_event(&self, now: Time) -> NextEvent {
         let finger = self.starting_fingers.front().map(|(at, ..)| *at);
         let thermal = self.thermal.next_step(now);
@@ -248,7 +248,7 @@ impl Device {
         }
     }
 
-    /// Processes what is due at `now`; `before` is the time up to which everything has happened.
+    /// Processes the events due at `now`; `before` is the time up to which all events have been processed.
     pub(crate) fn run_due(&mut self, before: Time, now: Time) {
         self.motion.run_due(before, now);
         self.note_load();
@@ -258,7 +258,7 @@ impl Device {
         }
     }
 
-    /// The next second answer that is due at `now`. It counts as the last command's result.
+    /// Takes the next second answer due at `now` and records it as the result of the last command.
     pub(crate) fn take_completion(&mut self, now: Time) -> Option<Completion> {
         let completion = match self.motion.take_completion() {
             Some(completion) => completion,
@@ -276,7 +276,7 @@ impl Device {
         Some(completion)
     }
 
-    /// Tells the thermal model what the drive does.
+    /// Passes the load of the drive to the thermal model.
     pub(crate) fn note_load(&mut self) {
         let relative = self.motion.force() / f64::from(self.limits().nominal_force);
         self.thermal.load(relative, self.motion.is_moving());
@@ -290,12 +290,12 @@ impl Device {
         }
     }
 
-    /// The force on each jaw in N.
+    /// Returns the force on each jaw in N.
     fn force_per_jaw(&self) -> f64 {
         self.motion.force() / 2.0
     }
 
-    /// Whether a force sensor controls the force now.
+    /// Returns whether a force sensor controls the force.
     fn controls_force(&self) -> bool {
         self.state() == GripperState::Holding && self.fingers.iter().any(FingerPort::measures_force)
     }
@@ -304,12 +304,12 @@ impl Device {
         self.motor_fault || self.thermal.has_motor_fault()
     }
 
-    /// Whether a fault lasts that no acknowledgement can overcome.
+    /// Returns whether a fault persists that an acknowledgement cannot clear.
     fn has_lasting_fault(&self) -> bool {
         self.supply_fault || self.has_motor_fault() || self.thermal.has_fault()
     }
 
-    /// Keeps FAST STOP latched as long as a fault lasts, so that motions need to ask for nothing else.
+    /// Latches FAST STOP while a fault persists, so that motions need no further check.
     fn stop_on_lasting_fault(&mut self) {
         if self.has_lasting_fault() && !self.motion.is_fast_stopped() {
             self.fast_stop();
@@ -317,11 +317,11 @@ impl Device {
     }
 }
 
-/// When something happens next.
+/// The times of the next events.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NextEvent {
-    /// Anything at all.
+    /// The next event of any kind.
     pub(crate) any: Option<Time>,
-    /// Something that may show on a line.
+    /// The next event that may affect a line.
     pub(crate) awake: Option<Time>,
 }

@@ -1,4 +1,4 @@
-//! What can be made to go wrong, beside what commands and parts do.
+//! Faults that can be injected, independent of commands and parts.
 
 use crate::finger::Jaw;
 
@@ -11,12 +11,12 @@ pub enum Fault {
     OverTemperature,
     /// The supply voltage is out of range: SF_POWER_FAULT and a FAST STOP.
     SupplyOutOfRange,
-    /// The motor is at its thermal limit: SF_CURR_FAULT and a FAST STOP. By itself it comes there under much more than the
-    /// nominal force, and recovers without it.
+    /// The motor is at its thermal limit: SF_CURR_FAULT and a FAST STOP. Without injection, the motor reaches the limit
+    /// under much more than the nominal force and recovers without that load.
     MotorCurrent,
-    /// The supply of this finger is shorted; an empty sensor port has nothing to short.
+    /// The supply of this finger is shorted. An empty sensor port cannot be.
     FingerShortCircuit(Jaw),
-    /// This finger does not answer. That is FF_COMM_FAULT, or FF_INIT_FAULT where its supply comes on meanwhile: after a short
-    /// circuit. Only fingers of a known type communicate.
+    /// This finger does not answer. The result is FF_COMM_FAULT, or FF_INIT_FAULT if its supply comes on in the
+    /// meantime, that is after a short circuit. Only fingers of a known type communicate.
     FingerCommunication(Jaw),
 }

@@ -1,9 +1,9 @@
 //! The register interface (fieldbus, chapters 5 and 6): one pair of images for all masters, and the controller between
-//! them and the device.
+//! the images and the device.
 //!
-//! The controller is the one of the bridge. There a session stands between it and a gripper; here its commands reach the
-//! device at once, and what it is told is true at that moment. What was decided where the manual is silent stands in
-//! `docs/decisions.md`.
+//! The controller is that of the bridge. In the bridge, a session connects it to a gripper. Here its commands reach the
+//! device immediately, and its view of the device is always current. `docs/decisions.md` records the decisions made
+//! where the manual is silent.
 
 use crate::device::Device;
 use crate::port::{Completion, PortId, Request};
@@ -13,7 +13,7 @@ use wsg_fieldbus::{CommandFlags, Controller, Images, InputImage, MaskedFlags, Ou
 use wsg_protocol::session::{Event, Known};
 use wsg_protocol::{Reply, Status, Value};
 
-/// What the gripper calls itself (FC 43/14).
+/// Identification of the gripper (FC 43/14).
 const IDENTIFICATION: Identification = Identification {
     vendor_name: "wsg-sim",
     product_code: "WSG",
@@ -26,27 +26,27 @@ const IDENTIFICATION: Identification = Identification {
 pub(crate) struct Fieldbus {
     images: Images,
     controller: Controller,
-    /// Who wrote to the output image last, as long as it is there.
+    /// The master that wrote the output image last, while it is connected.
     writer: Option<PortId>,
-    /// Whether anything has been written: before, the controller waits for nothing.
+    /// Whether anything has been written. Until then the controller stays idle.
     in_use: bool,
-    /// The last outputs, of whichever master.
+    /// The outputs that any master wrote last.
     written: OutputImage,
-    /// The master with cyclic data that exchanges, and its outputs.
+    /// The master with cyclic data exchange, and its outputs.
     cyclic: Option<(PortId, OutputImage)>,
-    /// A Modbus master asserts FASTSTOP in the image that it wrote last.
+    /// Whether FASTSTOP is set in the image that a Modbus master wrote last.
     modbus_fast_stop: bool,
-    /// When a Modbus master asked for something last, since one has written.
+    /// Time of the last Modbus request since a Modbus master has written.
     heard: Option<Time>,
     masked: MaskedFlags,
-    /// What a Modbus master writes next is the first since they fell silent.
+    /// Whether the next write of a Modbus master is the first after a silence.
     is_new: bool,
 }
 
 impl Fieldbus {
     pub(crate) fn new(device: &Device) -> Self {
         let mut controller = Controller::new();
-        // There is no line between the two that could be cut.
+        // No line connects the two, so the session is always connected.
         controller.handle(&Event::Connected, &known(device));
         let images = Images::new(device.config().modbus_swap_bytes);
         Self {
@@ -63,7 +63,7 @@ impl Fieldbus {
         }
     }
 
-    /// Answers a request PDU of this client, and lets what it writes take effect. What it leads to is due at the next
+    /// Answers a request PDU of this client and applies its writes. The resulting commands are executed by the next
     /// [`follow`](Self::follow). Returns the length of the response.
     pub(crate) fn serve(
         &mut self,
@@ -86,23 +86,24 @@ impl Fieldbus {
         len
     }
 
-    /// What a master reads now.
+    /// Returns the current inputs.
     pub(crate) fn input(&self, device: &Device) -> InputImage {
         self.controller.input(&known(device))
     }
 
-    /// Returns the outputs: those that a master wrote last, and zeros after [`end_outputs`](Self::end_outputs).
+    /// Returns the outputs that a master wrote last, or zeros after [`end_outputs`](Self::end_outputs).
     pub(crate) const fn written(&self) -> &OutputImage {
         &self.written
     }
 
-    /// Sets OF, as a script on the gripper does.
+    /// Sets OF from a script on the gripper.
     pub(crate) const fn set_user_outputs(&mut self, flags: u8) {
         self.controller.set_user_outputs(flags);
     }
 
-    /// Takes the outputs of a master with cyclic data. Only a change counts: the same image again must not undo, or repeat as
-    /// an edge, what another client wrote in between. What it leads to is due at the next [`follow`](Self::follow).
+    /// Takes the outputs of a master with cyclic data exchange. Only changes take effect: a repeated image must not
+    /// undo a write of another client, or repeat it as an edge. The resulting commands are executed by the next
+    /// [`follow`](Self::follow).
     pub(crate) fn exchange(&mut self, device: &Device, client: PortId, image: &OutputImage, is_first: bool) {
         let before = self.cyclic.replace((client, *image));
         if is_first || before != Some((client, *image)) {
@@ -110,8 +111,8 @@ impl Fieldbus {
         }
     }
 
-    /// Takes an image that this client wrote as a whole. Flags in its first one count after they were 0, but FASTSTOP, which
-    /// counts as long as any client asserts it.
+    /// Takes an image written as a whole by this client. Flags set in its first image take effect only after they have
+    /// been 0, except FASTSTOP, which takes effect while any client asserts it.
     fn write(&mut self, device: &Device, client: PortId, image: &OutputImage, is_first: bool) {
         self.written = *image;
         self.masked.see(image.flags, is_first);
@@ -124,19 +125,19 @@ impl Fieldbus {
         self.in_use = true;
     }
 
-    /// A client is gone, has stopped, or is silent. If it was the one that commands, what runs ends as `reaction` says, and a
-    /// jog in any case: nobody holds its button any more. The image stays.
+    /// Reports that a client has disconnected, stopped or fallen silent. If it was the active master, a running motion
+    /// ends as `reaction` specifies. A jog ends in any case, because its button is no longer held. The image stays.
     pub(crate) fn leave(&mut self, device: &Device, client: PortId, reaction: SilenceReaction) {
         if self.writer == Some(client) {
             self.writer = None;
-            // Its FASTSTOP stays until the next master writes.
+            // FASTSTOP of the client stays set until the next master writes.
             self.modbus_fast_stop = false;
             self.controller.silence(reaction, &known(device));
         }
     }
 
-    /// The master of a bus with cyclic data has left, has stopped, or says that its outputs are bad. Its outputs are zeros now, as
-    /// the bus itself has it; apart from that it is [`leave`](Self::leave).
+    /// Reports that the master of a bus with cyclic data exchange has left, has stopped, or has marked its outputs as
+    /// bad. Its outputs become zeros, as the bus specifies; otherwise the same as [`leave`](Self::leave).
     pub(crate) fn end_outputs(&mut self, device: &Device, client: PortId, reaction: SilenceReaction) {
         if self.writer == Some(client) {
             self.written = OutputImage::ZERO;
@@ -145,20 +146,20 @@ impl Fieldbus {
         self.leave(device, client, reaction);
     }
 
-    /// When the Modbus masters have been silent for too long.
+    /// Returns when the time-out of the Modbus masters expires.
     pub(crate) fn next_due(&self, device: &Device) -> Option<Time> {
         let timeout_ms = device.config().bus_timeout_ms;
         self.heard.filter(|_| timeout_ms > 0).map(|heard| heard.plus_millis(timeout_ms.into()))
     }
 
-    /// Does what is to be done when the Modbus masters have been silent for too long; whether they have.
+    /// Handles the expired time-out of the Modbus masters. Returns whether it has expired.
     pub(crate) fn expire(&mut self, device: &Device, now: Time) -> bool {
         let is_due = self.next_due(device).is_some_and(|due| due <= now);
         if is_due {
             self.is_new = true;
             self.modbus_fast_stop = false;
             self.heard = None;
-            // A master with cyclic data that has taken over commands on.
+            // A master with cyclic data exchange that has taken over stays in control.
             if self.cyclic.is_none_or(|(cyclic, _)| self.writer != Some(cyclic)) {
                 self.writer = None;
                 self.controller.silence(device.config().bus_reaction, &known(device));
@@ -167,14 +168,14 @@ impl Fieldbus {
         is_due
     }
 
-    /// The second answer to a command.
+    /// Passes the second answer to a command to the controller.
     pub(crate) fn complete(&mut self, device: &Device, done: Completion) {
         let reply = Reply::status_only(done.id, done.status);
         self.controller.handle(&Event::Answered(reply), &known(device));
     }
 
-    /// Tells the controller how things stand, and carries out what it asks for; whether it asked for anything, which
-    /// may have ended a motion.
+    /// Updates the controller's view of the device and executes its commands. Returns whether there were any, which may
+    /// have ended a motion.
     pub(crate) fn follow(&mut self, device: &mut Device, now: Time) -> bool {
         if !self.in_use {
             return false;
@@ -189,7 +190,7 @@ impl Fieldbus {
             let id = command.id();
             let reply = device.execute(Request { port: PortId::FIELDBUS, now }, &command);
             let status = reply.status();
-            // The one value that the controller takes from an answer: all others are reported.
+            // The only value that the controller takes from an answer; all others are reported.
             let answer = match reply.value() {
                 Some(Value::GetSoftLimits(limits)) => Reply::success(Value::GetSoftLimits(limits)),
                 _ => Reply::status_only(id, status),
@@ -205,7 +206,7 @@ impl Fieldbus {
     }
 }
 
-/// All that a session could know of the gripper, at this moment.
+/// Returns everything that a session could know about the gripper at present.
 fn known(device: &Device) -> Known {
     Known {
         info: Some(device.info()),
@@ -215,12 +216,12 @@ fn known(device: &Device) -> Known {
         width: Some(device.reported_width()),
         speed: Some(device.speed() as f32),
         force: Some(device.reported_force()),
-        // So it is set ahead of each motion that has one.
+        // Unknown, so that the controller sets it before each motion that has one.
         force_limit: None,
     }
 }
 
-/// The images as a server sees them.
+/// The images as seen by a server.
 struct Registers<'a>(&'a mut Images);
 
 impl bus_modbus::Device for Registers<'_> {

@@ -2,25 +2,25 @@
 
 use wsg_protocol::{FingerFlags, FingerInfo, FingerType};
 
-/// What is mounted on a base jaw.
+/// The finger mounted on a base jaw.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Finger {
-    /// No finger at the sensor port; Get Finger Info shows it like a generic one.
+    /// No finger at the sensor port; Get Finger Info reports it as a generic one.
     #[default]
     None,
-    /// A finger without a known type, whose supply can be switched.
+    /// A finger of unknown type with a switchable supply.
     Generic,
     /// WSG-FMF: measures the force on its jaw; its data frame is one `f32` in N.
     Fmf,
-    /// WSG-DSA: a tactile sensor. The layout of its data frame is not public, so it gives no data here.
+    /// WSG-DSA: a tactile sensor. The layout of its data frame is not public, so it provides no data here.
     Dsa,
 }
 
 impl Finger {
-    /// Every kind.
+    /// All kinds of finger.
     pub const ALL: &'static [Self] = &[Self::None, Self::Generic, Self::Fmf, Self::Dsa];
 
-    /// The name on the command line.
+    /// Returns the name used on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -31,7 +31,7 @@ impl Finger {
         }
     }
 
-    /// Whether Finger Power Control may switch its supply: only where no known type was detected.
+    /// Returns whether Finger Power Control may switch the supply: only if no known type was detected.
     const fn is_switchable(self) -> bool {
         matches!(self, Self::None | Self::Generic)
     }
@@ -40,9 +40,9 @@ impl Finger {
 /// One of the two base jaws.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Jaw {
-    /// That of finger 1 (commands 60h to 63h).
+    /// The jaw of finger 1 (commands 60h to 63h).
     One,
-    /// That of finger 2 (commands 70h to 73h).
+    /// The jaw of finger 2 (commands 70h to 73h).
     Two,
 }
 
@@ -51,15 +51,15 @@ pub enum Jaw {
 pub(crate) struct FingerPort {
     finger: Finger,
     powered: bool,
-    /// Whether its configuration has been read since its supply came on.
+    /// Whether the configuration has been read since the supply was switched on.
     initialized: bool,
     short_circuit: bool,
     communication_fault: bool,
-    /// Force on this jaw that counts as 0 N since Tare Force Sensor.
+    /// Force in N on this jaw that reads as 0 N since Tare Force Sensor.
     tare: f64,
 }
 
-/// How a request to switch the supply ends.
+/// Result of a request to switch the supply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PowerOutcome {
     Off,
@@ -67,7 +67,7 @@ pub(crate) enum PowerOutcome {
     Failed,
 }
 
-/// Why a finger gives no data.
+/// Why a finger provides no data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NoData {
     Unsupported,
@@ -117,7 +117,7 @@ impl FingerPort {
         self.flags().intersects(FAULTS)
     }
 
-    /// Switches the supply.
+    /// Switches the supply on or off.
     pub(crate) fn switch(&mut self, on: bool) -> PowerOutcome {
         if !self.finger.is_switchable() || (on && self.has_short_circuit()) {
             return PowerOutcome::Failed;
@@ -128,7 +128,7 @@ impl FingerPort {
 
     pub(crate) fn set_short_circuit(&mut self, on: bool) {
         self.short_circuit = on;
-        // The supply of a switchable finger stays off until it is asked for again.
+        // The supply of a switchable finger stays off until a client switches it on again.
         if self.has_short_circuit() && self.finger.is_switchable() {
             self.powered = false;
         }
@@ -140,33 +140,33 @@ impl FingerPort {
         self.initialize();
     }
 
-    /// Reads the configuration of a finger without a supply in vain, and that of one that answers with success. Trying goes on
-    /// until it succeeds; what fails after that is no matter of the initialization (GCL, appendix C).
+    /// Tries to read the configuration, which fails without supply or with a communication fault. The finger retries
+    /// until it succeeds; later faults do not affect the initialization (GCL, appendix C).
     const fn initialize(&mut self) {
         self.initialized = self.is_powered() && (self.initialized || !self.communication_fault);
     }
 
-    /// Whether it is a force sensor that works.
+    /// Returns whether the finger is a working force sensor.
     pub(crate) fn measures_force(&self) -> bool {
         matches!(self.finger, Finger::Fmf) && self.communicates()
     }
 
-    /// Whether a force sensor is mounted, working or not.
+    /// Returns whether a force sensor is mounted, working or not.
     pub(crate) const fn is_force_sensor(&self) -> bool {
         matches!(self.finger, Finger::Fmf)
     }
 
-    /// Lets `force`, in N on this jaw, count as 0 N.
+    /// Tares the sensor: `force`, in N on this jaw, reads as 0 N from now on.
     pub(crate) const fn zero_at(&mut self, force: f64) {
         self.tare = force;
     }
 
-    /// What it makes of `force`, in N on this jaw.
+    /// Returns the reading for `force`, in N on this jaw.
     pub(crate) fn measured(&self, force: f64) -> f64 {
         force - self.tare
     }
 
-    /// Its data frame while `force`, in N, acts on this jaw.
+    /// Returns the data frame while `force`, in N, acts on this jaw.
     pub(crate) fn data(&self, force: f64) -> Result<[u8; 4], NoData> {
         match self.finger {
             Finger::Fmf if self.communicates() => Ok((self.measured(force) as f32).to_le_bytes()),
@@ -179,7 +179,7 @@ impl FingerPort {
         self.powered && !self.has_short_circuit()
     }
 
-    /// An empty port has nothing to short.
+    /// Returns whether the supply is shorted. An empty port cannot be.
     const fn has_short_circuit(&self) -> bool {
         self.short_circuit && !matches!(self.finger, Finger::None)
     }

@@ -1,7 +1,7 @@
-//! A client that speaks the Gripper Control Language (GCL).
+//! A client of the Gripper Control Language (GCL).
 //!
-//! This is the connection: lines in and out, what it has subscribed to, and the order of `ACK`, `FIN` and `ERR`. What the
-//! requests do is in `requests`. What was decided where the manual is silent stands in `docs/gcl.md`.
+//! This module is the connection: its lines, its subscriptions, and the order of `ACK`, `FIN` and `ERR`. The requests
+//! are in `requests`. `docs/gcl.md` records the decisions made where the manual is silent.
 
 mod autosend;
 mod requests;
@@ -17,26 +17,26 @@ use requests::Outcome;
 use wsg_protocol::gcl::{Answer, CommandName, Description, LineEvent, LineReader, Named, Refused, Request};
 use wsg_protocol::{CommandId, FrameCounters, Kind, Status};
 
-/// The longest line that is taken; the longest request is shorter, but for blanks.
+/// Longest accepted line in bytes; requests are shorter, apart from blanks.
 const LINE_LEN: usize = 256;
-/// Bytes of lines that wait for a client to read them.
+/// Capacity of the output queue in bytes.
 const QUEUE_LEN: usize = 2_048;
-/// Updates leave this much room for answers.
+/// Space in the queue that updates leave free for answers.
 const RESERVED_FOR_ANSWERS: usize = 512;
 
-/// A client.
+/// A client: its line decoder and its connection.
 #[derive(Clone, Debug)]
 pub(crate) struct Client {
     reader: LineReader<LINE_LEN>,
     line: Line,
 }
 
-/// All of a client but what finds its lines.
+/// The state of a client apart from its line decoder.
 #[derive(Clone, Debug)]
 struct Line {
     id: PortId,
     kind: PortKind,
-    /// Whether the client has said BYE.
+    /// Whether the client has sent BYE.
     announced: bool,
     verbose: bool,
     part_width_tolerance: f32,
@@ -72,7 +72,7 @@ impl Client {
         self.line.id
     }
 
-    /// Whether it is an error that the client is gone.
+    /// Returns whether the end of the connection is an error.
     pub(crate) const fn is_missed(&self) -> bool {
         self.line.kind.is_connection() && !self.line.announced
     }
@@ -86,7 +86,7 @@ impl Client {
         }
     }
 
-    /// Takes bytes up to the first line, or some of them, and answers the line; returns how many bytes it took and
+    /// Takes bytes up to the first line, or some of them, and answers the line. Returns the number of bytes taken and
     /// whether there was a line.
     pub(crate) fn receive(&mut self, device: &mut Device, now: Time, bytes: &[u8]) -> (usize, bool) {
         self.line.silence.end(now);
@@ -94,7 +94,8 @@ impl Client {
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
 
-    /// Notes that no more bytes follow for now, and answers a line that its datagram ends; returns whether there was one.
+    /// Marks the end of the available bytes and answers a line that the end of its datagram completes. Returns whether
+    /// there was one.
     pub(crate) fn pause(&mut self, device: &mut Device, now: Time) -> bool {
         if !self.line.kind.is_datagram() {
             return false;
@@ -125,12 +126,12 @@ impl Client {
         earlier(autosends.next_due(now), end)
     }
 
-    /// Ends its subscriptions: somebody else is at the other end of the line.
+    /// Ends all subscriptions, because another sender uses the line now.
     pub(crate) fn end_updates(&mut self) {
         self.line.autosends.clear();
     }
 
-    /// Ends the subscriptions of a client that is silent for too long.
+    /// Ends the subscriptions of a client that has been silent for too long.
     pub(crate) fn expire(&mut self, now: Time) {
         if self.line.silence.is_too_long(now) {
             self.line.autosends.clear();
@@ -141,7 +142,7 @@ impl Client {
         !self.line.queue.is_empty()
     }
 
-    /// The oldest line, with its end.
+    /// Returns the oldest line, including its line end.
     pub(crate) fn next_line<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
         let mut len = 0;
         while let Some(byte) = self.line.queue.pop_front() {
@@ -156,7 +157,7 @@ impl Client {
 }
 
 impl Line {
-    /// Carries out what a line asks for, and answers it.
+    /// Executes the request in a line and answers it.
     fn handle(&mut self, device: &mut Device, now: Time, event: LineEvent<'_>) {
         let request = match event {
             LineEvent::Line(text) => Request::parse(text),
@@ -174,7 +175,7 @@ impl Line {
             device.note_result(request.kind(), Status::AccessDenied);
             return self.fail(name.into(), Status::AccessDenied);
         }
-        // Texts of an answer that the device does not keep.
+        // Texts of an answer that the device does not store.
         let mut text = String::new();
         let status = match requests::carry_out(device, self, now, request, &mut text) {
             Outcome::Value(value) => {
@@ -190,23 +191,23 @@ impl Line {
                 status
             }
         };
-        // A subscription is a query of the binary protocol: what went wrong before it stays to be read.
+        // A subscription is a query in the binary protocol, so it does not clear an earlier failure.
         let is_subscription = matches!(request, Request::Autosend(_));
         device.note_result(if is_subscription { Kind::Query } else { request.kind() }, status);
         if self.announced {
-            // Only once BYE is answered: what it ends is answered after it.
+            // BYE is answered first; the answers to motions that it ends follow.
             device.abort_motion();
         }
     }
 
-    /// The second answer to a motion.
+    /// Queues the second answer to a motion.
     fn complete(&mut self, done: Completion) {
         let name = match done.id {
             CommandId::Homing => CommandName::Home,
             CommandId::PrePosition => CommandName::Move,
             CommandId::GripPart => CommandName::Grip,
             CommandId::ReleasePart => CommandName::Release,
-            // No request of GCL leads to another one.
+            // No other GCL request has a second answer.
             _ => return,
         };
         match done.status {
@@ -227,7 +228,7 @@ impl Line {
     }
 }
 
-/// Appends a line unless the queue would hold more than `limit` bytes; whether it did.
+/// Appends a line unless the queue would exceed `limit` bytes. Returns whether it did.
 fn push(queue: &mut Deque<u8, QUEUE_LEN>, answer: &Answer<'_>, limit: usize) -> bool {
     let mut buffer = [0; MAX_FRAME_LEN];
     let Ok(len) = answer.write_line_into(&mut buffer) else { return false };
@@ -237,7 +238,7 @@ fn push(queue: &mut Deque<u8, QUEUE_LEN>, answer: &Answer<'_>, limit: usize) -> 
     buffer.iter().take(len).all(|byte| queue.push_back(*byte).is_ok())
 }
 
-/// The temperature in °C.
+/// Returns the temperature in °C.
 fn celsius(readings: &Readings) -> f32 {
     f32::from(readings.temperature.0) / 10.0
 }

@@ -1,4 +1,4 @@
-//! The virtual gripper: the device, its clients, and the order in which things happen.
+//! The virtual gripper: the device, its clients, and the order of events.
 
 use crate::axis::Part;
 use crate::client::Client;
@@ -14,17 +14,17 @@ use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, GripperState, GrippingStatistics, Status, SystemFlags, Temperature};
 
-/// A gripper that up to `PORTS` clients talk to.
+/// A gripper with up to `PORTS` clients.
 ///
-/// Sans-IO: the caller moves bytes and says what time it is.
-/// - [`receive`](Self::receive) takes bytes of a client, [`transmit`](Self::transmit) gives the frames for it, one at a
+/// Sans-IO: the caller moves the bytes and supplies the time.
+/// - [`receive`](Self::receive) takes bytes from a client; [`transmit`](Self::transmit) returns one frame for it per
 ///   call.
-/// - [`advance`](Self::advance) lets time pass; every method that takes `now` does so first. Time never runs backwards:
-///   a `now` before the latest one counts as that.
-/// - [`next_wake`](Self::next_wake) says when something happens next by itself; call `advance` then.
+/// - [`advance`](Self::advance) moves virtual time forward. Every method with a `now` parameter does so first. Time
+///   never runs backwards: a `now` before the latest one counts as the latest one.
+/// - [`next_wake`](Self::next_wake) returns the time of the next timed event; call `advance` then.
 ///
-/// What happens, happens at its own virtual time however late `advance` is called, so the same inputs at the same times
-/// give the same bytes.
+/// Every event takes effect at its own virtual time, however late `advance` is called. The same inputs at the same
+/// times therefore produce the same bytes.
 ///
 /// ```
 /// use wsg_sim::{Config, PortKind, Time, VirtualGripper};
@@ -51,39 +51,38 @@ pub struct VirtualGripper<const PORTS: usize = DEFAULT_PORTS> {
     now: Time,
 }
 
-/// How many clients a [`VirtualGripper`] takes when nothing else is said.
+/// The default number of clients of a [`VirtualGripper`].
 pub const DEFAULT_PORTS: usize = 8;
 
-/// What the gripper is at, as somebody beside it would see it.
+/// The state of the gripper as an observer beside it sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct State {
     /// The real opening width in mm, referenced or not.
     pub width: f32,
-    /// What Get Opening Width answers, in mm: 0 while the fingers are not referenced.
+    /// The answer to Get Opening Width, in mm: 0 while the fingers are not referenced.
     pub reported_width: f32,
-    /// The change of the opening width in mm/s, negative while the fingers close; as the gripper counts, before the
-    /// time scale.
+    /// The change of the opening width in mm/s, negative while the fingers close, excluding the time scale.
     pub speed: f32,
     /// The force on the fingers in N, summed over both.
     pub force: f32,
-    /// The force limit that is set, in N, summed over both fingers.
+    /// The configured force limit in N, summed over both fingers.
     pub force_limit: f32,
-    /// The gripper state.
+    /// The gripper state (command set, 3.4.2 and appendix C).
     pub gripper: GripperState,
-    /// The system state flags.
+    /// The system state flags (command set, appendix B).
     pub flags: SystemFlags,
-    /// The temperature of the device.
+    /// The temperature of the device, as Get Temperature reports it.
     pub temperature: Temperature,
-    /// The gripping statistics.
+    /// The gripping statistics since power-up or the last reset.
     pub statistics: GrippingStatistics,
-    /// The part, between the fingers or waiting for them to open far enough.
+    /// The part, whether between the fingers or waiting for them to open far enough.
     pub part: Option<Part>,
-    /// Whether it is between them.
+    /// Whether the part is between the fingers.
     pub part_is_between: bool,
 }
 
 impl VirtualGripper {
-    /// A gripper that has just been switched on: not referenced, its fingers half open; for [`DEFAULT_PORTS`] clients.
+    /// Creates a gripper for [`DEFAULT_PORTS`] clients, just powered up: not referenced, its fingers half open.
     #[must_use]
     pub fn new(config: Config) -> Self {
         Self::with_ports(config)
@@ -91,7 +90,7 @@ impl VirtualGripper {
 }
 
 impl<const PORTS: usize> VirtualGripper<PORTS> {
-    /// As [`new`](VirtualGripper::new), for any number of clients.
+    /// Creates a gripper for `PORTS` clients; otherwise the same as [`new`](VirtualGripper::new).
     #[must_use]
     pub fn with_ports(config: Config) -> Self {
         let device = Device::new(config);
@@ -99,7 +98,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         Self { device, fieldbus, clients: [const { None }; PORTS], connections: 0, now: Time::ZERO }
     }
 
-    /// Takes a client; `None` when there are as many as it can have.
+    /// Connects a client. Returns `None` if all `PORTS` places are taken.
     pub fn connect(&mut self, kind: PortKind) -> Option<PortId> {
         let index = self.clients.iter().position(Option::is_none)?;
         self.connections = self.connections.wrapping_add(1);
@@ -108,8 +107,8 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         Some(id)
     }
 
-    /// The client is gone. A TCP connection that ends without announcement causes a FAST STOP (command set, 1.4.2),
-    /// unless that is configured off.
+    /// Disconnects a client. The unannounced end of a TCP connection causes a FAST STOP (command set, 1.4.2), unless
+    /// [`Config::disconnect_error`] is off.
     pub fn disconnect(&mut self, id: PortId, now: Time) {
         self.advance(now);
         let Some(client) = self.client(id) else { return };
@@ -130,7 +129,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.settle();
     }
 
-    /// Ends the automatic updates of a client, for a line on which somebody else goes on, such as UDP.
+    /// Ends the automatic updates of a client. For lines such as UDP, on which another sender takes over.
     pub fn end_updates(&mut self, id: PortId, now: Time) {
         self.advance(now);
         if let Some(client) = client_in(&mut self.clients, id) {
@@ -138,15 +137,15 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
     }
 
-    /// Takes bytes from the client: frames, lines of the text protocol, frames of Modbus/TCP, or telegrams of PROFIBUS, as its
-    /// kind is.
+    /// Takes bytes from the client. Its [`PortKind`] determines whether they are frames of the binary protocol, lines
+    /// of the text protocol, frames of Modbus/TCP, or telegrams of PROFIBUS.
     ///
-    /// All are taken at once. What they ask for is answered as long as the queue of frames has room, so empty it by
-    /// [`transmit`](Self::transmit) every few hundred bytes.
+    /// All bytes are consumed. Answers are lost once the queue is full, so drain it with [`transmit`](Self::transmit)
+    /// every few hundred bytes.
     pub fn receive(&mut self, id: PortId, now: Time, bytes: &[u8]) {
         self.advance(now);
         if bytes.is_empty() {
-            // Silence: the time that half a frame is waited for goes on.
+            // An empty read is silence and must not restart the time-out of an incomplete frame.
             return;
         }
         let mut rest = bytes;
@@ -168,7 +167,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.expire_half_frames();
     }
 
-    /// The next frame for the client, whole; `None` when there is none at this time.
+    /// Returns the next complete frame for the client, or `None` if none is queued.
     pub fn transmit<'a>(&mut self, id: PortId, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
         client_in(&mut self.clients, id)?.next_frame(buffer)
     }
@@ -179,24 +178,24 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.client(id).is_some_and(Client::has_frame)
     }
 
-    /// Whether nothing more can be understood of what the client sends: its connection is to be closed once it has
-    /// been sent what there is. Only Modbus/TCP has no way back.
+    /// Returns whether the client's byte stream has lost synchronization for good. Send the queued frames, then close
+    /// the connection. Only Modbus/TCP cannot resynchronize.
     #[must_use]
     pub fn is_lost(&self, id: PortId) -> bool {
         self.client(id).is_some_and(Client::is_lost)
     }
 
-    /// What went wrong on the client's line; `None` when it is gone.
+    /// Returns the error counters of the client's line; `None` after a disconnect.
     #[must_use]
     pub fn counters(&self, id: PortId) -> Option<PortCounters> {
         self.client(id).map(Client::counters)
     }
 
-    /// Lets everything happen that is due up to `now`, each at its own time.
+    /// Processes every event that is due up to `now`, each at its own time.
     pub fn advance(&mut self, now: Time) {
         while let Some(at) = self.next_event(|event| event.any).filter(|at| *at <= now) {
             let before = self.now;
-            // Something that has become due while time stood still happens now.
+            // An event that became due while time stood still is processed now.
             self.now = at.max(before);
             self.device.run_due(before, self.now);
             self.settle();
@@ -208,19 +207,19 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.now = self.now.max(now);
     }
 
-    /// When something happens next that may show on a line; `None`: not before something comes in.
+    /// Returns the time of the next event that may affect a line; `None` if nothing happens without further input.
     #[must_use]
     pub fn next_wake(&self) -> Option<Time> {
         self.next_event(|event| event.awake)
     }
 
-    /// The time up to which everything has happened.
+    /// Returns the time up to which all events have been processed.
     #[must_use]
     pub const fn now(&self) -> Time {
         self.now
     }
 
-    /// Puts a part between the fingers, or takes it away. A part wider than the opening goes in when the fingers have
+    /// Places a part between the fingers, or removes it. A part wider than the opening enters once the fingers have
     /// opened far enough.
     pub fn set_part(&mut self, part: Option<Part>, now: Time) {
         self.advance(now);
@@ -228,14 +227,15 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.settle();
     }
 
-    /// Lets a fault begin or end.
+    /// Begins or ends a fault.
     pub fn set_fault(&mut self, fault: Fault, on: bool, now: Time) {
         self.advance(now);
         self.device.set_fault(fault, on);
         self.settle();
     }
 
-    /// Says whether a script runs on the gripper. When it ends, the commands that it has claimed are unknown again, and OF is 0.
+    /// Sets whether a script runs on the gripper. When it ends, the commands it has claimed become unknown again and OF
+    /// is set to 0.
     pub fn set_script_state(&mut self, state: ScriptState, now: Time) {
         self.advance(now);
         self.device.script_mut().set_state(state);
@@ -245,31 +245,31 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.settle();
     }
 
-    /// Claims commands of this id for the script: from now on [`take_script_request`](Self::take_script_request) gives them.
-    /// Returns whether scripts may claim it ([`SCRIPT_IDS`](crate::SCRIPT_IDS)).
+    /// Claims commands with this id for the script; [`take_script_request`](Self::take_script_request) returns them.
+    /// Returns whether scripts may claim the id ([`SCRIPT_IDS`](crate::SCRIPT_IDS)).
     pub fn claim_for_script(&mut self, id: u8) -> bool {
         self.device.script_mut().claim(id)
     }
 
-    /// Gives an id back that the script has claimed: its commands are unknown from now on. Harmless for an id that is not
-    /// claimed. Returns whether scripts may claim it.
+    /// Releases an id that the script has claimed: its commands become unknown. Does nothing if the id is not claimed.
+    /// Returns whether scripts may claim it.
     pub fn release_for_script(&mut self, id: u8) -> bool {
         self.device.script_mut().release(id)
     }
 
-    /// The number of commands that wait for the script.
+    /// Returns the number of commands queued for the script.
     #[must_use]
     pub fn script_requests(&mut self) -> usize {
         self.device.script_mut().waiting()
     }
 
-    /// Sets OF: the user flags OF1 (bit 0) to OF8 that every fieldbus master reads (fieldbus manual, 5.1.1). They are 0 again
-    /// when the script ends. [`fieldbus_images`](Self::fieldbus_images) gives IF and OF.
+    /// Sets OF: the user flags OF1 (bit 0) to OF8, which every fieldbus master reads (fieldbus manual, 5.1.1). They
+    /// return to 0 when the script ends. [`fieldbus_images`](Self::fieldbus_images) returns IF and OF.
     pub const fn set_user_outputs(&mut self, flags: u8) {
         self.fieldbus.set_user_outputs(flags);
     }
 
-    /// The next command for the script.
+    /// Takes the next command queued for the script.
     ///
     /// ```
     /// use wsg_sim::{Config, PortKind, ScriptState, Time, VirtualGripper};
@@ -290,8 +290,8 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.device.script_mut().take()
     }
 
-    /// Sends an answer of the script, status and all, to a client that may be gone by now. Returns whether it is short enough
-    /// for a frame of the gripper.
+    /// Sends an answer of the script, including its status, to a client that may have disconnected. Returns whether it
+    /// fits into a frame of the gripper.
     pub fn answer_for_script(&mut self, port: PortId, id: u8, payload: &[u8]) -> bool {
         let fits = payload.len() + OVERHEAD <= MAX_FRAME_LEN;
         if fits && let Some(client) = client_in(&mut self.clients, port) {
@@ -300,8 +300,8 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         fits
     }
 
-    /// Carries out a command of a hand beside the gripper, as the web interface of the real one does, or of a script; its first
-    /// status. What a motion comes to shows in the state.
+    /// Executes a command of an operator, as on the real gripper's web interface, or of a script. Returns its first
+    /// status; the state shows the outcome of a motion.
     pub fn command(&mut self, command: &Command<'_>, now: Time) -> Status {
         self.advance(now);
         let request = Request { port: PortId::HAND, now: self.now };
@@ -311,9 +311,9 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         status
     }
 
-    /// Velocity mode of scripts: runs at this speed in mm/s, negative while the fingers close, until it is told another one, 0
-    /// included, until any other command, or the end of the stroke or of a soft limit; what blocks the fingers is pushed against
-    /// with the force limit. E_CMD_PENDING when it runs.
+    /// Starts the velocity mode of scripts at this speed in mm/s, negative to close the fingers. The fingers move until
+    /// the next speed, 0 included, any other command, or the end of the stroke or of a soft limit. They push against an
+    /// obstacle with the force limit. Returns E_CMD_PENDING when the motion starts.
     pub fn run_for_script(&mut self, speed: f32, now: Time) -> Status {
         self.advance(now);
         let request = Request { port: PortId::HAND, now: self.now };
@@ -322,21 +322,22 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         status
     }
 
-    /// The finger on this side: its kind, and the force on it in N as its sensor measures it, if it has one.
+    /// Returns the kind of finger on this jaw and, for a force sensor, the force in N that it measures.
     #[must_use]
     pub fn finger(&self, jaw: Jaw) -> (Finger, Option<f32>) {
         self.device.finger_reading(jaw)
     }
 
-    /// Returns both images of the register interface: the outputs that a master wrote last, and the inputs that one reads now. The
-    /// outputs are zeros after the master of PROFIBUS or PROFINET has left, cleared them or stopped.
+    /// Returns both images of the register interface: the outputs that a master wrote last, and the current inputs. The
+    /// outputs are zeros after the PROFIBUS or PROFINET master has left, cleared them or stopped.
     #[must_use]
     pub fn fieldbus_images(&self) -> (OutputImage, InputImage) {
         (*self.fieldbus.written(), self.fieldbus.input(&self.device))
     }
 
-    /// Takes an image that a master wrote as a whole over a bus of images ([`PortKind::Profinet`]). `is_first`: the first since it
-    /// began to write; flags in it count after they were 0, but FASTSTOP.
+    /// Writes a complete output image from a bus with image transfer ([`PortKind::Profinet`]). `is_first` marks the
+    /// first image since the master began to write. A flag set in that image takes effect only after it has been 0, except
+    /// FASTSTOP.
     ///
     /// ```
     /// use wsg_fieldbus::{CommandFlags, OutputImage};
@@ -358,15 +359,15 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
     }
 
-    /// The master that writes images has stopped, or is silent. If it was the one that commands, what runs ends as is
-    /// configured ([`Config::bus_reaction`]); a jog ends in any case.
+    /// Reports that the master that writes images has stopped or is silent. If it was the active master, a running
+    /// motion ends as [`Config::bus_reaction`] specifies; a jog ends in any case.
     pub fn end_images(&mut self, id: PortId, now: Time) {
         self.advance(now);
         self.fieldbus.end_outputs(&self.device, id, self.device.config().bus_reaction);
         self.settle();
     }
 
-    /// How things stand at [`now`](Self::now).
+    /// Returns the state at [`now`](Self::now).
     #[must_use]
     pub fn state(&self) -> State {
         let device = &self.device;
@@ -385,7 +386,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
     }
 
-    /// Sends what the last event led to: second answers, then updates.
+    /// Sends the results of the last event: second answers first, then updates.
     fn settle(&mut self) {
         let Self { device, fieldbus, clients, now, .. } = self;
         loop {
@@ -396,8 +397,8 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
                     client.complete(done);
                 }
             }
-            // A motion that the controller ends has an answer, too. It asks for a bounded number of commands at a time:
-            // each of its motions begins with what a master wrote.
+            // Motions that the controller ends are answered, too. The loop terminates, because each motion of the
+            // controller begins with a write from a master.
             if !fieldbus.follow(device, *now) {
                 break;
             }
@@ -409,7 +410,8 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
     }
 
-    /// Ends the wait for half frames, and for masters, whose time is over. What they held may hold whole frames.
+    /// Processes the expired time-outs of incomplete frames and of masters. The bytes of an incomplete frame may
+    /// contain complete ones.
     fn expire_half_frames(&mut self) {
         for index in 0..PORTS {
             loop {

@@ -1,30 +1,30 @@
 //! A virtual gripper of the WSG series.
 //!
-//! The core, [`VirtualGripper`], takes bytes and the time and gives bytes: it speaks the binary protocol, and its
-//! fingers really travel. It knows no clock and no I/O, and allocates nothing (`no_std`). With the feature `std` (the
-//! default) come the servers around it and the binary `wsg-sim`.
+//! The core, [`VirtualGripper`], takes received bytes and the current time and returns the bytes to send. It speaks the
+//! gripper's protocols and simulates the motion of the fingers. It is `no_std`, allocates nothing, and has no clock and
+//! no I/O. The default feature `std` adds the servers and the binary `wsg-sim`.
 //!
-//! | module | changes with |
+//! | module | scope |
 //! |---|---|
-//! | `model` | what is known about the models |
-//! | `config` | what can be set on the real one's web interface |
+//! | `model` | differences between the models, with sources |
+//! | `config` | settings of the real gripper's web interface |
 //! | `axis`, `thermal`, `finger` | the physics |
-//! | `port` | what the device and its clients share |
-//! | `settings`, `motion` | the manual: what clients set for motions; how motions start and end |
-//! | `device` | the manual: states, flags and commands |
-//! | `updates`, `deframer`, `binary` | the binary protocol: its connections, and what clients make of the manual's rules |
-//! | `gcl` | the text protocol: its connections and requests |
-//! | `fieldbus`, `modbus`, `profibus` | the registers and their rules; Modbus/TCP and PROFIBUS, which carry them |
-//! | `script` | what scripts on the gripper share with its clients |
-//! | `client` | a client, whatever it speaks |
+//! | `port` | types shared by the device and its clients |
+//! | `settings`, `motion` | motion settings of the clients; start and end of motions, per the manual |
+//! | `device` | states, flags and commands, per the manual |
+//! | `updates`, `deframer`, `binary` | the binary protocol: connections, framing and automatic updates |
+//! | `gcl` | the text protocol: connections and requests |
+//! | `fieldbus`, `modbus`, `profibus` | the registers and their rules, and their transports Modbus/TCP and PROFIBUS |
+//! | `script` | commands claimed by scripts on the gripper |
+//! | `client` | a client of any protocol |
 //! | `gripper` | the contract with the caller |
-//! | `server` | TCP, UDP, serial lines (feature `std`) |
-//! | `rig` | gripper, line and clock for unit tests of programs (feature `rig`) |
+//! | `server` | servers on TCP, UDP, serial lines and CAN (feature `std`) |
+//! | `rig` | gripper, line and clock for unit tests of client programs (feature `rig`) |
 //!
-//! No two of them import each other, directly or by way of others.
+//! Module imports are acyclic.
 //!
-//! It is a model, not a copy: the fingers stop dead on Stop, FAST STOP and contact, a part is an ideal spring, and the
-//! force is exact. What was decided where the manual is silent stands in `docs/models.md`.
+//! The model is simplified: the fingers stop instantly on Stop, FAST STOP and contact, a part is an ideal spring, and
+//! the force is exact. `docs/models.md` records the decisions made where the manual is silent.
 #![cfg_attr(not(any(feature = "std", feature = "rig")), no_std)]
 #![forbid(unsafe_code)]
 
@@ -67,7 +67,7 @@ pub use script::{MAX_REQUEST_LEN, SCRIPT_IDS, ScriptRequest, ScriptState};
 pub use time::Time;
 pub use wsg_fieldbus::SilenceReaction;
 
-/// The example in the document compiles and runs.
+/// Compiles and runs the examples in the document.
 #[cfg(all(doctest, feature = "rig", feature = "std"))]
 #[doc = include_str!("../../docs/simulator.md")]
 struct Document;

@@ -1,4 +1,4 @@
-//! A client that speaks Modbus/TCP: frames in, frames out. What the requests do is in `fieldbus`.
+//! A client of Modbus/TCP: its frames. The requests are in `fieldbus`.
 
 use crate::device::Device;
 use crate::fieldbus::Fieldbus;
@@ -8,28 +8,28 @@ use bus_modbus::tcp::{self, Event, HEADER_LEN, Receiver};
 use heapless::Deque;
 use wsg_protocol::FrameCounters;
 
-/// Bytes of frames that wait for a client to read them: the answers to all requests that come at a time.
+/// Capacity of the output queue in bytes: the answers to all requests received at once.
 const QUEUE_LEN: usize = 2_048;
-/// Where the length stands in a frame; it counts what follows.
+/// Offset of the length field in a frame; it counts the bytes that follow it.
 const LENGTH_AT: usize = HEADER_LEN - 3;
 
 const _: () = assert!(tcp::MAX_FRAME_LEN <= MAX_FRAME_LEN);
 
-/// A client.
+/// A client: its frame decoder and its connection.
 #[derive(Clone, Debug)]
 pub(crate) struct Client {
     receiver: Receiver,
     line: Line,
 }
 
-/// All of a client but what finds its frames.
+/// The state of a client apart from its frame decoder.
 #[derive(Clone, Debug)]
 struct Line {
     id: PortId,
-    /// The way to the next frame is lost: what waits is sent, and the connection is closed.
+    /// Whether synchronization is lost: queued frames are sent, then the connection is closed.
     lost: bool,
     queue: Deque<u8, QUEUE_LEN>,
-    /// Bytes of frames of other protocols.
+    /// Discarded bytes of frames of other protocols.
     dropped: u16,
     replies_lost: u32,
 }
@@ -44,7 +44,7 @@ impl Client {
         self.line.id
     }
 
-    /// Whether nothing more can be understood of what the client sends.
+    /// Returns whether the client's byte stream has lost synchronization for good.
     pub(crate) const fn is_lost(&self) -> bool {
         self.line.lost
     }
@@ -58,7 +58,7 @@ impl Client {
         }
     }
 
-    /// Takes bytes up to the first event, or some of them, and serves the event; returns how many bytes it took and
+    /// Takes bytes up to the first event, or some of them, and handles the event. Returns the number of bytes taken and
     /// whether there was an event.
     pub(crate) fn receive(
         &mut self,
@@ -75,7 +75,7 @@ impl Client {
         !self.line.queue.is_empty()
     }
 
-    /// The oldest frame.
+    /// Returns the oldest queued frame.
     pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
         let queue = &mut self.line.queue;
         let mut bytes = queue.iter().skip(LENGTH_AT).copied();
@@ -108,7 +108,7 @@ impl Line {
             self.replies_lost = self.replies_lost.saturating_add(1);
             return;
         }
-        // There is room for all of it.
+        // The queue has room for the whole frame.
         let _ = frame.iter().try_for_each(|byte| self.queue.push_back(*byte));
     }
 }

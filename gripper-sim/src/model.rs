@@ -1,47 +1,47 @@
-//! What sets the models of the series apart: one table, each figure with its source.
+//! Differences between the models of the series in one table, with the source of each figure.
 //!
-//! Sources: `field` is what users and public drivers report, `manual` the command set manual, `assumed` our own choice
-//! where nothing public was found. `docs/models.md` lists the same figures for a reader.
+//! Sources: `field` is reported by users and public drivers, `manual` is the command set manual, and `assumed` is our
+//! own choice where no public figure was found. `docs/models.md` lists the same figures.
 
 use wsg_protocol::{DeviceType, SystemLimits};
 
-/// A gripper of the series.
+/// A gripper of the WSG series.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Model {
-    /// WSG 50 with 110 mm of stroke.
+    /// WSG 50 with a stroke of 110 mm.
     #[default]
     Wsg50Stroke110,
-    /// WSG 50 with 210 mm of stroke.
+    /// WSG 50 with a stroke of 210 mm.
     Wsg50Stroke210,
-    /// WSG 32.
+    /// WSG 32 with a stroke of 68 mm.
     Wsg32,
-    /// WSG 25.
+    /// WSG 25 with a stroke of 64 mm.
     Wsg25,
-    /// WSG 70.
+    /// WSG 70 with a stroke of 200 mm.
     Wsg70,
 }
 
-/// The figures of one model.
+/// The parameters of one model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters {
     /// The type byte of Get System Information (command set, 3.5.1).
     pub device: DeviceType,
-    /// What Get System Limits answers (command set, 3.5.4): mm, mm/s, mm/s², N summed over both fingers.
+    /// The answer to Get System Limits (command set, 3.5.4): mm, mm/s, mm/s², N summed over both fingers.
     pub limits: SystemLimits,
-    /// The acceleration after switching on, in mm/s².
+    /// The acceleration after power-up, in mm/s².
     pub default_acceleration: f32,
-    /// The force limit after switching on, in N, summed over both fingers.
+    /// The force limit after power-up, in N, summed over both fingers.
     pub default_force: f32,
-    /// Speed of the homing sequence in mm/s; every model is home within 4 s.
+    /// Speed of the homing sequence in mm/s; every model completes it within 4 s.
     pub homing_speed: f32,
 }
 
 impl Model {
-    /// Every model.
+    /// All models of the series.
     pub const ALL: &'static [Self] =
         &[Self::Wsg50Stroke110, Self::Wsg50Stroke210, Self::Wsg32, Self::Wsg25, Self::Wsg70];
 
-    /// The name on the command line.
+    /// Returns the name used on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -53,7 +53,7 @@ impl Model {
         }
     }
 
-    /// The figures of this model.
+    /// Returns the parameters of this model.
     #[must_use]
     pub const fn parameters(self) -> &'static Parameters {
         match self {

@@ -1,6 +1,6 @@
-//! Motions: how they start, what they are refused for, and how they end (command set, 3.2 and appendix C).
+//! Motions: how they start, why they are refused, and how they end (command set, 3.2 and appendix C).
 //!
-//! Knows neither sensor fingers nor the temperature, and of clients only whom to answer.
+//! Independent of sensor fingers and temperature; of a client it keeps only the port to answer.
 
 mod gcl;
 mod progress;
@@ -17,26 +17,26 @@ use wsg_protocol::{
     CommandId, GripperState, GrippingStatistics, HomingDirection, PrePositionFlags, Status, SystemFlags,
 };
 
-/// How much further than the stroke homing looks for the end stop, in mm.
+/// How far beyond the stroke homing searches for the end stop, in mm.
 const BEYOND_THE_END: f64 = 10.0;
-/// Part of the nominal force with which a pre-position clamps on a block (command set, 3.2.2).
+/// Fraction of the nominal force with which a pre-position clamps on a block (command set, 3.2.2).
 const CLAMP_ON_BLOCK: f64 = 0.5;
-/// A motion times out after this many times the time it needs, and [`TIME_OUT_MS`]. Assumed.
+/// A motion times out after this many times its nominal duration plus [`TIME_OUT_MS`]. Assumed.
 const TIME_OUT_FACTOR: f64 = 2.0;
-/// What a motion may last at least, in ms. Assumed.
+/// Shortest time-out of a motion, in ms. Assumed.
 const TIME_OUT_MS: u64 = 1_000;
-/// A distance in mm that counts as none.
+/// Tolerance in mm below which a distance counts as zero.
 const NOTHING: f64 = 1e-6;
-/// How close in mm a width must be to a soft limit to count as at it.
+/// Distance in mm from a soft limit within which a width counts as at the limit.
 const AT_LIMIT: f64 = 1e-6;
 
-/// A motion command that is being carried out.
+/// A motion command in progress.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Motion {
     id: CommandId,
     port: PortId,
     task: Task,
-    /// When it has lasted too long; velocity mode cannot.
+    /// Time at which the motion times out; `None` in velocity mode.
     deadline: Option<Time>,
 }
 
@@ -48,41 +48,41 @@ enum Task {
     },
     Grip(Grip),
     Release,
-    /// Velocity mode of scripts: any other command takes its place.
+    /// Velocity mode of scripts, replaced by any other command.
     Run,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum HomingPhase {
-    /// To the end stop.
+    /// Towards the end stop.
     Seek,
-    /// A little away from it.
+    /// Backing off from it.
     BackOff,
-    /// And to it again.
+    /// Towards it again, slowly.
     Return,
 }
 
-/// A grip: widths in mm as the gripper believes in them.
+/// A grip. Widths are in mm, as the gripper counts them.
 #[derive(Clone, Copy, Debug)]
 struct Grip {
     direction: Direction,
     nominal: f64,
-    /// Where the clamping travel ends: from the nominal width, or from where a part was met before (GCL manual, 2.2.6).
+    /// End of the clamping travel, measured from the nominal width or from an earlier contact (GCL manual, 2.2.6).
     end: f64,
     met: bool,
-    /// How much before the nominal width a part may be met, in mm.
+    /// How far before the nominal width the part may be met, in mm.
     tolerance: f64,
-    /// How far the grip may go on from there, in mm.
+    /// How far the grip may continue from there, in mm.
     clamping_travel: f64,
     early_block: EarlyBlock,
 }
 
-/// What a grip makes of a block before its tolerance.
+/// How a grip treats a block before its tolerance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum EarlyBlock {
-    /// It is no part (command set, 3.2.6).
+    /// No part was found (command set, 3.2.6).
     NoPart,
-    /// It is a collision (GCL, 2.2.3).
+    /// The fingers have collided (GCL, 2.2.3).
     AxisBlocked,
 }
 
@@ -91,26 +91,26 @@ enum EarlyBlock {
 pub(crate) struct MotionControl {
     parameters: &'static Parameters,
     homing_default: Direction,
-    /// In mm/s.
+    /// Speed of homing in mm/s.
     homing_speed: f64,
-    /// How far a grip goes on from the nominal width, in mm, unless its request says so.
+    /// Default clamping travel beyond the nominal width, in mm.
     clamping_travel: f64,
-    /// How much before the nominal width a part may be met, in mm, unless the request says so.
+    /// Default distance before the nominal width at which a part may be met, in mm.
     part_width_tolerance: f64,
     time_scale: f64,
     settings: Settings,
     axis: Axis,
-    /// How much wider the fingers really are than the gripper believes, in mm: 0 unless something other than an end
+    /// Real opening width minus the width as the gripper counts it, in mm. Nonzero only if something other than an end
     /// stop ended the last homing.
     origin: f64,
     referenced: bool,
     state: GripperState,
     motion: Option<Motion>,
-    /// The drive has been started and has made no step since.
+    /// Whether the drive has made no step since it was started.
     is_fresh: bool,
-    /// The motion that ended last, to be answered.
+    /// The motion that ended last and has not been answered.
     ended: Option<Completion>,
-    /// Where the last grip went, as long as its outcome stands.
+    /// Direction of the last grip, as long as its outcome stands.
     grip_direction: Option<Direction>,
     statistics: GrippingStatistics,
     fast_stop_latched: bool,
@@ -119,7 +119,7 @@ pub(crate) struct MotionControl {
 }
 
 impl MotionControl {
-    /// The fingers half open and not referenced: at rest, or homing if that is configured (fieldbus, 6.4).
+    /// Returns the fingers half open and not referenced, at rest or homing as configured (fieldbus, 6.4).
     pub(crate) fn new(config: &Config) -> Self {
         let mut control = Self::at_rest(config);
         if config.homing_at_start {
@@ -187,12 +187,12 @@ impl MotionControl {
         self.statistics = GrippingStatistics::default();
     }
 
-    /// The opening width that the gripper believes in, in mm.
+    /// The opening width as the gripper counts it, in mm.
     pub(crate) fn width(&self) -> f64 {
         self.axis.width() - self.origin
     }
 
-    /// The opening width as it really is, in mm.
+    /// The real opening width, in mm.
     pub(crate) const fn real_width(&self) -> f64 {
         self.axis.width()
     }
@@ -219,7 +219,7 @@ impl MotionControl {
         self.axis.part_is_between()
     }
 
-    /// The system state flags that tell of the axis and its motions (command set, appendix B).
+    /// Returns the system state flags of the axis and its motions (command set, appendix B).
     pub(crate) fn flags(&self) -> SystemFlags {
         let blocked = self.axis.block().map(|block| block.direction);
         let (below, above) = match self.settings.soft_limits() {
@@ -247,7 +247,7 @@ impl MotionControl {
         flags
     }
 
-    /// Homing (20h).
+    /// Executes Homing (20h) and returns its first status.
     pub(crate) fn start_homing(&mut self, request: Request, direction: HomingDirection) -> Status {
         if let Err(refused) = self.may_move() {
             return refused;
@@ -258,7 +258,7 @@ impl MotionControl {
             HomingDirection::Negative => Direction::Minus,
         };
         self.referenced = false;
-        // Without a reference the gripper believes in nothing; the whole stroke and more lies ahead of it.
+        // Without a reference the position is unknown, so the target lies a whole stroke and more ahead.
         let reach = self.stroke() + BEYOND_THE_END;
         let target = self.width() + direction.sign() * reach;
         let travel = self.homing_travel(target, self.homing_speed);
@@ -266,7 +266,7 @@ impl MotionControl {
         self.start(request, CommandId::Homing, task, travel, GripperState::Positioning)
     }
 
-    /// Pre-position Fingers (21h).
+    /// Executes Pre-position Fingers (21h).
     pub(crate) fn start_pre_position(
         &mut self,
         request: Request,
@@ -274,7 +274,7 @@ impl MotionControl {
         width: f32,
         speed: f32,
     ) -> Status {
-        // It neither grips nor releases (command set, 3.2.2; GCL, 2.2.2).
+        // A pre-position neither grips nor releases a part (command set, 3.2.2; GCL, 2.2.2).
         if self.state == GripperState::Holding {
             return Status::AlreadyRunning;
         }
@@ -294,7 +294,7 @@ impl MotionControl {
         self.start(request, CommandId::PrePosition, task, travel, GripperState::Positioning)
     }
 
-    /// Grip Part (25h).
+    /// Executes Grip Part (25h).
     pub(crate) fn start_grip(&mut self, request: Request, width: f32, speed: f32) -> Status {
         let nominal = f64::from(width).clamp(0.0, self.stroke());
         if let Err(refused) = self.may_go_to(nominal) {
@@ -323,7 +323,7 @@ impl MotionControl {
         status
     }
 
-    /// Release Part (26h).
+    /// Executes Release Part (26h).
     pub(crate) fn start_release(&mut self, request: Request, width: f32, speed: f32) -> Status {
         let target = f64::from(width).clamp(0.0, self.stroke());
         if let Err(refused) = self.may_go_to(target) {
@@ -333,9 +333,9 @@ impl MotionControl {
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
 
-    /// Velocity mode of scripts: runs at this speed in mm/s, negative while the fingers close, until it is told another, 0
-    /// included, until another command comes, or the stroke or a soft limit ends; against what blocks the fingers it pushes with
-    /// the force limit. It takes the place of a motion that runs. The speed that the fingers have stays where the direction does.
+    /// Starts velocity mode of scripts at this speed in mm/s, negative to close the fingers. The fingers move until the
+    /// next speed, 0 included, another command, or the end of the stroke or of a soft limit. They push against an
+    /// obstacle with the force limit. It replaces a running motion and keeps the current speed if the direction stays the same.
     pub(crate) fn run_at(&mut self, request: Request, speed: f32) -> Status {
         if self.fast_stop_latched {
             return Status::AccessDenied;
@@ -367,7 +367,7 @@ impl MotionControl {
         status
     }
 
-    /// Stop (22h): ends any motion, and the monitoring of a part that is held.
+    /// Executes Stop (22h): ends any motion and the monitoring of a held part.
     pub(crate) fn stop(&mut self) {
         self.axis.halt();
         self.axis_stopped = true;
@@ -378,7 +378,7 @@ impl MotionControl {
         self.end_motion(Status::CmdAborted);
     }
 
-    /// FAST STOP (23h), or what a fault causes. A motion that it ends is answered with `status`.
+    /// Executes FAST STOP (23h), or the same on a fault. A motion that it ends is answered with `status`.
     pub(crate) fn fast_stop(&mut self, status: Status) {
         self.axis.halt();
         self.fast_stop_latched = true;
@@ -387,7 +387,7 @@ impl MotionControl {
         self.end_motion(status);
     }
 
-    /// Acknowledge (24h).
+    /// Executes Acknowledge (24h): unlatches FAST STOP and leaves the error state.
     pub(crate) fn acknowledge(&mut self) {
         self.fast_stop_latched = false;
         if self.state == GripperState::Error {
@@ -395,8 +395,8 @@ impl MotionControl {
         }
     }
 
-    /// Ends every finger movement and nothing else (Disconnect Announcement, command set 3.1.2): a running motion, or fingers
-    /// that snap to their target after the part is gone.
+    /// Ends every finger movement and nothing else (Disconnect Announcement, command set 3.1.2): a running motion, or
+    /// fingers that snap to their target once the part is removed.
     pub(crate) fn abort(&mut self) {
         if self.motion.is_none() && self.axis.is_moving() {
             self.axis.halt();
@@ -413,12 +413,12 @@ impl MotionControl {
         }
     }
 
-    /// Whether the motion is velocity mode.
+    /// Returns whether velocity mode is active.
     fn runs(&self) -> bool {
         self.motion.is_some_and(|motion| matches!(motion.task, Task::Run))
     }
 
-    /// Sets the fingers in motion: E_CMD_PENDING.
+    /// Starts a motion and returns E_CMD_PENDING.
     fn start(
         &mut self,
         request: Request,
@@ -437,14 +437,14 @@ impl MotionControl {
         Status::CmdPending
     }
 
-    /// Starts the axis towards a target in the widths that the gripper believes in.
+    /// Starts the axis towards a target, given as the gripper counts widths.
     fn drive(&mut self, travel: Travel) {
         self.is_fresh = true;
         self.axis.start(Travel { target: travel.target + self.origin, ..travel });
     }
 
-    /// When a travel that starts now has lasted too long. Time-outs do not shrink with the time scale, but they grow
-    /// when the fingers are slowed down.
+    /// Returns the time at which a travel that starts now times out. Time-outs do not shrink with the time scale, but
+    /// they grow when it slows the fingers down.
     fn deadline(&self, now: Time, travel: &Travel) -> Time {
         let distance = (travel.target - self.width()).abs();
         let needed_s = distance / travel.speed + travel.speed / travel.acceleration;
@@ -471,18 +471,18 @@ impl MotionControl {
         let Some(limits) = self.settings.soft_limits() else { return Ok(()) };
         let here = self.width();
         let (minus, plus) = (f64::from(limits.minus), f64::from(limits.plus));
-        // Whoever is outside may go towards the limits (command set, 3.3.5), all the way or a part of it.
+        // Fingers outside the soft limits may move towards them (command set, 3.3.5), all the way or part of it.
         let allowed = (minus.min(here)..=plus.max(here)).contains(&target);
         if allowed { Ok(()) } else { Err(Status::RangeError) }
     }
 
-    /// Whether a grip in this direction cannot get at `nominal` any more.
+    /// Returns whether a grip in this direction has already passed `nominal`.
     fn lies_behind(&self, direction: Direction, nominal: f64) -> bool {
         let end = self.clamping_end(direction, nominal, self.clamping_travel);
         (end - self.width()) * direction.sign() < -NOTHING
     }
 
-    /// Where the clamping travel ends that begins at `from`; it stays clear of soft limits and end stops.
+    /// Returns the end of the clamping travel that begins at `from`, kept within soft limits and end stops.
     fn clamping_end(&self, direction: Direction, from: f64, clamping_travel: f64) -> f64 {
         let end = from + direction.sign() * clamping_travel;
         let (minus, plus) = match self.settings.soft_limits() {
@@ -506,7 +506,7 @@ impl MotionControl {
         }
     }
 
-    /// A release pushes with the nominal force, but it does not squeeze the part (fieldbus, 6.3).
+    /// A release pushes with the nominal force but does not squeeze the part (fieldbus, 6.3).
     fn release_travel(&self, target: f64, speed: f32) -> Travel {
         let limits = &self.parameters.limits;
         let nominal = limits.nominal_force.into();

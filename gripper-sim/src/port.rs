@@ -1,61 +1,61 @@
-//! What the device and its clients share: who asks, over which kind of line, and who gets a second answer.
+//! Types shared by the device and its clients: the sender of a request, its kind of line, and the receiver of a second answer.
 
 use crate::time::Time;
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{CommandId, FrameCounters, LoopData, Status};
 
-/// The longest frame that a gripper sends, in bytes: Loop with all its data.
+/// Longest frame that a gripper sends, in bytes: Loop with all its data.
 pub const MAX_FRAME_LEN: usize = OVERHEAD + STATUS_LEN + LoopData::MAX_LEN;
 
-/// A frame to be sent has room in this.
+/// A buffer that holds any frame to be sent.
 pub type FrameBuffer = [u8; MAX_FRAME_LEN];
 
 const STATUS_LEN: usize = 2;
 
-/// The kind of line that a client uses.
+/// The kind of a client's line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PortKind {
-    /// Ethernet TCP/IP: connection oriented, so its end is noticed.
+    /// Ethernet TCP/IP: connection-oriented, so its end is noticed.
     Tcp,
-    /// Ethernet UDP/IP: no frame goes over the end of a datagram; give each to
-    /// [`receive`](crate::VirtualGripper::receive) by itself.
+    /// Ethernet UDP/IP: no frame continues in the next datagram, so pass each datagram to
+    /// [`receive`](crate::VirtualGripper::receive) on its own.
     Udp,
-    /// RS-232.
+    /// RS-232 with the binary protocol.
     Serial,
-    /// CAN: give the data of each CAN frame to [`receive`](crate::VirtualGripper::receive) by itself. A message begins and
-    /// ends with a CAN frame, and all its frames but the last are full; what is cut otherwise is none.
+    /// CAN: pass the data of each CAN frame to [`receive`](crate::VirtualGripper::receive) on its own. A message begins
+    /// and ends at a CAN frame boundary, and all its CAN frames but the last are full. Messages split differently are rejected.
     Can,
     /// The text protocol (GCL) over TCP/IP.
     GclTcp,
-    /// The text protocol (GCL) over UDP/IP: a datagram holds whole lines.
+    /// The text protocol (GCL) over UDP/IP: a datagram contains complete lines.
     GclUdp,
-    /// Modbus/TCP.
+    /// Modbus/TCP with the registers of the fieldbus interface.
     ModbusTcp,
-    /// PROFIBUS DP, over a line that shows no silence between characters; a pause of some milliseconds is one.
+    /// PROFIBUS DP over a line that hides the silence between characters; a pause of some milliseconds counts as silence.
     Profibus,
-    /// PROFINET: its frames are the caller's, who gives images to
+    /// PROFINET: the caller handles its frames and passes images to
     /// [`write_image`](crate::VirtualGripper::write_image).
     Profinet,
 }
 
 impl PortKind {
-    /// Whether its end is noticed, and is an error unless it was announced.
+    /// Returns whether the gripper notices its end, which is an error unless announced.
     pub(crate) const fn is_connection(self) -> bool {
         matches!(self, Self::Tcp | Self::GclTcp)
     }
 
-    /// Whether what arrives together is a whole.
+    /// Returns whether bytes that arrive together form one unit.
     pub(crate) const fn is_datagram(self) -> bool {
         matches!(self, Self::Udp | Self::GclUdp)
     }
 
-    /// Whether the binary protocol is spoken on it, to which the commands of scripts belong.
+    /// Returns whether the line carries the binary protocol, to which the commands of scripts belong.
     #[cfg(feature = "script")]
     pub(crate) fn is_binary(self) -> bool {
         self.protocol() == Protocol::Binary
     }
 
-    /// What is spoken on it.
+    /// Returns the protocol of the line.
     pub(crate) const fn protocol(self) -> Protocol {
         match self {
             Self::Tcp | Self::Udp | Self::Serial | Self::Can => Protocol::Binary,
@@ -67,18 +67,18 @@ impl PortKind {
     }
 }
 
-/// What is spoken on a line.
+/// The protocol on a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Protocol {
     /// The binary command set.
     Binary,
     /// The text protocol (GCL).
     Text,
-    /// Modbus/TCP.
+    /// Modbus/TCP with its requests and exceptions.
     Modbus,
-    /// PROFIBUS DP.
+    /// Telegrams of PROFIBUS DP.
     Profibus,
-    /// None that the gripper reads: it gets images.
+    /// No byte protocol: the gripper gets complete images.
     Images,
 }
 
@@ -98,8 +98,8 @@ impl core::fmt::Display for PortKind {
     }
 }
 
-/// Which client: valid from [`connect`](crate::VirtualGripper::connect) to
-/// [`disconnect`](crate::VirtualGripper::disconnect), harmless afterwards.
+/// Identifies a client from [`connect`](crate::VirtualGripper::connect) to
+/// [`disconnect`](crate::VirtualGripper::disconnect); ignored afterwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct PortId {
     pub(crate) index: u16,
@@ -107,25 +107,25 @@ pub struct PortId {
 }
 
 impl PortId {
-    /// Nobody's: a hand beside the gripper, or a script on it, which are told nothing more.
+    /// No client: an operator, or a script on the gripper, which gets no second answer.
     pub(crate) const HAND: Self = Self { index: u16::MAX, generation: 1 };
 
-    /// Nobody's: the register interface, whose answers go to no line.
+    /// No client: the register interface, whose answers are sent on no line.
     pub(crate) const FIELDBUS: Self = Self { index: u16::MAX, generation: 0 };
 }
 
-/// What went wrong on a line so far.
+/// Error counters of a line.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PortCounters {
-    /// Bytes and frames that were refused.
+    /// Rejected bytes and frames.
     pub parser: FrameCounters,
-    /// Automatic updates that found no room because the client does not read.
+    /// Automatic updates dropped because the client does not read and the queue was full.
     pub updates_lost: u32,
-    /// Answers that found no room because the client does not read.
+    /// Answers dropped because the client does not read and the queue was full.
     pub replies_lost: u32,
 }
 
-/// Who sent a request, and when.
+/// The sender and time of a request.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Request {
     pub(crate) port: PortId,

@@ -1,4 +1,5 @@
-//! A PROFIBUS master's line: characters in, telegrams out. The slave is `bus_profibus`'s; what the images do is in `fieldbus`.
+//! The line of a PROFIBUS master: received characters and sent telegrams. `bus_profibus` implements the slave and
+//! `fieldbus` the images.
 
 use crate::device::Device;
 use crate::fieldbus::Fieldbus;
@@ -10,25 +11,25 @@ use wsg_fieldbus::profibus::{PROFILE, Slave};
 use wsg_fieldbus::{Diagnosis, OutputImage};
 use wsg_protocol::{FrameCounters, SystemFlags};
 
-/// The longest telegram.
+/// Longest telegram in bytes.
 const MAX_TELEGRAM_LEN: usize = 255;
 
-/// A pause of this length counts as silence. Silences of bit times show on no pseudo terminal; a master's slot time is longer
-/// there.
+/// Shortest pause that counts as silence. A pseudo terminal does not show silences of a few bit times, so masters use a
+/// longer slot time there.
 const SILENCE_MICROS: u64 = 5_000;
 
-/// The slave on one line.
+/// The PROFIBUS slave on one line.
 #[derive(Clone, Debug)]
 pub(crate) struct Client {
     id: PortId,
     slave: Slave,
-    /// When the last bytes came.
+    /// When the last bytes were received.
     heard: Option<Time>,
-    /// The last answer, until the line takes it.
+    /// The last answer, until it is sent.
     answer: Vec<u8, MAX_TELEGRAM_LEN>,
-    /// The flags that the master was last told of.
+    /// The flags of the last reported diagnosis.
     told: SystemFlags,
-    /// Whether outputs have come since data exchange began: before, a flag that is set is no edge.
+    /// Whether outputs have been received since data exchange began. A flag set in the first outputs is not an edge.
     has_outputs: bool,
     replies_lost: u32,
 }
@@ -59,7 +60,7 @@ impl Client {
         }
     }
 
-    /// Takes bytes up to the first telegram that is for this slave; returns how many, and whether there was one.
+    /// Takes bytes up to the first telegram for this slave. Returns the number of bytes taken and whether there was one.
     pub(crate) fn receive(
         &mut self,
         device: &Device,
@@ -81,7 +82,7 @@ impl Client {
                     self.replies_lost = self.replies_lost.saturating_add(1);
                 }
                 self.answer.clear();
-                // The longest telegram has room.
+                // The buffer holds the longest telegram.
                 let _ = self.answer.extend_from_slice(answer.bytes);
             }
             if let Some(event) = event {
@@ -92,7 +93,7 @@ impl Client {
         (bytes.len(), false)
     }
 
-    /// The master's watchdog; whether it has expired.
+    /// Polls the master's watchdog and returns whether it has expired.
     pub(crate) fn expire(&mut self, device: &Device, fieldbus: &mut Fieldbus, now: Time) -> bool {
         let Some(event) = self.slave.poll(millis(now)) else { return false };
         self.handle(device, fieldbus, event);
@@ -115,7 +116,7 @@ impl Client {
         Some(place)
     }
 
-    /// Inputs and diagnosis as they are now.
+    /// Passes the current inputs and diagnosis to the slave.
     fn show(&mut self, device: &Device, fieldbus: &Fieldbus) {
         let flags = device.flags();
         self.slave.show_inputs(&fieldbus.input(device).to_bytes());
@@ -133,19 +134,18 @@ impl Client {
                 let is_first = !core::mem::replace(&mut self.has_outputs, true);
                 fieldbus.exchange(device, self.id, &image, is_first);
             }
-            // Clear is a master that has stopped, and not the zeros that the outputs are then: those would be no more than
-            // flags that went.
+            // Clear means that the master has stopped. The zero outputs alone would only reset the flags.
             Event::Cleared | Event::Left(_) => {
                 self.has_outputs = false;
                 fieldbus.end_outputs(device, self.id, device.config().bus_reaction);
             }
-            // The profile lets no master change it.
+            // The profile does not let a master change the address.
             Event::Address(_) => {}
         }
     }
 }
 
-/// The slave's clock, which may wrap.
+/// Returns the slave's clock, which may wrap.
 const fn millis(now: Time) -> u32 {
     (now.as_micros() / 1_000) as u32
 }

@@ -1,7 +1,7 @@
 //! A test rig for programs that use the blocking driver: gripper, line and clock in virtual time (feature `rig`).
 //!
-//! It is not a server: no socket, no thread, no wall clock. It is not a model of a line either: bytes take no time, and
-//! the only line fault is a line that carries nothing.
+//! It uses no socket, no thread and no wall clock. It does not model a line: bytes take no time, and the only line
+//! fault is a line that transfers nothing.
 
 use crate::axis::Part;
 use crate::config::Config;
@@ -18,18 +18,18 @@ use wsg_protocol::Instant;
 use wsg_protocol::driver::blocking::Transport;
 use wsg_protocol::driver::{Clock, StopLine, Stoppable};
 
-/// Virtual time of a look at an empty line, in microseconds. A program that polls in a loop and never waits would
-/// otherwise stop the clock.
+/// Virtual time of one check of an empty line, in microseconds. Without it, a program that polls in a loop and never
+/// waits would stop the clock.
 const LOOK_US: u64 = 100;
 
-/// A virtual gripper with its line and the time, for unit tests of programs that use the blocking driver.
+/// A virtual gripper with its line and clock, for unit tests of programs that use the blocking driver.
 ///
 /// It implements [`Transport`] and [`Clock`]. Clones share one gripper, so [`line`](Self::line) and
 /// [`clock`](Self::clock) go into the driver, and the test keeps the rig to reach the gripper between two commands.
 ///
-/// Virtual time passes while the driver waits, up to the next event of the gripper or the driver's deadline, and by
-/// 100 µs at each look at an empty line. A minute of travel therefore takes milliseconds, and the same program gives the
-/// same result each time.
+/// Virtual time advances while the driver waits, up to the next event of the gripper or the driver's deadline, and by
+/// 100 µs at each check of an empty line. A minute of travel therefore takes milliseconds, and the same program
+/// produces the same result each time.
 ///
 /// A rig is [`Send`] and `Sync`. It needs an allocator and a mutex, so the feature `rig` links `std`, but none of the
 /// servers of the feature `std`.
@@ -40,7 +40,7 @@ const LOOK_US: u64 = 100;
 /// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS};
 /// use wsg_sim::{Config, Part, VirtualRig};
 ///
-/// // The program under test. It runs on `host::Tcp` and `host::StdClock` as well.
+/// // The program under test. It also runs on `host::Tcp` and `host::StdClock` as well.
 /// fn pick<T: Transport, C: Clock>(gripper: &mut Gripper<T, C>) -> Result<Grip, Error<T::Error>> {
 ///     let grip = gripper.grip(Mm(20.0), MmPerS(100.0))?;
 ///     gripper.release(Mm(60.0), MmPerS(200.0))?;
@@ -68,29 +68,29 @@ struct World {
     line: LineState,
     to_driver: VecDeque<u8>,
     now: Time,
-    /// Power-up, at which the gripper's own time begins.
+    /// Power-up, the zero point of the gripper's own time.
     powered_up: Time,
 }
 
-/// What the line carries.
+/// Whether the line transfers data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum LineState {
     Intact,
     /// Bytes are lost in both directions.
     Cut,
-    /// The connection has ended. The driver sees that.
+    /// The connection has ended, and the driver notices it.
     Closed,
 }
 
 impl VirtualRig {
-    /// Returns a rig with a gripper after power-up that speaks the binary protocol over RS-232.
+    /// Returns a rig with a gripper just powered up, which speaks the binary protocol over RS-232.
     #[must_use]
     pub fn new(config: Config) -> Self {
         Self::with_port(PortKind::Serial, config)
     }
 
-    /// Returns a rig with another kind of line: [`PortKind::GclTcp`] for GCL, [`PortKind::Tcp`] for a connection whose end
-    /// the gripper notices.
+    /// Returns a rig with another kind of line, such as [`PortKind::GclTcp`] for GCL, or [`PortKind::Tcp`] for a
+    /// connection whose end the gripper notices.
     #[must_use]
     pub fn with_port(kind: PortKind, config: Config) -> Self {
         let (gripper, port) = power_up(config, kind);
@@ -112,7 +112,7 @@ impl VirtualRig {
         self.clone()
     }
 
-    /// Returns the driver's clock: a clone, likewise. Its milliseconds are those of [`time`](Self::time).
+    /// Returns the driver's clock: also a clone. It counts the milliseconds of [`time`](Self::time).
     #[must_use]
     pub fn clock(&self) -> Self {
         self.clone()
@@ -124,20 +124,20 @@ impl VirtualRig {
         self.world().now
     }
 
-    /// Lets `ms` milliseconds pass while the program does something else. Bytes of the gripper wait for the driver.
+    /// Advances time by `ms` milliseconds. Bytes from the gripper wait for the driver.
     pub fn pass(&self, ms: u32) {
         let mut world = self.world();
         let end = world.now.plus_millis(ms.into());
         world.advance(end);
     }
 
-    /// Returns the state of the gripper, as an observer beside it sees it.
+    /// Returns the state of the gripper as an observer beside it sees it.
     #[must_use]
     pub fn state(&self) -> State {
         self.world().gripper.state()
     }
 
-    /// Puts a part between the fingers, or removes it; see [`VirtualGripper::set_part`].
+    /// Places a part between the fingers, or removes it; see [`VirtualGripper::set_part`].
     pub fn set_part(&self, part: Option<Part>) {
         self.access(|gripper, now| gripper.set_part(part, now));
     }
@@ -147,8 +147,8 @@ impl VirtualRig {
         self.access(|gripper, now| gripper.set_fault(fault, on, now));
     }
 
-    /// Switches the gripper off and on again. It is not referenced afterwards and has lost its settings and subscriptions.
-    /// A TCP connection closes; every other line goes on.
+    /// Power-cycles the gripper. It is not referenced afterwards and loses its settings and subscriptions. A TCP
+    /// connection closes; any other line stays open.
     pub fn restart(&self) {
         let mut world = self.world();
         let World { config, kind, now, .. } = *world;
@@ -159,7 +159,7 @@ impl VirtualRig {
         }
     }
 
-    /// Cuts the line. Bytes are lost in both directions, and neither end notices, as when a serial cable is pulled.
+    /// Cuts the line. Bytes are lost in both directions and neither end notices, as with a pulled serial cable.
     pub fn cut_line(&self) {
         self.world().line = LineState::Cut;
     }
@@ -173,29 +173,28 @@ impl VirtualRig {
         world.line = LineState::Closed;
     }
 
-    /// Restores a line that was cut, or opens a new connection after the old one closed. Call `connect` of the driver
-    /// next.
+    /// Restores a line that was cut, or opens a new connection after the old one closed. Call `connect` of the driver next.
     ///
     /// # Panics
-    /// The gripper takes no further connection, because [`access`](Self::access) has taken all of them.
+    /// Panics if [`access`](Self::access) has used up the gripper's connections.
     pub fn restore_line(&self) {
         let mut world = self.world();
         if world.line == LineState::Closed {
             let (port, kind, now) = (world.port, world.kind, world.device_time());
             world.gripper.disconnect(port, now);
-            world.port = world.gripper.connect(kind).expect("the gripper takes a further connection");
+            world.port = world.gripper.connect(kind).expect("the gripper accepts another connection");
             world.to_driver.clear();
         }
         world.line = LineState::Intact;
     }
 
-    /// Sends bytes to the driver that are not the gripper's, such as noise or half a frame.
+    /// Sends bytes to the driver that do not come from the gripper, such as noise or an incomplete frame.
     pub fn inject(&self, bytes: &[u8]) {
         self.world().to_driver.extend(bytes);
     }
 
     /// Calls `act` with the gripper and its time, for everything that has no method here, such as a second client. That
-    /// time begins at power-up, so after a [`restart`](Self::restart) it differs from [`time`](Self::time).
+    /// time starts at power-up, so it differs from [`time`](Self::time) after a [`restart`](Self::restart).
     pub fn access<T>(&self, act: impl FnOnce(&mut VirtualGripper, Time) -> T) -> T {
         let mut world = self.world();
         let now = world.device_time();
@@ -204,7 +203,7 @@ impl VirtualRig {
         result
     }
 
-    /// A test that failed in `access` leaves the gripper as it is, which is as good as any other state.
+    /// Ignores a poisoned lock: a panic in `access` leaves the gripper in a usable state.
     fn world(&self) -> MutexGuard<'_, World> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -212,7 +211,7 @@ impl VirtualRig {
 
 fn power_up(config: Config, kind: PortKind) -> (VirtualGripper, PortId) {
     let mut gripper = VirtualGripper::new(config);
-    let port = gripper.connect(kind).expect("a new gripper takes a client");
+    let port = gripper.connect(kind).expect("a new gripper accepts a client");
     (gripper, port)
 }
 
@@ -225,7 +224,7 @@ impl World {
         !self.to_driver.is_empty() || self.line == LineState::Closed
     }
 
-    /// Lets time pass up to `moment`.
+    /// Advances time to `moment`.
     fn advance(&mut self, moment: Time) {
         self.now = moment;
         let now = self.device_time();
@@ -233,7 +232,7 @@ impl World {
         self.collect();
     }
 
-    /// Lets time pass until the driver can read, up to `deadline`.
+    /// Advances time until the driver can read, up to `deadline`.
     fn wait(&mut self, deadline: Time) {
         while !self.is_readable() && self.now < deadline {
             let wake = self.gripper.next_wake().map(|at| self.powered_up.plus_micros(at.as_micros()));
@@ -242,7 +241,7 @@ impl World {
         }
     }
 
-    /// Takes what the gripper has sent.
+    /// Moves the gripper's output to the driver's input.
     fn collect(&mut self) {
         let mut buffer = [0; MAX_FRAME_LEN];
         while let Some(frame) = self.gripper.transmit(self.port, &mut buffer) {
@@ -279,7 +278,7 @@ impl core::fmt::Debug for VirtualRig {
 
 impl Clock for VirtualRig {
     fn now(&mut self) -> Instant {
-        // It wraps, as every clock of a driver does.
+        // It wraps, like every driver clock.
         Instant::from_millis((self.time().as_micros() / 1_000) as u32)
     }
 }
@@ -291,7 +290,7 @@ impl ErrorType for VirtualRig {
 impl Transport for VirtualRig {
     fn wait(&mut self, at_most_ms: u32) -> Result<(), Infallible> {
         let mut world = self.world();
-        // From the clock's last tick, so that the driver's clock shows the deadline and no more.
+        // Counts from the clock's last tick, so that the driver's clock reaches exactly the deadline.
         let tick = Time::from_millis(world.now.as_micros() / 1_000);
         world.wait(tick.plus_millis(at_most_ms.into()));
         Ok(())
@@ -325,7 +324,7 @@ impl Write for VirtualRig {
     }
 }
 
-/// Stop handles write to the same line. A waiting driver needs no wake-up, because it waits in virtual time only.
+/// Stop handles write to the same line. A waiting driver needs no wake-up because it waits in virtual time only.
 impl Stoppable for VirtualRig {
     fn stop_line(&mut self) -> io::Result<StopLine> {
         let rig = self.clone();

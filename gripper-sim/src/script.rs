@@ -1,48 +1,48 @@
-//! What a script on the gripper shares with its clients: the commands that it has claimed, and those that wait for it.
+//! The commands that a script on the gripper has claimed, and the requests queued for it.
 //!
-//! The script itself is outside of the core: whoever runs one takes the requests and answers them.
+//! The script itself is outside the core; the caller that runs it takes the requests and answers them.
 
 use crate::port::PortId;
 use heapless::{Deque, Vec};
 use wsg_protocol::Status;
 
-/// The ids that scripts may claim.
+/// Ids that scripts may claim.
 pub const SCRIPT_IDS: core::ops::RangeInclusive<u8> = 0xA0..=0xBF;
 
-/// The longest payload of a request to a script, in bytes. Assumed.
+/// Longest payload of a request to a script, in bytes. Assumed.
 pub const MAX_REQUEST_LEN: usize = 256;
 
-/// Requests that wait for the script. Assumed.
+/// Capacity of the request queue of the script. Assumed.
 const MAX_WAITING: usize = 16;
 
-/// A command that waits for the script.
+/// A command queued for the script.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ScriptRequest {
-    /// Who sent it: where the answer goes.
+    /// The sender, to which the answer goes.
     pub port: PortId,
-    /// One of [`SCRIPT_IDS`].
+    /// The command id, one of [`SCRIPT_IDS`].
     pub id: u8,
-    /// Its payload.
+    /// The payload of the command.
     pub payload: Vec<u8, MAX_REQUEST_LEN>,
 }
 
-/// Whether a script runs, as the system state flags tell it.
+/// Whether a script runs, as the system state flags report it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ScriptState {
-    /// There is none, or it came to its end.
+    /// No script runs, or it ended normally.
     #[default]
     None,
-    /// SF_SCRIPT_RUNNING.
+    /// SF_SCRIPT_RUNNING is set.
     Running,
-    /// SF_SCRIPT_FAILURE: it ended with an error.
+    /// SF_SCRIPT_FAILURE is set: the script ended with an error.
     Failed,
 }
 
-/// What the device holds of a script.
+/// The device's record of a script.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Script {
     state: ScriptState,
-    /// A bit for each of [`SCRIPT_IDS`].
+    /// One bit for each of [`SCRIPT_IDS`].
     claimed: u32,
     waiting: Deque<ScriptRequest, MAX_WAITING>,
 }
@@ -52,7 +52,7 @@ impl Script {
         self.state
     }
 
-    /// A script that does not run answers nothing any more.
+    /// Sets the state. A script that no longer runs loses its claims and queued requests.
     pub(crate) fn set_state(&mut self, state: ScriptState) {
         self.state = state;
         if state != ScriptState::Running {
@@ -61,21 +61,21 @@ impl Script {
         }
     }
 
-    /// Whether there is a command of this id to be claimed.
+    /// Claims an id. Returns whether scripts may claim it.
     pub(crate) fn claim(&mut self, id: u8) -> bool {
         let bit = bit(id);
         self.claimed |= bit;
         bit != 0
     }
 
-    /// Gives an id back: its commands are unknown from now on. Returns whether a script may claim it.
+    /// Releases an id: its commands become unknown. Returns whether scripts may claim it.
     pub(crate) fn release(&mut self, id: u8) -> bool {
         let bit = bit(id);
         self.claimed &= !bit;
         bit != 0
     }
 
-    /// Keeps a request for the script. `None` if none has claimed its id; else whether it could be kept.
+    /// Queues a request for the script. Returns `None` if its id is not claimed, otherwise whether there was room.
     pub(crate) fn keep(&mut self, port: PortId, id: u8, payload: &[u8]) -> Option<Result<(), Status>> {
         if self.claimed & bit(id) == 0 {
             return None;
@@ -89,13 +89,13 @@ impl Script {
         self.waiting.pop_front()
     }
 
-    /// The number of requests that wait for the script.
+    /// Returns the number of queued requests.
     pub(crate) fn waiting(&self) -> usize {
         self.waiting.len()
     }
 }
 
-/// The bit of an id; 0 for one that no script may claim.
+/// Returns the bit of an id; 0 if scripts may not claim it.
 fn bit(id: u8) -> u32 {
     if SCRIPT_IDS.contains(&id) { 1 << (id - SCRIPT_IDS.start()) } else { 0 }
 }

@@ -1,9 +1,9 @@
-//! What clients set for the motions to come (command set, 3.3).
+//! Settings that clients make for later motions (command set, 3.3).
 
 use crate::config::Config;
 use wsg_protocol::{SoftLimits, Status, SystemLimits};
 
-/// The motion settings, always within what the model can do.
+/// The motion settings, always within the limits of the model.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Settings {
     system_limits: SystemLimits,
@@ -14,7 +14,7 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// Those after switching on.
+    /// Returns the settings after power-up.
     pub(crate) fn new(config: &Config) -> Self {
         let parameters = config.model.parameters();
         let mut settings = Self {
@@ -32,7 +32,7 @@ impl Settings {
         settings
     }
 
-    /// The acceleration in mm/s².
+    /// Returns the acceleration in mm/s².
     pub(crate) const fn acceleration(&self) -> f32 {
         self.acceleration
     }
@@ -42,7 +42,7 @@ impl Settings {
         self.acceleration = acceleration.clamp(limits.min_acceleration, limits.max_acceleration);
     }
 
-    /// The force limit in N, summed over both fingers.
+    /// Returns the force limit in N, summed over both fingers.
     pub(crate) const fn force_limit(&self) -> f32 {
         self.force_limit
     }
@@ -51,7 +51,7 @@ impl Settings {
         self.force_limit = self.possible_force(force);
     }
 
-    /// The force in N that comes nearest to `force` among those that may be set now.
+    /// Returns the permitted force in N that is closest to `force`.
     pub(crate) const fn possible_force(&self, force: f32) -> f32 {
         force.clamp(self.system_limits.min_force, self.greatest_force())
     }

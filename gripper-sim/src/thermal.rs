@@ -1,40 +1,41 @@
-//! The temperature of the device, which rises with force and motion and falls towards that of the idle electronics, and the
-//! thermal load of the motor, which rises and falls with the force alone.
+//! The temperature of the device and the thermal load of the motor. The temperature rises with force and motion and
+//! falls towards that of the idle electronics. The motor load depends on the force alone.
 //!
-//! All figures are assumed, and chosen so that the nominal force may be held for ever and the overdrive force may not: a little
-//! more than the nominal force overheats the electronics in minutes, and much more the motor before them.
+//! All figures are assumed. They are chosen so that the nominal force can be held indefinitely and the overdrive force
+//! cannot. Slightly more than the nominal force overheats the electronics within minutes; with much more, the motor
+//! reaches its limit first.
 
 use crate::time::Time;
 use wsg_protocol::Temperature;
 
-/// °C that the electronics alone come to.
+/// Final temperature of the idle electronics, in °C.
 const IDLE: f64 = 32.0;
-/// °C more while the nominal force is held; grows with the square of the force.
+/// Temperature rise in °C while the nominal force is held; proportional to the square of the force.
 const NOMINAL_FORCE_RISE: f64 = 30.0;
-/// °C more while the fingers travel.
+/// Temperature rise in °C while the fingers travel.
 const TRAVEL_RISE: f64 = 8.0;
-/// Seconds in which the distance to the final temperature falls to a third, about.
+/// Seconds in which the difference to the final temperature falls to about a third.
 const TIME_CONSTANT: f64 = 120.0;
-/// °C from which SF_TEMP_WARNING is set.
+/// Temperature in °C from which SF_TEMP_WARNING is set.
 const WARNING: f64 = 70.0;
-/// °C from which SF_TEMP_FAULT is set.
+/// Temperature in °C from which SF_TEMP_FAULT is set.
 const CRITICAL: f64 = 80.0;
-/// °C shown while over temperature is injected.
+/// Temperature in °C reported while the over-temperature fault is injected.
 const INJECTED: f64 = CRITICAL + 5.0;
-/// Seconds in which the distance to the motor's final load falls to a third, about.
+/// Seconds in which the difference to the motor's final load falls to about a third.
 const MOTOR_TIME_CONSTANT: f64 = 30.0;
-/// Load of the motor from which SF_CURR_FAULT is set; the nominal force comes to 1.
+/// Motor load from which SF_CURR_FAULT is set; the nominal force corresponds to 1.
 const MOTOR_LIMIT: f64 = 2.0;
-/// Load at which the motor has recovered.
+/// Motor load at which the motor has recovered.
 const MOTOR_RECOVERED: f64 = 1.0;
-/// A load that counts as none.
+/// Difference in motor load that counts as zero.
 const MOTOR_SETTLED: f64 = 0.001;
-/// Seconds from one step to the next.
+/// Interval between two steps, in seconds.
 const STEP_S: f64 = Thermal::STEP_MICROS as f64 / 1e6;
-/// A distance in °C that counts as none, so that an idle gripper needs no steps.
+/// Difference in °C that counts as zero, so that an idle gripper needs no steps.
 const SETTLED: f64 = 0.01;
 
-/// The thermal state.
+/// The thermal state of electronics and motor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Thermal {
     temperature: f64,
@@ -46,7 +47,7 @@ pub(crate) struct Thermal {
 }
 
 impl Thermal {
-    /// Microseconds from one step to the next.
+    /// Interval between two steps, in microseconds.
     pub(crate) const STEP_MICROS: u64 = 100_000;
 
     pub(crate) const fn new() -> Self {
@@ -60,14 +61,14 @@ impl Thermal {
         }
     }
 
-    /// Takes the load from now on: the force in relation to the nominal one, and whether the fingers travel.
+    /// Sets the load: the force relative to the nominal force, and whether the fingers travel.
     pub(crate) fn load(&mut self, relative_force: f64, travels: bool) {
         let travel = if travels { TRAVEL_RISE } else { 0.0 };
         self.final_motor = relative_force * relative_force;
         self.final_temperature = IDLE + NOMINAL_FORCE_RISE * self.final_motor + travel;
     }
 
-    /// One step of [`STEP_MICROS`](Self::STEP_MICROS).
+    /// Executes one step of [`STEP_MICROS`](Self::STEP_MICROS).
     pub(crate) fn step(&mut self) {
         self.temperature += (self.final_temperature - self.temperature) * (STEP_S / TIME_CONSTANT);
         if self.is_settled() {
@@ -80,19 +81,19 @@ impl Thermal {
         self.motor_fault = self.motor >= if self.motor_fault { MOTOR_RECOVERED } else { MOTOR_LIMIT };
     }
 
-    /// When the next step is due, if one changes anything.
+    /// Returns when the next step is due, if one changes anything.
     pub(crate) fn next_step(&self, now: Time) -> Option<Time> {
         let is_settled = self.temperature == self.final_temperature && self.motor == self.final_motor;
         (!is_settled).then(|| now.next_on_grid(Self::STEP_MICROS))
     }
 
-    /// Whether steps to come may change a flag, so that a caller should not sleep through them.
+    /// Returns whether a later step may change a flag, so that the caller must stay awake for it.
     pub(crate) fn may_cross_a_limit(&self) -> bool {
         let motor = self.motor_fault || self.final_motor >= MOTOR_LIMIT;
         motor || self.temperature >= WARNING || self.final_temperature >= WARNING
     }
 
-    /// Whether the motor has come to its greatest thermal load and has not recovered (command set, appendix B, D16).
+    /// Returns whether the motor has reached its maximum thermal load and has not recovered (command set, appendix B, D16).
     pub(crate) const fn has_motor_fault(&self) -> bool {
         self.motor_fault
     }

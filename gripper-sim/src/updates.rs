@@ -1,27 +1,27 @@
-//! Automatic updates (command set, 3.4.1 to 3.4.6): what is sent by itself, when, at which change, and until when.
+//! Automatic updates (command set, 3.4.1 to 3.4.6): which are sent, when, after which change, and how long.
 
 use crate::config::Config;
 use crate::port::PortKind;
 use crate::time::Time;
 use wsg_protocol::{AutoUpdate, CommandId, GripperState, SystemFlags, Temperature, UpdateFlags, Value};
 
-/// The change in mm that a width update needs (command set, 3.4.4).
+/// Smallest change in mm that triggers a width update (command set, 3.4.4).
 const WIDTH_CHANGE: f32 = 0.01;
-/// The change in mm/s that a speed update needs (command set, 3.4.5).
+/// Smallest change in mm/s that triggers a speed update (command set, 3.4.5).
 const SPEED_CHANGE: f32 = 0.05;
-/// The change in N that a force update needs (command set, 3.4.6).
+/// Smallest change in N that triggers a force update (command set, 3.4.6).
 const FORCE_CHANGE: f32 = 0.05;
 
-/// Every value that updates carry, at one moment.
+/// All values that updates carry, at one moment.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Readings {
     pub(crate) flags: SystemFlags,
     pub(crate) state: GripperState,
-    /// mm; 0 when not referenced.
+    /// Opening width in mm; 0 when not referenced.
     pub(crate) width: f32,
-    /// mm/s.
+    /// Speed of the opening width in mm/s.
     pub(crate) speed: f32,
-    /// N.
+    /// Force in N, summed over both fingers.
     pub(crate) force: f32,
     pub(crate) referenced: bool,
     pub(crate) temperature: Temperature,
@@ -40,7 +40,7 @@ pub(crate) enum Quantity {
 impl Quantity {
     const ALL: [Self; 5] = [Self::SystemState, Self::GripperState, Self::Width, Self::Speed, Self::Force];
 
-    /// Its value as the reply to its command.
+    /// Returns the value as the reply to its command.
     pub(crate) const fn value(self, readings: &Readings) -> Value<'static> {
         match self {
             Self::SystemState => Value::GetSystemState(readings.flags),
@@ -51,7 +51,7 @@ impl Quantity {
         }
     }
 
-    /// The quantity that this command asks for.
+    /// Returns the quantity that this command queries.
     fn of(id: CommandId) -> Option<Self> {
         Some(match id {
             CommandId::GetSystemState => Self::SystemState,
@@ -63,7 +63,7 @@ impl Quantity {
         })
     }
 
-    /// Whether it changed as much as the manual asks for.
+    /// Returns whether the change reaches the threshold of the manual.
     fn differs(self, before: &Readings, now: &Readings) -> bool {
         match self {
             Self::SystemState => before.flags != now.flags,
@@ -74,7 +74,7 @@ impl Quantity {
         }
     }
 
-    /// Whether updates of it are sent: the width has none as long as the fingers are not referenced.
+    /// Returns whether updates of this quantity are sent. Width updates are suppressed while the fingers are not referenced.
     fn is_sent(self, now: &Readings) -> bool {
         self != Self::Width || now.referenced
     }
@@ -84,18 +84,18 @@ impl Quantity {
 struct Subscription {
     on_change: bool,
     period_ms: u16,
-    /// When the next update is due; on change: before which there is none.
+    /// When the next update is due; for updates on change, the earliest time.
     due: Time,
-    /// What was sent last.
+    /// The values sent last.
     last: Readings,
 }
 
-/// What one connection has subscribed to.
+/// The subscriptions of one connection.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Subscriptions([Option<Subscription>; Quantity::ALL.len()]);
 
 impl Subscriptions {
-    /// Takes the request that has just been answered with `readings`; requests of other commands change nothing.
+    /// Applies the request that has just been answered with `readings`. Requests of other commands change nothing.
     pub(crate) fn request(&mut self, id: CommandId, update: AutoUpdate, now: Time, readings: Readings) {
         let Some(quantity) = Quantity::of(id) else { return };
         let period_ms = update.period_ms.max(AutoUpdate::MIN_PERIOD_MS);
@@ -112,7 +112,7 @@ impl Subscriptions {
         }
     }
 
-    /// Ends all of them.
+    /// Ends all subscriptions.
     pub(crate) fn clear(&mut self) {
         *self = Self::default();
     }
@@ -121,12 +121,12 @@ impl Subscriptions {
         self.0.iter().all(Option::is_none)
     }
 
-    /// When there may be something to send again, other than because something happens.
+    /// Returns the next time at which an update may be due without an event.
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
         self.0.iter().flatten().map(|subscription| subscription.due).filter(|due| *due > now).min()
     }
 
-    /// Gives what is due to `send`, which says whether it found room; an update on change that did not is tried again.
+    /// Passes due updates to `send`, which returns whether there was room. An update on change without room is retried.
     pub(crate) fn publish(
         &mut self,
         now: Time,
@@ -147,10 +147,10 @@ impl Subscriptions {
     }
 }
 
-/// Until when a client is sent updates that sends nothing itself, where nothing tells of its end.
+/// Idle time-out for the subscriptions of a silent client, on lines that do not report its end.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Silence {
-    /// 0: for ever.
+    /// Time-out in seconds; 0 disables it.
     limit_s: u16,
     heard: Time,
 }
@@ -161,12 +161,12 @@ impl Silence {
         Self { limit_s, heard: Time::ZERO }
     }
 
-    /// The client has sent something.
+    /// Restarts the time-out when the client sends.
     pub(crate) const fn end(&mut self, now: Time) {
         self.heard = now;
     }
 
-    /// When its subscriptions end.
+    /// Returns when the subscriptions end.
     pub(crate) fn due(&self) -> Option<Time> {
         (self.limit_s > 0).then(|| self.heard.plus_millis(u64::from(self.limit_s) * 1_000))
     }

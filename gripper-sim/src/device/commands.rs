@@ -1,4 +1,4 @@
-//! What each command does and answers (command set, chapter 3).
+//! Execution of the commands and their answers (command set, chapter 3).
 
 use super::{Device, FINGER_START_UP_MS};
 use crate::config::Tag;
@@ -10,18 +10,18 @@ use wsg_protocol::{
     Value,
 };
 
-/// The firmware that the manual describes.
+/// The firmware version that the manual describes.
 const FIRMWARE: FirmwareVersion = FirmwareVersion::new(4, 0, 0, 0);
-/// Assumed.
+/// The hardware revision to report. Assumed.
 const HARDWARE_REVISION: u8 = 1;
 
 impl Device {
-    /// Carries out a command; its first answer.
+    /// Executes a command and returns its first answer.
     pub(crate) fn execute<'a>(&'a mut self, request: Request, command: &Command<'a>) -> Reply<'a> {
         let id = command.id();
         let status = match *command {
             Command::Loop { data } => return Reply::success(Value::Loop(data)),
-            // A matter of connections, not of the device.
+            // Connections handle this command; it does not concern the device.
             Command::DisconnectAnnouncement => Status::NotAvailable,
 
             Command::Homing { direction } => self.motion.start_homing(request, direction),
@@ -121,7 +121,7 @@ impl Device {
         Reply::success(quantity.value(&self.readings()))
     }
 
-    /// Acknowledge (24h). A FAST STOP stays as long as its cause lasts (appendix B, D16).
+    /// Executes Acknowledge (24h). A FAST STOP stays latched while its cause persists (appendix B, D16).
     fn acknowledge(&mut self) {
         if !self.has_lasting_fault() {
             self.motion.acknowledge();
@@ -142,7 +142,7 @@ impl Device {
         Status::Success
     }
 
-    /// Tares one finger, as only the text protocol can.
+    /// Tares one finger, which only the text protocol supports.
     pub(crate) fn tare_finger(&mut self, jaw: Jaw) -> Status {
         if !self.finger(jaw).is_force_sensor() {
             return Status::NotAvailable;
@@ -173,7 +173,7 @@ impl Device {
             PowerOutcome::Failed => Status::CmdFailed,
             PowerOutcome::StartingUp => {
                 let ready_at = request.now.plus_millis(FINGER_START_UP_MS);
-                // There is room: see above.
+                // There is room, as checked above.
                 let _ = self.starting_fingers.push_back((ready_at, request.port, id));
                 Status::CmdPending
             }

@@ -1,4 +1,4 @@
-//! Values that are sent by themselves (GCL, 3.1.7): which, when, and at which change.
+//! Unsolicited values (GCL, 3.1.7): which are sent, when, and after which change.
 
 use super::celsius;
 use crate::time::Time;
@@ -8,18 +8,18 @@ use wsg_protocol::gcl::{Autosend, Filter, Selected, Topic, Value};
 #[derive(Clone, Copy, Debug)]
 struct Subscription {
     autosend: Autosend,
-    /// Before which nothing is sent.
+    /// Earliest time of the next value.
     due: Time,
-    /// What was sent last.
+    /// The values sent last.
     last: Option<Readings>,
 }
 
-/// What one connection has subscribed to, by topic.
+/// The subscriptions of one connection, by topic.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Autosends([Option<Subscription>; Topic::ALL.len()]);
 
 impl Autosends {
-    /// Takes a request; the first value comes after one interval.
+    /// Applies a request. The first value is sent after one interval.
     pub(super) fn request(&mut self, autosend: Autosend, now: Time) {
         let interval_ms = autosend.interval_ms.max(Autosend::MIN_INTERVAL_MS);
         let subscription = (autosend.interval_ms > 0).then_some(Subscription {
@@ -34,7 +34,7 @@ impl Autosends {
         }
     }
 
-    /// Ends all of them.
+    /// Ends all subscriptions.
     pub(super) fn clear(&mut self) {
         *self = Self::default();
     }
@@ -43,12 +43,12 @@ impl Autosends {
         self.0.iter().all(Option::is_none)
     }
 
-    /// When there may be something to send again, other than because something happens.
+    /// Returns the next time at which a value may be due without an event.
     pub(super) fn next_due(&self, now: Time) -> Option<Time> {
         self.0.iter().flatten().map(|subscription| subscription.due).filter(|due| *due > now).min()
     }
 
-    /// Gives what is due to `send`, which says whether it found room; a change that did not is tried again.
+    /// Passes due values to `send`, which returns whether there was room. A change without room is retried.
     pub(super) fn publish(
         &mut self,
         now: Time,
@@ -60,7 +60,7 @@ impl Autosends {
             if subscription.due > now || subscription.waits_for_change(readings) {
                 continue;
             }
-            // The width is not sent as long as the fingers are not referenced, as in the binary protocol.
+            // The width is not sent while the fingers are not referenced, as in the binary protocol.
             let is_sent = topic != Topic::Pos || readings.referenced;
             if !is_sent || send(value(topic, readings)) {
                 subscription.last = Some(*readings);

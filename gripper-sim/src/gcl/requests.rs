@@ -1,5 +1,5 @@
-//! What each request of the text protocol does. Most become commands of the binary protocol; settings of the connection
-//! (VERBOSE, PWT, CLT, AUTOSEND), BYE, and GRIP and RELEASE as they differ exist here only.
+//! Execution of the requests of the text protocol. Most become commands of the binary protocol. Only the settings of
+//! the connection (VERBOSE, PWT, CLT, AUTOSEND), BYE, GRIP and RELEASE are implemented here.
 
 use super::{Line, celsius};
 use crate::config::Config;
@@ -16,7 +16,7 @@ use wsg_protocol::gcl::{
 use wsg_protocol::types::AckKey;
 use wsg_protocol::{Command, DeviceTag, FingerType, PrePositionFlags, Status, SystemFlags, Value as Reading};
 
-/// What a request comes to.
+/// The result of a request.
 pub(super) enum Outcome<'a> {
     Status(Status),
     Value(Value<'a>),
@@ -34,10 +34,10 @@ impl<'a> From<Value<'a>> for Outcome<'a> {
     }
 }
 
-/// Room for the texts of an answer.
+/// Buffer for the texts of an answer.
 type TextBuffer = String<32>;
 
-/// Carries out a request; returns what to answer at once.
+/// Executes a request and returns its immediate answer.
 pub(super) fn carry_out<'a>(
     device: &'a mut Device,
     line: &mut Line,
@@ -52,7 +52,7 @@ pub(super) fn carry_out<'a>(
             line.verbose = on;
             return Value::Verbose(on).into();
         }
-        // Nobody can tell when a conversation by datagrams ends.
+        // The end of a UDP conversation cannot be detected.
         Request::Bye if line.kind.is_datagram() => return Status::NotAvailable.into(),
         Request::Bye => {
             line.announced = true;
@@ -127,7 +127,7 @@ pub(super) fn carry_out<'a>(
                 .map_or(Status::NotAvailable.into(), |tag| Value::Tag(tag).into());
         }
         Request::Devtype => {
-            // Such as `WSG 32-068`: type and stroke.
+            // For example `WSG 32-068`: type and stroke.
             let _ = write!(text, "{}-{:03}", device.info().device, device.limits().stroke as u16);
             return Value::Devtype(text_of(text)).into();
         }
@@ -175,7 +175,7 @@ fn start_grip(device: &mut Device, line: &Line, asked: Asked, grip: Grip) -> Sta
         Grip::PartAtSpeed { force, width, speed } => (Some(force), Some(width), Some(speed)),
     };
     let order = GripOrder {
-        // Of this grip alone: what the binary protocol has set stays.
+        // The force applies to this grip only; the force limit of the binary protocol is unchanged.
         force: force.map_or(device.force_limit(), |force| device.possible_force(force)),
         width,
         speed: speed.unwrap_or(device.config().speed),
@@ -194,7 +194,7 @@ fn finger_type(device: &Device, jaw: Jaw) -> Text<'static> {
     text_of(name)
 }
 
-/// What the finger measures, as the binary protocol's frame has it: one number.
+/// Returns the reading of the finger, one number as in the frame of the binary protocol.
 fn finger_reading(device: &mut Device, asked: Asked, jaw: Jaw) -> Result<FingerReading<'static>, Status> {
     let command = match jaw {
         Jaw::One => Command::GetFinger1Data,
@@ -218,12 +218,12 @@ fn flag(flags: SystemFlags, index: u8) -> bool {
     flags.bits() >> index & 1 == 1
 }
 
-/// A text of the gripper's own, which holds nothing that a text may not.
+/// Converts a text of the gripper's own, which contains only permitted characters.
 fn text_of(text: &str) -> Text<'_> {
     Text::new(text).unwrap_or_default()
 }
 
-/// Reads or sets a setting of the connection, in mm; refuses a negative one.
+/// Reads or sets a setting of the connection, in mm. Rejects negative values.
 fn read_or_set(kept: &mut f32, setting: Setting) -> Result<f32, Status> {
     match setting {
         Setting::Set(value) if value < 0.0 => return Err(Status::RangeError),

@@ -1,18 +1,18 @@
-//! GRIP and RELEASE of the text protocol, where they differ from Grip Part and Release Part (GCL, 2.2.3 and 2.2.4).
+//! GRIP and RELEASE of the text protocol, which differ from Grip Part and Release Part (GCL, 2.2.3 and 2.2.4).
 
 use super::{BEYOND_THE_END, EarlyBlock, Grip, MotionControl, Task};
 use crate::axis::Direction;
 use crate::port::Request;
 use wsg_protocol::{CommandId, GripperState, Status};
 
-/// A GRIP with all that it leaves open filled in.
+/// A GRIP request with its defaults filled in.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct GripOrder {
     /// Force in N, summed over both fingers.
     pub(crate) force: f32,
-    /// Nominal width of the part in mm; `None`: inward until the fingers meet something.
+    /// Nominal width of the part in mm; `None`: close the fingers until they meet an obstacle.
     pub(crate) width: Option<f32>,
-    /// Speed in mm/s.
+    /// Speed of the fingers in mm/s.
     pub(crate) speed: f32,
     /// Part width tolerance in mm.
     pub(crate) tolerance: f32,
@@ -21,13 +21,13 @@ pub(crate) struct GripOrder {
 }
 
 impl MotionControl {
-    /// GRIP (GCL, 2.2.3). A block before the tolerance is an error of its own, and without a width any block is a part,
-    /// that of the end stop too.
+    /// Executes GRIP (GCL, 2.2.3). A block before the tolerance is a separate error. Without a width, any block counts
+    /// as a part, the end stop included.
     pub(crate) fn start_grip_by(&mut self, request: Request, order: GripOrder) -> Status {
         if let Err(refused) = self.may_move() {
             return refused;
         }
-        // No GRIP follows another one whose outcome stands: RELEASE comes first (GCL, 2.2.3).
+        // A GRIP cannot follow another one whose outcome stands; RELEASE must come first (GCL, 2.2.3).
         if matches!(self.state, GripperState::Holding | GripperState::NoPart | GripperState::PartLost) {
             return Status::AlreadyRunning;
         }
@@ -43,7 +43,7 @@ impl MotionControl {
                 let end = self.clamping_end(direction, nominal, clamping_travel);
                 (direction, order.tolerance.into(), end)
             }
-            // Into the end stop, so that the drive pushes against it; but not over a soft limit.
+            // The target lies in the end stop, so that the drive pushes against it, but never beyond a soft limit.
             None if self.settings.soft_limits().is_none() => {
                 (Direction::Minus, f64::INFINITY, -BEYOND_THE_END)
             }
@@ -66,7 +66,7 @@ impl MotionControl {
         status
     }
 
-    /// RELEASE (GCL, 2.2.4): by a distance away from the part, and only after a grip.
+    /// Executes RELEASE (GCL, 2.2.4): moves by a distance away from the part, and only after a grip.
     pub(crate) fn start_release_by(&mut self, request: Request, distance: f32, speed: f32) -> Status {
         if let Err(refused) = self.may_move() {
             return refused;

@@ -1,4 +1,4 @@
-//! How motions go on once they have started, step by step, and how they end (command set, 3.2 and appendix C).
+//! Progress of running motions, step by step, and their end (command set, 3.2 and appendix C).
 
 use super::{EarlyBlock, Grip, HomingPhase, Motion, MotionControl, NOTHING, Task};
 use crate::axis::{Block, Direction, Obstacle, Part};
@@ -6,28 +6,28 @@ use crate::port::Completion;
 use crate::time::{Time, earlier};
 use wsg_protocol::{CommandId, GripperState, Status};
 
-/// Microseconds from one step of the axis to the next.
+/// Interval between two steps of the axis, in microseconds.
 const STEP_MICROS: u64 = 1_000;
-/// The longest stretch of travel, in seconds, that is calculated at one go.
+/// Longest travel time calculated in one piece, in seconds.
 const LONGEST_STRETCH_S: f64 = 0.001;
-/// How far beyond a reference point the fingers back off while homing, in mm. Assumed.
+/// Distance by which the fingers back off from the reference point while homing, in mm. Assumed.
 const BACK_OFF: f64 = 1.0;
-/// Speed of backing off, in mm/s. Assumed.
+/// Speed of backing off and returning, in mm/s. Assumed.
 const BACK_OFF_SPEED: f64 = 20.0;
 
 impl MotionControl {
-    /// The next motion that has ended, to be answered.
+    /// Takes the ended motion that has not been answered.
     pub(crate) const fn take_completion(&mut self) -> Option<Completion> {
         self.ended.take()
     }
 
-    /// When something happens by itself.
+    /// Returns the time of the next step or time-out.
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
         let step = self.needs_step().then(|| now.next_on_grid(STEP_MICROS));
         earlier(step, self.times_out_at())
     }
 
-    /// Processes what is due at `now`; `before` is the time up to which everything has happened.
+    /// Processes the events due at `now`; `before` is the time up to which all events have been processed.
     pub(crate) fn run_due(&mut self, before: Time, now: Time) {
         if self.needs_step() && before.next_on_grid(STEP_MICROS) <= now {
             self.step_axis();
@@ -41,20 +41,20 @@ impl MotionControl {
         self.motion?.deadline
     }
 
-    /// The part comes or goes.
+    /// Places or removes the part.
     pub(crate) fn set_part(&mut self, part: Option<Part>) {
         self.axis.set_part(part);
         self.watch_part();
     }
 
-    /// The axis gets jammed or free.
+    /// Jams or frees the axis.
     pub(crate) fn set_jammed(&mut self, on: bool) {
         self.axis.set_jammed(on);
         self.watch_part();
     }
 
-    /// Whether a step of the axis changes anything. A motion to where the fingers are, or against what blocks them, ends in
-    /// one step.
+    /// Returns whether a step of the axis changes anything. A motion to the current position, or against an obstacle,
+    /// ends after one step.
     fn needs_step(&self) -> bool {
         self.axis.is_active() || (self.motion.is_some() && (self.is_fresh || self.axis.has_arrived()))
     }
@@ -75,14 +75,14 @@ impl MotionControl {
         }
     }
 
-    /// Follows the motion after a step of the axis; `before` is the width before it.
+    /// Advances the motion after a step of the axis; `before` is the width before the step.
     fn follow_motion(&mut self, before: f64) {
         if self.entered_restricted_area(before) {
             return;
         }
         let Some(motion) = self.motion else {
             self.watch_part();
-            // Fingers that clamped on a part reach their target when the part is removed (command set, 3.2.2 and appendix B).
+            // Fingers that clamped on a part reach their target once the part is removed (command set, 3.2.2 and appendix B).
             self.target_reached |= self.axis.has_arrived();
             return;
         };
@@ -94,19 +94,19 @@ impl MotionControl {
                     self.axis.switch_off();
                     self.end_in(GripperState::Error, Status::AxisBlocked);
                 }
-                // The drive goes on pushing, and goes on to its target if the way becomes free.
+                // The drive keeps pushing, and continues to its target if the path clears.
                 Some(_) => self.end_in(GripperState::Error, Status::AxisBlocked),
                 None => self.succeed_on_arrival(),
             },
             Task::Grip(grip) => self.follow_grip(grip, motion),
-            // What blocks a release may give way; there is no answer for it but the time-out.
+            // The obstacle may give way; otherwise only the time-out ends a release.
             Task::Release => self.succeed_on_arrival(),
-            // The drive pushes on against what blocks it, with the force limit.
+            // The drive keeps pushing against an obstacle with the force limit.
             Task::Run => self.succeed_on_arrival(),
         }
     }
 
-    /// Notices that a held part is gone.
+    /// Detects the loss of a held part.
     fn watch_part(&mut self) {
         if self.state == GripperState::Holding && self.motion.is_none() && self.axis.block().is_none() {
             self.axis.halt();
@@ -152,12 +152,12 @@ impl MotionControl {
         let sign = grip.direction.sign();
         let past = |mark: f64| (width - mark) * sign >= -NOTHING;
         if let Some(block) = self.axis.block() {
-            // For Grip Part (25h), which names no tolerance, a clamping travel as long as the stroke allows a part anywhere.
+            // Grip Part (25h) has no tolerance parameter. A clamping travel of at least the stroke accepts a part anywhere.
             let is_anywhere = block.obstacle == Obstacle::Part
                 && grip.early_block == EarlyBlock::NoPart
                 && grip.clamping_travel >= self.stroke();
             if self.axis.builds_up() {
-                // No part is gripped before the force is established.
+                // A part counts as gripped only once the force is established.
             } else if is_anywhere || past(grip.nominal - sign * grip.tolerance) {
                 self.state = GripperState::Holding;
                 self.end_motion(Status::Success);
@@ -167,7 +167,7 @@ impl MotionControl {
             } else if block.obstacle == Obstacle::Part {
                 self.find_no_part();
             }
-            // A jammed axis shows no part at all: the fingers go on pushing until the time-out.
+            // A jammed axis does not indicate a part: the fingers keep pushing until the time-out.
             return;
         }
         if !grip.met && self.axis.penetration() > 0.0 {
@@ -190,7 +190,7 @@ impl MotionControl {
         self.end_in(GripperState::NoPart, Status::CmdFailed);
     }
 
-    /// FAST STOP when the last step took the fingers out of the soft limits, or further out.
+    /// Executes a FAST STOP if the last step moved the fingers out of the soft limits, or further out.
     fn entered_restricted_area(&mut self, before: f64) -> bool {
         let is_homing = self.motion.is_some_and(|motion| matches!(motion.task, Task::Homing(..)));
         let Some(limits) = self.settings.soft_limits().filter(|_| self.referenced && !is_homing) else {
